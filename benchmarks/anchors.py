@@ -50,9 +50,9 @@ class Trial:
     rng: np.random.Generator
     folder: Path
 
-    def views(self, picture: Callable[[int], np.ndarray | None] = lambda _: None) -> AnchorViews:
+    def views(self, image: Callable[[int], np.ndarray | None] = lambda _: None) -> AnchorViews:
         """The model's pictures."""
-        return views_of_model(self.model, picture)
+        return views_of_model(self.model, image)
 
     def write(self, name: str, lines: list[str]) -> Path:
         """A file of these lines."""
@@ -74,8 +74,8 @@ def trial_of(seed: int, folder: Path) -> Trial:
     truth = replace(truth, frames=frames)
     model, _ = adjust_reconstruction(truth, freedom=Freedom(focal=False, distortion=False))
     unit = float(np.exp(rng.uniform(-1.5, 1.5)))
-    turn = Rotation3.exp(rng.normal(size=3)).matrix
-    model = model.transformed(Similarity3(np.asarray(unit), turn, rng.normal(size=3)))
+    rotation = Rotation3.exp(rng.normal(size=3)).matrix
+    model = model.transformed(Similarity3(np.asarray(unit), rotation, rng.normal(size=3)))
     metres = float(align_points(model.camera_centers_in_world(), truth.camera_centers_in_world()).scale)
     return Trial(model, truth, metres, rng, folder)
 
@@ -83,17 +83,17 @@ def trial_of(seed: int, folder: Path) -> Trial:
 def positions(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
     """Every third picture's place, 5 cm wrong, by name."""
     rows = np.arange(0, VIEWS, 3)
-    places = trial.centers[rows] + 0.05 * trial.rng.normal(size=(len(rows), 3))
+    positions = trial.centers[rows] + 0.05 * trial.rng.normal(size=(len(rows), 3))
     names = trial.truth.images.name
-    path = trial.write("p.txt", [f"{names[i]} {x} {y} {z}" for i, (x, y, z) in zip(rows, places)])
+    path = trial.write("p.txt", [f"{names[i]} {x} {y} {z}" for i, (x, y, z) in zip(rows, positions)])
     return trial.views(), AnchorOptions(positions=path, positions_sigma_m=0.05)
 
 
 def timed_positions(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
     """Places by time, with a tenth of them metres off."""
-    places = trial.centers + 0.05 * trial.rng.normal(size=(VIEWS, 3))
-    places[::10] += 3.0 * trial.rng.normal(size=places[::10].shape)
-    path = trial.write("p.txt", [f"{0.5 * n} {x} {y} {z}" for n, (x, y, z) in enumerate(places)])
+    positions = trial.centers + 0.05 * trial.rng.normal(size=(VIEWS, 3))
+    positions[::10] += 3.0 * trial.rng.normal(size=positions[::10].shape)
+    path = trial.write("p.txt", [f"{0.5 * n} {x} {y} {z}" for n, (x, y, z) in enumerate(positions)])
     return trial.views(), AnchorOptions(positions=path, positions_sigma_m=0.05)
 
 
@@ -135,21 +135,21 @@ def _facing(trial: Trial) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
     return tilt @ right, tilt @ down, tilt @ towards, rows
 
 
-def _drawn(trial: Trial, things: list[Any], rows: np.ndarray) -> AnchorViews:
+def _sampled(trial: Trial, things: list[Any], rows: np.ndarray) -> AnchorViews:
     """Views that see a scene in small pictures."""
     scene = SyntheticScene.of(things, light=(0.3, 0.3, 0.9))
-    lens = trial.truth.cameras[0].scaled_to(*SMALL)
+    camera = trial.truth.cameras[0].scaled_to(*SMALL)
     cams = trial.truth.cams_from_world()
 
-    def picture(row: int) -> np.ndarray | None:
+    def image(row: int) -> np.ndarray | None:
         if row not in rows:
             return None
-        drawn = render(scene, lens, cams[row], noise_sigma=3.0, seed=int(trial.rng.integers(1 << 30)))
-        return cv2.cvtColor(drawn.rgb, cv2.COLOR_RGB2GRAY)
+        rendered = render(scene, camera, cams[row], noise_sigma=3.0, seed=int(trial.rng.integers(1 << 30)))
+        return cv2.cvtColor(rendered.rgb, cv2.COLOR_RGB2GRAY)
 
-    views = trial.views(picture)
-    lenses: tuple[Camera, ...] = (lens,) * len(views)
-    return replace(views, cameras=lenses)
+    views = trial.views(image)
+    cameras: tuple[Camera, ...] = (camera,) * len(views)
+    return replace(views, cameras=cameras)
 
 
 def _vector(values: np.ndarray) -> tuple[float, float, float]:
@@ -164,7 +164,7 @@ def tags(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
     for n, (aside, size) in enumerate(((-0.5, side), (0.0, side), (0.5, 1.1 * side))):
         things += tag_sheet(7 + n, size, _vector(aside * right), _vector(right), _vector(down))
     stated = side * (1.0 + 0.003 * trial.rng.normal())
-    return _drawn(trial, things, rows), AnchorOptions(tag_size_m=stated)
+    return _sampled(trial, things, rows), AnchorOptions(tag_size_m=stated)
 
 
 def board(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
@@ -172,7 +172,7 @@ def board(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
     right, down, _, rows = _facing(trial)
     things = chessboard_sheet(8, 5, 0.1, (0.0, 0.0, 0.0), _vector(right), _vector(down))
     stated = 0.1 * (1.0 + 0.003 * trial.rng.normal())
-    return _drawn(trial, things, rows), AnchorOptions(board="8x5", square_m=stated)
+    return _sampled(trial, things, rows), AnchorOptions(board="8x5", square_m=stated)
 
 
 def wheels(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
@@ -180,8 +180,10 @@ def wheels(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
     fine = np.linspace(0, VIEWS - 1, 20 * VIEWS)
     angles = 2 * np.pi * fine / VIEWS
     radius = float(np.hypot(*trial.centers[0, :2]))
-    way = np.stack([radius * np.cos(angles), radius * np.sin(angles), 0.8 + 0.5 * np.sin(2 * angles)], axis=1)
-    steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
+    trajectory = np.stack(
+        [radius * np.cos(angles), radius * np.sin(angles), 0.8 + 0.5 * np.sin(2 * angles)], axis=1
+    )
+    steps = np.linalg.norm(np.diff(trajectory, axis=0), axis=1)
     steps *= (1.0 + 0.005 * trial.rng.normal()) * (1.0 + 0.02 * trial.rng.normal(size=len(steps)))
     steps[40:110] *= 1.5
     travelled = np.concatenate([[0.0], np.cumsum(steps)])
@@ -191,12 +193,12 @@ def wheels(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
 
 def wheel_places(trial: Trial, behind: float = 0.0) -> tuple[AnchorViews, AnchorOptions]:
     """Places by odometry, which drift, as a trajectory; wheels 0.5 % wrong as a whole, and so far behind the camera."""
-    places = trial.truth.cams_from_world().inverse().apply(np.array([0.0, 0.0, -behind]))
-    steps = np.diff(places, axis=0) * (1.0 + 0.005 * trial.rng.normal())
+    positions = trial.truth.cams_from_world().inverse().apply(np.array([0.0, 0.0, -behind]))
+    steps = np.diff(positions, axis=0) * (1.0 + 0.005 * trial.rng.normal())
     steps *= 1.0 + 0.02 * trial.rng.normal(size=(len(steps), 1))
-    turns = Rotation3.exp(np.cumsum(0.02 * trial.rng.normal(size=(len(steps), 3)), axis=0))
-    places = np.concatenate([np.zeros((1, 3)), np.cumsum(turns.apply(steps[:, None])[:, 0], axis=0)])
-    lines = [f"{0.5 * n} {x} {y} {z} 0 0 0 1" for n, (x, y, z) in enumerate(places)]
+    rotations = Rotation3.exp(np.cumsum(0.02 * trial.rng.normal(size=(len(steps), 3)), axis=0))
+    positions = np.concatenate([np.zeros((1, 3)), np.cumsum(rotations.apply(steps[:, None])[:, 0], axis=0)])
+    lines = [f"{0.5 * n} {x} {y} {z} 0 0 0 1" for n, (x, y, z) in enumerate(positions)]
     options = AnchorOptions(odometry=trial.write("o.txt", lines), odometry_sigma=0.005)
     if not behind:
         return trial.views(), options
@@ -228,7 +230,7 @@ DRAWN = ("three tags, one too large", "chessboard")
 
 def measured(name: str, count: int) -> dict[str, Any]:
     """Error and stated deviation of the scale over trials, and how many times nothing was found."""
-    errors, sigmas, refused, begin = [], [], [], time.perf_counter()
+    errors, sigmas, refused, start = [], [], [], time.perf_counter()
     for seed in range(count):
         with tempfile.TemporaryDirectory() as folder:
             trial = trial_of(seed, Path(folder))
@@ -250,7 +252,7 @@ def measured(name: str, count: int) -> dict[str, Any]:
         "largest error %": 100.0 * float(np.abs(off).max()) if len(off) else None,
         "median sigma %": 100.0 * float(np.median(sigma)) if len(off) else None,
         "rms error / sigma": float(np.sqrt(((off / sigma) ** 2).mean())) if len(off) else None,
-        "seconds": time.perf_counter() - begin,
+        "seconds": time.perf_counter() - start,
     }
 
 

@@ -98,11 +98,11 @@ def print_table(report: dict[str, Any], names: list[str]) -> None:
                 table.add_row(name, program, run["message"], "", "", "", "")
                 continue
             each = 1e6 * run["seconds_solve"] / report[name]["observations"] / max(run["num_iterations"], 1)
-            share = run.get("share_of_ceres")
+            fraction = run.get("share_of_ceres")
             table.add_row(
                 *(name, program, f"{run['seconds_solve']:.3f}", f"{run['final_cost']:.9g}"),
                 *(str(run["num_iterations"]), f"{each:.2f}"),
-                "" if share is None else f"{run['seconds_to_ceres']:.3f} s = {share:.2f} x",
+                "" if fraction is None else f"{run['seconds_to_ceres']:.3f} s = {fraction:.2f} x",
             )
     Console(width=130).print(table)
 

@@ -40,7 +40,7 @@ def opencv_pair(connection: Any, pixels: list[list[np.ndarray]]) -> None:
 
     board = corners_on_board(PAIR).astype(np.float32)
     boards = [board] * len(pixels[0])
-    begin = time.perf_counter()
+    start = time.perf_counter()
     flags = cv2.CALIB_FIX_K3
     one, two = (cv2.calibrateCamera(boards, own, SIZE, None, None, flags=flags) for own in pixels)
     found = cv2.stereoCalibrate(
@@ -54,16 +54,16 @@ def opencv_pair(connection: Any, pixels: list[list[np.ndarray]]) -> None:
             "left fx": found[1][0, 0],
             "right fx": found[3][0, 0],
             "baseline mm": 1000.0 * float(np.linalg.norm(found[6])),
-            "seconds": time.perf_counter() - begin,
+            "seconds": time.perf_counter() - start,
         }
     )
 
 
 def our_pair(views: list[list[BoardView]], config: CalibrationConfig) -> dict[str, float]:
     """The same figures, with standard deviations."""
-    begin = time.perf_counter()
+    start = time.perf_counter()
     found = calibrate_views(views, [SIZE] * 2, config)
-    seconds = time.perf_counter() - begin
+    seconds = time.perf_counter() - start
     return {
         "rms px": found.rms_px,
         "corners used": float(found.used_mask.sum()),

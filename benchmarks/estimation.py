@@ -73,8 +73,8 @@ def _measure(
             continue
         if peer.version() is None:
             console.print(f"{peer.name}: not installed")
-        elif problems[0].lens != "PINHOLE" and peer.package not in KNOW_LENSES:
-            console.print(f"{peer.name}: knows no {problems[0].lens}")
+        elif problems[0].camera != "PINHOLE" and peer.package not in KNOW_LENSES:
+            console.print(f"{peer.name}: knows no {problems[0].camera}")
         elif peer.package != "pydegensac" or task.kind in ("fundamental", "homography"):
             workers.append(Worker(peer, task.kind))
     if not workers:

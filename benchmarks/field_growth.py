@@ -45,18 +45,18 @@ def measured(source: Path, count: int, side: int, steps: int) -> dict[str, float
     shots = orbit(known.position, known.look_at, known.up, job)
     views = []
     for shot in shots:
-        drawn = render(guitar, shot.camera, shot.cam_from_world).over(np.zeros(3, np.float32))
-        picture = np.rint(255 * np.clip(drawn, 0, 1)).astype(np.uint8)
-        views.append(TrainingView(shot.name, picture, shot.camera, shot.cam_from_world))
+        rendered = render(guitar, shot.camera, shot.cam_from_world).over(np.zeros(3, np.float32))
+        image = np.rint(255 * np.clip(rendered, 0, 1)).astype(np.uint8)
+        views.append(TrainingView(shot.name, image, shot.camera, shot.cam_from_world))
     config = SplatConfig(max_gaussians=count)
     trainer = SplatTrainer(views, multiplied(guitar, count // 4), config, np.zeros(3, np.float32))
     for step in range(GROWING):
         trainer.step(0.599 * step / GROWING)
     seconds = []
     for _ in range(steps):
-        begin = perf_counter()
+        start = perf_counter()
         trainer.step(0.9)
-        seconds.append(perf_counter() - begin)
+        seconds.append(perf_counter() - start)
     most = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {"gaussians": len(trainer), "pixels": side * side, "step_s": median(seconds), "bytes": most}
 
@@ -99,8 +99,8 @@ def main() -> None:
     empty, whole = by_count[0], by_count[-1]
     memory = (whole["bytes"] - empty["bytes"]) / (whole["gaussians"] - empty["gaussians"])
     lines = {"gaussians": line(by_count[1:], "gaussians"), "pixels": line(by_side, "pixels")}
-    told = {"by_gaussians": by_count, "by_pixels": by_side, "lines": lines, "bytes_per_gaussian": memory}
-    RESULTS.write_text(json.dumps({"machine": describe_machine(2), **told}, indent=1) + "\n")
+    given = {"by_gaussians": by_count, "by_pixels": by_side, "lines": lines, "bytes_per_gaussian": memory}
+    RESULTS.write_text(json.dumps({"machine": describe_machine(2), **given}, indent=1) + "\n")
     table = Table("Gaussians", "pixels", "ms a step", "memory, MB")
     for row in (*by_count, *by_side):
         table.add_row(

@@ -37,10 +37,10 @@ def score_gps(task: SfmTask, model: Reconstruction) -> dict[str, float]:
     axes = (enu_from_world.rotation @ model.cams_from_world().rotation[rows].transpose(0, 2, 1))[:, :, 2]
     steps = np.full((len(enu), 2), np.nan)
     steps[:-1] = enu[1:, :2] - enu[:-1, :2]
-    ways = steps[have]
-    moving = np.linalg.norm(ways, axis=1) >= MIN_STEP_M
+    orientations = steps[have]
+    moving = np.linalg.norm(orientations, axis=1) >= MIN_STEP_M
     if moving.any():
-        a, b = axes[moving, :2], ways[moving]
+        a, b = axes[moving, :2], orientations[moving]
         angles = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
         score["axis_to_motion_median_deg"] = float(np.degrees(np.median(np.abs(angles))))
     return score

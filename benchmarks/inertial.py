@@ -43,7 +43,7 @@ Tried = tuple[float, float, float] | None
 """True scale, found, and its deviation; None for refused."""
 
 
-def drawn(count: int, *, constant_velocity: bool) -> Iterator[Tried]:
+def rendered(count: int, *, constant_velocity: bool) -> Iterator[Tried]:
     """Motions of seeds from 0 on."""
     for seed in range(count):
         path = inertial_path(seed, constant_velocity=constant_velocity)
@@ -67,10 +67,10 @@ def euroc(folder: Path, *, whole: bool) -> Iterator[Tried]:
     path = Rigid3(Rotation3.from_quat_wxyz(rows[:, 4:8]).matrix, rows[:, 1:4] / UNIT)
     if whole:
         one = fit_scale_to_imu(times, path, log, Rigid3.identity(), noise)
-        yield UNIT, one.scale, one.scale * one.share
+        yield UNIT, one.scale, one.scale * one.fraction
         return
-    for begin in np.arange(times[0], times[-1] - STRETCH_S, 5.0):
-        own = np.flatnonzero((times >= begin) & (times < begin + STRETCH_S))
+    for start in np.arange(times[0], times[-1] - STRETCH_S, 5.0):
+        own = np.flatnonzero((times >= start) & (times < start + STRETCH_S))
         try:
             found = align_path_to_imu(times[own], path[own], log, Rigid3.identity(), noise)
         except DegenerateGeometryError:
@@ -79,7 +79,7 @@ def euroc(folder: Path, *, whole: bool) -> Iterator[Tried]:
             yield UNIT, found.scale, found.sigma
 
 
-def followed(count: int) -> tuple[list[Tried], list[float]]:
+def tracked(count: int) -> tuple[list[Tried], list[float]]:
     """SLAM of the room with one camera, half size, with units of seeds from 0 on; and its errors, in mm, the first without."""
     ride = loop_room(200, (320, 240))
     numbers = range(0, 200, 2)
@@ -101,27 +101,27 @@ def followed(count: int) -> tuple[list[Tried], list[float]]:
         error = absolute_error(path.world_from_body, truth[rows], "similarity")
         errors.append(1e3 * error.position.rmse)
         if unit is not None:
-            told = scale_by_imu(system)
+            given = scale_by_imu(system)
             tried.append(
-                told and (float(error.truth_from_estimate.scale), told.scale, told.share * told.scale)
+                given and (float(error.truth_from_estimate.scale), given.scale, given.fraction * given.scale)
             )
     return tried, errors
 
 
 def summary_of(name: str, tried: Iterable[Tried]) -> dict[str, Any]:
     """Counts and shares."""
-    begin, all_tried = time.perf_counter(), list(tried)
-    told = np.array([one for one in all_tried if one is not None]).reshape(-1, 3)
-    off, share = told[:, 1] / told[:, 0] - 1.0, told[:, 2] / told[:, 1]
+    start, all_tried = time.perf_counter(), list(tried)
+    given = np.array([one for one in all_tried if one is not None]).reshape(-1, 3)
+    off, fraction = given[:, 1] / given[:, 0] - 1.0, given[:, 2] / given[:, 1]
     return {
         "name": name,
         "tried": len(all_tried),
-        "refused": len(all_tried) - len(told),
-        "within_2_sigma": float((np.abs(off) <= 2 * share).mean()) if len(told) else None,
-        "within_2_percent": float((np.abs(off) <= 0.02).mean()) if len(told) else None,
-        "largest_error": float(np.abs(off).max()) if len(told) else None,
-        "median_sigma": float(np.median(share)) if len(told) else None,
-        "seconds_each": (time.perf_counter() - begin) / max(len(all_tried), 1),
+        "refused": len(all_tried) - len(given),
+        "within_2_sigma": float((np.abs(off) <= 2 * fraction).mean()) if len(given) else None,
+        "within_2_percent": float((np.abs(off) <= 0.02).mean()) if len(given) else None,
+        "largest_error": float(np.abs(off).max()) if len(given) else None,
+        "median_sigma": float(np.median(fraction)) if len(given) else None,
+        "seconds_each": (time.perf_counter() - start) / max(len(all_tried), 1),
     }
 
 
@@ -134,20 +134,22 @@ def main() -> None:
     data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
     folder = data / "slam" / "euroc_static"
     rows = [
-        summary_of("drawn motion", drawn(arguments.seeds, constant_velocity=False)),
-        summary_of("constant velocity", drawn(arguments.seeds, constant_velocity=True)),
+        summary_of("drawn motion", rendered(arguments.seeds, constant_velocity=False)),
+        summary_of("constant velocity", rendered(arguments.seeds, constant_velocity=True)),
     ]
     if folder.is_dir():
         rows.append(summary_of("EuRoC V1_01, stretches of 15 s", euroc(folder, whole=False)))
         rows.append(summary_of("EuRoC V1_01, the whole flight", euroc(folder, whole=True)))
-    tried, errors = followed(RIDES)
+    tried, errors = tracked(RIDES)
     rows.append(summary_of("SLAM of the room with a unit", tried))
     table = Table(
         *("path", "tried", "refused", "within 2 sigma", "within 2 %", "largest", "median sigma", "s each")
     )
     for row in rows:
-        shares = [row[key] for key in ("within_2_sigma", "within_2_percent", "largest_error", "median_sigma")]
-        words = ["-" if share is None else f"{100 * share:.3g} %" for share in shares]
+        fractions = [
+            row[key] for key in ("within_2_sigma", "within_2_percent", "largest_error", "median_sigma")
+        ]
+        words = ["-" if fraction is None else f"{100 * fraction:.3g} %" for fraction in fractions]
         table.add_row(
             row["name"], str(row["tried"]), str(row["refused"]), *words, f"{row['seconds_each']:.2f}"
         )

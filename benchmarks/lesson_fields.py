@@ -21,7 +21,7 @@ from benchmarks.measure import REPOSITORY
 from benchmarks.rasterizer import FLOPS
 from epipole.cameras import Camera
 from epipole.fields.nerf import _hash_kernels as kernels
-from epipole.fields.nerf.hash_field import DELTA, FEATURES, HashField, coloured, draw_hash, sampled
+from epipole.fields.nerf.hash_field import DELTA, FEATURES, HashField, coloured, render_hash, sampled
 from epipole.fields.rays import rays_of_camera
 from epipole.fields.splat._blend_kernels import OVER
 from epipole.fields.splat._projection_kernels import BLUE, DEPTH, PEAK, RED, XX, XY, YY, X, Y
@@ -31,8 +31,8 @@ from epipole.fields.splat.rasterizer import Rendering, render
 from epipole.geometry import Rigid3
 from epipole.io.gaussians.files import read_gaussians
 from epipole.pipelines.fields.config import FieldOptions
+from epipole.pipelines.fields.images import gather_field_images
 from epipole.pipelines.fields.kinds import read_neural
-from epipole.pipelines.fields.pictures import gather_field_pictures
 from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.synthetic import look_at
 from epipole.synthetic import render as draw_scene
@@ -82,9 +82,9 @@ def write_views(folder: Path) -> None:
         around, up = 2.399963 * k, np.deg2rad(10.0 + 65.0 * (k + 0.5) / VIEWS)  # the golden angle
         out = np.array([np.cos(around) * np.cos(up), np.sin(around) * np.cos(up), np.sin(up)])
         seen = look_at(MIDDLE + 4.0 * out, MIDDLE)
-        drawn = draw_scene(still_life(), camera, seen)
-        alpha = np.isfinite(drawn.depth)[..., None]
-        premultiplied = np.dstack([drawn.rgb * alpha, 255.0 * alpha]).astype(np.float32)
+        rendered = draw_scene(still_life(), camera, seen)
+        alpha = np.isfinite(rendered.depth)[..., None]
+        premultiplied = np.dstack([rendered.rgb * alpha, 255.0 * alpha]).astype(np.float32)
         small = cv2.resize(premultiplied, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
         small[..., :3] *= 255.0 / np.maximum(small[..., 3:], 1.0)
         rgba = np.rint(small).clip(0, 255).astype(np.uint8)
@@ -95,26 +95,26 @@ def write_views(folder: Path) -> None:
     (folder / "transforms.json").write_text(json.dumps({"camera_angle_x": angle, "frames": frames}))
 
 
-def marched(field: HashField, camera: Camera, place: Rigid3, pixel: tuple[int, int]) -> dict[str, Any]:
+def marched(field: HashField, camera: Camera, position: Rigid3, pixel: tuple[int, int]) -> dict[str, Any]:
     """All samples along a ray, as if nothing hid another: distance, thickness (sigma delta) and colour."""
-    rays, at = rays_of_camera(camera, place), np.full(1, -0.5, np.float32)
+    rays, at = rays_of_camera(camera, position), np.full(1, -0.5, np.float32)
     number = np.array([pixel[1] * camera.width + pixel[0]])
     found = sampled(field, rays, number, np.zeros(1, np.int64), at, 4096, 4096)
     thickness = np.exp(np.minimum(found.said[:, 0] + kernels.SHIFT, kernels.LARGEST_RAW)) * DELTA
     joined = np.hstack([found.said, np.repeat(found.basis, len(found.said), axis=0)])
     colour = 1.0 / (1.0 + np.exp(-coloured(field, joined)[-1]))
     return {
-        "distance": told(found.places[:, 3] * field.room.size),
-        "thickness": told(thickness),
-        "colour": told(colour),
+        "distance": given(found.positions[:, 3] * field.room.size),
+        "thickness": given(thickness),
+        "colour": given(colour),
     }
 
 
-def splatted(drawn: Rendering, camera: Camera, pixel: tuple[int, int]) -> dict[str, Any]:
+def splatted(rendered: Rendering, camera: Camera, pixel: tuple[int, int]) -> dict[str, Any]:
     """The Gaussians of a pixel's tile, the nearest first, as this pixel sees them; distances are along its ray."""
     column, row = pixel
     longer = float(np.linalg.norm(np.linalg.solve(camera.K, [column, row, 1.0])))
-    tiles = drawn.tiles
+    tiles = rendered.tiles
     tile = row // TILE * tiles.num_across + column // TILE
     e = tiles.ellipses[tiles.pairs_of_tile[tiles.start[tile] : tiles.start[tile + 1], 0]]
     e = e[:, : DEPTH + 1].astype(np.float64)
@@ -124,14 +124,14 @@ def splatted(drawn: Rendering, camera: Camera, pixel: tuple[int, int]) -> dict[s
     near = opacity * np.exp(power) > 0.2 * LEAST_ALPHA  # the others are far outside
     return {
         "in_tile": len(e),
-        "distance": told(longer * e[near, DEPTH]),
-        "opacity": told(opacity[near]),
-        "power": told(power[near]),
-        "colour": told(e[near, RED : BLUE + 1]),
+        "distance": given(longer * e[near, DEPTH]),
+        "opacity": given(opacity[near]),
+        "power": given(power[near]),
+        "colour": given(e[near, RED : BLUE + 1]),
     }
 
 
-def told(values: np.ndarray) -> Any:
+def given(values: np.ndarray) -> Any:
     """Six digits."""
     return json.loads(
         json.dumps(np.asarray(values, np.float64).tolist()), parse_float=lambda v: float(f"{float(v):.6g}")
@@ -143,7 +143,7 @@ def operations_of_query(field: HashField) -> int:
     return 2 * (8 * len(field.cells) * FEATURES + sum(weight.size for weight in field.weights))
 
 
-def picture(rgb: np.ndarray) -> str:
+def image(rgb: np.ndarray) -> str:
     """As the page shows it."""
     shown = np.rint(255 * np.clip(rgb, 0, 1)).astype(np.uint8)
     _, encoded = cv2.imencode(".webp", cv2.cvtColor(shown, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_WEBP_QUALITY, 80])
@@ -152,23 +152,25 @@ def picture(rgb: np.ndarray) -> str:
 
 def looked_into(field: HashField, cloud: GaussianCloud, folder: Path) -> dict[str, Any]:
     """Pictures of one view, and the pixels."""
-    view = gather_field_pictures(folder, FieldOptions()).test[SHOWN]
+    view = gather_field_images(folder, FieldOptions()).test[SHOWN]
     white = np.ones(3, np.float32)
-    drawn = render(cloud, view.camera, view.cam_from_world)
-    splat, (nerf, _, _) = drawn.over(white), draw_hash(field, view.camera, view.cam_from_world, white)
+    rendered = render(cloud, view.camera, view.cam_from_world)
+    splat, (nerf, _, _) = rendered.over(white), render_hash(field, view.camera, view.cam_from_world, white)
     pixels = [
         {
             "at": list(at),
-            "drawn": {"splat": told(splat[at[1], at[0]]), "nerf": told(nerf[at[1], at[0]])},
+            "drawn": {"splat": given(splat[at[1], at[0]]), "nerf": given(nerf[at[1], at[0]])},
             "nerf": marched(field, view.camera, view.cam_from_world, at),
-            "splat": splatted(drawn, view.camera, at),
+            "splat": splatted(rendered, view.camera, at),
         }
         for at in PIXELS
     ]
-    distances = [d for pixel in pixels for way in ("nerf", "splat") for d in pixel[way]["distance"]]
+    distances = [
+        d for pixel in pixels for trajectory in ("nerf", "splat") for d in pixel[trajectory]["distance"]
+    ]
     return {
-        "truth": picture(view.over(white)),
-        "pictures": {"splat": picture(splat), "nerf": picture(nerf)},
+        "truth": image(view.over(white)),
+        "pictures": {"splat": image(splat), "nerf": image(nerf)},
         "near": np.floor(10.0 * min(distances)) / 10.0 - 0.1,
         "far": np.ceil(10.0 * max(distances)) / 10.0 + 0.1,
         "operations": {"query": operations_of_query(field), "pair": FLOPS[0]},

@@ -53,14 +53,14 @@ def blurred(exposure_s: float) -> Ride:
 def failures() -> dict[str, dict[str, Sight]]:
     """What is recorded: for each failure one run or two, by name."""
     bent = rides.shuttered(240, SIZE)
-    turning, walking = rides.turn_on_the_spot(200, SIZE), rides.walking_box(240, SIZE)
+    rotating, walking = rides.rotate_only(200, SIZE), rides.walking_box(240, SIZE)
     return {
         "wall": {"rgbd": Sight(rides.corridor(620, SIZE), 4, "rgbd")},
         "tiles": {"rgbd": Sight(rides.tiled_room(400, SIZE), 4, "rgbd")},
         "moving": {"rgbd": Sight(walking, 4, "rgbd"), "mono": Sight(walking, 4, "mono")},
         "blur": {"long": Sight(blurred(0.12), 3, "mono"), "short": Sight(blurred(0.01), 3, "mono")},
         "shutter": {"untold": Sight(bent, 3, "mono"), "told": Sight(bent, 3, "mono", 0.03)},
-        "rotation": {"mono": Sight(turning, 4, "mono"), "rgbd": Sight(turning, 4, "rgbd")},
+        "rotation": {"mono": Sight(rotating, 4, "mono"), "rgbd": Sight(rotating, 4, "rgbd")},
     }
 
 
@@ -74,17 +74,17 @@ def frames_of(sight: Sight) -> Iterable[tuple[int, Frame]]:
 
 def camera_of(sight: Sight) -> SlamCamera:
     """Told its readout where the run is."""
-    lens = sight.ride.camera
-    depth = DepthCamera(lens, Rigid3.identity()) if sight.sensor == "rgbd" else None
-    return SlamCamera(lens, None, depth, readout_s=sight.readout_s)
+    camera = sight.ride.camera
+    depth = DepthCamera(camera, Rigid3.identity()) if sight.sensor == "rgbd" else None
+    return SlamCamera(camera, None, depth, readout_s=sight.readout_s)
 
 
 def recorded(sight: Sight) -> dict[str, Any]:
     """Every frame of a run: what it said as the frame came, and where that is against the truth."""
-    slam, answers, pictures, numbers = Slam(camera_of(sight)), list[TrackedFrame](), list[np.ndarray](), []
+    slam, answers, images, numbers = Slam(camera_of(sight)), list[TrackedFrame](), list[np.ndarray](), []
     for number, frame in frames_of(sight):
         answers.append(slam.track(frame))
-        pictures.append(frame.grey)
+        images.append(frame.grey)
         numbers.append(number)
     slam.finish()
     truth = sight.ride.world_from_camera[np.array(numbers)]
@@ -110,30 +110,30 @@ def recorded(sight: Sight) -> dict[str, Any]:
         ),
         "loops": [[loop.frame, loop.verdict] for loop in slam.loops],
         "shown": shown.tolist(),
-        "pictures": [small(pictures[k]) for k in shown],
+        "pictures": [small(images[k]) for k in shown],
     }
 
 
-def onto(places: np.ndarray, truth: np.ndarray, sensor: str, first: Rigid3) -> np.ndarray:
+def onto(positions: np.ndarray, truth: np.ndarray, sensor: str, first: Rigid3) -> np.ndarray:
     """Places in the true world: from the first frame on, or by the best similarity where the scale is not known."""
     if sensor == "rgbd":
-        return np.asarray(first.apply(places))
-    if len(places) < 3 or np.ptp(truth, axis=0).max() < 1e-6 or np.ptp(places, axis=0).max() < 1e-6:
-        return np.asarray(places + truth[:1])
-    return np.asarray(align_points(places, truth).apply(places))
+        return np.asarray(first.apply(positions))
+    if len(positions) < 3 or np.ptp(truth, axis=0).max() < 1e-6 or np.ptp(positions, axis=0).max() < 1e-6:
+        return np.asarray(positions + truth[:1])
+    return np.asarray(align_points(positions, truth).apply(positions))
 
 
-def scattered(rows: Any, places: np.ndarray, count: int) -> list[list[float] | None]:
+def scattered(rows: Any, positions: np.ndarray, count: int) -> list[list[float] | None]:
     """A place for each frame; None where there is none."""
     out: list[list[float] | None] = [None] * count
-    for row, place in zip(rows, rounded(places)):
-        out[int(row)] = place
+    for row, position in zip(rows, rounded(positions)):
+        out[int(row)] = position
     return out
 
 
-def rounded(places: np.ndarray) -> Any:
+def rounded(positions: np.ndarray) -> Any:
     """To a millimetre."""
-    return np.round(places, 3).tolist()
+    return np.round(positions, 3).tolist()
 
 
 def small(grey: np.ndarray) -> str:
@@ -185,11 +185,11 @@ def main() -> None:
         if arguments.only and name not in arguments.only:
             continue
         record[name] = without_repeats({run: recorded(sight) for run, sight in runs.items()})
-        for run, told in record[name].items():
-            states = {state: told["state"].count(state) for state in dict.fromkeys(told["state"])}
-            final = [(p, t) for p, t in zip(told["final"], told["truth"]) if p]
+        for run, given in record[name].items():
+            states = {state: given["state"].count(state) for state in dict.fromkeys(given["state"])}
+            final = [(p, t) for p, t in zip(given["final"], given["truth"]) if p]
             off = [np.linalg.norm(np.subtract(p, t)) for p, t in final] or [np.nan]
-            loops = dict(Counter(verdict for _, verdict in told["loops"]))
+            loops = dict(Counter(verdict for _, verdict in given["loops"]))
             console.print(
                 f"{name}, {run}: {states}, loops {loops}, {100 * np.sqrt(np.mean(np.square(off))):.2f} cm"
             )

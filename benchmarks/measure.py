@@ -108,10 +108,10 @@ def _cpu_name() -> str:
 def _commit() -> str:
     """The commit, with "+" behind it where the tree differs from it; "unknown" outside a git checkout."""
     try:
-        asked = [["rev-parse", "HEAD"], ["status", "--porcelain"]]
+        requested = [["rev-parse", "HEAD"], ["status", "--porcelain"]]
         commit, changed = (
             subprocess.run(["git", *what], cwd=REPOSITORY, check=True, capture_output=True, text=True).stdout
-            for what in asked
+            for what in requested
         )
     except (OSError, subprocess.CalledProcessError):
         return "unknown"

@@ -24,11 +24,11 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".PNG")
 def pairs_of(out: Path, truth: Path) -> list[tuple[str, Path, Path]]:
     """Name, drawn picture and true one of each view that both folders have."""
     found = []
-    for drawn in sorted((out / "test").rglob("*.png")):
-        name = drawn.relative_to(out / "test").with_suffix("")
+    for rendered in sorted((out / "test").rglob("*.png")):
+        name = rendered.relative_to(out / "test").with_suffix("")
         real = next((p for s in SUFFIXES if (p := truth / name.parent / f"{name.name}{s}").is_file()), None)
         if real is not None:
-            found.append((name.as_posix(), drawn, real))
+            found.append((name.as_posix(), rendered, real))
     return found
 
 
@@ -64,8 +64,8 @@ def main() -> None:
     if not pairs:
         sys.exit(f"no view of {arguments.out / 'test'} has a picture of its name in {arguments.truth}")
     measure, values = network(arguments.net), []
-    for name, drawn, real in pairs:
-        values.append(float(measure(tensor(drawn), tensor(real)).item()))
+    for name, rendered, real in pairs:
+        values.append(float(measure(tensor(rendered), tensor(real)).item()))
         print(f"{name}\t{values[-1]:.4f}")
     print(f"mean of {len(values)}\t{np.mean(values):.4f}")
 

@@ -27,9 +27,9 @@ from epipole.fields.splat.rasterizer import (
     view_of,
 )
 from epipole.io.gaussians.files import read_gaussians
-from epipole.pipelines.fields.cameras import Shot, orbit
+from epipole.pipelines.fields.cameras import RenderView, orbit
 from epipole.pipelines.fields.config import FieldOptions, RenderJob
-from epipole.pipelines.fields.pictures import gather_field_pictures
+from epipole.pipelines.fields.images import gather_field_images
 from epipole.pipelines.fields.scene import seen_gaussians
 from epipole.scene.gaussian_cloud import GaussianCloud
 
@@ -55,38 +55,38 @@ def multiplied(cloud: GaussianCloud, count: int) -> GaussianCloud:
     )
 
 
-def around(source: Path, size: tuple[int, int], rounds: int) -> list[Shot]:
+def around(source: Path, size: tuple[int, int], rounds: int) -> list[RenderView]:
     """Of a circle around a model."""
     _, known = seen_gaussians(source)
     job = RenderJob(frames=rounds, width=size[0], height=size[1])
     return orbit(known.position, known.look_at, known.up, job)
 
 
-def of_scene(source: Path, side: int, rounds: int) -> list[Shot]:
+def of_scene(source: Path, side: int, rounds: int) -> list[RenderView]:
     """Test views of a set, so many pixels wide and high."""
-    views, shots = gather_field_pictures(source, FieldOptions()).test, []
+    views, shots = gather_field_images(source, FieldOptions()).test, []
     for k in range(rounds):
         view = views[k % len(views)]
-        shots.append(Shot(view.name, view.camera.scaled_to(side, side), view.cam_from_world))
+        shots.append(RenderView(view.name, view.camera.scaled_to(side, side), view.cam_from_world))
     return shots
 
 
-def measured(cloud: GaussianCloud, shots: list[Shot]) -> dict[str, Any]:
+def measured(cloud: GaussianCloud, shots: list[RenderView]) -> dict[str, Any]:
     """Medians over views."""
     arrays, rows = arrays_of(cloud), []
     for shot in shots:
         view = view_of(shot.camera, shot.cam_from_world, RenderOptions())
-        begin = perf_counter()
+        start = perf_counter()
         tiles = tiles_of(arrays, view)
         sorted_at = perf_counter()
-        drawn = blend(tiles, view)
+        rendered = blend(tiles, view)
         blended = perf_counter()
-        by_pair = sums_of_pairs(drawn, drawn.colour)
+        by_pair = sums_of_pairs(rendered, rendered.colour)
         back = perf_counter()
-        gradient_of(arrays, view, drawn.tiles, by_pair)
+        gradient_of(arrays, view, rendered.tiles, by_pair)
         end = perf_counter()
-        pairs = drawn.tiles.num_evaluated
-        rows.append((pairs, sorted_at - begin, blended - sorted_at, back - blended, end - back))
+        pairs = rendered.tiles.num_evaluated
+        rows.append((pairs, sorted_at - start, blended - sorted_at, back - blended, end - back))
     pairs, prepare, forward, backward, gather = (float(median(column)) for column in zip(*rows[1:]))
     return {
         "gaussians": len(cloud),

@@ -88,8 +88,8 @@ def cams_in_order(model: Reconstruction, names: tuple[str, ...]) -> Rigid3:
     cams_from_world = model.cams_from_world()
     row_of = {name: row for row, name in enumerate(model.images.name)}
     rotation, translation = np.full((len(names), 3, 3), np.nan), np.full((len(names), 3), np.nan)
-    for place, name in enumerate(names):
+    for position, name in enumerate(names):
         if name in row_of:
-            rotation[place] = cams_from_world.rotation[row_of[name]]
-            translation[place] = cams_from_world.translation[row_of[name]]
+            rotation[position] = cams_from_world.rotation[row_of[name]]
+            translation[position] = cams_from_world.translation[row_of[name]]
     return Rigid3(rotation, translation)

@@ -33,7 +33,7 @@ RIDES = {
 RESULTS = REPOSITORY / "benchmarks" / "results" / "slam_covariance.json"
 
 
-class Drawn:
+class Rendered:
     """Pictures of a ride without noise, and where they were taken."""
 
     def __init__(self, ride: Ride) -> None:
@@ -42,13 +42,13 @@ class Drawn:
         self.pairs = [(clean.left(n).grey, clean.right(n).grey) for n in range(len(ride))]
         self.world_from_camera = ride.world_from_camera
 
-    def followed(self, first: int, step: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    def tracked(self, first: int, step: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """(2, n) normalised squared errors of the answers as they came and at the end; NaN without a place."""
         rng, rows = np.random.default_rng(seed), first + step * np.arange(COUNT)
         slam = Slam(self.camera, SlamConfig(focal_sigma=0.0, center_sigma_px=0.0, depth_sigma=0.0))
         answers = []
         for k, n in enumerate(rows):
-            left, right = (_noisy(picture, rng) for picture in self.pairs[n])
+            left, right = (_noisy(image, rng) for image in self.pairs[n])
             answers.append(slam.track(Frame(k / 30.0, left, right)))
         slam.finish()
         path = slam.trajectory()
@@ -65,8 +65,8 @@ class Drawn:
         return causal, final
 
 
-def _noisy(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    levels = picture + NOISE * rng.standard_normal(picture.shape)
+def _noisy(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    levels = image + NOISE * rng.standard_normal(image.shape)
     return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
 
 
@@ -80,13 +80,13 @@ def _normalised(stated: Rigid3, true: Rigid3, covariance: np.ndarray) -> float:
 
 def measured(name: str, runs: int) -> dict[str, Any]:
     """Means over runs, of the frames shown."""
-    drawn, begin = Drawn(RIDES[name]()), time.perf_counter()
+    rendered, start = Rendered(RIDES[name]()), time.perf_counter()
     both = []
     rng = np.random.default_rng(3)
     for seed in range(runs):
         step = 1 if seed % 2 else -1
-        low, high = (0, len(drawn.pairs) - COUNT) if step == 1 else (COUNT - 1, len(drawn.pairs) - 1)
-        both.append(drawn.followed(int(rng.integers(low, high + 1)), step, seed))
+        low, high = (0, len(rendered.pairs) - COUNT) if step == 1 else (COUNT - 1, len(rendered.pairs) - 1)
+        both.append(rendered.tracked(int(rng.integers(low, high + 1)), step, seed))
     found = np.array(both)
     out: dict[str, Any] = {"runs": runs, "band": 2.0 * float(np.sqrt(12.0 / runs)), "frames": {}}
     for k in SHOWN:
@@ -99,7 +99,7 @@ def measured(name: str, runs: int) -> dict[str, Any]:
             }
             for kind, v in (("as it came", values[:, 0]), ("final", values[:, 1]))
         }
-    out["seconds"] = time.perf_counter() - begin
+    out["seconds"] = time.perf_counter() - start
     return out
 
 

@@ -50,7 +50,7 @@ def main() -> None:
     checkpoint = Path(tempfile.mkdtemp(prefix="epipole-endurance-"))
     try:
         with thread_scope():
-            for row in _follow(folder, arguments.sensor, arguments.frames, checkpoint):
+            for row in _track(folder, arguments.sensor, arguments.frames, checkpoint):
                 report["rows"].append(row)
                 report["end"] = datetime.now(UTC).isoformat(timespec="seconds")
                 report["bytes_per_frame"] = _growth(report["rows"])
@@ -63,13 +63,13 @@ def main() -> None:
     Console(width=120).print(_table(report))
 
 
-def _follow(folder: Path, sensor: str, count: int, place: Path) -> Iterator[dict[str, Any]]:
+def _track(folder: Path, sensor: str, count: int, position: Path) -> Iterator[dict[str, Any]]:
     """Facts of every thousand frames."""
     frames = load_frames(folder)
     truth = read_trajectory(folder / "truth_exact.txt").world_from_body
     truth = truth[0].inverse() @ truth
     system, records, ms, off = Slam(camera_of(frames, sensor)), list[FrameRecord](), [], []
-    autosave, spent = Autosave(place, Rigid3.identity(), can_repeat=False), 0.0
+    autosave, spent = Autosave(position, Rigid3.identity(), can_repeat=False), 0.0
     autosave.start(system, records)
     begin, num_maps = time.process_time(), 0
     for number, frame in enumerate(_laps(frames, sensor, count)):
@@ -93,7 +93,7 @@ def _follow(folder: Path, sensor: str, count: int, place: Path) -> Iterator[dict
                 "checkpoint_ms_mean": 1e3 * (autosave.seconds - spent) / len(ms),
                 "num_maps_saved": autosave.num_maps_saved - num_maps,
                 "memory_mb": _memory_bytes() / 1e6,
-                "checkpoint_mb": sum(p.stat().st_size for p in place.iterdir()) / 1e6,
+                "checkpoint_mb": sum(p.stat().st_size for p in position.iterdir()) / 1e6,
                 "keyframes": len(system.map.keyframes),
                 "points": system.map.num_points,
                 "places_compared": len(system.loops),

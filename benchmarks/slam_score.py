@@ -21,7 +21,7 @@ def score_run(out: Path, frames: Path, truths: dict[str, Path]) -> dict[str, Any
     """Figures of one run, of what `save_answers` and the program itself left in a folder."""
     answers = np.load(out / "causal.npz")
     times, ms = np.load(frames / "times.npy"), answers["ms"]
-    causal = _placed(times[: len(ms)], answers["world_from_camera"])
+    causal = _localized(times[: len(ms)], answers["world_from_camera"])
     score: dict[str, Any] = {
         "frames": len(times),
         "ms_median": float(np.median(ms)),
@@ -61,8 +61,8 @@ def _made_up(estimate: Rigid3, true: Rigid3) -> dict[str, float]:
     """Distance and turn of each place from the first one, against the truth: nothing, and the true turn."""
     from_first = estimate[0].inverse() @ estimate
     true_turn = Rotation3(true[0].rotation).inverse() @ Rotation3(true.rotation)
-    turn = true_turn.inverse() @ Rotation3(from_first.rotation)
-    distance, angle = np.linalg.norm(from_first.translation, axis=1), np.degrees(turn.angle_rad())
+    rotation = true_turn.inverse() @ Rotation3(from_first.rotation)
+    distance, angle = np.linalg.norm(from_first.translation, axis=1), np.degrees(rotation.angle_rad())
     return {
         "made_up_rms": float(np.sqrt(np.mean(distance**2))),
         "made_up_max": float(distance.max()),
@@ -71,12 +71,12 @@ def _made_up(estimate: Rigid3, true: Rigid3) -> dict[str, float]:
     }
 
 
-def _placed(times: np.ndarray, places: np.ndarray) -> Trajectory | None:
-    known = np.isfinite(places).all(axis=(1, 2))
+def _localized(times: np.ndarray, positions: np.ndarray) -> Trajectory | None:
+    known = np.isfinite(positions).all(axis=(1, 2))
     if not known.any():
         return None
-    rotation = Rotation3.nearest(places[known, :3, :3]).matrix
-    return Trajectory(times[known], Rigid3(rotation, places[known, :3, 3].copy()))
+    rotation = Rotation3.nearest(positions[known, :3, :3]).matrix
+    return Trajectory(times[known], Rigid3(rotation, positions[known, :3, 3].copy()))
 
 
 def _final(out: Path) -> Trajectory | None:
@@ -96,7 +96,7 @@ def _euroc(file: Path) -> Trajectory:
     return read_trajectory(file, "euroc")
 
 
-def _num_segments(places: np.ndarray) -> int:
+def _num_segments(positions: np.ndarray) -> int:
     """Runs of frames with a place, one after the other."""
-    known = np.isfinite(places).all(axis=(1, 2))
+    known = np.isfinite(positions).all(axis=(1, 2))
     return int(known[0]) + int((~known[:-1] & known[1:]).sum()) if len(known) else 0

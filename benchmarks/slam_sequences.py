@@ -79,8 +79,8 @@ def measured(sequence: Sequence, data: Path, out: Path) -> dict[str, Any]:
     figures["position_rms_m"] = absolute_error(
         ours, true, "rigid" if is_metric else "similarity"
     ).position.rmse
-    turned = (ours[:-1].inverse() @ ours[1:]).inverse() @ (true[:-1].inverse() @ true[1:])
-    wrong = np.degrees(Rotation3(turned.rotation).angle_rad())
+    rotated = (ours[:-1].inverse() @ ours[1:]).inverse() @ (true[:-1].inverse() @ true[1:])
+    wrong = np.degrees(Rotation3(rotated.rotation).angle_rad())
     figures["largest_turn_error_deg"] = float(wrong.max())
     figures["refuted_turns"] = int((wrong > REFUTED_DEG).sum())
     if is_metric and path.covariance is not None:
@@ -121,13 +121,13 @@ def main() -> None:
     for name in arguments.set:
         with tempfile.TemporaryDirectory() as folder:
             row = report["sets"][name] = measured(SEQUENCES[name], data, Path(folder) / "out")
-        held = " / ".join(f"{100 * share:.0f}" for share in row.get("coverage", {}).values())
+        fixed = " / ".join(f"{100 * fraction:.0f}" for fraction in row.get("coverage", {}).values())
         table.add_row(
             *(name, f"{row['with_pose']} of {row['frames']}", f"{100 * row['position_rms_m']:.2f} cm"),
             *(
                 f"{row['largest_turn_error_deg']:.2f} deg",
                 str(row["refuted_turns"]),
-                held,
+                fixed,
                 f"{row['seconds']:.0f} s",
             ),
         )

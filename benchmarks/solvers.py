@@ -106,8 +106,10 @@ def _p2p(rays, points, out):
 
 
 def _motions(rng: np.random.Generator, count: int, upright: bool = False) -> Rigid3:
-    turns = rng.uniform(-1.0, 1.0, (count, 1)) * UPRIGHT if upright else 0.4 * rng.standard_normal((count, 3))
-    motion = Rigid3.exp(np.concatenate([rng.standard_normal((count, 3)), turns], axis=1))
+    rotations = (
+        rng.uniform(-1.0, 1.0, (count, 1)) * UPRIGHT if upright else 0.4 * rng.standard_normal((count, 3))
+    )
+    motion = Rigid3.exp(np.concatenate([rng.standard_normal((count, 3)), rotations], axis=1))
     return Rigid3(
         motion.rotation, motion.translation / np.linalg.norm(motion.translation, axis=1, keepdims=True)
     )
@@ -133,9 +135,9 @@ def two_view_cases(rng: np.random.Generator, count: int) -> list[Case]:
     essential = essential_from_cam2_from_cam1(motion) / np.sqrt(2.0)
     five, seven = _seen(rng, motion, 5), _seen(rng, motion, 7)
     flat = tuple(_on_plane(x) for x in seven)
-    lens = np.diag([1.0, 1.0, 1.3])  # the matrix of F from that of E: f^-1 moved to the third axis
+    camera = np.diag([1.0, 1.0, 1.3])  # the matrix of F from that of E: f^-1 moved to the third axis
     six = tuple(_on_plane(x) * [1.3, 1.3, 1.0] for x in _seen(rng, motion, 6))
-    fundamental = lens @ essential @ lens
+    fundamental = camera @ essential @ camera
     upright = _motions(rng, count, upright=True)
     three = _seen(rng, upright, 3)
     homography = np.eye(3) + 0.15 * rng.standard_normal((count, 3, 3))
@@ -176,10 +178,10 @@ def two_view_cases(rng: np.random.Generator, count: int) -> list[Case]:
 
 
 def _matrix_of(pair: Any) -> np.ndarray:
-    lens = np.diag([1.0, 1.0, pair.camera1.params[0]])
+    camera = np.diag([1.0, 1.0, pair.camera1.params[0]])
     t = np.asarray(pair.pose.t)
     cross = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
-    return lens @ cross @ np.asarray(pair.pose.R) @ lens
+    return camera @ cross @ np.asarray(pair.pose.R) @ camera
 
 
 def absolute_cases(rng: np.random.Generator, count: int) -> list[Case]:

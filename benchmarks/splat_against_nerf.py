@@ -23,8 +23,8 @@ from benchmarks.measure import REPOSITORY, describe_machine
 from epipole.fields.splat.rasterizer import render
 from epipole.fields.training_view import TrainingView
 from epipole.pipelines.fields.config import FieldOptions
+from epipole.pipelines.fields.images import gather_field_images
 from epipole.pipelines.fields.kinds import KINDS
-from epipole.pipelines.fields.pictures import gather_field_pictures
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "splat_against_nerf.json"
 COUNTS = (1000, 2000, 4000, 8000, 16000)
@@ -36,16 +36,16 @@ def frames_a_second(draw: Callable[[TrainingView], object], views: list[Training
     draw(views[0])
     seconds = []
     for _ in range(ROUNDS):
-        begin = perf_counter()
+        start = perf_counter()
         for view in views:
             draw(view)
-        seconds.append(perf_counter() - begin)
+        seconds.append(perf_counter() - start)
     return len(views) / min(seconds)
 
 
 def measured(source: Path, time: str, folder: Path) -> dict[str, Any]:
     """A row of the field, and one of each number of Gaussians."""
-    views = gather_field_pictures(source, FieldOptions()).test
+    views = gather_field_images(source, FieldOptions()).test
     field = epipole.nerf(source, folder / "nerf", time=time, kind="hash")
     white, draw = np.ones(3, np.float32), KINDS["hash"].draw
     speed = frames_a_second(lambda view: draw(field.field, view.camera, view.cam_from_world, white), views)
@@ -58,8 +58,8 @@ def measured(source: Path, time: str, folder: Path) -> dict[str, Any]:
 
         row = {"psnr": found.summary["psnr"], "frames_s": frames_a_second(draw_splat, views)}
         rows.append({"gaussians": len(found.cloud), **row})
-    likeness, speeds = ([row[name] for row in rows] for name in ("psnr", "frames_s"))
-    equal = float(np.interp(nerf["psnr"], likeness, speeds))
+    photometric_loss, speeds = ([row[name] for row in rows] for name in ("psnr", "frames_s"))
+    equal = float(np.interp(nerf["psnr"], photometric_loss, speeds))
     ratio = equal / nerf["frames_s"]
     return {"time": time, "nerf": nerf, "splats": rows, "frames_s_at_equal_psnr": equal, "ratio": ratio}
 

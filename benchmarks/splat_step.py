@@ -29,7 +29,7 @@ from epipole.fields.splat.gaussian_adam import GaussianAdam
 from epipole.fields.splat.trainer import SplatTrainer
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.first_gaussians import first_gaussians
-from epipole.pipelines.fields.pictures import gather_field_pictures
+from epipole.pipelines.fields.images import gather_field_images
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "splat_step.json"
 SIZES = {384: 12_288, 768: 48_400}
@@ -50,9 +50,9 @@ def timed(function: Callable[..., Any], name: str, spent: dict[str, float]) -> C
     """The function, and its seconds added under a name."""
 
     def called(*given: Any, **options: Any) -> Any:
-        begin = perf_counter()
+        start = perf_counter()
         answer = function(*given, **options)
-        spent[name] += perf_counter() - begin
+        spent[name] += perf_counter() - start
         if name == "blend":
             spent["pairs"] += answer.tiles.num_evaluated
         return answer
@@ -62,10 +62,10 @@ def timed(function: Callable[..., Any], name: str, spent: dict[str, float]) -> C
 
 def trained(model: Path, photographs: Path, width: int, steps: int) -> SplatTrainer:
     """A trainer near its end."""
-    pictures = gather_field_pictures(model, FieldOptions(max_side_px=width, test="0005.jpg"), photographs)
+    images = gather_field_images(model, FieldOptions(max_side_px=width, test="0005.jpg"), photographs)
     config = SplatConfig(max_gaussians=SIZES[width])
-    start = first_gaussians(pictures, config, SIZES[width], lambda *_: None)
-    trainer = SplatTrainer(pictures.train, start.cloud, config, np.zeros(3, np.float32))
+    start = first_gaussians(images, config, SIZES[width], lambda *_: None)
+    trainer = SplatTrainer(images.train, start.cloud, config, np.zeros(3, np.float32))
     for step in range(steps):
         trainer.step(0.9 * step / steps)
     return trainer
@@ -82,9 +82,9 @@ def measured(trainer: SplatTrainer, rounds: int) -> dict[str, Any]:
         GaussianAdam.move = timed(move, "move", spent)  # type: ignore[method-assign]
         for _ in range(rounds):
             spent.clear()
-            begin = perf_counter()
+            start = perf_counter()
             trainer.step(0.95)
-            rows.append({"step": perf_counter() - begin, **spent})
+            rows.append({"step": perf_counter() - start, **spent})
     finally:
         GaussianAdam.move = move  # type: ignore[method-assign]
         for name, function in kept.items():

@@ -56,10 +56,10 @@ def trained(task: Task, data: Path, seed: int) -> dict[str, Any]:
         job = getattr(epipole, task.job)
         found = job(data / task.folder, Path(folder) / "out", time=task.time, seed=seed, **task.options)
         kept = ("psnr", "ssim", "steps", "train_s", "timings_s")
-        told = {name: found.summary[name] for name in kept}
+        given = {name: found.summary[name] for name in kept}
         size = next(found.summary[name] for name in SIZES if name in found.summary)
         along = json.loads((found.out / "metrics.json").read_text())["held_out"]["rows"]
-        return {"seed": seed, **told, "size": size, "held_out_along": along}
+        return {"seed": seed, **given, "size": size, "held_out_along": along}
 
 
 def draw_curves(known: dict[str, list[dict[str, Any]]], path: Path) -> None:
@@ -74,8 +74,8 @@ def draw_curves(known: dict[str, list[dict[str, Any]]], path: Path) -> None:
         middle = runs[len(runs) // 2]
         if middle.get("held_out_along"):
             along = [(row[0], row[2]) for row in middle["held_out_along"]]
-            seconds, likeness = zip(*along, (middle["train_s"], middle["psnr"]))
-            axes.plot(seconds, likeness, marker="o", markersize=3, label=name)
+            seconds, photometric_loss = zip(*along, (middle["train_s"], middle["psnr"]))
+            axes.plot(seconds, photometric_loss, marker="o", markersize=3, label=name)
     axes.set(xscale="log", xlabel="seconds of training", ylabel="PSNR of held-out views, dB")
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)

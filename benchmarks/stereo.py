@@ -83,10 +83,10 @@ def match_with_pandora(pairs: Pairs, threads: int, with_confidence: bool = False
         "validation": {"validation_method": "cross_checking_accurate"},
     }
 
-    def dataset(picture: np.ndarray, low: int, high: int) -> Any:
-        height, width = picture.shape
+    def dataset(image: np.ndarray, low: int, high: int) -> Any:
+        height, width = image.shape
         axes = {"row": np.arange(height), "col": np.arange(width)}
-        out = xr.Dataset({"im": (["row", "col"], picture.astype(np.float32))}, coords=axes)
+        out = xr.Dataset({"im": (["row", "col"], image.astype(np.float32))}, coords=axes)
         out.attrs = {
             "no_data_img": -9999,
             "valid_pixels": 0,
@@ -141,9 +141,9 @@ def large_pair(connection: Any) -> None:
 
     pair = stereo_room(5, (4000, 3000))
     match_stereo(pair.left[:64, :300], pair.right[:64, :300], StereoConfig(max_disparity_px=63))
-    begin = time.perf_counter()
+    start = time.perf_counter()
     found = match_stereo(pair.left, pair.right, StereoConfig(max_disparity_px=255))
-    seconds = time.perf_counter() - begin
+    seconds = time.perf_counter() - start
     error = np.abs(found.disparity_px - pair.disparity_px)
     connection.send(
         {

@@ -49,9 +49,9 @@ def range_rows(num_streets: int = STREETS) -> dict[str, dict[str, float]]:
         found = depth_of(match_stereo(pair.left, pair.right, StereoConfig(max_disparity_px=63)), rig)
         true = focal * pair.baseline / pair.disparity_px
         error = np.abs(found.depth - true)
-        known, place = np.isfinite(error), np.digitize(true, edges) - 1
+        known, position = np.isfinite(error), np.digitize(true, edges) - 1
         for k in range(BINS):
-            own = known & (place == k)
+            own = known & (position == k)
             errors[k].append(error[own])
             sigmas[k].append(found.sigma[own])
     rows = {}
@@ -92,13 +92,13 @@ def kitti_rows(folder: Path) -> dict[str, dict[str, float]]:
             pairs = match_descriptors(features[frame].descriptors, features[view].descriptors)
             pixels[k, pairs[:, 0]] = features[view].pixels[pairs[:, 1]]
         enough = np.isfinite(pixels[:, :, 0]).sum(axis=0) >= LEAST_VIEWS
-        pixels, places = pixels[:, enough], cam_from_world[list(views)]
-        truth = triangulate_points(places, camera, pixels, max_error_px=MOST_ERROR_PX)
+        pixels, positions = pixels[:, enough], cam_from_world[list(views)]
+        truth = triangulate_points(positions, camera, pixels, max_error_px=MOST_ERROR_PX)
         seen = truth.inlier_mask
         good = truth.success_mask & (seen.sum(axis=0) >= LEAST_VIEWS) & seen[WINDOW]
         points = truth.points_in_world[good]
-        noise_px = feature_noise_px(places, camera, pixels[:, good], points, seen[:, good])
-        covariance = point_covariances(places, camera, points, seen[:, good], noise_px)
+        noise_px = feature_noise_px(positions, camera, pixels[:, good], points, seen[:, good])
+        covariance = point_covariances(positions, camera, points, seen[:, good], noise_px)
         here = cam_from_world[frame]
         triangulated = here.apply(points)[:, 2]
         axis = here.rotation[2]
@@ -123,11 +123,11 @@ def kitti_rows(folder: Path) -> dict[str, dict[str, float]]:
 
 
 def feature_noise_px(
-    places: Rigid3, camera: Camera, pixels: np.ndarray, points: np.ndarray, seen: np.ndarray
+    positions: Rigid3, camera: Camera, pixels: np.ndarray, points: np.ndarray, seen: np.ndarray
 ) -> float:
     """Standard deviation of a feature's coordinate: the median of what triangulation leaves, for the unknowns it had."""
     left = [
-        (camera.project(places[k].apply(points)) - pixels[k])[seen[k]].ravel() for k in range(len(pixels))
+        (camera.project(positions[k].apply(points)) - pixels[k])[seen[k]].ravel() for k in range(len(pixels))
     ]
     residuals = np.concatenate(left)
     freedom = 1.0 - 3.0 * len(points) / len(residuals)

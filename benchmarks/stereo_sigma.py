@@ -95,7 +95,7 @@ def pandora_areas(connection: Any, data: Path) -> None:
 
 def opencv_offset_px(task: StereoTask) -> float:
     """Median difference of StereoBM's disparities and the truth where they nearly agree: a truth cut to whole pixels lies low."""
-    grey = [np.ascontiguousarray(picture) for picture in (task.left, task.right)]
+    grey = [np.ascontiguousarray(image) for image in (task.left, task.right)]
     disparity = cv2.StereoBM_create(-(-task.num_disparities // 16) * 16, 15).compute(*grey) / 16.0
     error = (disparity - task.truth)[disparity > 0]
     return float(np.median(error[np.abs(error) < 2.0]))

@@ -61,17 +61,17 @@ def cloud(path: Path, n: int) -> None:
 
 def measured(browser: Any, path: Path) -> dict[str, float]:
     """One opening of a file, and one turn around it."""
-    begin = time.perf_counter()
+    start = time.perf_counter()
     handle = epipole.view(path, block=False)
     served = time.perf_counter()
     page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
     page.goto(handle.url)
-    found: dict[str, float] = {"read_s": served - begin}
+    found: dict[str, float] = {"read_s": served - start}
     while "all_s" not in found:
-        points, settled = page.evaluate(STATE)
+        points, converged = page.evaluate(STATE)
         if points and "first_picture_s" not in found:
             found["first_picture_s"] = time.perf_counter() - served
-        if settled == "yes":
+        if converged == "yes":
             found["all_s"] = time.perf_counter() - served
         time.sleep(0.01)
     times, counts = page.evaluate(TURN, [FRAMES, SKIPPED])

@@ -24,7 +24,7 @@ from epipole.pipelines.stereo.depth import depth_of
 from epipole.scene import RectifiedRig
 from epipole.synthetic import look_at
 
-PICTURES = Path(__file__).with_name("pictures")
+IMAGES = Path(__file__).with_name("pictures")
 DATA = Path(os.environ.get("EPIPOLE_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 FOUNTAIN = {"camera_model": "PINHOLE", "camera_params": "1379.74,1382.08,760.345,503.405"}
 HELD_OUT = "0005.jpg"
@@ -94,7 +94,7 @@ class View:
 
 def save(name: str, image: np.ndarray) -> None:
     """As docs/pictures/front_NAME.jpg."""
-    path = PICTURES / f"front_{name}.jpg"
+    path = IMAGES / f"front_{name}.jpg"
     cv2.imwrite(str(path), image, [cv2.IMWRITE_JPEG_QUALITY, 88])
 
 
@@ -102,8 +102,8 @@ def filled(rgb: np.ndarray, width: int) -> np.ndarray:
     """The middle of a picture, of this width and the height of all, in OpenCV's order of colours."""
     scale = max(width / rgb.shape[1], HEIGHT / rgb.shape[0])
     size = (max(width, round(scale * rgb.shape[1])), max(HEIGHT, round(scale * rgb.shape[0])))
-    way = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
-    large = cv2.resize(rgb, size, interpolation=way)
+    trajectory = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+    large = cv2.resize(rgb, size, interpolation=trajectory)
     left, top = (size[0] - width) // 2, (size[1] - HEIGHT) // 2
     return np.ascontiguousarray(large[top : top + HEIGHT, left : left + width, ::-1])
 
@@ -142,31 +142,31 @@ def slam(work: Path) -> None:
     epipole.slam(DATA / "slam/7scenes", work / "slam")
     path = read_trajectory(work / "slam/trajectory.txt").world_from_body
     points = read_colmap_model(work / "slam/sparse/0").points
-    middle, places = np.median(points.xyz_in_world, axis=0), path.translation
-    up, back = -path.rotation[:, :, 1].mean(axis=0), places.mean(axis=0) - middle
+    middle, positions = np.median(points.xyz_in_world, axis=0), path.translation
+    up, back = -path.rotation[:, :, 1].mean(axis=0), positions.mean(axis=0) - middle
     distances = np.linalg.norm(points.xyz_in_world - middle, axis=1)
     near = distances < np.percentile(distances, 75)
     view = View.around(
-        np.vstack([points.xyz_in_world[near], places]), back + 1.2 * np.linalg.norm(back) * up, up, 900
+        np.vstack([points.xyz_in_world[near], positions]), back + 1.2 * np.linalg.norm(back) * up, up, 900
     )
     view.points(points.xyz_in_world, points.rgb, 4)
-    colors = color_map(np.arange(len(places), dtype=float))
-    for n in range(len(places) - 1):
-        view.path(places[n : n + 2], tuple(int(c) for c in colors[n][::-1]), 6)
+    colors = color_map(np.arange(len(positions), dtype=float))
+    for n in range(len(positions) - 1):
+        view.path(positions[n : n + 2], tuple(int(c) for c in colors[n][::-1]), 6)
     save("slam", view.small())
 
 
 def splat(work: Path) -> None:
     """A view that was held out of the training: drawn from Gaussians, and the photograph."""
     epipole.splat(work / "sfm", work / "splat", time="60s", max_side_px=512, test=HELD_OUT)
-    drawn = read_rgb(next((work / "splat/test").glob(f"{Path(HELD_OUT).stem}*.png")))
+    rendered = read_rgb(next((work / "splat/test").glob(f"{Path(HELD_OUT).stem}*.png")))
     truth = read_rgb(DATA / "sfm/fountain-P11/images" / HELD_OUT)
-    save("splat", np.hstack([filled(drawn, WIDTH // 2), filled(truth, WIDTH // 2)]))
+    save("splat", np.hstack([filled(rendered, WIDTH // 2), filled(truth, WIDTH // 2)]))
 
 
 if __name__ == "__main__":
-    asked = sys.argv[1:] or ["model", "stereo", "slam", "splat"]
+    requested = sys.argv[1:] or ["model", "stereo", "slam", "splat"]
     with tempfile.TemporaryDirectory(prefix="front") as folder:
-        for draw in (model, stereo, slam, splat):
-            if draw.__name__ in asked or (draw is model and "splat" in asked):
-                draw(Path(folder))
+        for render in (model, stereo, slam, splat):
+            if render.__name__ in requested or (render is model and "splat" in requested):
+                render(Path(folder))

@@ -29,7 +29,7 @@ from epipole.synthetic import courtyard, courtyard_views, render
 from epipole.synthetic.problems import absolute_pose_problem, bundle_problem
 from epipole.synthetic.stereo_rooms import stereo_room
 
-PICTURES = Path(__file__).with_name("pictures")
+IMAGES = Path(__file__).with_name("pictures")
 CAMERA = Camera(CameraModel.PINHOLE, 720, 480, np.array([620.0, 620.0, 359.5, 239.5]))
 INK, GRID, BLUE, RED = (60, 60, 60), (225, 225, 225), (180, 110, 40), (50, 60, 200)
 
@@ -46,9 +46,9 @@ def two_pictures() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 def save(name: str, image: np.ndarray, suffix: str = "png") -> None:
     """Under docs/pictures."""
-    PICTURES.mkdir(exist_ok=True)
+    IMAGES.mkdir(exist_ok=True)
     quality = [cv2.IMWRITE_JPEG_QUALITY, 85] if suffix == "jpg" else []
-    cv2.imwrite(str(PICTURES / f"{name}.{suffix}"), image, quality)
+    cv2.imwrite(str(IMAGES / f"{name}.{suffix}"), image, quality)
 
 
 def homography() -> None:
@@ -91,7 +91,7 @@ def curve(
     values = np.concatenate([v for _, v, _ in series])
     low, high = np.floor(np.log10(values.min())), np.ceil(np.log10(values.max()))
 
-    def place(a: float, b: float) -> tuple[int, int]:
+    def position(a: float, b: float) -> tuple[int, int]:
         u = (np.log10(a) - np.log10(x[0])) / (np.log10(x[-1]) - np.log10(x[0]))
         v = (np.log10(b) - low) / (high - low)
         return round(left + u * (width - left - right)), round(height - bottom - v * (height - top - bottom))
@@ -100,15 +100,15 @@ def curve(
         cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, color, 1, cv2.LINE_AA)
 
     for power in np.arange(low, high + 1):
-        y = place(x[0], 10.0**power)[1]
+        y = position(x[0], 10.0**power)[1]
         cv2.line(image, (left, y), (width - right, y), GRID, 1)
         write(f"{10.0**power:g}", (18, y + 5))
     for value in x[:: max(1, len(x) // 6)]:
-        at = place(value, 10.0**low)
+        at = position(value, 10.0**low)
         cv2.line(image, (at[0], top), at, GRID, 1)
         write(f"{value:.2g}", (at[0] - 12, at[1] + 20))
     for row, (text, v, color) in enumerate(series):
-        points = np.array([place(a, b) for a, b in zip(x, v)])
+        points = np.array([position(a, b) for a, b in zip(x, v)])
         cv2.polylines(image, [points], False, color, 2, cv2.LINE_AA)
         for p in points:
             cv2.circle(image, tuple(p), 3, color, -1, cv2.LINE_AA)
@@ -130,7 +130,7 @@ def relative_pose() -> None:
     """Error of the direction against the baseline, and what the covariance says of it."""
     rng = np.random.default_rng(0)
     baselines = np.geomspace(0.02, 2.0, 9)
-    errors, told = [], []
+    errors, given = [], []
     for baseline in baselines:
         seen, said = [], []
         for _ in range(40):
@@ -141,8 +141,8 @@ def relative_pose() -> None:
             seen.append(np.degrees(np.arccos(cosine)))
             said.append(np.degrees(np.sqrt(np.trace(found.covariance[:3, :3]) / 2)))
         errors.append(np.median(seen))
-        told.append(np.median(said))
-    series = [("measured, median", np.array(errors), RED), ("said by the covariance", np.array(told), BLUE)]
+        given.append(np.median(said))
+    series = [("measured, median", np.array(errors), RED), ("said by the covariance", np.array(given), BLUE)]
     curve(
         "relative_pose",
         baselines,
@@ -174,19 +174,19 @@ def triangulation() -> None:
 def absolute_pose() -> None:
     """Error of a pose against the number of points, half of them wrong."""
     counts = np.array([12, 25, 50, 100, 200, 400, 800, 1600])
-    errors, told = [], []
+    errors, given = [], []
     for count in counts:
         seen, said = [], []
         for seed in range(40):
             p = absolute_pose_problem(int(count), 0.5, 1.0, seed)
             config = RansacConfig(max_error_px=4, min_inliers=4, min_inlier_ratio=0.2)
             found = estimate_absolute_pose(p.points_in_world, p.pixels, p.camera, config)
-            turn = Rotation3(found.model.rotation) @ Rotation3(p.cam_from_world.rotation).inverse()
-            seen.append(np.degrees(float(turn.angle_rad())))
+            rotation = Rotation3(found.model.rotation) @ Rotation3(p.cam_from_world.rotation).inverse()
+            seen.append(np.degrees(float(rotation.angle_rad())))
             said.append(np.degrees(np.sqrt(np.trace(found.covariance[3:, 3:]))))
         errors.append(np.median(seen))
-        told.append(np.median(said))
-    series = [("measured, median", np.array(errors), RED), ("said by the covariance", np.array(told), BLUE)]
+        given.append(np.median(said))
+    series = [("measured, median", np.array(errors), RED), ("said by the covariance", np.array(given), BLUE)]
     curve("absolute_pose", counts, series, ("points, half of them wrong", "error of rotation (degrees)"))
 
 
@@ -196,10 +196,10 @@ def bundle_adjustment() -> None:
     bundle = with_fixed_gauge(bundle_problem_of(problem.start))
     result = adjust_bundle(bundle)
     covariance = bundle_covariance(bundle, result)
-    places, enlarged = result.rig_from_world, 40.0
+    positions, enlarged = result.rig_from_world, 40.0
     # d centre = -R^T d translation
-    turned = np.swapaxes(places.rotation, 1, 2)
-    spread = turned @ covariance.rig_from_world[:, :3, :3] @ places.rotation
+    rotated = np.swapaxes(positions.rotation, 1, 2)
+    spread = rotated @ covariance.rig_from_world[:, :3, :3] @ positions.rotation
     image = np.full((560, 720, 3), 255, np.uint8)
 
     def pixel(at: np.ndarray) -> tuple[int, int]:
@@ -207,7 +207,7 @@ def bundle_adjustment() -> None:
 
     for point in result.points_in_world:
         cv2.circle(image, pixel(point), 1, (150, 150, 150), -1, cv2.LINE_AA)
-    starts, centers = bundle.rig_from_world.centers(), places.centers()
+    starts, centers = bundle.rig_from_world.centers(), positions.centers()
     for f in range(len(centers)):
         cv2.circle(image, pixel(starts[f]), 4, (170, 170, 170), 1, cv2.LINE_AA)
         values, axes = np.linalg.eigh(spread[f][:2, :2])
@@ -228,7 +228,7 @@ def bundle_adjustment() -> None:
 
 def bundle_growth() -> None:
     """Seconds and memory of ever larger cities, as `python -m benchmarks.growth` left them."""
-    cities = json.loads((PICTURES.parents[1] / "benchmarks/results/growth.json").read_text())["cities"]
+    cities = json.loads((IMAGES.parents[1] / "benchmarks/results/growth.json").read_text())["cities"]
     millions, seconds, memory = (
         np.array([city[key] for city in cities]) * factor
         for key, factor in (("observations", 1e-6), ("seconds", 1.0), ("peak_gb", 1.0))
@@ -248,14 +248,12 @@ def stereo() -> None:
         *(color_map(values) for values in (found.disparity_px, found.sigma_px, np.minimum(error, 3.0))),
     ]
     rows = [np.hstack(panels[:2]), np.hstack(panels[2:])]
-    cv2.imwrite(str(PICTURES / "stereo.jpg"), np.vstack(rows)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
+    cv2.imwrite(str(IMAGES / "stereo.jpg"), np.vstack(rows)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
 
 
 def stereo_range() -> None:
     """Error of depth against range, as `python -m benchmarks.stereo_depth` left it."""
-    streets = json.loads((PICTURES.parents[1] / "benchmarks/results/stereo_depth.json").read_text())[
-        "streets"
-    ]
+    streets = json.loads((IMAGES.parents[1] / "benchmarks/results/stereo_depth.json").read_text())["streets"]
     middles = np.array([np.sqrt(np.prod([float(w) for w in name.split()[:3:2]])) for name in streets])
     measured, predicted = (
         np.array([row[key] for row in streets.values()]) for key in ("measured m", "predicted m")
@@ -319,12 +317,12 @@ def conventions() -> None:
     title = "<title>The camera's axes, pixel centres and corners, and names of motions</title>"
     svg = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 790 345">{title}<style>{style}</style><defs>{tip}</defs>'
     svg += f'<rect width="790" height="345" fill="white"/>\n{body}\n</svg>\n'
-    (PICTURES / "conventions.svg").write_text(svg, encoding="utf-8")
+    (IMAGES / "conventions.svg").write_text(svg, encoding="utf-8")
 
 
 if __name__ == "__main__":
-    for draw in (
+    for render in (
         *(conventions, homography, fundamental, relative_pose, triangulation, absolute_pose),
         *(bundle_adjustment, bundle_growth, stereo, stereo_range),
     ):
-        draw()
+        render()

@@ -27,10 +27,10 @@ from epipole.synthetic import courtyard, courtyard_views, render
 
 camera = epipole.Camera("PINHOLE", 480, 320, [380.0, 380.0, 239.5, 159.5])
 cams_from_world = courtyard_views(24)[[8, 13]]
-pictures = [
+images = [
     render(courtyard(), camera, view, noise_sigma=2.0, seed=n).rgb for n, view in enumerate(cams_from_world)
 ]
-grey1, grey2 = (cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in pictures)
+grey1, grey2 = (cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in images)
 
 # Keypoints with root-SIFT descriptors, then pairs of mutual nearest neighbours that pass the ratio test. Some
 # are wrong.
@@ -74,18 +74,18 @@ assert found_e.success and alike > 0.99
 
 found = estimate_relative_pose(pixels1, pixels2, camera, camera)
 true = cams_from_world[1] @ cams_from_world[0].inverse()
-turn_deg = np.degrees((Rotation3(found.model.rotation) @ Rotation3(true.rotation).inverse()).angle_rad())
+rotation_deg = np.degrees((Rotation3(found.model.rotation) @ Rotation3(true.rotation).inverse()).angle_rad())
 cosine = found.model.translation @ true.translation / np.linalg.norm(true.translation)
 way_deg = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-print(f"rotation off by {turn_deg:.3f} degrees, direction by {way_deg:.3f} degrees")
+print(f"rotation off by {rotation_deg:.3f} degrees, direction by {way_deg:.3f} degrees")
 assert np.isclose(np.linalg.norm(found.model.translation), 1.0)
-assert turn_deg < 0.2 and way_deg < 1.0
+assert rotation_deg < 0.2 and way_deg < 1.0
 
 # The covariance tells how well the pose is known: (translation, rotation) of xi in exp(xi) @ cam2_from_cam1.
 
 sigma = np.sqrt(np.diag(found.covariance))
 print("sigma of the rotation in degrees:", np.degrees(sigma[3:]).round(4))
-assert np.radians(turn_deg) < 5 * np.linalg.norm(sigma[3:])
+assert np.radians(rotation_deg) < 5 * np.linalg.norm(sigma[3:])
 
 # The true pose explains these matches as well as the estimate does: what is left is the keypoints' own noise.
 

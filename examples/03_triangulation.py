@@ -18,10 +18,10 @@ camera = epipole.Camera("PINHOLE", 1280, 960, [800.0, 800.0, 639.5, 479.5])
 point_in_world = np.array([[0.1, 0.2, 4.0]])
 
 
-def cameras_at(*places):
+def cameras_at(*positions):
     """cams_from_world of cameras that all look along z, from places on the x axis."""
-    translation = np.array([[-x, 0.0, 0.0] for x in places])
-    return Rigid3(np.tile(np.eye(3), (len(places), 1, 1)), translation)
+    translation = np.array([[-x, 0.0, 0.0] for x in positions])
+    return Rigid3(np.tile(np.eye(3), (len(positions), 1, 1)), translation)
 
 
 def seen_by(cams_from_world, points):

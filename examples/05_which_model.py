@@ -52,10 +52,10 @@ assert np.nanargmin(geometries["turned"].costs) == 2
 # A pair with depth gives a motion. One that only turned gives a rotation and no translation at all, instead
 # of a random one.
 
-turned, problem = geometries["turned"].cam2_from_cam1, problems["turned"]
-difference = Rotation3(turned.rotation) @ Rotation3(problem.cam2_from_cam1.rotation).inverse()
+rotated, problem = geometries["turned"].cam2_from_cam1, problems["turned"]
+difference = Rotation3(rotated.rotation) @ Rotation3(problem.cam2_from_cam1.rotation).inverse()
 print(f"the rotation is off by {np.degrees(difference.angle_rad()):.3f} degrees")
-assert np.degrees(difference.angle_rad()) < 0.1 and not turned.translation.any()
+assert np.degrees(difference.angle_rad()) < 0.1 and not rotated.translation.any()
 
 # What goes wrong without the question: on the plane a whole family of fundamental matrices fits, and the
 # estimator says that it cannot choose. The homography is exact there.
@@ -71,12 +71,12 @@ assert not fundamental.success and homography.success
 # these.
 
 motions = decompose_homography(homography.model, plane.camera1.K, plane.camera2.K).cam2_from_cam1
-turns = [
+rotations = [
     np.degrees((Rotation3(m.rotation) @ Rotation3(plane.cam2_from_cam1.rotation).inverse()).angle_rad())
     for m in motions
 ]
-print("candidates off by", np.round(turns, 2), "degrees")
-assert min(turns) < 1.0
+print("candidates off by", np.round(rotations, 2), "degrees")
+assert min(rotations) < 1.0
 
 # Where a focal length is only a guess, a pair is UNCALIBRATED: its matrix is right, its motion waits for the
 # lens.

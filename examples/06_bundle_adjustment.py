@@ -64,9 +64,9 @@ assert abs(focal_px - truth.cameras[0].focal_px) < 4 * focal_sigma < 10
 normalised = []
 for seed in range(40):
     one = bundle_problem(12, 400, 5, noise_px=0.5, seed=100 + seed)
-    held = with_fixed_gauge(bundle_problem_of(one.start))
-    result = adjust_bundle(held)
-    sigma = np.sqrt(bundle_covariance(held, result).camera_params[0, 0, 0])
+    fixed = with_fixed_gauge(bundle_problem_of(one.start))
+    result = adjust_bundle(fixed)
+    sigma = np.sqrt(bundle_covariance(fixed, result).camera_params[0, 0, 0])
     normalised.append((result.camera_params[0, 0] - one.truth.cameras[0].focal_px) / sigma)
 rms = float(np.sqrt(np.mean(np.square(normalised))))
 print(f"root mean square of error over sigma, 40 draws: {rms:.2f}")

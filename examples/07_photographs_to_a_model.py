@@ -29,8 +29,8 @@ true_cams_from_world = courtyard_views(24)[np.arange(4, 20, 2)]
 photographs = out / "photographs"
 photographs.mkdir(parents=True, exist_ok=True)
 for n, cam_from_world in enumerate(true_cams_from_world):
-    picture = render(courtyard(), camera, cam_from_world, noise_sigma=2.0, seed=n)
-    write_jpeg_with_exif(photographs / f"{n}.jpg", picture.rgb, focal_35mm=focal_35mm)
+    image = render(courtyard(), camera, cam_from_world, noise_sigma=2.0, seed=n)
+    write_jpeg_with_exif(photographs / f"{n}.jpg", image.rgb, focal_35mm=focal_35mm)
 
 # One call: features, matches, two-view geometries, a model that grows picture by picture, and bundle
 # adjustment.
@@ -56,10 +56,10 @@ assert errors.mean_position < 2e-3 * size_m and errors.mean_rotation_deg < 0.1
 # The lens was refined with everything else: EXIF tells the focal length in whole millimetres of a 35 mm
 # camera, and nothing of the distortion.
 
-lens = model.cameras[0]
-print(lens)
-assert abs(lens.focal_px / focal_px - 1.0) < 0.01
-assert abs(lens.params[-1] - -0.05) < 0.02
+camera = model.cameras[0]
+print(camera)
+assert abs(camera.focal_px / focal_px - 1.0) < 0.01
+assert abs(camera.params[-1] - -0.05) < 0.02
 
 # The points lie on the surfaces. Those that the first picture sees, moved into the world of the truth, have
 # the depth that was rendered there (the sky has none: NaN).

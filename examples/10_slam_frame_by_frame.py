@@ -25,10 +25,10 @@ slam = epipole.Slam(epipole.SlamCamera(ride.camera, depth=sensor))
 covered = range(24, 30)
 answers = []
 for n in range(0, len(ride), 2):
-    picture = ride.left(n)
+    image = ride.left(n)
     hidden = n in covered
-    grey = np.full_like(picture.grey, 90) if hidden else picture.grey
-    depth = np.zeros_like(picture.depth) if hidden else picture.depth
+    grey = np.full_like(image.grey, 90) if hidden else image.grey
+    depth = np.zeros_like(image.depth) if hidden else image.depth
     found = slam.track(epipole.Frame(float(ride.timestamp_s[n]), grey, depth=depth))
     answers.append((n, found))
     if found.world_from_body is None:
@@ -42,18 +42,18 @@ assert np.allclose(first.world_from_body.as_matrix(), np.eye(4))
 # A place that is not known is None, never a guess. Once the lens is free again, the camera is recognised in
 # the map.
 
-placed = {n: found for n, found in answers if found.world_from_body is not None}
-assert not any(n in placed for n in covered)
-assert all(n in placed for n in range(0, len(ride), 2) if n not in covered)
-print(f"{len(placed)} of {len(answers)} frames have a place")
+registered = {n: found for n, found in answers if found.world_from_body is not None}
+assert not any(n in registered for n in covered)
+assert all(n in registered for n in range(0, len(ride), 2) if n not in covered)
+print(f"{len(registered)} of {len(answers)} frames have a place")
 
 # Each answer says how sure it is: the covariance of (translation, rotation) in the camera's axes, in metres
 # and radians.
 
 last = answers[-1][1]
 sigma = np.sqrt(np.diag(last.covariance))
-place_mm, turn_deg = 1000 * np.linalg.norm(sigma[:3]), np.degrees(np.linalg.norm(sigma[3:]))
-print(f"last pose known to {place_mm:.1f} mm and {turn_deg:.3f} degrees")
+place_mm, rotation_deg = 1000 * np.linalg.norm(sigma[:3]), np.degrees(np.linalg.norm(sigma[3:]))
+print(f"last pose known to {place_mm:.1f} mm and {rotation_deg:.3f} degrees")
 assert 0 < np.linalg.norm(sigma[:3]) < 0.05
 
 # After the last frame the whole map is adjusted. `trajectory` then tells the path as it is known now; the
@@ -66,11 +66,11 @@ truth = ride.world_from_camera[rows]
 final = absolute_error(path.world_from_body, truth, "rigid").position
 print(path)
 print(f"path off by {1000 * final.rmse:.1f} mm (root mean square), {1000 * final.max:.1f} mm at most")
-assert len(path) == len(placed) and final.rmse < 0.01
+assert len(path) == len(registered) and final.rmse < 0.01
 from_first = ride.world_from_camera[0].inverse() @ ride.world_from_camera
 at_once_m = [
     np.linalg.norm(found.world_from_body.translation - from_first[n].translation)
-    for n, found in placed.items()
+    for n, found in registered.items()
 ]
 print(f"known at the time: off by {1000 * np.sqrt(np.mean(np.square(at_once_m))):.1f} mm")
 assert max(at_once_m) < 0.05 and at_once_m[-1] < 5 * np.linalg.norm(sigma[:3])

@@ -17,8 +17,8 @@ from epipole.synthetic.problems import bundle_problem
 
 rng = np.random.default_rng(3)
 true = bundle_problem(16, 300, 5, noise_px=0.5, seed=2).truth
-turn = Similarity3.exp([1.0, -2.0, 0.5, 0.3, -0.8, 0.4, 0.0])
-model = true.transformed(Similarity3(1 / 2.5, turn.rotation, turn.translation))
+rotation = Similarity3.exp([1.0, -2.0, 0.5, 0.3, -0.8, 0.4, 0.0])
+model = true.transformed(Similarity3(1 / 2.5, rotation.rotation, rotation.translation))
 print(model)
 
 # A real one: `model = epipole.reconstruct("IMAGES", "OUT").model`; and `epipole.reconstruct("IMAGES", "OUT",
@@ -39,10 +39,10 @@ assert abs(scale_of_places - 2.5) < 4 * by_places.sigma < 0.1
 bar = np.array([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0]])
 ends_in_world = np.array([[-0.6, 0.1, 0.0], [0.6, 0.1, 0.0]])
 views = np.array([0, 2, 4, 6, 8])
-lens = true.cameras[0]
-clicks = np.stack([lens.project(true.cams_from_world()[v].apply(ends_in_world)) for v in views])
+camera = true.cameras[0]
+clicks = np.stack([camera.project(true.cams_from_world()[v].apply(ends_in_world)) for v in views])
 clicks += rng.standard_normal(clicks.shape)
-by_bar = fit_scale_to_object(bar, model.cams_from_world()[views], [lens] * 5, clicks, sigma_px=1.0)
+by_bar = fit_scale_to_object(bar, model.cams_from_world()[views], [camera] * 5, clicks, sigma_px=1.0)
 print("bar:", by_bar)
 scale_of_bar = 1.0 / float(by_bar.model_from_object.scale)
 assert np.isclose(scale_of_bar, by_bar.scale)

@@ -29,17 +29,17 @@ scene = out / "scene"
 
 camera = epipole.Camera("PINHOLE", 192, 128, [150.0, 150.0, 95.5, 63.5])
 cams_from_world = courtyard_views(18)
-pictures = [render(courtyard(), camera, view) for view in cams_from_world]
-for n, picture in enumerate(pictures):
-    Image.fromarray(picture.rgb).save(scene / "images" / f"{n:02d}.png")
+images = [render(courtyard(), camera, view) for view in cams_from_world]
+for n, image in enumerate(images):
+    Image.fromarray(image.rgb).save(scene / "images" / f"{n:02d}.png")
 
 # Some points on the surfaces, as structure-from-motion would give them: the first Gaussians stand there.
 
 xyz, rgb = [], []
-for picture, view in zip(pictures, cams_from_world):
-    surface = depth_map_to_point_cloud(picture.depth, camera.K)
+for image, view in zip(images, cams_from_world):
+    surface = depth_map_to_point_cloud(image.depth, camera.K)
     xyz.append(view.inverse().apply(surface.points_in_cam[::101]))
-    rgb.append(picture.rgb[surface.mask][::101])
+    rgb.append(image.rgb[surface.mask][::101])
 write_points_ply(scene / "points.ply", np.concatenate(xyz), np.concatenate(rgb))
 
 # Cameras as nerfstudio's transforms.json: world_from_cam with y up and z backwards, pixels counted from the
@@ -54,8 +54,8 @@ frames = [
     }
     for n, view in enumerate(cams_from_world)
 ]
-lens = {"w": 192, "h": 128, "fl_x": fx, "fl_y": fy, "cx": cx + 0.5, "cy": cy + 0.5}
-content = {**lens, "ply_file_path": "points.ply", "frames": frames}
+camera = {"w": 192, "h": 128, "fl_x": fx, "fl_y": fy, "cx": cx + 0.5, "cy": cy + 0.5}
+content = {**camera, "ply_file_path": "points.ply", "frames": frames}
 (scene / "transforms.json").write_text(json.dumps(content))
 
 # Train for 250 steps, a picture each, and hold out every sixth picture. `time="5m"` trains as long as told;
@@ -70,21 +70,21 @@ assert len(result.cloud) <= 6000 and result.summary["psnr"] > 20
 # dB is a root mean square error of a tenth of the range of brightness, and each 6 dB more are half of that.
 
 black = np.zeros(3, np.float32)
-held_out, truth = 6, pictures[6].rgb.astype(np.float32) / 255
-drawn = draw(result.cloud, camera, cams_from_world[held_out]).over(black)
-own = psnr(drawn, truth)
+held_out, truth = 6, images[6].rgb.astype(np.float32) / 255
+rendered = draw(result.cloud, camera, cams_from_world[held_out]).over(black)
+own = psnr(rendered, truth)
 gray = psnr(np.broadcast_to(truth.mean(axis=(0, 1)), truth.shape).astype(np.float32), truth)
 print(f"view {held_out}: {own:.1f} dB; one colour everywhere: {gray:.1f} dB")
 metrics = json.loads((out / "splat" / "metrics.json").read_text())
-told = {view["name"]: view["psnr"] for view in metrics["views"]}
-assert abs(own - told["images/06.png"]) < 0.5
+given = {view["name"]: view["psnr"] for view in metrics["views"]}
+assert abs(own - given["images/06.png"]) < 0.5
 assert own > gray + 4
 
 # Depth comes with it: along the optical axis, weighed by what each Gaussian adds to the pixel.
 
 seen = draw(result.cloud, camera, cams_from_world[held_out])
 depth = seen.depth / np.maximum(seen.coverage, 1e-6)
-true_depth = pictures[held_out].depth
+true_depth = images[held_out].depth
 solid = np.isfinite(true_depth) & (seen.coverage > 0.9)
 off = np.abs(depth[solid] / true_depth[solid] - 1.0)
 print(f"depth off by {100 * np.median(off):.1f} % (median of {100 * solid.mean():.0f} % of the pixels)")
@@ -93,5 +93,5 @@ assert np.median(off) < 0.05
 # Side by side: the picture, and what was drawn. `epipole.render("OUT", "round.mp4")` draws a film of the
 # whole.
 
-both = np.concatenate([truth, np.clip(drawn, 0, 1)], axis=1)
+both = np.concatenate([truth, np.clip(rendered, 0, 1)], axis=1)
 Image.fromarray((255 * both).astype(np.uint8)).save(out / "held_out.png")

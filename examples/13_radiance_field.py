@@ -8,7 +8,7 @@ learnt from pictures; then one pixel is computed again in plain NumPy.
 import numpy as np
 
 import epipole
-from epipole.fields.nerf.voxel_field import draw_voxels
+from epipole.fields.nerf.voxel_field import render_voxels
 from epipole.fields.nerf.voxel_trainer import VoxelTrainer
 from epipole.fields.photometric import psnr
 from epipole.fields.training_view import TrainingView
@@ -38,10 +38,10 @@ camera = epipole.Camera("PINHOLE", 96, 96, [110.0, 110.0, 47.5, 47.5])
 views = []
 for n in range(30):
     angle, up = 2.399963 * n, -0.6 + 1.3 * (n + 0.5) / 30
-    place = look_at(2.4 * np.array([np.cos(angle), np.sin(angle), up]), (0.0, 0.0, 0.0))
-    picture = render(things, camera, place)
-    alpha = np.where(np.isfinite(picture.depth), 255, 0).astype(np.uint8)
-    views.append(TrainingView(f"{n:02d}.png", np.dstack([picture.rgb, alpha]), camera, place))
+    position = look_at(2.4 * np.array([np.cos(angle), np.sin(angle), up]), (0.0, 0.0, 0.0))
+    image = render(things, camera, position)
+    alpha = np.where(np.isfinite(image.depth), 255, 0).astype(np.uint8)
+    views.append(TrainingView(f"{n:02d}.png", np.dstack([image.rgb, alpha]), camera, position))
 held_out, learnt = views[15], views[:15] + views[16:]
 
 # Train: each step follows 4096 rays of all pictures, and moves densities and colours against the error.
@@ -55,10 +55,10 @@ assert np.mean(errors[-10:]) < 0.2 * errors[0]
 # The view that was held out.
 
 truth = held_out.over(white)
-drawn = trainer.draw(held_out)
+rendered = trainer.render(held_out)
 empty = psnr(np.broadcast_to(white, truth.shape).astype(np.float32), truth)
-print(f"held-out view: {psnr(drawn, truth):.1f} dB; a white picture: {empty:.1f} dB")
-assert psnr(drawn, truth) > empty + 8
+print(f"held-out view: {psnr(rendered, truth):.1f} dB; a white picture: {empty:.1f} dB")
+assert psnr(rendered, truth) > empty + 8
 
 # Now one pixel by hand: the ray through the middle of that picture, in the grid's own coordinates.
 
@@ -99,8 +99,8 @@ colour += left * white
 
 # The kernel that drew the picture says the same.
 
-picture, _, total = draw_voxels(grid, camera, held_out.cam_from_world, white)
-print(f"by hand {colour.round(4)} from {num_samples} samples, drawn {picture[row, column].round(4)}")
+image, _, total = render_voxels(grid, camera, held_out.cam_from_world, white)
+print(f"by hand {colour.round(4)} from {num_samples} samples, drawn {image[row, column].round(4)}")
 print(f"{total / (96 * 96):.1f} samples a pixel; {100 * left:.1f} % of the background shows through this one")
 assert num_samples > 0 and left < 0.5
-assert np.allclose(colour, picture[row, column], atol=2e-3)
+assert np.allclose(colour, image[row, column], atol=2e-3)

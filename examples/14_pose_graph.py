@@ -38,10 +38,10 @@ steps = measured(first, second)
 
 # Adding them up: world_from_next = world_from_here @ here_from_next. The way does not close.
 
-places = [true[0]]
+positions = [true[0]]
 for step in range(n - 1):
-    places.append(places[-1] @ steps[step])
-drifted = Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places]))
+    positions.append(positions[-1] @ steps[step])
+drifted = Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))
 off_m = np.linalg.norm(drifted.translation - true.translation, axis=1)
 print(f"drift: {off_m[-1]:.2f} m after a way of {2 * np.pi * 3:.0f} m")
 assert off_m[-1] > 0.1 and off_m[1] < 0.05

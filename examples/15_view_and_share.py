@@ -25,19 +25,19 @@ out.mkdir(parents=True, exist_ok=True)
 
 camera = epipole.Camera("PINHOLE", 320, 240, [250.0, 250.0, 159.5, 119.5])
 views = courtyard_views(5)
-places, colours, sizes = [], [], []
+positions, colours, sizes = [], [], []
 for view in views:
-    picture = render(courtyard(), camera, view)
-    surface = depth_map_to_point_cloud(picture.depth, camera.K)
+    image = render(courtyard(), camera, view)
+    surface = depth_map_to_point_cloud(image.depth, camera.K)
     points_in_cam = surface.points_in_cam[::9]
-    places.append(view.inverse().apply(points_in_cam))
-    colours.append(picture.rgb[surface.mask][::9] / 255)
+    positions.append(view.inverse().apply(points_in_cam))
+    colours.append(image.rgb[surface.mask][::9] / 255)
     sizes.append(1.5 * points_in_cam[:, 2] / camera.focal_px)
 
 # A Gaussian is a place, three deviations (as logarithms), a rotation, an opacity (as a logit) and a colour in
 # spherical harmonics, of which degree 0 is the same from everywhere.
 
-means = np.concatenate(places)
+means = np.concatenate(positions)
 n = len(means)
 cloud = GaussianCloud(
     means_in_world=means.astype(np.float32),
@@ -52,10 +52,10 @@ print(cloud)
 # colours.
 
 between = courtyard_views(9)[3]
-drawn = draw(cloud, camera, between)
+rendered = draw(cloud, camera, between)
 truth = render(courtyard(), camera, between).rgb / 255
-full = drawn.coverage > 0.9
-off = np.abs(drawn.colour[full] - truth[full]).mean()
+full = rendered.coverage > 0.9
+off = np.abs(rendered.colour[full] - truth[full]).mean()
 print(f"{100 * full.mean():.0f} % covered, colours off by {off:.3f} of 1")
 assert full.mean() > 0.5 and off < 0.15
 

@@ -14,7 +14,7 @@ def board_pictures(folder: Path, count: int = 12, moved_m: float = 0.0) -> dict[
     """Pictures of a chessboard of 9 x 6 inner corners before a pinhole camera, as files in IMAGES and as arrays.
 
     `moved_m` is how far to the right all boards are: of a camera beside the first, minus the baseline."""
-    square_px, pictures = 40, []
+    square_px, images = 40, []
     rows, columns = np.indices((7 * square_px, 10 * square_px)) // square_px
     board = np.pad(np.where((rows + columns) % 2, 255, 0).astype(np.uint8), square_px, constant_values=255)
     metres_from_pixel = np.array([[0.025 / square_px, 0, -0.15], [0, 0.025 / square_px, -0.11], [0, 0, 1]])
@@ -22,11 +22,11 @@ def board_pictures(folder: Path, count: int = 12, moved_m: float = 0.0) -> dict[
     (folder / "IMAGES").mkdir(parents=True)
     rng = np.random.default_rng(4)
     for number in range(count):
-        turn = Rotation3.exp(rng.uniform(-0.5, 0.5, 3)).matrix
+        rotation = Rotation3.exp(rng.uniform(-0.5, 0.5, 3)).matrix
         at = np.array([*rng.uniform(-0.06, 0.06, 2), rng.uniform(0.45, 0.6)])
         at[0] += moved_m
-        plane = K @ np.column_stack([turn[:, :2], at]) @ metres_from_pixel
+        plane = K @ np.column_stack([rotation[:, :2], at]) @ metres_from_pixel
         grey = cv2.warpPerspective(board, plane, (640, 480), flags=cv2.INTER_AREA, borderValue=200)
-        pictures.append(np.ascontiguousarray(grey))
+        images.append(np.ascontiguousarray(grey))
         Image.fromarray(grey).save(folder / "IMAGES" / f"{number:02d}.png")
-    return {"pictures": pictures}
+    return {"pictures": images}

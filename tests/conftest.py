@@ -62,8 +62,8 @@ def rng() -> np.random.Generator:
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """The folder of real data sets: `$EPIPOLE_DATA`, or `../shared/data` beside the repository."""
-    asked = os.environ.get("EPIPOLE_DATA")
-    folder = Path(asked) if asked else Path(__file__).resolve().parents[2] / "shared" / "data"
+    requested = os.environ.get("EPIPOLE_DATA")
+    folder = Path(requested) if requested else Path(__file__).resolve().parents[2] / "shared" / "data"
     if not folder.is_dir():
         pytest.skip(f"real data not found at {folder}; set EPIPOLE_DATA to the folder that holds them")
     return folder

@@ -67,9 +67,9 @@ def least_two(sums, at_sums, more, at_more, blocks):
     row, added = sums[at_sums : at_sums + count], more[at_more : at_more + count]
     first, other = int(row.argmin()), int(added.argmin())
     row += added
-    place = int(row.argmin())
-    far = np.abs(np.arange(count) - place) > 1
-    return place, int(row[place]), int(row[far].min()), first, other
+    position = int(row.argmin())
+    far = np.abs(np.arange(count) - position) > 1
+    return position, int(row[position]), int(row[far].min()), first, other
 
 
 def keep_lower(sums, at_sums, best, winners, at_best, blocks):

@@ -23,8 +23,8 @@ def take(*paths: str | Path, size: int = 1) -> Any:
 
 
 @checked
-def use(held: Held, table: Mapping[str, Float64[np.ndarray, " 2"]]) -> Any:
-    return held, table
+def use(fixed: Held, table: Mapping[str, Float64[np.ndarray, " 2"]]) -> Any:
+    return fixed, table
 
 
 @pytest.mark.parametrize("path", [3, None, b"a", "", "\0", "a" * 256, "a/" * 3000, ["a"], "\ud800"])
@@ -40,9 +40,9 @@ def test_named_tuples_and_mappings_are_looked_into():
     given = Held(np.ones(3), "a"), {"b": np.ones(2)}
     assert use(*given)[0] is given[0] and use(*given)[1] is given[1]
     assert use(Held([1, 2], "a"), {"b": [1, 2]})[1]["b"].dtype == np.float64
-    for held in (Held(np.ones((2, 2)), "a"), Held(np.ones(2), 5), Held(None, "a"), (np.ones(2), "a")):
-        with pytest.raises((ShapeError, ConfigError), match="held"):
-            use(held, {})
+    for fixed in (Held(np.ones((2, 2)), "a"), Held(np.ones(2), 5), Held(None, "a"), (np.ones(2), "a")):
+        with pytest.raises((ShapeError, ConfigError), match="fixed"):
+            use(fixed, {})
     for table in ({"b": np.ones(3)}, {5: np.ones(2)}, [("b", np.ones(2))]):
         with pytest.raises((ShapeError, ConfigError), match="table"):
             use(given[0], table)

@@ -59,14 +59,14 @@ def test_kernels_are_compiled_at_the_first_call_only() -> None:
 def test_time_spent_compiling_is_counted_once() -> None:
     """A callee that is compiled inside its caller is part of the caller's time."""
     clock = _jit._CompileClock()
-    begin = time.perf_counter()
+    start = time.perf_counter()
     clock.on_start(None)
     clock.on_start(None)
     time.sleep(0.02)
     clock.on_end(None)
     assert clock.seconds == 0.0
     clock.on_end(None)
-    assert 0.02 <= clock.seconds <= time.perf_counter() - begin
+    assert 0.02 <= clock.seconds <= time.perf_counter() - start
 
 
 def test_nan_and_infinity_are_seen() -> None:
@@ -186,9 +186,9 @@ def test_code_from_a_folder_that_others_may_write_to_is_not_run(tmp_path: Path) 
     shared.chmod(0o777)
     code = "from epipole._jit import cache_folder; print(cache_folder())"
     env = {**os.environ, "EPIPOLE_CACHE_DIR": str(shared / "cache")}
-    told = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
-    assert f"anyone may write to {shared}" in told.stderr
-    found = Path(told.stdout.strip())
+    given = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
+    assert f"anyone may write to {shared}" in given.stderr
+    found = Path(given.stdout.strip())
     assert not found.is_relative_to(shared) and found.stat().st_mode & 0o077 == 0
 
 

@@ -79,11 +79,11 @@ def chosen() -> KernelMode:
     return kernel_mode.__wrapped__()
 
 
-@pytest.mark.parametrize("asked", ["linked", "plain"])
-def test_the_mode_is_what_is_asked_for(fresh: pytest.MonkeyPatch, asked: str) -> None:
-    fresh.setenv(VARIABLE, asked)
+@pytest.mark.parametrize("requested", ["linked", "plain"])
+def test_the_mode_is_what_is_asked_for(fresh: pytest.MonkeyPatch, requested: str) -> None:
+    fresh.setenv(VARIABLE, requested)
     fresh.setattr(mode.numba, "__version__", "9.9.9")
-    assert chosen() == asked
+    assert chosen() == requested
 
 
 def test_a_mode_that_is_none_is_an_error(fresh: pytest.MonkeyPatch) -> None:

@@ -30,9 +30,9 @@ class Broken:
 
 def test_equal_is_equal(rng):
     values, out = rng.normal(size=5), np.zeros(5)
-    count, (_, halves) = assert_same_as_python(halve_all, values, out)
+    count, (_, split) = assert_same_as_python(halve_all, values, out)
     assert count == 5 and not out.any()
-    np.testing.assert_array_equal(halves, values / 2)
+    np.testing.assert_array_equal(split, values / 2)
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ CONFIGS = (
     *(PairingConfig, PoseGraphConfig, RansacConfig, ReconstructConfig, RenderJob, RigOptions, SlamConfig),
     *(SplatConfig, StereoConfig),
 )
-MAY_BE_NEGATIVE = {"min_disparity_px", "max_disparity_px", "turn_deg", "principal_offset_px"}
+MAY_BE_NEGATIVE = {"min_disparity_px", "max_disparity_px", "rotation_deg", "principal_offset_px"}
 MAY_BE_INFINITE = {
     "max_error_px",
     "max_distance",

@@ -115,11 +115,11 @@ def test_an_error_reaches_the_caller_and_the_pool_lives_on(threads: int) -> None
 
 def test_after_an_error_nothing_is_begun_and_nothing_still_runs() -> None:
     set_num_threads(2)
-    running, begun = [0], []
+    running, started = [0], []
 
     def work(i: int) -> None:
         running[0] += 1
-        begun.append(i)
+        started.append(i)
         try:
             if i == 0:
                 raise KeyError("item 0")
@@ -130,12 +130,12 @@ def test_after_an_error_nothing_is_begun_and_nothing_still_runs() -> None:
     with pytest.raises(KeyError, match="item 0"):
         map_items(work, 100)
     assert running[0] == 0
-    assert len(begun) < 50
+    assert len(started) < 50
 
 
 def test_the_number_of_threads_is_taken_from_the_surroundings(monkeypatch: pytest.MonkeyPatch) -> None:
-    for asked, expected in (("3", 3), ("0", 1), ("many", available_cpus()), ("", available_cpus())):
-        monkeypatch.setenv("EPIPOLE_NUM_THREADS", asked)
+    for requested, expected in (("3", 3), ("0", 1), ("many", available_cpus()), ("", available_cpus())):
+        monkeypatch.setenv("EPIPOLE_NUM_THREADS", requested)
         assert num_threads() == expected
     set_num_threads(2)
     assert num_threads() == 2

@@ -152,9 +152,9 @@ def test_lines_are_written_at_once_and_bars_only_on_a_terminal():
     environment = {**os.environ, "TERM": "xterm", "COLUMNS": "100"}
     subprocess.run([sys.executable, "-c", SPEAK], stderr=theirs, env=environment, check=True, timeout=60)
     os.close(theirs)
-    drawn = os.read(ours, 100_000).decode()
+    rendered = os.read(ours, 100_000).decode()
     os.close(ours)
-    assert "━" in drawn and "3/3" in drawn and "begins" not in drawn
+    assert "━" in rendered and "3/3" in rendered and "begins" not in rendered
 
 
 @pytest.mark.parametrize("loudness", ["quiet", "normal"])

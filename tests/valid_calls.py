@@ -88,7 +88,7 @@ Row = tuple[str, Callable[..., Any], dict[str, Any]]
 def _all_calls() -> Iterator[Row]:
     for rows in (
         *(_geometry, _motions, _cameras, _solvers, _estimators, _triangulation, _bundles, _pose_graphs),
-        *(_features, _pictures, _columns, _mapping, _inertial, _disparities, _synthetic, _metrics, _options),
+        *(_features, _images, _columns, _mapping, _inertial, _disparities, _synthetic, _metrics, _options),
         *(valid_fields.calls, valid_files.calls, valid_jobs.calls),
     ):
         yield from rows()
@@ -170,8 +170,8 @@ def _geometry() -> Iterator[Row]:
 def _motions() -> Iterator[Row]:
     points = _some(4, 3)
     flat, similar = Rigid2.exp(_some(4, 3)), Similarity3.exp(0.1 * _some(4, 7))
-    turn = Rotation3(PLACES.rotation)
-    yield _row(Rotation3, matrix=turn.matrix)
+    rotation = Rotation3(PLACES.rotation)
+    yield _row(Rotation3, matrix=rotation.matrix)
     yield _row(Rigid3, rotation=PLACES.rotation, translation=PLACES.translation)
     yield _row(Rigid2, angle_rad=_some(4), translation=_some(4, 2))
     yield _row(Similarity3, scale=np.ones(4), rotation=PLACES.rotation, translation=points)
@@ -186,7 +186,7 @@ def _motions() -> Iterator[Row]:
     yield _row(Rigid2.from_rigid3, motion=PLACES)
     yield _row(Similarity3.exp, xi=_some(4, 7))
     yield _row(similar.move_cam_from_source, cam_from_source=PLACES)
-    for motion, given in ((turn, points), (PLACES, points), (flat, points[:, :2]), (similar, points)):
+    for motion, given in ((rotation, points), (PLACES, points), (flat, points[:, :2]), (similar, points)):
         yield _row(motion.apply, points=given)
         yield _row(motion.__matmul__, other=motion)
 
@@ -202,8 +202,8 @@ def _cameras() -> Iterator[Row]:
     yield _row(LENS.unproject_with_jacobian, pixels=_some(5, 2))
     yield _row(LENS.scaled_to, width=32, height=24)
     yield _row(project_visible, camera=LENS, rays_in_cam=_some(5, 3) + IN_FRONT)
-    yield _row(image_fit.turned_camera, camera=LENS, orientation=6)
-    yield _row(image_fit.turned_pixels, pixels=_some(5, 2), size=(64, 48), orientation=6)
+    yield _row(image_fit.rotated_camera, camera=LENS, orientation=6)
+    yield _row(image_fit.rotated_pixels, pixels=_some(5, 2), size=(64, 48), orientation=6)
     yield _row(image_fit.fitted_camera, camera=LENS, width=32, height=24)
     yield _row(cameras.camera_model_named, name="opencv")
     yield _row(cameras.as_camera_model, given="OPENCV")
@@ -283,10 +283,12 @@ def _estimators() -> Iterator[Row]:
 
 
 def _triangulation() -> Iterator[Row]:
-    points, lens = _some(6, 3) + IN_FRONT, LENS
+    points, camera = _some(6, 3) + IN_FRONT, LENS
     for n in (2, 4):
-        pixels = np.stack([lens.project(place.apply(points)) for place in (PLACES[k] for k in range(n))])
-        views = {"cams_from_world": PLACES[:n], "cameras": [lens] * n}
+        pixels = np.stack(
+            [camera.project(position.apply(points)) for position in (PLACES[k] for k in range(n))]
+        )
+        views = {"cams_from_world": PLACES[:n], "cameras": [camera] * n}
         name, function, arguments = _row(
             robust.triangulate_points, **views, pixels=pixels, max_error_px=4.0, min_angle_rad=0.01
         )
@@ -393,9 +395,9 @@ def _features() -> Iterator[Row]:
     fields = {name: getattr(one, name) for name in one.__slots__}
     words = _some(8, 128).astype(np.float32)
     yield _row(features.Features, **fields)
-    yield _row(features.detect_features, grey=_picture(), config=FeatureConfig(max_features=50))
+    yield _row(features.detect_features, grey=_image(), config=FeatureConfig(max_features=50))
     orb = FeatureConfig(kind="orb", max_features=50)
-    yield "detect_features orb", features.detect_features, {"grey": _picture(), "config": orb}
+    yield "detect_features orb", features.detect_features, {"grey": _image(), "config": orb}
     both = {"descriptors1": one.descriptors, "descriptors2": two.descriptors}
     yield _row(features.match_descriptors, **both, config=MatchConfig())
     bits = {"descriptors1": one.descriptors[:, :32].copy(), "descriptors2": two.descriptors[:, :32].copy()}
@@ -407,21 +409,21 @@ def _features() -> Iterator[Row]:
     lists = [one.descriptors, two.descriptors]
     yield _row(features.train_vocabulary, descriptors=lists, num_words=4, seed=1, rounds=2)
     at = {"pixels": np.array([[30.0, 20.0], [32.0, 24.0]]), "guess": np.array([[30.5, 20.0], [31.0, 24.0]])}
-    pictures = {"first": _picture(), "second": _picture()}
-    yield _row(features.follow_points, **pictures, **at, config=features.FlowConfig(levels=2), and_back=True)
-    yield _row(features.align_patches, **pictures, **at, warps=np.tile(np.eye(2), (2, 1, 1)), half_px=4)
-    yield _row(features.find_patches, **pictures, **at, warps=np.tile(np.eye(2), (2, 1, 1)), levels=2)
-    yield _row(features.find_along_rows, **pictures, pixels=at["pixels"], max_shift=9, half_px=3)
+    images = {"first": _image(), "second": _image()}
+    yield _row(features.track_points, **images, **at, config=features.FlowConfig(levels=2), and_back=True)
+    yield _row(features.align_patches, **images, **at, warps=np.tile(np.eye(2), (2, 1, 1)), half_px=4)
+    yield _row(features.find_patches, **images, **at, warps=np.tile(np.eye(2), (2, 1, 1)), levels=2)
+    yield _row(features.find_along_rows, **images, pixels=at["pixels"], max_shift=9, half_px=3)
     yield _row(features.root_sift, descriptors=np.abs(words))
-    yield _row(features.describe_upright, grey=_picture(), pixels=at["pixels"], sigma_px=3.0)
+    yield _row(features.describe_upright, grey=_image(), pixels=at["pixels"], sigma_px=3.0)
 
 
 def _imu_log() -> inertial.ImuLog:
     times = np.arange(0.0, 4.0, 0.01)
-    pull = -4.0 * np.sin(2.0 * (times - 0.2))[:, None] * np.array([1.0, 0.5, 0.2]) + np.array(
+    gradient = -4.0 * np.sin(2.0 * (times - 0.2))[:, None] * np.array([1.0, 0.5, 0.2]) + np.array(
         [0.0, 0.0, 9.81]
     )
-    return inertial.ImuLog(times, np.zeros((len(times), 3)), pull)
+    return inertial.ImuLog(times, np.zeros((len(times), 3)), gradient)
 
 
 def _inertial() -> Iterator[Row]:
@@ -432,10 +434,10 @@ def _inertial() -> Iterator[Row]:
     yield _row(inertial.ImuNoise, gyro_density=1e-3)
     bias = {"gyro_bias": np.zeros(3), "accel_bias": np.zeros(3), "noise": inertial.ImuNoise()}
     yield _row(inertial.preintegrate, log=log, instants_s=instants, **bias)
-    way = np.sin(2.0 * (instants - 0.2))[:, None] * np.array([1.0, 0.5, 0.2])
-    path = geometry.Rigid3(np.tile(np.eye(3), (12, 1, 1)), way)
+    trajectory = np.sin(2.0 * (instants - 0.2))[:, None] * np.array([1.0, 0.5, 0.2])
+    path = geometry.Rigid3(np.tile(np.eye(3), (12, 1, 1)), trajectory)
     given = {"world_from_camera": path, "log": log, "camera_from_imu": geometry.Rigid3.identity()}
-    options = {"noise": inertial.ImuNoise(), "place_sigma": 0.01, "turn_sigma_rad": 0.01}
+    options = {"noise": inertial.ImuNoise(), "position_sigma": 0.01, "rotation_sigma_rad": 0.01}
     yield _row(inertial.align_path_to_imu, timestamp_s=instants, **given, **options)
     unit = inertial.MountedImu(log, geometry.Rigid3.identity())
     yield _row(inertial.MountedImu, log=log, camera_from_imu=geometry.Rigid3.identity(), noise=unit.noise)
@@ -444,17 +446,17 @@ def _inertial() -> Iterator[Row]:
     yield _row(inertial.imu_factors, **known, aligned=aligned, weight=0.5)
 
 
-def _picture(*channels: int) -> np.ndarray:
+def _image(*channels: int) -> np.ndarray:
     return np.random.default_rng(5).integers(0, 255, (48, 64, *channels), np.uint8)
 
 
-def _pictures() -> Iterator[Row]:
-    yield _row(image.census, image=_picture().astype(np.uint16), window=(5, 5))
+def _images() -> Iterator[Row]:
+    yield _row(image.census, image=_image().astype(np.uint16), window=(5, 5))
     yield _row(image.color_range, values=_some(5, 4))
     yield _row(image.color_map, values=_some(5, 4))
-    yield _row(image.downscaled, image=_picture(3), max_side_px=20)
+    yield _row(image.downscaled, image=_image(3), max_side_px=20)
     yield _row(image.undistorted_camera, camera=LENS)
-    yield _row(image.undistort_image, rgb=_picture(3), camera=LENS, pinhole=PINHOLE)
+    yield _row(image.undistort_image, rgb=_image(3), camera=LENS, pinhole=PINHOLE)
 
 
 def _columns() -> Iterator[Row]:
@@ -488,7 +490,7 @@ def _columns() -> Iterator[Row]:
     right = Rigid3(np.eye(3), np.array([-0.1, 0.0, 0.0]))
     yield _row(scene.StereoRig, left=LENS, right=LENS, right_from_left=right, covariance=np.eye(30))
     rig = scene.StereoRig(LENS, LENS, right)
-    yield _row(rig.check_pictures, left=_picture(), right=_picture())
+    yield _row(rig.check_image_sizes, left=_image(), right=_image())
     yield _row(rig.perturbed, change=1e-3 * _some(30))
     graph = _view_graph()
     yield _row(scene.ViewGraph, **{name: getattr(graph, name) for name in graph.__slots__})
@@ -529,9 +531,9 @@ def _builder() -> mapping.ModelBuilder:
     lists = [model.images.keypoints_of(i) for i in range(len(model.images))]
     components = mapping.connect_matches(_view_graph(), model.images.keypoint_offsets)
     builder = mapping.ModelBuilder(model.cameras, model.camera_of_image, lists, components)
-    places = model.cams_from_world()
+    positions = model.cams_from_world()
     for i in range(len(lists)):
-        builder.register(i, places[i])
+        builder.register(i, positions[i])
     builder.triangulate(np.arange(len(components)), 100.0, 0.001)
     return builder
 
@@ -546,10 +548,10 @@ def _anchors(model: scene.Reconstruction) -> Iterator[Row]:
         pixels=pixels, sigma_px=0.5, cam_covariance=np.zeros((2, 6, 6)),
     )  # fmt: skip
     times = np.arange(12.0)
-    way = np.stack([times, 0 * times, 0 * times], axis=1)
+    trajectory = np.stack([times, 0 * times, 0 * times], axis=1)
     yield _row(
-        scale.fit_scale_to_distances, timestamp_s=times, places_in_model=way, log_s=times, travelled_m=2 * times,
-        places_by_odometry=None, sigma=0.01, levers_m=0.1 * way,
+        scale.fit_scale_to_distances, timestamp_s=times, positions_in_model=trajectory, log_s=times, travelled_m=2 * times,
+        positions_by_odometry=None, sigma=0.01, levers_m=0.1 * trajectory,
     )  # fmt: skip
     instants = np.arange(12) * 0.25 + 0.2
     swing = np.sin(2.0 * (instants - 0.2))[:, None] * np.array([1.0, 0.5, 0.2])
@@ -571,14 +573,14 @@ def _anchors(model: scene.Reconstruction) -> Iterator[Row]:
     }
     yield _row(scale.MetricScale, **metric)
     views = scale.views_of_model(model, lambda _: None)
-    yield _row(scale.views_of_model, model=model, picture_of=lambda _: None)
+    yield _row(scale.views_of_model, model=model, image_of=lambda _: None)
     yield _row(scale.AnchorViews, **{name: getattr(views, name) for name in views.__slots__})
-    yield _row(scale.place_covariance, model=model, image=1)
+    yield _row(scale.position_covariance, model=model, image=1)
     yield _row(scale.anchor_model, views=views, options=AnchorOptions(), path=None, others=[known])
     whole = {
         "world_from_model": Similarity3.identity(),
         "scale": scale.MetricScale(**metric),
-        "places": None,
+        "positions": None,
     }
     yield _row(scale.Anchoring, **whole)
     anchoring, centers = scale.Anchoring(**whole), model.camera_centers_in_world()
@@ -624,7 +626,7 @@ def _mapping() -> Iterator[Row]:
     yield _row(mapping.adjust_around, model=builder, **around)
     consistency = mapping.MatchConsistency(builder, graph)
     yield _row(mapping.MatchConsistency, model=builder, view_graph=graph)
-    yield _row(consistency.shares, model=builder)
+    yield _row(consistency.fractions, model=builder)
     yield _row(consistency.overall, model=builder)
     yield _row(consistency.num_explained, model=builder)
     yield _row(consistency.of_image, model=builder, image=1)
@@ -650,7 +652,7 @@ def _mapping() -> Iterator[Row]:
 
 
 def _disparities() -> Iterator[Row]:
-    left, options = _picture(), config.DisparityConfig(max_disparity_px=10)
+    left, options = _image(), config.DisparityConfig(max_disparity_px=10)
     right = np.roll(left, -3, axis=1)
     yield _row(search.match_stereo, left=left, right=right, config=options)
     yield _row(search.match_with_evidence, left=left, right=right, config=options)
@@ -687,13 +689,13 @@ def _synthetic() -> Iterator[Row]:
     yield _row(synthetic.courtyard)
     yield _row(synthetic.courtyard_views, num_views=3)
     yield _row(synthetic.SyntheticScene, **{name: getattr(yard, name) for name in yard.__slots__})
-    place = synthetic.look_at((0, 0, 0), (0, 5, 0))
-    yield _row(synthetic.render, scene=yard, camera=PINHOLE, cam_from_world=place, noise_sigma=1.0, seed=1)
-    places = Rigid3(place.rotation[None, None], place.translation[None, None])
-    yield _row(synthetic.render_exposures, scene=yard, camera=PINHOLE, cam_from_world=places, gain=0.9)
+    position = synthetic.look_at((0, 0, 0), (0, 5, 0))
+    yield _row(synthetic.render, scene=yard, camera=PINHOLE, cam_from_world=position, noise_sigma=1.0, seed=1)
+    positions = Rigid3(position.rotation[None, None], position.translation[None, None])
+    yield _row(synthetic.render_exposures, scene=yard, camera=PINHOLE, cam_from_world=positions, gain=0.9)
     for make in (
         rides.loop_room,
-        rides.turn_on_the_spot,
+        rides.rotate_only,
         rides.corridor,
         rides.tiled_room,
         rides.walking_box,
@@ -726,7 +728,7 @@ def _synthetic() -> Iterator[Row]:
     two_views = {"num_matches": 20, "outlier_ratio": 0.2, "noise_px": 0.5, "seed": 1}
     more = {"focal_px": 800.0, "size": (640, 480)}
     yield _row(problems.two_view_problem, **two_views, kind="planar", **more)
-    yield _row(problems.dominant_plane_problem, **two_views, plane_share=0.5)
+    yield _row(problems.dominant_plane_problem, **two_views, plane_fraction=0.5)
     seen = {"num_points": 20, "outlier_ratio": 0.2, "noise_px": 0.5, "seed": 1}
     yield _row(problems.absolute_pose_problem, **seen, planar=True, **more)
     counts = {"num_cameras": 4, "num_points": 10, "track_length": 2, "noise_px": 0.5, "seed": 1}
@@ -736,8 +738,8 @@ def _synthetic() -> Iterator[Row]:
 
 
 def _rendered(kind: type, /, **fields: Any) -> Any:
-    place = synthetic.look_at((0, 0, 0), (0, 5, 0))
-    return synthetic.render(synthetic.SyntheticScene.of([kind(**fields)]), PINHOLE, place)
+    position = synthetic.look_at((0, 0, 0), (0, 5, 0))
+    return synthetic.render(synthetic.SyntheticScene.of([kind(**fields)]), PINHOLE, position)
 
 
 def _metrics() -> Iterator[Row]:

@@ -43,12 +43,12 @@ def views() -> tuple[TrainingView, ...]:
     """Small images of them, from all around."""
     out = []
     for n in range(4):
-        place = look_at(2.6 * np.array([np.cos(1.6 * n), np.sin(1.6 * n), 0.3 * n - 0.4]), (0, 0, 0))
-        drawn = rasterizer.render(cloud(), LENS, place)
-        rgba = np.concatenate([np.clip(drawn.colour, 0, 1), drawn.coverage[..., None]], axis=2)
+        position = look_at(2.6 * np.array([np.cos(1.6 * n), np.sin(1.6 * n), 0.3 * n - 0.4]), (0, 0, 0))
+        rendered = rasterizer.render(cloud(), LENS, position)
+        rgba = np.concatenate([np.clip(rendered.colour, 0, 1), rendered.coverage[..., None]], axis=2)
         points = cloud().means_in_world.astype(np.float64)
-        picture = np.rint(255 * rgba).astype(np.uint8)
-        out.append(TrainingView(f"{n}.png", picture, LENS, place, np.ones((24, 32), bool), points))
+        image = np.rint(255 * rgba).astype(np.uint8)
+        out.append(TrainingView(f"{n}.png", image, LENS, position, np.ones((24, 32), bool), points))
     return tuple(out)
 
 
@@ -84,13 +84,13 @@ def calls() -> Iterator[Row]:
 
 def _images() -> Iterator[Row]:
     rng = np.random.default_rng(1)
-    both = {"picture": rng.uniform(size=(9, 8, 3)).astype(np.float32)}
+    both = {"image": rng.uniform(size=(9, 8, 3)).astype(np.float32)}
     both["truth"] = rng.uniform(size=(9, 8, 3)).astype(np.float32)
     view = views()[0]
     pose = {"camera": LENS, "cam_from_world": view.cam_from_world}
     yield _row(exposure.colour_match, **both)
     yield _row(photometric.psnr, **both)
-    yield _row(photometric.likeness, **both, ssim_weight=0.3)
+    yield _row(photometric.photometric_loss, **both, ssim_weight=0.3)
     yield _row(normals.normals_of, depth=np.ones((24, 32)), camera=LENS)
     yield _row(rasterizer.render, cloud=cloud(), **pose, options=rasterizer.RenderOptions())
     yield _row(rasterizer.RenderOptions, antialiased=True)
@@ -103,14 +103,14 @@ def _images() -> Iterator[Row]:
     yield _row(point_depths.point_depths, view=view)
     yield _row(exposure.Exposures, num_views=3)
     yield "Exposures.applied", lambda **given: exposure.Exposures(3).applied(**given), {
-        "view": 1, "drawn": rendering(), "background": BLACK,
+        "view": 1, "rendered": rendering(), "background": BLACK,
     }  # fmt: skip
     yield "Exposures.learn", lambda **given: exposure.Exposures(3).learn(**given), {
-        "view": 1, "drawn": rendering(), "background": BLACK, "by_applied": np.ones((24, 32, 3), np.float32), "progress": 0.5,
+        "view": 1, "rendered": rendering(), "background": BLACK, "by_applied": np.ones((24, 32, 3), np.float32), "progress": 0.5,
     }  # fmt: skip
-    yield _row(voxel_field.draw_voxels, voxels=voxels(), **pose, background=BLACK)
+    yield _row(voxel_field.render_voxels, voxels=voxels(), **pose, background=BLACK)
     yield _row(voxel_field.gaussians_of, voxels=voxels(), most=50)
-    yield _row(hash_field.draw_hash, field=neural(), **pose, background=BLACK)
+    yield _row(hash_field.render_hash, field=neural(), **pose, background=BLACK)
     yield _row(hash_field.voxels_of, field=neural(), finer=1)
 
 
@@ -120,11 +120,11 @@ def _starts() -> Iterator[Row]:
     yield _row(starting.cloud_of_points, points_in_world=points, rgb=np.full((9, 3), 99, np.uint8))
     yield _row(starting.points_in_frusta, **given, count=20, seed=1)
     yield _row(starting.points_in_silhouettes, **given, count=20, seed=1)
-    yield _row(starting.share_in_view, **given, points_in_world=points)
+    yield _row(starting.fraction_in_view, **given, points_in_world=points)
     yield _row(starting.silhouettes_of, **given)
     silhouettes = starting.silhouettes_of(views())
     yield _row(starting.may_be_full, silhouettes=silhouettes, centers_in_world=points, radius=0.1)
-    yield _row(starting.look_the_same_way, **given)
+    yield _row(starting.have_one_direction, **given)
     yield _row(starting.common_ball, **given)
     yield _row(starting.first_cells, **given, side=16)
     yield _row(rays.rays_of, **given)
@@ -139,7 +139,7 @@ def _trainers() -> Iterator[Row]:
         made = trainer(views(), background=BLACK, **more)
         if trainer is SplatTrainer:  # the others take half a second
             yield _row(trainer, views=list(views()), background=BLACK, **more)
-        yield _row(made.draw, view=views()[0])
+        yield _row(made.render, view=views()[0])
         yield _row(made.step, progress=0.1)
 
 

@@ -105,9 +105,9 @@ def _models() -> Iterator[Row]:
         ("transforms.json", io.write_transforms, {"image_folder": "images", "origin_in_world": np.ones(3)}),
         ("bundler.out", io.write_bundler, {"image_folder": "images"}),
     ):
-        place = "folder" if write is io.write_colmap_model else "path"
-        write(**{"reconstruction": model, place: at / name})
-        yield _row(write, **{"reconstruction": model, place: at / name}, **more)
+        position = "folder" if write is io.write_colmap_model else "path"
+        write(**{"reconstruction": model, position: at / name})
+        yield _row(write, **{"reconstruction": model, position: at / name}, **more)
     yield _row(io.read_colmap_model, folder=at / "colmap")
     yield _row(io.read_model, source=at / "colmap")
     yield _row(io.read_transforms, path=at / "transforms.json", image_folder="images")
@@ -152,7 +152,8 @@ def _tables() -> Iterator[Row]:
         anchor_files.read_lengths, path=_text("lengths.txt", "L 1.5 a one.jpg 1 2\nL 1.5 b one.jpg 3 4\n")
     )
     yield _row(
-        anchor_files.read_places, path=_text("places.txt", "one.jpg 1 2 3\ntwo.jpg 4 5 6\nd.jpg 7 8 9\n")
+        anchor_files.read_anchor_positions,
+        path=_text("places.txt", "one.jpg 1 2 3\ntwo.jpg 4 5 6\nd.jpg 7 8 9\n"),
     )
     yield _row(anchor_files.read_odometry, path=_text("odometry.txt", "0.5 1\n0.6 1.5\n0.7 2.25\n"))
     imu = "#t [ns],wx,wy,wz,ax,ay,az\n1400000000000000000,0.1,0,0,9.8,0,0\n1400000000005000000,0,0,1,9,0,1\n"
@@ -248,7 +249,7 @@ def _images() -> Iterator[Row]:
     yield _row(stereo_folders.pair_within, folder=at)
     yield _row(io.read_sequence, folder=at / "left", fps=10.0)
     video_files.write_video(at / "a.mp4", [rgb] * 3, 10.0)
-    yield _row(video_files.write_video, path=at / "b.mp4", pictures=[rgb] * 3, fps=10.0)
+    yield _row(video_files.write_video, path=at / "b.mp4", images=[rgb] * 3, fps=10.0)
     yield _row(video.is_video, path=at / "a.mp4")
     yield _row(video.frame_size, path=at / "a.mp4")
     yield _row(video.extract_frames, video=at / "a.mp4", folder=at / "extracted", max_frames=2, every_s=0.1)
@@ -278,8 +279,8 @@ def _gaussians() -> Iterator[Row]:
     yield _row(sog.read_sog, path=at / "a.sog")
     voxel_files.write_grid(at / "grid.npz", grid())
     hash_files.write_hash(at / "hash.npz", neural())
-    for kind, held in ((voxel_files.GridContents, grid()), (hash_files.HashContents, neural())):
-        yield _row(kind, **{name: getattr(held, name) for name in held.__dataclass_fields__})
+    for kind, fixed in ((voxel_files.GridContents, grid()), (hash_files.HashContents, neural())):
+        yield _row(kind, **{name: getattr(fixed, name) for name in fixed.__dataclass_fields__})
     yield _row(voxel_files.write_grid, path=at / "other.npz", grid=grid())
     yield _row(voxel_files.read_grid, path=at / "grid.npz")
     yield _row(hash_files.write_hash, path=at / "other.npz", field=neural())

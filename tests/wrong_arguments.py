@@ -149,9 +149,9 @@ def other_forms(valid: np.ndarray) -> list[np.ndarray]:
 def _sequences(valid: list[Any] | tuple[Any, ...], random: Random) -> list[Any]:
     kind: Callable[[Any], Any] = type(valid)
     out = [kind(), kind([*valid, *valid]), kind(valid[:-1]), set(), iter(valid), kind([None] * len(valid))]
-    for place in range(len(valid)):
-        for bad in random.sample(wrong_values(valid[place], random), 6):
-            out.append(kind([*valid[:place], bad, *valid[place + 1 :]]))
+    for position in range(len(valid)):
+        for bad in random.sample(wrong_values(valid[position], random), 6):
+            out.append(kind([*valid[:position], bad, *valid[position + 1 :]]))
     return out
 
 

@@ -435,10 +435,10 @@ class Gtsam(BundlePeer):
             else:
                 graph.add(gtsam.PriorFactorPose3(key, values.atPose3(key), noise(precisions[f, :6])))
         if not own and task.num_distortion == 1:
-            held = noise(np.array([0.0, 0.0, self._HELD_PRECISION]))
+            fixed = noise(np.array([0.0, 0.0, self._HELD_PRECISION]))
             for c in range(len(task.params)):
                 key = gtsam.symbol("k", c)
-                graph.add(gtsam.PriorFactorCal3Bundler(key, values.atCal3Bundler(key), held))
+                graph.add(gtsam.PriorFactorCal3Bundler(key, values.atCal3Bundler(key), fixed))
 
 
 def _own_cameras(task: BundleTask) -> bool:

@@ -50,16 +50,16 @@ def main() -> None:
     states: Counter[str] = Counter()
     reasons: Counter[str] = Counter()
     for frame in frames_of(frames, sensor, len(frames)):
-        begin = time.perf_counter()
+        start = time.perf_counter()
         found = slam.track(frame)
-        ms.append(1e3 * (time.perf_counter() - begin))
+        ms.append(1e3 * (time.perf_counter() - start))
         causal.append(None if found.world_from_body is None else found.world_from_body.as_matrix())
         states[found.state.value] += 1
         if found.world_from_body is None:
             reasons["".join("#" if c.isdigit() else c for c in found.reason)] += 1
-    begin = time.perf_counter()
+    start = time.perf_counter()
     slam.finish()
-    finish_s = time.perf_counter() - begin
+    finish_s = time.perf_counter() - start
     path = slam.trajectory()
     readout = None if camera.readout_s else find_readout(slam.odometry.mapper, path)
     if len(path):
@@ -82,17 +82,17 @@ def camera_of(frames: SlamFrames, sensor: str):
 
     about = frames.about
     size = (about["width"], about["height"])
-    lens = Camera(CameraModel.PINHOLE, *size, np.array(about["params"]))
+    camera = Camera(CameraModel.PINHOLE, *size, np.array(about["params"]))
     readout_s = about.get("readout_s", 0.0)
     if sensor == "stereo":
-        return SlamCamera(lens, about["baseline_m"], readout_s=readout_s)
+        return SlamCamera(camera, about["baseline_m"], readout_s=readout_s)
     if sensor == "mono":
-        return SlamCamera(lens, readout_s=readout_s)
-    told, depth = about.get("depth_sensor"), DepthCamera(lens, Rigid3.identity())
-    if told is not None:
-        place = Rigid3.from_matrix(np.array(told["depth_from_color"]))
-        depth = DepthCamera(Camera(CameraModel.PINHOLE, *size, np.array(told["params"])), place)
-    return SlamCamera(lens, None, depth, readout_s)
+        return SlamCamera(camera, readout_s=readout_s)
+    given, depth = about.get("depth_sensor"), DepthCamera(camera, Rigid3.identity())
+    if given is not None:
+        position = Rigid3.from_matrix(np.array(given["depth_from_color"]))
+        depth = DepthCamera(Camera(CameraModel.PINHOLE, *size, np.array(given["params"])), position)
+    return SlamCamera(camera, None, depth, readout_s)
 
 
 def frames_of(frames: SlamFrames, sensor: str, count: int) -> Iterator:

@@ -63,7 +63,7 @@ class Epipole(EstimationPeer):
             )
 
         def camera(p: EstimationProblem) -> Camera:
-            return Camera(CameraModel[p.lens], *p.size, np.array(p.params))
+            return Camera(CameraModel[p.camera], *p.size, np.array(p.params))
 
         def relative(p: EstimationProblem, limits: EstimationLimits) -> Model:
             c = camera(p)
@@ -146,7 +146,7 @@ class Poselib(EstimationPeer):
             }
 
         def camera(p: EstimationProblem) -> dict[str, Any]:
-            return {"model": p.lens, "width": p.size[0], "height": p.size[1], "params": p.params}
+            return {"model": p.camera, "width": p.size[0], "height": p.size[1], "params": p.params}
 
         def relative(p: EstimationProblem, limits: EstimationLimits) -> Model:
             found, _ = poselib.estimate_relative_pose(
@@ -242,7 +242,7 @@ class Pycolmap(EstimationPeer):
             return out
 
         def camera(p: EstimationProblem) -> Any:
-            return pycolmap.Camera(model=p.lens, width=p.size[0], height=p.size[1], params=p.params)
+            return pycolmap.Camera(model=p.camera, width=p.size[0], height=p.size[1], params=p.params)
 
         def relative(p: EstimationProblem, limits: EstimationLimits) -> Model:
             found = pycolmap.estimate_essential_matrix(

@@ -30,12 +30,12 @@ class Pyorbslam3Slam:
         """The installed version; None where it, or the vocabulary, is not there."""
         ask = "from importlib import metadata; import pyorbslam3; print(metadata.version('pyorbslam3'))"
         try:
-            asked = subprocess.run(
+            requested = subprocess.run(
                 [str(self._python), "-c", ask], capture_output=True, text=True, check=False
             )
         except OSError:
             return None
-        return asked.stdout.strip() if asked.returncode == 0 and self._vocabulary.is_file() else None
+        return requested.stdout.strip() if requested.returncode == 0 and self._vocabulary.is_file() else None
 
     def command(self, frames: Path, sensor: str, out: Path) -> list[str]:
         """The command line of one run."""
@@ -62,21 +62,21 @@ def main() -> None:
         right = None if frames.right is None else np.array(frames.right[n])
         depth = None if frames.depth is None else frames.depth[n].astype(np.float32)
         metronome.wait_for(n)
-        begin = time.perf_counter()
+        start = time.perf_counter()
         if sensor == "mono":
             found = slam.track_monocular(left, stamp)
         elif sensor == "stereo":
             found = slam.track_stereo(left, right, stamp)
         else:
             found = slam.track_rgbd(left, depth, stamp)
-        ms.append(1e3 * (time.perf_counter() - begin))
+        ms.append(1e3 * (time.perf_counter() - start))
         num_changes += bool(slam.map_changed())
         states[found.state.name] += 1
         # A recently lost camera's place is where the motion model puts it: a guess, not an answer.
         causal.append(np.array(found.pose_wc) if found.ok and found.pose_wc is not None else None)
-    begin = time.perf_counter()
+    start = time.perf_counter()
     slam.shutdown()
-    finish_s = time.perf_counter() - begin
+    finish_s = time.perf_counter() - start
     more = {"states": states, "finish_s": finish_s, "most_late_s": metronome.most_late_s}
     save_answers(out, ms, causal, **more, num_map_changes=num_changes)
     # After the answers are kept: without a map it never comes back. Of one camera the other form saves keyframes alone.

@@ -59,6 +59,6 @@ class Metronome:
 
 def save_answers(out: Path, ms: list[float], causal: list[np.ndarray | None], **more: Any) -> None:
     """Write what a program answered while the frames came: milliseconds, world_from_camera (n, 4, 4), and a summary."""
-    places = np.stack([np.full((4, 4), np.nan) if place is None else place for place in causal])
-    np.savez(out / "causal.npz", ms=np.array(ms), world_from_camera=places)
+    positions = np.stack([np.full((4, 4), np.nan) if position is None else position for position in causal])
+    np.savez(out / "causal.npz", ms=np.array(ms), world_from_camera=positions)
     (out / "summary.json").write_text(json.dumps(more))

@@ -213,7 +213,7 @@ class _Drive(NamedTuple):
     center: np.ndarray
     along: np.ndarray
     """(f, 2), driving direction."""
-    looked_at: np.ndarray
+    first_view_of_positions: np.ndarray
     """(f, 2), a place in the middle of the view."""
     crossings: np.ndarray
     """Where streets cross any street, measured along it."""
@@ -288,8 +288,10 @@ def _drive(num_frames: int) -> _Drive:
     pitch = np.deg2rad(_PITCH_DEG)
     direction = np.c_[np.cos(pitch) * level, np.full(num_frames, np.sin(pitch))]
     center = np.c_[ground, np.full(num_frames, _CAMERA_HEIGHT_M)]
-    looked_at = ground + _LOOKED_AT_M * level
-    return _Drive(_looking_along(direction), center, along, looked_at, block * np.arange(streets))
+    first_view_of_positions = ground + _LOOKED_AT_M * level
+    return _Drive(
+        _looking_along(direction), center, along, first_view_of_positions, block * np.arange(streets)
+    )
 
 
 def _in_camera(drive: _Drive, frame: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -343,7 +345,7 @@ def _on_facades(drive: _Drive, frame: np.ndarray, random: np.random.Generator) -
 def _in_view(drive: _Drive, facades: _Facades, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Frames near each point, those that have it in view first, and how many of them have."""
     x, own = facades.points, facades.frame[:, None].astype(np.int32)
-    near, frames = cKDTree(drive.looked_at).query(x[:, :2], min(_CANDIDATES, len(drive.center)))
+    near, frames = cKDTree(drive.first_view_of_positions).query(x[:, :2], min(_CANDIDATES, len(drive.center)))
     distance = np.pad(near, ((0, 0), (1, 0)))
     frames = np.concatenate([own, frames.astype(np.int32)], axis=1)
     width = frames.shape[1]
@@ -373,12 +375,12 @@ def _track_lengths(visible: np.ndarray, quota: int, random: np.random.Generator)
 
 def _off_by_a_little(drive: _Drive, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Rotations and translations about 5 cm and 0.2 degrees from the truth."""
-    place = np.arange(len(drive.center)) * _SPACING_M
-    smooth = np.zeros((len(place), 6))
+    position = np.arange(len(drive.center)) * _SPACING_M
+    smooth = np.zeros((len(position), 6))
     for wavelength in (13.0, 29.0, 61.0):
         phase = random.uniform(0.0, 2.0 * np.pi, 6)
-        smooth += np.sin(2.0 * np.pi / wavelength * place[:, None] + phase) * np.sqrt(2.0 / 9.0)
-    noise = random.normal(size=(len(place), 6)) / np.sqrt(3.0)
+        smooth += np.sin(2.0 * np.pi / wavelength * position[:, None] + phase) * np.sqrt(2.0 / 9.0)
+    noise = random.normal(size=(len(position), 6)) / np.sqrt(3.0)
     turn = Rotation.from_rotvec(np.deg2rad(0.2) * (0.9 * smooth[:, 3:] + 0.3 * noise[:, 3:])).as_matrix()
     center = drive.center + 0.05 * smooth[:, :3] + 0.01 * noise[:, :3]
     rotation = turn @ drive.rotation

@@ -44,14 +44,14 @@ class EstimationProblem:
     """cam2_from_cam1 (up to length) or cam_from_world."""
     validation: np.ndarray | None = None
     """True matches u1 v1 u2 v2, (m, 4)."""
-    lens: Literal["PINHOLE", "OPENCV_FISHEYE"] = "PINHOLE"
+    camera: Literal["PINHOLE", "OPENCV_FISHEYE"] = "PINHOLE"
     """Of both cameras; a fisheye's coefficients are zero."""
 
     @property
     def params(self) -> list[float]:
         """Of the camera model."""
         four = [float(self.K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))]
-        return four if self.lens == "PINHOLE" else four + [0.0] * 4
+        return four if self.camera == "PINHOLE" else four + [0.0] * 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +135,7 @@ def _fisheye(half_deg: float) -> Callable[[Path, int], list[EstimationProblem]]:
             seen = np.isfinite(pixels[0]).all(axis=1) & np.isfinite(pixels[1]).all(axis=1)
             one, two = (x[seen] for x in pixels)
             out.append(
-                EstimationProblem("relative_pose", one, two, K, (1280, 1280), motion, lens="OPENCV_FISHEYE")
+                EstimationProblem("relative_pose", one, two, K, (1280, 1280), motion, camera="OPENCV_FISHEYE")
             )
         return out
 
@@ -143,14 +143,14 @@ def _fisheye(half_deg: float) -> Callable[[Path, int], list[EstimationProblem]]:
 
 
 def _dominant_plane(
-    num_matches: int, outliers: float, share: float
+    num_matches: int, outliers: float, fraction: float
 ) -> Callable[[Path, int], list[EstimationProblem]]:
     """A plane that holds most of the scene; F is scored by the exact matches off it."""
 
     def make(_data: Path, count: int) -> list[EstimationProblem]:
         out = []
         for seed in range(count):
-            p = dominant_plane_problem(num_matches, share, outliers, 1.0, seed)
+            p = dominant_plane_problem(num_matches, fraction, outliers, 1.0, seed)
             points = p.points_in_cam1[~p.plane_mask]
             exact = np.c_[p.camera1.project(points), p.camera2.project(p.cam2_from_cam1.apply(points))]
             size = (p.camera1.width, p.camera1.height)
@@ -181,8 +181,8 @@ def _clicked(kind: Literal["fundamental", "homography"]) -> Callable[[Path, int]
             clicked = scipy.io.loadmat(file.with_name(f"{name}_vpts.mat"))["validation"]["pts"][0, 0]
             validation = np.ascontiguousarray(clicked[[0, 1, 3, 4]].T)
             if kind == "fundamental" and name in MISFILED:
-                pictures = [next(file.parent.glob(f"{name}{side}.*")) for side in "AB"]
-                first, second = _own_matches(*pictures)
+                images = [next(file.parent.glob(f"{name}{side}.*")) for side in "AB"]
+                first, second = _own_matches(*images)
             else:
                 rows = np.loadtxt(file)
                 rows = rows[rows[:, -1] == 0]

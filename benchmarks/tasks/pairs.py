@@ -62,13 +62,13 @@ def rendered_pairs(count: int) -> list[KnownPair]:
         first = _above(rng) if kind == "planar" else views[seed % len(views)]
         if kind == "general":
             around = courtyard_views()
-            place = (len(around) - 2) * seed // count
-            first, second = around[place], around[place + 2]
+            position = (len(around) - 2) * seed // count
+            first, second = around[position], around[position + 2]
         elif kind == "planar":
             second = _above(rng)
         elif kind == "rotation":
-            turn = Rigid3.exp(np.concatenate([np.zeros(3), rng.uniform(-0.15, 0.15, 3)]))
-            second = turn @ first
+            rotation = Rigid3.exp(np.concatenate([np.zeros(3), rng.uniform(-0.15, 0.15, 3)]))
+            second = rotation @ first
         else:
             second = first
         one, two = (_features(scene, camera, view, 2 * seed + k) for k, view in enumerate((first, second)))

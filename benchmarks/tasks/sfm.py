@@ -29,10 +29,10 @@ class SfmTask:
     has_gps: bool = False
 
 
-def data_root(asked: Path | None = None) -> Path:
+def data_root(requested: Path | None = None) -> Path:
     """The data folder: the one asked for, `$EPIPOLE_DATA`, or ../shared/data beside the repository."""
     beside = Path(__file__).resolve().parents[3] / "shared" / "data"
-    return asked or Path(os.environ.get("EPIPOLE_DATA", beside))
+    return requested or Path(os.environ.get("EPIPOLE_DATA", beside))
 
 
 def prepare(name: str, data: Path, work: Path) -> SfmTask:
@@ -56,13 +56,13 @@ def strip_exif(jpeg: bytes) -> bytes:
     """
     if jpeg[:2] != b"\xff\xd8":
         raise ValueError("not a JPEG file")
-    kept, place = [jpeg[:2]], 2
-    while jpeg[place + 1] != 0xDA:  # start of scan: the compressed picture follows
-        marker, length = jpeg[place + 1], int.from_bytes(jpeg[place + 2 : place + 4], "big")
+    kept, position = [jpeg[:2]], 2
+    while jpeg[position + 1] != 0xDA:  # start of scan: the compressed picture follows
+        marker, length = jpeg[position + 1], int.from_bytes(jpeg[position + 2 : position + 4], "big")
         if not (0xE1 <= marker <= 0xEF and marker != 0xEE) and marker != 0xFE:
-            kept.append(jpeg[place : place + 2 + length])
-        place += 2 + length
-    return b"".join([*kept, jpeg[place:]])
+            kept.append(jpeg[position : position + 2 + length])
+        position += 2 + length
+    return b"".join([*kept, jpeg[position:]])
 
 
 def _pictures_in(folder: Path) -> tuple[str, ...]:
@@ -133,8 +133,8 @@ def _kitti00(folder: Path, work: Path) -> SfmTask:
 def _kitchen(folder: Path, work: Path) -> SfmTask:
     """Every eighth frame of a hand-held RGB-D sequence (7-Scenes); its truth is good to a centimetre or so."""
     source = folder / "7scenes"
-    pictures = sorted(source.glob("frame-*.color.jpg"))[::8]
-    frames = [(p, np.loadtxt(str(p).replace(".color.jpg", ".pose.txt"))[:3]) for p in pictures]
+    images = sorted(source.glob("frame-*.color.jpg"))[::8]
+    frames = [(p, np.loadtxt(str(p).replace(".color.jpg", ".pose.txt"))[:3]) for p in images]
     return _of_frames("kitchen", frames, (585.0, 585.0, 320.0, 240.0), work)
 
 
@@ -145,16 +145,16 @@ def _of_frames(
     images = work / name
     images.mkdir(parents=True, exist_ok=True)
     lines = [str(len(frames))]
-    for picture, pose in frames:
-        link = images / picture.name
+    for image, pose in frames:
+        link = images / image.name
         if not link.exists():
-            link.symlink_to(picture.resolve())
+            link.symlink_to(image.resolve())
         rotation, center = pose[:, :3], pose[:, 3]
         numbers = [*np.eye(3).ravel(), *rotation.T.ravel(), *(-rotation.T @ center)]
-        lines.append(" ".join([picture.name, *(f"{value:.12g}" for value in numbers)]))
+        lines.append(" ".join([image.name, *(f"{value:.12g}" for value in numbers)]))
     truth = work / f"{name}_par.txt"
     truth.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    names = tuple(picture.name for picture, _ in frames)
+    names = tuple(image.name for image, _ in frames)
     return SfmTask(name, images, names, "calibration", "PINHOLE", params, truth, "m")
 
 

@@ -103,25 +103,25 @@ def _lens(width: int, height: int, params: np.ndarray) -> dict[str, Any]:
 def _write_7scenes(data: Path, folder: Path) -> None:
     source = _there(data / "slam" / "7scenes")
     sequence = read_sequence(source)
-    lens, told, count = sequence.camera, sequence.depth, len(sequence)
-    assert lens is not None and told is not None and told.camera is not None
-    assert told.depth_from_color is not None
-    arrays = _arrays(folder, count, (lens.width, lens.height), ("left", "depth"))
+    camera, given, count = sequence.camera, sequence.depth, len(sequence)
+    assert camera is not None and given is not None and given.camera is not None
+    assert given.depth_from_color is not None
+    arrays = _arrays(folder, count, (camera.width, camera.height), ("left", "depth"))
     poses = []
     for n, files in enumerate(sequence.frames):
         assert files.depth is not None
-        arrays["left"][n] = read_grey(files.picture)
+        arrays["left"][n] = read_grey(files.image)
         depth = np.nan_to_num(read_png16(files.depth, 1.0), nan=0.0)
         arrays["depth"][n] = np.where(depth == 65535, 0, depth).astype(np.uint16)
-        pose = files.picture.name.replace("color.jpg", "pose.txt")
+        pose = files.image.name.replace("color.jpg", "pose.txt")
         poses.append(np.loadtxt(source / pose))
     about = {
-        **_lens(lens.width, lens.height, lens.params),
+        **_lens(camera.width, camera.height, camera.params),
         "depth_factor": 1000.0,
         "depth_sensor": {
-            "factor": told.unit,
-            "params": told.camera.params.tolist(),
-            "depth_from_color": told.depth_from_color.as_matrix().tolist(),
+            "factor": given.unit,
+            "params": given.camera.params.tolist(),
+            "depth_from_color": given.depth_from_color.as_matrix().tolist(),
         },
     }
     times = np.array([files.timestamp_s for files in sequence.frames])
@@ -178,7 +178,7 @@ TASKS = {
     "kitti06_stereo": SlamTask(("stereo",), _write_kitti("kitti06_stereo", "image_l", "image_r")),
     "kitti00_mono": SlamTask(("mono",), _write_kitti("kitti00_mono", ".", None)),
     "loop_room": SlamTask(ALL, _write_ride(rides.loop_room)),
-    "turn_on_the_spot": SlamTask(ALL, _write_ride(rides.turn_on_the_spot)),
+    "rotate_only": SlamTask(ALL, _write_ride(rides.rotate_only)),
     "corridor": SlamTask(ALL, _write_ride(rides.corridor)),
     "tiled_room": SlamTask(ALL, _write_ride(rides.tiled_room)),
     "walking_box": SlamTask(ALL, _write_ride(rides.walking_box)),

@@ -51,11 +51,11 @@ def api_pages() -> dict[str, str]:
     return {"api/index.md": HEAD + "\n".join(rows) + "\n", **pages}
 
 
-def _described(package: str, places: list[str]) -> list[str]:
+def _described(package: str, positions: list[str]) -> list[str]:
     """What is at home here; what another page describes is a link."""
-    elsewhere = [p for p in places if (home := p.split(".")[1]) in PACKAGES and home != package]
-    links = ", ".join(f"[`{place.rsplit('.', 1)[1]}`][{place}]" for place in elsewhere)
-    here = [f"::: {place}" for place in places if place not in elsewhere]
+    elsewhere = [p for p in positions if (home := p.split(".")[1]) in PACKAGES and home != package]
+    links = ", ".join(f"[`{position.rsplit('.', 1)[1]}`][{position}]" for position in elsewhere)
+    here = [f"::: {position}" for position in positions if position not in elsewhere]
     return [*([f"From here, too: {links}."] if links else []), *here]
 
 

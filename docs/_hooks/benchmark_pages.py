@@ -50,8 +50,8 @@ def sfm(content: Any) -> str:
         for name, row in content["summary"].items()
         if name != "pycolmap-best"
     }
-    told = f"{content['pictures']} pictures; the programs are told: {content['told']}."
-    return "\n\n".join([told, table(rows, SFM_COLUMNS), standing(rows, SFM_MEASURES)])
+    given = f"{content['pictures']} pictures; the programs are told: {content['told']}."
+    return "\n\n".join([given, table(rows, SFM_COLUMNS), standing(rows, SFM_MEASURES)])
 
 
 def estimation(content: Any) -> str:
@@ -70,8 +70,8 @@ def estimation(content: Any) -> str:
         Measure("p90_error", "error at 90 %"),
         Measure("failed", "failures"),
     )
-    told = f"{content['problems']} problems, each sent to every program."
-    return "\n\n".join([told, table(content["programs"], columns), standing(content["programs"], measures)])
+    given = f"{content['problems']} problems, each sent to every program."
+    return "\n\n".join([given, table(content["programs"], columns), standing(content["programs"], measures)])
 
 
 def bundle(content: Any) -> str:
@@ -164,11 +164,11 @@ def solvers(content: Any) -> str:
     beside = [row for row in rows.values() if "PoseLib call us" in row]
     faster = sum(row["call us"] < row["PoseLib call us"] for row in beside)
     right = sum(row["right"] >= row["PoseLib right"] for row in beside)
-    told = (
+    given = (
         f"{content['count']:,} exact problems each. A call from Python is faster than PoseLib's in {faster} of {len(beside)} solvers"
         f" that both have; the truth is among the answers at least as often in {right}."
     )
-    return "\n\n".join([told, table(rows)])
+    return "\n\n".join([given, table(rows)])
 
 
 def anything(content: Any) -> str:

@@ -96,19 +96,21 @@ def standing(rows: Rows, measures: Sequence[Measure], ours: str | None = None) -
         own = None if mine is None else rows[mine].get(measure.key)
         if own is None:
             continue
-        places: dict[str, list[str]] = {"better": [], "level": [], "worse": []}
+        positions: dict[str, list[str]] = {"better": [], "level": [], "worse": []}
         for name in others:
             theirs = rows[name].get(measure.key)
             if theirs is not None and (name, measure.key) not in NOT_COMPARED:
-                places[_place(own, theirs, measure)].append(name)
-        if any(places.values()):
-            lines.append(f"| {measure.words} | " + " | ".join(", ".join(v) for v in places.values()) + " |")
+                positions[_position(own, theirs, measure)].append(name)
+        if any(positions.values()):
+            lines.append(
+                f"| {measure.words} | " + " | ".join(", ".join(v) for v in positions.values()) + " |"
+            )
     if not lines:
         return ""
     return "\n".join([f"| {mine} is | better than | level with | worse than |", "|---|---|---|---|", *lines])
 
 
-def _place(own: float, theirs: float, measure: Measure) -> str:
+def _position(own: float, theirs: float, measure: Measure) -> str:
     if abs(own - theirs) <= LEVEL * max(abs(own), abs(theirs)):
         return "level"
     return "better" if (own > theirs) == measure.higher_is_better else "worse"

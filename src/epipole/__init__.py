@@ -75,7 +75,7 @@ _RESULTS = (
     "Evaluation",
     "DemoResult",
     "FieldComparison",
-    "Drawn",
+    "Rendered",
     "ExportedLesson",
     "NerfResult",
     "SharedPage",

@@ -71,14 +71,14 @@ def as_table(array: Any, name: str, rows: int, columns: int) -> np.ndarray:
     return out
 
 
-def as_picture(picture: Any, name: str) -> np.ndarray:
+def as_image(image: Any, name: str) -> np.ndarray:
     """Return a picture as a C-contiguous array of whatever type it has.
 
     Raises:
         ShapeError: it is no array.
     """
     try:
-        return np.ascontiguousarray(picture)
+        return np.ascontiguousarray(image)
     except (TypeError, ValueError, OverflowError) as error:
         raise ShapeError(f"{name} must be a picture: {error}") from error
 
@@ -197,14 +197,14 @@ def check_squarable(value: float, name: str) -> None:
         raise ConfigError(f"{name} is too large to be calculated with: {value:g}")
 
 
-def check_share(share: float, name: str) -> None:
+def check_fraction(fraction: float, name: str) -> None:
     """Check a fraction.
 
     Raises:
         ConfigError: it is not from 0 to 1.
     """
-    if not 0.0 <= share <= 1.0:
-        raise ConfigError(f"{name} must be from 0 to 1, got {share:g}")
+    if not 0.0 <= fraction <= 1.0:
+        raise ConfigError(f"{name} must be from 0 to 1, got {fraction:g}")
 
 
 def check_seed(seed: int) -> None:

@@ -35,8 +35,8 @@ def num_threads() -> int:
     """Threads used for parallel work: `set_num_threads`, else `$EPIPOLE_NUM_THREADS`, else every processor."""
     if _num_threads is not None:
         return _num_threads
-    asked = os.environ.get("EPIPOLE_NUM_THREADS", "")
-    return max(1, int(asked)) if asked.isdecimal() else available_cpus()
+    requested = os.environ.get("EPIPOLE_NUM_THREADS", "")
+    return max(1, int(requested)) if requested.isdecimal() else available_cpus()
 
 
 def set_num_threads(count: int | None) -> None:
@@ -49,7 +49,7 @@ def set_num_threads(count: int | None) -> None:
             _pool = None
 
 
-def asked_threads() -> int | None:
+def requested_threads() -> int | None:
     """The last argument of `set_num_threads`."""
     return _num_threads
 
@@ -62,13 +62,13 @@ def _shared_pool() -> ThreadPoolExecutor:
         return _pool
 
 
-def _forget_pool_after_fork() -> None:
+def _drop_pool_after_fork() -> None:
     global _pool, _lock
     _pool, _lock = None, threading.Lock()
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forget_pool_after_fork)
+    os.register_at_fork(after_in_child=_drop_pool_after_fork)
 
 
 def chunk_bounds(num_items: int, num_chunks: int) -> list[tuple[int, int]]:
@@ -112,9 +112,9 @@ def map_chunks(work: Callable[[int, int, int], Result], num_items: int, num_chun
     try:
         take_part()
     finally:
-        begun = [helper for helper in helpers if not helper.cancel()]
-        wait(begun)
-    for helper in begun:
+        started = [helper for helper in helpers if not helper.cancel()]
+        wait(started)
+    for helper in started:
         helper.result()
     return [results[c] for c in range(len(bounds))]
 

@@ -30,7 +30,7 @@ from epipole.pipelines.fields.config import RenderJob as RenderJob
 from epipole.pipelines.fields.meshing import mesh as mesh
 from epipole.pipelines.fields.nerf import NerfResult as NerfResult
 from epipole.pipelines.fields.nerf import nerf as nerf
-from epipole.pipelines.fields.rendering import Drawn as Drawn
+from epipole.pipelines.fields.rendering import Rendered as Rendered
 from epipole.pipelines.fields.rendering import render as render
 from epipole.pipelines.fields.run import SplatResult as SplatResult
 from epipole.pipelines.fields.run import splat as splat

@@ -70,12 +70,12 @@ def _holder_of(name: str, options: object, others: Sequence[str]) -> str:
     """The field whose config has a field of this name."""
     parts = {field: getattr(options, field) for field in _names(options)}
     parts = {field: part for field, part in parts.items() if is_dataclass(part)}
-    holding = [field for field, part in parts.items() if name in _names(part)]
-    if len(holding) == 1:
-        return holding[0]
-    if holding:
-        of = " and of ".join(holding)
-        example = f"{holding[-1]}={type(parts[holding[-1]]).__name__}({name}=...)"
+    fitting = [field for field, part in parts.items() if name in _names(part)]
+    if len(fitting) == 1:
+        return fitting[0]
+    if fitting:
+        of = " and of ".join(fitting)
+        example = f"{fitting[-1]}={type(parts[fitting[-1]]).__name__}({name}=...)"
         raise ConfigError(f"{name} is an option of {of}: say which, as in {example}")
     inner = [each for part in parts.values() for each in _names(part)]
     hint = did_you_mean(name, _names(options), [*inner, *others])
@@ -261,7 +261,7 @@ class BoardConfig:
     """The same in a column."""
     square: float = 1.0
     """Side of a square (or tag); its unit is that of the translations and depths. 1: they are in squares."""
-    marker_share: float = 0.75
+    marker_ratio: float = 0.75
     """ChArUco: side of a marker divided by that of a square."""
     spacing: float = 0.3
     """AprilTag grid: gap between tags divided by the side of a tag (Kalibr's tagSpacing)."""
@@ -283,7 +283,7 @@ class BoardConfig:
             )
         if not 0 < self.square < float("inf"):
             raise ConfigError(f"square must be positive and finite, got {self.square}")
-        if not (0 < self.marker_share < 1 and self.spacing >= 0):
+        if not (0 < self.marker_ratio < 1 and self.spacing >= 0):
             raise ConfigError("marker_share must lie between 0 and 1, spacing must not be negative")
         if self.dictionary:
             check_dictionary(self.dictionary)

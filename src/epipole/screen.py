@@ -71,12 +71,12 @@ class _Formatter(logging.Formatter):
 
 
 @contextmanager
-def loudness(asked: Loudness) -> Iterator[None]:
+def loudness(requested: Loudness) -> Iterator[None]:
     """How much is printed in the block; verbose also shows what the package writes to Python's `logging`."""
-    token, package = _LOUDNESS.set(asked), logging.getLogger("epipole")
+    token, package = _LOUDNESS.set(requested), logging.getLogger("epipole")
     handler, level = logging.StreamHandler(), package.level
     handler.setFormatter(_Formatter("%(levelname)s %(name)s: %(message)s"))
-    if asked == "verbose":
+    if requested == "verbose":
         package.addHandler(handler)
         package.setLevel(logging.DEBUG)
     try:
@@ -99,8 +99,8 @@ def progress_on_screen(
     """
     from epipole import _jit
 
-    console, begin = open_console(stderr=True, quiet=_LOUDNESS.get() == "quiet"), _jit.compile_seconds()
-    with _bars(console, words or {}) if _draws_on(console) else _lines(console, words or {}) as show:
+    console, start = open_console(stderr=True, quiet=_LOUDNESS.get() == "quiet"), _jit.compile_seconds()
+    with _bars(console, words or {}) if _is_interactive(console) else _lines(console, words or {}) as show:
         will_compile = compiles_much and not _jit.is_compiled()
 
         def announce_and_show(report: Progress) -> None:
@@ -112,10 +112,10 @@ def progress_on_screen(
 
         yield announce_and_show
     if not compiles_much:
-        _say_compiling(console, _jit.compile_seconds() - begin)
+        _say_compiling(console, _jit.compile_seconds() - start)
 
 
-def _draws_on(console: Console) -> bool:
+def _is_interactive(console: Console) -> bool:
     return _LOUDNESS.get() == "normal" and console.is_interactive and sys.stderr.isatty()
 
 
@@ -137,7 +137,7 @@ def _bars(console: Console, words: Mapping[str, str]) -> Iterator[ProgressCallba
             label = words.get(report.stage, report.stage)
             if report.note:
                 console.print(one_line(f"{label}: {report.note}"), markup=False)
-            if rounds.begins(report):
+            if rounds.starts(report):
                 tasks[report.stage] = bars.add_task(label, total=report.total)
             bars.update(tasks[report.stage], completed=report.done, total=report.total)
 
@@ -151,7 +151,7 @@ class _Rounds:
         self._last: dict[str, Progress] = {}
         self._latest_stage = ""
 
-    def begins(self, report: Progress) -> bool:
+    def starts(self, report: Progress) -> bool:
         """Whether this report, the next one, begins its stage, or begins it again."""
         last, was_other = self._last.get(report.stage), self._latest_stage != report.stage
         self._last[report.stage], self._latest_stage = report, report.stage
@@ -164,7 +164,7 @@ class _Rounds:
 
 @dataclass(slots=True)
 class _Stage:
-    begin_s: float
+    start_s: float
     printed_s: float
     first_done: int
     """Work that was done before."""
@@ -182,7 +182,7 @@ class _Lines:
         self._rounds = _Rounds()
         self._lock = threading.Lock()
         self._latest: _Stage | None = None
-        self._begin_s = perf_counter()
+        self._start_s = perf_counter()
         self.printed_at = monotonic()
         """By the system's clock."""
 
@@ -193,18 +193,18 @@ class _Lines:
 
     def _show(self, report: Progress) -> None:
         now = perf_counter()
-        if self._rounds.begins(report):
+        if self._rounds.starts(report):
             before = self._stages.get(report.stage)
             if before is not None and not before.is_over:
                 self._end(before)
             stage = self._stages[report.stage] = _Stage(now, now, report.done, report)
             stage.is_over = report.done >= report.total
-            begun = (
+            started = (
                 f"{report.done} of {report.total} are done"
                 if report.done
                 else f"begins, {report.total} to do"
             )
-            self._say(stage, f"{begun}; {report.note}" if report.note else begun)
+            self._say(stage, f"{started}; {report.note}" if report.note else started)
         else:
             stage = self._stages[report.stage]
             if report.note:
@@ -224,12 +224,12 @@ class _Lines:
         words = f"{done} of {total}, {100 * done // total} %"
         if done <= stage.first_done:
             return words
-        left_s = (now - stage.begin_s) / (done - stage.first_done) * (total - done)
+        left_s = (now - stage.start_s) / (done - stage.first_done) * (total - done)
         return f"{words}, about {left_s:.0f} s left"
 
     def _end(self, stage: _Stage) -> None:
         stage.is_over, stage.printed_s = True, perf_counter()
-        seconds = stage.printed_s - stage.begin_s
+        seconds = stage.printed_s - stage.start_s
         self._say(stage, f"{stage.last.done} of {stage.last.total} after {seconds:.1f} s")
 
     def _label(self, stage: _Stage) -> str:
@@ -248,11 +248,11 @@ class _Lines:
             stage, now = self._latest, perf_counter()
             if stage is None or stage.is_over:
                 after = "" if stage is None else f" on what comes after `{self._label(stage)}`"
-                since_s = now - (self._begin_s if stage is None else stage.printed_s)
+                since_s = now - (self._start_s if stage is None else stage.printed_s)
                 self._print(f"Working{after}, {since_s:.0f} s so far")
                 return
             stage.printed_s = now
-            self._say(stage, f"{self._how_far(stage, now)}, {now - stage.begin_s:.0f} s so far")
+            self._say(stage, f"{self._how_far(stage, now)}, {now - stage.start_s:.0f} s so far")
 
     def close(self) -> None:
         """Say where stages have ended that did not come to their end."""
@@ -279,11 +279,11 @@ def _beating(beat: Callable[[], None], printed_at: Callable[[], float]) -> Itera
     is_over = threading.Event()
 
     def watch() -> None:
-        begun_s = monotonic()
-        while not is_over.wait(max(0.0, max(begun_s, printed_at()) + LINE_EVERY_S - monotonic())):
-            if monotonic() - max(begun_s, printed_at()) >= LINE_EVERY_S:
+        started_s = monotonic()
+        while not is_over.wait(max(0.0, max(started_s, printed_at()) + LINE_EVERY_S - monotonic())):
+            if monotonic() - max(started_s, printed_at()) >= LINE_EVERY_S:
                 beat()
-                begun_s = monotonic()
+                started_s = monotonic()
 
     watcher = threading.Thread(target=watch, name="epipole-heartbeat", daemon=True)
     watcher.start()
@@ -300,9 +300,9 @@ def working() -> Iterator[None]:
     console = open_console(stderr=True, quiet=_LOUDNESS.get() == "quiet")
     from epipole import _jit
 
-    begin, since = _jit.compile_seconds(), perf_counter()
+    start, since = _jit.compile_seconds(), perf_counter()
     words = "Working (the first run on a machine compiles kernels, for some seconds)"
-    if _draws_on(console):
+    if _is_interactive(console):
         with console.status(words):
             yield
     else:
@@ -320,7 +320,7 @@ def working() -> Iterator[None]:
                 announcement.join()
         if perf_counter() - since > SHORT_S:
             console.print(f"Done after {perf_counter() - since:.1f} s", soft_wrap=True)
-    _say_compiling(console, _jit.compile_seconds() - begin)
+    _say_compiling(console, _jit.compile_seconds() - start)
 
 
 def _say_compiling(console: Console, seconds: float) -> None:

@@ -33,21 +33,23 @@ def public_names() -> Iterator[tuple[str, str]]:
 
 
 def test_names_tell_their_frames() -> None:
-    wrong = [f"{place} {name}" for place, name in public_names() if name in BANNED]
+    wrong = [f"{position} {name}" for position, name in public_names() if name in BANNED]
     assert not wrong, "\n".join(wrong)
 
 
 def test_names_of_directions_are_written_target_from_source() -> None:
     """Nobody can tell which way `cam_to_world` goes in a product."""
     wrong = [
-        f"{place} {name}" for place, name in public_names() if re.search(r"(cam|world|rig|body)\d?_to_", name)
+        f"{position} {name}"
+        for position, name in public_names()
+        if re.search(r"(cam|world|rig|body)\d?_to_", name)
     ]
     assert not wrong, "\n".join(wrong)
 
 
 def test_quaternions_tell_their_order() -> None:
-    found = [(place, name) for place, name in public_names() if re.search(r"quat", name)]
-    wrong = [f"{place} {name}" for place, name in found if not name.endswith(("_wxyz", "_xyzw"))]
+    found = [(position, name) for position, name in public_names() if re.search(r"quat", name)]
+    wrong = [f"{position} {name}" for position, name in found if not name.endswith(("_wxyz", "_xyzw"))]
     assert found and not wrong, "\n".join(wrong)
 
 
@@ -169,28 +171,28 @@ def data_classes() -> Iterator[tuple[str, ast.ClassDef, dict[str, str]]]:
 def test_public_data_are_frozen_and_have_slots() -> None:
     """A mutable builder is private to its file."""
     wrong, seen = [], 0
-    for place, node, options in data_classes():
+    for position, node, options in data_classes():
         seen += 1
         frozen = options.get("frozen") == "True" or not is_public(node.name)
         if not frozen or options.get("slots") != "True":
-            wrong.append(f"{place}: {options}")
+            wrong.append(f"{position}: {options}")
     assert seen > 5 and not wrong, "\n".join(wrong)
 
 
 def test_data_that_hold_arrays_are_not_compared() -> None:
     """`==` of arrays is no truth value; what holds arrays, itself or in its parts, is compared by identity."""
     parts = {}
-    for place, node, options in data_classes():
+    for position, node, options in data_classes():
         fields = " ".join(ast.unparse(n.annotation) for n in node.body if isinstance(n, ast.AnnAssign))
-        parts[node.name] = (place, set(re.findall(r"\w+", fields)), options.get("eq") == "False")
-    holding, grown = {"ndarray"}, True
+        parts[node.name] = (position, set(re.findall(r"\w+", fields)), options.get("eq") == "False")
+    fitting, grown = {"ndarray"}, True
     while grown:
-        found = {name for name, (_, words, _) in parts.items() if words & holding}
-        grown = not found <= holding
-        holding |= found
-    assert {"Rigid3", "Camera", "Reconstruction"} <= holding
-    public = {name: part for name, part in parts.items() if is_public(name) and name in holding}
-    wrong = [place for place, _, by_identity in public.values() if not by_identity]
+        found = {name for name, (_, words, _) in parts.items() if words & fitting}
+        grown = not found <= fitting
+        fitting |= found
+    assert {"Rigid3", "Camera", "Reconstruction"} <= fitting
+    public = {name: part for name, part in parts.items() if is_public(name) and name in fitting}
+    wrong = [position for position, _, by_identity in public.values() if not by_identity]
     assert not wrong, "\n".join(wrong)
 
 

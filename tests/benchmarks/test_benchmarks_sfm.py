@@ -71,9 +71,9 @@ def test_robust_fit_is_not_moved_by_wrong_fixes() -> None:
 
 def test_a_run_is_measured_from_start_to_end(tmp_path: Path) -> None:
     pytest.importorskip("psutil")
-    held = run_measured(["bash", "-c", "sleep 0.4; echo done; exit 3"], tmp_path / "log", 1)
-    assert held.exit_code == 3 and 0.4 <= held.wall_s < 5
-    assert held.peak_memory_mb is not None and 0.5 < held.peak_memory_mb < 100
+    fixed = run_measured(["bash", "-c", "sleep 0.4; echo done; exit 3"], tmp_path / "log", 1)
+    assert fixed.exit_code == 3 and 0.4 <= fixed.wall_s < 5
+    assert fixed.peak_memory_mb is not None and 0.5 < fixed.peak_memory_mb < 100
     assert (tmp_path / "log").read_text() == "done\n"
 
 
@@ -93,7 +93,7 @@ def test_every_set_is_there_and_has_its_pictures(name: str, tmp_path: Path) -> N
         pytest.skip(f"no data under {data_root().name}/sfm")
     task = prepare(name, data_root(), tmp_path)
     assert len(task.image_names) >= 8
-    assert all((task.images / picture).is_file() for picture in task.image_names)
+    assert all((task.images / image).is_file() for image in task.image_names)
     if task.truth is not None:
         assert task.truth.exists() and task.unit
     if task.known == "nothing":

@@ -43,13 +43,13 @@ def test_scores_are_those_of_known_errors() -> None:
 
 
 def test_what_a_turn_makes_up_is_told() -> None:
-    places = rides.turn_on_the_spot(40, (32, 24)).truth()
-    assert score_path(places, places)["made_up_max"] == 0
-    wrong = places.world_from_body.translation.copy()
+    positions = rides.rotate_only(40, (32, 24)).truth()
+    assert score_path(positions, positions)["made_up_max"] == 0
+    wrong = positions.world_from_body.translation.copy()
     wrong[7] += [0.0, 0.03, 0.04]
-    turned = places.world_from_body.rotation.copy()
-    turned[9] = turned[9] @ Rigid3.exp(np.array([0, 0, 0, 0, 0.02, 0])).rotation
-    score = score_path(Trajectory(places.timestamp_s, Rigid3(turned, wrong)), places)
+    rotated = positions.world_from_body.rotation.copy()
+    rotated[9] = rotated[9] @ Rigid3.exp(np.array([0, 0, 0, 0, 0.02, 0])).rotation
+    score = score_path(Trajectory(positions.timestamp_s, Rigid3(rotated, wrong)), positions)
     assert score["made_up_max"] == pytest.approx(0.05)
     assert score["turn_max_deg"] == pytest.approx(np.degrees(0.02))
     assert "se3_m" not in score
@@ -71,8 +71,8 @@ def test_coverage_counts_from_the_first_frame(tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
     truth = rides.loop_room(4, (32, 24)).truth()
-    places = truth.world_from_body.as_matrix()
-    save_answers(out, [1.0] * 4, [None, places[1], None, places[3]])
+    positions = truth.world_from_body.as_matrix()
+    save_answers(out, [1.0] * 4, [None, positions[1], None, positions[3]])
     write_trajectory(truth[np.array([1, 2, 3])], out / "final.txt")
     score = score_run(out, frames, tasks.truths_of(frames))
     assert score["causal"]["coverage"] == 0.5
@@ -118,15 +118,15 @@ def test_settings_tell_what_the_camera_is(tmp_path: Path) -> None:
 
 def test_frames_are_given_at_their_time() -> None:
     metronome = Metronome(np.array([5.0, 5.0, 5.05]))
-    begin = os.times().elapsed
+    start = os.times().elapsed
     for n in range(3):
         metronome.wait_for(n)
-    assert os.times().elapsed - begin >= 0.03
+    assert os.times().elapsed - start >= 0.03
     assert metronome.most_late_s < 0.05
     slower = Metronome(np.array([5.0, 5.01]), slower=5.0)
-    begin = os.times().elapsed
+    start = os.times().elapsed
     slower.wait_for(1)
-    assert os.times().elapsed - begin >= 0.03
+    assert os.times().elapsed - start >= 0.03
 
 
 def test_a_program_that_is_not_there_has_no_version(tmp_path: Path) -> None:

@@ -16,23 +16,23 @@ RIGHT_FROM_LEFT = Rigid3.exp(np.array([-0.12, 0.002, 0.004, 0.01, -0.03, 0.005])
 
 def board_places(rng, count, distance=(0.35, 0.9), spread=0.5, tilt=0.6):
     """cam_from_board of a board about 20 cm wide before a camera, tilted to all sides."""
-    places = []
+    positions = []
     for _ in range(count):
         z = rng.uniform(*distance)
         at = np.array([rng.uniform(-spread, spread) * z, rng.uniform(-spread, spread) * z * 0.75, z])
-        turn = Rotation3.exp(rng.uniform(-tilt, tilt, 3)).matrix
-        places.append(Rigid3(turn, at - turn @ np.array([0.1, 0.06, 0.0])))
-    return places
+        rotation = Rotation3.exp(rng.uniform(-tilt, tilt, 3)).matrix
+        positions.append(Rigid3(rotation, at - rotation @ np.array([0.1, 0.06, 0.0])))
+    return positions
 
 
-def views_of(cameras, cam_from_rig, places, board, rng, noise_px=0.1, shape=None):
+def views_of(cameras, cam_from_rig, positions, board, rng, noise_px=0.1, shape=None):
     """[camera][view], corners outside a picture left out."""
     points = corners_on_board(board) if shape is None else shape
     out = []
-    for camera, place in zip(cameras, cam_from_rig):
+    for camera, position in zip(cameras, cam_from_rig):
         own = []
-        for rig_from_board in places:
-            pixels = camera.project((place @ rig_from_board).apply(points))
+        for rig_from_board in positions:
+            pixels = camera.project((position @ rig_from_board).apply(points))
             pixels = pixels + noise_px * rng.standard_normal(pixels.shape)
             inside = np.isfinite(pixels).all(axis=1) & (pixels > 0).all(axis=1)
             inside &= (pixels < [camera.width - 1, camera.height - 1]).all(axis=1)

@@ -16,7 +16,7 @@ BOARDS = [
 ]
 
 
-def drawn(board):
+def rendered(board):
     """The board printed flat, and the pixel of the point (0, 0) of `corners_on_board`."""
     if board.kind == "chessboard":
         squares = np.add.outer(np.arange(board.rows + 1), np.arange(board.columns + 1)) % 2
@@ -26,7 +26,7 @@ def drawn(board):
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{board.dictionary_name}"))
     size = (board.columns, board.rows)
     if board.kind == "charuco":
-        printed = cv2.aruco.CharucoBoard(size, 1.0, board.marker_share, dictionary)
+        printed = cv2.aruco.CharucoBoard(size, 1.0, board.marker_ratio, dictionary)
         flat = printed.generateImage((UNIT * board.columns, UNIT * board.rows))
     else:
         printed = cv2.aruco.GridBoard(size, 1.0, board.spacing, dictionary)
@@ -38,7 +38,7 @@ def drawn(board):
 
 @pytest.mark.parametrize("board", BOARDS, ids=lambda b: b.kind)
 def test_corners_of_a_board_seen_askew(board):
-    flat, origin = drawn(board)
+    flat, origin = rendered(board)
     height, width = flat.shape
     askew = cv2.getPerspectiveTransform(
         np.float32([[0, 0], [width, 0], [width, height], [0, height]]),
@@ -73,7 +73,7 @@ def test_kalibrs_grids_are_numbered_from_the_bottom():
 
 
 def test_a_board_larger_than_was_said_is_noticed(data_dir):
-    flat, _ = drawn(BOARDS[0])
+    flat, _ = rendered(BOARDS[0])
     blank = np.full_like(flat, 128)
     for size in ((8, 6), (9, 5), (7, 5)):
         assert whole_chessboard([flat, blank, flat], BoardConfig(columns=size[0], rows=size[1])) == (9, 6)
@@ -90,13 +90,13 @@ def test_a_board_larger_than_was_said_is_noticed(data_dir):
 def test_nothing_is_found_where_nothing_is(rng):
     noise = rng.integers(0, 255, (240, 320), dtype=np.uint8)
     for board in BOARDS:
-        for picture in (np.zeros((240, 320), np.uint8), noise, np.zeros((3, 3), np.uint8)):
-            assert len(find_board(picture, board)) == 0
+        for image in (np.zeros((240, 320), np.uint8), noise, np.zeros((3, 3), np.uint8)):
+            assert len(find_board(image, board)) == 0
 
 
 def test_boards_that_cannot_be():
     for options in ({"columns": 2}, {"square": 0.0}, {"square": np.nan}, {"dictionary": "9X9_50"}):
         with pytest.raises(ConfigError):
             BoardConfig(**options)
-    with pytest.raises(ConfigError, match="marker_share"):
-        BoardConfig(kind="charuco", marker_share=1.2)
+    with pytest.raises(ConfigError, match="marker_ratio"):
+        BoardConfig(kind="charuco", marker_ratio=1.2)

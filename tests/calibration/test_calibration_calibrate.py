@@ -38,8 +38,8 @@ def test_exact_corners_give_the_exact_camera():
 def test_fisheye_is_found():
     config = CalibrationConfig(board=BOARD, model="OPENCV_FISHEYE")
     rng = np.random.default_rng(1)
-    places = board_places(rng, 30, (0.12, 0.4), spread=1.2)
-    views = views_of([FISHEYE], [Rigid3(np.eye(3), np.zeros(3))], places, BOARD, rng)
+    positions = board_places(rng, 30, (0.12, 0.4), spread=1.2)
+    views = views_of([FISHEYE], [Rigid3(np.eye(3), np.zeros(3))], positions, BOARD, rng)
     found = calibrate_views(views, [SIZE], config)
     assert np.nanmedian(projection_difference(FISHEYE, found.cameras[0]).distance_px) < 0.15
 
@@ -72,16 +72,16 @@ def test_projected_uncertainty_is_that_of_repeated_calibrations():
     at, errors, sigmas = np.array([[100.0, 80.0], [320.0, 240.0], [560.0, 400.0]]), [], []
     for seed in range(40):
         rng = np.random.default_rng(7)
-        places = board_places(rng, 12)
+        positions = board_places(rng, 12)
         rng = np.random.default_rng(500 + seed)
-        views = views_of([LENS], [Rigid3(np.eye(3), np.zeros(3))], places, BOARD, rng, 0.2)
+        views = views_of([LENS], [Rigid3(np.eye(3), np.zeros(3))], positions, BOARD, rng, 0.2)
         found = calibrate_views(views, [SIZE], CONFIG)
         # A point of the truth, carried with every board, seen by the camera that was found.
         points = 5.0 * LENS.unproject(at)
         moved = np.mean(
             [
-                (found.state.rig_from_board[v] @ places[v].inverse()).apply(points)
-                for v in range(len(places))
+                (found.state.rig_from_board[v] @ positions[v].inverse()).apply(points)
+                for v in range(len(positions))
                 if found.view_states[0][v] is ViewState.USED
             ],
             axis=0,
@@ -105,7 +105,7 @@ def test_three_spoiled_views_of_ten_are_found_and_the_rest_used():
     views[1][7] = views[1][8]  # the right camera took this one later: the board had moved
     found = calibrate_views(views, [SIZE] * 2, CONFIG)
     assert found.view_states[0][1] is ViewState.OFF
-    assert found.view_states[1][4] in (ViewState.OFF, ViewState.NO_PLACE)
+    assert found.view_states[1][4] in (ViewState.OFF, ViewState.NO_POSE)
     assert ViewState.OFF in (found.view_states[0][7], found.view_states[1][7])
     good = [k for k in range(10) if k not in (1, 4, 7)]
     assert all(found.view_states[c][k] is ViewState.USED for c in (0, 1) for k in good)
@@ -134,8 +134,8 @@ def test_a_bent_board_is_straightened():
     shape = corners_on_board(BOARD)
     shape[:, 2] = warp_shapes(shape) @ warp
     rng = np.random.default_rng(4)
-    places = board_places(rng, 40, tilt=0.9)
-    views = views_of([LENS], [Rigid3(np.eye(3), np.zeros(3))], places, BOARD, rng, shape=shape)
+    positions = board_places(rng, 40, tilt=0.9)
+    views = views_of([LENS], [Rigid3(np.eye(3), np.zeros(3))], positions, BOARD, rng, shape=shape)
     stiff = calibrate_views(views, [SIZE], CONFIG)
     found = calibrate_views(views, [SIZE], CalibrationConfig(board=BOARD, refine_warp=True))
     sigma = np.sqrt(np.diag(found.uncertainty.theta)[-2:])
@@ -190,8 +190,10 @@ def test_what_cannot_be_calibrated_is_said():
         calibrate_views([[BoardView(np.array([99]), np.zeros((1, 2)))] * 4], [SIZE], CONFIG)
     flat = Rigid3(np.eye(3), np.array([-0.1, -0.06, 0.5]))
     rng = np.random.default_rng(0)
-    places = [Rigid3(flat.rotation, flat.translation + np.array([0.02 * k, 0.01 * k, 0.0])) for k in range(6)]
-    frontal = views_of([LENS], [Rigid3(np.eye(3), np.zeros(3))], places, BOARD, rng)
+    positions = [
+        Rigid3(flat.rotation, flat.translation + np.array([0.02 * k, 0.01 * k, 0.0])) for k in range(6)
+    ]
+    frontal = views_of([LENS], [Rigid3(np.eye(3), np.zeros(3))], positions, BOARD, rng)
     try:
         found = calibrate_views(frontal, [SIZE], CONFIG)
     except DegenerateGeometryError:
@@ -212,14 +214,14 @@ def test_projection_difference_ignores_a_turn_of_the_camera():
 
 
 def test_a_lens_with_k3_is_found_with_it_only():
-    lens = Camera(
+    camera = Camera(
         CameraModel.FULL_OPENCV,
         *SIZE,
         np.array([520.0, 524.0, 315.0, 236.0, -0.3, 0.15, 1e-3, -5e-4, -0.08, 0.0, 0.0, 0.0]),
     )
     rng = np.random.default_rng(3)
-    views = views_of([lens], [Rigid3(np.eye(3), np.zeros(3))], board_places(rng, 30), BOARD, rng, 0.05)
+    views = views_of([camera], [Rigid3(np.eye(3), np.zeros(3))], board_places(rng, 30), BOARD, rng, 0.05)
     found = calibrate_views(views, [SIZE], CalibrationConfig(board=BOARD, model="FULL_OPENCV"))
     sigma = found.params_sigma(0)
     assert (sigma[9:] == 0).all() and (found.cameras[0].params[9:] == 0).all()
-    assert (np.abs(found.cameras[0].params - lens.params)[:9] < 4.0 * sigma[:9]).all()
+    assert (np.abs(found.cameras[0].params - camera.params)[:9] < 4.0 * sigma[:9]).all()

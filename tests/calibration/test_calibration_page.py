@@ -27,9 +27,9 @@ def page() -> str:
     views = views_of([LENS, OTHER], [identity, RIGHT_FROM_LEFT], board_places(rng, 8), BOARD, rng)
     found = calibrate_views(views, [(640, 480), (640, 480)], CalibrationConfig(board=BOARD))
     verdict = Verdict(False, f"Fail: {HOSTILE}.", ())
-    pictures = (tuple(Path(HOSTILE) for _ in range(8)),) * 2
+    images = (tuple(Path(HOSTILE) for _ in range(8)),) * 2
     problems = {"a": f"{HOSTILE}: no board"}
-    return render_page(CalibrationRun(Path("out"), found, None, verdict, pictures, problems))
+    return render_page(CalibrationRun(Path("out"), found, None, verdict, images, problems))
 
 
 def test_the_page_tells_of_both_cameras_and_of_every_view(page: str) -> None:

@@ -8,7 +8,7 @@ from epipole.config import BoardConfig
 from epipole.errors import DegenerateGeometryError, FileFormatError, WorkspaceError
 from epipole.io.sequences.stereo_folders import pair_folders
 from epipole.pipelines.calibration.config import CalibrationConfig
-from epipole.pipelines.calibration.run import calibrate, pictures_of_cameras
+from epipole.pipelines.calibration.run import calibrate, images_of_cameras
 
 
 def saved(path):
@@ -23,7 +23,7 @@ def test_pairs_in_one_folder_are_told_by_their_names(tmp_path, names):
             saved(tmp_path / name.format(number))
     saved(tmp_path / names[0].format(9))  # without a partner
     saved(tmp_path / "bright_7.png")  # no side's word
-    sides = pictures_of_cameras(tmp_path)
+    sides = images_of_cameras(tmp_path)
     assert [[p.name for p in side] for side in sides] == [[n.format(k) for k in (1, 2, 3, 9)] for n in names]
     assert not sides[1][3].exists()
 
@@ -32,17 +32,17 @@ def test_folders_of_sides_and_single_cameras(tmp_path):
     for side in ("cam0", "cam1"):
         for number in (1, 2):
             saved(tmp_path / "two" / side / f"{number}.png")
-    assert [len(side) for side in pictures_of_cameras(tmp_path / "two")] == [2, 2]
+    assert [len(side) for side in images_of_cameras(tmp_path / "two")] == [2, 2]
     saved(tmp_path / "one" / "a.png")
-    assert [len(side) for side in pictures_of_cameras(tmp_path / "one")] == [1]
+    assert [len(side) for side in images_of_cameras(tmp_path / "one")] == [1]
     saved(tmp_path / "two" / "cam1" / "3.png")
-    sides = pictures_of_cameras(tmp_path / "two")  # seen by one camera alone
+    sides = images_of_cameras(tmp_path / "two")  # seen by one camera alone
     assert [[p.name for p in side] for side in sides] == [["1.png", "2.png", "3.png"]] * 2
     assert not sides[0][2].exists() and sides[1][2].exists()
     for name in ("cam0/a.png", "cam0/b.png", "cam1/c.png"):
         saved(tmp_path / "three" / name)
     with pytest.raises(FileFormatError, match="which belong together"):
-        pictures_of_cameras(tmp_path / "three")
+        images_of_cameras(tmp_path / "three")
 
 
 def paired(folder, left, right):

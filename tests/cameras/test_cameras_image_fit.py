@@ -12,12 +12,12 @@ from epipole.cameras.image_fit import (
     fit_notes,
     fitted_camera,
     likely_size,
-    turned_camera,
-    turned_pixels,
+    rotated_camera,
+    rotated_pixels,
     with_likely_principal_point,
 )
 from epipole.errors import ConfigError
-from epipole.io.images.pixels import turn
+from epipole.io.images.pixels import rotation
 
 W, H = 40, 30
 LENSES = [
@@ -35,9 +35,9 @@ LENSES = [
 def test_pixels_turn_as_the_image_does(orientation):
     stored = np.zeros((H, W), np.uint8)
     stored[5, 11] = 1
-    upright = turn(stored, orientation)
+    upright = rotation(stored, orientation)
     ((row, column),) = np.argwhere(upright)
-    found = turned_pixels(np.array([[11.0, 5.0]]), (W, H), orientation)
+    found = rotated_pixels(np.array([[11.0, 5.0]]), (W, H), orientation)
     np.testing.assert_allclose(found, [[column, row]])
 
 
@@ -45,12 +45,12 @@ def test_pixels_turn_as_the_image_does(orientation):
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_a_turned_camera_projects_turned_rays_to_turned_pixels(camera, orientation, rng):
     rays = np.column_stack([rng.uniform(-0.4, 0.4, (20, 2)), np.ones(20)])
-    axes = turned_pixels(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), (1, 1), orientation)
+    axes = rotated_pixels(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), (1, 1), orientation)
     turned_rays = np.column_stack([rays[:, :2] @ (axes[1:] - axes[0]), rays[:, 2]])
-    expected = turned_pixels(camera.project(rays), (W, H), orientation)
-    turned = turned_camera(camera, orientation)
-    assert (turned.width, turned.height) == ((W, H) if orientation < 5 else (H, W))
-    np.testing.assert_allclose(turned.project(turned_rays), expected, atol=1e-9)
+    expected = rotated_pixels(camera.project(rays), (W, H), orientation)
+    rotated = rotated_camera(camera, orientation)
+    assert (rotated.width, rotated.height) == ((W, H) if orientation < 5 else (H, W))
+    np.testing.assert_allclose(rotated.project(turned_rays), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -153,9 +153,9 @@ def test_stereo_of_two_files(tmp_path):
 def test_help_is_quick_and_loads_nothing_heavy():
     times = []
     for _ in range(6):
-        begin = time.perf_counter()
+        start = time.perf_counter()
         printed = run("--help")
-        times.append(time.perf_counter() - begin)
+        times.append(time.perf_counter() - start)
     assert "reconstruct" in printed
     assert min(times) < 0.6
     loaded = subprocess.run(
@@ -195,8 +195,8 @@ def test_stereo_by_a_calibration_and_the_doctor(tmp_path):
         p.name for p in (tmp_path / "out").iterdir()
     }
     printed = run("stereo", "doctor", left, right, "--calibration", known, "--json")
-    told = json.loads(printed[printed.index("{") : printed.rindex("}") + 1])
-    assert told["problems"] == [] and told["expectations"][0]["from_calibration"] > 0
+    given = json.loads(printed[printed.index("{") : printed.rindex("}") + 1])
+    assert given["problems"] == [] and given["expectations"][0]["from_calibration"] > 0
     assert "swapped" in run("stereo-doctor", right, left)
     both = ("--calibration", known, "--focal-px", "3")
     assert "not both" in run("stereo", left, right, tmp_path / "x", *both, expect=2)
@@ -241,10 +241,12 @@ def test_paths_and_options_of_stereo_in_any_order(given, changed, monkeypatch):
     (left, right, out, *options), *_ = seen
     assert (str(left), str(right), str(out)) == ("L", "R", "O")
     values = {f.name: getattr(each, f.name) for each in options for f in fields(each)}
-    asked = {f.name: getattr(each, f.name) for each in (StereoConfig(), RigOptions()) for f in fields(each)}
-    asked |= changed
+    requested = {
+        f.name: getattr(each, f.name) for each in (StereoConfig(), RigOptions()) for f in fields(each)
+    }
+    requested |= changed
     values["calibration"] = tuple(map(str, values["calibration"]))
-    assert values == asked
+    assert values == requested
 
 
 @pytest.mark.parametrize("given", ["--workspace W --pair A B O", "O --pair A B --workspace W"])

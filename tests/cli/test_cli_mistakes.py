@@ -178,16 +178,16 @@ def speaking(out: str, strict: bool = False) -> None:
         show(Progress("a", 2, 2))
 
 
-@pytest.mark.parametrize("place", ["before", "after"])
+@pytest.mark.parametrize("position", ["before", "after"])
 @pytest.mark.parametrize("flag", ["-q", "--quiet", "-v", "--verbose", ""])
-def test_quiet_and_verbose_before_and_after_the_command(flag, place, capsys, monkeypatch):
+def test_quiet_and_verbose_before_and_after_the_command(flag, position, capsys, monkeypatch):
     monkeypatch.setattr(command_line, "_functions", lambda: {"speaking": speaking, "silent": speaking})
     own = ["speaking", "--out", "x", "--strict"]
     main(
         [
-            *([flag] if flag and place == "before" else []),
+            *([flag] if flag and position == "before" else []),
             *own,
-            *([flag] if flag and place == "after" else []),
+            *([flag] if flag and position == "after" else []),
         ]
     )
     said = capsys.readouterr()

@@ -15,7 +15,7 @@ from epipole.runs import Job, open_run
 BOARD = CalibrationConfig(board=BoardConfig(columns=9, rows=6, square=1.0))
 
 
-def pictures(folder: Path) -> Path:
+def images(folder: Path) -> Path:
     folder.mkdir(parents=True)
     for name in ("a.png", "b.png"):
         Image.fromarray(np.full((48, 64), 90, np.uint8)).save(folder / name)
@@ -30,7 +30,7 @@ def contents(root: Path) -> dict[str, bytes]:
 def root(tmp_path: Path) -> Path:
     """Pictures left and right, and a finished reconstruction of others."""
     for side in ("left", "right"):
-        pictures(tmp_path / side)
+        images(tmp_path / side)
     job = Job(kind="reconstruct", inputs=(tmp_path / "right",), settings={})
     with open_run(job, tmp_path / "model") as run:
         run.folder.write_text("report.html", "of the model")

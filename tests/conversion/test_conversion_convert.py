@@ -55,7 +55,7 @@ def test_paths_in_the_files_lead_to_pictures(tmp_path: Path, given: str) -> None
     paths = [done.out / frame["file_path"] for frame in content["frames"]]
     assert [p.read_text() for p in paths] == [f"out {name}" for name in model.images.name]
     assert (done.out / content["ply_file_path"]).is_file()
-    assert (done.num_pictures, done.missing) == (len(paths), ())
+    assert (done.num_images, done.missing) == (len(paths), ())
     bundler = convert(tmp_path / given, tmp_path / "away" / "bundler", "bundler").out
     listed = (bundler / "list.txt").read_text().splitlines()
     assert all((bundler / line).is_file() for line in listed) and len(listed) == len(paths)
@@ -67,7 +67,7 @@ def test_pictures_that_are_not_there_are_named(tmp_path: Path) -> None:
     output_folder(tmp_path / "out", model)
     (tmp_path / "out" / "images" / model.images.name[2]).unlink()
     done = convert(tmp_path / "out", tmp_path / "nerf", "transforms")
-    assert done.missing == (model.images.name[2],) and done.num_pictures == len(model.images) - 1
+    assert done.missing == (model.images.name[2],) and done.num_images == len(model.images) - 1
 
 
 def test_two_models_do_not_mix(tmp_path: Path) -> None:

@@ -68,11 +68,11 @@ def test_false_loops_among_real_ones_are_all_named(data_dir, name, file):
     assert found.kept_mask[:-wrong].mean() > 0.985
     truth = truth_of(data_dir, name)
 
-    def error(places):
+    def error(positions):
         aligned = align_points(
-            places.as_rigid3().translation, np.pad(truth, ((0, 0), (0, 1))), with_scale=False
+            positions.as_rigid3().translation, np.pad(truth, ((0, 0), (0, 1))), with_scale=False
         )
-        moved = aligned.apply(places.as_rigid3().translation)[:, :2]
+        moved = aligned.apply(positions.as_rigid3().translation)[:, :2]
         return np.sqrt(((moved - truth) ** 2).sum(axis=1).mean())
 
     assert error(found.world_from_body) < 1.1 * error(clean.world_from_body)

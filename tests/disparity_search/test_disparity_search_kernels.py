@@ -21,7 +21,7 @@ def matched(rng: np.random.Generator, shape: tuple[int, int], config: DisparityC
     left, right = wide[:, :width], wide[:, 3:]
     high = min(config.max_disparity_px or 0, width - 1)
     search._winners(
-        search._look(left, config), search._look(right, config), config.min_disparity_px, high, config
+        search._inspect(left, config), search._inspect(right, config), config.min_disparity_px, high, config
     )
 
 

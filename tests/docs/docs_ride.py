@@ -53,13 +53,13 @@ def ride() -> Ride:
     centers = np.column_stack(
         [4.4 * np.cos(angles), 4.4 * np.sin(angles), 1.4 + 0.02 * np.sin(np.arange(COUNT))]
     )
-    places = [look_at(center, (-0.2, 0.4, 0.6)) for center in centers]
+    positions = [look_at(center, (-0.2, 0.4, 0.6)) for center in centers]
     scene = _scene(float(angles[COUNT // 2]))
-    left = [render(scene, LENS, place) for place in places]
-    right = [render(scene, LENS, RIGHT_FROM_LEFT @ place).rgb for place in places]
-    depth = [np.nan_to_num(picture.depth, nan=0.0).astype(np.float32) for picture in left]
-    together = Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places]))
-    return Ride([picture.rgb for picture in left], right, depth, together)
+    left = [render(scene, LENS, position) for position in positions]
+    right = [render(scene, LENS, RIGHT_FROM_LEFT @ position).rgb for position in positions]
+    depth = [np.nan_to_num(image.depth, nan=0.0).astype(np.float32) for image in left]
+    together = Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))
+    return Ride([image.rgb for image in left], right, depth, together)
 
 
 def _scene(angle: float) -> SyntheticScene:
@@ -82,23 +82,23 @@ def _scene(angle: float) -> SyntheticScene:
     return SyntheticScene(**both, light=yard.light)
 
 
-def grey(picture: np.ndarray) -> np.ndarray:
-    return cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+def grey(image: np.ndarray) -> np.ndarray:
+    return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
 
 
-def pictures(folder: Path, numbers: slice = slice(None), ending: str = ".png") -> list[str]:
+def images(folder: Path, numbers: slice = slice(None), ending: str = ".png") -> list[str]:
     """A folder of pictures; their names."""
     folder.mkdir(parents=True)
     names = []
-    for n, picture in enumerate(ride().left[numbers]):
+    for n, image in enumerate(ride().left[numbers]):
         names.append(f"{n:03d}{ending}")
-        cv2.imwrite(str(folder / names[-1]), picture[..., ::-1])
+        cv2.imwrite(str(folder / names[-1]), image[..., ::-1])
     return names
 
 
 def many_pictures(folder: Path, at_rest: int) -> list[str]:
     """The ride after so many pictures at rest, two of each frame."""
-    names = pictures(folder)
+    names = images(folder)
     for name in names:
         (folder / name).rename(folder / f"frame_{name}")
     out = []
@@ -114,10 +114,10 @@ def lengths(path: Path, names: list[str], numbers: slice) -> None:
     """Two points of the wall, in three pictures."""
     ends = np.array([[-0.6, 2.4, 1.0], [0.5, 2.4, 1.2]])
     lines = []
-    for end, place in zip("ab", ends):
+    for end, position in zip("ab", ends):
         for n in (0, 2, 4):
             view = ride().cams_from_world[int(np.arange(COUNT)[numbers][n])]
-            x, y = LENS.project(view.apply(place[None]))[0]
+            x, y = LENS.project(view.apply(position[None]))[0]
             lines.append(f"wall {np.linalg.norm(ends[0] - ends[1])} {end} {names[n]} {x} {y}\n")
     path.write_text("".join(lines))
 
@@ -129,8 +129,8 @@ def video(path: Path) -> None:
 def kitti(folder: Path) -> None:
     for name, seen in (("image_0", ride().left), ("image_1", ride().right)):
         (folder / name).mkdir(parents=True)
-        for n, picture in enumerate(seen):
-            cv2.imwrite(str(folder / name / f"{n:06d}.png"), grey(picture))
+        for n, image in enumerate(seen):
+            cv2.imwrite(str(folder / name / f"{n:06d}.png"), grey(image))
     f, _, cx, cy = LENS.params
     rows = [[f, 0, cx, x, 0, f, cy, 0, 0, 0, 1, 0] for x in (0.0, -f * BASELINE)]
     lines = [f"P{k}: {' '.join(map(str, row))}\n" for k, row in enumerate(rows)]
@@ -140,8 +140,8 @@ def kitti(folder: Path) -> None:
 def tum(folder: Path) -> None:
     for name in ("rgb", "depth"):
         (folder / name).mkdir(parents=True)
-    for n, (picture, depth) in enumerate(zip(ride().left, ride().depth)):
-        cv2.imwrite(str(folder / "rgb" / f"{n}.png"), picture[..., ::-1])
+    for n, (image, depth) in enumerate(zip(ride().left, ride().depth)):
+        cv2.imwrite(str(folder / "rgb" / f"{n}.png"), image[..., ::-1])
         write_png16(folder / "depth" / f"{n}.png", depth, 5000.0)
     for name in ("rgb", "depth"):
         (folder / f"{name}.txt").write_text("".join(f"{n / HZ:.6f} {name}/{n}.png\n" for n in range(COUNT)))
@@ -151,19 +151,19 @@ def tum(folder: Path) -> None:
 def euroc(folder: Path) -> None:
     """One camera with an inertial unit."""
     camera, unit = folder / "mav0" / "cam0", folder / "mav0" / "imu0"
-    pictures(camera / "data")
+    images(camera / "data")
     unit.mkdir(parents=True)
     names = [f"{n:03d}.png" for n in range(COUNT)]
     first = 1_400_000_000_000_000_000
     rows = [f"{first + round(1e9 * n / HZ)},{name}\n" for n, name in enumerate(names)]
     (camera / "data.csv").write_text("#timestamp [ns],filename\n" + "".join(rows))
-    told = {
+    given = {
         "T_BS": {"rows": 4, "cols": 4, "data": np.eye(4).ravel().tolist()},
         **{"rate_hz": HZ, "resolution": [LENS.width, LENS.height], "camera_model": "pinhole"},
         **{"intrinsics": LENS.params.tolist(), "distortion_model": "radial-tangential"},
         "distortion_coefficients": [0.0] * 4,
     }
-    (camera / "sensor.yaml").write_text(json.dumps(told))
+    (camera / "sensor.yaml").write_text(json.dumps(given))
     log = imu_along(ride().path().timestamp_s, ride().path().world_from_body, Rigid3.identity(), 0)
     times = first + np.rint(1e9 * log.timestamp_s).astype(np.int64)
     values = np.column_stack([log.gyro_rad_s, log.accel_m_s2])
@@ -197,7 +197,7 @@ def mounting(path: Path) -> None:
     path.write_text(f"T_cam_imu: {there.tolist()}\n")
 
 
-def places(path: Path, names: list[str] | None = None, numbers: slice = slice(None)) -> None:
+def positions(path: Path, names: list[str] | None = None, numbers: slice = slice(None)) -> None:
     """SECONDS X Y Z, or PICTURE X Y Z."""
     centers = ride().cams_from_world.centers()[numbers]
     first = [f"{n / HZ:.6f}" for n in range(len(centers))] if names is None else names

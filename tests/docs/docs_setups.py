@@ -46,7 +46,7 @@ def photographs(folder: Path) -> dict[str, Any]:
 def cameras(folder: Path) -> dict[str, Any]:
     model(folder)
     calibration(folder)
-    return {"picture": np.zeros((480, 640, 3), np.uint8)}
+    return {"image": np.zeros((480, 640, 3), np.uint8)}
 
 
 def calibration(folder: Path) -> None:
@@ -77,13 +77,13 @@ def bundle(folder: Path) -> dict[str, Any]:
     """A file of Bundle Adjustment in the Large: cameras look along -z."""
     rng = np.random.default_rng(2)
     points = rng.uniform([-2, -2, -9], [2, 2, -6], (60, 3))
-    places = np.column_stack([rng.normal(0, 0.02, (4, 3)), 0.5 * np.arange(4), np.zeros((4, 2))])
+    positions = np.column_stack([rng.normal(0, 0.02, (4, 3)), 0.5 * np.arange(4), np.zeros((4, 2))])
     seen = []
-    for k, place in enumerate(places):
-        in_cam = points @ Rotation3.exp(place[:3]).matrix.T + place[3:]
+    for k, position in enumerate(positions):
+        in_cam = points @ Rotation3.exp(position[:3]).matrix.T + position[3:]
         pixels = -500 * in_cam[:, :2] / in_cam[:, 2:] + rng.normal(0, 0.3, (60, 2))
         seen += [f"{k} {j} {x} {y}" for j, (x, y) in enumerate(pixels)]
-    values = np.concatenate([*(np.r_[place, 500, 0, 0] for place in places), points.ravel()])
+    values = np.concatenate([*(np.r_[position, 500, 0, 0] for position in positions), points.ravel()])
     text = "\n".join([f"4 60 {len(seen)}", *seen, *map(str, values)])
     packed = bz2.compress(text.encode())
     (folder / "problem-16-22106-pre.txt.bz2").write_bytes(packed)
@@ -110,23 +110,23 @@ def stereo_pair(folder: Path) -> dict[str, Any]:
 
 def ride(_: Path) -> dict[str, Any]:
     """A depth camera that moves sideways before the courtyard."""
-    lens = Camera("PINHOLE", *SIZE, [0.8 * SIZE[0], 0.8 * SIZE[0], (SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2])
-    places = [look_at((0.03 * n, -4.0, 1.4), (0.03 * n, 0.4, 0.6)) for n in range(4)]
-    seen = [render(courtyard(), lens, place) for place in places]
-    greys = [cv2.cvtColor(picture.rgb, cv2.COLOR_RGB2GRAY) for picture in seen]
-    depths = [np.nan_to_num(picture.depth, nan=0.0).astype(np.float32) for picture in seen]
-    return {"lens": lens, "pictures": [(0.1 * n, *both) for n, both in enumerate(zip(greys, depths))]}
+    camera = Camera("PINHOLE", *SIZE, [0.8 * SIZE[0], 0.8 * SIZE[0], (SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2])
+    positions = [look_at((0.03 * n, -4.0, 1.4), (0.03 * n, 0.4, 0.6)) for n in range(4)]
+    seen = [render(courtyard(), camera, position) for position in positions]
+    greys = [cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY) for image in seen]
+    depths = [np.nan_to_num(image.depth, nan=0.0).astype(np.float32) for image in seen]
+    return {"camera": camera, "images": [(0.1 * n, *both) for n, both in enumerate(zip(greys, depths))]}
 
 
 def ride_folder(folder: Path, count: int) -> None:
     """The same in the form of KITTI: pairs of grey pictures and calib.txt."""
-    lens = Camera("PINHOLE", *SIZE, [260.0, 260.0, 159.5, 119.5])
+    camera = Camera("PINHOLE", *SIZE, [260.0, 260.0, 159.5, 119.5])
     for side, offset in (("image_0", 0.0), ("image_1", 0.12)):
         (folder / side).mkdir(parents=True)
         for n in range(count):
             at = np.array([0.03 * n + offset, -4.0, 1.4])
-            picture = render(courtyard(), lens, look_at(at, at + np.array([0.0, 4.4, -0.8])))
-            grey = cv2.cvtColor(picture.rgb, cv2.COLOR_RGB2GRAY)
+            image = render(courtyard(), camera, look_at(at, at + np.array([0.0, 4.4, -0.8])))
+            grey = cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY)
             cv2.imwrite(str(folder / side / f"{n:06d}.png"), grey)
     rows = [[260, 0, 159.5, x, 0, 260, 119.5, 0, 0, 0, 1, 0] for x in (0.0, -260 * 0.12)]
     text = "".join(f"P{k}: {' '.join(map(str, row))}\n" for k, row in enumerate(rows))
@@ -149,8 +149,8 @@ def usual(folder: Path, reconstructed: Path) -> dict[str, Any]:
     """For pages without a setup of their own: a reconstruction of IMAGES in OUT, and arrays of two views and of known points."""
     shutil.copytree(reconstructed, folder, dirs_exist_ok=True)
     calibration(folder)
-    picture = np.asarray(Image.open(sorted((folder / "IMAGES").iterdir())[0]))
-    return {"picture": picture, **known_points(folder), **two_views()}
+    image = np.asarray(Image.open(sorted((folder / "IMAGES").iterdir())[0]))
+    return {"image": image, **known_points(folder), **two_views()}
 
 
 PREPARED: dict[str, Callable[[Path], dict[str, Any]]] = {

@@ -30,7 +30,7 @@ from epipole.synthetic import courtyard, courtyard_views, render
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fields"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "io"))
-from fields_scenes import CAMERA, frames_of, lens, views
+from fields_scenes import CAMERA, camera, frames_of, views
 from test_io_llff import write_scene
 
 LARGE = Camera("PINHOLE", 1536, 1024, [1380.0, 1380.0, 767.5, 511.5])
@@ -47,10 +47,10 @@ def large_photographs(folder: Path) -> None:
     (folder / "MASKS").mkdir()
     views = courtyard_views(24)[np.arange(6, 10)]
     for n in range(4):
-        drawn = render(courtyard(), small, views[n], noise_sigma=1.5, seed=n)
-        picture = cv2.resize(drawn.rgb, (LARGE.width, LARGE.height), interpolation=cv2.INTER_CUBIC)
+        rendered = render(courtyard(), small, views[n], noise_sigma=1.5, seed=n)
+        image = cv2.resize(rendered.rgb, (LARGE.width, LARGE.height), interpolation=cv2.INTER_CUBIC)
         name = f"view_{n}.color.jpg"
-        write_jpeg_with_exif(folder / "IMAGES" / name, picture, focal_35mm=1380 / 1536 * 36)
+        write_jpeg_with_exif(folder / "IMAGES" / name, image, focal_35mm=1380 / 1536 * 36)
         mask = np.full((LARGE.height, LARGE.width), 255, np.uint8)
         mask[:40] = 0
         cv2.imwrite(str(folder / "MASKS" / f"{name}.png"), mask)
@@ -103,7 +103,7 @@ def known_ride(folder: Path) -> None:
     """SOURCE, a pair's ride; PICTURES and TUESDAY of one camera, FILE, its calibration; WHEELS and TRUTH.txt."""
     docs_ride.kitti(folder / "SOURCE")
     for name in ("PICTURES", "TUESDAY"):
-        docs_ride.pictures(folder / name)
+        docs_ride.images(folder / name)
     write_calibration(folder / "FILE", calibration_of(LENS))
     docs_ride.wheels(folder / "WHEELS")
     write_trajectory(docs_ride.ride().path(), folder / "TRUTH.txt")
@@ -128,10 +128,10 @@ def stopped_ride(folder: Path) -> None:
 
 def metres_for_slam(folder: Path) -> None:
     docs_ride.video(folder / "ride.mp4")
-    docs_ride.pictures(folder / "ride")
+    docs_ride.images(folder / "ride")
     docs_ride.euroc(folder / "flight")
     metres(folder)
-    docs_ride.places(folder / "gps.txt")
+    docs_ride.positions(folder / "gps.txt")
 
 
 def metres(folder: Path) -> None:
@@ -140,8 +140,8 @@ def metres(folder: Path) -> None:
 
 
 def metres_for_photographs(folder: Path) -> None:
-    names = docs_ride.pictures(folder / "photos", docs_ride.FEW)
-    docs_ride.places(folder / "places.txt", names, docs_ride.FEW)
+    names = docs_ride.images(folder / "photos", docs_ride.FEW)
+    docs_ride.positions(folder / "places.txt", names, docs_ride.FEW)
     docs_ride.lengths(folder / "lengths.txt", names, docs_ride.FEW)
     docs_ride.video(folder / "walk.mp4")
     docs_ride.euroc(folder / "flight")
@@ -156,14 +156,14 @@ def maps(folder: Path) -> None:
 def from_orb_slam(folder: Path) -> None:
     for name in ("rgbd_dataset_freiburg1_xyz", "rgbd_dataset_freiburg1_desk"):
         docs_ride.tum(folder / name)
-    docs_ride.pictures(folder / "pictures")
+    docs_ride.images(folder / "pictures")
 
 
 def field_sources(*names: str, model: str | None = None) -> Callable[[Path], None]:
     """PHOTOS of the ride, an output of a reconstruction, and pictures with cameras as NeRF writes them."""
 
     def prepare(folder: Path) -> None:
-        docs_ride.pictures(folder / "PHOTOS", docs_ride.FEW, ".jpg")
+        docs_ride.images(folder / "PHOTOS", docs_ride.FEW, ".jpg")
         if model is not None:
             PREPARED["fields"](folder)
             (folder / "MODEL").rename(folder / model)
@@ -175,7 +175,7 @@ def field_sources(*names: str, model: str | None = None) -> Callable[[Path], Non
 
 def scene(folder: Path) -> None:
     folder.mkdir()
-    (folder / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(views(), folder)}))
+    (folder / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(views(), folder)}))
 
 
 def fields_of_all_kinds(folder: Path) -> None:

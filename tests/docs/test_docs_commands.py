@@ -49,7 +49,7 @@ def shortened(line: str) -> list[str]:
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+def requested(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
     """Addresses that were printed and have answered; Ctrl-C follows."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     found: list[str] = []
@@ -78,7 +78,7 @@ def test_command_lines_run(
     block: str,
     reconstructed: Path,
     tmp_path: Path,
-    asked: list[str],
+    requested: list[str],
     monkeypatch: pytest.MonkeyPatch,
     unchecked: None,
 ) -> None:
@@ -96,17 +96,17 @@ def test_command_lines_run(
             if made.setdefault(named[-1], job) != job:
                 shutil.rmtree(named[-1])  # lines with one OUT are alternatives
                 made[named[-1]] = job
-        run(line, asked)
+        run(line, requested)
 
 
-def run(line: str, asked: list[str]) -> None:
+def run(line: str, requested: list[str]) -> None:
     """In this process; what a line refuses is a failure that tells why."""
-    words, code, before = shortened(line), 0, len(asked)
+    words, code, before = shortened(line), 0, len(requested)
     try:
         main(words)
     except SystemExit as stopped:
         code = int(stopped.code or 0)
-    served = len(asked) > before
+    served = len(requested) > before
     assert code in ((0, INTERRUPTED) if served else (0,)), f"{line} ended with {code}"
     serves = words[0] in ("view", "lesson") and "--share" not in words and "--export" not in words
     assert served == (serves or (words[0] == "slam" and "--view" in words)), line

@@ -80,8 +80,8 @@ def test_names_of_the_api_stand_once() -> None:
 
 def test_a_loss_is_told() -> None:
     rows = {"epipole": {"s": 1.0, "e": 2.0}, "A": {"s": 1.01, "e": 1.0}, "B": {"s": 3.0, "e": None}}
-    told = standing(rows, [Measure("s", "time"), Measure("e", "error"), Measure("x", "nothing")])
-    assert told.splitlines()[2:] == ["| time | B | A |  |", "| error |  |  | A |"]
+    given = standing(rows, [Measure("s", "time"), Measure("e", "error"), Measure("x", "nothing")])
+    assert given.splitlines()[2:] == ["| time | B | A |  |", "| error |  |  | A |"]
     assert standing({"A": {"s": 1.0}}, [Measure("s", "time")]) == ""
     more = standing({"epipole": {"f": 0.9}, "A": {"f": 0.5}}, [Measure("f", "found", higher_is_better=True)])
     assert more.endswith("| found | A |  |  |")

@@ -153,8 +153,8 @@ def test_rows_without_times_pair_in_their_order_from_python(path, tmp_path):
     for one, other in ((rows, timed), (timed, rows), (rows, rows)):
         found = score_trajectory(one, other)
         assert found.num_compared == 40 and found.rigid.ate_rmse < 1e-7
-        told = [row.tolist() for row in associate(one, other)]
-        assert told == [list(range(40)), list(range(40))]
+        given = [row.tolist() for row in associate(one, other)]
+        assert given == [list(range(40)), list(range(40))]
     by_file = evaluate_trajectory(tmp_path / "kitti.txt", tmp_path / "tum.txt")
     assert by_file.num_compared == 40 and by_file.rigid.ate_rmse < 1e-7
     for one, other in (
@@ -213,8 +213,8 @@ def test_a_nearly_straight_path_keeps_its_usual_order(path, tmp_path):
     """Its positions leave the rotation about it open, so that another order may agree better by chance."""
     rng = np.random.default_rng(8)
     for tilt in np.linspace(0.0, 3.0, 13):
-        turned = Rotation3.exp(np.array([tilt, 0.0, 0.0])).matrix
-        rotation = turned @ path.world_from_body.rotation
+        rotated = Rotation3.exp(np.array([tilt, 0.0, 0.0])).matrix
+        rotation = rotated @ path.world_from_body.rotation
         along = np.linspace(0, 50, 40)[:, None] * np.array([1.0, 0, 0]) + rng.normal(scale=1e-3, size=(40, 3))
         noisy = along + rng.normal(scale=1e-3, size=(40, 3))
         for name, positions in (("truth.txt", along), ("path.txt", noisy)):

@@ -20,10 +20,10 @@ from epipole.features import (
 
 def blobs(centers, sigma, size=240):
     y, x = np.mgrid[:size, :size]
-    picture = np.full((size, size), 60.0)
+    image = np.full((size, size), 60.0)
     for cx, cy in centers:
-        picture += 150 * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2 * sigma**2))
-    return np.rint(np.clip(picture, 0, 255)).astype(np.uint8)
+        image += 150 * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2 * sigma**2))
+    return np.rint(np.clip(image, 0, 255)).astype(np.uint8)
 
 
 @pytest.mark.parametrize("sigma", [2.0, 3.0, 5.0])
@@ -50,8 +50,8 @@ def test_blank_and_tiny_pictures_have_no_features(kind):
 
 
 def test_number_of_features_is_bounded(rng):
-    picture = rng.integers(0, 255, (300, 300)).astype(np.uint8)
-    assert len(detect_features(picture, FeatureConfig(max_features=50))) == 50
+    image = rng.integers(0, 255, (300, 300)).astype(np.uint8)
+    assert len(detect_features(image, FeatureConfig(max_features=50))) == 50
 
 
 def test_root_sift_has_unit_length_and_gives_the_hellinger_kernel(rng):
@@ -141,7 +141,7 @@ def test_guided_matches_lie_on_their_lines_and_find_repeated_features(rng):
 
 def test_retrieval_finds_the_picture_with_the_same_features(rng):
     scenes = [root_sift(rng.gamma(0.3, 1, (200, 128)).astype(np.float32)) for _ in range(6)]
-    pictures = [s[rng.permutation(200)[:150]] for s in scenes for _ in range(2)]
-    words = train_vocabulary(pictures, num_words=16)
-    nearest = most_similar(np.stack([describe_image(p, words) for p in pictures]), 1)[:, 0]
+    images = [s[rng.permutation(200)[:150]] for s in scenes for _ in range(2)]
+    words = train_vocabulary(images, num_words=16)
+    nearest = most_similar(np.stack([describe_image(p, words) for p in images]), 1)[:, 0]
     np.testing.assert_array_equal(nearest, np.arange(12) ^ 1)

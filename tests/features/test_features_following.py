@@ -11,14 +11,14 @@ from epipole.features import (
     align_patches,
     find_along_rows,
     find_patches,
-    follow_points,
     patches,
+    track_points,
 )
 from kernel_references import assert_same_as_python, record_calls, reference_of
 
 
 @pytest.fixture(scope="module")
-def picture() -> np.ndarray:
+def image() -> np.ndarray:
     """Smooth noise: gradients everywhere, the same look nowhere twice."""
     noise = np.random.default_rng(3).normal(size=(240, 320)).astype(np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), 2.5)
@@ -30,120 +30,122 @@ def pixels(rng) -> np.ndarray:
     return rng.uniform([60, 60], [260, 180], (80, 2))
 
 
-def warped(picture: np.ndarray, affine: np.ndarray) -> np.ndarray:
+def warped(image: np.ndarray, affine: np.ndarray) -> np.ndarray:
     return cv2.warpAffine(
-        picture, affine, picture.shape[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
+        image, affine, image.shape[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
     )
 
 
-def test_a_shift_is_followed(picture, pixels):
+def test_a_shift_is_followed(image, pixels):
     shift = np.array([7.3, -4.6])
-    moved = warped(picture, np.hstack([np.eye(2), shift[:, None]]))
-    there, found = follow_points(picture, moved, pixels)
+    moved = warped(image, np.hstack([np.eye(2), shift[:, None]]))
+    there, found = track_points(image, moved, pixels)
     assert found.mean() > 0.95
     assert np.linalg.norm(there[found] - pixels[found] - shift, axis=1).max() < 0.15
     guess = np.full_like(pixels, np.nan)
-    again, _ = follow_points(picture, moved, pixels, guess)
+    again, _ = track_points(image, moved, pixels, guess)
     np.testing.assert_allclose(again[found], there[found], atol=0.05)
 
 
-def test_what_is_not_there_is_not_found(picture, pixels, rng):
-    other = rng.permuted(picture, axis=0)
-    _, found = follow_points(picture, other, pixels)
+def test_what_is_not_there_is_not_found(image, pixels, rng):
+    other = rng.permuted(image, axis=0)
+    _, found = track_points(image, other, pixels)
     assert found.mean() < 0.2
-    _, found = follow_points(np.full_like(picture, 90), np.full_like(picture, 90), pixels)
+    _, found = track_points(np.full_like(image, 90), np.full_like(image, 90), pixels)
     assert not found.any()
-    there, found = follow_points(picture, picture, np.zeros((0, 2)))
+    there, found = track_points(image, image, np.zeros((0, 2)))
     assert there.shape == (0, 2) and found.shape == (0,)
     with pytest.raises(ShapeError, match="too small"):
-        follow_points(picture[:15, :15], picture[:15, :15], pixels)
+        track_points(image[:15, :15], image[:15, :15], pixels)
     with pytest.raises(ConfigError, match="odd"):
         FlowConfig(window_px=20)
 
 
-@pytest.mark.parametrize(("turn_deg", "scale", "gain"), [(0.0, 1.0, 1.0), (20.0, 1.0, 0.7), (-8.0, 1.3, 1.2)])
-def test_a_foretold_warp_is_placed_exactly(picture, pixels, rng, turn_deg, scale, gain):
-    affine = cv2.getRotationMatrix2D((160, 120), turn_deg, scale)
-    moved = np.clip(warped(picture, affine) * gain + 5, 0, 255).astype(np.uint8)
+@pytest.mark.parametrize(
+    ("rotation_deg", "scale", "gain"), [(0.0, 1.0, 1.0), (20.0, 1.0, 0.7), (-8.0, 1.3, 1.2)]
+)
+def test_a_foretold_warp_is_placed_exactly(image, pixels, rng, rotation_deg, scale, gain):
+    affine = cv2.getRotationMatrix2D((160, 120), rotation_deg, scale)
+    moved = np.clip(warped(image, affine) * gain + 5, 0, 255).astype(np.uint8)
     truth = pixels @ affine[:, :2].T + affine[:, 2]
     warps = np.tile(affine[:, :2], (len(pixels), 1, 1))
-    found, score = align_patches(picture, moved, pixels, warps, truth + rng.uniform(-1.5, 1.5, truth.shape))
+    found, score = align_patches(image, moved, pixels, warps, truth + rng.uniform(-1.5, 1.5, truth.shape))
     inside = (truth > 12).all(axis=1) & (truth < [308, 228]).all(axis=1)
     good = inside & (score > 0.9)
     assert good.sum() > 0.9 * inside.sum()
     assert np.median(np.linalg.norm(found - truth, axis=1)[good]) < 0.06
-    if turn_deg:
-        _, plain = align_patches(picture, moved, pixels, np.tile(np.eye(2), (len(pixels), 1, 1)), truth)
+    if rotation_deg:
+        _, plain = align_patches(image, moved, pixels, np.tile(np.eye(2), (len(pixels), 1, 1)), truth)
         assert np.nanmedian(plain) < np.nanmedian(score) - 0.03
 
 
-def test_patches_that_say_nothing_have_no_score(picture):
+def test_patches_that_say_nothing_have_no_score(image):
     pixels = np.array([[2.0, 2.0], [160.0, 120.0], [np.nan, 3.0], [160.0, 120.0]])
     warps = np.tile(np.eye(2), (4, 1, 1))
     warps[3] = 0.0
-    _, score = align_patches(picture, picture, pixels, warps, pixels)
+    _, score = align_patches(image, image, pixels, warps, pixels)
     assert np.isnan(score[[0, 2, 3]]).all() and score[1] > 0.999
-    _, score = align_patches(np.full_like(picture, 9), picture, pixels, warps, pixels)
+    _, score = align_patches(np.full_like(image, 9), image, pixels, warps, pixels)
     assert np.isnan(score).all()
     with pytest.raises(ShapeError, match="warps must be"):
-        align_patches(picture, picture, pixels, warps[:2], pixels)
+        align_patches(image, image, pixels, warps[:2], pixels)
     with pytest.raises(ConfigError, match="half_px"):
-        align_patches(picture, picture, pixels, warps, pixels, 1)
+        align_patches(image, image, pixels, warps, pixels, 1)
 
 
 @pytest.mark.parametrize("gain", [0.3, 0.6, 1.3, 2.2])
-def test_points_are_followed_into_a_picture_of_another_exposure(picture, pixels, gain):
+def test_points_are_followed_into_a_picture_of_another_exposure(image, pixels, gain):
     """As well as into one of the same: with the brightness as it is most points were lost."""
-    middle = np.rint(40 + 0.3 * picture).astype(np.uint8)  # nothing is over-exposed in either
+    middle = np.rint(40 + 0.3 * image).astype(np.uint8)  # nothing is over-exposed in either
     motion = np.float64([[1, 0, 3.3], [0, 1, -1.7]])
     other = np.rint(gain * warped(middle, motion)).clip(0, 255).astype(np.uint8)
-    found, mask = follow_points(middle, other, pixels)
+    found, mask = track_points(middle, other, pixels)
     assert mask.mean() > 0.9
     assert np.linalg.norm(found[mask] - pixels[mask] - [3.3, -1.7], axis=1).max() < 0.3
-    back, mask = follow_points(other, middle, pixels + np.array([3.3, -1.7]))
+    back, mask = track_points(other, middle, pixels + np.array([3.3, -1.7]))
     assert mask.mean() > 0.9 and np.linalg.norm(back[mask] - pixels[mask], axis=1).max() < 0.3
 
 
-def test_odd_places_do_not_trouble_the_brightness(picture):
+def test_odd_places_do_not_trouble_the_brightness(image):
     odd = np.array([[60.0, 60.0], [-30.0, 5.0], [1e12, 1e12], [np.nan, 50.0]])
-    _, mask = follow_points(picture, picture, odd)
+    _, mask = track_points(image, image, odd)
     assert mask[0] and not mask[1:].any()
 
 
 @reference_of(_patch_kernels.align_patches)
-def test_the_kernel_is_its_source(picture, monkeypatch):
+def test_the_kernel_is_its_source(image, monkeypatch):
     calls = record_calls(monkeypatch, patches, _patch_kernels.align_patches)
     pixels = np.array([[50.3, 60.7], [3.0, 3.0], [200.0, 100.0]])
     warps = np.tile(np.array([[1.02, 0.05], [-0.04, 0.97]]), (3, 1, 1))
     align_patches(
-        picture, warped(picture, np.float64([[1, 0, 0.6], [0, 1, -0.3]])), pixels, warps, pixels + 0.4, 3
+        image, warped(image, np.float64([[1, 0, 0.6], [0, 1, -0.3]])), pixels, warps, pixels + 0.4, 3
     )
     for arguments in calls:
         assert_same_as_python(_patch_kernels.align_patches, *arguments, rtol=1e-9, atol=1e-9)
 
 
-def test_halved_pictures_find_patches_from_further_away(picture, pixels, rng):
+def test_halved_pictures_find_patches_from_further_away(image, pixels, rng):
     affine = cv2.getRotationMatrix2D((160, 120), 10.0, 1.1)
-    moved = warped(picture, affine)
+    moved = warped(image, affine)
     truth = pixels @ affine[:, :2].T + affine[:, 2]
     inside = (truth > 30).all(axis=1) & (truth < [290, 210]).all(axis=1)
-    way = rng.normal(size=truth.shape)
-    guess = truth + 9.0 * way / np.linalg.norm(way, axis=1, keepdims=True)
+    trajectory = rng.normal(size=truth.shape)
+    guess = truth + 9.0 * trajectory / np.linalg.norm(trajectory, axis=1, keepdims=True)
     warps = np.tile(affine[:, :2], (len(pixels), 1, 1))
     hits = []
     for levels in (1, 3):
-        found, score = find_patches(picture, moved, pixels, warps, guess, levels)
+        found, score = find_patches(image, moved, pixels, warps, guess, levels)
         hits.append(((score > 0.9) & (np.linalg.norm(found - truth, axis=1) < 0.3))[inside].mean())
     assert hits[1] > 0.85 > 0.5 > hits[0], hits
     with pytest.raises(ConfigError, match="levels"):
-        find_patches(picture, moved, pixels, warps, guess, 0)
+        find_patches(image, moved, pixels, warps, guess, 0)
 
 
-def test_shifts_along_rows_are_found_and_what_repeats_has_a_rival(picture, pixels, rng):
+def test_shifts_along_rows_are_found_and_what_repeats_has_a_rival(image, pixels, rng):
     shift = 17
-    right = np.roll(picture, -shift, axis=1)
-    found, score, rival = find_along_rows(picture, right, pixels, 40)
-    whole, more = (find_along_rows(picture, right, pixels, shift) for shift in (picture.shape[1], 2**62))
+    right = np.roll(image, -shift, axis=1)
+    found, score, rival = find_along_rows(image, right, pixels, 40)
+    whole, more = (find_along_rows(image, right, pixels, shift) for shift in (image.shape[1], 2**62))
     np.testing.assert_array_equal(whole, more)  # beyond the picture there is nothing to find
     inside = (pixels > [shift + 6, 6]).all(axis=1) & (pixels < [314, 234]).all(axis=1)
     assert inside.sum() > 20
@@ -153,17 +155,17 @@ def test_shifts_along_rows_are_found_and_what_repeats_has_a_rival(picture, pixel
     _, score, rival = find_along_rows(tile, tile, np.array([[150.0, 100.0]]), 40)
     assert score[0] > 0.999 and rival[0] > 0.999
     _, score, _ = find_along_rows(
-        np.full_like(picture, 7), picture, np.array([[100.0, 100.0], [np.nan, 1.0]]), 40
+        np.full_like(image, 7), image, np.array([[100.0, 100.0], [np.nan, 1.0]]), 40
     )
     assert np.isnan(score).all()
     with pytest.raises(ConfigError, match="max_shift"):
-        find_along_rows(picture, right, pixels, -1)
+        find_along_rows(image, right, pixels, -1)
 
 
 @reference_of(_patch_kernels.find_along_rows)
-def test_the_kernel_along_rows_is_its_source(picture, monkeypatch):
+def test_the_kernel_along_rows_is_its_source(image, monkeypatch):
     calls = record_calls(monkeypatch, patches, _patch_kernels.find_along_rows)
-    find_along_rows(picture, np.roll(picture, -3, axis=1), np.array([[50.3, 60.7], [3.0, 3.0]]), 9, 3)
+    find_along_rows(image, np.roll(image, -3, axis=1), np.array([[50.3, 60.7], [3.0, 3.0]]), 9, 3)
     assert calls
     for arguments in calls:
         assert_same_as_python(_patch_kernels.find_along_rows, *arguments, rtol=1e-12, atol=1e-12)

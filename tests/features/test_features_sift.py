@@ -14,7 +14,7 @@ from epipole.features.features import Features
 
 
 @pytest.fixture(scope="module")
-def picture():
+def image():
     """A texture rich at all scales."""
     rng = np.random.default_rng(3)
     layers = [
@@ -26,10 +26,10 @@ def picture():
     return np.rint(255 * total).astype(np.uint8)
 
 
-def place(features: Features) -> np.ndarray:
+def position(features: Features) -> np.ndarray:
     """Position, log of the scale and direction in one space, so that equal features are near each other."""
-    turn = 4.0 * np.stack([np.cos(features.angle_rad), np.sin(features.angle_rad)], axis=1)
-    return np.column_stack([features.pixels, 8.0 * np.log2(features.scale_px), turn])
+    rotation = 4.0 * np.stack([np.cos(features.angle_rad), np.sin(features.angle_rad)], axis=1)
+    return np.column_stack([features.pixels, 8.0 * np.log2(features.scale_px), rotation])
 
 
 def opencv_sift(grey: np.ndarray, config: FeatureConfig) -> Features:
@@ -44,12 +44,12 @@ def cosine(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (a * b).sum(axis=1) / np.linalg.norm(a, axis=1) / np.linalg.norm(b, axis=1)
 
 
-def test_finds_what_opencv_finds(picture):
+def test_finds_what_opencv_finds(image):
     config = FeatureConfig()
-    ours, theirs = sift.detect_sift(picture, config), opencv_sift(picture, config)
+    ours, theirs = sift.detect_sift(image, config), opencv_sift(image, config)
     assert len(theirs) > 400
     assert abs(len(ours) - len(theirs)) < 0.01 * len(theirs)
-    distance, nearest = cKDTree(place(theirs)).query(place(ours))
+    distance, nearest = cKDTree(position(theirs)).query(position(ours))
     same = distance < 0.5
     assert same.mean() > 0.98
     assert np.abs(ours.pixels - theirs.pixels[nearest])[same].mean() < 2e-3
@@ -58,25 +58,25 @@ def test_finds_what_opencv_finds(picture):
     assert np.percentile(agreement, 5) > 0.95  # OpenCV samples whole pixels around a rounded centre
 
 
-def test_a_turned_picture_has_the_turned_features(picture):
+def test_a_turned_picture_has_the_turned_features(image):
     config = FeatureConfig()
-    upright, turned = sift.detect_sift(picture, config), sift.detect_sift(np.rot90(picture).copy(), config)
+    upright, rotated = sift.detect_sift(image, config), sift.detect_sift(np.rot90(image).copy(), config)
     # rot90 takes (x, y) to (y, width - 1 - x), and directions by -90 degrees.
     back = Features(
-        np.stack([picture.shape[1] - 1 - turned.pixels[:, 1], turned.pixels[:, 0]], axis=1),
-        turned.scale_px,
-        turned.angle_rad + np.float32(np.pi / 2),
-        turned.descriptors,
+        np.stack([image.shape[1] - 1 - rotated.pixels[:, 1], rotated.pixels[:, 0]], axis=1),
+        rotated.scale_px,
+        rotated.angle_rad + np.float32(np.pi / 2),
+        rotated.descriptors,
     )
-    distance, nearest = cKDTree(place(upright)).query(place(back))
+    distance, nearest = cKDTree(position(upright)).query(position(back))
     same = distance < 1.0
     assert same.mean() > 0.85  # the doubled grid is not symmetric, so that weak features come and go
     assert np.median(cosine(back.descriptors, upright.descriptors[nearest])[same]) > 0.99
 
 
-def test_largest_features_are_kept(picture):
-    everything = sift.detect_sift(picture, FeatureConfig(max_features=100_000))
-    few = sift.detect_sift(picture, FeatureConfig(max_features=100))
+def test_largest_features_are_kept(image):
+    everything = sift.detect_sift(image, FeatureConfig(max_features=100_000))
+    few = sift.detect_sift(image, FeatureConfig(max_features=100))
     assert len(few) == 100
     np.testing.assert_array_equal(few.scale_px, everything.scale_px[:100])
     assert (np.diff(everything.scale_px) <= 0).all()

@@ -15,14 +15,14 @@ SINGLE = {"rtol": 1e-6, "atol": 1e-6}
 SHAPES = [(7, 11), (1, 1), (1, 6), (5, 1), (2, 2)]
 
 
-def picture(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
+def image(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
     return rng.integers(0, 256, shape).astype(np.uint8)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
 @reference_of(space.upsample, space.halve)
 def test_doubled_and_halved(rng: np.random.Generator, shape: tuple[int, int]) -> None:
-    grey, (height, width) = picture(rng, shape), shape
+    grey, (height, width) = image(rng, shape), shape
     out = np.empty((2 * height, 2 * width), np.float32)
     _, (_, out) = assert_same_as_python(space.upsample, grey, out)
     y, x = (np.minimum(np.arange(2 * n) / 2, n - 1) for n in shape)
@@ -74,9 +74,9 @@ def test_features(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, sha
         less, _ = assert_same_as_python(space.find_extrema, *arguments, np.zeros_like(room[:1]), **SINGLE)
         assert less == count
     assert max(counts) > 1
-    for levels, places, sigma, pixel, columns, descriptors in described:
+    for levels, positions, sigma, pixel, columns, descriptors in described:
         for few in (0, 3):
-            few_places, few_sigma = places[:few].copy(), sigma[:few].copy()
+            few_places, few_sigma = positions[:few].copy(), sigma[:few].copy()
             room = np.zeros_like(columns[: 4 * few]), np.zeros_like(descriptors[: 4 * few])
             count, _ = assert_same_as_python(
                 kernels.describe_all, levels, few_places, few_sigma, pixel, *room, **SINGLE

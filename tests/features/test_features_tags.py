@@ -25,10 +25,10 @@ def seen(color, view, dictionary="APRILTAG_36h11"):
 
 
 @pytest.mark.parametrize("color", [(0.2, 0.2, 0.2), (1.0, 1.0, 1.0)])
-@pytest.mark.parametrize("place", [(0.1, -1.0, 0.1), (0.8, -1.3, 0.4)])
-def test_corners_lie_where_the_marker_ends(color, place):
+@pytest.mark.parametrize("position", [(0.1, -1.0, 0.1), (0.8, -1.3, 0.4)])
+def test_corners_lie_where_the_marker_ends(color, position):
     # Held askew: the renderer casts two rays across a pixel, and an upright edge would lie on one of them.
-    view = look_at(place, (0.0, 0.0, 0.0), (0.3, 0.0, 1.0))
+    view = look_at(position, (0.0, 0.0, 0.0), (0.3, 0.0, 1.0))
     found = find_tags(seen(color, view), "APRILTAG_36h11")
     assert found.number.tolist() == [5] and "1 marker" in repr(found)
     square = 0.5 * SIDE * np.array([[-1, 0, 1], [1, 0, 1], [1, 0, -1], [-1, 0, -1.0]])

@@ -49,7 +49,7 @@ class Tab:
         self.call("Page.navigate", url=address)
         self.wait_until("document.documentElement?.dataset.ready === 'yes'")
 
-    def picture(self, clip: dict[str, float] | None = None) -> np.ndarray:
+    def image(self, clip: dict[str, float] | None = None) -> np.ndarray:
         """(h, w, 3) of 8 bits what is seen; of a part {x, y, width, height}, or of all."""
         extra = {} if clip is None else {"clip": clip | {"scale": 1}}
         data = base64.b64decode(self.call("Page.captureScreenshot", format="png", **extra)["data"])

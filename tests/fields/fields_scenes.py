@@ -35,13 +35,13 @@ def views(count=14, with_alpha=True):
     out = []
     for n in range(count):
         angle, up = 2.399963 * n, -0.7 + 1.4 * (n + 0.5) / count
-        place = look_at(2.6 * np.array([np.cos(angle), np.sin(angle), up]), (0, 0, 0))
-        drawn = render(scene(), CAMERA, place)
-        alpha = drawn.coverage[..., None]
-        colour = np.divide(drawn.colour, alpha, out=np.zeros_like(drawn.colour), where=alpha > 0)
-        whole = np.concatenate([colour, alpha], axis=2) if with_alpha else drawn.over(WHITE)
-        picture = np.rint(255 * np.clip(whole, 0, 1)).astype(np.uint8)
-        out.append(TrainingView(f"{n:02d}.png", picture, CAMERA, place))
+        position = look_at(2.6 * np.array([np.cos(angle), np.sin(angle), up]), (0, 0, 0))
+        rendered = render(scene(), CAMERA, position)
+        alpha = rendered.coverage[..., None]
+        colour = np.divide(rendered.colour, alpha, out=np.zeros_like(rendered.colour), where=alpha > 0)
+        whole = np.concatenate([colour, alpha], axis=2) if with_alpha else rendered.over(WHITE)
+        image = np.rint(255 * np.clip(whole, 0, 1)).astype(np.uint8)
+        out.append(TrainingView(f"{n:02d}.png", image, CAMERA, position))
     return tuple(out)
 
 
@@ -49,14 +49,14 @@ def frames_of(chosen, folder):
     """Pictures in a folder, and their entries in a transforms.json."""
     out = []
     for seen in chosen:
-        picture = cv2.cvtColor(seen.picture, cv2.COLOR_RGBA2BGRA)
+        image = cv2.cvtColor(seen.image, cv2.COLOR_RGBA2BGRA)
         (folder / "images").mkdir(exist_ok=True)
-        cv2.imwrite(str(folder / "images" / seen.name), picture)
+        cv2.imwrite(str(folder / "images" / seen.name), image)
         matrix = seen.cam_from_world.inverse().as_matrix() @ np.diag([1.0, -1.0, -1.0, 1.0])
         out.append({"file_path": f"images/{seen.name}", "transform_matrix": matrix.tolist()})
     return out
 
 
-def lens():
+def camera():
     fx, fy, cx, cy = CAMERA.params
     return {"w": CAMERA.width, "h": CAMERA.height, "fl_x": fx, "fl_y": fy, "cx": cx + 0.5, "cy": cy + 0.5}

@@ -6,11 +6,11 @@ from plain_rasterizer import basis
 STEP, SHIFT, OVER = 0.5, -5.0, 1e-3
 
 
-def features_of(tables, cells, place):
+def features_of(tables, cells, position):
     """Trilinear features of all levels at a place in [0, 1]."""
     out, rows = [], tables.shape[1]
     for side, table in zip(cells.tolist(), tables):
-        at = place * side
+        at = position * side
         cell = np.floor(at).astype(int)
         part, total = at - cell, np.zeros(4)
         for corner in np.ndindex(2, 2, 2):
@@ -24,9 +24,9 @@ def features_of(tables, cells, place):
     return np.concatenate(out)
 
 
-def density_of(tables, cells, weights, place):
+def density_of(tables, cells, weights, position):
     """What the first two layers say: density before its exponential, and 15 features."""
-    return np.maximum(features_of(tables, cells, place) @ weights[0], 0) @ weights[1]
+    return np.maximum(features_of(tables, cells, position) @ weights[0], 0) @ weights[1]
 
 
 def colour_of(weights, said, direction):
@@ -48,9 +48,9 @@ def plain_ray(tables, weights, field, center, direction, first, background):
     colour, away, left = np.zeros(3), 0.0, 1.0
     t = near + first * STEP
     while t < far and left >= OVER:
-        place = origin + t * direction
-        if room.occupied[tuple(np.floor(place).astype(int))]:
-            said = density_of(tables, field.cells, weights, place / max(room.occupied.shape))
+        position = origin + t * direction
+        if room.occupied[tuple(np.floor(position).astype(int))]:
+            said = density_of(tables, field.cells, weights, position / max(room.occupied.shape))
             alpha = 1 - np.exp(-np.exp(said[0] + SHIFT) * STEP)
             colour += left * alpha * colour_of(weights, said, direction)
             away += left * alpha * t

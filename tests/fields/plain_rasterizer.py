@@ -58,8 +58,8 @@ def plain_render(arrays, camera, cam_from_world, blur=0.3, antialiased=False, ne
         x, y, z = there[n]
         if not z > near:
             continue
-        held = np.clip(np.array([x, y]) / z, -reach, reach)
-        jac = np.array([[f[0] / z, 0, -f[0] * held[0] / z], [0, f[1] / z, -f[1] * held[1] / z]]) @ rotation
+        fixed = np.clip(np.array([x, y]) / z, -reach, reach)
+        jac = np.array([[f[0] / z, 0, -f[0] * fixed[0] / z], [0, f[1] / z, -f[1] * fixed[1] / z]]) @ rotation
         seen = jac @ spread[n] @ jac.T
         wide = seen + blur * np.eye(2)
         opacity = 1 / (1 + np.exp(-logits[n]))

@@ -6,10 +6,10 @@ from plain_rasterizer import basis
 STEP, SHIFT = 0.7, -4.6
 
 
-def between(values, index, place):
+def between(values, index, position):
     """The row at a place, linearly between the eight corners of its cell."""
-    cell = np.floor(place).astype(int)
-    part = place - cell
+    cell = np.floor(position).astype(int)
+    part = position - cell
     out = np.zeros(values.shape[1])
     for corner in np.ndindex(2, 2, 2):
         weight = np.prod(np.where(corner, part, 1 - part))
@@ -28,9 +28,9 @@ def plain_ray(values, voxels, center, direction, first, background):
     harmonics = basis(direction[None], 4)[0]
     t = near + first * STEP
     while t < far:
-        place = origin + t * direction
-        if voxels.occupied[tuple(np.floor(place).astype(int))]:
-            row = between(values, voxels.row_of, place)
+        position = origin + t * direction
+        if voxels.occupied[tuple(np.floor(position).astype(int))]:
+            row = between(values, voxels.row_of, position)
             alpha = 1 - np.exp(-np.logaddexp(0, row[0] + SHIFT) * float(voxels.delta))
             seen = np.maximum(0.5 + harmonics @ row[1:13].reshape(4, 3), 0)
             colour += left * alpha * seen

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from fields_scenes import frames_of, lens, views
+from fields_scenes import camera, frames_of, views
 
 from epipole import compare_fields
 from epipole.errors import ConfigError, FileFormatError
@@ -15,20 +15,20 @@ from epipole.io.images.photographs import read_rgb
 def source(tmp_path_factory):
     folder = tmp_path_factory.mktemp("compare") / "scene"
     folder.mkdir()
-    (folder / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(views(), folder)}))
+    (folder / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(views(), folder)}))
     return folder
 
 
 def test_both_are_trained_and_drawn(source, tmp_path):
     result = compare_fields(source, tmp_path / "out", test_every=7, steps=60, kind="grid")
-    told = json.loads((result.out / "compare.json").read_text())
-    assert told["held_out"] and told["views"] == 2 and told["kind"] == "grid" and not result.is_interrupted
+    given = json.loads((result.out / "compare.json").read_text())
+    assert given["held_out"] and given["views"] == 2 and given["kind"] == "grid" and not result.is_interrupted
     for name in ("splat", "nerf"):
-        assert told[name] == result.rows[name]
-        assert told[name]["psnr"] > 18 and told[name]["frames_s"] > 0 and told[name]["train_s"] > 0
+        assert given[name] == result.rows[name]
+        assert given[name]["psnr"] > 18 and given[name]["frames_s"] > 0 and given[name]["train_s"] > 0
         own = json.loads((result.out / name / "metrics.json").read_text())
-        assert told[name]["psnr"] == pytest.approx(own["psnr"], abs=1e-6)
-    assert told["splat"]["evaluated"] > told["splat"]["useful"] > 0.5 and told["nerf"]["queries"] > 0.5
+        assert given[name]["psnr"] == pytest.approx(own["psnr"], abs=1e-6)
+    assert given["splat"]["evaluated"] > given["splat"]["useful"] > 0.5 and given["nerf"]["queries"] > 0.5
     beside = read_rgb(result.out / "pictures" / "images_00.png")
     truth = np.rint(255 * views()[0].over(np.ones(3, np.float32))).astype(int)
     height, width, _ = truth.shape
@@ -41,8 +41,8 @@ def test_both_are_trained_and_drawn(source, tmp_path):
 
 def test_without_held_out_views_those_of_the_training_are_compared(source, tmp_path):
     result = compare_fields(source, tmp_path / "out", test_every=0, steps=2, kind="hash")
-    told = json.loads((result.out / "compare.json").read_text())
-    assert not told["held_out"] and told["views"] == len(views())
+    given = json.loads((result.out / "compare.json").read_text())
+    assert not given["held_out"] and given["views"] == len(views())
 
 
 def test_what_cannot_be_compared(source, tmp_path):

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from fields_scenes import CAMERA, frames_of, lens, scene, views
+from fields_scenes import CAMERA, camera, frames_of, scene, views
 
 from epipole import mesh, splat
 from epipole.errors import FileFormatError
@@ -12,7 +12,7 @@ from epipole.fields.splat.rasterizer import render
 from epipole.geometry import Rigid3
 from epipole.io.gaussians.files import read_gaussians, write_gaussians
 from epipole.io.models.transforms import read_transforms
-from epipole.pipelines.fields.cameras import shots_of_model
+from epipole.pipelines.fields.cameras import render_views_of_model
 from epipole.pipelines.fields.config import RenderJob
 from epipole.pipelines.fields.scene import scene as viewer_scene
 from epipole.pipelines.fields.scene import seen_gaussians
@@ -33,7 +33,7 @@ def results(tmp_path_factory):
             matrix = np.array(frame["transform_matrix"])
             matrix[:3, 3] += offset
             frame["transform_matrix"] = matrix.tolist()
-        (folder / "transforms.json").write_text(json.dumps(lens() | {"frames": frames}))
+        (folder / "transforms.json").write_text(json.dumps(camera() | {"frames": frames}))
         out.append((folder, splat(folder, folder / "out", **OPTIONS)))
     return out
 
@@ -51,15 +51,15 @@ def test_files_state_their_origin_and_are_read_back(results):
     assert b"comment origin_in_world 50000" in (out / "splat.ply").read_bytes()[:200]
     cloud = read_gaussians(out / "splat.ply")
     np.testing.assert_array_equal(cloud.centers_in_world, far.cloud.centers_in_world)
-    told = json.loads((out / "cameras.json").read_text())
-    np.testing.assert_array_equal(told["origin_in_world"], cloud.origin_in_world)
-    assert np.abs(np.array(told["frames"][0]["transform_matrix"])[:3, 3]).max() < 100.0
+    given = json.loads((out / "cameras.json").read_text())
+    np.testing.assert_array_equal(given["origin_in_world"], cloud.origin_in_world)
+    assert np.abs(np.array(given["frames"][0]["transform_matrix"])[:3, 3]).max() < 100.0
     model, truth = read_transforms(out / "cameras.json"), read_transforms(source / "transforms.json")
     rows = [truth.images.name.index(name.removeprefix("images/")) for name in model.images.name]
     wanted = truth.camera_centers_in_world()[rows]
     np.testing.assert_allclose(model.camera_centers_in_world(), wanted, rtol=0, atol=1e-6)
     np.testing.assert_array_equal(
-        json.loads((out / "summary.json").read_text())["origin_in_world"], told["origin_in_world"]
+        json.loads((out / "summary.json").read_text())["origin_in_world"], given["origin_in_world"]
     )
 
 
@@ -68,10 +68,10 @@ def test_renders_from_cameras_in_the_world(results):
     cloud, view = seen_gaussians(far.out)
     assert np.abs(view.position - UTM).max() < 10.0
     for file in (source / "transforms.json", far.out / "cameras.json"):
-        shot = next(s for s in shots_of_model(file, RenderJob()) if s.name.endswith("03"))
-        drawn = render(cloud, shot.camera, shot.cam_from_world).over(np.ones(3, np.float32))
+        shot = next(s for s in render_views_of_model(file, RenderJob()) if s.name.endswith("03"))
+        rendered = render(cloud, shot.camera, shot.cam_from_world).over(np.ones(3, np.float32))
         truth = views()[3].over(np.ones(3, np.float32))
-        assert -10 * np.log10(np.mean((drawn - truth) ** 2)) > 15.0
+        assert -10 * np.log10(np.mean((rendered - truth) ** 2)) > 15.0
 
 
 def test_the_viewer_and_meshes_keep_their_places(results, tmp_path):
@@ -101,9 +101,9 @@ def test_files_of_others_in_utm_are_drawn_about_a_local_origin(tmp_path, is_doub
     assert np.abs(far.means_in_world).max() < 20.0
     if is_double:
         np.testing.assert_allclose(far.centers_in_world - UTM, near.means_in_world, rtol=0, atol=1e-6)
-        place = views()[0].cam_from_world
-        there = place @ Rigid3(np.eye(3), -UTM)
-        difference = render(far, CAMERA, there).colour - render(near, CAMERA, place).colour
+        position = views()[0].cam_from_world
+        there = position @ Rigid3(np.eye(3), -UTM)
+        difference = render(far, CAMERA, there).colour - render(near, CAMERA, position).colour
         assert np.abs(difference).max() < 1e-4
 
 

@@ -11,9 +11,9 @@ from epipole import _parallel
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.fields.nerf import _hash_kernels, hash_trainer
-from epipole.fields.nerf.hash_field import HashField, Room, asked, draw_hash, new_weights, voxels_of
+from epipole.fields.nerf.hash_field import HashField, Room, new_weights, query_density, render_hash, voxels_of
 from epipole.fields.nerf.hash_trainer import HashTrainer
-from epipole.fields.nerf.voxel_field import draw_voxels
+from epipole.fields.nerf.voxel_field import render_voxels
 from epipole.fields.photometric import psnr
 from epipole.fields.rays import blocks_of
 from epipole.fields.splat import _projection_kernels
@@ -55,24 +55,24 @@ def test_harmonics_are_those_of_the_equations(rng, count):
 def test_features_are_those_of_the_equations(rng):
     field = field_of(rng)
     tables, weights = exact_of(field)
-    places = np.concatenate([rng.random((50, 4)), [[0.0, 0.0, 0.0, 0.0]]]).astype(np.float32)
-    features, _, said = asked(field, places)
-    for n, place in enumerate(places[:, :3].astype(float)):
-        np.testing.assert_allclose(features[n], features_of(tables, CELLS, place), atol=2e-5)
-        np.testing.assert_allclose(said[n], density_of(tables, CELLS, weights, place), atol=1e-4)
+    positions = np.concatenate([rng.random((50, 4)), [[0.0, 0.0, 0.0, 0.0]]]).astype(np.float32)
+    features, _, said = query_density(field, positions)
+    for n, position in enumerate(positions[:, :3].astype(float)):
+        np.testing.assert_allclose(features[n], features_of(tables, CELLS, position), atol=2e-5)
+        np.testing.assert_allclose(said[n], density_of(tables, CELLS, weights, position), atol=1e-4)
 
 
 @reference_of(_hash_kernels.sample_rays, _hash_kernels.weigh, _hash_kernels.join, _hash_kernels.compose)
 @pytest.mark.parametrize("holes", [0.0, 0.3])
 def test_a_picture_is_that_of_the_equations(rng, holes):
     field, background = field_of(rng, holes), np.array([0.2, 0.9, 0.4])
-    picture, depth, asked_at = draw_hash(field, SMALL, SEEN, background)
+    image, depth, asked_at = render_hash(field, SMALL, SEEN, background)
     center, off = SEEN.inverse().translation, np.zeros((7, 9))
     for row, column in np.ndindex(7, 9):
         direction = direction_of(SMALL, SEEN, column, row)
         wanted = plain_ray(*exact_of(field), field, center, direction, 0.5, background)
         away = abs(depth[row, column] - field.room.size * wanted[1])
-        off[row, column] = max(np.abs(picture[row, column] - wanted[0]).max(), away)
+        off[row, column] = max(np.abs(image[row, column] - wanted[0]).max(), away)
     # A sample on a cell's face may fall into either cell where one of them is empty.
     assert np.percentile(off, 90) < 5e-4 and off.max() < (3 * OVER if holes == 0.0 else 0.2)
     assert asked_at > 7 * 9
@@ -83,30 +83,30 @@ def test_a_uniform_volume_lets_through_what_its_length_says(rng):
     field.weights[0][:], field.weights[1][:] = 0.0, 0.0
     straight = look_at((0.0, -3.0, 0.0), (0, 0, 0))
     one = Camera("PINHOLE", 1, 1, [10.0, 10.0, 0.0, 0.0])
-    black, white = (draw_hash(field, one, straight, np.full(3, k))[0][0, 0] for k in (0.0, 1.0))
+    black, white = (render_hash(field, one, straight, np.full(3, k))[0][0, 0] for k in (0.0, 1.0))
     np.testing.assert_allclose(np.log(white - black), -np.exp(SHIFT) * 12, atol=np.exp(SHIFT) * STEP)
 
 
-@reference_of(_hash_kernels.compose_back, _hash_kernels.hold_back, _hash_kernels.spread)
+@reference_of(_hash_kernels.compose_back, _hash_kernels.limit_change, _hash_kernels.spread)
 def test_derivatives_are_those_of_differences(rng):
-    background, place = np.array([0.3, 0.1, 0.8]), look_at((0.4, -3.0, -0.3), (0, 0, 0))
-    picture = rng.integers(0, 256, (7, 9, 4)).astype(np.uint8)
-    trainer = HashTrainer([TrainingView("a", picture, SMALL, place), *views()[:4]], background)
+    background, position = np.array([0.3, 0.1, 0.8]), look_at((0.4, -3.0, -0.3), (0, 0, 0))
+    image = rng.integers(0, 256, (7, 9, 4)).astype(np.uint8)
+    trainer = HashTrainer([TrainingView("a", image, SMALL, position), *views()[:4]], background)
     field = trainer.field = field_of(rng, 0.4, (12, 12, 12))
     chosen, first = np.arange(26, 38), rng.random(12, np.float32)
-    part = trainer._followed(chosen, first - np.float32(1.0), 12)
+    part = trainer._marched(chosen, first - np.float32(1.0), 12)
     by_tables = np.zeros_like(field.tables)
     for level in range(len(CELLS)):
-        _hash_kernels.spread(part.places, CELLS, level, part.by_features, by_tables[level])
-    wanted = picture.reshape(-1, 4)[chosen] / 255.0
+        _hash_kernels.spread(part.positions, CELLS, level, part.by_features, by_tables[level])
+    wanted = image.reshape(-1, 4)[chosen] / 255.0
     wanted = wanted[:, :3] * wanted[:, 3:] + (1 - wanted[:, 3:]) * background
     tables, weights = exact_of(field)
-    center = place.inverse().translation
+    center = position.inverse().translation
 
     def loss():
         total = 0.0
         for n, pixel in enumerate(chosen.tolist()):
-            direction = direction_of(SMALL, place, pixel % 9, pixel // 9)
+            direction = direction_of(SMALL, position, pixel % 9, pixel // 9)
             seen = plain_ray(tables, weights, field, center, direction, float(first[n]), background)[0]
             total += ((seen - wanted[n]) ** 2).sum()
         return total
@@ -161,7 +161,7 @@ def learnt():
 def test_views_that_were_held_out_are_drawn(learnt):
     for view in views()[:2]:
         blank = psnr(np.ones_like(view.over(WHITE)), view.over(WHITE))
-        assert psnr(learnt.draw(view), view.over(WHITE)) > max(23.0, blank + 8.0)
+        assert psnr(learnt.render(view), view.over(WHITE)) > max(23.0, blank + 8.0)
     assert learnt.num_samples > 1000 and len(learnt) > learnt.field.tables.size
 
 
@@ -174,8 +174,8 @@ def test_what_is_empty_is_left_out(learnt):
 def test_a_grid_made_of_it_looks_like_it(learnt):
     view = views()[0]
     grid = voxels_of(learnt.field)
-    drawn, _, _ = draw_voxels(grid, view.camera, view.cam_from_world, WHITE)
-    assert psnr(drawn, learnt.draw(view)) > 26.0
+    rendered, _, _ = render_voxels(grid, view.camera, view.cam_from_world, WHITE)
+    assert psnr(rendered, learnt.render(view)) > 26.0
 
 
 def test_a_colour_without_direction_is_kept_in_a_grid(rng):
@@ -183,7 +183,7 @@ def test_a_colour_without_direction_is_kept_in_a_grid(rng):
     field.weights[2][16:] = 0.0
     field.weights[1][:, 0] = 0.0
     grid = voxels_of(field)
-    said = asked(field, np.full((1, 4), 0.5, np.float32))[2][0]
+    said = query_density(field, np.full((1, 4), 0.5, np.float32))[2][0]
     row = grid.values[grid.row_of[14, 14, 14]]
     wanted = colour_of(exact_of(field)[1], said.astype(float), np.array([0.0, 0.6, 0.8]))
     np.testing.assert_allclose(0.5 + 0.28209479 * row[1:4], wanted, atol=1e-4)
@@ -207,6 +207,6 @@ def test_rays_without_room_are_left_out(monkeypatch):
 def test_what_cannot_be_trained_is_refused():
     with pytest.raises(ConfigError, match="no picture"):
         HashTrainer([], WHITE)
-    away = [TrainingView(v.name, np.zeros_like(v.picture), v.camera, v.cam_from_world) for v in views()]
+    away = [TrainingView(v.name, np.zeros_like(v.image), v.camera, v.cam_from_world) for v in views()]
     with pytest.raises(DegenerateGeometryError, match="no place in common"):
         HashTrainer(away, WHITE)

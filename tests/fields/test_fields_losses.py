@@ -4,7 +4,7 @@ import json
 from types import SimpleNamespace
 
 import pytest
-from fields_scenes import frames_of, lens, views
+from fields_scenes import camera, frames_of, views
 
 from epipole import compare_fields, convert, nerf, splat, undistort
 from epipole.io.colmap.model import write_colmap_model
@@ -26,7 +26,7 @@ def reconstructed(folder):
     frames = frames_of(views(with_alpha=False), folder)
     for frame in frames:
         frame["file_path"] = frame["file_path"].removeprefix("images/")
-    (folder / "transforms_all.json").write_text(json.dumps(lens() | {"frames": frames}))
+    (folder / "transforms_all.json").write_text(json.dumps(camera() | {"frames": frames}))
     model = read_transforms(folder / "transforms_all.json", image_folder="")
     for number in (0, 1):
         write_colmap_model(model, folder / "sparse" / str(number))

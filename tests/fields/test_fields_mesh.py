@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from fields_scenes import CAMERA, frames_of, lens, views
+from fields_scenes import CAMERA, camera, frames_of, views
 from plyfile_of import mesh_in
 
 from epipole import mesh, nerf, splat
@@ -28,11 +28,11 @@ AROUND = [
 ]
 
 
-def sphere_seen(place, radius=0.8):
+def sphere_seen(position, radius=0.8):
     """Depth along the axis times coverage, coverage, and colour of a ball at the middle."""
     v, u = np.mgrid[:120, :160]
     rays = np.stack([(u - 79.5) / 150.0, (v - 59.5) / 150.0, np.ones(u.shape)], axis=2)
-    middle = place.apply(np.zeros((1, 3)))[0]
+    middle = position.apply(np.zeros((1, 3)))[0]
     a, b, c = (rays**2).sum(2), rays @ middle, middle @ middle - radius**2
     root = b * b - a * c
     depth = np.where(root > 0, (b - np.sqrt(np.maximum(root, 0))) / a, 0.0)
@@ -40,10 +40,10 @@ def sphere_seen(place, radius=0.8):
     return depth.astype(np.float32), seen, np.float32([0.8, 0.4, 0.2]) * seen[..., None]
 
 
-def volume_of(places, voxels=48):
+def volume_of(positions, voxels=48):
     volume = DistanceVolume(np.full(3, -1.0), np.full(3, 1.0), voxels)
-    for place in places:
-        volume.add(LENS, place, *sphere_seen(place))
+    for position in positions:
+        volume.add(LENS, position, *sphere_seen(position))
     return volume
 
 
@@ -53,12 +53,12 @@ def test_distances_are_means_of_what_pictures_say():
     total, count = np.zeros((12,) * 3), np.zeros((12,) * 3)
     for i, j, k in np.ndindex(12, 12, 12):
         place_in_world = -1.0 + (np.array([i, j, k]) + 0.5) / 6.0
-        for place in AROUND[:3]:
-            x, y, z = place.apply(place_in_world[None])[0]
+        for position in AROUND[:3]:
+            x, y, z = position.apply(place_in_world[None])[0]
             column, row = np.floor([150.0 * x / z + 80.0, 150.0 * y / z + 60.0]).astype(int)
             if not (0 <= row < 120 and 0 <= column < 160):
                 continue
-            depth, seen, _ = sphere_seen(place)
+            depth, seen, _ = sphere_seen(position)
             ahead = (depth[row, column] - z) / (BAND / 6.0) if seen[row, column] else 1.0
             if ahead >= -1.0:
                 total[i, j, k] += min(ahead, 1.0)
@@ -107,7 +107,7 @@ def test_files_hold_the_triangles(tmp_path):
 def source(tmp_path_factory):
     folder = tmp_path_factory.mktemp("mesh") / "scene"
     folder.mkdir()
-    (folder / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(views(), folder)}))
+    (folder / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(views(), folder)}))
     return folder
 
 

@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from fields_scenes import CAMERA, frames_of, lens, views
+from fields_scenes import CAMERA, camera, frames_of, views
 
 from epipole import nerf, render, share
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
@@ -30,7 +30,7 @@ MOST_LEVELS = {"grid": 2, "hash": 4}
 def source(tmp_path_factory):
     folder = tmp_path_factory.mktemp("nerf") / "scene"
     folder.mkdir()
-    (folder / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(views(), folder)}))
+    (folder / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(views(), folder)}))
     return folder
 
 
@@ -77,9 +77,9 @@ def test_what_was_interrupted_goes_on_with_the_same_bits(source, tmp_path, kind)
 
 
 def test_what_is_read_draws_the_same(result):
-    kind, place = kind_of(result), views()[3].cam_from_world
+    kind, position = kind_of(result), views()[3].cam_from_world
     found = kind.read(result.out / kind.file)
-    one, other = (kind.draw(field, CAMERA, place, np.ones(3))[0] for field in (result.field, found))
+    one, other = (kind.render(field, CAMERA, position, np.ones(3))[0] for field in (result.field, found))
     name = result.summary["kind"]
     assert np.abs(one - other).max() < MOST_OFF[name] and np.abs(one - other).mean() < 1e-3
     assert one.min() < DARKEST[name]
@@ -99,10 +99,10 @@ def test_the_command_draws_it(result, source, tmp_path):
 def test_its_gaussians_look_like_it(result):
     kind = kind_of(result)
     assert is_mine(result.out) and is_mine(result.out / kind.file) and not is_mine(result.out / "test")
-    cloud, place = seen_gaussians(result.out)[0], views()[3].cam_from_world
+    cloud, position = seen_gaussians(result.out)[0], views()[3].cam_from_world
     assert cloud.sh_degree == 1
-    one = draw(cloud, CAMERA, place).over(np.ones(3, np.float32))
-    other = np.clip(kind.draw(result.field, CAMERA, place, np.ones(3))[0], 0, 1)
+    one = draw(cloud, CAMERA, position).over(np.ones(3, np.float32))
+    other = np.clip(kind.render(result.field, CAMERA, position, np.ones(3))[0], 0, 1)
     assert psnr(one, other) > psnr(np.ones_like(other), other) + 3.0
 
 
@@ -123,8 +123,8 @@ def test_its_gaussians_are_shared_with_its_cameras(result, tmp_path):
     assert done.shown.startswith(f"{count} Gaussians that stand for a radiance field")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "as trained" in page and "next-camera" in page
-    told = json.loads(re.search(r'id="space-data">(.*?)</script>', page)[1])
-    assert len(told["cameras"]["names"]) == len(views()) - 2
+    given = json.loads(re.search(r'id="space-data">(.*?)</script>', page)[1])
+    assert len(given["cameras"]["names"]) == len(views()) - 2
 
 
 def test_another_kind_takes_the_place_of_the_first(source, tmp_path):
@@ -146,7 +146,7 @@ def test_wrong_files(tmp_path, rng):
     np.savez(
         tmp_path / "c.npz",
         shape=np.array([10**9] * 3, np.int32),
-        place=np.ones(5),
+        position=np.ones(5),
         cells=np.zeros(1, np.uint8),
         values=np.zeros((1, 13), np.float16),
     )
@@ -190,6 +190,6 @@ def test_what_cannot_be_trained(source, tmp_path):
     frames = frames_of(views()[:3], same)
     for frame in frames:
         frame["transform_matrix"] = np.eye(4).tolist()
-    (same / "transforms.json").write_text(json.dumps(lens() | {"frames": frames}))
+    (same / "transforms.json").write_text(json.dumps(camera() | {"frames": frames}))
     with pytest.raises(DegenerateGeometryError, match="look the same way"):
         nerf(same, tmp_path / "out2", steps=5)

@@ -12,10 +12,10 @@ from epipole.fields import _photometric_kernels
 from epipole.fields.config import SplatConfig
 from epipole.fields.exposure import IDENTITY, Exposures, colour_match
 from epipole.fields.nerf.hash_trainer import HashTrainer
-from epipole.fields.photometric import likeness, psnr
+from epipole.fields.photometric import photometric_loss, psnr
 from epipole.fields.point_depths import depth_loss, point_depths
 from epipole.fields.pose_steps import PoseSteps
-from epipole.fields.rays import drawn_pixels, rays_of
+from epipole.fields.rays import pixels_to_render, rays_of
 from epipole.fields.rows_adam import RowsAdam
 from epipole.fields.splat.rasterizer import (
     Rendering,
@@ -57,17 +57,17 @@ def drawing(rng, shape=(37, 29)):
 
 @reference_of(_photometric_kernels.map_colours, _photometric_kernels.map_colours_back)
 def test_colours_are_mapped_and_the_way_back_is_the_derivative(rng):
-    drawn, behind = drawing(rng), np.array([0.9, 0.2, 0.5], np.float32)
-    by_applied = rng.uniform(size=drawn.colour.shape).astype(np.float32)
+    rendered, behind = drawing(rng), np.array([0.9, 0.2, 0.5], np.float32)
+    by_applied = rng.uniform(size=rendered.colour.shape).astype(np.float32)
     exposures = Exposures(2)
     exposures.maps[1] = rng.normal(size=(3, 4))
-    colours, shown = exposures.maps[1].astype(float), drawn.coverage[..., None].astype(float)
-    wanted = drawn.colour @ colours[:, :3].T + shown * colours[:, 3] + (1 - shown) * behind
-    np.testing.assert_allclose(exposures.applied(1, drawn, behind), wanted, rtol=1e-5, atol=1e-6)
-    by_colour, by_coverage = exposures.learn(1, drawn, behind, by_applied, 0.0)
+    colours, shown = exposures.maps[1].astype(float), rendered.coverage[..., None].astype(float)
+    wanted = rendered.colour @ colours[:, :3].T + shown * colours[:, 3] + (1 - shown) * behind
+    np.testing.assert_allclose(exposures.applied(1, rendered, behind), wanted, rtol=1e-5, atol=1e-6)
+    by_colour, by_coverage = exposures.learn(1, rendered, behind, by_applied, 0.0)
     np.testing.assert_allclose(by_colour, by_applied @ colours[:, :3], rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(by_coverage, by_applied @ (colours[:, 3] - behind), rtol=1e-5, atol=1e-5)
-    known = np.concatenate([drawn.colour, shown], axis=2).reshape(-1, 4)
+    known = np.concatenate([rendered.colour, shown], axis=2).reshape(-1, 4)
     gradient = by_applied.reshape(-1, 3).T.astype(float) @ known
     # Adam's first step has the rate's size against the derivative's sign.
     np.testing.assert_allclose(exposures.maps[1], colours - 1e-2 * np.sign(gradient), atol=1e-6)
@@ -75,21 +75,21 @@ def test_colours_are_mapped_and_the_way_back_is_the_derivative(rng):
 
 
 def test_colours_are_matched(rng):
-    picture, colours = rng.uniform(size=(9, 8, 3)).astype(np.float32), rng.normal(size=(3, 4))
-    mapped = (picture @ colours[:, :3].T + colours[:, 3]).astype(np.float32)
-    np.testing.assert_allclose(colour_match(picture, mapped), colours, atol=1e-5)
+    image, colours = rng.uniform(size=(9, 8, 3)).astype(np.float32), rng.normal(size=(3, 4))
+    mapped = (image @ colours[:, :3].T + colours[:, 3]).astype(np.float32)
+    np.testing.assert_allclose(colour_match(image, mapped), colours, atol=1e-5)
 
 
 def test_the_mean_of_all_maps_goes_into_the_scene(rng):
     exposures = Exposures(4)
     exposures.maps += 0.1 * rng.normal(size=(4, 3, 4)).astype(np.float32)
-    before, drawn = exposures.maps.copy(), drawing(rng)
-    seen = [exposures.applied(n, drawn, WHITE) for n in range(4)]
+    before, rendered = exposures.maps.copy(), drawing(rng)
+    seen = [exposures.applied(n, rendered, WHITE) for n in range(4)]
     mean = exposures.taken_mean()
     np.testing.assert_allclose(mean, before.mean(axis=0), atol=1e-6)
-    colour = drawn.colour @ mean[:, :3].T + drawn.coverage[..., None] * mean[:, 3]
+    colour = rendered.colour @ mean[:, :3].T + rendered.coverage[..., None] * mean[:, 3]
     for n in range(4):
-        again = exposures.applied(n, replace(drawn, colour=colour.astype(np.float32)), WHITE)
+        again = exposures.applied(n, replace(rendered, colour=colour.astype(np.float32)), WHITE)
         np.testing.assert_allclose(again, seen[n], atol=1e-5)
 
 
@@ -98,19 +98,20 @@ def darkened():
     colours = np.array([[0.6, 0, 0, 0], [0, 0.6, 0, 0], [0, 0, 0.7, 0.1]])
     out = list(views())
     for n in range(0, len(out), 2):
-        picture = out[n].picture.copy()
-        mapped = picture[..., :3] @ colours[:, :3].T + 255 * colours[:, 3]
-        picture[..., :3] = np.rint(np.clip(mapped, 0, 255))
-        out[n] = replace(out[n], picture=picture)
+        image = out[n].image.copy()
+        mapped = image[..., :3] @ colours[:, :3].T + 255 * colours[:, 3]
+        image[..., :3] = np.rint(np.clip(mapped, 0, 255))
+        out[n] = replace(out[n], image=image)
     return out
 
 
 def test_exposures_are_learnt():
     of = darkened()
-    plain, learnt = (trained(of[2:], exposure=asked) for asked in (False, True))
+    plain, learnt = (trained(of[2:], exposure=requested) for requested in (False, True))
     # Held out: one that is dark and one that is not; neither's exposure is known.
     scores = [
-        [scores_of(one.draw(view), view, WHITE)["psnr_matched"] for view in of[:2]] for one in (plain, learnt)
+        [scores_of(one.render(view), view, WHITE)["psnr_matched"] for view in of[:2]]
+        for one in (plain, learnt)
     ]
     assert np.mean(scores[1]) > np.mean(scores[0]) + 1.5 and min(scores[1]) > max(scores[0])
 
@@ -123,19 +124,19 @@ def moved(view, rng, by_rad, by):
 def off_px(one, other):
     """Mean distance of where two places see the scene's Gaussians, in pixels."""
     points = scene().means_in_world.astype(float)
-    pixels = [CAMERA.project(place.apply(points)) for place in (one, other)]
+    pixels = [CAMERA.project(position.apply(points)) for position in (one, other)]
     return np.linalg.norm(pixels[0] - pixels[1], axis=1).mean()
 
 
 def test_cameras_find_their_places(rng):
     truth = views()
     disturbed = [moved(view, rng, 0.01, 0.02) for view in truth]
-    trainers = [trained(disturbed, 400, refine_poses=asked) for asked in (False, True)]
+    trainers = [trained(disturbed, 400, refine_poses=requested) for requested in (False, True)]
     before = [off_px(v.cam_from_world, t.cam_from_world) for v, t in zip(disturbed, truth)]
     assert np.mean(before) > 0.7
-    scores = [np.mean([psnr(t.draw(v), v.over(WHITE)) for v in t.placed_views]) for t in trainers]
+    scores = [np.mean([psnr(t.render(v), v.over(WHITE)) for v in t.posed_views]) for t in trainers]
     assert scores[1] > scores[0] + 4.0
-    for view, seen in zip(disturbed, trainers[0].placed_views):
+    for view, seen in zip(disturbed, trainers[0].posed_views):
         assert view.cam_from_world is seen.cam_from_world
 
 
@@ -146,10 +147,10 @@ def test_a_camera_that_is_off_comes_back(rng):
     assert before > 0.8
     for step in range(400):
         seen = view_of(CAMERA, poses.cams_from_world[0], RenderOptions())
-        drawn = blend(tiles_of(arrays_of(scene()), seen), seen)
-        by_picture = likeness(drawn.over(WHITE), view.over(WHITE)).by_picture
-        by_pair = sums_of_pairs(drawn, by_picture, None, -(by_picture @ WHITE))
-        poses.move(0, gradient_of(arrays_of(scene()), seen, drawn.tiles, by_pair)[1], step / 400)
+        rendered = blend(tiles_of(arrays_of(scene()), seen), seen)
+        by_image = photometric_loss(rendered.over(WHITE), view.over(WHITE)).by_image
+        by_pair = sums_of_pairs(rendered, by_image, None, -(by_image @ WHITE))
+        poses.move(0, gradient_of(arrays_of(scene()), seen, rendered.tiles, by_pair)[1], step / 400)
     assert off_px(poses.cams_from_world[0], view.cam_from_world) < 0.1 * before
 
 
@@ -171,17 +172,17 @@ def test_what_is_masked_is_neither_learnt_nor_compared(rng):
     plain = [replace(view, used_mask=mask) for view in views(with_alpha=False)]
     spoilt = []
     for view in plain:
-        picture = view.picture.copy()
-        picture[~mask] = rng.integers(0, 256, (int((~mask).sum()), 3))
-        spoilt.append(replace(view, picture=picture))
+        image = view.image.copy()
+        image[~mask] = rng.integers(0, 256, (int((~mask).sum()), 3))
+        spoilt.append(replace(view, image=image))
     clouds = [trained(of, 20).cloud for of in (plain, spoilt)]
     np.testing.assert_array_equal(clouds[0].sh, clouds[1].sh)
     np.testing.assert_array_equal(clouds[0].means_in_world, clouds[1].means_in_world)
-    drawn = plain[0].over(WHITE).copy()
-    drawn[0, 0] = 0.0
-    scores = [scores_of(drawn, view, WHITE) for view in (plain[0], spoilt[0])]
+    rendered = plain[0].over(WHITE).copy()
+    rendered[0, 0] = 0.0
+    scores = [scores_of(rendered, view, WHITE) for view in (plain[0], spoilt[0])]
     assert scores[0] == scores[1] and 20 < scores[0]["psnr"] < 60
-    chosen = drawn_pixels(rays_of(spoilt[:3]), 5000, np.random.default_rng(1))
+    chosen = pixels_to_render(rays_of(spoilt[:3]), 5000, np.random.default_rng(1))
     assert mask.reshape(-1)[chosen % mask.size].all() and len(np.unique(chosen // mask.size)) == 3
     fields = [HashTrainer(of, WHITE) for of in (plain, spoilt)]
     assert fields[0].step(0.0) == fields[1].step(0.0)
@@ -189,11 +190,11 @@ def test_what_is_masked_is_neither_learnt_nor_compared(rng):
 
 def test_masks_must_fit_and_leave_something():
     view = views()[0]
-    nothing = np.zeros(view.picture.shape[:2], bool)
+    nothing = np.zeros(view.image.shape[:2], bool)
     with pytest.raises(ConfigError, match="leave no pixel"):
         rays_of([replace(view, used_mask=nothing)])
     assert np.isnan(scores_of(view.over(WHITE), replace(view, used_mask=nothing), WHITE)["psnr"])
-    mask = np.ones(view.picture.shape[:2], bool)
+    mask = np.ones(view.image.shape[:2], bool)
     mask[5, 7] = False
     smaller = replace(view, used_mask=mask).smaller(2).used_mask
     assert np.argwhere(~smaller).tolist() == [[2, 3]]
@@ -213,23 +214,23 @@ def test_depths_of_points_are_told_where_a_picture_shows_them():
 
 def test_the_loss_of_depths_and_its_derivative():
     view = views()[0]
-    drawn = render(scene(), CAMERA, view.cam_from_world)
+    rendered = render(scene(), CAMERA, view.cam_from_world)
     known = point_depths(replace(view, points_in_world=scene().means_in_world.astype(float)))
     assert len(known.depth) > 20
-    found = depth_loss(drawn, known, 0.3)
+    found = depth_loss(rendered, known, 0.3)
     step = 1e-3
     for part, by in (("depth", found.by_depth), ("coverage", found.by_coverage)):
         assert (by != 0).any()
         for row, column in np.argwhere(by != 0)[:6]:
             losses = []
-            for way in (step, -step):
-                other = getattr(drawn, part).copy()
-                other[row, column] *= 1 + way
-                losses.append(depth_loss(replace(drawn, **{part: other}), known, 0.3).loss)
-            numeric = (losses[0] - losses[1]) / (2 * step * getattr(drawn, part)[row, column])
+            for trajectory in (step, -step):
+                other = getattr(rendered, part).copy()
+                other[row, column] *= 1 + trajectory
+                losses.append(depth_loss(replace(rendered, **{part: other}), known, 0.3).loss)
+            numeric = (losses[0] - losses[1]) / (2 * step * getattr(rendered, part)[row, column])
             assert abs(numeric - by[row, column]) < 1e-3 * abs(by[row, column]) + 1e-6
-    assert depth_loss(drawn, known, 0.0).loss == 0.0
-    nothing = replace(drawn, coverage=np.zeros_like(drawn.coverage))
+    assert depth_loss(rendered, known, 0.0).loss == 0.0
+    nothing = replace(rendered, coverage=np.zeros_like(rendered.coverage))
     assert depth_loss(nothing, known, 1.0).loss == 0.0
 
 
@@ -248,9 +249,9 @@ def test_depths_hold_gaussians_at_their_points():
         )
         for step in range(300):
             trainer.step(step / 300)
-        drawn = render(trainer.cloud, camera, view.cam_from_world)
-        shown = drawn.coverage > 0.5
-        depths.append(float(np.median(drawn.depth[shown] / drawn.coverage[shown])))
+        rendered = render(trainer.cloud, camera, view.cam_from_world)
+        shown = rendered.coverage > 0.5
+        depths.append(float(np.median(rendered.depth[shown] / rendered.coverage[shown])))
     assert abs(depths[1] - 3.0) < 0.01 < 0.02 < abs(depths[0] - 3.0)
 
 

@@ -6,7 +6,7 @@ from scipy.ndimage import correlate1d
 
 from epipole.errors import ShapeError
 from epipole.fields import _photometric_kernels
-from epipole.fields.photometric import SIGMA_PX, WINDOW_PX, likeness, psnr
+from epipole.fields.photometric import SIGMA_PX, WINDOW_PX, photometric_loss, psnr
 from kernel_references import reference_of
 
 
@@ -33,16 +33,16 @@ def plain_loss(x, y, weight):
 
 
 @pytest.fixture
-def pictures(rng):
+def images(rng):
     y = rng.uniform(size=(23, 31, 3))
     return np.clip(y + 0.2 * rng.normal(size=y.shape), 0, 1).astype(np.float32), y.astype(np.float32)
 
 
 @reference_of(_photometric_kernels.ssim_terms, _photometric_kernels.add_up)
 @pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
-def test_loss_and_derivative(pictures, rng, weight):
-    x, y = pictures
-    found = likeness(x, y, weight)
+def test_loss_and_derivative(images, rng, weight):
+    x, y = images
+    found = photometric_loss(x, y, weight)
     assert found.loss == pytest.approx(plain_loss(x, y, weight), abs=2e-6)
     assert found.ssim == pytest.approx(plain_ssim(x.astype(float), y.astype(float)), abs=2e-6)
     assert found.l1 == pytest.approx(np.abs(x - y).mean(), rel=1e-5)
@@ -53,22 +53,22 @@ def test_loss_and_derivative(pictures, rng, weight):
             moved = x.astype(np.float64)
             moved[i, j, k] += step
             ends.append(plain_loss(moved, y, weight))
-        assert found.by_picture[i, j, k] == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=2e-3, abs=2e-7)
+        assert found.by_image[i, j, k] == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=2e-3, abs=2e-7)
 
 
-def test_the_same_picture(pictures):
-    x, _ = pictures
-    found = likeness(x, x)
+def test_the_same_picture(images):
+    x, _ = images
+    found = photometric_loss(x, x)
     assert found.l1 == 0.0 and found.ssim == pytest.approx(1.0, abs=1e-6) and psnr(x, x) == np.inf
-    assert np.abs(found.by_picture).max() < 1e-7
+    assert np.abs(found.by_image).max() < 1e-7
 
 
-def test_psnr_is_that_of_the_mean_square(pictures):
-    x, y = pictures
+def test_psnr_is_that_of_the_mean_square(images):
+    x, y = images
     assert psnr(x, y) == pytest.approx(10 * np.log10(1 / np.mean((x.astype(float) - y) ** 2)), abs=1e-5)
 
 
 def test_an_empty_picture_is_refused():
     none = np.zeros((0, 4, 3), np.float32)
     with pytest.raises(ShapeError, match="without pixels"):
-        likeness(none, none)
+        photometric_loss(none, none)

@@ -94,21 +94,22 @@ def test_useful_pairs_are_those_of_the_equations(rng):
     assert 0 < useful_pairs(found) < found.tiles.num_evaluated and (through <= 1e-4).any()
 
 
-@reference_of(_blend_kernels.unblend_tiles, _gradient_kernels.gather)
+@reference_of(_blend_kernels.blend_tiles_backward, _gradient_kernels.gather)
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("num_sh", [1, 4, 9, 16])
 def test_derivatives_are_those_of_differences(rng, num_sh, antialiased):
     cloud, options = cloud_of(rng, 30, num_sh), RenderOptions(antialiased=antialiased)
     arrays, view = arrays_of(cloud), view_of(CAMERA, SEEN, options)
-    drawn = blend(tiles_of(arrays, view), view)
+    rendered = blend(tiles_of(arrays, view), view)
     wanted = [
-        rng.normal(size=part.shape).astype(np.float32) for part in (drawn.colour, drawn.depth, drawn.coverage)
+        rng.normal(size=part.shape).astype(np.float32)
+        for part in (rendered.colour, rendered.depth, rendered.coverage)
     ]
-    found, by_pose = gradient_of(arrays, view, drawn.tiles, sums_of_pairs(drawn, *wanted))
+    found, by_pose = gradient_of(arrays, view, rendered.tiles, sums_of_pairs(rendered, *wanted))
 
-    def loss(parts, place):
-        drawn = plain_render(parts, CAMERA, place, antialiased=antialiased)
-        return sum(float((w * d).sum()) for w, d in zip(wanted, drawn))
+    def loss(parts, position):
+        rendered = plain_render(parts, CAMERA, position, antialiased=antialiased)
+        return sum(float((w * d).sum()) for w, d in zip(wanted, rendered))
 
     exact = [np.asarray(part, np.float64) for part in arrays]
     for k, name in enumerate(PARTS):
@@ -137,9 +138,9 @@ def test_any_number_of_threads_gives_the_same(rng):
     for threads in (1, 3):
         _parallel.set_num_threads(threads)
         view, arrays = view_of(CAMERA, SEEN, RenderOptions()), arrays_of(cloud)
-        drawn = blend(tiles_of(arrays, view), view)
-        sums = sums_of_pairs(drawn, drawn.colour)
-        results.append((drawn.colour, *gradient_of(arrays, view, drawn.tiles, sums)[0]))
+        rendered = blend(tiles_of(arrays, view), view)
+        sums = sums_of_pairs(rendered, rendered.colour)
+        results.append((rendered.colour, *gradient_of(arrays, view, rendered.tiles, sums)[0]))
     _parallel.set_num_threads(None)
     for one, other in zip(*results):
         np.testing.assert_array_equal(one, other)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from fields_scenes import CAMERA, WHITE, frames_of, lens, scene, views
+from fields_scenes import CAMERA, WHITE, camera, frames_of, scene, views
 
 from epipole import render, splat
 from epipole.cameras import Camera
@@ -31,7 +31,7 @@ def splats(tmp_path):
 
 
 def test_given_cameras(splats, tmp_path):
-    content = lens() | {"frames": frames_of(views()[:3], tmp_path)}
+    content = camera() | {"frames": frames_of(views()[:3], tmp_path)}
     (tmp_path / "transforms.json").write_text(json.dumps(content))
     done = render(splats, tmp_path / "out", cameras=tmp_path / "transforms.json")
     assert done.num_frames == 3 and done.frames_per_s > 0
@@ -45,20 +45,20 @@ def test_given_cameras(splats, tmp_path):
 
 
 def test_depth_normals_and_coverage(splats, tmp_path):
-    content = lens() | {"frames": frames_of(views()[:2], tmp_path)}
+    content = camera() | {"frames": frames_of(views()[:2], tmp_path)}
     (tmp_path / "transforms.json").write_text(json.dumps(content))
-    drawn = draw(scene(), CAMERA, views()[0].cam_from_world)
-    shown = drawn.coverage > 0.5
-    depth = np.where(shown, drawn.depth / np.maximum(drawn.coverage, 0.5), np.nan)
+    rendered = draw(scene(), CAMERA, views()[0].cam_from_world)
+    shown = rendered.coverage > 0.5
+    depth = np.where(shown, rendered.depth / np.maximum(rendered.coverage, 0.5), np.nan)
     wanted = {
         "depth": color_map(depth) / 255.0,
         "normals": np.nan_to_num(0.5 + 0.5 * normals_of(depth, CAMERA)),
-        "coverage": np.repeat(drawn.coverage[..., None], 3, axis=2),
+        "coverage": np.repeat(rendered.coverage[..., None], 3, axis=2),
     }
-    for output, picture in wanted.items():
+    for output, image in wanted.items():
         render(splats, tmp_path / output, cameras=tmp_path / "transforms.json", output=output)
         found = read_rgb(tmp_path / output / "00.png") / 255.0
-        assert np.abs(found - picture).max() < 0.01, output
+        assert np.abs(found - image).max() < 0.01, output
         assert (tmp_path / output / "01.png").is_file()
 
 
@@ -82,28 +82,28 @@ def test_normals_of_a_plane_and_of_nothing():
 def test_a_filter_is_used_again_that_was_trained_with(tmp_path):
     folder = tmp_path / "scene"
     folder.mkdir()
-    (folder / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(views(), folder)}))
+    (folder / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(views(), folder)}))
     splat(folder, tmp_path / "out", steps=5, max_gaussians=200, sh_degree=0, antialiased=True)
     cloud = read_gaussian_ply(tmp_path / "out" / "splat.ply")
     render(tmp_path / "out", tmp_path / "drawn", cameras=folder / "transforms.json")
     render(tmp_path / "out", tmp_path / "other", cameras=folder / "transforms.json", antialiased=False)
-    for name, asked in (("drawn", True), ("other", False)):
-        wanted = draw(cloud, CAMERA, views()[0].cam_from_world, RenderOptions(antialiased=asked))
+    for name, requested in (("drawn", True), ("other", False)):
+        wanted = draw(cloud, CAMERA, views()[0].cam_from_world, RenderOptions(antialiased=requested))
         found = read_rgb(tmp_path / name / "00.png") / 255.0
         assert np.abs(found - np.clip(wanted.over(WHITE), 0, 1)).max() < 0.01
 
 
 def test_a_circle_goes_round_and_looks_at_the_middle():
     middle, up = np.array([1.0, 2.0, 3.0]), np.array([0.0, -2.0, 0.0])
-    shots = orbit(middle + np.array([3.0, -1.0, 0.0]), middle, up, RenderJob(frames=8, width=100))
-    centers = np.array([shot.cam_from_world.centers() for shot in shots])
+    views = orbit(middle + np.array([3.0, -1.0, 0.0]), middle, up, RenderJob(frames=8, width=100))
+    centers = np.array([view.cam_from_world.centers() for view in views])
     assert np.linalg.norm(centers - middle, axis=1) == pytest.approx(np.full(8, np.sqrt(10.0)))
     assert centers.mean(axis=0) == pytest.approx(middle - np.array([0, 1, 0]))
-    for shot in shots:
-        assert shot.camera.project(shot.cam_from_world.apply(middle[None]))[0] == pytest.approx([49.5, 37.0])
-        above = shot.camera.project(shot.cam_from_world.apply(middle[None] + [0, -0.1, 0]))[0]
+    for view in views:
+        assert view.camera.project(view.cam_from_world.apply(middle[None]))[0] == pytest.approx([49.5, 37.0])
+        above = view.camera.project(view.cam_from_world.apply(middle[None] + [0, -0.1, 0]))[0]
         assert above[1] < 37.0  # up in the world is up in the picture
-    half = orbit(middle + np.array([3.0, 0.0, 0.0]), middle, up, RenderJob(frames=3, turn_deg=180.0))
+    half = orbit(middle + np.array([3.0, 0.0, 0.0]), middle, up, RenderJob(frames=3, rotation_deg=180.0))
     assert half[2].cam_from_world.centers() == pytest.approx(middle - [3, 0, 0])
     straight = orbit(middle + np.array([0.0, -3.0, 0.0]), middle, up, RenderJob(frames=2))
     assert np.isfinite(straight[0].cam_from_world.rotation).all()
@@ -112,11 +112,11 @@ def test_a_circle_goes_round_and_looks_at_the_middle():
 def test_a_video(splats, tmp_path):
     render(splats, tmp_path / "a.mp4", frames=5, width=64, height=48)
     video = cv2.VideoCapture(str(tmp_path / "a.mp4"))
-    pictures = []
+    images = []
     while (read := video.read())[0]:
-        pictures.append(read[1])
-    assert len(pictures) == 5 and pictures[0].shape == (48, 64, 3)
-    assert np.abs(pictures[0].astype(int) - pictures[2]).mean() > 1 and max(p.max() for p in pictures) > 100
+        images.append(read[1])
+    assert len(images) == 5 and images[0].shape == (48, 64, 3)
+    assert np.abs(images[0].astype(int) - images[2]).mean() > 1 and max(p.max() for p in images) > 100
 
 
 def test_what_does_not_fit(splats, tmp_path):
@@ -126,7 +126,9 @@ def test_what_does_not_fit(splats, tmp_path):
         render(splats, tmp_path / "out", frames=0)
     with pytest.raises(ConfigError, match="fov_deg"):
         render(splats, tmp_path / "out", fov_deg=180.0)
-    frames = [frame | lens() | {"w": 64 - 8 * k} for k, frame in enumerate(frames_of(views()[:2], tmp_path))]
+    frames = [
+        frame | camera() | {"w": 64 - 8 * k} for k, frame in enumerate(frames_of(views()[:2], tmp_path))
+    ]
     (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
     with pytest.raises(ConfigError, match="one size"):
         render(splats, tmp_path / "a.mp4", cameras=tmp_path / "transforms.json")
@@ -151,9 +153,9 @@ def test_held_out_images_of_like_names_are_all_rendered(tmp_path):
     frames = frames_of(views()[:6], tmp_path / "scene")
     for frame, name in zip(frames[:3], ("x/y.png", "x_y.png", "x/y.jpg")):
         (tmp_path / "scene" / "x").mkdir(exist_ok=True)
-        picture = cv2.imread(str(tmp_path / "scene" / frame["file_path"]))
-        cv2.imwrite(str(tmp_path / "scene" / name), picture)
+        image = cv2.imread(str(tmp_path / "scene" / frame["file_path"]))
+        cv2.imwrite(str(tmp_path / "scene" / name), image)
         frame["file_path"] = name
-    (tmp_path / "scene" / "transforms.json").write_text(json.dumps(lens() | {"frames": frames}))
+    (tmp_path / "scene" / "transforms.json").write_text(json.dumps(camera() | {"frames": frames}))
     done = splat(tmp_path / "scene", tmp_path / "out", steps=2, test="x/y.png,x_y.png,x/y.jpg", sh_degree=0)
     assert done.summary["num_test"] == 3 and len(list((tmp_path / "out" / "test").iterdir())) == 3

@@ -6,7 +6,7 @@ from shutil import copytree
 
 import numpy as np
 import pytest
-from fields_scenes import CAMERA, frames_of, lens, views
+from fields_scenes import CAMERA, camera, frames_of, views
 
 from epipole import compare_fields, nerf, splat
 from epipole.cameras import Camera
@@ -18,7 +18,7 @@ from epipole.pipelines.fields.config import FieldOptions
 def source(tmp_path_factory):
     folder = tmp_path_factory.mktemp("time") / "scene"
     folder.mkdir()
-    (folder / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(views(), folder)}))
+    (folder / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(views(), folder)}))
     return folder
 
 
@@ -31,7 +31,7 @@ class Slow:
         self.now, self.fixed_s, self.sizes = 0.0, 0.0, []
         monkeypatch.setattr(held_out, "perf_counter", lambda: self.now)
 
-    def draw_counted(self, view):
+    def render_counted(self, view):
         self.now += self.fixed_s + 1e-3 * view.camera.width * view.camera.height
         self.sizes.append((view.camera.width, view.camera.height))
         return view.over(self.background), 7
@@ -43,12 +43,12 @@ def test_as_many_views_are_rendered_as_the_time_allows(monkeypatch):
 
     def rendered(options):
         found = held_out.in_time(
-            views(), options, slow.draw_counted, lambda *report: reports.append(report), said
+            views(), options, slow.render_counted, lambda *report: reports.append(report), said
         )
-        assert all(count == 7 and picture.shape == (48, 64, 3) for _, (picture, count) in found)
+        assert all(count == 7 and image.shape == (48, 64, 3) for _, (image, count) in found)
         return [view.name for view, _ in found]
 
-    wanted = FieldOptions(time=f"{3.5 * each_s / held_out.RENDER_SHARE:.3f}s")
+    wanted = FieldOptions(time=f"{3.5 * each_s / held_out.RENDER_FRACTION:.3f}s")
     assert rendered(wanted) == ["00.png", "06.png", "13.png"]
     assert said[0].startswith("3 of 14 views are rendered and compared: a view takes about 3.1 s")
     assert reports == [(0, 14), (1, 14), (2, 14), (3, 14), (3, 3)]
@@ -56,15 +56,15 @@ def test_as_many_views_are_rendered_as_the_time_allows(monkeypatch):
     said.clear()
     for options in (FieldOptions(steps=1), FieldOptions(time="1h")):
         assert len(rendered(options)) == 14 and not said
-    assert held_out.in_time([], wanted, slow.draw_counted, lambda *_: None, said) == []
+    assert held_out.in_time([], wanted, slow.render_counted, lambda *_: None, said) == []
 
 
 def test_every_beginning_of_the_rows_is_spread_over_all():
     for count in (0, 1, 2, 3, 14, 97):
-        order = held_out.rows_in_halves(count)
+        order = held_out.rows_of_two_passes(count)
         assert sorted(order) == list(range(count))
     for k in (2, 3, 5, 9, 17, 33):
-        assert max(np.diff(sorted(held_out.rows_in_halves(97)[:k]))) <= 96 / (k - 1) + 2
+        assert max(np.diff(sorted(held_out.rows_of_two_passes(97)[:k]))) <= 96 / (k - 1) + 2
 
 
 def test_how_long_a_view_takes_is_known_from_smaller_ones(monkeypatch):
@@ -75,7 +75,7 @@ def test_how_long_a_view_takes_is_known_from_smaller_ones(monkeypatch):
     assert held_out.seconds_of_view(slow, views()[0]) == pytest.approx(each_s, rel=0.01)
     assert max(width * height for width, height in slow.sizes) < 200
     line = replace(
-        views()[0], picture=np.zeros((1, 64, 3), np.uint8), camera=Camera("PINHOLE", 64, 1, CAMERA.params)
+        views()[0], image=np.zeros((1, 64, 3), np.uint8), camera=Camera("PINHOLE", 64, 1, CAMERA.params)
     )
     assert held_out.seconds_of_view(slow, line) == pytest.approx(0.064)
     slow.fixed_s = 10.0  # whatever the size
@@ -92,7 +92,7 @@ def test_a_view_on_the_way_that_would_take_too_long_is_not_begun(monkeypatch):
 
 
 def test_fewer_views_are_compared_in_little_time(source, tmp_path, monkeypatch):
-    monkeypatch.setattr(held_out, "RENDER_SHARE", 0.0)
+    monkeypatch.setattr(held_out, "RENDER_FRACTION", 0.0)
     found = nerf(source, tmp_path / "out", time="0.2s", test_every=4, kind="grid")
     assert found.summary["num_test"] == 4 and found.summary["num_compared"] == 1
     assert "1 of 4 views are rendered" in found.summary["warnings"][0]
@@ -111,24 +111,24 @@ def test_a_comparison_renders_no_view_of_the_field_twice(source, tmp_path, monke
         return timed(renderer, view)
 
     monkeypatch.setattr(held_out, "timed", counting)
-    monkeypatch.setattr(held_out, "RENDER_SHARE", 0.0)
+    monkeypatch.setattr(held_out, "RENDER_FRACTION", 0.0)
     monkeypatch.setattr(held_out, "seconds_of_view", lambda renderer, view: 1.0)
     found = compare_fields(source, tmp_path / "out", time="0.2s", test_every=4, kind="grid")
     assert sorted(rendered) == [("SplatTrainer", "images/00.png"), ("VoxelTrainer", "images/00.png")]
-    told = json.loads((found.out / "compare.json").read_text())
-    assert told["views"] == 1 and any("1 of 4 views" in words for words in found.warnings)
-    assert told["nerf"]["frames_s"] > 0 and told["nerf"]["queries"] > 0.5
+    given = json.loads((found.out / "compare.json").read_text())
+    assert given["views"] == 1 and any("1 of 4 views" in words for words in found.warnings)
+    assert given["nerf"]["frames_s"] > 0 and given["nerf"]["queries"] > 0.5
 
 
 def test_files_of_like_names_are_the_same_where_few_views_are_rendered(source, tmp_path, monkeypatch):
-    monkeypatch.setattr(held_out, "RENDER_SHARE", 0.0)
+    monkeypatch.setattr(held_out, "RENDER_FRACTION", 0.0)
     copytree(source, tmp_path / "scene")
     frames = json.loads((source / "transforms.json").read_text())["frames"]
     (tmp_path / "scene" / "x").mkdir()
     for frame, name in zip(frames[:2], ("x/y.png", "x_y.png")):
         (tmp_path / "scene" / frame["file_path"]).rename(tmp_path / "scene" / name)
         frame["file_path"] = name
-    (tmp_path / "scene" / "transforms.json").write_text(json.dumps(lens() | {"frames": frames}))
+    (tmp_path / "scene" / "transforms.json").write_text(json.dumps(camera() | {"frames": frames}))
     out = tmp_path / "out"
     compare_fields(tmp_path / "scene", out, time="0.2s", test="x/y.png,x_y.png", kind="grid")
     for folder in (out / "pictures", out / "nerf" / "test", out / "splat" / "test"):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from fields_scenes import CAMERA, frames_of, lens, scene, views
+from fields_scenes import CAMERA, camera, frames_of, scene, views
 
 from epipole import splat, view
 from epipole.errors import ConfigError, FileFormatError, NoModelError, WorkspaceError
@@ -20,7 +20,7 @@ from epipole.io.gaussians.ply import read_gaussian_ply
 from epipole.io.models.transforms import read_transforms
 from epipole.pipelines.fields import checkpoints, training
 from epipole.pipelines.fields.config import FieldOptions
-from epipole.pipelines.fields.pictures import gather_field_pictures
+from epipole.pipelines.fields.images import gather_field_images
 from epipole.pipelines.fields.scene import is_mine, seen_gaussians
 
 OPTIONS = {"steps": 80, "max_gaussians": 400, "sh_degree": 1}
@@ -30,7 +30,7 @@ OPTIONS = {"steps": 80, "max_gaussians": 400, "sh_degree": 1}
 def source(tmp_path_factory):
     folder = tmp_path_factory.mktemp("splat") / "scene"
     folder.mkdir()
-    content = lens() | {"frames": frames_of(views(), folder)}
+    content = camera() | {"frames": frames_of(views(), folder)}
     (folder / "transforms.json").write_text(json.dumps(content))
     return folder
 
@@ -38,7 +38,7 @@ def source(tmp_path_factory):
 @pytest.fixture(scope="module")
 def result(source, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(training, "PROBE_SHARE", np.inf)
+        patched.setattr(training, "PROBE_FRACTION", np.inf)
         return splat(source, tmp_path_factory.mktemp("splat") / "out", test_every=7, **OPTIONS)
 
 
@@ -53,23 +53,25 @@ def test_results_are_written(result):
     assert metrics["psnr"] > 20 and metrics["background"] == "white" and len(metrics["curve"]["rows"]) > 5
     names = sorted(path.name for path in (out / "test").iterdir())
     assert names == ["images_00.png", "images_07.png"]
-    drawn = cv2.imread(str(out / "test" / "images_00.png"))[..., ::-1].astype(float) / 255
-    error = np.mean((drawn - views()[0].over(np.ones(3, np.float32))) ** 2)
+    rendered = cv2.imread(str(out / "test" / "images_00.png"))[..., ::-1].astype(float) / 255
+    error = np.mean((rendered - views()[0].over(np.ones(3, np.float32))) ** 2)
     assert -10 * np.log10(error) == pytest.approx(metrics["views"][0]["psnr"], abs=0.1)
 
 
 def test_the_report_shows_what_was_held_out(result):
     metrics = json.loads((result.out / "metrics.json").read_text())
-    seconds, steps, likeness = np.array(metrics["held_out"]["rows"]).T
+    seconds, steps, photometric_loss = np.array(metrics["held_out"]["rows"]).T
     assert len(steps) == 8 and (np.diff(steps) > 0).all() and (np.diff(seconds) > 0).all()
-    assert likeness[-1] > likeness[0] and likeness[-1] == pytest.approx(metrics["psnr"], abs=3.0)
+    assert photometric_loss[-1] > photometric_loss[0] and photometric_loss[-1] == pytest.approx(
+        metrics["psnr"], abs=3.0
+    )
     page = (result.out / "report.html").read_text()
     assert f"{metrics['psnr']:.2f} dB on pictures that were held out" in page
     assert page.count("data:image/png") == 3 * 2 and "images/07.png" in page and "PSNR, dB" in page
 
 
 def test_held_out_views_that_take_too_long_are_left_out(source, tmp_path, monkeypatch):
-    monkeypatch.setattr(training, "PROBE_SHARE", 0.0)
+    monkeypatch.setattr(training, "PROBE_FRACTION", 0.0)
     found = splat(source, tmp_path / "out", test_every=7, **OPTIONS | {"steps": 5})
     assert json.loads((found.out / "metrics.json").read_text())["held_out"]["rows"] == []
     assert "data:image/png" in (found.out / "report.html").read_text()
@@ -78,7 +80,7 @@ def test_held_out_views_that_take_too_long_are_left_out(source, tmp_path, monkey
 def test_names_are_text_in_the_report(tmp_path):
     name = "<img src=x onerror=alert(1)>.png"
     named = [replace(view, name=name if n == 0 else view.name) for n, view in enumerate(views()[:4])]
-    (tmp_path / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(named, tmp_path)}))
+    (tmp_path / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(named, tmp_path)}))
     found = splat(tmp_path, tmp_path / "out", steps=2, test=f"images/{name}")
     page = (found.out / "report.html").read_text()
     assert "<img src=x" not in page and "&lt;img src=x" in page
@@ -115,7 +117,7 @@ def test_pictures_that_are_missing_are_left_out_and_named(source, tmp_path):
     frames = frames_of(views(), folder)
     (folder / "images" / "03.png").unlink()
     (folder / "images" / "04.png").write_bytes(b"no picture")
-    (folder / "transforms.json").write_text(json.dumps(lens() | {"frames": frames}))
+    (folder / "transforms.json").write_text(json.dumps(camera() | {"frames": frames}))
     found = splat(folder, tmp_path / "out", **OPTIONS | {"steps": 3})
     assert found.summary["num_train"] + found.summary["num_test"] == 12
     assert [warning.split()[0] for warning in found.warnings] == ["images/03.png", "images/04.png"]
@@ -139,26 +141,26 @@ def test_masks_lie_beside_by_name(source, tmp_path):
     for name in ("00.png", "03.png"):
         cv2.imwrite(str(tmp_path / "masks" / "images" / f"{name}.png"), mask)
     options = FieldOptions(masks=tmp_path / "masks", test_every=7)
-    gathered = gather_field_pictures(source, options)
+    gathered = gather_field_images(source, options)
     by_name = {view.name: view.used_mask for view in [*gathered.train, *gathered.test]}
     assert sorted(name for name, used in by_name.items() if used is not None) == [
         "images/00.png",
         "images/03.png",
     ]
     np.testing.assert_array_equal(by_name["images/03.png"], mask > 0)
-    small = gather_field_pictures(source, replace(options, max_side_px=32))
+    small = gather_field_images(source, replace(options, max_side_px=32))
     half = next(view for view in small.train if view.name == "images/03.png").used_mask
     assert half.shape == (24, 32) and not half[:, :10].any() and half[:, 10:].all()
     found = splat(source, tmp_path / "out", job=options, **OPTIONS | {"steps": 3})
-    held = json.loads((found.out / "metrics.json").read_text())["views"][0]
-    assert held["name"] == "images/00.png" and np.isfinite([held["psnr"], held["psnr_matched"]]).all()
+    fixed = json.loads((found.out / "metrics.json").read_text())["views"][0]
+    assert fixed["name"] == "images/00.png" and np.isfinite([fixed["psnr"], fixed["psnr_matched"]]).all()
     (tmp_path / "other").mkdir()
     with pytest.raises(ConfigError, match="no picture has a mask"):
-        gather_field_pictures(source, replace(options, masks=tmp_path / "other"))
+        gather_field_images(source, replace(options, masks=tmp_path / "other"))
     cv2.imwrite(str(tmp_path / "masks" / "images" / "05.png.png"), mask[:5])
-    assert any("mask is" in problem for problem in gather_field_pictures(source, options).problems)
+    assert any("mask is" in problem for problem in gather_field_images(source, options).problems)
     cv2.imwrite(str(tmp_path / "masks" / "images" / "06.png.png"), np.zeros_like(mask))
-    problems = gather_field_pictures(source, options).problems
+    problems = gather_field_images(source, options).problems
     assert any(problem.startswith("images/06.png") and "leaves nothing" in problem for problem in problems)
 
 
@@ -227,9 +229,9 @@ def test_a_full_disk_ends_no_training(source, tmp_path, monkeypatch):
 def test_memory_is_told_first_and_kept(source, tmp_path):
     notes = []
     found = splat(source, tmp_path / "out", steps=2, memory_gb=0.24, progress=lambda p: notes.append(p.note))
-    told = next(note for note in notes if note)
-    assert "12 pictures, about 0.2 GB" in told
-    assert found.summary["num_gaussians"] <= int(told.split()[2].replace(",", "")) <= 10_000
+    given = next(note for note in notes if note)
+    assert "12 pictures, about 0.2 GB" in given
+    assert found.summary["num_gaussians"] <= int(given.split()[2].replace(",", "")) <= 10_000
     with pytest.raises(ConfigError, match=r"memory_gb is 0\.01, and 0\.23 are needed"):
         splat(source, tmp_path / "small", steps=2, memory_gb=0.01)
     with pytest.raises(ConfigError, match="1,000,000 Gaussians"):
@@ -239,12 +241,12 @@ def test_memory_is_told_first_and_kept(source, tmp_path):
 def test_cameras_that_look_away_are_told(tmp_path):
     points = scene().means_in_world.astype(float).repeat(2, 0)
     rgb = np.full((len(points), 3), 120, np.uint8)
-    for name, turn in (("good", 1.0), ("away", -1.0)):
+    for name, rotation in (("good", 1.0), ("away", -1.0)):
         frames = [
             replace(
                 view,
                 cam_from_world=Rigid3.from_matrix(
-                    np.diag([1, turn, turn, 1]) @ view.cam_from_world.as_matrix()
+                    np.diag([1, rotation, rotation, 1]) @ view.cam_from_world.as_matrix()
                 ),
             )
             for view in views()
@@ -252,7 +254,7 @@ def test_cameras_that_look_away_are_told(tmp_path):
         (tmp_path / name).mkdir()
         points_file = {"ply_file_path": "points.ply"}
         write_points_ply(tmp_path / name / "points.ply", points, rgb)
-        content = lens() | {"frames": frames_of(frames, tmp_path / name)} | points_file
+        content = camera() | {"frames": frames_of(frames, tmp_path / name)} | points_file
         (tmp_path / name / "transforms.json").write_text(json.dumps(content))
         found = splat(tmp_path / name, tmp_path / f"{name}-out", steps=2)
         assert any("look away from the points" in words for words in found.warnings) == (name == "away")
@@ -260,10 +262,10 @@ def test_cameras_that_look_away_are_told(tmp_path):
 
 def test_black_pictures_give_a_black_scene(tmp_path):
     dark = [
-        TrainingView(v.name, v.picture * np.array([0, 0, 0, 1], np.uint8), v.camera, v.cam_from_world)
+        TrainingView(v.name, v.image * np.array([0, 0, 0, 1], np.uint8), v.camera, v.cam_from_world)
         for v in views()
     ]
-    (tmp_path / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(dark, tmp_path)}))
+    (tmp_path / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(dark, tmp_path)}))
     found = splat(tmp_path, tmp_path / "out", steps=60, background="black", max_gaussians=200)
     assert found.summary["psnr"] > 30
 
@@ -271,7 +273,7 @@ def test_black_pictures_give_a_black_scene(tmp_path):
 def test_what_cannot_be_trained_on_is_refused(source, tmp_path):
     one = tmp_path / "one"
     one.mkdir()
-    (one / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(views()[:1], one)}))
+    (one / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(views()[:1], one)}))
     with pytest.raises(NoModelError, match="two are needed"):
         splat(one, tmp_path / "out", test_every=0)
     with pytest.raises(FileFormatError, match="no such"):
@@ -280,7 +282,7 @@ def test_what_cannot_be_trained_on_is_refused(source, tmp_path):
     wrong.mkdir()
     (wrong / "transforms.json").write_text(
         json.dumps(
-            lens() | {"frames": [{"file_path": "a.png", "transform_matrix": [[float("nan")] * 4] * 4}]}
+            camera() | {"frames": [{"file_path": "a.png", "transform_matrix": [[float("nan")] * 4] * 4}]}
         )
     )
     with pytest.raises(FileFormatError, match="finite"):

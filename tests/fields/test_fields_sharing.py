@@ -29,7 +29,7 @@ from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.synthetic import look_at
 
 HOSTILE = "<img src=x onerror=alert(1)>.ply"
-SETTLED = "document.getElementById('space').dataset.settled === 'yes'"
+CONVERGED = "document.getElementById('space').dataset.settled === 'yes'"
 LEAST_DB = 40.0
 """Of the page's drawing against the rasteriser's: 8 bits of each layer leave about 50."""
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome to draw the page with")
@@ -50,8 +50,8 @@ def result(tmp_path: Path) -> Path:
     cloud, seen = seen_from_all_sides(), list(views()[:2])
     seen[1] = replace(seen[1], cam_from_world=look_at((0.0, -3.0, 0.5), (0, 0, 0), (0.3, 0.1, 1.0)))
     write_gaussians(folder / "splat.ply", cloud)
-    told = {"background": "white", "first_view": first_view_of(cloud.means_in_world, seen)}
-    (folder / "summary.json").write_text(json.dumps(told))
+    given = {"background": "white", "first_view": first_view_of(cloud.means_in_world, seen)}
+    (folder / "summary.json").write_text(json.dumps(given))
     write_cameras(folder / "cameras.json", seen)
     return folder
 
@@ -62,7 +62,7 @@ class Blocks(HTMLParser):
     def __init__(self, page: str) -> None:
         super().__init__()
         self.scripts, self.attributes, self.inside = {}, [], None
-        self.feed(page)
+        self.stream(page)
 
     def handle_starttag(self, tag, attrs):
         self.attributes += [(tag, *pair) for pair in attrs]
@@ -85,9 +85,9 @@ def test_a_page_holds_the_cloud_and_nothing_from_elsewhere(result: Path, tmp_pat
     rows = np.frombuffer(base64.b64decode(blocks.scripts["space-gaussians"]), ROW)
     assert np.array_equal(rows["mean"], read_gaussian_ply(result / "splat.ply").means_in_world)
     assert len(base64.b64decode(blocks.scripts["space-harmonics"])) == 12 * 80
-    told = json.loads(blocks.scripts["space-data"])
-    assert told["gaussians"]["count"] == 80 and told["background"] == 1.0
-    assert len(told["cameras"]["names"]) == 2 and not told["cameras"]["shown"]
+    given = json.loads(blocks.scripts["space-data"])
+    assert given["gaussians"]["count"] == 80 and given["background"] == 1.0
+    assert len(given["cameras"]["names"]) == 2 and not given["cameras"]["shown"]
     policy = next(v for tag, name, v in blocks.attributes if name == "content" and "default-src" in v)
     code = content_hash(blocks.scripts["code"])
     assert policy.startswith("default-src 'none'; img-src data:; style-src 'unsafe-inline'")
@@ -164,7 +164,7 @@ def tab() -> Iterator[Tab]:
 
 def drawn_by(tab: Tab) -> np.ndarray:
     """(h, w, 3) what is on the canvas."""
-    tab.wait_until(SETTLED)
+    tab.wait_until(CONVERGED)
     address = tab.value(
         "space.then(s => new Promise(done => { s.look.near = 0.01; s.snapshot(blob => { const reader = new FileReader();"
         " reader.onload = () => done(reader.result); reader.readAsDataURL(blob); }); }))"
@@ -181,8 +181,8 @@ def likeness_db(
     height, width = found.shape[:2]
     focal = 0.5 * min(width, height) / np.tan(np.deg2rad(0.5 * degrees))
     camera = Camera("PINHOLE", width, height, [focal, focal, 0.5 * (width - 1), 0.5 * (height - 1)])
-    drawn = render(cloud, camera, look_at(position, middle, up))
-    wanted = np.clip(drawn.over(np.full(3, background, np.float32)), 0, 1)
+    rendered = render(cloud, camera, look_at(position, middle, up))
+    wanted = np.clip(rendered.over(np.full(3, background, np.float32)), 0, 1)
     assert wanted.std() > 0.05
     return float(-10 * np.log10(((found - wanted) ** 2).mean()))
 
@@ -199,7 +199,7 @@ def test_the_page_draws_as_the_rasteriser_does(result: Path, tmp_path: Path, tab
         address = f"#view={','.join(map(str, (*position, *middle, *up, degrees)))}"
         tab.open((tmp_path / "page.html").as_uri() + address)
         assert likeness_db(tab, seen_from_all_sides(), position, middle, up, degrees, 1.0) > LEAST_DB
-        seen = tab.picture()
+        seen = tab.image()
         assert seen.shape == (600, 800, 3) and seen[100:500].std() > 5
     tab.call("Page.addScriptToEvaluateOnNewDocument", source="Worker = undefined;")
     tab.open((tmp_path / "page.html").as_uri() + address, 500, 700)
@@ -213,12 +213,12 @@ def test_hands_and_keys_and_cameras(result: Path, tmp_path: Path, tab: Tab) -> N
     tab.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-reduced-motion", "value": "reduce"}])
     tab.open((tmp_path / "page.html").as_uri())
     first = drawn_by(tab)
-    told = json.loads((result / "summary.json").read_text())["first_view"]
+    given = json.loads((result / "summary.json").read_text())["first_view"]
     degrees = np.rad2deg(2 * np.arctan(0.75 * np.tan(np.deg2rad(25.0))))
-    likeness = likeness_db(
-        tab, seen_from_all_sides(), told["position"], told["look_at"], told["up"], degrees, 1.0
+    photometric_loss = likeness_db(
+        tab, seen_from_all_sides(), given["position"], given["look_at"], given["up"], degrees, 1.0
     )
-    assert likeness > LEAST_DB
+    assert photometric_loss > LEAST_DB
 
     def eye() -> dict[str, float]:
         return tab.value("space.then(s => s.view.eye())")
@@ -231,9 +231,9 @@ def test_hands_and_keys_and_cameras(result: Path, tmp_path: Path, tab: Tab) -> N
     start = eye()
     drag()
     assert eye()["yaw"] != start["yaw"] and eye()["focus"] == start["focus"]
-    turned = eye()
+    rotated = eye()
     drag(modifiers=8)  # shift
-    assert eye()["yaw"] == turned["yaw"] and eye()["focus"] != start["focus"]
+    assert eye()["yaw"] == rotated["yaw"] and eye()["focus"] != start["focus"]
     tab.mouse("mouseWheel", 300, 300, deltaX=0, deltaY=-200)
     tab.wait_until(f"space.then(s => s.view.eye().dist < {start['dist'] - 1e-9})")
     assert np.abs(drawn_by(tab) - first).mean() > 0.01
@@ -247,11 +247,11 @@ def test_hands_and_keys_and_cameras(result: Path, tmp_path: Path, tab: Tab) -> N
         tab.value("document.getElementById('next-camera').click()")
         assert tab.value("document.getElementById('camera-name').textContent").startswith(f"{number} of 2: 0")
     tab.wait_until("space.then(s => Math.abs(s.view.eye().roll) > 0.1)")
-    place = look_at((0.0, -3.0, 0.5), (0, 0, 0), (0.3, 0.1, 1.0))
+    position = look_at((0.0, -3.0, 0.5), (0, 0, 0), (0.3, 0.1, 1.0))
     basis = tab.value("space.then(s => s.view.basis())")
     rows = [basis["r"], basis["d"], basis["f"]]
-    assert np.allclose(rows, place.rotation, atol=1e-5) and np.allclose(
-        basis["o"], place.centers(), atol=1e-5
+    assert np.allclose(rows, position.rotation, atol=1e-5) and np.allclose(
+        basis["o"], position.centers(), atol=1e-5
     )
     assert tab.problems == []
 
@@ -261,7 +261,7 @@ def test_a_double_click_looks_at_a_place(result: Path, tmp_path: Path, tab: Tab)
     share(result, tmp_path / "page.html")
     tab.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-reduced-motion", "value": "reduce"}])
     tab.open((tmp_path / "page.html").as_uri())
-    tab.wait_until(SETTLED)
+    tab.wait_until(CONVERGED)
     before = tab.value("space.then(s => s.view.eye())")
     for clicks in (1, 2):
         for kind in ("mousePressed", "mouseReleased"):
@@ -284,7 +284,7 @@ def test_a_browser_without_webgl_says_so(result: Path, tmp_path: Path, tab: Tab)
 def test_the_page_fits_a_phone(result: Path, tmp_path: Path, tab: Tab) -> None:
     share(result, tmp_path / "page.html")
     tab.open((tmp_path / "page.html").as_uri(), 390, 844)
-    tab.wait_until(SETTLED)
+    tab.wait_until(CONVERGED)
     width, height = tab.value("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
     assert width <= 390 and height <= 844
     boxes = tab.value("[...document.querySelectorAll('button')].map(b => b.getBoundingClientRect().right)")

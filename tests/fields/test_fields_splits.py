@@ -11,7 +11,7 @@ from PIL import Image
 
 from epipole.errors import ConfigError, FileFormatError
 from epipole.pipelines.fields.config import FieldOptions
-from epipole.pipelines.fields.pictures import FieldPictures, gather_field_pictures
+from epipole.pipelines.fields.images import FieldImages, gather_field_images
 
 OPTIONS = FieldOptions(test_every=2)
 
@@ -34,7 +34,7 @@ def names(*numbers: int) -> list[str]:
     return [f"images/{k}.png" for k in numbers]
 
 
-def split(found: FieldPictures) -> tuple[list[str], list[str]]:
+def split(found: FieldImages) -> tuple[list[str], list[str]]:
     return [view.name for view in found.train], [view.name for view in found.test]
 
 
@@ -53,19 +53,19 @@ def split(found: FieldPictures) -> tuple[list[str], list[str]]:
     ],
 )  # fmt: skip
 def test_splits_of_the_file_are_used(tmp_path, own, train, test, problem) -> None:
-    found = gather_field_pictures(scene(tmp_path, own), OPTIONS)
+    found = gather_field_images(scene(tmp_path, own), OPTIONS)
     assert split(found) == (names(*train), names(*test))
     assert [problem in text for text in found.problems] == [True] if problem else found.problems == []
 
 
 def test_images_asked_for_go_before_the_splits_of_the_file(tmp_path) -> None:
     folder = scene(tmp_path, {"train_filenames": names(0, 1, 2), "test_filenames": names(3)})
-    found = gather_field_pictures(folder, replace(OPTIONS, test="images/0.png"))
+    found = gather_field_images(folder, replace(OPTIONS, test="images/0.png"))
     assert split(found) == (names(1, 2, 3, 4, 5), names(0))
     assert ["splits of the file are not used" in text for text in found.problems] == [True]
     with pytest.raises(ConfigError, match="nowhere"):
-        gather_field_pictures(folder, replace(OPTIONS, test="nowhere.png"))
-    assert split(gather_field_pictures(scene(tmp_path), OPTIONS))[1] == names(0, 2, 4)
+        gather_field_images(folder, replace(OPTIONS, test="nowhere.png"))
+    assert split(gather_field_images(scene(tmp_path), OPTIONS))[1] == names(0, 2, 4)
 
 
 def test_masks_that_the_file_names_are_used(tmp_path) -> None:
@@ -76,7 +76,7 @@ def test_masks_that_the_file_names_are_used(tmp_path) -> None:
     )
     (tmp_path / "masks").mkdir()
     Image.fromarray(mask).save(tmp_path / "masks" / "two.png")
-    found = gather_field_pictures(folder, replace(OPTIONS, test_every=0))
+    found = gather_field_images(folder, replace(OPTIONS, test_every=0))
     used = {view.name: view.used_mask for view in found.train}
     np.testing.assert_array_equal(used["images/2.png"], mask > 0)
     assert used["images/0.png"] is None and "images/3.png" not in used
@@ -87,18 +87,18 @@ def test_a_folder_of_masks_goes_before_those_of_the_file(tmp_path) -> None:
     folder = scene(tmp_path, {"mask_path": "masks/all.png"})
     (tmp_path / "mine" / "images").mkdir(parents=True)
     Image.new("L", (32, 24), 255).save(tmp_path / "mine" / "images" / "1.png")
-    found = gather_field_pictures(folder, replace(OPTIONS, masks=tmp_path / "mine"))
+    found = gather_field_images(folder, replace(OPTIONS, masks=tmp_path / "mine"))
     assert [view.name for view in [*found.train, *found.test] if view.used_mask is not None] == names(1)
     assert ["masks that the file names are not used" in text for text in found.problems] == [True]
     scene(tmp_path, {"mask_path": "../all.png"})
     with pytest.raises(FileFormatError, match="no name of a file inside"):
-        gather_field_pictures(folder, OPTIONS)
+        gather_field_images(folder, OPTIONS)
 
 
 def test_what_the_file_holds_besides_is_a_warning_of_the_job(tmp_path) -> None:
     pose = np.full((4, 4), np.nan).tolist()
     folder = scene(tmp_path, {"weather": "sunny"}, {4: {"transform_matrix": pose}})
-    found = gather_field_pictures(folder, OPTIONS)
+    found = gather_field_images(folder, OPTIONS)
     assert len(found.train) + len(found.test) == 5
     words = "\n".join(found.problems)
     assert "unknown keys are not used: weather" in words and "frame 4 (images/4.png) is left out" in words

@@ -10,12 +10,12 @@ from fields_scenes import CAMERA, scene, views
 from epipole.cameras import Camera
 from epipole.errors import DegenerateGeometryError, FileFormatError
 from epipole.fields.config import SplatConfig
-from epipole.fields.splat.starting import look_the_same_way, points_in_frusta
+from epipole.fields.splat.starting import have_one_direction, points_in_frusta
 from epipole.fields.training_view import TrainingView
 from epipole.io.gaussians.ply import write_gaussian_ply
 from epipole.pipelines.fields.dense_points import dense_points, neighbours_of
 from epipole.pipelines.fields.first_gaussians import first_gaussians
-from epipole.pipelines.fields.pictures import FieldPictures
+from epipole.pipelines.fields.images import FieldImages
 from epipole.synthetic import courtyard, courtyard_views, look_at, render
 
 YARD = Camera("PINHOLE", 160, 120, [150.0, 150.0, 79.5, 59.5])
@@ -24,21 +24,21 @@ YARD = Camera("PINHOLE", 160, 120, [150.0, 150.0, 79.5, 59.5])
 @cache
 def yard():
     """Views of the courtyard, each with some of the points that it shows, and true depths."""
-    places, rng, out, depths = courtyard_views(48)[:6], np.random.default_rng(3), [], []
+    positions, rng, out, depths = courtyard_views(48)[:6], np.random.default_rng(3), [], []
     for n in range(6):
-        drawn = render(courtyard(), YARD, places[n])
-        row, column = (rng.integers(0, size, 200) for size in drawn.depth.shape)
-        depth = drawn.depth[row, column]
+        rendered = render(courtyard(), YARD, positions[n])
+        row, column = (rng.integers(0, size, 200) for size in rendered.depth.shape)
+        depth = rendered.depth[row, column]
         rays = YARD.unproject(np.stack([column, row], axis=1).astype(float))
-        points = places[n].inverse().apply(rays / rays[:, 2:] * depth[:, None])[np.isfinite(depth)]
-        out.append(TrainingView(f"{n}", drawn.rgb, YARD, places[n], points_in_world=points))
-        depths.append(drawn.depth)
+        points = positions[n].inverse().apply(rays / rays[:, 2:] * depth[:, None])[np.isfinite(depth)]
+        out.append(TrainingView(f"{n}", rendered.rgb, YARD, positions[n], points_in_world=points))
+        depths.append(rendered.depth)
     return tuple(out), depths
 
 
-def pictures(of, points=None):
+def images(of, points=None):
     points = np.empty((0, 3)) if points is None else points
-    return FieldPictures(list(of), [], points, np.full(points.shape, 128, np.uint8), False, [])
+    return FieldImages(list(of), [], points, np.full(points.shape, 128, np.uint8), False, [])
 
 
 def untold(*_):
@@ -53,16 +53,16 @@ def test_neighbours_see_the_same_from_angles_that_tell():
 
 
 def test_points_of_stereo_lie_on_the_surfaces():
-    told = []
-    found = dense_points(yard()[0], 5000, 1, lambda *counts: told.append(counts))
-    assert len(found.points_in_world) == 5000 and told[0][0] == 0 and told[-1][0] == told[-1][1] > 2
+    given = []
+    found = dense_points(yard()[0], 5000, 1, lambda *counts: given.append(counts))
+    assert len(found.points_in_world) == 5000 and given[0][0] == 0 and given[-1][0] == given[-1][1] > 2
     off = np.full((6, 5000), np.inf)
     for n, (view, depth) in enumerate(zip(*yard())):
-        places = view.cam_from_world.apply(found.points_in_world)
-        pixels = np.rint(YARD.project(places))
-        inside = (pixels >= 1).all(axis=1) & (pixels < [158, 118]).all(axis=1) & (places[:, 2] > 0)
+        positions = view.cam_from_world.apply(found.points_in_world)
+        pixels = np.rint(YARD.project(positions))
+        inside = (pixels >= 1).all(axis=1) & (pixels < [158, 118]).all(axis=1) & (positions[:, 2] > 0)
         column, row = pixels[inside].astype(int).T
-        off[n, inside] = np.nan_to_num(np.abs(places[inside, 2] / depth[row, column] - 1.0), nan=np.inf)
+        off[n, inside] = np.nan_to_num(np.abs(positions[inside, 2] / depth[row, column] - 1.0), nan=np.inf)
     # Where another surface hides a point its depth is another one: the view counts that fits best.
     best = off.min(axis=0)
     assert np.median(best) < 0.005 and np.mean(best < 0.05) > 0.95
@@ -82,31 +82,31 @@ def test_masked_pixels_give_no_points():
 
 def test_what_is_missing_is_filled_up_by_stereo():
     of, points = yard()[0], yard()[0][2].points_in_world
-    told = []
-    plain = first_gaussians(pictures(of, points), SplatConfig(start="points"), 5000, untold).cloud
+    given = []
+    plain = first_gaussians(images(of, points), SplatConfig(start="points"), 5000, untold).cloud
     assert len(plain) == len(points)
     dense, _ = first_gaussians(
-        pictures(of, points), SplatConfig(start="dense"), 5000, lambda *counts: told.append(counts)
+        images(of, points), SplatConfig(start="dense"), 5000, lambda *counts: given.append(counts)
     )
-    assert len(dense) == 3000 and told[-1][0] == told[-1][1] > 0
+    assert len(dense) == 3000 and given[-1][0] == given[-1][1] > 0
     np.testing.assert_array_equal(dense.means_in_world[: len(points)], plain.means_in_world)
-    enough = first_gaussians(pictures(of, points), SplatConfig(start="dense"), 200, untold).cloud
+    enough = first_gaussians(images(of, points), SplatConfig(start="dense"), 200, untold).cloud
     assert len(enough) == len(points)
 
 
 def test_cameras_that_look_the_same_way_start_in_what_they_see():
-    places = [look_at((0.2 * n, 0.1 * n, 0), (0.2 * n, 0.1 * n + 5, 0)) for n in range(4)]
-    of = [replace(view, cam_from_world=place) for view, place in zip(views(), places)]
-    assert look_the_same_way(of) and not look_the_same_way(views())
+    positions = [look_at((0.2 * n, 0.1 * n, 0), (0.2 * n, 0.1 * n + 5, 0)) for n in range(4)]
+    of = [replace(view, cam_from_world=position) for view, position in zip(views(), positions)]
+    assert have_one_direction(of) and not have_one_direction(views())
     points, rgb = points_in_frusta(of, 100, seed=2)
     apart = np.linalg.norm([0.2, 0.1])
     depths = of[0].cam_from_world.apply(points[:25])[:, 2]
     assert len(points) == len(rgb) == 100
     assert (depths > 1.99 * apart).all() and (depths < 101 * apart).all() and depths.max() > 6 * apart
     pixels = CAMERA.project(of[0].cam_from_world.apply(points[:25])).round().astype(int)
-    np.testing.assert_array_equal(rgb[:25], of[0].picture[pixels[:, 1], pixels[:, 0], :3])
-    assert (of[0].picture[pixels[:, 1], pixels[:, 0], 3] > 0).all()
-    started = first_gaussians(pictures(of), SplatConfig(), 2000, untold).cloud
+    np.testing.assert_array_equal(rgb[:25], of[0].image[pixels[:, 1], pixels[:, 0], :3])
+    assert (of[0].image[pixels[:, 1], pixels[:, 0], 3] > 0).all()
+    started = first_gaussians(images(of), SplatConfig(), 2000, untold).cloud
     assert len(started) == 200
     with pytest.raises(DegenerateGeometryError, match="at one place"):
         points_in_frusta([of[0], of[0]], 10)
@@ -118,14 +118,14 @@ def test_another_field_is_begun_with(tmp_path):
     write_gaussian_ply(tmp_path / "a.ply", scene())
     for degree, start_from in ((0, tmp_path / "a.ply"), (3, tmp_path / "a.ply")):
         config = SplatConfig(start_from=start_from, sh_degree=degree)
-        found = first_gaussians(pictures(views()), config, 1000, untold).cloud
+        found = first_gaussians(images(views()), config, 1000, untold).cloud
         np.testing.assert_array_equal(found.means_in_world, scene().means_in_world)
         assert found.sh.shape[1] == 1
     with pytest.raises(FileFormatError):
-        first_gaussians(pictures(views()), SplatConfig(start_from=tmp_path / "b.ply"), 1000, untold)
+        first_gaussians(images(views()), SplatConfig(start_from=tmp_path / "b.ply"), 1000, untold)
 
 
 def test_points_can_be_left_aside():
     config = SplatConfig(start="random")
-    found = first_gaussians(pictures(views(), np.ones((500, 3))), config, 5000, untold).cloud
+    found = first_gaussians(images(views(), np.ones((500, 3))), config, 5000, untold).cloud
     assert len(found) == 500 and len(np.unique(found.means_in_world, axis=0)) > 400

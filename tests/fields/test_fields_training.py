@@ -12,7 +12,7 @@ from epipole.fields.photometric import psnr
 from epipole.fields.splat import _gradient_kernels
 from epipole.fields.splat.gaussian_adam import GaussianAdam, Rates
 from epipole.fields.splat.growing_cloud import GrowingCloud
-from epipole.fields.splat.growth import FAINTER, Growth, halves
+from epipole.fields.splat.growth import FAINTER, Growth, split
 from epipole.fields.splat.rasterizer import (
     Cloud,
     RenderOptions,
@@ -44,19 +44,21 @@ def with_harmonics(rng, num_sh):
 def test_adam_moves_what_was_seen_as_the_paper_says(rng, num_sh):
     view = view_of(CAMERA, views()[0].cam_from_world, RenderOptions())
     cloud = with_harmonics(rng, num_sh)
-    drawn = blend(tiles_of(cloud, view), view)
-    by_pair = sums_of_pairs(drawn, rng.normal(size=drawn.colour.shape).astype(np.float32))
-    gradient, by_pose = gradient_of(cloud, view, drawn.tiles, by_pair)
+    rendered = blend(tiles_of(cloud, view), view)
+    by_pair = sums_of_pairs(rendered, rng.normal(size=rendered.colour.shape).astype(np.float32))
+    gradient, by_pose = gradient_of(cloud, view, rendered.tiles, by_pair)
     adam, moved = GaussianAdam(cloud), Cloud(*(part.copy() for part in cloud))
     for part in adam.mean:
         part[:] = 0.1 * rng.normal(size=part.shape)
     for part in adam.square:
         part[:] = rng.uniform(0.1, 1, part.shape)
     mean, square = (Cloud(*(part.astype(float) for part in one)) for one in (adam.mean, adam.square))
-    pull, also = adam.move(moved, view, drawn.tiles, by_pair, Rates(1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3), 7)
+    grad2d, also = adam.move(
+        moved, view, rendered.tiles, by_pair, Rates(1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3), 7
+    )
     np.testing.assert_allclose(also, by_pose, rtol=1e-9)
-    seen = drawn.tiles.gaussian
-    np.testing.assert_allclose(pull, np.linalg.norm(gradient.center[seen], axis=1), rtol=1e-5)
+    seen = rendered.tiles.gaussian
+    np.testing.assert_allclose(grad2d, np.linalg.norm(gradient.center[seen], axis=1), rtol=1e-5)
     is_seen = np.isin(np.arange(80), seen)
     assert is_seen.sum() > 10
     for name, rate in zip(Cloud._fields, (1e-3, 2e-3, 3e-3, 4e-3, 5e-3)):
@@ -122,9 +124,9 @@ def test_what_pulls_is_split_and_what_is_faint_goes():
     cloud = arrays_of(scene())
     cloud.logits[:5] = -9.0
     growth, count = Growth(len(cloud.means)), len(cloud.means)
-    pull = np.zeros(count, np.float32)
-    pull[[10, 20, 3]] = 5.0, 1.0, 9.0
-    growth.add(pull, np.arange(count), 64)
+    grad2d = np.zeros(count, np.float32)
+    grad2d[[10, 20, 3]] = 5.0, 1.0, 9.0
+    growth.add(grad2d, np.arange(count), 64)
     rows, stays = growth.changes(cloud, count)
     assert rows.tolist() == [10, 20] and not stays[:5].any() and stays[5:].all()
     assert growth.changes(cloud, count - 4)[0].tolist() == [10]
@@ -143,7 +145,7 @@ def test_halves_lie_side_by_side_along_the_longest_axis():
             )
         )
     )
-    first, second = halves(cloud, np.array([0]))
+    first, second = split(cloud, np.array([0]))
     np.testing.assert_allclose(first.means, [[0, 0.25, 0]], atol=1e-6)
     np.testing.assert_allclose(second.means, -first.means, atol=1e-6)
     np.testing.assert_allclose(np.exp(first.log_scales), [[0.085, 0.25, 0.17]], rtol=1e-5)
@@ -165,18 +167,18 @@ def test_points_are_drawn_within_all_silhouettes():
     for view in views():
         at = np.rint(view.camera.project(view.cam_from_world.apply(points))).astype(int)
         inside = (at >= 0).all(axis=1) & (at < [CAMERA.width, CAMERA.height]).all(axis=1)
-        assert (view.picture[at[inside, 1], at[inside, 0], 3] > 0).all()
+        assert (view.image[at[inside, 1], at[inside, 0], 3] > 0).all()
 
 
 def test_cameras_that_see_nothing_in_common_are_refused():
-    ahead = [TrainingView(v.name, v.picture, v.camera, Rigid3.identity()) for v in views()]
+    ahead = [TrainingView(v.name, v.image, v.camera, Rigid3.identity()) for v in views()]
     with pytest.raises(DegenerateGeometryError, match="the same way"):
         points_in_silhouettes(ahead, 10)
     half = np.diag([-1.0, 1.0, -1.0])
     away = [
         TrainingView(
             v.name,
-            v.picture,
+            v.image,
             v.camera,
             Rigid3(half @ v.cam_from_world.rotation, half @ v.cam_from_world.translation),
         )
@@ -189,7 +191,7 @@ def test_cameras_that_see_nothing_in_common_are_refused():
 def test_smaller_pictures_are_means_and_their_camera_sees_the_same():
     view = views()[0]
     half = view.smaller(2)
-    assert half.picture.shape == (24, 32, 4)
+    assert half.image.shape == (24, 32, 4)
     corner = np.array([[0.5, 0.5], [60.5, 40.5]])
     np.testing.assert_allclose(
         half.camera.unproject((corner + 0.5) / 2 - 0.5), view.camera.unproject(corner), atol=1e-9
@@ -205,9 +207,9 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ShapeError, match="no Gaussian"):
         SplatTrainer([view], cloud.rows(np.zeros(0, np.int64)), SplatConfig(), WHITE)
     with pytest.raises(ShapeError, match="size"):
-        TrainingView("x", view.picture, Camera("PINHOLE", 60, 48, CAMERA.params), view.cam_from_world)
+        TrainingView("x", view.image, Camera("PINHOLE", 60, 48, CAMERA.params), view.cam_from_world)
     with pytest.raises(ShapeError, match="3 or 4"):
-        TrainingView("x", view.picture[..., :2], CAMERA, view.cam_from_world)
+        TrainingView("x", view.image[..., :2], CAMERA, view.cam_from_world)
     for wrong in ({"max_gaussians": 0}, {"sh_degree": 4}, {"ssim_weight": 1.5}, {"seed": -1}):
         with pytest.raises(ConfigError):
             SplatConfig(**wrong)
@@ -216,15 +218,15 @@ def test_what_does_not_fit_is_refused():
 @pytest.mark.parametrize(("gone", "new"), [(0, 0), (0, 5), (3, 3), (3, 5), (5, 3), (7, 0), (12, 1)])
 def test_rows_come_and_go_in_place(rng, gone, new):
     first, more = (arrays_of(scene().rows(rng.choice(60, count, replace=False))) for count in (12, new))
-    held = GrowingCloud(first, 20)
-    room = held.cloud.sh.base
+    fixed = GrowingCloud(first, 20)
+    room = fixed.cloud.sh.base
     rows = np.sort(rng.choice(12, gone, replace=False))
-    held.change(rows, more)
+    fixed.change(rows, more)
     wanted = [np.concatenate([np.delete(part, rows, axis=0), end]) for part, end in zip(first, more)]
-    order, found = np.argsort(wanted[0][:, 0]), np.argsort(held.cloud.means[:, 0])
-    for part, own in zip(held.cloud, wanted):
+    order, found = np.argsort(wanted[0][:, 0]), np.argsort(fixed.cloud.means[:, 0])
+    for part, own in zip(fixed.cloud, wanted):
         np.testing.assert_array_equal(part[found], own[order])
-    assert held.cloud.sh.base is room
-    held.raise_degree(16)
-    assert held.cloud.sh.shape[1] == 16
-    np.testing.assert_array_equal(held.cloud.sh[found][:, : wanted[4].shape[1]], wanted[4][order])
+    assert fixed.cloud.sh.base is room
+    fixed.raise_degree(16)
+    assert fixed.cloud.sh.shape[1] == 16
+    np.testing.assert_array_equal(fixed.cloud.sh[found][:, : wanted[4].shape[1]], wanted[4][order])

@@ -9,7 +9,7 @@ from epipole import _parallel
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.fields.nerf import _voxel_kernels, voxel_trainer
-from epipole.fields.nerf.voxel_field import corners_of, draw_voxels, march_work, voxels_on
+from epipole.fields.nerf.voxel_field import corners_of, march_work, render_voxels, voxels_on
 from epipole.fields.nerf.voxel_trainer import GridAdam, VoxelTrainer
 from epipole.fields.photometric import psnr
 from epipole.fields.rays import rays_of
@@ -35,24 +35,24 @@ def grid(rng, shape=(12, 12, 12), holes=0.0):
     return voxels
 
 
-def direction_of(camera, place, column, row):
+def direction_of(camera, position, column, row):
     at = np.array(
         [(column - camera.params[2]) / camera.params[0], (row - camera.params[3]) / camera.params[1], 1]
     )
-    return place.rotation.T @ (at / np.linalg.norm(at))
+    return position.rotation.T @ (at / np.linalg.norm(at))
 
 
-@reference_of(_voxel_kernels.draw_pixels)
+@reference_of(_voxel_kernels.render_pixels)
 @pytest.mark.parametrize("holes", [0.0, 0.3])
 def test_a_picture_is_that_of_the_equations(rng, holes):
     voxels, background = grid(rng, (12, 10, 14), holes), np.array([0.2, 0.9, 0.4])
-    picture, depth, _ = draw_voxels(voxels, SMALL, SEEN, background)
+    image, depth, _ = render_voxels(voxels, SMALL, SEEN, background)
     center, exact = SEEN.inverse().translation, voxels.values.astype(float)
     off = np.zeros((7, 9))
     for row, column in np.ndindex(7, 9):
         wanted = plain_ray(exact, voxels, center, direction_of(SMALL, SEEN, column, row), 0.5, background)
         off[row, column] = max(
-            np.abs(picture[row, column] - wanted[0]).max(), abs(depth[row, column] - SIZE * wanted[1])
+            np.abs(image[row, column] - wanted[0]).max(), abs(depth[row, column] - SIZE * wanted[1])
         )
     # A sample on a cell's face may fall into either cell where one of them is empty.
     assert np.percentile(off, 90) < 2e-4 and off.max() < (2e-3 if holes == 0.0 else 0.2)
@@ -62,8 +62,8 @@ def test_light_is_neither_made_nor_lost(rng):
     voxels = grid(rng)
     voxels.values[:, 1:] = 0.0
     voxels.values[:, 1:4] = 0.5 / DC  # white
-    picture, _, _ = draw_voxels(voxels, CAMERA, SEEN, np.ones(3))
-    np.testing.assert_allclose(picture, 1.0, atol=2e-5)
+    image, _, _ = render_voxels(voxels, CAMERA, SEEN, np.ones(3))
+    np.testing.assert_allclose(image, 1.0, atol=2e-5)
 
 
 @pytest.mark.parametrize("raw", [1.0, 2.5, 4.0])
@@ -71,18 +71,18 @@ def test_a_uniform_volume_lets_through_what_its_length_says(raw):
     voxels = voxels_on(np.ones((12, 12, 12), bool), LOW, SIZE, SIZE)
     voxels.values[:, 0] = raw
     straight = look_at((0.0, -3.0, 0.0), (0, 0, 0))
-    picture, _, _ = draw_voxels(voxels, Camera("PINHOLE", 1, 1, [10.0, 10.0, 0.0, 0.0]), straight, np.ones(3))
+    image, _, _ = render_voxels(voxels, Camera("PINHOLE", 1, 1, [10.0, 10.0, 0.0, 0.0]), straight, np.ones(3))
     sigma = np.logaddexp(0, raw + SHIFT)
-    through = 2 * (picture[0, 0, 0] - 0.5)  # grey before white
+    through = 2 * (image[0, 0, 0] - 0.5)  # grey before white
     assert np.log(through) == pytest.approx(-sigma * 12, abs=sigma * STEP)
 
 
 @reference_of(_voxel_kernels.learn_rays, _voxel_kernels.move_planes)
 def test_derivatives_are_those_of_differences(rng):
     voxels = grid(rng, (6, 6, 6))
-    place = look_at((0.4, -4.0, -0.3), (-0.5, -0.5, -0.5))
-    picture = rng.integers(0, 256, (7, 9, 4)).astype(np.uint8)
-    rays = rays_of([TrainingView("a", picture, SMALL, place)])
+    position = look_at((0.4, -4.0, -0.3), (-0.5, -0.5, -0.5))
+    image = rng.integers(0, 256, (7, 9, 4)).astype(np.uint8)
+    rays = rays_of([TrainingView("a", image, SMALL, position)])
     background, chosen = np.array([0.3, 0.1, 0.8]), np.arange(20, 44)
     first = rng.random(24, np.float32)
     records, cells = np.empty((4000, _voxel_kernels.RECORD), np.float32), np.empty(4000, np.int64)
@@ -91,14 +91,14 @@ def test_derivatives_are_those_of_differences(rng):
         *(0, 24, records, cells, march_work()),
     )
     assert 0 < found <= samples
-    center = place.inverse().translation
-    wanted = picture.reshape(-1, 4)[chosen] / 255.0
+    center = position.inverse().translation
+    wanted = image.reshape(-1, 4)[chosen] / 255.0
     wanted = wanted[:, :3] * wanted[:, 3:] + (1 - wanted[:, 3:]) * background
 
     def loss(values):
         total = 0.0
         for n, pixel in enumerate(chosen.tolist()):
-            direction = direction_of(SMALL, place, pixel % 9, pixel // 9)
+            direction = direction_of(SMALL, position, pixel % 9, pixel // 9)
             colour = plain_ray(values, voxels, center, direction, float(first[n]), background)[0]
             total += ((colour - wanted[n]) ** 2).sum()
         return total
@@ -134,8 +134,8 @@ def test_cells_and_their_corners(rng):
     cells = rng.uniform(size=(5, 6, 7)) < 0.4
     corners = corners_of(cells)
     beside = np.zeros_like(corners)
-    for place in np.argwhere(cells):
-        beside[tuple(slice(k, k + 2) for k in place)] = True
+    for position in np.argwhere(cells):
+        beside[tuple(slice(k, k + 2) for k in position)] = True
     np.testing.assert_array_equal(corners, beside)
 
 
@@ -164,7 +164,7 @@ def test_views_that_were_held_out_are_drawn():
     trainer = trained()
     for view in views()[:2]:
         blank = psnr(np.ones_like(view.over(WHITE)), view.over(WHITE))
-        assert psnr(trainer.draw(view), view.over(WHITE)) > max(23.0, blank + 8.0)
+        assert psnr(trainer.render(view), view.over(WHITE)) > max(23.0, blank + 8.0)
     # Its voxels are narrower than a pixel: finer ones are not made.
     assert max(trainer.field.occupied.shape) == 64 and trainer.num_samples > 1000
 
@@ -174,10 +174,10 @@ def test_finer_voxels_show_the_same(monkeypatch):
     trainer = VoxelTrainer(views()[2:], WHITE)
     for step in range(60):
         trainer.step(0.29 * step / 60)
-    before, occupied = trainer.draw(views()[0]), trainer.field.occupied.mean()
+    before, occupied = trainer.render(views()[0]), trainer.field.occupied.mean()
     trainer.step(0.3)
     assert max(trainer.field.occupied.shape) == 64 and trainer.field.occupied.mean() < occupied
-    assert np.abs(trainer.draw(views()[0]) - before).mean() < 0.02
+    assert np.abs(trainer.render(views()[0]) - before).mean() < 0.02
     trainer.step(0.6)
     assert max(trainer.field.occupied.shape) == 64  # its voxels are narrower than a pixel
 
@@ -192,13 +192,13 @@ def test_any_number_of_threads_gives_the_same():
 def test_what_cannot_be_trained_is_refused():
     with pytest.raises(ConfigError, match="no picture"):
         VoxelTrainer([], WHITE)
-    away = [TrainingView(v.name, np.zeros_like(v.picture), v.camera, v.cam_from_world) for v in views()]
+    away = [TrainingView(v.name, np.zeros_like(v.image), v.camera, v.cam_from_world) for v in views()]
     with pytest.raises(DegenerateGeometryError, match="no place in common"):
         VoxelTrainer(away, WHITE)
     side = Rigid3.identity()
     alone = [
-        TrainingView("a", views()[0].picture, CAMERA, side),
-        TrainingView("b", views()[0].picture, CAMERA, side),
+        TrainingView("a", views()[0].image, CAMERA, side),
+        TrainingView("b", views()[0].image, CAMERA, side),
     ]
     with pytest.raises(DegenerateGeometryError, match="look the same way"):
         VoxelTrainer(alone, WHITE)

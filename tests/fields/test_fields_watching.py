@@ -7,20 +7,20 @@ import time
 import numpy as np
 import pytest
 from browser_tab import BROWSER, open_tab
-from fields_scenes import CAMERA, WHITE, frames_of, lens, scene, views
+from fields_scenes import CAMERA, WHITE, camera, frames_of, scene, views
 
 from epipole import nerf, splat
 from epipole.errors import ConfigError
 from epipole.fields.splat.rasterizer import render
 from epipole.pipelines.fields.config import FieldOptions
-from epipole.pipelines.fields.pictures import FieldPictures
+from epipole.pipelines.fields.images import FieldImages
 from epipole.pipelines.fields.scene import cameras_of
-from epipole.pipelines.fields.watching import SHARE, BrowserWatch, Watch, open_watch
+from epipole.pipelines.fields.watching import FRACTION, BrowserWatch, Watch, open_watch
 from epipole.report.space_scene import SpaceScene
-from epipole.viewer.asked_views import AskedViews
 from epipole.viewer.live import LiveScene
 from epipole.viewer.page_server import PageServer, fixed
 from epipole.viewer.ports import port_for
+from epipole.viewer.requested_views import RequestedViews
 
 FINAL = "document.documentElement.dataset.live === 'final'"
 BLOBS = {"sh_degree": 0, "max_gaussians": 300, "steps": 60}
@@ -39,7 +39,7 @@ class Page(LiveScene):
         self.states.append(state)
 
 
-class Slow(AskedViews):
+class Slow(RequestedViews):
     """Views that take their time."""
 
     spent = 0.0
@@ -47,11 +47,11 @@ class Slow(AskedViews):
     def __init__(self):
         self.rendered = []
 
-    def render_next(self, draw):
-        begin = time.perf_counter()
-        self.rendered.append(draw(CAMERA, views()[0].cam_from_world))
+    def render_next(self, render):
+        start = time.perf_counter()
+        self.rendered.append(render(CAMERA, views()[0].cam_from_world))
         time.sleep(0.02)
-        self.spent += time.perf_counter() - begin
+        self.spent += time.perf_counter() - start
         return True
 
 
@@ -60,28 +60,28 @@ class Known:
 
     num_steps, background = 7, WHITE
 
-    def draw(self, view):
+    def render(self, view):
         return render(scene(), view.camera, view.cam_from_world).over(WHITE)
 
 
 @pytest.mark.parametrize("is_watched", [True, False])
 def test_a_fraction_of_the_time_is_given_to_it(is_watched):
-    Known().draw(views()[0])  # compiled
+    Known().render(views()[0])  # compiled
     page, slow = Page(is_watched), Slow()
     cameras = SpaceScene("", "", "", cameras=cameras_of(views()))
-    watch, begin = BrowserWatch(page, slow, cameras), time.perf_counter()
-    while time.perf_counter() < begin + 1.5:
+    watch, start = BrowserWatch(page, slow, cameras), time.perf_counter()
+    while time.perf_counter() < start + 1.5:
         watch.show(Known(), 0.5)
         time.sleep(0.001)
     # One view more, for what the next one takes is only known from the last.
-    assert slow.spent < 1.5 * SHARE + 0.05 and (len(slow.rendered) > 1) == is_watched
+    assert slow.spent < 1.5 * FRACTION + 0.05 and (len(slow.rendered) > 1) == is_watched
     assert bool(page.states) == is_watched
     for image in slow.rendered:
-        np.testing.assert_array_equal(image, Known().draw(views()[0]))
+        np.testing.assert_array_equal(image, Known().render(views()[0]))
 
 
 def test_nothing_is_opened_that_nobody_asked_for():
-    none = FieldPictures([], [], np.empty((0, 3)), np.empty((0, 3), np.uint8), False, [])
+    none = FieldImages([], [], np.empty((0, 3)), np.empty((0, 3), np.uint8), False, [])
     with open_watch(FieldOptions(), none, Known(), "out") as watch:
         assert type(watch) is Watch
 
@@ -90,7 +90,7 @@ def test_nothing_is_opened_that_nobody_asked_for():
 def source(tmp_path):
     folder = tmp_path / "scene"
     folder.mkdir()
-    (folder / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(views(), folder)}))
+    (folder / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(views(), folder)}))
     return folder
 
 
@@ -144,25 +144,25 @@ def watched(job, out, options, act, tab):
 def test_a_page_renders_the_gaussians_as_they_are_trained(source, tmp_path):
     with open_tab() as tab:
 
-        def look(result):
+        def descriptor(result):
             assert tab.value("space.then(s => s.drawn.gaussians.numbers.count)") == len(result.cloud)
             means = tab.value("space.then(s => Array.from(s.drawn.gaussians.places))")
             np.testing.assert_allclose(np.reshape(means, (-1, 3)), result.cloud.means_in_world, atol=1e-5)
             text = tab.value("document.body.innerText")
             assert "The training has ended" in text and f"{len(result.cloud):,} Gaussians" in text
-            assert tab.picture({"x": 300, "y": 200, "width": 200, "height": 300}).std() > 5
+            assert tab.image({"x": 300, "y": 200, "width": 200, "height": 300}).std() > 5
 
-        watched(splat, tmp_path / "out", BLOBS, look, tab)
+        watched(splat, tmp_path / "out", BLOBS, descriptor, tab)
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 def test_a_field_is_rendered_for_the_viewpoint_of_the_tab(source, tmp_path):
     with open_tab() as tab:
 
-        def look(result):
+        def descriptor(result):
             o = tab.value("space.then(s => s.view.basis().o)")
             assert tab.value("space.then(s => s.drawn.backdrop.place)") == o
             tab.wait_until("document.getElementById('space').dataset.settled === 'yes'")
-            assert tab.picture({"x": 300, "y": 200, "width": 200, "height": 300}).std() > 5
+            assert tab.image({"x": 300, "y": 200, "width": 200, "height": 300}).std() > 5
 
-        watched(nerf, tmp_path / "out", {"kind": "grid", "steps": 100}, look, tab)
+        watched(nerf, tmp_path / "out", {"kind": "grid", "steps": 100}, descriptor, tab)

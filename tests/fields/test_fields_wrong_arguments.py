@@ -57,12 +57,12 @@ def test_boxes_and_meshes_are_checked():
 
 @pytest.mark.parametrize("function", [colour_match, psnr])
 def test_images_that_are_empty_or_not_finite_are_not_compared(function):
-    picture = np.full((4, 5, 3), 0.5, np.float32)
-    broken = picture.copy()
+    image = np.full((4, 5, 3), 0.5, np.float32)
+    broken = image.copy()
     for value in (np.nan, np.inf):
         broken[0, 0, 0] = value
-        for both in ((picture, broken), (broken, picture)):
+        for both in ((image, broken), (broken, image)):
             with pytest.raises(ShapeError, match="finite"):
                 function(*both)
     with pytest.raises(ShapeError):
-        function(picture[:0], picture[:0])
+        function(image[:0], image[:0])

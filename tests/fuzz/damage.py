@@ -157,8 +157,8 @@ def _other_number(rng: Random, data: bytes) -> bytes:
     found = list(_NUMBER.finditer(data))
     if not found:
         return data
-    place = rng.choice(found)
-    return data[: place.start()] + rng.choice(NUMBERS).encode() + data[place.end() :]
+    position = rng.choice(found)
+    return data[: position.start()] + rng.choice(NUMBERS).encode() + data[position.end() :]
 
 
 def _other_line(rng: Random, data: bytes) -> bytes:
@@ -182,8 +182,8 @@ _OF_BYTES = [_other_word] * 5
 def _yaml(rng: Random, data: bytes) -> bytes:
     """Anchors, tags and marks of YAML at the beginning of words."""
     for _ in range(rng.randint(1, 3)):
-        places = [m.start() for m in re.finditer(rb"(?<=[\s\[,:])\S", data)] or [0]
-        at = rng.choice(places)
+        positions = [m.start() for m in re.finditer(rb"(?<=[\s\[,:])\S", data)] or [0]
+        at = rng.choice(positions)
         data = data[:at] + rng.choice(_YAML) + data[at:]
     return data
 
@@ -217,11 +217,11 @@ def _json(rng: Random, data: bytes) -> bytes:
     """Values of the tree swapped, removed, doubled or replaced."""
     tree = json.loads(data)
     for _ in range(rng.randint(1, 3)):
-        places = _nodes(tree)
-        if not places:
+        positions = _nodes(tree)
+        if not positions:
             break
-        inside, key = rng.choice(places)
-        other, other_key = rng.choice(places)
+        inside, key = rng.choice(positions)
+        other, other_key = rng.choice(positions)
         what = rng.randrange(5)
         if what == 0:
             del inside[key]
@@ -231,7 +231,7 @@ def _json(rng: Random, data: bytes) -> bytes:
             inside[key] = json.loads(json.dumps(other[other_key]))
         else:
             inside[key] = _json_value(
-                rng, [c[k] for c, k in places if not isinstance(c[k], dict | list)] or [0]
+                rng, [c[k] for c, k in positions if not isinstance(c[k], dict | list)] or [0]
             )
     text = json.dumps(tree, indent=1)
     return _RAW.sub(lambda found: _RAW_JSON[int(found[1])], text).encode()

@@ -39,7 +39,7 @@ from test_io_hostile_pictures import GPS, RGB
 from epipole._declared.tables import TEXT, Expected
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
-from epipole.fields.nerf.hash_field import asked
+from epipole.fields.nerf.hash_field import query_density
 from epipole.fields.nerf.hash_files import HashContents, read_hash, write_hash
 from epipole.fields.nerf.voxel_files import GridContents, read_grid, write_grid
 from epipole.geometry import Rigid3, Rotation3
@@ -60,7 +60,7 @@ from epipole.io import (
     write_points_ply,
     write_trajectory,
 )
-from epipole.io.anchor_files import read_lengths, read_odometry, read_places
+from epipole.io.anchor_files import read_anchor_positions, read_lengths, read_odometry
 from epipole.io.bags.recording import bag_frames, read_bag, read_bag_imu, read_bag_topics
 from epipole.io.calibration.files import (
     read_body_from_camera,
@@ -166,7 +166,7 @@ def _sequence(folder: Path) -> None:
     found = read_sequence(folder)
     times = np.array([frame.timestamp_s for frame in found.frames])
     assert len(found) and np.isfinite(times).all() and (np.diff(times) >= 0).all()
-    assert all(folder in frame.picture.parents for frame in found.frames)
+    assert all(folder in frame.image.parents for frame in found.frames)
 
 
 def _tum_folder(folder: Path) -> None:
@@ -240,17 +240,17 @@ def _trajectory(name: str) -> Callable[[Path], None]:
 def _evaluated(folder: Path) -> None:
     """Commas and nanoseconds suggest that w is first, the numbers that it is last: both files decide."""
     times = 1_400_000_000 + 0.1 * np.arange(6)
-    places = Rigid3.exp(np.linspace(0.0, 1.0, 36).reshape(6, 6) ** 2)
-    write_trajectory(Trajectory(times, places), folder / "truth.txt")
+    positions = Rigid3.exp(np.linspace(0.0, 1.0, 36).reshape(6, 6) ** 2)
+    write_trajectory(Trajectory(times, positions), folder / "truth.txt")
     with suppress(DegenerateGeometryError):  # a path that lost its rows
         found = evaluate_trajectory(folder / "a.csv", folder / "truth.txt", 0.01)
         assert 3 <= found.num_compared <= 6 and np.isfinite(found.similarity.ate_rmse)
 
 
 def _put_columns(folder: Path) -> None:
-    places = Rigid3.exp(np.linspace(0.0, 1.0, 36).reshape(6, 6) ** 2)
-    wxyz = Rotation3(places.rotation).as_quat_wxyz()
-    rows = np.column_stack([places.translation, wxyz[:, [1, 2, 3, 0]]]).tolist()
+    positions = Rigid3.exp(np.linspace(0.0, 1.0, 36).reshape(6, 6) ** 2)
+    wxyz = Rotation3(positions.rotation).as_quat_wxyz()
+    rows = np.column_stack([positions.translation, wxyz[:, [1, 2, 3, 0]]]).tolist()
     lines = (f"{14 * 10**17 + n * 10**8},{','.join(map(str, row))}\n" for n, row in enumerate(rows))
     (folder / "a.csv").write_text("".join(lines))
 
@@ -294,7 +294,7 @@ def _lengths(folder: Path) -> None:
 
 
 def _places(folder: Path) -> None:
-    assert np.isfinite(read_places(folder / "a.txt").positions).all()
+    assert np.isfinite(read_anchor_positions(folder / "a.txt").positions).all()
 
 
 def _odometry(folder: Path) -> None:
@@ -355,7 +355,7 @@ def _pose_matrix(folder: Path) -> None:
 
 def _frame_table(folder: Path) -> None:
     found = read_frame_table(folder / "frames.csv")
-    assert len(found.picture) == len(found.timestamp_s)
+    assert len(found.image) == len(found.timestamp_s)
 
 
 def _cloud_of(name: str) -> Callable[[Path], None]:
@@ -425,7 +425,7 @@ def _hash(folder: Path) -> None:
     found = read_hash(folder / "hash.npz")
     assert np.isfinite(found.tables).all() and found.size > 0 and found.occupied.ndim == 3
     field = read_neural(folder / "hash.npz")
-    assert np.isfinite(asked(field, np.full((2, 4), 0.4, np.float32))[2]).all()
+    assert np.isfinite(query_density(field, np.full((2, 4), 0.4, np.float32))[2]).all()
 
 
 def _put_hash(folder: Path) -> None:
@@ -509,7 +509,7 @@ def _map(read: Callable[[Path], np.ndarray], name: str) -> Callable[[Path], None
     return run
 
 
-def _picture(kind: str) -> bytes:
+def _image(kind: str) -> bytes:
     stream = io.BytesIO()
     options = {} if kind in ("BMP", "PPM") else {"exif": new_exif("Canon", "Canon EOS 5D", 35.0, GPS)}
     mode = {"form": "JPEG", "progressive": True} if kind == "progressive" else {"form": kind}
@@ -635,7 +635,7 @@ def _calibrated(kind: str, write: Callable[[Path], None], *names: str, size: Any
 
 def _pictured(kind: str, damage: str = "binary") -> Format:
     readers = ("read_header", "read_rgb", "read_rgba", "read_grey", "copy_or_rotate")
-    return Format(_put("photograph", _picture(kind)), "photograph", damage, _photograph, readers)
+    return Format(_put("photograph", _image(kind)), "photograph", damage, _photograph, readers)
 
 
 def _points(folder: Path) -> None:
@@ -749,7 +749,7 @@ FORMATS: dict[str, Format] = {
     ),
     "places": Format(
         _put("a.txt", b"# n\none.jpg 1 2 3\ntwo.jpg 4 5 6\nd e.jpg 7 8 9\n"),
-        *("a.txt", "text", _places, ("read_places",)),
+        *("a.txt", "text", _places, ("read_anchor_positions",)),
     ),
     "odometry": Format(
         _put("a.txt", b"# s m\n0.5 1\n0.6 1.5\n0.7 2.25\n"),
@@ -837,7 +837,7 @@ FORMATS: dict[str, Format] = {
     **{f"picture-{kind}": _pictured(kind, "jpeg") for kind in ("JPEG", "progressive")},
     **({"picture-AVIF": _pictured("AVIF")} if features.check("avif") else {}),
     "mask": Format(
-        _put("a.jpg.png", _picture("PNG")), "a.jpg.png", "png", _mask, ("read_mask", "read_mask_file")
+        _put("a.jpg.png", _image("PNG")), "a.jpg.png", "png", _mask, ("read_mask", "read_mask_file")
     ),
     "video": Format(_video, "video.avi", "binary", _frames, ("extract_frames", "frame_size"), weight=0.3),
     "video-pairs": Format(_video, "video.avi", "binary", _pairs_of_video, ("extract_pairs",), weight=0.3),

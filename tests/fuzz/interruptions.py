@@ -81,10 +81,10 @@ def _reconstruct(folder: Path) -> object:
 
 def _pairs(folder: Path) -> None:
     room = stereo_room(8, (160, 120))
-    for side, picture in (("left", room.left), ("right", room.right)):
+    for side, image in (("left", room.left), ("right", room.right)):
         (folder / side).mkdir(parents=True)
         for name in ("a.jpg", "b.jpg"):
-            write_jpeg_with_exif(folder / side / name, np.stack([picture] * 3, axis=2))
+            write_jpeg_with_exif(folder / side / name, np.stack([image] * 3, axis=2))
 
 
 def _stereo(folder: Path) -> object:
@@ -105,12 +105,12 @@ def _ride(folder: Path) -> None:
     step = Rigid3(np.eye(3), np.array([-0.12, 0.0, 0.0]))
     for side in ("image_0", "image_1"):
         (folder / "ride" / side).mkdir(parents=True)
-    place = courtyard_views(24)[6]
+    position = courtyard_views(24)[6]
     for n in range(4):
         for side in ("image_0", "image_1"):  # the second camera stands where the first will be next
-            seen = place if side == "image_0" else step @ place
+            seen = position if side == "image_0" else step @ position
             cv2.imwrite(str(folder / "ride" / side / f"{n}.png"), render(courtyard(), camera, seen).rgb)
-        place = step @ place
+        position = step @ position
     rows = [[200, 0, 119.5, x, 0, 200, 89.5, 0, 0, 0, 1, 0] for x in (0, -24)]
     text = "".join(f"P{k}: {' '.join(map(str, row))}\n" for k, row in enumerate(rows))
     (folder / "ride" / "calib.txt").write_text(text)
@@ -139,13 +139,13 @@ class Trials:
 
     def __init__(self, name: str, folder: Path) -> None:
         self.job, self.prepared = JOBS[name], folder / "prepared"
-        self.place = folder / "trial"  # of the same name each time: paths stand in results
+        self.position = folder / "trial"  # of the same name each time: paths stand in results
         self.job.prepare(self.prepared)
-        shutil.copytree(self.prepared, self.place, copy_function=shutil.copy2)
-        begin = time.perf_counter()
-        self.job.run(self.place)
-        self.seconds = time.perf_counter() - begin
-        self.expected = tree(self.place / self.job.out)
+        shutil.copytree(self.prepared, self.position, copy_function=shutil.copy2)
+        start = time.perf_counter()
+        self.job.run(self.position)
+        self.seconds = time.perf_counter() - start
+        self.expected = tree(self.position / self.job.out)
         self.num_operations = self._count()
 
     def kill(self, operation: int) -> list[str]:
@@ -172,14 +172,14 @@ class Trials:
         return self._do_again()
 
     def _set_up(self) -> None:
-        shutil.rmtree(self.place)
-        shutil.copytree(self.prepared, self.place, copy_function=shutil.copy2)
+        shutil.rmtree(self.position)
+        shutil.copytree(self.prepared, self.position, copy_function=shutil.copy2)
 
     def _do_again(self) -> list[str]:
         ended = self._in_child(0, lambda: None)
         if ended != ALL_WELL:
             return [f"the next run ended with {ended}"]
-        found = tree(self.place / self.job.out)
+        found = tree(self.position / self.job.out)
         missing, new = self.expected.keys() - found.keys(), found.keys() - self.expected.keys()
         differ = [n for n in found.keys() & self.expected.keys() if found[n] != self.expected[n]]
         groups = {"missing": missing, "left behind": new, "different": differ}
@@ -195,7 +195,7 @@ class Trials:
 
     def _in_child(self, operation: int, act: Callable[[], None], report_to: int | None = None) -> int:
         """Exit code of the job done in a child, or -9 if it was killed."""
-        child = self._fork(lambda: _interrupt(self.place, operation, act), report_to)
+        child = self._fork(lambda: _interrupt(self.position, operation, act), report_to)
         status = os.waitpid(child, 0)[1]
         return -os.WTERMSIG(status) if os.WIFSIGNALED(status) else os.WEXITSTATUS(status)
 
@@ -208,7 +208,7 @@ class Trials:
         try:
             count = prepare()
             THREADS.update(threads=num_threads, executor="inline" if num_threads == 1 else "threads")
-            self.job.run(self.place)
+            self.job.run(self.position)
             if report_to is not None:
                 os.write(report_to, f"{count()}".encode())
             os._exit(ALL_WELL)

@@ -23,7 +23,7 @@ from epipole.pipelines.sfm.matching.match_stage import load_putative, load_view_
 from epipole.pipelines.sfm.matching.pair_blocks import PairBlock, filled
 from epipole.pipelines.sfm.matching.unit_tables import GEOMETRIES, MATCHES
 from epipole.pipelines.slam.frames import Frame, SlamCamera
-from epipole.pipelines.slam.output.map_file import read_slam_map, sketch_of_map, write_slam_map
+from epipole.pipelines.slam.output.map_file import read_slam_map, summary_of_map, write_slam_map
 from epipole.pipelines.slam.slam import Slam
 from epipole.runs.contents import content_digests
 from epipole.runs.units import Unit, store
@@ -98,7 +98,7 @@ def put_map(folder: Path) -> None:
 
 def go_on_in_map(folder: Path) -> None:
     """Draw it, and track two frames in it."""
-    sketch_of_map(folder / "map.npz")
+    summary_of_map(folder / "map.npz")
     known = read_slam_map(folder / "map.npz", SENSOR)
     system = Slam(SENSOR, known=known.model)
     for frame in frames()[4:]:
@@ -132,7 +132,11 @@ def _block(table: object) -> PairBlock:
 def put_matches(folder: Path) -> None:
     """Of two pairs of pictures."""
     rows = np.array([[0, 1], [2, 3]], np.int32)
-    store(folder / "a.npz", "key", filled(_block(MATCHES), lambda places: [{"matches": rows}] * len(places)))
+    store(
+        folder / "a.npz",
+        "key",
+        filled(_block(MATCHES), lambda positions: [{"matches": rows}] * len(positions)),
+    )
 
 
 def use_matches(folder: Path) -> None:
@@ -146,7 +150,7 @@ def put_geometries(folder: Path) -> None:
     one = {"matches": np.array([[0, 1], [2, 3]], np.int32), "median_angle_rad": np.array(0.1)}
     one |= {"kind": np.array(1, np.int32), "num_putative": np.array(3, np.int32), "translation": np.ones(3)}
     one |= {name: np.eye(3) for name in ("rotation", "essential", "fundamental", "homography")}
-    store(folder / "a.npz", "key", filled(_block(GEOMETRIES), lambda places: [one] * len(places)))
+    store(folder / "a.npz", "key", filled(_block(GEOMETRIES), lambda positions: [one] * len(positions)))
 
 
 def use_geometries(folder: Path) -> None:

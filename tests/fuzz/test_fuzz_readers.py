@@ -18,7 +18,7 @@ WITHOUT_FILES = {"pair_folders", "pair_within", "list_photographs"}
 """They list folders, and read none of the files in them."""
 BY_WAY_OF_OTHERS = {
     "read_image_set",
-    "read_picture",
+    "read_image",
     "read_json",
     "read_archive",
     "read_by_others",

@@ -32,10 +32,10 @@ def problems_of(folder: Path, out: Path, delay_s: float) -> list[str]:
             subprocess.Popen([*command, *own], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         )
         time.sleep(delay_s)
-    told = [run.communicate(timeout=300)[1] for run in runs]
+    given = [run.communicate(timeout=300)[1] for run in runs]
     problems = [
         f"a run ended with {run.returncode}: {text[-2000:]}"
-        for run, text in zip(runs, told)
+        for run, text in zip(runs, given)
         if run.returncode != 0 and not (run.returncode == 1 and WORKS_THERE in text)
     ]
     if all(run.returncode != 0 for run in runs):

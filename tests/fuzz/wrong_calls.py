@@ -76,10 +76,10 @@ def failure_of(one: Case) -> str | None:
     except EpipoleError:
         return None
     except Exception as error:  # noqa: BLE001 - every other exception is a finding
-        place = next(
+        position = next(
             (f for f in reversed(traceback.extract_tb(error.__traceback__)) if "epipole" in f.filename), None
         )
-        at = f" at {Path(place.filename).name}:{place.lineno}" if place else ""
+        at = f" at {Path(position.filename).name}:{position.lineno}" if position else ""
         return f"{type(error).__name__}: {str(error)[:120]}{at}"
     return None
 

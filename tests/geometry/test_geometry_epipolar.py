@@ -32,8 +32,8 @@ def test_a_rectified_pair_has_the_textbook_matrix() -> None:
 
 
 def test_no_translation_has_no_epipolar_geometry() -> None:
-    turning = Rigid3.exp([0.0, 0, 0, 0.1, 0.2, 0.3])
-    zero = essential_from_cam2_from_cam1(turning)
+    rotating = Rigid3.exp([0.0, 0, 0, 0.1, 0.2, 0.3])
+    zero = essential_from_cam2_from_cam1(rotating)
     np.testing.assert_array_equal(zero, np.zeros((3, 3)))
     assert np.isnan(sampson_error(zero, np.ones((2, 2)), np.ones((2, 2)))).all()
     assert np.isnan(epipolar_lines(zero, np.ones((2, 2)))).all()

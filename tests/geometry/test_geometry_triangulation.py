@@ -11,8 +11,8 @@ SIDEWAYS = Rigid3(np.eye(3), np.array([-1.0, 0.0, 0.0]))
 
 
 def ring_of_cameras(count: int, rng: np.random.Generator) -> Rigid3:
-    turned = Rigid3.exp(np.column_stack([rng.normal(size=(count, 3)), rng.normal(size=(count, 3))]))
-    return Rigid3(np.eye(3)[None], np.array([[0.0, 0.0, 8.0]])) @ turned
+    rotated = Rigid3.exp(np.column_stack([rng.normal(size=(count, 3)), rng.normal(size=(count, 3))]))
+    return Rigid3(np.eye(3)[None], np.array([[0.0, 0.0, 8.0]])) @ rotated
 
 
 @pytest.mark.parametrize("count", [2, 3, 20])
@@ -65,9 +65,9 @@ def test_a_point_at_infinity_is_not_finite(rng: np.random.Generator) -> None:
 
 
 def test_turning_on_the_spot_gives_no_point(rng: np.random.Generator) -> None:
-    turns = Rigid3.exp(np.column_stack([np.zeros((4, 3)), 0.3 * rng.normal(size=(4, 3))]))
+    rotations = Rigid3.exp(np.column_stack([np.zeros((4, 3)), 0.3 * rng.normal(size=(4, 3))]))
     for origin in (np.zeros(3), np.array([3.0, -2.0, 1.0])):
-        on_the_spot = turns @ Rigid3(np.eye(3), -origin)
+        on_the_spot = rotations @ Rigid3(np.eye(3), -origin)
         rays = on_the_spot.apply([0.3, 0.4, 9.0])
         assert np.isnan(triangulate_linear(on_the_spot, rays)).all()
 

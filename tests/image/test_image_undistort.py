@@ -39,8 +39,10 @@ def has_source(camera: Camera, pinhole: Camera) -> np.ndarray:
     x, y = distorted(camera, a, b)
     inside = (x > -0.51) & (x < camera.width - 0.49) & (y > -0.51) & (y < camera.height - 0.49)
     far = -np.inf
-    for share in np.linspace(0.05, 1.0, 40):  # farther from the axis is farther from the middle of the image
-        x, y = distorted(camera, share * a, share * b)
+    for fraction in np.linspace(
+        0.05, 1.0, 40
+    ):  # farther from the axis is farther from the middle of the image
+        x, y = distorted(camera, fraction * a, fraction * b)
         near, far = far, np.hypot(x - camera.K[0, 2], y - camera.K[1, 2])
         inside &= far > near - 1e-3
     return inside

@@ -42,7 +42,7 @@ def test_without_noise_the_scale_is_exact():
     quiet = ImuNoise(
         *(), gyro_density=1e-7, accel_density=1e-6, gyro_walk=1e-8, accel_walk=1e-7, accel_gain_sigma=1e-9
     )
-    path = inertial_path(3, place_sigma_m=0.0, turn_sigma_rad=0.0, noise=quiet)
+    path = inertial_path(3, position_sigma_m=0.0, rotation_sigma_rad=0.0, noise=quiet)
     assert aligned(path).scale == pytest.approx(path.scale, rel=2e-4)
 
 
@@ -80,16 +80,16 @@ def test_derivatives_are_those_of_the_terms(rng):
     states = problem.moved(states, 1e-3 * rng.normal(size=problem.scale_column + 3))
     _, gradient = problem.normal_equations(states)
     for _ in range(3):
-        way = rng.normal(size=len(gradient))
-        ahead, behind = (problem.cost(problem.moved(states, h * way)) for h in (1e-6, -1e-6))
-        assert (ahead - behind) / 2e-6 == pytest.approx(gradient @ way, rel=2e-3)
+        trajectory = rng.normal(size=len(gradient))
+        ahead, behind = (problem.cost(problem.moved(states, h * trajectory)) for h in (1e-6, -1e-6))
+        assert (ahead - behind) / 2e-6 == pytest.approx(gradient @ trajectory, rel=2e-3)
 
 
 def test_stretches_give_one_scale_and_what_drifts_is_told_by_the_deviation():
     path = inertial_path(4, seconds=65.0)
     found = fit_scale_to_imu(path.timestamp_s, path.world_from_camera, path.log, path.camera_from_imu)
     assert found.note == "the IMU (5 of 5 stretches)" and found.shared_sigma == 0.01
-    assert abs(found.scale / path.scale - 1) < 2 * found.share < 0.03
+    assert abs(found.scale / path.scale - 1) < 2 * found.fraction < 0.03
     with pytest.raises(DegenerateGeometryError, match="no 12 poses"):
         fit_scale_to_imu(path.timestamp_s + 900.0, path.world_from_camera, path.log, path.camera_from_imu)
 
@@ -104,7 +104,7 @@ def test_a_real_unit_on_a_drone_with_its_true_path(data_dir):
     rows, times = rows[inside], times[inside]
     path = Rigid3(Rotation3.from_quat_wxyz(rows[:, 4:8]).matrix, rows[:, 1:4] / 2.5)
     found = fit_scale_to_imu(times, path, log, Rigid3.identity(), noise)
-    assert abs(found.scale / 2.5 - 1) < min(2 * found.share, 0.02)
+    assert abs(found.scale / 2.5 - 1) < min(2 * found.fraction, 0.02)
     few = slice(0, 60)
     one = align_path_to_imu(times[few], path[few], log, Rigid3.identity(), noise)
     np.testing.assert_allclose(one.gyro_bias, rows[few, 11:14].mean(axis=0), atol=2e-3)

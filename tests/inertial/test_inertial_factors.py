@@ -28,13 +28,13 @@ def factors_of(path, poses, weight=1.0):
 
 
 @pytest.fixture(scope="module")
-def told():
+def given():
     path = inertial_path(0, seconds=6.0)
     return path, factors_of(path, path.world_from_camera, weight=0.3)
 
 
-def test_the_gradient_is_that_of_the_cost_at_the_best_of_all_else(told):
-    path, factors = told
+def test_the_gradient_is_that_of_the_cost_at_the_best_of_all_else(given):
+    path, factors = given
     poses = path.world_from_camera.inverse()
     _, gradient, matrix = factors.linearized(poses)
     step, numeric = 1e-5, np.zeros((3, 6))
@@ -49,12 +49,12 @@ def test_the_gradient_is_that_of_the_cost_at_the_best_of_all_else(told):
     assert (np.linalg.eigvalsh(whole) > -1e-9 * np.abs(whole).max()).all()
 
 
-def test_place_turn_and_scale_of_the_whole_path_are_left_open(told):
-    path, factors = told
+def test_place_turn_and_scale_of_the_whole_path_are_left_open(given):
+    path, factors = given
     poses = path.world_from_camera
     cost = factors.linearized(poses.inverse())[0]
-    turned = Rigid3.exp(np.array([3.0, -2.0, 1.0, 0.4, -0.9, 0.3])) @ poses
-    assert factors.linearized(turned.inverse())[0] == pytest.approx(cost, rel=1e-6)
+    rotated = Rigid3.exp(np.array([3.0, -2.0, 1.0, 0.4, -0.9, 0.3])) @ poses
+    assert factors.linearized(rotated.inverse())[0] == pytest.approx(cost, rel=1e-6)
     larger = Rigid3(poses.rotation, 1.3 * poses.translation)
     assert factors.linearized(larger.inverse())[0] == pytest.approx(cost, rel=1e-6)
     found = [factors.scale(one.inverse())[0] for one in (poses, larger)]
@@ -105,7 +105,7 @@ def error_of(path, found):
 def test_an_adjustment_with_them_is_nearer_the_truth_and_tells_its_scale():
     before, after, z = [], [], []
     for seed in range(6):
-        path = inertial_path(seed, seconds=12.0, place_sigma_m=0.0, turn_sigma_rad=0.0, noise=QUIET)
+        path = inertial_path(seed, seconds=12.0, position_sigma_m=0.0, rotation_sigma_rad=0.0, noise=QUIET)
         problem = seen_scene(path, np.random.default_rng(seed), noise_px=0.7)
         seen = adjust_bundle(problem)
         factors = factors_of(path, seen.rig_from_world.inverse(), weight=0.7**2)
@@ -114,9 +114,9 @@ def test_an_adjustment_with_them_is_nearer_the_truth_and_tells_its_scale():
         before.append(error_of(path, seen.rig_from_world.inverse())[0])
         error, unit = error_of(path, both.rig_from_world.inverse())
         after.append(error)
-        told, own, derivative = factors.scale(both.rig_from_world)
+        given, own, derivative = factors.scale(both.rig_from_world)
         sigma = np.sqrt(own + 0.7**2 * bundle_variance(problem, both, derivative))
-        z.append((told - np.log(unit)) / sigma)
+        z.append((given - np.log(unit)) / sigma)
         gyro, accel = factors.variance_factors(both.rig_from_world)
         assert gyro < 2.0 and accel < 2.0  # as stated: poses that are weakly seen follow the unit
     assert np.median(after) < 0.6 * np.median(before)

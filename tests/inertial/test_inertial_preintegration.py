@@ -13,29 +13,29 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 STEP = 1e-4
 
 
-def place(t):
+def position(t):
     return np.stack([np.sin(t), 0.7 * np.cos(1.3 * t), 0.3 * np.sin(0.8 * t + 1)], axis=-1)
 
 
-def turned(t):
+def rotated(t):
     return Rotation3.exp(np.stack([0.4 * np.sin(0.9 * t), 0.3 * np.cos(1.1 * t), 0.15 * t], axis=-1))
 
 
 @pytest.fixture(scope="module")
 def log():
-    pulled = (place(TIMES + STEP) - 2 * place(TIMES) + place(TIMES - STEP)) / STEP**2
-    turning = (turned(TIMES - STEP).inverse() @ turned(TIMES + STEP)).log() / (2 * STEP)
-    return ImuLog(TIMES, turning, turned(TIMES).inverse().apply(pulled - GRAVITY))
+    pulled = (position(TIMES + STEP) - 2 * position(TIMES) + position(TIMES - STEP)) / STEP**2
+    rotating = (rotated(TIMES - STEP).inverse() @ rotated(TIMES + STEP)).log() / (2 * STEP)
+    return ImuLog(TIMES, rotating, rotated(TIMES).inverse().apply(pulled - GRAVITY))
 
 
 def test_what_is_integrated_is_the_motion_without_gravity(log):
     found = preintegrate(log, INSTANTS)
-    speed = (place(INSTANTS + STEP) - place(INSTANTS - STEP)) / (2 * STEP)
-    dt, back = np.diff(INSTANTS)[:, None], turned(INSTANTS[:-1]).inverse()
-    off = Rotation3(found.rotation).inverse() @ back @ turned(INSTANTS[1:])
+    speed = (position(INSTANTS + STEP) - position(INSTANTS - STEP)) / (2 * STEP)
+    dt, back = np.diff(INSTANTS)[:, None], rotated(INSTANTS[:-1]).inverse()
+    off = Rotation3(found.rotation).inverse() @ back @ rotated(INSTANTS[1:])
     assert np.abs(off.log()).max() < 1e-6
     np.testing.assert_allclose(back.apply(np.diff(speed, axis=0) - GRAVITY * dt), found.velocity, atol=5e-6)
-    went = np.diff(place(INSTANTS), axis=0) - speed[:-1] * dt - 0.5 * GRAVITY * dt**2
+    went = np.diff(position(INSTANTS), axis=0) - speed[:-1] * dt - 0.5 * GRAVITY * dt**2
     np.testing.assert_allclose(back.apply(went), found.position, atol=5e-6)
     np.testing.assert_allclose(found.seconds, dt[:, 0])
 
@@ -55,17 +55,17 @@ def test_a_change_of_the_biases_is_followed_to_first_order(log):
 def test_the_covariance_is_that_of_many_draws(log, rng):
     noise = ImuNoise(gyro_density=2e-3, accel_density=2e-2)
     rate = np.sqrt(200.0)
-    true, drawn = preintegrate(log, INSTANTS, noise=noise), []
+    true, rendered = preintegrate(log, INSTANTS, noise=noise), []
     for _ in range(150):
         gyro = log.gyro_rad_s + rate * noise.gyro_density * rng.normal(size=(len(TIMES), 3))
         accel = log.accel_m_s2 + rate * noise.accel_density * rng.normal(size=(len(TIMES), 3))
         one = preintegrate(ImuLog(TIMES, gyro, accel), INSTANTS)
         off = (Rotation3(true.rotation).inverse() @ Rotation3(one.rotation)).log()
-        drawn.append(
+        rendered.append(
             np.concatenate([off, one.velocity - true.velocity, one.position - true.position], axis=1)
         )
     root = np.linalg.inv(np.linalg.cholesky(true.covariance))
-    white = np.einsum("mij,smj->smi", root, np.array(drawn))
+    white = np.einsum("mij,smj->smi", root, np.array(rendered))
     spread = np.einsum("smi,smj->ij", white, white) / (white.shape[0] * white.shape[1])
     np.testing.assert_allclose(spread, np.eye(9), atol=0.12)  # 1200 draws: 3 sigma of a variance
 

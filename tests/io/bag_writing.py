@@ -69,16 +69,16 @@ class Recorded:
         )
         self.rows.append((topic, "sensor_msgs/msg/CameraInfo", ns, message))
 
-    def imu(self, topic, ns, turn, pull):
+    def imu(self, topic, ns, rotation, gradient):
         types = self.store.types
         vector, none = types["geometry_msgs/msg/Vector3"], np.zeros(9)
         message = types["sensor_msgs/msg/Imu"](
             header=self.header(ns),
             orientation=types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
             orientation_covariance=none,
-            angular_velocity=vector(*map(float, turn)),
+            angular_velocity=vector(*map(float, rotation)),
             angular_velocity_covariance=none,
-            linear_acceleration=vector(*map(float, pull)),
+            linear_acceleration=vector(*map(float, gradient)),
             linear_acceleration_covariance=none,
         )
         self.rows.append((topic, "sensor_msgs/msg/Imu", ns, message))

@@ -149,7 +149,7 @@ def many_scans(count: int) -> bytes:
 ANIMATION = png_chunk(b"acTL", struct.pack(">II", 2, 0)) + png_chunk(
     b"fcTL", struct.pack(">IIIIIHHBB", 0, 20000, 12000, 0, 0, 1, 1, 0, 0)
 )
-PICTURES: dict[str, Callable[[], bytes]] = {
+IMAGES: dict[str, Callable[[], bytes]] = {
     "PNG of 3.5 GB": lambda: png(30000, 30000, 16, 2),
     "PNG of 144 megapixels in 143 bytes": lambda: png(12000, 12000, 16, 6),
     "PNG with a chunk of 640 MB": lambda: (
@@ -420,7 +420,7 @@ def promising(path: Path) -> None:
 
 
 def spz(
-    count: int, frames: Callable[[int], bytes], degree: int = 3, told: int | None = None
+    count: int, frames: Callable[[int], bytes], degree: int = 3, given: int | None = None
 ) -> Callable[[Path], None]:
     """Version 4: the header, a table of streams, and these."""
 
@@ -428,7 +428,7 @@ def spz(
         sizes = [size * count for size in (9, 1, 3, 3, 4, 45)[: 6 if degree else 5]]
         streams = [frames(size) for size in sizes]
         head = struct.pack("<4sIIBBBBI12x", b"NGSP", 4, count, degree, 12, 0, len(sizes), 32)
-        table = b"".join(struct.pack("<QQ", len(one), told or size) for one, size in zip(streams, sizes))
+        table = b"".join(struct.pack("<QQ", len(one), given or size) for one, size in zip(streams, sizes))
         path.write_bytes(head + table + b"".join(streams))
 
     return write
@@ -511,7 +511,7 @@ PACKED = {
     "tables of doubles": ("hash", "hash.npz", arrays(**HASH, tables=zeros("f8", 1, 1 << 16, 4))),
     "SPZ of 2^24 Gaussians": ("gaussians", "a.spz", spz(1 << 24, zstd)),
     "SPZ of frames that boast": ("gaussians", "a.spz", spz(4, boasting)),
-    "SPZ that promises 2^40 bytes": ("gaussians", "a.spz", spz(4, boasting, told=1 << 40)),
+    "SPZ that promises 2^40 bytes": ("gaussians", "a.spz", spz(4, boasting, given=1 << 40)),
     "SPZ of gzip": (
         *("gaussians", "a.spz"),
         lambda path: path.write_bytes(

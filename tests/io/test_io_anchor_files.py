@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from epipole.errors import FileFormatError
-from epipole.io.anchor_files import NamedPositions, read_lengths, read_odometry, read_places
+from epipole.io.anchor_files import NamedPositions, read_anchor_positions, read_lengths, read_odometry
 from epipole.io.trajectories.files import PositionLog
 
 LENGTHS = """# name metres end picture x y
@@ -49,9 +49,9 @@ def test_lengths_that_are_none(tmp_path, text, words):
 
 
 def test_places_by_time_or_by_name(tmp_path):
-    by_time = read_places(write(tmp_path, "0.5 1 2 3\n0.6,1,2,4\n"))
+    by_time = read_anchor_positions(write(tmp_path, "0.5 1 2 3\n0.6,1,2,4\n"))
     assert isinstance(by_time, PositionLog) and by_time.timestamp_s.tolist() == [0.5, 0.6]
-    by_name = read_places(write(tmp_path, "# place\nmy photo 1.jpg 1 2 3\nb.png 4 5 6\n"))
+    by_name = read_anchor_positions(write(tmp_path, "# place\nmy photo 1.jpg 1 2 3\nb.png 4 5 6\n"))
     assert isinstance(by_name, NamedPositions) and by_name.names == ("my photo 1.jpg", "b.png")
     np.testing.assert_array_equal(by_name.positions, [[1, 2, 3], [4, 5, 6]])
     for text, words in (
@@ -61,14 +61,14 @@ def test_places_by_time_or_by_name(tmp_path):
         ("a 1 2 z\n", "z"),
     ):
         with pytest.raises(FileFormatError, match=words):
-            read_places(write(tmp_path, text))
+            read_anchor_positions(write(tmp_path, text))
 
 
 def test_odometry_as_distances_or_places(tmp_path):
     wheels = read_odometry(write(tmp_path, "# s m\n1700000000.5 10\n1700000001 10\n1700000002 11.5\n"))
     assert wheels.positions is None and wheels.travelled_m.tolist() == [10, 10, 11.5]
-    places = read_odometry(write(tmp_path, "0 1 2 3 0 0 0 1\n0 1 2 3 0 0 0 1\n1 2 2 3 0 0 0 1\n"))
-    assert places.travelled_m is None and places.timestamp_s.tolist() == [0, 1]
+    positions = read_odometry(write(tmp_path, "0 1 2 3 0 0 0 1\n0 1 2 3 0 0 0 1\n1 2 2 3 0 0 0 1\n"))
+    assert positions.travelled_m is None and positions.timestamp_s.tolist() == [0, 1]
     for text, words in (
         ("", "no odometry"),
         ("0 1\n1 0\n", "may not fall"),

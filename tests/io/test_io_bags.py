@@ -76,8 +76,8 @@ def test_rectified_pictures_are_preferred_and_their_camera_is_that_of_p(recorded
         recorded.camera_info(f"/s/{name}/camera_info", BEGIN, SIZE, K, D, P=P)
         for kind in ("image_raw", "image_rect", "image_rect_color"):
             channels = "bgr8" if kind.endswith("color") else "mono8"
-            picture = np.repeat(grey(1)[..., None], 3, 2) if channels == "bgr8" else grey(1)
-            recorded.image(f"/s/{name}/{kind}", BEGIN, picture, channels)
+            image = np.repeat(grey(1)[..., None], 3, 2) if channels == "bgr8" else grey(1)
+            recorded.image(f"/s/{name}/{kind}", BEGIN, image, channels)
     path = recorded.write(tmp_path)
     bag = read_bag(path)
     assert bag.topics == ("/s/left/image_rect", "/s/right/image_rect")
@@ -163,7 +163,7 @@ def test_topics_that_could_be_meant_are_listed(recorded, tmp_path):
         read_bag(path)
     assert read_bag(path, topics=("/rear/image_raw",)).topics == ("/rear/image_raw",)
     assert read_bag(path, topics=("/rear/image_raw", "/front/image_raw")).sensor == "stereo"
-    for asked, sensor, words in (
+    for requested, sensor, words in (
         (("/imu",), "auto", "/imu holds no pictures"),
         (("/none",), "auto", "/none holds no pictures"),
         (("/rear/image_raw",) * 2, "auto", "one name, or two"),
@@ -172,7 +172,7 @@ def test_topics_that_could_be_meant_are_listed(recorded, tmp_path):
         ((), "stereo", "no topics for stereo"),
     ):
         with pytest.raises(ConfigError, match=words):
-            read_bag(path, sensor, asked)
+            read_bag(path, sensor, requested)
 
 
 def test_endless_names_of_topics_are_cut_off_in_errors(recorded, tmp_path):
@@ -230,19 +230,19 @@ def test_a_topic_that_falls_silent_does_not_fill_the_memory():
 
 
 def test_what_an_imu_measured(recorded, tmp_path):
-    turn, pull = np.arange(12.0).reshape(4, 3), 10 + np.arange(12.0).reshape(4, 3)
+    rotation, gradient = np.arange(12.0).reshape(4, 3), 10 + np.arange(12.0).reshape(4, 3)
     for n in range(4):
-        recorded.imu("/imu", BEGIN + n * STEP, turn[n], pull[n])
+        recorded.imu("/imu", BEGIN + n * STEP, rotation[n], gradient[n])
     path = recorded.write(tmp_path)
     found = read_bag_imu(path)
-    assert np.array_equal(found.gyro_rad_s, turn)
-    assert np.array_equal(found.accel_m_s2, pull) and len(found) == 4
+    assert np.array_equal(found.gyro_rad_s, rotation)
+    assert np.array_equal(found.accel_m_s2, gradient) and len(found) == 4
     assert np.allclose(found.timestamp_s, BEGIN / SECOND + 0.1 * np.arange(4), atol=1e-6)
     with pytest.raises(ConfigError, match="no topic of an IMU"):
         read_bag_imu(path, "/other")
     with pytest.raises(ConfigError, match="no topics for mono"):
         read_bag(path)
-    recorded.imu("/second", BEGIN, turn[0], pull[0])
+    recorded.imu("/second", BEGIN, rotation[0], gradient[0])
     again = recorded.write(tmp_path, "two")
     with pytest.raises(ConfigError, match="several IMUs"):
         read_bag_imu(again)
@@ -268,12 +268,12 @@ def test_what_stands_before_a_cut_is_read(kind, tmp_path):
     path = recorded.write(tmp_path)
     whole = [frame.grey() for frame in bag_frames(read_bag(path))]
     data = storage(path).read_bytes()
-    for share in (0.95, 0.6):
-        storage(path).write_bytes(data[: int(share * len(data))])
+    for fraction in (0.95, 0.6):
+        storage(path).write_bytes(data[: int(fraction * len(data))])
         bag = read_bag(path)
         assert any("before the file is cut off" in warning for warning in bag.warnings)
         found = [frame.grey() for frame in bag_frames(bag)]
-        assert 5 < len(found) <= share * 40
+        assert 5 < len(found) <= fraction * 40
         assert all(np.array_equal(a, b) for a, b in zip(found, whole))
     if kind == "mcap":  # a recording that was never closed has no metadata.yaml
         (path / "metadata.yaml").unlink()
@@ -297,7 +297,7 @@ def test_damage_in_the_middle_keeps_the_frames_before(tmp_path):
     assert 10 < len(found) < 60 and any(
         "malformed; what stands before" in warning for warning in bag.warnings
     )
-    assert all((picture == n).all() for n, picture in enumerate(found))
+    assert all((image == n).all() for n, image in enumerate(found))
 
 
 def test_pictures_that_make_no_sense(recorded, tmp_path):

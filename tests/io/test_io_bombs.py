@@ -81,10 +81,10 @@ def test_xml(read: Read, tmp_path: Path, what: str) -> None:
     refuses(read("calibration", path))
 
 
-@pytest.mark.parametrize("what", list(bombs.PICTURES))
+@pytest.mark.parametrize("what", list(bombs.IMAGES))
 def test_pictures(read: Read, tmp_path: Path, what: str) -> None:
     path = tmp_path / "bomb.png"
-    path.write_bytes(bombs.PICTURES[what]())
+    path.write_bytes(bombs.IMAGES[what]())
     for reader in ("rgb", "grey", "small", "mask", "png16", "pfm"):
         refuses(read(reader, path))
     assert read("header", path).startswith(("read", "refused"))

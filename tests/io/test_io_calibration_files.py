@@ -304,7 +304,7 @@ def test_opencvs_own_rectified_matrices_are_not_taken_for_the_cameras(tmp_path):
 def test_files_of_data_sets_that_are_not_what_they_claim(tmp_path, text, words):
     path = tmp_path / "calib.txt"
     path.write_text(text)
-    begin = time.perf_counter()
+    start = time.perf_counter()
     with pytest.raises(FileFormatError, match=words):
         read_stereo_rig(path, size=(640, 480)) if "width" not in words else read_stereo_rig(path)
-    assert time.perf_counter() - begin < 1.0
+    assert time.perf_counter() - start < 1.0

@@ -436,8 +436,8 @@ def test_mrcals_camera_models(tmp_path, model, d) -> None:
 
 
 def test_a_pair_of_mrcals(tmp_path) -> None:
-    turn = cv2.Rodrigues(MOTION.rotation)[0].ravel().tolist()
-    numbers = "".join(f" {value!r}," for value in (*turn, *MOTION.translation.tolist()))
+    rotation = cv2.Rodrigues(MOTION.rotation)[0].ravel().tolist()
+    numbers = "".join(f" {value!r}," for value in (*rotation, *MOTION.translation.tolist()))
     left = written(tmp_path, mrcal("LENSMODEL_PINHOLE", []), "0.cameramodel")
     right = written(tmp_path, mrcal("LENSMODEL_PINHOLE", [], numbers), "1.cameramodel")
     motion = read_stereo_rig(left, right).right_from_left

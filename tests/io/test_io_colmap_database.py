@@ -149,11 +149,11 @@ def test_half_pixel(database: Path) -> None:
 
 def test_a_pair_in_the_other_direction_is_turned(tmp_path: Path) -> None:
     model = small_model()
-    turned = make_contents(model, [(2, 0), (4, 0), (3, 1), (6, 2)])
-    write_database(tmp_path / "turned.db", turned)
+    rotated = make_contents(model, [(2, 0), (4, 0), (3, 1), (6, 2)])
+    write_database(tmp_path / "turned.db", rotated)
     write_database(tmp_path / "plain.db", make_contents(model, PAIRS))
     mine, plain = read_database(tmp_path / "turned.db"), read_database(tmp_path / "plain.db")
-    a, b, given = mine.view_graph, plain.view_graph, turned.view_graph
+    a, b, given = mine.view_graph, plain.view_graph, rotated.view_graph
     assert a is not None and b is not None and given is not None
     np.testing.assert_array_equal(a.image1, b.image1)
     np.testing.assert_array_equal(a.keypoint1, b.keypoint1)

@@ -127,18 +127,18 @@ def test_orientation(value, expected):
 @pytest.mark.parametrize(("north", "east"), [("N", "E"), ("S", "E"), ("N", "W"), ("S", "W")])
 def test_gps_signs(north, east):
     dms = (IFDRational(33), IFDRational(30), IFDRational(3600, 100))
-    place = gps_of(block(gps={1: north, 2: dms, 3: east, 4: dms, 5: b"\x01", 6: IFDRational(25, 2)}))
+    position = gps_of(block(gps={1: north, 2: dms, 3: east, 4: dms, 5: b"\x01", 6: IFDRational(25, 2)}))
     value = 33 + 30 / 60 + 36 / 3600
-    assert place is not None
-    assert place.lat_deg == pytest.approx(value if north == "N" else -value)
-    assert place.lon_deg == pytest.approx(value if east == "E" else -value)
-    assert place.alt_m == pytest.approx(-12.5)
+    assert position is not None
+    assert position.lat_deg == pytest.approx(value if north == "N" else -value)
+    assert position.lon_deg == pytest.approx(value if east == "E" else -value)
+    assert position.alt_m == pytest.approx(-12.5)
 
 
 def test_gps_without_altitude_and_decimal_minutes():
     dm = (IFDRational(10), IFDRational(303, 10), IFDRational(0))
-    place = gps_of(block(gps={1: "N", 2: dm, 3: "E", 4: dm}))
-    assert place == GpsPosition(pytest.approx(10.505), pytest.approx(10.505), None)
+    position = gps_of(block(gps={1: "N", 2: dm, 3: "E", 4: dm}))
+    assert position == GpsPosition(pytest.approx(10.505), pytest.approx(10.505), None)
 
 
 @pytest.mark.parametrize(
@@ -167,15 +167,15 @@ def test_capture_time():
 
 
 def test_new_exif_is_read_back():
-    place = GpsPosition(-33.8567844, 151.2152967, -4.25)
+    position = GpsPosition(-33.8567844, 151.2152967, -4.25)
     exif = Image.Exif()
-    exif.load(new_exif("Maker", "Model", 35.4, place).tobytes())
+    exif.load(new_exif("Maker", "Model", 35.4, position).tobytes())
     focal, back = focal_of(exif, 3600, 2400), gps_of(exif)
     assert camera_of(exif) == ("Maker", "Model")
     assert focal is not None
     assert focal.focal_px == pytest.approx(3500.0)
     assert back is not None
-    np.testing.assert_allclose(np.array(back, float), np.array(place, float), atol=1e-9)
+    np.testing.assert_allclose(np.array(back, float), np.array(position, float), atol=1e-9)
 
 
 def test_upright_exif_keeps_facts_and_drops_orientation():

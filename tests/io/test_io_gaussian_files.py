@@ -36,8 +36,8 @@ def test_what_is_read_looks_like_what_was_written(rng, tmp_path, name, num_sh):
     assert [path.name for path in tmp_path.iterdir()] == [name]
     wanted = cloud.sh[:, :1] if name.endswith(".splat") else cloud.sh
     whole = GaussianCloud(*(getattr(cloud, part) for part in PARTS[:4]), np.ascontiguousarray(wanted))
-    for place in (look_at((0, -3, 1), (0, 0, 0)), look_at((2.5, 1, -1), (0, 0, 0))):
-        one, other = (render(c, CAMERA, place).colour for c in (whole, found))
+    for position in (look_at((0, -3, 1), (0, 0, 0)), look_at((2.5, 1, -1), (0, 0, 0))):
+        one, other = (render(c, CAMERA, position).colour for c in (whole, found))
         assert np.abs(one - other).mean() < 6e-3
 
 
@@ -58,8 +58,10 @@ def test_files_of_others(data_dir, name, count):
     assert len(cloud) == count
     middle = np.median(cloud.means_in_world.astype(float), axis=0)
     size = np.median(np.linalg.norm(cloud.means_in_world - middle, axis=1))
-    place = look_at(middle + size * np.array([0, -0.5, -3]), middle)
-    assert 0.05 < render(cloud, CAMERA, Rigid3(place.rotation, place.translation)).coverage.mean() < 0.95
+    position = look_at(middle + size * np.array([0, -0.5, -3]), middle)
+    assert (
+        0.05 < render(cloud, CAMERA, Rigid3(position.rotation, position.translation)).coverage.mean() < 0.95
+    )
 
 
 def test_an_unknown_ending_is_refused(rng, tmp_path):

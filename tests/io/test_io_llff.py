@@ -11,10 +11,10 @@ from epipole.synthetic import look_at
 
 def write_scene(folder, count=3, sizes=((1, 80, 60), (4, 20, 15))):
     """A folder of pictures in two sizes, and cameras around the middle; returns their poses."""
-    places = [look_at((np.sin(k), -4.0, 0.3 * k), (0, 0, 0)) for k in range(count)]
+    positions = [look_at((np.sin(k), -4.0, 0.3 * k), (0, 0, 0)) for k in range(count)]
     rows = []
-    for place in places:
-        world = place.inverse()
+    for position in positions:
+        world = position.inverse()
         right, down, ahead = world.rotation.T
         matrix = np.stack([down, right, -ahead, world.translation, [60.0, 80.0, 70.0]], axis=1)
         rows.append([*matrix.reshape(-1), 2.0, 9.0])
@@ -25,16 +25,16 @@ def write_scene(folder, count=3, sizes=((1, 80, 60), (4, 20, 15))):
         own.mkdir()
         for k in range(count):
             Image.new("RGB", (width, height), (10 * k, 0, 0)).save(own / f"{k}.png")
-    return places
+    return positions
 
 
 def test_cameras_are_those_that_were_written(tmp_path):
-    places = write_scene(tmp_path / "a")
+    positions = write_scene(tmp_path / "a")
     scene = read_llff(tmp_path / "a")
     model = scene.reconstruction
     assert scene.image_folder.name == "images" and model.images.name == ("0.png", "1.png", "2.png")
-    for k, place in enumerate(places):
-        np.testing.assert_allclose(model.cams_from_world()[k].as_matrix(), place.as_matrix(), atol=1e-9)
+    for k, position in enumerate(positions):
+        np.testing.assert_allclose(model.cams_from_world()[k].as_matrix(), position.as_matrix(), atol=1e-9)
     np.testing.assert_allclose(model.cameras[0].params, [70, 70, 39.5, 29.5])
     np.testing.assert_array_equal(scene.near_far, np.tile([2.0, 9.0], (3, 1)))
     assert len(model.points) == 0

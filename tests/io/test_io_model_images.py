@@ -8,16 +8,16 @@ import pytest
 from PIL import Image
 
 from epipole.cameras import Camera
-from epipole.cameras.image_fit import inverse_orientation, turned_pixels
+from epipole.cameras.image_fit import inverse_orientation, rotated_pixels
 from epipole.errors import FileFormatError
 from epipole.io import read_colmap_model, write_colmap_model
 from epipole.io.images.photographs import read_rgb
-from epipole.io.images.pixels import turn
+from epipole.io.images.pixels import rotation
 from epipole.io.images.rgba import read_rgba
 from epipole.io.models.images import ModelImages
 from epipole.pipelines.fields.config import FieldOptions
-from epipole.pipelines.fields.pictures import gather_field_pictures
-from epipole.pipelines.sfm.page.scene import picture_loader
+from epipole.pipelines.fields.images import gather_field_images
+from epipole.pipelines.sfm.page.scene import image_loader
 from epipole.pipelines.undistortion.run import undistort
 from epipole.scene import Cameras, Reconstruction, Rigs
 from io_models import mappable_model
@@ -42,21 +42,21 @@ def model_of(orientation: int, *, of_stored: bool, has_colors: bool = True) -> R
     """A model of images 64x48 whose keypoints and camera are of stored or of upright pixels."""
     model, rng = mappable_model(), np.random.default_rng(5)
     size = (W, H) if of_stored or orientation < 5 else (H, W)
-    lens = Camera("SIMPLE_RADIAL", *size, [50.0, size[0] / 2, size[1] / 2, 0.01])
+    camera = Camera("SIMPLE_RADIAL", *size, [50.0, size[0] / 2, size[1] / 2, 0.01])
     n = len(model.images)
     names = tuple(f"photo{k}.png" for k in range(n))
     stored = rng.uniform(0, [W - 1, H - 1], model.images.keypoints_px.shape)
-    keypoints = stored if of_stored else turned_pixels(stored, (W, H), orientation)
+    keypoints = stored if of_stored else rotated_pixels(stored, (W, H), orientation)
     rgb = np.zeros_like(model.points.rgb)
     if has_colors:  # of the first observation, whose image is the same as all others
         first = model.images.keypoint_offsets[model.tracks.image] + model.tracks.keypoint
-        for point, (begin, end) in enumerate(zip(model.tracks.offsets[:-1], model.tracks.offsets[1:])):
-            keypoints[first[begin:end]] = keypoints[first[begin]]
-            x, y = np.rint(stored[first[begin]]).astype(int)
+        for point, (start, end) in enumerate(zip(model.tracks.offsets[:-1], model.tracks.offsets[1:])):
+            keypoints[first[start:end]] = keypoints[first[start]]
+            x, y = np.rint(stored[first[start]]).astype(int)
             rgb[point] = stored_picture(0)[y, x]
     return replace(
         model,
-        cameras=Cameras.from_list([lens]),
+        cameras=Cameras.from_list([camera]),
         rigs=Rigs.of_single_cameras(1),
         frames=replace(model.frames, rig=np.zeros(len(model.frames), np.int32)),
         images=replace(model.images, name=names, sensor=np.zeros(n, np.int32), keypoints_px=keypoints),
@@ -65,9 +65,9 @@ def model_of(orientation: int, *, of_stored: bool, has_colors: bool = True) -> R
 
 
 def write_images(folder: Path, model: Reconstruction, orientation: int, scale: int = 1) -> None:
-    picture = np.asarray(Image.fromarray(stored_picture(0)).resize((W // scale, H // scale)))
+    image = np.asarray(Image.fromarray(stored_picture(0)).resize((W // scale, H // scale)))
     for name in model.images.name:
-        write(folder / name, picture, orientation)
+        write(folder / name, image, orientation)
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
@@ -77,7 +77,7 @@ def test_colours_and_sizes_tell_what_is_described(tmp_path, orientation, of_stor
     write_images(tmp_path, model, orientation)
     found = ModelImages(model, tmp_path, is_own=of_stored)  # the mark says the opposite
     image = found.find("photo0.png")
-    expected = stored_picture(0) if of_stored else turn(stored_picture(0), orientation)
+    expected = stored_picture(0) if of_stored else rotation(stored_picture(0), orientation)
     np.testing.assert_array_equal(image.read(), expected)
 
 
@@ -85,7 +85,7 @@ def test_colours_and_sizes_tell_what_is_described(tmp_path, orientation, of_stor
 def test_without_colours_the_maker_decides(tmp_path, is_own):
     model = model_of(3, of_stored=True, has_colors=False)
     write_images(tmp_path, model, 3)
-    expected = turn(stored_picture(0), 3) if is_own else stored_picture(0)
+    expected = rotation(stored_picture(0), 3) if is_own else stored_picture(0)
     np.testing.assert_array_equal(
         ModelImages(model, tmp_path, is_own=is_own).find("photo1.png").read(), expected
     )
@@ -131,10 +131,10 @@ def test_undistort_and_fields_read_what_the_model_describes(stored_workspace):
     own = small[top : top + rgb.shape[0], left : left + rgb.shape[1]]
     assert np.abs(rgb - own)[middle].mean() < 12 < np.abs(rgb - own[::-1, ::-1])[middle].mean()
     (view, *_), loaded = (
-        gather_field_pictures(workspace, FieldOptions(test_every=0)).train,
-        picture_loader(workspace / "images", read_colmap_model(workspace / "sparse" / "0"))("photo0.png"),
+        gather_field_images(workspace, FieldOptions(test_every=0)).train,
+        image_loader(workspace / "images", read_colmap_model(workspace / "sparse" / "0"))("photo0.png"),
     )
-    np.testing.assert_array_equal(view.picture, rgb.astype(np.uint8))
+    np.testing.assert_array_equal(view.image, rgb.astype(np.uint8))
     np.testing.assert_array_equal(loaded, small.astype(np.uint8))
 
 
@@ -145,13 +145,13 @@ def test_pixels_are_read_as_stored_where_asked(tmp_path, orientation, suffix):
     write(path, stored_picture(1), orientation)
     stored = np.asarray(stored_picture(1), int)
     assert np.abs(read_rgb(path, orientation=1).astype(int) - stored).mean() < 4
-    assert np.abs(read_rgb(path).astype(int) - turn(stored_picture(1), orientation)).mean() < 4
+    assert np.abs(read_rgb(path).astype(int) - rotation(stored_picture(1), orientation)).mean() < 4
 
 
 @pytest.mark.parametrize("suffix", ["png", "tif"])
 def test_transparent_images_are_turned_as_others_are(tmp_path, suffix):
     rgba = np.dstack([stored_picture(2), stored_picture(3)[..., :1]])
     write(tmp_path / f"a.{suffix}", rgba, 6)
-    np.testing.assert_array_equal(read_rgba(tmp_path / f"a.{suffix}"), turn(rgba, 6))
+    np.testing.assert_array_equal(read_rgba(tmp_path / f"a.{suffix}"), rotation(rgba, 6))
     np.testing.assert_array_equal(read_rgba(tmp_path / f"a.{suffix}", orientation=1), rgba)
     assert inverse_orientation(6) == 8

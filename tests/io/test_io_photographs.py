@@ -390,21 +390,23 @@ def test_rotating_keeps_camera_place_and_leaves_the_source(tmp_path):
     before = (tmp_path / "a.jpg").read_bytes()
     copy_or_rotate(tmp_path / "a.jpg", tmp_path / "b.jpg")
     assert (tmp_path / "a.jpg").read_bytes() == before
-    turned, straight = read_header(tmp_path / "a.jpg"), read_header(tmp_path / "b.jpg")
-    assert (turned.orientation, straight.orientation) == (8, 1)
-    assert (straight.width, straight.height) == (64, 96) == (turned.width, turned.height)
+    rotated, straight = read_header(tmp_path / "a.jpg"), read_header(tmp_path / "b.jpg")
+    assert (rotated.orientation, straight.orientation) == (8, 1)
+    assert (straight.width, straight.height) == (64, 96) == (rotated.width, rotated.height)
     for field in ("make", "model", "focal_px", "focal_source", "gps"):
-        assert getattr(straight, field) == getattr(turned, field)
+        assert getattr(straight, field) == getattr(rotated, field)
 
 
 def test_written_jpeg_is_read_back(tmp_path):
     rgb = colour_blocks()
-    place = GpsPosition(-12.25, 130.125, 31.5)
-    write_jpeg_with_exif(tmp_path / "a.jpg", rgb, focal_35mm=24.0, make="M", model="N", gps=place, quality=98)
+    position = GpsPosition(-12.25, 130.125, 31.5)
+    write_jpeg_with_exif(
+        tmp_path / "a.jpg", rgb, focal_35mm=24.0, make="M", model="N", gps=position, quality=98
+    )
     header = read_header(tmp_path / "a.jpg")
     assert (header.width, header.height, header.make, header.model) == (96, 64, "M", "N")
     assert header.focal_px == pytest.approx(24 / 36 * 96)
-    assert header.gps == pytest.approx(place)
+    assert header.gps == pytest.approx(position)
     assert header.capture_time is None
     assert np.abs(read_rgb(tmp_path / "a.jpg").astype(int) - rgb).mean() < 6
 

@@ -162,7 +162,7 @@ def test_scannet_as_its_reader_exports_it(tmp_path):
         (folder / "intrinsic" / f"extrinsic_{name}.txt").write_text(IDENTITY)
     found = read_sequence(folder)
     assert found.kind is SequenceKind.SCANNET
-    assert [frame.picture.stem for frame in found.frames] == ["0", "9", "10"]
+    assert [frame.image.stem for frame in found.frames] == ["0", "9", "10"]
     assert found.frames[1].timestamp_s == pytest.approx(0.3) and found.frames[1].depth.name == "9.png"
     assert (found.camera.params[0], found.depth.camera.params[0], found.depth.unit) == (1170.2, 571.6, 1000.0)
     (folder / "intrinsic" / "extrinsic_depth.txt").write_text(

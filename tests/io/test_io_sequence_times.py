@@ -78,7 +78,7 @@ def test_times_by_a_computers_clock(tmp_path, unit, name):
 
 def test_numbered_images_come_in_the_order_of_their_numbers(tmp_path):
     folder = images(tmp_path / "ride", [f"{n}.png" for n in range(12)])
-    assert [frame.picture.stem for frame in read_sequence(folder).frames] == [str(n) for n in range(12)]
+    assert [frame.image.stem for frame in read_sequence(folder).frames] == [str(n) for n in range(12)]
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e3, 1e6, 1e9])

@@ -11,7 +11,7 @@ from epipole.errors import FileFormatError
 from epipole.io import SequenceKind, read_sequence
 
 
-def picture(path, size=(64, 48)):
+def image(path, size=(64, 48)):
     path.parent.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(path), np.zeros(size[::-1], np.uint8))
 
@@ -21,7 +21,7 @@ def picture(path, size=(64, 48)):
     [
         ("7scenes", SequenceKind.SEVEN_SCENES, 325, "depth"),
         ("kitti06_stereo", SequenceKind.KITTI, 51, "rig"),
-        ("kitti00_mono", SequenceKind.PICTURES, 50, ""),
+        ("kitti00_mono", SequenceKind.IMAGES, 50, ""),
         ("euroc_static", SequenceKind.EUROC, 6, "rig"),
     ],
 )
@@ -38,11 +38,11 @@ def test_real_folders(data_dir, name, kind, count, has):
 def test_tum_frames_get_the_nearest_depth(tmp_path):
     folder = tmp_path / "rgbd_dataset_freiburg3_office"
     for name in ("rgb/1.png", "rgb/2.png"):
-        picture(folder / name)
+        image(folder / name)
     (folder / "rgb.txt").write_text("# color\n2.0 rgb/2.png\n1.0 rgb/1.png\n")
     (folder / "depth.txt").write_text("1.012 depth/1.png\n1.5 depth/x.png\n2.5 depth/2.png\n")
     found = read_sequence(folder)
-    assert [(f.timestamp_s, f.picture.name, f.depth.name) for f in found.frames] == [(1.0, "1.png", "1.png")]
+    assert [(f.timestamp_s, f.image.name, f.depth.name) for f in found.frames] == [(1.0, "1.png", "1.png")]
     assert found.camera.params[0] == pytest.approx(535.4) and found.depth.unit == 5000
     folder = folder.rename(tmp_path / "my_room")
     assert read_sequence(folder).camera is None
@@ -61,7 +61,7 @@ def test_tum_frames_get_the_nearest_depth(tmp_path):
     ],
 )
 def test_lists_that_are_damaged(tmp_path, text, words):
-    picture(tmp_path / "rgb" / "1.png")
+    image(tmp_path / "rgb" / "1.png")
     (tmp_path / "rgb.txt").write_text(text)
     with pytest.raises(FileFormatError, match=words):
         read_sequence(tmp_path)
@@ -69,7 +69,7 @@ def test_lists_that_are_damaged(tmp_path, text, words):
 
 def test_times_beside_pictures(tmp_path):
     for n in range(3):
-        picture(tmp_path / f"{n}.png")
+        image(tmp_path / f"{n}.png")
     assert [f.timestamp_s for f in read_sequence(tmp_path).frames] == [0.0, 1 / 30, 2 / 30]
     (tmp_path / "times.txt").write_text("0.5\n0.7\n1.0\n")
     assert [f.timestamp_s for f in read_sequence(tmp_path).frames] == [0.5, 0.7, 1.0]

@@ -33,7 +33,7 @@ RANGES = {
 }
 
 
-def picture(pixels, size=(WIDTH, HEIGHT), kind="WEBP"):
+def image(pixels, size=(WIDTH, HEIGHT), kind="WEBP"):
     """Of rows of red, green, blue and alpha."""
     image = Image.new("RGBA", size)
     image.putdata([tuple(pixel) for pixel in pixels])
@@ -52,7 +52,7 @@ def by_hand(version=2, kind="WEBP"):
     codes["palette"] = rng.integers(0, 256, (2 * 64 * 3, 4))
     codes["labels"] = np.array([[label % 256, label // 256, 7, 9] for label in (*LABELS, 9999)]) % 256
     sizes = {"palette": (64 * 3, 2)}
-    pictures = {name: picture(rows, sizes.get(name, (WIDTH, HEIGHT)), kind) for name, rows in codes.items()}
+    images = {name: image(rows, sizes.get(name, (WIDTH, HEIGHT)), kind) for name, rows in codes.items()}
     meta = {
         "means": {"mins": [-2, -1, 0.5], "maxs": [1, 2, 3], "files": ["low", "up"]},
         "scales": {"files": ["scales"]},
@@ -69,12 +69,12 @@ def by_hand(version=2, kind="WEBP"):
         meta["means"]["shape"] = [COUNT, 3]
         for name, (low, high) in RANGES.items():
             meta[name].update(mins=low, maxs=high)
-    return meta, pictures, codes
+    return meta, images, codes
 
 
-def put(path, meta, pictures):
+def put(path, meta, images):
     with zipfile.ZipFile(path, "w") as archive:
-        for name, data in pictures.items():
+        for name, data in images.items():
             archive.writestr(name, data)
         if meta is not None:
             archive.writestr("meta.json", meta if isinstance(meta, str | bytes) else json.dumps(meta))
@@ -98,8 +98,8 @@ def check_by_hand(cloud, codes, version):
             q = codes["up"][i, k] << 8 | codes["low"][i, k]
             low, high = meta["means"]["mins"][k], meta["means"]["maxs"][k]
             n = low + (high - low) * q / 65535
-            place = math.copysign(math.exp(abs(n)) - 1, n)
-            assert cloud.means_in_world[i, k] == pytest.approx(place, rel=1e-6)
+            position = math.copysign(math.exp(abs(n)) - 1, n)
+            assert cloud.means_in_world[i, k] == pytest.approx(position, rel=1e-6)
             assert cloud.log_scales[i, k] == pytest.approx(meant(version, "scales", codes["scales"][i, k], k))
             assert cloud.sh[i, 0, k] == pytest.approx(meant(version, "sh0", codes["sh0"][i, k], k), abs=1e-6)
             for j in range(3):
@@ -119,20 +119,20 @@ def check_by_hand(cloud, codes, version):
 @pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize("kind", ["WEBP", "PNG"])
 def test_a_file_written_by_hand(tmp_path, version, kind):
-    meta, pictures, codes = by_hand(version, kind)
-    check_by_hand(read_gaussians(put(tmp_path / "a.sog", meta, pictures)), codes, version)
-    for name, data in pictures.items():
+    meta, images, codes = by_hand(version, kind)
+    check_by_hand(read_gaussians(put(tmp_path / "a.sog", meta, images)), codes, version)
+    for name, data in images.items():
         (tmp_path / name).write_bytes(data)
     (tmp_path / "meta.json").write_text(json.dumps(meta))
     check_by_hand(read_gaussians(tmp_path / "meta.json"), codes, version)
 
 
 def test_a_first_number_of_a_codebook_that_was_left_out(tmp_path):
-    meta, pictures, codes = by_hand()
+    meta, images, codes = by_hand()
     meta["scales"]["codebook"][0] = None
     codes["scales"][:] = 0
-    pictures["scales"] = picture(codes["scales"])
-    found = read_sog(put(tmp_path / "a.sog", meta, pictures))
+    images["scales"] = image(codes["scales"])
+    found = read_sog(put(tmp_path / "a.sog", meta, images))
     first, step = CODEBOOKS["scales"]
     assert found.log_scales == pytest.approx(np.full((COUNT, 3), first + step - step * 254 / 255), abs=1e-5)
 
@@ -141,9 +141,9 @@ def there_and_back(path, cloud):
     """What is read, in the order of what was written."""
     write_sog(path, cloud)
     found = read_sog(path)
-    place = cKDTree(found.means_in_world).query(cloud.means_in_world)[1]
-    assert sorted(place) == list(range(len(cloud)))
-    return found.rows(place)
+    position = cKDTree(found.means_in_world).query(cloud.means_in_world)[1]
+    assert sorted(position) == list(range(len(cloud)))
+    return found.rows(position)
 
 
 def test_numbers_come_back_within_their_rounding(rng, tmp_path):
@@ -183,9 +183,9 @@ def test_a_drawing_stays_what_it_was(rng, tmp_path):
     for one, least_db in ((flat, 65), (cloud, 34)):
         write_gaussians(tmp_path / "a.sog", one)
         found = read_gaussians(tmp_path / "a.sog")
-        for place in (look_at((0, -3, 1), (0, 0, 0)), look_at((2.5, 1, -1), (0, 0, 0))):
-            drawn, again = (render(c, CAMERA, place).colour for c in (one, found))
-            assert -10 * np.log10(((drawn - again) ** 2).mean()) > least_db
+        for position in (look_at((0, -3, 1), (0, 0, 0)), look_at((2.5, 1, -1), (0, 0, 0))):
+            rendered, again = (render(c, CAMERA, position).colour for c in (one, found))
+            assert -10 * np.log10(((rendered - again) ** 2).mean()) > least_db
 
 
 def test_what_lies_in_the_file(rng, tmp_path):
@@ -197,16 +197,16 @@ def test_what_lies_in_the_file(rng, tmp_path):
         assert all(member.compress_type == zipfile.ZIP_STORED for member in archive.infolist())
         meta = json.loads(archive.read("meta.json"))
         parts = [name for part in ("means", "scales", "quats", "sh0", "shN") for name in meta[part]["files"]]
-        pictures = {name: np.asarray(Image.open(archive.open(name)).convert("RGBA")) for name in parts}
+        images = {name: np.asarray(Image.open(archive.open(name)).convert("RGBA")) for name in parts}
     assert sorted(parts) == sorted(
         f"{name}.webp"
         for name in ("means_l", "means_u", "scales", "quats", "sh0", "shN_centroids", "shN_labels")
     )
     assert meta["version"] == 2 and meta["count"] == 70 and meta["shN"]["bands"] == 1
-    assert {image.shape for name, image in pictures.items() if "centr" not in name} == {(8, 12, 4)}
-    assert pictures["shN_centroids.webp"].shape == (2, 64 * 3, 4)
-    assert pictures["quats.webp"].reshape(-1, 4)[:70, 3].min() >= 252
-    clear = pictures["sh0.webp"].reshape(-1, 4)[:70]
+    assert {image.shape for name, image in images.items() if "centr" not in name} == {(8, 12, 4)}
+    assert images["shN_centroids.webp"].shape == (2, 64 * 3, 4)
+    assert images["quats.webp"].reshape(-1, 4)[:70, 3].min() >= 252
+    clear = images["sh0.webp"].reshape(-1, 4)[:70]
     # Lossless WebP that is not exact would have made these black.
     assert (clear[:, 3] == 0).sum() == 9 and clear[clear[:, 3] == 0, :3].any(axis=1).all()
 
@@ -270,7 +270,7 @@ def test_codebooks_and_palettes(rng):
 
 
 def changed(*keys, value):
-    def change(meta, pictures):
+    def change(meta, images):
         inside = meta
         for key in keys[:-1]:
             inside = inside[key]
@@ -280,7 +280,7 @@ def changed(*keys, value):
 
 
 def without(*keys):
-    def change(meta, pictures):
+    def change(meta, images):
         inside = meta
         for key in keys[:-1]:
             inside = inside[key]
@@ -290,7 +290,7 @@ def without(*keys):
 
 
 def other_picture(name, data):
-    return lambda meta, pictures: pictures.update({name: data})
+    return lambda meta, images: images.update({name: data})
 
 
 def webp(mode, size):
@@ -342,15 +342,15 @@ BAD = {
 @pytest.mark.parametrize("what", BAD)
 def test_damaged_files_are_told(tmp_path, what):
     change, said = BAD[what]
-    meta, pictures, _ = by_hand()
-    change(meta, pictures)
+    meta, images, _ = by_hand()
+    change(meta, images)
     with pytest.raises(FileFormatError, match=said):
-        read_sog(put(tmp_path / "a.sog", meta, pictures))
+        read_sog(put(tmp_path / "a.sog", meta, images))
 
 
 def test_damaged_zips_and_texts_are_told(tmp_path):
-    meta, pictures, _ = by_hand()
-    whole = put(tmp_path / "a.sog", meta, pictures).read_bytes()
+    meta, images, _ = by_hand()
+    whole = put(tmp_path / "a.sog", meta, images).read_bytes()
     for data in (b"", b"PK", whole[:-30], whole[: len(whole) // 2], whole[: len(whole) // 2] + bytes(99)):
         (tmp_path / "a.sog").write_bytes(data)
         with pytest.raises(FileFormatError, match="a damaged SOG file, or none"):
@@ -358,29 +358,29 @@ def test_damaged_zips_and_texts_are_told(tmp_path):
         assert not is_sog(tmp_path / "a.sog")
     for text, said in (("{", "not JSON"), ("[1]", "no list"), (b"\xff\xfe", "not UTF-8"), (None, "no item")):
         with pytest.raises(FileFormatError, match=said):
-            read_sog(put(tmp_path / "b.sog", text, pictures))
+            read_sog(put(tmp_path / "b.sog", text, images))
     with pytest.raises(FileFormatError, match="NaN is not a finite number"):
-        read_sog(put(tmp_path / "b.sog", json.dumps({**meta, "count": math.nan}), pictures))
+        read_sog(put(tmp_path / "b.sog", json.dumps({**meta, "count": math.nan}), images))
     with pytest.raises(FileFormatError, match="no such file"):
         read_sog(tmp_path / "c.sog")
 
 
 def test_zips_that_unpack_to_much(tmp_path):
-    meta, pictures, _ = by_hand()
+    meta, images, _ = by_hand()
     for name, text in (("scales", json.dumps(meta)), (None, " " * (5 << 20))):
         with zipfile.ZipFile(tmp_path / "a.sog", "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr("meta.json", text)
-            for other, data in pictures.items():
+            for other, data in images.items():
                 archive.writestr(other, bytes(1 << 24) if other == name else data)
         with pytest.raises(FileFormatError, match="unpacks to more than"):
             read_sog(tmp_path / "a.sog")
 
 
 def test_a_name_in_a_folder_stays_inside(tmp_path):
-    meta, pictures, _ = by_hand()
-    (tmp_path / "scales").write_bytes(pictures["scales"])
+    meta, images, _ = by_hand()
+    (tmp_path / "scales").write_bytes(images["scales"])
     (tmp_path / "in").mkdir()
-    for name, data in pictures.items():
+    for name, data in images.items():
         (tmp_path / "in" / name).write_bytes(data)
     for name in ("../scales", str(tmp_path / "scales")):
         meta["scales"]["files"] = [name]

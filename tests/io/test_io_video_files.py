@@ -32,11 +32,11 @@ def earlier(tmp_path: Path) -> Path:
     return tmp_path / "a.mp4"
 
 
-@pytest.mark.parametrize("share", [0.02, 0.3, 0.9, 0.999])
-def test_a_full_disk_is_an_error_and_keeps_the_earlier_video(earlier: Path, share: float) -> None:
+@pytest.mark.parametrize("fraction", [0.02, 0.3, 0.9, 0.999])
+def test_a_full_disk_is_an_error_and_keeps_the_earlier_video(earlier: Path, fraction: float) -> None:
     before = earlier.read_bytes()
     write_video(earlier.with_name("whole.mp4"), frames(12, 1), 30.0)
-    room = int(share * earlier.with_name("whole.mp4").stat().st_size)
+    room = int(fraction * earlier.with_name("whole.mp4").stat().st_size)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))  # writing beyond fails, as on a full disk
     try:
@@ -77,8 +77,8 @@ def test_frames_are_counted_and_looked_at(fault: str, earlier: Path, monkeypatch
 
 @pytest.mark.parametrize("size", [(16, 16), (17, 33), (2, 2), (481, 270)])
 def test_sizes(size: tuple[int, int], tmp_path: Path) -> None:
-    picture = np.full((size[1], size[0], 3), (200, 30, 90), np.uint8)
-    write_video(tmp_path / "a.mp4", [picture], 25.0)
+    image = np.full((size[1], size[0], 3), (200, 30, 90), np.uint8)
+    write_video(tmp_path / "a.mp4", [image], 25.0)
     read, frame = cv2.VideoCapture(str(tmp_path / "a.mp4")).read()
     assert read and lengths(tmp_path / "a.mp4") == 1
     assert frame.shape == (size[1] & ~1, size[0] & ~1, 3)

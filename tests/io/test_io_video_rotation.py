@@ -44,10 +44,10 @@ def test_the_camera_of_a_portrait_video_is_turned_with_it(tmp_path, angle_deg):
     path = video(tmp_path / "a.mp4", angle_deg)
     landscape = CameraOptions(camera_params="80,81,50,30")
     source = open_video_frames(path, landscape)
-    lens = source.camera.camera
-    assert (lens.width, lens.height) == (H, W)
+    camera = source.camera.camera
+    assert (camera.width, camera.height) == (H, W)
     cx, cy = (H - 30.0, 50.0) if angle_deg == 90 else (30.0, W - 50.0)
-    np.testing.assert_allclose(lens.params, [81.0, 80.0, cx - 0.5, cy - 0.5])
+    np.testing.assert_allclose(camera.params, [81.0, 80.0, cx - 0.5, cy - 0.5])
     assert any("as they are stored" in note for note in source.notes())
     portrait = open_video_frames(path, CameraOptions(camera_params="80,81,30,50"))
     np.testing.assert_allclose(portrait.camera.camera.params, [80.0, 81.0, 29.5, 49.5])

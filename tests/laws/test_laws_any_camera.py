@@ -18,17 +18,17 @@ MODELS = [pytest.param(model, id=model.name) for model in CameraModel]
 def test_every_pixel_of_a_mild_lens_has_a_ray_that_comes_back(
     model: CameraModel, data: st.DataObject
 ) -> None:
-    camera, places = data.draw(cameras(model=model)), data.draw(pixels())
-    depth = data.draw(numbers(1e-3, 1e3))
-    rays = camera.unproject(places)
+    camera, positions = data.render(cameras(model=model)), data.render(pixels())
+    depth = data.render(numbers(1e-3, 1e3))
+    rays = camera.unproject(positions)
     np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1.0, atol=1e-14)
-    np.testing.assert_allclose(camera.project(depth * rays), places, atol=1e-7)
+    np.testing.assert_allclose(camera.project(depth * rays), positions, atol=1e-7)
 
 
 @pytest.mark.parametrize("model", MODELS)
 @given(data=st.data())
 def test_what_a_mild_lens_sees_comes_back_as_its_direction(model: CameraModel, data: st.DataObject) -> None:
-    camera, points = data.draw(cameras(model=model, bend=0.01)), data.draw(points_ahead())
+    camera, points = data.render(cameras(model=model, bend=0.01)), data.render(points_ahead())
     rays = camera.unproject(camera.project(points))
     np.testing.assert_allclose(rays, points / np.linalg.norm(points, axis=1, keepdims=True), atol=1e-9)
 
@@ -37,22 +37,22 @@ def test_what_a_mild_lens_sees_comes_back_as_its_direction(model: CameraModel, d
 @given(data=st.data())
 def test_a_wild_lens_gives_a_ray_that_comes_back_or_none(model: CameraModel, data: st.DataObject) -> None:
     """Where the distortion folds there is no ray: NaN, in the whole row, and never a wrong one."""
-    camera, places = data.draw(cameras(bend=2.0, model=model)), data.draw(pixels())
-    rays = camera.unproject(places)
+    camera, positions = data.render(cameras(bend=2.0, model=model)), data.render(pixels())
+    rays = camera.unproject(positions)
     known = np.isfinite(rays).all(axis=1)
     assert np.isnan(rays[~known]).all()
-    np.testing.assert_allclose(camera.project(rays[known]), places[known], atol=1e-4)
+    np.testing.assert_allclose(camera.project(rays[known]), positions[known], atol=1e-4)
 
 
 @pytest.mark.parametrize("model", MODELS)
 @given(data=st.data())
 def test_the_jacobian_is_the_slope(model: CameraModel, data: st.DataObject) -> None:
-    camera, points = data.draw(cameras(model=model)), data.draw(points_ahead(most=4))
-    way = data.draw(vectors(3, 1.0))
+    camera, points = data.render(cameras(model=model)), data.render(points_ahead(most=4))
+    trajectory = data.render(vectors(3, 1.0))
     _, by_points, by_params = camera.project_with_jacobian(points)
     h = 1e-5
-    slope = (camera.project(points + h * way) - camera.project(points - h * way)) / (2 * h)
-    np.testing.assert_allclose(by_points @ way, slope, rtol=1e-5, atol=1e-4)
+    slope = (camera.project(points + h * trajectory) - camera.project(points - h * trajectory)) / (2 * h)
+    np.testing.assert_allclose(by_points @ trajectory, slope, rtol=1e-5, atol=1e-4)
     step = np.full(len(camera.params), 1e-5)
     step[list(camera.model.distortion_indices)] = 1e-7
     for column, size in enumerate(step):
@@ -63,13 +63,13 @@ def test_the_jacobian_is_the_slope(model: CameraModel, data: st.DataObject) -> N
 
 
 @given(cameras(), pixels(), st.integers(2, 5), st.integers(2, 5))
-def test_a_resampled_picture_has_the_same_rays(camera, places, times_x, times_y) -> None:
+def test_a_resampled_picture_has_the_same_rays(camera, positions, times_x, times_y) -> None:
     """Pixel edges stay: x in the small picture is n x + (n - 1) / 2 in one n times as wide."""
     if len(camera.model.focal_indices) == 1:
         times_y = times_x
     scaled = camera.scaled_to(times_x * WIDTH, times_y * HEIGHT)
-    there = (places + 0.5) * [times_x, times_y] - 0.5
-    np.testing.assert_allclose(scaled.unproject(there), camera.unproject(places), atol=1e-9)
+    there = (positions + 0.5) * [times_x, times_y] - 0.5
+    np.testing.assert_allclose(scaled.unproject(there), camera.unproject(positions), atol=1e-9)
 
 
 @given(cameras(), st.integers(0, 2))

@@ -124,8 +124,8 @@ def test_adjustment_in_other_coordinates_finds_the_same_minimum(
         expected = target_from_world.apply(found.points_in_world)
         size = float(target_from_world.scale)
         np.testing.assert_allclose(again.points_in_world, expected, atol=1e-4 * size)
-        places = target_from_world.move_cam_from_source(found.rig_from_world)
-        np.testing.assert_allclose(again.rig_from_world.centers(), places.centers(), atol=1e-4 * size)
+        positions = target_from_world.move_cam_from_source(found.rig_from_world)
+        np.testing.assert_allclose(again.rig_from_world.centers(), positions.centers(), atol=1e-4 * size)
 
 
 def test_expected_places_end_the_freedom_unless_they_move_along(

@@ -15,8 +15,8 @@ def random_similarity(rng: np.random.Generator, *batch: int) -> Similarity3:
 
 @pytest.fixture
 def cams_from_source(rng: np.random.Generator) -> Rigid3:
-    turns = Rigid3.exp(np.column_stack([rng.normal(size=(8, 3)), 0.2 * rng.normal(size=(8, 3))]))
-    return Rigid3(np.eye(3)[None], np.array([[0.0, 0.0, 6.0]])) @ turns
+    rotations = Rigid3.exp(np.column_stack([rng.normal(size=(8, 3)), 0.2 * rng.normal(size=(8, 3))]))
+    return Rigid3(np.eye(3)[None], np.array([[0.0, 0.0, 6.0]])) @ rotations
 
 
 def test_moved_cameras_see_moved_points_at_the_same_pixels(

@@ -24,8 +24,8 @@ def observed(scene, visible, s):
 
 
 def moved_cameras(cams, steps):
-    turn = Rigid3(Rotation3.exp(steps[:, 3:]).matrix, steps[:, :3])
-    return turn @ cams
+    rotation = Rigid3(Rotation3.exp(steps[:, 3:]).matrix, steps[:, :3])
+    return rotation @ cams
 
 
 def disturbed(scene, off):
@@ -56,7 +56,7 @@ def whole_adjustment(cams, points, seen, pixels, count):
     """Levenberg-Marquardt with the whole matrix: costs and dampings of every step, and where it ends."""
     damping, growth = 1e-4, 2.0
     left, J = linearized(cams, points, seen, pixels)
-    told = [(0.5 * left @ left, damping)]
+    given = [(0.5 * left @ left, damping)]
     for _ in range(count):
         H, g = J.T @ J, J.T @ left
         D = np.diag(H).copy()
@@ -74,8 +74,8 @@ def whole_adjustment(cams, points, seen, pixels, count):
             damping, growth = max(1e-9, damping * max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3)), 2.0
         else:
             damping, growth = damping * growth, 2 * growth
-        told.append((0.5 * left @ left, used))
-    return told
+        given.append((0.5 * left @ left, used))
+    return given
 
 
 def problem_of(cams, points, seen, pixels):
@@ -116,8 +116,8 @@ def test_every_step_is_that_of_the_whole_matrix(tab):
     scene = ring()
     for visible, s, off in itertools.product((55.0, 80.0), (0.25, 2.0), (0.1, 0.5)):
         seen, pixels = observed(scene, visible, s)
-        begin = disturbed(scene, off)
-        steps = whole_adjustment(*begin, seen, pixels, 12)
+        start = disturbed(scene, off)
+        steps = whole_adjustment(*start, seen, pixels, 12)
         tab.set(visible=visible, s=s, off=off)
         for step in (0, 1, 2, 4, 12):
             tab.set(step=step)

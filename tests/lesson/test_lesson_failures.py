@@ -15,11 +15,11 @@ RECORD = json.loads(resources.files("epipole.lesson").joinpath("assets", "failur
 def stated(run, which):
     """Places that were known: a camera that only turns, or has no map yet, has none."""
     unknown = ("turning", "starting") if which == "place" else ("turning",)
-    return [None if state in unknown else place for place, state in zip(run[which], run["state"])]
+    return [None if state in unknown else position for position, state in zip(run[which], run["state"])]
 
 
-def rms_cm(places, truth):
-    off = [np.subtract(place, true) for place, true in zip(places, truth) if place]
+def rms_cm(positions, truth):
+    off = [np.subtract(position, true) for position, true in zip(positions, truth) if position]
     return 100 * np.sqrt(np.mean(np.sum(np.square(off), axis=1))) if off else np.nan
 
 
@@ -34,8 +34,8 @@ def test_a_replay_shows_what_was_recorded(tab, failure):
         assert tab.page.locator("#frame").get_attribute("max") == str(count - 1)
         for k in (0, count // 3, count - 1):
             tab.set(frame=k)
-            shown, place = tab.shown(), stated(run, "place")[k]
-            off = 100 * np.linalg.norm(np.subtract(place, run["truth"][k])) if place else np.nan
+            shown, position = tab.shown(), stated(run, "place")[k]
+            off = 100 * np.linalg.norm(np.subtract(position, run["truth"][k])) if position else np.nan
             wanted = {
                 "points": run["points"][k],
                 "off_now": off,
@@ -55,8 +55,8 @@ def test_what_a_run_says_is_told_in_chinese_too(tab):
     said = {
         reason for runs in failures() for run in RECORD[runs].values() for reason in run["reason"] if reason
     }
-    told = {reason: tab.page.evaluate("said => reasonOf(said)", reason) for reason in said}
-    for reason, words in told.items():
+    given = {reason: tab.page.evaluate("said => reasonOf(said)", reason) for reason in said}
+    for reason, words in given.items():
         assert re.search("[\u4e00-\u9fff]", words) and not re.search("[a-z]", words), words
         assert re.findall(r"[\d.]+", reason) == re.findall(r"[\d.]+", words)
 
@@ -91,14 +91,14 @@ def test_every_run_is_there_and_says_what_its_text_tells():
     assert {name: set(runs) for name, runs in failures().items()} == {
         name: set(runs) for name, runs in RECORD.items() if name != "kitchen"
     }
-    states = {(name, run): set(told["state"]) for name in failures() for run, told in RECORD[name].items()}
+    states = {(name, run): set(given["state"]) for name in failures() for run, given in RECORD[name].items()}
     assert "lost" in states["wall", "rgbd"] and "submap" in states["wall", "rgbd"]
     assert states["rotation", "mono"] == {"turning"}
     off = {
-        (name, run): rms_cm(told["final"], told["truth"])
+        (name, run): rms_cm(given["final"], given["truth"])
         for name, runs in RECORD.items()
         if name != "kitchen"
-        for run, told in runs.items()
+        for run, given in runs.items()
     }
     assert off["blur", "long"] > 3 * off["blur", "short"]
     assert off["shutter", "untold"] > 2 * off["shutter", "told"]
@@ -108,7 +108,7 @@ def test_every_run_is_there_and_says_what_its_text_tells():
 
 
 def test_the_record_is_what_the_library_does():
-    found, told = recorded(failures()["rotation"]["mono"]), RECORD["rotation"]["mono"]
-    assert found["state"] == told["state"] and found["loops"] == told["loops"]
-    assert len(found["reason"]) == len(told["reason"])
-    np.testing.assert_allclose(found["truth"], told["truth"], atol=2e-3)
+    found, given = recorded(failures()["rotation"]["mono"]), RECORD["rotation"]["mono"]
+    assert found["state"] == given["state"] and found["loops"] == given["loops"]
+    assert len(found["reason"]) == len(given["reason"])
+    np.testing.assert_allclose(found["truth"], given["truth"], atol=2e-3)

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.lesson_fields import marched, operations_of_query, splatted
 
 from epipole.cameras import Camera
-from epipole.fields.nerf.hash_field import HashField, Room, draw_hash, new_weights
+from epipole.fields.nerf.hash_field import HashField, Room, new_weights, render_hash
 from epipole.fields.splat.rasterizer import render
 from epipole.geometry import Rigid3
 from epipole.scene.gaussian_cloud import GaussianCloud
@@ -17,17 +17,17 @@ RECORD = json.loads(resources.files("epipole.lesson").joinpath("assets", "fields
 CAMERA, WHITE = Camera("PINHOLE", 64, 48, [60.0, 60.0, 31.5, 23.5]), np.ones(3, np.float32)
 
 
-def summed(way, pixel, upto=np.inf, record=RECORD):
+def summed(trajectory, pixel, upto=np.inf, record=RECORD):
     """Sum of T_i alpha_i c_i with T_i the product of (1 - alpha_j) before it; its weights, what is left, distances."""
-    part = pixel[way]
-    if way == "nerf":
+    part = pixel[trajectory]
+    if trajectory == "nerf":
         alpha = -np.expm1(-np.array(part["thickness"]))
     else:
         alpha = np.minimum(
             np.array(part["opacity"]) * np.exp(np.array(part["power"])), record["largest_alpha"]
         )
         alpha[alpha < record["least_alpha"]] = 0.0
-    distance, over = np.array(part["distance"]), record["over_nerf" if way == "nerf" else "over"]
+    distance, over = np.array(part["distance"]), record["over_nerf" if trajectory == "nerf" else "over"]
     alpha[distance > upto] = 0.0
     before = np.concatenate([[1.0], np.cumprod(1.0 - alpha)])[: len(alpha)]
     alpha[before <= over] = 0.0
@@ -48,20 +48,26 @@ def test_a_pixel_is_summed_as_it_is_written(tab, number):
     for upto in (*np.linspace(RECORD["near"], RECORD["far"], 7), RECORD["far"]):
         tab.set(upto=upto)
         shown = tab.shown()
-        for way in ("nerf", "splat"):
-            for name, value in summed(way, RECORD["pixels"][number], upto).items():
+        for trajectory in ("nerf", "splat"):
+            for name, value in summed(trajectory, RECORD["pixels"][number], upto).items():
                 np.testing.assert_allclose(
-                    shown[f"{name}-{way}"], value, rtol=1e-9, atol=1e-12, err_msg=f"{name} {way} {upto}"
+                    shown[f"{name}-{trajectory}"],
+                    value,
+                    rtol=1e-9,
+                    atol=1e-12,
+                    err_msg=f"{name} {trajectory} {upto}",
                 )
-            np.testing.assert_allclose(shown[f"weights-{way}"] + shown[f"through-{way}"], 1.0, atol=1e-12)
+            np.testing.assert_allclose(
+                shown[f"weights-{trajectory}"] + shown[f"through-{trajectory}"], 1.0, atol=1e-12
+            )
 
 
 def test_what_is_summed_is_what_was_drawn():
     for pixel in RECORD["pixels"]:
-        for way in ("nerf", "splat"):
-            found = summed(way, pixel)
+        for trajectory in ("nerf", "splat"):
+            found = summed(trajectory, pixel)
             np.testing.assert_allclose(
-                [found[c] for c in ("red", "green", "blue")], pixel["drawn"][way], atol=2e-3
+                [found[c] for c in ("red", "green", "blue")], pixel["drawn"][trajectory], atol=2e-3
             )
 
 
@@ -81,8 +87,10 @@ def test_figures_are_those_of_the_comparison(tab):
     assert shown["operations-nerf"] == rows["nerf"]["queries"] * each["query"]
     assert shown["operations-splat"] == rows["splat"]["evaluated"] * each["pair"]
     assert shown["faster"] == rows["splat"]["frames_s"] / rows["nerf"]["frames_s"]
-    for way, row in rows.items():
-        assert shown[f"psnr-{way}"] == row["psnr"] and shown[f"frames_s-{way}"] == row["frames_s"]
+    for trajectory, row in rows.items():
+        assert (
+            shown[f"psnr-{trajectory}"] == row["psnr"] and shown[f"frames_s-{trajectory}"] == row["frames_s"]
+        )
 
 
 def test_what_is_recorded_of_gaussians_is_what_is_drawn():
@@ -95,12 +103,12 @@ def test_what_is_recorded_of_gaussians_is_what_is_drawn():
         opacity_logits=rng.normal(size=n).astype(np.float32),
         sh=rng.normal(size=(n, 1, 3)).astype(np.float32),
     )
-    drawn = render(cloud, CAMERA, Rigid3.identity())
-    picture = drawn.over(WHITE)
+    rendered = render(cloud, CAMERA, Rigid3.identity())
+    image = rendered.over(WHITE)
     for at in ((31, 23), (5, 40), (60, 2)):
-        found = summed("splat", {"splat": splatted(drawn, CAMERA, at)})
+        found = summed("splat", {"splat": splatted(rendered, CAMERA, at)})
         np.testing.assert_allclose(
-            [found[c] for c in ("red", "green", "blue")], picture[at[1], at[0]], atol=2e-3
+            [found[c] for c in ("red", "green", "blue")], image[at[1], at[0]], atol=2e-3
         )
 
 
@@ -113,12 +121,12 @@ def test_what_is_recorded_of_a_neural_field_is_what_is_drawn():
     weights = list(new_weights(rng, 8, 64))
     weights[1][:, 0] += np.float32(0.15)  # dense enough to be seen
     field = HashField(room, np.array([4, 5, 6, 8, 10, 12, 14, 16]), tables, tuple(weights))
-    picture, _, _ = draw_hash(field, CAMERA, Rigid3.identity(), WHITE)
+    image, _, _ = render_hash(field, CAMERA, Rigid3.identity(), WHITE)
     seen = []
     for at in ((31, 23), (20, 30), (1, 1)):
         found = summed("nerf", {"nerf": marched(field, CAMERA, Rigid3.identity(), at)})
         np.testing.assert_allclose(
-            [found[c] for c in ("red", "green", "blue")], picture[at[1], at[0]], atol=2e-3
+            [found[c] for c in ("red", "green", "blue")], image[at[1], at[0]], atol=2e-3
         )
         seen.append(found["weights"])
     assert max(seen) > 0.3

@@ -66,24 +66,24 @@ def test_the_object_is_dragged(tab):
     tab.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
     tab.page.mouse.down()
     tab.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.2 * box["height"])
-    held = tab.shown()["back"]
+    fixed = tab.shown()["back"]
     tab.page.mouse.up()
-    assert 2.5 < held < 5.0 and tab.shown()["back"] == held
+    assert 2.5 < fixed < 5.0 and tab.shown()["back"] == fixed
 
 
 def test_epipolar_lines(tab):
     tab.open("02_epipolar.html")
     K = CAMERA.K
-    places = itertools.product((0.0, 400.0, 639.0), (300.0,), (0.8, 4.5), (-20.0, 0.0))
+    positions = itertools.product((0.0, 400.0, 639.0), (300.0,), (0.8, 4.5), (-20.0, 0.0))
     motions = (
         (1.0, 0.0, 0.2, -10.0, 0.0, 0.0),
         (-0.3, 0.7, 0.4, 15.0, -20.0, 5.0),
         (0.0, 0.1, 1.0, 0.0, 3.0, -40.0),
     )
-    for (u, v, Z, off), (tx, ty, tz, yaw, pitch, roll) in itertools.product(places, motions):
+    for (u, v, Z, off), (tx, ty, tz, yaw, pitch, roll) in itertools.product(positions, motions):
         tab.set(u=u, v=v, Z=Z, off=off, tx=tx, ty=ty, tz=tz, yaw=yaw, pitch=pitch, roll=roll)
-        turned = Rotation3.exp(np.deg2rad([-pitch, yaw, roll])).matrix
-        motion = Rigid3(turned, np.array([tx, ty, tz])).inverse()
+        rotated = Rotation3.exp(np.deg2rad([-pitch, yaw, roll])).matrix
+        motion = Rigid3(rotated, np.array([tx, ty, tz])).inverse()
         E = essential_from_cam2_from_cam1(motion)
         F = fundamental_from_essential(E, K, K)
         shown = tab.shown()
@@ -164,7 +164,7 @@ def test_four_candidates(tab):
 
 def test_the_pictures_know_no_size(tab):
     tab.open("04_scale.html")
-    turned = Rotation3.exp(np.deg2rad([0.0, -10.0, 0.0])).matrix
+    rotated = Rotation3.exp(np.deg2rad([0.0, -10.0, 0.0])).matrix
     for k, B, W, anchor in itertools.product(
         (0.3, 1.0, 3.0), (0.2, 1.7), (0.5, 11.0), ("none", "baseline", "width")
     ):
@@ -173,7 +173,7 @@ def test_the_pictures_know_no_size(tab):
         disabled = [tab.page.locator(f"#{name}").is_disabled() for name in "BW"]
         assert disabled == [anchor != "baseline", anchor != "width"]
         shown, corners = tab.shown(), house(5.0)
-        motion = Rigid3(turned, np.array([1.0, 0.0, 0.0])).inverse()
+        motion = Rigid3(rotated, np.array([1.0, 0.0, 0.0])).inverse()
         for name, where in (("u1", Rigid3.identity()), ("u2", motion)):
             close(shown[name], CAMERA.project(where.apply(corners[1:2]))[0, 0])
         sizes = k * np.array([1.0, 2.0, np.linalg.norm(corners.mean(axis=0))])
@@ -236,7 +236,7 @@ def adjusted(cams_from_world, points, pixels, *, camera_is_free):
     return adjust_bundle(again, BundleConfig(function_tolerance=0.0))
 
 
-def way(step, s, most):
+def trajectory(step, s, most):
     """Cameras that are placed, known points, and how many pixels the last step used."""
     landmarks, noise_px = corridor()
     truth = [
@@ -256,8 +256,8 @@ def way(step, s, most):
             rows = [j for j in known if not np.isnan(last[j, 0])]
             count = min(most, len(rows))
             rows = [rows[k * len(rows) // count] for k in range(count)]
-            start, places = cameras[-1][None], [known[j] for j in rows]
-            cameras.append(adjusted(start, places, last[rows], camera_is_free=True).rig_from_world[0])
+            start, positions = cameras[-1][None], [known[j] for j in rows]
+            cameras.append(adjusted(start, positions, last[rows], camera_is_free=True).rig_from_world[0])
             used = len(rows)
             continue
         seen = ~np.isnan(np.array(pixels[: len(cameras)])[..., 0])
@@ -292,16 +292,16 @@ def test_a_camera_on_its_way(tab):
         (3, 2.0, 6),
     ):
         tab.set(step=step, s=s, most=most)
-        shown, (truth, cameras, known, used) = tab.shown(), way(step, s, most)
+        shown, (truth, cameras, known, used) = tab.shown(), trajectory(step, s, most)
         last, right = cameras[-1], truth[len(cameras) - 1]
         assert [shown[name] for name in ("seen", "cameras", "points")] == [used, len(cameras), len(known)]
         apart = np.linalg.norm(last.inverse().translation - right.inverse().translation)
-        turned = np.rad2deg(np.linalg.norm(Rotation3(last.rotation @ right.rotation.T).log()))
+        rotated = np.rad2deg(np.linalg.norm(Rotation3(last.rotation @ right.rotation.T).log()))
         off = np.median([np.linalg.norm(point - landmarks[j]) for j, point in known.items()])
         # An adjustment ends where the last digit of its cost does: 1e-9 of the way in metres, and of a radian.
         for name, wanted, size in (
             ("camera_off", apart, 10.0),
-            ("turn_off", turned, 57.3),
+            ("turn_off", rotated, 57.3),
             ("points_off", off, 10.0),
         ):
             close(shown[name], wanted, size)
@@ -327,13 +327,13 @@ def best_essential(one, two, start):
 
 def test_which_model(tab):
     tab.open("07_models.html")
-    places, noise_px = wall()
+    positions, noise_px = wall()
     chosen = {"H": PairKind.PLANAR, "R": PairKind.ROTATION, "E": PairKind.GENERAL, "S": PairKind.NO_MOTION}
     for relief, tx, yaw, s in itertools.product((0.0, 0.4, 3.0), (0.0, 1.5), (0.0, -8.0), (0.25, 2.0)):
         at = {"relief": relief, "tx": tx, "yaw": yaw, "s": s}
         tab.set(**at)
         shown = tab.shown()
-        x, y, deep = places.T
+        x, y, deep = positions.T
         points = np.column_stack([x, y, 6 + 0.3 * x - 0.2 * y + relief * deep])
         motion = Rigid3(Rotation3.exp(np.deg2rad([0.0, yaw, 0.0])).matrix, np.array([tx, 0.0, 0.0])).inverse()
         one, two = (

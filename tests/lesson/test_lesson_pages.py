@@ -29,13 +29,13 @@ def leaves(value, path=""):
 
 @pytest.mark.parametrize("name", ["lesson", "index", *(page.name for page in PAGES)])
 def test_every_text_is_there_in_both_languages(name):
-    for place, told in leaves(texts(name)):
-        assert isinstance(told, dict), f"{place} has one language"
-        assert all(told.values()), place
-        en, zh = ({*re.findall(r"\{\w+\}|<[a-z/]+>", told[code])} for code in ("en", "zh"))
-        assert en == zh, f"{place}: {en ^ zh}"
-        assert re.search("[\u4e00-\u9fff]", told["zh"]) or told["zh"] == told["en"], place
-        assert not re.search("[\u4e00-\u9fff] ?[,:;?!]|[,:;?!] ?[\u4e00-\u9fff]", told["zh"]), place
+    for position, given in leaves(texts(name)):
+        assert isinstance(given, dict), f"{position} has one language"
+        assert all(given.values()), position
+        en, zh = ({*re.findall(r"\{\w+\}|<[a-z/]+>", given[code])} for code in ("en", "zh"))
+        assert en == zh, f"{position}: {en ^ zh}"
+        assert re.search("[\u4e00-\u9fff]", given["zh"]) or given["zh"] == given["en"], position
+        assert not re.search("[\u4e00-\u9fff] ?[,:;?!]|[,:;?!] ?[\u4e00-\u9fff]", given["zh"]), position
 
 
 def test_pages_are_small_and_name_their_language():
@@ -55,9 +55,9 @@ def test_a_page_opens_at_once_and_loads_nothing(tab, name):
     while (
         len(seconds) < 3 and min(seconds, default=MOST_SECONDS) >= MOST_SECONDS
     ):  # others may use the processor, too
-        begin = time.perf_counter()
+        start = time.perf_counter()
         tab.open(name)
-        seconds.append(time.perf_counter() - begin)
+        seconds.append(time.perf_counter() - start)
     assert min(seconds) < MOST_SECONDS
     assert tab.loaded == [(tab.folder / name).as_uri()]
     if "<script>" in lesson_pages()[name]:

@@ -22,9 +22,9 @@ class Ring:
         """Lines of a file of lengths: both ends in these pictures."""
         camera, cams, out = self.truth.cameras[0], self.truth.cams_from_world(), []
         metres = float(np.linalg.norm(ends[0] - ends[1])) if metres is None else metres
-        for end, place in zip("ab", ends, strict=True):
+        for end, position in zip("ab", ends, strict=True):
             for i in views:
-                x, y = camera.project(cams[i].apply(place[None]))[0] + (
+                x, y = camera.project(cams[i].apply(position[None]))[0] + (
                     0 if noise is None else noise.normal(size=2)
                 )
                 out.append(f"{name} {metres} {end} {self.truth.images.name[i]} {x} {y}\n")
@@ -36,7 +36,7 @@ def ring(seed=0, count=24, noise_px=0.5):
     truth = replace(truth, frames=replace(truth.frames, timestamp_s=np.arange(count) * 0.5))
     model, _ = adjust_reconstruction(truth, freedom=Freedom(focal=False, distortion=False))
     rng = np.random.default_rng(seed)
-    turn = Rotation3.exp(rng.normal(size=3)).matrix
-    model = model.transformed(Similarity3(np.asarray(0.4), turn, rng.normal(size=3)))
+    rotation = Rotation3.exp(rng.normal(size=3)).matrix
+    model = model.transformed(Similarity3(np.asarray(0.4), rotation, rng.normal(size=3)))
     fit = align_points(model.camera_centers_in_world(), truth.camera_centers_in_world())
     return Ring(model, truth, float(fit.scale))

@@ -11,8 +11,8 @@ from anchored_rings import ring
 from epipole.config import AnchorOptions
 from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.geometry import Rigid3
-from epipole.scale import anchor_model, place_covariance, views_of_model
-from epipole.scale.anchor_views import places_at
+from epipole.scale import anchor_model, position_covariance, views_of_model
+from epipole.scale.anchor_views import positions_at
 from epipole.synthetic import SyntheticScene, render
 from epipole.synthetic.markers import chessboard_sheet, tag_sheet
 
@@ -30,8 +30,8 @@ def nothing(_):
     return None
 
 
-def anchored(known, options, picture=nothing):
-    found = anchor_model(views_of_model(known.model, picture), options)
+def anchored(known, options, image=nothing):
+    found = anchor_model(views_of_model(known.model, image), options)
     return found, found.scale.scale / known.metres - 1.0
 
 
@@ -49,7 +49,7 @@ def test_lengths_one_of_them_wrong(known, tmp_path, rng):
     assert abs(off) < 2.5 * found.scale.relative_sigma < 0.02
     assert found.scale.in_words().startswith("metres, from 2 lengths: known to ")
     assert [w[:26] for w in found.scale.warnings()] == ["length L1 does not count: "]
-    assert np.array_equal(found.world_from_model.rotation, np.eye(3)) and found.places is None
+    assert np.array_equal(found.world_from_model.rotation, np.eye(3)) and found.positions is None
 
 
 def test_lengths_that_tell_nothing_say_why(known, tmp_path):
@@ -76,7 +76,7 @@ def test_measured_places_give_the_world_too(known, tmp_path, rng):
     found, off = anchored(known, AnchorOptions(positions=write(tmp_path, text), positions_sigma_m=0.01))
     assert abs(off) < 3 * found.scale.relative_sigma
     there = known.model.transformed(found.world_from_model).camera_centers_in_world()
-    assert np.abs(there - centers).max() < 0.05 and np.isfinite(found.places.positions).all()
+    assert np.abs(there - centers).max() < 0.05 and np.isfinite(found.positions.positions).all()
     line = "".join(f"{n} {i} {i} 0\n" for i, n in enumerate(names))
     with pytest.raises(DegenerateGeometryError, match="measured places"):
         anchored(known, AnchorOptions(positions=write(tmp_path, line)))
@@ -86,7 +86,7 @@ def test_places_by_time_and_odometry(known, tmp_path):
     centers = known.truth.camera_centers_in_world()
     text = "".join(f"{0.5 * n} {x} {y} {z}\n" for n, (x, y, z) in enumerate(centers))
     found, off = anchored(known, AnchorOptions(positions=write(tmp_path, text), positions_sigma_m=0.01))
-    assert abs(off) < 0.01 and found.places.num_measured == 24
+    assert abs(off) < 0.01 and found.positions.num_measured == 24
     wheels = text.replace("\n", " 0 0 0 1\n")
     found, off = anchored(known, AnchorOptions(odometry=write(tmp_path, wheels)))
     assert abs(off) < 2 * found.scale.relative_sigma and "of odometry" in found.scale.in_words()
@@ -96,8 +96,8 @@ def test_places_by_time_and_odometry(known, tmp_path):
 def test_odometry_of_a_point_beside_the_camera(known, tmp_path, kind):
     """Half a metre behind a camera that looks inward: the wheels went further round."""
     mounting = Rigid3(np.eye(3), np.array([0.0, 0.1, -0.5]))  # camera_from_body
-    places = known.truth.cams_from_world().inverse()
-    centers = places.translation + places.rotation @ mounting.translation
+    positions = known.truth.cams_from_world().inverse()
+    centers = positions.translation + positions.rotation @ mounting.translation
     text = "".join(f"{0.5 * n} {x} {y} {z} 0 0 0 1\n" for n, (x, y, z) in enumerate(centers))
     matrix = (mounting if kind == "T_cam_imu" else mounting.inverse()).as_matrix()
     content = {
@@ -115,7 +115,7 @@ def test_odometry_of_a_point_beside_the_camera(known, tmp_path, kind):
 
 @pytest.mark.parametrize("kind", ["tags", "board", "nothing"])
 def test_objects_in_rendered_pictures(known, kind):
-    lens = known.truth.cameras[0].scaled_to(480, 360)
+    camera = known.truth.cameras[0].scaled_to(480, 360)
     cams = known.truth.cams_from_world()
     axes = (0.0, 1.0, 0.0), (0.0, 0.0, -1.0)
     things = chessboard_sheet(6, 4, 0.15, (0.0, 0.0, 0.0), *axes)
@@ -124,15 +124,15 @@ def test_objects_in_rendered_pictures(known, kind):
     scene = SyntheticScene.of(things, light=(1.0, 0.0, 0.3))
     size = {"tag_size_m": 0.4} if kind != "board" else {"board": "6x4", "square_m": 0.15}
 
-    def picture(row):
+    def image(row):
         if row not in (0, 2, 22):
             return None
-        drawn = render(scene, lens, cams[row], noise_sigma=2.0, seed=row)
-        return cv2.cvtColor(drawn.rgb, cv2.COLOR_RGB2GRAY)
+        rendered = render(scene, camera, cams[row], noise_sigma=2.0, seed=row)
+        return cv2.cvtColor(rendered.rgb, cv2.COLOR_RGB2GRAY)
 
-    views = views_of_model(known.model, picture)
+    views = views_of_model(known.model, image)
     # The pictures are smaller than those of the model.
-    object.__setattr__(views, "cameras", (lens,) * len(views))
+    object.__setattr__(views, "cameras", (camera,) * len(views))
     if kind == "nothing":
         with pytest.raises(DegenerateGeometryError, match="no tag of 36h11 is seen"):
             anchor_model(views, AnchorOptions(tag_size_m=0.4))
@@ -149,15 +149,15 @@ def test_covariance_of_a_place_is_that_of_its_errors(known):
     moved = known.truth
     away = []
     for image in range(24):
-        covariance = place_covariance(moved, image)
+        covariance = position_covariance(moved, image)
         assert (np.linalg.eigvalsh(covariance) > 0).all()
         away.append(np.sqrt(np.trace(covariance[:3, :3])))
     assert 1e-4 < np.median(away) < 1e-2
 
 
 def test_places_between_instants():
-    known_s, places = np.array([0.0, 1.0, 2.0, 9.0]), np.arange(12.0).reshape(4, 3)
-    found = places_at(known_s, places, np.array([0.5, 2.0, 5.0, 9.5]))
+    known_s, positions = np.array([0.0, 1.0, 2.0, 9.0]), np.arange(12.0).reshape(4, 3)
+    found = positions_at(known_s, positions, np.array([0.5, 2.0, 5.0, 9.5]))
     np.testing.assert_allclose(found[:2], [[1.5, 2.5, 3.5], [6, 7, 8]])
     assert np.isnan(found[2:]).all()
 

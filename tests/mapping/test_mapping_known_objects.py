@@ -15,18 +15,18 @@ BAR = np.array([[0.0, 0, 0], [1, 0, 0]])
 SPREAD = np.diag([4e-6] * 3 + [1e-6] * 3)
 
 
-def stacked(places):
-    return Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places]))
+def stacked(positions):
+    return Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))
 
 
 def seen(shape, rng, count=8, sigma=0.3, unit=1.0, reach=1.0):
     """Cameras (with errors, in a unit of their own) and pixels of an object."""
     centers = rng.normal(size=(count, 3)) * [reach, reach, 0.2] + [0, 0, -2.5]
-    places = [look_at(c, 0.1 * rng.normal(size=3), (0, -1, 0)) for c in centers]
+    positions = [look_at(c, 0.1 * rng.normal(size=3), (0, -1, 0)) for c in centers]
     points = shape @ Rotation3.exp(0.4 * rng.normal(size=3)).matrix.T + 0.2 * rng.normal(size=3)
-    pixels = np.stack([CAMERA.project(p.apply(points)) for p in places])
+    pixels = np.stack([CAMERA.project(p.apply(points)) for p in positions])
     pixels += sigma * rng.standard_normal(pixels.shape)
-    moved = stacked([Rigid3.exp(rng.multivariate_normal(np.zeros(6), SPREAD)) @ p for p in places])
+    moved = stacked([Rigid3.exp(rng.multivariate_normal(np.zeros(6), SPREAD)) @ p for p in positions])
     shrunk = np.diag([1 / unit] * 3 + [1.0] * 3)
     covariance = np.tile(shrunk @ SPREAD @ shrunk, (count, 1, 1))
     return Rigid3(moved.rotation, moved.translation / unit), [CAMERA] * count, pixels, covariance
@@ -46,7 +46,8 @@ def test_the_true_scale_lies_within_what_is_stated(rng, shape, sigma):
 def test_uncertain_cameras_are_part_of_the_deviation(rng):
     cams, cameras, pixels, covariance = seen(TAG, rng)
     found = [
-        fit_scale_to_object(TAG, cams, cameras, pixels, 0.3, share * covariance) for share in (1.0, 100.0)
+        fit_scale_to_object(TAG, cams, cameras, pixels, 0.3, fraction * covariance)
+        for fraction in (1.0, 100.0)
     ]
     assert found[1].sigma > 2.0 * found[0].sigma
     assert "8 of 8 views" in repr(found[0])

@@ -20,8 +20,8 @@ def test_a_start_becomes_a_model():
 
 def test_constant_cameras_and_freedoms_are_kept():
     problem = bundle_problem(6, 100, 4)
-    held, _ = adjust_reconstruction(problem.start, freedom=Freedom(focal=False, distortion=False))
-    np.testing.assert_array_equal(held.cameras.params, problem.start.cameras.params)
+    fixed, _ = adjust_reconstruction(problem.start, freedom=Freedom(focal=False, distortion=False))
+    np.testing.assert_array_equal(fixed.cameras.params, problem.start.cameras.params)
     assert not bundle_problem_of(problem.start, Freedom(focal=False, distortion=False)).params_free.any()
 
 

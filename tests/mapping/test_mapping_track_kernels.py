@@ -69,8 +69,8 @@ def test_tracks_become_points(
     builder = model(rng, num_points)
     every = np.arange(num_points)
     builder.triangulate(every, 4.0, 0.01)  # no image is registered
-    for image, place in enumerate(PLACES[:3]):
-        builder.register(image, Rigid3(place.rotation, place.translation))
+    for image, position in enumerate(PLACES[:3]):
+        builder.register(image, Rigid3(position.rotation, position.translation))
     builder.triangulate(every, 4.0, 0.01)
     made = builder.num_points
     builder.register(3, Rigid3(PLACES[3].rotation, PLACES[3].translation))

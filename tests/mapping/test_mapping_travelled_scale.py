@@ -11,8 +11,8 @@ WAY = np.stack([6 * np.cos(0.2 * TIMES), 4 * np.sin(0.2 * TIMES), 0.1 * np.sin(T
 STEPS = np.linalg.norm(np.diff(WAY, axis=0), axis=1)
 
 
-def travelled(rng, share=0.0, scatter=0.02):
-    steps = STEPS * (1 + share) * (1 + scatter * rng.standard_normal(len(STEPS)))
+def travelled(rng, fraction=0.0, scatter=0.02):
+    steps = STEPS * (1 + fraction) * (1 + scatter * rng.standard_normal(len(STEPS)))
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
@@ -25,7 +25,7 @@ def test_the_true_scale_lies_within_what_is_stated(rng):
     for _ in range(100):
         wheels = travelled(rng, 0.01 * rng.normal())
         found = fit_scale_to_distances(TIMES, model(rng), TIMES, wheels, None, 0.01)
-        away.append((found.scale / 2.0 - 1.0) / found.share)
+        away.append((found.scale / 2.0 - 1.0) / found.fraction)
     assert 0.7 < np.std(away) < 1.2 and (np.abs(away) < 2).mean() >= 0.9
 
 
@@ -41,25 +41,25 @@ def test_slip_does_not_count(rng):
 def test_places_by_odometry_are_compared_over_stretches(rng):
     drifting = WAY * 1.005 + np.cumsum(0.001 * rng.standard_normal(WAY.shape), axis=0) + [100.0, 5, 0]
     found = fit_scale_to_distances(TIMES, model(rng), TIMES[::3], None, drifting[::3], 0.01)
-    assert found.scale == pytest.approx(2.0, abs=3 * found.share * 2.0)
+    assert found.scale == pytest.approx(2.0, abs=3 * found.fraction * 2.0)
 
 
 def test_too_little_is_refused(rng):
-    wheels, places = travelled(rng), model(rng)
+    wheels, positions = travelled(rng), model(rng)
     with pytest.raises(DegenerateGeometryError, match="stood still"):
-        fit_scale_to_distances(TIMES, places, TIMES, 0 * wheels, None, 0.01)
+        fit_scale_to_distances(TIMES, positions, TIMES, 0 * wheels, None, 0.01)
     with pytest.raises(DegenerateGeometryError, match="0 pictures"):
-        fit_scale_to_distances(TIMES, places, TIMES + 100, wheels, None, 0.01)
+        fit_scale_to_distances(TIMES, positions, TIMES + 100, wheels, None, 0.01)
     with pytest.raises(DegenerateGeometryError, match="0 pictures"):
-        fit_scale_to_distances(TIMES, places, np.zeros(0), np.zeros(0), None, 0.01)
+        fit_scale_to_distances(TIMES, positions, np.zeros(0), np.zeros(0), None, 0.01)
     spinning = np.cumsum(np.repeat(np.exp(1.5 * rng.standard_normal(43)), 7))
-    lost = fit_scale_to_distances(TIMES, places, TIMES, spinning, None, 0.01)
+    lost = fit_scale_to_distances(TIMES, positions, TIMES, spinning, None, 0.01)
     with pytest.raises(DegenerateGeometryError, match="known to"):
         agreed_scale([lost])
     with pytest.raises(ConfigError, match="share"):
-        fit_scale_to_distances(TIMES, places, TIMES, wheels, None, 1.5)
+        fit_scale_to_distances(TIMES, positions, TIMES, wheels, None, 1.5)
     with pytest.raises(ShapeError, match="either"):
-        fit_scale_to_distances(TIMES, places, TIMES, wheels, places, 0.01)
+        fit_scale_to_distances(TIMES, positions, TIMES, wheels, positions, 0.01)
 
 
 AHEAD = 0.5
@@ -72,17 +72,17 @@ def drive(rng, num=600, *, spin=False):
         Times, places of the wheels' middle, levers from the camera to it, and the way of the wheels.
     """
     times, step = 0.1 * np.arange(num), 0.05
-    turn = 1.4 * np.sin(2.1 * step * np.arange(num)) + 0.4 * np.cumsum(0.1 * rng.standard_normal(num))
+    rotation = 1.4 * np.sin(2.1 * step * np.arange(num)) + 0.4 * np.cumsum(0.1 * rng.standard_normal(num))
     steps = np.full(num - 1, step)
     if spin:
         resting = np.arange(num - 1) % 60 < 12
-        steps[resting], turn = 0.0, turn + 0.15 * np.cumsum([0, *resting])
-    ahead = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
-    way = np.concatenate([[0.0], np.cumsum(steps)])
+        steps[resting], rotation = 0.0, rotation + 0.15 * np.cumsum([0, *resting])
+    ahead = np.stack([np.cos(rotation), np.sin(rotation), 0 * rotation], axis=1)
+    trajectory = np.concatenate([[0.0], np.cumsum(steps)])
     wheels = np.concatenate(
         [np.zeros((1, 3)), np.cumsum(steps[:, None] * (ahead[1:] + ahead[:-1]) / 2, axis=0)]
     )
-    return times, wheels, -AHEAD * ahead, way
+    return times, wheels, -AHEAD * ahead, trajectory
 
 
 @pytest.mark.parametrize("kind", ["distances", "places"])
@@ -90,15 +90,15 @@ def test_a_camera_ahead_of_the_wheels(rng, kind):
     """Without the mounting the scale is wrong by per cent; with it the truth lies within what is stated."""
     away, without = [], []
     for _ in range(60):
-        times, wheels, levers, way = drive(rng)
-        places = (wheels - levers + 0.002 * rng.standard_normal(wheels.shape)) / 2.0
+        times, wheels, levers, trajectory = drive(rng)
+        positions = (wheels - levers + 0.002 * rng.standard_normal(wheels.shape)) / 2.0
         unit = 1 + 0.01 * rng.normal()
-        steps = np.diff(way) * unit * (1 + 0.02 * rng.standard_normal(len(times) - 1))
+        steps = np.diff(trajectory) * unit * (1 + 0.02 * rng.standard_normal(len(times) - 1))
         travelled = np.concatenate([[0.0], np.cumsum(steps)]) if kind == "distances" else None
         there = wheels * unit if kind == "places" else None
-        known = (times, places, times, travelled, there, 0.01)
+        known = (times, positions, times, travelled, there, 0.01)
         found = fit_scale_to_distances(*known, levers)
-        away.append((found.scale / 2.0 - 1.0) / found.share)
+        away.append((found.scale / 2.0 - 1.0) / found.fraction)
         without.append(fit_scale_to_distances(*known).scale / 2.0 - 1.0)
     assert 0.6 < np.std(away) < 1.3 and (np.abs(away) < 2).mean() >= 0.9
     assert np.mean(without) < -0.03 if kind == "distances" else np.abs(without).mean() > 0.02
@@ -107,16 +107,19 @@ def test_a_camera_ahead_of_the_wheels(rng, kind):
 @pytest.mark.parametrize("factor", [1.0, 0.3])
 def test_turns_on_the_spot(rng, factor):
     """The camera goes round the wheels while they stand still; distances are exact, and so is the scale."""
-    times, wheels, levers, way = drive(rng, spin=True)
-    places = factor * (wheels - levers)
-    found = fit_scale_to_distances(times, places, times, way, None, 0.01, levers)
+    times, wheels, levers, trajectory = drive(rng, spin=True)
+    positions = factor * (wheels - levers)
+    found = fit_scale_to_distances(times, positions, times, trajectory, None, 0.01, levers)
     assert found.scale * factor == pytest.approx(1.0, rel=0.005)
-    assert abs(fit_scale_to_distances(times, places, times, way, None, 0.01).scale * factor - 1.0) > 0.1
+    assert (
+        abs(fit_scale_to_distances(times, positions, times, trajectory, None, 0.01).scale * factor - 1.0)
+        > 0.1
+    )
 
 
 def test_slip_with_a_mounting(rng):
-    times, wheels, levers, way = drive(rng)
-    steps = np.diff(way)
+    times, wheels, levers, trajectory = drive(rng)
+    steps = np.diff(trajectory)
     steps[100:180] *= 1.6
     slipped = np.concatenate([[0.0], np.cumsum(steps)])
     found = fit_scale_to_distances(times, (wheels - levers) / 3, times, slipped, None, 0.0, levers)
@@ -126,13 +129,15 @@ def test_slip_with_a_mounting(rng):
 def test_a_mounting_that_tells_no_scale(rng):
     angle = 0.05 * np.arange(200)
     around = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    times, way = 0.1 * np.arange(200), 0.3 * angle
+    times, trajectory = 0.1 * np.arange(200), 0.3 * angle
     with pytest.raises(DegenerateGeometryError, match=r"two scales fit, 4 and (1|0\.999)"):
         # The wheels go round a circle of 0.3 m, the camera half a metre inward of them, on its other side.
-        fit_scale_to_distances(times, -0.2 * around, times, way, None, 0.01, 0.5 * around)
+        fit_scale_to_distances(times, -0.2 * around, times, trajectory, None, 0.01, 0.5 * around)
     with pytest.raises(DegenerateGeometryError, match="stood still"):
-        fit_scale_to_distances(times, 0 * around, times, way, None, 0.01, 0.3 * around)
+        fit_scale_to_distances(times, 0 * around, times, trajectory, None, 0.01, 0.3 * around)
     with pytest.raises(DegenerateGeometryError, match="at no scale"):
-        fit_scale_to_distances(times, np.roll(around, 1, axis=1), times, 0.01 * way, None, 0.01, 2.0 * around)
+        fit_scale_to_distances(
+            times, np.roll(around, 1, axis=1), times, 0.01 * trajectory, None, 0.01, 2.0 * around
+        )
     with pytest.raises(ShapeError, match="finite"):
-        fit_scale_to_distances(times, around, times, way, None, 0.01, np.nan * around)
+        fit_scale_to_distances(times, around, times, trajectory, None, 0.01, np.nan * around)

@@ -72,8 +72,8 @@ def test_known_errors_under_a_given_alignment() -> None:
     truth = cameras_at(np.random.default_rng(2).normal(size=(4, 3)))
     alignment = align_cameras(truth, truth)
     shifts = np.array([[0.0, 0, 0], [3, 4, 0], [0, 0, 1], [0, 2, 0]])
-    turns = Rotation3.exp(np.radians([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 5]])).matrix
-    rotation = turns @ truth.rotation
+    rotations = Rotation3.exp(np.radians([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 5]])).matrix
+    rotation = rotations @ truth.rotation
     moved = Rigid3(rotation, -(rotation @ (truth.centers() + shifts)[:, :, None])[:, :, 0])
     errors = camera_errors(moved, truth, alignment)
     assert np.allclose(errors.position, [0, 5, 1, 2], atol=1e-9)

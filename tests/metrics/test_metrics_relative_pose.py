@@ -8,8 +8,8 @@ from epipole.geometry import Rigid3, Rotation3, Similarity3
 from epipole.metrics import area_under_recall, relative_pose_auc, relative_pose_errors_deg
 
 
-def cameras(centers: np.ndarray, turns_deg: np.ndarray) -> Rigid3:
-    rotation = Rotation3.exp(np.radians(turns_deg)).matrix
+def cameras(centers: np.ndarray, rotations_deg: np.ndarray) -> Rigid3:
+    rotation = Rotation3.exp(np.radians(rotations_deg)).matrix
     return Rigid3(rotation, -(rotation @ centers[:, :, None])[:, :, 0])
 
 
@@ -52,8 +52,8 @@ def test_relative_poses_do_not_depend_on_the_coordinates() -> None:
 
 def test_rotation_error_of_one_camera_touches_its_pairs_alone() -> None:
     truth = cameras(SQUARE, np.zeros((4, 3)))
-    turned = cameras(SQUARE, np.array([[0.0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 2.0]]))
-    errors = relative_pose_errors_deg(turned, truth, np.ones(4, bool))
+    rotated = cameras(SQUARE, np.array([[0.0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 2.0]]))
+    errors = relative_pose_errors_deg(rotated, truth, np.ones(4, bool))
     # pairs in order 01 02 03 12 13 23
     assert np.allclose(errors, [0, 0, 2, 0, 2, 2], atol=1e-6)
 

@@ -9,36 +9,36 @@ from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Rigid3, Rotation3, Similarity3
 from epipole.io import read_trajectory
 from epipole.metrics import absolute_error, associate, drift_per_length, relative_error, score_trajectory
-from epipole.metrics.numbered_truth import at_numbers_of_pictures
+from epipole.metrics.numbered_truth import at_image_numbers
 from epipole.scene import Trajectory
 
 
 @pytest.fixture
-def places(rng) -> Rigid3:
+def positions(rng) -> Rigid3:
     return Rigid3.exp(rng.normal(size=(30, 6)))
 
 
-def moved(places: Rigid3, by: Similarity3) -> Rigid3:
-    return Rigid3(by.rotation @ places.rotation, by.apply(places.translation))
+def moved(positions: Rigid3, by: Similarity3) -> Rigid3:
+    return Rigid3(by.rotation @ positions.rotation, by.apply(positions.translation))
 
 
-def test_what_an_alignment_is_free_of_costs_nothing(places):
-    turn = Rotation3.exp(np.array([0.3, -0.2, 0.9])).matrix
+def test_what_an_alignment_is_free_of_costs_nothing(positions):
+    rotation = Rotation3.exp(np.array([0.3, -0.2, 0.9])).matrix
     for scale, alignment in ((1.0, "rigid"), (2.5, "similarity")):
         found = absolute_error(
-            moved(places, Similarity3(np.asarray(scale), turn, np.ones(3))), places, alignment
+            moved(positions, Similarity3(np.asarray(scale), rotation, np.ones(3))), positions, alignment
         )
         assert found.position.max < 1e-12 and found.rotation_deg.max < 1e-5
         assert float(found.truth_from_estimate.scale) == pytest.approx(1 / scale)
-    shifted = moved(places, Similarity3(np.asarray(1.0), np.eye(3), np.array([3.0, 4.0, 0.0])))
-    assert absolute_error(shifted, places, "none").position.rmse == pytest.approx(5.0)
-    step, turned = relative_error(shifted, places)
-    assert step.max < 1e-12 and turned.max < 1e-5
+    shifted = moved(positions, Similarity3(np.asarray(1.0), np.eye(3), np.array([3.0, 4.0, 0.0])))
+    assert absolute_error(shifted, positions, "none").position.rmse == pytest.approx(5.0)
+    step, rotated = relative_error(shifted, positions)
+    assert step.max < 1e-12 and rotated.max < 1e-5
 
 
-def test_each_instant_finds_the_nearest_of_the_other(places):
-    truth = Trajectory(np.arange(30) * 0.1, places)
-    sparse = Trajectory(np.array([0.104, 0.52, 1.996, 7.0]), places[np.arange(4)])
+def test_each_instant_finds_the_nearest_of_the_other(positions):
+    truth = Trajectory(np.arange(30) * 0.1, positions)
+    sparse = Trajectory(np.array([0.104, 0.52, 1.996, 7.0]), positions[np.arange(4)])
     rows, rows_of_truth = associate(sparse, truth)
     assert rows.tolist() == [0, 2] and rows_of_truth.tolist() == [1, 20]
     assert [list(r) for r in associate(truth, sparse)] == [[1, 20], [0, 2]]
@@ -102,7 +102,7 @@ def assert_same(found, theirs):
         assert getattr(found, name) == pytest.approx(theirs[name], abs=1e-9)
 
 
-def test_scores_of_another_scale_are_told_with_it(places):
+def test_scores_of_another_scale_are_told_with_it(positions):
     """Steps and KITTI's drift of a path of unknown scale count after the scale is aligned."""
     along = np.linspace(0, 300, 301)[:, None] * np.array([1.0, 0.0, 0.0])
     along[:, 1] = 20 * np.sin(along[:, 0] / 40)
@@ -114,7 +114,7 @@ def test_scores_of_another_scale_are_told_with_it(places):
     steps = np.linalg.norm(np.diff(along, axis=0), axis=1)
     assert found.rigid.step_rmse == pytest.approx(0.5 * np.sqrt(np.mean(steps**2)))
     assert found.rigid.scale == 1.0 and 40 < found.rigid.kitti_percent < 55 and found.coverage == 1.0
-    few = Trajectory(np.array([0.0, 1.0, 7.5]), places[:3])
+    few = Trajectory(np.array([0.0, 1.0, 7.5]), positions[:3])
     with pytest.raises(DegenerateGeometryError, match="2 of 3 instants"):
         score_trajectory(few, truth)
 
@@ -125,16 +125,16 @@ def test_a_truth_of_picture_numbers_gets_the_pictures_times() -> None:
     names = [f"frame-{2 * n:06d}.color.jpg" for n in range(25)]
     times = 100.0 + np.arange(25) / 15
     times[3] = np.nan
-    found = at_numbers_of_pictures(truth, [n.replace(".color", "") for n in names], times, 0.01)
+    found = at_image_numbers(truth, [n.replace(".color", "") for n in names], times, 0.01)
     assert found is not None and len(found) == 24
     every_third = np.where(np.arange(25) % 3, np.nan, times)  # frames that were passed over have no times
-    assert len(at_numbers_of_pictures(truth, names, every_third, 0.01)) == np.isfinite(every_third).sum()
+    assert len(at_image_numbers(truth, names, every_third, 0.01)) == np.isfinite(every_third).sum()
     np.testing.assert_array_equal(found.timestamp_s, np.delete(times, 3))
     np.testing.assert_array_equal(
         found.world_from_body.translation, np.delete(poses.translation[::2], 3, axis=0)
     )
     # What are times indeed, or numbers of other pictures, stays as it is.
     timed = Trajectory(times[~np.isnan(times)], poses[np.arange(24)])
-    assert at_numbers_of_pictures(timed, names, times, 0.01) is None
-    assert at_numbers_of_pictures(truth, [f"{n + 1000}.png" for n in range(25)], times, 0.01) is None
-    assert at_numbers_of_pictures(truth, [], np.zeros(0), 0.01) is None
+    assert at_image_numbers(timed, names, times, 0.01) is None
+    assert at_image_numbers(truth, [f"{n + 1000}.png" for n in range(25)], times, 0.01) is None
+    assert at_image_numbers(truth, [], np.zeros(0), 0.01) is None

@@ -90,13 +90,13 @@ def test_the_step_solves_the_full_normal_equations(rng):
 
 def test_what_is_held_stays(rng):
     _, start = ring(rng)
-    held = replace(
+    fixed = replace(
         start,
         frame_free=np.concatenate([np.zeros((2, 6)), np.ones((6, 6))]),
         params_free=np.zeros((1, 12)),
         point_free=np.concatenate([np.zeros(20), np.ones(130)]),
     )
-    result = adjust_bundle(held)
+    result = adjust_bundle(fixed)
     np.testing.assert_array_equal(result.rig_from_world.translation[:2], start.rig_from_world.translation[:2])
     np.testing.assert_array_equal(result.camera_params, start.camera_params)
     np.testing.assert_array_equal(result.points_in_world[:20], start.points_in_world[:20])

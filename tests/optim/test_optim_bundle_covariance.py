@@ -25,16 +25,16 @@ EXACT = BundleConfig(function_tolerance=1e-12)
 
 def dense_inverse(problem, result):
     """(J^T J)^-1 by numeric derivatives over all unknowns: of frames, then parameters, then points."""
-    places, points, params = result.rig_from_world, result.points_in_world, result.camera_params[0]
+    positions, points, params = result.rig_from_world, result.points_in_world, result.camera_params[0]
     owner = np.repeat(np.arange(len(points)), np.diff(problem.offsets))
 
     def residuals(twist, change, shift):
         camera = Camera(CameraModel.RADIAL, 1000, 800, params[:5] + change[:5])
         return camera.project(
-            (Rigid3.exp(twist) @ places)[problem.frame].apply((points + shift)[owner])
+            (Rigid3.exp(twist) @ positions)[problem.frame].apply((points + shift)[owner])
         ).ravel()
 
-    zeros = (np.zeros((len(places.translation), 6)), np.zeros(8), np.zeros_like(points))
+    zeros = (np.zeros((len(positions.translation), 6)), np.zeros(8), np.zeros_like(points))
     masks = (problem.frame_free, problem.params_free[0], np.repeat(problem.point_free[:, None], 3, axis=1))
     columns, names = [], []
     for part, mask in enumerate(masks):
@@ -79,13 +79,13 @@ def test_they_hold_in_simulation():
         truth, start = ring(rng, num_frames=6, num_points=60)
         free = truth.frame_free.copy()
         free[:2] = 0.0  # two held frames give the place and the scale
-        held = replace(
+        fixed = replace(
             start, frame_free=free, params_free=np.zeros((1, 12)), camera_params=truth.camera_params
         )
-        places = (truth.rig_from_world, start.rig_from_world)
-        rotation = np.concatenate([places[0].rotation[:2], places[1].rotation[2:]])
-        translation = np.concatenate([places[0].translation[:2], places[1].translation[2:]])
-        problem = replace(held, rig_from_world=Rigid3(rotation, translation))
+        positions = (truth.rig_from_world, start.rig_from_world)
+        rotation = np.concatenate([positions[0].rotation[:2], positions[1].rotation[2:]])
+        translation = np.concatenate([positions[0].translation[:2], positions[1].translation[2:]])
+        problem = replace(fixed, rig_from_world=Rigid3(rotation, translation))
         result = adjust_bundle(problem, EXACT)
         found = bundle_covariance(problem, result, noise_px=NOISE_PX)
         error = (result.rig_from_world @ truth.rig_from_world.inverse()).log()[2:]
@@ -94,9 +94,9 @@ def test_they_hold_in_simulation():
         points += [e @ np.linalg.solve(c, e) for e, c in zip(shift, found.points_in_world)]
     for squares, freedom in ((frames, 6), (points, 3)):
         for quantile in (0.5, 0.9, 0.99):
-            share = np.mean(np.array(squares) < chi2.ppf(quantile, freedom))
+            fraction = np.mean(np.array(squares) < chi2.ppf(quantile, freedom))
             # Points of one run share their frames' errors: the band is that of some 200 independent values.
-            assert share == pytest.approx(quantile, abs=3.5 * np.sqrt(quantile * (1 - quantile) / 200)), (
+            assert fraction == pytest.approx(quantile, abs=3.5 * np.sqrt(quantile * (1 - quantile) / 200)), (
                 freedom
             )
 
@@ -105,9 +105,11 @@ def along_a_row(rng, persistence):
     """Frames side by side before points that all of them see, and each with errors that go on from frame to frame."""
     frames, count = 10, 400
     camera = Camera(CameraModel.SIMPLE_PINHOLE, 640, 480, np.array([500.0, 320.0, 240.0]))
-    places = Rigid3(np.tile(np.eye(3), (frames, 1, 1)), np.outer(-0.05 * np.arange(frames), [1.0, 0.0, 0.0]))
+    positions = Rigid3(
+        np.tile(np.eye(3), (frames, 1, 1)), np.outer(-0.05 * np.arange(frames), [1.0, 0.0, 0.0])
+    )
     points = rng.uniform([-1, -1, 2], [1.5, 1, 5], (count, 3))
-    pixels = camera.project((points + places.translation[:, None]).reshape(-1, 3))
+    pixels = camera.project((points + positions.translation[:, None]).reshape(-1, 3))
     error = rng.normal(size=(frames, count, 2))
     for n in range(1, frames):
         error[n] = persistence * error[n - 1] + np.sqrt(1 - persistence**2) * error[n]
@@ -115,8 +117,8 @@ def along_a_row(rng, persistence):
     free = np.ones((frames, 6))
     free[0], free[-1] = 0.0, [0, 1, 1, 1, 1, 1]
     none, model = np.zeros(frames * count, np.int32), np.array([int(camera.model)], np.int32)
-    return places, BundleProblem(
-        *(places, Rigid3.identity(1), model, camera.padded_params()[None], points),
+    return positions, BundleProblem(
+        *(positions, Rigid3.identity(1), model, camera.padded_params()[None], points),
         np.arange(count + 1, dtype=np.int64) * frames,
         *(np.tile(np.arange(frames, dtype=np.int32), count), none, none),
         np.swapaxes(seen, 0, 1).reshape(-1, 2),
@@ -129,12 +131,12 @@ def test_errors_that_go_on_from_frame_to_frame_are_told_by_the_points_scores(per
     """Means of normalised squared errors of the frames between, over sixty draws; 6 is right."""
     clustered, plain = [], []
     for seed in range(60):
-        places, problem = along_a_row(np.random.default_rng(seed), persistence)
+        positions, problem = along_a_row(np.random.default_rng(seed), persistence)
         result = adjust_bundle(problem, EXACT)
-        error = (result.rig_from_world @ places.inverse()).log()[1:-1]
-        for told, is_clustered in ((clustered, True), (plain, False)):
+        error = (result.rig_from_world @ positions.inverse()).log()[1:-1]
+        for given, is_clustered in ((clustered, True), (plain, False)):
             found = bundle_covariance(problem, result, clustered=is_clustered)
-            told += [e @ np.linalg.solve(c, e) for e, c in zip(error, found.rig_from_world[1:-1])]
+            given += [e @ np.linalg.solve(c, e) for e, c in zip(error, found.rig_from_world[1:-1])]
     # Frames of one draw share their errors: the band is that of about three independent ones in each.
     assert np.mean(clustered) == pytest.approx(6.0, abs=3.0 * np.sqrt(12.0 / 180))
     assert np.mean(plain) == pytest.approx(6.0, abs=0.8) if persistence == 0 else np.mean(plain) > 12
@@ -163,9 +165,9 @@ def test_what_is_held_is_known_and_what_nothing_fixes_is_not(rng):
     free = adjust_bundle(start, EXACT)
     everything = bundle_covariance(start, free, noise_px=1.0)
     assert np.isinf(everything.rig_from_world).all() and np.isinf(everything.points_in_world).all()
-    held = with_fixed_gauge(start)
-    found = bundle_covariance(held, adjust_bundle(held, EXACT), noise_px=1.0)
-    first = np.flatnonzero(~held.frame_free.any(axis=1))[0]
+    fixed = with_fixed_gauge(start)
+    found = bundle_covariance(fixed, adjust_bundle(fixed, EXACT), noise_px=1.0)
+    first = np.flatnonzero(~fixed.frame_free.any(axis=1))[0]
     assert not found.rig_from_world[first].any() and np.isfinite(found.points_in_world).all()
     assert not found.camera_params[:, 1].any() and found.camera_params[0, 0, 0] > 0
 

@@ -86,13 +86,13 @@ def test_no_points_no_frames_nothing_free(rng):
         point_free=np.empty(0),
     )
     assert adjust_bundle(nothing).reason is StopReason.NOTHING_TO_DO
-    held = replace(
+    fixed = replace(
         start,
         frame_free=np.zeros_like(start.frame_free),
         params_free=np.zeros_like(start.params_free),
         point_free=np.zeros_like(start.point_free),
     )
-    result = adjust_bundle(held)
+    result = adjust_bundle(fixed)
     assert result.reason is StopReason.NOTHING_TO_DO and result.final_cost == result.initial_cost > 0
 
 

@@ -41,7 +41,7 @@ CALLED_BY = {
         *(
             reduced_kernels.multiply_eliminated,
             kernels.total_cost,
-            kernels.settle_points,
+            kernels.damp_points,
             reduced_kernels.reduce_rows,
         ),
         layout_kernels.count_pairs,
@@ -153,15 +153,15 @@ def test_who_meets_whom(variant: str) -> None:
 
 
 @every_variant
-@reference_of(kernels.find_visible, kernels.total_cost, kernels.settle_points)
+@reference_of(kernels.find_visible, kernels.total_cost, kernels.damp_points)
 def test_costs(variant: str) -> None:
     for _, (obs, *_, scene) in compare(kernels.find_visible, variant):
         point = np.repeat(np.arange(len(obs.offsets) - 1), np.diff(obs.offsets))
-        place = scene.cam_from_world[obs.image]
-        depth = (place[:, 6:9] * scene.points[point]).sum(axis=1) + place[:, 11]
+        position = scene.cam_from_world[obs.image]
+        depth = (position[:, 6:9] * scene.points[point]).sum(axis=1) + position[:, 11]
         np.testing.assert_array_equal(obs.used, (depth > 0) & np.isfinite(obs.pixels).all(axis=1))
     compare(kernels.total_cost, variant, rtol=1e-12)
-    compare(kernels.settle_points, variant, **ROUNDING)
+    compare(kernels.damp_points, variant, **ROUNDING)
 
 
 @every_variant

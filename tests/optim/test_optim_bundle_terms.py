@@ -96,7 +96,7 @@ def test_the_gradient_is_that_of_the_cost(rng, num_sensors, own_cameras, loss):
     checked = 0
     for node in range(layout.num_nodes):
         for column in range(layout.entries.width[node]):
-            if layout.held_mask[node, column]:
+            if layout.fixed_mask[node, column]:
                 assert gradient[node, column] == 0.0
                 continue
             step, ends = np.zeros((layout.num_nodes, len(layout.lanes))), []
@@ -166,8 +166,8 @@ def test_a_rig_is_found_with_its_frames(rng):
     rotation_error = (found.cam_from_rig[1] @ truth.cam_from_rig[1].inverse()).log()[3:]
     assert found.converged and np.linalg.norm(rotation_error) < 2e-3
     np.testing.assert_array_equal(found.cam_from_rig.rotation[0], wrong.rotation[0])
-    held = adjust_bundle(replace(problem, sensor_free=None))
-    assert held.final_cost > 1.5 * found.final_cost
+    fixed = adjust_bundle(replace(problem, sensor_free=None))
+    assert fixed.final_cost > 1.5 * found.final_cost
 
 
 def test_known_distances_give_the_scale(rng):
@@ -241,11 +241,11 @@ def test_euler_angles_of_a_half_turn_do_not_matter(rng):
     """A world turned by half a turn gives the same steps: tangents have no poles."""
     _, start = ring(rng)
     half = Rigid3(Rotation3.exp(np.array([[0.0, np.pi, 0.0]])).matrix[0], np.zeros(3))
-    turned = replace(
+    rotated = replace(
         start,
         rig_from_world=start.rig_from_world @ half.inverse(),
         points_in_world=half.apply(start.points_in_world),
     )
-    here, there = adjust_bundle(start), adjust_bundle(turned)
+    here, there = adjust_bundle(start), adjust_bundle(rotated)
     assert here.num_iterations == there.num_iterations
     assert here.final_cost == pytest.approx(there.final_cost, rel=1e-9)

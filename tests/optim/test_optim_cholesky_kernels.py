@@ -23,9 +23,11 @@ def random_pattern(rng: np.random.Generator, num_nodes: int, num_edges: int) -> 
 def factored_structure(pattern: BlockPattern, order: np.ndarray) -> np.ndarray:
     """Where the factor has blocks, by elimination as in the book."""
     n = len(order)
-    place = np.argsort(order)
+    position = np.argsort(order)
     full = np.eye(n, dtype=bool)
-    full[place[pattern.row], place[pattern.column]] = full[place[pattern.column], place[pattern.row]] = True
+    full[position[pattern.row], position[pattern.column]] = full[
+        position[pattern.column], position[pattern.row]
+    ] = True
     for j in range(n):
         below = np.flatnonzero(full[j + 1 :, j]) + j + 1
         full[np.ix_(below, below)] = True
@@ -39,14 +41,14 @@ def factored_structure(pattern: BlockPattern, order: np.ndarray) -> np.ndarray:
     kernels.column_structure,
     kernels.merge_columns,
     kernels.rows_in_parents,
-    kernels.place_blocks,
+    kernels.assign_blocks,
 )
 def test_the_plan_is_made_as_written(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, num_nodes: int, num_edges: int
 ) -> None:
     steps = (
         *(kernels.elimination_tree, kernels.postorder, kernels.column_structure),
-        *(kernels.merge_columns, kernels.rows_in_parents, kernels.place_blocks),
+        *(kernels.merge_columns, kernels.rows_in_parents, kernels.assign_blocks),
     )
     calls = {step: record_calls(monkeypatch, block_cholesky, step) for step in steps}
     pattern = random_pattern(rng, num_nodes, num_edges)
@@ -62,9 +64,9 @@ def test_the_plan_is_made_as_written(
     parent = after[kernels.elimination_tree][2]
     np.testing.assert_array_equal(parent, [rows[0] if len(rows) else -1 for rows in below])
     order, old_parent = after[kernels.postorder][3], after[kernels.postorder][0]
-    place = np.argsort(order)
+    position = np.argsort(order)
     child = np.flatnonzero(old_parent >= 0)
-    assert (place[child] < place[old_parent[child]]).all()
+    assert (position[child] < position[old_parent[child]]).all()
     _, _, _, _, start, fill, row = after[kernels.column_structure]
     np.testing.assert_array_equal(fill, [len(rows) for rows in below])
     np.testing.assert_array_equal(row, np.concatenate(below) if len(row) else [])
@@ -75,14 +77,14 @@ def test_the_plan_is_made_as_written(
 def assert_supernodes_hold(plan: CholeskyPlan, structure: np.ndarray) -> None:
     """Every block of the factor has a row in its supernode's front, at the scalar that the rows before it leave."""
     nodes = plan.supernodes
-    size = np.diff(nodes.scalar_of_place)
+    size = np.diff(nodes.scalar_of_slot)
     front = []
     for s in range(len(nodes.parent)):
         rows = nodes.row[nodes.row_start[s] : nodes.row_start[s + 1]]
-        places = np.concatenate([np.arange(nodes.first[s], nodes.first[s + 1]), rows])
-        front.append(dict(zip(places.tolist(), np.cumsum([0, *size[places]]).tolist())))
+        positions = np.concatenate([np.arange(nodes.first[s], nodes.first[s + 1]), rows])
+        front.append(dict(zip(positions.tolist(), np.cumsum([0, *size[positions]]).tolist())))
         for j in range(nodes.first[s], nodes.first[s + 1]):
-            assert set(np.flatnonzero(structure[:, j])) <= set(places)
+            assert set(np.flatnonzero(structure[:, j])) <= set(positions)
     for s, above in enumerate(nodes.parent):
         for e in range(nodes.row_start[s], nodes.row_start[s + 1]):
             assert nodes.row_in_parent[e] == front[above][int(nodes.row[e])]
@@ -117,14 +119,14 @@ def scalars_in_order(plan: CholeskyPlan) -> np.ndarray:
 
 def factor_of_panels(plan: CholeskyPlan, panels: np.ndarray) -> np.ndarray:
     nodes = plan.supernodes
-    at = nodes.scalar_of_place
+    at = nodes.scalar_of_slot
     factor = np.zeros((at[-1], at[-1]))
     for s in range(len(nodes.parent)):
-        places = [
+        positions = [
             *range(nodes.first[s], nodes.first[s + 1]),
             *nodes.row[nodes.row_start[s] : nodes.row_start[s + 1]],
         ]
-        rows = np.concatenate([np.arange(at[p], at[p + 1]) for p in places])
+        rows = np.concatenate([np.arange(at[p], at[p + 1]) for p in positions])
         m, k = nodes.num_rows[s], nodes.num_pivots[s]
         own = panels[nodes.panel_start[s] : nodes.panel_start[s] + m * k].reshape(k, m).T
         factor[np.ix_(rows, rows[:k])] = own
@@ -142,12 +144,12 @@ def test_the_factor_is_the_dense_one(rng: np.random.Generator, num_nodes: int, n
     panels, updates = np.empty(plan.panel_size), np.empty(plan.update_size)
     assert kernels.factor_supernodes(plan.supernodes, chosen, blocks, panels, updates, np.zeros(4, np.int32))
     order = scalars_in_order(plan)
-    turned = dense[np.ix_(order, order)]
+    rotated = dense[np.ix_(order, order)]
     factor = factor_of_panels(plan, panels)
-    np.testing.assert_allclose(factor, np.linalg.cholesky(turned), atol=1e-12 * np.abs(dense).max())
+    np.testing.assert_allclose(factor, np.linalg.cholesky(rotated), atol=1e-12 * np.abs(dense).max())
 
     x = rng.normal(size=len(dense))
-    expected = np.linalg.solve(turned, x)
+    expected = np.linalg.solve(rotated, x)
     work = np.empty(int(plan.supernodes.num_rows.max()))
     kernels.solve_supernodes(plan.supernodes, panels, x, np.zeros(4, np.int32), work)
     np.testing.assert_allclose(x, expected, rtol=1e-9, atol=1e-12)

@@ -28,10 +28,10 @@ def ring(kind, rng, count=60, noise=0.0, start=0.1):
     step[:, 2 if d == 3 else 5] = 2 * np.pi / count
     if d > 3:
         step[:, 1:5] = 0.1 * rng.normal(size=(count, 4))
-    places = [kind.identity(1)]
+    positions = [kind.identity(1)]
     for k in range(count - 1):
-        places.append(places[-1] @ kind.exp(step[k : k + 1]))
-    fields = [np.concatenate([getattr(p, f) for p in places]) for f in kind.__dataclass_fields__]
+        positions.append(positions[-1] @ kind.exp(step[k : k + 1]))
+    fields = [np.concatenate([getattr(p, f) for p in positions]) for f in kind.__dataclass_fields__]
     truth = kind(*fields)
     first = np.concatenate([np.arange(count - 1), np.arange(0, count - 12, 3)])
     second = np.concatenate([np.arange(1, count), np.arange(12, count, 3)])

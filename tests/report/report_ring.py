@@ -39,16 +39,16 @@ def ring_model(
 ) -> Reconstruction:
     """The last `num_absent` images have no place; every other image sees about two thirds of the points."""
     rng = np.random.default_rng(seed)
-    num_placed = num_images - num_absent
+    num_registered = num_images - num_absent
     camera = Camera(CameraModel.PINHOLE, WIDTH, HEIGHT, np.array([FOCAL_PX, FOCAL_PX, 319.5, 239.5]))
-    angle = 2 * np.pi * np.arange(num_placed) / max(num_placed, 1)
+    angle = 2 * np.pi * np.arange(num_registered) / max(num_registered, 1)
     centers = np.stack([4 * np.cos(angle), 4 * np.sin(angle), 1 + 0.4 * np.sin(2 * angle)], axis=1)
     cams_from_world = looking_at_origin(centers)
     xyz = rng.normal(size=(num_points, 3))
     xyz *= (0.6 + 0.4 * rng.random((num_points, 1))) / np.linalg.norm(xyz, axis=1, keepdims=True)
-    seen = rng.random((num_placed, num_points)) < 2 / 3
+    seen = rng.random((num_registered, num_points)) < 2 / 3
     seen &= seen.sum(axis=0) >= 2
-    pixels = [camera.project(cams_from_world[i].apply(xyz[seen[i]])) for i in range(num_placed)]
+    pixels = [camera.project(cams_from_world[i].apply(xyz[seen[i]])) for i in range(num_registered)]
     pixels = [p + noise_px * rng.normal(size=p.shape) for p in pixels]
     absent = [rng.random((30, 2)) * (WIDTH, HEIGHT) for _ in range(num_absent)]
     offsets = np.cumsum([0, *map(len, [*pixels, *absent])])
@@ -89,8 +89,8 @@ def empty_model(num_images: int) -> Reconstruction:
 
 def graph_of(model: Reconstruction) -> ViewGraph:
     """Pairs of placed images up to four steps apart on the ring, with made-up counts."""
-    placed = np.flatnonzero(model.is_registered())
-    pairs = [(a, b) for a in placed for b in placed if a < b <= a + 4]
+    registered = np.flatnonzero(model.is_registered())
+    pairs = [(a, b) for a in registered for b in registered if a < b <= a + 4]
     n, counts = len(pairs), np.array([300 // (b - a) ** 2 for a, b in pairs], np.int64)
     first, second = np.array(pairs, np.int32).reshape(n, 2).T.copy()
     total = int(counts.sum())
@@ -110,19 +110,19 @@ def graph_of(model: Reconstruction) -> ViewGraph:
 
 def rows_of(model: Reconstruction) -> tuple[ImageRow, ...]:
     """The table's rows, as a caller gathers them."""
-    errors, placed = model.reprojection_errors_px(), model.is_registered()
+    errors, registered = model.reprojection_errors_px(), model.is_registered()
     rows = []
     for i, name in enumerate(model.images.name):
         mine = errors[model.tracks.image == i]
         rows.append(
             ImageRow(
                 name=name,
-                is_registered=bool(placed[i]),
-                component=0 if placed[i] else -1,
+                is_registered=bool(registered[i]),
+                component=0 if registered[i] else -1,
                 num_keypoints=len(model.images.keypoints_of(i)),
                 num_observations=len(mine),
                 mean_error_px=float(mine.mean()) if len(mine) else float("nan"),
-                reason="" if placed[i] else "too few matches with any placed picture (7, needed 15)",
+                reason="" if registered[i] else "too few matches with any placed picture (7, needed 15)",
             )
         )
     return tuple(rows)

@@ -73,10 +73,10 @@ def test_timing_bars_are_as_long_as_their_stages() -> None:
 
 
 def test_curves_are_drawn_on_logarithmic_axes():
-    drawn = charts.draw_curves(
+    rendered = charts.draw_curves(
         {"near": ([1, 10, 100], [0.1, 0.01, 0.1]), "far": ([1, 100], [1.0, 2.0])}, "range", "px"
     )
-    assert drawn.count('<path class="sequence"') == 1 and drawn.count('<path class="mark"') == 1
-    assert ">near<" in drawn and ">far<" in drawn and ">100<" in drawn
+    assert rendered.count('<path class="sequence"') == 1 and rendered.count('<path class="mark"') == 1
+    assert ">near<" in rendered and ">far<" in rendered and ">100<" in rendered
     assert charts.draw_curves({"nothing": ([], [])}, "x", "y") == ""
     assert "nan" not in charts.draw_curves({"gap": ([1, 2, 3], [1.0, float("nan"), 2.0])}, "x", "y")

@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fields"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "slam"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "stereo"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "viewer"))
-from fields_scenes import frames_of, lens, views
+from fields_scenes import camera, frames_of, views
 from slam_rides import write_pairs
 from test_calibration_page import page as calibration_page
 from test_stereo_page import page_of
@@ -53,11 +53,11 @@ def reports(
     ride = write_pairs(root / "ride", 12)
     run_slam(ride, root / "slam", truth=ride)
     (root / "photos").mkdir()
-    transforms = lens() | {"frames": frames_of(views(8), root / "photos")}
+    transforms = camera() | {"frames": frames_of(views(8), root / "photos")}
     (root / "photos" / "transforms.json").write_text(json.dumps(transforms))
     splat(root / "photos", root / "splat", steps=12, max_gaussians=200, sh_degree=0, test_every=3)
     (root / "workspace").mkdir()
-    api.share(workspace(root / "workspace"), root / "scene.html")
+    api.fraction(workspace(root / "workspace"), root / "scene.html")
     pages = {
         "reconstruction": render_report(content),
         "nothing-reconstructed": render_report(empty_content),

@@ -11,7 +11,7 @@ from report_ring import FOCAL_PX, HEIGHT, WIDTH, empty_model, ring_model
 from epipole.geometry import Similarity3
 from epipole.pipelines.sfm.page.content import ReportContent
 from epipole.pipelines.sfm.page.page import render_report
-from epipole.report.pictures import MAX_FEATURES
+from epipole.report.images import MAX_FEATURES
 from epipole.report.plan import draw_plan
 from epipole.report.space import SpaceData, space_data
 from epipole.report.space_model import scene_of_model, stage_of
@@ -35,7 +35,7 @@ def table_of(content: ReportContent) -> str:
     ).group()
 
 
-def by_place(xyz: np.ndarray, *columns: np.ndarray) -> list[np.ndarray]:
+def by_position(xyz: np.ndarray, *columns: np.ndarray) -> list[np.ndarray]:
     order = np.lexsort(xyz.T)
     return [column[order] for column in (xyz, *columns)]
 
@@ -44,8 +44,8 @@ def test_points_come_back_in_an_order_drawn_at_random(model: Reconstruction) -> 
     data = data_of(model)
     assert data.numbers["points"][0]["count"] == len(model.points)
     rgb = np.frombuffer(data.blocks["points-0"], np.uint8).reshape(-1, 16)[:, 12:15]
-    found, colours = by_place(decoded(data), rgb)
-    wanted, wanted_rgb = by_place(model.points.xyz_in_world, model.points.rgb)
+    found, colours = by_position(decoded(data), rgb)
+    wanted, wanted_rgb = by_position(model.points.xyz_in_world, model.points.rgb)
     np.testing.assert_allclose(found, wanted, atol=1e-6)
     np.testing.assert_array_equal(colours, wanted_rgb)
     assert (decoded(data) != model.points.xyz_in_world).any()
@@ -54,7 +54,7 @@ def test_points_come_back_in_an_order_drawn_at_random(model: Reconstruction) -> 
 
 def test_a_map_of_a_country_keeps_its_millimetres(model: Reconstruction) -> None:
     far = model.transformed(Similarity3(np.float64(1.0), np.eye(3), np.array([4e5, 5e6, 100.0])))
-    found, wanted = (by_place(xyz)[0] for xyz in (decoded(data_of(far)), far.points.xyz_in_world))
+    found, wanted = (by_position(xyz)[0] for xyz in (decoded(data_of(far)), far.points.xyz_in_world))
     np.testing.assert_allclose(found, wanted, atol=1e-6)
 
 
@@ -81,23 +81,23 @@ def test_measures_come_in_steps_of_their_range(model: Reconstruction) -> None:
 def test_covariances_are_those_of_the_triangulation(model: Reconstruction) -> None:
     noise = pixel_noise(model)
     found = covariances_of_points(model, noise)
-    placed = np.flatnonzero(model.is_registered())
-    seen = np.zeros((len(placed), len(model.points)), bool)
+    registered = np.flatnonzero(model.is_registered())
+    seen = np.zeros((len(registered), len(model.points)), bool)
     point = np.repeat(np.arange(len(model.points)), np.diff(model.tracks.offsets))
-    for row, image in enumerate(placed):
+    for row, image in enumerate(registered):
         seen[row, point[model.tracks.image == image]] = True
-    cameras = [model.cameras[int(c)] for c in model.camera_of_image[placed]]
-    poses = model.cams_from_world()[placed]
+    cameras = [model.cameras[int(c)] for c in model.camera_of_image[registered]]
+    poses = model.cams_from_world()[registered]
     wanted = point_covariances(poses, cameras, model.points.xyz_in_world, seen, noise)
     np.testing.assert_allclose(found, wanted, rtol=1e-8)
 
 
 def test_frustum_corners_project_to_the_pictures_corners(model: Reconstruction) -> None:
-    data, placed = data_of(model), np.flatnonzero(model.is_registered())
-    assert data.numbers["cameras"]["names"] == [model.images.name[image] for image in placed]
+    data, registered = data_of(model), np.flatnonzero(model.is_registered())
+    assert data.numbers["cameras"]["names"] == [model.images.name[image] for image in registered]
     corners = np.frombuffer(data.blocks["camera-corners"], "<f4").reshape(-1, 4, 3)
     centers = np.frombuffer(data.blocks["camera-places"], "<f4").reshape(-1, 3) + data.numbers["origin"]
-    for row, image in enumerate(placed):
+    for row, image in enumerate(registered):
         in_cam = model.cams_from_world()[image].apply(centers[row] + 0.7 * corners[row])
         pixels = in_cam[:, :2] / in_cam[:, 2:] * FOCAL_PX + (319.5, 239.5)
         expected = [[-0.5, -0.5], [WIDTH - 0.5, -0.5], [WIDTH - 0.5, HEIGHT - 0.5], [-0.5, HEIGHT - 0.5]]
@@ -121,10 +121,10 @@ def test_stage_of_nothing_and_of_one_camera() -> None:
 def test_view_from_above_keeps_shape(model: Reconstruction) -> None:
     root = ElementTree.fromstring(draw_plan(model, "m"))
     groups = [e for e in root.iter("g") if e.attrib.get("class") == "cam"]
-    drawn = np.array([re.findall(r"[\d.]+", g.attrib["transform"]) for g in groups], float)
+    rendered = np.array([re.findall(r"[\d.]+", g.attrib["transform"]) for g in groups], float)
     centers = model.camera_centers_in_world()[model.is_registered()][:, :2] * (1, -1)
-    scale = np.ptp(drawn[:, 0]) / np.ptp(centers[:, 0])
-    np.testing.assert_allclose(drawn - drawn[0], scale * (centers - centers[0]), atol=0.15)
+    scale = np.ptp(rendered[:, 0]) / np.ptp(centers[:, 0])
+    np.testing.assert_allclose(rendered - rendered[0], scale * (centers - centers[0]), atol=0.15)
     assert [g.find("title").text for g in groups] == list(model.images.name[:10])
     assert {e.text for e in root.iter("text")} >= {"x (m)", "y (m)", "0"}
 
@@ -168,8 +168,8 @@ def test_dots_lie_on_the_inliers(content: ReportContent) -> None:
     name = "ring/picture_000.jpg"
     one = replace(content, image_rows=content.image_rows[:1])
     dots = re.search(r'class="dots" d="([^"]*)"', table_of(one)).group(1)
-    drawn = np.array(re.findall(r"M([\d.]+) ([\d.]+)h0", dots), float)
-    np.testing.assert_allclose(drawn, content.inliers[name] * (320, 240), atol=0.06)
+    rendered = np.array(re.findall(r"M([\d.]+) ([\d.]+)h0", dots), float)
+    np.testing.assert_allclose(rendered, content.inliers[name] * (320, 240), atol=0.06)
 
 
 def test_dots_are_capped_and_bad_thumbnails_left_out(content: ReportContent) -> None:

@@ -33,13 +33,15 @@ def surface(n: int = 4000) -> GaussianCloud:
 def psnrs(cloud: GaussianCloud, others: list[GaussianCloud], view: tuple[np.ndarray, ...]) -> np.ndarray:
     """(clouds, views) against the whole."""
     shots = orbit(*view, RenderJob(frames=3, width=200))
-    drawn = [
+    rendered = [
         np.stack(
             [np.clip(render(each, shot.camera, shot.cam_from_world).over(BLACK), 0, 1) for shot in shots]
         )
         for each in (cloud, *others)
     ]
-    return np.array([-10 * np.log10(((each - drawn[0]) ** 2).mean(axis=(1, 2, 3))) for each in drawn[1:]])
+    return np.array(
+        [-10 * np.log10(((each - rendered[0]) ** 2).mean(axis=(1, 2, 3))) for each in rendered[1:]]
+    )
 
 
 def test_a_surface_keeps_its_look() -> None:

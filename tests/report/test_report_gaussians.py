@@ -34,10 +34,10 @@ def test_what_is_packed_comes_back(num_sh: int) -> None:
     unit = cloud.quats_wxyz / np.linalg.norm(cloud.quats_wxyz, axis=1, keepdims=True)
     assert np.abs(quats - unit).max() < 2e-5
     low, span = found.scale_range
-    halves = words[:, 6:8].copy().view("<u2")
-    assert np.abs(low + span * halves[:, :3] / 65535.0 - cloud.log_scales).max() < 1e-4
+    split = words[:, 6:8].copy().view("<u2")
+    assert np.abs(low + span * split[:, :3] / 65535.0 - cloud.log_scales).max() < 1e-4
     opacity = 1 / (1 + np.exp(-cloud.opacity_logits.astype(float)))
-    assert np.abs(halves[:, 3] / 65535.0 - opacity).max() < 1e-5
+    assert np.abs(split[:, 3] / 65535.0 - opacity).max() < 1e-5
     if num_sh == 1:
         assert found.harmonics is None
     else:

@@ -43,7 +43,7 @@ class Reader(HTMLParser):
 
 def read(page: str) -> Reader:
     reader = Reader()
-    reader.feed(page)
+    reader.stream(page)
     reader.close()
     assert reader.stack == []
     return reader

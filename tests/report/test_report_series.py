@@ -12,20 +12,20 @@ from epipole.scene import Curve
 
 def test_a_line_breaks_where_there_is_no_value():
     y = np.array([1.0, 2.0, np.nan, 3.0, np.nan, 1.0, 2.0])
-    drawn = str(draw_lines([Line("", np.arange(7.0), y)], (0.0, 6.0), "points"))
-    path = re.search(r'class="series accent" d="([^"]*)"', drawn)[1]
+    rendered = str(draw_lines([Line("", np.arange(7.0), y)], (0.0, 6.0), "points"))
+    path = re.search(r'class="series accent" d="([^"]*)"', rendered)[1]
     assert path.count("M") == 3 and path.count("L") == 2 and path.count("m-2 0h4") == 1
-    ElementTree.fromstring(drawn)
+    ElementTree.fromstring(rendered)
 
 
 def test_what_lies_beyond_is_said():
     y = np.full(400, 10.0)
     y[7] = 5000.0
-    drawn = str(draw_lines([Line("", np.arange(400.0), y)], (0.0, 399.0), "ms"))
-    assert "1 beyond, up to 5e+03" in drawn
+    rendered = str(draw_lines([Line("", np.arange(400.0), y)], (0.0, 399.0), "ms"))
+    assert "1 beyond, up to 5e+03" in rendered
     heights = [
         float(v)
-        for v in re.findall(r"[ML][\d.]+ ([\d.]+)", re.search(r'series accent" d="([^"]*)', drawn)[1])
+        for v in re.findall(r"[ML][\d.]+ ([\d.]+)", re.search(r'series accent" d="([^"]*)', rendered)[1])
     ]
     assert min(heights) >= 29.9
     assert draw_lines([Line("", np.arange(3.0), np.full(3, np.nan))], (0.0, 2.0), "ms") == ""
@@ -45,10 +45,10 @@ def test_paths_from_above_keep_their_shape():
     square = np.array([[0.0, 0, 0], [4, 0, 9], [4, 4, 0], [0, 4, 0]])
     path = Curve("final", np.stack([square[:-1], square[1:]], axis=1), (1, 2, 3))
     none = Curve("as it came", np.zeros((0, 2, 3)), (1, 2, 3))
-    drawn = str(draw_path_plan([path, none], np.zeros((0, 3)), square[[0, 3]], "m"))
-    at = re.search(r'class="series accent" d="M([^"]*)"', drawn)[1]
+    rendered = str(draw_path_plan([path, none], np.zeros((0, 3)), square[[0, 3]], "m"))
+    at = re.search(r'class="series accent" d="M([^"]*)"', rendered)[1]
     corners = np.array([[float(v) for v in word.split()] for word in at.split("L")])
     sides = np.linalg.norm(np.diff(corners, axis=0), axis=1)
     assert len(corners) == 4 and np.ptp(sides) < 0.2 and corners[0, 1] > corners[2, 1]
-    assert "final" in drawn and "as it came" not in drawn and "x (m)" in drawn
+    assert "final" in rendered and "as it came" not in rendered and "x (m)" in rendered
     assert draw_path_plan([none], np.zeros((0, 3)), square[[0, 3]], "m") == ""

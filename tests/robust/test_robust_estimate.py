@@ -43,9 +43,9 @@ def test_essential_matrix_finds_motion_and_inliers(rng, outliers):
     found = estimate_relative_pose(x1, x2, CAMERA, CAMERA, RansacConfig(max_error_px=3))
     assert found.success
     assert (found.inlier_mask & truth).sum() > 0.97 * truth.sum()
-    turn = Rotation3(found.model.rotation @ motion.rotation.T).angle_rad()
+    rotation = Rotation3(found.model.rotation @ motion.rotation.T).angle_rad()
     direction = motion.translation / np.linalg.norm(motion.translation)
-    assert np.rad2deg(turn) < 0.2
+    assert np.rad2deg(rotation) < 0.2
     assert np.rad2deg(np.arccos(np.clip(direction @ found.model.translation, -1, 1))) < 1.0
 
 
@@ -162,12 +162,12 @@ def test_kinds_of_pairs(rng, is_calibrated):
     general = kind()
     assert general.kind is (PairKind.GENERAL if is_calibrated else PairKind.UNCALIBRATED)
     assert 5 < np.rad2deg(general.median_angle_rad) < 20
-    turned = Rigid3.exp(np.array([0, 0, 0, 0.05, 0.2, 0.03]))
-    rotation = kind(motion=turned)
+    rotated = Rigid3.exp(np.array([0, 0, 0, 0.05, 0.2, 0.03]))
+    rotation = kind(motion=rotated)
     assert rotation.kind is PairKind.ROTATION and np.isnan(rotation.median_angle_rad)
     assert (
         np.abs(
-            (Rotation3(rotation.cam2_from_cam1.rotation) @ Rotation3(turned.rotation).inverse()).log()
+            (Rotation3(rotation.cam2_from_cam1.rotation) @ Rotation3(rotated.rotation).inverse()).log()
         ).max()
         < 5e-3
     )

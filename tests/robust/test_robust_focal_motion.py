@@ -45,8 +45,8 @@ def test_six_exact_matches_contain_the_shared_focal_length(rng):
 def test_the_six_point_solver_works_in_pixels(rng):
     motion, y1, y2 = random_views(rng, 6)
     found = solve_shared_focal_six_point(700.0 * y1[:, :2], 700.0 * y2[:, :2])
-    lens = np.diag([1.0, 1.0, 700.0])
-    truth = lens @ essential_from_cam2_from_cam1(motion) @ lens
+    camera = np.diag([1.0, 1.0, 700.0])
+    truth = camera @ essential_from_cam2_from_cam1(motion) @ camera
     nearest = np.argmin(np.abs(found.focal_px - 700.0))
     assert found.focal_px[nearest] == pytest.approx(700.0, rel=1e-5)
     alike = abs((found.fundamental[nearest] * truth).sum()) / np.linalg.norm(truth)
@@ -67,7 +67,7 @@ def test_focal_lengths_of_an_exact_fundamental_matrix(rng):
 
 @pytest.mark.parametrize("shared", [True, False])
 def test_focal_lengths_are_found_among_outliers(shared):
-    squared, turns = [], []
+    squared, rotations = [], []
     for seed in range(60):
         p = two_view_problem(500, 0.3, 0.5, seed)
         config = RansacConfig(max_error_px=2)
@@ -76,10 +76,12 @@ def test_focal_lengths_are_found_among_outliers(shared):
         else:
             found = estimate_motion_and_focals(p.pixels1, p.pixels2, CENTER, CENTER, config)
         assert found.success
-        turn = Rotation3(found.model.cam2_from_cam1.rotation) @ Rotation3(p.cam2_from_cam1.rotation).inverse()
-        turns.append(np.degrees(turn.angle_rad()))
+        rotation = (
+            Rotation3(found.model.cam2_from_cam1.rotation) @ Rotation3(p.cam2_from_cam1.rotation).inverse()
+        )
+        rotations.append(np.degrees(rotation.angle_rad()))
         squared.append(np.log(found.model.focal1_px / 800.0) ** 2 / found.covariance[5, 5])
-    assert np.median(turns) < 0.1 and np.percentile(turns, 90) < 1.0
+    assert np.median(rotations) < 0.1 and np.percentile(rotations, 90) < 1.0
     assert np.median(np.abs(squared)) < 2.5 * chi2.ppf(0.5, 1)
     assert np.mean(np.array(squared) < chi2.ppf(0.99, 1)) > 0.8
 
@@ -89,9 +91,9 @@ def test_axes_that_meet_leave_two_focal_lengths_undetermined(noise_px):
     """Both axes in one plane with the baseline: exact matches are degenerate, noisy ones know nothing of the lens."""
     rng = np.random.default_rng(0)
     points = rng.uniform([-1.5, -1.2, 4], [1.5, 1.2, 8], (300, 3))
-    turn = Rotation3.exp(np.array([0.0, 0.25, 0.0]))
-    center = np.array([0.0, 0.0, 6.0]) - 6.0 * (turn.inverse().matrix @ [0.0, 0.0, 1.0])
-    motion = Rigid3(turn.matrix, -turn.matrix @ center)
+    rotation = Rotation3.exp(np.array([0.0, 0.25, 0.0]))
+    center = np.array([0.0, 0.0, 6.0]) - 6.0 * (rotation.inverse().matrix @ [0.0, 0.0, 1.0])
+    motion = Rigid3(rotation.matrix, -rotation.matrix @ center)
     pixels = [800 * x[:, :2] / x[:, 2:] + CENTER for x in (points, motion.apply(points))]
     x1, x2 = (p + noise_px * rng.normal(size=p.shape) for p in pixels)
     found = estimate_motion_and_focals(x1, x2, CENTER, CENTER)

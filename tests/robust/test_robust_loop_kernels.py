@@ -165,9 +165,9 @@ def unproject_and_turn(
     """Points, rays and J, all in the rig, and where the camera is there; (15, n)."""
     rays = camera.unproject(pixels)
     _, jacobian, _ = camera.project_with_jacobian(rays)
-    turn = cam_from_rig.rotation
+    rotation = cam_from_rig.rotation
     origin = np.broadcast_to(cam_from_rig.inverse().translation, points.shape)
-    return np.hstack([points, rays @ turn, (jacobian @ turn).reshape(-1, 6), origin]).T
+    return np.hstack([points, rays @ rotation, (jacobian @ rotation).reshape(-1, 6), origin]).T
 
 
 @pytest.mark.parametrize("camera", [PINHOLE, FISHEYE], ids=["pinhole", "fisheye"])
@@ -176,8 +176,8 @@ def test_rays_are_packed(rng: np.random.Generator, monkeypatch: pytest.MonkeyPat
     points, pixels = rng.normal(size=(7, 3)), rng.uniform(0, 800, (7, 2))
     pixels[3], pixels[4] = np.nan, 1e9
     cam_from_rig = TURN
-    place = np.append(cam_from_rig.rotation.ravel(), cam_from_rig.translation)
-    arguments = (int(camera.model), camera.padded_params(), place, points, pixels)
+    position = np.append(cam_from_rig.rotation.ravel(), cam_from_rig.translation)
+    arguments = (int(camera.model), camera.padded_params(), position, points, pixels)
     for order in (np.array([5, 3, 0, 4, 6]), np.array([2]), np.empty(0, np.int64)):
         items = np.empty((absolute_pose.ROWS, len(order)))
         _, (*_, items) = assert_same_as_python(absolute_kernels.pack_rays, *arguments, order, items)

@@ -255,12 +255,12 @@ def test_a_noisy_plane_leaves_the_fundamental_matrix_open(count, outliers):
         assert np.isinf(found.covariance).all()
 
 
-@pytest.mark.parametrize("share", [0.8, 0.9, 0.95])
-def test_a_dominant_plane_does_not_hold_the_fundamental_matrix(share):
+@pytest.mark.parametrize("fraction", [0.8, 0.9, 0.95])
+def test_a_dominant_plane_does_not_hold_the_fundamental_matrix(fraction):
     """The exact matches off the plane tell; without the way out of the plane half of these are wrong by pixels."""
     errors = []
     for seed in range(20):
-        p = dominant_plane_problem(1000, share, 0.4, 1.0, seed)
+        p = dominant_plane_problem(1000, fraction, 0.4, 1.0, seed)
         off = p.points_in_cam1[~p.plane_mask]
         one, two = p.camera1.project(off), p.camera2.project(p.cam2_from_cam1.apply(off))
         found = estimate_fundamental_matrix(p.pixels1, p.pixels2, RansacConfig(max_error_px=2.0))
@@ -272,8 +272,10 @@ def test_a_dominant_plane_does_not_hold_the_fundamental_matrix(share):
 
 def test_undetermined_models_are_called_degenerate():
     """Noise-free: a rotation leaves the direction free, a plane leaves F free, a line leaves everything free."""
-    turned = two_view_problem(200, 0.0, 0.0, 0, kind="rotation")
-    assert estimate_relative_pose(turned.pixels1, turned.pixels2, CAMERA, CAMERA).reason is Reason.DEGENERATE
+    rotated = two_view_problem(200, 0.0, 0.0, 0, kind="rotation")
+    assert (
+        estimate_relative_pose(rotated.pixels1, rotated.pixels2, CAMERA, CAMERA).reason is Reason.DEGENERATE
+    )
     plane = two_view_problem(200, 0.0, 0.0, 0, kind="planar")
     assert not estimate_fundamental_matrix(plane.pixels1, plane.pixels2).success
     line = np.stack([np.linspace(0, 900, 50), np.linspace(0, 700, 50)], axis=1)

@@ -31,12 +31,12 @@ def pixels_of(rng: np.random.Generator, cams: Rigid3, cameras: list[Camera], cou
     return pixels
 
 
-@pytest.mark.parametrize("lens", list(LENSES))
+@pytest.mark.parametrize("camera", list(LENSES))
 @reference_of(kernels.triangulate_two_views)
-def test_two_views(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, lens: str) -> None:
+def test_two_views(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, camera: str) -> None:
     calls = record_calls(monkeypatch, triangulate, kernels.triangulate_two_views)
     cams = Rigid3.exp(np.array([[0.1, 0, 0, 0, 0.05, 0], [-1, 0.1, 0.05, 0.02, 0.1, 0.0]]))
-    cameras = [LENSES[lens], PINHOLE]
+    cameras = [LENSES[camera], PINHOLE]
     reasons = []
     for count in (9, 1):
         pixels = pixels_of(rng, cams, cameras, count)
@@ -49,12 +49,12 @@ def test_two_views(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, le
             assert_same_as_python(kernels.triangulate_two_views, *before, *part, out)
 
 
-@pytest.mark.parametrize("lens", list(LENSES))
+@pytest.mark.parametrize("camera", list(LENSES))
 @reference_of(kernels.triangulate_many_views)
-def test_many_views(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, lens: str) -> None:
+def test_many_views(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, camera: str) -> None:
     calls = record_calls(monkeypatch, triangulate, kernels.triangulate_many_views)
     cams = Rigid3.exp(np.column_stack([np.linspace(-1, 1, 4), 0.05 * rng.normal(size=(4, 5))]))
-    cameras = [LENSES[lens], PINHOLE, PINHOLE, LENSES[lens]]
+    cameras = [LENSES[camera], PINHOLE, PINHOLE, LENSES[camera]]
     pixels = pixels_of(rng, cams, cameras, 9)
     pixels[1:, 6], pixels[:, 7] = np.nan, np.nan  # one view; none
     pixels[:, 8] = rng.uniform(0, 900, (4, 2))

@@ -40,9 +40,9 @@ def test_derivatives(rng: np.random.Generator, ratio: float) -> None:
     for c in range(7):
         ends = []
         for sign in (step, -step):
-            turn = Rotation3.exp(sign * np.eye(3)[c % 3]).matrix
-            turned = (u @ turn if c < 3 else u), (v @ turn if 3 <= c < 6 else v)
-            ends.append(composed(*turned, ratio + (sign if c == 6 else 0.0)))
+            rotation = Rotation3.exp(sign * np.eye(3)[c % 3]).matrix
+            rotated = (u @ rotation if c < 3 else u), (v @ rotation if 3 <= c < 6 else v)
+            ends.append(composed(*rotated, ratio + (sign if c == 6 else 0.0)))
         numeric[c] = (ends[0] - ends[1]).ravel() / (2 * step)
     np.testing.assert_allclose(d, numeric / np.hypot(1.0, ratio), atol=1e-9)
 
@@ -57,9 +57,9 @@ def test_support_off_the_plane(monkeypatch: pytest.MonkeyPatch) -> None:
         two_view_problem(30, 0.0, 0.3, 3),
     ):
         estimate_fundamental_matrix(problem.pixels1, problem.pixels2, config)
-    shares = []
+    fractions = []
     for arguments in calls:
         # Sums may be taken in any order (`reassoc`).
         found, _ = assert_same_as_python(fundamental.parallax_support, *arguments, rtol=1e-9)
-        shares.append(found[0])
-    assert min(shares) < fundamental.DOMINANT < max(shares)
+        fractions.append(found[0])
+    assert min(fractions) < fundamental.DOMINANT < max(fractions)

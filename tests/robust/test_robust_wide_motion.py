@@ -36,18 +36,18 @@ def wide_views(seed, half_deg, noise_px=1.0, outliers=0.3, count=800, baseline=1
 @pytest.mark.parametrize(("half_deg", "bound_deg"), [(60, 0.45), (88, 0.25), (105, 0.15)])
 def test_a_wide_lens_keeps_its_rim(half_deg, bound_deg):
     """On the plane z = 1 four in ten matches of a lens of 88 degrees were lost, and none could lie beyond 90."""
-    errors, shares = [], []
+    errors, fractions = [], []
     for seed in range(10):
         x1, x2, truth, motion, camera = wide_views(seed, half_deg)
         found = estimate_relative_pose(x1, x2, camera, camera, RansacConfig(max_error_px=2.0))
         assert found.success
-        turn = (Rotation3(found.model.rotation) @ Rotation3(motion.rotation).inverse()).angle_rad()
+        rotation = (Rotation3(found.model.rotation) @ Rotation3(motion.rotation).inverse()).angle_rad()
         cosine = np.clip(found.model.translation @ motion.translation, -1, 1)
-        errors.append(np.degrees(max(float(turn), float(np.arccos(cosine)))))
-        shares.append((found.inlier_mask & truth).sum() / truth.sum())
+        errors.append(np.degrees(max(float(rotation), float(np.arccos(cosine)))))
+        fractions.append((found.inlier_mask & truth).sum() / truth.sum())
         assert 0.7 < found.noise_px < 1.3
     assert np.median(errors) < bound_deg
-    assert min(shares) > 0.9
+    assert min(fractions) > 0.9
 
 
 def test_the_covariance_of_a_wide_lens_is_that_of_its_errors():

@@ -9,7 +9,7 @@ import pytest
 from epipole.errors import WorkspaceError
 from epipole.runs.folder import MARK, OutputFolder, claim, read_mark
 
-PICTURES = Path("/pictures")
+IMAGES = Path("/pictures")
 
 
 def names(root: Path) -> list[str]:
@@ -18,7 +18,7 @@ def names(root: Path) -> list[str]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> OutputFolder:
-    return claim(tmp_path / "out", "made", [PICTURES])
+    return claim(tmp_path / "out", "made", [IMAGES])
 
 
 def publish(folder: OutputFolder, group: str, files: dict[str, str]) -> None:
@@ -36,9 +36,9 @@ def test_a_new_folder_is_marked_with_kind_source_and_version(folder: OutputFolde
 
 def test_the_same_run_comes_back_and_others_do_not(folder: OutputFolder) -> None:
     publish(folder, "model", {"a.bin": "1"})
-    again = claim(folder.root, "made", [PICTURES])
+    again = claim(folder.root, "made", [IMAGES])
     assert again.files == {"model": ["a.bin"]}
-    for kind, source in (("other", PICTURES), ("made", Path("/elsewhere"))):
+    for kind, source in (("other", IMAGES), ("made", Path("/elsewhere"))):
         with pytest.raises(WorkspaceError, match="holds the results of `epipole made` of /pictures"):
             claim(folder.root, kind, [source])
 
@@ -51,19 +51,19 @@ def test_a_marked_folder_without_results_may_be_taken(folder: OutputFolder) -> N
 def test_folders_of_others_are_refused(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(WorkspaceError, match="not made by epipole"):
-        claim(tmp_path, "made", [PICTURES])
+        claim(tmp_path, "made", [IMAGES])
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
     with pytest.raises(WorkspaceError, match="is a file"):
-        claim(tmp_path / "notes.txt", "made", [PICTURES])
+        claim(tmp_path / "notes.txt", "made", [IMAGES])
 
 
 def test_results_do_not_go_among_the_inputs(tmp_path: Path) -> None:
-    picture = tmp_path / "left.png"
-    picture.write_bytes(b"")
-    for given in (picture, tmp_path):
+    image = tmp_path / "left.png"
+    image.write_bytes(b"")
+    for given in (image, tmp_path):
         with pytest.raises(WorkspaceError, match="choose another for the results"):
             claim(tmp_path, "made", [given])
-    claim(tmp_path / "out", "made", [picture, tmp_path])
+    claim(tmp_path / "out", "made", [image, tmp_path])
 
 
 def test_results_appear_together_and_stale_ones_go(folder: OutputFolder) -> None:
@@ -73,7 +73,7 @@ def test_results_appear_together_and_stale_ones_go(folder: OutputFolder) -> None
     assert names(folder.root) == ["report.html", "sparse/0/a.bin"]
     assert (folder.root / "sparse/0/a.bin").read_text() == "5"
     assert not (folder.root / "sparse/1").exists()  # nor an empty folder of it
-    assert claim(folder.root, "made", [PICTURES]).files == folder.files
+    assert claim(folder.root, "made", [IMAGES]).files == folder.files
 
 
 def test_a_block_that_fails_changes_nothing(folder: OutputFolder) -> None:
@@ -99,7 +99,7 @@ def test_files_written_one_by_one_are_ours_before_they_appear(folder: OutputFold
     with pytest.raises(KeyboardInterrupt), folder.replacing("images", ["a.png", "b.png"]):
         (folder.root / "a.png").write_text("1")
         raise KeyboardInterrupt
-    again = claim(folder.root, "made", [PICTURES])
+    again = claim(folder.root, "made", [IMAGES])
     with again.replacing("images", ["a.png"]):
         (folder.root / "a.png").write_text("2")
     assert names(folder.root) == ["a.png"]
@@ -108,7 +108,7 @@ def test_files_written_one_by_one_are_ours_before_they_appear(folder: OutputFold
 def test_a_run_that_left_nothing_leaves_no_mark(folder: OutputFolder) -> None:
     folder.give_up(has_failed=True)
     assert list(folder.root.iterdir()) == []
-    kept = claim(folder.root, "made", [PICTURES])
+    kept = claim(folder.root, "made", [IMAGES])
     publish(kept, "model", {"a.bin": "1"})
     kept.give_up(has_failed=True)
     assert names(folder.root) == ["a.bin"] and not kept.has_failed  # there are results of an earlier run
@@ -133,7 +133,7 @@ def test_the_work_of_a_stopped_run_is_not_free(folder: OutputFolder) -> None:
         WorkspaceError, match=r"holds the work of `epipole made` of /pictures; .* rename them back"
     ):
         claim(folder.root, "made", [Path("/elsewhere")])
-    claim(folder.root, "made", [PICTURES])
+    claim(folder.root, "made", [IMAGES])
 
 
 def test_a_renamed_source_is_known_by_its_files(tmp_path: Path) -> None:
@@ -194,7 +194,7 @@ def test_a_mark_names_files_of_its_folder_only(folder: OutputFolder, name: str) 
     mark["files"]["model"] = [name]
     (folder.root / MARK).write_text(json.dumps(mark))
     with pytest.raises(WorkspaceError, match="damaged"):
-        claim(folder.root, "made", [PICTURES])
+        claim(folder.root, "made", [IMAGES])
     with pytest.raises(WorkspaceError), folder.replacing("images", [name]):
         pytest.fail("a name that leads out")
 
@@ -256,6 +256,6 @@ def test_what_stands_in_a_results_place_is_found_before_the_work(folder: OutputF
     (folder.root / "points.ply").unlink()
     (folder.root / "points.ply").mkdir()
     with pytest.raises(WorkspaceError, match=r"points\.ply is no file any more: remove it"):
-        claim(folder.root, "made", [PICTURES])
+        claim(folder.root, "made", [IMAGES])
     (folder.root / "points.ply").rmdir()
-    claim(folder.root, "made", [PICTURES])
+    claim(folder.root, "made", [IMAGES])

@@ -67,7 +67,7 @@ def test_units_of_a_finished_run_bring_their_seconds(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("fails", [False, True])
 def test_threads_are_put_back(fails: bool) -> None:
-    before = cv2.getNumThreads(), _parallel.asked_threads()
+    before = cv2.getNumThreads(), _parallel.requested_threads()
     try:
         with thread_scope(1, opencv_alone=True):
             assert cv2.getNumThreads() == 1 and _parallel.num_threads() == 1
@@ -78,4 +78,4 @@ def test_threads_are_put_back(fails: bool) -> None:
                 raise ZeroDivisionError
     except ZeroDivisionError:
         pass
-    assert (cv2.getNumThreads(), _parallel.asked_threads()) == before
+    assert (cv2.getNumThreads(), _parallel.requested_threads()) == before

@@ -59,21 +59,21 @@ def test_rigs_in_compressed_rows(rng: np.random.Generator) -> None:
 
 
 def test_frames_know_which_of_them_have_a_place() -> None:
-    places = Rigid3.identity(4)
-    places.translation[1] = np.nan
-    places.translation[2, 0] = np.inf
-    frames = Frames(np.zeros(4, np.int32), places, np.full(4, np.nan))
+    positions = Rigid3.identity(4)
+    positions.translation[1] = np.nan
+    positions.translation[2, 0] = np.inf
+    frames = Frames(np.zeros(4, np.int32), positions, np.full(4, np.nan))
     np.testing.assert_array_equal(frames.is_registered(), [True, False, False, True])
     assert len(frames) == 4 and repr(frames) == "Frames(4, 2 registered)"
 
 
 @pytest.mark.parametrize("count", [0, 1, 5])
 def test_unregistered_rows(count: int) -> None:
-    places = unregistered(count)
-    assert len(places) == count and np.isnan(places.as_matrix()[..., :3, :]).all()
-    frames = Frames(np.zeros(count, np.int32), places, np.zeros(count))
+    positions = unregistered(count)
+    assert len(positions) == count and np.isnan(positions.as_matrix()[..., :3, :]).all()
+    frames = Frames(np.zeros(count, np.int32), positions, np.zeros(count))
     assert not frames.is_registered().any()
-    assert np.isnan((places @ Rigid3.identity(count)).inverse().translation).all()
+    assert np.isnan((positions @ Rigid3.identity(count)).inverse().translation).all()
 
 
 def test_keypoints_of_each_image(rng: np.random.Generator) -> None:

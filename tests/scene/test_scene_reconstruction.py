@@ -96,10 +96,10 @@ def test_a_similarity_changes_no_pixel(model: Reconstruction, rng: np.random.Gen
 
 
 def test_a_model_is_not_changed_by_moving_it(model: Reconstruction) -> None:
-    points, places = model.points.xyz_in_world.copy(), model.frames.rig_from_world.translation.copy()
+    points, positions = model.points.xyz_in_world.copy(), model.frames.rig_from_world.translation.copy()
     model.transformed(Similarity3.exp(np.full(7, 0.5)))
     np.testing.assert_array_equal(model.points.xyz_in_world, points)
-    np.testing.assert_array_equal(model.frames.rig_from_world.translation, places)
+    np.testing.assert_array_equal(model.frames.rig_from_world.translation, positions)
 
 
 def test_nothing_is_a_model_too() -> None:
@@ -119,13 +119,13 @@ def test_one_point(rng: np.random.Generator) -> None:
 
 
 def test_text(model: Reconstruction) -> None:
-    begin, end = "Reconstruction(7 of 8 images placed, 12 points, 79 observations", ", 3 cameras)"
+    start, end = "Reconstruction(7 of 8 images placed, 12 points, 79 observations", ", 3 cameras)"
     known = replace(model.points, error_px=np.r_[[0.5] * 6, [1.5] * 6])
     weights = np.diff(model.tracks.offsets)
     mean = (0.5 * weights[:6].sum() + 1.5 * weights[6:].sum()) / weights.sum()
-    assert repr(replace(model, points=known)) == f"{begin}, mean error {mean:.2f} px{end}"
+    assert repr(replace(model, points=known)) == f"{start}, mean error {mean:.2f} px{end}"
     unknown = replace(model.points, error_px=np.full(12, np.nan))
-    assert repr(replace(model, points=unknown)) == begin + end
+    assert repr(replace(model, points=unknown)) == start + end
 
 
 def test_single_cameras_are_rigs_of_one(rng: np.random.Generator) -> None:

@@ -20,8 +20,8 @@ def render_to(folder: Path, cams_from_world: Rigid3, prefix: str = "view") -> li
     names = []
     for n in range(len(cams_from_world)):
         names.append(f"{prefix}_{n:02d}.jpg")
-        picture = render(courtyard(), CAMERA, cams_from_world[n], noise_sigma=1.5, seed=n)
-        write_jpeg_with_exif(folder / names[-1], picture.rgb, focal_35mm=FOCAL_35MM)
+        image = render(courtyard(), CAMERA, cams_from_world[n], noise_sigma=1.5, seed=n)
+        write_jpeg_with_exif(folder / names[-1], image.rgb, focal_35mm=FOCAL_35MM)
     return names
 
 

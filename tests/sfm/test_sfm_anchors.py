@@ -13,14 +13,14 @@ from epipole.io import read_colmap_model
 def test_the_job_states_what_fixed_the_scale(rendered, tmp_path, rng):
     views = neighbouring_views(6)
     names = [f"view_{n:02d}.jpg" for n in range(6)]
-    places = views.centers() + 0.01 * rng.normal(size=(6, 3))
+    positions = views.centers() + 0.01 * rng.normal(size=(6, 3))
     (tmp_path / "places.txt").write_text(
-        "".join(f"{n} {x} {y} {z}\n" for n, (x, y, z) in zip(names, places, strict=True))
+        "".join(f"{n} {x} {y} {z}\n" for n, (x, y, z) in zip(names, positions, strict=True))
     )
     ends, lines = np.array([[-0.6, 2.4, 1.0], [0.5, 2.4, 1.2]]), []
-    for end, place in zip("ab", ends, strict=True):
+    for end, position in zip("ab", ends, strict=True):
         for n in (0, 3, 5):
-            x, y = CAMERA.project(views[n].apply(place[None]))[0]
+            x, y = CAMERA.project(views[n].apply(position[None]))[0]
             lines.append(f"wall {np.linalg.norm(ends[0] - ends[1])} {end} {names[n]} {x} {y}\n")
     (tmp_path / "lengths.txt").write_text("".join(lines))
     plain = reconstruct(rendered, tmp_path / "out")

@@ -66,12 +66,12 @@ with atomic_write(sys.argv[1]) as aside:
 """
 
 
-@pytest.mark.parametrize("is_turned", [False, True])
-def test_an_older_picture_replaces_the_newer_one(rendered, tmp_path, is_turned):
+@pytest.mark.parametrize("is_rotated", [False, True])
+def test_an_older_picture_replaces_the_newer_one(rendered, tmp_path, is_rotated):
     """Which file is older says nothing: `cp -p`, an unpacked archive or a backup bring old dates."""
     folder = copied(rendered, tmp_path / "photographs", 4)
     changed = folder / "view_02.jpg"
-    if is_turned:
+    if is_rotated:
         exif = Image.Exif()
         exif[0x0112] = 3
         Image.open(changed).rotate(180).save(changed, quality=97, exif=exif)
@@ -98,8 +98,8 @@ def test_avif_ends_with_a_model(rendered, tmp_path):
     folder = tmp_path / "photographs"
     folder.mkdir()
     for path in sorted(rendered.iterdir())[:4]:
-        with Image.open(path) as picture:
-            picture.save(folder / f"{path.stem}.avif", quality=90)
+        with Image.open(path) as image:
+            image.save(folder / f"{path.stem}.avif", quality=90)
     result = reconstruct(folder, tmp_path / "out")
     assert result.summary["num_registered"] == 4
     assert (tmp_path / "out" / "images" / "view_00.avif").is_file()
@@ -140,8 +140,8 @@ def test_the_same_picture_twice(rendered, tmp_path):
 
 def test_pure_rotation_gives_no_depth(tmp_path):
     base = neighbouring_views(1)
-    turns = Rotation3.exp(np.array([[0, 0.12 * k, 0.01 * k] for k in range(3)])).matrix
-    views = Rigid3(turns @ base.rotation, (turns @ base.translation[..., None])[..., 0])
+    rotations = Rotation3.exp(np.array([[0, 0.12 * k, 0.01 * k] for k in range(3)])).matrix
+    views = Rigid3(rotations @ base.rotation, (rotations @ base.translation[..., None])[..., 0])
     render_to(tmp_path / "turn", views)
     with pytest.raises(NoModelError, match="only turned"):
         reconstruct(tmp_path / "turn", tmp_path / "out")

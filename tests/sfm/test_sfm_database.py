@@ -39,12 +39,12 @@ def test_the_same_features_and_matches_give_the_same_model(rendered, first, data
 
 def assert_same_places(model, expected):
     """To rounding: features keep single precision in a run, too, so that a database takes nothing from them."""
-    found, places = model.cams_from_world(), expected.cams_from_world()
+    found, positions = model.cams_from_world(), expected.cams_from_world()
     assert model.images.name == expected.images.name
-    size = np.linalg.norm(np.ptp(places.centers(), axis=0))
-    np.testing.assert_allclose(found.centers(), places.centers(), atol=1e-6 * size)
-    turned = Rotation3(found.rotation @ np.swapaxes(places.rotation, 1, 2)).angle_rad()
-    assert np.rad2deg(turned).max() < 1e-4
+    size = np.linalg.norm(np.ptp(positions.centers(), axis=0))
+    np.testing.assert_allclose(found.centers(), positions.centers(), atol=1e-6 * size)
+    rotated = Rotation3(found.rotation @ np.swapaxes(positions.rotation, 1, 2)).angle_rad()
+    assert np.rad2deg(rotated).max() < 1e-4
     np.testing.assert_allclose(model.cameras[0].focal_px, expected.cameras[0].focal_px, rtol=1e-6)
 
 

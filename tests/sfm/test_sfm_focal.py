@@ -20,16 +20,16 @@ def motions(rng, count):
     """Cameras around a scene at (0, 0, 5), each looking a little beside it: no shared point on all axes."""
     out = []
     for _ in range(count):
-        turn = Rigid3.exp(np.concatenate([np.zeros(3), rng.normal(0, 0.25, 3)]))
+        rotation = Rigid3.exp(np.concatenate([np.zeros(3), rng.normal(0, 0.25, 3)]))
         away = Rigid3(np.eye(3), np.array([0, 0, 5.0]) + rng.normal(0, 0.5, 3))
-        out.append(away @ turn @ Rigid3(np.eye(3), np.array([0, 0, -5.0])))
+        out.append(away @ rotation @ Rigid3(np.eye(3), np.array([0, 0, -5.0])))
     return out
 
 
-def view_graph(places, focals, pairs, inliers):
+def view_graph(positions, focals, pairs, inliers):
     fundamental = []
     for i, j in pairs:
-        essential = essential_from_cam2_from_cam1(places[j] @ places[i].inverse())
+        essential = essential_from_cam2_from_cam1(positions[j] @ positions[i].inverse())
         f = np.linalg.inv(camera(focals[j]).K).T @ essential @ np.linalg.inv(camera(focals[i]).K)
         fundamental.append(f / np.linalg.norm(f))
     n, nan = len(pairs), np.full((len(pairs), 3, 3), np.nan)
@@ -101,8 +101,8 @@ def test_few_wrong_pairs_do_not_decide(rng):
 
 
 def test_parallel_views_tell_nothing_and_the_guess_stays():
-    places = [Rigid3(np.eye(3), np.array([0.3 * k, 0.1 * k * k, 0.0])) for k in range(4)]
-    graph = view_graph(places, np.full(4, 1.8 * GUESS), all_pairs(4), [300] * 6)
+    positions = [Rigid3(np.eye(3), np.array([0.3 * k, 0.1 * k * k, 0.0])) for k in range(4)]
+    graph = view_graph(positions, np.full(4, 1.8 * GUESS), all_pairs(4), [300] * 6)
     cameras, found = estimate_focals(
         Cameras.from_list([camera()], is_focal_trusted=[False]), np.zeros(4, np.int32), graph
     )

@@ -247,9 +247,9 @@ def photographs(tmp_path_factory):
         east, north, up = enu[n] + ([2000.0, 0, 0] if n == 4 else [0.0, 0, 0])
         lat_deg = 46.5 + np.rad2deg(north / 6_368_000.0)
         lon_deg = 7.25 + np.rad2deg(east / (6_388_000.0 * np.cos(np.deg2rad(46.5))))
-        picture = render(courtyard(), CAMERA, views[n], noise_sigma=1.5, seed=n)
+        image = render(courtyard(), CAMERA, views[n], noise_sigma=1.5, seed=n)
         path = folder / f"view_{n:02d}.jpg"
-        write_jpeg_with_exif(path, picture.rgb, focal_35mm=FOCAL_35MM, gps=(lat_deg, lon_deg, 500.0 + up))
+        write_jpeg_with_exif(path, image.rgb, focal_35mm=FOCAL_35MM, gps=(lat_deg, lon_deg, 500.0 + up))
     return folder
 
 

@@ -24,14 +24,14 @@ def features():
 
 def matches():
     rows = np.array([[0, 1], [2, 3]], np.int32)
-    return filled(block(MATCHES), lambda places: [{"matches": rows}] * len(places))
+    return filled(block(MATCHES), lambda positions: [{"matches": rows}] * len(positions))
 
 
 def geometries():
     one = {"matches": np.array([[0, 1], [2, 3]], np.int32), "median_angle_rad": np.array(0.1)}
     one |= {"kind": np.array(1, np.int32), "num_putative": np.array(3, np.int32), "translation": np.ones(3)}
     one |= {name: np.eye(3) for name in ("rotation", "essential", "fundamental", "homography")}
-    return filled(block(GEOMETRIES), lambda places: [one] * len(places))
+    return filled(block(GEOMETRIES), lambda positions: [one] * len(positions))
 
 
 def block(table):

@@ -89,20 +89,20 @@ def graph(ring: Reconstruction) -> ViewGraph:
 def errors_of(mapper: IncrementalMapper, truth: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
     """Distance and turn of each registered image from its true place, up to a similarity."""
     registered = mapper.model.registered
-    found, expected = mapper.model.registered_places(), truth.cams_from_world()[np.flatnonzero(registered)]
+    found, expected = mapper.model.registered_poses(), truth.cams_from_world()[np.flatnonzero(registered)]
     truth_from_found = align_points(found.centers(), expected.centers())
     off = np.linalg.norm(truth_from_found.apply(found.centers()) - expected.centers(), axis=1)
-    turned = expected.rotation @ truth_from_found.rotation @ np.swapaxes(found.rotation, 1, 2)
-    return off, Rotation3(turned).angle_rad()
+    rotated = expected.rotation @ truth_from_found.rotation @ np.swapaxes(found.rotation, 1, 2)
+    return off, Rotation3(rotated).angle_rad()
 
 
 def test_exact_tracks_give_the_true_cameras_and_points(ring: Reconstruction, graph: ViewGraph) -> None:
-    mapper, told = mapper_of(ring, graph), []
-    assert mapper.run(np.ones(12, bool), lambda done, total: told.append((done, total)))
+    mapper, given = mapper_of(ring, graph), []
+    assert mapper.run(np.ones(12, bool), lambda done, total: given.append((done, total)))
     assert mapper.model.registered.all() and mapper.rejections == {}
-    off, turned = errors_of(mapper, ring)
-    assert off.max() < 1e-5 and turned.max() < 1e-6
-    assert told[-1] == (12, 12) and all(total == 12 for _, total in told)
+    off, rotated = errors_of(mapper, ring)
+    assert off.max() < 1e-5 and rotated.max() < 1e-6
+    assert given[-1] == (12, 12) and all(total == 12 for _, total in given)
     assert len(mapper.model.living_points()) == len(ring.points)
     assert mapper.consistency.overall(mapper.model) == pytest.approx(1.0)
 
@@ -120,9 +120,9 @@ def test_noise_moves_cameras_by_little() -> None:
     noisy = bundle_problem(12, 900, 5, noise_px=0.5, seed=3).truth
     mapper = mapper_of(noisy, view_graph_of(noisy))
     assert mapper.run(np.ones(12, bool)) and mapper.model.registered.all()
-    off, turned = errors_of(mapper, noisy)
+    off, rotated = errors_of(mapper, noisy)
     radius = np.linalg.norm(noisy.cams_from_world().centers(), axis=1).mean()
-    assert off.max() < 0.005 * radius and np.rad2deg(turned).max() < 0.3
+    assert off.max() < 0.005 * radius and np.rad2deg(rotated).max() < 0.3
     assert np.median(off) > 1e-6  # the noise does arrive
 
 
@@ -241,5 +241,5 @@ def test_the_focal_length_of_a_new_camera_is_found_with_its_place(
     assert mapper.run(np.ones(12, bool))
     assert builder.registered.all()
     assert builder.params[1, 0] == pytest.approx(truth, rel=1e-3)
-    off, turned = errors_of(mapper, ring)
-    assert off.max() < 1e-2 and turned.max() < 1e-2
+    off, rotated = errors_of(mapper, ring)
+    assert off.max() < 1e-2 and rotated.max() < 1e-2

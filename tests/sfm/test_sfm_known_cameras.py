@@ -8,14 +8,14 @@ import pytest
 from PIL import Image
 
 from epipole.cameras import Camera
-from epipole.cameras.image_fit import turned_camera
+from epipole.cameras.image_fit import rotated_camera
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
 from epipole.io.calibration.files import CalibrationFile, write_calibration
 from epipole.io.images.photographs import PhotographHeader
+from epipole.pipelines.sfm.cameras import group_cameras
 from epipole.pipelines.sfm.config import ReconstructConfig
-from epipole.pipelines.sfm.lenses import group_cameras
-from epipole.pipelines.sfm.matching.database_stage import _refuse_turned
+from epipole.pipelines.sfm.matching.database_stage import _refuse_rotated
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -39,24 +39,24 @@ def calibration(tmp_path):
     return path
 
 
-@pytest.mark.parametrize("turned", [2, 3, 4, 6, 8])
-def test_every_second_image_turned(calibration, turned):
-    found = grouped([header(), header(turned)] * 3, calibration=calibration)
+@pytest.mark.parametrize("rotated", [2, 3, 4, 6, 8])
+def test_every_second_image_turned(calibration, rotated):
+    found = grouped([header(), header(rotated)] * 3, calibration=calibration)
     assert len(found.cameras) == 2 and found.cameras.is_constant.all()
-    for image, orientation in enumerate([1, turned] * 3):
-        expected = turned_camera(LENS, orientation)
+    for image, orientation in enumerate([1, rotated] * 3):
+        expected = rotated_camera(LENS, orientation)
         camera = found.cameras[int(found.camera_of_image[image])]
         assert (camera.width, camera.height) == (expected.width, expected.height)
         np.testing.assert_allclose(camera.params, expected.params)
     assert "as they are stored" in found.notes[0]
 
 
-@pytest.mark.parametrize("turned", [3, 6])
-def test_the_same_of_numbers(turned):
-    found = grouped([header(), header(turned)], camera_params="400,402,250.5,150.5")
+@pytest.mark.parametrize("rotated", [3, 6])
+def test_the_same_of_numbers(rotated):
+    found = grouped([header(), header(rotated)], camera_params="400,402,250.5,150.5")
     pinhole = Camera("PINHOLE", 480, 320, LENS.params[:4])
-    for camera, orientation in zip((found.cameras[int(c)] for c in found.camera_of_image), (1, turned)):
-        np.testing.assert_allclose(camera.params, turned_camera(pinhole, orientation).params)
+    for camera, orientation in zip((found.cameras[int(c)] for c in found.camera_of_image), (1, rotated)):
+        np.testing.assert_allclose(camera.params, rotated_camera(pinhole, orientation).params)
 
 
 def test_half_size_images(calibration):
@@ -88,9 +88,9 @@ def test_a_database_may_be_of_stored_pixels(tmp_path, orientation, is_refused):
     Image.fromarray(np.zeros((48, 64), np.uint8)).save(tmp_path / "a.png", exif=exif)
     images = SimpleNamespace(folder=tmp_path, names=("a.png",))
     if not is_refused:
-        _refuse_turned(tmp_path / "given.db", images)
+        _refuse_rotated(tmp_path / "given.db", images)
         return
     with pytest.raises(
         ConfigError, match=r"a.png has EXIF orientation 3, and the keypoints in .*given.db may be"
     ):
-        _refuse_turned(tmp_path / "given.db", images)
+        _refuse_rotated(tmp_path / "given.db", images)

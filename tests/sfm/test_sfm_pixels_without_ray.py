@@ -37,7 +37,7 @@ def test_cameras_that_images_were_registered_with_are_looked_at(monkeypatch):
 
 def test_large_images_are_looked_at_coarsely():
     large = FOLDED.scaled_to(4800, 3600)
-    small_share, share = (pixels_without_ray(camera).mean() for camera in (FOLDED, large))
-    assert abs(share - small_share) < 0.02 and pixels_without_ray(SOUND.scaled_to(4800, 3600)) is None
+    small_share, fraction = (pixels_without_ray(camera).mean() for camera in (FOLDED, large))
+    assert abs(fraction - small_share) < 0.02 and pixels_without_ray(SOUND.scaled_to(4800, 3600)) is None
     pixels = np.argwhere(~pixels_without_ray(large)[::37, ::41])[:, ::-1] * (41.0, 37.0)
     assert np.isfinite(large.unproject(pixels)).all()

@@ -37,7 +37,7 @@ def work(monkeypatch: pytest.MonkeyPatch) -> Counts:
 
 
 @pytest.fixture
-def pictures(rendered: Path, tmp_path: Path) -> Path:
+def images(rendered: Path, tmp_path: Path) -> Path:
     """Five of the six rendered pictures, without the first."""
     folder = tmp_path / "pictures"
     folder.mkdir()
@@ -46,9 +46,9 @@ def pictures(rendered: Path, tmp_path: Path) -> Path:
     return folder
 
 
-def assert_as_fresh(result: ReconstructionResult, pictures: Path, tmp_path: Path) -> None:
+def assert_as_fresh(result: ReconstructionResult, images: Path, tmp_path: Path) -> None:
     """The same model, points, pictures, and files of work as a run that began with these pictures."""
-    fresh = reconstruct(pictures, tmp_path / "fresh")
+    fresh = reconstruct(images, tmp_path / "fresh")
     for root, other in ((result.out, fresh.out), (fresh.out, result.out)):
         for path in [
             *(root / "sparse").rglob("*.bin"),
@@ -60,55 +60,55 @@ def assert_as_fresh(result: ReconstructionResult, pictures: Path, tmp_path: Path
 
 
 def test_one_picture_more_before_all_others(
-    work: Counts, pictures: Path, rendered: Path, tmp_path: Path
+    work: Counts, images: Path, rendered: Path, tmp_path: Path
 ) -> None:
-    reconstruct(pictures, tmp_path / "out")
+    reconstruct(images, tmp_path / "out")
     assert work == {"pictures": 5, "matched": 10, "verified": 10}
     first = sorted(rendered.iterdir())[0]
-    shutil.copy(first, pictures / first.name)
+    shutil.copy(first, images / first.name)
     work.clear()
-    result = reconstruct(pictures, tmp_path / "out")
+    result = reconstruct(images, tmp_path / "out")
     assert work == {"pictures": 1, "matched": 5, "verified": 5}
     assert result.summary["num_registered"] == 6
-    assert_as_fresh(result, pictures, tmp_path)
+    assert_as_fresh(result, images, tmp_path)
 
 
-def test_one_picture_less_and_one_renamed(work: Counts, pictures: Path, tmp_path: Path) -> None:
-    reconstruct(pictures, tmp_path / "out")
-    names = sorted(path.name for path in pictures.iterdir())
-    (pictures / names[1]).unlink()
-    (pictures / names[4]).rename(pictures / "z.jpg")  # the last as before
+def test_one_picture_less_and_one_renamed(work: Counts, images: Path, tmp_path: Path) -> None:
+    reconstruct(images, tmp_path / "out")
+    names = sorted(path.name for path in images.iterdir())
+    (images / names[1]).unlink()
+    (images / names[4]).rename(images / "z.jpg")  # the last as before
     work.clear()
-    result = reconstruct(pictures, tmp_path / "out")
+    result = reconstruct(images, tmp_path / "out")
     assert not work
-    assert_as_fresh(result, pictures, tmp_path)
-    (pictures / "z.jpg").rename(pictures / "a.jpg")  # the first now: its pairs are the other way round
+    assert_as_fresh(result, images, tmp_path)
+    (images / "z.jpg").rename(images / "a.jpg")  # the first now: its pairs are the other way round
     work.clear()
-    assert_as_fresh(reconstruct(pictures, tmp_path / "out"), pictures, tmp_path / "again")
+    assert_as_fresh(reconstruct(images, tmp_path / "out"), images, tmp_path / "again")
     assert work["pictures"] <= 4 and work["matched"] == 3 + 6  # with those of the fresh run
 
 
-def test_the_same_pictures_copied_again(work: Counts, pictures: Path, tmp_path: Path) -> None:
+def test_the_same_pictures_copied_again(work: Counts, images: Path, tmp_path: Path) -> None:
     """A new folder at the old place, with new times."""
-    reconstruct(pictures, tmp_path / "out")
-    pictures.rename(tmp_path / "earlier")
-    shutil.copytree(tmp_path / "earlier", pictures, copy_function=shutil.copy)
+    reconstruct(images, tmp_path / "out")
+    images.rename(tmp_path / "earlier")
+    shutil.copytree(tmp_path / "earlier", images, copy_function=shutil.copy)
     work.clear()
-    result = reconstruct(pictures, tmp_path / "out")
+    result = reconstruct(images, tmp_path / "out")
     assert not work
-    assert_as_fresh(result, pictures, tmp_path)
+    assert_as_fresh(result, images, tmp_path)
 
 
-def test_another_option_and_back_leaves_no_files_behind(work: Counts, pictures: Path, tmp_path: Path) -> None:
+def test_another_option_and_back_leaves_no_files_behind(work: Counts, images: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
 
     def files() -> list[str]:
         return sorted(path.name for path in (out / "work").rglob("*.npz"))
 
-    reconstruct(pictures, out)
+    reconstruct(images, out)
     before = files()
-    reconstruct(pictures, out, max_features=1500)
+    reconstruct(images, out, max_features=1500)
     assert len(files()) == len(before) and set(files()) & set(before) == {"contents.npz"}
     work.clear()
-    reconstruct(pictures, out)
+    reconstruct(images, out)
     assert work["pictures"] == 5 and files() == before

@@ -39,11 +39,11 @@ def fundamental(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def noisy_graph(rng, focals, noise_px=1.0):
     """Pairs of images of a cloud of points, whose geometry comes from pixels with noise."""
-    places = motions(rng, len(focals))
+    positions = motions(rng, len(focals))
     points = rng.normal(0, 1, (300, 3)) * [1.5, 1, 1] + [0, 0, 5]
     pixels = []
-    for place, focal in zip(places, focals):
-        inside = place.apply(points)
+    for position, focal in zip(positions, focals):
+        inside = position.apply(points)
         own = focal * inside[:, :2] / inside[:, 2:] + [399.5, 299.5]
         seen = (inside[:, 2] > 0.5) & (own > 0).all(axis=1) & (own < [800, 600]).all(axis=1)
         pixels.append(np.where(seen[:, None], own + rng.normal(0, noise_px, own.shape), np.nan))
@@ -54,7 +54,7 @@ def noisy_graph(rng, focals, noise_px=1.0):
             found.append(fundamental(pixels[i][both], pixels[j][both]))
             pairs.append((i, j))
             counts.append(int(both.sum()))
-    graph = view_graph(places, focals, pairs, counts)
+    graph = view_graph(positions, focals, pairs, counts)
     graph.fundamental[:] = found
     return graph
 
@@ -132,17 +132,17 @@ def test_what_is_contradicted_is_said(tmp_path, rng):
         assert len(found.cameras) == 1 and "contradict one shared focal length" in found.notes[0]
 
 
-def ring_model(rng, lens, *, given_px=None, turn=1.0, num_images=8, noise_px=0.3):
+def ring_model(rng, camera, *, given_px=None, rotation=1.0, num_images=8, noise_px=0.3):
     """Images around a cloud of points, adjusted to noise; the model's focal length may be another than theirs."""
     points = rng.normal(0, 1, (250, 3))
     rotations, translations, keypoints = [], [], []
-    for angle in np.linspace(-turn, turn, num_images):
-        place = Rigid3(np.eye(3), np.array([0, 0, 6.0])) @ Rigid3.exp([0, 0, 0, 0.3 * angle**2, angle, 0])
-        rotations.append(place.rotation)
-        translations.append(place.translation)
-        keypoints.append(lens.project(place.apply(points)) + rng.normal(0, noise_px, (len(points), 2)))
+    for angle in np.linspace(-rotation, rotation, num_images):
+        position = Rigid3(np.eye(3), np.array([0, 0, 6.0])) @ Rigid3.exp([0, 0, 0, 0.3 * angle**2, angle, 0])
+        rotations.append(position.rotation)
+        translations.append(position.translation)
+        keypoints.append(camera.project(position.apply(points)) + rng.normal(0, noise_px, (len(points), 2)))
     n, p = num_images, len(points)
-    own = lens if given_px is None else Camera("PINHOLE", 800, 600, [given_px, given_px, 399.5, 299.5])
+    own = camera if given_px is None else Camera("PINHOLE", 800, 600, [given_px, given_px, 399.5, 299.5])
     return Reconstruction(
         Cameras.from_list([own], is_constant=[given_px is not None]),
         Rigs.of_single_cameras(1),
@@ -180,13 +180,15 @@ def test_a_wrong_known_focal_length_is_contradicted(rng, factor):
 def test_a_right_one_is_not(seed):
     rng = np.random.default_rng(seed)
     off_middle = Camera("SIMPLE_RADIAL", 800, 600, [900.0, 405.0, 290.0, -0.02])
-    for lens, given_px in ((PINHOLE, 900.0), (off_middle, None)):
-        (found,) = focal_accuracies(ring_model(rng, lens, given_px=given_px)).values()
+    for own, given_px in ((PINHOLE, 900.0), (off_middle, None)):
+        (found,) = focal_accuracies(ring_model(rng, own, given_px=given_px)).values()
         assert found.is_determined and not found.contradicts_model
 
 
 def test_a_camera_that_hardly_turns_determines_nothing(rng):
-    (found,) = focal_accuracies(ring_model(rng, PINHOLE, given_px=900.0, turn=0.02, noise_px=1.0)).values()
+    (found,) = focal_accuracies(
+        ring_model(rng, PINHOLE, given_px=900.0, rotation=0.02, noise_px=1.0)
+    ).values()
     assert not found.is_determined and not found.contradicts_model
 
 

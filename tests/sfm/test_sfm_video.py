@@ -20,8 +20,8 @@ def film(tmp_path_factory):
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), FPS, (WIDTH, HEIGHT))
     views = courtyard_views(24)[np.arange(6, 6 + NUM_FRAMES)]
     for n in range(NUM_FRAMES):
-        picture = render(courtyard(), CAMERA, views[n], noise_sigma=1.5, seed=n)
-        writer.write(cv2.cvtColor(picture.rgb, cv2.COLOR_RGB2BGR))
+        image = render(courtyard(), CAMERA, views[n], noise_sigma=1.5, seed=n)
+        writer.write(cv2.cvtColor(image.rgb, cv2.COLOR_RGB2BGR))
     writer.release()
     return path, views
 
@@ -46,8 +46,8 @@ def test_cameras_stand_where_they_stood(result, film) -> None:
     error = np.linalg.norm(truth_from_found.apply(found.centers()) - truth.centers(), axis=1)
     length = np.linalg.norm(np.diff(truth.centers(), axis=0), axis=1).sum()
     assert error.max() < 0.01 * length
-    turned = Rotation3(truth.rotation @ truth_from_found.rotation @ np.swapaxes(found.rotation, 1, 2))
-    assert np.rad2deg(turned.angle_rad()).max() < 0.5
+    rotated = Rotation3(truth.rotation @ truth_from_found.rotation @ np.swapaxes(found.rotation, 1, 2))
+    assert np.rad2deg(rotated.angle_rad()).max() < 0.5
 
 
 def test_the_lens_is_found_without_exif(result) -> None:

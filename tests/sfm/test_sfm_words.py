@@ -14,7 +14,7 @@ from epipole.pipelines.sfm.notes import title_of
 
 
 @pytest.fixture(scope="module")
-def told(rendered, tmp_path_factory):
+def given(rendered, tmp_path_factory):
     """Five pictures without EXIF, and two of noise; with few blocks of pairs. Result, progress, folder."""
     folder = tmp_path_factory.mktemp("words") / "garden" / "images"
     folder.mkdir(parents=True)
@@ -34,8 +34,8 @@ def last(reports, stage):
     return [(r.done, r.total) for r in reports if r.stage == stage][-1]
 
 
-def test_progress_counts_pairs_and_pictures_to_the_end(told):
-    result, reports, _ = told
+def test_progress_counts_pairs_and_pictures_to_the_end(given):
+    result, reports, _ = given
     assert last(reports, "match") == last(reports, "verify") == (21, 21)
     assert last(reports, "features") == (7, 7)
     assert last(reports, "map") == (sum(m.is_registered().sum() for m in result.models), 7)
@@ -43,8 +43,8 @@ def test_progress_counts_pairs_and_pictures_to_the_end(told):
         assert 0 <= r.done <= r.total
 
 
-def test_focal_lengths_are_said_of_pictures_with_their_final_values(told):
-    result, _, _ = told
+def test_focal_lengths_are_said_of_pictures_with_their_final_values(given):
+    result, _, _ = given
     (note,) = [w for w in result.warnings if "focal length" in w]
     final_px = result.model.cameras[0].focal_px
     assert note.startswith("focal length found from the pictures themselves: view_00.jpg and 4 others: ")
@@ -52,8 +52,8 @@ def test_focal_lengths_are_said_of_pictures_with_their_final_values(told):
     assert abs(final_px - CAMERA.focal_px) < 0.1 * CAMERA.focal_px
 
 
-def test_where_focal_lengths_come_from(told, tmp_path, rendered):
-    result, _, folder = told
+def test_where_focal_lengths_come_from(given, tmp_path, rendered):
+    result, _, folder = given
     (source,) = result.summary["focal_sources"][:1]
     assert source == "found from the pictures (assumed 1.2 x the longer side at first)"
     for path in sorted(folder.iterdir())[:2]:  # two pictures: nothing can be found from their pair alone
@@ -67,8 +67,8 @@ def test_where_focal_lengths_come_from(told, tmp_path, rendered):
     assert not any("focal" in w for w in known.warnings)
 
 
-def test_the_report_has_the_name_of_the_source_and_says_things_once(told):
-    _, _, folder = told
+def test_the_report_has_the_name_of_the_source_and_says_things_once(given):
+    _, _, folder = given
     page = (folder.parent.parent / "out" / "report.html").read_text(encoding="utf-8")
     assert "<h1>garden</h1>" in page
     assert page.count("2 of 7 pictures") == 1

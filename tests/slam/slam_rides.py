@@ -47,7 +47,7 @@ class Ride:
         return (self.cams_from_world @ self.cams_from_world[0].inverse()).inverse()
 
 
-def place(n: int, kind: str) -> Rigid3:
+def position(n: int, kind: str) -> Rigid3:
     """Along an arc before the corner; or turning on the spot; or at rest."""
     at = {"arc": n, "turn": 0, "rest": 0}[kind]
     angle = np.deg2rad(-75.0 + 1.4 * at)
@@ -62,22 +62,22 @@ def place(n: int, kind: str) -> Rigid3:
 @cache
 def ride(kind: str = "arc", count: int = 30) -> Ride:
     """Rendered once for all tests of a process."""
-    places = [place(n, kind) for n in range(count)]
+    positions = [position(n, kind) for n in range(count)]
     left, right, depth = [], [], []
-    for n, seen in enumerate(places):
-        picture = render(courtyard(), CAMERA, seen, noise_sigma=1.5, seed=2 * n)
-        left.append(cv2.cvtColor(picture.rgb, cv2.COLOR_RGB2GRAY))
-        depth.append(np.nan_to_num(picture.depth, nan=0.0).astype(np.float32))
+    for n, seen in enumerate(positions):
+        image = render(courtyard(), CAMERA, seen, noise_sigma=1.5, seed=2 * n)
+        left.append(cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY))
+        depth.append(np.nan_to_num(image.depth, nan=0.0).astype(np.float32))
         if kind == "arc":
             other = render(courtyard(), CAMERA, RIGHT_FROM_LEFT @ seen, noise_sigma=1.5, seed=2 * n + 1)
             right.append(cv2.cvtColor(other.rgb, cv2.COLOR_RGB2GRAY))
         else:
             right.append(left[-1])
-    together = Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places]))
+    together = Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))
     return Ride(tuple(left), tuple(right), tuple(depth), together)
 
 
-def followed(frames: list[Frame], camera: SlamCamera, config=None) -> tuple[Slam, list]:
+def tracked(frames: list[Frame], camera: SlamCamera, config=None) -> tuple[Slam, list]:
     """A SLAM that has seen all frames, and its answers."""
     slam = Slam(camera, config)
     return slam, [slam.track(frame) for frame in frames]
@@ -85,10 +85,10 @@ def followed(frames: list[Frame], camera: SlamCamera, config=None) -> tuple[Slam
 
 def write_pairs(folder: Path, count: int = 12) -> Path:
     """A KITTI-like folder of rendered pairs, with `poses.txt`, which KITTI keeps elsewhere."""
-    for name, pictures in (("image_0", ride().left), ("image_1", ride().right)):
+    for name, images in (("image_0", ride().left), ("image_1", ride().right)):
         (folder / name).mkdir(parents=True)
-        for n, picture in enumerate(pictures[:count]):
-            cv2.imwrite(str(folder / name / f"{n:06d}.png"), picture)
+        for n, image in enumerate(images[:count]):
+            cv2.imwrite(str(folder / name / f"{n:06d}.png"), image)
     f, _, cx, cy = CAMERA.params
     rows = [[f, 0, cx, x, 0, f, cy, 0, 0, 0, 1, 0] for x in (0.0, -f * BASELINE)]
     (folder / "calib.txt").write_text(
@@ -100,45 +100,45 @@ def write_pairs(folder: Path, count: int = 12) -> Path:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class Rendered:
     """Every few frames of a ride of `epipole.synthetic`, in small pictures."""
 
     ride: SyntheticRide
-    pictures: dict
+    images: dict
 
     def frames(self, kind: str, numbers=None) -> list[Frame]:
         """As the sensor gives them, a tenth of a second apart, in the order of these numbers (all of them, in order)."""
         out = []
-        for n, number in enumerate(self.pictures if numbers is None else numbers):
-            left, right, depth = self.pictures[number]
+        for n, number in enumerate(self.images if numbers is None else numbers):
+            left, right, depth = self.images[number]
             kinds = right if kind == "stereo" else None, depth if kind == "rgbd" else None
             out.append(Frame(0.1 * n, left, *kinds))
         return out
 
     def truth(self, numbers=None) -> Rigid3:
         """world_from_body with the first of these frames as the world."""
-        places = self.ride.world_from_camera[np.array(list(self.pictures if numbers is None else numbers))]
-        return places[0].inverse() @ places
+        positions = self.ride.world_from_camera[np.array(list(self.images if numbers is None else numbers))]
+        return positions[0].inverse() @ positions
 
     def sensor(self, kind: str, focal_factor: float = 1.0) -> SlamCamera:
         """The camera, or one of a wrong focal length."""
-        lens, params = self.ride.camera, self.ride.camera.params.copy()
+        camera, params = self.ride.camera, self.ride.camera.params.copy()
         params[:2] *= focal_factor
-        lens = Camera(lens.model, lens.width, lens.height, params)
+        camera = Camera(camera.model, camera.width, camera.height, params)
         if kind == "rgbd":
-            return SlamCamera(lens, None, DepthCamera(lens, Rigid3.identity()))
-        return SlamCamera(lens, self.ride.baseline if kind == "stereo" else None)
+            return SlamCamera(camera, None, DepthCamera(camera, Rigid3.identity()))
+        return SlamCamera(camera, self.ride.baseline if kind == "stereo" else None)
 
 
 @cache
-def drawn(name: str, count: int, step: int, *, with_right: bool = False) -> Drawn:
+def rendered(name: str, count: int, step: int, *, with_right: bool = False) -> Rendered:
     """Every `step`-th of the first `count` frames, rendered once for all tests of a process."""
     ride = getattr(rides, name)(count, (320, 240))
-    pictures = {}
+    images = {}
     for number in range(0, count, step):
         left = ride.left(number)
-        pictures[number] = left.grey, ride.right(number).grey if with_right else None, left.depth
-    return Drawn(ride, pictures)
+        images[number] = left.grey, ride.right(number).grey if with_right else None, left.depth
+    return Rendered(ride, images)
 
 
 def errors(slam: Slam, truth: Rigid3, alignment: str, number: int = 0):

@@ -29,8 +29,8 @@ def truth(part):
 
 def write_places(path, part, sigma=0.01):
     """By the clock of a folder that holds these frames alone."""
-    places = truth(part) + sigma * np.random.default_rng(3).normal(size=truth(part).shape)
-    rows = [f"{0.1 * n:.3f} {x} {y} {z}\n" for n, (x, y, z) in enumerate(places)]
+    positions = truth(part) + sigma * np.random.default_rng(3).normal(size=truth(part).shape)
+    rows = [f"{0.1 * n:.3f} {x} {y} {z}\n" for n, (x, y, z) in enumerate(positions)]
     path.write_text("".join(rows))
     return path
 
@@ -56,10 +56,10 @@ def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("maps")
     for name, part in (("old", OLD), ("new", NEW)):
         (folder / name).mkdir()
-        for n, picture in enumerate(ride().left[part]):
-            cv2.imwrite(str(folder / name / f"{n:03d}.png"), picture)
-    places = write_places(folder / "places.txt", OLD)
-    run_slam(folder / "old", folder / "metric", positions=places, positions_sigma_m=0.01, **GIVEN)
+        for n, image in enumerate(ride().left[part]):
+            cv2.imwrite(str(folder / name / f"{n:03d}.png"), image)
+    positions = write_places(folder / "places.txt", OLD)
+    run_slam(folder / "old", folder / "metric", positions=positions, positions_sigma_m=0.01, **GIVEN)
     run_slam(folder / "old", folder / "scaleless", **GIVEN)
     return folder
 
@@ -142,11 +142,11 @@ def test_pictures_of_the_map_are_not_taken_for_those_of_this_run(runs, tmp_path,
     frames = {float(t): f"{round(10 * t):03d}.png" for t in system.trajectory().timestamp_s}
     of_keyframes = [f"{k.number - OLD.stop * (k.number >= OLD.stop):03d}.png" for k in system.map.keyframes]
     options = AnchorOptions(positions=write(tmp_path / "places.txt", NEW), positions_sigma_m=0.01)
-    places = anchor_map(system, options, of_keyframes, frames).places
+    positions = anchor_map(system, options, of_keyframes, frames).positions
     is_new = np.array([k.number >= system.first_number for k in system.map.keyframes])
-    assert np.array_equal(np.isfinite(places.positions[:, 0]), is_new) and 2 <= is_new.sum() < len(is_new)
+    assert np.array_equal(np.isfinite(positions.positions[:, 0]), is_new) and 2 <= is_new.sum() < len(is_new)
     there = truth(NEW)[[k.number - system.first_number for k in system.map.keyframes if k.number >= OLD.stop]]
-    np.testing.assert_allclose(places.positions[is_new], there, atol=0.05)
+    np.testing.assert_allclose(positions.positions[is_new], there, atol=0.05)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from tests.slam.slam_rides import CAMERA, MONO, RGBD, followed, ride
+from tests.slam.slam_rides import CAMERA, MONO, RGBD, ride, tracked
 
 from epipole import CameraOptions
 from epipole.config import AnchorOptions
@@ -22,7 +22,7 @@ SIGMA = 0.01
 
 @pytest.fixture(scope="module")
 def finished():
-    system, _ = followed(ride().frames("mono"), MONO)
+    system, _ = tracked(ride().frames("mono"), MONO)
     system.finish()
     return system
 
@@ -34,14 +34,14 @@ def anchored(system, log, sigma, folder):
     options = AnchorOptions(positions=folder / "places.txt", positions_sigma_m=sigma)
     names = [f"{k.number:03d}.png" for k in system.maps[0].keyframes]
     found = anchor_map(system, options, names, {})
-    return found.places.fit
+    return found.positions.fit
 
 
 def log_of(rng, every=2, shift_s=0.0):
     """The true places of some frames, with noise, by the frames' clock."""
-    places = ride().truth().translation[::every]
+    positions = ride().truth().translation[::every]
     times = 0.1 * np.arange(30)[::every] + shift_s
-    return PositionLog(times, places + SIGMA * rng.standard_normal(places.shape))
+    return PositionLog(times, positions + SIGMA * rng.standard_normal(positions.shape))
 
 
 def test_the_true_scale_lies_within_what_is_stated(finished, rng, tmp_path):
@@ -72,24 +72,24 @@ def test_what_tells_no_scale_is_refused(finished, rng, tmp_path):
     later = log_of(rng, shift_s=100.0)
     with pytest.raises(DegenerateGeometryError, match="0 places"):
         anchored(copy.deepcopy(finished), later, SIGMA, tmp_path)
-    metric, _ = followed(ride().frames("rgbd")[:6], RGBD)
+    metric, _ = tracked(ride().frames("rgbd")[:6], RGBD)
     with pytest.raises(ConfigError, match="one camera"):
         anchored(metric, log_of(rng), SIGMA, tmp_path)
 
 
 @pytest.fixture(scope="module")
-def pictures(tmp_path_factory):
+def images(tmp_path_factory):
     folder = tmp_path_factory.mktemp("anchored") / "pictures"
     folder.mkdir()
-    for n, picture in enumerate(ride().left):
-        cv2.imwrite(str(folder / f"{n:03d}.png"), picture)
+    for n, image in enumerate(ride().left):
+        cv2.imwrite(str(folder / f"{n:03d}.png"), image)
     return folder
 
 
 LENS = CameraOptions(camera_params=",".join(str(p) for p in (260.0, 260.0, 160.0, 120.0)))
 
 
-def test_the_job_states_what_fixed_the_scale(pictures, tmp_path, rng):
+def test_the_job_states_what_fixed_the_scale(images, tmp_path, rng):
     assert np.allclose(LENS.camera((320, 240)).params, CAMERA.params)
     log = log_of(rng)
     times = np.arange(30)[::2] / 30.0  # a folder of pictures is of 30 Hz
@@ -97,7 +97,7 @@ def test_the_job_states_what_fixed_the_scale(pictures, tmp_path, rng):
     (tmp_path / "log.csv").write_text("# seconds, x, y, z, satellites\n" + "\n".join(lines))
     out = tmp_path / "out"
     options = {"camera": LENS, "positions": tmp_path / "log.csv", "positions_sigma_m": SIGMA}
-    result = run_slam(pictures, out, **options)
+    result = run_slam(images, out, **options)
     summary = json.loads((out / "summary.json").read_text())
     assert summary["is_metric"] and "measured places" in summary["scale"] and "1 sigma" in summary["scale"]
     assert 0 < summary["anchor"]["relative_sigma"] < 0.03
@@ -109,20 +109,20 @@ def test_the_job_states_what_fixed_the_scale(pictures, tmp_path, rng):
     assert result.summary["scale"] == summary["scale"]
 
 
-def test_places_that_tell_nothing_leave_the_path_up_to_scale(pictures, tmp_path):
+def test_places_that_tell_nothing_leave_the_path_up_to_scale(images, tmp_path):
     (tmp_path / "log.txt").write_text("".join(f"{n / 30} 1 2 3\n" for n in range(30)))
-    result = run_slam(pictures, tmp_path / "out", camera=LENS, positions=tmp_path / "log.txt")
+    result = run_slam(images, tmp_path / "out", camera=LENS, positions=tmp_path / "log.txt")
     assert not result.summary["is_metric"] and "up to scale" in result.summary["scale"]
     assert any("stays up to scale" in w for w in result.warnings)
 
 
 @pytest.mark.parametrize("kind", ["distances", "places"])
-def test_wheels_half_a_metre_behind_the_camera(pictures, tmp_path, kind):
+def test_wheels_half_a_metre_behind_the_camera(images, tmp_path, kind):
     """The camera looks inward on its arc: the wheels go a tenth further, which the mounting tells."""
     true = ride().truth()
     wheels = true.translation + true.rotation @ np.array([0.0, 0.0, -0.5])
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(wheels, axis=0), axis=1))])
-    rows = [f"{n / 30:.6f} {at}\n" for n, at in enumerate(way)]
+    trajectory = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(wheels, axis=0), axis=1))])
+    rows = [f"{n / 30:.6f} {at}\n" for n, at in enumerate(trajectory)]
     if kind == "places":
         rows = [f"{n / 30:.6f} {x} {y} {z} 0 0 0 1\n" for n, (x, y, z) in enumerate(wheels)]
     (tmp_path / "wheels.txt").write_text("".join(rows))
@@ -133,7 +133,7 @@ def test_wheels_half_a_metre_behind_the_camera(pictures, tmp_path, kind):
     for mounting in (None, tmp_path / "mounting.yaml"):
         out = tmp_path / f"out_{mounting is None}"
         options = {"odometry": tmp_path / "wheels.txt", "odometry_mounting": mounting}
-        result = run_slam(pictures, out, camera=LENS, **options)
+        result = run_slam(images, out, camera=LENS, **options)
         rows = np.rint(30 * result.trajectory.timestamp_s).astype(int)
         error = absolute_error(result.trajectory.world_from_body, true[rows], "similarity")
         off = abs(np.log(float(error.truth_from_estimate.scale)))
@@ -142,21 +142,21 @@ def test_wheels_half_a_metre_behind_the_camera(pictures, tmp_path, kind):
     assert found[0][0] > 0.08 and found[1][0] < found[1][1] < 0.04
 
 
-def test_a_mounting_that_cannot_be_read_is_told_before_any_frame(pictures, tmp_path):
+def test_a_mounting_that_cannot_be_read_is_told_before_any_frame(images, tmp_path):
     (tmp_path / "wheels.txt").write_text("0 0\n1 1\n")
     (tmp_path / "mounting.yaml").write_text("T_cam_imu: [1, 2]\n")
     options = {"odometry": tmp_path / "wheels.txt", "odometry_mounting": tmp_path / "mounting.yaml"}
     with pytest.raises(FileFormatError, match=r"mounting\.yaml.*4 x 4"):
-        run_slam(pictures, tmp_path / "out", camera=LENS, **options)
+        run_slam(images, tmp_path / "out", camera=LENS, **options)
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("name", ["positions", "lengths", "odometry"])
-def test_files_that_cannot_be_read_are_told_before_any_frame(pictures, tmp_path, name):
+def test_files_that_cannot_be_read_are_told_before_any_frame(images, tmp_path, name):
     (tmp_path / "damaged.txt").write_text("not a number\n")
     for path in (tmp_path / "damaged.txt", tmp_path / "missing.txt"):
         with pytest.raises(FileFormatError, match=path.name):
-            run_slam(pictures, tmp_path / "out", camera=LENS, **{name: path})
+            run_slam(images, tmp_path / "out", camera=LENS, **{name: path})
     assert not (tmp_path / "out").exists()
 
 

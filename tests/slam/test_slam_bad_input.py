@@ -43,7 +43,7 @@ def tum_folder(folder, unit=5000.0, lines=None):
 def test_a_list_out_of_order_and_with_doubled_times(tmp_path):
     folder = tum_folder(tmp_path / "room", lines=[3, 0, 1, 2, 4, 4, 6, 5, 7, 8, 9])
     result = run_slam(folder, tmp_path / "out", camera=KNOWN)
-    assert result.summary["num_placed"] == COUNT
+    assert result.summary["num_localized"] == COUNT
     assert set(result.warnings) == {
         "rgb.txt: 2 lines are earlier than those before them, and are sorted",
         "rgb.txt: 1 lines repeat a time; of each the first is taken",
@@ -55,7 +55,7 @@ def test_the_first_of_a_doubled_time_is_taken(tmp_path):
     with (folder / "rgb.txt").open("a") as file:
         file.write("0.500 rgb/0.png\n")
     frames = read_sequence(folder).frames
-    assert [frame.picture.stem for frame in frames] == [str(n) for n in range(COUNT)]
+    assert [frame.image.stem for frame in frames] == [str(n) for n in range(COUNT)]
 
 
 def test_a_list_of_euroc_out_of_order(tmp_path, data_dir):
@@ -73,23 +73,23 @@ def test_a_list_of_euroc_out_of_order(tmp_path, data_dir):
 
 
 @pytest.mark.parametrize(
-    ("factor", "is_told"), [(1.0, False), (10.0, True), (0.05, True), (1000.0, True), (0.001, True)]
+    ("factor", "is_given"), [(1.0, False), (10.0, True), (0.05, True), (1000.0, True), (0.001, True)]
 )
-def test_depth_in_a_wrong_unit_is_told(factor, is_told):
+def test_depth_in_a_wrong_unit_is_told(factor, is_given):
     """Registered depth that is too long by a factor agrees with the pictures: only its range tells."""
     ranges = DepthRange()
     for depth in ride().depth[:3]:
         ranges.add((factor * depth).astype(np.float32))
     ranges.add(np.zeros((24, 32), np.float32))
-    assert bool(ranges.notes()) == is_told
-    assert not is_told or "the unit" in ranges.notes()[0]
+    assert bool(ranges.notes()) == is_given
+    assert not is_given or "the unit" in ranges.notes()[0]
     assert DepthRange().notes() == []
 
 
 def test_depth_in_a_wrong_unit_is_told_beside_the_path(tmp_path):
     """Metres times 50 in a file that has 5000 for a metre."""
     result = run_slam(tum_folder(tmp_path / "room", unit=50.0), tmp_path / "out", camera=KNOWN)
-    assert result.summary["num_placed"] > 0
+    assert result.summary["num_localized"] > 0
     (warning,) = (w for w in result.warnings if "median depth" in w)
     assert "0.05 to 100 m" in warning
 
@@ -98,7 +98,7 @@ def test_depth_pictures_of_another_size(tmp_path):
     folder = tum_folder(tmp_path / "room")
     cv2.imwrite(str(folder / "depth" / "4.png"), np.full((60, 80), 5000, np.uint16))
     result = run_slam(folder, tmp_path / "out", camera=KNOWN)
-    assert result.summary["num_placed"] == COUNT - 1
+    assert result.summary["num_localized"] == COUNT - 1
     (warning,) = result.warnings
     assert warning.startswith("frame 4 is left out: the depth is 80 x 60, the depth camera's 320 x 240")
     assert "depth that is registered to the picture has its size" in warning
@@ -114,7 +114,7 @@ def test_pictures_that_change_size_before_they_are_undistorted(tmp_path):
     cv2.imwrite(str(folder / "rgb" / "3.png"), np.zeros((60, 80), np.uint8))
     (folder / "rgb" / "6.png").write_bytes((folder / "rgb" / "6.png").read_bytes()[:700])
     result = run_slam(folder, tmp_path / "out", camera=bent)
-    assert result.summary["num_placed"] == COUNT - 2
+    assert result.summary["num_localized"] == COUNT - 2
     assert [w.split(":")[0] for w in result.warnings] == ["frame 3 is left out", "frame 6 is left out"]
 
 
@@ -123,23 +123,23 @@ def test_pictures_of_a_distorted_lens_with_depth(tmp_path):
     bent = CameraOptions(camera_model="OPENCV", camera_params=f"{PARAMS},1e-4,0,0,0")
     result = run_slam(tum_folder(tmp_path / "room"), tmp_path / "out", camera=bent)
     path = result.trajectory.world_from_body
-    assert result.summary["num_placed"] == COUNT and not result.warnings
+    assert result.summary["num_localized"] == COUNT and not result.warnings
     assert np.linalg.norm(path.translation - ride().truth().translation[:COUNT], axis=1).max() < 0.02
 
 
 def test_a_pair_whose_pictures_change_size_before_they_are_rectified(tmp_path):
     f, _, cx, cy = CAMERA.params
-    for name, pictures in (("image_0", ride().left), ("image_1", ride().right)):
+    for name, images in (("image_0", ride().left), ("image_1", ride().right)):
         (tmp_path / "ride" / name).mkdir(parents=True)
-        for n, picture in enumerate(pictures[:COUNT]):
-            small = cv2.resize(picture, (160, 120)) if (n, name) == (4, "image_1") else picture
+        for n, image in enumerate(images[:COUNT]):
+            small = cv2.resize(image, (160, 120)) if (n, name) == (4, "image_1") else image
             cv2.imwrite(str(tmp_path / "ride" / name / f"{n:06d}.png"), small)
     # Other focal lengths of the two make the pair one that is rectified.
     rows = [[f, 0, cx, 0, 0, f, cy, 0, 0, 0, 1, 0], [f + 0.01, 0, cx, -f * 0.12, 0, f, cy, 0, 0, 0, 1, 0]]
     text = "".join(f"P{k}: {' '.join(map(str, row))}\n" for k, row in enumerate(rows))
     (tmp_path / "ride" / "calib.txt").write_text(text)
     result = run_slam(tmp_path / "ride", tmp_path / "out")
-    assert result.summary["num_placed"] == COUNT - 1
+    assert result.summary["num_localized"] == COUNT - 1
     assert [w.split(":")[0] for w in result.warnings] == ["frame 4 is left out"]
 
 
@@ -150,7 +150,7 @@ def test_a_folder_whose_pictures_end_before_its_list(tmp_path):
         (folder / "rgb" / f"{n}.png").unlink()
     (folder / "rgb" / "6.png").write_bytes((folder / "rgb" / "6.png").read_bytes()[:900])
     result = run_slam(folder, tmp_path / "out", camera=KNOWN)
-    assert result.summary["num_placed"] == 6
+    assert result.summary["num_localized"] == 6
     assert [w.split(":")[0] for w in result.warnings] == [f"frame {n} is left out" for n in range(6, 10)]
     (folder / "rgb" / "0.png").unlink()
     with pytest.raises(FileFormatError, match=r"0\.png"):
@@ -162,7 +162,7 @@ def test_a_pair_whose_second_camera_ends_first(tmp_path):
     for n in (8, 9):
         (folder / "image_1" / f"{n:06d}.png").unlink()
     result = run_slam(folder, tmp_path / "out")
-    assert result.summary["num_placed"] == 8
+    assert result.summary["num_localized"] == 8
     assert [w.split(":")[0] for w in result.warnings] == ["frame 8 is left out", "frame 9 is left out"]
 
 
@@ -190,6 +190,6 @@ def test_a_camera_that_stumbles(odd, words, tmp_path, monkeypatch):
     monkeypatch.setattr(run, "_open", lambda *_: source)
     (tmp_path / "camera").mkdir()
     result = run_slam(tmp_path / "camera", tmp_path / "out")
-    assert result.summary["num_placed"] == COUNT - 1
+    assert result.summary["num_localized"] == COUNT - 1
     (warning,) = result.warnings
     assert warning.startswith("frame 4 is left out: ") and words in warning

@@ -43,9 +43,9 @@ def test_texture_is_not_noise(sigma):
 
 
 def _courtyard_view():
-    from slam_rides import CAMERA, place
+    from slam_rides import CAMERA, position
 
-    return CAMERA, place(3, "arc")
+    return CAMERA, position(3, "arc")
 
 
 @pytest.mark.parametrize("sigma", [0.0, 0.4, *SIGMAS, 25.0])

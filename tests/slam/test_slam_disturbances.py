@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from slam_rides import RGBD, STEREO, drawn, errors, followed, ride
+from slam_rides import RGBD, STEREO, errors, rendered, ride, tracked
 
 from epipole import _parallel
 from epipole.metrics import absolute_error
 from epipole.pipelines.slam.frames import Frame, TrackingState
-from epipole.pipelines.slam.output.warnings import doubts
+from epipole.pipelines.slam.output.warnings import warnings
 from epipole.pipelines.slam.slam import Slam
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")  # long rides; others have had the types checked
@@ -16,7 +16,7 @@ KINDS = ["rgbd", "mono"]
 
 
 def walking():
-    return drawn("walking_box", 240, 4)
+    return rendered("walking_box", 240, 4)
 
 
 @pytest.mark.parametrize(
@@ -34,11 +34,11 @@ def test_a_box_that_walks_does_not_take_the_camera_along(kind, alignment, most_m
     resting = [n for n in range(len(answers)) if 92 <= 4 * n <= 148]
     assert np.linalg.norm(np.diff(truth[resting], axis=0), axis=1).max() < 1e-6
     if kind == "rgbd":
-        places = np.array([answers[n].world_from_body.translation for n in resting])
-        assert np.linalg.norm(places - places[0], axis=1).max() < 0.01  # the box crosses meanwhile
+        positions = np.array([answers[n].world_from_body.translation for n in resting])
+        assert np.linalg.norm(positions - positions[0], axis=1).max() < 0.01  # the box crosses meanwhile
     moving = {4 * n: a.moving for n, a in enumerate(answers) if a.moving is not None}
     assert len(moving) >= 5 and all(60 <= number <= 184 for number in moving)  # it is in sight there
-    (warning,) = doubts(answers, slam.trajectory())
+    (warning,) = warnings(answers, slam.trajectory())
     assert "something moves besides the camera" in warning
 
 
@@ -50,7 +50,7 @@ def test_while_the_lens_is_covered_nothing_is_claimed(shade):
     for n in range(6, 9):
         pair = (noise.normal(shade, 2.0, frames[n].grey.shape) for _ in range(2))
         covered[n] = Frame(frames[n].timestamp_s, *(p.clip(0, 255).astype(np.uint8) for p in pair))
-    slam, answers = followed(covered, STEREO)
+    slam, answers = tracked(covered, STEREO)
     assert [a.state for a in answers[6:9]] == [TrackingState.LOST] * 3
     assert all(a.world_from_body is None and a.covariance is None for a in answers[6:9])
     assert [a.state for a in answers[9:]] == [TrackingState.TRACKING] * 7  # at once
@@ -67,7 +67,7 @@ def test_exposure_may_jump(gain):
     for n, frame in enumerate(ride().frames("rgbd")[:18]):
         grey = np.rint(frame.grey * (gain if 6 <= n < 12 else 1.0)).clip(0, 255).astype(np.uint8)
         frames.append(Frame(frame.timestamp_s, grey, None, frame.depth))
-    slam, answers = followed(frames, RGBD)
+    slam, answers = tracked(frames, RGBD)
     assert all(a.state is TrackingState.TRACKING for a in answers)
     assert errors(slam, ride().truth(), "none").position.max < 0.02
 
@@ -75,7 +75,7 @@ def test_exposure_may_jump(gain):
 @pytest.mark.parametrize("gap", [3, 6])
 def test_frames_may_be_missing(gap):
     frames = [f for n, f in enumerate(ride().frames("rgbd")[:24]) if not 8 <= n < 8 + gap]
-    slam, answers = followed(frames, RGBD)
+    slam, answers = tracked(frames, RGBD)
     assert all(a.state is TrackingState.TRACKING for a in answers)
     assert errors(slam, ride().truth(), "none").position.max < 0.02
 
@@ -88,18 +88,18 @@ def test_a_camera_at_rest_stays_within_two_millimetres():
     for n in range(30):
         grey = still.left[0] + noise.normal(0, 2.0, still.left[0].shape)
         frames.append(Frame(0.1 * n, np.rint(grey).clip(0, 255).astype(np.uint8), None, still.depth[0]))
-    slam, answers = followed(frames, RGBD)
+    slam, answers = tracked(frames, RGBD)
     assert all(a.state is TrackingState.TRACKING for a in answers)
     assert sum(a.is_keyframe for a in answers) <= 4
-    places = np.array([a.world_from_body.translation for a in answers])
-    assert np.linalg.norm(places, axis=1).max() < 2e-3
+    positions = np.array([a.world_from_body.translation for a in answers])
+    assert np.linalg.norm(positions, axis=1).max() < 2e-3
     assert np.linalg.norm(slam.trajectory().world_from_body.translation, axis=1).max() < 2e-3
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_same_path_on_one_thread_and_on_two(kind):
     """A sub-map and a camera that is found again among it: to the last bit."""
-    room, found = drawn("loop_room", 54, 6), []
+    room, found = rendered("loop_room", 54, 6), []
     frames = room.frames(kind, [*range(0, 54, 6), *range(0, 54, 6), *range(18, 36, 6)])
     for n in range(9, 18):  # upside down the room is another one
         depth = None if frames[n].depth is None else frames[n].depth[::-1].copy()
@@ -107,7 +107,7 @@ def test_the_same_path_on_one_thread_and_on_two(kind):
     try:
         for threads in (1, 2):
             _parallel.set_num_threads(threads)
-            slam, answers = followed(frames, room.sensor(kind))
+            slam, answers = tracked(frames, room.sensor(kind))
             slam.finish()
             paths = [slam.trajectory(number) for number in range(len(slam.maps))]
             found.append((paths, [(a.state, a.reason, a.num_points) for a in answers], slam.loops))

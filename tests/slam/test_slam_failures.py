@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from slam_rides import CAMERA, MONO, RGBD, STEREO, errors, followed, ride, write_pairs
+from slam_rides import CAMERA, MONO, RGBD, STEREO, errors, ride, tracked, write_pairs
 
 from epipole.cameras import Camera
 from epipole.errors import ConfigError
@@ -11,8 +11,8 @@ from epipole.geometry import Rigid3
 from epipole.io.calibration.camera_params import camera_of_text
 from epipole.pipelines.slam.config import CameraOptions, SlamConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackingState
-from epipole.pipelines.slam.output.lens_check import check_lens, lens_warnings
-from epipole.pipelines.slam.output.warnings import doubts, moving_things, rest
+from epipole.pipelines.slam.output.camera_check import camera_warnings, check_camera
+from epipole.pipelines.slam.output.warnings import moving_things, rest, warnings
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.pipelines.slam.tracking.frame_quality import FrameQualityMonitor
 from epipole.pipelines.slam.tracking.moving_objects import find_moving_object
@@ -44,9 +44,9 @@ def moved_blur(grey: np.ndarray, length_px: int, angle: float) -> np.ndarray:
 
 def bent(grey: np.ndarray, k1: float) -> np.ndarray:
     """What a lens with this radial term would have taken."""
-    lens = Camera("OPENCV", CAMERA.width, CAMERA.height, [*CAMERA.params, k1, 0.0, 0.0, 0.0])
+    camera = Camera("OPENCV", CAMERA.width, CAMERA.height, [*CAMERA.params, k1, 0.0, 0.0, 0.0])
     rows, columns = np.mgrid[: CAMERA.height, : CAMERA.width]
-    at = CAMERA.project(lens.unproject(np.stack([columns, rows], axis=2).reshape(-1, 2).astype(float)))
+    at = CAMERA.project(camera.unproject(np.stack([columns, rows], axis=2).reshape(-1, 2).astype(float)))
     table = at.reshape(CAMERA.height, CAMERA.width, 2).astype(np.float32)
     return cv2.remap(grey, table[..., 0], table[..., 1], cv2.INTER_LINEAR)
 
@@ -69,16 +69,16 @@ def test_a_wrong_lens_is_told_and_a_right_one_is_not(kind, factor, k1, wrong):
     frames = ride().frames(kind)
     if k1:
         frames = [changed(f, bent(f.grey, k1)) for f in frames]
-    slam, _ = followed(frames, SlamCamera(given, STEREO.baseline if kind == "stereo" else None))
+    slam, _ = tracked(frames, SlamCamera(given, STEREO.baseline if kind == "stereo" else None))
     slam.finish()
-    found = check_lens(slam.map, given)
-    words = lens_warnings(found, 0.0)
+    found = check_camera(slam.map, given)
+    words = camera_warnings(found, 0.0)
     assert [word for word in ("focal length", "distorted") if any(word in w for w in words)] == (
         [wrong] if wrong else []
     )
     assert abs(found.focal_px - 260.0) < 3.0 * found.focal_sigma_px < 20.0
     assert abs(found.k1 - k1) < 3.0 * found.k1_sigma < 0.15
-    assert lens_warnings(None, 0.2) == [] and "2.5 px" in lens_warnings(None, 2.5)[0]
+    assert camera_warnings(None, 0.2) == [] and "2.5 px" in camera_warnings(None, 2.5)[0]
 
 
 @pytest.mark.parametrize("kind", ["mono", "rgbd"])
@@ -87,7 +87,7 @@ def test_blurred_frames_are_told_and_no_keyframes(kind, length_px):
     frames, blurred = ride().frames(kind)[:24], {9, 10, 15, 19}
     for n in blurred:
         frames[n] = changed(frames[n], moved_blur(frames[n].grey, length_px, 0.9 * n))
-    slam, answers = followed(frames, MONO if kind == "mono" else RGBD)
+    slam, answers = tracked(frames, MONO if kind == "mono" else RGBD)
     assert {n for n, a in enumerate(answers) if "the picture is blurred" in a.reason} == blurred
     assert not blurred & {k.number for k in slam.map.keyframes if len(k.point)}
     assert all(a.state is TrackingState.TRACKING for a in answers[20:])
@@ -112,10 +112,10 @@ def test_a_usual_picture_is_no_blurred_one():
 def test_pictures_that_show_nothing_have_a_reason(shade, words):
     frames = ride().frames("rgbd")[:10]
     frames[6] = changed(frames[6], np.full_like(frames[6].grey, shade))
-    _, answers = followed(frames, RGBD)
+    _, answers = tracked(frames, RGBD)
     assert answers[6].world_from_body is None and words in answers[6].reason
     assert not answers[5].reason.startswith("the picture") and answers[9].world_from_body is not None
-    (warning,) = doubts(answers, Trajectory(np.zeros(0), Rigid3(np.zeros((0, 3, 3)), np.zeros((0, 3)))))
+    (warning,) = warnings(answers, Trajectory(np.zeros(0), Rigid3(np.zeros((0, 3, 3)), np.zeros((0, 3)))))
     assert warning.startswith("in 1 of 10 frames the picture is")
 
 
@@ -125,7 +125,7 @@ def test_with_one_lens_of_a_pair_covered_the_other_is_followed(side):
     for n in range(8, 16):
         dark = noise.normal(4.0, 2.0, frames[n].grey.shape).clip(0, 255).astype(np.uint8)
         frames[n] = changed(frames[n], **{"grey" if side == "left" else "right": dark})
-    slam, answers = followed(frames, STEREO)
+    slam, answers = tracked(frames, STEREO)
     assert all(a.state is TrackingState.TRACKING for a in answers)
     assert all(f"the {side} picture is dark" in a.reason for a in answers[8:16])
     assert [n for n, a in enumerate(answers) if "followed in the right picture" in a.reason] == (
@@ -163,7 +163,7 @@ def test_nothing_is_taken_from_under_a_mask():
         mask = np.zeros(frame.grey.shape, bool)
         mask[:, 200:] = True
         frames.append(Frame(frame.timestamp_s, frame.grey, ignored_mask=mask))
-    slam, answers = followed(frames, MONO)
+    slam, answers = tracked(frames, MONO)
     assert slam.map.num_points > 100 and answers[-1].state is TrackingState.TRACKING
     assert max(k.pixels[:, 0].max() for k in slam.map.keyframes) < 200
     slam.finish()  # keyframes are shown all that is in sight
@@ -171,14 +171,14 @@ def test_nothing_is_taken_from_under_a_mask():
 
 
 def test_a_camera_that_rests_or_only_turns_is_told():
-    def path(places: Rigid3) -> Trajectory:
-        sigma = np.broadcast_to(np.diag([1e-6] * 6), (len(places.translation), 6, 6)).copy()
-        return Trajectory(np.arange(len(places.translation)) * 0.1, places, sigma)
+    def path(positions: Rigid3) -> Trajectory:
+        sigma = np.broadcast_to(np.diag([1e-6] * 6), (len(positions.translation), 6, 6)).copy()
+        return Trajectory(np.arange(len(positions.translation)) * 0.1, positions, sigma)
 
     still = Rigid3(np.tile(np.eye(3), (6, 1, 1)), np.full((6, 3), 1e-4) * np.arange(6)[:, None])
     assert "rests" in rest(path(still))
-    turn = Rigid3.exp(np.array([[0, 0, 0, 0, 0.1 * n, 0] for n in range(6)]))
-    assert "only turns, by up to 28.6 degrees" in rest(path(turn))
+    rotation = Rigid3.exp(np.array([[0, 0, 0, 0, 0.1 * n, 0] for n in range(6)]))
+    assert "only turns, by up to 28.6 degrees" in rest(path(rotation))
     assert rest(path(Rigid3(still.rotation, 0.1 * np.arange(18.0).reshape(6, 3)))) == ""
 
 

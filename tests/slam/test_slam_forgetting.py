@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.slam.slam_rides import RGBD, followed, ride
+from tests.slam.slam_rides import RGBD, ride, tracked
 
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.config import SlamConfig
@@ -26,12 +26,12 @@ def few_in_sight(monkeypatch):
 def to_and_fro(laps):
     """The ride, back, and again: every frame at its own time."""
     frames = ride().frames("rgbd")[:14]
-    way = [*range(14), *range(12, 0, -1)] * laps
-    return [replace(frames[n], timestamp_s=0.1 * k) for k, n in enumerate(way)], way
+    trajectory = [*range(14), *range(12, 0, -1)] * laps
+    return [replace(frames[n], timestamp_s=0.1 * k) for k, n in enumerate(trajectory)], trajectory
 
 
 def test_keyframes_stay_few_and_the_path_stays(few_in_sight):
-    frames, way = to_and_fro(3)
+    frames, trajectory = to_and_fro(3)
     slam, counts = Slam(RGBD, OFTEN), []
     for frame in frames:
         slam.track(frame)
@@ -42,7 +42,7 @@ def test_keyframes_stay_few_and_the_path_stays(few_in_sight):
     assert sum(k.number < third for k in slam.map.keyframes) >= counts[third] - 3
     path, truth = slam.trajectory(), ride().truth()
     assert len(path) == len(frames)
-    off = path.world_from_body.translation - truth.translation[way]
+    off = path.world_from_body.translation - truth.translation[trajectory]
     assert np.linalg.norm(off, axis=1).max() < 0.03
     slam.finish()
     assert len(slam.trajectory()) == len(frames)
@@ -50,7 +50,7 @@ def test_keyframes_stay_few_and_the_path_stays(few_in_sight):
 
 def test_without_forgetting_they_grow():
     frames, _ = to_and_fro(3)
-    slam, _ = followed(frames, RGBD, OFTEN)
+    slam, _ = tracked(frames, RGBD, OFTEN)
     assert len(slam.map.keyframes) > 25
 
 
@@ -63,8 +63,8 @@ def made_map():
     for k, points in enumerate(([0, 1, 2, 3, 4], [0, 1, 2, 3, 5], [0, 1, 2, 3, 5])):
         rows = np.array(points)
         seen = Observations(10.0 * k + rows[:, None] + np.zeros((5, 2)), np.full(5, np.nan), rows)
-        place = Rigid3.exp(np.array([0.1 * k, 0.0, 0.0, 0.0, 0.05 * k, 0.0]))
-        model.keyframes.append(Keyframe(k, float(k), np.zeros((4, 4), np.uint8), place, seen))
+        position = Rigid3.exp(np.array([0.1 * k, 0.0, 0.0, 0.0, 0.05 * k, 0.0]))
+        model.keyframes.append(Keyframe(k, float(k), np.zeros((4, 4), np.uint8), position, seen))
     return model
 
 
@@ -97,12 +97,12 @@ def test_rows_of_points_are_put_together():
 def test_frames_are_told_from_another_keyframe():
     model, path = made_map(), Path()
     gone, heir = model.keyframes[1], model.keyframes[2]
-    place = Rigid3.exp(np.array([0.3, 0.1, 0.0, 0.1, 0.0, 0.2]))
-    path.add(7, 0.7, gone, place, np.eye(6))
+    position = Rigid3.exp(np.array([0.3, 0.1, 0.0, 0.1, 0.0, 0.2]))
+    path.add(7, 0.7, gone, position, np.eye(6))
     path.retell(gone, heir)
-    told = path.trajectory([heir]).world_from_body[0]
-    np.testing.assert_allclose((told @ place).translation, 0.0, atol=1e-12)
+    given = path.trajectory([heir]).world_from_body[0]
+    np.testing.assert_allclose((given @ position).translation, 0.0, atol=1e-12)
     heir.cam_from_world = heir.cam_from_world @ Rigid3.exp(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
     moved = path.trajectory([heir]).world_from_body[0]  # and goes with it
-    assert np.linalg.norm(moved.translation - told.translation) == pytest.approx(1.0)
+    assert np.linalg.norm(moved.translation - given.translation) == pytest.approx(1.0)
     assert not len(path.trajectory([gone]))

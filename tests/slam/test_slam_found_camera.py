@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from slam_rides import CAMERA, MONO, followed, ride
+from slam_rides import CAMERA, MONO, ride, tracked
 
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.calibration.files import read_calibration
@@ -13,28 +13,28 @@ from epipole.pipelines.slam.output.map_file import camera_of_map, write_slam_map
 from epipole.pipelines.slam.run import slam as run_slam
 
 
-def folder_of(path, pictures):
+def folder_of(path, images):
     path.mkdir()
-    for n, picture in enumerate(pictures):
-        cv2.imwrite(str(path / f"{n:04d}.png"), picture)
+    for n, image in enumerate(images):
+        cv2.imwrite(str(path / f"{n:04d}.png"), image)
     return path
 
 
 @pytest.mark.usefixtures("unchecked")
 def test_it_is_found_from_the_pictures_and_written(tmp_path):
-    pictures = folder_of(tmp_path / "pictures", ride().left)
+    images = folder_of(tmp_path / "pictures", ride().left)
     out = tmp_path / "out"
-    result = run_slam(pictures, out, fps=10.0)
+    result = run_slam(images, out, fps=10.0)
     assert any("nothing tells the camera: it was found from" in w for w in result.warnings)
     found = read_calibration(out / "camera.json").cameras[0]
     assert found.focal_px == pytest.approx(CAMERA.focal_px, rel=0.01)
     assert result.summary["camera_found"]["pictures"] >= 8
-    assert result.summary["num_placed"] == 30
+    assert result.summary["num_localized"] == 30
     assert (
         absolute_error(result.trajectory.world_from_body, ride().truth(), "similarity").position.rmse < 0.03
     )
     again = run_slam(
-        pictures, tmp_path / "again", fps=10.0, camera=CameraOptions(calibration=out / "camera.json")
+        images, tmp_path / "again", fps=10.0, camera=CameraOptions(calibration=out / "camera.json")
     )
     np.testing.assert_allclose(
         again.trajectory.world_from_body.translation, result.trajectory.world_from_body.translation, atol=1e-9
@@ -47,30 +47,30 @@ def test_it_is_found_from_the_pictures_and_written(tmp_path):
     [("arc", 4, "4 pictures are too few"), ("rest", 12, "nothing tells the camera")],
 )
 def test_frames_that_do_not_tell_it_are_refused(kind, count, words, tmp_path):
-    pictures = folder_of(tmp_path / "pictures", ride(kind, count).left[:count])
+    images = folder_of(tmp_path / "pictures", ride(kind, count).left[:count])
     with pytest.raises(ConfigError, match=rf"{words}.* give camera_params"):
-        run_slam(pictures, tmp_path / "out")
+        run_slam(images, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_what_cannot_be_is_said_before_anything_is_sought(tmp_path):
-    pictures = folder_of(tmp_path / "pictures", ride().left[:4])
+    images = folder_of(tmp_path / "pictures", ride().left[:4])
     for options, words in (
         ({"sensor": "stereo"}, "no second camera"),
         ({"topics": "/a"}, "recordings of ROS"),
     ):
         with pytest.raises(ConfigError, match=words):
-            run_slam(pictures, tmp_path / "out", **options)
+            run_slam(images, tmp_path / "out", **options)
     with pytest.raises(FileFormatError):
-        run_slam(pictures, tmp_path / "out", truth=tmp_path / "none.txt")
+        run_slam(images, tmp_path / "out", truth=tmp_path / "none.txt")
 
 
 def test_a_map_tells_the_camera(tmp_path):
-    slam, _ = followed(ride().frames("mono"), MONO)
+    slam, _ = tracked(ride().frames("mono"), MONO)
     names = [f"{k.number:04d}.png" for k in slam.map.keyframes]
     write_slam_map(tmp_path / "map.npz", slam.map, names, MONO)
     assert camera_of_map(tmp_path / "map.npz").model == CAMERA.model
-    pictures = folder_of(tmp_path / "pictures", ride().left[:6])
-    result = run_slam(pictures, tmp_path / "out", map=tmp_path / "map.npz", localize=True)
+    images = folder_of(tmp_path / "pictures", ride().left[:6])
+    result = run_slam(images, tmp_path / "out", map=tmp_path / "map.npz", localize=True)
     assert any("that which made the map" in w for w in result.warnings)
-    assert result.summary["num_placed"] >= 5
+    assert result.summary["num_localized"] >= 5

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from slam_rides import drawn, followed
+from slam_rides import rendered, tracked
 
 from epipole.geometry import Rigid3, Similarity3
 from epipole.pipelines.slam.map.gauge import align_gauge
@@ -17,10 +17,10 @@ def test_a_similarity_is_undone(rng, count):
 
 
 def test_of_one_place_turns_alone_are_undone():
-    turns = Rigid3.exp(np.array([[0.0, 0, 0, 0, 0.1 * k, 0] for k in range(4)]))
-    turned = Similarity3.exp(np.array([0.0, 0, 0, 0.2, 0, 0, 0]))
-    back = align_gauge(turned.move_cam_from_source(turns), turns)
-    np.testing.assert_allclose((back @ turned).log(), 0.0, atol=1e-6)
+    rotations = Rigid3.exp(np.array([[0.0, 0, 0, 0, 0.1 * k, 0] for k in range(4)]))
+    rotated = Similarity3.exp(np.array([0.0, 0, 0, 0.2, 0, 0, 0]))
+    back = align_gauge(rotated.move_cam_from_source(rotations), rotations)
+    np.testing.assert_allclose((back @ rotated).log(), 0.0, atol=1e-6)
 
 
 def test_errors_are_shared_by_all(rng):
@@ -38,8 +38,8 @@ def test_errors_are_shared_by_all(rng):
 
 @pytest.mark.usefixtures("unchecked_module")
 def test_adjusting_one_camera_s_map_leaves_it_in_place():
-    ride = drawn("loop_room", 60, 2)
-    slam, _ = followed(ride.frames("mono"), ride.sensor("mono"))
+    ride = rendered("loop_room", 60, 2)
+    slam, _ = tracked(ride.frames("mono"), ride.sensor("mono"))
     before = slam.trajectory().world_from_body
     slam.odometry.mapper.adjust_all()
     after = slam.trajectory().world_from_body

@@ -11,7 +11,7 @@ from epipole.pipelines.slam.output.map_file import (
     TABLE,
     VERSION,
     read_slam_map,
-    sketch_of_map,
+    summary_of_map,
     write_slam_map,
 )
 from epipole.pipelines.slam.slam import Slam
@@ -57,6 +57,6 @@ def test_maps_whose_arrays_do_not_fit_are_refused(change, words, tmp_path):
     arrays = {name: np.array(part) for name, part in load(tmp_path / "map.npz", TABLE).items()}
     change(arrays)
     store(tmp_path / "map.npz", VERSION, arrays)
-    for read in (lambda path: read_slam_map(path, STEREO), sketch_of_map):
+    for read in (lambda path: read_slam_map(path, STEREO), summary_of_map):
         with pytest.raises(FileFormatError, match=words):
             read(tmp_path / "map.npz")

@@ -6,13 +6,13 @@ import json
 import cv2
 import numpy as np
 import pytest
-from tests.slam.slam_rides import drawn, errors
+from tests.slam.slam_rides import errors, rendered
 
 from epipole import CameraOptions
 from epipole.config import AnchorOptions
 from epipole.geometry import Rigid3, Rotation3
 from epipole.inertial import ImuFactors, ImuLog, ImuNoise, MountedImu
-from epipole.pipelines.slam.map.imu import InertialTies
+from epipole.pipelines.slam.map.imu import InertialConstraints
 from epipole.pipelines.slam.output.scale import anchor_map
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.pipelines.slam.slam import Slam
@@ -27,16 +27,16 @@ NOISE = ImuNoise(accel_gain_sigma=1e-6)
 
 @pytest.fixture(scope="module")
 def ride():
-    return drawn("loop_room", COUNT, STEP)
+    return rendered("loop_room", COUNT, STEP)
 
 
 @pytest.fixture(scope="module")
 def unit(ride):
-    times = 0.1 * np.arange(len(ride.pictures))
+    times = 0.1 * np.arange(len(ride.images))
     return MountedImu(imu_along(times, ride.truth(), MOUNTING, 0, NOISE), MOUNTING, NOISE)
 
 
-def followed(ride, imu):
+def tracked(ride, imu):
     system = Slam(ride.sensor("mono"), imu=imu)
     for frame in ride.frames("mono"):
         system.track(frame)
@@ -46,12 +46,12 @@ def followed(ride, imu):
 
 @pytest.fixture(scope="module")
 def with_unit(ride, unit):
-    return followed(ride, unit)
+    return tracked(ride, unit)
 
 
 @pytest.fixture(scope="module")
 def alone(ride):
-    return followed(ride, None)
+    return tracked(ride, None)
 
 
 def test_the_path_is_no_worse_and_the_pictures_move_with_the_unit(ride, with_unit, alone):
@@ -84,20 +84,20 @@ def write_unit(folder, unit):
 
 def test_another_paths_unit_changes_nothing(ride, alone):
     other = MountedImu(inertial_path(5, seconds=6.0).log, MOUNTING)
-    beside = followed(ride, other)
+    beside = tracked(ride, other)
     there = [one.trajectory().world_from_body.translation for one in (alone, beside)]
     np.testing.assert_array_equal(*there)
 
 
 def test_a_run_uses_the_unit(ride, unit, tmp_path):
-    pictures = tmp_path / "pictures"
-    pictures.mkdir()
-    for n, (grey, _, _) in enumerate(list(ride.pictures.values())[:LONG_ENOUGH]):
-        cv2.imwrite(str(pictures / f"{n:03d}.png"), grey)
+    images = tmp_path / "pictures"
+    images.mkdir()
+    for n, (grey, _, _) in enumerate(list(ride.images.values())[:LONG_ENOUGH]):
+        cv2.imwrite(str(images / f"{n:03d}.png"), grey)
     write_unit(tmp_path, unit)
     camera = CameraOptions(camera_params=",".join(map(str, ride.sensor("mono").camera.params)))
     options = {"imu": tmp_path / "imu.txt", "imu_mounting": tmp_path / "mounting.yaml", "fps": 10.0}
-    whole = run_slam(pictures, tmp_path / "whole", camera=camera, **options)
+    whole = run_slam(images, tmp_path / "whole", camera=camera, **options)
     assert whole.summary["is_metric"] and "the IMU" in whole.summary["scale"]
 
 
@@ -106,24 +106,26 @@ def test_keyframes_are_in_a_row_where_the_log_covers_them(ride, with_unit, unit)
     keyframes = with_unit.maps[0].keyframes
     kept = (log.timestamp_s < 2.0) | (log.timestamp_s > 2.5)
     holed = ImuLog(log.timestamp_s[kept], log.gyro_rad_s[kept], log.accel_m_s2[kept])
-    ties = InertialTies(MountedImu(holed, MOUNTING, NOISE))
+    ties = InertialConstraints(MountedImu(holed, MOUNTING, NOISE))
     rows = ties._in_a_row(keyframes)
     times = np.array([k.timestamp_s for k in keyframes])
     assert len(rows) == 2 and times[rows[0]].max() < 2.0 and times[rows[1]].min() > 2.5
     assert ties.factors(keyframes, 0.01) == ()
     ties.learn(keyframes)
     assert ties.aligned is not None and len(ties.factors(keyframes[::-1], 0.01)) == 2
-    nothing = InertialTies(MountedImu(ImuLog(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))), MOUNTING))
+    nothing = InertialConstraints(
+        MountedImu(ImuLog(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))), MOUNTING)
+    )
     nothing.learn(keyframes)
     assert nothing.aligned is None and nothing.factors(keyframes, 0.01) == ()
 
 
 def test_noise_grows_as_it_shows_and_never_below_what_is_stated(ride, unit, with_unit, monkeypatch):
-    keyframes, ties = with_unit.maps[0].keyframes, InertialTies(unit)
+    keyframes, ties = with_unit.maps[0].keyframes, InertialConstraints(unit)
     ties.learn(keyframes)
     factors, poses = ties.factors(keyframes, 0.01), Rigid3.identity(len(keyframes))
-    told = [(4.0, 0.1), (1.0, 26.0), (np.nan, 1.0)]
-    monkeypatch.setattr(ImuFactors, "variance_factors", lambda *_: told.pop(0))
+    given = [(4.0, 0.1), (1.0, 26.0), (np.nan, 1.0)]
+    monkeypatch.setattr(ImuFactors, "variance_factors", lambda *_: given.pop(0))
     assert ties.agrees(factors, poses) and ties.aligned is not None
     assert ties.noise.gyro_density == 2 * NOISE.gyro_density
     assert ties.noise.accel_density == NOISE.accel_density

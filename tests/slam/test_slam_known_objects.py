@@ -5,7 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from slam_rides import CAMERA, place
+from slam_rides import CAMERA, position
 
 from epipole import CameraOptions
 from epipole.cli.main import main
@@ -24,12 +24,12 @@ COLUMNS = ("kind", "params", "texture", "color", "seed")
 
 @pytest.fixture(scope="module")
 def cams_from_world():
-    places = [place(n, "arc") for n in range(COUNT)]
-    return Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places]))
+    positions = [position(n, "arc") for n in range(COUNT)]
+    return Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))
 
 
 @pytest.fixture(scope="module")
-def pictures(tmp_path_factory, cams_from_world):
+def images(tmp_path_factory, cams_from_world):
     """The ride past the courtyard, in which a tag of half a metre and a chessboard stand."""
     axes = (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)
     sheets = SyntheticScene.of(tag_sheet(7, 0.5, TAG, *axes) + chessboard_sheet(6, 4, SQUARE, BOARD, *axes))
@@ -38,15 +38,15 @@ def pictures(tmp_path_factory, cams_from_world):
     scene, folder = SyntheticScene(*both, yard.light), tmp_path_factory.mktemp("known") / "pictures"
     folder.mkdir()
     for n in range(COUNT):
-        picture = render(scene, CAMERA, cams_from_world[n], noise_sigma=1.5, seed=n)
-        cv2.imwrite(str(folder / f"{n:03d}.png"), cv2.cvtColor(picture.rgb, cv2.COLOR_RGB2GRAY))
+        image = render(scene, CAMERA, cams_from_world[n], noise_sigma=1.5, seed=n)
+        cv2.imwrite(str(folder / f"{n:03d}.png"), cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY))
     return folder
 
 
 def check(out, cams_from_world, words):
     """The summary says what fixed the scale; the truth is within 2 % and two of the stated deviations."""
     summary, path = json.loads((out / "summary.json").read_text()), read_trajectory(out / "trajectory.txt")
-    assert summary["is_metric"] and summary["num_placed"] == COUNT
+    assert summary["is_metric"] and summary["num_localized"] == COUNT
     assert summary["scale"].startswith(f"metres, from {words}: known to ")
     assert [e["kept"] for e in summary["anchor"]["estimates"]] == [True]
     assert summary["scale"] in (out / "report.html").read_text(encoding="utf-8")
@@ -58,23 +58,21 @@ def check(out, cams_from_world, words):
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_a_tag(pictures, cams_from_world, tmp_path, capsys):
-    main(
-        ["slam", str(pictures), str(tmp_path), "--camera-params", LENS, "--fps", "10", "--tag-size-m", "0.5"]
-    )
+def test_a_tag(images, cams_from_world, tmp_path, capsys):
+    main(["slam", str(images), str(tmp_path), "--camera-params", LENS, "--fps", "10", "--tag-size-m", "0.5"])
     check(tmp_path, cams_from_world, "tag 7")
     shown = " ".join(capsys.readouterr().out.split())
     assert "scale metres, from tag 7" in shown and "not metres" not in shown
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_a_chessboard(pictures, cams_from_world, tmp_path):
-    run_slam(pictures, tmp_path, board="6x4", square_m=SQUARE, **GIVEN)
+def test_a_chessboard(images, cams_from_world, tmp_path):
+    run_slam(images, tmp_path, board="6x4", square_m=SQUARE, **GIVEN)
     check(tmp_path, cams_from_world, "the board of 6x4")
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_a_length_clicked_in_two_pictures(pictures, cams_from_world, tmp_path):
+def test_a_length_clicked_in_two_pictures(images, cams_from_world, tmp_path):
     ends = np.array([[TAG[0] - 0.25, TAG[1], TAG[2]], [BOARD[0] + 3.5 * SQUARE, BOARD[1], BOARD[2]]])
     lines = ["# name metres end picture x y"]
     for end, there in zip("ab", ends, strict=True):
@@ -82,7 +80,7 @@ def test_a_length_clicked_in_two_pictures(pictures, cams_from_world, tmp_path):
             x, y = CAMERA.project(cams_from_world[n].apply(there[None]))[0]
             lines.append(f"shelf {np.linalg.norm(ends[0] - ends[1])} {end} {n:03d}.png {x:.1f} {y:.1f}")
     (tmp_path / "lengths.txt").write_text("\n".join(lines))
-    run_slam(pictures, tmp_path / "out", lengths=tmp_path / "lengths.txt", clicks_sigma_px=0.3, **GIVEN)
+    run_slam(images, tmp_path / "out", lengths=tmp_path / "lengths.txt", clicks_sigma_px=0.3, **GIVEN)
     check(tmp_path / "out", cams_from_world, "length shelf")
 
 
@@ -94,8 +92,8 @@ def test_a_length_clicked_in_two_pictures(pictures, cams_from_world, tmp_path):
         ({"board": "9x7", "square_m": 0.1}, "the board of 9x7: it is seen in none of the "),
     ],
 )
-def test_what_is_not_in_the_scene_leaves_the_path_up_to_scale(pictures, tmp_path, known, words):
-    result = run_slam(pictures, tmp_path, **known, **GIVEN)
+def test_what_is_not_in_the_scene_leaves_the_path_up_to_scale(images, tmp_path, known, words):
+    result = run_slam(images, tmp_path, **known, **GIVEN)
     assert not result.summary["is_metric"] and result.summary["scale"].startswith("up to scale")
     assert "anchor" not in result.summary
     assert [w for w in result.warnings if words in w and w.startswith("the path stays up to scale: ")]

@@ -8,7 +8,7 @@ import pytest
 
 from epipole.cameras import Camera
 from epipole.pipelines.slam.output import results
-from epipole.pipelines.slam.output.lens_check import LensCheck
+from epipole.pipelines.slam.output.camera_check import CameraCheck
 from epipole.pipelines.slam.shutter import check as shutter_check
 from epipole.pipelines.slam.shutter.check import ReadoutFound, with_readout
 
@@ -42,14 +42,14 @@ def test_shifts_are_there_inside_and_gone_after(mapper, monkeypatch):
 @pytest.mark.parametrize(("given_px", "is_wrong"), [(420.0, True), (525.0, False)])
 def test_both_are_said(mapper, monkeypatch, has_shutter, given_px, is_wrong):
     found, readouts = ReadoutFound(0.02, 0.3) if has_shutter else None, []
-    lens = LensCheck(given_px, 507.0, 8.0, 0.0, 0.03, 0.6, abs(507.0 - given_px) / 8.0)
+    lens = CameraCheck(given_px, 507.0, 8.0, 0.0, 0.03, 0.6, abs(507.0 - given_px) / 8.0)
     monkeypatch.setattr(results, "LocalMapper", lambda *_: mapper)
     monkeypatch.setattr(results, "find_readout", lambda *_: found)
-    monkeypatch.setattr(results, "check_lens", lambda *_: lens)
+    monkeypatch.setattr(results, "check_camera", lambda *_: lens)
     monkeypatch.setattr(
         results, "with_readout", lambda *given: (readouts.append(given[-1]), nullcontext())[1]
     )
-    for name in ("doubts", "poor_pictures", "moving_things"):
+    for name in ("warnings", "poor_images", "moving_things"):
         monkeypatch.setattr(results, name, lambda *_: [])
     pinhole = Camera("PINHOLE", 640, 480, [given_px, given_px, 319.5, 239.5])
     camera = SimpleNamespace(readout_s=0.0, camera=pinhole)

@@ -4,7 +4,7 @@ import copy
 
 import numpy as np
 import pytest
-from slam_rides import drawn, errors
+from slam_rides import errors, rendered
 
 from epipole.geometry import Rigid3, Rotation3
 from epipole.pipelines.slam.frames import Frame, TrackingState
@@ -18,7 +18,7 @@ COUNT, STEP, FORK = 377, 4, 83
 
 def room():
     """Once around, and on to where frame 16 had been."""
-    return drawn("loop_room", COUNT, STEP)
+    return rendered("loop_room", COUNT, STEP)
 
 
 def off_between(slam: Slam, truth: Rigid3, first: int, second: int) -> tuple[float, float]:
@@ -27,8 +27,8 @@ def off_between(slam: Slam, truth: Rigid3, first: int, second: int) -> tuple[flo
     number = [int(np.flatnonzero(np.rint(10 * path.timestamp_s) == n)[0]) for n in (first, second)]
     ours = path.world_from_body[number[0]].inverse() @ path.world_from_body[number[1]]
     true = truth[first].inverse() @ truth[second]
-    turned = Rotation3(true.rotation.T @ ours.rotation).angle_rad()
-    return float(np.linalg.norm(ours.translation - true.translation)), float(np.degrees(turned))
+    rotated = Rotation3(true.rotation.T @ ours.rotation).angle_rad()
+    return float(np.linalg.norm(ours.translation - true.translation)), float(np.degrees(rotated))
 
 
 @pytest.fixture(scope="module", params=[("rgbd", 0.93), ("mono", 0.97)], ids=["rgbd", "mono"])
@@ -57,7 +57,7 @@ def test_a_loop_takes_the_drift_with_it(closed_and_open):
     at = answers[accepted[0].frame - FORK]
     assert at.is_keyframe and at.reason == "a place seen before"
     assert not any(loop.verdict == "accepted" for loop in without.loops)
-    truth, last = room().truth(), len(room().pictures) - 1
+    truth, last = room().truth(), len(room().images) - 1
     # Ninety frames are a whole turn.
     with_loop, open_end = (off_between(one, truth, last - 90, last) for one in (slam, without))
     assert with_loop[1] < 0.5 and open_end[1] > 10 * with_loop[1]
@@ -75,7 +75,7 @@ def test_the_ledger_says_what_came_of_every_place(closed_and_open):
 
 
 def tiled():
-    return drawn("tiled_room", 216, 6, with_right=True)
+    return rendered("tiled_room", 216, 6, with_right=True)
 
 
 @pytest.mark.parametrize("kind", ["rgbd", "stereo", "mono"])
@@ -102,9 +102,9 @@ def test_carried_to_a_known_place_it_is_found_there():
     dark = np.full_like(frames[0].grey, 3)
     # Covered on the way, so that nothing can be followed.
     covered = [Frame(f.timestamp_s, dark, None, f.depth) if n == 25 else f for n, f in enumerate(frames)]
-    for pictures, lost in ((frames, []), (covered, [25])):
+    for images, lost in ((frames, []), (covered, [25])):
         slam = Slam(room().sensor("rgbd"))
-        answers = [slam.track(frame) for frame in pictures]
+        answers = [slam.track(frame) for frame in images]
         assert [n for n, a in enumerate(answers) if a.state is TrackingState.LOST] == lost
         truth = room().truth(numbers)
         for n, answer in enumerate(answers):

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from slam_rides import CAMERA, MONO, RGBD, followed, ride
+from slam_rides import CAMERA, MONO, RGBD, ride, tracked
 
 from epipole.geometry import Rigid3, Similarity3
 from epipole.pipelines.slam.config import SlamConfig
@@ -45,7 +45,7 @@ def rows_of(keyframe: Keyframe) -> dict[int, tuple]:
 def test_points_that_become_one_keep_the_observations_of_both(seed):
     rng = np.random.default_rng(seed)
     model = some_map(rng, range(6))
-    before, places = [rows_of(k) for k in model.keyframes], model.xyz.copy()
+    before, positions = [rows_of(k) for k in model.keyframes], model.xyz.copy()
     gone = rng.choice(60, 15, replace=False)
     kept = rng.choice(np.setdiff1d(np.arange(60), gone), 15)  # one may take in several
     into = model.merge_points(gone, kept)
@@ -62,7 +62,7 @@ def test_points_that_become_one_keep_the_observations_of_both(seed):
             assert seen in [old[p] for p in sources]
     assert np.isnan(model.xyz[gone]).all()
     others = np.setdiff1d(np.arange(60), gone)
-    np.testing.assert_array_equal(model.xyz[others], places[others])
+    np.testing.assert_array_equal(model.xyz[others], positions[others])
     np.testing.assert_array_equal(model.merge_points(gone[:0], kept[:0]), np.arange(60))
 
 
@@ -70,7 +70,7 @@ def test_points_that_become_one_keep_the_observations_of_both(seed):
 def test_a_map_that_takes_in_another_keeps_what_every_observation_says(rng, numbers):
     one, other = (some_map(rng, n) for n in numbers)
 
-    def told(model: SlamMap) -> dict[int, list]:
+    def given(model: SlamMap) -> dict[int, list]:
         return {
             k.number: [
                 (
@@ -82,12 +82,12 @@ def test_a_map_that_takes_in_another_keeps_what_every_observation_says(rng, numb
             for k in model.keyframes
         }  # fmt: skip
 
-    expected = {**told(one), **told(other)}
+    expected = {**given(one), **given(other)}
     offset = one.absorb(other)
     assert offset == 60 and one.num_points == 120
     assert not other.keyframes and not other.num_points
     assert [k.number for k in one.keyframes] == sorted([*numbers[0], *numbers[1]])  # the newest is the last
-    found = told(one)
+    found = given(one)
     for number, rows in expected.items():
         np.testing.assert_array_equal(found[number], rows)
 
@@ -109,15 +109,15 @@ def test_a_similarity_keeps_what_is_seen(rng):
 
 def test_the_path_goes_along_into_another_world_and_unit(rng):
     model, path = some_map(rng, [0, 4]), Path()
-    places = [Rigid3.exp(rng.normal(0, 0.3, 6)) for _ in range(6)]
-    for n, place in enumerate(places[:3]):
-        path.add(n, 0.1 * n, model.keyframes[0], place, np.eye(6))
+    positions = [Rigid3.exp(rng.normal(0, 0.3, 6)) for _ in range(6)]
+    for n, position in enumerate(positions[:3]):
+        path.add(n, 0.1 * n, model.keyframes[0], position, np.eye(6))
     move = Similarity3(np.array(0.4), Rigid3.exp(rng.normal(0, 1, 6)).rotation, rng.normal(0, 5, 3))
     model.move(move)
-    for n, place in enumerate(places[3:], 3):  # told in the new unit
-        path.add(n, 0.1 * n, model.keyframes[1], move.move_cam_from_source(place), np.eye(6))
+    for n, position in enumerate(positions[3:], 3):  # told in the new unit
+        path.add(n, 0.1 * n, model.keyframes[1], move.move_cam_from_source(position), np.eye(6))
     found = path.trajectory(model.keyframes)
-    expected = [move.move_cam_from_source(place).inverse() for place in places]
+    expected = [move.move_cam_from_source(position).inverse() for position in positions]
     np.testing.assert_allclose(
         found.world_from_body.translation, [e.translation for e in expected], atol=1e-9
     )
@@ -127,7 +127,7 @@ def test_the_path_goes_along_into_another_world_and_unit(rng):
     np.testing.assert_allclose(variances[:3], np.tile([0.16, 0.16, 0.16, 1.0, 1.0, 1.0], (3, 1)))
     np.testing.assert_allclose(variances[3:], 1.0)
     assert len(path.trajectory(model.keyframes[1:])) == 3
-    path.forget(model.keyframes[:1])
+    path.cull(model.keyframes[:1])
     np.testing.assert_allclose(path.trajectory(model.keyframes).timestamp_s, [0.3, 0.4, 0.5])
     assert len(path.trajectory([])) == 0
 
@@ -144,7 +144,7 @@ def ring(turn_rad: float, growth: float) -> tuple[SlamMap, Rigid3, np.ndarray, S
     """
     rng = np.random.default_rng(3)
     angle = 2 * np.pi * np.arange(COUNT) / COUNT
-    places = [
+    positions = [
         (Rigid3(np.eye(3), np.array([0.0, 0.0, -1.0])) @ Rigid3.exp(np.array([0, 0, 0, 0, -a, 0])))
         for a in angle
     ]  # cam_from_world, looking outward from a circle of radius 1
@@ -152,24 +152,24 @@ def ring(turn_rad: float, growth: float) -> tuple[SlamMap, Rigid3, np.ndarray, S
         np.array(growth), Rigid3.exp(np.array([0, 0, 0, 0.3 * turn_rad, turn_rad, 0])).rotation, np.zeros(3)
     )
 
-    def similarity(place: Rigid3) -> Similarity3:
-        return Similarity3(np.array(1.0), place.rotation, place.translation)
+    def similarity(position: Rigid3) -> Similarity3:
+        return Similarity3(np.array(1.0), position.rotation, position.translation)
 
-    drifted = [similarity(places[0].inverse())]
-    for before, after in pairwise(places):
+    drifted = [similarity(positions[0].inverse())]
+    for before, after in pairwise(positions):
         drifted.append(drifted[-1] @ similarity(before @ after.inverse()) @ step)
     model, true_points = SlamMap(), []
     for k in range(COUNT):
         local = rng.uniform([-1, -1, 1.5], [1, 1, 2.5], (EACH, 3))
         model.add_points(drifted[k].apply(local), np.full((EACH, 2), 100.0), k)
-        true_points.append(places[k].inverse().apply(local))
+        true_points.append(positions[k].inverse().apply(local))
     for k in range(COUNT):
         rows = np.concatenate([EACH * j + np.arange(EACH) for j in range(max(0, k - REACH), k + 1)])
         seen = Observations(np.full((len(rows), 2), 100.0), np.full(len(rows), np.nan), rows)
-        place = Rigid3(drifted[k].rotation, drifted[k].translation).inverse()
-        model.keyframes.append(Keyframe(k, 0.1 * k, GREY, place, seen))
-    truth = Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places]))
-    there_from_here = similarity(places[-1].inverse()) @ drifted[-1].inverse()
+        position = Rigid3(drifted[k].rotation, drifted[k].translation).inverse()
+        model.keyframes.append(Keyframe(k, 0.1 * k, GREY, position, seen))
+    truth = Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))
+    there_from_here = similarity(positions[-1].inverse()) @ drifted[-1].inverse()
     return model, truth, np.concatenate(true_points), there_from_here
 
 
@@ -183,10 +183,10 @@ def tie_of(model: SlamMap, there_from_here: Similarity3) -> LoopConstraint:
     return LoopConstraint(model, 0, there_from_here, found)
 
 
-@pytest.mark.parametrize(("turn_deg", "growth"), [(0.3, 1.0), (-0.1, 1.0), (0.2, 0.99), (0.0, 1.02)])
-def test_an_even_drift_is_taken_out_of_a_ring(turn_deg, growth):
+@pytest.mark.parametrize(("rotation_deg", "growth"), [(0.3, 1.0), (-0.1, 1.0), (0.2, 0.99), (0.0, 1.02)])
+def test_an_even_drift_is_taken_out_of_a_ring(rotation_deg, growth):
     """Drift is the same in every step: spread evenly it is gone, and places and points are the true ones."""
-    model, truth, true_points, there_from_here = ring(np.deg2rad(turn_deg), growth)
+    model, truth, true_points, there_from_here = ring(np.deg2rad(rotation_deg), growth)
     before, points_before = off_truth(model, truth), np.linalg.norm(model.xyz - true_points, axis=1)
     assert before.max() > 0.05
     assert correct_drift(model, tie_of(model, there_from_here), is_metric=growth == 1.0)
@@ -201,16 +201,16 @@ def test_an_even_drift_is_taken_out_of_a_ring(turn_deg, growth):
 
 
 @pytest.mark.parametrize("is_metric", [True, False])
-@pytest.mark.parametrize("turn_deg", [90.0, -20.0])
-def test_a_false_tie_is_rejected_and_moves_nothing(is_metric, turn_deg):
+@pytest.mark.parametrize("rotation_deg", [90.0, -20.0])
+def test_a_false_tie_is_rejected_and_moves_nothing(is_metric, rotation_deg):
     """A place on another side of the ring."""
     model, _, _, _ = ring(0.0, 1.0)
-    places, points = [k.cam_from_world.log() for k in model.keyframes], model.xyz.copy()
-    turned = Rigid3.exp(np.array([0, 0, 0, 0, np.deg2rad(turn_deg), 0]))
-    false = Similarity3(np.array(1.0), turned.rotation, turned.translation)
+    positions, points = [k.cam_from_world.log() for k in model.keyframes], model.xyz.copy()
+    rotated = Rigid3.exp(np.array([0, 0, 0, 0, np.deg2rad(rotation_deg), 0]))
+    false = Similarity3(np.array(1.0), rotated.rotation, rotated.translation)
     assert not correct_drift(model, tie_of(model, false), is_metric=is_metric)
     np.testing.assert_array_equal(model.xyz, points)
-    np.testing.assert_array_equal([k.cam_from_world.log() for k in model.keyframes], places)
+    np.testing.assert_array_equal([k.cam_from_world.log() for k in model.keyframes], positions)
 
 
 # What is believed.
@@ -224,7 +224,7 @@ class Recognized:
         none = np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros(8192, np.float32)
         monkeypatch.setattr(loop_closing, "describe_keyframe", lambda keyframe: View(GREY, *none))
         monkeypatch.setattr(
-            loop_closing, "most_alike", lambda look, model, *_: [(k, 1.0) for k in self._of(model)]
+            loop_closing, "most_alike", lambda descriptor, model, *_: [(k, 1.0) for k in self._of(model)]
         )
         monkeypatch.setattr(loop_closing, "recognize", self.recognize)
 
@@ -236,9 +236,9 @@ class Recognized:
             return Recognition(
                 number, 3, "3 points match", Rigid3.identity(), GREY[:0, :2], np.zeros(0, np.int64)
             )
-        place = self.poses[id(model)][number]
+        position = self.poses[id(model)][number]
         rows = np.flatnonzero(np.isfinite(model.xyz[:, 0]))
-        return Recognition(number, 60, "", place, np.zeros((len(rows), 2)), rows)
+        return Recognition(number, 60, "", position, np.zeros((len(rows), 2)), rows)
 
 
 def closer(is_metric: bool = True) -> LoopCloser:
@@ -247,9 +247,9 @@ def closer(is_metric: bool = True) -> LoopCloser:
 
 def add_keyframe(rng, model: SlamMap, number: int) -> Keyframe:
     """A step aside."""
-    place = Rigid3(np.eye(3), np.array([-0.05 * number, 0.0, 0.0]))
+    position = Rigid3(np.eye(3), np.array([-0.05 * number, 0.0, 0.0]))
     seen = Observations(rng.uniform(0, 240, (20, 2)), np.full(20, np.nan), np.arange(20))
-    model.keyframes.append(Keyframe(number, 0.1 * number, GREY, place, seen))
+    model.keyframes.append(Keyframe(number, 0.1 * number, GREY, position, seen))
     return model.keyframes[-1]
 
 
@@ -258,14 +258,14 @@ def test_a_place_is_believed_when_three_keyframes_tell_it(rng, monkeypatch, num_
     """However many other maps wait to be joined."""
     there, here = some_map(rng, range(3)), some_map(rng, [20])
     others = [some_map(rng, range(3)) for _ in range(num_others)]
-    looks, sought = Recognized(monkeypatch), closer()
+    is_alike, sought = Recognized(monkeypatch), closer()
     there_from_here = Rigid3(np.eye(3), np.array([0.1, 0.0, 0.0]))
     verdicts = []
     for number in range(21, 25):
         newest = add_keyframe(rng, here, number)
-        looks.poses = {id(there): [newest.cam_from_world @ there_from_here.inverse()]}
+        is_alike.poses = {id(there): [newest.cam_from_world @ there_from_here.inverse()]}
         ties = [sought.consider(here, model) for model in [there, *others]]
-        verdicts.append([tie is not None for tie in ties])
+        verdicts.append([constraint is not None for constraint in ties])
         if ties[0] is not None:
             np.testing.assert_allclose(ties[0].there_from_here.translation, [0.1, 0, 0], atol=1e-12)
             break
@@ -277,17 +277,17 @@ def test_a_place_is_believed_when_three_keyframes_tell_it(rng, monkeypatch, num_
 
 def test_what_is_told_differently_each_time_or_too_seldom_is_not_believed(rng, monkeypatch):
     there, here = some_map(rng, range(3)), some_map(rng, [20])
-    looks, sought = Recognized(monkeypatch), closer()
+    is_alike, sought = Recognized(monkeypatch), closer()
     for number in range(21, 30):  # always somewhere else
         newest = add_keyframe(rng, here, number)
-        looks.poses = {
+        is_alike.poses = {
             id(there): [newest.cam_from_world @ Rigid3.exp(np.array([0.5 * number, 0, 0, 0, 0, 0]))]
         }
         assert sought.consider(here, there) is None
-    sought.forget()
+    sought.cull()
     for number in range(30, 60):  # the same, with more silence in between than is waited
         newest = add_keyframe(rng, here, number)
-        looks.poses = {id(there): [newest.cam_from_world]} if number % 6 == 0 else {}
+        is_alike.poses = {id(there): [newest.cam_from_world]} if number % 6 == 0 else {}
         assert sought.consider(here, there) is None
     assert not any(loop.verdict == "accepted" for loop in sought.ledger)
     assert sum(loop.reason == "told by 1 keyframes of 3" for loop in sought.ledger) == 9 + 5
@@ -295,23 +295,23 @@ def test_what_is_told_differently_each_time_or_too_seldom_is_not_believed(rng, m
 
 def test_two_places_that_look_like_one_are_doubtful(rng, monkeypatch):
     there, here = some_map(rng, range(3)), some_map(rng, [20])
-    looks, sought = Recognized(monkeypatch), closer()
+    is_alike, sought = Recognized(monkeypatch), closer()
     for number in range(21, 27):
         newest = add_keyframe(rng, here, number).cam_from_world
-        looks.poses = {id(there): [newest, Rigid3(np.eye(3), np.array([1.0, 0, 0])) @ newest]}
+        is_alike.poses = {id(there): [newest, Rigid3(np.eye(3), np.array([1.0, 0, 0])) @ newest]}
         assert sought.consider(here, there) is None
     assert {loop.reason for loop in sought.ledger} == {"two places look like this one"}
 
 
 def test_a_way_that_would_have_to_be_wrong_by_metres_is_not_believed(rng, monkeypatch):
     model = some_map(rng, [0])
-    looks, sought = Recognized(monkeypatch), closer()
+    is_alike, sought = Recognized(monkeypatch), closer()
     for number in range(1, 20):
         newest = add_keyframe(rng, model, number).cam_from_world
-        looks.poses = {id(model): [Rigid3(np.eye(3), np.array([0.0, 0.0, 3.0])) @ newest]}
+        is_alike.poses = {id(model): [Rigid3(np.eye(3), np.array([0.0, 0.0, 3.0])) @ newest]}
         assert sought.consider(model, model) is None
-        turned = Rigid3.exp(np.array([0, 0, 0, 0, 0.3, 0]))
-        looks.poses = {id(model): [turned @ newest]}
+        rotated = Rigid3.exp(np.array([0, 0, 0, 0, 0.3, 0]))
+        is_alike.poses = {id(model): [rotated @ newest]}
         assert sought.consider(model, model) is None
     assert {loop.verdict for loop in sought.ledger} == {"rejected"}
     assert any(loop.reason.startswith("the way of") for loop in sought.ledger)
@@ -320,7 +320,7 @@ def test_a_way_that_would_have_to_be_wrong_by_metres_is_not_believed(rng, monkey
 
 @pytest.mark.parametrize(("camera", "kind"), [(RGBD, "rgbd"), (MONO, "mono")])
 def test_a_real_map_keeps_its_order_and_its_rows(camera, kind):
-    slam, _ = followed(ride().frames(kind), camera)
+    slam, _ = tracked(ride().frames(kind), camera)
     numbers = [k.number for k in slam.map.keyframes]
     assert numbers == sorted(set(numbers))
     for keyframe in slam.map.keyframes:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.slam.slam_rides import CAMERA, MONO, RGBD, STEREO, followed, ride
+from tests.slam.slam_rides import CAMERA, MONO, RGBD, STEREO, ride, tracked
 
 from epipole import Slam, read_slam_map, write_slam_map
 from epipole.cameras import Camera
@@ -18,7 +18,7 @@ from epipole.pipelines.slam.run import slam as run_slam
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """A map of the ride's first half, with the file that it was written to."""
-    system, _ = followed(ride().frames("rgbd")[:18], RGBD)
+    system, _ = tracked(ride().frames("rgbd")[:18], RGBD)
     system.finish()
     path = tmp_path_factory.mktemp("run") / MAP_FILE
     write_slam_map(path, system.map, [f"{k.number}.png" for k in system.map.keyframes], RGBD)
@@ -42,8 +42,8 @@ def test_the_same_map_comes_back(made):
 
 def test_the_folder_of_a_run_is_its_map(made):
     _, path = made
-    for place in (path.parent, path.parent.parent, str(path)):
-        assert len(read_slam_map(place, RGBD).names)
+    for position in (path.parent, path.parent.parent, str(path)):
+        assert len(read_slam_map(position, RGBD).names)
 
 
 @pytest.mark.parametrize("kind", ["rgbd", "stereo", "mono"])
@@ -99,7 +99,7 @@ def test_maps_of_other_cameras_are_refused(made, tmp_path):
         read_slam_map(path, SlamCamera(other, None, DepthCamera(other, Rigid3.identity())))
     with pytest.raises(ConfigError, match="320x240"):
         read_slam_map(path, SlamCamera(Camera("PINHOLE", 640, 480, [260.0, 260.0, 159.5, 119.5])))
-    system, _ = followed(ride().frames("mono")[:12], MONO)
+    system, _ = tracked(ride().frames("mono")[:12], MONO)
     write_slam_map(tmp_path / "map.npz", system.map, ["x"] * len(system.map.keyframes), MONO)
     assert not read_slam_map(tmp_path, MONO).is_metric
     with pytest.raises(ConfigError, match="no metre"):
@@ -131,21 +131,21 @@ def test_the_job_writes_goes_on_and_localises(tmp_path):
 
     for folder, part in (("first", slice(0, 18)), ("second", slice(6, 16))):
         (tmp_path / folder).mkdir()
-        for n, picture in enumerate(ride().left[part]):
-            cv2.imwrite(str(tmp_path / folder / f"{n:03d}.png"), picture)
+        for n, image in enumerate(ride().left[part]):
+            cv2.imwrite(str(tmp_path / folder / f"{n:03d}.png"), image)
     from epipole import CameraOptions
 
-    lens = CameraOptions(camera_params=",".join(str(p) for p in (260.0, 260.0, 160.0, 120.0)))
-    assert np.allclose(lens.camera((320, 240)).params, CAMERA.params)
-    first = run_slam(tmp_path / "first", tmp_path / "out", camera=lens)
+    camera = CameraOptions(camera_params=",".join(str(p) for p in (260.0, 260.0, 160.0, 120.0)))
+    assert np.allclose(camera.camera((320, 240)).params, CAMERA.params)
+    first = run_slam(tmp_path / "first", tmp_path / "out", camera=camera)
     fixed = run_slam(
-        tmp_path / "second", tmp_path / "fixed", camera=lens, map=tmp_path / "out", localize=True
+        tmp_path / "second", tmp_path / "fixed", camera=camera, map=tmp_path / "out", localize=True
     )
-    grown = run_slam(tmp_path / "second", tmp_path / "grown", camera=lens, map=tmp_path / "out")
-    assert fixed.summary["num_placed"] == grown.summary["num_placed"] == 10
+    grown = run_slam(tmp_path / "second", tmp_path / "grown", camera=camera, map=tmp_path / "out")
+    assert fixed.summary["num_localized"] == grown.summary["num_localized"] == 10
     assert fixed.summary["num_keyframes"] == first.summary["num_keyframes"]
     gap = fixed.trajectory.world_from_body.translation - first.trajectory.world_from_body.translation[6:16]
     assert np.linalg.norm(gap, axis=1).max() < 0.01  # in the first run's world and unit
     assert len(read_slam_map(tmp_path / "grown", SlamCamera(CAMERA)).names) == grown.summary["num_keyframes"]
     with pytest.raises(ConfigError, match="localize"):
-        run_slam(tmp_path / "second", tmp_path / "none", camera=lens, localize=True)
+        run_slam(tmp_path / "second", tmp_path / "none", camera=camera, localize=True)

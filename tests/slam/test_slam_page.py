@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_rides import MONO, STEREO, followed, ride, write_pairs
+from slam_rides import MONO, STEREO, ride, tracked, write_pairs
 
 from epipole import api
 from epipole.errors import ConfigError, FileFormatError
@@ -19,8 +19,8 @@ from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.frames import TrackingState
 from epipole.pipelines.slam.output import page as slam_page
 from epipole.pipelines.slam.output import results as slam_results
-from epipole.pipelines.slam.output.drawing import LOOPS, loop_curve, path_curve, upright_from_world
-from epipole.pipelines.slam.output.live import PLACED_RGB, WAITING_RGB, BrowserView, image_with_points
+from epipole.pipelines.slam.output.live import LOCALIZED_RGB, WAITING_RGB, BrowserView, image_with_points
+from epipole.pipelines.slam.output.rendering import LOOPS, loop_curve, path_curve, upright_from_world
 from epipole.pipelines.slam.output.scene import is_mine
 from epipole.scene import Trajectory
 from epipole.viewer.live import Budget
@@ -82,9 +82,9 @@ def test_loops_are_listed_and_accepted_ones_drawn(made):
     )
     assert f'"name":"{LOOPS}"' in html and f'"name":"{LOOPS}"' not in slam_page.render_page(page)
     names = list(page.model.images.name)
-    drawn = loop_curve([LOOP, FALSE_LOOP], page.model, [int(n[:6]) for n in names])
+    rendered = loop_curve([LOOP, FALSE_LOOP], page.model, [int(n[:6]) for n in names])
     centers = page.model.camera_centers_in_world()
-    np.testing.assert_array_equal(drawn.segments_in_world, [[centers[-1], centers[0]]])
+    np.testing.assert_array_equal(rendered.segments_in_world, [[centers[-1], centers[0]]])
 
 
 def test_lengths_without_a_unit_are_said_to_have_none(made, tmp_path):
@@ -131,8 +131,10 @@ def test_up_is_up():
         level.apply(np.array([[0, -1.0, 0], [0, 0, 1.0]])), [[0, 0, 1], [0, 1, 0]], atol=1e-12
     )
     tilt = Rigid3.exp(np.array([0, 0, 0, 0.4, 0, 0])).rotation
-    turns = Rigid3.exp(np.array([[0, 0, 0, 0, a, 0] for a in np.linspace(0, 2 * np.pi, 12, endpoint=False)]))
-    world = tilt.T @ turns.rotation @ tilt
+    rotations = Rigid3.exp(
+        np.array([[0, 0, 0, 0, a, 0] for a in np.linspace(0, 2 * np.pi, 12, endpoint=False)])
+    )
+    world = tilt.T @ rotations.rotation @ tilt
     upright = upright_from_world(Rigid3(world, np.zeros((12, 3))))
     np.testing.assert_allclose(upright.rotation @ tilt.T @ [0, -1.0, 0], [0, 0, 1], atol=1e-9)
 
@@ -226,14 +228,14 @@ def test_a_tab_sees_the_run_to_its_end(made, tmp_path, browser):
 
 
 def test_a_snapshot_does_not_change_with_the_map():
-    slam, _ = followed(ride().frames("mono")[:1], MONO)
+    slam, _ = tracked(ride().frames("mono")[:1], MONO)
     first = slam.snapshot()
     assert (
-        first.state is TrackingState.TURNING
+        first.state is TrackingState.ROTATING
         and len(first.tracked_px) > 50
         and not first.is_triangulated.any()
     )
-    slam, _ = followed(ride().frames("stereo")[:3], STEREO)
+    slam, _ = tracked(ride().frames("stereo")[:3], STEREO)
     before = slam.snapshot()
     points = before.points_in_world.copy()
     slam.map.rescale(2.0)
@@ -259,12 +261,12 @@ def test_a_budget_keeps_its_share(monkeypatch):
 
 
 def test_followed_points_are_drawn_where_they_are():
-    drawn = image_with_points(
+    rendered = image_with_points(
         np.zeros((480, 960), np.uint8), np.array([[200.5, 100.5], [700.5, 300.5]]), np.array([True, False])
     )
-    assert drawn.shape == (240, 480, 3)
+    assert rendered.shape == (240, 480, 3)
     assert (
-        tuple(drawn[50, 100]) == PLACED_RGB
-        and tuple(drawn[150, 350]) == WAITING_RGB
-        and not drawn[200, 20].any()
+        tuple(rendered[50, 100]) == LOCALIZED_RGB
+        and tuple(rendered[150, 350]) == WAITING_RGB
+        and not rendered[200, 20].any()
     )

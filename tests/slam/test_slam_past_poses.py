@@ -16,7 +16,7 @@ NUM_FRAMES = 3 * KEYFRAMES_LATER + 3
 FOCAL_BASELINE, OFF = 31.2, Rigid3.exp(np.array([0.03, -0.02, 0.04, 0.01, 0.02, -0.01]))
 
 
-def place(number: int) -> Rigid3:
+def position(number: int) -> Rigid3:
     """cam_from_world of a frame."""
     return Rigid3.exp(np.array([-0.05 * number, 0.0, 0.0, 0.0, 0.01 * number, 0.0]))
 
@@ -29,17 +29,17 @@ def scene(rng):
     rows = model.add_points(points, np.zeros((120, 2)), 0)
     for number in range(0, NUM_FRAMES, 3):
         seen = Observations(np.zeros((120, 2)), np.full(120, np.nan), rows)
-        keyframe = Keyframe(number, number / 10, np.zeros((240, 320), np.uint8), place(number), seen)
+        keyframe = Keyframe(number, number / 10, np.zeros((240, 320), np.uint8), position(number), seen)
         model.keyframes.append(keyframe)
-        path.add(number, number / 10, keyframe, place(number), np.zeros((6, 6)))
+        path.add(number, number / 10, keyframe, position(number), np.zeros((6, 6)))
         for later in (1, 2):
-            told = OFF @ place(number + later)
-            path.add(number + later, (number + later) / 10, keyframe, told, np.eye(6))
+            given = OFF @ position(number + later)
+            path.add(number + later, (number + later) / 10, keyframe, given, np.eye(6))
     return model, path
 
 
 def waiting(model: SlamMap, number: int, *, has_depth: bool) -> SeenFrame:
-    there = place(number).apply(model.xyz)
+    there = position(number).apply(model.xyz)
     deep = FOCAL_BASELINE / there[:, 2] if has_depth else None
     seen = SeenFrame(number / 10, CAMERA.project(there), np.arange(model.num_points), deep)
     seen.number = number
@@ -49,7 +49,9 @@ def waiting(model: SlamMap, number: int, *, has_depth: bool) -> SeenFrame:
 def errors(path: Path, model: SlamMap) -> np.ndarray:
     """(n,) by frame."""
     found = path.trajectory(model.keyframes).world_from_body.inverse()
-    return np.array([np.abs((found[n] @ place(n).inverse()).log()).max() for n in range(len(found.rotation))])
+    return np.array(
+        [np.abs((found[n] @ position(n).inverse()).log()).max() for n in range(len(found.rotation))]
+    )
 
 
 @pytest.mark.parametrize("has_depth", [False, True])

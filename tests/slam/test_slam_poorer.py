@@ -16,7 +16,7 @@ def contents(out):
 @pytest.mark.usefixtures("unchecked")
 def test_fewer_frames_keep_the_earlier_result(tmp_path, monkeypatch):
     folder, out = write_pairs(tmp_path / "ride", 12), tmp_path / "out"
-    assert run_slam(folder, out).summary["num_placed"] == 12
+    assert run_slam(folder, out).summary["num_localized"] == 12
     before = {n: c for n, c in contents(out).items() if n != "epipole.json"}
     with monkeypatch.context() as patched:
         patched.setattr(run, "find_camera", lambda *_: pytest.fail("no work is done"))
@@ -25,7 +25,7 @@ def test_fewer_frames_keep_the_earlier_result(tmp_path, monkeypatch):
     with pytest.raises(WorkspaceError, match="12 localized frames, more than the 6 of this run"):
         run_slam(folder, out, stride=2)
     assert {n: c for n, c in contents(out).items() if n != "epipole.json"} == before
-    assert run_slam(folder, out).summary["num_placed"] == 12  # as many are fine
+    assert run_slam(folder, out).summary["num_localized"] == 12  # as many are fine
     with overwriting():
-        assert run_slam(folder, out, stride=2).summary["num_placed"] == 6
-    assert run_slam(folder, out, max_frames=8).summary["num_placed"] == 8
+        assert run_slam(folder, out, stride=2).summary["num_localized"] == 6
+    assert run_slam(folder, out, max_frames=8).summary["num_localized"] == 8

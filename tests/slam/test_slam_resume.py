@@ -71,17 +71,17 @@ def written(out):
 @pytest.mark.parametrize("options", [{}, {"start": 5, "stride": 3}])
 def test_frames_that_can_be_read_again_are_tracked_again(options, source):
     """The result is that of an undisturbed run, and the trajectory so far can be read after the crash."""
-    place = source("stereo")
-    out = place / "out"
-    run_slam(place / "ride", place / "whole", **options)
-    assert not (place / "whole" / "checkpoint").exists()
+    position = source("stereo")
+    out = position / "out"
+    run_slam(position / "ride", position / "whole", **options)
+    assert not (position / "whole" / "checkpoint").exists()
     with pytest.raises(CrashError):
-        run_slam(place / "ride", out, progress=crash_at(6), **options)
+        run_slam(position / "ride", out, progress=crash_at(6), **options)
     assert sorted(p.name for p in (out / "checkpoint").iterdir()) == ["key.json", "trajectory_causal.txt"]
     assert len(read_trajectory(out / "checkpoint" / "trajectory_causal.txt")) == 6
-    result = run_slam(place / "ride", out, **{**options, "resume": True})
+    result = run_slam(position / "ride", out, **{**options, "resume": True})
     assert STARTED_AGAIN in result.warnings
-    assert written(out) == written(place / "whole") and not (out / "checkpoint").exists()
+    assert written(out) == written(position / "whole") and not (out / "checkpoint").exists()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL there")
@@ -101,31 +101,31 @@ def test_a_killed_process_leaves_its_trajectory(tmp_path):
 
 
 def test_a_camera_that_starts_late_has_dropped_nothing(source):
-    place = source("stereo", interval_s=3600.0, is_live=True)
-    result = run_slam(place / "ride", place / "out", start=4, stride=2, max_frames=6)
+    position = source("stereo", interval_s=3600.0, is_live=True)
+    result = run_slam(position / "ride", position / "out", start=4, stride=2, max_frames=6)
     assert result.summary["num_dropped"] == 0 and result.summary["num_frames"] == 6
     with pytest.raises(CrashError):
-        run_slam(place / "ride", place / "other", start=4, stride=2, progress=crash_at(5))
-    found = run_slam(place / "ride", place / "other", start=4, stride=2, resume=True, max_frames=8)
+        run_slam(position / "ride", position / "other", start=4, stride=2, progress=crash_at(5))
+    found = run_slam(position / "ride", position / "other", start=4, stride=2, resume=True, max_frames=8)
     assert found.summary["num_dropped"] == 0
 
 
 @pytest.mark.parametrize("interval_s", [0.0, 3600.0])
 def test_the_trajectory_of_a_camera_is_kept(interval_s, source):
     """Its frames come once: those of the first run are kept, and the second one continues in the map of the first."""
-    place = source("stereo", interval_s=interval_s, is_live=True)
+    position = source("stereo", interval_s=interval_s, is_live=True)
     with pytest.raises(CrashError):
-        run_slam(place / "ride", place / "out", progress=crash_at(14))
+        run_slam(position / "ride", position / "out", progress=crash_at(14))
     with pytest.raises(ConfigError, match=r"cannot be read again.*--resume"):
-        run_slam(place / "ride", place / "out")
+        run_slam(position / "ride", position / "out")
     source(
         "stereo", interval_s=interval_s, is_live=True, first=10
     )  # four of them are not later than what was seen
-    result = run_slam(place / "ride", place / "out", resume=True, max_frames=32)
-    assert result.summary["num_frames"] == 32 and result.summary["num_placed"] == 14 + 14
+    result = run_slam(position / "ride", position / "out", resume=True, max_frames=32)
+    assert result.summary["num_frames"] == 32 and result.summary["num_localized"] == 14 + 14
     assert [w.split(":")[0] for w in result.warnings] == [f"frame {n} is left out" for n in range(14, 18)]
-    table = read_frame_table(place / "out" / "frames.csv")
-    assert len(table.picture) == 32 and np.isnan(table.timestamp_s[14:18]).all()
+    table = read_frame_table(position / "out" / "frames.csv")
+    assert len(table.image) == 32 and np.isnan(table.timestamp_s[14:18]).all()
     body_from_camera = source_of("stereo").body_from_camera
     truth = ride().truth()[np.arange(28)] @ body_from_camera.inverse()
     for path in (result.causal, result.trajectory):
@@ -135,47 +135,47 @@ def test_the_trajectory_of_a_camera_is_kept(interval_s, source):
 
 @pytest.mark.parametrize("kind", ["rgbd", "mono"])
 def test_other_cameras_are_continued_too(kind, source):
-    place = source(kind, is_live=True)
+    position = source(kind, is_live=True)
     with pytest.raises(CrashError):
-        run_slam(place / "ride", place / "out", progress=crash_at(20))
+        run_slam(position / "ride", position / "out", progress=crash_at(20))
     source(kind, is_live=True, first=20)
-    result = run_slam(place / "ride", place / "out", resume=True, max_frames=30)
-    assert result.summary["num_frames"] == 30 and result.summary["num_placed"] >= 28
+    result = run_slam(position / "ride", position / "out", resume=True, max_frames=30)
+    assert result.summary["num_frames"] == 30 and result.summary["num_localized"] >= 28
     assert not result.summary["num_dropped"] and len(result.causal) >= 20
 
 
 def test_what_does_not_fit_is_refused(source, monkeypatch):
-    place = source("stereo", is_live=True)
-    out = place / "out"
+    position = source("stereo", is_live=True)
+    out = position / "out"
     with pytest.raises(CrashError):
-        run_slam(place / "ride", out, progress=crash_at(6))
+        run_slam(position / "ride", out, progress=crash_at(6))
     with pytest.raises(ConfigError, match=r"--num-features was 400, and is 300 now.*to start again"):
-        run_slam(place / "ride", out, resume=True, num_features=300)
+        run_slam(position / "ride", out, resume=True, num_features=300)
     source("rgbd", is_live=True)
     with pytest.raises(ConfigError, match="the camera has changed"):
-        run_slam(place / "ride", out, resume=True)
+        run_slam(position / "ride", out, resume=True)
     source("stereo", is_live=True)
     monkeypatch.setattr(resuming, "__version__", "99.0")
     with pytest.raises(ConfigError, match=r"the version of epipole was .* and is 99\.0 now"):
-        run_slam(place / "ride", out, resume=True)
+        run_slam(position / "ride", out, resume=True)
     assert len(read_answers(out / "checkpoint" / ANSWERS)) == 6
 
 
 def test_damaged_files_are_refused_and_a_cut_log_is_not(source):
-    place = source("stereo", is_live=True)
-    out, held = place / "out", place / "out" / "checkpoint"
+    position = source("stereo", is_live=True)
+    out, fixed = position / "out", position / "out" / "checkpoint"
     with pytest.raises(CrashError):
-        run_slam(place / "ride", out, progress=crash_at(8))
-    kept = {path: path.read_bytes() for path in held.iterdir()}
-    (saved_map,) = held.glob("map-*.npz")
-    for path in (saved_map, held / "key.json"):
+        run_slam(position / "ride", out, progress=crash_at(8))
+    kept = {path: path.read_bytes() for path in fixed.iterdir()}
+    (saved_map,) = fixed.glob("map-*.npz")
+    for path in (saved_map, fixed / "key.json"):
         data = bytearray(kept[path])
         data[len(data) // 2] ^= 255
         path.write_bytes(data)
         with pytest.raises(FileFormatError, match=r"damaged.*remove .* to start again"):
-            run_slam(place / "ride", out, resume=True)
+            run_slam(position / "ride", out, resume=True)
         path.write_bytes(kept[path])
-    answers = held / ANSWERS
+    answers = fixed / ANSWERS
     first, *_, last = kept[answers].splitlines(keepends=True)
     for data, count in (
         (kept[answers] + kept[answers][:70], 8),
@@ -193,26 +193,26 @@ def test_damaged_files_are_refused_and_a_cut_log_is_not(source):
     ):
         answers.write_bytes(data)
         with pytest.raises(FileFormatError, match=r"damaged in line \d.*to start again"):
-            run_slam(place / "ride", out, resume=True)
+            run_slam(position / "ride", out, resume=True)
     answers.write_bytes(kept[answers] + kept[answers][:70])
     source("stereo", is_live=True, first=8)
-    assert run_slam(place / "ride", out, resume=True, max_frames=20).summary["num_placed"] == 20
+    assert run_slam(position / "ride", out, resume=True, max_frames=20).summary["num_localized"] == 20
 
 
 def test_a_folder_of_someone_elses_is_left_alone(source):
-    place = source("stereo")
-    (place / "out" / "checkpoint").mkdir(parents=True)
-    (place / "out" / "checkpoint" / "mine.txt").write_text("mine")
-    run_slam(place / "ride", place / "fresh", resume=True)  # nothing is there: it begins
-    (place / "fresh" / "checkpoint").write_text("mine")
+    position = source("stereo")
+    (position / "out" / "checkpoint").mkdir(parents=True)
+    (position / "out" / "checkpoint" / "mine.txt").write_text("mine")
+    run_slam(position / "ride", position / "fresh", resume=True)  # nothing is there: it begins
+    (position / "fresh" / "checkpoint").write_text("mine")
     with pytest.raises(WorkspaceError, match="checkpoint is not a folder that epipole made"):
-        run_slam(place / "ride", place / "fresh")
+        run_slam(position / "ride", position / "fresh")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT to itself there")
 def test_ctrl_c_in_the_last_adjustment(source):
     """It is counted, and can be ended: what there is is written, and the rest can be made up for."""
-    place, reports = source("stereo"), []
+    position, reports = source("stereo"), []
 
     def progress(report):
         if report.stage == "adjust":
@@ -222,11 +222,11 @@ def test_ctrl_c_in_the_last_adjustment(source):
 
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        result = run_slam(place / "ride", place / "out", progress=progress)
+        result = run_slam(position / "ride", position / "out", progress=progress)
     finally:
         signal.signal(signal.SIGINT, before)
-    assert result.summary["interrupted"] and result.summary["num_placed"] == 30
+    assert result.summary["interrupted"] and result.summary["num_localized"] == 30
     assert reports[:3] == [(0, 7), (1, 7), (2, 7)] and (3, 7) not in reports
-    again = run_slam(place / "ride", place / "out", resume=True)
-    run_slam(place / "ride", place / "whole")
-    assert not again.summary["interrupted"] and written(place / "out") == written(place / "whole")
+    again = run_slam(position / "ride", position / "out", resume=True)
+    run_slam(position / "ride", position / "whole")
+    assert not again.summary["interrupted"] and written(position / "out") == written(position / "whole")

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from slam_rides import CAMERA, CAMERAS, MONO, RGBD, STEREO, followed, ride
+from slam_rides import CAMERA, CAMERAS, MONO, RGBD, STEREO, ride, tracked
 
 from epipole import _parallel
 from epipole.errors import ConfigError, ShapeError
@@ -16,7 +16,7 @@ from epipole.pipelines.slam.slam import Slam
 
 @pytest.fixture(scope="module")
 def rides():
-    return {kind: followed(ride().frames(kind), camera) for kind, camera in CAMERAS.items()}
+    return {kind: tracked(ride().frames(kind), camera) for kind, camera in CAMERAS.items()}
 
 
 @pytest.mark.parametrize(("kind", "most_cm"), [("rgbd", 1.0), ("stereo", 1.5)])
@@ -35,11 +35,11 @@ def test_the_path_in_metres_where_depth_is_told(rides, kind, most_cm):
 def test_one_camera_gives_the_path_up_to_scale(rides):
     slam, answers = rides["mono"]
     origin, *others = answers
-    assert origin.state is TrackingState.TURNING and not origin.covariance.any()
+    assert origin.state is TrackingState.ROTATING and not origin.covariance.any()
     assert np.array_equal(origin.world_from_body.translation, np.zeros(3))
     waiting = [a for a in others if a.state is TrackingState.STARTING]
-    begin = others[len(waiting)].covariance  # a place that is not the world's origin is never known exactly
-    assert (np.diag(begin) > 0).all() and np.isfinite(begin).all()
+    start = others[len(waiting)].covariance  # a place that is not the world's origin is never known exactly
+    assert (np.diag(start) > 0).all() and np.isfinite(start).all()
     assert len(waiting) <= 5 and all(a.world_from_body is None and a.reason for a in waiting)
     assert all(a.state is TrackingState.TRACKING for a in others[len(waiting) :])
     slam.finish()
@@ -48,8 +48,8 @@ def test_one_camera_gives_the_path_up_to_scale(rides):
     truth = ride().truth()
     assert absolute_error(path.world_from_body, truth, "similarity").position.rmse < 0.006
     # The path is nearly a line, about which places tell no orientation: turns are compared from the first frame on.
-    told, true = (all_.rotation[0].T @ all_.rotation for all_ in (path.world_from_body, truth))
-    assert np.degrees(np.linalg.norm(Rotation3(np.swapaxes(told, 1, 2) @ true).log(), axis=1)).max() < 0.3
+    given, true = (all_.rotation[0].T @ all_.rotation for all_ in (path.world_from_body, truth))
+    assert np.degrees(np.linalg.norm(Rotation3(np.swapaxes(given, 1, 2) @ true).log(), axis=1)).max() < 0.3
 
 
 def test_keyframes_go_out_as_a_model(rides):
@@ -81,39 +81,41 @@ def test_the_covariance_is_of_the_size_of_the_error():
 
 
 def test_a_turning_camera_gets_no_depth_out_of_nothing():
-    slam, answers = followed(ride("turn", 16).frames("mono"), MONO)
-    assert all(a.state is TrackingState.TURNING for a in answers) and not slam.map.num_points
+    slam, answers = tracked(ride("turn", 16).frames("mono"), MONO)
+    assert all(a.state is TrackingState.ROTATING for a in answers) and not slam.map.num_points
     assert any("only turns" in a.reason for a in answers)
     path = slam.trajectory()
     assert len(path) == 16 and not path.world_from_body.translation.any()
     assert np.isinf(path.covariance[1:, :3, :3]).all()  # of the place nothing is known, and that is said
-    turned = Rotation3(np.swapaxes(path.world_from_body.rotation, -1, -2) @ ride("turn", 16).truth().rotation)
-    assert np.degrees(turned.angle_rad()).max() < 0.1
+    rotated = Rotation3(
+        np.swapaxes(path.world_from_body.rotation, -1, -2) @ ride("turn", 16).truth().rotation
+    )
+    assert np.degrees(rotated.angle_rad()).max() < 0.1
     sigma = np.degrees(np.sqrt(np.diagonal(path.covariance[1:, 3:, 3:], axis1=1, axis2=2)))
     assert (sigma > 0).all() and sigma.max() < 0.1
-    slam, answers = followed(ride("turn", 16).frames("rgbd"), RGBD)
+    slam, answers = tracked(ride("turn", 16).frames("rgbd"), RGBD)
     assert all(a.state is TrackingState.TRACKING for a in answers)
     path = slam.trajectory().world_from_body
     assert np.linalg.norm(path.translation, axis=1).max() < 0.005
-    turned = Rotation3(np.swapaxes(path.rotation, -1, -2) @ ride("turn", 16).truth().rotation)
-    assert np.degrees(turned.angle_rad()).max() < 0.2
+    rotated = Rotation3(np.swapaxes(path.rotation, -1, -2) @ ride("turn", 16).truth().rotation)
+    assert np.degrees(rotated.angle_rad()).max() < 0.2
 
 
 def test_a_resting_camera_rests():
-    slam, answers = followed(ride("rest", 8).frames("rgbd"), RGBD)
+    slam, answers = tracked(ride("rest", 8).frames("rgbd"), RGBD)
     assert all(a.state is TrackingState.TRACKING for a in answers)
     assert np.linalg.norm(slam.trajectory().world_from_body.translation, axis=1).max() < 2e-3
-    _, answers = followed(ride("rest", 8).frames("mono"), MONO)
-    assert all(a.state is TrackingState.TURNING for a in answers) and "hardly moves" in answers[-1].reason
-    turned = Rotation3(np.stack([a.world_from_body.rotation for a in answers]))
-    assert np.degrees(turned.angle_rad()).max() < 0.05
+    _, answers = tracked(ride("rest", 8).frames("mono"), MONO)
+    assert all(a.state is TrackingState.ROTATING for a in answers) and "hardly moves" in answers[-1].reason
+    rotated = Rotation3(np.stack([a.world_from_body.rotation for a in answers]))
+    assert np.degrees(rotated.angle_rad()).max() < 0.05
 
 
 def test_a_covered_lens_is_said_and_sight_comes_back():
     frames = ride().frames("rgbd")[:14]
     dark = np.full_like(frames[0].grey, 3)
     covered = [Frame(f.timestamp_s, dark, None, f.depth) if 5 <= n < 8 else f for n, f in enumerate(frames)]
-    _, answers = followed(covered, RGBD)
+    _, answers = tracked(covered, RGBD)
     assert [a.state for a in answers[5:8]] == [TrackingState.LOST] * 3
     assert all(a.world_from_body is None and "agree with the map" in a.reason for a in answers[5:8])
     assert answers[-1].state is TrackingState.TRACKING
@@ -128,7 +130,7 @@ def test_a_blank_wall_gives_no_begin():
         (STEREO, {"right_grey": blank}),
         (RGBD, {"depth": np.ones((240, 320), np.float32)}),
     ):
-        _, answers = followed([Frame(0.1 * n, blank, **extra) for n in range(3)], camera)
+        _, answers = tracked([Frame(0.1 * n, blank, **extra) for n in range(3)], camera)
         assert all(a.state is TrackingState.STARTING and a.world_from_body is None for a in answers)
         assert "blank" in answers[-1].reason
 
@@ -139,7 +141,7 @@ def test_the_same_answers_on_any_number_of_threads():
     try:
         for threads in (1, 3):
             _parallel.set_num_threads(threads)
-            again, _ = followed(frames[:12], STEREO)
+            again, _ = tracked(frames[:12], STEREO)
             paths.append(again.trajectory())
     finally:
         _parallel.set_num_threads(None)
@@ -154,20 +156,20 @@ def test_depth_of_a_sensor_beside_the_camera_is_registered(rides):
     from epipole.cameras import Camera
     from epipole.geometry import Rigid3
 
-    lens = Camera("PINHOLE", 280, 210, [240.0, 240.0, 139.5, 104.5])
+    camera = Camera("PINHOLE", 280, 210, [240.0, 240.0, 139.5, 104.5])
     beside = Rigid3(np.eye(3), np.array([-0.10, 0.0, 0.0]))
     frames = []
     for n, frame in enumerate(ride().frames("rgbd")[:10]):
-        seen = render(courtyard(), lens, beside @ ride().cams_from_world[n])
+        seen = render(courtyard(), camera, beside @ ride().cams_from_world[n])
         frames.append(
             Frame(frame.timestamp_s, frame.grey, None, np.nan_to_num(seen.depth, nan=0.0).astype(np.float32))
         )
     truth = ride().truth()[np.arange(10)]
-    slam, answers = followed(frames, SlamCamera(CAMERA, None, DepthCamera(lens, beside)))
+    slam, answers = tracked(frames, SlamCamera(CAMERA, None, DepthCamera(camera, beside)))
     assert all(a.state is TrackingState.TRACKING for a in answers)
     right = absolute_error(slam.trajectory().world_from_body, truth, "none").position.rmse
     assert right < 0.01
-    wrong, _ = followed(frames, SlamCamera(CAMERA, None, DepthCamera(lens, Rigid3.identity())))
+    wrong, _ = tracked(frames, SlamCamera(CAMERA, None, DepthCamera(camera, Rigid3.identity())))
     path = wrong.trajectory()
     rows = np.rint(path.timestamp_s * 10).astype(int)
     assert absolute_error(path.world_from_body, truth[rows], "none").position.rmse > 1.5 * right
@@ -207,14 +209,14 @@ def test_depth_of_another_kind_is_told():
         Slam(MONO).track(frame)
     far = np.where(frame.depth > 0, frame.depth, np.inf).astype(np.float32)
     assert (far == np.inf).any()
-    slam, _ = followed(
+    slam, _ = tracked(
         [
             Frame(f.timestamp_s, f.grey, None, np.where(f.depth > 0, f.depth, np.inf))
             for f in ride().frames("rgbd")[:4]
         ],
         RGBD,
     )
-    plain, _ = followed(ride().frames("rgbd")[:4], RGBD)
+    plain, _ = tracked(ride().frames("rgbd")[:4], RGBD)
     np.testing.assert_array_equal(
         slam.trajectory().world_from_body.translation, plain.trajectory().world_from_body.translation
     )

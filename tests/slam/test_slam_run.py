@@ -22,10 +22,10 @@ PARAMS = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(CAMERA.params))
 def stereo_folder(tmp_path):
     """A KITTI-like folder of twelve rendered pairs."""
     folder = tmp_path / "ride"
-    for name, pictures in (("image_0", ride().left), ("image_1", ride().right)):
+    for name, images in (("image_0", ride().left), ("image_1", ride().right)):
         (folder / name).mkdir(parents=True)
-        for n, picture in enumerate(pictures[:12]):
-            cv2.imwrite(str(folder / name / f"{n:06d}.png"), picture)
+        for n, image in enumerate(images[:12]):
+            cv2.imwrite(str(folder / name / f"{n:06d}.png"), image)
     f, _, cx, cy = CAMERA.params
     rows = [[f, 0, cx, x, 0, f, cy, 0, 0, 0, 1, 0] for x in (0.0, -f * 0.12)]
     (folder / "calib.txt").write_text(
@@ -37,7 +37,7 @@ def stereo_folder(tmp_path):
 def test_a_folder_becomes_a_path_and_a_map(stereo_folder, tmp_path):
     out = tmp_path / "out"
     result = run_slam(stereo_folder, out)
-    assert result.summary["num_placed"] == result.summary["num_frames"] == 12
+    assert result.summary["num_localized"] == result.summary["num_frames"] == 12
     assert result.summary["scale"] == "metres, from the baseline of 0.12 m"
     path = read_trajectory(out / "trajectory.txt")
     truth = ride().truth()[np.arange(12)]
@@ -57,7 +57,7 @@ def test_a_damaged_frame_is_left_out_and_named(stereo_folder, tmp_path):
     (stereo_folder / "image_0" / "000005.png").write_bytes(b"no picture")
     cv2.imwrite(str(stereo_folder / "image_0" / "000007.png"), np.zeros((40, 50), np.uint8))
     result = run_slam(stereo_folder, tmp_path / "out")
-    assert result.summary["num_placed"] == 10
+    assert result.summary["num_localized"] == 10
     names = read_colmap_model(tmp_path / "out" / "sparse" / "0").images.name
     assert len(set(names)) == len(names) and not {"000005.png", "000007.png"} & set(names)
     assert [w.split(":")[0] for w in result.warnings] == ["frame 5 is left out", "frame 7 is left out"]
@@ -103,7 +103,7 @@ def test_the_kitchen(data_dir, tmp_path, sensor, most_cm, alignment):
     ):
         (folder / path.name).symlink_to(path)
     result = run_slam(folder, tmp_path / "out", sensor=sensor)
-    assert result.summary["num_placed"] == result.summary["num_frames"] == 100
+    assert result.summary["num_localized"] == result.summary["num_frames"] == 100
     rows = np.loadtxt(data_dir / "slam" / "7scenes" / "poses_sfm.txt")
     (tmp_path / "truth.txt").write_text(
         "\n".join(" ".join(map(str, [row[0] / 30, *row[1:]])) for row in rows), encoding="utf-8"
@@ -118,6 +118,6 @@ def test_a_resting_drone_rests(data_dir, tmp_path):
     """Its folder brings the truth, which is that of the IMU; the camera's is made of it."""
     drone = data_dir / "slam" / "euroc_static"
     result = run_slam(drone, tmp_path / "out", truth=drone)
-    assert result.summary["num_placed"] == 6 and result.trajectory.path_length() < 2e-3
+    assert result.summary["num_localized"] == 6 and result.trajectory.path_length() < 2e-3
     assert any(w.startswith("the camera rests: ") for w in result.warnings)
     assert result.summary["truth"]["final"]["rigid"]["ate_rmse"] < 5e-4

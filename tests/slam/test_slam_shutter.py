@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_rides import Drawn, drawn, errors, followed
+from slam_rides import Rendered, errors, rendered, tracked
 
 from epipole.cameras import Camera
 from epipole.errors import ConfigError
@@ -25,7 +25,7 @@ MOTION = np.array([0.4, -0.2, 0.3, 0.2, 0.5, -0.3, 2.0, 1.0, -1.0, 3.0, -5.0, 2.
 @pytest.fixture
 def seen(rng):
     """Points, where rows that are read one after another see them, and the pose in the middle of the readout."""
-    place = Rigid3.exp(np.array([0.1, 0.2, -0.1, 0.05, -0.1, 0.02]))
+    position = Rigid3.exp(np.array([0.1, 0.2, -0.1, 0.05, -0.1, 0.02]))
     in_cam = np.stack([rng.uniform(-2, 2, 300), rng.uniform(-1.5, 1.5, 300), rng.uniform(3, 8, 300)], axis=1)
     row = np.full(300, 239.5)
     for _ in range(20):  # the row tells when, and when tells the row
@@ -33,42 +33,42 @@ def seen(rng):
         moved = Rigid3.exp(late[:, None] * MOTION[:6] + 0.5 * late[:, None] ** 2 * MOTION[6:]).apply(in_cam)
         pixels = CAMERA.project(moved)
         row = pixels[:, 1]
-    return place.inverse().apply(in_cam), pixels, place, moved
+    return position.inverse().apply(in_cam), pixels, position, moved
 
 
 def test_shifts_undo_the_motion(seen):
-    points, pixels, place, moved = seen
+    points, pixels, position, moved = seen
     model = SlamMap()
     rows = model.add_points(points, pixels, 0)
     keyframe = Keyframe(
-        0, 0.0, np.zeros((480, 640), np.uint8), place, Observations(pixels, 45.0 / moved[:, 2], rows)
+        0, 0.0, np.zeros((480, 640), np.uint8), position, Observations(pixels, 45.0 / moved[:, 2], rows)
     )
     keyframe.shift_px = shutter_shifts(model, keyframe, MOTION, CAMERA, READOUT_S)
     assert np.abs(keyframe.shift_px).max() > 3
-    straight = place.apply(points)
+    straight = position.apply(points)
     np.testing.assert_allclose(keyframe.straight_px, CAMERA.project(straight), atol=1e-6)
     np.testing.assert_allclose(keyframe.straight_disparity_px, 45.0 / straight[:, 2], rtol=1e-9)
     assert not shutter_shifts(model, keyframe, MOTION, CAMERA, 0.0).any()
     straight = at_middle(moved, pixels, MOTION, CAMERA, READOUT_S)
-    np.testing.assert_allclose(straight, place.apply(points), atol=1e-9)
+    np.testing.assert_allclose(straight, position.apply(points), atol=1e-9)
 
 
 def test_pose_and_motion_are_found_together(seen, rng):
-    points, pixels, place, _ = seen
+    points, pixels, position, _ = seen
     pixels = pixels + 0.1 * rng.normal(size=pixels.shape)
     pixels[:30] += 40.0  # mistakes
-    start = Rigid3.exp(np.array([0.02, -0.02, 0.01, 0.01, 0.01, -0.01])) @ place
+    start = Rigid3.exp(np.array([0.02, -0.02, 0.01, 0.01, 0.01, -0.01])) @ position
     found, motion, error_sq = refine_while_moving(points, pixels, CAMERA, start, np.zeros(12), READOUT_S)
-    off = (found @ place.inverse()).log()
+    off = (found @ position.inverse()).log()
     assert np.linalg.norm(off[:3]) < 0.02 and np.degrees(np.linalg.norm(off[3:])) < 0.15
     np.testing.assert_allclose(motion[3:6], MOTION[3:6], atol=0.12)
     assert (error_sq[30:] < 1).mean() > 0.98 and (error_sq[:30] > 100).all()
 
 
-def bent_and_straight(ride: Drawn, kind: str) -> list[Slam]:
+def bent_and_straight(ride: Rendered, kind: str) -> list[Slam]:
     """Of a ride, without and with its readout."""
     sensors = (replace(ride.sensor(kind), readout_s=s) for s in (0.0, BY_THE_FRAMES))
-    return [followed(ride.frames(kind), sensor)[0] for sensor in sensors]
+    return [tracked(ride.frames(kind), sensor)[0] for sensor in sensors]
 
 
 def shaken(seconds: float) -> Rigid3:
@@ -78,30 +78,30 @@ def shaken(seconds: float) -> Rigid3:
 
 def test_the_motion_is_told_by_the_frames_around():
     times = np.arange(5) / 30
-    places = [shaken(t) for t in times]
-    cams = Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places]))
+    positions = [shaken(t) for t in times]
+    cams = Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))
     late = 0.015
     for frame, least in ((2, 2e-4), (1, 1e-3), (4, 1e-2)):
         motion = motion_among(times, cams, frame)
-        foretold = Rigid3.exp(late * motion[:6] + 0.5 * late**2 * motion[6:]) @ places[frame]
+        foretold = Rigid3.exp(late * motion[:6] + 0.5 * late**2 * motion[6:]) @ positions[frame]
         off = foretold @ shaken(times[frame] + late).inverse()
         assert np.abs(off.log()).max() < least
-    recent = RecentMotion().begin_at(0.0)
-    for time, before, now in zip(times[1:], places, places[1:]):
+    recent = RecentMotion().start_at(0.0)
+    for time, before, now in zip(times[1:], positions, positions[1:]):
         recent = recent.with_step(float(time), now @ before.inverse(), 1.0)
-    np.testing.assert_allclose(recent.settled()[times[2]], motion_among(times, cams, 2), atol=1e-9)
-    assert len(recent.settled()) == 5  # at first of all of them
-    step = shaken(times[4] + 1 / 30) @ places[4].inverse()
-    assert list(recent.with_step(times[4] + 1 / 30, step, 1.0).settled()) == [times[3]]
+    np.testing.assert_allclose(recent.converged()[times[2]], motion_among(times, cams, 2), atol=1e-9)
+    assert len(recent.converged()) == 5  # at first of all of them
+    step = shaken(times[4] + 1 / 30) @ positions[4].inverse()
+    assert list(recent.with_step(times[4] + 1 / 30, step, 1.0).converged()) == [times[3]]
     assert not recent.with_step(times[4] + 2.0, step, 1.0).times  # too long ago
     jump = Rigid3.exp(np.full(6, 1.0))  # of the map
     assert not recent.with_step(times[4] + 1 / 30, jump, 1.0).times
-    assert recent.begin_at(times[4]) is recent and recent.begin_at(7.0).times == [7.0]
+    assert recent.start_at(times[4]) is recent and recent.start_at(7.0).times == [7.0]
 
 
 @pytest.mark.usefixtures("unchecked_module")
 def test_one_camera_s_map_is_straight_from_its_begin():
-    ride = drawn("shuttered", 75, 1)
+    ride = rendered("shuttered", 75, 1)
     bent, straight = bent_and_straight(ride, "mono")
     straight.finish()
     assert len(straight.trajectory()) == 75
@@ -111,7 +111,7 @@ def test_one_camera_s_map_is_straight_from_its_begin():
 
 @pytest.mark.usefixtures("unchecked_module")
 def test_the_readout_is_found_and_the_path_straight_with_it():
-    ride = drawn("shuttered", 75, 1)
+    ride = rendered("shuttered", 75, 1)
     bent, straight = bent_and_straight(ride, "rgbd")
     found = find_readout(bent.odometry.mapper, bent.trajectory())
     assert found is not None and found.readout_s == pytest.approx(BY_THE_FRAMES, rel=0.1)
@@ -124,6 +124,6 @@ def test_the_readout_is_found_and_the_path_straight_with_it():
 
 @pytest.mark.usefixtures("unchecked_module")
 def test_a_shutter_of_one_instant_has_none():
-    ride = drawn("loop_room", 60, 2)
-    slam, _ = followed(ride.frames("rgbd"), ride.sensor("rgbd"))
+    ride = rendered("loop_room", 60, 2)
+    slam, _ = tracked(ride.frames("rgbd"), ride.sensor("rgbd"))
     assert find_readout(slam.odometry.mapper, slam.trajectory()) is None

@@ -65,7 +65,7 @@ def error_m(trajectory, alignment="none") -> float:
 def test_recordings_of_ros_become_paths(kind, sensor, tmp_path):
     path = recorded_ride(kind, sensor).write(tmp_path)
     result = run_slam(path, tmp_path / "out")
-    assert result.summary["num_placed"] == 12 and not result.warnings
+    assert result.summary["num_localized"] == 12 and not result.warnings
     assert result.trajectory.timestamp_s[0] == pytest.approx(BEGIN * 1e-9, abs=1e-6)
     assert error_m(result.trajectory, "similarity" if sensor == "mono" else "none") < 0.02
     assert result.summary["is_metric"] == (sensor != "mono")
@@ -89,15 +89,15 @@ def test_a_recording_that_was_cut_off_gives_the_path_before(tmp_path):
     data = file.read_bytes()
     file.write_bytes(data[: int(0.7 * len(data))])
     result = run_slam(path, tmp_path / "out")
-    assert 8 <= result.summary["num_placed"] < 20
+    assert 8 <= result.summary["num_localized"] < 20
     assert any("cut off" in warning for warning in result.warnings)
     assert error_m(result.trajectory) < 0.02
 
 
-def write_video(path: Path, pictures) -> Path:
+def write_video(path: Path, images) -> Path:
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (CAMERA.width, CAMERA.height))
-    for picture in pictures:
-        writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
+    for image in images:
+        writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
     writer.release()
     return path
 
@@ -105,11 +105,11 @@ def write_video(path: Path, pictures) -> Path:
 def test_videos_whole_and_cut_off(tmp_path):
     path = write_video(tmp_path / "ride.avi", ride().left)
     result = run_slam(path, tmp_path / "out", camera=KNOWN)
-    assert result.summary["num_placed"] == 30 and not result.warnings
+    assert result.summary["num_localized"] == 30 and not result.warnings
     assert np.allclose(np.diff(result.trajectory.timestamp_s), 0.1, atol=1e-6)
     path.write_bytes(path.read_bytes()[: int(0.6 * path.stat().st_size)])
     result = run_slam(path, tmp_path / "cut", camera=KNOWN)
-    assert 10 < result.summary["num_placed"] < 25
+    assert 10 < result.summary["num_localized"] < 25
     assert error_m(result.trajectory, "similarity") < 0.03
     assert any("ends after" in warning and "of 30 announced frames" in warning for warning in result.warnings)
 
@@ -128,15 +128,15 @@ def test_a_video_without_frames(tmp_path):
 class FakeCapture:
     """A camera that gives each picture once the one before was taken, and then ends, or goes on."""
 
-    def __init__(self, pictures):
-        self.pictures, self.is_released = list(pictures), False
+    def __init__(self, images):
+        self.images, self.is_released = list(images), False
         self.may_read, self.num_calls = threading.Semaphore(2), 0
 
     def read(self):
         self.num_calls += 1
-        if not self.may_read.acquire(timeout=20) or not self.pictures:
+        if not self.may_read.acquire(timeout=20) or not self.images:
             return False, None
-        return True, cv2.cvtColor(self.pictures.pop(0), cv2.COLOR_GRAY2BGR)
+        return True, cv2.cvtColor(self.images.pop(0), cv2.COLOR_GRAY2BGR)
 
     def release(self):
         self.is_released = True
@@ -150,7 +150,7 @@ def test_a_camera_is_followed_until_it_ends(tmp_path, monkeypatch):
     capture = FakeCapture([ride().left[0], *ride().left[:14]])
     opened_by(monkeypatch, capture)
     result = run_slam("0", tmp_path / "out", camera=KNOWN, progress=lambda report: capture.may_read.release())
-    assert result.summary["num_frames"] == result.summary["num_placed"] == 14
+    assert result.summary["num_frames"] == result.summary["num_localized"] == 14
     assert result.summary["is_live"] and result.summary["num_dropped"] == 0 and capture.is_released
     assert not result.summary["interrupted"]
     assert abs(result.trajectory.timestamp_s[0] - (tmp_path / "out").stat().st_mtime) < 600  # by the clock
@@ -166,11 +166,11 @@ def test_a_camera_is_followed_until_it_ends(tmp_path, monkeypatch):
 
 
 def test_a_slow_tracker_gets_the_newest_picture_of_a_camera():
-    pictures = [np.full((240, 320), n, np.uint8) for n in range(12)]
-    capture, seconds = FakeCapture(pictures), iter(range(100))
+    images = [np.full((240, 320), n, np.uint8) for n in range(12)]
+    capture, seconds = FakeCapture(images), iter(range(100))
     source = moving_sources.open_camera(0, KNOWN, capture, lambda: float(next(seconds)))
-    feed, values = FrameStream(source, JobOptions()), []
-    for queued in feed:
+    stream, values = FrameStream(source, JobOptions()), []
+    for queued in stream:
         values.append((queued.timestamp_s, int(queued.read().grey[0, 0])))
         for _ in range(3):  # while this one is followed three more come
             capture.may_read.release()
@@ -179,7 +179,7 @@ def test_a_slow_tracker_gets_the_newest_picture_of_a_camera():
             time.sleep(0.002)
     # Picture 0 told the size; the others have the clock's time of each.
     assert values == [(0.0, 1), (3.0, 4), (6.0, 7), (9.0, 10), (10.0, 11)]
-    assert feed.num_dropped == 6 and capture.is_released
+    assert stream.num_dropped == 6 and capture.is_released
 
 
 def test_where_there_is_no_camera(tmp_path, capfd):
@@ -227,18 +227,18 @@ def source_of(count: int, **more) -> FrameSource:
 def test_real_time_takes_what_a_camera_would_give(seconds, expected):
     """Frames every 0.1 s, and a tracker that takes so long for each."""
     clock = FakeClock()
-    feed, taken = FrameStream(source_of(20), JobOptions(realtime=True), clock=clock), []
-    for queued in feed:
+    stream, taken = FrameStream(source_of(20), JobOptions(realtime=True), clock=clock), []
+    for queued in stream:
         taken.append(queued.number)
         clock.seconds += seconds
-    assert taken == expected and feed.num_dropped == 20 - len(expected)
+    assert taken == expected and stream.num_dropped == 20 - len(expected)
 
 
 def test_all_frames_are_taken_otherwise():
-    feed = FrameStream(source_of(20), JobOptions(), clock=FakeClock())
-    assert [queued.number for queued in feed] == list(range(20)) and feed.num_dropped == 0
-    feed = FrameStream(source_of(20), JobOptions(max_frames=7))
-    assert len(list(feed)) == feed.num_expected == 7
+    stream = FrameStream(source_of(20), JobOptions(), clock=FakeClock())
+    assert [queued.number for queued in stream] == list(range(20)) and stream.num_dropped == 0
+    stream = FrameStream(source_of(20), JobOptions(max_frames=7))
+    assert len(list(stream)) == stream.num_expected == 7
     assert list(FrameStream(source_of(0), JobOptions(realtime=True))) == []
 
 
@@ -273,8 +273,8 @@ def stop_after(count: int):
 def folder(tmp_path):
     path = tmp_path / "pictures"
     path.mkdir()
-    for n, picture in enumerate(ride().left):
-        cv2.imwrite(str(path / f"{n:03d}.png"), picture)
+    for n, image in enumerate(ride().left):
+        cv2.imwrite(str(path / f"{n:03d}.png"), image)
     return path
 
 
@@ -290,12 +290,12 @@ def heeding():
 @pytest.mark.usefixtures("heeding")
 def test_ctrl_c_writes_what_there_is(folder, tmp_path):
     result = run_slam(folder, tmp_path / "out", camera=KNOWN, progress=stop_after(15))
-    assert result.summary["interrupted"] and result.summary["num_placed"] == 15
+    assert result.summary["interrupted"] and result.summary["num_localized"] == 15
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["interrupted"] is True
     assert len(read_trajectory(tmp_path / "out" / "trajectory.txt")) == 15
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     again = run_slam(folder, tmp_path / "out", camera=KNOWN)
-    assert again.summary["num_placed"] == 30 and not again.summary["interrupted"]
+    assert again.summary["num_localized"] == 30 and not again.summary["interrupted"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT to itself there")

@@ -5,13 +5,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from slam_rides import CAMERA, MONO, RGBD, followed, ride
+from slam_rides import CAMERA, MONO, RGBD, ride, tracked
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io import read_trajectory
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackingState
-from epipole.pipelines.slam.output.warnings import doubts
+from epipole.pipelines.slam.output.warnings import warnings
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.start import two_view as starting
 from epipole.pipelines.slam.start.candidate_motions import Judged, judge, motions_of_plane, rival_of
@@ -43,7 +43,7 @@ needs_hololens = pytest.mark.skipif(not HOLOLENS.exists(), reason="HoloLens fram
 
 @needs_hololens
 def test_a_wall_of_little_texture_begins_no_wrong_map():
-    slam, answers = followed(hololens(30), SlamCamera(LENS))
+    slam, answers = tracked(hololens(30), SlamCamera(LENS))
     path = slam.trajectory()
     assert len(path) >= 20 and turn_errors_deg(path).max() < 1.5
     assert any("two motions explain them" in answer.reason for answer in answers)
@@ -53,11 +53,11 @@ def test_a_wall_of_little_texture_begins_no_wrong_map():
 def test_a_wrong_begin_is_given_up_when_later_frames_contradict_it(monkeypatch):
     """Without the comparison at the begin the wall begins a map that is wrong."""
     monkeypatch.setattr(starting.OneCameraStart, "_best_of", lambda self, started: started)
-    slam, answers = followed(hololens(30), SlamCamera(LENS))
+    slam, answers = tracked(hololens(30), SlamCamera(LENS))
     first = next(n for n, a in enumerate(answers) if a.state is TrackingState.TRACKING)
     assert "not confirmed yet" in answers[first].reason
-    (doubt,) = [words for words in slam.start_doubts if "was discarded" in words]
-    assert "contradict it" in doubt
+    (warning,) = [words for words in slam.start_warnings if "was discarded" in words]
+    assert "contradict it" in warning
     path = slam.trajectory()
     assert len(path) and turn_errors_deg(path).max() < 1.5
     assert answers[first].map_number != slam.maps[0].number
@@ -68,17 +68,17 @@ def test_a_slanted_plane_allows_two_motions_and_the_wrong_one_fits_less():
     rng = np.random.default_rng(3)
     xy = rng.uniform(-1, 1, (80, 2))
     points = np.column_stack([xy, 3.0 + 0.6 * xy[:, 0] + 0.3 * xy[:, 1]])
-    places = [
+    positions = [
         Rigid3.exp(np.array([-0.06 * k, 0.01 * k, -0.09 * k, 0.002 * k * k, -0.004 * k, 0.003 * k]))
         for k in range(6)
     ]
-    pixels = np.stack([CAMERA.project(place.apply(points)) for place in places])
+    pixels = np.stack([CAMERA.project(position.apply(points)) for position in positions])
     pixels += rng.normal(0, 0.2, pixels.shape)
     motions = motions_of_plane(pixels[0], pixels[-1], CAMERA, 0)
     assert 1 <= len(motions) <= 2
     judged = [judge(motion, pixels, CAMERA) for motion in motions]
     best = min(judged, key=lambda one: one.loss)
-    off = (best.cam_from_first @ places[-1].inverse()).log()[3:]
+    off = (best.cam_from_first @ positions[-1].inverse()).log()[3:]
     assert np.degrees(np.linalg.norm(off)) < 1.0
     twin = Judged(Rigid3.exp(np.array([1.0, 0.0, 0.0, 0.0, 0.1, 0.0])), 1.5 * best.loss, 2.0)
     assert rival_of(best, [best, twin]) is twin
@@ -105,10 +105,10 @@ def passing(width: float, height: float, kind: str, start: int, grow: float = 0.
             ]
         )
         mask = cv2.warpAffine(np.ones_like(thing), move, (columns, rows))
-        drawn = grey * (1 - mask) + cv2.warpAffine(thing.clip(0, 255), move, (columns, rows)) * mask
-        drawn = np.rint(drawn + rng.normal(0, 1.5, drawn.shape)).clip(0, 255).astype(np.uint8)
+        rendered = grey * (1 - mask) + cv2.warpAffine(thing.clip(0, 255), move, (columns, rows)) * mask
+        rendered = np.rint(rendered + rng.normal(0, 1.5, rendered.shape)).clip(0, 255).astype(np.uint8)
         deep = np.where(mask > 0.5, 1.0, depth).astype(np.float32) if kind == "rgbd" else None
-        out.append(Frame(0.1 * n, drawn, None, deep))
+        out.append(Frame(0.1 * n, rendered, None, deep))
     return out
 
 
@@ -124,7 +124,7 @@ def passing(width: float, height: float, kind: str, start: int, grow: float = 0.
     ],
 )
 def test_one_camera_does_not_take_a_thing_that_passes_for_its_own_motion(width, height, start, grow):
-    slam, answers = followed(passing(width, height, "mono", start, grow), MONO)
+    slam, answers = tracked(passing(width, height, "mono", start, grow), MONO)
     path = slam.trajectory()
     assert not slam.map.num_points and not path.world_from_body.translation.any()
     assert any("cannot distinguish an object that passes it" in answer.reason for answer in answers)
@@ -133,8 +133,8 @@ def test_one_camera_does_not_take_a_thing_that_passes_for_its_own_motion(width, 
 @pytest.mark.parametrize(("width", "height"), [(0.3, 1.0), (0.55, 1.0), (0.75, 1.0), (0.9, 0.45)])
 def test_with_depth_a_thing_that_passes_is_said_to(width, height):
     """Of most of the picture it takes the camera along: then that is said."""
-    slam, answers = followed(passing(width, height, "rgbd", 5), RGBD)
-    said = doubts(answers, slam.trajectory())
+    slam, answers = tracked(passing(width, height, "rgbd", 5), RGBD)
+    said = warnings(answers, slam.trajectory())
     assert any(
         "something moves" in words or "image is static while the rest moves" in words for words in said
     )
@@ -144,7 +144,7 @@ def test_with_depth_a_thing_that_passes_is_said_to(width, height):
 
 def test_a_camera_that_moves_is_not_said_to_rest():
     for kind, sensor in (("mono", MONO), ("rgbd", RGBD)):
-        slam, answers = followed(ride().frames(kind), sensor)
+        slam, answers = tracked(ride().frames(kind), sensor)
         assert slam.map.num_points and not any("static" in answer.reason for answer in answers)
 
 
@@ -155,7 +155,7 @@ def test_the_path_is_that_of_the_largest_map():
         Frame(0.1 * n, f.grey[::-1].copy(), None, f.depth[::-1].copy()) for n, f in enumerate(frames)
     ]
     few = [Frame(f.timestamp_s - 0.6, f.grey, None, f.depth) for f in frames[:5]]
-    slam, answers = followed([*few, *upside_down], RGBD)
+    slam, answers = tracked([*few, *upside_down], RGBD)
     slam.finish()
     counts = [len(slam.trajectory(number)) for number in range(len(slam.maps))]
     assert len(counts) == 2 and counts[0] > counts[1] == 5

@@ -5,7 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from slam_rides import drawn, errors
+from slam_rides import errors, rendered
 
 from epipole.io import read_trajectory
 from epipole.metrics import absolute_error
@@ -21,7 +21,7 @@ STEP, BLANK, TEXTURE = 4, 97, 118
 
 
 def corridor():
-    return drawn("corridor", 620, STEP)
+    return rendered("corridor", 620, STEP)
 
 
 @pytest.fixture(scope="module")
@@ -49,10 +49,10 @@ def test_meanwhile_places_are_those_of_a_map_of_its_own(whole):
     assert all(a.world_from_body is None and a.submap_from_body is not None for a in away)
     known = [a for a in answers if a.state is TrackingState.TRACKING]
     assert all(a.world_from_body is not None and a.submap_from_body is None for a in known)
-    begun = [a for a in away if a.reason.startswith("a new map begins")]
-    assert 1 <= len(begun) <= 2 and begun[0].is_keyframe
+    started = [a for a in away if a.reason.startswith("a new map begins")]
+    assert 1 <= len(started) <= 2 and started[0].is_keyframe
     np.testing.assert_array_equal(
-        begun[0].submap_from_body.log(), np.zeros(6)
+        started[0].submap_from_body.log(), np.zeros(6)
     )  # its world is its first frame
 
 
@@ -88,7 +88,7 @@ def test_one_camera_is_in_maps_of_its_own_units():
 
 def test_a_map_that_is_never_joined_has_its_own_file(tmp_path):
     """The ride ends on the way: its parts are paths of their own, the longer one in the first file."""
-    numbers = [n for n in corridor().pictures if 40 <= n < 200]
+    numbers = [n for n in corridor().images if 40 <= n < 200]
     source, out = tmp_path / "ride", tmp_path / "out"
     (source / "rgb").mkdir(parents=True)
     (source / "depth").mkdir()
@@ -101,21 +101,23 @@ def test_a_map_that_is_never_joined_has_its_own_file(tmp_path):
             lines.append(f"{frame.timestamp_s:.6f} {kind}/{name}")
     for kind, lines in rows.items():
         (source / f"{kind}.txt").write_text("\n".join(lines) + "\n")
-    lens = corridor().ride.camera
-    params = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(lens.params))
+    camera = corridor().ride.camera
+    params = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(camera.params))
     result = run_slam(source, out, camera=CameraOptions(camera_params=params))
     summary = json.loads((out / "summary.json").read_text())
     assert summary["submaps"] == result.summary["submaps"] and len(summary["submaps"]) == 1
-    told = summary["submaps"][0]
+    given = summary["submaps"][0]
     path = read_trajectory(out / "trajectory_submap_1.txt")
-    assert len(path) == told["num_frames"] > 10 and told["num_keyframes"] >= 3
-    assert (told["from_s"], told["to_s"]) == pytest.approx((path.timestamp_s[0], path.timestamp_s[-1]))
+    assert len(path) == given["num_frames"] > 10 and given["num_keyframes"] >= 3
+    assert (given["from_s"], given["to_s"]) == pytest.approx((path.timestamp_s[0], path.timestamp_s[-1]))
     assert not (out / "trajectory_submap_2.txt").exists()
     main = read_trajectory(out / "trajectory.txt")
     assert not set(main.timestamp_s) & set(path.timestamp_s)
-    assert told["to_s"] < main.timestamp_s[0] and summary["num_placed"] == len(main) >= len(path)
+    assert given["to_s"] < main.timestamp_s[0] and summary["num_localized"] == len(main) >= len(path)
     causal = read_trajectory(out / "trajectory_causal.txt")
-    assert summary["num_placed_causal"] == len(causal) and not set(causal.timestamp_s) & set(path.timestamp_s)
+    assert summary["num_localized_causal"] == len(causal) and not set(causal.timestamp_s) & set(
+        path.timestamp_s
+    )
     assert summary["states"]["submap"] >= len(main) and summary["states"]["lost"] > 0
     truth = corridor().truth(numbers)
     rows = np.rint(10 * path.timestamp_s).astype(int)

@@ -48,8 +48,8 @@ def test_rows_without_times_get_those_of_the_frames(kitti_truth):
     assert not found.has_times
     known = truth_at_frames(found, records_of([0.0, None, 0.2, 0.3]))
     assert known.timestamp_s.tolist() == [0.0, 0.2, 0.3]
-    places = truth.world_from_body.translation[[0, 2, 3]]
-    np.testing.assert_allclose(known.world_from_body.translation, places, atol=1e-8)
+    positions = truth.world_from_body.translation[[0, 2, 3]]
+    np.testing.assert_allclose(known.world_from_body.translation, positions, atol=1e-8)
     known = truth_at_frames(found, records_of([0.5, 0.7], ["000001.png", "000003.png"]))
     np.testing.assert_allclose(
         known.world_from_body.translation, truth.world_from_body.translation[[1, 3]], atol=1e-8
@@ -60,16 +60,16 @@ def test_rows_without_times_get_those_of_the_frames(kitti_truth):
 
 
 def test_a_first_column_of_picture_numbers_is_no_time(tmp_path):
-    places = Rigid3.exp(np.arange(60.0).reshape(10, 6) * 0.01)
+    positions = Rigid3.exp(np.arange(60.0).reshape(10, 6) * 0.01)
     numbers = np.arange(100.0, 200.0, 10.0)
-    write_trajectory(Trajectory(numbers, places), tmp_path / "poses.txt")
+    write_trajectory(Trajectory(numbers, positions), tmp_path / "poses.txt")
     found = true_path_at(tmp_path / "poses.txt")
     times = [n / 30.0 for n in range(10)]
     known = truth_at_frames(
         found, records_of(times, [f"frame-{100 + 10 * n:06d}.color.jpg" for n in range(10)])
     )
     assert known.timestamp_s.tolist() == times
-    np.testing.assert_allclose(known.world_from_body.translation, places.translation, atol=1e-8)
+    np.testing.assert_allclose(known.world_from_body.translation, positions.translation, atol=1e-8)
     # Names without these numbers, or times that are seconds: they are times.
     assert truth_at_frames(found, records_of(times)) is found.trajectory
     names = [f"{number:.0f}.png" for number in numbers]
@@ -78,9 +78,9 @@ def test_a_first_column_of_picture_numbers_is_no_time(tmp_path):
 
 
 def test_a_truth_that_meets_few_of_the_frames_gives_no_error(tmp_path):
-    places = Rigid3.exp(np.arange(240.0).reshape(40, 6) * 0.01)
-    known = Trajectory(np.arange(40) * 1.0 + 0.2, places)
-    path = Trajectory(np.concatenate([np.arange(36) * 1.0, np.arange(36, 40) + 0.2]), places)
+    positions = Rigid3.exp(np.arange(240.0).reshape(40, 6) * 0.01)
+    known = Trajectory(np.arange(40) * 1.0 + 0.2, positions)
+    path = Trajectory(np.concatenate([np.arange(36) * 1.0, np.arange(36, 40) + 0.2]), positions)
     write_trajectory(known, tmp_path / "truth.txt")
     out, said = truth_summary(true_path_at(tmp_path / "truth.txt"), known, (path, path), 40)
     assert out["final"] is None and any("4 of 40 places have a true one" in words for words in said)
@@ -105,11 +105,11 @@ def test_errors_bring_the_truth_into_the_path_and_the_scale_is_asked_for(rng):
 
 def test_the_summary_tells_scores_and_doubts(kitti_truth):
     truth, found = kitti_truth
-    told, doubts = truth_summary(found, truth, (truth, truth), 8)
-    assert not doubts and told["final"]["rigid"]["ate_rmse"] < 1e-9 and told["causal"]["coverage"] == 0.5
+    given, warnings = truth_summary(found, truth, (truth, truth), 8)
+    assert not warnings and given["final"]["rigid"]["ate_rmse"] < 1e-9 and given["causal"]["coverage"] == 0.5
     later = Trajectory(truth.timestamp_s + 0.4, truth.world_from_body)
-    told, doubts = truth_summary(found, truth, (later, truth), 8)
-    assert told["final"] is None and "final path is not compared" in doubts[0]
+    given, warnings = truth_summary(found, truth, (later, truth), 8)
+    assert given["final"] is None and "final path is not compared" in warnings[0]
 
 
 def test_runs_with_a_truth(tmp_path, capsys):
@@ -125,7 +125,7 @@ def test_runs_with_a_truth(tmp_path, capsys):
         path.world_from_body.translation, result.trajectory.world_from_body.translation, atol=1e-7
     )
     table = read_frame_table(out / "frames.csv")
-    assert table.picture[3] == "000003.png" and table.timestamp_s[3] == pytest.approx(0.3)
+    assert table.image[3] == "000003.png" and table.timestamp_s[3] == pytest.approx(0.3)
     with pytest.raises(FileFormatError, match="no such file"):
         run_slam(folder, out, truth=tmp_path / "nothing.txt")
     with pytest.raises(FileFormatError, match="no true path"):
@@ -142,9 +142,9 @@ def test_a_path_of_one_camera_is_compared_by_the_table_of_its_frames(tmp_path):
     causal = out / "trajectory_causal.txt"
     assert len(result.causal) < 12
     found = evaluate_trajectory(causal, folder / "poses.txt")
-    told = result.summary["truth"]["causal"]
-    assert found.num_compared == len(result.causal) == told["num_compared"]
-    assert found.similarity.ate_rmse == pytest.approx(told["similarity"]["ate_rmse"], rel=1e-4)
+    given = result.summary["truth"]["causal"]
+    assert found.num_compared == len(result.causal) == given["num_compared"]
+    assert found.similarity.ate_rmse == pytest.approx(given["similarity"]["ate_rmse"], rel=1e-4)
     (out / "frames.csv").unlink()
     with pytest.raises(FileFormatError, match="holds no times"):
         evaluate_trajectory(causal, folder / "poses.txt")
@@ -168,7 +168,7 @@ def test_records_become_a_table_and_stretches(tmp_path):
     records = records_of([0.0, 0.1, None, 0.3])
     write_records(records, tmp_path / "frames.csv")
     table = read_frame_table(tmp_path / "frames.csv")
-    assert table.picture == ("0.png", "1.png", "2.png", "3.png")
+    assert table.image == ("0.png", "1.png", "2.png", "3.png")
     np.testing.assert_array_equal(table.timestamp_s, [0.0, 0.1, np.nan, 0.3])
     assert "left out: no picture" in (tmp_path / "frames.csv").read_text().splitlines()[3]
     parts = stretches(records)
@@ -177,7 +177,7 @@ def test_records_become_a_table_and_stretches(tmp_path):
     # Frames that were dropped to keep up are not in the table, and count all the same.
     (tmp_path / "frames.csv").write_text("frame,timestamp_s,picture\n1,0.0,a.png\n3,0.2,b.png\n")
     table = read_frame_table(tmp_path / "frames.csv")
-    assert table.picture == ("", "a.png", "", "b.png")
+    assert table.image == ("", "a.png", "", "b.png")
     np.testing.assert_array_equal(table.timestamp_s, [np.nan, 0.0, np.nan, 0.2])
     for row in ("1,0.0,a.png\n1,0.1,b.png", "1,0.0,a.png\n0,0.1,b.png", "99999999,0,a", "-1,0,a", "x,0,a"):
         (tmp_path / "frames.csv").write_text(f"frame,timestamp_s,picture\n{row}\n")

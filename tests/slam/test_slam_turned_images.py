@@ -31,8 +31,8 @@ def folder_of(path, orientations, rng):
 def test_all_frames_are_turned_as_the_first(tmp_path, rng, first):
     folder = folder_of(tmp_path / "frames", (first, 1, 3, 6), rng)
     size = (H, W) if first == 6 else (W, H)
-    lens = Camera("PINHOLE", *size, [60.0, 60.0, size[0] / 2, size[1] / 2])
-    source = open_sequence(read_sequence(folder, 10.0), "mono", lens)
+    camera = Camera("PINHOLE", *size, [60.0, 60.0, size[0] / 2, size[1] / 2])
+    source = open_sequence(read_sequence(folder, 10.0), "mono", camera)
     for n, queued in enumerate(source.frames()):
         np.testing.assert_array_equal(queued.read().grey, read_grey(folder / f"{n}.png", orientation=first))
 
@@ -67,8 +67,8 @@ def test_a_calibration_is_turned_and_scaled_and_said(tmp_path):
 
 def test_the_source_of_a_scaled_camera_is_said_beside_its_note(tmp_path, rng):
     folder, path = folder_of(tmp_path / "frames", (1, 1), rng), tmp_path / "calibration.json"
-    lens = Camera("PINHOLE", 2 * W, 2 * H, [120, 122, 70, 40])
-    write_calibration(path, CalibrationFile((lens,), Rigid3.identity(1)))
+    camera = Camera("PINHOLE", 2 * W, 2 * H, [120, 122, 70, 40])
+    write_calibration(path, CalibrationFile((camera,), Rigid3.identity(1)))
     source = run._open(folder, JobOptions(), CameraOptions(calibration=path), None)
     assert source.about["camera_source"] == "given" and source.camera.camera.width == W
     assert any(f"it is scaled to {W}x{H}" in note for note in source.notes())

@@ -27,9 +27,9 @@ def pair():
     return stereo_room(8, (200, 150))
 
 
-def saved(folder, picture):
+def saved(folder, image):
     folder.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(picture).save(folder)
+    Image.fromarray(image).save(folder)
 
 
 def test_a_folder_with_a_corrupt_picture_goes_on(tmp_path, pair):
@@ -53,8 +53,8 @@ def test_a_folder_with_a_corrupt_picture_goes_on(tmp_path, pair):
     saved(tmp_path / "right" / "c.png", np.roll(pair.right, 1, axis=1))
     changed = api.stereo_many(tmp_path / "left", tmp_path / "right", out, CONFIG, rig)
     assert changed.done == ("c",) and changed.earlier == ("a", "b")
-    told = json.loads((out / "summary.json").read_text())
-    assert set(told["known"]) == {"a", "b", "c"} and told["pictures"]["a"][1].endswith("right/a.png")
+    given = json.loads((out / "summary.json").read_text())
+    assert set(given["known"]) == {"a", "b", "c"} and given["pictures"]["a"][1].endswith("right/a.png")
     with pytest.raises(FileFormatError, match="several pairs"):
         api.view(out, block=False)
     other = api.stereo_many(
@@ -125,9 +125,9 @@ def test_another_video_of_the_same_name_is_measured_again(tmp_path, pair):
     written_video(both, [np.hstack([255 - pair.left, 255 - pair.right])] * 3)
     again = api.stereo_many(both, both, tmp_path / "out", CONFIG)
     assert again.done == first.done
-    picture = pair.left if pair.left.ndim == 3 else pair.left[..., None]
+    image = pair.left if pair.left.ndim == 3 else pair.left[..., None]
     frame = np.asarray(Image.open(next((tmp_path / "out" / "frames" / "left").iterdir())))
-    assert np.abs(frame.astype(int) - (255 - picture)).mean() < 8
+    assert np.abs(frame.astype(int) - (255 - image)).mean() < 8
 
 
 def written_model(folder, pair, camera: Camera):
@@ -137,14 +137,14 @@ def written_model(folder, pair, camera: Camera):
     saved(folder / "images" / "c.png", pair.left)
     ids = np.arange(3, dtype=np.int32)
     nan = np.full((3, 3), np.nan)
-    places = Rigid3(
+    positions = Rigid3(
         np.stack([np.eye(3), np.eye(3), nan]),
         np.stack([[-2.0, 0.0, 0.0], [0.0, 0.0, 0.0], nan[0]]),
     )
     model = Reconstruction(
         Cameras.from_list([camera]),
         Rigs.of_single_cameras(1),
-        Frames(np.zeros(3, np.int32), places, np.full(3, np.nan)),
+        Frames(np.zeros(3, np.int32), positions, np.full(3, np.nan)),
         Images(
             ("a.png", "b.png", "c.png"), ids, np.zeros(3, np.int32), np.zeros(4, np.int64), np.zeros((0, 2))
         ),

@@ -33,8 +33,8 @@ def check_by_arrays(disparity, lowest, second, theirs, blank, low, limits):
     reason[margin <= limits[0] * lowest] = StereoReason.AMBIGUOUS
     reason[~(apart <= limits[1])] = StereoReason.OCCLUDED
     reason[(x - disparity < -0.5) | (x - disparity > width - 0.5) | (x < low)] = StereoReason.OUT_OF_VIEW
-    begins = (reason != StereoReason.OCCLUDED).cumsum(axis=1) == 0
-    reason[begins] = StereoReason.OUT_OF_VIEW
+    starts = (reason != StereoReason.OCCLUDED).cumsum(axis=1) == 0
+    reason[starts] = StereoReason.OUT_OF_VIEW
     return apart, reason
 
 

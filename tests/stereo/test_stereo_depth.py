@@ -155,12 +155,12 @@ def test_a_page_of_nothing(tmp_path):
     assert "0.0 % of the left" in (tmp_path / "out" / "report.html").read_text()
 
 
-def flat_rig(pair, offset_px=3.0, turn=0.0, k1=0.0, covariance=None):
+def flat_rig(pair, offset_px=3.0, rotation=0.0, k1=0.0, covariance=None):
     height, width = pair.left.shape[:2]
     focal, cx, cy = pair.camera.K[0, 0], pair.camera.K[0, 2], pair.camera.K[1, 2]
     left = Camera(CameraModel.OPENCV, width, height, np.array([focal, focal, cx, cy, k1, 0, 0, 0]))
     right = Camera(CameraModel.PINHOLE, width, height, np.array([focal, focal, cx + offset_px, cy]))
-    return StereoRig(left, right, Rigid3.exp(np.array([-pair.baseline, 0, 0, 0, 0, turn])), covariance)
+    return StereoRig(left, right, Rigid3.exp(np.array([-pair.baseline, 0, 0, 0, 0, rotation])), covariance)
 
 
 def test_a_calibration_of_rectified_cameras_resamples_nothing(pair_files, tmp_path):

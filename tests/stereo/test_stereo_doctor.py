@@ -29,13 +29,13 @@ def cones(data_dir):
     return read_rgb(folder / "im2.png"), read_rgb(folder / "im6.png")
 
 
-def turned(picture, matrix):
-    height, width = picture.shape[:2]
-    return cv2.warpPerspective(picture, matrix, (width, height), borderMode=cv2.BORDER_REFLECT)
+def rotated(image, matrix):
+    height, width = image.shape[:2]
+    return cv2.warpPerspective(image, matrix, (width, height), borderMode=cv2.BORDER_REFLECT)
 
 
-def about_center(picture, inner):
-    height, width = picture.shape[:2]
+def about_center(image, inner):
+    height, width = image.shape[:2]
     center = np.array([[1, 0, -width / 2], [0, 1, -height / 2], [0, 0, 1.0]])
     return np.linalg.inv(center) @ inner @ center
 
@@ -72,7 +72,7 @@ def test_a_pair_of_far_things_swapped():
 )
 def test_a_camera_that_stands_wrong(cones, inner):
     left, right = cones
-    found = examine([(left, turned(right, about_center(right, inner)))])
+    found = examine([(left, rotated(right, about_center(right, inner)))])
     assert found.cause is Cause.EXTRINSICS and not found.is_healthy
     assert found.after_extrinsics_px < 0.3
     if inner[1, 2]:
@@ -204,7 +204,7 @@ def test_a_turned_picture_and_a_range_too_small_are_noticed(cones):
     left, right = cones
     angle = np.deg2rad(2.0)
     inner = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-    tilted = measure_pair(left, turned(right, about_center(right, inner)), StereoConfig(max_disparity_px=63))
+    tilted = measure_pair(left, rotated(right, about_center(right, inner)), StereoConfig(max_disparity_px=63))
     assert any("off their rows" in w for w in tilted.warnings)
     for options in ({"max_disparity_px": 12}, {"min_disparity_px": 100, "max_disparity_px": 140}):
         assert any(

@@ -66,8 +66,8 @@ def test_sums_are_those_of_the_paper(rng, paths, low):
     left, right = texture(rng, 9, 40), texture(rng, 9, 40)
     config = StereoConfig(paths=paths, min_disparity_px=low, max_disparity_px=low + 8)
     sums = reference_sums(left, right, low, 9, config)
-    pictures = (stereo_matching._look(p.astype(np.uint16), config) for p in (left, right))
-    found = stereo_matching._winners(*pictures, low, low + 8, config)
+    images = (stereo_matching._inspect(p.astype(np.uint16), config) for p in (left, right))
+    found = stereo_matching._winners(*images, low, low + 8, config)
     np.testing.assert_array_equal(found.lowest, sums.min(axis=2))
     assert np.abs(np.rint(found.disparity) - low - sums.argmin(axis=2)).max() <= 1
     for y, x in np.ndindex(left.shape):
@@ -76,18 +76,22 @@ def test_sums_are_those_of_the_paper(rng, paths, low):
         assert found.second[y, x] == far.min()
     # The other picture's disparities, read along the diagonals of the sums.
     for y, x in np.ndindex(left.shape):
-        ways = [(sums[y, x + low + k, k], k) for k in range(9) if 0 <= x + low + k < 40]
-        assert np.isnan(found.other[y, x]) if not ways else found.other[y, x] == low + min(ways)[1]
+        orientations = [(sums[y, x + low + k, k], k) for k in range(9) if 0 <= x + low + k < 40]
+        assert (
+            np.isnan(found.other[y, x])
+            if not orientations
+            else found.other[y, x] == low + min(orientations)[1]
+        )
 
 
 def test_census_sets_a_bit_for_each_darker_pixel(rng):
-    picture = texture(rng, 12, 17).astype(np.uint16)
-    bits = np.unpackbits(census(picture, (5, 3)), axis=2, bitorder="little")[..., :14]
-    padded = np.pad(picture, ((1, 1), (2, 2)), mode="edge")
+    image = texture(rng, 12, 17).astype(np.uint16)
+    bits = np.unpackbits(census(image, (5, 3)), axis=2, bitorder="little")[..., :14]
+    padded = np.pad(image, ((1, 1), (2, 2)), mode="edge")
     window = [padded[1 + dy : 13 + dy, 2 + dx : 19 + dx] for dy in (-1, 0, 1) for dx in (-2, -1, 0, 1, 2)]
-    expected = np.stack([w < picture for n, w in enumerate(window) if n != 7], axis=2)
+    expected = np.stack([w < image for n, w in enumerate(window) if n != 7], axis=2)
     np.testing.assert_array_equal(bits, expected)
-    np.testing.assert_array_equal(census(picture, (5, 3)), census(picture * 7 + 3, (5, 3)))
+    np.testing.assert_array_equal(census(image, (5, 3)), census(image * 7 + 3, (5, 3)))
 
 
 @pytest.mark.parametrize(

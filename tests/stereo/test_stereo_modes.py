@@ -33,7 +33,7 @@ def test_block_sums_are_sums_over_blocks(rng):
     """Against cv2.boxFilter of the Hamming distances, for every disparity; windows are cut off at the border."""
     left, right = rng.integers(0, 255, (2, 12, 40)).astype(np.uint16)
     config = StereoConfig(method="block", block_px=5, max_disparity_px=6)
-    one, two = (stereo_matching._look(p, config) for p in (left, right))
+    one, two = (stereo_matching._inspect(p, config) for p in (left, right))
     found = stereo_matching._winners(one, two, 0, 6, config)
     bits = np.unpackbits(one.bits[:, :, None] ^ two.bits[:, None], axis=-1).sum(axis=-1)
     height, width = left.shape
@@ -92,13 +92,13 @@ def test_brightness_in_the_cost(pair, rng):
     rows = {}
     for most in (0, 9):
         config = StereoConfig(brightness_cost=most)
-        one, two = (stereo_matching._look(p, config) for p in (left, right))
+        one, two = (stereo_matching._inspect(p, config) for p in (left, right))
         mirrored = np.zeros((3, 3, 50 + 64), np.uint8)
         mirrored[:, :, 32:82] = two.bits[:, ::-1].transpose(0, 2, 1)
         blended = stereo_matching._blended(one.brightness, two.brightness, 32, most)
         rows[most] = np.empty(50 * 32, np.uint8)
-        pictures = (one.bits.reshape(-1), mirrored.reshape(-1), *blended)
-        path_kernels.cost_row(pictures, 1, size, search, rows[most])
+        images = (one.bits.reshape(-1), mirrored.reshape(-1), *blended)
+        path_kernels.cost_row(images, 1, size, search, rows[most])
     more = (rows[9].astype(int) - rows[0]).reshape(50, 32)
     for x in range(50):
         for d in range(min(x + 1, 32)):
@@ -114,11 +114,11 @@ def test_the_tridiagonal_solution(rng):
     links[-1] = 0.0
     system = np.diag(weights)
     for i in range(n - 1):
-        tie = 2.5 * links[i]
-        system[i, i] += tie
-        system[i + 1, i + 1] += tie
-        system[i, i + 1] -= tie
-        system[i + 1, i] -= tie
+        constraint = 2.5 * links[i]
+        system[i, i] += constraint
+        system[i + 1, i + 1] += constraint
+        system[i, i + 1] -= constraint
+        system[i + 1, i] -= constraint
     out = np.empty(n)
     _filling_kernels.solve_line(weights, values, links, 2.5, np.empty(n), out)
     np.testing.assert_allclose(out, np.linalg.solve(system, weights * values), rtol=1e-9)

@@ -28,7 +28,7 @@ def test_shares_and_pictures() -> None:
     assert "<h1>Stereo pair: 50.0 % of the left picture's pixels known</h1>" in page
     rows = re.findall(r"<td>([^<]*)</td><td>([\d.]+) %</td>", page)
     assert len(rows) == len(StereoReason) and rows[0] == ("known", "50.0")
-    assert sum(float(share) for _, share in rows) == pytest.approx(100)
+    assert sum(float(fraction) for _, fraction in rows) == pytest.approx(100)
     assert page.count("<img src=") == 5 and "Error against range" not in page
     assert "<script" not in page and f"Made by epipole {__version__}." in page
 

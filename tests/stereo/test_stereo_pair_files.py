@@ -15,8 +15,8 @@ W, H, SHIFT_PX = 240, 180, 12
 
 
 def rig(covariance=None):
-    lens = Camera("PINHOLE", W, H, [200.0, 200.0, 125.0, 80.0])
-    return StereoRig(lens, lens, Rigid3(np.eye(3), np.array([-0.1, 0.0, 0.0])), covariance)
+    camera = Camera("PINHOLE", W, H, [200.0, 200.0, 125.0, 80.0])
+    return StereoRig(camera, camera, Rigid3(np.eye(3), np.array([-0.1, 0.0, 0.0])), covariance)
 
 
 def pair(folder, rng, orientations, is_upright=False, scale=1.0):
@@ -24,8 +24,8 @@ def pair(folder, rng, orientations, is_upright=False, scale=1.0):
     texture = cv2.GaussianBlur(rng.integers(0, 255, (H, W + SHIFT_PX), np.uint8), (0, 0), 1.2)
     texture = cv2.normalize(texture, None, 0, 255, cv2.NORM_MINMAX)
     paths = []
-    for side, begin, orientation in zip(("left", "right"), (0, SHIFT_PX), orientations):
-        pixels = texture[:, begin : begin + W]
+    for side, start, orientation in zip(("left", "right"), (0, SHIFT_PX), orientations):
+        pixels = texture[:, start : start + W]
         if is_upright and orientation == 3:
             pixels = pixels[::-1, ::-1]
         pixels = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)

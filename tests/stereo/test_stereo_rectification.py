@@ -68,7 +68,7 @@ def test_points_in_space_lie_in_common_rows(name, rng):
     # Q gives the points back, in the rectified left camera's axes.
     four = np.column_stack([rectified[0], disparity, np.ones(500)]) @ found.Q.T
     np.testing.assert_allclose(four[:, :3] / four[:, 3:], in_left @ found.rectified_from_left.T, rtol=1e-9)
-    assert found.is_turned == name.startswith("right camera")
+    assert found.is_rotated == name.startswith("right camera")
     # The tables say where each rectified pixel lies in the given picture.
     row, column = found.size[1] // 2, found.size[0] // 2
     ray = np.array([[(column - flat.cx) / flat.focal_px, (row - flat.cy) / flat.focal_px, 1.0]])
@@ -128,8 +128,8 @@ def test_what_cannot_be_rectified():
 def test_pixels_that_no_camera_sees_are_out_of_view():
     rig = RIGS["verged, different lenses"]
     found = rectify(rig)
-    picture = np.random.default_rng(0).integers(0, 255, (H, W), dtype=np.uint8)
-    matched = within_both(match_stereo(*found.apply(picture, picture)), found.left_valid, found.right_valid)
+    image = np.random.default_rng(0).integers(0, 255, (H, W), dtype=np.uint8)
+    matched = within_both(match_stereo(*found.apply(image, image)), found.left_valid, found.right_valid)
     assert (matched.reason[~found.left_valid] == 2).all()
     row, column = np.nonzero(np.isfinite(matched.disparity_px))
     at = np.rint(column - matched.disparity_px[row, column]).astype(int)
@@ -158,10 +158,10 @@ def test_calibrations_part_of_the_error_is_what_simulation_gives(rng):
     right_px = rig.right.project(other @ found.rectified_from_right)
     seen = []
     for _ in range(1500):
-        drawn = rig.perturbed(root @ rng.standard_normal(30))
-        a = drawn.left.unproject(left_px)[0]
-        to_left = drawn.right_from_left.inverse()
-        b, center = to_left.rotation @ drawn.right.unproject(right_px)[0], to_left.translation
+        rendered = rig.perturbed(root @ rng.standard_normal(30))
+        a = rendered.left.unproject(left_px)[0]
+        to_left = rendered.right_from_left.inverse()
+        b, center = to_left.rotation @ rendered.right.unproject(right_px)[0], to_left.translation
         # Where the rays come nearest to each other, seen along the rectified axis.
         s = np.linalg.lstsq(np.stack([a, -b], axis=1), center, rcond=None)[0]
         seen.append(flat.focal_px * flat.baseline / (found.rectified_from_left @ (s[0] * a))[2])

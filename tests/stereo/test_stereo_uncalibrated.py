@@ -44,14 +44,14 @@ def test_a_turned_pair_to_disparities(tmp_path):
     """The right picture turned by two degrees: rows match again, and order what lies in them by depth."""
     pair = stereo_room(3, (480, 360))
     height, width = pair.right.shape[:2]
-    turn = cv2.getRotationMatrix2D((width / 2, height / 2), 2.0, 1.0)
-    right = cv2.warpAffine(pair.right, turn, (width, height), flags=cv2.INTER_CUBIC)
-    for side, picture in (("left", pair.left), ("right", right)):
-        Image.fromarray(picture).save(tmp_path / f"{side}.png")
+    rotation = cv2.getRotationMatrix2D((width / 2, height / 2), 2.0, 1.0)
+    right = cv2.warpAffine(pair.right, rotation, (width, height), flags=cv2.INTER_CUBIC)
+    for side, image in (("left", pair.left), ("right", right)):
+        Image.fromarray(image).save(tmp_path / f"{side}.png")
     files, out = (tmp_path / "left.png", tmp_path / "right.png"), tmp_path / "out"
     found = api.stereo(*files, out, StereoConfig(uncalibrated=True))
-    told = json.loads((out / "homographies.json").read_text())
-    assert told["vertical_median_px"] < 0.3 and told["num_matches"] > 100
+    given = json.loads((out / "homographies.json").read_text())
+    assert given["vertical_median_px"] < 0.3 and given["num_matches"] > 100
     assert found.depths is None and found.disparities.density > 0.5
     assert (out / "left.png").is_file() and not (out / "depth.pfm").exists()
     assert any("projective" in words for words in found.warnings)

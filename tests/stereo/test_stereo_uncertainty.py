@@ -70,11 +70,13 @@ def test_rooms_are_the_same_each_time():
 def test_disparities_that_are_not_sure_enough_are_left_out():
     pair = stereo_room(5, (240, 180))
     every = match_stereo(pair.left, pair.right, StereoConfig(max_disparity_px=60))
-    sure = match_stereo(pair.left, pair.right, StereoConfig(max_disparity_px=60, max_sigma_px=0.2))
+    confirmed = match_stereo(pair.left, pair.right, StereoConfig(max_disparity_px=60, max_sigma_px=0.2))
     kept = every.sigma_px <= 0.2
     assert 0.2 < kept.mean() < 0.9
-    np.testing.assert_array_equal(np.isfinite(sure.disparity_px), kept)
-    np.testing.assert_array_equal(sure.reason == StereoReason.UNSURE, np.isfinite(every.sigma_px) & ~kept)
-    np.testing.assert_array_equal(sure.disparity_px[kept], every.disparity_px[kept])
+    np.testing.assert_array_equal(np.isfinite(confirmed.disparity_px), kept)
+    np.testing.assert_array_equal(
+        confirmed.reason == StereoReason.UNCERTAIN, np.isfinite(every.sigma_px) & ~kept
+    )
+    np.testing.assert_array_equal(confirmed.disparity_px[kept], every.disparity_px[kept])
     with pytest.raises(ConfigError, match="max_sigma_px"):
         StereoConfig(max_sigma_px=0.0)

@@ -39,11 +39,11 @@ def test_epipolar_constraint_separates_inliers() -> None:
 
 def test_motions_are_as_asked() -> None:
     general, ahead = two_view_problem(10, seed=2), two_view_problem(10, seed=2, kind="forward")
-    turned = two_view_problem(10, seed=2, kind="rotation")
+    rotated = two_view_problem(10, seed=2, kind="rotation")
     assert np.linalg.norm(general.cam2_from_cam1.translation) == pytest.approx(1)
     np.testing.assert_allclose(ahead.cam2_from_cam1.centers(), [0, 0, 1], atol=1e-15)
-    assert (turned.cam2_from_cam1.translation == 0).all()
-    assert np.linalg.norm(turned.cam2_from_cam1.log()[3:]) > 0.04
+    assert (rotated.cam2_from_cam1.translation == 0).all()
+    assert np.linalg.norm(rotated.cam2_from_cam1.log()[3:]) > 0.04
 
 
 @pytest.mark.parametrize("planar", [True, False])

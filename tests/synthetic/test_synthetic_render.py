@@ -114,7 +114,7 @@ def test_no_views_raise():
 def test_a_tiled_wall_repeats_and_moves_with_its_wall():
     camera = Camera(CameraModel.PINHOLE, 200, 60, np.array([200.0, 200.0, 99.5, 29.5]))
 
-    def picture(shift: float, texture: Texture = Texture.TILED) -> np.ndarray:
+    def image(shift: float, texture: Texture = Texture.TILED) -> np.ndarray:
         wall = Plane(
             center=(shift, 2, 0), direction_u=(1, 0, 0), direction_v=(0, 0, 1), half_size=(2, 1),
             texture=texture, tile_m=0.5, seed=3,
@@ -122,20 +122,20 @@ def test_a_tiled_wall_repeats_and_moves_with_its_wall():
         return render(SyntheticScene.of([wall]), camera, look_at((0, 0, 0), (0, 1, 0))).rgb.astype(float)
 
     # A tile is half a metre, 2 m away: 50 pixels.
-    tiled = picture(0.0)
+    tiled = image(0.0)
     # What a pixel covers grows a little from the middle outward, and with it the blur.
     assert np.abs(tiled[:, :150] - tiled[:, 50:]).mean() < 1.5
     assert np.abs(tiled[:, :175] - tiled[:, 25:]).mean() > 5
-    assert np.abs(picture(0.1)[:, 10:] - tiled[:, :-10]).mean() < 1.5
-    rich = picture(0.0, Texture.RICH)
+    assert np.abs(image(0.1)[:, 10:] - tiled[:, :-10]).mean() < 1.5
+    rich = image(0.0, Texture.RICH)
     assert np.abs(rich[:, :150] - rich[:, 50:]).mean() > 5
-    np.testing.assert_allclose(picture(0.1, Texture.RICH), rich, atol=1)
+    np.testing.assert_allclose(image(0.1, Texture.RICH), rich, atol=1)
 
 
 def test_boxes_of_one_seed_look_alike_wherever_they_stand():
     camera = Camera(CameraModel.PINHOLE, 120, 90, np.array([110.0, 110.0, 59.5, 44.5]))
 
-    def picture(x: float, y: float, angle: float) -> np.ndarray:
+    def image(x: float, y: float, angle: float) -> np.ndarray:
         box = Box(
             center=(x, y, 0),
             half_size=(0.5, 0.4, 0.3),
@@ -148,15 +148,15 @@ def test_boxes_of_one_seed_look_alike_wherever_they_stand():
         view = look_at(np.array([x, y, 0]) - 2.5 * direction, (x, y, 0))
         return render(SyntheticScene.of([box], light=(0, 0, 1)), camera, view).rgb.astype(float)
 
-    np.testing.assert_allclose(picture(3.0, -2.0, 1.1), picture(0.0, 0.0, 0.0), atol=1)
+    np.testing.assert_allclose(image(3.0, -2.0, 1.1), image(0.0, 0.0, 0.0), atol=1)
 
 
 def test_exposures_are_refused_where_places_do_not_fit():
     scene, view = courtyard(), courtyard_views(4)
     for shape in ((4,), (2, 3), (0, 1)):
-        places = Rigid3(np.zeros((*shape, 3, 3)) + np.eye(3), np.zeros((*shape, 3)))
+        positions = Rigid3(np.zeros((*shape, 3, 3)) + np.eye(3), np.zeros((*shape, 3)))
         with pytest.raises(ShapeError, match="exposures"):
-            render_exposures(scene, CAMERA, places)
+            render_exposures(scene, CAMERA, positions)
     with pytest.raises(ConfigError, match="gain"):
         render_exposures(scene, CAMERA, Rigid3(view.rotation[:, None], view.translation[:, None]), gain=-1.0)
     with pytest.raises(ConfigError, match="tile_m"):

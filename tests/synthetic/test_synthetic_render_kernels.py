@@ -94,8 +94,8 @@ def test_ground_is_hit_on_its_surface_and_nothing_stands_before(camera: Camera) 
         return at[:, 2] - 0.2 - np.array([height_at(x, y, 0.15, 1.1, 5) for x, y in at[:, :2]])
 
     np.testing.assert_allclose(above_ground(distance), 0, atol=1e-9)
-    for share in (0.2, 0.6, 0.9, 0.99):
-        assert (above_ground(share * distance) > 0).all()
+    for fraction in (0.2, 0.6, 0.9, 0.99):
+        assert (above_ground(fraction * distance) > 0).all()
     at = CENTER + distance[:, None] * directions
     assert (np.abs(at[:, :2]) <= 2).all()
     assert np.ptp(at[:, 2]) > 0.1
@@ -133,9 +133,9 @@ def test_colours_are_sampled_evenly_around_the_pixel() -> None:
 
 def test_a_camera_that_sees_nothing() -> None:
     scene = SyntheticScene.of([Sphere(center=(0, 0, 0), radius=0.5)])
-    picture = render(scene, CAMERAS[0], look_at((4, 0, 0), (8, 0, 0)))
-    assert np.isnan(picture.depth).all()
-    assert (picture.rgb == picture.rgb[0, 0]).all()
+    image = render(scene, CAMERAS[0], look_at((4, 0, 0), (8, 0, 0)))
+    assert np.isnan(image.depth).all()
+    assert (image.rgb == image.rgb[0, 0]).all()
 
 
 def test_sensor_noise_has_the_asked_size() -> None:

@@ -15,7 +15,7 @@ SIZE = (160, 120)
 SILENT = Shutter(noise_sigma=0.0)
 MAKERS: dict[str, Callable[..., Ride]] = {
     "loop_room": rides.loop_room,
-    "turn_on_the_spot": rides.turn_on_the_spot,
+    "rotate_only": rides.rotate_only,
     "corridor": rides.corridor,
     "tiled_room": rides.tiled_room,
     "walking_box": rides.walking_box,
@@ -30,11 +30,11 @@ def silent(name: str) -> Ride:
 def agreeing(ride: Ride, first: int, second: int, truth: Ride | None = None) -> tuple[float, float, float]:
     """Of the pixels of one frame that the other has in its picture: share, share with the right depth, grey difference."""
     here, there = ride.left(first), ride.left(second)
-    places = (ride if truth is None else truth).world_from_camera
+    positions = (ride if truth is None else truth).world_from_camera
     v, u = np.mgrid[2 : SIZE[1] - 2 : 3, 2 : SIZE[0] - 2 : 3].reshape(2, -1)
     points = ride.camera.unproject(np.stack([u, v], axis=1).astype(float))
     points *= (here.depth[v, u] / points[:, 2])[:, None]
-    in_second = (places[second].inverse() @ places[first]).apply(points)
+    in_second = (positions[second].inverse() @ positions[first]).apply(points)
     at = ride.camera.project(in_second)
     inside = (in_second[:, 2] > 0) & (at > 1).all(axis=1) & (at < np.array(SIZE) - 2).all(axis=1)
     near = np.rint(at[inside]).astype(int)
@@ -49,7 +49,7 @@ def agreeing(ride: Ride, first: int, second: int, truth: Ride | None = None) -> 
     [
         ("loop_room", 30, 36),
         ("loop_room", 5, 365),
-        ("turn_on_the_spot", 20, 24),
+        ("rotate_only", 20, 24),
         ("corridor", 40, 46),
         ("corridor", 3, 600),
         ("tiled_room", 100, 106),
@@ -59,8 +59,8 @@ def agreeing(ride: Ride, first: int, second: int, truth: Ride | None = None) -> 
     ],
 )
 def test_a_point_is_seen_where_the_truth_says(name: str, first: int, second: int) -> None:
-    share, right, grey = agreeing(silent(name), first, second)
-    assert share > 0.4
+    fraction, right, grey = agreeing(silent(name), first, second)
+    assert fraction > 0.4
     assert right > 0.95
     assert grey < 3
 
@@ -87,8 +87,8 @@ def test_the_right_camera_stands_a_baseline_aside() -> None:
 
 def test_the_box_walks_with_its_texture_and_the_camera_rests() -> None:
     ride = silent("walking_box")
-    places = ride.world_from_camera.translation
-    np.testing.assert_allclose(places[90], places[150], atol=1e-12)
+    positions = ride.world_from_camera.translation
+    np.testing.assert_allclose(positions[90], positions[150], atol=1e-12)
     one, two = ride.left(115), ride.left(125)
     moved = np.abs(one.depth - two.depth) > 0.3
     assert 0.05 < moved.mean() < 0.4
@@ -116,22 +116,22 @@ def test_the_corridor_goes_blank_and_its_end_sees_its_begin() -> None:
 
 def test_four_places_look_alike_and_are_not_one() -> None:
     ride = silent("tiled_room")
-    places = ride.world_from_camera
+    positions = ride.world_from_camera
     for first in (0, 33):
         one = ride.left(first).grey.astype(float)
         for quarter in (90, 180, 270):
             other = ride.left(first + quarter).grey.astype(float)
             assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.8
-            between = places[first].inverse() @ places[first + quarter]
+            between = positions[first].inverse() @ positions[first + quarter]
             assert np.linalg.norm(between.translation) > 0.9
         there = ride.left(first + 45).grey.astype(float)
         assert np.corrcoef(one.ravel(), there.ravel())[0, 1] < 0.5
 
 
 def test_turning_on_the_spot_moves_nothing() -> None:
-    places = rides.turn_on_the_spot(size=SIZE).world_from_camera
-    assert np.ptp(places.translation, axis=0).max() == 0
-    steps = (places[:-1].inverse() @ places[1:]).log()
+    positions = rides.rotate_only(size=SIZE).world_from_camera
+    assert np.ptp(positions.translation, axis=0).max() == 0
+    steps = (positions[:-1].inverse() @ positions[1:]).log()
     np.testing.assert_allclose(np.linalg.norm(steps[:, 3:], axis=1), np.deg2rad(1.8), rtol=0.01)
 
 
@@ -153,7 +153,7 @@ def test_each_row_is_drawn_from_its_own_place() -> None:
 
 
 def test_motion_blur_is_the_mean_of_sharp_pictures() -> None:
-    ride = silent("turn_on_the_spot")
+    ride = silent("rotate_only")
     blurred = replace(ride, shutter=Shutter(exposure_s=0.03, num_exposures=4, noise_sigma=0.0))
     times = ride.timestamp_s[8] + 0.03 * (np.arange(4) - 1.5) / 4
     sharp = replace(ride, timestamp_s=times)
@@ -181,18 +181,18 @@ def test_light_and_noise() -> None:
 def test_looking_is_look_at() -> None:
     center, yaw, pitch = np.array([[1.0, 2.0, 3.0]]), np.array([0.4]), np.array([-0.2])
     forward = np.array([np.cos(0.4) * np.cos(0.2), np.sin(0.4) * np.cos(0.2), -np.sin(0.2)])
-    level = rides.looking(center, yaw, pitch, np.zeros(1))
+    level = rides.facing(center, yaw, pitch, np.zeros(1))
     expected = look_at(center[0], center[0] + forward).inverse()
     np.testing.assert_allclose(level.rotation[0], expected.rotation, atol=1e-12)
-    rolled = rides.looking(center, yaw, pitch, np.array([0.3]))
-    turn = level[0].inverse() @ rolled[0]
-    np.testing.assert_allclose(turn.log(), [0, 0, 0, 0, 0, 0.3], atol=1e-12)
+    rolled = rides.facing(center, yaw, pitch, np.array([0.3]))
+    rotation = level[0].inverse() @ rolled[0]
+    np.testing.assert_allclose(rotation.log(), [0, 0, 0, 0, 0, 0.3], atol=1e-12)
 
 
 def test_a_global_shutter_without_blur_is_render() -> None:
     ride = silent("loop_room")
-    place = ride.world_from_camera[7].inverse()
-    depth = render(ride.scene_at(0.0), ride.camera, place).depth
+    position = ride.world_from_camera[7].inverse()
+    depth = render(ride.scene_at(0.0), ride.camera, position).depth
     np.testing.assert_array_equal(ride.left(7).depth, depth.astype(np.float32))
 
 
@@ -218,11 +218,11 @@ def test_no_ride_but_the_turn_runs_along_a_line() -> None:
     for name, make in MAKERS.items():
         centers = make(size=SIZE).world_from_camera.translation
         spread = np.linalg.svd(centers - centers.mean(axis=0), compute_uv=False)
-        assert spread[1] > 0.01 * spread[0] > 0 or name == "turn_on_the_spot"
+        assert spread[1] > 0.01 * spread[0] > 0 or name == "rotate_only"
 
 
 def test_world_is_z_up_and_cameras_upright() -> None:
     for make in MAKERS.values():
-        places: Rigid3 = make(num_frames=50, size=SIZE).world_from_camera
-        np.testing.assert_allclose(np.linalg.det(places.rotation), 1.0, atol=1e-12)
-        assert (places.rotation[:, 2, 1] < -0.9).all()
+        positions: Rigid3 = make(num_frames=50, size=SIZE).world_from_camera
+        np.testing.assert_allclose(np.linalg.det(positions.rotation), 1.0, atol=1e-12)
+        assert (positions.rotation[:, 2, 1] < -0.9).all()

@@ -10,7 +10,7 @@ from PIL import Image
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io import write_colmap_model
 from epipole.io.names import path_inside
-from epipole.pipelines.sfm.page.scene import picture_loader
+from epipole.pipelines.sfm.page.scene import image_loader
 from epipole.pipelines.stereo.run import stereo_of_model
 from epipole.pipelines.undistortion.run import undistort
 from io_models import mappable_model
@@ -18,7 +18,7 @@ from io_models import mappable_model
 OUTSIDE = ("../../photo.png", "{root}/photo.png", "a/../../../photo.png")
 
 
-def picture(path: Path) -> bytes:
+def image(path: Path) -> bytes:
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.full((48, 64, 3), 90, np.uint8)).save(path)
     return path.read_bytes()
@@ -38,12 +38,12 @@ def workspace(tmp_path: Path, name: str) -> Path:
         replace(model, images=replace(model.images, name=names)), tmp_path / "out" / "sparse" / "0"
     )
     for other in model.images.name[1:]:
-        picture(tmp_path / "out" / "images" / other)
+        image(tmp_path / "out" / "images" / other)
     return tmp_path / "out"
 
 
 def test_undistort_writes_inside_its_folder(tmp_path: Path, workspace: Path) -> None:
-    before = picture(tmp_path / "photo.png")
+    before = image(tmp_path / "photo.png")
     with pytest.raises(FileFormatError, match="no name of a file inside"):
         undistort(workspace)
     assert (tmp_path / "photo.png").read_bytes() == before
@@ -52,8 +52,8 @@ def test_undistort_writes_inside_its_folder(tmp_path: Path, workspace: Path) -> 
 
 
 def test_view_and_stereo_read_inside_the_folder(tmp_path: Path, workspace: Path, name: str) -> None:
-    picture(tmp_path / "photo.png")
-    assert picture_loader(workspace / "images")(name) is None
+    image(tmp_path / "photo.png")
+    assert image_loader(workspace / "images")(name) is None
     with pytest.raises(FileFormatError, match="no name of a file inside"):
         stereo_of_model(workspace, name, mappable_model().images.name[1], tmp_path / "pair")
 
@@ -63,8 +63,8 @@ def test_links_among_the_results_are_not_followed(tmp_path: Path) -> None:
     model = mappable_model()
     write_colmap_model(model, tmp_path / "out" / "sparse" / "0")
     for other in model.images.name:
-        picture(tmp_path / "out" / "images" / other)
-    mine = picture(tmp_path / "photo.png")
+        image(tmp_path / "out" / "images" / other)
+    mine = image(tmp_path / "photo.png")
     done = undistort(tmp_path / "out") / "images" / model.images.name[0]
     done.unlink()
     done.symlink_to(tmp_path / "photo.png")

@@ -33,8 +33,8 @@ def tab(browser: Any, tmp_path: Path) -> Iterator[Opened]:
     handle.stop()
 
 
-def lit(drawn: np.ndarray) -> int:
-    return int((np.abs(drawn - drawn[5, 5]).max(axis=2) > 20).sum())
+def lit(rendered: np.ndarray) -> int:
+    return int((np.abs(rendered - rendered[5, 5]).max(axis=2) > 20).sum())
 
 
 def set_slider(tab: Opened, selector: str, value: float) -> None:
@@ -43,14 +43,14 @@ def set_slider(tab: Opened, selector: str, value: float) -> None:
     )
 
 
-def pixel_of(tab: Opened, place: np.ndarray) -> tuple[float, float]:
+def pixel_of(tab: Opened, position: np.ndarray) -> tuple[float, float]:
     """Of the page, where a place of the scene is seen."""
     x, y = tab.page.evaluate(
         """place => space.then(({ view }) => { const c = document.getElementById("space"),
         b = view.basis(), r = place.map((v, k) => v - b.o[k]), on = a => a[0] * r[0] + a[1] * r[1] + a[2] * r[2],
         f = view.focal() * c.clientWidth / c.width, box = c.getBoundingClientRect();
         return [box.left + c.clientWidth / 2 + f * on(b.r) / on(b.f), box.top + c.clientHeight / 2 + f * on(b.d) / on(b.f)]; })""",
-        place.tolist(),
+        position.tolist(),
     )
     return x, y
 
@@ -75,27 +75,27 @@ def test_places_and_lengths_have_the_digits_that_they_are_worth(tab: Opened) -> 
 
 
 def test_layers_limits_and_sections_take_away_what_they_say(tab: Opened) -> None:
-    everything = lit(tab.drawn())
+    everything = lit(tab.rendered())
     tab.page.click("summary:has-text('Layers')")
     tab.page.click("[data-layer=cameras].show-layer")
-    points = lit(tab.drawn())
+    points = lit(tab.rendered())
     assert 0 < points < everything
     set_slider(tab, ".point-limit[data-measure='0']", 500)
-    fewer = lit(tab.drawn())
+    fewer = lit(tab.rendered())
     assert 0.3 * points < fewer < 0.7 * points
     assert (
         tab.page.locator(".point-limit + output").first.inner_text() == "0.598 px"
     )  # of 0.2 to 0.996, the 99.5th percentile
     set_slider(tab, ".point-limit[data-measure='0']", 1000)
     set_slider(tab, ".section-side[data-axis='0'][data-side='high']", 500)
-    halved = lit(tab.drawn())
+    halved = lit(tab.rendered())
     assert 0.2 * points < halved < 0.8 * points
     tab.page.locator("#whole-section").evaluate("b => b.click()")
-    assert lit(tab.drawn()) == points
+    assert lit(tab.rendered()) == points
     tab.page.select_option("#point-colour", "1")
-    assert np.ptp(tab.drawn().reshape(-1, 3), axis=0).max() > 150  # a colour for each error
+    assert np.ptp(tab.rendered().reshape(-1, 3), axis=0).max() > 150  # a colour for each error
     tab.page.click("[data-layer='points-0']")
-    assert lit(tab.drawn()) == 0
+    assert lit(tab.rendered()) == 0
 
 
 def test_a_camera_is_looked_through_and_its_picture_shown(tab: Opened) -> None:
@@ -106,11 +106,11 @@ def test_a_camera_is_looked_through_and_its_picture_shown(tab: Opened) -> None:
     origin = tab.page.evaluate("JSON.parse(document.getElementById('space-data').textContent).origin")
     np.testing.assert_allclose(np.array(eye["o"]) + origin, [0, 0, 0], atol=1e-6)
     np.testing.assert_allclose(eye["f"], [0, 1, 0], atol=1e-6)
-    before = tab.drawn()
+    before = tab.rendered()
     set_slider(tab, "#picture-opacity", 1.0)
-    assert np.abs(tab.drawn() - before).mean() > 20
+    assert np.abs(tab.rendered() - before).mean() > 20
     tab.page.click("#reset-view")
-    tab.settle()
+    tab.improve()
     assert tab.page.inner_text("#camera-name") == ""
 
 
@@ -128,15 +128,15 @@ def test_the_distance_of_two_points_and_its_deviation(browser: Any) -> None:
         tab.page.evaluate("JSON.parse(document.getElementById('space-data').textContent).origin")
     )
     tab.page.click("#measure")
-    for place in base.points.xyz_in_world:
-        tab.page.mouse.click(*pixel_of(tab, place - origin))
-    told = tab.page.locator("#measured")
+    for position in base.points.xyz_in_world:
+        tab.page.mouse.click(*pixel_of(tab, position - origin))
+    given = tab.page.locator("#measured")
     length = np.linalg.norm(np.diff(base.points.xyz_in_world, axis=0))
     along = np.diff(base.points.xyz_in_world, axis=0)[0] / length
     sigma = np.sqrt(along @ layer.covariances.sum(axis=0) @ along)
-    assert float(told.get_attribute("data-length")) == pytest.approx(length, rel=1e-6)
-    assert float(told.get_attribute("data-sigma")) == pytest.approx(sigma, rel=1e-5)
-    assert told.inner_text().startswith("3.0 ± ") and " m, one standard deviation" in told.inner_text()
+    assert float(given.get_attribute("data-length")) == pytest.approx(length, rel=1e-6)
+    assert float(given.get_attribute("data-sigma")) == pytest.approx(sigma, rel=1e-5)
+    assert given.inner_text().startswith("3.0 ± ") and " m, one standard deviation" in given.inner_text()
     tab.page.keyboard.press("Escape")
     tab.close()
     handle.stop()
@@ -168,8 +168,8 @@ def test_a_distance_says_what_it_does_not_know(unit: str, words: str, browser: A
         tab.page.evaluate("JSON.parse(document.getElementById('space-data').textContent).origin")
     )
     tab.page.locator("#measure").press("Enter")
-    for place in xyz:
-        tab.page.mouse.click(*pixel_of(tab, place - origin))
+    for position in xyz:
+        tab.page.mouse.click(*pixel_of(tab, position - origin))
     text = tab.page.inner_text("#measured")
     assert text.startswith(words) and "how exact is not known" in text
     assert tab.page.evaluate("document.documentElement.scrollWidth") <= 390
@@ -182,10 +182,10 @@ def test_the_picture_is_saved_under_a_safe_name(browser: Any, tmp_path: Path) ->
     scene = SpaceScene("../a b<script>", "two points", "", (PointLayer("Points", xyz, RGB),))
     page.write_text(scene_page(scene, 10).html, encoding="utf-8")
     tab = Opened(browser, page.as_uri())
-    with tab.page.expect_download() as told:
+    with tab.page.expect_download() as given:
         tab.page.click("#save-picture")
-    assert told.value.suggested_filename == "a_b_script_.png"
-    saved = Image.open(io.BytesIO(Path(told.value.path()).read_bytes()))
+    assert given.value.suggested_filename == "a_b_script_.png"
+    saved = Image.open(io.BytesIO(Path(given.value.path()).read_bytes()))
     size = tab.page.evaluate(
         "[document.getElementById('space').width, document.getElementById('space').height]"
     )
@@ -233,13 +233,13 @@ def test_of_many_points_a_part_is_drawn_while_the_eye_moves_and_all_at_rest(brow
         return counts; }"""
     )
     assert 0 < min(counts[1:]) < n
-    tab.settle()
+    tab.improve()
     assert tab.page.evaluate("document.getElementById('space').dataset.points") == str(n)
     # All of them, gathered portion by portion, are what one drawing of all gives.
     gathered = np.asarray(
         Image.open(io.BytesIO(tab.page.locator("#space").screenshot())).convert("RGB")
     ).astype(float)
-    whole = tab.drawn()
+    whole = tab.rendered()
     middle = np.s_[120:260, 100:400]
     assert np.abs(gathered[middle] - whole[middle]).mean() < 1.0
     tab.close()

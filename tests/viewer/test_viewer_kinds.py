@@ -24,7 +24,7 @@ from epipole.io.meshes.mesh_ply import write_mesh_ply
 from epipole.io.meshes.ply import write_points_ply
 from epipole.io.trajectories.files import write_trajectory
 from epipole.pipelines.fields.kinds import KINDS as KINDS_OF_FIELDS
-from epipole.pipelines.sfm.page.scene import picture_loader
+from epipole.pipelines.sfm.page.scene import image_loader
 from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.output.map_file import write_slam_map
@@ -39,23 +39,23 @@ SECONDS = 60.0
 
 
 def ball(n: int) -> np.ndarray:
-    places = RNG.normal(size=(n, 3))
-    return places / np.linalg.norm(places, axis=1, keepdims=True)
+    positions = RNG.normal(size=(n, 3))
+    return positions / np.linalg.norm(positions, axis=1, keepdims=True)
 
 
 def colours(n: int) -> np.ndarray:
     return RNG.integers(60, 255, (n, 3), dtype=np.uint8)
 
 
-def picture(path: Path) -> None:
+def image(path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(RNG.integers(0, 255, (48, 64, 3), dtype=np.uint8)).save(path)
 
 
 def workspace(folder: Path) -> Path:
     write_colmap_model(three_cameras(40), folder / "sparse" / "0")
-    picture(folder / "images" / "a.jpg")
-    picture(folder / "images" / HOSTILE)
+    image(folder / "images" / "a.jpg")
+    image(folder / "images" / HOSTILE)
     return folder
 
 
@@ -117,10 +117,10 @@ def pair(folder: Path) -> Path:
 
 
 def path() -> Trajectory:
-    turns = np.linspace(0, 5, 30)
-    motions = np.stack([*np.zeros((3, 30)), np.zeros(30), turns, np.zeros(30)], axis=1)
-    places = np.stack([np.cos(turns), np.zeros(30), np.sin(turns)], axis=1)
-    return Trajectory(turns, Rigid3(Rigid3.exp(motions).rotation, places))
+    rotations = np.linspace(0, 5, 30)
+    motions = np.stack([*np.zeros((3, 30)), np.zeros(30), rotations, np.zeros(30)], axis=1)
+    positions = np.stack([np.cos(rotations), np.zeros(30), np.sin(rotations)], axis=1)
+    return Trajectory(rotations, Rigid3(Rigid3.exp(motions).rotation, positions))
 
 
 def trajectory(folder: Path) -> Path:
@@ -128,7 +128,7 @@ def trajectory(folder: Path) -> Path:
     return folder / "path.txt"
 
 
-def followed(folder: Path) -> Path:
+def tracked(folder: Path) -> Path:
     write_trajectory(path(), folder / "trajectory.txt")
     write_trajectory(path(), folder / "trajectory_causal.txt")
     write_colmap_model(three_cameras(40), folder / "sparse" / "0")
@@ -142,21 +142,21 @@ def map_file(folder: Path) -> Path:
     for k in range(2):
         seen = Observations(np.full((n, 2), 5.0), np.full(n, np.nan), rows)
         grey = RNG.integers(0, 255, (48, 64), dtype=np.uint8)
-        place = Rigid3(np.eye(3), np.array([0.3 * k, 0, 0]))
-        known.keyframes.append(Keyframe(k, float(k), grey, place, seen))
+        position = Rigid3(np.eye(3), np.array([0.3 * k, 0, 0]))
+        known.keyframes.append(Keyframe(k, float(k), grey, position, seen))
     write_slam_map(folder / "map.npz", known, ["a.png", "b.png"], SlamCamera(CAMERA))
     return folder / "map.npz"
 
 
 def calibration(folder: Path) -> Path:
-    lens = Camera("SIMPLE_RADIAL", 64, 48, [50.0, 31.5, 23.5, -0.1])
-    places = Rigid3(np.stack([np.eye(3)] * 2), np.array([[0.0, 0, 0], [-0.2, 0, 0]]))
-    write_calibration(folder / "calibration.json", CalibrationFile((lens, lens), places), {})
+    camera = Camera("SIMPLE_RADIAL", 64, 48, [50.0, 31.5, 23.5, -0.1])
+    positions = Rigid3(np.stack([np.eye(3)] * 2), np.array([[0.0, 0, 0], [-0.2, 0, 0]]))
+    write_calibration(folder / "calibration.json", CalibrationFile((camera, camera), positions), {})
     return folder / "calibration.json"
 
 
 KINDS = (
-    *(workspace, model, points, mesh, gaussians, grid, depth_map, depth_png, pair, trajectory, followed),
+    *(workspace, model, points, mesh, gaussians, grid, depth_map, depth_png, pair, trajectory, tracked),
     *(map_file, calibration),
 )
 
@@ -167,25 +167,25 @@ class Opened:
     def __init__(self, browser: Any, address: str, width: int = 900, height: int = 700) -> None:
         self.page = browser.new_page(viewport={"width": width, "height": height}, reduced_motion="reduce")
         self.problems: list[str] = []
-        self.asked: list[str] = []
+        self.requested: list[str] = []
         self.page.on("pageerror", lambda error: self.problems.append(str(error)))
         self.page.on(
-            "console", lambda told: self.problems.append(told.text) if told.type == "error" else None
+            "console", lambda given: self.problems.append(given.text) if given.type == "error" else None
         )
-        self.page.on("request", lambda request: self.asked.append(request.url))
+        self.page.on("request", lambda request: self.requested.append(request.url))
         self.page.on("dialog", lambda dialog: (self.problems.append("dialog"), dialog.dismiss()))
         self.page.goto(address)
-        self.settle()
+        self.improve()
 
-    def settle(self) -> None:
+    def improve(self) -> None:
         end = time.monotonic() + SECONDS
         while self.page.evaluate("document.getElementById('space').dataset.settled") != "yes":
             assert time.monotonic() < end, (self.problems, self.page.inner_text("#no-drawing"))
             time.sleep(0.02)
 
-    def drawn(self) -> np.ndarray:
+    def rendered(self) -> np.ndarray:
         """(h, w, 3) the canvas alone."""
-        self.settle()
+        self.improve()
         blob = self.page.evaluate(
             """() => space.then(s => new Promise(done => s.snapshot(async blob =>
             done([...new Uint8Array(await blob.arrayBuffer())]))))"""
@@ -197,9 +197,10 @@ class Opened:
         assert self.problems == []
 
 
-def is_blank(drawn: np.ndarray) -> bool:
+def is_blank(rendered: np.ndarray) -> bool:
     return (
-        float(np.abs(drawn - drawn[0, 0]).max()) < 30 or np.mean((drawn != drawn[0, 0]).any(axis=2)) < 0.001
+        float(np.abs(rendered - rendered[0, 0]).max()) < 30
+        or np.mean((rendered != rendered[0, 0]).any(axis=2)) < 0.001
     )
 
 
@@ -209,16 +210,16 @@ def test_every_kind_is_shown_and_shared(make: Any, browser: Any, tmp_path: Path)
     handle = api.view(shown, port=free_port(), block=False)
     try:
         tab = Opened(browser, handle.url)
-        served = tab.drawn()
+        served = tab.rendered()
         assert not is_blank(served)
-        assert all(url.startswith((handle.url, "blob:", "data:")) for url in tab.asked)
+        assert all(url.startswith((handle.url, "blob:", "data:")) for url in tab.requested)
         tab.close()
     finally:
         handle.stop()
     page = api.share(shown, tmp_path / "page.html")
     tab = Opened(browser, page.file.as_uri())
-    alone = tab.drawn()
-    assert all(url.startswith((page.file.as_uri(), "blob:", "data:")) for url in tab.asked)
+    alone = tab.rendered()
+    assert all(url.startswith((page.file.as_uri(), "blob:", "data:")) for url in tab.requested)
     tab.close()
     # The same but for the height of the page's words.
     assert not is_blank(alone) and abs(alone.mean() - served.mean()) < 6
@@ -249,7 +250,7 @@ def test_a_file_of_another_kind_is_told_as_such(tmp_path: Path) -> None:
 
 def test_a_pair_without_depth_is_told(tmp_path: Path) -> None:
     for side in ("left", "right"):
-        picture(tmp_path / f"{side}.png")
+        image(tmp_path / f"{side}.png")
     files = (tmp_path / "left.png", tmp_path / "right.png")
     api.stereo(*files, tmp_path / "flat", StereoConfig(max_disparity_px=16))
     with pytest.raises(FileFormatError, match="no depth"):
@@ -274,19 +275,19 @@ def test_pictures_are_read_when_they_are_looked_at_and_stay_in_their_folder(tmp_
 
 @pytest.mark.parametrize("name", ["../secret.png", "a/../../secret.png", "/secret.png", "link/secret.png"])
 def test_a_name_that_leaves_the_folder_of_pictures_is_not_read(name: str, tmp_path: Path) -> None:
-    picture(tmp_path / "secret.png")
-    picture(tmp_path / "images" / "a.png")
+    image(tmp_path / "secret.png")
+    image(tmp_path / "images" / "a.png")
     (tmp_path / "images" / "link").symlink_to(tmp_path)
-    assert picture_loader(tmp_path / "images")("a.png") is not None
-    assert picture_loader(tmp_path / "images")(name) is None
+    assert image_loader(tmp_path / "images")("a.png") is not None
+    assert image_loader(tmp_path / "images")(name) is None
 
 
 def test_hostile_names_are_text(browser: Any, tmp_path: Path) -> None:
     page = api.share(workspace(tmp_path / HOSTILE), tmp_path / "page.html")
     text = page.file.read_text(encoding="utf-8")
     assert "<img src" not in text and "alert(1)</script>" not in text
-    told = json.loads(text.partition('id="space-data">')[2].partition("</script>")[0])
-    assert told["cameras"]["names"] == ["a.jpg", HOSTILE] and told["title"] == HOSTILE
+    given = json.loads(text.partition('id="space-data">')[2].partition("</script>")[0])
+    assert given["cameras"]["names"] == ["a.jpg", HOSTILE] and given["title"] == HOSTILE
     tab = Opened(browser, page.file.as_uri())
     tab.page.click("#next-camera")
     tab.page.click("#next-camera")

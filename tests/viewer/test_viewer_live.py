@@ -16,11 +16,11 @@ from viewer_scenes import HOSTILE, OPEN, free_port
 from epipole.geometry import Rigid3
 from epipole.report.space_scene import CameraLayer, FirstView, PointLayer, SpaceScene
 from epipole.scene import Curve
-from epipole.viewer import live_feed
-from epipole.viewer.asked_views import MOST_SIDE_PX, AskedViews, camera_of
+from epipole.viewer import live_stream
 from epipole.viewer.live import LivePage, LiveScene, opened_live
-from epipole.viewer.live_feed import END_S, MOST_STREAMS, LiveFeed, scene_bytes
-from epipole.viewer.page_server import Asked
+from epipole.viewer.live_stream import END_S, MOST_STREAMS, LiveStream, scene_bytes
+from epipole.viewer.page_server import Request
+from epipole.viewer.requested_views import MOST_SIDE_PX, RequestedViews, camera_of
 
 SECONDS = 20
 
@@ -111,16 +111,16 @@ def test_a_late_tab_gets_the_whole_state_and_parts_are_made_once_when_asked_for(
 
 
 def test_the_end_is_announced_and_waits_for_tabs_but_not_for_ever() -> None:
-    port, begin = free_port(), 0.0
+    port, start = free_port(), 0.0
     with live(port):
-        begin = time.monotonic()
-    assert time.monotonic() - begin < 2.0  # nobody watched
+        start = time.monotonic()
+    assert time.monotonic() - start < 2.0  # nobody watched
     with pytest.raises(ZeroDivisionError), live(port) as page:
         reader = Reader(port)
         reader.next()
-        begin = time.monotonic()
+        start = time.monotonic()
         _ = 1 // 0
-    assert END_S <= time.monotonic() - begin < END_S + 3.0
+    assert END_S <= time.monotonic() - start < END_S + 3.0
     assert "stopped with an error" in reader.until(none=1, **{}).get("ended", "") or page
 
 
@@ -145,10 +145,10 @@ def test_a_tab_that_is_stuck_or_closed_delays_nobody(capfd: pytest.CaptureFixtur
         closed, reader = Reader(port), Reader(port)
         closed.next()
         closed.close()
-        begin = time.monotonic()
+        start = time.monotonic()
         for k in range(300):
             page.publish({"words": "x" * 50_000, "number": k})
-        assert time.monotonic() - begin < 2.0
+        assert time.monotonic() - start < 2.0
         assert reader.until(number=299)
         for _ in range(3):
             status(port, "/live/final")
@@ -204,23 +204,26 @@ def test_the_camera_of_a_viewpoint() -> None:
 
 
 def test_views_are_rendered_by_the_job_and_a_few_may_wait() -> None:
-    asked, query = AskedViews(), "0,0,-5,0,0,1,0,1,0,0.5,1"
+    requested, query = RequestedViews(), "0,0,-5,0,0,1,0,1,0,0.5,1"
     none = http.client.HTTPMessage()
-    assert asked.answer(Asked(none, "")) is None and asked.answer(Asked(none, "a,b")) is None
+    assert requested.answer(Request(none, "")) is None and requested.answer(Request(none, "a,b")) is None
     answers: list[bytes | None] = []
     tabs = [
-        threading.Thread(target=lambda: answers.append(asked.answer(Asked(none, query)))) for _ in range(2)
+        threading.Thread(target=lambda: answers.append(requested.answer(Request(none, query))))
+        for _ in range(2)
     ]
     for tab in tabs:
         tab.start()
     count, stop = 0, time.monotonic() + SECONDS
     while count < 2 and time.monotonic() < stop:
-        count += asked.render_next(lambda camera, _: np.ones((camera.height, camera.width, 3), np.float32))
+        count += requested.render_next(
+            lambda camera, _: np.ones((camera.height, camera.width, 3), np.float32)
+        )
         time.sleep(0.001)
     for tab in tabs:
         tab.join(SECONDS)
     assert [bytes(answer or b"")[:2] for answer in answers] == [b"\xff\xd8"] * 2
-    assert not asked.render_next(lambda *_: np.zeros((1, 1, 3), np.float32))
+    assert not requested.render_next(lambda *_: np.zeros((1, 1, 3), np.float32))
 
 
 def test_a_page_follows_the_job_to_its_end(browser: object) -> None:
@@ -255,16 +258,16 @@ def test_a_page_follows_the_job_to_its_end(browser: object) -> None:
         # The end waits for the tabs, which live in this thread.
         closing = threading.Event()
 
-        def look() -> None:
+        def descriptor() -> None:
             for one in (tab, late):
                 one.page.wait_for_selector("html[data-live=final]")
             closing.set()
 
-        page.meanwhile = lambda: None if closing.is_set() else look()
+        page.meanwhile = lambda: None if closing.is_set() else descriptor()
     for one in (tab, late):
         assert one.page.inner_text("#live-state") == "The run has ended. This is its final state."
         assert one.page.evaluate("space.then(s => s.data.points[0].count)") == 1000
-        assert np.ptp(one.drawn()) > 100
+        assert np.ptp(one.rendered()) > 100
         one.close()
 
 
@@ -277,8 +280,8 @@ def wait_for(tab: Opened, expression: str) -> None:
 
 def test_a_page_whose_job_was_killed_says_so(browser: object, monkeypatch: pytest.MonkeyPatch) -> None:
     port = free_port()
-    monkeypatch.setattr(live_feed, "END_S", 0.0)
-    monkeypatch.setattr(LiveFeed, "end", lambda *_: None)  # as if the process was killed
+    monkeypatch.setattr(live_stream, "END_S", 0.0)
+    monkeypatch.setattr(LiveStream, "end", lambda *_: None)  # as if the process was killed
     with live(port):
         tab = Opened(browser, f"http://127.0.0.1:{port}/")
         tab.page.wait_for_selector("html[data-live=running]")

@@ -43,8 +43,8 @@ def path_of(world_from_body: Rigid3) -> Trajectory:
 def test_a_path_keeps_the_places_of_its_file(tmp_path: Path) -> None:
     centers = np.cumsum(np.ones((20, 3)), axis=0) - 1.0
     level = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # a camera (y down) in a world with z up
-    for name, turn, up in (("begun.txt", np.eye(3), [0, -1, 0]), ("surveyed.txt", level, [0, 0, 1])):
-        poses = Rigid3(np.broadcast_to(turn, (20, 3, 3)).copy(), centers)
+    for name, rotation, up in (("begun.txt", np.eye(3), [0, -1, 0]), ("surveyed.txt", level, [0, 0, 1])):
+        poses = Rigid3(np.broadcast_to(rotation, (20, 3, 3)).copy(), centers)
         write_trajectory(path_of(poses), tmp_path / name)
         scene = scene_of(tmp_path / name)
         np.testing.assert_allclose(scene.points[0].xyz_in_world, centers, atol=1e-6)

@@ -127,8 +127,8 @@ def test_the_command_says_in_one_sentence_what_is_wrong_with_a_port(tmp_path):
     write_colmap_model(three_cameras(), tmp_path)
     command = [sys.executable, "-m", "epipole", "view", str(tmp_path), "--port"]
     with taken() as port:
-        for asked, words in ((80000, "between 1 and 65535, got 80000"), (port, f"port {port} is in use")):
-            done = subprocess.run([*command, str(asked)], capture_output=True, text=True, timeout=60)
+        for requested, words in ((80000, "between 1 and 65535, got 80000"), (port, f"port {port} is in use")):
+            done = subprocess.run([*command, str(requested)], capture_output=True, text=True, timeout=60)
             assert done.returncode == 2 and done.stderr.count("\n") == 1 and not done.stdout
             assert done.stderr.startswith("epipole: ") and words in done.stderr
     # A background job ignores Ctrl-C.

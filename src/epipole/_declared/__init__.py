@@ -40,13 +40,13 @@ def checked(function: Function) -> Function:
             _refuse_unknown_names(own, kwargs, [each.name for each in plan])
         sizes: Sizes = {}
         given = list(args)
-        for place, (name, convert, kind) in enumerate(plan):
+        for index, (name, convert, kind) in enumerate(plan):
             if convert is None:
                 continue
             if kind is Parameter.VAR_POSITIONAL:
-                given[place:] = [convert(one, f"{name}[{k}]", sizes) for k, one in enumerate(given[place:])]
-            elif kind is not Parameter.KEYWORD_ONLY and place < len(given):
-                given[place] = convert(given[place], name, sizes)
+                given[index:] = [convert(one, f"{name}[{k}]", sizes) for k, one in enumerate(given[index:])]
+            elif kind is not Parameter.KEYWORD_ONLY and index < len(given):
+                given[index] = convert(given[index], name, sizes)
             elif name in kwargs:
                 kwargs[name] = convert(kwargs[name], name, sizes)
         return function(*given, **kwargs)

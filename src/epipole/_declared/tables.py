@@ -74,10 +74,10 @@ def require_arrays(arrays: Mapping[str, Any], table: Table, **sizes: int) -> Non
     Raises:
         ShapeError: one is missing, unknown, not a NumPy array, or not as expected.
     """
-    held = {name: np.asarray(array) for name, array in arrays.items()}
-    for name, array in check_arrays(held, table, **sizes).items():
-        if held[name].dtype != array.dtype or (array.ndim and not isinstance(arrays[name], np.ndarray)):
-            kind = held[name].dtype if isinstance(arrays[name], np.ndarray) else type(arrays[name]).__name__
+    found = {name: np.asarray(array) for name, array in arrays.items()}
+    for name, array in check_arrays(found, table, **sizes).items():
+        if found[name].dtype != array.dtype or (array.ndim and not isinstance(arrays[name], np.ndarray)):
+            kind = found[name].dtype if isinstance(arrays[name], np.ndarray) else type(arrays[name]).__name__
             raise ShapeError(f"{name} must be an array of {array.dtype}, got {kind}")
 
 

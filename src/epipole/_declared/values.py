@@ -187,8 +187,8 @@ def _named_tuple(kind: Any, article: str) -> Convert:
         if not plan:
             names = vars(sys.modules[kind.__module__])
             for field, annotation in get_annotations(kind).items():
-                told = getattr(annotation, "__forward_arg__", annotation)  # as `NamedTuple` keeps text
-                plan[field] = converter_of(eval(told, names) if isinstance(told, str) else told)
+                text = getattr(annotation, "__forward_arg__", annotation)  # as `NamedTuple` keeps text
+                plan[field] = converter_of(eval(text, names) if isinstance(text, str) else text)
         changed = {}
         for field, one in plan.items():
             given = getattr(value, field)

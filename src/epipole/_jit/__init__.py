@@ -55,7 +55,7 @@ def is_compiled() -> bool:
     return kernel_mode() is KernelMode.PYTHON or storage.read_note(cache_folder(), _COMPILED) is not None
 
 
-def shares_compiling() -> bool:
+def compiles_on_all_threads() -> bool:
     """Whether several processes may compile at once: only linked kernels are kept under a lock."""
     return kernel_mode() is KernelMode.LINKED
 
@@ -134,7 +134,7 @@ class _CompileClock(numba_event.Listener):
         """Note the time when the outermost compilation of this thread begins."""
         depth = getattr(self._own, "depth", 0)
         if depth == 0:
-            self._own.begin = perf_counter()
+            self._own.start = perf_counter()
             self._collects = gc.isenabled()
             gc.disable()
         self._own.depth = depth + 1
@@ -143,7 +143,7 @@ class _CompileClock(numba_event.Listener):
         """Add the time when it ends."""
         self._own.depth -= 1
         if self._own.depth == 0:
-            self.seconds += perf_counter() - self._own.begin
+            self.seconds += perf_counter() - self._own.start
             if self._collects:
                 gc.enable()
 

@@ -50,11 +50,11 @@ def kernel_mode() -> KernelMode:
     """
     if cast(Any, numba.config).DISABLE_JIT:
         return KernelMode.PYTHON
-    asked = os.environ.get(VARIABLE, "")
-    if asked not in ("", KernelMode.LINKED, KernelMode.PLAIN):
-        raise ConfigError(f"${VARIABLE} must be linked or plain, got {asked!r}")
-    if asked:
-        return KernelMode(asked)
+    requested = os.environ.get(VARIABLE, "")
+    if requested not in ("", KernelMode.LINKED, KernelMode.PLAIN):
+        raise ConfigError(f"${VARIABLE} must be linked or plain, got {requested!r}")
+    if requested:
+        return KernelMode(requested)
     if _TESTED[0] <= _version(numba.__version__) <= _TESTED[1]:
         return KernelMode.LINKED
     reason = why_not_linked()

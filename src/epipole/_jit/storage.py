@@ -109,10 +109,10 @@ def _make_private(folder: Path) -> None:
 
 
 def _users_cache() -> Path | None:
-    if asked := os.environ.get("EPIPOLE_CACHE_DIR"):
-        return Path(asked)
-    if asked := os.environ.get("XDG_CACHE_HOME"):
-        return Path(asked) / "epipole"
+    if requested := os.environ.get("EPIPOLE_CACHE_DIR"):
+        return Path(requested)
+    if requested := os.environ.get("XDG_CACHE_HOME"):
+        return Path(requested) / "epipole"
     try:
         return Path.home() / ".cache" / "epipole"
     except RuntimeError:  # a user without a home folder

@@ -66,7 +66,7 @@ class ImageShape(NamedTuple):
 
 
 @checked
-def turned_camera(camera: Camera, orientation: int) -> Camera:
+def rotated_camera(camera: Camera, orientation: int) -> Camera:
     """The camera of an image after an EXIF orientation is applied to its pixels.
 
     The rays turn with the image, about the axis: x and y of the new ray are Q (x, y) with the Q that turns the image. Of a
@@ -75,7 +75,7 @@ def turned_camera(camera: Camera, orientation: int) -> Camera:
     Raises:
         ConfigError: it is none of 1 to 8.
     """
-    turn = _turn(orientation)
+    rotation = _rotate(orientation)
     size = np.array([camera.width, camera.height])
     new_size = size if orientation < 5 else size[::-1]
     params = camera.params.copy()
@@ -84,15 +84,15 @@ def turned_camera(camera: Camera, orientation: int) -> Camera:
     if orientation >= 5:
         params[focal] = params[focal[::-1]]
     center = list(camera.model.principal_point_indices)
-    params[center] = turn @ (params[center] - (size - 1) / 2) + (new_size - 1) / 2
+    params[center] = rotation @ (params[center] - (size - 1) / 2) + (new_size - 1) / 2
     if "p1" in names:  # (p2, p1) is a vector of the image plane
         tangential = [names.index("p2"), names.index("p1")]
-        params[tangential] = turn @ params[tangential]
+        params[tangential] = rotation @ params[tangential]
     return Camera(camera.model, int(new_size[0]), int(new_size[1]), params)
 
 
 @checked
-def turned_pixels(
+def rotated_pixels(
     pixels: Float64[np.ndarray, "n 2"], size: tuple[int, int], orientation: int
 ) -> Float64[np.ndarray, "n 2"]:
     """Upright pixel coordinates of stored ones, of an image whose stored pixels have this size.
@@ -102,7 +102,7 @@ def turned_pixels(
     """
     stored = np.array(size, np.float64)
     upright = stored if orientation < 5 else stored[::-1]
-    return (as_points(pixels, "pixels", 2) - (stored - 1) / 2) @ _turn(orientation).T + (upright - 1) / 2
+    return (as_points(pixels, "pixels", 2) - (stored - 1) / 2) @ _rotate(orientation).T + (upright - 1) / 2
 
 
 def inverse_orientation(orientation: int) -> int:
@@ -110,7 +110,7 @@ def inverse_orientation(orientation: int) -> int:
     return {6: 8, 8: 6}.get(orientation, orientation)
 
 
-def _turn(orientation: int) -> np.ndarray:
+def _rotate(orientation: int) -> np.ndarray:
     if orientation not in _UPRIGHT_FROM_STORED:
         raise ConfigError(f"an EXIF orientation is 1 to 8, got {orientation}")
     return np.array(_UPRIGHT_FROM_STORED[orientation], np.float64)
@@ -150,7 +150,7 @@ def camera_of_image(camera: Camera, shape: ImageShape, described: ImagePixels) -
         ConfigError: the image does not show what the camera's does at one scale.
     """
     fitted = fitted_camera(camera, *shape.size(described))
-    return turned_camera(fitted, shape.orientation) if described is ImagePixels.STORED else fitted
+    return rotated_camera(fitted, shape.orientation) if described is ImagePixels.STORED else fitted
 
 
 def described_pixels(
@@ -247,15 +247,15 @@ def with_likely_principal_point(camera: Camera) -> tuple[Camera, str]:
     size = np.array([camera.width, camera.height])
     middle, point = (size - 1) / 2, camera.K[:2, 2]
     off = np.abs(point - middle)
-    looks_swapped = np.abs(point[::-1] - middle).sum() < CLEAR * off.sum()
-    if not ((off > FAR_OFF_MIDDLE * size).any() or looks_swapped):
+    is_swapped = np.abs(point[::-1] - middle).sum() < CLEAR * off.sum()
+    if not ((off > FAR_OFF_MIDDLE * size).any() or is_swapped):
         return camera, ""
     cx, cy = point + 0.5
     odd = (
         f"the known principal point, cx = {cx:g} and cy = {cy:g}, is far from the middle of the pictures "
         f"({camera.width / 2:g}, {camera.height / 2:g})"
     )
-    if not looks_swapped:
+    if not is_swapped:
         return camera, f"{odd}: right only for a cropped or rectified picture"
     ask = (
         f"{odd}: were cx and cy swapped, or are the parameters of images of {camera.height}x{camera.width} and these"

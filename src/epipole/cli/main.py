@@ -72,26 +72,26 @@ def version() -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Run a command; errors meant for the user become one line and exit code 1; wrong words and options 2."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    asked = {EVERYWHERE[word] for word in words if word in EVERYWHERE}
+    requested = {EVERYWHERE[word] for word in words if word in EVERYWHERE}
     words = [word for word in words if word not in EVERYWHERE]
     if "" in words:
         _refuse("an argument is empty (an unset variable?)", WRONG_USAGE)
-    if {"quiet", "verbose"} <= asked:
+    if {"quiet", "verbose"} <= requested:
         _refuse("--quiet and --verbose exclude each other", WRONG_USAGE)
-    if "version" in asked:
+    if "version" in requested:
         words = ["version"]
     if words[:1] == ["help"]:
         words = [*words[1:2], "--help"]
     if words[:2] == ["stereo", "doctor"]:
         words = ["stereo-doctor", *words[2:]]
-    if "overwrite" in asked and words[:1] and words[0] in WRITING_NOTHING:
+    if "overwrite" in requested and words[:1] and words[0] in WRITING_NOTHING:
         _refuse(f"`epipole {words[0]}` writes nothing: leave out --overwrite", WRONG_USAGE)
     # Modules and kernels are many small objects that stay alive: searching them for cycles again and again
     # took an eighth of a short run.
     gc.set_threshold(200_000, 20, 100)
-    if "verbose" not in asked:  # FFmpeg's own lines about damaged video; ours names the file
+    if "verbose" not in requested:  # FFmpeg's own lines about damaged video; ours names the file
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    with _loudness(asked, words), _warnings_in_one_line(), _overwriting(asked):
+    with _loudness(requested, words), _warnings_in_one_line(), _overwriting(requested):
         _run(words)
 
 
@@ -153,18 +153,18 @@ def _refuse(message: str, code: int) -> NoReturn:
 
 
 @contextlib.contextmanager
-def _loudness(asked: set[str], words: list[str]) -> Iterator[None]:
+def _loudness(requested: set[str], words: list[str]) -> Iterator[None]:
     """What is printed beside errors: nothing but answers, the usual, or all."""
-    if not asked & {"quiet", "verbose"}:
+    if not requested & {"quiet", "verbose"}:
         yield
         return
     from epipole import screen
 
     with contextlib.ExitStack() as stack:
-        stack.enter_context(screen.loudness("quiet" if "quiet" in asked else "verbose"))
-        if "quiet" in asked and words[:1] and words[0] not in ANSWERING:
+        stack.enter_context(screen.loudness("quiet" if "quiet" in requested else "verbose"))
+        if "quiet" in requested and words[:1] and words[0] not in ANSWERING:
             stack.enter_context(contextlib.redirect_stdout(io.StringIO()))
-        if "verbose" in asked:
+        if "verbose" in requested:
             from epipole._version import __version__
 
             logger.debug("epipole %s, Python %s, arguments %s", __version__, sys.version.split()[0], words)
@@ -172,8 +172,8 @@ def _loudness(asked: set[str], words: list[str]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _overwriting(asked: set[str]) -> Iterator[None]:
-    if "overwrite" not in asked:
+def _overwriting(requested: set[str]) -> Iterator[None]:
+    if "overwrite" not in requested:
         yield
         return
     from epipole.runs.guard import overwriting
@@ -184,8 +184,8 @@ def _overwriting(asked: set[str]) -> Iterator[None]:
 
 def _functions() -> dict[str, Callable[..., None]]:
     """The function of every command by the command's name."""
-    places = [place.split(":") for place in COMMANDS]
-    found = [getattr(import_module(module), name) for module, name in places]
+    positions = [position.split(":") for position in COMMANDS]
+    found = [getattr(import_module(module), name) for module, name in positions]
     return {function.__name__.replace("_", "-"): function for function in found}
 
 

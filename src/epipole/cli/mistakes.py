@@ -122,21 +122,21 @@ def _option_at(
 
 
 def _unknown(name: str, mine: Signature, signatures: Mapping[str, Signature]) -> str:
-    begin = f"`epipole {mine.command}` has no option {name}"
+    start = f"`epipole {mine.command}` has no option {name}"
     tails = {option: option.rsplit(".", 1)[-1].lstrip("-") for option in mine.options}
     tail = name.rsplit(".", 1)[-1].lstrip("-")
     same = [option for option, its in tails.items() if its == tail]
     if same:
-        return f"{begin}; did you mean {' or '.join(same[:3])}?"
+        return f"{start}; did you mean {' or '.join(same[:3])}?"
     others = [command for command, other in signatures.items() if name in other.options]
     if others:
-        return f"{begin}; it is one of {' and '.join(f'`epipole {c}`' for c in others)}"
+        return f"{start}; it is one of {' and '.join(f'`epipole {c}`' for c in others)}"
     near = [option for option, its in tails.items() if get_close_matches(tail, [its], 1, 0.75)]
     group = name.rsplit(".", 1)[0] + "."
     inside = {its: option for option, its in tails.items() if option.startswith(group)}
     near += [inside[its] for its in get_close_matches(tail, inside, 1, 0.5)]
     names = list(dict.fromkeys(near))[:3]
-    return f"{begin}; did you mean {' or '.join(names)}?" if names else begin
+    return f"{start}; did you mean {' or '.join(names)}?" if names else start
 
 
 def _extra_path(paths: Sequence[str], mine: Signature) -> str | None:

@@ -42,10 +42,10 @@ def fuse(view, depth, coverage, rgb, low, size, band, start, stop, distance, wei
                         continue
                     ahead = min(ahead, one)
                 total = weight[i, j, k]
-                share = one / (total + one)
-                distance[i, j, k] += share * (ahead - distance[i, j, k])
+                fraction = one / (total + one)
+                distance[i, j, k] += fraction * (ahead - distance[i, j, k])
                 weight[i, j, k] = total + one
                 if seen >= LEAST_COVERAGE and ahead < one:
                     for c in range(3):
                         value = rgb[row, column, c] / seen
-                        colour[i, j, k, c] += share * (value - colour[i, j, k, c])
+                        colour[i, j, k, c] += fraction * (value - colour[i, j, k, c])

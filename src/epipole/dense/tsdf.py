@@ -84,8 +84,8 @@ class DistanceVolume:
         if cam_from_world.batch_shape() != () or not (np.abs(cam_from_world.translation) <= LARGEST).all():
             raise ShapeError("cam_from_world must be a single finite motion")
         matrix = camera.K
-        lens = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
-        view = np.array([*cam_from_world.rotation.ravel(), *cam_from_world.translation, *lens])
+        intrinsics = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
+        view = np.array([*cam_from_world.rotation.ravel(), *cam_from_world.translation, *intrinsics])
         seen = view, depth, coverage, rgb, self.low, self.size, BAND * self.size
         count = len(self.distance)
         _parallel.map_chunks(

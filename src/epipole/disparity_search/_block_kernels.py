@@ -50,24 +50,24 @@ def sum_across(columns, half, width, depth, sums):
 
 
 @kernel(allocates=True)
-def match_blocks(pictures, size, search, half, start, stop, out):
+def match_blocks(images, size, search, half, start, stop, out):
     """Disparities of rows start..stop. Windows are cut off at the picture's borders. out as of `choose_row`."""
     height, width = size[0], size[1]
     first, _, depth = search
-    places = width + depth + abs(first) if out[5].size else 0
+    positions = width + depth + abs(first) if out[5].size else 0
     room, rows = width * depth, 2 * half + 1
     ring = np.zeros((rows, room), np.uint8)
     columns, sums, none = np.zeros(room, np.uint16), np.empty(room, np.uint16), np.zeros(room, np.uint16)
-    best, winners = np.empty(places, np.uint16), np.empty(places, np.uint16)
+    best, winners = np.empty(positions, np.uint16), np.empty(positions, np.uint16)
     spread = out[4]
     for y in range(start - half, stop + half):
-        place = ring[(y + rows) % rows]
-        take_row(columns, place)  # the row that leaves the window
+        position = ring[(y + rows) % rows]
+        take_row(columns, position)  # the row that leaves the window
         if 0 <= y < height:
-            cost_row(pictures, y, size, search, place)
+            cost_row(images, y, size, search, position)
         else:
-            place[:] = 0
-        add_row(columns, place)
+            position[:] = 0
+        add_row(columns, position)
         middle = y - half
         if start <= middle:
             sum_across(columns, half, width, depth, sums)

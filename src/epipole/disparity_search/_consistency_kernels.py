@@ -51,16 +51,16 @@ def check_rows(mine, theirs, blank, first, limits, start, stop, out):
     apart, reason = out
     width = disparity.shape[1]
     for y in range(start, stop):
-        begins = True
+        starts = True
         for x in range(width):
-            place = x - np.float64(disparity[y, x])
-            column = int(np.rint(place))
+            position = x - np.float64(disparity[y, x])
+            column = int(np.rint(position))
             difference = np.float32(np.inf)
             if 0 <= column < width and np.isfinite(theirs[y, column]):
                 difference = abs(theirs[y, column] - disparity[y, x])
             apart[y, x] = difference
             margin = np.float64(second[y, x]) - np.float64(lowest[y, x])
-            if place < -0.5 or place > width - 0.5 or x < first:
+            if position < -0.5 or position > width - 0.5 or x < first:
                 found = OUT_OF_VIEW
             elif not difference <= most_apart:
                 found = OCCLUDED
@@ -71,5 +71,5 @@ def check_rows(mine, theirs, blank, first, limits, start, stop, out):
             else:
                 found = OK
             # Before the first known pixel of a row surfaces begin that reach beyond the other picture's border.
-            begins = begins and found == OCCLUDED
-            reason[y, x] = OUT_OF_VIEW if begins else found
+            starts = starts and found == OCCLUDED
+            reason[y, x] = OUT_OF_VIEW if starts else found

@@ -20,14 +20,14 @@ NOBODY = 65535
 
 
 @kernel
-def cost_row(pictures, y, size, search, out):
+def cost_row(images, y, size, search, out):
     """Costs (width, depth) of row y: the bits in which two windows differ, and half the difference of brightness up to `most`.
 
     pictures = (left, right, left's brightness, right's, most). left (h, width, planes) and right (h, planes, padded width) hold the
     census, flat; the rows of right and of its brightness (h, padded width) run from right to left, so that disparities ascend.
     size = (height, width, planes, padding), search = (first, count, depth). most = 0: the bits alone.
     """
-    left, right, bright, other_bright, most = pictures
+    left, right, bright, other_bright, most = images
     _, width, planes, padding = size
     first, count, depth = search
     stride = width + 2 * padding
@@ -49,7 +49,7 @@ def cost_row(pictures, y, size, search, out):
 
 
 @kernel
-def begin_paths(paths, least, width, depth):
+def start_paths(paths, least, width, depth):
     """A state in which every path begins: no cost so far."""
     for n in range(2 * MOST * (width + 2)):
         at = EDGE + n * (EDGE + depth)
@@ -143,27 +143,27 @@ def choose_row(sums, at_row, more, y, width, search, out, best, winners):
 
 
 @kernel(allocates=True)
-def match_strip(pictures, grey, size, search, penalties, start, stop, margin, sums, out):
+def match_strip(images, grey, size, search, penalties, start, stop, margin, sums, out):
     """Disparities of rows start..stop; the paths begin up to `margin` rows beyond them. sums: room for (stop - start) rows."""
     height, width = size[0], size[1]
     first, _, depth = search
-    places = width + depth + abs(first) if out[5].size else 0
+    positions = width + depth + abs(first) if out[5].size else 0
     room = width * depth
     paths = np.full(2 * MOST * (width + 2) * (EDGE + depth) + EDGE, 255, np.uint8)
     state = (paths, np.empty((2, MOST, width + 2), np.int64))
     costs, row = np.empty(room, np.uint8), np.empty(room, np.uint16)
-    best, winners = np.empty(places, np.uint16), np.empty(places, np.uint16)
-    begin_paths(paths, state[1], width, depth)
+    best, winners = np.empty(positions, np.uint16), np.empty(positions, np.uint16)
+    start_paths(paths, state[1], width, depth)
     for y in range(max(start - margin, 0), stop):
-        cost_row(pictures, y, size, search, costs)
+        cost_row(images, y, size, search, costs)
         above = max(y - 1, 0)
         if y < start:
             sweep_row(costs, grey, y, above, 1, size, depth, penalties, state, row, 0)
         else:
             sweep_row(costs, grey, y, above, 1, size, depth, penalties, state, sums, (y - start) * room)
-    begin_paths(paths, state[1], width, depth)
+    start_paths(paths, state[1], width, depth)
     for y in range(min(stop + margin, height) - 1, start - 1, -1):
-        cost_row(pictures, y, size, search, costs)
+        cost_row(images, y, size, search, costs)
         sweep_row(costs, grey, y, min(y + 1, height - 1), -1, size, depth, penalties, state, row, 0)
         if y < stop:
             at = (y - start) * room

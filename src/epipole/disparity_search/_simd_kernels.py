@@ -130,8 +130,8 @@ def count_bits(typingctx, left, at_left, right, at_right, width, planes, out, at
             builder.store(ir.Constant(_BYTES, [0] * LANES), total)
             with cgutils.for_range(builder, planes) as plane:
                 one = builder.load(builder.gep(left, [builder.add(at_left, plane.index)]))
-                place = builder.add(builder.add(at_right, step), builder.mul(plane.index, width))
-                bits = code.call("ctpop", builder.xor(code.spread(one), code.load(right, place)))
+                slot = builder.add(builder.add(at_right, step), builder.mul(plane.index, width))
+                bits = code.call("ctpop", builder.xor(code.spread(one), code.load(right, slot)))
                 builder.store(builder.add(builder.load(total), bits), total)
             code.store(builder.load(total), out, builder.add(at_out, step))
         return context.get_dummy_value()
@@ -166,11 +166,11 @@ def extend_paths(
             cost = code.load(costs, builder.add(values[6], d))
             total = None
             for k in range(count):
-                place = builder.add(at_before[k], d)
-                below = code.load(paths, builder.sub(place, code.long(1)))
-                above = code.load(paths, builder.add(place, code.long(1)))
+                slot = builder.add(at_before[k], d)
+                below = code.load(paths, builder.sub(slot, code.long(1)))
+                above = code.load(paths, builder.add(slot, code.long(1)))
                 beside = code.call("uadd.sat", code.call("umin", below, above), step)
-                best = code.call("umin", code.call("umin", code.load(paths, place), beside), reach[k])
+                best = code.call("umin", code.call("umin", code.load(paths, slot), beside), reach[k])
                 path = code.call("uadd.sat", builder.sub(best, low[k]), cost)
                 code.store(path, paths, builder.add(at_now[k], d))
                 builder.store(code.call("umin", builder.load(nearest[k]), path), nearest[k])
@@ -190,20 +190,20 @@ class _Lowest:
         self.code, self.builder = code, code.builder
         self.full = ir.Constant(_SHORTS, [65535] * LANES)
         self.value = cgutils.alloca_once_value(self.builder, self.full)
-        self.place = cgutils.alloca_once_value(self.builder, self.full)
+        self.slot = cgutils.alloca_once_value(self.builder, self.full)
 
-    def see(self, block: Any, places: Any) -> None:
+    def see(self, block: Any, positions: Any) -> None:
         before, builder = self.builder.load(self.value), self.builder
         is_lower = builder.icmp_unsigned("<", block, before)
         builder.store(builder.select(is_lower, block, before), self.value)
-        builder.store(builder.select(is_lower, places, builder.load(self.place)), self.place)
+        builder.store(builder.select(is_lower, positions, builder.load(self.slot)), self.slot)
 
     def found(self) -> tuple[Any, Any]:
         """(place, value)."""
         values, builder = self.builder.load(self.value), self.builder
         lowest = self.code.least(values)
         is_lowest = builder.icmp_unsigned("==", values, self.code.spread(lowest, _SHORT))
-        return self.code.least(builder.select(is_lowest, builder.load(self.place), self.full)), lowest
+        return self.code.least(builder.select(is_lowest, builder.load(self.slot), self.full)), lowest
 
 
 @row_intrinsic(_least_two)
@@ -222,9 +222,9 @@ def least_two(typingctx, sums, at_sums, more, at_more, blocks):
         both, first, other = _Lowest(code), _Lowest(code), _Lowest(code)
         with cgutils.for_range(builder, values[4]) as block:
             step = builder.mul(block.index, code.long(LANES))
-            place = builder.add(values[1], step)
+            slot = builder.add(values[1], step)
             row, added = (
-                code.load(sums, place, _SHORTS),
+                code.load(sums, slot, _SHORTS),
                 code.load(more, builder.add(values[3], step), _SHORTS),
             )
             disparity = builder.add(code.spread(step, _SHORT), lanes)
@@ -232,7 +232,7 @@ def least_two(typingctx, sums, at_sums, more, at_more, blocks):
             other.see(added, disparity)
             row = builder.add(row, added)
             both.see(row, disparity)
-            code.store(row, sums, place)
+            code.store(row, sums, slot)
         at, lowest = both.found()
         best = cgutils.alloca_once_value(builder, both.full)
         near = code.spread(builder.sub(at, code.long(1)), _SHORT)
@@ -263,14 +263,14 @@ def keep_lower(typingctx, sums, at_sums, best, winners, at_best, blocks):
         lanes = ir.Constant(_SHORTS, list(range(LANES)))
         with cgutils.for_range(builder, values[5]) as block:
             step = builder.mul(block.index, code.long(LANES))
-            place = builder.add(values[4], step)
+            slot = builder.add(values[4], step)
             row = code.load(sums, builder.add(values[1], step), _SHORTS)
-            before = code.load(best, place, _SHORTS)
+            before = code.load(best, slot, _SHORTS)
             disparity = builder.add(code.spread(step, _SHORT), lanes)
             is_lower = builder.icmp_unsigned("<", row, before)
-            code.store(builder.select(is_lower, row, before), best, place)
-            kept = code.load(winners, place, _SHORTS)
-            code.store(builder.select(is_lower, disparity, kept), winners, place)
+            code.store(builder.select(is_lower, row, before), best, slot)
+            kept = code.load(winners, slot, _SHORTS)
+            code.store(builder.select(is_lower, disparity, kept), winners, slot)
         return context.get_dummy_value()
 
     return signature, generate

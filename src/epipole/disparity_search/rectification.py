@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from epipole._checks import as_picture, check_pixels
+from epipole._checks import as_image, check_pixels
 from epipole._declared import Declared, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.cameras.visibility import project_visible
@@ -21,7 +21,7 @@ _BORDER = 65  # rays along each side of a picture
 _MOST_GROWTH = 4.0  # a rectified picture has at most so many times the pixels of the larger one given
 _SWAPPED_DEG = 135.0  # a baseline that points so far to the left belongs to a swapped pair
 _VERTICAL_DEG = 45.0
-_PICTURES = (np.uint8, np.uint16, np.int16, np.float32, np.float64)
+_IMAGES = (np.uint8, np.uint16, np.int16, np.float32, np.float64)
 
 Matrix3 = Float64[np.ndarray, "3 3"]
 
@@ -40,7 +40,7 @@ class Rectification(Declared):
     left_valid: Bool[np.ndarray, "h w"]
     """Pixels that the left camera sees."""
     right_valid: Bool[np.ndarray, "h w"]
-    is_turned: bool
+    is_rotated: bool
     """The cameras stand one above the other: the rectified pictures lie on their side."""
 
     @property
@@ -65,23 +65,23 @@ class Rectification(Declared):
         Raises:
             ShapeError: one of them is no picture.
         """
-        pictures = []
-        for name, picture, table in (
+        images = []
+        for name, image, table in (
             ("left", left, self.left_map_px),
             ("right", right, self.right_map_px),
         ):
-            array = as_picture(picture, name)
-            is_picture = array.ndim in (2, 3) and array.size > 0 and array.dtype in _PICTURES
-            if not is_picture or (array.ndim == 3 and array.shape[2] > 4):
+            array = as_image(image, name)
+            is_image = array.ndim in (2, 3) and array.size > 0 and array.dtype in _IMAGES
+            if not is_image or (array.ndim == 3 and array.shape[2] > 4):
                 raise ShapeError(f"{name} must be a picture, is {array.shape} of {array.dtype}")
-            pictures.append(
+            images.append(
                 cv2.remap(array, table[..., 0], table[..., 1], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
             )
-        return pictures[0], pictures[1]
+        return images[0], images[1]
 
     def __repr__(self) -> str:
-        turned = ", turned on its side" if self.is_turned else ""
-        return f"Rectification({self.size[0]} x {self.size[1]}{turned}, {self.rig!r})"
+        rotated = ", turned on its side" if self.is_rotated else ""
+        return f"Rectification({self.size[0]} x {self.size[1]}{rotated}, {self.rig!r})"
 
 
 @checked

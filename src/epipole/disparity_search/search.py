@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float32, Int16, UInt8, UInt16
 
 from epipole import _parallel
-from epipole._checks import as_picture
+from epipole._checks import as_image
 from epipole.config import options_of
 from epipole.disparity_search import _block_kernels as block_kernels
 from epipole.disparity_search import _consistency_kernels as consistency
@@ -37,7 +37,7 @@ _SMOOTH_PX = 1.0  # neighbours of one region differ by no more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Picture:
+class _Image:
     """What matching compares."""
 
     bits: UInt8[np.ndarray, "h w planes"]
@@ -45,9 +45,9 @@ class _Picture:
     brightness: Int16[np.ndarray, "h w"]
     """0 to 255."""
 
-    def mirrored(self) -> _Picture:
+    def mirrored(self) -> _Image:
         """With left and right exchanged."""
-        return _Picture(
+        return _Image(
             np.ascontiguousarray(self.bits[:, ::-1]), np.ascontiguousarray(self.brightness[:, ::-1])
         )
 
@@ -98,7 +98,7 @@ def match_with_evidence(
         mine, mirrored = _both_winners(one, two, low, high, config)
         theirs = mirrored.disparity[:, ::-1]
     else:
-        mine = _winners(_look(one, config), _look(two, config), low, high, config)
+        mine = _winners(_inspect(one, config), _inspect(two, config), low, high, config)
         theirs = mine.other
     blank = _parallel.map_chunks(lambda k, *_: _is_textureless((one, two)[k]), 2, 2)
     apart, reason = _checked(mine, theirs, low, config, (blank[0], blank[1]))
@@ -112,7 +112,7 @@ def match_with_evidence(
     )
     sigma = disparity_sigma(evidence)
     if config.max_sigma_px is not None:
-        reason[(reason == StereoReason.OK) & (sigma > config.max_sigma_px)] = StereoReason.UNSURE
+        reason[(reason == StereoReason.OK) & (sigma > config.max_sigma_px)] = StereoReason.UNCERTAIN
     known, nan = reason == StereoReason.OK, np.float32(np.nan)
     sigma = np.where(known, sigma, nan)
     return DisparityMap(np.where(known, disparity, nan), sigma, reason), evidence
@@ -121,8 +121,8 @@ def match_with_evidence(
 def _grey_pair(left: Any, right: Any) -> tuple[UInt16[np.ndarray, "h w"], UInt16[np.ndarray, "h w"]]:
     """Both pictures with one channel; a grey one may go with a coloured one."""
     greys = []
-    for name, picture in (("left", left), ("right", right)):
-        array = as_picture(picture, name)
+    for name, image in (("left", left), ("right", right)):
+        array = as_image(image, name)
         if array.size == 0:
             raise ShapeError(f"{name} is empty: {array.shape}")
         if array.ndim == 3 and array.shape[2] == 3 and array.dtype in (np.uint8, np.uint16):
@@ -158,9 +158,9 @@ def _search_range(left: np.ndarray, right: np.ndarray, config: DisparityConfig) 
 def _largest_disparity(left: np.ndarray, right: np.ndarray, config: DisparityConfig) -> int:
     """What all but the nearest two in a thousand pixels have, from pictures a quarter as large."""
     size = (max(1, left.shape[1] // _COARSE), max(1, left.shape[0] // _COARSE))
-    small = [cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in (left, right)]
+    small = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (left, right)]
     low, high = config.min_disparity_px // _COARSE, max(size[0] // 2, config.min_disparity_px // _COARSE + 1)
-    found = _winners(_look(small[0], config), _look(small[1], config), low, high, config)
+    found = _winners(_inspect(small[0], config), _inspect(small[1], config), low, high, config)
     seen = _checked(found, found.other, low, config)[1] == StereoReason.OK
     if not seen.any():
         return left.shape[1] // 4
@@ -168,13 +168,13 @@ def _largest_disparity(left: np.ndarray, right: np.ndarray, config: DisparityCon
     return int(np.ceil(scale * (float(np.quantile(found.disparity[seen], 0.998)) + 2.0)))
 
 
-def _look(grey: UInt16[np.ndarray, "h w"], config: DisparityConfig) -> _Picture:
+def _inspect(grey: UInt16[np.ndarray, "h w"], config: DisparityConfig) -> _Image:
     grey = np.ascontiguousarray(grey)
-    return _Picture(census(grey, config.window), _brightness(grey))
+    return _Image(census(grey, config.window), _brightness(grey))
 
 
 def _winners(
-    left: _Picture, right: _Picture, low: int, high: int, config: DisparityConfig, *, with_other: bool = True
+    left: _Image, right: _Image, low: int, high: int, config: DisparityConfig, *, with_other: bool = True
 ) -> _Winners:
     """Disparities of the left picture, from sums along the paths or over blocks."""
     height, width = left.brightness.shape
@@ -189,7 +189,7 @@ def _winners(
     beside, other = np.empty((height, width, 2), np.uint16), np.empty(of_other, np.uint16)
     out = (winner, lowest, second, beside, spread, other)
     size, search = (height, width, planes, padding), (low, count, depth)
-    pictures = (
+    images = (
         left.bits.reshape(-1),
         reversed_bits.reshape(-1),
         *_blended(left.brightness, right.brightness, padding, config.brightness_cost),
@@ -199,13 +199,13 @@ def _winners(
     if config.method == "block":
         _parallel.map_chunks(
             lambda start, stop, _: block_kernels.match_blocks(
-                pictures, size, search, config.block_px // 2, start, stop, out
+                images, size, search, config.block_px // 2, start, stop, out
             ),
             height,
             num_strips,
         )
     else:
-        _match_paths(pictures, left.brightness, size, search, config, num_strips, out)
+        _match_paths(images, left.brightness, size, search, config, num_strips, out)
     disparity, steepness = (np.empty((height, width), np.float32) for _ in range(2))
     others = np.empty(of_other, np.float32)
     _by_rows(
@@ -227,11 +227,11 @@ def _both_winners(
     height, width = left.shape
     is_small = high - low < _FEW_DISPARITIES or min(height, width) < 2 * TILE_PX
     if config.search == "full" or is_small:
-        one, two = _look(left, config), _look(right, config)
+        one, two = _inspect(left, config), _inspect(right, config)
         mine = _winners(one, two, low, high, config, with_other=False)
         return mine, _winners(two.mirrored(), one.mirrored(), low, high, config, with_other=False)
     size = (width // 2, height // 2)
-    half = [cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in (left, right)]
+    half = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (left, right)]
     coarse = _both_winners(half[0], half[1], low // 2, -(-high // 2), config)
     mirrored = right[:, ::-1], left[:, ::-1]
     out = []
@@ -260,15 +260,15 @@ def _winners_by_tiles(
         np.empty((0, 0), np.float32),
     )
     for tile in tiles_of(coarse, (height, width), search):
-        (top, bottom), (begin, end), (first, last) = tile.rows, tile.columns, tile.disparities
+        (top, bottom), (start, end), (first, last) = tile.rows, tile.columns, tile.disparities
         y0, y1 = max(top - MARGIN_PX, 0), min(bottom + MARGIN_PX, height)
-        x0, x1 = max(begin - MARGIN_PX - (last - first), 0), min(end + MARGIN_PX, width)
+        x0, x1 = max(start - MARGIN_PX - (last - first), 0), min(end + MARGIN_PX, width)
         # x - first of the right picture beside x of the left one: the range begins at zero.
         shifted = np.clip(np.arange(x0, x1) - first, 0, width - 1)
-        here, there = _look(left[y0:y1, x0:x1], config), _look(right[y0:y1][:, shifted], config)
+        here, there = _inspect(left[y0:y1, x0:x1], config), _inspect(right[y0:y1][:, shifted], config)
         found = _winners(here, there, 0, last - first, config, with_other=False)
-        inside = np.s_[top - y0 : bottom - y0, begin - x0 : end - x0]
-        whole = np.s_[top:bottom, begin:end]
+        inside = np.s_[top - y0 : bottom - y0, start - x0 : end - x0]
+        whole = np.s_[top:bottom, start:end]
         out.disparity[whole] = found.disparity[inside] + np.float32(first)
         for name in ("lowest", "second", "steepness", "spread"):
             getattr(out, name)[whole] = getattr(found, name)[inside]
@@ -276,7 +276,7 @@ def _winners_by_tiles(
 
 
 def _match_paths(
-    pictures: tuple[Any, ...],
+    images: tuple[Any, ...],
     brightness: np.ndarray,
     size: tuple[int, int, int, int],
     search: tuple[int, int, int],
@@ -293,9 +293,7 @@ def _match_paths(
     def match(start: int, stop: int, _: int) -> None:
         if not hasattr(mine, "sums"):
             mine.sums = np.empty(-(-height // num_strips) * width * depth, np.uint16)
-        kernels.match_strip(
-            pictures, brightness, size, search, penalties, start, stop, _MARGIN, mine.sums, out
-        )
+        kernels.match_strip(images, brightness, size, search, penalties, start, stop, _MARGIN, mine.sums, out)
 
     _parallel.map_chunks(match, height, num_strips)
 

@@ -134,11 +134,11 @@ def disparity_sigma(evidence: MatchEvidence) -> Float32[np.ndarray, "h w"]:
     scale = np.float32((_TABLE - 1) / (high - low))
 
     def fill(start: int, stop: int, _: int) -> None:
-        place = score(cues(evidence, start, stop))
-        place -= low
-        place *= scale
-        np.clip(place, np.float32(0.0), np.float32(_TABLE - 1), out=place)
-        table.take(place.astype(np.int32), out=out[start:stop], mode="clip")
+        position = score(cues(evidence, start, stop))
+        position -= low
+        position *= scale
+        np.clip(position, np.float32(0.0), np.float32(_TABLE - 1), out=position)
+        table.take(position.astype(np.int32), out=out[start:stop], mode="clip")
 
     _parallel.map_chunks(fill, len(out), -(-len(out) // _ROWS))
     return out

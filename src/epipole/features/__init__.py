@@ -5,7 +5,7 @@ from epipole.config import FlowConfig as FlowConfig
 from epipole.config import MatchConfig as MatchConfig
 from epipole.features.detect import detect_features as detect_features
 from epipole.features.features import Features as Features
-from epipole.features.flow import follow_points as follow_points
+from epipole.features.flow import track_points as track_points
 from epipole.features.match import match_along_epipolar_lines as match_along_epipolar_lines
 from epipole.features.match import match_descriptors as match_descriptors
 from epipole.features.patches import align_patches as align_patches

@@ -78,17 +78,17 @@ def _emit_tile(builder, address, tile):
     dot = _dot_in(builder.module, LANES, FACTORS)
     pairs = [(r, v) for r in range(ROWS) for v in range(VECTORS)]
 
-    def place(name, offset, kind):
+    def slot(name, offset, kind):
         offset = ir.Constant(long, offset) if isinstance(offset, int) else offset
         return builder.bitcast(builder.gep(address[name], [offset]), kind.as_pointer())
 
     def load(name, offset, kind):
-        value = builder.load(place(name, offset, kind))
+        value = builder.load(slot(name, offset, kind))
         value.align = 1
         return value
 
     def store(value, name, offset):
-        builder.store(value, place(name, offset, words)).align = 1
+        builder.store(value, slot(name, offset, words)).align = 1
 
     def splat(value):
         nothing = ir.Constant(words, ir.Undefined)

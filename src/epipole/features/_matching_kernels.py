@@ -132,8 +132,8 @@ def guided_top_two(
             low, high = start + s * step + least, start + s * step + most
             if not (high >= 0.0 and low < cells):
                 continue
-            begin, end = first[s, int(max(low, 0.0))], first[s, int(min(high, cells - 1.0)) + 1]
-            for n in range(begin, end):
+            first_item, end = first[s, int(max(low, 0.0))], first[s, int(min(high, cells - 1.0)) + 1]
+            for n in range(first_item, end):
                 if abs(a * pixels[n, 0] + b * pixels[n, 1] + c) > band:
                     continue
                 j = order[n]

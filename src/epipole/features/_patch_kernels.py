@@ -9,7 +9,7 @@ from epipole._jit import kernel
 REASSOC = frozenset({"reassoc"})
 """Sums over a patch may be taken in any order: in the order written they cannot be taken eight at a time."""
 MOST_STEPS = 12
-SETTLED_SQ = 0.01 * 0.01
+CONVERGED_SQ = 0.01 * 0.01
 """Squared step, in pixels, at which a patch has settled."""
 
 
@@ -140,7 +140,7 @@ def align_patches(image, other, pixels, warps, half, start, stop, found, score):
             if size_sq > 1.0:
                 dx, dy = dx / math.sqrt(size_sq), dy / math.sqrt(size_sq)
             x, y = x - dx, y - dy
-            if size_sq < SETTLED_SQ:
+            if size_sq < CONVERGED_SQ:
                 break
         found[k, 0], found[k, 1] = x, y
 

@@ -141,13 +141,13 @@ def _peaks(histogram, angles):
         if here <= before or here <= after or here < least:
             continue
         offset = 0.5 * (before - after) / (before - 2.0 * here + after)
-        place = min(count, len(angles))
-        while place > 0 and heights[place - 1] < here:
-            if place < len(angles):
-                heights[place], angles[place] = heights[place - 1], angles[place - 1]
-            place -= 1
-        if place < len(angles):
-            heights[place], angles[place] = here, (i + offset) * (2.0 * np.pi / n)
+        position = min(count, len(angles))
+        while position > 0 and heights[position - 1] < here:
+            if position < len(angles):
+                heights[position], angles[position] = heights[position - 1], angles[position - 1]
+            position -= 1
+        if position < len(angles):
+            heights[position], angles[position] = here, (i + offset) * (2.0 * np.pi / n)
         count = min(count + 1, len(angles))
     return count
 
@@ -161,10 +161,10 @@ def window_tables():
     for i in range(n):
         u = (i + 0.5) / SAMPLES - 0.5 * (CELLS + 1)
         gauss[i] = np.exp(-0.5 * (u / (0.5 * CELLS)) ** 2)
-        place = u + 0.5 * CELLS - 0.5
-        first = int(np.floor(place))
+        position = u + 0.5 * CELLS - 0.5
+        first = int(np.floor(position))
         cell[i] = first + 1
-        upper[i] = place - first
+        upper[i] = position - first
         lower[i] = 1.0 - upper[i]
     return gauss, cell, lower, upper
 
@@ -191,25 +191,25 @@ def describe(level, x, y, sigma, angle, tables, descriptor):
     _sample(level, x, y, _CELL_SCALES * sigma / SAMPLES, angle, patch)
     histogram = np.zeros((CELLS + 2, CELLS + 2, ANGLES), np.float32)
     band = np.empty((CELLS + 2, ANGLES), np.float32)
-    magnitude, first, share = np.empty(n, np.float32), np.empty(n, np.int32), np.empty(n, np.float32)
+    magnitude, first, fraction = np.empty(n, np.float32), np.empty(n, np.int32), np.empty(n, np.float32)
     to_bin, whole = np.float32(ANGLES / (2.0 * np.pi)), np.float32(ANGLES)
     for i in range(n):
         above, here, below = patch[i, 1:], patch[i + 1], patch[i + 2, 1:]
         for j in range(n):
             gx, gy = here[j + 2] - here[j], below[j] - above[j]
             magnitude[j] = gauss[j] * np.sqrt(gx * gx + gy * gy)
-            place = whole - _direction(gy, gx) * to_bin
-            first[j] = np.int32(place)
-            share[j] = place - np.float32(first[j])
+            position = whole - _direction(gy, gx) * to_bin
+            first[j] = np.int32(position)
+            fraction[j] = position - np.float32(first[j])
         band[:] = np.float32(0.0)
         for j in range(n):
             c, o = cell[j], first[j] & (ANGLES - 1)
             p = (o + 1) & (ANGLES - 1)
             left, right = magnitude[j] * lower[j], magnitude[j] * upper[j]
-            band[c, o] += left * (np.float32(1.0) - share[j])
-            band[c, p] += left * share[j]
-            band[c + 1, o] += right * (np.float32(1.0) - share[j])
-            band[c + 1, p] += right * share[j]
+            band[c, o] += left * (np.float32(1.0) - fraction[j])
+            band[c, p] += left * fraction[j]
+            band[c + 1, o] += right * (np.float32(1.0) - fraction[j])
+            band[c + 1, p] += right * fraction[j]
         a, b = gauss[i] * lower[i], gauss[i] * upper[i]
         for c in range(CELLS + 2):
             for o in range(ANGLES):

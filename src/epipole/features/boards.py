@@ -16,7 +16,7 @@ _opencv: Any = cv2  # its stubs lack parts of aruco
 _LEAST_CORNERS = 6
 _LEAST_LARGER = 2  # pictures
 _LEAST_SIDE = 64  # pixels: a smaller picture shows no board
-_WINDOW_SHARE = (
+_WINDOW_FRACTION = (
     0.4  # half window over the least distance between corners: the best of 0.15 to 0.5 on real pairs
 )
 _REFINE = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-4)
@@ -89,7 +89,7 @@ def _find_chessboard(grey: np.ndarray, board: BoardConfig) -> BoardView:
         return _nothing()
     grid = pixels.reshape(board.rows, board.columns, 2)
     gaps = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1)]
-    half = int(np.clip(_WINDOW_SHARE * min(gaps) - 1, 2, 11))
+    half = int(np.clip(_WINDOW_FRACTION * min(gaps) - 1, 2, 11))
     refined = cv2.cornerSubPix(
         grey, np.ascontiguousarray(pixels, np.float32), (half, half), (-1, -1), _REFINE
     )
@@ -97,7 +97,7 @@ def _find_chessboard(grey: np.ndarray, board: BoardConfig) -> BoardView:
 
 
 def whole_chessboard(
-    pictures: Iterable[UInt8[np.ndarray, "h w"]], board: BoardConfig
+    images: Iterable[UInt8[np.ndarray, "h w"]], board: BoardConfig
 ) -> tuple[int, int] | None:
     """Columns and rows of inner corners that the pictures show, if the board is larger than stated.
 
@@ -107,7 +107,7 @@ def whole_chessboard(
     """
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     seen: list[tuple[int, int]] = []
-    for grey in pictures:
+    for grey in images:
         cv2.setRNGSeed(0)  # as in find_board
         found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (board.columns, board.rows), flags)
         if not found or meta is None:
@@ -125,7 +125,7 @@ def _find_charuco(grey: np.ndarray, board: BoardConfig) -> BoardView:
     dictionary = _dictionary(board.dictionary_name)
     best = _nothing()
     for legacy in (False, True):  # boards of OpenCV before 4.6 begin with the other colour
-        printed = _opencv.aruco.CharucoBoard((board.columns, board.rows), 1.0, board.marker_share, dictionary)
+        printed = _opencv.aruco.CharucoBoard((board.columns, board.rows), 1.0, board.marker_ratio, dictionary)
         printed.setLegacyPattern(legacy)
         pixels, ids, _, _ = _opencv.aruco.CharucoDetector(printed).detectBoard(grey)
         if ids is not None and len(ids) > len(best):

@@ -17,7 +17,7 @@ AROUND_PX = 15
 
 
 @checked
-def follow_points(
+def track_points(
     first: UInt8[np.ndarray, "h w"],
     second: UInt8[np.ndarray, "h w"],
     pixels: Float64[np.ndarray, "n 2"],
@@ -90,8 +90,8 @@ def _equally_bright(
     return first, second
 
 
-def _brightness(picture: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+def _brightness(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """(n,) mean grey around pixels; what lies outside counts as the rim."""
-    last = np.array(picture.shape[::-1]) - 1
+    last = np.array(image.shape[::-1]) - 1
     column, row = np.rint(np.clip(np.nan_to_num(pixels), 0, last)).astype(np.int64).T
-    return cv2.blur(picture, (AROUND_PX, AROUND_PX))[row, column].astype(np.float64)
+    return cv2.blur(image, (AROUND_PX, AROUND_PX))[row, column].astype(np.float64)

@@ -95,14 +95,14 @@ def find_patches(
         raise ConfigError(f"levels must be from 1 to 8, got {levels}")
     if not (first.size and second.size):
         raise ShapeError(f"the images have no pixels: {first.shape} and {second.shape}")
-    pictures = [(first, second)]
+    images = [(first, second)]
     for _ in range(levels - 1):
-        pictures.append((cv2.pyrDown(pictures[-1][0]), cv2.pyrDown(pictures[-1][1])))
+        images.append((cv2.pyrDown(images[-1][0]), cv2.pyrDown(images[-1][1])))
     at = guess
     for level in range(levels - 1, 0, -1):
         unit = 2.0**level
         found, score = align_patches(
-            *pictures[level], pixels / unit, warps, at / unit, min(half_px, COARSE_HALF_PX)
+            *images[level], pixels / unit, warps, at / unit, min(half_px, COARSE_HALF_PX)
         )
         at = np.where((score > SIMILAR)[:, None], unit * found, at)
     return align_patches(first, second, pixels, warps, at, half_px)

@@ -14,10 +14,10 @@ from epipole.config import check_dictionary
 _opencv: Any = cv2  # its stubs lack parts of aruco
 _LEAST_SIDE_PX = 14.0
 """Of a smaller marker the edges cannot be told from each other."""
-_LEAST_PICTURE = 32
+_LEAST_IMAGE = 32
 _ROUNDS, _STEP_PX, _MARGIN = 3, 0.25, 0.15
 """Edges are placed so many times, sampled so finely across, and not nearer to a corner than this share of their length."""
-_CELL_SHARE, _HALF_PX = 0.65, (1.0, 4.0)
+_CELL_FRACTION, _HALF_PX = 0.65, (1.0, 4.0)
 """Half the width over which an edge is looked for, in cells, and its limits: the white rim ends after a cell."""
 _FURTHEST_PX = 3.0
 
@@ -49,7 +49,7 @@ def find_tags(grey: UInt8[np.ndarray, "h w"], dictionary: str) -> TagView:
     """
     check_dictionary(dictionary)
     none = TagView(np.zeros(0, np.int64), np.zeros((0, 4, 2)))
-    if min(grey.shape) < _LEAST_PICTURE:
+    if min(grey.shape) < _LEAST_IMAGE:
         return none
     grey = np.ascontiguousarray(grey)
     known = _opencv.aruco.getPredefinedDictionary(getattr(_opencv.aruco, f"DICT_{dictionary}"))
@@ -92,7 +92,7 @@ def _by_edges(grey: np.ndarray, corners: np.ndarray, cell_px: float) -> np.ndarr
     An edge is where the grey changes most: the middle of the derivative across it. Blur that is the same on both sides
     does not move it, while it draws a corner that is looked for as a corner into the marker.
     """
-    found, half = corners, float(np.clip(_CELL_SHARE * cell_px, *_HALF_PX))
+    found, half = corners, float(np.clip(_CELL_FRACTION * cell_px, *_HALF_PX))
     for _ in range(_ROUNDS):
         edges = (_edge(grey, found[k], found[(k + 1) % 4], half) for k in range(4))
         lines = [line for line in edges if line is not None]
@@ -125,9 +125,9 @@ def _edge(grey: np.ndarray, start: np.ndarray, stop: np.ndarray, half: float) ->
     good = total > 0.5 * float(np.median(total))
     if good.sum() < 4 or not np.median(total) > 5.0:
         return None
-    place = (weight @ middle)[good] / total[good]
-    points = (start + t * (stop - start))[good] + place[:, None] * across
-    near = np.abs(place - np.median(place)) <= 1.0
+    position = (weight @ middle)[good] / total[good]
+    points = (start + t * (stop - start))[good] + position[:, None] * across
+    near = np.abs(position - np.median(position)) <= 1.0
     points = points[near]
     if len(points) < 4:
         return None

@@ -18,9 +18,9 @@ def ssim_terms(mean_x, mean_y, xx, yy, xy, start, stop, scale):
     """
     one, two = np.float32(1.0), np.float32(2.0)
     total = 0.0
-    for begin in range(start, stop, BLOCK):
+    for first_item in range(start, stop, BLOCK):
         part = np.float32(0.0)
-        for k in range(begin, min(begin + BLOCK, stop)):
+        for k in range(first_item, min(first_item + BLOCK, stop)):
             mx, my = mean_x[k], mean_y[k]
             a1, b1 = two * mx * my + C1, mx * mx + my * my + C1
             a2, b2 = two * (xy[k] - mx * my) + C2, xx[k] - mx * mx + yy[k] - my * my + C2
@@ -39,9 +39,9 @@ def add_up(x, y, by_mean, by_xx, by_xy, start, stop, absolute, out):
     """Out = by_mean + 2 x by_xx + y by_xy + absolute sign(x - y), of the numbers start..stop; returns the sum of |x - y|."""
     two, zero = np.float32(2.0), np.float32(0.0)
     total = 0.0
-    for begin in range(start, stop, BLOCK):
+    for first_item in range(start, stop, BLOCK):
         part = np.float32(0.0)
-        for k in range(begin, min(begin + BLOCK, stop)):
+        for k in range(first_item, min(first_item + BLOCK, stop)):
             off = x[k] - y[k]
             sign = (absolute if off > zero else zero) - (absolute if off < zero else zero)
             part += abs(off)
@@ -66,9 +66,9 @@ def map_colours_back(
     colour, coverage, colours, background, by_mapped, start, stop, by_colour, by_coverage, part, total
 ):
     """Derivatives by C and K of the pixels start..stop; total (12,) += that by A and b, row by row; part (12,) is work."""
-    for begin in range(start, stop, BLOCK):
+    for first_item in range(start, stop, BLOCK):
         part[:] = 0.0
-        for n in range(begin, min(begin + BLOCK, stop)):
+        for n in range(first_item, min(first_item + BLOCK, stop)):
             red, green, blue = by_mapped[n, 0], by_mapped[n, 1], by_mapped[n, 2]
             by_shown = np.float32(0.0)
             for k in range(3):

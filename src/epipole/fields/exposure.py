@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from epipole import _parallel
-from epipole._checks import check_count, check_index, check_share
+from epipole._checks import check_count, check_fraction, check_index
 from epipole._declared import checked
 from epipole._declared.tables import Expected, Table
 from epipole.errors import ConfigError, ShapeError
@@ -49,7 +49,7 @@ class Exposures:
 
     @checked
     def applied(
-        self, view: int, drawn: Rendering, background: Float32[np.ndarray, " 3"]
+        self, view: int, rendered: Rendering, background: Float32[np.ndarray, " 3"]
     ) -> Float32[np.ndarray, "h w 3"]:
         """A drawing in the colours of a view, before a background, which has no part in them.
 
@@ -57,8 +57,8 @@ class Exposures:
             ConfigError: there is no such view.
         """
         check_index(view, "view", len(self.maps))
-        out = np.empty_like(drawn.colour)
-        colour, coverage = drawn.colour.reshape(-1, 3), drawn.coverage.reshape(-1)
+        out = np.empty_like(rendered.colour)
+        colour, coverage = rendered.colour.reshape(-1, 3), rendered.coverage.reshape(-1)
         _parallel.map_chunks(
             lambda a, b, _: kernels.map_colours(
                 colour, coverage, self.maps[view], background, a, b, out.reshape(-1, 3)
@@ -72,7 +72,7 @@ class Exposures:
     def learn(
         self,
         view: int,
-        drawn: Rendering,
+        rendered: Rendering,
         background: Float32[np.ndarray, " 3"],
         by_applied: Float32[np.ndarray, "h w 3"],
         progress: float,
@@ -81,7 +81,7 @@ class Exposures:
 
         Args:
             view: whose.
-            drawn: what was drawn.
+            rendered: what was drawn.
             background: (3,) colour behind it.
             by_applied: derivative of the loss by `applied`.
             progress: share of the training that is done.
@@ -91,11 +91,11 @@ class Exposures:
             ShapeError: the derivative is not of the drawing's size.
         """
         check_index(view, "view", len(self.maps))
-        check_share(progress, "progress")
-        if by_applied.shape != drawn.colour.shape:
-            raise ShapeError(f"by_applied must be {drawn.colour.shape}, got {by_applied.shape}")
-        by_colour, by_coverage = np.empty_like(drawn.colour), np.empty_like(drawn.coverage)
-        known = drawn.colour.reshape(-1, 3), drawn.coverage.reshape(-1), self.maps[view], background
+        check_fraction(progress, "progress")
+        if by_applied.shape != rendered.colour.shape:
+            raise ShapeError(f"by_applied must be {rendered.colour.shape}, got {by_applied.shape}")
+        by_colour, by_coverage = np.empty_like(rendered.colour), np.empty_like(rendered.coverage)
+        known = rendered.colour.reshape(-1, 3), rendered.coverage.reshape(-1), self.maps[view], background
         by, out = by_applied.reshape(-1, 3), (by_colour.reshape(-1, 3), by_coverage.reshape(-1))
 
         def back(start: int, stop: int, _: int) -> np.ndarray:
@@ -111,9 +111,9 @@ class Exposures:
     def taken_mean(self) -> Float32[np.ndarray, "3 4"]:
         """The mean of all maps, taken out of them: the scene's colours alone cannot be told from it, and should have it."""
         mean = self.maps.astype(np.float64).mean(axis=0)
-        turn = self.maps[:, :, :3] @ np.linalg.inv(mean[:, :3])
-        self.maps[:, :, 3] -= (turn @ mean[:, 3]).astype(np.float32)
-        self.maps[:, :, :3] = turn
+        rotation = self.maps[:, :, :3] @ np.linalg.inv(mean[:, :3])
+        self.maps[:, :, 3] -= (rotation @ mean[:, 3]).astype(np.float32)
+        self.maps[:, :, :3] = rotation
         return mean.astype(np.float32)
 
     @property
@@ -141,7 +141,7 @@ class Exposures:
 
 @checked
 def colour_match(
-    picture: Float32[np.ndarray, "h w 3"], truth: Float32[np.ndarray, "h w 3"]
+    image: Float32[np.ndarray, "h w 3"], truth: Float32[np.ndarray, "h w 3"]
 ) -> Float64[np.ndarray, "3 4"]:
     """The map of colours, A and b, that brings a picture nearest to another: linear least squares.
 
@@ -150,7 +150,7 @@ def colour_match(
     Raises:
         ShapeError: the pictures are empty, or not finite.
     """
-    flat, wanted = (part.reshape(-1, 3).astype(np.float64) for part in (picture, truth))
+    flat, wanted = (part.reshape(-1, 3).astype(np.float64) for part in (image, truth))
     if not flat.size or not (np.isfinite(flat).all() and np.isfinite(wanted).all()):
         raise ShapeError("picture and truth must have pixels, and be finite")
     known = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)

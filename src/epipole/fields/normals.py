@@ -28,10 +28,10 @@ def normals_of(depth: Float[np.ndarray, "h w"], camera: Camera) -> Float64[np.nd
         raise ShapeError(f"depth is {depth.shape[::-1]}, its camera {camera.width} x {camera.height}")
     row, column = np.mgrid[: camera.height, : camera.width]
     rays = camera.unproject(np.stack([column, row], axis=2).reshape(-1, 2).astype(np.float64))
-    places = (rays / rays[:, 2:]).reshape(*depth.shape, 3) * depth.astype(np.float64)[..., None]
-    out = np.full(places.shape, np.nan)
-    right = places[1:-1, 2:] - places[1:-1, :-2]
-    down = places[2:, 1:-1] - places[:-2, 1:-1]
+    positions = (rays / rays[:, 2:]).reshape(*depth.shape, 3) * depth.astype(np.float64)[..., None]
+    out = np.full(positions.shape, np.nan)
+    right = positions[1:-1, 2:] - positions[1:-1, :-2]
+    down = positions[2:, 1:-1] - positions[:-2, 1:-1]
     across = np.cross(down, right)  # y is down: towards the camera
     with np.errstate(invalid="ignore", divide="ignore"):
         out[1:-1, 1:-1] = across / np.linalg.norm(across, axis=2, keepdims=True)

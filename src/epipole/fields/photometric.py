@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from epipole import _parallel
-from epipole._checks import check_share
+from epipole._checks import check_fraction
 from epipole._declared import checked
 from epipole.errors import ShapeError
 from epipole.fields import _photometric_kernels as kernels
@@ -20,28 +20,28 @@ TOGETHER = 32_768
 _WINDOW = cv2.getGaussianKernel(WINDOW_PX, SIGMA_PX).astype(np.float32)
 
 
-class Likeness(NamedTuple):
+class PhotometricLoss(NamedTuple):
     """A loss, its parts and its derivative."""
 
     loss: float
     """(1 - w) mean |x - y| + w (1 - SSIM)."""
     l1: float
     ssim: float
-    by_picture: np.ndarray
+    by_image: np.ndarray
     """(h, w, 3)"""
 
 
 @checked
-def likeness(
-    picture: Float32[np.ndarray, "h w 3"], truth: Float32[np.ndarray, "h w 3"], ssim_weight: float = 0.2
-) -> Likeness:
+def photometric_loss(
+    image: Float32[np.ndarray, "h w 3"], truth: Float32[np.ndarray, "h w 3"], ssim_weight: float = 0.2
+) -> PhotometricLoss:
     """L1 and SSIM (Wang et al., IEEE TIP 2004) of pictures from 0 to 1, and the derivative of the loss by the first.
 
     Windows are Gaussian, 11 pixels wide, with zeros beyond the edges, as in 3D Gaussian Splatting. A blur is its own
     transpose: dL/dx = B(dL/dB(x)) + 2 x B(dL/dB(x x)) + y B(dL/dB(x y)).
 
     Args:
-        picture: x.
+        image: x.
         truth: y.
         ssim_weight: w, from 0 to 1.
 
@@ -49,11 +49,11 @@ def likeness(
         ShapeError: the pictures are empty.
         ConfigError: the weight is not from 0 to 1.
     """
-    check_share(ssim_weight, "ssim_weight")
-    if not picture.size:
+    check_fraction(ssim_weight, "ssim_weight")
+    if not image.size:
         raise ShapeError("a picture without pixels is like nothing")
-    n = picture.size
-    pairs = ((picture, None), (truth, None), (picture, picture), (truth, truth), (picture, truth))
+    n = image.size
+    pairs = ((image, None), (truth, None), (image, image), (truth, truth), (image, truth))
     blurred = _parallel.map_items(lambda k: _blurred(*pairs[k]), 5)
     flat, scale = [part.reshape(-1) for part in blurred], np.float32(-ssim_weight / n)
     totals = _parallel.map_chunks(
@@ -61,30 +61,30 @@ def likeness(
     )
     back = [blurred[0], blurred[2], blurred[4]]
     by = _parallel.map_items(lambda k: _blurred(back[k]), 3)
-    out, share = np.empty_like(picture), np.float32((1.0 - ssim_weight) / n)
-    flat = [part.reshape(-1) for part in (np.ascontiguousarray(picture), np.ascontiguousarray(truth), *by)]
+    out, fraction = np.empty_like(image), np.float32((1.0 - ssim_weight) / n)
+    flat = [part.reshape(-1) for part in (np.ascontiguousarray(image), np.ascontiguousarray(truth), *by)]
     absolutes = _parallel.map_chunks(
-        lambda a, b, _: kernels.add_up(*flat, a, b, share, out.reshape(-1)), n, -(-n // TOGETHER)
+        lambda a, b, _: kernels.add_up(*flat, a, b, fraction, out.reshape(-1)), n, -(-n // TOGETHER)
     )
     absolute, total = sum(absolutes), sum(totals)
     l1, ssim = float(absolute) / n, float(total) / n
-    return Likeness((1.0 - ssim_weight) * l1 + ssim_weight * (1.0 - ssim), l1, ssim, out)
+    return PhotometricLoss((1.0 - ssim_weight) * l1 + ssim_weight * (1.0 - ssim), l1, ssim, out)
 
 
 @checked
-def psnr(picture: Float32[np.ndarray, "h w 3"], truth: Float32[np.ndarray, "h w 3"]) -> float:
+def psnr(image: Float32[np.ndarray, "h w 3"], truth: Float32[np.ndarray, "h w 3"]) -> float:
     """Peak signal to noise, in dB, of pictures from 0 to 1; infinite for the same.
 
     Raises:
         ShapeError: the pictures are empty, or not finite.
     """
-    if not picture.size or not (np.isfinite(picture).all() and np.isfinite(truth).all()):
+    if not image.size or not (np.isfinite(image).all() and np.isfinite(truth).all()):
         raise ShapeError("picture and truth must have pixels, and be finite")
-    error = float(np.mean((np.clip(picture, 0.0, 1.0) - truth) ** 2, dtype=np.float64))
+    error = float(np.mean((np.clip(image, 0.0, 1.0) - truth) ** 2, dtype=np.float64))
     return float(-10.0 * np.log10(error)) if error > 0 else float("inf")
 
 
-def _blurred(picture: np.ndarray, other: np.ndarray | None = None) -> np.ndarray:
+def _blurred(image: np.ndarray, other: np.ndarray | None = None) -> np.ndarray:
     """Of a picture, or of its product with another."""
-    source = picture if other is None else picture * other
+    source = image if other is None else image * other
     return cv2.sepFilter2D(source, -1, _WINDOW, _WINDOW, borderType=cv2.BORDER_CONSTANT)

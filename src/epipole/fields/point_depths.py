@@ -38,26 +38,26 @@ class DepthLoss(NamedTuple):
 def point_depths(view: TrainingView) -> PointDepths:
     """Of the points that a view shows; of two in one pixel, the nearer."""
     points = np.zeros((0, 3)) if view.points_in_world is None else view.points_in_world
-    places = view.cam_from_world.apply(points)
-    pixels = view.camera.project(places)
-    inside = np.isfinite(pixels).all(axis=1) & (places[:, 2] > 0)
+    positions = view.cam_from_world.apply(points)
+    pixels = view.camera.project(positions)
+    inside = np.isfinite(pixels).all(axis=1) & (positions[:, 2] > 0)
     at = np.rint(np.where(inside[:, None], pixels, -1.0)).astype(np.int64)
     inside &= (at >= 0).all(axis=1) & (at[:, 0] < view.camera.width) & (at[:, 1] < view.camera.height)
-    column, row, depth = at[inside, 0], at[inside, 1], places[inside, 2]
+    column, row, depth = at[inside, 0], at[inside, 1], positions[inside, 2]
     order = np.argsort(depth, kind="stable")
     first = order[np.unique(row[order] * view.camera.width + column[order], return_index=True)[1]]
     return PointDepths(row[first], column[first], depth[first].astype(np.float32))
 
 
-def depth_loss(drawn: Rendering, known: PointDepths, weight: float) -> DepthLoss:
+def depth_loss(rendered: Rendering, known: PointDepths, weight: float) -> DepthLoss:
     """With D the depth times coverage C, the depth of a pixel is D / C."""
-    by_depth, by_coverage = np.zeros_like(drawn.depth), np.zeros_like(drawn.coverage)
+    by_depth, by_coverage = np.zeros_like(rendered.depth), np.zeros_like(rendered.coverage)
     at = known.row, known.column
-    shown = drawn.coverage[at] > LEAST_COVERAGE
+    shown = rendered.coverage[at] > LEAST_COVERAGE
     at = known.row[shown], known.column[shown]
     if not len(at[0]):
         return DepthLoss(0.0, by_depth, by_coverage)
-    depth, coverage = drawn.depth[at], drawn.coverage[at]
+    depth, coverage = rendered.depth[at], rendered.coverage[at]
     off = np.log(depth / (coverage * known.depth[shown]))
     sign = np.sign(off) * np.float32(weight / len(off))
     by_depth[at], by_coverage[at] = sign / depth, -sign / coverage

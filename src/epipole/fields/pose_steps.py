@@ -43,8 +43,8 @@ class PoseSteps:
 
     def state(self) -> dict[str, np.ndarray]:
         """All that the next steps depend on."""
-        rotations = np.stack([place.rotation for place in self.cams_from_world])
-        translations = np.stack([place.translation for place in self.cams_from_world])
+        rotations = np.stack([position.rotation for position in self.cams_from_world])
+        translations = np.stack([position.translation for position in self.cams_from_world])
         return {"pose_rotation": rotations, "pose_translation": translations, **self._adam.state("pose")}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:

@@ -25,7 +25,7 @@ class Rays(NamedTuple):
     """(total, 4) uint8, of all pictures."""
     offset: np.ndarray
     width: np.ndarray
-    lens: np.ndarray
+    intrinsics: np.ndarray
     """(views, 4) focal lengths and middle."""
     rotation: np.ndarray
     center: np.ndarray
@@ -44,7 +44,7 @@ def rays_of(views: Sequence[TrainingView]) -> Rays:
         raise ConfigError("there is no picture to train on")
     pixels, offset = [], [0]
     for view in views:
-        flat = view.picture.reshape(-1, view.picture.shape[2])
+        flat = view.image.reshape(-1, view.image.shape[2])
         if flat.shape[1] == 3:
             flat = np.concatenate([flat, np.full((len(flat), 1), FULL, np.uint8)], axis=1)
         pixels.append(flat)
@@ -53,12 +53,12 @@ def rays_of(views: Sequence[TrainingView]) -> Rays:
         np.ascontiguousarray(np.concatenate(pixels)),
         np.array(offset, np.int64),
         np.array([view.camera.width for view in views], np.int64),
-        *_places([view.camera for view in views], [view.cam_from_world for view in views]),
+        *_positions([view.camera for view in views], [view.cam_from_world for view in views]),
         _used(views, offset),
     )
 
 
-def drawn_pixels(rays: Rays, count: int, rng: np.random.Generator) -> np.ndarray:
+def pixels_to_render(rays: Rays, count: int, rng: np.random.Generator) -> np.ndarray:
     """So many pixels of all that are learnt from."""
     if not len(rays.used):
         return rng.integers(0, len(rays.pixels), count)
@@ -73,7 +73,7 @@ def _used(views: Sequence[TrainingView], offset: list[int]) -> np.ndarray:
     """
     if all(view.used_mask is None for view in views):
         return np.empty(0, np.int64)
-    masks = [np.ones(v.picture.shape[:2], bool) if v.used_mask is None else v.used_mask for v in views]
+    masks = [np.ones(v.image.shape[:2], bool) if v.used_mask is None else v.used_mask for v in views]
     used = np.concatenate([start + np.flatnonzero(mask) for start, mask in zip(offset, masks)])
     if not len(used):
         raise ConfigError("the masks leave no pixel of any picture")
@@ -98,16 +98,18 @@ def rays_of_camera(camera: Camera, cam_from_world: Rigid3) -> Rays:
         none,
         np.zeros(2, np.int64),
         np.array([camera.width]),
-        *_places([camera], [cam_from_world]),
+        *_positions([camera], [cam_from_world]),
         np.empty(0, np.int64),
     )
 
 
-def _places(cameras: Sequence[Camera], places: Sequence[Rigid3]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    lens = [[camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]] for camera in cameras]
-    rotation = [place.rotation.reshape(9) for place in places]
-    centers = [place.inverse().translation for place in places]
-    return np.array(lens), np.array(rotation), np.array(centers)
+def _positions(
+    cameras: Sequence[Camera], positions: Sequence[Rigid3]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    intrinsics = [[camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]] for camera in cameras]
+    rotation = [position.rotation.reshape(9) for position in positions]
+    centers = [position.inverse().translation for position in positions]
+    return np.array(intrinsics), np.array(rotation), np.array(centers)
 
 
 def blocks_of(cells: np.ndarray) -> np.ndarray:

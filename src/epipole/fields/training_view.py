@@ -19,7 +19,7 @@ class TrainingView(Declared):
     """A picture without distortion, and its camera."""
 
     name: str
-    picture: UInt8[np.ndarray, "h w c"]
+    image: UInt8[np.ndarray, "h w c"]
     """RGB, or RGBA with straight alpha."""
     camera: Camera
     cam_from_world: Rigid3
@@ -35,14 +35,14 @@ class TrainingView(Declared):
             ShapeError: they do not.
         """
         check_fields(self)
-        if self.picture.shape != (self.camera.height, self.camera.width, self.picture.shape[2]):
+        if self.image.shape != (self.camera.height, self.camera.width, self.image.shape[2]):
             raise ShapeError(f"{self.name}: the picture is not of its camera's size")
         if self.cam_from_world.batch_shape() != ():
             raise ShapeError(f"{self.name}: cam_from_world must be a single motion")
         if not np.isfinite(self.cam_from_world.as_matrix()).all():
             raise ShapeError(f"{self.name}: cam_from_world is not finite")
-        if self.picture.shape[2] not in (3, 4):
-            raise ShapeError(f"{self.name}: a picture has 3 or 4 channels, got {self.picture.shape[2]}")
+        if self.image.shape[2] not in (3, 4):
+            raise ShapeError(f"{self.name}: a picture has 3 or 4 channels, got {self.image.shape[2]}")
 
     def __repr__(self) -> str:
         return f"TrainingView({self.name!r}, {self.camera.width} x {self.camera.height})"
@@ -65,19 +65,19 @@ class TrainingView(Declared):
         params[:2] /= factor
         params[2:4] = (params[2:4] + 0.5) / factor - 0.5
         camera = Camera(self.camera.model, width, height, params)
-        cut = self.picture[: height * factor, : width * factor]
+        cut = self.image[: height * factor, : width * factor]
         mask = self.used_mask
         if mask is not None:
             mask = shrunk_mask(mask[: height * factor, : width * factor], (width, height))
-        return replace(self, picture=shrunk(cut, (width, height)), camera=camera, used_mask=mask)
+        return replace(self, image=shrunk(cut, (width, height)), camera=camera, used_mask=mask)
 
     @checked
     def over(self, background: Float32[np.ndarray, " 3"]) -> Float32[np.ndarray, "h w 3"]:
         """The picture from 0 to 1, before a background of one colour."""
-        rgb = self.picture[..., :3].astype(np.float32) / np.float32(255.0)
-        if self.picture.shape[2] == 3:
+        rgb = self.image[..., :3].astype(np.float32) / np.float32(255.0)
+        if self.image.shape[2] == 3:
             return rgb
-        alpha = self.picture[..., 3:].astype(np.float32) / np.float32(255.0)
+        alpha = self.image[..., 3:].astype(np.float32) / np.float32(255.0)
         return rgb * alpha + (np.float32(1.0) - alpha) * background
 
 
@@ -87,12 +87,12 @@ def shrunk_mask(used_mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return np.asarray(cv2.resize(full, size, interpolation=cv2.INTER_AREA) == 255)
 
 
-def shrunk(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+def shrunk(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """A picture in another, smaller size: the mean of pixels, of colours weighed by alpha."""
-    if picture.shape[2] == 3:
-        return cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    alpha = picture[..., 3:].astype(np.float32)
-    colour = cv2.resize(picture[..., :3] * alpha, size, interpolation=cv2.INTER_AREA)
+    if image.shape[2] == 3:
+        return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    alpha = image[..., 3:].astype(np.float32)
+    colour = cv2.resize(image[..., :3] * alpha, size, interpolation=cv2.INTER_AREA)
     mean = cv2.resize(alpha, size, interpolation=cv2.INTER_AREA)[..., None]
     rgb = np.divide(colour, mean, out=np.zeros_like(colour), where=mean > 0)
     return np.rint(np.concatenate([rgb, mean], axis=2)).astype(np.uint8)

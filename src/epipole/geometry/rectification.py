@@ -54,12 +54,12 @@ def rectifying_homographies(
     # Turn by less than a quarter: the picture stays upright.
     length = np.hypot(e[0], e[1])
     cos, sin = (e[:2] if e[0] >= 0 else -e[:2]) / length
-    turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    along = turn @ e
+    rotation = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    along = rotation @ e
     to_infinity = np.eye(3)
     to_infinity[2, 0] = -along[2] / along[0]
     back = np.linalg.inv(center)
-    H2 = back @ to_infinity @ turn @ center
+    H2 = back @ to_infinity @ rotation @ center
     # F = [e2]x M for M = [e2]x^T F + e2 w^T with any w; it brings image 1 to lie beside image 2.
     M = skew(e2).T @ F
     M = M + np.outer(e2, [1.0, 1.0, 1.0]) * np.linalg.norm(M) / np.linalg.norm(np.outer(e2, [1.0, 1.0, 1.0]))

@@ -90,11 +90,11 @@ class Rigid2(Batch):
 
     def as_rigid3(self) -> Rigid3:
         """The same motion of the plane z = 0 in space."""
-        turn = np.zeros((*self.angle_rad.shape, 3))
-        turn[..., 2] = self.angle_rad
+        rotation = np.zeros((*self.angle_rad.shape, 3))
+        rotation[..., 2] = self.angle_rad
         shift = np.zeros((*self.angle_rad.shape, 3))
         shift[..., :2] = self.translation
-        return Rigid3(Rotation3.exp(turn).matrix, shift)
+        return Rigid3(Rotation3.exp(rotation).matrix, shift)
 
     @staticmethod
     @checked

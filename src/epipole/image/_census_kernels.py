@@ -25,7 +25,7 @@ def census_rows(image, half_width, half_height, start, stop, out):
     bits = np.empty((planes, width), np.uint8)
     for y in range(start, stop):
         bits[:] = 0
-        place = 0
+        position = 0
         for dy in range(-half_height, half_height + 1):
             row = image[min(max(y + dy, 0), height - 1)]
             padded[:half_width] = row[0]
@@ -34,8 +34,10 @@ def census_rows(image, half_width, half_height, start, stop, out):
             for n in range(2 * half_width + 1):
                 if dy == 0 and n == half_width:
                     continue
-                _mark_darker(padded[n : n + width], image[y], np.uint8(1 << (place & 7)), bits[place >> 3])
-                place += 1
+                _mark_darker(
+                    padded[n : n + width], image[y], np.uint8(1 << (position & 7)), bits[position >> 3]
+                )
+                position += 1
         for x in range(width):
             for p in range(planes):
                 out[y, x, p] = bits[p, x]

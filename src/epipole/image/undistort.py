@@ -56,7 +56,7 @@ def undistorted_camera(camera: Camera) -> Camera:
     fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
     if camera.model in (CameraModel.SIMPLE_PINHOLE, CameraModel.PINHOLE):
         return Camera(CameraModel.PINHOLE, camera.width, camera.height, np.array([fx, fy, cx, cy]))
-    view = _limited(_view_of_lens(camera), MAX_GROWTH * camera.width * camera.height / (fx * fy))
+    view = _limited(_view_of_camera(camera), MAX_GROWTH * camera.width * camera.height / (fx * fy))
     width, height = _size_of(camera, view)
     if width < max(1.0, MIN_SIDE * camera.width) or height < max(1.0, MIN_SIDE * camera.height):
         raise DegenerateGeometryError(
@@ -103,7 +103,7 @@ def undistortion_map_px(camera: Camera, pinhole: Camera) -> Float32[np.ndarray, 
     return source.reshape(pinhole.height, pinhole.width, 2)
 
 
-def _view_of_lens(camera: Camera) -> _View:
+def _view_of_camera(camera: Camera) -> _View:
     """The view between the sides of the image; the largest one where the distortion does not reach all of them."""
     within, is_whole = _view_within_border(camera)
     is_visible = within is not None and _is_visible(camera, _in_pixels(camera, within))

@@ -22,7 +22,7 @@ class States(NamedTuple):
 
     rotation: np.ndarray  # (n, 3, 3) world_from_imu
     velocity: np.ndarray  # (n, 3)
-    place: np.ndarray  # (n, 3)
+    position: np.ndarray  # (n, 3)
     bias: np.ndarray  # (n, 6)
     log_scale: float
     gravity: np.ndarray  # (3,), its length stays
@@ -65,14 +65,14 @@ class InertialProblem:
     def moved(self, states: States, step: np.ndarray) -> States:
         """The states after a step."""
         own = step[: self.scale_column].reshape(-1, LANES)
-        turn = _across(states.gravity) @ step[self.scale_column + 1 :]
+        rotation = _across(states.gravity) @ step[self.scale_column + 1 :]
         return States(
             states.rotation @ Rotation3.exp(own[:, :3]).matrix,
             states.velocity + own[:, 3:6],
-            states.place + own[:, 6:9],
+            states.position + own[:, 6:9],
             states.bias + own[:, 9:],
             states.log_scale + float(np.clip(step[self.scale_column], -1.0, 1.0)),
-            Rotation3.exp(turn).apply(states.gravity),
+            Rotation3.exp(rotation).apply(states.gravity),
         )
 
     def normal_equations(self, states: States) -> tuple[scipy.sparse.csc_matrix, np.ndarray]:
@@ -90,9 +90,14 @@ class InertialProblem:
         """
         normal, _ = self.normal_equations(states)
         inverse = np.linalg.inv(normal.toarray() + 1e-12 * np.eye(normal.shape[0]))
-        imu, _, places, turns, _ = self._terms(states)
+        imu, _, positions, rotations, _ = self._terms(states)
         out = []
-        for terms, rows in ((imu, slice(0, 3)), (imu, slice(3, 9)), (places, slice(3)), (turns, slice(3))):
+        for terms, rows in (
+            (imu, slice(0, 3)),
+            (imu, slice(3, 9)),
+            (positions, slice(3)),
+            (rotations, slice(3)),
+        ):
             m, r = terms.residual.shape
             own = np.arange(m * r).reshape(m, r)[:, rows].ravel()
             jacobian = self._jacobian(terms).tocsr()[own]
@@ -115,7 +120,7 @@ class InertialProblem:
 
     def _terms(self, states: States) -> list[Terms]:
         imu, walk, first = self.imu_terms(states)
-        return [imu, walk, self._of_places(states), self._of_turns(states), first]
+        return [imu, walk, self._of_poses(states), self._of_rotations(states), first]
 
     def imu_terms(self, states: States) -> list[Terms]:
         """Those of the unit alone: measurements, walk of the biases, and what is known of the first."""
@@ -126,28 +131,31 @@ class InertialProblem:
         data, dt = self.measured, self.measured.seconds[:, None]
         first = LANES * np.arange(len(dt))
         change = states.bias[:-1] - np.concatenate([self.integrated_at, np.zeros(3)])
-        turned, gained, went = data.at_biases(change)
+        rotated, gained, went = data.at_biases(change)
         back = np.swapaxes(states.rotation[:-1], 1, 2)
         faster = states.velocity[1:] - states.velocity[:-1] - states.gravity * dt
         further = (
-            states.place[1:] - states.place[:-1] - states.velocity[:-1] * dt - 0.5 * states.gravity * dt**2
+            states.position[1:]
+            - states.position[:-1]
+            - states.velocity[:-1] * dt
+            - 0.5 * states.gravity * dt**2
         )
         there = back @ states.rotation[1:]
-        off = Rotation3(np.swapaxes(turned, 1, 2) @ there).log()
-        by_speed, by_place = (back @ faster[..., None])[..., 0], (back @ further[..., None])[..., 0]
-        residual = np.concatenate([off, by_speed - gained, by_place - went], axis=1)
+        off = Rotation3(np.swapaxes(rotated, 1, 2) @ there).log()
+        by_speed, by_position = (back @ faster[..., None])[..., 0], (back @ further[..., None])[..., 0]
+        residual = np.concatenate([off, by_speed - gained, by_position - went], axis=1)
         root = np.linalg.inv(np.linalg.cholesky(data.covariance))
         m = len(dt)
         here, next_one = np.zeros((m, 9, LANES)), np.zeros((m, 9, 9))
-        right = _of_turn(off)
+        right = _of_rotation(off)
         here[:, :3, :3] = -right @ np.swapaxes(there, 1, 2)
-        here[:, 3:6, :3], here[:, 6:, :3] = skew(by_speed), skew(by_place)
+        here[:, 3:6, :3], here[:, 6:, :3] = skew(by_speed), skew(by_position)
         here[:, 3:6, 3:6], here[:, 6:, 3:6] = -back, -back * dt[..., None]
         here[:, 6:, 6:9] = -back
         here[:, 3:, 9:] = -data.by_bias[:, 3:]
         # The correction of the turn, exp(c), comes first: -J_r^-1(r) exp(r)^T J_r(c) dc/db.
         corrected = (data.by_bias[:, :3] @ change[..., None])[..., 0]
-        by_bias = np.linalg.solve(_of_turn(corrected), data.by_bias[:, :3])
+        by_bias = np.linalg.solve(_of_rotation(corrected), data.by_bias[:, :3])
         here[:, :3, 9:] = -right @ np.swapaxes(Rotation3.exp(off).matrix, 1, 2) @ by_bias
         next_one[:, :3, :3] = right
         next_one[:, 3:6, 3:6] = next_one[:, 6:, 6:9] = back
@@ -167,11 +175,11 @@ class InertialProblem:
         weight = np.eye(6) / sigma[:, :, None]
         return Terms(np.diff(states.bias, axis=0) / sigma, [(first, -weight), (first + LANES, weight)])
 
-    def _of_places(self, states: States) -> Terms:
+    def _of_poses(self, states: States) -> Terms:
         """Where the camera was by the unit's state, in the path's unit, less where the path says."""
         shrunk, sigma = np.exp(-states.log_scale), self.path_sigma[0]
         mount = self.camera_from_imu.inverse().translation
-        metric = states.place + states.rotation @ mount
+        metric = states.position + states.rotation @ mount
         off = (shrunk * metric - self.world_from_camera.translation) / sigma
         n = len(off)
         by_state = np.zeros((n, 3, 9))
@@ -180,20 +188,20 @@ class InertialProblem:
         by_scale = (-shrunk / sigma * metric)[..., None]
         return Terms(off, [(LANES * np.arange(n), by_state), (np.array(self.scale_column), by_scale)])
 
-    def _of_turns(self, states: States) -> Terms:
+    def _of_rotations(self, states: States) -> Terms:
         seen = self.world_from_camera.rotation @ self.camera_from_imu.rotation
         off = Rotation3(np.swapaxes(seen, 1, 2) @ states.rotation).log()
-        by_turn = _of_turn(off) / self.path_sigma[1]
-        return Terms(off / self.path_sigma[1], [(LANES * np.arange(len(off)), by_turn)])
+        by_rotation = _of_rotation(off) / self.path_sigma[1]
+        return Terms(off / self.path_sigma[1], [(LANES * np.arange(len(off)), by_rotation)])
 
     def _of_first_bias(self, states: States) -> Terms:
         sigma = np.repeat([self.noise.gyro_bias_sigma, self.noise.accel_bias_sigma], 3)
         return Terms(states.bias[:1] / sigma, [(np.array(9), np.diag(1.0 / sigma)[None])])
 
 
-def _of_turn(turn: np.ndarray) -> np.ndarray:
+def _of_rotation(rotation: np.ndarray) -> np.ndarray:
     """(n, 3, 3) inverse right Jacobian of SO(3): that of a motion without translation."""
-    motion = np.concatenate([np.zeros_like(turn), turn], axis=1)
+    motion = np.concatenate([np.zeros_like(rotation), rotation], axis=1)
     return inverse_right_jacobian(motion)[:, 3:, 3:]
 
 

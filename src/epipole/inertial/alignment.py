@@ -18,7 +18,7 @@ from epipole.inertial.preintegration import Preintegrated, preintegrate
 GRAVITY = 9.81
 LEAST_POSES, MOST_POSES = 8, 200
 """The second: variances are found with a dense inverse of 15 numbers a pose."""
-MOST_STEPS, SETTLED = 30, 1e-6
+MOST_STEPS, CONVERGED = 30, 1e-6
 LARGEST_SIGMA = 0.05
 """Of the scale's logarithm: known worse than this it is not named."""
 OPEN = 0.5
@@ -61,8 +61,8 @@ def align_path_to_imu(
     log: ImuLog,
     camera_from_imu: Rigid3,
     noise: ImuNoise | None = None,
-    place_sigma: float | None = None,
-    turn_sigma_rad: float = 2e-3,
+    position_sigma: float | None = None,
+    rotation_sigma_rad: float = 2e-3,
 ) -> InertialAlignment:
     """Scale, gravity, biases and velocities by least squares of all (maximum a posteriori).
 
@@ -79,8 +79,8 @@ def align_path_to_imu(
         log: measurements that cover them.
         camera_from_imu: how the unit is mounted, in metres.
         noise: densities; None: the defaults.
-        place_sigma: deviation of a coordinate of the path's places, in its unit; None: found from what is left over.
-        turn_sigma_rad: deviation of its rotations.
+        position_sigma: deviation of a coordinate of the path's places, in its unit; None: found from what is left over.
+        rotation_sigma_rad: deviation of its rotations.
 
     Raises:
         DegenerateGeometryError: scale and gravity cannot be told; the message says why.
@@ -88,22 +88,22 @@ def align_path_to_imu(
         ConfigError: a deviation is not positive, or there are more than 200 poses.
     """
     noise = ImuNoise() if noise is None else noise
-    _check(timestamp_s, world_from_camera, place_sigma, turn_sigma_rad)
+    _check(timestamp_s, world_from_camera, position_sigma, rotation_sigma_rad)
     _check_mounting(camera_from_imu)
     extent = float(np.ptp(world_from_camera.translation, axis=0).max())
     if not extent > 0:
         raise DegenerateGeometryError("the camera rests: an IMU tells no scale then")
-    given = place_sigma if place_sigma is not None else 1e-3 * extent
+    given = position_sigma if position_sigma is not None else 1e-3 * extent
     gyro_bias = _gyro_bias(timestamp_s, world_from_camera, log, camera_from_imu, noise)
     measured = preintegrate(log, timestamp_s, gyro_bias, np.zeros(3), noise)
     states = _linear_start(measured, world_from_camera, camera_from_imu, gyro_bias, noise)
     problem = InertialProblem(
-        measured, world_from_camera, camera_from_imu, noise, (given, turn_sigma_rad), gyro_bias
+        measured, world_from_camera, camera_from_imu, noise, (given, rotation_sigma_rad), gyro_bias
     )
     try:
         states = _minimum(problem, states)
         stated = problem.misfit(states)
-        if place_sigma is None:
+        if position_sigma is None:
             problem, states = _with_found_deviations(problem, states, log, timestamp_s)
         return _judged(problem, states, extent, stated)
     except np.linalg.LinAlgError as error:
@@ -119,32 +119,32 @@ def _with_found_deviations(
     for _ in range(ROUNDS):
         if _sigma_of_log_scale(problem, states) > OPEN:
             break
-        gyro, accel, place, turn = np.sqrt(problem.variance_factors(states))
+        gyro, accel, position, rotation = np.sqrt(problem.variance_factors(states))
         noise = replace(
             noise,
             gyro_density=max(noise.gyro_density * gyro, stated.gyro_density),
             accel_density=max(noise.accel_density * accel, stated.accel_density),
         )
         sigmas = (
-            max(problem.path_sigma[0] * place, LEAST_SIGMA * extent),
-            max(problem.path_sigma[1] * turn, LEAST_SIGMA),
+            max(problem.path_sigma[0] * position, LEAST_SIGMA * extent),
+            max(problem.path_sigma[1] * rotation, LEAST_SIGMA),
         )
         measured = preintegrate(log, times, problem.integrated_at, np.zeros(3), noise)
         problem = replace(problem, measured=measured, noise=noise, path_sigma=sigmas)
         states = _minimum(problem, states)
-        if max(abs(np.log([gyro, accel, place, turn]))) < 0.05:
+        if max(abs(np.log([gyro, accel, position, rotation]))) < 0.05:
             break
     return problem, states
 
 
-def _check(times: np.ndarray, poses: Rigid3, place_sigma: float | None, turn_sigma: float) -> None:
+def _check(times: np.ndarray, poses: Rigid3, position_sigma: float | None, rotation_sigma: float) -> None:
     if poses.batch_shape() != times.shape:
         raise ShapeError(f"{len(times)} times are given for {poses.batch_shape()} poses")
     if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
         raise ShapeError("times of poses must be finite and rise")
     if not (np.isfinite(poses.rotation).all() and np.isfinite(poses.translation).all()):
         raise ShapeError("poses must be finite")
-    if (place_sigma is not None and not 0 < place_sigma < np.inf) or not 0 < turn_sigma < np.inf:
+    if (position_sigma is not None and not 0 < position_sigma < np.inf) or not 0 < rotation_sigma < np.inf:
         raise ConfigError("place_sigma and turn_sigma_rad must be positive and finite")
     if len(times) > MOST_POSES:
         raise ConfigError(
@@ -163,8 +163,8 @@ def _gyro_bias(
     times: np.ndarray, poses: Rigid3, log: ImuLog, mounting: Rigid3, noise: ImuNoise
 ) -> np.ndarray:
     """By least squares of the turns between poses, to first order, twice."""
-    turned = Rotation3(poses.rotation @ mounting.rotation)
-    seen, bias = turned[:-1].inverse() @ turned[1:], np.zeros(3)
+    rotated = Rotation3(poses.rotation @ mounting.rotation)
+    seen, bias = rotated[:-1].inverse() @ rotated[1:], np.zeros(3)
     for _ in range(2):
         measured = preintegrate(log, times, bias, np.zeros(3), noise)
         off = (Rotation3(measured.rotation).inverse() @ seen).log()
@@ -178,33 +178,35 @@ def _linear_start(
 ) -> States:
     """Velocities, scale, gravity and the accelerometer's bias: what is integrated is linear in them."""
     n = len(poses.translation)
-    turned = poses.rotation @ mounting.rotation
+    rotated = poses.rotation @ mounting.rotation
     lever = (poses.rotation @ mounting.translation[:, None])[..., 0]  # from camera to unit, in the world
     dt = measured.seconds
     columns = 3 * n + 7
-    by_place, by_speed = np.zeros((n - 1, 3, columns)), np.zeros((n - 1, 3, columns))
+    by_position, by_speed = np.zeros((n - 1, 3, columns)), np.zeros((n - 1, 3, columns))
     rows, axes = np.arange(n - 1)[:, None], np.arange(3)
-    by_place[:, :, 3 * n] = np.diff(poses.translation, axis=0)
-    by_place[rows, axes, 3 * rows + axes] = -dt[:, None]
-    by_place[rows, axes, 3 * n + 1 + axes] = -0.5 * dt[:, None] ** 2
-    by_place[:, :, 3 * n + 4 :] = -turned[:-1] @ measured.by_bias[:, 6:, 3:]
+    by_position[:, :, 3 * n] = np.diff(poses.translation, axis=0)
+    by_position[rows, axes, 3 * rows + axes] = -dt[:, None]
+    by_position[rows, axes, 3 * n + 1 + axes] = -0.5 * dt[:, None] ** 2
+    by_position[:, :, 3 * n + 4 :] = -rotated[:-1] @ measured.by_bias[:, 6:, 3:]
     by_speed[rows, axes, 3 * rows + axes] = -1.0
     by_speed[rows, axes, 3 * rows + 3 + axes] = 1.0
     by_speed[rows, axes, 3 * n + 1 + axes] = -dt[:, None]
-    by_speed[:, :, 3 * n + 4 :] = -turned[:-1] @ measured.by_bias[:, 3:6, 3:]
-    went = (turned[:-1] @ measured.position[..., None])[..., 0] - np.diff(lever, axis=0)
-    gained = (turned[:-1] @ measured.velocity[..., None])[..., 0]
+    by_speed[:, :, 3 * n + 4 :] = -rotated[:-1] @ measured.by_bias[:, 3:6, 3:]
+    went = (rotated[:-1] @ measured.position[..., None])[..., 0] - np.diff(lever, axis=0)
+    gained = (rotated[:-1] @ measured.velocity[..., None])[..., 0]
     prior = np.zeros((3, columns))
     prior[:, 3 * n + 4 :] = np.eye(3) * np.median(dt) ** 2 / noise.accel_bias_sigma / 10.0
-    left = np.concatenate([by_place.reshape(-1, columns), by_speed.reshape(-1, columns), prior])
+    left = np.concatenate([by_position.reshape(-1, columns), by_speed.reshape(-1, columns), prior])
     right = np.concatenate([went.ravel(), gained.ravel(), np.zeros(3)])
     found = np.linalg.lstsq(left, right, rcond=None)[0]
     scale, gravity = abs(float(found[3 * n])), found[3 * n + 1 : 3 * n + 4]
     scale = max(scale, 1e-6)
     gravity = GRAVITY * gravity / max(float(np.linalg.norm(gravity)), 1e-9)
     biases = np.tile(np.concatenate([gyro_bias, np.zeros(3)]), (n, 1))
-    places = scale * poses.translation + lever
-    return States(turned, found[: 3 * n].reshape(-1, 3).copy(), places, biases, float(np.log(scale)), gravity)
+    positions = scale * poses.translation + lever
+    return States(
+        rotated, found[: 3 * n].reshape(-1, 3).copy(), positions, biases, float(np.log(scale)), gravity
+    )
 
 
 def _minimum(problem: InertialProblem, states: States) -> States:
@@ -224,7 +226,7 @@ def _minimum(problem: InertialProblem, states: States) -> States:
             break
         gain, states, cost = cost - after, moved, after
         damping = max(damping / 10.0, 1e-12)
-        if gain <= SETTLED * cost:
+        if gain <= CONVERGED * cost:
             break
     return states
 
@@ -252,13 +254,13 @@ def _judged(problem: InertialProblem, states: States, extent: float, stated: flo
     misfit = problem.misfit(states)
     sigma = _sigma_of_log_scale(problem, states) * max(misfit, 1.0)
     if not (np.isfinite(sigma) and sigma <= LARGEST_SIGMA):
-        told = f"{100 * sigma:.0f} %" if np.isfinite(sigma) and sigma < 10 else "nothing at all"
+        given = f"{100 * sigma:.0f} %" if np.isfinite(sigma) and sigma < 10 else "nothing at all"
         raise DegenerateGeometryError(
-            f"the IMU tells the scale to {told} only ({100 * LARGEST_SIGMA:g} % are needed): a camera that moves at "
+            f"the IMU tells the scale to {given} only ({100 * LARGEST_SIGMA:g} % are needed): a camera that moves at "
             "constant velocity, or hardly, looks the same at every scale; move it to and fro"
         )
-    place_sigma = problem.path_sigma[0]
-    if place_sigma > 0.05 * extent or misfit > LARGEST_MISFIT:
+    position_sigma = problem.path_sigma[0]
+    if position_sigma > 0.05 * extent or misfit > LARGEST_MISFIT:
         raise DegenerateGeometryError(
             "the IMU and the path contradict each other: is it the same clock, mounting and camera?"
         )

@@ -16,7 +16,7 @@ from epipole.inertial.alignment import InertialAlignment
 from epipole.inertial.log import MountedImu
 from epipole.inertial.preintegration import preintegrate
 
-MOST_INNER_STEPS, SETTLED = 10, 1e-9
+MOST_INNER_STEPS, CONVERGED = 10, 1e-9
 """Of velocities, biases, scale and gravity, in which the residuals are almost linear."""
 RIDGE = 1e-9
 """Share of its diagonal that is added to the inner matrix: what a path leaves open stays where it is."""
@@ -99,7 +99,7 @@ class ImuFactors:
 
     def _at_best(self, poses: Rigid3) -> tuple[States, float]:
         """The inner unknowns that suit the poses best, by Gauss and Newton, and half the sum of squares."""
-        n, states = len(self.frames), self._placed(self.start, poses)
+        n, states = len(self.frames), self._localized(self.start, poses)
         cost = self._cost(states)
         for _ in range(MOST_INNER_STEPS):
             matrix, gradient = self._equations(states, poses)
@@ -107,22 +107,22 @@ class ImuFactors:
             own, whole = step[: INNER * n].reshape(n, INNER), np.zeros((n, LANES))
             whole[:, 3:6], whole[:, 9:] = own[:, :3], own[:, 3:]
             moved = self.problem.moved(states, np.concatenate([whole.ravel(), step[INNER * n :]]))
-            moved = self._placed(moved, poses)
+            moved = self._localized(moved, poses)
             after = self._cost(moved)
             if not after < cost:
                 break
             gain, states, cost = cost - after, moved, after
-            if gain <= SETTLED * cost:
+            if gain <= CONVERGED * cost:
                 break
         return states, cost
 
     def _cost(self, states: States) -> float:
         return 0.5 * sum(float((one.residual**2).sum()) for one in self.problem.imu_terms(states))
 
-    def _placed(self, states: States, poses: Rigid3) -> States:
+    def _localized(self, states: States, poses: Rigid3) -> States:
         """With rotations and places of the unit as the poses of the camera have them."""
-        rotation, place = _of_unit(poses, self.problem.camera_from_imu, float(np.exp(states.log_scale)))
-        return states._replace(rotation=rotation, place=place)
+        rotation, position = _of_unit(poses, self.problem.camera_from_imu, float(np.exp(states.log_scale)))
+        return states._replace(rotation=rotation, position=position)
 
     def _equations(self, states: States, poses: Rigid3) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrix and gradient of all poses, then velocities and biases, scale and gravity."""
@@ -162,15 +162,15 @@ class ImuFactors:
         by_lane[0, :, 9:, 9:], by_lane[1, :, 9:, 9:] = of_walk[0][1], of_walk[1][1]
         out = np.zeros((m, LANES, 2 * LANES + 3))
         for end in (0, 1):
-            turned, there = poses.rotation[end : m + end], poses.translation[end : m + end]
-            by_turn, by_place, first = by_lane[end, ..., :3], by_lane[end, ..., 6:9], LANES * end
-            out[..., first : first + 3] = -scale * by_place @ turned
+            rotated, there = poses.rotation[end : m + end], poses.translation[end : m + end]
+            by_rotation, by_position, first = by_lane[end, ..., :3], by_lane[end, ..., 6:9], LANES * end
+            out[..., first : first + 3] = -scale * by_position @ rotated
             out[..., first + 3 : first + 6] = (
-                by_place @ turned @ skew(imu.translation) - by_turn @ imu.rotation.T
+                by_position @ rotated @ skew(imu.translation) - by_rotation @ imu.rotation.T
             )
             out[..., first + 6 : first + 9] = by_lane[end, ..., 3:6]
             out[..., first + 9 : first + 15] = by_lane[end, ..., 9:]
-            out[..., 2 * LANES] += scale * (by_place @ there[..., None])[..., 0]
+            out[..., 2 * LANES] += scale * (by_position @ there[..., None])[..., 0]
         out[:, :9, 2 * LANES + 1 :] = of_imu[2][1]
         return out
 
@@ -218,11 +218,11 @@ def imu_factors(
     problem = InertialProblem(
         measured, world_from_camera, imu.camera_from_imu, imu.noise, (1.0, 1.0), aligned.gyro_bias
     )
-    rotation, places = _of_unit(world_from_camera, imu.camera_from_imu, aligned.scale)
-    velocity = np.gradient(places, timestamp_s, axis=0)
+    rotation, positions = _of_unit(world_from_camera, imu.camera_from_imu, aligned.scale)
+    velocity = np.gradient(positions, timestamp_s, axis=0)
     biases = np.tile(np.concatenate([aligned.gyro_bias, aligned.accel_bias]), (n, 1))
     scale, gravity = float(np.log(aligned.scale)), aligned.gravity_in_world
-    return ImuFactors(frames, problem, States(rotation, velocity, places, biases, scale, gravity), weight)
+    return ImuFactors(frames, problem, States(rotation, velocity, positions, biases, scale, gravity), weight)
 
 
 def _of_unit(poses: Rigid3, mounting: Rigid3, scale: float) -> tuple[np.ndarray, np.ndarray]:

@@ -37,8 +37,8 @@ class Preintegrated(Declared):
     def at_biases(self, change: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(rotation, velocity, position) at biases that differ by (m, 6), to first order (equation 44)."""
         moved = (self.by_bias @ change[..., None])[..., 0]
-        turned = self.rotation @ Rotation3.exp(moved[:, :3]).matrix
-        return turned, self.velocity + moved[:, 3:6], self.position + moved[:, 6:]
+        rotated = self.rotation @ Rotation3.exp(moved[:, :3]).matrix
+        return rotated, self.velocity + moved[:, 3:6], self.position + moved[:, 6:]
 
 
 @checked
@@ -106,31 +106,31 @@ def _integrated(dt: np.ndarray, gyro: np.ndarray, accel: np.ndarray, noise: ImuN
     densities = np.repeat([noise.gyro_density**2, noise.accel_density**2], 3)
     for step in range(dt.shape[1]):
         h = dt[:, step, None, None]
-        turn = 0.5 * (gyro[:, step] + gyro[:, step + 1]) * h[..., 0]
-        turned = rotation @ Rotation3.exp(turn).matrix
+        step_rotation = 0.5 * (gyro[:, step] + gyro[:, step + 1]) * h[..., 0]
+        rotated = rotation @ Rotation3.exp(step_rotation).matrix
         force = 0.5 * (
-            (rotation @ accel[:, step, :, None])[..., 0] + (turned @ accel[:, step + 1, :, None])[..., 0]
+            (rotation @ accel[:, step, :, None])[..., 0] + (rotated @ accel[:, step + 1, :, None])[..., 0]
         )
-        change, by_noise = _linearized(rotation, force, turn, h)
+        change, by_noise = _linearized(rotation, force, step_rotation, h)
         covariance = change @ covariance @ np.swapaxes(change, 1, 2)
         covariance += (by_noise * densities) @ np.swapaxes(by_noise, 1, 2) / np.where(h > 0, h, 1.0)
         by_bias = change @ by_bias - by_noise
         position = position + velocity * h[..., 0] + 0.5 * force * h[..., 0] ** 2
-        velocity, rotation = velocity + force * h[..., 0], turned
+        velocity, rotation = velocity + force * h[..., 0], rotated
     return Preintegrated(dt.sum(axis=1), rotation, velocity, position, covariance, by_bias)
 
 
 def _linearized(
-    rotation: np.ndarray, force: np.ndarray, turn: np.ndarray, h: np.ndarray
+    rotation: np.ndarray, force: np.ndarray, step_rotation: np.ndarray, h: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """How the state's error goes on over a step, (m, 9, 9), and what the measurements' errors add, (m, 9, 6)."""
     m, one = len(rotation), np.eye(3)
     lever = -skew(force) @ rotation
     change, by_noise = np.tile(np.eye(9), (m, 1, 1)), np.zeros((m, 9, 6))
-    change[:, :3, :3] = np.swapaxes(Rotation3.exp(turn).matrix, 1, 2)
+    change[:, :3, :3] = np.swapaxes(Rotation3.exp(step_rotation).matrix, 1, 2)
     change[:, 3:6, :3], change[:, 6:, :3] = lever * h, 0.5 * lever * h**2
     change[:, 6:, 3:6] = one * h
-    by_noise[:, :3, :3] = (one - 0.5 * skew(turn)) * h
+    by_noise[:, :3, :3] = (one - 0.5 * skew(step_rotation)) * h
     # Half of a step's turn comes before its mean force.
     by_noise[:, 3:6, :3], by_noise[:, 6:, :3] = 0.5 * lever * h**2, 0.25 * lever * h**3
     by_noise[:, 3:6, 3:], by_noise[:, 6:, 3:] = rotation * h, 0.5 * rotation * h**2

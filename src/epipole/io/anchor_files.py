@@ -14,7 +14,7 @@ from epipole.errors import FileFormatError
 from epipole.io.files import file_text
 from epipole.io.trajectories.files import PositionLog, read_positions, read_trajectory
 
-_PLACE, _LENGTH, _DISTANCE = 3, 6, 2
+_POSITION, _LENGTH, _DISTANCE = 3, 6, 2
 _LARGEST = 1e12
 
 
@@ -72,10 +72,10 @@ def read_lengths(path: str | Path) -> tuple[KnownLength, ...]:
             raise FileFormatError(
                 path, f"line {number}: {words[0]} is {metres:g} m long here, {known.length_m:g} above"
             )
-        end, picture = known.ends[int(words[2] == "b")], " ".join(words[3:-2])
-        if picture in end:
-            raise FileFormatError(path, f"line {number}: end {words[2]} in {picture} stands above already")
-        end[picture] = (x, y)
+        end, image = known.ends[int(words[2] == "b")], " ".join(words[3:-2])
+        if image in end:
+            raise FileFormatError(path, f"line {number}: end {words[2]} in {image} stands above already")
+        end[image] = (x, y)
     for known in found.values():
         for name, end in zip("ab", known.ends):
             if not end:
@@ -86,7 +86,7 @@ def read_lengths(path: str | Path) -> tuple[KnownLength, ...]:
 
 
 @checked
-def read_places(path: str | Path) -> PositionLog | NamedPositions:
+def read_anchor_positions(path: str | Path) -> PositionLog | NamedPositions:
     """Read measured places: `SECONDS X Y Z` a line, or `PICTURE X Y Z` (the names may have blanks).
 
     Raises:
@@ -96,18 +96,18 @@ def read_places(path: str | Path) -> PositionLog | NamedPositions:
     lines = _lines(path)
     if lines and _is_number(lines[0][1][0]):
         return read_positions(path)
-    names, places = [], []
+    names, positions = [], []
     for number, words in lines:
-        if len(words) <= _PLACE:
+        if len(words) <= _POSITION:
             raise FileFormatError(path, f"line {number}: PICTURE X Y Z expected, or SECONDS X Y Z")
-        names.append(" ".join(words[:-_PLACE]))
-        places.append([_number(path, number, word) for word in words[-_PLACE:]])
+        names.append(" ".join(words[:-_POSITION]))
+        positions.append([_number(path, number, word) for word in words[-_POSITION:]])
     if not names:
         raise FileFormatError(path, "holds no place")
     if len(set(names)) < len(names):
         double = next(name for n, name in enumerate(names) if name in names[:n])
         raise FileFormatError(path, f"{double} stands there twice")
-    return NamedPositions(tuple(names), np.array(places))
+    return NamedPositions(tuple(names), np.array(positions))
 
 
 @checked

@@ -28,7 +28,7 @@ _KINDS = {"SE2": (3, 3), "SE3:QUAT": (7, 6), "SIM3:QUAT": (8, 7)}
 _IGNORED = ("PARAMS_", "#")
 """Parameters are used by edges of other kinds, which are refused."""
 _FEW = 5
-_LEAST_SHARE = 1e-9
+_LEAST_FRACTION = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,8 +145,8 @@ def write_g2o(path: str | Path, graph: PoseGraph, ids: Any = None) -> None:
     if names.shape != (len(graph),):
         raise ShapeError(f"ids must be ({len(graph)},), got {names.shape}")
     upper = np.triu_indices(graph.dimension)
-    places, measured = _numbers(graph.world_from_body), _numbers(graph.first_from_second)
-    lines = [f"VERTEX_{name} {i} {_text(row)}" for i, row in zip(names, places)]
+    positions, measured = _numbers(graph.world_from_body), _numbers(graph.first_from_second)
+    lines = [f"VERTEX_{name} {i} {_text(row)}" for i, row in zip(names, positions)]
     lines += [f"FIX {names[row]}" for row in graph.fixed]
     information = graph.information[:, upper[0], upper[1]]
     for i, j, row, weights in zip(names[graph.first], names[graph.second], measured, information):
@@ -169,7 +169,7 @@ def _assemble(
     missing = [name for edge in edges for name in edge if name not in row]
     if missing:
         raise FileFormatError(path, f"an edge names vertex {missing[0]}, which is not there")
-    places = np.array([vertices[int(name)] for name in ids])
+    positions = np.array([vertices[int(name)] for name in ids])
     numbers = np.array(values).reshape(len(edges), size + tangent * (tangent + 1) // 2)
     information = np.zeros((len(edges), tangent, tangent))
     upper = np.triu_indices(tangent)
@@ -181,7 +181,7 @@ def _assemble(
     information[mended] = _nearest_definite(path, information[mended])
     index = np.array([[row[i], row[j]] for i, j in edges], np.int64).reshape(-1, 2)
     graph = PoseGraph(
-        _motions(kind, places),
+        _motions(kind, positions),
         index[:, 0].copy(),
         index[:, 1].copy(),
         _motions(kind, numbers[:, :size]),
@@ -206,7 +206,7 @@ def _nearest_definite(path: Path, information: np.ndarray) -> np.ndarray:
         raise FileFormatError(
             path, "an edge's information matrix has no positive eigenvalue: it measures nothing"
         )
-    raised = np.maximum(values, _LEAST_SHARE * values[:, -1:])
+    raised = np.maximum(values, _LEAST_FRACTION * values[:, -1:])
     out = (vectors * raised[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     return 0.5 * (out + np.swapaxes(out, 1, 2))
 

@@ -58,27 +58,27 @@ def sealed_by(path: Path) -> str | None:
     found = _found(path)
     if found is None:
         return None
-    command, begin, digits = found
-    return command if _digest(path, begin) == digits else None
+    command, start, digits = found
+    return command if _digest(path, start) == digits else None
 
 
 def _found(path: Path) -> tuple[str, int, str] | None:
     """Command, position of the digest and digest of the last seal."""
     with path.open("rb") as stream:
         size = stream.seek(0, 2)
-        for begin in (max(0, size - _SEARCHED_BYTES), 0):
-            stream.seek(begin)
+        for start in (max(0, size - _SEARCHED_BYTES), 0):
+            stream.seek(start)
             seals = list(_SEAL.finditer(stream.read(_SEARCHED_BYTES)))
             if seals:
-                return seals[-1][1].decode(), begin + seals[-1].start(2), seals[-1][2].decode()
+                return seals[-1][1].decode(), start + seals[-1].start(2), seals[-1][2].decode()
     return None
 
 
-def _digest(path: Path, begin: int) -> str:
-    """Of the file with zeros from `begin` on, for as many bytes as a digest has."""
+def _digest(path: Path, start: int) -> str:
+    """Of the file with zeros from `start` on, for as many bytes as a digest has."""
     state = hashlib.blake2b(digest_size=_DIGITS // 2)
     with path.open("rb") as stream:
-        left = begin
+        left = start
         while left:
             block = stream.read(min(left, _CHUNK_BYTES))
             state.update(block)

@@ -91,21 +91,21 @@ def _registered(reconstruction: Reconstruction, path: Path) -> TruthCameras:
     return TruthCameras(tuple(reconstruction.images.name[row] for row in rows), motions[rows])
 
 
-def _numbers(path: Path, words: list[str], count: int, place: str) -> np.ndarray:
+def _numbers(path: Path, words: list[str], count: int, position: str) -> np.ndarray:
     try:
         values = np.array(words, np.float64)
     except ValueError as error:
-        raise FileFormatError(path, f"{place}: {error}") from error
+        raise FileFormatError(path, f"{position}: {error}") from error
     if len(values) != count or not np.isfinite(values).all():
-        raise FileFormatError(path, f"{place}: {count} finite numbers expected, got {len(values)}")
+        raise FileFormatError(path, f"{position}: {count} finite numbers expected, got {len(values)}")
     return values
 
 
-def _rotation(path: Path, matrix: np.ndarray, place: str) -> np.ndarray:
+def _rotation(path: Path, matrix: np.ndarray, position: str) -> np.ndarray:
     """The nearest rotation: files hold few digits."""
     nearest = Rotation3.nearest(matrix).matrix
     if np.abs(nearest - matrix).max() > _ROTATION_TOLERANCE:
-        raise FileFormatError(path, f"{place}: not a rotation matrix")
+        raise FileFormatError(path, f"{position}: not a rotation matrix")
     return nearest
 
 
@@ -124,10 +124,10 @@ def _middlebury(path: Path) -> TruthCameras:
     lines = [line.split() for line in file_text(path).splitlines() if line.strip()]
     names, motions = [], []
     for number, words in enumerate(lines[1:], 2):
-        place = f"line {number}"
-        values = _numbers(path, words[1:], 21, place)
+        position = f"line {number}"
+        values = _numbers(path, words[1:], 21, position)
         names.append(words[0])
-        motions.append(Rigid3(_rotation(path, values[9:18].reshape(3, 3), place), values[18:]))
+        motions.append(Rigid3(_rotation(path, values[9:18].reshape(3, 3), position), values[18:]))
     if not names or lines[0] != [str(len(names))]:
         raise FileFormatError(path, f"line 1: the number of cameras is not {len(names)}")
     return _truth(names, motions)

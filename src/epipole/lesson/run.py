@@ -34,14 +34,14 @@ def export_lesson(folder: str | Path) -> ExportedLesson:
     Raises:
         WorkspaceError: a file of a page's name exists that no earlier call wrote, or a page cannot be written.
     """
-    place, pages, num_bytes = as_path(folder), lesson_pages(), 0
-    refuse_existing([place / name for name in pages], "lesson", ())
+    position, pages, num_bytes = as_path(folder), lesson_pages(), 0
+    refuse_existing([position / name for name in pages], "lesson", ())
     for name, html in pages.items():
         data = html.encode("utf-8")
-        with replacing_file(place / name, "lesson", ()) as part:
+        with replacing_file(position / name, "lesson", ()) as part:
             part.write_bytes(data)
-        num_bytes += (place / name).stat().st_size
-    return ExportedLesson(place, tuple(pages), num_bytes)
+        num_bytes += (position / name).stat().st_size
+    return ExportedLesson(position, tuple(pages), num_bytes)
 
 
 def open_lesson(host: str = "127.0.0.1", port: int | None = None) -> ViewerHandle:
@@ -57,7 +57,9 @@ def open_lesson(host: str = "127.0.0.1", port: int | None = None) -> ViewerHandl
     chosen = port_for(host, port)
     made = {name: html.encode("utf-8") for name, html in lesson_pages().items()}
     pages = {name: fixed(HTML, data) for name, data in made.items()}
-    pages[""] = Served(HTML, lambda asked: made[_index_for(str(asked.headers.get("Accept-Language", "")))])
+    pages[""] = Served(
+        HTML, lambda requested: made[_index_for(str(requested.headers.get("Accept-Language", "")))]
+    )
     server = PageServer(pages, host, chosen)
     return serve(server, server.port, host, note_on_port(port, server.port), block=False)
 

@@ -30,8 +30,8 @@ EDGES = [
 def house(distance: float) -> np.ndarray:
     """(10, 3) its corners so far ahead, turned a little."""
     cos, sin = np.cos(0.5), np.sin(0.5)
-    turned = HOUSE @ np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
-    return np.asarray(turned) + np.array([0.0, 0.1, distance])
+    rotated = HOUSE @ np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
+    return np.asarray(rotated) + np.array([0.0, 0.1, distance])
 
 
 def noise(count: int, seed: int = 0) -> np.ndarray:
@@ -51,8 +51,8 @@ PATH = np.array([[0.55 * k, 0.0, 0.9 * k, 4.0 * k] for k in range(9)])
 def corridor(count: int = 90) -> tuple[np.ndarray, np.ndarray]:
     """(count, 3) landmarks along that way, and (cameras, count, 2) noise of their pixels, of unit deviation."""
     rng = np.random.default_rng(3)
-    places = rng.uniform([-3.0, -1.2, 3.0], [9.0, 1.2, 15.0], (count, 3))
-    return places, rng.normal(size=(len(PATH), count, 2))
+    positions = rng.uniform([-3.0, -1.2, 3.0], [9.0, 1.2, 15.0], (count, 3))
+    return positions, rng.normal(size=(len(PATH), count, 2))
 
 
 def wall(count: int = 60) -> tuple[np.ndarray, np.ndarray]:
@@ -81,8 +81,8 @@ class Ring(NamedTuple):
 def ring(num_cameras: int = 10, num_points: int = 60) -> Ring:
     """A tower of radius 1.2 m seen from 4 m."""
     rng = np.random.default_rng(5)
-    turns = 2 * np.pi * np.arange(num_cameras) / num_cameras
-    facing = Rotation3.exp(np.column_stack([0 * turns, turns, 0 * turns]))
+    rotations = 2 * np.pi * np.arange(num_cameras) / num_cameras
+    facing = Rotation3.exp(np.column_stack([0 * rotations, rotations, 0 * rotations]))
     world_from_cams = Rigid3(facing.matrix, facing.apply(np.array([0.0, 0.0, -4.0])))
     around, down = rng.uniform([0.0, -0.9], [2 * np.pi, 0.9], (num_points, 2)).T
     normals = np.column_stack([np.sin(around), 0 * around, np.cos(around)])
@@ -111,14 +111,14 @@ def scene_of(page: str) -> dict[str, Any]:
         landmarks, noise_px = corridor()
         return {"corners": landmarks.tolist(), "edges": [], "noise": noise_px.tolist(), "path": PATH.tolist()}
     if page == "models":
-        places, noise_px = wall()
-        return {"corners": places.tolist(), "edges": [], "noise": noise_px.tolist()}
+        positions, noise_px = wall()
+        return {"corners": positions.tolist(), "edges": [], "noise": noise_px.tolist()}
     if page == "bundle":
-        return _told(ring())
+        return _given(ring())
     return {}
 
 
-def _told(scene: Ring) -> dict[str, Any]:
+def _given(scene: Ring) -> dict[str, Any]:
     cameras = zip(scene.cams_from_world.rotation.tolist(), scene.cams_from_world.translation.tolist())
     return {
         "corners": scene.points_in_world.tolist(),

@@ -114,10 +114,10 @@ def _adjust(
     params_free = free_params_of(model.cameras, freedom)
     serves_others = model.camera_of_image[np.setdiff1d(np.flatnonzero(model.registered), free_images)]
     params_free[np.unique(serves_others)] = 0.0
-    places = Rigid3(model.motion[:, :9].reshape(-1, 3, 3), model.motion[:, 9:]).or_identity()
+    positions = Rigid3(model.motion[:, :9].reshape(-1, 3, 3), model.motion[:, 9:]).or_identity()
     expected, sigma = expected_params(model)
     problem = BundleProblem(
-        places,
+        positions,
         Rigid3.identity(1),
         model.cameras.model,
         model.params,
@@ -138,7 +138,7 @@ def _adjust(
         ),
     )
     result = adjust_bundle(with_fixed_gauge(problem), config)
-    model.set_places(free_images, result.rig_from_world[free_images])
+    model.set_poses(free_images, result.rig_from_world[free_images])
     model.set_points(used, result.points_in_world)
     model.set_params(result.camera_params)
     return result
@@ -155,8 +155,8 @@ def expected_params(model: ModelBuilder) -> tuple[np.ndarray, np.ndarray]:
     for c in range(len(cameras)):
         kind = CameraModel(int(cameras.model[c]))
         for index in kind.focal_indices:
-            share = TRUSTED_FOCAL_SIGMA if cameras.is_focal_trusted[c] else GUESSED_FOCAL_SIGMA
-            sigma[c, index] = share * cameras.params[c, index]
+            fraction = TRUSTED_FOCAL_SIGMA if cameras.is_focal_trusted[c] else GUESSED_FOCAL_SIGMA
+            sigma[c, index] = fraction * cameras.params[c, index]
         sigma[c, list(kind.distortion_indices)] = DISTORTION_SIGMA
     return expected, sigma
 

@@ -32,20 +32,20 @@ class MatchConsistency:
         self._view_graph = view_graph
 
     @checked
-    def shares(self, model: ModelBuilder) -> tuple[Float64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
+    def fractions(self, model: ModelBuilder) -> tuple[Float64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
         """Per pair the share of its matches that became one point, NaN unless both are registered; and how many tell."""
         point1, point2 = model.row_point[self._row1], model.row_point[self._row2]
-        tells = (point1 >= 0) | (point2 >= 0)
-        count = np.bincount(self._pair, tells, len(self._view_graph)).astype(np.int64)
+        has_point = (point1 >= 0) | (point2 >= 0)
+        count = np.bincount(self._pair, has_point, len(self._view_graph)).astype(np.int64)
         same = np.bincount(self._pair, (point1 == point2) & (point1 >= 0), len(self._view_graph))
         both = model.registered[self._view_graph.image1] & model.registered[self._view_graph.image2]
         return np.where(both, same / np.maximum(count, 1), np.nan), count
 
     def overall(self, model: ModelBuilder) -> float:
         """The share over all matches between registered images; 0 for an empty model."""
-        shares, count = self.shares(model)
-        known = np.isfinite(shares)
-        return float((shares[known] * count[known]).sum() / max(count[known].sum(), 1))
+        fractions, count = self.fractions(model)
+        known = np.isfinite(fractions)
+        return float((fractions[known] * count[known]).sum() / max(count[known].sum(), 1))
 
     @checked
     def num_explained(self, model: ModelBuilder) -> int:
@@ -56,6 +56,8 @@ class MatchConsistency:
     @checked
     def of_image(self, model: ModelBuilder, image: int) -> float:
         """The share over the matches of one image with the other registered ones; 1 where there are none."""
-        shares, count = self.shares(model)
-        own = ((self._view_graph.image1 == image) | (self._view_graph.image2 == image)) & np.isfinite(shares)
-        return float((shares[own] * count[own]).sum() / count[own].sum()) if count[own].sum() else 1.0
+        fractions, count = self.fractions(model)
+        own = ((self._view_graph.image1 == image) | (self._view_graph.image2 == image)) & np.isfinite(
+            fractions
+        )
+        return float((fractions[own] * count[own]).sum() / count[own].sum()) if count[own].sum() else 1.0

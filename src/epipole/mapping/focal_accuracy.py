@@ -83,9 +83,9 @@ def focal_accuracies(model: Reconstruction) -> dict[int, FocalAccuracy]:
     if not cameras:
         return {}
     problem = _extended_problem(thin)
-    lenses = [_extended(thin.cameras[c]) for c in range(len(thin.cameras))]
-    narrow, problem = _adjusted(problem, lenses, is_wide=False)
-    wide, _ = _adjusted(problem, lenses, is_wide=True)
+    all_extended = [_extended(thin.cameras[c]) for c in range(len(thin.cameras))]
+    narrow, problem = _adjusted(problem, all_extended, is_wide=False)
+    wide, _ = _adjusted(problem, all_extended, is_wide=True)
     out = {}
     for c in cameras:
         focal_px, formal = narrow[c]
@@ -100,18 +100,18 @@ def focal_accuracies(model: Reconstruction) -> dict[int, FocalAccuracy]:
 
 
 def _adjusted(
-    problem: BundleProblem, lenses: list[Camera], *, is_wide: bool
+    problem: BundleProblem, all_extended: list[Camera], *, is_wide: bool
 ) -> tuple[list[tuple[float, float]], BundleProblem]:
     """Focal length and formal deviation of each camera (NaN, infinite where it fails), adjusted with its distortion.
 
     With `is_wide` the principal point and a second distortion term are free, too. The problem at its minimum comes with it.
     """
     free = np.zeros_like(problem.params_free)
-    for c, lens in enumerate(lenses):
-        distortion = lens.model.distortion_indices
-        free[c, [*lens.model.focal_indices, *distortion[: 2 if is_wide else 1]]] = 1.0
+    for c, extended in enumerate(all_extended):
+        distortion = extended.model.distortion_indices
+        free[c, [*extended.model.focal_indices, *distortion[: 2 if is_wide else 1]]] = 1.0
         if is_wide:
-            free[c, list(lens.model.principal_point_indices)] = 1.0
+            free[c, list(extended.model.principal_point_indices)] = 1.0
     problem = with_fixed_gauge(replace(problem, params_free=free))
     config = BundleConfig(loss=Loss.CAUCHY, max_iterations=ITERATIONS, function_tolerance=1e-5)
     result = adjust_bundle(problem, config)
@@ -119,10 +119,10 @@ def _adjusted(
     try:
         found = bundle_covariance(there, result, config, clustered=True)
     except DegenerateGeometryError:
-        return [(float("nan"), float("inf"))] * len(lenses), there
+        return [(float("nan"), float("inf"))] * len(all_extended), there
     out = []
-    for c, lens in enumerate(lenses):
-        rows = list(lens.model.focal_indices)
+    for c, extended in enumerate(all_extended):
+        rows = list(extended.model.focal_indices)
         variance = float(np.mean(found.camera_params[c][rows, rows]))
         sigma = float(np.sqrt(variance)) if variance >= 0 else float("inf")
         out.append((float(np.mean(result.camera_params[c, rows])), sigma))
@@ -130,8 +130,8 @@ def _adjusted(
 
 
 def _extended_problem(model: Reconstruction) -> BundleProblem:
-    lenses = [_extended(model.cameras[c]) for c in range(len(model.cameras))]
-    return bundle_problem_of(replace(model, cameras=Cameras.from_list(lenses)))
+    all_extended = [_extended(model.cameras[c]) for c in range(len(model.cameras))]
+    return bundle_problem_of(replace(model, cameras=Cameras.from_list(all_extended)))
 
 
 def _extended(camera: Camera) -> Camera:
@@ -174,5 +174,7 @@ def _even_images(camera: np.ndarray, images: np.ndarray) -> np.ndarray:
         own = images[camera == c]
         # Halves, quarters and so on: the first few are spread as evenly as all.
         spread = np.argsort([int(f"{k:020b}"[::-1], 2) for k in range(len(own))], kind="stable")
-        order += [(turn, int(c), int(own[k])) for turn, k in enumerate(np.argsort(spread, kind="stable"))]
+        order += [
+            (rotation, int(c), int(own[k])) for rotation, k in enumerate(np.argsort(spread, kind="stable"))
+        ]
     return np.array([image for _, _, image in sorted(order)[:MAX_IMAGES]])

@@ -122,7 +122,7 @@ class ModelBuilder:
         """Restore a saved state."""
         self.registered, self.row_point = state.registered.copy(), state.row_point.copy()
         self.motion, self.center = state.motion.copy(), np.full((len(state.motion), 3), np.nan)
-        self.set_places(np.flatnonzero(self.registered), self.registered_places())
+        self.set_poses(np.flatnonzero(self.registered), self.registered_poses())
         self._points, self.num_points = state.points.copy(), len(state.points)
         self.set_params(state.params.copy())
 
@@ -163,12 +163,12 @@ class ModelBuilder:
     def register(self, image: int, cam_from_world: Rigid3) -> None:
         """Register an image with this pose."""
         check_index(image, "image", len(self.motion))
-        self.set_places(
+        self.set_poses(
             np.array([image]), Rigid3(cam_from_world.rotation[None], cam_from_world.translation[None])
         )
         self.registered[image] = True
 
-    def set_places(self, images: np.ndarray, cams_from_world: Rigid3) -> None:
+    def set_poses(self, images: np.ndarray, cams_from_world: Rigid3) -> None:
         """Set the poses of images."""
         self.motion[images, :9] = cams_from_world.rotation.reshape(-1, 9)
         self.motion[images, 9:] = cams_from_world.translation
@@ -186,7 +186,7 @@ class ModelBuilder:
         """Set the positions of points."""
         self._points[indices] = xyz
 
-    def registered_places(self) -> Rigid3:
+    def registered_poses(self) -> Rigid3:
         """cam_from_world of the registered images."""
         rows = self.motion[self.registered]
         return Rigid3(rows[:, :9].reshape(-1, 3, 3).copy(), rows[:, 9:].copy())
@@ -198,7 +198,7 @@ class ModelBuilder:
     def move(self, target_from_world: Similarity3) -> None:
         """Put the whole model into other coordinates."""
         images = np.flatnonzero(self.registered)
-        self.set_places(images, target_from_world.move_cam_from_source(self.registered_places()))
+        self.set_poses(images, target_from_world.move_cam_from_source(self.registered_poses()))
         self._points[: self.num_points] = target_from_world.apply(self.points)
 
     def _kernel_rows(self) -> _Rows:
@@ -352,9 +352,9 @@ class ModelBuilder:
         order = order[alive[self.row_point[order]]]
         offsets = np.concatenate([[0], np.cumsum(np.diff(offsets)[alive])]).astype(np.int64)
         n = len(names)
-        places = unregistered(n)
-        places.rotation[self.registered] = self.motion[self.registered, :9].reshape(-1, 3, 3)
-        places.translation[self.registered] = self.motion[self.registered, 9:]
+        positions = unregistered(n)
+        positions.rotation[self.registered] = self.motion[self.registered, :9].reshape(-1, 3, 3)
+        positions.translation[self.registered] = self.motion[self.registered, 9:]
         image, keypoint = self.row_image[order], self.components.keypoint[order]
         starts = np.concatenate([[0], np.cumsum([len(k) for k in self.keypoints])]).astype(np.int64)
         rgb = np.full((int(alive.sum()), 3), 128, np.uint8)
@@ -368,7 +368,7 @@ class ModelBuilder:
             Rigs.of_single_cameras(len(self.cameras)),
             Frames(
                 self.camera_of_image.copy(),
-                places,
+                positions,
                 np.full(n, np.nan) if timestamps_s is None else np.asarray(timestamps_s, np.float64),
             ),
             Images(

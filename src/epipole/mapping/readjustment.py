@@ -33,9 +33,9 @@ def bundle_problem_of(
         priors: what else is known; rows are those of the model's frames, cameras and points.
     """
     image = model.tracks.image
-    places = model.frames.rig_from_world
+    positions = model.frames.rig_from_world
     return BundleProblem(
-        rig_from_world=places.or_identity(),
+        rig_from_world=positions.or_identity(),
         cam_from_rig=model.rigs.cam_from_rig,
         camera_model=model.cameras.model,
         camera_params=model.cameras.params,
@@ -68,10 +68,10 @@ def adjust_reconstruction(
     problem = bundle_problem_of(model, freedom, priors)
     result = adjust_bundle(problem, config, progress)
     registered = model.frames.is_registered()
-    places = model.frames.rig_from_world
+    positions = model.frames.rig_from_world
     moved = Rigid3(
-        np.where(registered[:, None, None], result.rig_from_world.rotation, places.rotation),
-        np.where(registered[:, None], result.rig_from_world.translation, places.translation),
+        np.where(registered[:, None, None], result.rig_from_world.rotation, positions.rotation),
+        np.where(registered[:, None], result.rig_from_world.translation, positions.translation),
     )
     adjusted = replace(
         model,

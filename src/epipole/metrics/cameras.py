@@ -160,8 +160,8 @@ def _align_on_line(estimated: Rigid3, truth: Rigid3) -> Similarity3:
     """
     source, target = estimated.centers(), truth.centers()
     a, b = source - source.mean(axis=0), target - target.mean(axis=0)
-    turns = np.swapaxes(truth.rotation, -1, -2) @ estimated.rotation
-    mean_rotation = Rotation3.nearest(turns.sum(axis=0)).matrix
+    rotations = np.swapaxes(truth.rotation, -1, -2) @ estimated.rotation
+    mean_rotation = Rotation3.nearest(rotations.sum(axis=0)).matrix
     u, _, vt = np.linalg.svd(b.T @ a)
     rotation = Rotation3.from_two_vectors(mean_rotation @ vt[0], u[:, 0]).matrix @ mean_rotation
     scale = float(np.linalg.norm(b) / np.linalg.norm(a))

@@ -193,13 +193,13 @@ def drift_per_length(
     if every < 1 or not all(length > 0 for length in lengths_m):
         raise ConfigError("every and lengths_m must be positive")
     steps = np.linalg.norm(np.diff(truth.translation, axis=0), axis=1)
-    way = np.concatenate([[0.0], np.cumsum(steps)])
+    trajectory = np.concatenate([[0.0], np.cumsum(steps)])
     first, last, length = [], [], []
-    for begin in range(0, len(way), every):
+    for start in range(0, len(trajectory), every):
         for wanted in lengths_m:
-            end = int(np.searchsorted(way, way[begin] + wanted, side="right"))
-            if end < len(way):
-                first.append(begin)
+            end = int(np.searchsorted(trajectory, trajectory[start] + wanted, side="right"))
+            if end < len(trajectory):
+                first.append(start)
                 last.append(end)
                 length.append(wanted)
     if not first:

@@ -89,7 +89,7 @@ def score_trajectory(
             f" {MIN_COMPARED} are needed: are the clocks and their units the same?"
         )
     ours, theirs = estimate.world_from_body[rows], truth.world_from_body[rows_of_truth]
-    _, turn = relative_error(ours, theirs)
+    _, rotation = relative_error(ours, theirs)
     drift = drift_per_length(ours, theirs)
     return TrajectoryEvaluation(
         len(estimate),
@@ -98,7 +98,7 @@ def score_trajectory(
         truth[rows_of_truth].path_length(),
         _score(ours, theirs, "rigid"),
         _score(ours, theirs, "similarity"),
-        turn.rmse,
+        rotation.rmse,
         100.0 * drift.rotation_deg_per_m if drift.num_segments else None,
     )
 

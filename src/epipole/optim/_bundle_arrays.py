@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-HELD, ELIMINATED, KEPT = 0, 1, 2
+FIXED, ELIMINATED, KEPT = 0, 1, 2
 _LINE = 64
 """Bytes in a cache line: loading a vector that straddles two lines takes twice as long."""
 

@@ -89,7 +89,7 @@ def total_cost(obs, start, stop, scene, loss, scale_sq):
 
 
 @kernel
-def settle_points(obs, start, stop, scene, role, loss, scale_sq, before, scratch):
+def damp_points(obs, start, stop, scene, role, loss, scale_sq, before, scratch):
     """Move the points start..stop to where the moved cameras want them, if that is better; half the sum of rho.
 
     One Gauss-Newton step of each point alone (the inner iteration of Ruhe and Wedin, SIAM Review 1980). A joint step
@@ -105,10 +105,10 @@ def settle_points(obs, start, stop, scene, role, loss, scale_sq, before, scratch
                 points[j, c] = before[j, c]
             cost, x, y, z = _newton_point(obs, j, scene, loss, scale_sq, scratch)
         if role[j] == ELIMINATED and cost < math.inf:
-            settled = _point_cost(obs, j, scene, x, y, z, loss, scale_sq)
-            if settled < cost:
+            converged = _point_cost(obs, j, scene, x, y, z, loss, scale_sq)
+            if converged < cost:
                 points[j, 0], points[j, 1], points[j, 2] = x, y, z
-                cost = settled
+                cost = converged
         total += cost
     return 0.5 * total
 

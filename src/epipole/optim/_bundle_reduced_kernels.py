@@ -35,28 +35,28 @@ def _reduce_row(a, entries, z, slot, blocks, lanes):
 
 
 @kernel
-def add_images(unknowns, normal, gradient, places, blocks, out, wide):
+def add_images(unknowns, normal, gradient, positions, blocks, out, wide):
     """Sum the images' normal matrices into the blocks, and their gradients into out (nodes, lanes).
 
-    `places` (images, 3, 3) says which block holds the nodes' products (frame, camera, sensor), -1 for none.
+    `positions` (images, 3, 3) says which block holds the nodes' products (frame, camera, sensor), -1 for none.
     """
     for i in range(len(normal)):
         count = unknowns.num_free[i]
         shared = unknowns.nodes[i, 1] >= 0
-        begin, end = (0, 6, 6 + count), (6 if shared else 6 + count, 6 + count, 12 + count)
+        start, end = (0, 6, 6 + count), (6 if shared else 6 + count, 6 + count, 12 + count)
         for a in range(3):
             node = unknowns.nodes[i, a]
             if node < 0:
                 continue
-            for p in range(begin[a], end[a]):
-                out[node, p - begin[a]] += gradient[i, p]
+            for p in range(start[a], end[a]):
+                out[node, p - start[a]] += gradient[i, p]
             for b in range(3):
-                if places[i, a, b] < 0:
+                if positions[i, a, b] < 0:
                     continue
-                block = blocks[places[i, a, b]]
-                for p in range(begin[a], end[a]):
-                    for q in range(begin[b], end[b]):
-                        block[p - begin[a], q - begin[b]] += normal[i, p, q]
+                block = blocks[positions[i, a, b]]
+                for p in range(start[a], end[a]):
+                    for q in range(start[b], end[b]):
+                        block[p - start[a], q - start[b]] += normal[i, p, q]
 
 
 @kernel(fuse=True)
@@ -83,7 +83,7 @@ def substitute_back(entries, start, stop, points, kept, step, damping, moved, su
 
     Returns the points' part of the decrease that the linear model predicts, step^T (D step - g) / 2.
     """
-    predicted, share = 0.0, damping / (1.0 + damping)
+    predicted, fraction = 0.0, damping / (1.0 + damping)
     for j in range(start, stop):
         f, h = kept.factor[j], kept.h[j]
         d0 = d1 = d2 = 0.0
@@ -95,7 +95,7 @@ def substitute_back(entries, start, stop, points, kept, step, damping, moved, su
             d0 = -f[0] * (t0 + f[1] * d1 + f[3] * d2)
             l0, l1, l2 = 1.0 / f[0], 1.0 / f[2], 1.0 / f[5]
             v0, v1, v2 = l0 * l0, f[1] * f[1] + l1 * l1, f[3] * f[3] + f[4] * f[4] + l2 * l2
-            predicted += 0.5 * share * (v0 * d0 * d0 + v1 * d1 * d1 + v2 * d2 * d2)
+            predicted += 0.5 * fraction * (v0 * d0 * d0 + v1 * d1 * d1 + v2 * d2 * d2)
             predicted += 0.5 * (h[0] * t0 + h[1] * t1 + h[2] * t2)
         moved[j, 0], moved[j, 1], moved[j, 2] = points[j, 0] + d0, points[j, 1] + d1, points[j, 2] + d2
     return predicted

@@ -64,7 +64,7 @@ class Supernodes(NamedTuple):
     """Scalars, pivots included."""
     panel_start: np.ndarray
     update_start: np.ndarray
-    scalar_of_place: np.ndarray
+    scalar_of_slot: np.ndarray
     """(places + 1,), the first scalar of each place."""
     block_start: np.ndarray
     """(supernodes + 1,), where the matrix blocks of each start."""
@@ -76,7 +76,7 @@ class Supernodes(NamedTuple):
     """Its first scalar column in the front."""
     block_height: np.ndarray
     block_width: np.ndarray
-    block_turned: np.ndarray
+    block_transposed: np.ndarray
     """Whether the matrix holds its transpose."""
 
 
@@ -153,18 +153,18 @@ def merge_columns(parent, count, size, first, pivots, entries):
     for j in range(len(parent)):
         below = count[j]  # scalar rows below the diagonal block
         k, true = size[j], size[j] * (size[j] + 1) // 2 + size[j] * below
-        begin = j
-        while top > 0 and 0 <= parent[begin - 1] <= j:
+        start = j
+        while top > 0 and 0 <= parent[start - 1] <= j:
             joined = pivots[top - 1] + k
             stored = joined * (joined + 1) // 2 + joined * below
             zeros = stored - true - entries[top - 1]
-            share = 0.05 if joined > 192 else (0.1 if joined > 64 else 0.8)
-            if joined > 24 and zeros > share * stored:
+            fraction = 0.05 if joined > 192 else (0.1 if joined > 64 else 0.8)
+            if joined > 24 and zeros > fraction * stored:
                 break
             k, true = joined, true + entries[top - 1]
             top -= 1
-            begin = first[top]
-        first[top], pivots[top], entries[top] = begin, k, true
+            start = first[top]
+        first[top], pivots[top], entries[top] = start, k, true
         top += 1
     first[top] = len(parent)
     return top
@@ -175,9 +175,9 @@ def rows_in_parents(nodes, where):
     """Fill row_in_parent; `where` is scratch, one entry a place."""
     for p in range(len(nodes.parent)):
         offset = 0
-        for place in range(nodes.first[p], nodes.first[p + 1]):
-            where[place] = offset
-            offset += nodes.scalar_of_place[place + 1] - nodes.scalar_of_place[place]
+        for slot in range(nodes.first[p], nodes.first[p + 1]):
+            where[slot] = offset
+            offset += nodes.scalar_of_slot[slot + 1] - nodes.scalar_of_slot[slot]
         for e in range(nodes.row_start[p], nodes.row_start[p + 1]):
             where[nodes.row[e]] = nodes.row_offset[e]
         child = nodes.first_child[p]
@@ -188,17 +188,17 @@ def rows_in_parents(nodes, where):
 
 
 @kernel
-def place_blocks(nodes, supernode_of_place, later, earlier, row_of_block):
+def assign_blocks(nodes, supernode_of_slot, later, earlier, row_of_block):
     """The first scalar row of each matrix block in its front, from its later and earlier place."""
     for b in range(len(later)):
-        s, place = supernode_of_place[earlier[b]], later[b]
-        if place < nodes.first[s + 1]:
-            row_of_block[b] = nodes.scalar_of_place[place] - nodes.scalar_of_place[nodes.first[s]]
+        s, slot = supernode_of_slot[earlier[b]], later[b]
+        if slot < nodes.first[s + 1]:
+            row_of_block[b] = nodes.scalar_of_slot[slot] - nodes.scalar_of_slot[nodes.first[s]]
             continue
         low, high = nodes.row_start[s], nodes.row_start[s + 1]
         while high - low > 1:
             middle = (low + high) // 2
-            if nodes.row[middle] <= place:
+            if nodes.row[middle] <= slot:
                 low = middle
             else:
                 high = middle
@@ -219,7 +219,7 @@ def _assemble(nodes, s, blocks, panels, updates):
         b, at = nodes.block[e], panel + nodes.block_row[e] + m * nodes.block_column[e]
         for j in range(nodes.block_width[e]):
             for i in range(nodes.block_height[e]):
-                panels[at + i + m * j] += blocks[b, j, i] if nodes.block_turned[e] else blocks[b, i, j]
+                panels[at + i + m * j] += blocks[b, j, i] if nodes.block_transposed[e] else blocks[b, i, j]
     child = nodes.first_child[s]
     while child >= 0:
         _extend_add(nodes, child, m, k, panel, update, panels, updates)
@@ -230,9 +230,9 @@ def _assemble(nodes, s, blocks, panels, updates):
 def _extend_add(nodes, child, m, k, panel, update, panels, updates):
     """Add the child's update to the front (m rows, k pivots) at `panel` and `update`."""
     height = nodes.num_rows[child] - nodes.num_pivots[child]
-    begin, end, base = nodes.row_start[child], nodes.row_start[child + 1], nodes.num_pivots[child]
+    start, end, base = nodes.row_start[child], nodes.row_start[child + 1], nodes.num_pivots[child]
     r = m - k
-    for e in range(begin, end):
+    for e in range(start, end):
         first = nodes.row_offset[e] - base
         width = (nodes.row_offset[e + 1] - base if e + 1 < end else height) - first
         for j in range(width):
@@ -312,18 +312,18 @@ def solve_supernodes(nodes, panels, x, dims, work):
         s = step if forward else 2 * count - 1 - step
         m, k = nodes.num_rows[s], nodes.num_pivots[s]
         dims[0], dims[1], dims[2] = m, k, m - k
-        begin = nodes.scalar_of_place[nodes.first[s]]
-        corner, below, own = panels[nodes.panel_start[s] :], panels[nodes.panel_start[s] + k :], x[begin:]
-        turned = _PLAIN if forward else _TRANSPOSED
+        start = nodes.scalar_of_slot[nodes.first[s]]
+        corner, below, own = panels[nodes.panel_start[s] :], panels[nodes.panel_start[s] + k :], x[start:]
+        transposed = _PLAIN if forward else _TRANSPOSED
         for e in range(nodes.row_start[s], nodes.row_start[s + 1]):
-            place = nodes.row[e]
-            source, at = nodes.scalar_of_place[place], nodes.row_offset[e] - k
-            for i in range(nodes.scalar_of_place[place + 1] - source):
+            slot = nodes.row[e]
+            source, at = nodes.scalar_of_slot[slot], nodes.row_offset[e] - k
+            for i in range(nodes.scalar_of_slot[slot + 1] - source):
                 work[at + i] = 0.0 if forward else x[source + i]
         if forward:
             _trsv(
                 _LOWER.ctypes,
-                turned.ctypes,
+                transposed.ctypes,
                 _PLAIN.ctypes,
                 dims[1:].ctypes,
                 corner.ctypes,
@@ -334,7 +334,7 @@ def solve_supernodes(nodes, panels, x, dims, work):
         if m > k:
             source, target = (own, work) if forward else (work, own)
             _gemv(
-                turned.ctypes,
+                transposed.ctypes,
                 dims[2:].ctypes,
                 dims[1:].ctypes,
                 _MINUS_ONE.ctypes,
@@ -349,7 +349,7 @@ def solve_supernodes(nodes, panels, x, dims, work):
         if not forward:
             _trsv(
                 _LOWER.ctypes,
-                turned.ctypes,
+                transposed.ctypes,
                 _PLAIN.ctypes,
                 dims[1:].ctypes,
                 corner.ctypes,
@@ -359,7 +359,7 @@ def solve_supernodes(nodes, panels, x, dims, work):
             )
             continue
         for e in range(nodes.row_start[s], nodes.row_start[s + 1]):
-            place = nodes.row[e]
-            target_at, at = nodes.scalar_of_place[place], nodes.row_offset[e] - k
-            for i in range(nodes.scalar_of_place[place + 1] - target_at):
+            slot = nodes.row[e]
+            target_at, at = nodes.scalar_of_slot[slot], nodes.row_offset[e] - k
+            for i in range(nodes.scalar_of_slot[slot + 1] - target_at):
                 x[target_at + i] += work[at + i]

@@ -24,8 +24,8 @@ def robust_loss(kind, s, scale_sq):
     if kind == CAUCHY:
         return scale_sq * math.log1p(s / scale_sq), 1.0 / (1.0 + s / scale_sq)
     if kind == TUKEY:
-        share = max(1.0 - s / scale_sq, 0.0)
-        return scale_sq / 3.0 * (1.0 - share**3), share * share
+        fraction = max(1.0 - s / scale_sq, 0.0)
+        return scale_sq / 3.0 * (1.0 - fraction**3), fraction * fraction
     if s < scale_sq:
         return s, 1.0
     return scale_sq, 0.0

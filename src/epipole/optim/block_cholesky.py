@@ -21,7 +21,7 @@ from epipole.optim import _cholesky_kernels as kernels
 _MIN_PARALLEL_FLOPS = 5e6
 _TASKS = 8
 _MOST_SCALARS = 1 << 20
-_DENSE_SHARE = 0.6
+_DENSE_FRACTION = 0.6
 """With a larger share of nonzero blocks no ordering helps."""
 
 
@@ -143,7 +143,7 @@ class BlockFactor:
                 i, j = nodes.block_row[e], nodes.block_column[e]
                 height, wide = nodes.block_height[e], nodes.block_width[e]
                 found = front[i : i + height, j : j + wide]
-                if nodes.block_turned[e]:
+                if nodes.block_transposed[e]:
                     out[nodes.block[e], :wide, :height] = found.T
                 else:
                     out[nodes.block[e], :height, :wide] = found
@@ -152,8 +152,8 @@ class BlockFactor:
     def _rows_in_parent(self, s: int) -> np.ndarray:
         nodes = self.plan.supernodes
         own = slice(nodes.row_start[s], nodes.row_start[s + 1])
-        place = nodes.row[own]
-        sizes = nodes.scalar_of_place[place + 1] - nodes.scalar_of_place[place]
+        slot = nodes.row[own]
+        sizes = nodes.scalar_of_slot[slot + 1] - nodes.scalar_of_slot[slot]
         return _ranges(nodes.row_in_parent[own], sizes)
 
 
@@ -174,12 +174,12 @@ def plan_cholesky(pattern: BlockPattern, last_mask: Bool[np.ndarray, " n"] | Non
     size = pattern.size[order]
     start, neighbour = _neighbours(pattern, order)
     column_start, row = _structure(start, neighbour, parent)
-    scalar_of_place = np.concatenate([[0], np.cumsum(size)])
+    scalar_of_slot = np.concatenate([[0], np.cumsum(size)])
     counts = np.add.reduceat(np.append(size[row], 0), column_start[:-1]) * (np.diff(column_start) > 0)
     first, scratch = np.empty(n + 1, np.int64), np.empty((2, n), np.int64)
     num = kernels.merge_columns(parent, counts, size, first, *scratch)
     first = first[: num + 1].copy()
-    nodes = _lay_out(first, parent, column_start, row, scalar_of_place)
+    nodes = _lay_out(first, parent, column_start, row, scalar_of_slot)
     nodes = _with_blocks(nodes, pattern, order)
     k, m = nodes.num_pivots.astype(float), nodes.num_rows.astype(float)
     work = k**3 / 3 + k * k * (m - k) + k * (m - k) ** 2
@@ -195,7 +195,7 @@ def _fill_reducing_order(pattern: BlockPattern, last: np.ndarray) -> np.ndarray:
     free = np.flatnonzero(~last)
     off = (pattern.row != pattern.column) & ~last[pattern.row] & ~last[pattern.column]
     count = int(off.sum())
-    if len(free) < 3 or count > _DENSE_SHARE * len(free) * (len(free) - 1) / 2:
+    if len(free) < 3 or count > _DENSE_FRACTION * len(free) * (len(free) - 1) / 2:
         return np.concatenate([free, np.flatnonzero(last)])
     rank = np.cumsum(~last) - 1
     rows, columns = rank[pattern.row[off]], rank[pattern.column[off]]
@@ -205,17 +205,17 @@ def _fill_reducing_order(pattern: BlockPattern, last: np.ndarray) -> np.ndarray:
     at = (np.concatenate([rows, columns, diagonal]), np.concatenate([columns, rows, diagonal]))
     graph = sparse.csc_matrix((values, at), shape=(len(free), len(free)))
     found = splu(graph, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    place = np.empty(len(free), np.int64)
-    place[found.perm_c] = np.arange(len(free))
-    return np.concatenate([free[place], np.flatnonzero(last)])
+    slot = np.empty(len(free), np.int64)
+    slot[found.perm_c] = np.arange(len(free))
+    return np.concatenate([free[slot], np.flatnonzero(last)])
 
 
 def _neighbours(pattern: BlockPattern, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """For each place the earlier places it meets, as CSR."""
-    place = np.empty(len(order), np.int64)
-    place[order] = np.arange(len(order))
+    slot = np.empty(len(order), np.int64)
+    slot[order] = np.arange(len(order))
     off = pattern.row != pattern.column
-    a, b = place[pattern.row[off]], place[pattern.column[off]]
+    a, b = slot[pattern.row[off]], slot[pattern.column[off]]
     late, early = np.maximum(a, b), np.minimum(a, b)
     by = np.lexsort((early, late))
     return np.searchsorted(late[by], np.arange(len(order) + 1)).astype(np.int64), early[by]
@@ -247,18 +247,18 @@ def _lay_out(
     parent: np.ndarray,
     column_start: np.ndarray,
     row: np.ndarray,
-    scalar_of_place: np.ndarray,
+    scalar_of_slot: np.ndarray,
 ) -> kernels.Supernodes:
-    num, size = len(first) - 1, np.diff(scalar_of_place)
-    supernode_of_place = np.repeat(np.arange(num), np.diff(first))
+    num, size = len(first) - 1, np.diff(scalar_of_slot)
+    supernode_of_slot = np.repeat(np.arange(num), np.diff(first))
     ends = first[1:] - 1  # the last pivot's rows are those of the supernode
     counts = column_start[ends + 1] - column_start[ends]
     row_start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     rows = row[_ranges(column_start[ends], counts)]
-    pivots = scalar_of_place[first[1:]] - scalar_of_place[first[:-1]]
+    pivots = scalar_of_slot[first[1:]] - scalar_of_slot[first[:-1]]
     running = np.concatenate([[0], np.cumsum(size[rows])])
     offset = running[:-1] - np.repeat(running[row_start[:-1]], counts) + np.repeat(pivots, counts)
-    above = np.where(parent[ends] >= 0, supernode_of_place[parent[ends]], -1)
+    above = np.where(parent[ends] >= 0, supernode_of_slot[parent[ends]], -1)
     first_child, next_child = np.full((2, num), -1, np.int64)
     for s in range(num - 1, -1, -1):
         if above[s] >= 0:
@@ -277,7 +277,7 @@ def _lay_out(
         pivots + running[row_start[1:]] - running[row_start[:-1]],
         none,
         none,
-        scalar_of_place,
+        scalar_of_slot,
         none,
         none,
         none,
@@ -292,17 +292,17 @@ def _lay_out(
 
 def _with_blocks(nodes: kernels.Supernodes, pattern: BlockPattern, order: np.ndarray) -> kernels.Supernodes:
     """Say where in which front each block of the matrix goes."""
-    place = np.empty(len(order), np.int64)
-    place[order] = np.arange(len(order))
-    a, b = place[pattern.row], place[pattern.column]
+    slot = np.empty(len(order), np.int64)
+    slot[order] = np.arange(len(order))
+    a, b = slot[pattern.row], slot[pattern.column]
     later, earlier = np.maximum(a, b), np.minimum(a, b)
-    supernode_of_place = np.repeat(np.arange(len(nodes.parent)), np.diff(nodes.first))
+    supernode_of_slot = np.repeat(np.arange(len(nodes.parent)), np.diff(nodes.first))
     block_row = np.empty(len(a), np.int64)
-    kernels.place_blocks(nodes, supernode_of_place, later, earlier, block_row)
-    owner = supernode_of_place[earlier]
+    kernels.assign_blocks(nodes, supernode_of_slot, later, earlier, block_row)
+    owner = supernode_of_slot[earlier]
     by = np.argsort(owner, kind="stable")
-    size = np.diff(nodes.scalar_of_place)
-    column = nodes.scalar_of_place[earlier] - nodes.scalar_of_place[nodes.first[owner]]
+    size = np.diff(nodes.scalar_of_slot)
+    column = nodes.scalar_of_slot[earlier] - nodes.scalar_of_slot[nodes.first[owner]]
     return nodes._replace(
         block_start=np.searchsorted(owner[by], np.arange(len(nodes.parent) + 1)).astype(np.int64),
         block=by,
@@ -310,7 +310,7 @@ def _with_blocks(nodes: kernels.Supernodes, pattern: BlockPattern, order: np.nda
         block_column=column[by],
         block_height=size[later[by]],
         block_width=size[earlier[by]],
-        block_turned=(a < b)[by],
+        block_transposed=(a < b)[by],
     )
 
 

@@ -164,7 +164,7 @@ def adjust_bundle(
 def _adjust(
     problem: BundleProblem, config: BundleConfig, progress: Callable[[BundleIteration], bool] | None
 ) -> BundleResult:
-    begin = time.perf_counter()
+    start = time.perf_counter()
     system = BundleSystem(
         problem, config.loss, config.loss_scale_px, config.solver, single_precision=config.single_precision
     )
@@ -172,7 +172,7 @@ def _adjust(
     used = system.find_visible(state)
     cost = initial = system.cost(state)
     damping, growth, iteration = config.initial_damping, 2.0, 0
-    tie = _WEAKLY_TIED if problem.priors is not None and problem.priors.ties_gauge else 1.0
+    constraint = _WEAKLY_TIED if problem.priors is not None and problem.priors.fixes_gauge else 1.0
     history: list[BundleIteration] = []
     reason = StopReason.MAX_ITERATIONS
     if not system.has_unknowns:
@@ -190,15 +190,15 @@ def _adjust(
             growth = 2.0
             # A step that is small because of the damping is no sign of convergence.
             if max(predicted, before - after) <= config.function_tolerance * before:
-                if damping <= tie * _FREE_DAMPING:
+                if damping <= constraint * _FREE_DAMPING:
                     reason = StopReason.CONVERGED
                 damping *= _LEAST_FACTOR
         else:
             if 0 <= predicted <= config.function_tolerance * 1e-3 * cost or damping > _MOST_DAMPING:
                 reason = StopReason.NO_STEP
             damping, growth = damping * growth, growth * 2.0
-        damping = max(damping, tie * _LEAST_DAMPING)
-        seconds = time.perf_counter() - begin
+        damping = max(damping, constraint * _LEAST_DAMPING)
+        seconds = time.perf_counter() - start
         history.append(BundleIteration(iteration, cost, damping, accepted, products, seconds))
         if progress is not None and not progress(history[-1]):
             reason = StopReason.CANCELLED
@@ -211,7 +211,7 @@ def _adjust(
         initial_cost=initial,
         final_cost=cost,
         num_iterations=iteration,
-        seconds=time.perf_counter() - begin,
+        seconds=time.perf_counter() - start,
         reason=reason,
         damping=damping,
         used_mask=used,
@@ -242,7 +242,7 @@ def _try_step(
     if step is None:
         return state, np.inf, -1.0, products
     moved, predicted = system.substitute_back(state, equations, step, damping)
-    return moved, system.settle(moved, state), predicted, products
+    return moved, system.improve(moved, state), predicted, products
 
 
 def _motions(rows: np.ndarray) -> Rigid3:

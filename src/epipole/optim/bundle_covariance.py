@@ -126,7 +126,7 @@ def bundle_variance(
         system, _, equations = _at_minimum(found, result.used_mask, options_of(BundleConfig, config))
         node, rhs = system.layout.nodes.frame, np.zeros_like(equations.rhs)
         rhs[node[node >= 0], :6] = derivative[node >= 0]
-        rhs[system.layout.held_mask] = 0.0
+        rhs[system.layout.fixed_mask] = 0.0
         step, _ = system.solve(replace(equations, rhs=rhs))
         if step is None:
             raise DegenerateGeometryError(
@@ -192,8 +192,8 @@ def _covariances_of_nodes_and_points(
     )
     points[_unknown_points(layout, lost, system.kept.factor, points)] = np.inf
     nodes = inverse[diagonal]
-    nodes[layout.held_mask] = 0.0
-    np.swapaxes(nodes, 1, 2)[layout.held_mask] = 0.0
+    nodes[layout.fixed_mask] = 0.0
+    np.swapaxes(nodes, 1, 2)[layout.fixed_mask] = 0.0
     nodes[lost] = np.inf
     kept = layout.nodes.point >= 0
     points[kept] = nodes[layout.nodes.point[kept], :3, :3]
@@ -201,7 +201,7 @@ def _covariances_of_nodes_and_points(
 
 
 def _num_unknowns(layout: BundleLayout) -> int:
-    nodes = int(layout.entries.width.sum()) - int(layout.held_mask.sum())
+    nodes = int(layout.entries.width.sum()) - int(layout.fixed_mask.sum())
     return nodes + 3 * int((layout.unknowns.role == arrays.ELIMINATED).sum())
 
 
@@ -217,8 +217,8 @@ def _unknown_points(
         )
     k10, k21 = -i1 * l10 * i0, -i2 * l21 * i1
     k20 = -i2 * (l20 * i0 + l21 * k10)
-    all_else_held = np.stack([i0**2 + k10**2 + k20**2, i1**2 + k21**2, i2**2], axis=1)
-    drifting = (np.einsum("nii->ni", covariance) > _UNKNOWN * all_else_held).any(axis=1)
+    all_else_fixed = np.stack([i0**2 + k10**2 + k20**2, i1**2 + k21**2, i2**2], axis=1)
+    drifting = (np.einsum("nii->ni", covariance) > _UNKNOWN * all_else_fixed).any(axis=1)
     entries = layout.entries
     by_frame = entries.node >= layout.num_border
     of_known, of_lost = np.zeros((2, len(factor)), bool)

@@ -75,7 +75,7 @@ class BundleLayout:
     nodes: Nodes
     free_params: np.ndarray
     num_free: np.ndarray
-    held_mask: np.ndarray
+    fixed_mask: np.ndarray
     """(nodes, lanes): columns of nodes that may not change."""
     lanes: tuple[int, ...]
     wide: tuple[int, ...]
@@ -156,10 +156,10 @@ def lay_out(problem: BundleProblem) -> BundleLayout:
     lanes = _padded(int(nodes.width.max(initial=1)))
     columns = 6 + num_free[images.camera] + 6 * (nodes.sensor[images.sensor] >= 0)
     wide = _padded(int(columns.max(initial=6)))
-    held = np.zeros((len(nodes.width), len(lanes)), bool)
-    moving, turning = nodes.frame >= 0, nodes.sensor >= 0
-    held[nodes.frame[moving], :6] = problem.frame_free[moving] == 0
-    held[nodes.sensor[turning], :6] = _sensor_free(problem)[turning] == 0
+    fixed = np.zeros((len(nodes.width), len(lanes)), bool)
+    moving, rotating = nodes.frame >= 0, nodes.sensor >= 0
+    fixed[nodes.frame[moving], :6] = problem.frame_free[moving] == 0
+    fixed[nodes.sensor[rotating], :6] = _sensor_free(problem)[rotating] == 0
     observations = arrays.Observations(
         np.ascontiguousarray(problem.offsets),
         image,
@@ -178,7 +178,7 @@ def lay_out(problem: BundleProblem) -> BundleLayout:
         nodes=nodes,
         free_params=free_params,
         num_free=num_free,
-        held_mask=held,
+        fixed_mask=fixed,
         lanes=lanes,
         wide=wide,
         num_chunks=int(chunks),
@@ -190,13 +190,13 @@ def _number_nodes(problem: BundleProblem, images: Images, num_free: np.ndarray, 
     used = np.bincount(images.frame, minlength=num_frames)
     may_move = problem.frame_free.any(axis=1) & (used > 0)
     sensor_free = _sensor_free(problem)
-    may_turn = sensor_free.any(axis=1) & np.isin(np.arange(len(sensor_free)), images.sensor)
+    may_rotate = sensor_free.any(axis=1) & np.isin(np.arange(len(sensor_free)), images.sensor)
     alone = np.bincount(images.camera, minlength=len(num_free)) == 1
     joins = alone[images.camera] & (used[images.frame] == 1) & may_move[images.frame]
     joins &= num_free[images.camera] > 0
     joined = np.zeros(len(num_free), bool)
     joined[images.camera[joins]] = True
-    masks = (may_turn, (num_free > 0) & ~joined, role == arrays.KEPT, may_move)
+    masks = (may_rotate, (num_free > 0) & ~joined, role == arrays.KEPT, may_move)
     counts = [int(mask.sum()) for mask in masks]
     first = [0, *accumulate(counts)]
     sensor, camera, point, frame = (_numbered(mask, at) for mask, at in zip(masks, first, strict=False))
@@ -230,8 +230,8 @@ def _unknowns(
 
 
 def _sensor_free(problem: BundleProblem) -> np.ndarray:
-    held = np.zeros((len(problem.cam_from_rig.translation), 6))
-    return held if problem.sensor_free is None else problem.sensor_free
+    fixed = np.zeros((len(problem.cam_from_rig.translation), 6))
+    return fixed if problem.sensor_free is None else problem.sensor_free
 
 
 def reduced_pattern(layout: BundleLayout, problem: BundleProblem, *, with_points: bool) -> BlockPattern:
@@ -294,7 +294,7 @@ def _images(problem: BundleProblem) -> tuple[Images, np.ndarray]:
 
 def _roles(problem: BundleProblem) -> np.ndarray:
     """Free points are eliminated, unless a known distance ties them to others: then they cannot be, one by one."""
-    role = np.where(problem.point_free > 0, arrays.ELIMINATED, arrays.HELD).astype(np.int8)
+    role = np.where(problem.point_free > 0, arrays.ELIMINATED, arrays.FIXED).astype(np.int8)
     if problem.priors is not None and problem.priors.distances is not None:
         ends = np.concatenate([problem.priors.distances.first, problem.priors.distances.second])
         role[ends[problem.point_free[ends] > 0]] = arrays.KEPT

@@ -48,53 +48,53 @@ def prior_terms(priors: BundlePriors | None, layout: BundleLayout, state: Bundle
     """All terms of the priors at a state."""
     terms = _Sums(layout.num_nodes, len(layout.lanes))
     if priors is not None:
-        places = Rigid3(state.rig_from_world[:, :9].reshape(-1, 3, 3), state.rig_from_world[:, 9:])
-        _add_positions(priors, layout, places, terms)
-        _add_motions(priors, layout, places, terms)
-        _add_gravity(priors, layout, places, terms)
+        positions = Rigid3(state.rig_from_world[:, :9].reshape(-1, 3, 3), state.rig_from_world[:, 9:])
+        _add_positions(priors, layout, positions, terms)
+        _add_motions(priors, layout, positions, terms)
+        _add_gravity(priors, layout, positions, terms)
         _add_params(priors, layout, state.params, terms)
         _add_distances(priors, layout, state.points, terms)
         for path in priors.paths:
-            _add_path(path, layout, places, terms)
-    terms.gradient[layout.held_mask] = 0.0
-    terms.diagonal[layout.held_mask] = 0.0
-    np.swapaxes(terms.diagonal, 1, 2)[layout.held_mask] = 0.0
+            _add_path(path, layout, positions, terms)
+    terms.gradient[layout.fixed_mask] = 0.0
+    terms.diagonal[layout.fixed_mask] = 0.0
+    np.swapaxes(terms.diagonal, 1, 2)[layout.fixed_mask] = 0.0
     return PriorTerms(terms.cost, terms.gradient, terms.diagonal, tuple(terms.pairs))
 
 
-def _add_positions(priors: BundlePriors, layout: BundleLayout, places: Rigid3, terms: _Sums) -> None:
+def _add_positions(priors: BundlePriors, layout: BundleLayout, positions: Rigid3, terms: _Sums) -> None:
     """Cauchy's loss of (centre - expected) / sigma; d centre / d translation tangent = -R^T."""
     if priors.position_in_world is None:
         return
     known = np.flatnonzero(np.isfinite(priors.position_in_world).all(axis=1) & (layout.nodes.frame >= 0))
     sigma = np.asarray(priors.position_sigma, np.float64)
     weight = 1.0 / (sigma[known] if sigma.ndim else np.full((len(known), 3), sigma))
-    turned = np.swapaxes(places.rotation[known], 1, 2)
-    residual = weight * (places[known].centers() - priors.position_in_world[known])
+    rotated = np.swapaxes(positions.rotation[known], 1, 2)
+    residual = weight * (positions[known].centers() - priors.position_in_world[known])
     squared = (residual**2).sum(axis=1)
     robust = 1.0 / np.sqrt(1.0 + squared)[:, None]
     terms.cost += 0.5 * float(np.log1p(squared).sum())
-    terms.add(layout.nodes.frame[known], -(robust * weight)[..., None] * turned, robust * residual)
+    terms.add(layout.nodes.frame[known], -(robust * weight)[..., None] * rotated, robust * residual)
 
 
-def _add_motions(priors: BundlePriors, layout: BundleLayout, places: Rigid3, terms: _Sums) -> None:
+def _add_motions(priors: BundlePriors, layout: BundleLayout, positions: Rigid3, terms: _Sums) -> None:
     """The residual r = log(x expected^-1); under exp(xi) x it changes by the inverse left Jacobian of r."""
     if priors.rig_from_world is None or priors.rig_information is None:
         return
     known = np.flatnonzero(priors.rig_information.any(axis=(1, 2)) & (layout.nodes.frame >= 0))
-    residual = (places[known] @ priors.rig_from_world[known].inverse()).log()
+    residual = (positions[known] @ priors.rig_from_world[known].inverse()).log()
     root = np.swapaxes(np.linalg.cholesky(priors.rig_information[known]), 1, 2)
     weighed = (root @ residual[..., None])[..., 0]
     terms.cost += 0.5 * float((weighed**2).sum())
     terms.add(layout.nodes.frame[known], root @ inverse_left_jacobian(residual), weighed)
 
 
-def _add_gravity(priors: BundlePriors, layout: BundleLayout, places: Rigid3, terms: _Sums) -> None:
+def _add_gravity(priors: BundlePriors, layout: BundleLayout, positions: Rigid3, terms: _Sums) -> None:
     """The residual (R down_in_world - down_in_rig) / sigma; d(R d) / d rotation tangent = -[R d]x."""
     if priors.down_in_rig is None:
         return
     known = np.flatnonzero(np.isfinite(priors.down_in_rig).all(axis=1) & (layout.nodes.frame >= 0))
-    down = places.rotation[known] @ (np.array(priors.down_in_world) / np.linalg.norm(priors.down_in_world))
+    down = positions.rotation[known] @ (np.array(priors.down_in_world) / np.linalg.norm(priors.down_in_world))
     residual = (down - priors.down_in_rig[known]) / priors.down_sigma_rad
     terms.cost += 0.5 * float((residual**2).sum())
     terms.add(layout.nodes.frame[known], -skew(down) / priors.down_sigma_rad, residual, first=3)
@@ -133,16 +133,16 @@ def _add_distances(priors: BundlePriors, layout: BundleLayout, points: np.ndarra
     terms.pairs.append((np.maximum(a, b)[both], np.minimum(a, b)[both], block))
 
 
-def _add_path(path: PathFactors, layout: BundleLayout, places: Rigid3, terms: _Sums) -> None:
+def _add_path(path: PathFactors, layout: BundleLayout, positions: Rigid3, terms: _Sums) -> None:
     """Every pair of its frames that may move."""
-    cost, gradient, matrix = path.linearized(places[path.frames])
+    cost, gradient, matrix = path.linearized(positions[path.frames])
     terms.cost += cost
     node = layout.nodes.frame[path.frames]
     mine = np.flatnonzero(node >= 0)
     node, matrix = node[mine], matrix[mine][:, :, mine]
     terms.gradient[node, :6] += gradient[mine]
     terms.diagonal[node, :6, :6] += matrix[np.arange(len(node)), :, np.arange(len(node))]
-    free = ~layout.held_mask[node, :6]
+    free = ~layout.fixed_mask[node, :6]
     first, second = np.nonzero(node[:, None] > node)
     block = matrix[first, :, second] * (free[first][:, :, None] & free[second][:, None, :])
     terms.pairs.append((node[first], node[second], block))

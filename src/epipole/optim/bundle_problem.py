@@ -112,12 +112,12 @@ class BundlePriors(Declared):
                 raise ConfigError("rig_information must be zero or positive definite")
 
     @property
-    def ties_gauge(self) -> bool:
+    def fixes_gauge(self) -> bool:
         """Whether a prior fixes position, orientation or scale of the model, which pictures do not."""
-        return self.fixes_place or self.down_in_rig is not None or self.distances is not None
+        return self.fixes_position or self.down_in_rig is not None or self.distances is not None
 
     @property
-    def fixes_place(self) -> bool:
+    def fixes_position(self) -> bool:
         """Whether a prior fixes positions of frames."""
         at = self.position_in_world is not None and bool(
             np.isfinite(self.position_in_world).all(axis=1).any()
@@ -312,7 +312,7 @@ def with_fixed_gauge(problem: BundleProblem) -> BundleProblem:
     movable = np.flatnonzero(free.any(axis=1) & (counts > 0))
     if len(movable) < 2 or not free[movable].all():
         return problem
-    if problem.priors is not None and problem.priors.fixes_place:
+    if problem.priors is not None and problem.priors.fixes_position:
         return problem
     if (counts[~free.any(axis=1)] > 0).sum() >= 2:
         return problem

@@ -88,46 +88,46 @@ class BundleSystem:
         n = self.layout.num_nodes
         self.row_start = np.searchsorted(self.pattern.row, np.arange(n + 1)).astype(np.int64)
         self._diagonal = np.flatnonzero(self.pattern.row == self.pattern.column)
-        self._places = self._places_of_images()
+        self._positions = self._poses_of_images()
         work = np.zeros(n, np.int64)
         layout_kernels.count_pairs(entries.start, entries.node, work)
-        shares = np.cumsum(work) / max(work.sum(), 1)
+        fractions = np.cumsum(work) / max(work.sum(), 1)
         self._pieces = np.unique(
-            np.searchsorted(shares, np.arange(1, _ROW_PIECES) / _ROW_PIECES, side="right")
+            np.searchsorted(fractions, np.arange(1, _ROW_PIECES) / _ROW_PIECES, side="right")
         )
 
     @property
     def has_unknowns(self) -> bool:
         """Whether anything may move."""
-        return self.layout.num_nodes > 0 or bool((self.layout.unknowns.role != arrays.HELD).any())
+        return self.layout.num_nodes > 0 or bool((self.layout.unknowns.role != arrays.FIXED).any())
 
     @property
     def solver(self) -> LinearSolver:
         """The way that was chosen."""
         return LinearSolver.ITERATIVE if self.plan is None else LinearSolver.DIRECT
 
-    def _choose_solver(self, asked: LinearSolver) -> None:
+    def _choose_solver(self, requested: LinearSolver) -> None:
         entries, width = self.layout.entries, len(self.layout.lanes)
         pairs = int(
             layout_kernels.count_pairs(entries.start, entries.node, np.zeros(self.layout.num_nodes, np.int64))
         )
         iterative_s = _USUAL_PRODUCTS * self.kept.z.nbytes / _BYTES_PER_S
-        if asked is not LinearSolver.ITERATIVE and (
-            asked is LinearSolver.DIRECT or pairs * _PAIR_S / 2 < 2 * iterative_s + 1
+        if requested is not LinearSolver.ITERATIVE and (
+            requested is LinearSolver.DIRECT or pairs * _PAIR_S / 2 < 2 * iterative_s + 1
         ):
             self.pattern = reduced_pattern(self.layout, self.problem, with_points=True)
             last = np.arange(self.layout.num_nodes) < self.layout.num_border
             plan = plan_cholesky(self.pattern, last)
             direct_s = pairs * _PAIR_S / 2 + plan.flops / _FLOPS_PER_S
             num_bytes = 8 * (plan.panel_size + plan.update_size + len(self.pattern.row) * width**2)
-            if asked is LinearSolver.DIRECT or (
+            if requested is LinearSolver.DIRECT or (
                 direct_s < iterative_s + 0.1 and num_bytes < _MAX_DIRECT_BYTES
             ):
                 self.plan = plan
                 return
         self.pattern = reduced_pattern(self.layout, self.problem, with_points=False)
 
-    def _places_of_images(self) -> np.ndarray:
+    def _poses_of_images(self) -> np.ndarray:
         """(images, 3, 3): the block of the products of the nodes of each image, where it is in the lower triangle."""
         n, nodes = max(self.layout.num_nodes, 1), self.layout.unknowns.nodes
         key = self.pattern.row * n + self.pattern.column
@@ -147,12 +147,12 @@ class BundleSystem:
         )
         return float(sum(parts)) + prior_terms(self.problem.priors, layout, state).cost
 
-    def settle(self, state: BundleState, before: BundleState) -> float:
+    def improve(self, state: BundleState, before: BundleState) -> float:
         """The cost, after each point went where the cameras of the state want it."""
         layout, scene = self.layout, self.layout.scene(state)
         role = layout.unknowns.role
         parts = _parallel.map_chunks(
-            lambda a, b, _: kernels.settle_points(
+            lambda a, b, _: kernels.damp_points(
                 layout.observations, a, b, scene, role, *self._loss, before.points, self._scratch()
             ),
             len(state.points),
@@ -177,7 +177,7 @@ class BundleSystem:
         blocks = arrays.rows_of_zeros((len(self.pattern.row), len(layout.lanes), len(layout.lanes)))
         gradient = arrays.rows_of_zeros((layout.num_nodes, len(layout.lanes)))
         reduced_kernels.add_images(
-            layout.unknowns, normal, image_gradient, self._places, blocks, gradient, layout.wide
+            layout.unknowns, normal, image_gradient, self._positions, blocks, gradient, layout.wide
         )
         self._add_priors(prior_terms(self.problem.priors, layout, state), blocks, gradient)
         self._move_kept_points(blocks, gradient)
@@ -191,7 +191,7 @@ class BundleSystem:
             self._subtract_eliminated(n, n[:-1], corner)
         left = np.einsum("nii->ni", corner)
         damp = damping * np.maximum(left, _LEAST_CURVATURE * curvature) + 1e-300
-        damp[layout.held_mask] = 1.0
+        damp[layout.fixed_mask] = 1.0
         damp[np.arange(len(layout.lanes)) >= layout.entries.width[:, None]] = 0.0
         blocks[self._diagonal[:, None], np.arange(len(layout.lanes)), np.arange(len(layout.lanes))] += damp
         return Linearization(gradient, reduced - gradient, blocks, corner, damp)
@@ -283,7 +283,7 @@ class BundleSystem:
                 return None, 0
             step = np.zeros(mask.shape)
             step[mask] = factor.solve(system.rhs[mask])
-        step[layout.held_mask] = 0.0
+        step[layout.fixed_mask] = 0.0
         return (step if np.isfinite(step).all() else None), products
 
     def inverse_blocks(self, system: Linearization) -> np.ndarray:

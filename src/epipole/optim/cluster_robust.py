@@ -50,19 +50,19 @@ def error_growth(
     steps, seen = np.zeros((count, *own.shape)), np.zeros((count, len(own)))
     for c, (score, weight) in enumerate(_scores(system, state, edges, (int(loss[0]), float(loss[1] ** 2)))):
         steps[c][own], seen[c] = factor.solve(score[own]), weight
-    share = seen / np.maximum(seen.sum(axis=0), 1e-300)
-    lost = 1.0 / np.maximum(1.0 - (share**2).sum(axis=0), 0.5) ** 2
-    free = own & ~system.layout.held_mask
+    fraction = seen / np.maximum(seen.sum(axis=0), 1e-300)
+    lost = 1.0 / np.maximum(1.0 - (fraction**2).sum(axis=0), 0.5) ** 2
+    free = own & ~system.layout.fixed_mask
     for n in range(len(covariance)):
         known, step = covariance[n][np.ix_(free[n], free[n])], steps[:, n, free[n]]
         unit = np.sqrt(np.einsum("ii->i", known))
         if known.size and (unit > 0).all() and np.isfinite(unit).all():
             white = np.linalg.solve(known / np.outer(unit, unit), (step / unit).T).T
-            out[n] = lost[n] * _mean_of_draws(((step / unit) * white).sum(axis=1) / len(known))
+            out[n] = lost[n] * _mean_of_samples(((step / unit) * white).sum(axis=1) / len(known))
     return out if system.problem.priors is None else np.maximum(out, 1.0)  # a prior's errors have no score
 
 
-def _mean_of_draws(parts: np.ndarray) -> float:
+def _mean_of_samples(parts: np.ndarray) -> float:
     """The sum of the clusters' parts, and more where few of them make it up.
 
     With nu = 2 sum^2 / var degrees of freedom (Satterthwaite 1946) errors over what is told are those of Student's

@@ -222,8 +222,8 @@ def optimize_weighted(
             f"the information matrices of {len(wrong)} of {len(weights)} edges are not positive definite: {few}"
         ) from error
     equations = _NormalEquations(graph)
-    places, damping, converged, iteration = graph.world_from_body, 0.0, False, 0
-    between, residual = _residuals(graph, places)
+    positions, damping, converged, iteration = graph.world_from_body, 0.0, False, 0
+    between, residual = _residuals(graph, positions)
     squared = _squared(graph, residual)
     cost = initial = 0.5 * float((weights * squared).sum())
     for iteration in range(1, config.max_iterations + 1):
@@ -234,7 +234,7 @@ def optimize_weighted(
         for _ in range(12):
             step = equations.solve(blocks, gradient, damping)
             if step is not None:
-                moved = _moved(places, step)
+                moved = _moved(positions, step)
                 between_after, residual_after = _residuals(graph, moved)
                 squared_after = _squared(graph, residual_after)
                 after = 0.5 * float((weights * squared_after).sum())
@@ -245,7 +245,7 @@ def optimize_weighted(
         if not lowered:
             converged = True  # no step lowers the cost: as low as rounding allows
             break
-        gain, cost, places = cost - after, after, moved
+        gain, cost, positions = cost - after, after, moved
         between, residual, squared = between_after, residual_after, squared_after
         damping = 0.0 if damping < 1e-7 else 0.1 * damping
         if progress is not None and not progress(iteration, cost):
@@ -253,7 +253,7 @@ def optimize_weighted(
         if gain <= config.relative_tolerance * cost + 1e-300:
             converged = True
             break
-    return PoseGraphResult(places, initial, cost, iteration, converged, weights > 0, squared)
+    return PoseGraphResult(positions, initial, cost, iteration, converged, weights > 0, squared)
 
 
 def not_definite(information: Float64[np.ndarray, "m d d"]) -> Int64[np.ndarray, " e"]:
@@ -273,9 +273,9 @@ def _has_factor(matrix: np.ndarray) -> bool:
     return True
 
 
-def _residuals(graph: PoseGraph, places: Motion) -> tuple[Any, np.ndarray]:
+def _residuals(graph: PoseGraph, positions: Motion) -> tuple[Any, np.ndarray]:
     """x_i^-1 x_j of every edge, and log(z^-1 x_i^-1 x_j)."""
-    between: Any = places[graph.first].inverse() @ places[graph.second]  # type: ignore[operator]
+    between: Any = positions[graph.first].inverse() @ positions[graph.second]  # type: ignore[operator]
     return between, (graph.first_from_second.inverse() @ between).log()
 
 
@@ -283,9 +283,9 @@ def _squared(graph: PoseGraph, residual: np.ndarray) -> np.ndarray:
     return (residual * (graph.information @ residual[..., None])[..., 0]).sum(axis=1)
 
 
-def _moved(places: Motion, step: np.ndarray) -> Motion:
-    moved: Any = type(places).exp(step)
-    return places @ moved
+def _moved(positions: Motion, step: np.ndarray) -> Motion:
+    moved: Any = type(positions).exp(step)
+    return positions @ moved
 
 
 class _NormalEquations:
@@ -300,7 +300,7 @@ class _NormalEquations:
         i, j = column[first], column[second]
         size, nodes = max(len(self.free), 1), np.arange(len(self.free))
         self.both = np.flatnonzero((i >= 0) & (j >= 0) & (i != j))
-        self.turned = (i < j)[self.both]
+        self.rotated = (i < j)[self.both]
         keys = np.maximum(i, j)[self.both] * size + np.minimum(i, j)[self.both]
         unique, at = np.unique(np.concatenate([nodes * (size + 1), keys]), return_inverse=True)
         self.diagonal, self.between = at[: len(nodes)], at[len(nodes) :]
@@ -317,7 +317,7 @@ class _NormalEquations:
         )
         blocks = np.zeros((self.num_blocks, self.d, self.d))
         cross = np.where(
-            self.turned[:, None, None],
+            self.rotated[:, None, None],
             b[self.both] @ by_first[self.both],
             a[self.both] @ by_second[self.both],
         )

@@ -76,13 +76,15 @@ def _optimize_robustly(
         if ((weights == 0.0) | (weights == 1.0)).all() and mu > 1.0:
             break
         mu *= 1.4
-    final = _settled(graph, config, current.world_from_body, ~doubtful | (weights > 0.5))
+    final = _converged(graph, config, current.world_from_body, ~doubtful | (weights > 0.5))
     found = _tightened(graph, config, final, doubtful, bound)
     return replace(found, initial_cost=initial_cost, num_iterations=iterations + found.num_iterations)
 
 
-def _settled(graph: PoseGraph, config: PoseGraphConfig, places: Motion, kept: np.ndarray) -> PoseGraphResult:
-    return optimize_weighted(replace(graph, world_from_body=places), config, kept.astype(float), None)
+def _converged(
+    graph: PoseGraph, config: PoseGraphConfig, positions: Motion, kept: np.ndarray
+) -> PoseGraphResult:
+    return optimize_weighted(replace(graph, world_from_body=positions), config, kept.astype(float), None)
 
 
 def _tightened(
@@ -94,13 +96,13 @@ def _tightened(
     the median of all residuals it stands out.
     """
     claimed = float(chdtri(graph.dimension, 0.5))
-    share = float(np.median(found.squared_residuals[found.kept_mask])) / claimed
-    if not share < 0.5:
+    fraction = float(np.median(found.squared_residuals[found.kept_mask])) / claimed
+    if not fraction < 0.5:
         return found
     tried = found
-    for cut in (share * bound, share * bound, bound, bound):
+    for cut in (fraction * bound, fraction * bound, bound, bound):
         kept = ~doubtful | (tried.squared_residuals <= cut)
-        tried = _settled(graph, config, tried.world_from_body, kept)
+        tried = _converged(graph, config, tried.world_from_body, kept)
     truncated = [
         float(np.where(doubtful, np.minimum(r.squared_residuals, bound), r.squared_residuals).sum())
         for r in (found, tried)

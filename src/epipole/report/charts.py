@@ -156,8 +156,8 @@ def draw_curves(
         return _LEFT + (math.log10(value) - low_x) / (high_x - low_x) * (_WIDTH - _LEFT - _RIGHT)
 
     def y_of(value: float) -> float:
-        share = ((value if even_y else math.log10(value)) - low_y) / (high_y - low_y)
-        return _HEIGHT - _BOTTOM - share * (_HEIGHT - _TOP - _BOTTOM)
+        fraction = ((value if even_y else math.log10(value)) - low_y) / (high_y - low_y)
+        return _HEIGHT - _BOTTOM - fraction * (_HEIGHT - _TOP - _BOTTOM)
 
     ticks = nice_ticks(low_y, high_y) if even_y else _decades(low_y, high_y)
     parts = [_grid_line(y_of(t), tick_text(t)) for t in ticks]

@@ -15,7 +15,7 @@ from epipole.geometry import Rotation3
 from epipole.report.gaussians import log_visibility, most_visible
 from epipole.scene.gaussian_cloud import GaussianCloud
 
-KEPT_SHARE = 0.1
+KEPT_FRACTION = 0.1
 """Of those that are kept, the fraction that is the most visible; the rest covers space evenly."""
 _MORTON_BITS = 21
 _MOST_OPACITY = 0.995
@@ -49,7 +49,7 @@ def merged(cloud: GaussianCloud, most: int) -> GaussianCloud:
 
 def _kept(cloud: GaussianCloud, means: np.ndarray, most: int) -> Int64[np.ndarray, " m"]:
     """Rows of the most visible, and of others that are spread evenly."""
-    visible = most_visible(cloud, int(KEPT_SHARE * most))
+    visible = most_visible(cloud, int(KEPT_FRACTION * most))
     is_left = np.ones(len(cloud), bool)
     is_left[visible] = False
     left = np.flatnonzero(is_left)

@@ -11,10 +11,10 @@ from typing import Any
 import markupsafe
 from markupsafe import Markup
 
-_TURNING = "\u202a-\u202e\u2066-\u2069"
+_BIDI_CONTROLS = "\u202a-\u202e\u2066-\u2069"
 """Characters that turn the direction of what follows: a name with them reads as another."""
-_UNPRINTABLE = re.compile(f"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff{_TURNING}]")
-_TURNING_IN_JSON = re.compile(r"\\u(202[a-e]|206[6-9])")
+_UNPRINTABLE = re.compile(f"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff{_BIDI_CONTROLS}]")
+_BIDI_CONTROLS_IN_JSON = re.compile(r"\\u(202[a-e]|206[6-9])")
 
 
 def escape(value: object) -> Markup:
@@ -34,7 +34,7 @@ def data_uri(data: bytes, media_type: str) -> str:
 def json_block(element_id: str, data: Any) -> Markup:
     """Data for the page's script. `<` is written as an escape, so that no name can end the element."""
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    text = _TURNING_IN_JSON.sub(r"\\ufffd", text)
+    text = _BIDI_CONTROLS_IN_JSON.sub(r"\\ufffd", text)
     text = text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
     return Markup(f'<script type="application/json" id="{escape(element_id)}">{text}</script>')
 

@@ -11,12 +11,12 @@ from epipole.robust import PairKind
 from epipole.scene import ViewGraph
 
 
-def match_matrix_payload(graph: ViewGraph, is_placed: Bool[np.ndarray, " n"]) -> dict[str, Any]:
+def match_matrix_payload(graph: ViewGraph, is_registered: Bool[np.ndarray, " n"]) -> dict[str, Any]:
     """One entry per pair: its pictures, inliers, kind and angle; and which pictures have a place."""
     angles = np.rad2deg(graph.median_angle_rad)
     return {
-        "n": len(is_placed),
-        "placed": np.flatnonzero(is_placed).tolist(),
+        "n": len(is_registered),
+        "placed": np.flatnonzero(is_registered).tolist(),
         "first": graph.image1.tolist(),
         "second": graph.image2.tolist(),
         "count": graph.num_inliers().tolist(),

@@ -33,11 +33,11 @@ def draw_path_plan(
         ends_in_world: the first place of the path, and the last.
         unit: of the axes.
     """
-    drawn = [curve for curve in curves if len(curve.segments_in_world)]
-    if not drawn:
+    rendered = [curve for curve in curves if len(curve.segments_in_world)]
+    if not rendered:
         return Markup("")
     points = points_in_world[np.isfinite(points_in_world).all(axis=1)]
-    frame = _frame_around(np.concatenate([c.segments_in_world.reshape(-1, 3) for c in drawn]), points)
+    frame = _frame_around(np.concatenate([c.segments_in_world.reshape(-1, 3) for c in rendered]), points)
     x_ticks, y_ticks = nice_ticks(frame.x_low, frame.x_high, 5), nice_ticks(frame.y_low, frame.y_high, 5)
     return render_piece(
         "epipole.report",
@@ -64,8 +64,8 @@ def draw_path_plan(
     )
 
 
-def _frame_around(places: np.ndarray, points: np.ndarray) -> PlanFrame:
-    corners = places[:, :2]
+def _frame_around(positions: np.ndarray, points: np.ndarray) -> PlanFrame:
+    corners = positions[:, :2]
     if len(points):
         corners = np.concatenate([corners, np.percentile(points[:, :2], _MIDDLE_PERCENT, axis=0)])
     low, high = corners.min(axis=0), corners.max(axis=0)
@@ -79,8 +79,8 @@ def _frame_around(places: np.ndarray, points: np.ndarray) -> PlanFrame:
 def _path(curve: Curve, frame: PlanFrame) -> str:
     steps: list[str] = []
     last: tuple[str, str] | None = None
-    for begin, end in curve.segments_in_world[:, :, :2].tolist():
-        first = (f"{frame.x_of(begin[0]):.1f}", f"{frame.y_of(begin[1]):.1f}")
+    for start, end in curve.segments_in_world[:, :, :2].tolist():
+        first = (f"{frame.x_of(start[0]):.1f}", f"{frame.y_of(start[1]):.1f}")
         if first != last:
             steps.append(f"M{first[0]} {first[1]}")
         last = (f"{frame.x_of(end[0]):.1f}", f"{frame.y_of(end[1]):.1f}")

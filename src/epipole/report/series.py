@@ -79,16 +79,16 @@ def draw_lines(
 def draw_strip(bands: Sequence[Band], marks: Sequence[int], span: tuple[float, float]) -> Markup:
     """A strip of bands over the frames' numbers, with ticks above it at `marks`."""
     bottom = _STRIP_TOP + _STRIP_HEIGHT
-    places = []
+    positions = []
     for band in bands:
         left, right = _x_of(band.first - 0.5, span), _x_of(band.last + 0.5, span)
-        places.append((band.kind, f"{left:.2f}", f"{max(right - left, 0.8):.2f}", band.hint))
+        positions.append((band.kind, f"{left:.2f}", f"{max(right - left, 0.8):.2f}", band.hint))
     return render_piece(
         "epipole.report",
         "strip.html.jinja",
         **_axes(span, bottom + 22, bottom),
         top=_STRIP_TOP,
-        bands=places,
+        bands=positions,
         marks="".join(f"M{_x_of(m, span):.1f} 3V{_STRIP_TOP - 2}" for m in marks),
     )
 

@@ -21,7 +21,7 @@ from epipole.report.markup import count, data_uri
 from epipole.report.space_scene import (
     CameraLayer,
     FirstView,
-    LoadPicture,
+    LoadImage,
     MeshLayer,
     PointLayer,
     PointMeasure,
@@ -37,7 +37,7 @@ FROM_A_CORNER = np.array([-1.68, -2.06, 1.6])
 RAMP_STOPS = 16
 UNKNOWN = 65535
 """The step of a measure that is not known."""
-PICTURE_SIDE_PX, MOST_PICTURES = 320, 150
+IMAGE_SIDE_PX, MOST_IMAGES = 320, 150
 """Longer side of a camera's picture in a page; so many are in one file, spread over all."""
 
 
@@ -73,8 +73,10 @@ def space_data(
     # Gaussians are told as their file has them.
     middle = np.zeros(3) if scene.gaussians is not None else extent.focus.astype(np.float32).astype(float)
     origin = middle if origin_in_world is None else origin_in_world
-    turn = np.eye(3) if scene.upright_from_world is None else scene.upright_from_world
-    view = scene.view or FirstView(extent.focus + extent.radius * FROM_A_CORNER @ turn, extent.focus, turn[2])
+    rotation = np.eye(3) if scene.upright_from_world is None else scene.upright_from_world
+    view = scene.view or FirstView(
+        extent.focus + extent.radius * FROM_A_CORNER @ rotation, extent.focus, rotation[2]
+    )
     numbers: dict[str, Any] = {
         "title": scene.title,
         "unit": scene.unit,
@@ -102,18 +104,18 @@ def space_data(
 
 def _extent(scene: SpaceScene) -> Extent:
     """Of the points, else of what else there is."""
-    places = [
+    positions = [
         np.asarray(layer.xyz_in_world[:: max(1, len(layer.xyz_in_world) // 200_000)], float)
         for layer in scene.points
     ]
     if scene.mesh is not None:
-        places.append(np.asarray(scene.mesh.vertices_in_world, float))
+        positions.append(np.asarray(scene.mesh.vertices_in_world, float))
     if scene.gaussians is not None:
-        places.append(scene.gaussians.means_in_world.astype(float))
+        positions.append(scene.gaussians.means_in_world.astype(float))
     centers = scene.cameras.cams_from_world.centers() if scene.cameras is not None else np.zeros((0, 3))
-    if not any(map(len, places)) or (scene.curves and not len(centers)):
-        places += [curve.segments_in_world.reshape(-1, 3) for curve in scene.curves]
-    return extent_of(np.concatenate([np.zeros((0, 3)), *places]), centers, RADIUS_PERCENT)
+    if not any(map(len, positions)) or (scene.curves and not len(centers)):
+        positions += [curve.segments_in_world.reshape(-1, 3) for curve in scene.curves]
+    return extent_of(np.concatenate([np.zeros((0, 3)), *positions]), centers, RADIUS_PERCENT)
 
 
 def _points(
@@ -125,7 +127,7 @@ def _points(
     together = np.zeros((len(layer.xyz_in_world), 4), "<u4")
     together[:, :3].view("<f4")[:] = _near(layer.xyz_in_world, origin)
     together.view(np.uint8)[:, 12:15] = layer.rgb
-    told = {
+    given = {
         "name": layer.name,
         "count": len(rows),
         "whole": len(layer.xyz_in_world),
@@ -137,15 +139,15 @@ def _points(
     }
     if layer.covariances is not None:
         upper = layer.covariances[rows][:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-        told["covariances"] = data.put(f"covariances-{k}", np.clip(upper, -3e38, 3e38).astype("<f4"))
+        given["covariances"] = data.put(f"covariances-{k}", np.clip(upper, -3e38, 3e38).astype("<f4"))
     if layer.measures:
         found = [_measure(measure, rows) for measure in layer.measures]
         steps = np.full((len(rows), 2), UNKNOWN, "<u2")
         for column, (_, own) in enumerate(found):
             steps[:, column] = own
-        told["measures"] = [description for description, _ in found]
-        told["values"] = data.put(f"values-{k}", steps)
-    return told
+        given["measures"] = [description for description, _ in found]
+        given["values"] = data.put(f"values-{k}", steps)
+    return given
 
 
 def shuffled(rows: Int64[np.ndarray, " n"], most: int | None = None) -> Int64[np.ndarray, " m"]:
@@ -153,10 +155,10 @@ def shuffled(rows: Int64[np.ndarray, " n"], most: int | None = None) -> Int64[np
     return np.random.default_rng(0).permutation(rows)[: len(rows) if most is None else most]
 
 
-def _near(places: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    if places.dtype == np.float32 and not origin.any():
-        return places
-    return (places.astype(np.float64) - origin).astype("<f4")
+def _near(positions: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    if positions.dtype == np.float32 and not origin.any():
+        return positions
+    return (positions.astype(np.float64) - origin).astype("<f4")
 
 
 def _measure(measure: PointMeasure, rows: np.ndarray) -> tuple[dict[str, Any], np.ndarray]:
@@ -187,8 +189,8 @@ def _curve(data: SpaceData, k: int, curve: Curve, origin: np.ndarray) -> dict[st
 def _cameras(data: SpaceData, layer: CameraLayer, origin: np.ndarray, extent: Extent) -> dict[str, Any]:
     """Centres, axes (right and ahead) and corners of the pictures around the centres."""
     centers, rotations = layer.cams_from_world.centers(), layer.cams_from_world.rotation
-    lenses = np.concatenate([layer.K.reshape(-1, 9), layer.sizes], axis=1)
-    different, of_camera = np.unique(lenses, axis=0, return_inverse=True)
+    cameras = np.concatenate([layer.K.reshape(-1, 9), layer.sizes], axis=1)
+    different, of_camera = np.unique(cameras, axis=0, return_inverse=True)
     in_cam = np.array(
         [frustum_corners_in_cam(row[:9].reshape(3, 3), int(row[9]), int(row[10])) for row in different]
     ).reshape(-1, 4, 3)[of_camera.reshape(-1)]
@@ -198,7 +200,7 @@ def _cameras(data: SpaceData, layer: CameraLayer, origin: np.ndarray, extent: Ex
         "name": layer.name,
         "shown": layer.is_shown,
         "names": list(layer.names),
-        "size": frustum_size(centers, *(share * extent.radius for share in FRUSTUM_SIZES)),
+        "size": frustum_size(centers, *(fraction * extent.radius for fraction in FRUSTUM_SIZES)),
         "focals": rounded(layer.K[:, 0, 0]),
         "sizes": layer.sizes.tolist(),
         "places": data.put("camera-places", (centers - origin).astype("<f4")),
@@ -242,24 +244,24 @@ def _gaussians(data: SpaceData, scene: SpaceScene, most: int | None) -> dict[str
     }
 
 
-def pictures_inside(layer: CameraLayer, most: int = MOST_PICTURES) -> list[str | None]:
+def embedded_images(layer: CameraLayer, most: int = MOST_IMAGES) -> list[str | None]:
     """Small pictures of the cameras as URIs that need no file; None where there is none, or beyond so many."""
     out: list[str | None] = [None] * len(layer.names)
-    if layer.load_picture is None or not layer.names:
+    if layer.load_image is None or not layer.names:
         return out
     for row in np.unique(np.linspace(0, len(out) - 1, min(most, len(out))).astype(int)).tolist():
-        jpeg = small_jpeg(layer.load_picture, layer.names[row])
+        jpeg = small_jpeg(layer.load_image, layer.names[row])
         out[row] = data_uri(jpeg, "image/jpeg") if jpeg is not None else None
     return out
 
 
-def small_jpeg(load_picture: LoadPicture, name: str) -> bytes | None:
+def small_jpeg(load_image: LoadImage, name: str) -> bytes | None:
     """A camera's picture in the size of a page; None where there is none."""
-    rgb = load_picture(name)
+    rgb = load_image(name)
     if rgb is None:
         return None
     stream = io.BytesIO()
-    Image.fromarray(downscaled(rgb, PICTURE_SIDE_PX)).save(stream, "JPEG", quality=80)
+    Image.fromarray(downscaled(rgb, IMAGE_SIDE_PX)).save(stream, "JPEG", quality=80)
     return stream.getvalue()
 
 

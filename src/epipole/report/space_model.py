@@ -9,7 +9,7 @@ import numpy as np
 from epipole.report.markup import number, plural
 from epipole.report.space_scene import (
     CameraLayer,
-    LoadPicture,
+    LoadImage,
     PointLayer,
     PointMeasure,
     SpaceScene,
@@ -35,7 +35,7 @@ def scene_of_model(
     unit: str,
     cameras: str = "Cameras",
     curves: Sequence[Curve] = (),
-    load_picture: LoadPicture | None = None,
+    load_image: LoadImage | None = None,
     num_given: int | None = None,
 ) -> SpaceScene:
     """Points with their errors, cameras and lines.
@@ -46,20 +46,22 @@ def scene_of_model(
         unit: of its lengths; empty: up to scale.
         cameras: what the cameras are called.
         curves: lines with pieces.
-        load_picture: of an image's name.
+        load_image: of an image's name.
         num_given: how many pictures there were, placed or not; None: a model's files do not tell.
     """
-    num_placed = int(model.is_registered().sum())
-    pictures = (
-        plural(num_placed, "picture") if num_given is None else f"{num_placed} of {num_given} pictures placed"
+    num_registered = int(model.is_registered().sum())
+    images = (
+        plural(num_registered, "picture")
+        if num_given is None
+        else f"{num_registered} of {num_given} pictures placed"
     )
-    words = f"{pictures}, {plural(len(model.points), 'point')}"
+    words = f"{images}, {plural(len(model.points), 'point')}"
     return SpaceScene(
         title=title,
         words=words,
         unit=unit,
         points=(points_of_model(model),),
-        cameras=cameras_of_model(model, cameras, load_picture),
+        cameras=cameras_of_model(model, cameras, load_image),
         curves=tuple(curve for curve in curves if len(curve.segments_in_world)),
     )
 
@@ -83,7 +85,7 @@ def points_of_model(model: Reconstruction) -> PointLayer:
     )
 
 
-def cameras_of_model(model: Reconstruction, name: str, load_picture: LoadPicture | None) -> CameraLayer:
+def cameras_of_model(model: Reconstruction, name: str, load_image: LoadImage | None) -> CameraLayer:
     """The placed cameras, without distortion."""
     images = np.flatnonzero(model.is_registered())
     cameras = [model.cameras[int(c)] for c in model.camera_of_image[images]]
@@ -93,5 +95,5 @@ def cameras_of_model(model: Reconstruction, name: str, load_picture: LoadPicture
         model.cams_from_world()[images],
         np.array([camera.K for camera in cameras]).reshape(-1, 3, 3),
         np.array([[camera.width, camera.height] for camera in cameras], np.int64).reshape(-1, 2),
-        load_picture,
+        load_image,
     )

@@ -13,7 +13,7 @@ from epipole.geometry import Rigid3
 from epipole.scene import Curve
 from epipole.scene.gaussian_cloud import GaussianCloud
 
-LoadPicture = Callable[[str], UInt8[np.ndarray, "h w 3"] | None]
+LoadImage = Callable[[str], UInt8[np.ndarray, "h w 3"] | None]
 """The RGB picture of a camera's name, or None where there is none."""
 METRES, NO_UNIT = "m", ""
 """Units of a scene; without one it is known up to scale."""
@@ -67,7 +67,7 @@ class CameraLayer:
     K: Float64[np.ndarray, "n 3 3"]
     sizes: Int64[np.ndarray, "n 2"]
     """Width and height in pixels."""
-    load_picture: LoadPicture | None = None
+    load_image: LoadImage | None = None
     is_shown: bool = True
     """At first."""
 

@@ -37,8 +37,8 @@ def pack_rays(model, params, cam_from_rig, points, pixels, order, items):
             items[i, column] = points[k, i]
             items[3 + i, column] = r[i] * x + r[3 + i] * y + r[6 + i] * z
             for j in range(2):
-                turned = jac[j, 0] * r[i] + jac[j, 1] * r[3 + i] + jac[j, 2] * r[6 + i]
-                items[6 + 3 * j + i, column] = valid * turned
+                rotated = jac[j, 0] * r[i] + jac[j, 1] * r[3 + i] + jac[j, 2] * r[6 + i]
+                items[6 + 3 * j + i, column] = valid * rotated
             items[12 + i, column] = -(r[i] * r[9] + r[3 + i] * r[10] + r[6 + i] * r[11])
 
 

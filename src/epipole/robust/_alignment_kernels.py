@@ -130,7 +130,7 @@ def _step_in_space(delta, full):
 
 
 @kernel
-def _turn_about_z(x, y, model):
+def _rotation_about_z(x, y, model):
     """The similarity about the z axis that takes the points x (2, 3) to y; False where they coincide from above.
 
     With horizontal coordinates as complex numbers, s e^(i heading) = (y1 - y0) / (x1 - x0).
@@ -145,9 +145,9 @@ def _turn_about_z(x, y, model):
         model[i] = 0.0
     model[0], model[1], model[3], model[4], model[8], model[SCALE] = cos, -sin, sin, cos, 1.0, scale
     for i in range(3):
-        turned = model[3 * i] * (x[0, 0] + x[1, 0]) + model[3 * i + 1] * (x[0, 1] + x[1, 1])
-        turned += model[3 * i + 2] * (x[0, 2] + x[1, 2])
-        model[9 + i] = 0.5 * (y[0, i] + y[1, i] - scale * turned)
+        rotated = model[3 * i] * (x[0, 0] + x[1, 0]) + model[3 * i + 1] * (x[0, 1] + x[1, 1])
+        rotated += model[3 * i + 2] * (x[0, 2] + x[1, 2])
+        model[9 + i] = 0.5 * (y[0, i] + y[1, i] - scale * rotated)
     return True
 
 
@@ -170,7 +170,7 @@ class UprightAlignmentProblem(PointsProblem, Items):
         for k in range(2):
             for i in range(3):
                 x[k, i], y[k, i] = self.items[i, sample[k]], self.items[3 + i, sample[k]]
-        return np.int64(1) if _turn_about_z(x, y, models[0]) else np.int64(0)
+        return np.int64(1) if _rotation_about_z(x, y, models[0]) else np.int64(0)
 
     def linearize(self, model, threshold_sq, soft_sq, a, b):
         full_a, full_b = np.empty((7, 7)), np.empty(7)

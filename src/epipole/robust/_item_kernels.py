@@ -88,11 +88,11 @@ def columns_within(items, residuals, threshold_sq):
                 break
     out = np.empty((items.shape[0], count))
     for i in range(items.shape[0]):
-        place = 0
+        position = 0
         for k in range(last):
             if residuals[k] < threshold_sq:
-                out[i, place] = items[i, k]
-                place += 1
+                out[i, position] = items[i, k]
+                position += 1
     return out
 
 

@@ -146,7 +146,7 @@ def next_random(state):
 
 
 @kernel
-def draw(state, n, size, sample):
+def sample_items(state, n, size, sample):
     """`size` different numbers below n."""
     for k in range(size):
         fresh = False
@@ -159,15 +159,15 @@ def draw(state, n, size, sample):
 
 
 @kernel
-def _passes(problem, model, threshold_sq, share, test):
-    """Wald's test of `share` of inliers against the chance agreement seen so far.
+def _passes(problem, model, threshold_sq, fraction, test):
+    """Wald's test of `fraction` of inliers against the chance agreement seen so far.
 
     test = (agreements, items) of the models rejected so far.
     """
     chance = (test[0] + 1.0) / (test[1] + 50.0)
-    if chance >= 0.8 * share:
+    if chance >= 0.8 * fraction:
         return True
-    for_in, for_out = math.log(chance / share), math.log((1.0 - chance) / (1.0 - share))
+    for_in, for_out = math.log(chance / fraction), math.log((1.0 - chance) / (1.0 - fraction))
     evidence, agreed, stop = 0.0, 0, min(problem.num_items(), MOST_TESTED)
     for start in range(0, stop, TEST_BLOCK):
         end = min(start + TEST_BLOCK, stop)
@@ -182,7 +182,7 @@ def _passes(problem, model, threshold_sq, share, test):
 
 
 @kernel
-def _share_within(problem, model, threshold_sq, residuals):
+def _fraction_within(problem, model, threshold_sq, residuals):
     problem.residuals_sq(model, threshold_sq, residuals)
     count = 0
     for k in range(len(residuals)):
@@ -192,9 +192,9 @@ def _share_within(problem, model, threshold_sq, residuals):
 
 
 @kernel
-def _iterations_needed(share, size, confidence, least, most):
+def _iterations_needed(fraction, size, confidence, least, most):
     """log(1 - confidence) / log(1 - share^size) samples hold one of inliers alone (Fischler and Bolles 1981)."""
-    miss = 1.0 - share**size
+    miss = 1.0 - fraction**size
     if miss <= 0.0:
         return least
     if miss >= 1.0:
@@ -220,7 +220,7 @@ def _iterations_needed_ranked(ranking, residuals, threshold_sq, size, confidence
 
 
 @kernel
-def _draw_ranked(state, ranking, progress, iteration, size, sample):
+def _sample_ranked(state, ranking, progress, iteration, size, sample):
     """PROSAC's sample: from a set of the best items that grows until it holds all (Chum and Matas 2005, section 2.1).
 
     progress = (size of the set, T_n, T'_n).
@@ -233,10 +233,10 @@ def _draw_ranked(state, ranking, progress, iteration, size, sample):
         progress[0] += 1.0
     best = int(progress[0])
     if iteration <= progress[2] and best > size:
-        draw(state, best - 1, size - 1, sample)
+        sample_items(state, best - 1, size - 1, sample)
         sample[size - 1] = best - 1
     else:
-        draw(state, best, size, sample)
+        sample_items(state, best, size, sample)
     for k in range(size):
         sample[k] = ranking[sample[k]]
 
@@ -253,11 +253,11 @@ def _start_of_ranked(n, size):
 @kernel(allocates=True)
 def ransac(
     problem,
-    asked_sq,
+    required_sq,
     confidence,
     min_iterations,
     max_iterations,
-    min_share,
+    min_fraction,
     seed,
     ranking,
     best,
@@ -272,29 +272,29 @@ def ransac(
     Returns (score, iterations); the score is infinite if no model was found.
     """
     breadth = problem.breadth()
-    threshold_sq = breadth * breadth * asked_sq
+    threshold_sq = breadth * breadth * required_sq
     n, size = problem.num_items(), problem.sample_size()
     state, sample = np.empty(1, np.uint64), np.empty(16, np.int64)
     state[0] = seed
     work, test = problem.workspace(), np.zeros(2)
     if ranking is not None:
         progress = _start_of_ranked(n, size)
-    models, settled = np.empty((MOST_MODELS, MODEL_SIZE)), np.empty((4, MODEL_SIZE))
+    models, refined = np.empty((MOST_MODELS, MODEL_SIZE)), np.empty((4, MODEL_SIZE))
     worst = n * threshold_sq
-    best_score, best_gain, share, iteration, seconds = math.inf, ROUNDING * worst, 0.0, 0, 0
+    best_score, best_gain, fraction, iteration, seconds = math.inf, ROUNDING * worst, 0.0, 0, 0
     # A smaller share of inliers than this would count as failure: no need to search for it.
-    needed = _iterations_needed(min_share, size, confidence, min_iterations, max_iterations)
+    needed = _iterations_needed(min_fraction, size, confidence, min_iterations, max_iterations)
     while iteration < needed:
         iteration += 1
         if ranking is not None:
-            _draw_ranked(state, ranking, progress, iteration, size, sample)
+            _sample_ranked(state, ranking, progress, iteration, size, sample)
         else:
-            draw(state, n, size, sample)
+            sample_items(state, n, size, sample)
         for k in range(problem.solve_sample(sample, models, work)):
-            if share > 0.0 and not _passes(problem, models[k], threshold_sq, share, test):
+            if fraction > 0.0 and not _passes(problem, models[k], threshold_sq, fraction, test):
                 continue
-            for c in range(problem.settle(sample, models[k], settled, work)):
-                model = settled[c]
+            for c in range(problem.refine(sample, models[k], refined, work)):
+                model = refined[c]
                 gain = worst - problem.score(model, threshold_sq, worst - PROMISING * best_gain)
                 if gain <= PROMISING * best_gain or (gain <= best_gain and seconds == MOST_SECONDS):
                     continue
@@ -304,8 +304,8 @@ def ransac(
                 if this < best_score:
                     best_score = this
                     copy_numbers(model, best)
-                    share = _share_within(problem, model, threshold_sq, residuals)
-                    enough = _iterations_needed(share, size, confidence, min_iterations, max_iterations)
+                    fraction = _fraction_within(problem, model, threshold_sq, residuals)
+                    enough = _iterations_needed(fraction, size, confidence, min_iterations, max_iterations)
                     if ranking is not None:
                         ranked = _iterations_needed_ranked(
                             ranking, residuals, threshold_sq, size, confidence, min_iterations, max_iterations
@@ -318,7 +318,7 @@ def ransac(
         problem.residuals_sq(best, threshold_sq, residuals)
         best_score = polish(problem, best, threshold_sq, residuals)
         if breadth > 1.0:
-            best_score = problem.score(best, asked_sq, math.inf)
-        problem.residuals_sq(best, asked_sq, residuals)
-        problem.linearize(best, asked_sq, math.inf, information, np.empty(MOST_FREEDOM))
+            best_score = problem.score(best, required_sq, math.inf)
+        problem.residuals_sq(best, required_sq, residuals)
+        problem.linearize(best, required_sq, math.inf, information, np.empty(MOST_FREEDOM))
     return best_score, iteration

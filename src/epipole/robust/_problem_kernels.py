@@ -47,7 +47,7 @@ class RobustProblem:
         """Parameters of a step of local optimisation."""
 
     def workspace(self):
-        """Arrays that `solve_sample` and `settle` write into."""
+        """Arrays that `solve_sample` and `refine` write into."""
 
     def solve_sample(self, sample, models, work):
         """Minimal solver: writes models, returns their number."""
@@ -85,9 +85,9 @@ class RobustProblem:
         """Numbers in one item's residual, one to three."""
         return np.int64(1)
 
-    def settle(self, sample, model, settled, work):
+    def refine(self, sample, model, refined, work):
         """Finish a model that passed the test (E gives motions): writes up to four models, returns their number."""
-        copy_numbers(model, settled[0])
+        copy_numbers(model, refined[0])
         return np.int64(1)
 
     def agreeing(self, model, threshold_sq, start, stop):
@@ -141,13 +141,13 @@ class RobustProblem:
                     b[i] += dot_rows(rows[first + 1 + i], rows[first], stop - start)
                     for j in range(i + 1):
                         a[i, j] += dot_rows(rows[first + 1 + i], rows[first + 1 + j], stop - start)
-        self.hold_gauge(model, a)
+        self.fix_gauge(model, a)
         for i in range(freedom):
             for j in range(i):
                 a[j, i] = a[i, j]
         return total
 
-    def hold_gauge(self, model, a):
+    def fix_gauge(self, model, a):
         """Fill what a model with more parameters than freedom leaves empty in J^T J (lower triangle)."""
 
     def escape(self, model, residuals, threshold_sq, state):

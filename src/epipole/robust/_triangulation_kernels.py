@@ -212,7 +212,7 @@ def best_hypothesis(rows, cams, free, count, max_error_sq, max_cosine, work, bes
 
 
 @kernel
-def plain_lens(model, params, f):
+def plain_camera(model, params, f):
     """Whether the lens does not distort, its principal point, and what takes its pixels to a focal length f."""
     fx, fy, cx, cy, d0, d1, d2, d3 = expand_params(model, params)
     is_plain = model < OPENCV_FISHEYE and d0 == 0.0 and d1 == 0.0 and d2 == 0.0 and d3 == 0.0
@@ -220,9 +220,9 @@ def plain_lens(model, params, f):
 
 
 @kernel(inline=True)
-def without_lens(lens, model, params, f, u, v):
+def without_distortion(camera, model, params, f, u, v):
     """The pixel of a pinhole of focal length f, from its principal point; NaN where it has no ray before the camera."""
-    is_plain, cx, cy, sx, sy = lens
+    is_plain, cx, cy, sx, sy = camera
     if is_plain:
         a, b = sx * (u - cx), sy * (v - cy)
     else:
@@ -245,7 +245,7 @@ def triangulate_two_views(
     points, errors, cosines, reasons = out
     f1, f2 = focal[0], focal[1]
     per_f1, per_f2 = 1.0 / f1, 1.0 / f2
-    lens1, lens2 = plain_lens(models[0], params[0], f1), plain_lens(models[1], params[1], f2)
+    camera1, camera2 = plain_camera(models[0], params[0], f1), plain_camera(models[1], params[1], f2)
     e = essential
     e00, e01, e02 = e[0] / (f1 * f2), e[1] / (f1 * f2), e[2] / f2
     e10, e11, e12 = e[3] / (f1 * f2), e[4] / (f1 * f2), e[5] / f2
@@ -254,8 +254,8 @@ def triangulate_two_views(
     for k in range(start, stop):
         points[k, 0] = points[k, 1] = points[k, 2] = math.nan
         errors[k], cosines[k] = math.inf, 1.0
-        a0, a1 = without_lens(lens1, models[0], params[0], f1, pixels1[k, 0], pixels1[k, 1])
-        b0, b1 = without_lens(lens2, models[1], params[1], f2, pixels2[k, 0], pixels2[k, 1])
+        a0, a1 = without_distortion(camera1, models[0], params[0], f1, pixels1[k, 0], pixels1[k, 1])
+        b0, b1 = without_distortion(camera2, models[1], params[1], f2, pixels2[k, 0], pixels2[k, 1])
         if not (a0 * a0 + a1 * a1 < (FARTHEST * f1) ** 2 and b0 * b0 + b1 * b1 < (FARTHEST * f2) ** 2):
             reasons[k] = TOO_FEW_VIEWS
             continue

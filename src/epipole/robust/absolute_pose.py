@@ -129,11 +129,11 @@ def estimate_upright_pose(
     config = options_of(RansacConfig, config)
     points, pixels = as_points(points_in_world, "points_in_world", 3), as_points(pixels, "pixels", 2)
     n = require_same_length(points_in_world=points, pixels=pixels)
-    cam_from_upright = Rotation3(turn_upright(down_in_cam, "down_in_cam").T)
-    upright_from_world = turn_upright(down_in_world, "down_in_world")
-    turned = Rigid3(cam_from_upright.matrix[None], np.zeros((1, 3)))
+    cam_from_upright = Rotation3(rotate_upright(down_in_cam, "down_in_cam").T)
+    upright_from_world = rotate_upright(down_in_world, "down_in_world")
+    rotated = Rigid3(cam_from_upright.matrix[None], np.zeros((1, 3)))
     order, items = _pack(
-        [camera], turned, np.zeros(n, np.int64), points @ upright_from_world.T, pixels, config
+        [camera], rotated, np.zeros(n, np.int64), points @ upright_from_world.T, pixels, config
     )
     found = run_loop(UprightPoseProblem(items), order, n, 1.0, config, None)
     world = Rigid3(upright_from_world, np.zeros(3))
@@ -196,7 +196,7 @@ def estimate_pose_and_focal(
     return found.estimate(FocalPose(motion, float(spread * found.raw[FOCAL])), covariance)
 
 
-def turn_upright(down: Any, name: str) -> Float64[np.ndarray, "3 3"]:
+def rotate_upright(down: Any, name: str) -> Float64[np.ndarray, "3 3"]:
     """The smallest rotation that brings `down` onto the y axis.
 
     Raises:
@@ -227,8 +227,8 @@ def _pack(
     for c, camera in enumerate(cameras):
         columns = np.flatnonzero(index[order] == c)
         part = items if len(columns) == len(order) else np.empty((ROWS, len(columns)))
-        place = np.concatenate([cams_from_rig.rotation[c].ravel(), cams_from_rig.translation[c]])
-        pack_rays(int(camera.model), camera.padded_params(), place, points, pixels, order[columns], part)
+        position = np.concatenate([cams_from_rig.rotation[c].ravel(), cams_from_rig.translation[c]])
+        pack_rays(int(camera.model), camera.padded_params(), position, points, pixels, order[columns], part)
         if part is not items:
             items[:, columns] = part
     seen = np.isfinite(items).all(axis=0)

@@ -79,8 +79,8 @@ def estimate_upright_similarity(
     found = run_loop(UprightAlignmentProblem(items), order, n, 1.0, config, None)
     covariance = np.full((7, 7), np.inf)
     if np.isfinite(found.covariance).all():
-        places = np.eye(7)[:, [0, 1, 2, 5, 6]]
-        covariance = places @ found.covariance @ places.T
+        positions = np.eye(7)[:, [0, 1, 2, 5, 6]]
+        covariance = positions @ found.covariance @ positions.T
     return found.estimate(_similarity(found), _lifted(covariance, found.raw[9:12]))
 
 

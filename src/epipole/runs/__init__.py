@@ -4,13 +4,13 @@ from epipole.runs.contents import content_digests as content_digests
 from epipole.runs.executors import ExecutorChoice as ExecutorChoice
 from epipole.runs.folder import OutputFolder as OutputFolder
 from epipole.runs.folder import claim as claim
-from epipole.runs.folder import holds_own_model as holds_own_model
+from epipole.runs.folder import has_own_model as has_own_model
 from epipole.runs.folder import read_mark as read_mark
 from epipole.runs.guard import is_overwriting as is_overwriting
 from epipole.runs.guard import overwriting as overwriting
 from epipole.runs.guard import refuse_existing as refuse_existing
 from epipole.runs.guard import replacing_file as replacing_file
-from epipole.runs.interrupts import heeded_interrupts as heeded_interrupts
+from epipole.runs.interrupts import graceful_interrupt as graceful_interrupt
 from epipole.runs.progress import Progress as Progress
 from epipole.runs.progress import ProgressCallback as ProgressCallback
 from epipole.runs.progress import ignore_progress as ignore_progress

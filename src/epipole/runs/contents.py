@@ -64,12 +64,12 @@ def _remembered(memory: Path) -> dict[str, tuple[str, str]]:
     if not is_done(memory, _KEY):
         return {}
     try:
-        held = load(memory, _TABLE)
+        table = load(memory, _TABLE)
     except WorkspaceError:
         return {}
     return {
         str(path): (str(state), str(digest))
-        for path, state, digest in zip(held["paths"], held["states"], held["digests"])
+        for path, state, digest in zip(table["paths"], table["states"], table["digests"])
     }
 
 

@@ -182,7 +182,7 @@ class OutputFolder:
             "format": FORMAT,
             "kind": self.kind,
             "source": self.source.paths,
-            "sketch": self.source.sketch,
+            "sketch": self.source.fingerprint,
             "version": __version__,
             "finished": self.finished,
             "has_failed": self.has_failed,
@@ -243,7 +243,7 @@ BY_PRODUCTS = frozenset({"database"})
 """Groups that a run writes before it knows whether there will be a result."""
 
 
-def check_place(root: Path, kind: str, inputs: Sequence[Path]) -> None:
+def check_output_path(root: Path, kind: str, inputs: Sequence[Path]) -> None:
     """Before any work, and without touching anything: the output folder is new, or ours, or may be overwritten.
 
     Args:
@@ -264,7 +264,7 @@ def check_place(root: Path, kind: str, inputs: Sequence[Path]) -> None:
                 "give the name of a folder"
             )
     refuse_folder_of(root, inputs)
-    _held(root, kind, Source.of(inputs, root))
+    _existing(root, kind, Source.of(inputs, root))
 
 
 def refuse_folder_of(root: Path, inputs: Sequence[Path]) -> None:
@@ -295,70 +295,70 @@ def claim(root: Path, kind: str, inputs: Sequence[Path]) -> OutputFolder:
     Raises:
         WorkspaceError: it is a file, holds something else, or is not writable.
     """
-    check_place(root, kind, inputs)
+    check_output_path(root, kind, inputs)
     source = Source.of(inputs, root)
     with reporting(root, "use the output folder"):
-        held = _held(root, kind, source)
+        found = _existing(root, kind, source)
         root.mkdir(parents=True, exist_ok=True)
         if not os.access(root, os.W_OK):
             raise WorkspaceError(f"{root} is not writable")
-        if held is None:
+        if found is None:
             folder = OutputFolder(root, kind, source)
-        elif held.kind == kind and held.source.is_same_as(source):
-            folder = held
+        elif found.kind == kind and found.source.is_same_as(source):
+            folder = found
             folder.source = source
             folder.refuse_replaced()
         else:
-            folder = held.take_over(kind, source)
+            folder = found.take_over(kind, source)
         remove_abandoned_parts_below(root)
         remove_free_locks(root)
         folder.save()
         return folder
 
 
-def _held(root: Path, kind: str, source: Source) -> OutputFolder | None:
+def _existing(root: Path, kind: str, source: Source) -> OutputFolder | None:
     """What the folder is already; None where it is new.
 
     Raises:
         WorkspaceError: it is not ours, or belongs to another job or source that has results.
     """
     with reporting(root, "use the output folder"):
-        held = read_mark(root)
+        found = read_mark(root)
         if is_overwriting():
-            return held
-        if held is None:
+            return found
+        if found is None:
             if root.is_dir() and any(not p.name.startswith(".") for p in root.iterdir()):
                 raise WorkspaceError(
                     f"{root} is not empty and was not made by epipole; choose another output folder, or pass "
                     "--overwrite to replace files that have the names of results"
                 )
             return None
-        is_same = held.kind == kind and held.source.is_same_as(source)
-        if not (is_same or held.has_failed or _is_bare(root, held)):
-            raise WorkspaceError(_whose(held))
-        return held
+        is_same = found.kind == kind and found.source.is_same_as(source)
+        if not (is_same or found.has_failed or _is_bare(root, found)):
+            raise WorkspaceError(_whose(found))
+        return found
 
 
-def _is_bare(root: Path, held: OutputFolder) -> bool:
+def _is_bare(root: Path, found: OutputFolder) -> bool:
     """Whether the folder holds neither results nor work of a run."""
-    return not held.files and {path.name for path in root.iterdir()} <= {MARK, LOCK}
+    return not found.files and {path.name for path in root.iterdir()} <= {MARK, LOCK}
 
 
-def _whose(held: OutputFolder) -> str:
-    what = "results" if set(held.files) - BY_PRODUCTS else "work"
+def _whose(found: OutputFolder) -> str:
+    what = "results" if set(found.files) - BY_PRODUCTS else "work"
     back = (
         ", or, if that is these files under an earlier name, rename them back"
-        if held.source.is_gone()
+        if found.source.is_gone()
         else ""
     )
-    of = f"{held.root} holds the {what} of `epipole {held.kind}` of {held.source}"
+    of = f"{found.root} holds the {what} of `epipole {found.kind}` of {found.source}"
     return f"{of}; choose another output folder, or pass --overwrite{back}"
 
 
 MODEL_KINDS = frozenset({"reconstruct", "slam", "undistort"})  # their models are of upright images
 
 
-def holds_own_model(root: Path) -> bool:
+def has_own_model(root: Path) -> bool:
     """Whether the model in a folder was made here, by its mark."""
     try:
         mark = read_mark(root)

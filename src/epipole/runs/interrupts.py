@@ -10,7 +10,7 @@ from types import FrameType
 
 
 @contextmanager
-def heeded_interrupts() -> Iterator[Callable[[], bool]]:
+def graceful_interrupt() -> Iterator[Callable[[], bool]]:
     """Whether Ctrl-C was pressed in the block; pressed again it interrupts as usual.
 
     Outside of the main thread, and where Ctrl-C is not Python's own, it stays as it is.

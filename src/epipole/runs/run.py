@@ -13,7 +13,7 @@ from epipole._declared import check_fields, checked
 from epipole._version import __version__
 from epipole.errors import WorkspaceError
 from epipole.runs.executors import ExecutorChoice
-from epipole.runs.folder import MARK, OutputFolder, check_place, claim, read_mark
+from epipole.runs.folder import MARK, OutputFolder, check_output_path, claim, read_mark
 from epipole.runs.lock import alone_in
 from epipole.runs.progress import Progress, ProgressCallback, ignore_progress
 from epipole.runs.threads import thread_scope
@@ -51,7 +51,7 @@ class Run:
     def __init__(self, job: Job, folder: OutputFolder) -> None:
         self.job, self.folder = job, folder
         self.warnings: list[str] = []
-        self._begin = perf_counter()
+        self._start = perf_counter()
         # Seconds of a stopped run are added; those of a finished run only where its units are used again.
         self._earlier_s = {} if folder.finished else folder.timings_s
         self._finished_s = folder.timings_s if folder.finished else {}
@@ -71,17 +71,17 @@ class Run:
     @property
     def seconds(self) -> float:
         """Seconds since this run began."""
-        return perf_counter() - self._begin
+        return perf_counter() - self._start
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Add the seconds spent in the block to the stage's."""
-        begin = perf_counter()
+        start = perf_counter()
         try:
             yield
         finally:
             self.timings_s[name] = (
-                self.timings_s.get(name, self._earlier_s.pop(name, 0.0)) + perf_counter() - begin
+                self.timings_s.get(name, self._earlier_s.pop(name, 0.0)) + perf_counter() - start
             )
 
     def report(self, stage: str, done: int, total: int, note: str = "") -> None:
@@ -119,7 +119,7 @@ def open_run(job: Job, out: Path) -> Iterator[Run]:
     Raises:
         WorkspaceError: the folder belongs to another job, another run works in it, or it cannot be written.
     """
-    check_place(out, job.kind, job.inputs)
+    check_output_path(out, job.kind, job.inputs)
     with alone_in(out), thread_scope(job.threads, opencv_alone=job.opencv_alone):
         run = Run(job, claim(out, job.kind, job.inputs))
         try:

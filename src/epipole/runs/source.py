@@ -15,7 +15,7 @@ from epipole.runs.units import digest
 
 MOST_FILES = 100_000
 """Folders with more are known by their paths alone."""
-SKETCH = 64
+FINGERPRINT = 64
 """Digests kept of a source: all, where it has fewer files."""
 SAME = 0.5
 """Two sources are the same where this part of their files is."""
@@ -26,7 +26,7 @@ class Source:
     """Files and folders that are read: their absolute paths, and a sketch of what is there."""
 
     paths: tuple[str, ...]
-    sketch: tuple[str, ...] = ()
+    fingerprint: tuple[str, ...] = ()
     """Of the names and sizes of all files; empty where there are none or too many."""
 
     @classmethod
@@ -37,7 +37,7 @@ class Source:
             inputs: files and folders.
             ignored: a folder that is left out, as it may lie among the pictures.
         """
-        return cls(tuple(str(path.resolve()) for path in inputs), _sketch(inputs, ignored.resolve()))
+        return cls(tuple(str(path.resolve()) for path in inputs), _fingerprint(inputs, ignored.resolve()))
 
     def __str__(self) -> str:
         return ", ".join(self.paths)
@@ -50,19 +50,19 @@ class Source:
         """Whether the paths are the same, or nothing is at these and mostly the same files are at the other's."""
         if self.paths == other.paths:
             return True
-        union = sorted({*self.sketch, *other.sketch})[:SKETCH]
-        common = {*self.sketch} & {*other.sketch} & {*union}
+        union = sorted({*self.fingerprint, *other.fingerprint})[:FINGERPRINT]
+        common = {*self.fingerprint} & {*other.fingerprint} & {*union}
         return bool(union) and len(common) >= SAME * len(union) and self.is_gone()
 
 
-def _sketch(inputs: Sequence[Path], ignored: Path) -> tuple[str, ...]:
+def _fingerprint(inputs: Sequence[Path], ignored: Path) -> tuple[str, ...]:
     found: set[str] = set()
     for number, path in enumerate(inputs):
         rows = _files_below(path, ignored) if path.is_dir() else _size_of(path)
         if rows is None:
             return ()
         found.update(digest(number, name, size)[:16] for name, size in rows)
-    return tuple(sorted(found)[:SKETCH])
+    return tuple(sorted(found)[:FINGERPRINT])
 
 
 def _size_of(path: Path) -> list[tuple[str, int]]:

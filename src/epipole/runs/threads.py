@@ -22,7 +22,7 @@ def thread_scope(num_threads: int | None = None, *, opencv_alone: bool = False) 
         num_threads: of epipole's pool; None: as it is.
         opencv_alone: OpenCV uses the calling thread only, for jobs that work on several pictures at a time.
     """
-    before = _parallel.asked_threads()
+    before = _parallel.requested_threads()
     if num_threads is not None:
         _parallel.set_num_threads(num_threads)
     try:

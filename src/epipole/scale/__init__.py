@@ -1,7 +1,7 @@
 """Metric scale: evidence from known positions, lengths, odometry, IMUs and objects."""
 
 from epipole.scale.anchor_views import AnchorViews as AnchorViews
-from epipole.scale.anchor_views import place_covariance as place_covariance
+from epipole.scale.anchor_views import position_covariance as position_covariance
 from epipole.scale.anchor_views import views_of_model as views_of_model
 from epipole.scale.anchoring import Anchoring as Anchoring
 from epipole.scale.anchoring import after_adjustment as after_adjustment

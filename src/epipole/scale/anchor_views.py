@@ -33,7 +33,7 @@ class AnchorViews(Declared):
     cameras: tuple[Camera, ...]
     covariance_of: Callable[[int], np.ndarray]
     """Of a row: (6, 6) of xi = (translation, rotation) in exp(xi) @ cam_from_world."""
-    picture_of: Callable[[int], UInt8[np.ndarray, "h w"] | None]
+    image_of: Callable[[int], UInt8[np.ndarray, "h w"] | None]
     """Grey picture of a row, as the camera's pixels count; None where it cannot be had."""
 
     def __post_init__(self) -> None:
@@ -63,31 +63,31 @@ class AnchorViews(Declared):
 
 @checked
 def views_of_model(
-    model: Reconstruction, picture_of: Callable[[int], UInt8[np.ndarray, "h w"] | None]
+    model: Reconstruction, image_of: Callable[[int], UInt8[np.ndarray, "h w"] | None]
 ) -> AnchorViews:
     """The registered images of a model; the covariance of a place is that before the points that it sees.
 
     Args:
         model: places, lenses, points and tracks.
-        picture_of: the grey picture of a row of the model's images; None where it cannot be had.
+        image_of: the grey picture of a row of the model's images; None where it cannot be had.
     """
     rows = np.flatnonzero(model.is_registered())
-    lens = model.camera_of_image
-    places = model.cams_from_world()[rows]
+    camera = model.camera_of_image
+    positions = model.cams_from_world()[rows]
     names = tuple(str(model.images.name[int(i)]) for i in rows)
     times = np.asarray(model.frames.timestamp_s)[model.images.frame[rows]].astype(np.float64)
     return AnchorViews(
         names,
         times,
-        places,
-        tuple(model.cameras[int(lens[i])] for i in rows),
-        lambda n: place_covariance(model, int(rows[n])),
-        lambda n: picture_of(int(rows[n])),
+        positions,
+        tuple(model.cameras[int(camera[i])] for i in rows),
+        lambda n: position_covariance(model, int(rows[n])),
+        lambda n: image_of(int(rows[n])),
     )
 
 
 @checked
-def place_covariance(model: Reconstruction, image: int) -> Float64[np.ndarray, "6 6"]:
+def position_covariance(model: Reconstruction, image: int) -> Float64[np.ndarray, "6 6"]:
     """Covariance of an image's place before its points, with the noise of its own residuals; infinite for too few points.
 
     Of xi = (translation, rotation) in exp(xi) @ cam_from_world. Errors of the points are not in it.
@@ -104,16 +104,16 @@ def place_covariance(model: Reconstruction, image: int) -> Float64[np.ndarray, "
 
 
 @checked
-def places_at(
+def positions_at(
     known_s: Float64[np.ndarray, " n"],
-    places: Float64[np.ndarray, "n 3"],
+    positions: Float64[np.ndarray, "n 3"],
     wanted_s: Float64[np.ndarray, " m"],
     longest_gap: float = 3.0,
 ) -> Float64[np.ndarray, "m 3"]:
     """Places at instants, interpolated; NaN outside, and in gaps of more than so many median gaps."""
     if not len(known_s):
         return np.full((len(wanted_s), 3), np.nan)
-    out = np.stack([np.interp(wanted_s, known_s, places[:, axis]) for axis in range(3)], axis=1)
+    out = np.stack([np.interp(wanted_s, known_s, positions[:, axis]) for axis in range(3)], axis=1)
     after = np.searchsorted(known_s, wanted_s)
     inside = (after > 0) & (after < len(known_s))
     inside |= np.isin(wanted_s, known_s)

@@ -12,16 +12,16 @@ from epipole._declared import Declared, checked
 from epipole.config import AnchorOptions
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Similarity3, align_points
-from epipole.io.anchor_files import NamedPositions, read_places
+from epipole.io.anchor_files import NamedPositions, read_anchor_positions
 from epipole.io.trajectories.files import PositionLog
-from epipole.scale.anchor_views import AnchorViews, places_at
+from epipole.scale.anchor_views import AnchorViews, positions_at
 from epipole.scale.metric_scale import ScaleFit, fit_scale_to_positions
 from epipole.scale.scale_agreement import MetricScale, ScaleEstimate, agreed_scale
 from epipole.scale.scale_evidence import scale_evidence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MeasuredPlaces(Declared):
+class MeasuredPositions(Declared):
     """Measured places of the cameras of a model, fitted to it."""
 
     fit: ScaleFit
@@ -46,7 +46,7 @@ class Anchoring(Declared):
     world_from_model: Similarity3
     """To metres; and to the world of the measured places, where they count."""
     scale: MetricScale
-    places: MeasuredPlaces | None
+    positions: MeasuredPositions | None
     """Measured places that count: factors of one more adjustment."""
 
     def __repr__(self) -> str:
@@ -73,34 +73,34 @@ def anchor_model(
         FileFormatError: a file that was named cannot be read.
     """
     everywhere = views if path is None else path
-    found, places, refusals, measured = scale_evidence(views, options, everywhere), None, [], []
+    found, positions, refusals, measured = scale_evidence(views, options, everywhere), None, [], []
     if options.positions is not None:
-        log = read_places(options.positions)
+        log = read_anchor_positions(options.positions)
         try:
-            places = places_of_views(views, everywhere, log, options.positions_sigma_m)
-            measured.append(places.estimate())
+            positions = positions_of_views(views, everywhere, log, options.positions_sigma_m)
+            measured.append(positions.estimate())
         except DegenerateGeometryError as error:
             refusals.append(f"measured places: {error}")
     scale = agreed_scale([*others, *measured, *found.estimates], [*refusals, *found.refusals])
-    if places is not None and not scale.kept_mask[len(others)]:
-        places = None
-    return Anchoring(_similarity(scale.scale, places, views), scale, places)
+    if positions is not None and not scale.kept_mask[len(others)]:
+        positions = None
+    return Anchoring(_similarity(scale.scale, positions, views), scale, positions)
 
 
-def _similarity(scale: float, places: MeasuredPlaces | None, views: AnchorViews) -> Similarity3:
+def _similarity(scale: float, positions: MeasuredPositions | None, views: AnchorViews) -> Similarity3:
     """With the measured places' rotation, about their middle."""
-    if places is None:
+    if positions is None:
         return Similarity3(np.asarray(scale), np.eye(3), np.zeros(3))
-    fitted = places.fit.world_from_model
+    fitted = positions.fit.world_from_model
     middle = views.cams_from_world.centers().mean(axis=0)
     there = fitted.apply(middle[None])[0]
     return Similarity3(np.asarray(scale), fitted.rotation, there - scale * fitted.rotation @ middle)
 
 
 @checked
-def places_of_views(
+def positions_of_views(
     views: AnchorViews, path: AnchorViews, log: PositionLog | NamedPositions, sigma: float
-) -> MeasuredPlaces:
+) -> MeasuredPositions:
     """Fit measured places to a model, by the pictures' times or by their names.
 
     Args:
@@ -118,22 +118,22 @@ def places_of_views(
         there = path.cams_from_world.centers()[[row for row in rows if row is not None]]
         fit = fit_scale_to_positions(there, log.positions[known], sigma)
         positions = np.full((len(views), 3), np.nan)
-        for name, place in zip(log.names, log.positions):
+        for name, position in zip(log.names, log.positions):
             row = views.row_of(name)
             if row is not None:
-                positions[row] = place
+                positions[row] = position
     else:
         timed = np.flatnonzero(np.isfinite(path.timestamp_s))
         timed = timed[np.argsort(path.timestamp_s[timed], kind="stable")]
         centers = path.cams_from_world.centers()[timed]
-        there = places_at(path.timestamp_s[timed], centers, log.timestamp_s)
+        there = positions_at(path.timestamp_s[timed], centers, log.timestamp_s)
         known = np.isfinite(there[:, 0])
         fit = fit_scale_to_positions(there[known], log.positions[known], sigma)
-        positions = places_at(log.timestamp_s, log.positions, views.timestamp_s)
+        positions = positions_at(log.timestamp_s, log.positions, views.timestamp_s)
     # Interpolated places repeat each other: together they weigh no more than the measured ones.
     repeats = int(np.isfinite(positions[:, 0]).sum()) / max(int(known.sum()), 1)
     each = max(sigma, fit.residual_m / np.sqrt(3.0)) * float(np.sqrt(max(repeats, 1.0)))
-    return MeasuredPlaces(fit, positions, each, int(known.sum()))
+    return MeasuredPositions(fit, positions, each, int(known.sum()))
 
 
 @checked

@@ -118,8 +118,8 @@ def fit_scale_to_object(
             f"its pixels are off by {residual * sigma_px:.1f} px from where such an object would be seen"
         )
     scale = 1.0 / float(found.scale)
-    placed = Similarity3(found.scale, found.rotation, found.apply(-middle[None])[0])
-    return ObjectFit(placed, scale, scale * sigma_log, residual, kept)
+    moved = Similarity3(found.scale, found.rotation, found.apply(-middle[None])[0])
+    return ObjectFit(moved, scale, scale * sigma_log, residual, kept)
 
 
 def _check(

@@ -11,7 +11,7 @@ from epipole._declared import Declared, checked
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Similarity3, align_points
 
-LEAST_PLACES = 5
+LEAST_POSITIONS = 5
 LEAST_SPREAD = 5.0
 """Places that are spread by less than so many deviations tell no scale."""
 OUTLIER, ROUNDS = 3.0, 10
@@ -61,9 +61,9 @@ def fit_scale_to_positions(
         raise ShapeError("positions must be finite")
     kept = np.ones(len(positions_in_model), bool)
     for _ in range(ROUNDS):
-        if kept.sum() < LEAST_PLACES:
+        if kept.sum() < LEAST_POSITIONS:
             raise DegenerateGeometryError(
-                f"{int(kept.sum())} places agree, {LEAST_PLACES} are needed for a scale"
+                f"{int(kept.sum())} places agree, {LEAST_POSITIONS} are needed for a scale"
             )
         found = align_points(positions_in_model[kept], positions_in_world[kept])
         off = np.linalg.norm(found.apply(positions_in_model) - positions_in_world, axis=1)

@@ -13,7 +13,7 @@ from epipole.errors import ConfigError, DegenerateGeometryError
 
 AGREE, TOLERANCE = 3.0, 0.02
 """Estimates agree that differ by no more than so many deviations, or by this share: a model's own scale drifts, too."""
-LARGEST_SHARE = 0.1
+LARGEST_FRACTION = 0.1
 """A scale that is known worse is none."""
 
 
@@ -34,12 +34,12 @@ class ScaleEstimate(Declared):
     """From what it was found, in words."""
 
     @property
-    def share(self) -> float:
+    def fraction(self) -> float:
         """Relative deviation, what is shared included."""
         return float(np.hypot(self.sigma / self.scale, self.shared_sigma))
 
     def __repr__(self) -> str:
-        return f"ScaleEstimate({self.name}: {self.scale:.6g} +- {100 * self.share:.2g} %)"
+        return f"ScaleEstimate({self.name}: {self.scale:.6g} +- {100 * self.fraction:.2g} %)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +78,7 @@ class MetricScale(Declared):
                 off = 100.0 * (estimate.scale / self.scale - 1.0)
                 out.append(
                     f"{estimate.name} does not count: by it the scale would be {off:+.2g} %, and it was thought to be known to "
-                    f"{100 * estimate.share:.2g} %"
+                    f"{100 * estimate.fraction:.2g} %"
                 )
         return out
 
@@ -92,7 +92,7 @@ class MetricScale(Declared):
                     "kind": e.kind,
                     "name": e.name,
                     "scale": e.scale,
-                    "relative_sigma": e.share,
+                    "relative_sigma": e.fraction,
                     "kept": bool(k),
                     "from": e.note,
                 }
@@ -131,7 +131,7 @@ def agreed_scale(estimates: Sequence[ScaleEstimate], refusals: Sequence[str] = (
         _of_kind([e for e, k in zip(given, kept) if k and e.kind == kind]) for kind in _kinds(given, kept)
     ]
     mean, sigma = _weighed(np.array([r[0] for r in rows]), np.array([r[1] for r in rows]))
-    if sigma > LARGEST_SHARE:
+    if sigma > LARGEST_FRACTION:
         names = ", ".join(e.name for e, k in zip(given, kept) if k)
         raise DegenerateGeometryError(f"{names}: the scale would be known to {100 * sigma:.0f} % only")
     scale = float(np.exp(mean))
@@ -144,13 +144,13 @@ def _kinds(estimates: Sequence[ScaleEstimate], kept: np.ndarray) -> list[str]:
 
 def _agreeing(estimates: Sequence[ScaleEstimate], logs: np.ndarray) -> np.ndarray:
     """The largest set that agrees with one of them; more than half, or it is a contradiction."""
-    share = np.array([e.share for e in estimates])
+    fraction = np.array([e.fraction for e in estimates])
     apart = np.abs(logs[:, None] - logs)
-    near = apart <= np.maximum(AGREE * np.hypot(share[:, None], share), TOLERANCE)
+    near = apart <= np.maximum(AGREE * np.hypot(fraction[:, None], fraction), TOLERANCE)
     counts = near.sum(axis=1)
-    best = min(np.flatnonzero(counts == counts.max()), key=lambda n: share[n])
+    best = min(np.flatnonzero(counts == counts.max()), key=lambda n: fraction[n])
     if 2 * counts[best] <= len(estimates):
-        words = "; ".join(f"{e.name} {e.scale:.4g} +- {100 * e.share:.2g} %" for e in estimates[:6])
+        words = "; ".join(f"{e.name} {e.scale:.4g} +- {100 * e.fraction:.2g} %" for e in estimates[:6])
         raise DegenerateGeometryError(
             f"what is known contradicts itself (metres of the model's unit: {words})"
         )

@@ -16,7 +16,7 @@ from epipole.features.boards import corners_on_board, find_board
 from epipole.features.tags import find_tags
 from epipole.geometry import Rigid3
 from epipole.inertial import MountedImu
-from epipole.io.anchor_files import KnownLength, read_lengths, read_odometry, read_places
+from epipole.io.anchor_files import KnownLength, read_anchor_positions, read_lengths, read_odometry
 from epipole.io.sequences.imu_logs import read_camera_from_imu, read_imu
 from epipole.robust import triangulate_points
 from epipole.scale.anchor_views import AnchorViews, joined_words
@@ -67,7 +67,7 @@ def check_anchor_files(options: AnchorOptions) -> None:
         FileFormatError: a file is not there, or is not of its kind.
     """
     readers: dict[str, Callable[[Path], object]] = {
-        "positions": read_places,
+        "positions": read_anchor_positions,
         "lengths": read_lengths,
         "odometry": read_odometry,
         "odometry_mounting": read_camera_from_imu,
@@ -132,8 +132,8 @@ def _of_length(views: AnchorViews, known: KnownLength, options: AnchorOptions) -
     names = list(dict.fromkeys([*known.ends[0], *known.ends[1]]))
     rows = {name: views.row_of(name) for name in names}
     missing = [name for name in names if rows[name] is None]
-    placed = [name for name in names if rows[name] is not None]
-    pixels = np.array([[end.get(name, (np.nan, np.nan)) for end in known.ends] for name in placed])
+    registered = [name for name in names if rows[name] is not None]
+    pixels = np.array([[end.get(name, (np.nan, np.nan)) for end in known.ends] for name in registered])
     try:
         fit = _fit_object(
             np.array([[0.0, 0.0, 0.0], [known.length_m, 0.0, 0.0]]),
@@ -157,9 +157,9 @@ def _add_tags(views: AnchorViews, options: AnchorOptions, found: _Gathered) -> N
     assert size is not None
     seen: dict[int, list[tuple[int, np.ndarray]]] = {}
     for row in range(len(views)):
-        picture = views.picture_of(row)
-        if picture is not None:
-            tags = find_tags(picture, options.dictionary_name)
+        image = views.image_of(row)
+        if image is not None:
+            tags = find_tags(image, options.dictionary_name)
             for number, corners in zip(tags.number, tags.corners):
                 seen.setdefault(int(number), []).append((row, corners))
     if not seen:
@@ -184,8 +184,8 @@ def _of_board(views: AnchorViews, board: BoardConfig, options: AnchorOptions) ->
     shape = corners_on_board(board)
     rows, pixels = [], []
     for row in range(len(views)):
-        picture = views.picture_of(row)
-        view = None if picture is None else find_board(picture, board)
+        image = views.image_of(row)
+        view = None if image is None else find_board(image, board)
         if view is not None and len(view) == len(shape):
             rows.append(row)
             pixels.append(view.pixels)
@@ -203,17 +203,17 @@ def _in_one_order(
 ) -> np.ndarray:
     """Corners of a chessboard begin at either end of it: in each picture the order that meets the first picture's rays."""
     grid = np.arange(board.columns * board.rows).reshape(board.rows, board.columns)
-    turns = (0, 1, 2, 3) if board.columns == board.rows else (0, 2)
-    orders = [np.rot90(grid, turn).ravel() for turn in turns]
+    rotations = (0, 1, 2, 3) if board.columns == board.rows else (0, 2)
+    orders = [np.rot90(grid, rotation).ravel() for rotation in rotations]
     out = pixels.copy()
     for v in range(1, len(rows)):
-        two, lenses = (
+        two, cameras = (
             views.cams_from_world[np.array([rows[0], rows[v]])],
             [views.cameras[rows[0]], views.cameras[rows[v]]],
         )
         errors = []
         for order in orders:
-            met = triangulate_points(two, lenses, np.stack([pixels[0], pixels[v][order]]))
+            met = triangulate_points(two, cameras, np.stack([pixels[0], pixels[v][order]]))
             good = met.success_mask
             errors.append(float(np.median(met.errors_px[good])) if 2 * good.sum() > len(good) else np.inf)
         out[v] = pixels[v][orders[int(np.argmin(errors))]]

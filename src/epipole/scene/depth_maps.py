@@ -25,7 +25,7 @@ class StereoReason(IntEnum):
     """It belongs to a small isolated region."""
     TEXTURELESS = 5
     """There is no texture along the row, so that only smoothness would determine the disparity."""
-    UNSURE = 6
+    UNCERTAIN = 6
     """Its standard deviation is larger than `max_sigma_px`."""
 
 

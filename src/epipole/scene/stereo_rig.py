@@ -58,16 +58,16 @@ class StereoRig:
         return float(np.linalg.norm(self.right_from_left.translation))
 
     @checked
-    def check_pictures(self, left: np.ndarray, right: np.ndarray) -> None:
+    def check_image_sizes(self, left: np.ndarray, right: np.ndarray) -> None:
         """Compare the sizes of two pictures, (h, w) or (h, w, c), with those the cameras were calibrated for.
 
         Raises:
             ShapeError: one differs.
         """
-        for name, picture, camera in (("left", left, self.left), ("right", right, self.right)):
-            if picture.ndim < 2:
-                raise ShapeError(f"{name} must be a picture, has shape {picture.shape}")
-            height, width = picture.shape[:2]
+        for name, image, camera in (("left", left, self.left), ("right", right, self.right)):
+            if image.ndim < 2:
+                raise ShapeError(f"{name} must be a picture, has shape {image.shape}")
+            height, width = image.shape[:2]
             if (width, height) != (camera.width, camera.height):
                 raise ShapeError(
                     f"{name} is {width} x {height} pixels; its calibration is for {camera.width} x {camera.height}"

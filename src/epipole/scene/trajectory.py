@@ -31,10 +31,10 @@ class Trajectory:
             ShapeError: the columns are not of one length, times fall, or a number is not finite.
         """
         check_fields(self)
-        n, places = len(self.timestamp_s), self.world_from_body
-        if places.batch_shape() != (n,) or (self.covariance is not None and len(self.covariance) != n):
+        n, positions = len(self.timestamp_s), self.world_from_body
+        if positions.batch_shape() != (n,) or (self.covariance is not None and len(self.covariance) != n):
             raise ShapeError(f"a trajectory of {n} instants needs as many places and covariances")
-        if not (np.isfinite(places.translation).all() and np.isfinite(places.rotation).all()):
+        if not (np.isfinite(positions.translation).all() and np.isfinite(positions.rotation).all()):
             raise ShapeError("places of a trajectory must be finite: leave out instants without a place")
         if not np.isfinite(self.timestamp_s).all() or (np.diff(self.timestamp_s) < 0).any():
             raise ShapeError("timestamp_s must be finite and never fall")

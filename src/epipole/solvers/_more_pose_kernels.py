@@ -69,13 +69,13 @@ def generalized_p3p_workspace():
 @kernel
 def _product(x, y, first, out, sign):
     """Out += sign (x . y) as a quadric, for vectors of three entries from `first` on, linear in (x, y, z, 1)."""
-    place = ((0, 1, 2, 6), (1, 3, 4, 7), (2, 4, 5, 8), (6, 7, 8, 9))
+    position = ((0, 1, 2, 6), (1, 3, 4, 7), (2, 4, 5, 8), (6, 7, 8, 9))
     for i in range(4):
         for j in range(4):
             total = 0.0
             for c in range(3):
                 total += x[i, first + c] * y[j, c]
-            out[place[i][j]] += sign * total
+            out[position[i][j]] += sign * total
 
 
 @kernel
@@ -189,7 +189,7 @@ def p4pf_workspace():
 
 
 @kernel
-def _turn_about_y(cos, sin, out):
+def _rotation_about_y(cos, sin, out):
     out[0], out[1], out[2] = cos, 0.0, sin
     out[3], out[4], out[5] = 0.0, 1.0, 0.0
     out[6], out[7], out[8] = -sin, 0.0, cos
@@ -228,7 +228,7 @@ def upright_p2p(rays, points, motions):
         cos, sin = (dx * vx + dz * vz) / across, (vx * dz - vz * dx) / across
         norm = math.sqrt(cos * cos + sin * sin)
         out = motions[found]
-        _turn_about_y(cos / norm, sin / norm, out)
+        _rotation_about_y(cos / norm, sin / norm, out)
         first = depth if flat == 0 else other
         for i in range(3):
             moved = out[3 * i] * points[0, 0] + out[3 * i + 1] * points[0, 1] + out[3 * i + 2] * points[0, 2]
@@ -292,7 +292,7 @@ def _directions_at(rows, q, motions, found):
     scale, norm = 1.0 / (1.0 + q * q), 1.0 / math.sqrt(best)
     for side in (1.0, -1.0):
         out = motions[found]
-        _turn_about_y((1.0 - q * q) * scale, 2.0 * q * scale, out)
+        _rotation_about_y((1.0 - q * q) * scale, 2.0 * q * scale, out)
         out[9], out[10], out[11] = side * tx * norm, side * ty * norm, side * tz * norm
         found += 1
     return found

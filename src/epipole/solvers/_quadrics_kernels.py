@@ -27,13 +27,13 @@ def _add(a, na, sign, out):
 
 
 @kernel
-def _permuted(c, turn, out):
+def _permuted(c, rotation, out):
     """The same quadrics with (x, y, z) renamed cyclically, so that another variable is the hidden one."""
     for r in range(3):
-        if turn == 0:
+        if rotation == 0:
             for k in range(10):
                 out[r, k] = c[r, k]
-        elif turn == 1:  # old (x, y, z) = new (z, x, y)
+        elif rotation == 1:  # old (x, y, z) = new (z, x, y)
             out[r, 0], out[r, 1], out[r, 2], out[r, 3], out[r, 4] = (
                 c[r, 3],
                 c[r, 4],
@@ -109,15 +109,15 @@ def intersect_quadrics(c, solutions, w):
     Assumption: some variable can be hidden (the leading coefficients of the other two are independent).
     """
     q, system, p, m, t, poly, minor, roots, root_work = w
-    turn, best = 0, -1.0
+    rotation, best = 0, -1.0
     for k in range(3):
         _permuted(c, k, q)
         this = _leading_determinant(q)
         if this > best:
-            turn, best = k, this
+            rotation, best = k, this
     if not best > FLAT:
         return 0
-    _permuted(c, turn, q)
+    _permuted(c, rotation, q)
     for r in range(3):
         system[r, 0], system[r, 1], system[r, 2] = q[r, 0], q[r, 1], q[r, 3]
         # -(x: xz z + x), -(y: yz z + y), -(1: z2 z^2 + z z + 1)
@@ -145,9 +145,9 @@ def intersect_quadrics(c, solutions, w):
     for k in range(real_roots(poly, root_work, roots)):
         if _complete(m, roots[k], solutions[found]):
             x, y, z = solutions[found, 0], solutions[found, 1], solutions[found, 2]
-            if turn == 1:
+            if rotation == 1:
                 solutions[found, 0], solutions[found, 1], solutions[found, 2] = z, x, y
-            elif turn == 2:
+            elif rotation == 2:
                 solutions[found, 0], solutions[found, 1], solutions[found, 2] = y, z, x
             _polish(c, solutions[found])
             found += 1

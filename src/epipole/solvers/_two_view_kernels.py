@@ -210,14 +210,14 @@ def motions_from_essential(e, y1, y2, motions):
         moved[6 + j] = size * (t[0] * e[3 + j] - t[1] * e[j])
     found = 0
     for which in range(4):
-        turn, sign = (1.0 if which < 2 else -1.0), (1.0 if which % 2 == 0 else -1.0)
+        rotation, sign = (1.0 if which < 2 else -1.0), (1.0 if which % 2 == 0 else -1.0)
         out = motions[found]
         for i in range(3):
             p, q = 3 * ((i + 1) % 3), 3 * ((i + 2) % 3)
             for j in range(3):
                 m, n = (j + 1) % 3, (j + 2) % 3
                 cofactor = e[p + m] * e[q + n] - e[p + n] * e[q + m]
-                out[3 * i + j] = cofactor - turn * moved[3 * i + j]
+                out[3 * i + j] = cofactor - rotation * moved[3 * i + j]
             out[9 + i] = sign * t[i]
         if not orthonormalize_rows(out):
             return found

@@ -83,9 +83,9 @@ def solve_shared_focal_six_point(pixels1: Any, pixels2: Any) -> SharedFocals:
         x1, x2, essentials, focals, focal_motion.shared_focal_workspace()
     )
     focal_px = size * focals[:count]
-    lens = np.ones((count, 3))
-    lens[:, 2] = focal_px
-    found = lens[:, :, None] * essentials[:count].reshape(-1, 3, 3) * lens[:, None, :]
+    camera = np.ones((count, 3))
+    camera[:, 2] = focal_px
+    found = camera[:, :, None] * essentials[:count].reshape(-1, 3, 3) * camera[:, None, :]
     return SharedFocals(found / np.linalg.norm(found, axis=(1, 2), keepdims=True), focal_px)
 
 

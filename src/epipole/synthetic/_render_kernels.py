@@ -86,14 +86,14 @@ def _misses(p, dx, dy, dz):
 
 
 @kernel
-def _turned(motion, x, y, z, d):
+def _rotated(motion, x, y, z, d):
     """World direction d of a direction in camera coordinates."""
     for c in range(3):
         d[c] = motion[c] * x + motion[3 + c] * y + motion[6 + c] * z
 
 
 @kernel
-def _look_along_row(model, camera_params, motion, prepared, v, row):
+def _render_row(model, camera_params, motion, prepared, v, row):
     """Rays of the pixels (-1, v) to (w, v) and what they meet; row: rays (camera coordinates), hits, surfaces.
 
     A surface is the point (0:3), the normal (3:6) and the distance (6).
@@ -104,7 +104,7 @@ def _look_along_row(model, camera_params, motion, prepared, v, row):
         rays[u, 0], rays[u, 1], rays[u, 2] = unproject_one(model, camera_params, u - 1.0, v)
         hits[u] = -1
         if rays[u, 2] == rays[u, 2]:
-            _turned(motion, rays[u, 0], rays[u, 1], rays[u, 2], d)
+            _rotated(motion, rays[u, 0], rays[u, 1], rays[u, 2], d)
             hits[u], t = _trace(kinds, params, seeds, o[0], o[1], o[2], d[0], d[1], d[2], normal, trial)
             for c in range(3):
                 surfaces[u, c], surfaces[u, 3 + c] = o[c] + t * d[c], normal[c]
@@ -131,11 +131,11 @@ def _is_inside(above, here, below, u):
 @kernel
 def _on_tangent_plane(surface, o, d):
     """Distance along the ray (o, d) to the tangent plane of a surface; infinite where it runs along it."""
-    facing, way = 0.0, 0.0
+    facing, along = 0.0, 0.0
     for c in range(3):
         facing += surface[3 + c] * d[c]
-        way += surface[3 + c] * (surface[c] - o[c])
-    return way / facing if abs(facing) > 1e-3 and way / facing > 0.0 else math.inf
+        along += surface[3 + c] * (surface[c] - o[c])
+    return along / facing if abs(facing) > 1e-3 and along / facing > 0.0 else math.inf
 
 
 @kernel
@@ -152,7 +152,7 @@ def _ray_beside(model, camera_params, motion, above, here, below, u, v, du, dv, 
         x, y, z = x / size, y / size, z / size
     else:
         x, y, z = unproject_one(model, camera_params, u + du, v + dv)
-    _turned(motion, x, y, z, d)
+    _rotated(motion, x, y, z, d)
     return d[0] == d[0]
 
 
@@ -166,25 +166,25 @@ def _light_on(light, normal, d):
 
 
 @kernel
-def _texture_place(kind, texture, p, tile, x, y, z, place):
+def _texture_position(kind, texture, p, tile, x, y, z, position):
     """Where in the solid texture a point of a surface lies: in the world, or, tiled, in the surface's own axes."""
-    place[0], place[1], place[2] = x, y, z
+    position[0], position[1], position[2] = x, y, z
     if texture != TILED or not tile > 0.0:
         return
     x, y, z = x - p[0], y - p[1], z - p[2]
     if kind == PLANE:
-        place[0] = x * p[3] + y * p[4] + z * p[5] + p[9]
-        place[1] = x * p[6] + y * p[7] + z * p[8] + p[10]
-        place[2] = 0.0
+        position[0] = x * p[3] + y * p[4] + z * p[5] + p[9]
+        position[1] = x * p[6] + y * p[7] + z * p[8] + p[10]
+        position[2] = 0.0
     elif kind == BOX:
-        place[0] = p[7] * x + p[8] * y + p[3]
-        place[1] = -p[8] * x + p[7] * y + p[4]
-        place[2] = z + p[5]
+        position[0] = p[7] * x + p[8] * y + p[3]
+        position[1] = -p[8] * x + p[7] * y + p[4]
+        position[2] = z + p[5]
     else:
-        place[0], place[1], place[2] = x, y, z
+        position[0], position[1], position[2] = x, y, z
     for c in range(3):
-        place[c] += 0.137 * tile  # a face at zero would lie on the seam
-        place[c] -= tile * math.floor(place[c] / tile)
+        position[c] += 0.137 * tile  # a face at zero would lie on the seam
+        position[c] -= tile * math.floor(position[c] / tile)
 
 
 @kernel(allocates=True)
@@ -204,30 +204,32 @@ def render_rows(scene, model, camera_params, motion, start, stop, width, rgb, de
     """
     kinds, given, textures, colors, seeds, light = scene
     normal, trial, d, o = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    smooth, texture, place = np.empty(3), np.empty(3), np.empty(3)
+    smooth, texture, position = np.empty(3), np.empty(3), np.empty(3)
     for c in range(3):
         o[c] = -(motion[c] * motion[9] + motion[3 + c] * motion[10] + motion[6 + c] * motion[11])
     params = _prepared(kinds, given, o)
     prepared = kinds, params, seeds, o, d, normal, trial
     spacing = 1.0 / camera_params[0]
     above, here, below = _row(width), _row(width), _row(width)
-    _look_along_row(model, camera_params, motion, prepared, start - 1.0, here)
-    _look_along_row(model, camera_params, motion, prepared, start + 0.0, below)
+    _render_row(model, camera_params, motion, prepared, start - 1.0, here)
+    _render_row(model, camera_params, motion, prepared, start + 0.0, below)
     for v in range(start, stop):
         above, here, below = here, below, above
-        _look_along_row(model, camera_params, motion, prepared, v + 1.0, below)
+        _render_row(model, camera_params, motion, prepared, v + 1.0, below)
         for u in range(width):
             own, surface = here[1][u + 1], here[2][u + 1]
             inside = _is_inside(above, here, below, u + 1)
             if own >= 0:
                 depth[v, u] = surface[6] * here[0][u + 1, 2]
-                _turned(motion, here[0][u + 1, 0], here[0][u + 1, 1], here[0][u + 1, 2], d)
+                _rotated(motion, here[0][u + 1, 0], here[0][u + 1, 1], here[0][u + 1, 2], d)
                 _, facing = _light_on(light, surface[3:6], d)
                 if textures[own] != PLAIN:
                     covered = 0.6 * surface[6] * spacing / math.sqrt(max(facing, 0.05))
                     x, y, w = surface[0], surface[1], surface[2]
-                    _texture_place(kinds[own], textures[own], params[own], given[own, 11], x, y, w, place)
-                    fill_noise(seeds[own], place[0], place[1], place[2], covered, smooth)
+                    _texture_position(
+                        kinds[own], textures[own], params[own], given[own, 11], x, y, w, position
+                    )
+                    fill_noise(seeds[own], position[0], position[1], position[2], covered, smooth)
             for sample in range(4):
                 du, dv = (0.25 if sample % 2 else -0.25), (0.25 if sample // 2 else -0.25)
                 if not _ray_beside(
@@ -249,11 +251,13 @@ def render_rows(scene, model, camera_params, motion, start, stop, width, rgb, de
                 texture[:] = 0.0
                 if textures[hit] != PLAIN:
                     x, y, w = o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]
-                    _texture_place(kinds[hit], textures[hit], params[hit], given[hit, 11], x, y, w, place)
+                    _texture_position(
+                        kinds[hit], textures[hit], params[hit], given[hit, 11], x, y, w, position
+                    )
                     covered = 0.6 * t * spacing / math.sqrt(max(facing, 0.05))
                     if hit == own:
                         texture[:] = smooth
                     else:
-                        fill_noise(seeds[hit], place[0], place[1], place[2], covered, texture)
-                    add_cells(seeds[hit], place[0], place[1], place[2], covered, texture)
+                        fill_noise(seeds[hit], position[0], position[1], position[2], covered, texture)
+                    add_cells(seeds[hit], position[0], position[1], position[2], covered, texture)
                 add_color(colors[hit], texture, brightness, 0.25, rgb[v, u])

@@ -35,11 +35,11 @@ def _add_noise(x, y, z, seed, weight, rgb):
     for a in range(2):
         for b in range(2):
             for c in range(2):
-                share = weight * (u if a else 1.0 - u) * (v if b else 1.0 - v) * (w if c else 1.0 - w)
+                fraction = weight * (u if a else 1.0 - u) * (v if b else 1.0 - v) * (w if c else 1.0 - w)
                 h = _hash(np.int64(i) + a, np.int64(j) + b, np.int64(k) + c, seed)
                 for channel in range(3):
                     value = float((h >> np.uint64(16 * channel)) & np.uint64(0xFFFF)) / 32767.5 - 1.0
-                    rgb[channel] += share * value
+                    rgb[channel] += fraction * value
 
 
 @kernel
@@ -196,8 +196,8 @@ def hit_height_field(p, ox, oy, oz, dx, dy, dz, seed, nearest, normal):
         t = high
         for k in range(30):
             # Alternate the secant's point with the middle: sure and fast.
-            share = above / (above - below) if k % 3 and above > below else 0.5
-            t = low + share * (high - low)
+            fraction = above / (above - below) if k % 3 and above > below else 0.5
+            t = low + fraction * (high - low)
             gap = oz + t * dz - p[2] - height_at(ox + t * dx, oy + t * dy, p[5], p[6], seed)
             if abs(gap) < 1e-12:
                 break

@@ -42,8 +42,8 @@ class InertialPath:
 def inertial_path(
     seed: int,
     seconds: float = 15.0,
-    place_sigma_m: float = 2e-3,
-    turn_sigma_rad: float = 2e-3,
+    position_sigma_m: float = 2e-3,
+    rotation_sigma_rad: float = 2e-3,
     *,
     constant_velocity: bool = False,
     noise: ImuNoise | None = None,
@@ -53,15 +53,15 @@ def inertial_path(
     Args:
         seed: of everything that is drawn.
         seconds: length, from 2 on.
-        place_sigma_m: noise of the places, in metres.
-        turn_sigma_rad: noise of the rotations.
+        position_sigma_m: noise of the places, in metres.
+        rotation_sigma_rad: noise of the rotations.
         constant_velocity: the place goes on evenly instead; the camera turns as before.
         noise: of the unit; None: the defaults.
 
     Raises:
         ConfigError: a length or a deviation makes no sense.
     """
-    if not 2 <= seconds < 1e4 or not (0 <= place_sigma_m < 1 and 0 <= turn_sigma_rad < 1):
+    if not 2 <= seconds < 1e4 or not (0 <= position_sigma_m < 1 and 0 <= rotation_sigma_rad < 1):
         raise ConfigError("seconds must be at least 2, and deviations from 0 to below 1")
     noise = ImuNoise() if noise is None else noise
     rng = np.random.default_rng([17, seed])
@@ -69,17 +69,17 @@ def inertial_path(
     times = np.arange(0.0, seconds, 1.0 / RATE_HZ)
     up = rng.normal(size=3)
     gravity = -GRAVITY * up / np.linalg.norm(up)
-    turning, force = motion.measured(times, gravity)
-    log, gyro_bias, accel_bias = _noisy(rng, times, turning, force, noise)
+    rotating, force = motion.measured(times, gravity)
+    log, gyro_bias, accel_bias = _noisy(rng, times, rotating, force, noise)
     instants = np.arange(0.2, seconds - 0.2, 0.25)
     mounting = Rigid3(Rotation3.exp(rng.normal(size=3)).matrix, 0.05 * rng.normal(size=3))
-    cameras = motion.place(instants) @ mounting.inverse()
+    cameras = motion.position(instants) @ mounting.inverse()
     scale = float(np.exp(rng.uniform(-1.0, 1.0)))
-    turns = Rotation3.exp(turn_sigma_rad * rng.normal(size=(len(instants), 3))).matrix
-    places = (cameras.translation + place_sigma_m * rng.normal(size=(len(instants), 3))) / scale
+    rotations = Rotation3.exp(rotation_sigma_rad * rng.normal(size=(len(instants), 3))).matrix
+    positions = (cameras.translation + position_sigma_m * rng.normal(size=(len(instants), 3))) / scale
     return InertialPath(
         instants,
-        Rigid3(cameras.rotation @ turns, places),
+        Rigid3(cameras.rotation @ rotations, positions),
         log,
         mounting,
         scale,
@@ -120,22 +120,22 @@ def imu_along(
     noise = ImuNoise() if noise is None else noise
     unit = world_from_camera @ camera_from_imu
     times = np.arange(timestamp_s[0], timestamp_s[-1], 1.0 / RATE_HZ)
-    turns = RotationSpline(timestamp_s, Rotation.from_matrix(unit.rotation))
+    rotations = RotationSpline(timestamp_s, Rotation.from_matrix(unit.rotation))
     swing = CubicSpline(timestamp_s, unit.translation)(times, 2)
-    back = np.swapaxes(turns(times).as_matrix(), 1, 2)
+    back = np.swapaxes(rotations(times).as_matrix(), 1, 2)
     force = (back @ (swing - np.array(gravity_in_world))[..., None])[..., 0]
-    return _noisy(np.random.default_rng([18, seed]), times, turns(times, 1), force, noise)[0]
+    return _noisy(np.random.default_rng([18, seed]), times, rotations(times, 1), force, noise)[0]
 
 
 def _noisy(
-    rng: np.random.Generator, times: np.ndarray, turning: np.ndarray, force: np.ndarray, noise: ImuNoise
+    rng: np.random.Generator, times: np.ndarray, rotating: np.ndarray, force: np.ndarray, noise: ImuNoise
 ) -> tuple[ImuLog, np.ndarray, np.ndarray]:
     """With a gain, biases that walk, and white noise; and the biases of gyroscope and accelerometer."""
     gain = 1.0 + noise.accel_gain_sigma * rng.normal()
     gyro_bias = _walk(rng, 0.02, noise.gyro_walk, len(times))
     accel_bias = _walk(rng, 0.1, noise.accel_walk, len(times))
     white = rng.normal(size=(2, len(times), 3)) * np.sqrt(RATE_HZ)
-    gyro = turning + gyro_bias + noise.gyro_density * white[0]
+    gyro = rotating + gyro_bias + noise.gyro_density * white[0]
     accel = gain * force + accel_bias + noise.accel_density * white[1]
     return ImuLog(times, gyro, accel), gyro_bias, accel_bias
 
@@ -152,12 +152,12 @@ class _Motion:
         self._size = np.zeros(3) if is_even else rng.uniform(0.3, 0.8, 3)
         self._rate, self._phase = rng.uniform(1.0, 2.5, 3), rng.uniform(0.0, 2.0 * np.pi, 3)
         self._speed = rng.normal(size=3) * (1.0 if is_even else 0.1)
-        self._turn, self._turn_rate = rng.uniform(0.2, 0.4, 3), rng.uniform(0.5, 1.2, 3)
+        self._rotate, self._rotation_rate = rng.uniform(0.2, 0.4, 3), rng.uniform(0.5, 1.2, 3)
 
-    def place(self, times: np.ndarray) -> Rigid3:
+    def position(self, times: np.ndarray) -> Rigid3:
         t = times[:, None]
         at = self._size * np.sin(self._rate * t + self._phase) + self._speed * t
-        return Rigid3(Rotation3.exp(self._turn * np.sin(self._turn_rate * t + self._phase)).matrix, at)
+        return Rigid3(Rotation3.exp(self._rotate * np.sin(self._rotation_rate * t + self._phase)).matrix, at)
 
     def velocity(self, times: np.ndarray) -> np.ndarray:
         t = times[:, None]
@@ -165,8 +165,8 @@ class _Motion:
 
     def measured(self, times: np.ndarray, gravity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Angular velocity, and specific force R^T (a - g)."""
-        before, after = self.place(times - STEP_S), self.place(times + STEP_S)
-        turning = (Rotation3(before.rotation).inverse() @ Rotation3(after.rotation)).log() / (2 * STEP_S)
+        before, after = self.position(times - STEP_S), self.position(times + STEP_S)
+        rotating = (Rotation3(before.rotation).inverse() @ Rotation3(after.rotation)).log() / (2 * STEP_S)
         swing = -self._size * self._rate**2 * np.sin(self._rate * times[:, None] + self._phase)
-        back = np.swapaxes(self.place(times).rotation, 1, 2)
-        return turning, (back @ (swing - gravity)[..., None])[..., 0]
+        back = np.swapaxes(self.position(times).rotation, 1, 2)
+        return rotating, (back @ (swing - gravity)[..., None])[..., 0]

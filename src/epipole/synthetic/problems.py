@@ -96,7 +96,7 @@ def two_view_problem(
 @checked
 def dominant_plane_problem(
     num_matches: int,
-    plane_share: float,
+    plane_fraction: float,
     outlier_ratio: float = 0.0,
     noise_px: float = 0.0,
     seed: int = 0,
@@ -105,7 +105,7 @@ def dominant_plane_problem(
 
     Args:
         num_matches: inliers and outliers together.
-        plane_share: of the points.
+        plane_fraction: of the points.
         outlier_ratio: share of wrong matches.
         noise_px: standard deviation of every coordinate in both pictures.
         seed: of everything random.
@@ -114,10 +114,10 @@ def dominant_plane_problem(
         ConfigError: a value makes no sense.
     """
     _check(num_matches, outlier_ratio, noise_px, seed)
-    if not 0 <= plane_share <= 1:
-        raise ConfigError(f"plane_share must lie in [0, 1], got {plane_share}")
+    if not 0 <= plane_fraction <= 1:
+        raise ConfigError(f"plane_share must lie in [0, 1], got {plane_fraction}")
     camera = _pinhole(800.0, (1280, 960))
-    return _two_views(camera, num_matches, outlier_ratio, noise_px, seed, "planar", plane_share)
+    return _two_views(camera, num_matches, outlier_ratio, noise_px, seed, "planar", plane_fraction)
 
 
 def _two_views(
@@ -127,7 +127,7 @@ def _two_views(
     noise_px: float,
     seed: int,
     kind: str,
-    plane_share: float = 1.0,
+    plane_fraction: float = 1.0,
 ) -> TwoViewProblem:
     rng = np.random.default_rng(seed)
     rotation = Rotation3.exp(_direction(rng) * rng.uniform(0.05, 0.15))
@@ -140,7 +140,7 @@ def _two_views(
     for _ in range(_MOST_ROUNDS):
         if len(points) == num_matches:
             break
-        candidates, seen1, flat = _points_in_view(rng, camera, num_matches + 8, normal, plane_share)
+        candidates, seen1, flat = _points_in_view(rng, camera, num_matches + 8, normal, plane_fraction)
         seen2 = camera.project(cam2_from_cam1.apply(candidates))
         inside = _is_inside(camera, seen2)
         points = np.concatenate([points, candidates[inside]])[:num_matches]
@@ -263,15 +263,15 @@ def _points_in_view(
     camera: Camera,
     count: int,
     plane_normal: np.ndarray | None,
-    plane_share: float = 1.0,
+    plane_fraction: float = 1.0,
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
     """Points in camera coordinates, their exact pixels, spread evenly over the picture, and which are on the plane."""
     pixels = _anywhere(rng, camera, count)
     rays = camera.unproject(pixels)
     rays = rays / rays[:, 2:]
     plane_mask = np.full(count, plane_normal is not None)
-    if plane_normal is not None and plane_share < 1.0:
-        plane_mask &= rng.random(count) < plane_share
+    if plane_normal is not None and plane_fraction < 1.0:
+        plane_mask &= rng.random(count) < plane_fraction
     depth = np.ones(count) if plane_mask.all() else rng.uniform(NEAR, FAR, count)
     if plane_normal is not None:
         # n . x = n_z (NEAR + FAR) / 2: the plane meets the axis in the middle of the depths.

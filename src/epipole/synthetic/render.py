@@ -107,11 +107,11 @@ def _add_exposure(
     columns = (scene.kind, scene.params, scene.texture, scene.color, scene.seed, scene.light)
     given = (columns, int(camera.model), camera.padded_params())
 
-    def draw(start: int, stop: int, _: int) -> None:
+    def render_rows(start: int, stop: int, _: int) -> None:
         if len(motion) == 1:
             kernels.render_rows(*given, motion[0], start, stop, width, rgb, depth)
             return
         for row in range(start, stop):
             kernels.render_rows(*given, motion[row], row, row + 1, width, rgb, depth)
 
-    _parallel.map_chunks(draw, height, 16)
+    _parallel.map_chunks(render_rows, height, 16)

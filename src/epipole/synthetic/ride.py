@@ -55,7 +55,7 @@ class Shutter:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RidePicture:
+class RideImage:
     """A grey picture and its depth."""
 
     grey: UInt8[np.ndarray, "h w"]
@@ -110,41 +110,41 @@ class Ride:
         return Trajectory(self.timestamp_s, self.world_from_camera)
 
     @checked
-    def left(self, frame: int) -> RidePicture:
+    def left(self, frame: int) -> RideImage:
         """The left picture of a frame.
 
         Raises:
             ConfigError: there is no such frame.
         """
-        return self._picture(frame, 0)
+        return self._image(frame, 0)
 
     @checked
-    def right(self, frame: int) -> RidePicture:
+    def right(self, frame: int) -> RideImage:
         """The right picture of a frame.
 
         Raises:
             ConfigError: there is no such frame.
         """
-        return self._picture(frame, 1)
+        return self._image(frame, 1)
 
-    def _picture(self, frame: int, side: int) -> RidePicture:
+    def _image(self, frame: int, side: int) -> RideImage:
         if not 0 <= frame < len(self):
             raise ConfigError(f"frame must be 0 to {len(self) - 1}, got {frame}")
         time = float(self.timestamp_s[frame])
         times = self.shutter.times_of(time, self.camera.height)
-        places = self.world_from_camera_at(times.ravel()) @ Rigid3(
+        positions = self.world_from_camera_at(times.ravel()) @ Rigid3(
             np.eye(3), np.array([side * self.baseline, 0.0, 0.0])
         )
-        cam_from_world = places.inverse()
+        cam_from_world = positions.inverse()
         rows = Rigid3(
             cam_from_world.rotation.reshape(*times.shape, 3, 3),
             cam_from_world.translation.reshape(*times.shape, 3),
         )
         gain = 1.0 if self.gain is None else float(self.gain[frame])
-        drawn = render_exposures(self.scene_at(time), self.camera, rows, gain=gain)
-        grey = cv2.cvtColor(drawn.rgb, cv2.COLOR_RGB2GRAY)
+        rendered = render_exposures(self.scene_at(time), self.camera, rows, gain=gain)
+        grey = cv2.cvtColor(rendered.rgb, cv2.COLOR_RGB2GRAY)
         if self.shutter.noise_sigma > 0:
             noise = np.random.default_rng([frame, side]).standard_normal(grey.shape, np.float32)
             noisy = grey + np.float32(self.shutter.noise_sigma) * noise
             grey = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
-        return RidePicture(grey, np.nan_to_num(drawn.depth, nan=0.0).astype(np.float32))
+        return RideImage(grey, np.nan_to_num(rendered.depth, nan=0.0).astype(np.float32))

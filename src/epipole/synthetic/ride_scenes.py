@@ -45,7 +45,7 @@ def furnished_room_things() -> list[Primitive]:
     return things
 
 
-def room_of_four_places(side: float = 5.0) -> SyntheticScene:
+def room_of_four_objects(side: float = 5.0) -> SyntheticScene:
     """A square room that is the same after every quarter turn: walls and boxes have one texture, the light falls from above.
 
     Args:
@@ -118,11 +118,11 @@ def _wall(
     texture: Texture = Texture.RICH,
 ) -> Plane:
     """An upright wall from one place on the floor to another."""
-    way = np.subtract(stop, start)
-    length = float(np.linalg.norm(way))
+    offset = np.subtract(stop, start)
+    length = float(np.linalg.norm(offset))
     return Plane(
         center=(0.5 * (start[0] + stop[0]), 0.5 * (start[1] + stop[1]), 0.5 * WALL_HEIGHT),
-        direction_u=(float(way[0]) / length, float(way[1]) / length, 0.0), direction_v=(0.0, 0.0, 1.0),
+        direction_u=(float(offset[0]) / length, float(offset[1]) / length, 0.0), direction_v=(0.0, 0.0, 1.0),
         half_size=(0.5 * length, 0.5 * WALL_HEIGHT), color=color, seed=seed, texture=texture,
     )  # fmt: skip
 

@@ -18,15 +18,15 @@ from epipole.synthetic.ride_scenes import (
     corridor_with_a_bend,
     furnished_room,
     furnished_room_things,
-    room_of_four_places,
+    room_of_four_objects,
 )
 from epipole.synthetic.scene import Box, SyntheticScene, Texture
 
-FOCAL_SHARE = 0.7
+FOCAL_FRACTION = 0.7
 """Focal length over the picture's width: 71 degrees across."""
 BASELINE_M, RATE_HZ, EYE_M = 0.12, 30.0, 1.35
 Size = tuple[int, int]
-_CORRIDOR_WAY = (
+_CORRIDOR_TRAJECTORY = (
     # frame, x, y, yaw in degrees
     (0, 0.0, 0.0, 0.0),
     (50, 2.5, 0.0, 0.0),
@@ -66,13 +66,13 @@ def loop_room(num_frames: int = 400, size: Size = (640, 480)) -> Ride:
         angle = np.deg2rad(1.0) * RATE_HZ * times
         center = np.stack([np.cos(angle), np.sin(angle), EYE_M + 0.03 * np.sin(5.1 * times)], axis=1)
         pitch, roll = np.deg2rad(3.0) * np.sin(2.3 * times) - 0.05, np.deg2rad(1.5) * np.sin(1.7 * times)
-        return looking(center, angle + 0.04 * np.sin(1.9 * times), pitch, roll)
+        return facing(center, angle + 0.04 * np.sin(1.9 * times), pitch, roll)
 
     return _ride("loop_room", num_frames, size, path, furnished_room())
 
 
 @checked
-def turn_on_the_spot(num_frames: int = 200, size: Size = (640, 480)) -> Ride:
+def rotate_only(num_frames: int = 200, size: Size = (640, 480)) -> Ride:
     """Once around in the same room, 1.8 degrees a frame, about the left camera's centre, which stays where it is.
 
     Args:
@@ -86,9 +86,9 @@ def turn_on_the_spot(num_frames: int = 200, size: Size = (640, 480)) -> Ride:
     def path(times: np.ndarray) -> Rigid3:
         angle = 2.0 * np.pi * RATE_HZ * times / num_frames
         center = np.broadcast_to([0.2, -0.1, EYE_M], (len(times), 3))
-        return looking(center, angle, np.full(len(times), -0.05), np.zeros(len(times)))
+        return facing(center, angle, np.full(len(times), -0.05), np.zeros(len(times)))
 
-    return _ride("turn_on_the_spot", num_frames, size, path, furnished_room())
+    return _ride("rotate_only", num_frames, size, path, furnished_room())
 
 
 @checked
@@ -110,9 +110,9 @@ def tiled_room(num_frames: int = 400, size: Size = (640, 480)) -> Ride:
         angle = np.deg2rad(1.0) * RATE_HZ * times
         height = EYE_M + 0.03 * np.sin(4.3 * times)
         center = np.stack([0.7 * np.cos(angle), 0.7 * np.sin(angle), height], axis=1)
-        return looking(center, angle, np.deg2rad(2.0) * np.sin(2.1 * times) - 0.05, np.zeros(len(times)))
+        return facing(center, angle, np.deg2rad(2.0) * np.sin(2.1 * times) - 0.05, np.zeros(len(times)))
 
-    return _ride("tiled_room", num_frames, size, path, room_of_four_places())
+    return _ride("tiled_room", num_frames, size, path, room_of_four_objects())
 
 
 @checked
@@ -129,14 +129,14 @@ def corridor(num_frames: int = 620, size: Size = (640, 480)) -> Ride:
     Raises:
         ConfigError: no frame is asked for, or the picture is too small.
     """
-    frame, x, y, yaw_deg = np.array(_CORRIDOR_WAY).T
-    way = PchipInterpolator(frame / RATE_HZ, np.stack([x, y, np.deg2rad(yaw_deg)], axis=1))
+    frame, x, y, yaw_deg = np.array(_CORRIDOR_TRAJECTORY).T
+    offset = PchipInterpolator(frame / RATE_HZ, np.stack([x, y, np.deg2rad(yaw_deg)], axis=1))
 
     def path(times: np.ndarray) -> Rigid3:
-        there = way(np.clip(times, 0.0, frame[-1] / RATE_HZ))
+        there = offset(np.clip(times, 0.0, frame[-1] / RATE_HZ))
         height = EYE_M + 0.02 * np.sin(9.0 * times)
         center = np.stack([there[:, 0], there[:, 1], height], axis=1)
-        return looking(center, there[:, 2], np.deg2rad(1.0) * np.sin(2.1 * times), np.zeros(len(times)))
+        return facing(center, there[:, 2], np.deg2rad(1.0) * np.sin(2.1 * times), np.zeros(len(times)))
 
     return _ride("corridor", num_frames, size, path, corridor_with_a_bend())
 
@@ -154,15 +154,15 @@ def walking_box(num_frames: int = 240, size: Size = (640, 480)) -> Ride:
     Raises:
         ConfigError: no frame is asked for, or the picture is too small.
     """
-    way = PchipInterpolator(np.array([0.0, 90.0, 150.0, 240.0]) / RATE_HZ, [-0.8, 0.1, 0.1, 0.9])
+    offset = PchipInterpolator(np.array([0.0, 90.0, 150.0, 240.0]) / RATE_HZ, [-0.8, 0.1, 0.1, 0.9])
     room = furnished_room_things()
 
     def path(times: np.ndarray) -> Rigid3:
-        aside = way(np.clip(times, 0.0, 240.0 / RATE_HZ))
+        aside = offset(np.clip(times, 0.0, 240.0 / RATE_HZ))
         # A path along a line would leave the alignment with an estimate open.
         ahead, height = -1.7 + 0.2 * np.cos(2.0 * aside), EYE_M + 0.06 * np.sin(3.0 * aside)
         center = np.stack([ahead, aside, height], axis=1)
-        return looking(center, 0.08 * aside, np.full(len(times), -0.03), np.zeros(len(times)))
+        return facing(center, 0.08 * aside, np.full(len(times), -0.03), np.zeros(len(times)))
 
     def scene(time: float) -> SyntheticScene:
         walker = Box(
@@ -188,12 +188,12 @@ def shuttered(num_frames: int = 240, size: Size = (640, 480), readout_s: float =
     """
 
     def path(times: np.ndarray) -> Rigid3:
-        turn = 2.0 * np.pi * times
-        shake = [sum(np.sin(f * turn + p) for f, p in waves) for waves in _HAND_HZ]
+        rotation = 2.0 * np.pi * times
+        shake = [sum(np.sin(f * rotation + p) for f, p in waves) for waves in _HAND_HZ]
         aside = -1.0 + 2.0 * times / (240.0 / RATE_HZ)
         center = np.stack([-1.2 + 0.01 * shake[0], aside + 0.01 * shake[1], EYE_M + 0.015 * shake[2]], axis=1)
         degree = np.deg2rad(1.0)
-        return looking(
+        return facing(
             center, 1.2 * degree * shake[1], degree * shake[2] - 0.04, 0.8 * degree * (shake[0] + shake[2])
         )
 
@@ -201,7 +201,7 @@ def shuttered(num_frames: int = 240, size: Size = (640, 480), readout_s: float =
     return replace(ride, shutter=Shutter(readout_s=readout_s))
 
 
-def looking(center: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> Rigid3:
+def facing(center: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> Rigid3:
     """world_from_camera of cameras at centres (k, 3): yaw about z from +x, pitch upwards, roll clockwise, (k,) rad each."""
     zero = np.zeros(len(yaw))
     forward = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], axis=1)
@@ -225,7 +225,7 @@ def _ride(
         raise ConfigError(
             f"a ride has at least 1 frame of at least 16 x 16 pixels, got {num_frames} of {width} x {height}"
         )
-    focal = FOCAL_SHARE * width
+    focal = FOCAL_FRACTION * width
     camera = Camera(
         CameraModel.PINHOLE, width, height, np.array([focal, focal, (width - 1) / 2, (height - 1) / 2])
     )

@@ -124,12 +124,12 @@ def _photographed(
     contrast, noise, blur = rng.uniform(0.25, 1.0), rng.choice(_NOISES), rng.choice(_BLURS_PX)
     gain = rng.uniform(0.85, 1.15) if rng.random() < 0.5 else 1.0
     quality = int(rng.integers(80, 98)) if rng.random() < 0.5 else None
-    pictures = [
-        _photograph(picture.rgb, rng, contrast, noise, blur, exposure, quality)
-        for picture, exposure in ((left, 1.0), (right, gain))
+    images = [
+        _photograph(image.rgb, rng, contrast, noise, blur, exposure, quality)
+        for image, exposure in ((left, 1.0), (right, gain))
     ]
     disparity = depth_to_disparity(left.depth, focal, baseline)
-    return StereoPair(pictures[0], pictures[1], disparity, camera, baseline)
+    return StereoPair(images[0], images[1], disparity, camera, baseline)
 
 
 def _room(rng: np.random.Generator) -> SyntheticScene:
@@ -183,8 +183,8 @@ def _photograph(
     if blur_px > 0:
         grey = cv2.GaussianBlur(grey, (0, 0), blur_px)
     grey = ((grey - 110.0) * contrast + 110.0) * gain + rng.normal(0.0, noise, grey.shape)
-    picture = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+    image = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
     if jpeg_quality is None:
-        return picture
-    _, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
+        return image
+    _, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
     return np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_GRAYSCALE), np.uint8)

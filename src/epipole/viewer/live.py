@@ -13,7 +13,7 @@ import numpy as np
 from epipole.report.space_scene import SpaceScene
 from epipole.screen import open_console
 from epipole.viewer.handle import serve
-from epipole.viewer.live_feed import LiveFeed, scene_bytes
+from epipole.viewer.live_stream import LiveStream, scene_bytes
 from epipole.viewer.page_server import PageServer, Served
 from epipole.viewer.ports import note_on_port, port_for
 from epipole.viewer.viewer import scene_pages
@@ -38,15 +38,15 @@ class LivePage:
 class LiveScene:
     """The scene of an open live page."""
 
-    def __init__(self, feed: LiveFeed, origin_in_world: np.ndarray) -> None:
-        self._feed, self._origin = feed, origin_in_world
+    def __init__(self, stream: LiveStream, origin_in_world: np.ndarray) -> None:
+        self._stream, self._origin = stream, origin_in_world
         self.meanwhile: Callable[[], object] = lambda: None
         """Called while tabs fetch the final state."""
 
     @property
     def is_watched(self) -> bool:
         """Whether a tab is open."""
-        return self._feed.is_watched
+        return self._stream.is_watched
 
     def publish(
         self,
@@ -60,11 +60,11 @@ class LiveScene:
             state: `state` and `words` of the page, the `fraction` of the job that is done, the current `camera`.
             make_scene: makes the scene, of the layers that the page was opened with, in a thread of the server; None: it
                 has not changed.
-            parts: as of `LiveFeed.publish`.
+            parts: as of `LiveStream.publish`.
         """
         if make_scene is not None:
             parts["scene"] = lambda: scene_bytes(make_scene(), self._origin)
-        self._feed.publish(state, **parts)
+        self._stream.publish(state, **parts)
 
 
 @contextmanager
@@ -80,36 +80,36 @@ def opened_live(page: LivePage, scene: SpaceScene, host: str, port: int | None) 
     Raises:
         ConfigError: the port is in use or out of range, or the host is no address of this machine.
     """
-    chosen, feed = port_for(host, port), LiveFeed()
+    chosen, stream = port_for(host, port), LiveStream()
     names = ("image_caption", "has_camera", "has_views")
-    told = {"run": feed.run_id, **{name: getattr(page, name) for name in names}}
-    pages, origin = scene_pages(scene, told)
-    server = PageServer({**pages, **feed.pages(), **page.pages}, host, chosen)
+    given = {"run": stream.run_id, **{name: getattr(page, name) for name in names}}
+    pages, origin = scene_pages(scene, given)
+    server = PageServer({**pages, **stream.pages(), **page.pages}, host, chosen)
     handle = serve(server, server.port, host, note_on_port(port, server.port), block=False)
     noted = f" ({handle.note})" if handle.note else ""
     open_console(stderr=True).print(f"Live view at {handle.url}{noted}", highlight=False)
-    view, ended = LiveScene(feed, origin), f"The {page.job} stopped with an error. This is its last state."
+    view, ended = LiveScene(stream, origin), f"The {page.job} stopped with an error. This is its last state."
     try:
         yield view
         ended = f"The {page.job} has ended. This is its final state."
     finally:
-        feed.end(ended, view.meanwhile)
+        stream.end(ended, view.meanwhile)
         handle.stop()
 
 
 class Budget:
     """Says when a view may be updated so that it takes no more than a share of the time since the begin."""
 
-    def __init__(self, share: float, pause_s: float) -> None:
-        self.share, self.pause_s = share, pause_s
+    def __init__(self, fraction: float, pause_s: float) -> None:
+        self.fraction, self.pause_s = fraction, pause_s
         self.spent_s = self._cost_s = 0.0
-        self._begin_s = perf_counter()
+        self._start_s = perf_counter()
         self._last_s = -np.inf
 
     def allows(self) -> bool:
         """Whether the next update, as long as the last one, would stay within the share."""
         now = perf_counter()
-        within = self.spent_s + self._cost_s <= self.share * (now - self._begin_s)
+        within = self.spent_s + self._cost_s <= self.fraction * (now - self._start_s)
         return within and now - self._last_s >= self.pause_s
 
     def spend(self, seconds: float) -> None:

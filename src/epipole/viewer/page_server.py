@@ -25,7 +25,7 @@ OWN_SITE = (None, "same-origin", "none")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Asked:
+class Request:
     """A request."""
 
     headers: Message
@@ -39,7 +39,7 @@ class Served:
 
     kind: str
     """Its media type."""
-    make: Callable[[Asked], bytes | Generator[bytes, None, None] | None]
+    make: Callable[[Request], bytes | Generator[bytes, None, None] | None]
     """The bytes, or None where there are none after all. A generator's are sent as they come, until the tab closes."""
 
 
@@ -123,7 +123,7 @@ class _Answer(BaseHTTPRequestHandler):
             return
         address, _, query = self.path.removeprefix("/").partition("?")
         served = self.pages.get(address)
-        data = served.make(Asked(self.headers, query)) if served is not None else None
+        data = served.make(Request(self.headers, query)) if served is not None else None
         if served is None or data is None:
             self.send_error(HTTPStatus.NOT_FOUND)
             return

@@ -21,9 +21,9 @@ def port_for(host: str, port: int | None) -> int:
     return _free_port(host) if port is None else _usable_port(host, port)
 
 
-def note_on_port(asked: int | None, shown: int) -> str:
+def note_on_port(requested: int | None, shown: int) -> str:
     """What to tell the user about the port; empty where it is the expected one."""
-    if asked is not None or shown == DEFAULT_PORT:
+    if requested is not None or shown == DEFAULT_PORT:
         return ""
     return f"port {DEFAULT_PORT} is in use; showing on {shown}"
 

@@ -7,10 +7,10 @@ from typing import Any
 
 from epipole.report.frame import render
 from epipole.report.markup import count
-from epipole.report.space import SpaceData, of_all, pictures_inside, space_data
+from epipole.report.space import SpaceData, embedded_images, of_all, space_data
 from epipole.report.space_scene import METRES, NO_UNIT, SpaceScene
 
-PICTURE_ADDRESS = "picture/"
+IMAGE_ADDRESS = "picture/"
 """Of a served page: the number of the camera follows."""
 
 
@@ -28,14 +28,14 @@ def scene_page(scene: SpaceScene, most: int) -> ScenePage:
     """A scene with everything inside it; of points, and of Gaussians, at most so many."""
     data = space_data(scene, most, most)
     if scene.cameras is not None:
-        inside = pictures_inside(scene.cameras)
+        inside = embedded_images(scene.cameras)
         data.numbers["cameras"]["pictures"] = inside if any(inside) else None
     words = _with_what_is_left_out(scene, data)
     return ScenePage(_html(scene, data, words, data.blocks), words)
 
 
 def served_page(scene: SpaceScene, live: dict[str, Any] | None = None) -> tuple[str, SpaceData]:
-    """A page of a server, which has the bytes at `data/NAME` and the cameras' pictures at `picture/NUMBER`.
+    """A page of a server, which has the bytes at `data/NAME` and the cameras' pictures at `image/NUMBER`.
 
     Args:
         scene: what is shown.
@@ -43,10 +43,8 @@ def served_page(scene: SpaceScene, live: dict[str, Any] | None = None) -> tuple[
     """
     data = space_data(scene)
     data.numbers["live"] = live
-    if scene.cameras is not None and scene.cameras.load_picture is not None:
-        data.numbers["cameras"]["pictures"] = [
-            f"{PICTURE_ADDRESS}{k}" for k in range(len(scene.cameras.names))
-        ]
+    if scene.cameras is not None and scene.cameras.load_image is not None:
+        data.numbers["cameras"]["pictures"] = [f"{IMAGE_ADDRESS}{k}" for k in range(len(scene.cameras.names))]
     return _html(scene, data, scene.words, {}, served=True), data
 
 

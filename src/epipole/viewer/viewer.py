@@ -11,9 +11,9 @@ import numpy as np
 from epipole.report.space import small_jpeg
 from epipole.report.space_scene import SpaceScene
 from epipole.viewer.handle import ViewerHandle, serve
-from epipole.viewer.page_server import BYTES, HTML, JPEG, Asked, PageServer, Served, fixed
+from epipole.viewer.page_server import BYTES, HTML, JPEG, PageServer, Request, Served, fixed
 from epipole.viewer.ports import note_on_port, port_for
-from epipole.viewer.scene_page import PICTURE_ADDRESS, served_page
+from epipole.viewer.scene_page import IMAGE_ADDRESS, served_page
 
 
 def view_scene(
@@ -51,12 +51,12 @@ def scene_pages(
     pages = {"": fixed(HTML, html.encode("utf-8"))}
     pages |= {f"data/{name}": fixed(BYTES, block_) for name, block_ in data.blocks.items()}
     cameras = scene.cameras
-    if cameras is not None and cameras.load_picture is not None:
+    if cameras is not None and cameras.load_image is not None:
         for k, name in enumerate(cameras.names):
-            make = partial(_picture, partial(small_jpeg, cameras.load_picture, name))
-            pages[f"{PICTURE_ADDRESS}{k}"] = Served(JPEG, make)
+            make = partial(_image, partial(small_jpeg, cameras.load_image, name))
+            pages[f"{IMAGE_ADDRESS}{k}"] = Served(JPEG, make)
     return pages, np.array(data.numbers["origin"], np.float64)
 
 
-def _picture(make: Callable[[], bytes | None], _: Asked) -> bytes | None:
+def _image(make: Callable[[], bytes | None], _: Request) -> bytes | None:
     return make()

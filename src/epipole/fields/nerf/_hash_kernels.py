@@ -29,7 +29,7 @@ BEFORE, ALPHA, THICKNESS = 0, 1, 2
 
 
 @kernel
-def sample_rays(rays, pixel_of, view_of, room, start, stop, most, at, places, counts, basis, work):
+def sample_rays(rays, pixel_of, view_of, room, start, stop, most, at, positions, counts, basis, work):
     """The next samples, at most `most`, of the rays start..stop, in cells that are occupied.
 
     pixel_of (n,) are pixels within their views view_of (n,); at (n,) is where a ray goes on, in cells from its camera: its first offset
@@ -62,11 +62,11 @@ def sample_rays(rays, pixel_of, view_of, room, start, stop, most, at, places, co
             t += STEP
             if not room.occupied[ix, iy, iz]:
                 continue
-            if found + count == len(places):
+            if found + count == len(positions):
                 is_full = True
                 break
-            place = places[found + count]
-            place[0], place[1], place[2], place[3] = x * side, y * side, z * side, t - STEP
+            position = positions[found + count]
+            position[0], position[1], position[2], position[3] = x * side, y * side, z * side, t - STEP
             count += 1
         at[n] = t if t < far else np.float32(np.inf)
         counts[n - start] = 0 if is_full else count
@@ -83,23 +83,23 @@ def _row_of(i, j, k, cells, mask, is_hashed):
 
 
 @kernel(fuse=True)
-def _cell_of(place, scale):
+def _cell_of(position, scale):
     """The cell of a place, and how far into it."""
-    x, y, z = place[0] * scale, place[1] * scale, place[2] * scale
+    x, y, z = position[0] * scale, position[1] * scale, position[2] * scale
     ix, iy, iz = int(x), int(y), int(z)
     return ix, iy, iz, x - np.float32(ix), y - np.float32(iy), z - np.float32(iz)
 
 
 @kernel(fuse=True)
-def encode(places, cells, tables, features):
+def encode(positions, cells, tables, features):
     """Features (n, levels * 4) of places (n, 4), level by level: a table stays in the cache. Tables are (levels, rows, 4), rows a power of two."""
     levels, rows = tables.shape[0], tables.shape[1]
     mask, one = np.uint32(rows - 1), np.float32(1.0)
     for level in range(levels):
         side, table = cells[level], tables[level]
         scale, is_hashed = np.float32(side), (side + 1) ** 3 > rows
-        for n in range(len(places)):
-            ix, iy, iz, fx, fy, fz = _cell_of(places[n], scale)
+        for n in range(len(positions)):
+            ix, iy, iz, fx, fy, fz = _cell_of(positions[n], scale)
             a = b = c = d = np.float32(0.0)
             for k in range(2):
                 wz = fz if k else one - fz
@@ -117,13 +117,13 @@ def encode(places, cells, tables, features):
 
 
 @kernel(fuse=True)
-def spread(places, cells, level, by_features, gradient):
+def spread(positions, cells, level, by_features, gradient):
     """Add the derivatives by_features (n, levels * 4) of a level's features to its table's (rows, 4)."""
     rows, side = len(gradient), cells[level]
     mask, one = np.uint32(rows - 1), np.float32(1.0)
     scale, is_hashed = np.float32(side), (side + 1) ** 3 > rows
-    for n in range(len(places)):
-        ix, iy, iz, fx, fy, fz = _cell_of(places[n], scale)
+    for n in range(len(positions)):
+        ix, iy, iz, fx, fy, fz = _cell_of(positions[n], scale)
         by = by_features[n]
         a, b, c, d = by[4 * level], by[4 * level + 1], by[4 * level + 2], by[4 * level + 3]
         for k in range(2):
@@ -150,7 +150,7 @@ def weigh(said, counts, delta, left, light, kept, kept_counts):
     at, found = 0, 0
     for n in range(len(counts)):
         through = left[n]
-        begin = found
+        start = found
         for i in range(at, at + counts[n]):
             if through < OVER:
                 break
@@ -162,7 +162,7 @@ def weigh(said, counts, delta, left, light, kept, kept_counts):
             through *= np.float32(1.0) - alpha
         at += counts[n]
         left[n] = through
-        kept_counts[n] = found - begin
+        kept_counts[n] = found - start
     return found
 
 
@@ -179,7 +179,7 @@ def join(said, kept, kept_counts, basis, out):
 
 
 @kernel
-def compose(colours, light, places, kept, kept_counts, picture):
+def compose(colours, light, positions, kept, kept_counts, image):
     """Add the samples' colours (m, 3), each before a logistic function, which they pass here, and distances to the rays' picture (rays, 4)."""
     at, one = 0, np.float32(1.0)
     for n in range(len(kept_counts)):
@@ -187,13 +187,13 @@ def compose(colours, light, places, kept, kept_counts, picture):
             weight = light[i, BEFORE] * light[i, ALPHA]
             for k in range(3):
                 colours[i, k] = one / (one + np.float32(math.exp(-colours[i, k])))
-                picture[n, k] += weight * colours[i, k]
-            picture[n, 3] += weight * places[kept[i], 3]
+                image[n, k] += weight * colours[i, k]
+            image[n, 3] += weight * positions[kept[i], 3]
         at += kept_counts[n]
 
 
 @kernel
-def compose_back(colours, light, kept_counts, behind, by_picture, by_colours, by_raw):
+def compose_back(colours, light, kept_counts, behind, by_image, by_colours, by_raw):
     """Derivatives by what the network says of colours (m, 3) and densities (m,) from those by the picture (rays, 3).
 
     colours (m, 3) have passed the logistic function; behind (rays,) is dL/dC . background times what is seen of it.
@@ -205,16 +205,16 @@ def compose_back(colours, light, kept_counts, behind, by_picture, by_colours, by
             before, alpha = light[i, BEFORE], light[i, ALPHA]
             value = np.float32(0.0)
             for k in range(3):
-                value += by_picture[n, k] * colours[i, k]
+                value += by_image[n, k] * colours[i, k]
                 slope = colours[i, k] * (one - colours[i, k])
-                by_colours[i, k] = before * alpha * by_picture[n, k] * slope
+                by_colours[i, k] = before * alpha * by_image[n, k] * slope
             by_raw[i] = light[i, THICKNESS] * (before * (one - alpha) * value - rest)
             rest += before * alpha * value
         at += kept_counts[n]
 
 
 @kernel
-def hold_back(by, value):
+def limit_change(by, value):
     """Clear derivatives (n, k) where the value that passed is not above 0."""
     one, other = by.reshape(-1), value.reshape(-1)
     for i in range(len(one)):

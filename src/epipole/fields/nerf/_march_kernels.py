@@ -43,8 +43,8 @@ def past_block(origin, direction, ix, iy, iz, t):
 @kernel(fuse=True)
 def ray_of_pixel(rays, view, column, row, low, size, origin, direction):
     """Origin and unit direction of a pixel, in voxels."""
-    x = (column - rays.lens[view, 2]) / rays.lens[view, 0]
-    y = (row - rays.lens[view, 3]) / rays.lens[view, 1]
+    x = (column - rays.intrinsics[view, 2]) / rays.intrinsics[view, 0]
+    y = (row - rays.intrinsics[view, 3]) / rays.intrinsics[view, 1]
     length = math.sqrt(x * x + y * y + 1.0)
     r = rays.rotation[view]
     for k in range(3):

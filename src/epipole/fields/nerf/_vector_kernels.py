@@ -54,14 +54,14 @@ class Vector:
         """The square root."""
         return self._call("sqrt")
 
-    def holds(self, relation: str, other: Any) -> Any:
+    def compare(self, relation: str, other: Any) -> Any:
         """Where its relation to another holds, lane by lane."""
         return self.builder.fcmp_ordered(relation, self.value, self._other(other))
 
     def where(self, relation: str, first: "Vector", second: Any, other: float = 0.0) -> "Vector":
         """Itself where the relation of first and second holds, else another number."""
-        holds = first.holds(relation, second)
-        return Vector(self.builder, self.builder.select(holds, self.value, self._other(other)))
+        compare = first.compare(relation, second)
+        return Vector(self.builder, self.builder.select(compare, self.value, self._other(other)))
 
     def taken(self, lanes: list[int]) -> "Vector":
         """These of its lanes, one after the other."""
@@ -71,7 +71,7 @@ class Vector:
     def _this_if(self, relation: str, other: Any) -> "Vector":
         # one instruction; that of LLVM's minnum and maxnum, which look for NaN, is three
         value = self._other(other)
-        return Vector(self.builder, self.builder.select(self.holds(relation, other), self.value, value))
+        return Vector(self.builder, self.builder.select(self.compare(relation, other), self.value, value))
 
     def _call(self, name: str, *others: Any) -> "Vector":
         arguments, kind = [self.value, *(self._other(o) for o in others)], self.value.type

@@ -64,7 +64,7 @@ def _march(voxels, flat, origin, direction, first, work):
     one, half, zero = np.float32(1.0), np.float32(0.5), np.float32(0.0)
     c0, c1 = np.float32(SH0), np.float32(SH1)
     b1, b2, b3 = -c1 * direction[1], c1 * direction[2], -c1 * direction[0]
-    acc, light, place = work.acc, work.light, work.place
+    acc, light, position = work.acc, work.light, work.position
     left, count = one, 0
     t = near + first * STEP
     while t < far and count < MOST_SAMPLES:
@@ -85,8 +85,12 @@ def _march(voxels, flat, origin, direction, first, work):
         for k in range(3):
             colour = half + c0 * acc[1 + k] + b1 * acc[4 + k] + b2 * acc[7 + k] + b3 * acc[10 + k]
             light[count, 3 + k] = max(colour, zero)
-        place[count, 0], place[count, 1], place[count, 2] = np.float32(ix), np.float32(iy), np.float32(iz)
-        place[count, 3], place[count, 4], place[count, 5] = fx, fy, fz
+        position[count, 0], position[count, 1], position[count, 2] = (
+            np.float32(ix),
+            np.float32(iy),
+            np.float32(iz),
+        )
+        position[count, 3], position[count, 4], position[count, 5] = fx, fy, fz
         count += 1
         left *= one - alpha
         if left < OVER:
@@ -95,7 +99,7 @@ def _march(voxels, flat, origin, direction, first, work):
 
 
 @kernel
-def draw_pixels(rays, view, width, voxels, background, start, stop, picture, depth, work):
+def render_pixels(rays, view, width, voxels, background, start, stop, image, depth, work):
     """Pixels start..stop of a view, flat, into picture (h w, 3) and depth (h w,) along the ray, in voxels, times coverage."""
     flat = voxels.values.reshape(-1)
     samples = 0
@@ -107,13 +111,13 @@ def draw_pixels(rays, view, width, voxels, background, start, stop, picture, dep
         samples += count
         total = np.float32(0.0)
         for k in range(3):
-            picture[at, k] = left * background[k]
+            image[at, k] = left * background[k]
         for i in range(count):
             weight = work.light[i, 0] * work.light[i, 1]
             away = np.float32(0.0)
             for k in range(3):
-                picture[at, k] += weight * work.light[i, 3 + k]
-                off = work.place[i, k] + work.place[i, 3 + k] - work.origin[k]
+                image[at, k] += weight * work.light[i, 3 + k]
+                off = work.position[i, k] + work.position[i, 3 + k] - work.origin[k]
                 away += off * off
             total += weight * np.float32(math.sqrt(away))
         depth[at] = total
@@ -159,7 +163,7 @@ def learn_rays(rays, chosen, first, voxels, background, scale, start, stop, reco
         for i in range(count):
             before, alpha, slope = work.light[i, 0], work.light[i, 1], work.light[i, 2]
             weight = before * alpha
-            ix, iy, iz = int(work.place[i, 0]), int(work.place[i, 1]), int(work.place[i, 2])
+            ix, iy, iz = int(work.position[i, 0]), int(work.position[i, 1]), int(work.position[i, 2])
             if weight > LEAST_WEIGHT:
                 voxels.seen[ix, iy, iz] = 1
             value = np.float32(0.0)
@@ -170,7 +174,7 @@ def learn_rays(rays, chosen, first, voxels, background, scale, start, stop, reco
             by_raw = voxels.delta * slope * (after * value - rest - behind)
             record = records[found]
             for k in range(3):
-                record[FX + k] = work.place[i, 3 + k]
+                record[FX + k] = work.position[i, 3 + k]
                 record[BY_RED + k] = (
                     weight * by[k] if work.light[i, 3 + k] > np.float32(0.0) else np.float32(0.0)
                 )

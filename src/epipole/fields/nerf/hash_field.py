@@ -63,7 +63,7 @@ class HashField(NamedTuple):
 class Samples(NamedTuple):
     """Of rays that go on: where they were sampled, and what the first network said."""
 
-    places: np.ndarray
+    positions: np.ndarray
     counts: np.ndarray
     basis: np.ndarray
     features: np.ndarray
@@ -103,8 +103,8 @@ def check_hash_field(field: HashField) -> None:
         ShapeError: its arrays are of another kind, or do not fit each other.
     """
     weights = {f"weight_{n}": one for n, one in enumerate(field.weights)}
-    held = {**field.room._asdict(), "cells": field.cells, "tables": field.tables, **weights}
-    require_arrays(held, _HASH, i=FEATURES * len(np.atleast_1d(field.cells)))
+    arrays = {**field.room._asdict(), "cells": field.cells, "tables": field.tables, **weights}
+    require_arrays(arrays, _HASH, i=FEATURES * len(np.atleast_1d(field.cells)))
     check_room(field.room.occupied.shape, field.room.blocks.shape, field.room.size)
 
 
@@ -116,10 +116,10 @@ def new_weights(rng: np.random.Generator, levels: int, width: int) -> tuple[np.n
     return tuple(rng.uniform(-bound, bound, pair).astype(np.float32) for bound, pair in zip(bounds, pairs))
 
 
-def asked(field: HashField, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def query_density(field: HashField, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Features (n, levels * 4), the hidden layer, and density and features (n, 16) at places (n, 3) in [0, 1]."""
-    features = np.empty((len(places), len(field.cells) * FEATURES), np.float32)
-    kernels.encode(places, field.cells, field.tables, features)
+    features = np.empty((len(positions), len(field.cells) * FEATURES), np.float32)
+    kernels.encode(positions, field.cells, field.tables, features)
     hidden = features @ field.weights[0]
     np.maximum(hidden, 0.0, out=hidden)
     return features, hidden, hidden @ field.weights[1]
@@ -144,14 +144,14 @@ def sampled(
     capacity: int,
 ) -> Samples:
     """The next samples of rays, at most `most` of each and `capacity` of all; at (n,) is moved on."""
-    places, counts = np.empty((capacity, 4), np.float32), np.empty(len(pixel_of), np.int64)
+    positions, counts = np.empty((capacity, 4), np.float32), np.empty(len(pixel_of), np.int64)
     basis = np.empty((len(pixel_of), BASIS), np.float32)
     work = np.zeros((2, 3), np.float32)
     found = kernels.sample_rays(
-        rays, pixel_of, view_of, field.room, 0, len(pixel_of), most, at, places, counts, basis, work
+        rays, pixel_of, view_of, field.room, 0, len(pixel_of), most, at, positions, counts, basis, work
     )
-    places = places[:found]
-    return Samples(places, counts, basis, *asked(field, places))
+    positions = positions[:found]
+    return Samples(positions, counts, basis, *query_density(field, positions))
 
 
 def seen(field: HashField, samples: Samples, left: np.ndarray) -> Seen:
@@ -166,7 +166,7 @@ def seen(field: HashField, samples: Samples, left: np.ndarray) -> Seen:
 
 
 @checked
-def draw_hash(
+def render_hash(
     field: HashField, camera: Camera, cam_from_world: Rigid3, background: Float32[np.ndarray, " 3"]
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """(h, w, 3) the picture, (h, w) the depth along rays times coverage in the world's unit, and the samples at which the network was asked.
@@ -177,19 +177,19 @@ def draw_hash(
     """
     check_hash_field(field)
     rays, total = rays_of_camera(camera, cam_from_world), camera.width * camera.height
-    picture = np.zeros((total, 4), np.float32)
+    image = np.zeros((total, 4), np.float32)
 
-    def draw(start: int, stop: int, _: int) -> int:
-        return _draw_rays(field, rays, np.arange(start, stop), picture[start:stop], background)
+    def render(start: int, stop: int, _: int) -> int:
+        return _render_rays(field, rays, np.arange(start, stop), image[start:stop], background)
 
     with _parallel.single_threaded_blas():
-        samples = _parallel.map_chunks(draw, total, -(-total // TOGETHER))
-    depth = picture[:, 3].reshape(camera.height, camera.width) * np.float32(field.room.size)
-    return picture[:, :3].reshape(camera.height, camera.width, 3), depth, sum(samples)
+        samples = _parallel.map_chunks(render, total, -(-total // TOGETHER))
+    depth = image[:, 3].reshape(camera.height, camera.width) * np.float32(field.room.size)
+    return image[:, :3].reshape(camera.height, camera.width, 3), depth, sum(samples)
 
 
-def _draw_rays(
-    field: HashField, rays: Rays, pixels: np.ndarray, picture: np.ndarray, background: np.ndarray
+def _render_rays(
+    field: HashField, rays: Rays, pixels: np.ndarray, image: np.ndarray, background: np.ndarray
 ) -> int:
     """In waves: what is hidden by the samples of one is not asked for in the next."""
     alive, total = np.arange(len(pixels)), 0
@@ -199,13 +199,13 @@ def _draw_rays(
         own_at, own_left = at[alive], left[alive]
         samples = sampled(field, rays, pixels[alive], views[alive], own_at, WAVE, WAVE * len(alive))
         part = seen(field, samples, own_left)
-        drawn = np.zeros((len(alive), 4), np.float32)
-        kernels.compose(part.layers[-1], part.light, samples.places, part.kept, part.counts, drawn)
-        picture[alive] += drawn
+        rendered = np.zeros((len(alive), 4), np.float32)
+        kernels.compose(part.layers[-1], part.light, samples.positions, part.kept, part.counts, rendered)
+        image[alive] += rendered
         at[alive], left[alive] = own_at, own_left
         total += len(samples.said)
         alive = alive[(own_left >= kernels.OVER) & np.isfinite(own_at)]
-    picture[:, :3] += left[:, None] * background
+    image[:, :3] += left[:, None] * background
     return total
 
 
@@ -226,12 +226,12 @@ def voxels_of(field: HashField, finer: int = 2) -> Voxels:
     for axis in range(3):
         cells = cells.repeat(finer, axis)
     corners = np.argwhere(corners_of(cells)).astype(np.float32)
-    places = np.zeros((len(corners), 4), np.float32)
-    places[:, :3] = np.minimum(corners / np.float32(max(cells.shape)), np.float32(1.0 - 1e-6))
+    positions = np.zeros((len(corners), 4), np.float32)
+    positions[:, :3] = np.minimum(corners / np.float32(max(cells.shape)), np.float32(1.0 - 1e-6))
     values = np.zeros((len(corners), ROW), np.float32)
 
     def ask(start: int, stop: int, _: int) -> None:
-        said = asked(field, places[start:stop])[2]
+        said = query_density(field, positions[start:stop])[2]
         sigma = np.exp(np.minimum(said[:, 0] + kernels.SHIFT, kernels.LARGEST_RAW))
         values[start:stop, 0] = np.maximum(sigma, LEAST_SIGMA) + np.log(
             -np.expm1(-np.maximum(sigma, LEAST_SIGMA))

@@ -67,7 +67,7 @@ def write_hash(path: str | Path, field: HashContents) -> None:
         data,
         shape=np.array(field.occupied.shape, np.int32),
         cells=np.packbits(field.occupied),
-        place=np.array([*field.low.tolist(), field.size]),
+        position=np.array([*field.low.tolist(), field.size]),
         levels=np.asarray(field.cells, np.int32),
         tables=_halved(field.tables),
         layer0=first,
@@ -93,10 +93,10 @@ def read_hash(path: str | Path) -> HashContents:
     """
     path = Path(path)
     arrays = read_packed_arrays(path, HASH)
-    place, levels, tables = (arrays[name] for name in ("place", "levels", "tables"))
+    position, levels, tables = (arrays[name] for name in ("place", "levels", "tables"))
     weights = [arrays[f"layer{n}"] for n in range(LAYERS)]
     rows = tables.shape[1]
-    if place[3] <= 0:
+    if position[3] <= 0:
         raise FileFormatError(path, "the size of a cell is not positive")
     if not 1 <= len(levels) <= MOST_LEVELS:
         raise FileFormatError(path, f"has {len(levels)} levels, not 1 to {MOST_LEVELS}")
@@ -105,7 +105,7 @@ def read_hash(path: str | Path) -> HashContents:
     _check_layers(path, weights, 4 * len(levels))
     layers = tuple(one.astype(np.float32) for one in weights)
     occupied = unpacked_cells(path, arrays)
-    return HashContents(occupied, place[:3], float(place[3]), levels, tables.astype(np.float32), layers)
+    return HashContents(occupied, position[:3], float(position[3]), levels, tables.astype(np.float32), layers)
 
 
 def _check_layers(path: Path, weights: list[np.ndarray], features: int) -> None:

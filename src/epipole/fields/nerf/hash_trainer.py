@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from epipole import _parallel
-from epipole._checks import check_seed, check_share
+from epipole._checks import check_fraction, check_seed
 from epipole._declared import checked
 from epipole._declared.tables import Expected, Table, check_arrays
 from epipole.errors import ShapeError
@@ -22,14 +22,14 @@ from epipole.fields.nerf.hash_field import (
     Room,
     Samples,
     Seen,
-    asked,
-    draw_hash,
     new_weights,
+    query_density,
+    render_hash,
     sampled,
     seen,
 )
 from epipole.fields.random_state import STATE, set_state, state_of
-from epipole.fields.rays import blocks_of, drawn_pixels, rays_of
+from epipole.fields.rays import blocks_of, pixels_to_render, rays_of
 from epipole.fields.splat._simd_kernels import MOMENTUM, SQUARES
 from epipole.fields.splat.starting import first_cells
 from epipole.fields.training_view import TrainingView
@@ -44,16 +44,16 @@ TABLE_RATE, LAYER_RATE, LAST_RATES = 0.1, 0.004, 0.1
 """Steps of numbers in tables and in layers at first, and what is left of them at the end."""
 SIDE = 128
 """Cells along the longest side of where is looked."""
-LOOK_EVERY, LOOK_SHARE, WARM_UP = 16, 16, 256
+CHECK_EVERY, CHECKED_FRACTION, WARM_UP = 16, 16, 256
 """Steps between two looks for cells that are empty, one cell of so many at each, and steps before any is left out."""
 FADE, LEAST_ALPHA = 0.95, 0.01
 """What is left of a cell's earlier opacity at the next look, and the opacity of a step below which it is empty."""
 
 
-class Followed(NamedTuple):
+class Marched(NamedTuple):
     """Derivatives that some rays give."""
 
-    places: np.ndarray
+    positions: np.ndarray
     by_features: np.ndarray
     by_weights: tuple[np.ndarray, ...]
     error: float
@@ -111,18 +111,18 @@ class HashTrainer:
         Raises:
             ConfigError: the share is not from 0 to 1.
         """
-        check_share(progress, "progress")
+        check_fraction(progress, "progress")
         count = self._num_rays
-        chosen = drawn_pixels(self.rays, count, self._rng)
+        chosen = pixels_to_render(self.rays, count, self._rng)
         first = self._rng.random(count, np.float32) - np.float32(1.0)
         with _parallel.single_threaded_blas():
             parts = _parallel.map_chunks(
-                lambda a, b, _: self._followed(chosen[a:b], first[a:b], count), count, PIECES
+                lambda a, b, _: self._marched(chosen[a:b], first[a:b], count), count, PIECES
             )
             self._move(parts, LAST_RATES**progress)
             self.num_steps += 1
-            if self.num_steps % LOOK_EVERY == 0:
-                self._look()
+            if self.num_steps % CHECK_EVERY == 0:
+                self._update_occupancy()
         self.num_samples = sum(part.samples for part in parts)
         wanted = count * PIECES * SAMPLES / max(self.num_samples, 1)
         self._num_rays = int(np.clip(wanted, 0.5 * count, min(2 * count, MOST_RAYS)))
@@ -181,23 +181,23 @@ class HashTrainer:
         self.num_steps, self._num_rays = num_steps, num_rays
         set_state(self._rng, state["rng"])
 
-    def _followed(self, chosen: np.ndarray, first: np.ndarray, count: int) -> Followed:
+    def _marched(self, chosen: np.ndarray, first: np.ndarray, count: int) -> Marched:
         """Pixels (n,) of all pictures, of `count` in this step, whose rays begin with the offsets first (n,), less 1."""
         field, rays = self.field, self.rays
         view = np.searchsorted(rays.offset, chosen, side="right") - 1
         samples = sampled(field, rays, chosen - rays.offset[view], view, first, LONGEST, 4 * SAMPLES)
         left = np.ones(len(chosen), np.float32)
         part = seen(field, samples, left)
-        picture = np.zeros((len(chosen), 4), np.float32)
-        kernels.compose(part.layers[-1], part.light, samples.places, part.kept, part.counts, picture)
-        off = picture[:, :3] + left[:, None] * self.background - self._wanted(chosen)
-        by_picture = np.float32(2.0 / (3 * count)) * off
-        behind = left * (by_picture @ self.background)
+        image = np.zeros((len(chosen), 4), np.float32)
+        kernels.compose(part.layers[-1], part.light, samples.positions, part.kept, part.counts, image)
+        off = image[:, :3] + left[:, None] * self.background - self._wanted(chosen)
+        by_image = np.float32(2.0 / (3 * count)) * off
+        behind = left * (by_image @ self.background)
         by_colours, by_raw = np.empty_like(part.layers[-1]), np.empty(len(part.kept), np.float32)
-        kernels.compose_back(part.layers[-1], part.light, part.counts, behind, by_picture, by_colours, by_raw)
+        kernels.compose_back(part.layers[-1], part.light, part.counts, behind, by_image, by_colours, by_raw)
         by_features, by_weights = self._back(samples, part, by_colours, by_raw)
         error = float((off.astype(np.float64) ** 2).sum())
-        return Followed(samples.places[part.kept], by_features, by_weights, error, len(samples.said))
+        return Marched(samples.positions[part.kept], by_features, by_weights, error, len(samples.said))
 
     def _back(
         self, samples: Samples, part: Seen, by_colours: np.ndarray, by_raw: np.ndarray
@@ -207,13 +207,13 @@ class HashTrainer:
         joined, first, second, _ = part.layers
         hidden, features = samples.hidden[part.kept], samples.features[part.kept]
         by_second = by_colours @ w[4].T
-        kernels.hold_back(by_second, second)
+        kernels.limit_change(by_second, second)
         by_first = by_second @ w[3].T
-        kernels.hold_back(by_first, first)
+        kernels.limit_change(by_first, first)
         by_said = by_first @ w[2][:SAID].T
         by_said[:, 0] += by_raw
         by_hidden = by_said @ w[1].T
-        kernels.hold_back(by_hidden, hidden)
+        kernels.limit_change(by_hidden, hidden)
         by_weights = (
             features.T @ by_hidden,
             hidden.T @ by_said,
@@ -223,7 +223,7 @@ class HashTrainer:
         )
         return by_hidden @ w[0].T, by_weights
 
-    def _move(self, parts: list[Followed], rate: float) -> None:
+    def _move(self, parts: list[Marched], rate: float) -> None:
         """Derivatives are added in the order of the rays, each level's by one thread; then a step of Adam."""
         field = self.field
         for n, gradient in enumerate(self._gradient[1:]):
@@ -232,7 +232,7 @@ class HashTrainer:
 
         def move_level(level: int, _stop: int, _chunk: int) -> None:
             for part in parts:
-                kernels.spread(part.places, field.cells, level, part.by_features, self._gradient[0][level])
+                kernels.spread(part.positions, field.cells, level, part.by_features, self._gradient[0][level])
             self._adam(0, field.tables[level], rate * TABLE_RATE, level)
 
         _parallel.map_chunks(move_level, LEVELS, LEVELS)
@@ -243,23 +243,23 @@ class HashTrainer:
         parts = (values, self._gradient[n][at], self._mean[n][at], self._square[n][at])
         kernels.move(*(part.reshape(-1) for part in parts), np.float32(rate), MOMENTUM, SQUARES)
 
-    def _look(self) -> None:
+    def _update_occupancy(self) -> None:
         """Ask for the density in some cells, and leave out those in which it has long been low."""
-        turn = self.num_steps // LOOK_EVERY % LOOK_SHARE
-        chosen = np.arange(turn, len(self._may_be), LOOK_SHARE)
+        rotation = self.num_steps // CHECK_EVERY % CHECKED_FRACTION
+        chosen = np.arange(rotation, len(self._may_be), CHECKED_FRACTION)
         room = self.field.room
-        places = np.zeros((len(chosen), 4), np.float32)
-        places[:, :3] = self._may_be[chosen] + self._rng.random((len(chosen), 3), np.float32)
-        places[:, :3] *= np.float32((1.0 - 1e-6) / max(room.occupied.shape))
+        positions = np.zeros((len(chosen), 4), np.float32)
+        positions[:, :3] = self._may_be[chosen] + self._rng.random((len(chosen), 3), np.float32)
+        positions[:, :3] *= np.float32((1.0 - 1e-6) / max(room.occupied.shape))
 
-        def look(a: int, b: int, _: int) -> np.ndarray:
-            said = asked(self.field, places[a:b])[2]
+        def check(a: int, b: int, _: int) -> np.ndarray:
+            said = query_density(self.field, positions[a:b])[2]
             raw = np.minimum(said[:, 0] + kernels.SHIFT, kernels.LARGEST_RAW)
             return 1.0 - np.exp(-np.exp(raw) * DELTA)
 
-        alpha = np.concatenate(_parallel.map_chunks(look, len(chosen), -(-len(chosen) // SAMPLES)))
+        alpha = np.concatenate(_parallel.map_chunks(check, len(chosen), -(-len(chosen) // SAMPLES)))
         self._alpha[chosen] = np.maximum(FADE * self._alpha[chosen], alpha)
-        if self.num_steps < WARM_UP or turn:
+        if self.num_steps < WARM_UP or rotation:
             return
         least = min(LEAST_ALPHA, float(self._alpha.mean()))
         occupied = np.zeros(room.occupied.shape, bool)
@@ -279,11 +279,11 @@ class HashTrainer:
         return self.field.tables.size + sum(one.size for one in self.field.weights)
 
     @checked
-    def draw(self, view: TrainingView) -> np.ndarray:
+    def render(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
-        return self.draw_counted(view)[0]
+        return self.render_counted(view)[0]
 
-    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+    def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
         """(h, w, 3) the picture of a view, and how often the field was asked for it."""
-        picture, _, count = draw_hash(self.field, view.camera, view.cam_from_world, self.background)
-        return picture, count
+        image, _, count = render_hash(self.field, view.camera, view.cam_from_world, self.background)
+        return image, count

@@ -52,7 +52,7 @@ class MarchWork(NamedTuple):
 
     acc: np.ndarray
     light: np.ndarray
-    place: np.ndarray
+    position: np.ndarray
     origin: np.ndarray
     direction: np.ndarray
     by: np.ndarray
@@ -131,7 +131,7 @@ def unit_of(voxels: Voxels) -> float:
 
 
 @checked
-def draw_voxels(
+def render_voxels(
     voxels: Voxels, camera: Camera, cam_from_world: Rigid3, background: Float32[np.ndarray, " 3"]
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """(h, w, 3) the picture, (h, w) the depth along rays times coverage in the world's unit, and the samples that were looked up.
@@ -142,9 +142,9 @@ def draw_voxels(
     """
     check_voxels(voxels)
     rays, count = rays_of_camera(camera, cam_from_world), camera.width * camera.height
-    picture, depth = np.empty((count, 3), np.float32), np.empty(count, np.float32)
+    image, depth = np.empty((count, 3), np.float32), np.empty(count, np.float32)
     samples = _parallel.map_chunks(
-        lambda a, b, _: kernels.draw_pixels(
+        lambda a, b, _: kernels.render_pixels(
             rays,
             0,
             camera.width,
@@ -152,7 +152,7 @@ def draw_voxels(
             background,
             a,
             b,
-            picture,
+            image,
             depth,
             march_work(),
         ),
@@ -160,7 +160,7 @@ def draw_voxels(
         -(-count // TOGETHER),
     )
     shape = camera.height, camera.width
-    return picture.reshape(*shape, 3), depth.reshape(shape) * np.float32(voxels.size), sum(samples)
+    return image.reshape(*shape, 3), depth.reshape(shape) * np.float32(voxels.size), sum(samples)
 
 
 @checked
@@ -189,10 +189,10 @@ def gaussians_of(voxels: Voxels, most: int) -> GaussianCloud:
     rows, n = voxels.row_of[tuple(corners.T)], len(corners)
     opacity = np.clip(own[rows], least, 0.99)
     deviation = HALF_WIDTH * voxels.size * np.sqrt(thinned)
-    places = voxels.low + voxels.size * corners
-    origin = local_origin(places)
+    positions = voxels.low + voxels.size * corners
+    origin = local_origin(positions)
     return GaussianCloud(
-        (places - origin).astype(np.float32),
+        (positions - origin).astype(np.float32),
         np.full((n, 3), np.log(deviation), np.float32),
         np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
         np.log(opacity / (1.0 - opacity)).astype(np.float32),

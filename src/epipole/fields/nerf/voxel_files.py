@@ -53,7 +53,7 @@ def write_grid(path: str | Path, grid: GridContents) -> None:
         shape=np.array(grid.cells.shape, np.int32),
         cells=np.packbits(grid.cells),
         values=np.clip(grid.values, -LARGEST, LARGEST).astype(np.float16),
-        place=np.array([*grid.low.tolist(), grid.size, grid.unit]),
+        position=np.array([*grid.low.tolist(), grid.size, grid.unit]),
     )
     with atomic_write(Path(path)) as part:
         part.write_bytes(data.getvalue())
@@ -68,11 +68,13 @@ def read_grid(path: str | Path) -> GridContents:
     """
     path = Path(path)
     arrays = read_packed_arrays(path, GRID)
-    place = arrays["place"]
-    if not (place[3:] > 0).all():
+    position = arrays["place"]
+    if not (position[3:] > 0).all():
         raise FileFormatError(path, "a length is not positive")
     values = arrays["values"].astype(np.float32)
-    return GridContents(unpacked_cells(path, arrays), values, place[:3], float(place[3]), float(place[4]))
+    return GridContents(
+        unpacked_cells(path, arrays), values, position[:3], float(position[3]), float(position[4])
+    )
 
 
 @checked

@@ -10,7 +10,7 @@ from jaxtyping import Float32
 from scipy import ndimage
 
 from epipole import _parallel
-from epipole._checks import check_seed, check_share
+from epipole._checks import check_fraction, check_seed
 from epipole._declared import checked
 from epipole._declared.tables import Expected, Table, check_arrays
 from epipole.errors import ShapeError
@@ -18,12 +18,12 @@ from epipole.fields.nerf import _voxel_kernels as kernels
 from epipole.fields.nerf.voxel_field import (
     Voxels,
     corners_of,
-    draw_voxels,
     march_work,
+    render_voxels,
     voxels_on,
 )
 from epipole.fields.random_state import STATE, set_state, state_of
-from epipole.fields.rays import drawn_pixels, rays_of
+from epipole.fields.rays import pixels_to_render, rays_of
 from epipole.fields.splat._simd_kernels import ROW
 from epipole.fields.splat.starting import first_cells
 from epipole.fields.training_view import TrainingView
@@ -78,7 +78,7 @@ class VoxelTrainer:
         low, self._unit, full = first_cells(views, SIZES[0][1])
         self.field = voxels_on(full, low, self._unit, self._unit)
         self._pixel = _pixel_size(views, low + 0.5 * self._unit * np.array(full.shape))
-        self._level, self._looks = 0, False
+        self._level, self._is_refining = 0, False
         self._adam = _new_adam(self.field)
 
     @checked
@@ -91,18 +91,18 @@ class VoxelTrainer:
         Raises:
             ConfigError: the share is not from 0 to 1.
         """
-        check_share(progress, "progress")
+        check_fraction(progress, "progress")
         while self._can_refine() and progress >= SIZES[self._level + 1][0]:
             self._refine()
-        if not self._looks and progress >= self._half_way():
-            self._looks = True
+        if not self._is_refining and progress >= self._half_progress():
+            self._is_refining = True
             self.field.seen[:] = 0
         fallen = LAST_RATES**progress
         self._adam.rates[:] = fallen * COLOUR_RATE
         self._adam.rates[0] = fallen * DENSITY_RATE
-        chosen = drawn_pixels(self.rays, RAYS, self._rng)
+        chosen = pixels_to_render(self.rays, RAYS, self._rng)
         first = self._rng.random(RAYS, np.float32)
-        parts = self._followed(chosen, first)
+        parts = self._marched(chosen, first)
         records = np.concatenate([part[0] for part in parts])
         cells = np.concatenate([part[1] for part in parts])
         self._move(records, cells)
@@ -131,7 +131,7 @@ class VoxelTrainer:
         return {
             **{name: getattr(self.field, name) for name in ("occupied", "seen", "values")},
             **{f"adam_{name}": part for name, part in self._adam._asdict().items()},
-            "counts": np.array([self.num_steps, self._level, self._looks], np.int64),
+            "counts": np.array([self.num_steps, self._level, self._is_refining], np.int64),
             "rng": state_of(self._rng),
         }
 
@@ -142,10 +142,10 @@ class VoxelTrainer:
             ShapeError: its cells are not those of its level, or its values not theirs.
         """
         state = check_arrays(state, self.table)
-        num_steps, level, looks = state["counts"].tolist()
+        num_steps, level, is_alike = state["counts"].tolist()
         first, cells = self.field, state["occupied"].astype(bool)
         shape = tuple(side << min(level, len(SIZES)) for side in first.occupied.shape)
-        if level >= len(SIZES) or looks > 1 or cells.shape != shape:
+        if level >= len(SIZES) or is_alike > 1 or cells.shape != shape:
             raise ShapeError(f"occupied must be the {shape} cells of a level, got {cells.shape}")
         field = voxels_on(cells, first.low, first.size / 2**level, self._unit)
         values = state["values"]
@@ -154,15 +154,15 @@ class VoxelTrainer:
         self.field = field._replace(values=values, seen=state["seen"])
         self._adam = GridAdam(*(state[f"adam_{name}"] for name in GridAdam._fields))
         self.num_steps, self._level = num_steps, level
-        self._looks, self._rows_at = bool(looks), None
+        self._is_refining, self._rows_at = bool(is_alike), None
         set_state(self._rng, state["rng"])
 
-    def _followed(
+    def _marched(
         self, chosen: np.ndarray, first: np.ndarray
     ) -> list[tuple[np.ndarray, np.ndarray, float, int]]:
         scale = np.float32(1.0 / (3 * RAYS))
 
-        def follow(start: int, stop: int, _: int) -> tuple[np.ndarray, np.ndarray, float, int]:
+        def track(start: int, stop: int, _: int) -> tuple[np.ndarray, np.ndarray, float, int]:
             room = SAMPLES * (stop - start)
             records = np.empty((room, kernels.RECORD), np.float32)
             cells = np.empty(room, np.int64)
@@ -181,7 +181,7 @@ class VoxelTrainer:
             )
             return records[:found], cells[:found], error, samples
 
-        return _parallel.map_chunks(follow, RAYS, RAYS // TOGETHER)
+        return _parallel.map_chunks(track, RAYS, RAYS // TOGETHER)
 
     def _move(self, records: np.ndarray, cells: np.ndarray) -> None:
         """Each plane of constant x is one thread's: what touches it is added in the order of cells and rays."""
@@ -221,9 +221,9 @@ class VoxelTrainer:
         """Whether a finer grid comes, which is so while voxels are larger than the pictures' pixels."""
         return self._level + 1 < len(SIZES) and self.field.size > self._pixel
 
-    def _half_way(self) -> float:
+    def _half_progress(self) -> float:
         """Of this size: from there on counts what is seen, for at first there is fog everywhere."""
-        ends = [*(share for share, _ in SIZES), 1.0]
+        ends = [*(fraction for fraction, _ in SIZES), 1.0]
         return 0.5 * (ends[self._level] + ends[self._level + 1])
 
     def _refine(self) -> None:
@@ -235,7 +235,7 @@ class VoxelTrainer:
         adam = _new_adam(field)
         # All at once: where the memory does not suffice for one of them, the others stay, too.
         self.field, self._adam, self._rows_at = field, adam, None
-        self._level, self._looks = self._level + 1, False
+        self._level, self._is_refining = self._level + 1, False
 
     def _seen_cells(self) -> np.ndarray:
         """Cells that some ray has seen something in, and those beside."""
@@ -249,14 +249,14 @@ class VoxelTrainer:
         return len(self.field.values)
 
     @checked
-    def draw(self, view: TrainingView) -> np.ndarray:
+    def render(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
-        return self.draw_counted(view)[0]
+        return self.render_counted(view)[0]
 
-    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+    def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
         """(h, w, 3) the picture of a view, and how often the field was asked for it."""
-        picture, _, count = draw_voxels(self.field, view.camera, view.cam_from_world, self.background)
-        return picture, count
+        image, _, count = render_voxels(self.field, view.camera, view.cam_from_world, self.background)
+        return image, count
 
 
 def _new_adam(field: Voxels) -> GridAdam:

@@ -38,17 +38,17 @@ from epipole.fields.splat._simd_kernels import (
     SIDE,
     SUMS,
     blend_block,
+    blend_block_backward,
     fetch,
     lowest_bit,
     sum_of_lanes,
     touched_blocks,
-    unblend_block,
 )
 from epipole.fields.splat._tile_kernels import SOON, TILE
 
 OVER = np.float32(1e-4)
 """Transmittance below which what comes behind is not seen."""
-LOOK_EVERY = 16
+CHECK_EVERY = 16
 """Ellipses after which a tile looks whether it is over."""
 
 
@@ -81,7 +81,7 @@ def blend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state):
     """
     count, last_row, flat = 0, np.float32(rows - 1), ellipses.reshape(-1)
     for at in range(first, last):
-        if (at - first) % LOOK_EVERY == LOOK_EVERY - 1 and _is_over(state):
+        if (at - first) % CHECK_EVERY == CHECK_EVERY - 1 and _is_over(state):
             return at, count
         _fetch_row(flat, pairs_of_tile[min(at + SOON, last - 1), 0], ELLIPSE)
         e = ellipses[pairs_of_tile[at, 0]]
@@ -98,24 +98,24 @@ def blend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state):
 
 
 @kernel(fuse=True)
-def place_in_tile(row, column):
+def position_in_tile(row, column):
     """Of a pixel in a tile's state: block by block."""
     block = row // SIDE * ACROSS + column // SIDE
     return block * LANES + row % SIDE * SIDE + column % SIDE
 
 
 @kernel
-def blend_tiles(tiles, begin, end, colour, depth, coverage, evaluated, state):
+def blend_tiles(tiles, start, end, colour, depth, coverage, evaluated, state):
     """Blend the tiles begin..end into pictures (h, w, 3), (h, w) and (h, w); state (5 * 256,) is scratch."""
     height, width = coverage.shape
-    for tile in range(begin, end):
+    for tile in range(start, end):
         top, left = TILE * (tile // tiles.num_across), TILE * (tile % tiles.num_across)
         rows, columns = min(TILE, height - top), min(TILE, width - left)
         for k in range(5 * PLANE):
             state[k] = np.float32(0.0)
         for row in range(rows):
             for column in range(columns):
-                state[place_in_tile(row, column)] = np.float32(1.0)
+                state[position_in_tile(row, column)] = np.float32(1.0)
         tiles.stop[tile], evaluated[tile] = blend_tile(
             tiles.ellipses,
             tiles.pairs_of_tile,
@@ -128,7 +128,7 @@ def blend_tiles(tiles, begin, end, colour, depth, coverage, evaluated, state):
         )
         for row in range(rows):
             for column in range(columns):
-                at, i, j = place_in_tile(row, column), top + row, left + column
+                at, i, j = position_in_tile(row, column), top + row, left + column
                 coverage[i, j] = np.float32(1.0) - state[at]
                 for channel in range(3):
                     colour[i, j, channel] = state[(1 + channel) * PLANE + at]
@@ -136,10 +136,10 @@ def blend_tiles(tiles, begin, end, colour, depth, coverage, evaluated, state):
 
 
 @kernel
-def unblend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state, sums, by_pair):
+def blend_tile_backward(ellipses, pairs_of_tile, first, last, left, top, rows, state, sums, by_pair):
     """Derivatives of the pairs first..last of a tile, by the rows of their numbers in `by_pair` (pairs, SUMS).
 
-    `state` (7, 256), flat: see `unblend_block`; sums (SUMS * 16,) is scratch.
+    `state` (7, 256), flat: see `blend_block_backward`; sums (SUMS * 16,) is scratch.
     """
     last_row, flat, flat_out = np.float32(rows - 1), ellipses.reshape(-1), by_pair.reshape(-1)
     for at in range(first, last):
@@ -156,24 +156,24 @@ def unblend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state, s
         while blocks:
             block = lowest_bit(blocks)
             blocks &= blocks - 1
-            unblend_block(state, block * LANES, sums, x, y, *shape, *colour)
+            blend_block_backward(state, block * LANES, sums, x, y, *shape, *colour)
         out = by_pair[pairs_of_tile[at, 1]]
         for k in range(SUMS):
             out[k] = sum_of_lanes(sums, k * LANES)
 
 
 @kernel
-def unblend_tiles(tiles, begin, end, wanted, by_pair, state, sums):
+def blend_tiles_backward(tiles, start, end, wanted, by_pair, state, sums):
     """Derivatives of the tiles begin..end; `wanted` holds the picture and dL/d of it, state (7 * 256,) and sums are scratch."""
     height, width = wanted.coverage.shape
-    for tile in range(begin, end):
+    for tile in range(start, end):
         top, left = TILE * (tile // tiles.num_across), TILE * (tile % tiles.num_across)
         rows = min(TILE, height - top)
         for k in range(7 * PLANE):
             state[k] = np.float32(0.0)
         for row in range(rows):
             for column in range(min(TILE, width - left)):
-                at, i, j = place_in_tile(row, column), top + row, left + column
+                at, i, j = position_in_tile(row, column), top + row, left + column
                 state[at] = np.float32(1.0)
                 rest = (
                     wanted.depth[i, j] * wanted.by_depth[i, j]
@@ -185,7 +185,7 @@ def unblend_tiles(tiles, begin, end, wanted, by_pair, state, sums):
                 state[PLANE + at] = rest
                 state[5 * PLANE + at], state[6 * PLANE + at] = wanted.by_depth[i, j], wanted.by_coverage[i, j]
         first, last = tiles.start[tile], tiles.stop[tile]
-        unblend_tile(
+        blend_tile_backward(
             tiles.ellipses,
             tiles.pairs_of_tile,
             first,
@@ -213,10 +213,10 @@ def put_over(colour, coverage, background, start, stop, out):
 
 
 @kernel
-def count_useful(tiles, begin, end, width, height):
+def count_useful(tiles, start, end, width, height):
     """Pairs of a pixel and an ellipse in the tiles begin..end that change the pixel: not transparent there, and not hidden."""
     count = 0
-    for tile in range(begin, end):
+    for tile in range(start, end):
         top, left = TILE * (tile // tiles.num_across), TILE * (tile % tiles.num_across)
         for row in range(top, min(top + TILE, height)):
             for column in range(left, min(left + TILE, width)):

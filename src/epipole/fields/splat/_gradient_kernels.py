@@ -9,10 +9,10 @@ from epipole.fields.splat._projection_kernels import (
     axes_of,
     back_to_shape,
     by_direction,
+    clamped_to_image,
     covariance_of,
-    derivative_of_picture,
+    derivative_of_image,
     harmonics,
-    held_in_picture,
     in_camera,
     seen_covariance,
 )
@@ -45,7 +45,7 @@ def gather_and_move(view, cloud, ellipse, pair, by_pair, start, stop, adam, by_p
             continue
         _add_pairs(by_pair, pair[e], pair[e + 1], work.total)
         _one(view, cloud, n, one, 0, by_pose, work)
-        adam.pull[e] = math.sqrt(one.center[0, 0] * one.center[0, 0] + one.center[0, 1] * one.center[0, 1])
+        adam.grad2d[e] = math.sqrt(one.center[0, 0] * one.center[0, 0] + one.center[0, 1] * one.center[0, 1])
         mean, square, rates = adam.mean, adam.square, adam.rates
         _move(cloud.means[n], one.means[0], mean.means[n], square.means[n], rates[0], adam.unbias)
         _move(
@@ -167,8 +167,8 @@ def _one(view, cloud, n, gradient, m, by_pose, work):
     """Row m of `gradient` is that of Gaussian n, from the sums of its pairs."""
     total, r = work.total, view.rotation
     x, y, z = in_camera(view, cloud.means[n])
-    u, v, free_u, free_v = held_in_picture(view, x, y, z)
-    jac = derivative_of_picture(view, u, v, z)
+    u, v, free_u, free_v = clamped_to_image(view, x, y, z)
+    jac = derivative_of_image(view, u, v, z)
     axes = axes_of(cloud.log_scales[n], cloud.quats_wxyz[n])
     cov = covariance_of(axes)
     by_px, by_py, by_seen = _by_ellipse(view, total, seen_covariance(jac, cov))
@@ -201,14 +201,14 @@ def _one(view, cloud, n, gradient, m, by_pose, work):
     by_pose[1] += gy + r[3] * wx + r[4] * wy + r[5] * wz
     by_pose[2] += gz + r[6] * wx + r[7] * wy + r[8] * wz
     rows = (ju * p0, ju * p1, ju * p2, jv * q0, jv * q1, jv * q2)
-    tx, ty, tz = _by_turn(r, rows, u, v)
+    tx, ty, tz = _by_rotation(r, rows, u, v)
     by_pose[3] += y * gz - z * gy + tx
     by_pose[4] += z * gx - x * gz + ty
     by_pose[5] += x * gy - y * gx + tz
 
 
 @kernel(fuse=True)
-def _by_turn(r, rows, u, v):
+def _by_rotation(r, rows, u, v):
     """Sum of R's columns cross dL/d of them."""
     wx = wy = wz = 0.0
     for k in range(3):

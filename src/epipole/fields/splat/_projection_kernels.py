@@ -93,7 +93,7 @@ def in_camera(view, mean):
 
 
 @kernel(fuse=True)
-def held_in_picture(view, x, y, z):
+def clamped_to_image(view, x, y, z):
     """The direction (x / z, y / z), within the widest view; and whether each number already was."""
     limit_u, limit_v = WIDEST * view.reach[0], WIDEST * view.reach[1]
     u, v = min(max(x / z, -limit_u), limit_u), min(max(y / z, -limit_v), limit_v)
@@ -101,7 +101,7 @@ def held_in_picture(view, x, y, z):
 
 
 @kernel(fuse=True)
-def derivative_of_picture(view, u, v, z):
+def derivative_of_image(view, u, v, z):
     """J W by rows, at depth z in direction (u, v, 1)."""
     ju, jv = view.focal[0] / z, view.focal[1] / z
     r = view.rotation
@@ -139,8 +139,8 @@ def project(view, cloud, shown, start, stop, ellipses, depths, basis):
         opacity = shown[n] / (1.0 + math.exp(-float(cloud.logits[n])))
         if not (z > view.near_plane and opacity > LEAST_ALPHA):
             continue
-        u, v, _, _ = held_in_picture(view, x, y, z)
-        jac = derivative_of_picture(view, u, v, z)
+        u, v, _, _ = clamped_to_image(view, x, y, z)
+        jac = derivative_of_image(view, u, v, z)
         axes = axes_of(cloud.log_scales[n], cloud.quats_wxyz[n])
         vxx, vxy, vyy = seen_covariance(jac, covariance_of(axes))
         plain = vxx * vyy - vxy * vxy

@@ -65,7 +65,7 @@ def _blend_block(state, at, x, y, xx, xy, yy, peak, red, green, blue, depth):
         state[at + k * PLANE : at + k * PLANE + LANES] += weight * value
 
 
-def _unblend_block(state, at, sums, x, y, xx, xy, yy, peak, red, green, blue, depth):
+def _blend_block_backward(state, at, sums, x, y, xx, xy, yy, peak, red, green, blue, depth):
     dx, dy, eighth, alpha = _alpha(at, x, y, xx, xy, yy, peak)
     left, rest, *wanted = (state[at + k * PLANE : at + k * PLANE + LANES] for k in range(7))
     weight = alpha * left
@@ -145,8 +145,8 @@ def touched_blocks(typingctx, x, y, slope, reach, narrowing, down, half_height, 
         of_row, left = np.arange(LANES) // ACROSS, SIDE * (np.arange(LANES) % ACROSS)
         before = spread(builder, arguments[0]) - lanes_of(builder, left)
         touches = builder.and_(
-            (before + out.taken(of_row.tolist())).holds(">=", 0.0),
-            (before - out.taken((rows + of_row).tolist())).holds("<=", SIDE - 1),
+            (before + out.taken(of_row.tolist())).compare(">=", 0.0),
+            (before - out.taken((rows + of_row).tolist())).compare("<=", SIDE - 1),
         )
         bits = builder.bitcast(touches, ir.IntType(LANES))
         return builder.zext(bits, ir.IntType(64))
@@ -204,8 +204,8 @@ def blend_block(typingctx, state, at, x, y, xx, xy, yy, peak, red, green, blue, 
     return signature, generate
 
 
-@row_intrinsic(_unblend_block)
-def unblend_block(typingctx, state, at, sums, x, y, xx, xy, yy, peak, red, green, blue, depth):
+@row_intrinsic(_blend_block_backward)
+def blend_block_backward(typingctx, state, at, sums, x, y, xx, xy, yy, peak, red, green, blue, depth):
     """The same pixels' derivatives, added to sums (SUMS, 16).
 
     Planes: transmittance, what all Gaussians from here on give to the loss, and dL/d of red, green, blue, depth and coverage.
@@ -252,8 +252,8 @@ def sum_of_lanes(typingctx, values, at):
         total, width = row_of(context, builder, signature.args[0], *arguments).get(0).value, LANES // 2
         while width:
             kind = ir.VectorType(ir.IntType(32), width)
-            halves = (ir.Constant(kind, list(range(k, k + width))) for k in (0, width))
-            total = builder.fadd(*(builder.shuffle_vector(total, total, half) for half in halves))
+            split = (ir.Constant(kind, list(range(k, k + width))) for k in (0, width))
+            total = builder.fadd(*(builder.shuffle_vector(total, total, half) for half in split))
             width //= 2
         return builder.extract_element(total, cgutils.int32_t(0))
 

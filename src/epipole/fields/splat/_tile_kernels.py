@@ -118,10 +118,10 @@ def count_tiles(seen, order, start, stop, size, num_across, ellipses, counts, of
 
 
 @kernel
-def fill_tiles(ellipses, start, stop, size, num_across, place, pair, pairs_of_tile):
+def fill_tiles(ellipses, start, stop, size, num_across, position, pair, pairs_of_tile):
     """Write the ellipses start..stop into the lists of their tiles.
 
-    `place` (tiles,) is where the next one of each tile goes, and moves on; `pair` (ellipses,) the number of each one's first pair;
+    `position` (tiles,) is where the next one of each tile goes, and moves on; `pair` (ellipses,) the number of each one's first pair;
     `pairs_of_tile` (pairs, 2) gets the ellipse and the pair.
     """
     for e in range(start, stop):
@@ -131,7 +131,7 @@ def fill_tiles(ellipses, start, stop, size, num_across, place, pair, pairs_of_ti
             left, right = _tiles_in_row(ellipses[e], row, size[0], size[1])
             for column in range(left, right + 1):
                 tile = row * num_across + column
-                pairs_of_tile[place[tile], 0] = e
-                pairs_of_tile[place[tile], 1] = number
-                place[tile] += 1
+                pairs_of_tile[position[tile], 0] = e
+                pairs_of_tile[position[tile], 1] = number
+                position[tile] += 1
                 number += 1

@@ -30,7 +30,7 @@ class AdamStep(NamedTuple):
     square: Cloud
     rates: np.ndarray
     unbias: np.ndarray
-    pull: np.ndarray
+    grad2d: np.ndarray
 
 
 class GaussianAdam:
@@ -86,4 +86,4 @@ class GaussianAdam:
             return by_pose
 
         by_poses = _parallel.map_chunks(move, n, pieces_of(n))
-        return adam.pull, np.sum([np.zeros(6), *by_poses], axis=0)
+        return adam.grad2d, np.sum([np.zeros(6), *by_poses], axis=0)

@@ -23,11 +23,11 @@ class Growth:
     """
 
     def __init__(self, count: int) -> None:
-        self.pull, self.views = np.zeros(count, np.float32), np.zeros(count, np.float32)
+        self.grad2d, self.views = np.zeros(count, np.float32), np.zeros(count, np.float32)
 
-    def add(self, pull: np.ndarray, seen: np.ndarray, width: int) -> None:
+    def add(self, grad2d: np.ndarray, seen: np.ndarray, width: int) -> None:
         """Count a view: pulls are told in shares of the picture's width, so that sizes can be mixed."""
-        self.pull[seen] += np.float32(0.5 * width) * pull
+        self.grad2d[seen] += np.float32(0.5 * width) * grad2d
         self.views[seen] += 1.0
 
     def changes(self, cloud: Cloud, wanted: int) -> tuple[np.ndarray, np.ndarray]:
@@ -35,12 +35,12 @@ class Growth:
         stays = cloud.logits > np.float32(np.log(LEAST_OPACITY / (1 - LEAST_OPACITY)))
         if not stays.any():
             stays[:] = True
-        score = np.where(stays & (self.views > 0), self.pull / np.maximum(self.views, 1.0), 0.0)
+        score = np.where(stays & (self.views > 0), self.grad2d / np.maximum(self.views, 1.0), 0.0)
         room = max(0, min(wanted - int(stays.sum()), int((score > 0).sum())))
         return np.argsort(-score, kind="stable")[:room], stays
 
 
-def halves(cloud: Cloud, rows: np.ndarray) -> tuple[Cloud, Cloud]:
+def split(cloud: Cloud, rows: np.ndarray) -> tuple[Cloud, Cloud]:
     """Two parts of each Gaussian, side by side along its longest axis."""
     longest = cloud.log_scales[rows].argmax(axis=1)
     own = np.arange(len(rows))
@@ -52,7 +52,7 @@ def halves(cloud: Cloud, rows: np.ndarray) -> tuple[Cloud, Cloud]:
     opacity = FAINTER / (1.0 + np.exp(-cloud.logits[rows].astype(np.float64)))
     logits = np.log(opacity / (1.0 - opacity)).astype(np.float32)
     both = [
-        Cloud(cloud.means[rows] + way * shift, scales, cloud.quats_wxyz[rows], logits, cloud.sh[rows])
-        for way in (np.float32(1.0), np.float32(-1.0))
+        Cloud(cloud.means[rows] + offset * shift, scales, cloud.quats_wxyz[rows], logits, cloud.sh[rows])
+        for offset in (np.float32(1.0), np.float32(-1.0))
     ]
     return both[0], both[1]

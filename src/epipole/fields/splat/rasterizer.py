@@ -225,10 +225,12 @@ def tiles_of(cloud: Cloud, view: View, shown: np.ndarray | None = None) -> Tiles
     )
     pair = np.concatenate([[0], np.cumsum(own)])
     start = np.concatenate([[0], np.cumsum(counts.sum(axis=0))])
-    place = start[:-1] + np.cumsum(counts, axis=0) - counts
+    position = start[:-1] + np.cumsum(counts, axis=0) - counts
     pairs = np.empty((int(start[-1]), 2), np.int32)
     _parallel.map_chunks(
-        lambda a, b, piece: tile_kernels.fill_tiles(ellipses, a, b, size, across, place[piece], pair, pairs),
+        lambda a, b, piece: tile_kernels.fill_tiles(
+            ellipses, a, b, size, across, position[piece], pair, pairs
+        ),
         len(ellipses),
         pieces,
     )
@@ -336,11 +338,11 @@ def sums_of_pairs(
     )
     by_pair = np.empty((len(tiles.pairs_of_tile), SUMS), np.float32)
 
-    def unblend(start: int, stop: int, _: int) -> None:
+    def backward(start: int, stop: int, _: int) -> None:
         scratch = np.empty(7 * PLANE, np.float32), np.empty(SUMS * LANES, np.float32)
-        blend_kernels.unblend_tiles(tiles, start, stop, wanted, by_pair, *scratch)
+        blend_kernels.blend_tiles_backward(tiles, start, stop, wanted, by_pair, *scratch)
 
-    _parallel.map_chunks(unblend, len(tiles.stop), -(-len(tiles.stop) // TILES_TOGETHER))
+    _parallel.map_chunks(backward, len(tiles.stop), -(-len(tiles.stop) // TILES_TOGETHER))
     return by_pair
 
 

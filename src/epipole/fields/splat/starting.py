@@ -83,16 +83,16 @@ def points_in_frusta(
     apart, rng = float(np.median(between[between > 0])), np.random.default_rng([24, seed])
     points, colours = [], []
     for view in views:
-        used = np.ones(view.picture.shape[:2], bool) if view.used_mask is None else view.used_mask
-        if view.picture.shape[2] == 4:
-            used = used & (view.picture[..., 3] > 0)
+        used = np.ones(view.image.shape[:2], bool) if view.used_mask is None else view.used_mask
+        if view.image.shape[2] == 4:
+            used = used & (view.image[..., 3] > 0)
         row, column = np.nonzero(used)
         chosen = rng.permutation(len(row))[: -(-count // len(views))]
         row, column = row[chosen], column[chosen]
         depth = apart / rng.uniform(1.0 / FARTHEST, 1.0 / NEAREST, len(row))
         rays = view.camera.unproject(np.stack([column, row], axis=1).astype(np.float64))
         points.append(view.cam_from_world.inverse().apply(rays / rays[:, 2:] * depth[:, None]))
-        colours.append(view.picture[row, column, :3])
+        colours.append(view.image[row, column, :3])
     if not any(len(part) for part in points):
         raise DegenerateGeometryError("the pictures are transparent, or masked, everywhere")
     return np.concatenate(points)[:count], np.concatenate(colours)[:count]
@@ -117,9 +117,9 @@ def points_in_silhouettes(
     check_seed(seed)
     rng = np.random.default_rng([19, seed])
     middle, radius = common_ball(views)
-    draws = rng.normal(size=(TRIES * count, 3))
-    size = radius * np.cbrt(rng.uniform(size=(len(draws), 1)))
-    points = middle + size * draws / np.linalg.norm(draws, axis=1, keepdims=True)
+    samples = rng.normal(size=(TRIES * count, 3))
+    size = radius * np.cbrt(rng.uniform(size=(len(samples), 1)))
+    points = middle + size * samples / np.linalg.norm(samples, axis=1, keepdims=True)
     step = max(1, len(views) // MOST_VIEWS)
     colour, seen, kept = np.zeros((len(points), 3)), np.zeros(len(points)), np.ones(len(points), bool)
     for view in views[::step]:
@@ -128,10 +128,10 @@ def points_in_silhouettes(
         at = np.rint(np.where(inside[:, None], pixels, -1)).astype(int)
         inside &= (at >= 0).all(axis=1) & (at[:, 0] < view.camera.width) & (at[:, 1] < view.camera.height)
         rows, columns = at[inside, 1], at[inside, 0]
-        colour[inside] += view.picture[rows, columns, :3]
+        colour[inside] += view.image[rows, columns, :3]
         seen[inside] += 1
-        if view.picture.shape[2] == 4:
-            kept[inside] &= view.picture[rows, columns, 3] > 0
+        if view.image.shape[2] == 4:
+            kept[inside] &= view.image[rows, columns, 3] > 0
     kept &= seen > 0
     if not kept.any():
         raise DegenerateGeometryError(
@@ -142,7 +142,7 @@ def points_in_silhouettes(
 
 
 @checked
-def share_in_view(views: Sequence[TrainingView], points_in_world: Float64[np.ndarray, "n 3"]) -> float:
+def fraction_in_view(views: Sequence[TrainingView], points_in_world: Float64[np.ndarray, "n 3"]) -> float:
     """The share of points that a picture shows, if nothing hides another: the median of all views.
 
     Raises:
@@ -152,12 +152,12 @@ def share_in_view(views: Sequence[TrainingView], points_in_world: Float64[np.nda
     _check_views(views)
     if not len(points_in_world):
         raise ShapeError("points_in_world must have a point")
-    shares = []
+    fractions = []
     for view in views:
         pixels = view.camera.project(view.cam_from_world.apply(points_in_world))
         inside = (pixels >= 0) & (pixels <= np.array([view.camera.width, view.camera.height]))
-        shares.append(float(inside.all(axis=1).mean()))
-    return float(np.median(shares))
+        fractions.append(float(inside.all(axis=1).mean()))
+    return float(np.median(fractions))
 
 
 class Silhouette(NamedTuple):
@@ -173,8 +173,8 @@ def silhouettes_of(views: Sequence[TrainingView]) -> list[Silhouette]:
     """Those of all pictures that have transparency."""
     found = []
     for view in views:
-        if view.picture.shape[2] == 4:
-            is_empty = (view.picture[..., 3] == 0).astype(np.uint8)
+        if view.image.shape[2] == 4:
+            is_empty = (view.image[..., 3] == 0).astype(np.uint8)
             away = cv2.distanceTransform(is_empty, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
             found.append(Silhouette(view, away if not is_empty.all() else np.full_like(away, np.inf)))
     return found
@@ -191,22 +191,22 @@ def may_be_full(
     """
     kept = np.ones(len(centers_in_world), bool)
     for view, away in silhouettes:
-        if away.shape != view.picture.shape[:2]:
+        if away.shape != view.image.shape[:2]:
             raise ShapeError(f"a silhouette must be of its view's size, got {away.shape}")
-        places = view.cam_from_world.apply(centers_in_world)
-        pixels = view.camera.project(places)
+        positions = view.cam_from_world.apply(centers_in_world)
+        pixels = view.camera.project(positions)
         inside = np.isfinite(pixels).all(axis=1)
         at = np.rint(np.where(inside[:, None], pixels, -1)).astype(int)
         inside &= (at >= 0).all(axis=1) & (at[:, 0] < view.camera.width) & (at[:, 1] < view.camera.height)
         # A ball that the camera is in is seen everywhere.
-        depth = places[inside, 2] - radius
+        depth = positions[inside, 2] - radius
         seen_px = view.camera.focal_px * radius / np.where(depth > 0, depth, np.nan) + 1.0
         kept[inside] &= ~(away[at[inside, 1], at[inside, 0]] > seen_px)
     return kept
 
 
 @checked
-def look_the_same_way(views: Sequence[TrainingView]) -> bool:
+def have_one_direction(views: Sequence[TrainingView]) -> bool:
     """Whether optical axes are so nearly parallel that they meet nowhere in particular.
 
     Raises:
@@ -235,7 +235,7 @@ def common_ball(views: Sequence[TrainingView]) -> tuple[np.ndarray, float]:
     axes = np.stack([view.cam_from_world.rotation[2] for view in views])
     across = _across(axes)
     total = across.sum(axis=0)
-    if look_the_same_way(views):
+    if have_one_direction(views):
         raise DegenerateGeometryError("the cameras look the same way: nothing tells how far the scene is")
     middle = np.linalg.solve(total, (across @ centers[..., None])[..., 0].sum(axis=0))
     depth = ((middle - centers) * axes).sum(axis=1)
@@ -263,8 +263,8 @@ def first_cells(views: Sequence[TrainingView], side: int) -> tuple[np.ndarray, f
     full = _full(silhouettes, low, size, (side, side, side))
     if not full.any():
         raise DegenerateGeometryError("the silhouettes of the pictures have no place in common")
-    places = np.argwhere(full)
-    first, last = places.min(axis=0), places.max(axis=0) + 1
+    positions = np.argwhere(full)
+    first, last = positions.min(axis=0), positions.max(axis=0) + 1
     low, finer = low + size * first, size * (last - first).max() / side
     shape = tuple(int(n) for n in np.ceil((last - first) * size / finer - 1e-9))
     return low, float(finer), _full(silhouettes, low, float(finer), shape)
@@ -277,9 +277,9 @@ def _full(
     factor = 2**HALVINGS
     cells = np.ones([-(-side // factor) for side in shape], bool)
     while True:
-        places = np.argwhere(cells)
-        middles = low + factor * size * (places + 0.5)
-        cells[tuple(places.T)] = may_be_full(silhouettes, middles, 0.87 * factor * size)
+        positions = np.argwhere(cells)
+        middles = low + factor * size * (positions + 0.5)
+        cells[tuple(positions.T)] = may_be_full(silhouettes, middles, 0.87 * factor * size)
         if factor == 1:
             return cells[tuple(slice(side) for side in shape)]
         factor //= 2

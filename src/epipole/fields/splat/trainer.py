@@ -8,19 +8,19 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float32
 
-from epipole._checks import check_share
+from epipole._checks import check_fraction
 from epipole._declared import checked
 from epipole._declared.tables import Expected, Table, check_arrays
 from epipole.errors import ConfigError, ShapeError
 from epipole.fields.config import SplatConfig
 from epipole.fields.exposure import Exposures
-from epipole.fields.photometric import likeness
+from epipole.fields.photometric import photometric_loss
 from epipole.fields.point_depths import PointDepths, depth_loss, point_depths
 from epipole.fields.pose_steps import PoseSteps
 from epipole.fields.random_state import STATE, set_state, state_of
 from epipole.fields.splat.gaussian_adam import GaussianAdam, Rates
 from epipole.fields.splat.growing_cloud import GrowingCloud
-from epipole.fields.splat.growth import Growth, halves
+from epipole.fields.splat.growth import Growth, split
 from epipole.fields.splat.rasterizer import (
     Cloud,
     Rendering,
@@ -40,7 +40,7 @@ DEGREES = ((0.10, 0), (0.25, 1), (0.45, 2), (1.0, 3))
 """Degree of the harmonics until that share."""
 GROWN, CHANGES = 0.6, 40
 """Share after which no Gaussian is split any more, and how often some are until then."""
-PLACE_RATE_BY_VIEW, PLACE_RATES, PLACE_FALL = 3e-5, (3e-4, 3e-3), 0.05
+MEAN_RATE_BY_VIEW, MEAN_RATES, MEAN_RATE_DECAY = 3e-5, (3e-4, 3e-3), 0.05
 """Of places, in the scene's size a step: at the begin so much for each view, within these bounds; and what is left of it at the end.
 Few views leave a place free along their rays, and what begins at a good one is held nearer to it: that gains 0.7 to 1.2 dB."""
 LAST_RATES = 0.3
@@ -99,26 +99,26 @@ class SplatTrainer:
             kept = np.sort(self._rng.choice(len(start), self._most, replace=False))
             start = start.rows(kept)
         self._adam = GaussianAdam(arrays_of(start))
-        self._hold(arrays_of(start), self._adam.mean, self._adam.square)
+        self._set_arrays(arrays_of(start), self._adam.mean, self._adam.square)
         self._num_first = len(start)
         self._size = _size_of(self._arrays.means)
         dropped = min(MOST_DROPPED, 2.0 / len(self.views))
         self._drop = dropped if dropped >= LEAST_DROPPED else 0.0
         self._exposures = Exposures(len(self.views)) if config.exposure else None
-        places = [view.cam_from_world for view in self.views]
-        self._poses = PoseSteps(places, self._size) if config.refine_poses else None
+        positions = [view.cam_from_world for view in self.views]
+        self._poses = PoseSteps(positions, self._size) if config.refine_poses else None
         self._depths: dict[tuple[int, int], PointDepths] = {}
         self._growth, self._num_changes = Growth(len(start)), 0
         self._order: list[int] = []
         self._smaller: dict[tuple[int, int], TrainingView] = {}
 
-    def _hold(self, *clouds: Cloud) -> None:
+    def _set_arrays(self, *clouds: Cloud) -> None:
         """Values, and Adam's means of derivatives and of their squares, with room for what will be."""
-        self._held = [GrowingCloud(cloud, self._most) for cloud in clouds]
+        self._buffers = [GrowingCloud(cloud, self._most) for cloud in clouds]
         self._renew()
 
     def _renew(self) -> None:
-        self._arrays, self._adam.mean, self._adam.square = (one.cloud for one in self._held)
+        self._arrays, self._adam.mean, self._adam.square = (one.cloud for one in self._buffers)
 
     @property
     def cloud(self) -> GaussianCloud:
@@ -156,7 +156,7 @@ class SplatTrainer:
             **{
                 f"{kind}_{name}": part for kind, one in clouds.items() for name, part in one._asdict().items()
             },
-            "pull": self._growth.pull,
+            "pull": self._growth.grad2d,
             "views": self._growth.views,
             "order": np.array(self._order, np.int64),
             "counts": np.array(counts, np.int64),
@@ -186,9 +186,9 @@ class SplatTrainer:
                 f"counts must tell a first number of Gaussians from 1 to {most}, got {state['counts'][2]}"
             )
         names = ("value", "mean", "square")
-        self._hold(*(Cloud(*(state[f"{name}_{part}"] for part in Cloud._fields)) for name in names))
+        self._set_arrays(*(Cloud(*(state[f"{name}_{part}"] for part in Cloud._fields)) for name in names))
         self._growth = Growth(len(self))
-        self._growth.pull, self._growth.views = state["pull"], state["views"]
+        self._growth.grad2d, self._growth.views = state["pull"], state["views"]
         self._order = state["order"].tolist()
         self.num_steps, self._num_changes, self._num_first = state["counts"].tolist()
         self._size = float(state["size"])
@@ -201,20 +201,20 @@ class SplatTrainer:
         return [part for part in (self._exposures, self._poses) if part is not None]
 
     @property
-    def placed_views(self) -> list[TrainingView]:
+    def posed_views(self) -> list[TrainingView]:
         """The views, from where their cameras now are."""
         return [self._view(number, 1) for number in range(len(self.views))]
 
     @checked
-    def draw(self, view: TrainingView) -> np.ndarray:
+    def render(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
-        return self.draw_counted(view)[0]
+        return self.render_counted(view)[0]
 
-    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+    def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
         """(h, w, 3) the picture of a view, and the pairs of Gaussian and pixel that were evaluated for it."""
         seen = view_of(view.camera, view.cam_from_world, self.options)
-        drawn = blend(tiles_of(self._arrays, seen), seen)
-        return drawn.over(self.background), drawn.tiles.num_evaluated
+        rendered = blend(tiles_of(self._arrays, seen), seen)
+        return rendered.over(self.background), rendered.tiles.num_evaluated
 
     @checked
     def step(self, progress: float) -> float:
@@ -226,7 +226,7 @@ class SplatTrainer:
         Raises:
             ConfigError: the share is not from 0 to 1.
         """
-        check_share(progress, "progress")
+        check_fraction(progress, "progress")
         self._raise_degree(progress)
         number = self._next_view()
         self.loss = self._learn(number, self._factor(number, progress), progress)
@@ -242,39 +242,39 @@ class SplatTrainer:
         """Move what a view sees, in pictures `factor` times smaller; returns the loss."""
         of = self._view(number, factor)
         view = view_of(of.camera, of.cam_from_world, self.options)
-        drawn = blend(tiles_of(self._arrays, view, self._shown(progress)), view)
-        loss, by_colour, by_coverage = self._compare(number, of, drawn, progress)
-        depths = depth_loss(drawn, self._known(number, factor), self.config.depth_weight)
-        by_pair = sums_of_pairs(drawn, by_colour, depths.by_depth, by_coverage + depths.by_coverage)
-        pull, by_pose = self._adam.move(
-            self._arrays, view, drawn.tiles, by_pair, self._rates(progress), self.num_steps + 1
+        rendered = blend(tiles_of(self._arrays, view, self._shown(progress)), view)
+        loss, by_colour, by_coverage = self._compare(number, of, rendered, progress)
+        depths = depth_loss(rendered, self._known(number, factor), self.config.depth_weight)
+        by_pair = sums_of_pairs(rendered, by_colour, depths.by_depth, by_coverage + depths.by_coverage)
+        grad2d, by_pose = self._adam.move(
+            self._arrays, view, rendered.tiles, by_pair, self._rates(progress), self.num_steps + 1
         )
-        self._growth.add(pull, drawn.tiles.gaussian, view.width)
+        self._growth.add(grad2d, rendered.tiles.gaussian, view.width)
         if self._poses is not None:
             self._poses.move(number, by_pose, progress)
         return loss + depths.loss
 
     def _compare(
-        self, number: int, of: TrainingView, drawn: Rendering, progress: float
+        self, number: int, of: TrainingView, rendered: Rendering, progress: float
     ) -> tuple[float, np.ndarray, np.ndarray]:
         """The loss of a drawing, in the view's colours and where it is used, and its derivatives by colour and coverage."""
         exposures, behind = self._exposures, self.background
-        seen = drawn.over(behind) if exposures is None else exposures.applied(number, drawn, behind)
+        seen = rendered.over(behind) if exposures is None else exposures.applied(number, rendered, behind)
         truth = of.over(behind)
         if of.used_mask is not None:
             used = of.used_mask[..., None].astype(np.float32)
             seen, truth = seen * used, truth * used
-        found = likeness(seen, truth, self.config.ssim_weight)
-        by_seen = found.by_picture if of.used_mask is None else found.by_picture * used
+        found = photometric_loss(seen, truth, self.config.ssim_weight)
+        by_seen = found.by_image if of.used_mask is None else found.by_image * used
         if exposures is not None:
-            return found.loss, *exposures.learn(number, drawn, behind, by_seen, progress)
-        return found.loss, by_seen, -(by_seen @ behind) if behind.any() else np.zeros_like(drawn.coverage)
+            return found.loss, *exposures.learn(number, rendered, behind, by_seen, progress)
+        return found.loss, by_seen, -(by_seen @ behind) if behind.any() else np.zeros_like(rendered.coverage)
 
     def _take(self, colours: np.ndarray) -> None:
         """A map of colours, A and b, into the Gaussians: 1/2 + DC sh_0 + ... becomes A (1/2 + DC sh_0 + ...) + b."""
-        turn, sh = colours[:, :3], self._arrays.sh
-        sh[:] = sh @ turn.T
-        sh[:, 0] += (turn.sum(axis=1) / 2 - 0.5 + colours[:, 3]) / np.float32(DC)
+        rotation, sh = colours[:, :3], self._arrays.sh
+        sh[:] = sh @ rotation.T
+        sh[:, 0] += (rotation.sum(axis=1) / 2 - 0.5 + colours[:, 3]) / np.float32(DC)
 
     def _next_view(self) -> int:
         """Each view once, in an order that is drawn anew each time."""
@@ -302,9 +302,9 @@ class SplatTrainer:
         """Depths of a view's points: those of the model's cameras, wherever these go afterwards."""
         if (number, factor) not in self._depths:
             view = self._smaller[number, factor]
-            is_asked = self.config.depth_weight > 0
+            is_requested = self.config.depth_weight > 0
             self._depths[number, factor] = point_depths(
-                view if is_asked else replace(view, points_in_world=None)
+                view if is_requested else replace(view, points_in_world=None)
             )
         return self._depths[number, factor]
 
@@ -313,32 +313,32 @@ class SplatTrainer:
 
         What few views show is learnt by heart otherwise: trained on 6 to 10 views, those held out gain 0.6 to 1.5 dB by it.
         """
-        share = self._drop * min(1.0, progress / DROPPED_BY)
-        if share == 0.0:
+        fraction = self._drop * min(1.0, progress / DROPPED_BY)
+        if fraction == 0.0:
             return None
-        kept = self._rng.random(len(self), np.float32) >= np.float32(share)
-        return kept * np.float32(1.0 / (1.0 - share))
+        kept = self._rng.random(len(self), np.float32) >= np.float32(fraction)
+        return kept * np.float32(1.0 / (1.0 - fraction))
 
     def _raise_degree(self, progress: float) -> None:
         wanted = NUM_SH[min(_until(DEGREES, progress), self.config.sh_degree)]
         if self._arrays.sh.shape[1] < wanted:
-            for one in self._held:
+            for one in self._buffers:
                 one.raise_degree(wanted)
             self._renew()
 
     def _rates(self, progress: float) -> Rates:
         """They fall, those of places fastest."""
         fallen = LAST_RATES**progress
-        first = min(max(PLACE_RATE_BY_VIEW * len(self.views), PLACE_RATES[0]), PLACE_RATES[1])
-        place = self._size * first * PLACE_FALL**progress
-        return Rates(place, *(fallen * rate for rate in RATES))
+        first = min(max(MEAN_RATE_BY_VIEW * len(self.views), MEAN_RATES[0]), MEAN_RATES[1])
+        position = self._size * first * MEAN_RATE_DECAY**progress
+        return Rates(position, *(fallen * rate for rate in RATES))
 
     def _change(self, progress: float) -> None:
         """Split where pictures pull, up to the count of the schedule, and drop what is not seen."""
-        share = min(1.0, progress / GROWN)
-        wanted = self._num_first + (self._most - self._num_first) * share
+        fraction = min(1.0, progress / GROWN)
+        wanted = self._num_first + (self._most - self._num_first) * fraction
         rows, stays = self._growth.changes(self._arrays, int(wanted))
-        first, second = halves(self._arrays, rows)
+        first, second = split(self._arrays, rows)
         for part, half in zip(self._arrays, first):
             part[rows] = half
         none = Cloud(*(np.zeros_like(part) for part in second))
@@ -347,8 +347,8 @@ class SplatTrainer:
             for part in one:
                 part[rows] = 0.0
         gone = np.flatnonzero(~stays)
-        for held, more in zip(self._held, (second, none, none)):
-            held.change(gone, more)
+        for buffer, more in zip(self._buffers, (second, none, none)):
+            buffer.change(gone, more)
         self._renew()
         self._growth = Growth(len(self))
 

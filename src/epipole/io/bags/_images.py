@@ -14,7 +14,7 @@ from jaxtyping import Float32, UInt8
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.calibration.coefficients import camera_of_coefficients, require_plain
-from epipole.io.calibration.model_names import lens_words, refuse_binning, require_coefficients
+from epipole.io.calibration.model_names import named_model, refuse_binning, require_coefficients
 from epipole.io.images.deep_pixels import GreyScale, scale_of
 from epipole.io.images.depth_maps import png16_in
 from epipole.io.images.pixels import decode_bytes, deep_grey
@@ -48,7 +48,7 @@ def encoding_of(message: Any) -> str:
     return str(getattr(message, "encoding", getattr(message, "format", "")))
 
 
-def _require_picture(path: Path, topic: str, message: Any) -> None:
+def _require_image(path: Path, topic: str, message: Any) -> None:
     """Refuse messages of another type, which a damaged list of connections puts into a topic."""
     if not (hasattr(message, "data") and (hasattr(message, "encoding") or hasattr(message, "format"))):
         raise FileFormatError(path, f"{topic}: a message is no picture")
@@ -78,7 +78,7 @@ def grey_of(path: Path, topic: str, message: Any, scale: GreyScale | None = None
     Raises:
         FileFormatError: its numbers do not fit each other, or the encoding is not known.
     """
-    _require_picture(path, topic, message)
+    _require_image(path, topic, message)
     if not hasattr(message, "encoding"):
         return _decompressed(path, topic, message, scale)
     encoding = str(message.encoding)
@@ -100,7 +100,7 @@ def grey_scale(path: Path, topic: str, messages: Sequence[Any]) -> GreyScale | N
     """
     deep = []
     for message in messages:
-        _require_picture(path, topic, message)
+        _require_image(path, topic, message)
         if not hasattr(message, "encoding"):
             values = deep_grey(path, bytes(message.data))
         else:
@@ -151,7 +151,7 @@ def depth_of(path: Path, topic: str, message: Any) -> Float32[np.ndarray, "h w"]
     Raises:
         FileFormatError: its numbers do not fit each other, or it holds no depth.
     """
-    _require_picture(path, topic, message)
+    _require_image(path, topic, message)
     encoding = encoding_of(message)
     if not hasattr(message, "encoding"):
         metres = _compressed_depth(path, topic, bytes(message.data), encoding)
@@ -185,7 +185,7 @@ def camera_of(path: Path, message: Any, *, is_rectified: bool) -> Camera | None:
         words = "plumb_bob"
     if not K[0, 0]:
         return None
-    lens = lens_words(path, {"distortion_model": words})
+    camera = named_model(path, {"distortion_model": words})
     roi = getattr(message, "roi", None)
     refuse_binning(
         path,
@@ -195,10 +195,10 @@ def camera_of(path: Path, message: Any, *, is_rectified: bool) -> Camera | None:
     if not np.isfinite(np.concatenate([K.ravel(), coefficients])).all():
         raise FileFormatError(path, "a number of a CameraInfo is not finite")
     require_plain(path, K)
-    require_coefficients(path, lens, coefficients)
-    if not lens.is_fisheye and not coefficients.any():
+    require_coefficients(path, camera, coefficients)
+    if not camera.is_fisheye and not coefficients.any():
         return _pinhole(path, size, K)
-    return camera_of_coefficients(path, size, K, coefficients, is_fisheye=lens.is_fisheye)
+    return camera_of_coefficients(path, size, K, coefficients, is_fisheye=camera.is_fisheye)
 
 
 def _pinhole(path: Path, size: tuple[int, int], K: np.ndarray) -> Camera:

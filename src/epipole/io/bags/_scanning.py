@@ -105,12 +105,12 @@ def refuse_views(path: Path) -> None:
     if not path.is_file() or _kind_of(path) != _SQLITE:
         return
     address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
-    asked = (
+    requested = (
         "SELECT name FROM sqlite_master WHERE type NOT IN ('table', 'index') OR sql LIKE 'CREATE VIRTUAL%'"
     )
     with suppress(sqlite3.Error), closing(sqlite3.connect(address, uri=True)) as database:
         try:
-            found = database.execute(asked).fetchone()
+            found = database.execute(requested).fetchone()
         except UnicodeDecodeError as error:
             raise FileFormatError(path, "is no recording of ROS: a table's name is no text") from error
         if found:

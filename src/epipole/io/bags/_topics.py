@@ -53,7 +53,7 @@ def is_rectified(topic: str) -> bool:
 
 
 def choose_topics(
-    path: Path, topics: Sequence[BagTopic], sensor: str, asked: Sequence[str]
+    path: Path, topics: Sequence[BagTopic], sensor: str, requested: Sequence[str]
 ) -> tuple[BagSensor, tuple[str, ...]]:
     """What is followed, and the topics of it: pictures; left, right; or pictures, depth.
 
@@ -61,33 +61,33 @@ def choose_topics(
         path: of the recording, for errors.
         topics: all topics with messages.
         sensor: auto, mono, stereo or rgbd.
-        asked: names that the user chose, one or two; none to find them.
+        requested: names that the user chose, one or two; none to find them.
 
     Raises:
         ConfigError: there is none, or several could be meant; the message lists what there is.
     """
-    if asked:
-        return _as_asked(path, topics, sensor, asked)
-    pictures = _best([t.name for t in topics if t.kind == "picture"])
+    if requested:
+        return _as_requested(path, topics, sensor, requested)
+    images = _best([t.name for t in topics if t.kind == "picture"])
     depths = _best([t.name for t in topics if t.kind == "depth"])
     registered = [name for name in depths if "aligned" in name or "registered" in name]
     depths = registered or depths
-    pairs = _pairs(pictures)
-    colors = [name for name in pictures if "infra" not in name] or pictures
+    pairs = _pairs(images)
+    colors = [name for name in images if "infra" not in name] or images
     if sensor == "rgbd" or (sensor == "auto" and depths and colors):
         return "rgbd", _only(path, topics, "rgbd", [(color, depth) for color in colors for depth in depths])
     if sensor == "stereo" or (sensor == "auto" and pairs):
         return "stereo", _only(path, topics, "stereo", pairs)
-    if len(pictures) > 1 and len(pairs) == 1:
-        pictures = [name for name in pictures if name != pairs[0][1]]
-    return "mono", _only(path, topics, "mono", [(name,) for name in pictures])
+    if len(images) > 1 and len(pairs) == 1:
+        images = [name for name in images if name != pairs[0][1]]
+    return "mono", _only(path, topics, "mono", [(name,) for name in images])
 
 
-def _as_asked(
-    path: Path, topics: Sequence[BagTopic], sensor: str, asked: Sequence[str]
+def _as_requested(
+    path: Path, topics: Sequence[BagTopic], sensor: str, requested: Sequence[str]
 ) -> tuple[BagSensor, tuple[str, ...]]:
     kinds = {t.name: t.kind for t in topics}
-    names = tuple(name if name in kinds else f"/{name}" for name in asked)
+    names = tuple(name if name in kinds else f"/{name}" for name in requested)
     wrong = [
         name for k, name in enumerate(names) if kinds.get(name) not in ("picture", *["depth"] * (k == 1))
     ]

@@ -22,7 +22,7 @@ from epipole.errors import ConfigError, EpipoleError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.inertial import ImuLog
 from epipole.io._named_numbers import is_rotation
-from epipole.io.bags import _images as pictures
+from epipole.io.bags import _images as images
 from epipole.io.bags._files import BagMessage, OpenBag, is_bag, opened_bag
 from epipole.io.bags._pairing import paired
 from epipole.io.bags._topics import (
@@ -140,24 +140,24 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
                 f"the CameraInfo of {names[row]} is of {own[0]} x {own[1]} pixels, its pictures are of "
                 f"{size[0]} x {size[1]}: it is not used"
             )
-    lens = None if infos[0] is None else infos[0].camera
+    camera = None if infos[0] is None else infos[0].camera
     if found == "stereo":
-        rig = None if lens is None or infos[1] is None else _rig(path, infos[0], infos[1])
+        rig = None if camera is None or infos[1] is None else _rig(path, infos[0], infos[1])
         return BagSequence(
-            path, found, names, count, size, lens, rig, warnings=tuple(warnings), scales=scales
+            path, found, names, count, size, camera, rig, warnings=tuple(warnings), scales=scales
         )
     if found == "mono":
-        return BagSequence(path, found, names, count, size, lens, warnings=tuple(warnings), scales=scales)
+        return BagSequence(path, found, names, count, size, camera, warnings=tuple(warnings), scales=scales)
     warnings += _unregistered(names[1], infos[0], infos[1])
     depth_camera = None if infos[1] is None else infos[1].camera
-    per_m = pictures.values_per_metre(pictures.encoding_of(firsts[1]))
+    per_m = images.values_per_metre(images.encoding_of(firsts[1]))
     return BagSequence(
         path,
         found,
         names,
         count,
         size,
-        lens,
+        camera,
         depth_camera=depth_camera,
         warnings=tuple(warnings),
         scales=scales,
@@ -211,9 +211,11 @@ def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
         rows = []
         for message in bag.messages([imus[0].name]):
             content = bag.content(message)
-            turn, pull = content.angular_velocity, content.linear_acceleration
+            rotation, acceleration = content.angular_velocity, content.linear_acceleration
             time_s = _stamp_s(content, message)
-            rows.append((time_s, turn.x, turn.y, turn.z, pull.x, pull.y, pull.z))
+            rows.append(
+                (time_s, rotation.x, rotation.y, rotation.z, acceleration.x, acceleration.y, acceleration.z)
+            )
     values = np.array(rows, np.float64).reshape(-1, 7)
     if not np.isfinite(values).all():
         raise FileFormatError(path, f"{imus[0].name}: a measurement is not finite")
@@ -223,14 +225,14 @@ def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
 
 
 def _topics(bag: OpenBag) -> tuple[BagTopic, ...]:
-    kinds = {pictures.CAMERA_INFO: "camera", pictures.IMU: "imu"}
+    kinds = {images.CAMERA_INFO: "camera", images.IMU: "imu"}
     found = []
     for name, kind in bag.kinds.items():
         if not bag.counts[name]:
             continue
         what: Any = kinds.get(kind, "other")
-        if kind in (pictures.IMAGE, pictures.COMPRESSED):
-            what = "depth" if pictures.is_depth(name, pictures.encoding_of(_first(bag, name))) else "picture"
+        if kind in (images.IMAGE, images.COMPRESSED):
+            what = "depth" if images.is_depth(name, images.encoding_of(_first(bag, name))) else "picture"
         found.append(BagTopic(name, what, kind, bag.counts[name]))
     return tuple(sorted(found, key=lambda t: t.name))
 
@@ -257,12 +259,12 @@ def _scale(bag: OpenBag, topic: str) -> GreyScale | None:
         with suppress(FileFormatError):
             contents.append(bag.content(message))
     with suppress(FileFormatError):  # it is raised where the picture is read
-        return pictures.grey_scale(bag.path, topic, contents)
+        return images.grey_scale(bag.path, topic, contents)
     return None
 
 
 def _size_of(path: Path, topic: str, message: Any) -> tuple[int, int]:
-    height, width = pictures.grey_of(path, topic, message).shape
+    height, width = images.grey_of(path, topic, message).shape
     return width, height
 
 
@@ -278,9 +280,9 @@ def _info_of(bag: OpenBag, topic: str, first: Any, topics: Sequence[BagTopic]) -
 
 
 def _info(path: Path, message: Any, is_flat: bool) -> _Info:
-    camera = pictures.camera_of(path, message, is_rectified=is_flat)
-    rotation = np.eye(3) if is_flat else pictures.field(message, "r").reshape(3, 3)
-    projection = pictures.field(message, "p").reshape(3, 4)
+    camera = images.camera_of(path, message, is_rectified=is_flat)
+    rotation = np.eye(3) if is_flat else images.field(message, "r").reshape(3, 3)
+    projection = images.field(message, "p").reshape(3, 4)
     return _Info(camera, str(message.header.frame_id), rotation, projection)
 
 
@@ -337,7 +339,7 @@ def _grey(bag: BagSequence, row: int, content: Any) -> Callable[[], np.ndarray]:
         if isinstance(content, FileFormatError):
             raise content
         scale = bag.scales[row] if row < len(bag.scales) else None
-        return pictures.grey_of(bag.path, bag.topics[row], content, scale)
+        return images.grey_of(bag.path, bag.topics[row], content, scale)
 
     return read
 
@@ -346,6 +348,6 @@ def _depth(bag: BagSequence, content: Any) -> Callable[[], np.ndarray]:
     def read() -> np.ndarray:
         if isinstance(content, FileFormatError):
             raise content
-        return pictures.depth_of(bag.path, bag.topics[1], content)
+        return images.depth_of(bag.path, bag.topics[1], content)
 
     return read

@@ -60,9 +60,9 @@ def euroc_cameras(
         size = size_of(path, *numbers_of(path, content, "resolution", 2))
         cameras.append(camera_of_intrinsics(path, size, content, "distortion_coefficients"))
         cams_from_body.append(body_from_camera(path, content).inverse())
-    places = [cam_from_body @ cams_from_body[0].inverse() for cam_from_body in cams_from_body]
+    positions = [cam_from_body @ cams_from_body[0].inverse() for cam_from_body in cams_from_body]
     return tuple(cameras), Rigid3(
-        np.stack([p.rotation for p in places]), np.stack([p.translation for p in places])
+        np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions])
     )
 
 

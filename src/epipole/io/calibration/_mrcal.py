@@ -24,7 +24,7 @@ _MODEL = re.compile(
 )
 _BYTES = re.compile(r"\bb'(?:[^'\\\n]|\\.)*'|\bb\"(?:[^\"\\\n]|\\.)*\"")
 _MOST_LETTERS = 1 << 19
-_MOST_TURN_RAD = 1e3
+_MOST_ROTATION_RAD = 1e3
 _COEFFICIENTS = {"PINHOLE": 0, "NONE": 0, "OPENCV4": 4, "OPENCV5": 5, "OPENCV8": 8, "OPENCV12": 12}
 
 
@@ -95,6 +95,6 @@ def _camera(path: Path, content: Mapping[str, Any]) -> Camera:
 def _cam_from_reference(path: Path, content: Mapping[str, Any]) -> Rigid3:
     key = "extrinsics" if "extrinsics" in content else "rt_cam_ref"
     numbers = numbers_of(path, content, key, 6)
-    if not np.abs(numbers[:3]).max() < _MOST_TURN_RAD:
+    if not np.abs(numbers[:3]).max() < _MOST_ROTATION_RAD:
         raise FileFormatError(path, f"{key} has a rotation vector that is too long to be one")
     return Rigid3(Rotation3.exp(numbers[:3]).matrix, numbers[3:])

@@ -17,7 +17,7 @@ from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io._named_numbers import numbers_of, size_of
 from epipole.io.calibration.coefficients import camera_of_coefficients
-from epipole.io.calibration.model_names import LensWords, lens_words, require_coefficients
+from epipole.io.calibration.model_names import NamedModel, named_model, require_coefficients
 
 _CAMERA = re.compile(r"cam(\d{1,3})")
 _ROUNDED_ROTATION = 1e-3
@@ -90,7 +90,7 @@ def camera_of_intrinsics(path: Path, size: tuple[int, int], content: Mapping[str
     Raises:
         FileFormatError: a word is not known, a number is missing, or the numbers make no camera.
     """
-    words = lens_words(path, content)
+    words = named_model(path, content)
     if key not in content and (words.is_without_distortion or not words.is_named):
         coefficients = np.zeros(4)
     else:
@@ -107,7 +107,7 @@ def _camera_of(
     size: tuple[int, int],
     intrinsics: tuple[float, ...],
     coefficients: np.ndarray,
-    words: LensWords,
+    words: NamedModel,
 ) -> Camera:
     fx, fy, cx, cy = intrinsics
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
@@ -172,7 +172,7 @@ def camodocal_camera(path: Path, content: Mapping[str, Any], size: tuple[int, in
     Raises:
         FileFormatError: the model is another, or a number is missing.
     """
-    words = lens_words(path, content)
+    words = named_model(path, content)
     projection = _group(path, content, "projection_parameters")
     if words.is_fisheye:
         names, coefficients = (
@@ -180,8 +180,11 @@ def camodocal_camera(path: Path, content: Mapping[str, Any], size: tuple[int, in
             [projection[k] for k in _present(path, projection, "k2 k3 k4 k5")],
         )
     else:
-        lens = _group(path, content, "distortion_parameters")
-        names, coefficients = ("fx", "fy", "cx", "cy"), [lens[k] for k in _present(path, lens, "k1 k2 p1 p2")]
+        camera = _group(path, content, "distortion_parameters")
+        names, coefficients = (
+            ("fx", "fy", "cx", "cy"),
+            [camera[k] for k in _present(path, camera, "k1 k2 p1 p2")],
+        )
     intrinsics = tuple(float(projection[name]) for name in _present(path, projection, " ".join(names)))
     return _camera_of(path, size, intrinsics, np.array(coefficients), words)
 

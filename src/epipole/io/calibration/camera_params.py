@@ -50,10 +50,10 @@ def camera_of_images(model: str | None, shapes: Sequence[ImageShape], text: str)
     Raises:
         ConfigError: not the numbers of this model, such as no lens has, or the images have several sizes.
     """
-    lens, known = camera_model_named(model or "PINHOLE"), params_of_text(text)
-    cx, cy = lens.principal_point_indices
-    point = (known[cx], known[cy]) if len(known) == lens.num_params else None
-    return camera_of_text(lens, likely_size(point, shapes), text)
+    camera, known = camera_model_named(model or "PINHOLE"), params_of_text(text)
+    cx, cy = camera.principal_point_indices
+    point = (known[cx], known[cy]) if len(known) == camera.num_params else None
+    return camera_of_text(camera, likely_size(point, shapes), text)
 
 
 @checked

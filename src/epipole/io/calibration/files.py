@@ -32,7 +32,7 @@ from epipole.io.calibration.camera_chains import (
 )
 from epipole.io.calibration.cameras import CalibrationFile as CalibrationFile
 from epipole.io.calibration.coefficients import camera_of_coefficients, coefficients_of_camera
-from epipole.io.calibration.model_names import lens_words, refuse_binning, require_coefficients
+from epipole.io.calibration.model_names import named_model, refuse_binning, require_coefficients
 from epipole.io.files import file_bytes
 from epipole.io.json_files import json_text, json_values
 from epipole.scene import StereoRig
@@ -316,7 +316,7 @@ def _single(path: Path, content: Mapping[str, Any], size: tuple[int, int] | None
 
 def _camera(path: Path, content: Mapping[str, Any], keys: tuple[str, str], size: tuple[int, int]) -> Camera:
     """The camera of a matrix and of coefficients in OpenCV's order, by their keys."""
-    words = lens_words(path, content)
+    words = named_model(path, content)
     K = numbers_of(path, content, keys[0], 3, 3)
     is_empty = words.is_without_distortion and keys[1] not in content
     d = np.zeros(4) if is_empty else numbers_of(path, content, keys[1])
@@ -371,12 +371,12 @@ def _own(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
             if unknown := sorted(set(own["params"]) - set(model.param_names)):
                 raise FileFormatError(path, f"{model.name} has no parameter {', '.join(unknown)[:80]}")
             cameras.append(Camera(model, *size_of(path, float(own["width"]), float(own["height"])), params))
-            place = own["cam_from_rig"]
-            quaternion = np.asarray(place["quat_wxyz"], np.float64).reshape(4)
+            position = own["cam_from_rig"]
+            quaternion = np.asarray(position["quat_wxyz"], np.float64).reshape(4)
             if not 1e-9 < np.abs(quaternion).max() < 1e9:
                 raise FileFormatError(path, "a quaternion is zero or not finite")
             rotations.append(Rotation3.from_quat_wxyz(quaternion).matrix)
-            translations.append(np.asarray(place["translation"], np.float64).reshape(3))
+            translations.append(np.asarray(position["translation"], np.float64).reshape(3))
         if not cameras:
             raise FileFormatError(path, "it holds no camera")
         covariance = content.get("covariance")

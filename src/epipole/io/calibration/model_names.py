@@ -69,7 +69,7 @@ _MODEL_WORDS = (
 )
 
 
-class LensWords(NamedTuple):
+class NamedModel(NamedTuple):
     """What the words of a file mean."""
 
     is_fisheye: bool
@@ -79,7 +79,7 @@ class LensWords(NamedTuple):
     is_without_distortion: bool
 
 
-def lens_words(path: Path, content: Mapping[str, Any]) -> LensWords:
+def named_model(path: Path, content: Mapping[str, Any]) -> NamedModel:
     """What the keys mean that name a camera model or a distortion.
 
     Raises:
@@ -107,10 +107,10 @@ def lens_words(path: Path, content: Mapping[str, Any]) -> LensWords:
             next(word for word, its in kinds.items() if its == kind) for kind in ("fisheye", "perspective")
         )
         raise FileFormatError(path, f"{first} contradicts {second}")
-    return LensWords("fisheye" in found, bool(found), "none" in found)
+    return NamedModel("fisheye" in found, bool(found), "none" in found)
 
 
-def require_coefficients(path: Path, words: LensWords, coefficients: np.ndarray) -> None:
+def require_coefficients(path: Path, words: NamedModel, coefficients: np.ndarray) -> None:
     """Check that coefficients go with the words.
 
     Raises:

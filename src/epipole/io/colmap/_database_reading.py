@@ -16,7 +16,7 @@ from epipole.io.colmap._database_tables import (
     DatabaseReader,
 )
 from epipole.io.colmap._rows import (
-    ImagePlaces,
+    ImagePoses,
     cameras_of,
     frames_of,
     require_cameras,
@@ -54,16 +54,16 @@ def read_contents(database: DatabaseReader) -> DatabaseContents:
     image_rows = database.rows("images", "image_id, name, camera_id", "image_id")
     image_ids, camera_ids = [row[0] for row in image_rows], [row[2] for row in image_rows]
     require_cameras(image_ids, camera_ids, camera_rows, database.path)
-    rigs, places = _rigs_and_places(database, camera_rows, image_ids, camera_ids)
-    images = _images(database, image_ids, tuple(str(row[1]) for row in image_rows), places)
+    rigs, positions = _rigs_and_poses(database, camera_rows, image_ids, camera_ids)
+    images = _images(database, image_ids, tuple(str(row[1]) for row in image_rows), positions)
     matches = _matches(database, image_ids, images)
     return DatabaseContents(
         cameras,
         rigs,
         Frames(
-            places.rig_of_frame,
-            unregistered(len(places.rig_of_frame)),
-            np.full(len(places.rig_of_frame), np.nan),
+            positions.rig_of_frame,
+            unregistered(len(positions.rig_of_frame)),
+            np.full(len(positions.rig_of_frame), np.nan),
         ),
         images,
         _descriptors(database, image_ids, images),
@@ -85,9 +85,9 @@ def _cameras(database: DatabaseReader) -> tuple[Cameras, dict[int, int]]:
     return replace(cameras_of(records, database.path), is_focal_trusted=trusted), row_of
 
 
-def _rigs_and_places(
+def _rigs_and_poses(
     database: DatabaseReader, camera_rows: dict[int, int], image_ids: list[int], camera_ids: list[int]
-) -> tuple[Rigs, ImagePlaces]:
+) -> tuple[Rigs, ImagePoses]:
     frame_rows = database.rows("frames", "frame_id, rig_id", "frame_id")
     if not frame_rows:
         return Rigs.of_single_cameras(len(camera_rows)), trivial_frames(camera_ids, camera_rows)
@@ -115,19 +115,19 @@ def _rigs_and_places(
 
 
 def _images(
-    database: DatabaseReader, image_ids: list[int], names: tuple[str, ...], places: ImagePlaces
+    database: DatabaseReader, image_ids: list[int], names: tuple[str, ...], positions: ImagePoses
 ) -> Images:
     found = {}
     for image_id, rows, cols, data in database.rows("keypoints", "image_id, rows, cols, data", "image_id"):
-        place = f"keypoints of image {image_id}"
-        values = database.matrix(data, "<f4", rows, cols, place)
+        position = f"keypoints of image {image_id}"
+        values = database.matrix(data, "<f4", rows, cols, position)
         if rows and cols not in _KEYPOINT_WIDTHS:
-            raise database.fail(place, f"{cols} columns; 2, 4 or 6 expected")
+            raise database.fail(position, f"{cols} columns; 2, 4 or 6 expected")
         found[image_id] = values[:, :2].astype(np.float64) if rows else np.empty((0, 2))
     keypoints = [found.get(image_id, np.empty((0, 2))) for image_id in image_ids]
     offsets = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
     pixels = np.concatenate([np.empty((0, 2)), *keypoints]) - HALF_PIXEL
-    return Images(names, places.frame_of_image, places.sensor_of_image, offsets, pixels)
+    return Images(names, positions.frame_of_image, positions.sensor_of_image, offsets, pixels)
 
 
 def _descriptors(
@@ -194,15 +194,15 @@ def _view_graph(
     models, poses = np.full((len(rows), 3, 3, 3), np.nan), np.full((len(rows), 7), np.nan)
     for e, (*match_row, config, F, E, H, qvec, tvec) in enumerate(rows):
         pair, inliers = _match_rows(database, tuple(match_row), row_of, images)
-        place = f"pair {match_row[0]}"
+        position = f"pair {match_row[0]}"
         if config not in KIND_OF_CONFIG:
-            raise database.fail(place, f"unknown configuration {config}")
+            raise database.fail(position, f"unknown configuration {config}")
         pairs.append(pair)
         matches.append(inliers)
         kinds.append(int(KIND_OF_CONFIG[config]))
         for m, data in enumerate((F, E, H)):
-            models[e, m] = database.numbers(data, 9, place).reshape(3, 3)
-        poses[e] = [*database.numbers(qvec, 4, place), *database.numbers(tvec, 3, place)]
+            models[e, m] = database.numbers(data, 9, position).reshape(3, 3)
+        poses[e] = [*database.numbers(qvec, 4, position), *database.numbers(tvec, 3, position)]
     models[~models.any(axis=(2, 3))] = np.nan  # older versions fill an unknown matrix with zeros
     to_pixel = np.linalg.inv(HALF_SHIFT)
     flat = np.concatenate(matches)

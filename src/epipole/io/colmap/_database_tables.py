@@ -200,26 +200,26 @@ class DatabaseReader:
             found.append(row)
         return found
 
-    def fail(self, place: str, problem: str) -> FileFormatError:
+    def fail(self, position: str, problem: str) -> FileFormatError:
         """The error to raise about a row."""
-        return FileFormatError(self.path, f"{place}: {problem}")
+        return FileFormatError(self.path, f"{position}: {problem}")
 
-    def matrix(self, data: object, dtype: DTypeLike, rows: object, cols: object, place: str) -> np.ndarray:
+    def matrix(self, data: object, dtype: DTypeLike, rows: object, cols: object, position: str) -> np.ndarray:
         """A cell with rows x cols values; an empty cell is a matrix without rows."""
         dtype = np.dtype(dtype)
         if not isinstance(rows, int) or not isinstance(cols, int) or rows < 0 or cols < 0:
-            raise self.fail(place, f"impossible size {rows} x {cols}")
+            raise self.fail(position, f"impossible size {rows} x {cols}")
         content = data if isinstance(data, bytes) else b""
         if len(content) != rows * cols * dtype.itemsize:
-            raise self.fail(place, f"{rows} x {cols} values do not take {len(content)} bytes")
+            raise self.fail(position, f"{rows} x {cols} values do not take {len(content)} bytes")
         return np.frombuffer(content, dtype).reshape(rows, cols)
 
-    def numbers(self, data: object, count: int, place: str) -> np.ndarray:
+    def numbers(self, data: object, count: int, position: str) -> np.ndarray:
         """A cell with `count` doubles; NaN where it is empty."""
         if not isinstance(data, bytes) or len(data) == 0:
             return np.full(count, np.nan)
-        return self.matrix(data, "<f8", 1, count, place)[0]
+        return self.matrix(data, "<f8", 1, count, position)[0]
 
-    def pose(self, data: object, place: str) -> np.ndarray:
+    def pose(self, data: object, position: str) -> np.ndarray:
         """A cell with a pose (7,); NaN where it is empty."""
-        return self.numbers(data, 7, place) if data is not None else UNKNOWN_POSE
+        return self.numbers(data, 7, position) if data is not None else UNKNOWN_POSE

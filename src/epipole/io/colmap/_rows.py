@@ -43,20 +43,20 @@ def reconstruction_of(tables: ColmapTables, folder: Path, suffix: str) -> Recons
     image_ids, camera_ids = [image.id for image in images], [image.camera_id for image in images]
     require_cameras(image_ids, camera_ids, camera_rows, file("images"))
     if tables.rigs is None or tables.frames is None:
-        rigs, places = Rigs.of_single_cameras(len(cameras)), trivial_frames(camera_ids, camera_rows)
+        rigs, positions = Rigs.of_single_cameras(len(cameras)), trivial_frames(camera_ids, camera_rows)
         poses = np.array([image.cam_from_world for image in images]).reshape(-1, 7)
         motions = motions_of(poses, [f"image {i}" for i in image_ids], file("images"))
     else:
         layout = rigs_of(tables.rigs, camera_rows, file("rigs"))
-        rigs, places = layout.rigs, frames_of(tables.frames, layout, image_ids, camera_ids, file("frames"))
+        rigs, positions = layout.rigs, frames_of(tables.frames, layout, image_ids, camera_ids, file("frames"))
         frames = sorted(tables.frames, key=lambda frame: frame.id)
         poses = np.array([frame.rig_from_world for frame in frames]).reshape(-1, 7)
         motions = motions_of(poses, [f"frame {frame.id}" for frame in frames], file("frames"))
-        motions = layout.reference_from_file_rig[places.rig_of_frame] @ motions
-    image_columns = _images(images, places)
+        motions = layout.reference_from_file_rig[positions.rig_of_frame] @ motions
+    image_columns = _images(images, positions)
     points, tracks = _points(tables.points, image_columns, np.array(image_ids, np.int64), file("points3D"))
-    timestamps = np.full(len(places.rig_of_frame), np.nan)
-    frame_columns = Frames(places.rig_of_frame, motions, timestamps)
+    timestamps = np.full(len(positions.rig_of_frame), np.nan)
+    frame_columns = Frames(positions.rig_of_frame, motions, timestamps)
     return Reconstruction(cameras, rigs, frame_columns, image_columns, points, tracks)
 
 
@@ -104,7 +104,7 @@ def require_cameras(
         _require(camera_id in camera_rows, path, f"image {image_id}: there is no camera {camera_id}")
 
 
-def motions_of(poses: np.ndarray, places: list[str], path: Path) -> Rigid3:
+def motions_of(poses: np.ndarray, positions: list[str], path: Path) -> Rigid3:
     """Motions from rows (w, x, y, z, tx, ty, tz); NaN where a row is not finite.
 
     Raises:
@@ -113,7 +113,7 @@ def motions_of(poses: np.ndarray, places: list[str], path: Path) -> Rigid3:
     known = np.isfinite(poses).all(axis=1)
     longest = np.abs(poses[:, :4]).max(axis=1, initial=0.0)
     for row in np.flatnonzero(known & ~((longest > 1e-6) & (longest < 1e6))):
-        raise FileFormatError(path, f"{places[row]}: {poses[row, :4]} is no unit quaternion")
+        raise FileFormatError(path, f"{positions[row]}: {poses[row, :4]} is no unit quaternion")
     rotation, translation = np.full((len(poses), 3, 3), np.nan), np.full((len(poses), 3), np.nan)
     rotation[known] = Rotation3.from_quat_wxyz(poses[known, :4]).matrix
     translation[known] = poses[known, 4:]
@@ -143,7 +143,7 @@ def rigs_of(records: list[RigRecord], camera_rows: dict[int, int], path: Path) -
     numbers: list[int] = []
     cameras: list[int] = []
     poses: list[np.ndarray] = []
-    places: list[str] = []
+    positions: list[str] = []
     sensor_of: dict[tuple[int, int], int] = {}
     for row, rig in enumerate(records):
         sensors = [sensor for sensor in rig.sensors if sensor.type == CAMERA_SENSOR]
@@ -156,9 +156,9 @@ def rigs_of(records: list[RigRecord], camera_rows: dict[int, int], path: Path) -
             sensor_of[row, sensor.id] = len(cameras)
             cameras.append(camera_rows[sensor.id])
             poses.append(sensor.sensor_from_rig)
-            places.append(f"rig {rig.id}")
+            positions.append(f"rig {rig.id}")
     offsets = np.concatenate([[0], np.cumsum(numbers)]).astype(np.int32)
-    cam_from_file_rig = motions_of(np.array(poses).reshape(-1, 7), places, path)
+    cam_from_file_rig = motions_of(np.array(poses).reshape(-1, 7), positions, path)
     reference_from_file_rig = Rigid3.identity(len(records))
     has_camera = np.diff(offsets) > 0
     first = cam_from_file_rig[offsets[:-1][has_camera]]
@@ -171,7 +171,7 @@ def rigs_of(records: list[RigRecord], camera_rows: dict[int, int], path: Path) -
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ImagePlaces:
+class ImagePoses:
     """The frame and the sensor of each image."""
 
     rig_of_frame: Int32[np.ndarray, " f"]
@@ -179,15 +179,15 @@ class ImagePlaces:
     sensor_of_image: Int32[np.ndarray, " n"]
 
 
-def trivial_frames(camera_ids: list[int], camera_rows: dict[int, int]) -> ImagePlaces:
+def trivial_frames(camera_ids: list[int], camera_rows: dict[int, int]) -> ImagePoses:
     """One frame for each image, one rig for each camera."""
     rows = np.array([camera_rows[camera_id] for camera_id in camera_ids], np.int32)
-    return ImagePlaces(rows, np.arange(len(rows), dtype=np.int32), rows.copy())
+    return ImagePoses(rows, np.arange(len(rows), dtype=np.int32), rows.copy())
 
 
 def frames_of(
     records: list[FrameRecord], layout: RigLayout, image_ids: list[int], camera_ids: list[int], path: Path
-) -> ImagePlaces:
+) -> ImagePoses:
     """Put images into frames; the rows of both are in the order of their ids.
 
     Raises:
@@ -199,8 +199,8 @@ def frames_of(
     rig_of_frame = np.empty(len(records), np.int32)
     frame_of_image, sensor_of_image = np.full((2, len(image_ids)), -1, np.int32)
     for row, frame in enumerate(records):
-        place = f"frame {frame.id}"
-        _require(frame.rig_id in layout.row_of_rig, path, f"{place}: there is no rig {frame.rig_id}")
+        position = f"frame {frame.id}"
+        _require(frame.rig_id in layout.row_of_rig, path, f"{position}: there is no rig {frame.rig_id}")
         rig = rig_of_frame[row] = layout.row_of_rig[frame.rig_id]
         for data in frame.data:
             image = row_of_image.get(data.data_id)
@@ -210,22 +210,22 @@ def frames_of(
             fits = sensor >= 0 and camera_ids[image] == data.sensor_id
             is_new = bool(frame_of_image[image] < 0)
             _require(
-                fits, path, f"{place}: image {data.data_id} is not of camera {data.sensor_id} of its rig"
+                fits, path, f"{position}: image {data.data_id} is not of camera {data.sensor_id} of its rig"
             )
-            _require(is_new, path, f"{place}: image {data.data_id} is in two frames")
+            _require(is_new, path, f"{position}: image {data.data_id} is in two frames")
             frame_of_image[image], sensor_of_image[image] = row, sensor
     for lost in np.flatnonzero(frame_of_image < 0):
         raise FileFormatError(path, f"image {image_ids[lost]} is in no frame")
-    return ImagePlaces(rig_of_frame, frame_of_image, sensor_of_image)
+    return ImagePoses(rig_of_frame, frame_of_image, sensor_of_image)
 
 
-def _images(records: list[ImageRecord], places: ImagePlaces) -> Images:
+def _images(records: list[ImageRecord], positions: ImagePoses) -> Images:
     offsets = np.concatenate([[0], np.cumsum([len(image.keypoints) for image in records])]).astype(np.int64)
     keypoints: Float64[np.ndarray, "m 2"] = np.concatenate(
         [np.empty((0, 2)), *(r.keypoints for r in records)]
     )
     names = tuple(image.name for image in records)
-    return Images(names, places.frame_of_image, places.sensor_of_image, offsets, keypoints - HALF_PIXEL)
+    return Images(names, positions.frame_of_image, positions.sensor_of_image, offsets, keypoints - HALF_PIXEL)
 
 
 def _points(

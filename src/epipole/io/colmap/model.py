@@ -203,9 +203,7 @@ def find_model(path: str | Path) -> Path:
             return folder
     if not path.exists():
         raise FileFormatError(path, "there is no such folder")
-    pictures = any(
-        p.suffix.lower() in FORMAT_OF_SUFFIX for at in (path, path / "images") for p in at.glob("*")
-    )
-    advice = "`epipole reconstruct` makes a model of pictures" if pictures and not results_of(path) else ""
+    images = any(p.suffix.lower() in FORMAT_OF_SUFFIX for at in (path, path / "images") for p in at.glob("*"))
+    advice = "`epipole reconstruct` makes a model of pictures" if images and not results_of(path) else ""
     problem = "holds no model (no cameras.bin or cameras.txt, nor sparse/0)"
     raise FileFormatError(path, with_what_it_is(problem, path, advice))

@@ -39,8 +39,8 @@ def finite_gaussians(
     logits = np.where(np.isinf(logits), np.sign(logits) * MOST_LOGIT, logits)
     log_scales = np.where(log_scales == -np.inf, LEAST_LOG_SCALE, log_scales)
     with np.errstate(over="ignore", invalid="ignore"):  # numbers of a damaged file
-        turned = (quats**2).sum(axis=1, keepdims=True) != 0
-    quats = np.where(turned, quats, np.array([1, 0, 0, 0], np.float32))
+        rotated = (quats**2).sum(axis=1, keepdims=True) != 0
+    quats = np.where(rotated, quats, np.array([1, 0, 0, 0], np.float32))
     whole = (means, log_scales, quats, logits, sh)
     good = np.all([np.isfinite(part).all(axis=tuple(range(1, part.ndim))) for part in whole], axis=0)
     if not good.any():

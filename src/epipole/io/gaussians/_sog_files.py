@@ -110,10 +110,10 @@ def _meta(path: Path, data: bytes) -> dict[str, Any]:
     if meta.get("version", 1) not in (1, 2):
         raise FileFormatError(path, f"is of version {meta['version']!a} of SOG; 1 and 2 are read")
     for part, number in _PARTS.items():
-        told = meta.get(part)
-        if part == "shN" and not told:
+        given = meta.get(part)
+        if part == "shN" and not given:
             continue
-        files = told.get("files") if isinstance(told, dict) else None
+        files = given.get("files") if isinstance(given, dict) else None
         if not isinstance(files, list) or len(files) < number:
             raise FileFormatError(path, f"{META} does not tell the pictures of {part}")
     return meta
@@ -139,15 +139,15 @@ def count_of(path: Path, meta: Mapping[str, Any], num_bytes: int) -> int:
     Raises:
         FileFormatError: there is none, or one that so many bytes cannot hold.
     """
-    told = meta.get("count")
-    if told is None:
+    given = meta.get("count")
+    if given is None:
         shape = meta["means"].get("shape")
-        told = shape[0] if isinstance(shape, list) and shape else None
-    if not isinstance(told, int) or isinstance(told, bool) or told < 1:
+        given = shape[0] if isinstance(shape, list) and shape else None
+    if not isinstance(given, int) or isinstance(given, bool) or given < 1:
         raise FileFormatError(path, f"{META} does not tell how many Gaussians there are")
-    if told > min(MOST_GAUSSIANS, max(_SMALL, _MOST_PER_BYTE * num_bytes)):
-        raise FileFormatError(path, f"promises {told} Gaussians in {num_bytes} bytes")
-    return told
+    if given > min(MOST_GAUSSIANS, max(_SMALL, _MOST_PER_BYTE * num_bytes)):
+        raise FileFormatError(path, f"promises {given} Gaussians in {num_bytes} bytes")
+    return given
 
 
 def decoded(path: Path, name: str, data: bytes, count: int) -> np.ndarray:
@@ -174,13 +174,13 @@ def decoded(path: Path, name: str, data: bytes, count: int) -> np.ndarray:
         raise FileFormatError(path, f"{name!a} is damaged ({error})") from error
 
 
-def write_archive(path: Path, meta: Mapping[str, Any], pictures: Mapping[str, np.ndarray]) -> None:
+def write_archive(path: Path, meta: Mapping[str, Any], images: Mapping[str, np.ndarray]) -> None:
     """A zip that packs nothing once more, for WebP is packed; the same pictures give the same bytes."""
     with atomic_write(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
-        for name, picture in pictures.items():
+        for name, image in images.items():
             data = io.BytesIO()
             # exact: colours stay where alpha is 0. More effort than this takes seconds and saves nothing.
-            Image.fromarray(picture).save(data, "WEBP", lossless=True, exact=True, method=4, quality=75)
+            Image.fromarray(image).save(data, "WEBP", lossless=True, exact=True, method=4, quality=75)
             archive.writestr(_member(name), data.getvalue())
         archive.writestr(_member(META), json.dumps(meta, allow_nan=False))
 

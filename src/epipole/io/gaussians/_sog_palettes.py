@@ -50,9 +50,9 @@ def codebook_of(values: Float32[np.ndarray, "*shape"], power: float = 0.0) -> Fl
 def _spread(ordered: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """A start: as close together as the cube root of the density, which is best where codes are many (Panter and Dite, 1951)."""
     counts, edges = np.histogram(ordered, _BINS, weights=weights)
-    share = np.concatenate([[0.0], np.cumsum(np.cbrt(counts))])
-    wanted = (np.arange(CODES) + 0.5) / CODES * share[-1]
-    return np.interp(wanted, share, edges)
+    fraction = np.concatenate([[0.0], np.cumsum(np.cbrt(counts))])
+    wanted = (np.arange(CODES) + 0.5) / CODES * fraction[-1]
+    return np.interp(wanted, fraction, edges)
 
 
 def codes_of(
@@ -78,27 +78,27 @@ def palette_of(
     group, away = _nearest(rows, groups)
     order = np.argsort(group, kind="stable")
     edges = np.searchsorted(group[order], np.arange(len(groups) + 1))
-    shares = _shares(np.diff(edges), np.bincount(group, weights * away, len(groups)), size)
+    fractions = _cells_per_group(np.diff(edges), np.bincount(group, weights * away, len(groups)), size)
     palette, labels, done = [], np.empty(len(rows), np.int64), 0
-    for first, last, share in zip(edges[:-1], edges[1:], shares.tolist()):
+    for first, last, fraction in zip(edges[:-1], edges[1:], fractions.tolist()):
         own = order[first:last]
         if len(own) == 0:
             continue
-        centers = _lloyd(rows[own], weights[own], share, _STEPS)
+        centers = _lloyd(rows[own], weights[own], fraction, _STEPS)
         labels[own] = done + _nearest(rows[own], centers)[0]
         palette.append(centers)
         done += len(centers)
     return np.concatenate(palette), labels
 
 
-def _shares(counts: np.ndarray, wanted: np.ndarray, size: int) -> np.ndarray:
+def _cells_per_group(counts: np.ndarray, wanted: np.ndarray, size: int) -> np.ndarray:
     """Of a palette, in whole numbers that add up to no more than it has: one for each group that is not empty, none beyond its rows."""
-    shares = np.minimum(counts, 1)
+    fractions = np.minimum(counts, 1)
     for _ in range(_ROUNDS):
-        open_groups = np.where(shares < counts, wanted, 0.0)
-        more = np.floor(open_groups / max(open_groups.sum(), 1e-30) * (size - shares.sum()))
-        shares = np.minimum(counts, shares + more.astype(np.int64))
-    return shares
+        open_groups = np.where(fractions < counts, wanted, 0.0)
+        more = np.floor(open_groups / max(open_groups.sum(), 1e-30) * (size - fractions.sum()))
+        fractions = np.minimum(counts, fractions + more.astype(np.int64))
+    return fractions
 
 
 def _lloyd(rows: np.ndarray, weights: np.ndarray, size: int, steps: int) -> np.ndarray:
@@ -125,12 +125,12 @@ def _nearest(rows: np.ndarray, centers: np.ndarray) -> tuple[np.ndarray, np.ndar
     half = 0.5 * (centers**2).sum(axis=1)
     label, distance = np.empty(len(rows), np.int64), np.empty(len(rows), np.float32)
 
-    def look(first: int, last: int, _: int) -> None:
+    def assign(first: int, last: int, _: int) -> None:
         score = half - rows[first:last] @ centers.T
         label[first:last] = score.argmin(axis=1)
         squares = (rows[first:last] ** 2).sum(axis=1)
         distance[first:last] = np.maximum(0.0, squares + 2.0 * score.min(axis=1))
 
     with _parallel.single_threaded_blas():
-        _parallel.map_chunks(look, len(rows), -(-len(rows) // _TOGETHER))
+        _parallel.map_chunks(assign, len(rows), -(-len(rows) // _TOGETHER))
     return label, distance

@@ -48,12 +48,12 @@ def read_sog(path: str | Path) -> GaussianCloud:
         FileFormatError: it is no SOG file, is cut short or damaged, or holds no Gaussian that is finite.
     """
     path = Path(path)
-    meta, pictures = in_folder(path) if path.name.lower() == META else in_archive(path)
-    count = count_of(path, meta, sum(map(len, pictures.values())))
+    meta, images = in_folder(path) if path.name.lower() == META else in_archive(path)
+    count = count_of(path, meta, sum(map(len, images.values())))
 
     def pixels(part: str, k: int = 0) -> np.ndarray:
         name = meta[part]["files"][k]
-        found = decoded(path, name, pictures[name], count).reshape(-1, 4)
+        found = decoded(path, name, images[name], count).reshape(-1, 4)
         if len(found) < count:
             raise FileFormatError(path, f"{name!a} has {len(found)} pixels for {count} Gaussians")
         return found[:count]
@@ -64,7 +64,7 @@ def read_sog(path: str | Path) -> GaussianCloud:
     sh = colours[base, np.arange(4)][:, None, :3]
     if meta.get("shN"):
         name = meta["shN"]["files"][0]
-        palette = _palette(path, meta, decoded(path, name, pictures[name], PALETTE * 15))
+        palette = _palette(path, meta, decoded(path, name, images[name], PALETTE * 15))
         sh = np.concatenate([sh, palette[_labels(path, pixels("shN", 1), len(palette))]], axis=1)
     log_scales = _table(path, meta, "scales", 3)[scales[:, :3], np.arange(3)]
     quats = _quats(path, pixels("quats"))
@@ -78,32 +78,32 @@ def _table(path: Path, meta: Mapping[str, Any], part: str, channels: int) -> np.
     Raises:
         FileFormatError: meta.json does not tell it.
     """
-    told, steps = meta[part], np.linspace(0.0, 1.0, CODES)[:, None]
+    given, steps = meta[part], np.linspace(0.0, 1.0, CODES)[:, None]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        if "codebook" in told or meta.get("version") == 2:
+        if "codebook" in given or meta.get("version") == 2:
             logits = np.clip(np.log(steps) - np.log1p(-steps), -MOST_LOGIT, MOST_LOGIT)
-            numbers = _codebook(path, part, told.get("codebook"))[:, None]
+            numbers = _codebook(path, part, given.get("codebook"))[:, None]
             return np.concatenate([numbers] * 3 + [logits] * (channels - 3), axis=1).astype(np.float32)
-        lows, highs = (numbers_of(path, told, key) for key in ("mins", "maxs"))
+        lows, highs = (numbers_of(path, given, key) for key in ("mins", "maxs"))
         # Harmonics have one range for all.
         if any(len(ends) not in (1, channels) for ends in (lows, highs)):
             raise FileFormatError(path, f"{META}: {part} has no mins and maxs of {channels} numbers")
         return np.broadcast_to(lows + steps * (highs - lows), (CODES, channels)).astype(np.float32)
 
 
-def _codebook(path: Path, part: str, told: Any) -> np.ndarray:
+def _codebook(path: Path, part: str, given: Any) -> np.ndarray:
     """256 numbers. Early writers left the first out; PlayCanvas's player puts it a mean step below the second, and so do we."""
-    if not isinstance(told, list) or len(told) != CODES:
+    if not isinstance(given, list) or len(given) != CODES:
         raise FileFormatError(path, f"{META} does not tell the {CODES} numbers of the codebook of {part}")
     name = f"the codebook of {part}"
-    numbers = numbers_of(path, {name: told[1:]}, name, CODES - 1)
+    numbers = numbers_of(path, {name: given[1:]}, name, CODES - 1)
     step = (numbers[-1] - numbers[0]) / (CODES - 1)
-    first = [numbers[0] - step] if told[0] is None else numbers_of(path, {name: told[:1]}, name, 1)
+    first = [numbers[0] - step] if given[0] is None else numbers_of(path, {name: given[:1]}, name, 1)
     return np.concatenate([first, numbers])
 
 
-def _means(path: Path, told: Mapping[str, Any], lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    lows, highs = (numbers_of(path, told, key, 3) for key in ("mins", "maxs"))
+def _means(path: Path, given: Mapping[str, Any], lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    lows, highs = (numbers_of(path, given, key, 3) for key in ("mins", "maxs"))
     codes = lower[:, :3] + 256.0 * upper[:, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         logs = lows + codes / 65535.0 * (highs - lows)
@@ -127,14 +127,14 @@ def _quats(path: Path, pixels: np.ndarray) -> np.ndarray:
 def _palette(path: Path, meta: Mapping[str, Any], pixels: np.ndarray) -> np.ndarray:
     """(rows, coefficients, 3) float32."""
     height, width = pixels.shape[:2]
-    higher, told = _HIGHER.get(width), meta["shN"]
+    higher, given = _HIGHER.get(width), meta["shN"]
     if higher is None or not 1 <= height * ROW <= PALETTE:
         raise FileFormatError(path, f"a palette of {width} x {height} pixels is that of no degree")
-    if "bands" in told and told["bands"] != {3: 1, 8: 2, 15: 3}[higher]:
+    if "bands" in given and given["bands"] != {3: 1, 8: 2, 15: 3}[higher]:
         raise FileFormatError(
-            path, f"the palette has {higher} harmonics, not those of {told['bands']!a} bands"
+            path, f"the palette has {higher} harmonics, not those of {given['bands']!a} bands"
         )
-    size = told.get("count", height * ROW)
+    size = given.get("count", height * ROW)
     if not isinstance(size, int) or size < 1:
         raise FileFormatError(path, f"{META} does not tell the size of the palette")
     codes = pixels.reshape(-1, higher, 4)[:size, :, :3]
@@ -167,7 +167,7 @@ def write_sog(path: str | Path, cloud: GaussianCloud) -> None:
     order = np.argsort(interleaved(codes), kind="stable")
     cloud, codes = cloud.rows(order), codes[order]
     scales, colours = codebook_of(cloud.log_scales, _LARGE_COUNT), codebook_of(cloud.sh[:, 0])
-    pictures = {
+    images = {
         "means_l.webp": _rows_of_pixels(codes & 255),
         "means_u.webp": _rows_of_pixels(codes >> 8),
         "scales.webp": _rows_of_pixels(codes_of(cloud.log_scales, scales)),
@@ -188,8 +188,8 @@ def write_sog(path: str | Path, cloud: GaussianCloud) -> None:
     if cloud.origin_in_world.any():
         meta[ORIGIN] = cloud.origin_in_world.tolist()
     if cloud.sh_degree:
-        meta["shN"] = _add_harmonics(cloud, pictures)
-    write_archive(path, meta, pictures)
+        meta["shN"] = _add_harmonics(cloud, images)
+    write_archive(path, meta, images)
 
 
 def _arrays(cloud: GaussianCloud) -> tuple[np.ndarray, ...]:
@@ -209,17 +209,17 @@ def _smallest_three(quats: np.ndarray) -> np.ndarray:
     return np.c_[np.rint(255.0 * (kept / np.sqrt(2.0) + 0.5)), _FIRST_TAG + largest]
 
 
-def _add_harmonics(cloud: GaussianCloud, pictures: dict[str, np.ndarray]) -> dict[str, Any]:
+def _add_harmonics(cloud: GaussianCloud, images: dict[str, np.ndarray]) -> dict[str, Any]:
     """Put the two pictures of the harmonics to the others; what meta.json tells of them."""
     n, higher = len(cloud), cloud.sh.shape[1] - 1
     rows = np.clip(cloud.sh[:, 1:], -_LARGEST, _LARGEST).reshape(n, -1)
     palette, labels = palette_of(rows, _seen(cloud), _palette_size(n))
     codebook = codebook_of(palette)
     height = -(-len(palette) // ROW)
-    picture = np.zeros((height * ROW * higher, 3), np.uint8)
-    picture[: len(palette) * higher] = codes_of(palette, codebook).reshape(-1, 3)
-    pictures["shN_centroids.webp"] = picture.reshape(height, ROW * higher, 3)
-    pictures["shN_labels.webp"] = _rows_of_pixels(np.c_[labels & 255, labels >> 8, np.zeros(n)])
+    image = np.zeros((height * ROW * higher, 3), np.uint8)
+    image[: len(palette) * higher] = codes_of(palette, codebook).reshape(-1, 3)
+    images["shN_centroids.webp"] = image.reshape(height, ROW * higher, 3)
+    images["shN_labels.webp"] = _rows_of_pixels(np.c_[labels & 255, labels >> 8, np.zeros(n)])
     return {
         "count": len(palette),
         "bands": cloud.sh_degree,

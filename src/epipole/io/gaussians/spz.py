@@ -37,9 +37,9 @@ _SPARE_BYTES = 1 << 16
 _LARGEST_FIXED = (1 << 23) - 1
 _COLOUR_STEPS = 0.15 * 255.0
 _SMALLEST_PART = (1 << 9) - 1
-_HALF_TURN = np.array([1, -1, -1], np.float32)
-_HALF_TURN_WXYZ = np.array([1, 1, -1, -1], np.float32)
-_HALF_TURN_SH = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
+_BY_PI = np.array([1, -1, -1], np.float32)
+_BY_PI_WXYZ = np.array([1, 1, -1, -1], np.float32)
+_BY_PI_SH = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
 """Signs of the harmonics after half a turn around x."""
 
 
@@ -71,7 +71,7 @@ def read_spz(path: str | Path) -> GaussianCloud:
     with np.errstate(divide="ignore"):
         logits = np.log(opacity) - np.log1p(-opacity)
     sh = np.concatenate([colours[:, None], above], axis=1)
-    return _half_turned(finite_gaussians(path, (means, log_scales, quats, logits, sh)))
+    return _rotated_by_pi(finite_gaussians(path, (means, log_scales, quats, logits, sh)))
 
 
 @checked
@@ -84,7 +84,7 @@ def write_spz(path: str | Path, cloud: GaussianCloud) -> None:
         ConfigError: a position is too far for the format.
         WorkspaceError: the file cannot be written.
     """
-    cloud = _half_turned(cloud)
+    cloud = _rotated_by_pi(cloud)
     farthest = float(np.abs(cloud.means_in_world).max(initial=0.0))
     bits = next((b for b in range(_FRACTIONAL_BITS, 0, -1) if farthest * 2**b <= _LARGEST_FIXED), None)
     if bits is None:
@@ -105,14 +105,14 @@ def write_spz(path: str | Path, cloud: GaussianCloud) -> None:
         part.write_bytes(packed)
 
 
-def _half_turned(cloud: GaussianCloud) -> GaussianCloud:
+def _rotated_by_pi(cloud: GaussianCloud) -> GaussianCloud:
     """Seen with y and z the other way round."""
     return replace(
         cloud,
-        means_in_world=cloud.means_in_world * _HALF_TURN,
-        quats_wxyz=cloud.quats_wxyz * _HALF_TURN_WXYZ,
-        sh=cloud.sh * _HALF_TURN_SH[: cloud.sh.shape[1], None],
-        origin_in_world=cloud.origin_in_world * _HALF_TURN + 0.0,
+        means_in_world=cloud.means_in_world * _BY_PI,
+        quats_wxyz=cloud.quats_wxyz * _BY_PI_WXYZ,
+        sh=cloud.sh * _BY_PI_SH[: cloud.sh.shape[1], None],
+        origin_in_world=cloud.origin_in_world * _BY_PI + 0.0,
     )
 
 

@@ -16,10 +16,10 @@ def as_stored(pixels: np.ndarray, stored: int | None, left: int, orientation: in
     """
     if orientation is None or stored is None or stored == left:
         return pixels
-    return turn(pixels, inverse_orientation(stored))
+    return rotation(pixels, inverse_orientation(stored))
 
 
-def turn(pixels: np.ndarray, orientation: int) -> np.ndarray:
+def rotation(pixels: np.ndarray, orientation: int) -> np.ndarray:
     """Apply an EXIF orientation."""
     if orientation in (5, 6, 7, 8):
         pixels = cv2.transpose(pixels)

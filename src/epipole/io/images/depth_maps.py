@@ -126,11 +126,11 @@ def _is_png16(data: bytes) -> bool:
     return (
         (depth, color) == (16, 0)
         and 2 * width * height <= min(1032 * len(data), 2 * _MOST_PIXELS)
-        and _is_one_picture(data)
+        and _is_one_image(data)
     )
 
 
-def _is_one_picture(data: bytes) -> bool:
+def _is_one_image(data: bytes) -> bool:
     """Whether all chunks are as long as they say, and none is of an animation: OpenCV takes memory for what they claim."""
     at = _SIGNATURE
     while at + 12 <= len(data):

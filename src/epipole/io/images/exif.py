@@ -219,15 +219,15 @@ def gps_to_enu(lat_lon_alt: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "
             taken at the median altitude (0 where none is known) and its "up" is NaN.
     """
     table = as_points(lat_lon_alt, "lat_lon_alt", 3)
-    placed = np.isfinite(table[:, :2]).all(axis=1)
+    is_known = np.isfinite(table[:, :2]).all(axis=1)
     out = np.full((len(table), 3), np.nan)
-    if not placed.any():
+    if not is_known.any():
         return out
-    lat_deg, lon_deg, alt_m = table[placed].T
-    lon_turn_deg = (lon_deg - lon_deg[0] + 180.0) % 360.0 - 180.0
+    lat_deg, lon_deg, alt_m = table[is_known].T
+    lon_period_deg = (lon_deg - lon_deg[0] + 180.0) % 360.0 - 180.0
     has_alt = np.isfinite(alt_m)
     alt_median_m = float(np.median(alt_m[has_alt])) if has_alt.any() else 0.0
-    lat0, lon0 = np.deg2rad(np.median(lat_deg)), np.deg2rad(lon_deg[0] + np.median(lon_turn_deg))
+    lat0, lon0 = np.deg2rad(np.median(lat_deg)), np.deg2rad(lon_deg[0] + np.median(lon_period_deg))
     origin = _ecef_m(lat0, lon0, np.float64(alt_median_m))
     offsets = (
         _ecef_m(np.deg2rad(lat_deg), np.deg2rad(lon_deg), np.where(has_alt, alt_m, alt_median_m)) - origin
@@ -242,7 +242,7 @@ def gps_to_enu(lat_lon_alt: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "
     )
     enu = offsets @ enu_from_ecef.T
     enu[~has_alt, 2] = np.nan
-    out[placed] = enu
+    out[is_known] = enu
     return out
 
 

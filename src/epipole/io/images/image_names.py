@@ -13,7 +13,7 @@ from epipole._declared import checked
 _BREAKS = frozenset({"Cc", "Zl", "Zp"})
 _DEPTH_WORD = re.compile(r"depth", re.IGNORECASE)
 _LETTERS = re.compile(r"[^\W\d_]+")
-PAIRED_SHARE = 0.4
+PAIRED_FRACTION = 0.4
 
 
 @checked
@@ -67,7 +67,7 @@ def depth_among(names: Sequence[str], deep_grey: frozenset[str]) -> list[str]:
         return []
     named = [name for name in names if name in deep_grey and _DEPTH_WORD.search(name)]
     paired = [name for name in names if name in deep_grey and _without_letters(name) in others]
-    if len(paired) == len(deep_grey) >= PAIRED_SHARE * len(names):
+    if len(paired) == len(deep_grey) >= PAIRED_FRACTION * len(names):
         return paired
     return named
 

@@ -60,8 +60,8 @@ from epipole.io.images.pixels import (
     pillow_pixels,
     readable_suffixes,
     refuse_huge,
+    rotation,
     stored_size,
-    turn,
 )
 from epipole.io.images.writing import copy_or_rotate as copy_or_rotate
 from epipole.io.images.writing import link_or_copy as link_or_copy
@@ -310,7 +310,7 @@ def read_mask_file(path: Path, name: str, *, size: tuple[int, int] | None = None
     refuse_huge(path, image, data)
     pixels, orientation = pillow_pixels(path, image, data)
     keep = np.ascontiguousarray((pixels != 0).any(axis=2) if pixels.ndim == 3 else pixels != 0)
-    keep = turn(keep.view(np.uint8), orientation).view(bool)
+    keep = rotation(keep.view(np.uint8), orientation).view(bool)
     if size is not None and keep.shape != (size[1], size[0]):
         h, w = keep.shape
         raise FileFormatError(path, f"the mask is {w} x {h} but its picture {name} is {size[0]} x {size[1]}")

@@ -27,7 +27,7 @@ from epipole.errors import EpipoleError, FileFormatError, MissingDependencyError
 from epipole.io._spherical import refuse_panorama
 from epipole.io.files import file_bytes
 from epipole.io.images._rotated_pixels import as_stored as as_stored
-from epipole.io.images._rotated_pixels import turn as turn
+from epipole.io.images._rotated_pixels import rotation as rotation
 from epipole.io.images.deep_pixels import (
     GreyRange,
     check_range,
@@ -158,16 +158,16 @@ def exif_of(image: ImageFile) -> Image.Exif:
 
 def _has_exif_chunk(stream: IO[bytes]) -> bool:
     """Whether a PNG file has a chunk that may hold EXIF, before or after its pixels (PNG 1.5, section 4.7)."""
-    before, place = stream.tell(), 8  # behind the signature
+    before, index = stream.tell(), 8  # behind the signature
     try:
         while True:
-            stream.seek(place)
+            stream.seek(index)
             head = stream.read(8)
             if len(head) < 8 or head[4:] == b"IEND":
                 return False
             if head[4:] in (b"eXIf", b"tEXt", b"zTXt", b"iTXt"):
                 return True
-            place += 12 + int.from_bytes(head[:4], "big")
+            index += 12 + int.from_bytes(head[:4], "big")
     finally:
         stream.seek(before)
 
@@ -239,7 +239,7 @@ def decode_bytes(
         full_size = image.size
         reduction = _jpeg_reduction(full_size, max_size_px)
         pixels = _decode_jpeg(path, data, image, grey, reduction)
-        return turn(_shrink(pixels, full_size, reduction, max_size_px), orientation or own)
+        return rotation(_shrink(pixels, full_size, reduction, max_size_px), orientation or own)
     stored = orientation_of(exif_of(image)) if isinstance(image, TiffImageFile) else None
     pixels, own = pillow_pixels(path, image, data)
     pixels = as_stored(pixels, stored, own, orientation)
@@ -250,7 +250,7 @@ def decode_bytes(
     elif not grey and pixels.ndim == 2:
         pixels = cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB)
     size_now = (pixels.shape[1], pixels.shape[0])
-    return turn(_shrink(pixels, size_now, 1, max_size_px), orientation or own)
+    return rotation(_shrink(pixels, size_now, 1, max_size_px), orientation or own)
 
 
 def _jpeg_reduction(size: tuple[int, int], max_size_px: int | None) -> int:

@@ -21,8 +21,8 @@ from epipole.io.images.pixels import (
     exif_of,
     open_with_pillow,
     refuse_huge,
+    rotation,
     stored_pixels,
-    turn,
 )
 
 _WITH_ALPHA = ("PNG", "TIFF", "WEBP", "AVIF", "HEIF")
@@ -53,7 +53,7 @@ def read_rgba(path: Path | str, *, orientation: int | None = None) -> UInt8[np.n
     pixels, own = stored_pixels(path, image, data)
     if pixels.ndim != 3 or pixels.shape[2] != 4:
         return None
-    return turn(as_stored(pixels, stored, own, orientation), orientation or own)
+    return rotation(as_stored(pixels, stored, own, orientation), orientation or own)
 
 
 @checked

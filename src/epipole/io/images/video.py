@@ -24,7 +24,7 @@ from epipole.image.encoding import encoded_image
 from epipole.io._spherical import refuse_spherical_video
 from epipole.io.atomic import atomic_folder
 from epipole.io.files import open_file, read_json, require_file
-from epipole.io.images.pixels import turn
+from epipole.io.images.pixels import rotation
 from epipole.io.json_files import json_text
 
 VIDEO_SUFFIXES = frozenset(
@@ -120,8 +120,8 @@ def frame_orientation(path: Path | str) -> int:
         raw.release()
     if not (is_read and is_stored):
         return 1
-    turned = {orientation: turn(stored, orientation) for orientation in (1, 3, 6, 8)}
-    return next((o for o, frame in turned.items() if np.array_equal(frame, upright)), 1)
+    rotated = {orientation: rotation(stored, orientation) for orientation in (1, 3, 6, 8)}
+    return next((o for o, frame in rotated.items() if np.array_equal(frame, upright)), 1)
 
 
 @checked

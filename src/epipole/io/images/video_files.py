@@ -23,14 +23,14 @@ _LARGEST_DIFFERENCE = 24.0
 """Mean difference of cells, of 255, up to which a frame that is read back is the one that was written."""
 
 
-def write_video(path: str | Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]], fps: float) -> None:
+def write_video(path: str | Path, images: Iterable[UInt8[np.ndarray, "h w 3"]], fps: float) -> None:
     """Write RGB images of one size, and read the video back, as the encoder reports no errors.
 
     A video has an even width and height: the last column or row of an odd one is left out.
 
     Args:
         path: the file; its name may have any ending.
-        pictures: one after the other.
+        images: one after the other.
         fps: pictures a second.
 
     Raises:
@@ -39,23 +39,23 @@ def write_video(path: str | Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]]
     """
     path, fps = _target(path, fps)
     try:
-        each = iter(pictures)
+        each = iter(images)
     except TypeError as error:  # an array without axes is an Iterable, too
-        raise ConfigError(f"pictures must be images, got {pictures!r:.60}") from error
+        raise ConfigError(f"pictures must be images, got {images!r:.60}") from error
     aside = path.with_name(path.name + VIDEO_SUFFIX)  # OpenCV takes the container from the ending
     writer, size, count = None, (0, 0), 0
     first = last = np.zeros((1, 1, 3), np.uint8)
     try:
-        for picture in map(_frame, each):  # one after the other: all may not fit into the memory
+        for image in map(_frame, each):  # one after the other: all may not fit into the memory
             if writer is None:
-                size = picture.shape[1], picture.shape[0]
-                writer, first = _opened(aside, fps, size), picture
-            if (picture.shape[1], picture.shape[0]) != size:
+                size = image.shape[1], image.shape[0]
+                writer, first = _opened(aside, fps, size), image
+            if (image.shape[1], image.shape[0]) != size:
                 raise ConfigError(
                     "the pictures of a video must be of one size: give a width, or draw to a folder"
                 )
-            writer.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
-            last, count = picture, count + 1
+            writer.write(cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+            last, count = image, count + 1
         if writer is None:
             raise ConfigError("a video needs a picture")
         writer.release()
@@ -79,9 +79,9 @@ def _target(path: str | Path, fps: float) -> tuple[Path, float]:
 
 
 @checked
-def _frame(picture: UInt8[np.ndarray, "h w 3"]) -> np.ndarray:
-    check_pixels(picture.shape[1], picture.shape[0])
-    return picture
+def _frame(image: UInt8[np.ndarray, "h w 3"]) -> np.ndarray:
+    check_pixels(image.shape[1], image.shape[0])
+    return image
 
 
 def _problem_of(path: Path, count: int, first: np.ndarray, last: np.ndarray) -> str:

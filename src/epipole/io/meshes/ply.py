@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from epipole._checks import as_picture, as_points, require_same_length
+from epipole._checks import as_image, as_points, require_same_length
 from epipole._declared import checked
 from epipole.errors import FileFormatError, ShapeError
 from epipole.io._bytes import ByteReader
@@ -133,7 +133,7 @@ def frustum_segments(corners: Float64[np.ndarray, "n 5 3"]) -> Float64[np.ndarra
 
 
 def _points_and_colours(xyz: Any, rgb: Any) -> tuple[np.ndarray, np.ndarray]:
-    xyz, rgb = as_points(xyz, "xyz", 3), np.atleast_1d(as_picture(rgb, "rgb"))
+    xyz, rgb = as_points(xyz, "xyz", 3), np.atleast_1d(as_image(rgb, "rgb"))
     require_same_length(xyz=xyz, rgb=rgb)
     if rgb.dtype != np.uint8 or rgb.shape != xyz.shape:
         raise ShapeError(f"rgb must be (n, 3) of type uint8, got {rgb.shape} of type {rgb.dtype}")

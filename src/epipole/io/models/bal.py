@@ -20,9 +20,9 @@ from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes
 from epipole.optim import BundleProblem, free_params_mask
 
-_TURN = np.diag([1.0, -1.0, -1.0])
+_ROTATION = np.diag([1.0, -1.0, -1.0])
 _PER_CAMERA = 9
-_MOST_TURN = 1e6  # radians; of longer vectors nothing of the direction is left
+_MOST_ROTATION = 1e6  # radians; of longer vectors nothing of the direction is left
 # Bytes of text to a byte of an archive (problems have about 4): up to so many bytes, and beyond.
 _MOST_UNPACKED, _SMALL, _MOST_UNPACKED_LARGE = 200, 1 << 24, 20
 
@@ -60,7 +60,7 @@ def read_bal(path: str | Path) -> BundleProblem:
     seen = values[: 4 * num_seen].reshape(-1, 4)
     cameras = values[4 * num_seen :][: _PER_CAMERA * num_cameras].reshape(-1, _PER_CAMERA)
     points = values[len(values) - 3 * num_points :].reshape(-1, 3)
-    if not (np.abs(cameras[:, :3]) < _MOST_TURN).all():
+    if not (np.abs(cameras[:, :3]) < _MOST_ROTATION).all():
         raise FileFormatError(path, "a camera's rotation vector is too long to be one")
     index = seen[:, :2]
     if not (index >= 0).all() or (index >= [num_cameras, num_points]).any() or (index % 1 != 0).any():
@@ -72,7 +72,7 @@ def read_bal(path: str | Path) -> BundleProblem:
     model = np.full(num_cameras, int(CameraModel.RADIAL), np.int32)
     frame = seen[:, 0].astype(np.int32)
     return BundleProblem(
-        Rigid3(_TURN @ Rotation3.exp(cameras[:, :3]).matrix, cameras[:, 3:6] @ _TURN),
+        Rigid3(_ROTATION @ Rotation3.exp(cameras[:, :3]).matrix, cameras[:, 3:6] @ _ROTATION),
         Rigid3.identity(1),
         model,
         params,
@@ -123,9 +123,11 @@ def write_bal(path: str | Path, problem: BundleProblem) -> None:
     ].any():
         raise ShapeError("the format holds RADIAL cameras with their principal point at (0, 0)")
     owner = np.repeat(np.arange(len(problem.points_in_world)), np.diff(problem.offsets))
-    rotation = Rotation3(_TURN @ problem.rig_from_world.rotation).log()
-    lens = problem.camera_params[camera][:, [0, 3, 4]]
-    numbers = np.concatenate([rotation, problem.rig_from_world.translation @ _TURN, lens], axis=1).ravel()
+    rotation = Rotation3(_ROTATION @ problem.rig_from_world.rotation).log()
+    intrinsics = problem.camera_params[camera][:, [0, 3, 4]]
+    numbers = np.concatenate(
+        [rotation, problem.rig_from_world.translation @ _ROTATION, intrinsics], axis=1
+    ).ravel()
     pixels = problem.pixels * [1.0, -1.0]
     lines = [f"{num_frames} {len(problem.points_in_world)} {len(owner)}"]
     lines += [

@@ -22,7 +22,7 @@ from epipole.cameras.image_fit import (
     fitted_camera,
     inverse_orientation,
     is_same_view,
-    turned_pixels,
+    rotated_pixels,
 )
 from epipole.errors import ConfigError, EpipoleError, FileFormatError
 from epipole.io.images.photographs import GreyRange, read_header, read_rgb
@@ -111,13 +111,13 @@ class ModelImages:
     @cached_property
     def _described(self) -> ImagePixels:
         """What the cameras describe of images that fit both ways."""
-        turned = {name: shape for name, shape in self._shapes().items() if shape.orientation != 1}
-        fits = [_fits(self._camera_of(self._row[name]), shape) for name, shape in turned.items()]
-        by_size = {way[0] for way in fits if len(way) == 1}
+        rotated = {name: shape for name, shape in self._shapes().items() if shape.orientation != 1}
+        fits = [_fits(self._camera_of(self._row[name]), shape) for name, shape in rotated.items()]
+        by_size = {orientation[0] for orientation in fits if len(orientation) == 1}
         if len(by_size) == 1:
             return by_size.pop()
         by_color = self._described_by_colors(
-            {name: turned[name] for (name, way) in zip(turned, fits) if len(way) == 2}
+            {name: rotated[name] for (name, orientation) in zip(rotated, fits) if len(orientation) == 2}
         )
         return by_color or (ImagePixels.UPRIGHT if self._is_own else ImagePixels.STORED)
 
@@ -160,7 +160,7 @@ class ModelImages:
             return None
         seen = [
             _colors_at(rgb, keypoints, size),
-            _colors_at(rgb, turned_pixels(keypoints, size, inverse_orientation(shape.orientation)), size),
+            _colors_at(rgb, rotated_pixels(keypoints, size, inverse_orientation(shape.orientation)), size),
         ]
         points = model.points.rgb[model.tracks.point_of_observation()[own]]
         inside = np.isfinite(seen).all(axis=(0, 2))

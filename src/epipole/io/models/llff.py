@@ -60,7 +60,7 @@ def read_llff(folder: str | Path, max_side_px: int | None = None) -> LlffScene:
     path = folder / LLFF
     rows = _rows(path)
     matrices = rows[:, :15].reshape(-1, 3, 5)
-    image_folder, size = _pictures(folder, max_side_px)
+    image_folder, size = _images(folder, max_side_px)
     names = sorted(p.name for p in image_folder.iterdir() if p.suffix.lower() in FORMAT_OF_SUFFIX)
     if len(names) != len(rows):
         raise FileFormatError(
@@ -98,29 +98,29 @@ def _rows(path: Path) -> np.ndarray:
     return rows
 
 
-def _pictures(folder: Path, max_side_px: int | None) -> tuple[Path, tuple[int, int]]:
+def _images(folder: Path, max_side_px: int | None) -> tuple[Path, tuple[int, int]]:
     """The folder of pictures that is wanted, and the size of its first."""
     sizes: list[tuple[int, Path, tuple[int, int]]] = []
-    for place in sorted(folder.iterdir()):
-        found = _SIZES.fullmatch(place.name)
-        if found is None or not place.is_dir():
+    for position in sorted(folder.iterdir()):
+        found = _SIZES.fullmatch(position.name)
+        if found is None or not position.is_dir():
             continue
-        files = sorted(p for p in place.iterdir() if p.suffix.lower() in FORMAT_OF_SUFFIX)
+        files = sorted(p for p in position.iterdir() if p.suffix.lower() in FORMAT_OF_SUFFIX)
         if files:
             header = read_header(files[0])
-            sizes.append((int(found[1] or 1), place, (header.width, header.height)))
+            sizes.append((int(found[1] or 1), position, (header.width, header.height)))
     if not sizes:
         raise FileFormatError(folder, "there are no pictures (no images, images_2, images_4 or images_8)")
     sizes.sort(key=lambda one: one[0])
-    for _, place, size in sizes:
+    for _, position, size in sizes:
         if max_side_px is None or max(size) <= max_side_px:
-            return place, size
+            return position, size
     return sizes[-1][1], sizes[-1][2]
 
 
-def _camera(path: Path, told: np.ndarray, size: tuple[int, int]) -> Camera:
+def _camera(path: Path, given: np.ndarray, size: tuple[int, int]) -> Camera:
     """A pinhole of the pictures in the size that they have; its middle is that of the picture."""
-    height, width, focal = told.tolist()
+    height, width, focal = given.tolist()
     is_possible = height >= 1 and width >= 1 and focal > 0
     fx, fy = (focal * size[0] / width, focal * size[1] / height) if is_possible else (0.0, 0.0)
     if not (0 < fx < np.inf and 0 < fy < np.inf):

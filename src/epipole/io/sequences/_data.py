@@ -21,7 +21,7 @@ class SequenceKind(StrEnum):
     TUM_RGBD = "TUM RGB-D"
     EUROC = "EuRoC"
     KITTI = "KITTI odometry"
-    PICTURES = "pictures"
+    IMAGES = "pictures"
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class FrameFiles:
     """The files of one instant."""
 
     timestamp_s: float
-    picture: Path
+    image: Path
     right: Path | None = None
     depth: Path | None = None
 

@@ -49,13 +49,13 @@ def numbered_frames(folder: Path, names: tuple[str, ...]) -> ImageSequence:
     for number, name in found:
         depth = folder / f"{name.split('.color.')[0]}.depth.png"
         frames.append(FrameFiles(number / FRAMES_HZ, folder / name, None, depth if depth.is_file() else None))
-    size = _size(frames[0].picture)
+    size = _size(frames[0].image)
     beside = calibration_beside((folder, folder.resolve().parent), size)
     depths = [frame.depth for frame in frames if frame.depth is not None]
     sample = sample_depth(depths)
-    doubts = _doubts_about_seven_scenes(size, sample)
+    warnings = _warnings_about_seven_scenes(size, sample)
     sequence = ImageSequence(SequenceKind.SEVEN_SCENES, tuple(frames), None)
-    if (not beside.is_found and not doubts) or _is_seven_scenes_depth_camera(beside.camera):
+    if (not beside.is_found and not warnings) or _is_seven_scenes_depth_camera(beside.camera):
         return _of_seven_scenes(sequence, has_depth=len(depths) == len(frames))
     sequence = replace(
         sequence,
@@ -63,7 +63,7 @@ def numbered_frames(folder: Path, names: tuple[str, ...]) -> ImageSequence:
         camera=beside.camera,
         camera_source=beside.source,
         camera_problem=beside.problem,
-        warnings=() if beside.is_found else doubts,
+        warnings=() if beside.is_found else warnings,
     )
     return _with_depth(sequence, sample, beside) if len(depths) == len(frames) else sequence
 
@@ -78,7 +78,7 @@ def _is_seven_scenes_depth_camera(camera: Camera | None) -> bool:
     )
 
 
-def _doubts_about_seven_scenes(size: tuple[int, int], sample: np.ndarray) -> tuple[str, ...]:
+def _warnings_about_seven_scenes(size: tuple[int, int], sample: np.ndarray) -> tuple[str, ...]:
     """What of the images is not as in 7-Scenes, whose calibration is then not taken."""
     color, _, _ = seven_scenes_cameras()
     words = "the files are named as those of 7-Scenes, but"
@@ -133,9 +133,9 @@ def scannet(folder: Path) -> ImageSequence:
     frames = []
     for number, name in sorted(zip(map(int, stems), names)):
         depth = folder / "depth" / f"{Path(name).stem}.png"
-        picture = folder / "color" / name
-        frames.append(FrameFiles(number / FRAMES_HZ, picture, None, depth if depth.is_file() else None))
-    beside = calibration_beside((folder,), _size(frames[0].picture))
+        image = folder / "color" / name
+        frames.append(FrameFiles(number / FRAMES_HZ, image, None, depth if depth.is_file() else None))
+    beside = calibration_beside((folder,), _size(frames[0].image))
     sequence = ImageSequence(
         SequenceKind.SCANNET,
         tuple(frames),
@@ -176,18 +176,18 @@ def _is_identity_file(path: Path) -> bool:
 
 def tum(folder: Path) -> ImageSequence:
     """`rgb.txt`, `depth.txt`: the camera is that beside them, else that which the folder's name proposes."""
-    pictures, warnings = in_order("rgb.txt", in_seconds(timed_names(folder, "rgb.txt")))
+    images, warnings = in_order("rgb.txt", in_seconds(timed_names(folder, "rgb.txt")))
     depths: list[tuple[float, Path]] = []
     if (folder / "depth.txt").is_file():
         depths, more = in_order("depth.txt", in_seconds(timed_names(folder, "depth.txt")))
         warnings += more
     times = np.array([time for time, _ in depths])
     frames = []
-    for time, picture in pictures:
+    for time, image in images:
         near = int(np.argmin(np.abs(times - time))) if len(times) else -1
         depth = depths[near][1] if near >= 0 and abs(times[near] - time) <= _TUM_NEAREST_S else None
         if depth is not None or not depths:
-            frames.append(FrameFiles(time, picture, None, depth))
+            frames.append(FrameFiles(time, image, None, depth))
     if not frames:
         raise FileFormatError(folder / "depth.txt", "no depth picture belongs to a colour picture")
     sequence = ImageSequence(SequenceKind.TUM_RGBD, tuple(frames), None, warnings=warnings)
@@ -204,7 +204,7 @@ def tum(folder: Path) -> ImageSequence:
 
 
 def _with_tum_camera(sequence: ImageSequence, folder: Path) -> ImageSequence:
-    beside = calibration_beside((folder,), _size(sequence.frames[0].picture))
+    beside = calibration_beside((folder,), _size(sequence.frames[0].image))
     proposed = tum_camera(folder.resolve().name)
     if beside.is_found or proposed is None:
         return replace(
@@ -214,6 +214,6 @@ def _with_tum_camera(sequence: ImageSequence, folder: Path) -> ImageSequence:
     return replace(sequence, camera=camera, camera_source=f"{name} of TUM RGB-D by the folder's name")
 
 
-def _size(picture: Path) -> tuple[int, int]:
-    header = read_header(picture)
+def _size(image: Path) -> tuple[int, int]:
+    header = read_header(image)
     return header.width, header.height

@@ -22,7 +22,7 @@ _ACCEL_UNITS = (
     (0.7, 1.4, "g", "multiply it by 9.80665"),
     (700.0, 1400.0, "thousandths of g", "multiply it by 0.00980665"),
 )
-_MEDIAN_TURN_RAD_S, _FAST_TURN_RAD_S = 5.0, 20.0
+_MEDIAN_ROTATION_RAD_S, _FAST_ROTATION_RAD_S = 5.0, 20.0
 """Median and 95th percentile of the norm of angular velocities beyond which they are in degrees: 290 and 1150 deg/s."""
 _RAD = np.pi / 180.0
 _WINDOW_S = 0.25
@@ -72,21 +72,21 @@ def check_imu_units(path: Path, timestamp_s: np.ndarray, gyro: np.ndarray, accel
     """
     if len(timestamp_s) < _MIN_SAMPLES:
         return
-    pull, turn = (float(np.median(np.linalg.norm(values, axis=1))) for values in (accel, gyro))
+    acceleration, rotation = (float(np.median(np.linalg.norm(values, axis=1))) for values in (accel, gyro))
     low, high = _ACCEL_M_S2
-    said = f"the median norm of its accelerometer is {pull:.3g}, and gravity alone is 9.81 m/s^2"
-    if not low <= pull <= high:
-        if low <= turn <= high:
+    said = f"the median norm of its accelerometer is {acceleration:.3g}, and gravity alone is 9.81 m/s^2"
+    if not low <= acceleration <= high:
+        if low <= rotation <= high:
             raise FileFormatError(
                 path,
-                f"{said}, but that of its gyroscope is {turn:.3g}: columns are expected as time, wx wy wz, ax ay az",
+                f"{said}, but that of its gyroscope is {rotation:.3g}: columns are expected as time, wx wy wz, ax ay az",
             )
-        raise FileFormatError(path, f"{said}: {_why(pull)}")
+        raise FileFormatError(path, f"{said}: {_why(acceleration)}")
     fast = float(np.percentile(np.linalg.norm(gyro, axis=1), 95.0))
-    if turn > _MEDIAN_TURN_RAD_S or fast > _FAST_TURN_RAD_S:
+    if rotation > _MEDIAN_ROTATION_RAD_S or fast > _FAST_ROTATION_RAD_S:
         raise FileFormatError(
             path,
-            f"its angular velocities have a median norm of {turn:.3g} and reach {fast:.3g}, too fast for rad/s: they are probably in "
+            f"its angular velocities have a median norm of {rotation:.3g} and reach {fast:.3g}, too fast for rad/s: they are probably in "
             "degrees a second (multiply them by pi / 180)",
         )
     plain, reduced = (_tilt_error_rad(timestamp_s, factor * gyro, accel) for factor in (1.0, _RAD))
@@ -98,13 +98,15 @@ def check_imu_units(path: Path, timestamp_s: np.ndarray, gyro: np.ndarray, accel
         )
 
 
-def _why(pull: float) -> str:
+def _why(acceleration: float) -> str:
     without = "gravity has been taken out (the specific force with gravity is needed, as sensors measure it)"
     for low, high, name, remedy in _ACCEL_UNITS:
-        if low <= pull <= high:
+        if low <= acceleration <= high:
             return f"it is probably in {name} ({remedy})" + (f", or {without}" if name == "g" else "")
     return (
-        f"probably {without}" if pull < _ACCEL_M_S2[0] else "it is in another unit than m/s^2, or raw counts"
+        f"probably {without}"
+        if acceleration < _ACCEL_M_S2[0]
+        else "it is in another unit than m/s^2, or raw counts"
     )
 
 
@@ -122,7 +124,7 @@ def _tilt_error_rad(times: np.ndarray, gyro_rad_s: np.ndarray, accel: np.ndarray
     step_s = np.diff(times, prepend=times[0])
     travelled = np.cumsum(gyro_rad_s * step_s[:, None], axis=0)
     at_middle = np.stack([np.interp(middle_s, times, travelled[:, axis]) for axis in range(3)], axis=1)
-    turns = Rotation3.exp(np.diff(at_middle, axis=0)).matrix
-    foretold = np.einsum("nji,nj->ni", turns, direction[:-1])
+    rotations = Rotation3.exp(np.diff(at_middle, axis=0)).matrix
+    foretold = np.einsum("nji,nj->ni", rotations, direction[:-1])
     cosine = np.clip(np.einsum("ni,ni->n", foretold, direction[1:]), -1.0, 1.0)
     return float(np.median(np.arccos(cosine)))

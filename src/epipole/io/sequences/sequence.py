@@ -41,7 +41,7 @@ def read_sequence(
         ConfigError: fps is given for frames that have times of their own, or depth_scale for frames without depth.
     """
     found = _read_sequence(Path(folder), fps)
-    if fps is not None and (found.kind is not SequenceKind.PICTURES or (Path(folder) / TIMES).is_file()):
+    if fps is not None and (found.kind is not SequenceKind.IMAGES or (Path(folder) / TIMES).is_file()):
         raise ConfigError(
             f"fps is for folders of pictures without times; these ({found.kind.value}) have their own"
         )
@@ -81,7 +81,7 @@ def _read_sequence(folder: Path, fps: float | None) -> ImageSequence:
         return numbered_frames(folder, names)
     if (folder / "image_0").is_dir():
         return _kitti(folder, folder / "image_0", None)
-    return _pictures(listed.require_some(), fps)
+    return _images(listed.require_some(), fps)
 
 
 def _refuse_several(folder: Path) -> None:
@@ -114,11 +114,9 @@ def _euroc(folder: Path) -> ImageSequence:
         others, more = in_order("cam1/data.csv", timed_names_of_camera(folder / "cam1"))
         rights, warnings = dict(others), warnings + more
     frames = tuple(
-        FrameFiles(ns * 1e-9, picture, rights.get(ns))
-        for ns, picture in lefts
-        if not has_right or ns in rights
+        FrameFiles(ns * 1e-9, image, rights.get(ns)) for ns, image in lefts if not has_right or ns in rights
     )
-    frames = tuple(f for f in frames if f.picture.is_file() and (f.right is None or f.right.is_file()))
+    frames = tuple(f for f in frames if f.image.is_file() and (f.right is None or f.right.is_file()))
     if not frames:
         raise FileFormatError(folder / "cam0" / "data.csv", "none of its pictures is there, with one of cam1")
     files, source = [folder / "cam0" / "sensor.yaml"], "cam0/sensor.yaml"
@@ -138,7 +136,7 @@ def _kitti(folder: Path, left: Path, right: Path | None) -> ImageSequence:
     )
     calibration = folder / "calib.txt"
     sequence = ImageSequence(SequenceKind.KITTI, frames, None, warnings=warnings)
-    size = _size(frames[0].picture)
+    size = _size(frames[0].image)
     if not calibration.is_file():
         return _with_camera(sequence, calibration_beside((folder, left), size))
     pair = (2, 3) if left.name == "image_2" else (0, 1)
@@ -155,7 +153,7 @@ def _kitti(folder: Path, left: Path, right: Path | None) -> ImageSequence:
     return replace(sequence, camera=rig.left, rig=rig, camera_source=source)
 
 
-def _pictures(listed: PhotographList, fps: float | None) -> ImageSequence:
+def _images(listed: PhotographList, fps: float | None) -> ImageSequence:
     folder, names = listed.folder, by_number(listed.names)
     times, warnings = times_of(folder, names, fps or _PLAIN_HZ)
     frames = tuple(FrameFiles(time, folder / name) for time, name in zip(times, names))
@@ -163,16 +161,16 @@ def _pictures(listed: PhotographList, fps: float | None) -> ImageSequence:
         f"the pictures have no times: {_PLAIN_HZ:g} a second are assumed (give fps, or a file times.txt with the seconds"
         " of a picture a line)"
     )
-    is_told = fps is not None or (folder / TIMES).is_file()
-    warnings = (*warnings, *(() if is_told else (note,)), *listed.notes)
-    sequence = ImageSequence(SequenceKind.PICTURES, frames, None, warnings=warnings)
-    return _with_camera(sequence, calibration_beside((folder,), _size(frames[0].picture)))
+    is_given = fps is not None or (folder / TIMES).is_file()
+    warnings = (*warnings, *(() if is_given else (note,)), *listed.notes)
+    sequence = ImageSequence(SequenceKind.IMAGES, frames, None, warnings=warnings)
+    return _with_camera(sequence, calibration_beside((folder,), _size(frames[0].image)))
 
 
 def _with_camera(sequence: ImageSequence, beside: CalibrationBeside) -> ImageSequence:
     return replace(sequence, camera=beside.camera, camera_source=beside.source, camera_problem=beside.problem)
 
 
-def _size(picture: Path) -> tuple[int, int]:
-    header = read_header(picture)
+def _size(image: Path) -> tuple[int, int]:
+    header = read_header(image)
     return header.width, header.height

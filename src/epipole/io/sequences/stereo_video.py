@@ -58,13 +58,13 @@ def extract_pairs(
             frames = [c.retrieve() for c in captures]
             if not all(ok for ok, _ in frames):
                 break
-            pictures = [frame for _, frame in frames]
+            images = [frame for _, frame in frames]
             if is_side_by_side:
-                half = pictures[0].shape[1] // 2
-                pictures = [pictures[0][:, :half], pictures[0][:, half : 2 * half]]
+                half = images[0].shape[1] // 2
+                images = [images[0][:, :half], images[0][:, half : 2 * half]]
             paths = tuple(folder / side / f"frame_{index:06d}.png" for side in ("left", "right"))
-            for path, picture in zip(paths, pictures):
-                _write(path, picture)
+            for path, image in zip(paths, images):
+                _write(path, image)
             pairs.append((paths[0], paths[1]))
         index += 1
     progress(max(wanted) + 1, max(wanted) + 1)
@@ -73,9 +73,9 @@ def extract_pairs(
     return pairs
 
 
-def _write(path: Path, picture: np.ndarray) -> None:
+def _write(path: Path, image: np.ndarray) -> None:
     """Write a frame, unless it is there: by its date a later run knows that a pair is measured."""
-    data = encoded_image(".png", picture)
+    data = encoded_image(".png", image)
     if path.is_file() and path.read_bytes() == data:
         return
     with atomic_write(path) as aside:

@@ -129,14 +129,14 @@ def check_order(table: TrajectoryTable, values: np.ndarray, columns: Columns) ->
     if columns.is_order_certain or not table.has_commas:
         return
     first = np.abs(values[0, 4:8])
-    begins_with_w, ends_with_w = (
+    starts_with_w, ends_with_w = (
         first[one] > _NEAR_ONE and first[other] < _NEAR_ZERO for one, other in ((0, 3), (3, 0))
     )
     is_usual_form = (
         columns.format == "euroc"
     )  # commas and nanoseconds are EuRoC's; commas and seconds nobody's
     agrees, contradicts = (
-        (ends_with_w, begins_with_w) if columns.format == "tum" else (begins_with_w, ends_with_w)
+        (ends_with_w, starts_with_w) if columns.format == "tum" else (starts_with_w, ends_with_w)
     )
     if contradicts or not (agrees or is_usual_form):
         raise FileFormatError(

@@ -136,9 +136,9 @@ def _reading(table: TrajectoryTable, values: np.ndarray, columns: Columns) -> Tr
             covariance = np.zeros((len(values), 6, 6))
             covariance[:, *_UPPER] = covariance[:, *_UPPER[::-1]] = values[:, TUM:]
     _refuse(path, rows, np.diff(times, prepend=-np.inf) < 0, "its time is before that of the line above")
-    places = Rigid3(nearest, np.ascontiguousarray(translation))
+    positions = Rigid3(nearest, np.ascontiguousarray(translation))
     is_timed = columns.format != "kitti"
-    return TrajectoryReading(Trajectory(times, places, covariance, is_timed), columns)
+    return TrajectoryReading(Trajectory(times, positions, covariance, is_timed), columns)
 
 
 @checked
@@ -209,22 +209,22 @@ def write_trajectory(
         ConfigError: the covariance is not known, or the format holds none.
         WorkspaceError: the file cannot be written.
     """
-    places = trajectory.world_from_body
+    positions = trajectory.world_from_body
     if with_covariance and (format != "tum" or trajectory.covariance is None):
         raise ConfigError("covariances are written in TUM's form, of a trajectory that has them")
     with atomic_write(path) as aside, aside.open("w", encoding="utf-8") as file:
         if format == "kitti":
-            matrices = np.concatenate([places.rotation, places.translation[:, :, None]], axis=2)
+            matrices = np.concatenate([positions.rotation, positions.translation[:, :, None]], axis=2)
             file.writelines(f"{exact_text(row)}\n" for row in matrices.reshape(-1, 12))
             return
-        wxyz = Rotation3(places.rotation).as_quat_wxyz()
+        wxyz = Rotation3(positions.rotation).as_quat_wxyz()
         if format == "euroc":
             file.write("#timestamp [ns],x [m],y [m],z [m],qw [],qx [],qy [],qz []\n")
-            for t, p, q in zip(trajectory.timestamp_s, places.translation, wxyz):
+            for t, p, q in zip(trajectory.timestamp_s, positions.translation, wxyz):
                 file.write(f"{round(t / NS)},{exact_text([*p, *q], ',')}\n")
             return
         file.write("# timestamp tx ty tz qx qy qz qw" + (_COVARIANCE_WORDS if with_covariance else "") + "\n")
-        for n, (t, p, q) in enumerate(zip(trajectory.timestamp_s, places.translation, wxyz)):
+        for n, (t, p, q) in enumerate(zip(trajectory.timestamp_s, positions.translation, wxyz)):
             values = [*p, *q[[1, 2, 3, 0]]]
             if with_covariance and trajectory.covariance is not None:
                 values += [*trajectory.covariance[n][_UPPER]]

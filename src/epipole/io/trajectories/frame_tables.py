@@ -24,7 +24,7 @@ _DIGITS = 7
 class FrameTable:
     """Pictures and times, in the order of the source."""
 
-    picture: tuple[str, ...]
+    image: tuple[str, ...]
     """Empty for a frame that was dropped to keep up."""
     timestamp_s: Float64[np.ndarray, " n"]
     """NaN for a frame that was dropped or left out."""
@@ -46,19 +46,19 @@ def read_frame_table(path: str | Path) -> FrameTable:
         rows = list(csv.DictReader(io.StringIO(file_text(path))))
     except csv.Error as error:
         raise FileFormatError(path, f"is no table: {error}") from error
-    pictures: list[str] = []
+    images: list[str] = []
     times: list[float] = []
     for row in rows:
-        name, time, told = row.get("picture"), row.get("timestamp_s"), row.get("frame") or ""
-        number = int(told) if told.isascii() and told.isdecimal() and len(told) <= _DIGITS else -1
-        if number < len(pictures) or name is None or time is None:
-            place = f"frame {len(pictures)}"
-            raise FileFormatError(path, f"{place}: its number, timestamp_s and picture expected")
+        name, time, given = row.get("picture"), row.get("timestamp_s"), row.get("frame") or ""
+        number = int(given) if given.isascii() and given.isdecimal() and len(given) <= _DIGITS else -1
+        if number < len(images) or name is None or time is None:
+            position = f"frame {len(images)}"
+            raise FileFormatError(path, f"{position}: its number, timestamp_s and picture expected")
         try:
             seconds = float(time) if time else np.nan
         except ValueError as error:
             raise FileFormatError(path, f"frame {number}: {error}") from error
-        num_dropped = number - len(pictures)
-        pictures += [*num_dropped * [""], name]
+        num_dropped = number - len(images)
+        images += [*num_dropped * [""], name]
         times += [*num_dropped * [np.nan], seconds]
-    return FrameTable(tuple(pictures), np.array(times, np.float64).reshape(-1))
+    return FrameTable(tuple(images), np.array(times, np.float64).reshape(-1))

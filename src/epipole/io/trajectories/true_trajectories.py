@@ -60,9 +60,9 @@ def truth_of_camera(path: Path, reading: TrajectoryReading) -> Truth:
     if reading.columns.format != "euroc" or sensor is None:
         return Truth(path, reading.trajectory, said)
     trajectory = reading.trajectory
-    places = trajectory.world_from_body @ read_body_from_camera(sensor)
+    positions = trajectory.world_from_body @ read_body_from_camera(sensor)
     words = f"{path.name}: moved from the IMU to the left camera by T_BS of cam0/sensor.yaml"
-    return Truth(path, Trajectory(trajectory.timestamp_s, places), (*said, words))
+    return Truth(path, Trajectory(trajectory.timestamp_s, positions), (*said, words))
 
 
 def camera_of_euroc(path: Path) -> Path | None:
@@ -111,7 +111,7 @@ def _of_folder(folder: Path) -> Truth:
             folder,
             f"holds no true path that is known here ({', '.join(FILES_OF_FOLDERS)}, frame-*.pose.txt, pose/*.txt)",
         )
-    places = Rigid3(
+    positions = Rigid3(
         np.stack([pose.rotation for _, pose in known]), np.stack([pose.translation for _, pose in known])
     )
     times = np.array([number / FRAMES_HZ for number, _ in known])
@@ -122,7 +122,7 @@ def _of_folder(folder: Path) -> Truth:
         else ()
     )
     pattern = f"*{files[0][1].suffixes[0]}{''.join(files[0][1].suffixes[1:])}"
-    return Truth(files[0][1].parent / pattern, Trajectory(times, places), said)
+    return Truth(files[0][1].parent / pattern, Trajectory(times, positions), said)
 
 
 def _is_unknown(path: Path) -> bool:

@@ -16,14 +16,14 @@ from epipole.features.boards import BoardView, corners_on_board
 from epipole.geometry import Rigid3
 from epipole.pipelines.calibration.config import CalibrationConfig
 from epipole.pipelines.calibration.observations import Corners, RigState, adjust
-from epipole.pipelines.calibration.start import place_view, start_camera, start_rig
+from epipole.pipelines.calibration.start import locate_view, start_camera, start_rig
 from epipole.pipelines.calibration.uncertainty import Uncertainty, uncertainty_of
 from epipole.scene import StereoRig
 
 _ROBUST_PX = 1.0
 _LEAST_NOISE_PX = 0.02
 _ROUNDS = 6
-_LEAST_SHARE = 0.5  # a view with a smaller share of inlier corners is left out
+_LEAST_FRACTION = 0.5  # a view with a smaller share of inlier corners is left out
 
 
 class ViewState(StrEnum):
@@ -31,7 +31,7 @@ class ViewState(StrEnum):
 
     USED = "used"
     NO_BOARD = "no board found"
-    NO_PLACE = "its corners fit no place of the board"
+    NO_POSE = "its corners fit no place of the board"
     OFF = "its corners lie far off: another board, a wrong order, or a moved camera"
 
 
@@ -91,7 +91,7 @@ class Calibration:
         """
         if len(self.cameras) != 2:
             raise ShapeError(f"a rig has two cameras, {len(self.cameras)} were calibrated")
-        own = np.r_[: 2 * MAX_PARAMS, self.uncertainty.place_of_camera(1, 2)]
+        own = np.r_[: 2 * MAX_PARAMS, self.uncertainty.pose_of_camera(1, 2)]
         covariance = self.uncertainty.theta[np.ix_(own, own)]
         return StereoRig(self.cameras[0], self.cameras[1], self.state.cam_from_rig[1], covariance)
 
@@ -100,7 +100,7 @@ class Calibration:
         # The centre seen from the other camera is translation t; |t| changes with the translation part of xi along t.
         rig = self.rig()
         toward = rig.right_from_left.translation / rig.baseline
-        own = self.uncertainty.place_of_camera(1, len(self.cameras))
+        own = self.uncertainty.pose_of_camera(1, len(self.cameras))
         return float(np.sqrt(toward @ self.uncertainty.theta[own, own][:3, :3] @ toward))
 
     def __repr__(self) -> str:
@@ -138,7 +138,7 @@ def calibrate_views(
         raise ShapeError("a view has corners that the board has not")
     state = _start(corners, board, sizes, config)
     state, _ = adjust(state, corners, board, robust_px=_ROBUST_PX)
-    state, used = _settle(state, corners, board, config)
+    state, used = _optimize(state, corners, board, config)
     known = uncertainty_of(state, corners.select(used), board, with_warp=config.refine_warp)
     if config.refine_warp:
         for _ in range(_ROUNDS):
@@ -159,48 +159,48 @@ def _start(
     model = camera_model_named(config.model)
     alone: list[tuple[Camera, Rigid3]] = []
     for c, size in enumerate(sizes):
-        camera, places = start_camera(corners, c, board, model, size)
+        camera, positions = start_camera(corners, c, board, model, size)
         own = corners.select(corners.camera == c)
         single = replace(own, camera=np.zeros(len(own), np.int64), num_cameras=1)
-        begin = RigState((camera,), Rigid3.identity(1), places, np.zeros(2))
-        found, _ = adjust(begin, single, board, robust_px=_ROBUST_PX)
+        start = RigState((camera,), Rigid3.identity(1), positions, np.zeros(2))
+        found, _ = adjust(start, single, board, robust_px=_ROBUST_PX)
         alone.append((found.cameras[0], found.rig_from_board))
     first_from_board = alone[0][1]
     rotation, translation = np.eye(3)[None], np.zeros((1, 3))
-    places_rotation, places_translation = (
+    constrains_rotation, constrains_translation = (
         first_from_board.rotation.copy(),
         first_from_board.translation.copy(),
     )
-    for _, places in alone[1:]:
-        motion = start_rig(first_from_board, places)
+    for _, positions in alone[1:]:
+        motion = start_rig(first_from_board, positions)
         rotation = np.concatenate([rotation, motion.rotation[None]])
         translation = np.concatenate([translation, motion.translation[None]])
-        from_other = motion.inverse() @ places
-        missing = ~np.isfinite(places_translation).all(axis=1)
-        places_rotation[missing] = from_other.rotation[missing]
-        places_translation[missing] = from_other.translation[missing]
+        from_other = motion.inverse() @ positions
+        missing = ~np.isfinite(constrains_translation).all(axis=1)
+        constrains_rotation[missing] = from_other.rotation[missing]
+        constrains_translation[missing] = from_other.translation[missing]
     return RigState(
         tuple(camera for camera, _ in alone),
         Rigid3(rotation, translation),
-        Rigid3(places_rotation, places_translation),
+        Rigid3(constrains_rotation, constrains_translation),
         np.zeros(2),
     )
 
 
-def _settle(
+def _optimize(
     state: RigState, corners: Corners, board: np.ndarray, config: CalibrationConfig
 ) -> tuple[RigState, np.ndarray]:
     """Plain least squares over the corners that agree, which are chosen anew after each fit."""
     used = _agreeing(state, corners, board, config)
     for _ in range(_ROUNDS):
         state, _ = adjust(_only_seen(state, corners, used), corners.select(used), board)
-        state = _with_all_places(state, corners, board)
+        state = _with_all_poses(state, corners, board)
         now = _agreeing(state, corners, board, config)
         if (now == used).all():
             break
         used = now
     state, _ = adjust(_only_seen(state, corners, used), corners.select(used), board)
-    return _with_all_places(state, corners, board), used
+    return _with_all_poses(state, corners, board), used
 
 
 def _agreeing(state: RigState, corners: Corners, board: np.ndarray, config: CalibrationConfig) -> np.ndarray:
@@ -222,7 +222,7 @@ def _agreeing(state: RigState, corners: Corners, board: np.ndarray, config: Cali
     agreeing = good & (distance <= config.outlier_factor * sigma)
     for k in np.unique(key[good]):
         own = key == k
-        if agreeing[own].mean() < _LEAST_SHARE:
+        if agreeing[own].mean() < _LEAST_FRACTION:
             agreeing[own] = False
     return agreeing
 
@@ -239,18 +239,18 @@ def _only_seen(state: RigState, corners: Corners, used: np.ndarray) -> RigState:
     return replace(state, rig_from_board=Rigid3(rotation, translation))
 
 
-def _with_all_places(state: RigState, corners: Corners, board: np.ndarray) -> RigState:
+def _with_all_poses(state: RigState, corners: Corners, board: np.ndarray) -> RigState:
     """The state with poses for all views: those left out may agree with better cameras."""
     rotation, translation = state.rig_from_board.rotation.copy(), state.rig_from_board.translation.copy()
     for view in np.flatnonzero(~np.isfinite(translation).all(axis=1)):
         for c, camera in enumerate(state.cameras):
             rows = corners.of_view(c, int(view))
             found = (
-                place_view(camera, corners.pixels[rows], board[corners.corner[rows]]) if len(rows) else None
+                locate_view(camera, corners.pixels[rows], board[corners.corner[rows]]) if len(rows) else None
             )
             if found is not None:
-                place = state.cam_from_rig[c].inverse() @ found[0]
-                rotation[view], translation[view] = place.rotation, place.translation
+                position = state.cam_from_rig[c].inverse() @ found[0]
+                rotation[view], translation[view] = position.rotation, position.translation
                 break
     return replace(state, rig_from_board=Rigid3(rotation, translation))
 
@@ -266,7 +266,7 @@ def _states(corners: Corners, used: np.ndarray, residuals: np.ndarray) -> tuple[
             elif used[rows].any():
                 states.append(ViewState.USED)
             else:
-                placed = np.isfinite(residuals[rows]).any()
-                states.append(ViewState.OFF if placed else ViewState.NO_PLACE)
+                has_residual = np.isfinite(residuals[rows]).any()
+                states.append(ViewState.OFF if has_residual else ViewState.NO_POSE)
         out.append(tuple(states))
     return tuple(out)

@@ -90,7 +90,7 @@ def show_calibration(run: CalibrationRun) -> None:
     for c, states in enumerate(found.view_states):
         left_out = [
             f"{path.name}: {state.value}"
-            for path, state in zip(run.pictures[c], states)
+            for path, state in zip(run.images[c], states)
             if state.value != "used" and str(path) not in run.problems
         ]
         print_warnings(console, left_out)

@@ -17,7 +17,7 @@ from epipole.geometry.rotation3 import Rotation3, skew
 from epipole.pipelines.calibration.calibrate import Calibration, calibrate_views
 from epipole.pipelines.calibration.coverage import covered_pixels
 from epipole.pipelines.calibration.observations import Corners, RigState, adjust
-from epipole.pipelines.calibration.start import place_view
+from epipole.pipelines.calibration.start import locate_view
 
 _ROUNDS = 20
 _LEAST_VIEWS = 6
@@ -90,13 +90,13 @@ def projection_difference(
     rays = first.unproject(pixels)
     rotation = np.eye(3)
     for _ in range(_ROUNDS):
-        turned = rays @ rotation.T
-        seen, by_point, _ = second.project_with_jacobian(np.nan_to_num(turned, nan=-1.0))
+        rotated = rays @ rotation.T
+        seen, by_point, _ = second.project_with_jacobian(np.nan_to_num(rotated, nan=-1.0))
         error = seen - pixels
         usable = np.isfinite(error).all(axis=1) & np.isfinite(rays).all(axis=1)
         if usable.sum() < 3:
             break
-        jacobian = by_point[usable] @ -skew(turned[usable])
+        jacobian = by_point[usable] @ -skew(rotated[usable])
         weight = 1.0 / (1.0 + (error[usable] ** 2).sum(axis=1))
         normal = np.einsum("n,nij,nik->jk", weight, jacobian, jacobian)
         step = -np.linalg.solve(normal, np.einsum("n,nij,ni->j", weight, jacobian, error[usable]))
@@ -116,13 +116,13 @@ def cross_check(views: Sequence[Sequence[BoardView]], found: Calibration) -> Cro
         return None
     sizes = [(c.width, c.height) for c in found.cameras]
     kept = _only_used(views, found)
-    halves = [[[own[v] for v in used[start::2]] for own in kept] for start in (0, 1)]
+    split = [[[own[v] for v in used[start::2]] for own in kept] for start in (0, 1)]
     try:
-        fitted = [calibrate_views(half, sizes, found.config) for half in halves]
+        fitted = [calibrate_views(half, sizes, found.config) for half in split]
         disagreement, num_unknowns = _disagreement(fitted[0], fitted[1])
     except (EpipoleError, np.linalg.LinAlgError):
         return None
-    held_out = [_held_out_rms(fitted[k], halves[1 - k]) for k in (0, 1)]
+    held_out = [_validation_rms(fitted[k], split[1 - k]) for k in (0, 1)]
     differences = [
         projection_difference(a, b, covered_pixels(found, c))
         for c, (a, b) in enumerate(zip(fitted[0].cameras, fitted[1].cameras))
@@ -144,8 +144,8 @@ def _disagreement(first: Calibration, second: Calibration) -> tuple[float, int]:
     for c, (a, b) in enumerate(zip(first.cameras, second.cameras)):
         apart[MAX_PARAMS * c : MAX_PARAMS * c + len(a.params)] = b.params - a.params
         if c:
-            turned = second.state.cam_from_rig[c] @ first.state.cam_from_rig[c].inverse()
-            apart[first.uncertainty.place_of_camera(c, count)] = turned.log()
+            rotated = second.state.cam_from_rig[c] @ first.state.cam_from_rig[c].inverse()
+            apart[first.uncertainty.pose_of_camera(c, count)] = rotated.log()
     apart[-2:] = second.state.warp - first.state.warp
     covariance = first.uncertainty.theta + second.uncertainty.theta
     free = np.diag(covariance) > 0
@@ -168,19 +168,19 @@ def _only_used(views: Sequence[Sequence[BoardView]], found: Calibration) -> list
     return out
 
 
-def _held_out_rms(fitted: Calibration, views: list[list[BoardView]]) -> float:
+def _validation_rms(fitted: Calibration, views: list[list[BoardView]]) -> float:
     corners, board = Corners.of(views), fitted.board
     rotation = np.full((corners.num_views, 3, 3), np.nan)
     translation = np.full((corners.num_views, 3), np.nan)
     for v in range(corners.num_views):
         for c, camera in enumerate(fitted.cameras):
             rows = corners.of_view(c, v)
-            placed = (
-                place_view(camera, corners.pixels[rows], board[corners.corner[rows]]) if len(rows) else None
+            used = (
+                locate_view(camera, corners.pixels[rows], board[corners.corner[rows]]) if len(rows) else None
             )
-            if placed is not None:
-                place = fitted.state.cam_from_rig[c].inverse() @ placed[0]
-                rotation[v], translation[v] = place.rotation, place.translation
+            if used is not None:
+                position = fitted.state.cam_from_rig[c].inverse() @ used[0]
+                rotation[v], translation[v] = position.rotation, position.translation
                 break
     state: RigState = replace(fitted.state, rig_from_board=Rigid3(rotation, translation))
     state, _ = adjust(state, corners, board, refine_cameras=False)

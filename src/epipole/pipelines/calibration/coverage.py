@@ -18,11 +18,11 @@ def coverage(found: Calibration, camera: int) -> float:
 def covered_cells(found: Calibration, camera: int) -> Bool[np.ndarray, "9 12"]:
     """Cells between the outermost used corners of their row and of their column."""
     own = found.used_mask & (found.corners.camera == camera)
-    pixels, lens = found.corners.pixels[own], found.cameras[camera]
+    pixels, intrinsics = found.corners.pixels[own], found.cameras[camera]
     columns, rows = _CELLS
     hit = np.zeros((rows, columns), bool)
-    column = np.clip((pixels[:, 0] + 0.5) / lens.width * columns, 0, columns - 1).astype(int)
-    row = np.clip((pixels[:, 1] + 0.5) / lens.height * rows, 0, rows - 1).astype(int)
+    column = np.clip((pixels[:, 0] + 0.5) / intrinsics.width * columns, 0, columns - 1).astype(int)
+    row = np.clip((pixels[:, 1] + 0.5) / intrinsics.height * rows, 0, rows - 1).astype(int)
     hit[row, column] = True
     across = np.logical_or.accumulate(hit, axis=1) & np.logical_or.accumulate(hit[:, ::-1], axis=1)[:, ::-1]
     down = np.logical_or.accumulate(hit, axis=0) & np.logical_or.accumulate(hit[::-1], axis=0)[::-1]
@@ -31,8 +31,8 @@ def covered_cells(found: Calibration, camera: int) -> Bool[np.ndarray, "9 12"]:
 
 def covered_pixels(found: Calibration, camera: int) -> Float64[np.ndarray, "n 2"]:
     """Middles of the covered cells."""
-    lens, cells = found.cameras[camera], covered_cells(found, camera)
+    intrinsics, cells = found.cameras[camera], covered_cells(found, camera)
     row, column = np.nonzero(cells)
-    u = (column + 0.5) / cells.shape[1] * lens.width - 0.5
-    v = (row + 0.5) / cells.shape[0] * lens.height - 0.5
+    u = (column + 0.5) / cells.shape[1] * intrinsics.width - 0.5
+    v = (row + 0.5) / cells.shape[0] * intrinsics.height - 0.5
     return np.stack([u, v], axis=1)

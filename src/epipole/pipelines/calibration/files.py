@@ -24,7 +24,7 @@ class CalibrationRun:
     calibration: Calibration
     check: CrossCheck | None
     verdict: Verdict
-    pictures: tuple[tuple[Path, ...], ...]
+    images: tuple[tuple[Path, ...], ...]
     """By `[camera][view]`."""
     problems: dict[str, str]
     """Images that could not be read, and why; and how images that EXIF turns differently were read."""

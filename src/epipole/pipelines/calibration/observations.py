@@ -141,8 +141,8 @@ def adjust(
         np.where(known[:, None, None], state.rig_from_board.rotation, np.eye(3)),
         np.where(known[:, None], state.rig_from_board.translation, 0.0),
     )
-    turning = np.ones((count, 6)) if refine_cameras else np.zeros((count, 6))
-    turning[0] = 0.0
+    rotating = np.ones((count, 6)) if refine_cameras else np.zeros((count, 6))
+    rotating[0] = 0.0
     free = free_params(state.cameras)
     problem = BundleProblem(
         rig_from_world=start,
@@ -158,12 +158,12 @@ def adjust(
         frame_free=np.repeat(known[:, None].astype(np.float64), 6, axis=1),
         params_free=free if refine_cameras else np.zeros_like(free),
         point_free=np.zeros(len(board)),
-        sensor_free=turning,
+        sensor_free=rotating,
     )
     loss = {"loss": Loss.TRIVIAL} if robust_px is None else {"loss": Loss.CAUCHY, "loss_scale_px": robust_px}
     config = BundleConfig(**loss, max_iterations=200, function_tolerance=1e-10)
     result = adjust_bundle(problem, config)
-    places = Rigid3(
+    positions = Rigid3(
         np.where(known[:, None, None], result.rig_from_world.rotation, np.nan),
         np.where(known[:, None], result.rig_from_world.translation, np.nan),
     )
@@ -171,4 +171,4 @@ def adjust(
         Camera(c.model, c.width, c.height, result.camera_params[k, : c.model.num_params].copy())
         for k, c in enumerate(state.cameras)
     )
-    return RigState(cameras, result.cam_from_rig, places, state.warp), result
+    return RigState(cameras, result.cam_from_rig, positions, state.warp), result

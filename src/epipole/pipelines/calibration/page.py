@@ -15,8 +15,8 @@ from epipole.pipelines.calibration.files import CalibrationRun
 from epipole.pipelines.calibration.uncertainty import projection_sigma
 from epipole.report.charts import draw_curves, draw_histogram, histogram_of, nice_ticks, tick_text
 from epipole.report.frame import render
+from epipole.report.images import png_uri
 from epipole.report.markup import number
-from epipole.report.pictures import picture_uri
 
 _GRID = (48, 36)
 _RANGES = np.geomspace(2.0, 2000.0, 25)  # of a board's square
@@ -132,7 +132,7 @@ def _far_sigma(found: Calibration, c: int) -> tuple[float, float, str]:
     far = projection_sigma(found.state, found.uncertainty, c, pixels, np.inf).reshape(rows, columns)
     shown = np.repeat(np.repeat(np.log10(np.maximum(far, 1e-6)), 12, axis=0), 12, axis=1)
     low, high = np.nanpercentile(far, (1, 99))
-    return float(low), float(high), picture_uri(color_map(shown))
+    return float(low), float(high), png_uri(color_map(shown))
 
 
 def _dots(found: Calibration, c: int) -> list[_Dot]:
@@ -191,8 +191,8 @@ def _longest_rms_px(found: Calibration) -> float:
 def _views(run: CalibrationRun, longest_px: float) -> list[_ViewLine]:
     found = run.calibration
     lines = []
-    for c, pictures in enumerate(run.pictures):
-        names = [path.name for path in pictures]
+    for c, images in enumerate(run.images):
+        names = [path.name for path in images]
         rms = found.view_rms_px(c)
         for v, name in enumerate(names):
             state = found.view_states[c][v]

@@ -25,7 +25,7 @@ from epipole.pipelines.calibration.page import render_page
 from epipole.pipelines.calibration.verdict import assess
 from epipole.runs import Job, ProgressCallback, Run, ignore_progress, open_run
 
-_LOOKED_AT = 8
+_NUM_INSPECTED = 8
 _SIDES = (("left", "right"), ("cam0", "cam1"), ("image_0", "image_1"), ("l", "r"), ("0", "1"))
 
 
@@ -66,7 +66,7 @@ def calibrate(
         progress=progress,
     )
     with open_run(job, as_path(out)) as run:
-        found = _measure(pictures_of_cameras(images, *others), run, config)
+        found = _measure(images_of_cameras(images, *others), run, config)
         for folder in (images, *others):
             for number, note in enumerate(list_photographs(folder).notes):
                 found.problems[f"{folder} {number}"] = note
@@ -77,11 +77,11 @@ def calibrate(
         return found
 
 
-def _measure(pictures: list[list[Path]], run: Run, config: CalibrationConfig) -> CalibrationRun:
+def _measure(images: list[list[Path]], run: Run, config: CalibrationConfig) -> CalibrationRun:
     """Find the board in every picture, calibrate, and check."""
-    views, sizes, problems = _look_at_all(pictures, run, config)
+    views, sizes, problems = _inspect_all(images, run, config)
     run.report("calibrate", 0, 2)
-    against = _against(pictures, config.board)
+    against = _against(images, config.board)
     try:
         result = calibrate_views(views, sizes, config)
     except DegenerateGeometryError as error:
@@ -92,23 +92,23 @@ def _measure(pictures: list[list[Path]], run: Run, config: CalibrationConfig) ->
         result = replace(result, uncertainty=result.uncertainty.widened(check.widening))
     verdict = assess(result, check, against)
     run.report("calibrate", 2, 2)
-    return CalibrationRun(run.root, result, check, verdict, tuple(tuple(p) for p in pictures), problems)
+    return CalibrationRun(run.root, result, check, verdict, tuple(tuple(p) for p in images), problems)
 
 
-def _look_at_all(
-    pictures: list[list[Path]], run: Run, config: CalibrationConfig
+def _inspect_all(
+    images: list[list[Path]], run: Run, config: CalibrationConfig
 ) -> tuple[list[list[BoardView]], list[tuple[int, int]], dict[str, str]]:
     """Views of the board and the picture size of each camera, and what is wrong with single pictures."""
     views: list[list[BoardView]] = []
     sizes: list[tuple[int, int]] = []
     problems: dict[str, str] = {}
-    total, done = sum(len(p) for p in pictures), 0
-    for own in pictures:
+    total, done = sum(len(p) for p in images), 0
+    for own in images:
         found, shapes = [], []
         orientation, note = _common_orientation(own)
         problems |= note
         for path in own:
-            view, shape = _look(path, config, problems, orientation)
+            view, shape = _inspect(path, config, problems, orientation)
             found.append(view)
             shapes.append(shape)
             done += 1
@@ -125,11 +125,11 @@ def _look_at_all(
     return views, sizes, problems
 
 
-def _against(pictures: Sequence[Sequence[Path]], board: BoardConfig) -> list[str]:
+def _against(images: Sequence[Sequence[Path]], board: BoardConfig) -> list[str]:
     """Complain if the board is larger than stated: then a different part of it is found in each view."""
     if board.kind != "chessboard":
         return []
-    size = whole_chessboard(_readable(pictures[0][:_LOOKED_AT]), board)
+    size = whole_chessboard(_readable(images[0][:_NUM_INSPECTED]), board)
     if size is None:
         return []
     return [
@@ -137,13 +137,13 @@ def _against(pictures: Sequence[Sequence[Path]], board: BoardConfig) -> list[str
     ]
 
 
-def _readable(pictures: Sequence[Path]) -> Iterator[np.ndarray]:
-    for path in pictures:
+def _readable(images: Sequence[Path]) -> Iterator[np.ndarray]:
+    for path in images:
         with suppress(FileFormatError):
             yield read_grey(path)
 
 
-def pictures_of_cameras(images: Path, right: Path | None = None) -> list[list[Path]]:
+def images_of_cameras(images: Path, right: Path | None = None) -> list[list[Path]]:
     """Pictures of one camera, or of two in the same order, where some may not exist: views of one camera alone.
 
     Raises:
@@ -154,13 +154,13 @@ def pictures_of_cameras(images: Path, right: Path | None = None) -> list[list[Pa
         return [[a for a, _ in pairs], [b for _, b in pairs]]
     for first, second in _SIDES:
         if (images / first).is_dir() and (images / second).is_dir():
-            return pictures_of_cameras(images / first, images / second)
-    every = _pictures(images)
+            return images_of_cameras(images / first, images / second)
+    every = _images(images)
     within = pair_within(images)
     return [[a for a, _ in within], [b for _, b in within]] if within else [every]
 
 
-def _pictures(folder: Path) -> list[Path]:
+def _images(folder: Path) -> list[Path]:
     return [folder / name for name in list_photographs(folder).require_some().names]
 
 
@@ -175,9 +175,9 @@ def _common_orientation(images: Sequence[Path]) -> tuple[int | None, dict[str, s
         with suppress(FileFormatError, MissingDependencyError):
             header = read_header(path)
             shapes.append(ImageShape(header.width, header.height, header.orientation))
-    turned = len({shape.orientation for shape in shapes})
+    rotated = len({shape.orientation for shape in shapes})
     stored, upright = (len({shape.size(pixels) for shape in shapes}) for pixels in ImagePixels)
-    if turned < 2 or stored > upright:
+    if rotated < 2 or stored > upright:
         return None, {}
     note = (
         f"the images in {images[0].parent.name} are turned differently by EXIF: the calibration describes their stored pixels,"
@@ -186,7 +186,7 @@ def _common_orientation(images: Sequence[Path]) -> tuple[int | None, dict[str, s
     return 1, {f"{images[0].parent} {images[0].name}: orientation": note}
 
 
-def _look(
+def _inspect(
     path: Path, config: CalibrationConfig, problems: dict[str, str], orientation: int | None
 ) -> tuple[BoardView, tuple[int, int] | None]:
     try:
@@ -197,7 +197,7 @@ def _look(
     return find_board(grey, config.board), (grey.shape[1], grey.shape[0])
 
 
-def _asked_for(board: BoardConfig) -> str:
+def _requested(board: BoardConfig) -> str:
     size = f"{board.columns} x {board.rows}"
     if board.kind == "chessboard":
         return f"a chessboard of {size} inner corners was asked for"
@@ -208,16 +208,16 @@ def _asked_for(board: BoardConfig) -> str:
 def _common_size(
     found: Sequence[BoardView],
     shapes: Sequence[tuple[int, int] | None],
-    pictures: Sequence[Path],
+    images: Sequence[Path],
     board: BoardConfig,
 ) -> tuple[int, int]:
     """The size of most pictures with a board (of most pictures where there is none)."""
     with_board = [s for s, view in zip(shapes, found) if s is not None and len(view)]
     every = with_board or [s for s in shapes if s is not None]
     if not every:
-        raise FileFormatError(pictures[0].parent, "none of its pictures can be read")
+        raise FileFormatError(images[0].parent, "none of its pictures can be read")
     if not with_board:
         raise DegenerateGeometryError(
-            f"the board is in none of the {len(pictures)} pictures of {pictures[0].parent}: {_asked_for(board)}"
+            f"the board is in none of the {len(images)} pictures of {images[0].parent}: {_requested(board)}"
         )
     return max(sorted(set(every)), key=every.count)

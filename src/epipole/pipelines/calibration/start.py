@@ -23,7 +23,7 @@ _TRIMS, _TRIM = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Places:
+class _Positions:
     rig_from_board: Rigid3
     error_px: np.ndarray
     """Median distance of each view's corners; NaN where there are none."""
@@ -59,9 +59,12 @@ def start_camera(
     coarse = max(size) * _FOCALS
     best = min(coarse, key=error)
     camera_guess = guess(min(best * _FINER, key=error))
-    places = _places(camera_guess, corners, views, board, seen)
-    good = places.error_px <= _FAR_VIEW * max(float(np.nanmedian(places.error_px)), 0.1)
-    rotation, translation = places.rig_from_board.rotation.copy(), places.rig_from_board.translation.copy()
+    positions = _positions(camera_guess, corners, views, board, seen)
+    good = positions.error_px <= _FAR_VIEW * max(float(np.nanmedian(positions.error_px)), 0.1)
+    rotation, translation = (
+        positions.rig_from_board.rotation.copy(),
+        positions.rig_from_board.translation.copy(),
+    )
     rotation[~good], translation[~good] = np.nan, np.nan
     return camera_guess, Rigid3(rotation, translation)
 
@@ -100,7 +103,7 @@ def plane_pose(rays: np.ndarray, points: np.ndarray) -> Rigid3 | None:
     return Rigid3(rotation, matrix[:, 2] * size / values.mean() - rotation @ middle)
 
 
-def place_view(
+def locate_view(
     camera: Camera, pixels: np.ndarray, points: np.ndarray, *, precise: bool = True
 ) -> tuple[Rigid3, float] | None:
     """cam_from_board of one view and its median error; refitted twice without outlier corners.
@@ -131,17 +134,17 @@ def _pose(rays: np.ndarray, points: np.ndarray, *, precise: bool) -> Rigid3 | No
         return None
 
 
-def _places(
+def _positions(
     camera: Camera, corners: Corners, views: list[np.ndarray], board: np.ndarray, which: list[int]
-) -> _Places:
+) -> _Positions:
     rotation, translation = np.full((len(views), 3, 3), np.nan), np.full((len(views), 3), np.nan)
     error = np.full(len(views), np.nan)
     for v in which:
         rows = views[v]
-        found = place_view(camera, corners.pixels[rows], board[corners.corner[rows]], precise=False)
+        found = locate_view(camera, corners.pixels[rows], board[corners.corner[rows]], precise=False)
         if found is not None:
             rotation[v], translation[v], error[v] = found[0].rotation, found[0].translation, found[1]
-    return _Places(Rigid3(rotation, translation), error)
+    return _Positions(Rigid3(rotation, translation), error)
 
 
 def start_rig(first_from_board: Rigid3, other_from_board: Rigid3) -> Rigid3:

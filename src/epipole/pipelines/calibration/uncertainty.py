@@ -26,7 +26,7 @@ class Uncertainty:
     theta: Float64[np.ndarray, "t t"]
     """Zero for what was held."""
     theta_and_mean: Float64[np.ndarray, "t 6"]
-    mean_place: Float64[np.ndarray, "6 6"]
+    mean_position: Float64[np.ndarray, "6 6"]
     """Of the mean of all views' xi."""
     noise_px: float
     """Standard deviation of a corner's coordinate."""
@@ -39,10 +39,10 @@ class Uncertainty:
             self,
             theta=factor**2 * self.theta,
             theta_and_mean=factor**2 * self.theta_and_mean,
-            mean_place=factor**2 * self.mean_place,
+            mean_position=factor**2 * self.mean_position,
         )
 
-    def place_of_camera(self, camera: int, num_cameras: int) -> slice:
+    def pose_of_camera(self, camera: int, num_cameras: int) -> slice:
         """Where the motion of a camera (not the first) stands in theta."""
         return slice(MAX_PARAMS * num_cameras + 6 * (camera - 1), MAX_PARAMS * num_cameras + 6 * camera)
 
@@ -66,13 +66,13 @@ def uncertainty_of(
         rows = np.flatnonzero((corners.view == view) & np.isfinite(residuals).all(axis=1))
         if not len(rows):
             continue
-        by_theta, by_place = _jacobians(state, corners, board, rows)
+        by_theta, by_position = _jacobians(state, corners, board, rows)
         by_theta *= free
         error = residuals[rows].reshape(-1)
-        cross, own = by_theta.T @ by_place, by_place.T @ by_place
+        cross, own = by_theta.T @ by_position, by_position.T @ by_position
         inverse = np.linalg.inv(own)
         reduced += by_theta.T @ by_theta - cross @ inverse @ cross.T
-        gradient += by_theta.T @ error - cross @ inverse @ (by_place.T @ error)
+        gradient += by_theta.T @ error - cross @ inverse @ (by_position.T @ error)
         mean_map += cross @ inverse
         mean_own += inverse
         num_views += 1
@@ -119,16 +119,19 @@ def projection_sigma(
     points = rays * min(distance, far)
     _, by_point, by_params = state.cameras[camera].project_with_jacobian(points)
     moved = np.concatenate([np.broadcast_to(np.eye(3), (len(points), 3, 3)), -skew(points)], axis=2)
-    by_place = by_point @ moved
+    by_position = by_point @ moved
     by_theta = np.zeros((len(points), 2, known.theta.shape[0]))
     by_theta[:, :, MAX_PARAMS * camera : MAX_PARAMS * camera + by_params.shape[2]] = by_params
     if camera:
-        by_theta[:, :, known.place_of_camera(camera, count)] = by_place
-        by_place = by_place @ state.cam_from_rig[camera].adjoint()
+        by_theta[:, :, known.pose_of_camera(camera, count)] = by_position
+        by_position = by_position @ state.cam_from_rig[camera].adjoint()
     variance = by_theta @ known.theta @ by_theta.transpose(0, 2, 1)
-    both = by_theta @ known.theta_and_mean @ by_place.transpose(0, 2, 1)
+    both = by_theta @ known.theta_and_mean @ by_position.transpose(0, 2, 1)
     variance = (
-        variance + both + both.transpose(0, 2, 1) + by_place @ known.mean_place @ by_place.transpose(0, 2, 1)
+        variance
+        + both
+        + both.transpose(0, 2, 1)
+        + by_position @ known.mean_position @ by_position.transpose(0, 2, 1)
     )
     usable = np.isfinite(variance).all(axis=(1, 2))
     out = np.full(len(points), np.nan)
@@ -151,11 +154,11 @@ def _jacobians(
     """D residuals / d theta and d residuals / d xi of one view's place: (2 n, t), (2 n, 6)."""
     count, view = len(state.cameras), int(corners.view[rows[0]])
     size = MAX_PARAMS * count + 6 * (count - 1) + 2
-    by_theta, by_place = np.zeros((len(rows), 2, size)), np.zeros((len(rows), 2, 6))
-    place = state.rig_from_board[view]
+    by_theta, by_position = np.zeros((len(rows), 2, size)), np.zeros((len(rows), 2, 6))
+    position = state.rig_from_board[view]
     on_board = bent(board, state.warp)[corners.corner[rows]]
     raised = warp_shapes(board)[corners.corner[rows]]
-    in_rig = place.apply(on_board)
+    in_rig = position.apply(on_board)
     for c, camera in enumerate(state.cameras):
         own = np.flatnonzero(corners.camera[rows] == c)
         if not len(own):
@@ -169,8 +172,8 @@ def _jacobians(
             by_theta[own, :, at : at + 3] = by_point
             by_theta[own, :, at + 3 : at + 6] = by_point @ -skew(in_cam)
         in_rig_frame = by_point @ rotation
-        by_place[own, :, :3] = in_rig_frame
-        by_place[own, :, 3:] = in_rig_frame @ -skew(in_rig[own])
-        by_bend = (in_rig_frame @ place.rotation)[:, :, 2]
+        by_position[own, :, :3] = in_rig_frame
+        by_position[own, :, 3:] = in_rig_frame @ -skew(in_rig[own])
+        by_bend = (in_rig_frame @ position.rotation)[:, :, 2]
         by_theta[own, :, -2:] = by_bend[:, :, None] * raised[own][:, None, :]
-    return by_theta.reshape(-1, size), by_place.reshape(-1, 6)
+    return by_theta.reshape(-1, size), by_position.reshape(-1, 6)

@@ -26,8 +26,8 @@ def convert(
     with working():
         done = run(source, target, format)
     console = open_console()
-    pictures = f" with {done.num_pictures} pictures" if done.num_pictures else ""
-    console.print(f"Written {done.out}{pictures}", highlight=False, markup=False)
+    images = f" with {done.num_images} pictures" if done.num_images else ""
+    console.print(f"Written {done.out}{images}", highlight=False, markup=False)
     print_warnings(console, [*done.warnings, *done.losses])
     if done.missing:
         note = f"{len(done.missing)} pictures were not found ({done.missing[0]} first): put them into {done.out}/images"

@@ -29,7 +29,7 @@ from epipole.scene import Reconstruction
 from epipole.scene.gaussian_cloud import GaussianCloud
 
 KIND = "convert"
-_WITH_PICTURES = ("transforms", "bundler")
+_WITH_IMAGES = ("transforms", "bundler")
 _SUFFIXES_OF_FILES = (".json", ".out", ".txt", ".bin", ".ply", ".db")
 
 
@@ -39,7 +39,7 @@ class Conversion:
 
     out: Path
     """The folder, or the PLY file."""
-    num_pictures: int
+    num_images: int
     """Pictures that lie in `images/` beside the model."""
     missing: tuple[str, ...]
     """Images of the model whose pictures were not found."""
@@ -49,7 +49,7 @@ class Conversion:
     """What the format cannot hold, in words."""
 
 
-def format_told_by(source: Path, target: Path) -> str | None:
+def format_of(source: Path, target: Path) -> str | None:
     """The format that a target's name tells, or None: several formats are folders."""
     name = target.name.lower()
     if name.endswith((".spz", ".sog", ".splat", ".compressed.ply")):
@@ -78,7 +78,7 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
         WorkspaceError: the target cannot be written, holds something else, or is a file that no earlier call wrote.
     """
     source, target = as_path(source), as_path(target)
-    format = format_told_by(source, target) if format is None else format
+    format = format_of(source, target) if format is None else format
     if format is None:
         raise ConfigError(
             f"{target} tells no format that is written: end it in .ply or {', '.join(SUFFIXES[1:])}, or give format, one of "
@@ -95,16 +95,16 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
     model, losses = read_model(source), tuple(losses_in(source))
     if target.suffix.lower() in _SUFFIXES_OF_FILES and not target.is_dir():
         raise WorkspaceError(f"{target}: {format} is a format of several files; give the name of a folder")
-    names = _names_with_place(model) if format in _WITH_PICTURES else []
-    found = {name: path for name in names if (path := _picture(source, name)) is not None}
+    names = _names_with_pose(model) if format in _WITH_IMAGES else []
+    found = {name: path for name in names if (path := _image(source, name)) is not None}
     with open_run(Job(kind=KIND, inputs=(source,), settings={"format": format}), target) as run:
-        if format in _WITH_PICTURES:
+        if format in _WITH_IMAGES:
             with run.folder.replacing(IMAGE_FOLDER, [f"{IMAGE_FOLDER}/{name}" for name in found]):
                 for name, path in found.items():
                     link_or_copy(path, run.root / IMAGE_FOLDER / name)
         with run.folder.publish(format) as aside:  # last: where it is, its pictures are
             FOLDER_WRITERS[format](model, aside)
-        run.finish({"num_pictures": len(found), "warnings": losses})
+        run.finish({"num_images": len(found), "warnings": losses})
     return Conversion(target, len(found), tuple(name for name in names if name not in found), losses)
 
 
@@ -143,11 +143,11 @@ def _convert_to_ply(source: Path, target: Path) -> Conversion:
     return Conversion(target, 0, (), losses)
 
 
-def _names_with_place(model: Reconstruction) -> list[str]:
-    return [name for name, has_place in zip(model.images.name, model.is_registered()) if has_place]
+def _names_with_pose(model: Reconstruction) -> list[str]:
+    return [name for name, has_pose in zip(model.images.name, model.is_registered()) if has_pose]
 
 
-def _picture(source: Path, name: str) -> Path | None:
+def _image(source: Path, name: str) -> Path | None:
     """The picture of an image: in `images/` of the output folder that the model is, or lies in, or beside its file.
 
     Raises:

@@ -46,7 +46,7 @@ def show_comparison(result: DemoResult) -> None:
 
     errors = result.errors
     table = Table(title="Against the exact truth", box=None, show_header=False)
-    table.add_row("images placed", f"{result.num_placed} of {result.num_views}")
+    table.add_row("images placed", f"{result.num_registered} of {result.num_views}")
     table.add_row(
         "position error",
         f"mean {1000 * errors.mean_position:.2f} mm = {100 * result.relative_error:.4f} % of the scene"

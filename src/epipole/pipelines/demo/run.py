@@ -40,8 +40,8 @@ def render_photographs(folder: Path, num_views: int, progress: ProgressCallback)
     """Write JPEGs with EXIF; returns the true cams_from_world."""
     scene, views, camera = courtyard(), courtyard_views(num_views), demo_camera()
     for n in range(num_views):
-        picture = render(scene, camera, views[n], noise_sigma=NOISE_SIGMA, seed=n)
-        write_jpeg_with_exif(folder / photograph_name(n), picture.rgb, focal_35mm=FOCAL_35MM)
+        image = render(scene, camera, views[n], noise_sigma=NOISE_SIGMA, seed=n)
+        write_jpeg_with_exif(folder / photograph_name(n), image.rgb, focal_35mm=FOCAL_35MM)
         progress(Progress("render", n + 1, num_views))
     return views
 
@@ -57,7 +57,7 @@ class DemoResult:
 
     reconstruction: ReconstructionResult
     num_views: int
-    num_placed: int
+    num_registered: int
     errors: CameraErrors
     size_m: float
     """Of the path of the cameras."""
@@ -70,11 +70,11 @@ class DemoResult:
     @property
     def success(self) -> bool:
         """Whether all pictures were placed, as exactly as they should be."""
-        return self.num_placed == self.num_views and self.relative_error <= MAX_RELATIVE_ERROR
+        return self.num_registered == self.num_views and self.relative_error <= MAX_RELATIVE_ERROR
 
     def __repr__(self) -> str:
         return (
-            f"DemoResult({self.num_placed} of {self.num_views} images placed, position error "
+            f"DemoResult({self.num_registered} of {self.num_views} images placed, position error "
             f"{100 * self.relative_error:.3g} % of the scene)"
         )
 
@@ -101,7 +101,7 @@ def demo(
         run.finish(
             {
                 "num_views": num_views,
-                "num_placed": found.num_placed,
+                "num_registered": found.num_registered,
                 "relative_error": found.relative_error,
                 "warnings": losses_of(result.summary, model),
             }

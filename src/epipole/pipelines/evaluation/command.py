@@ -81,14 +81,14 @@ def show_trajectory_evaluation(name: str, result: TrajectoryEvaluation) -> None:
         t_rel = "path < 100" if score.kitti_percent is None else f"{score.kitti_percent:.3f} %"
         table.add_row(kind, *(f"{number:.4g}" for number in numbers), t_rel)
     console.print(table)
-    turned = (
+    rotated = (
         f"rotation: {result.rigid.rotation_rmse_deg:.3g} degrees (rmse; places are aligned, which"
         f" tell little of the turn about a straight path or one at rest),"
         f" {result.step_rotation_rmse_deg:.3g} degrees from one instant to the next"
     )
     if result.kitti_deg_per_100m is not None:
-        turned += f", KITTI r_rel {result.kitti_deg_per_100m:.4g} degrees / 100 m"
-    console.print(f" {turned}", highlight=False)
+        rotated += f", KITTI r_rel {result.kitti_deg_per_100m:.4g} degrees / 100 m"
+    console.print(f" {rotated}", highlight=False)
 
 
 def show_evaluation(result: Evaluation) -> None:

@@ -184,6 +184,6 @@ def _rotation_errors_deg(one: Reading, other: Reading, max_difference_s: float) 
         found = absolute_error(ours, theirs, "similarity")
     except DegenerateGeometryError:
         return float("inf"), float("inf")
-    since = [places.rotation[0].T @ places.rotation for places in (ours, theirs)]
+    since = [positions.rotation[0].T @ positions.rotation for positions in (ours, theirs)]
     apart = Rotation3(np.swapaxes(since[0], 1, 2) @ since[1]).angle_rad()
     return found.rotation_deg.rmse, float(np.degrees(np.sqrt(np.mean(apart**2))))

@@ -15,13 +15,13 @@ from epipole.io.trajectories.true_trajectories import has_true_path, true_path_a
 from epipole.io.truth import is_truth_of_images
 from epipole.metrics import TrajectoryEvaluation as TrajectoryEvaluation
 from epipole.metrics import score_trajectory
-from epipole.metrics.numbered_truth import at_numbers_of_pictures
+from epipole.metrics.numbered_truth import at_image_numbers
 from epipole.pipelines.evaluation.readings import Reading, decide_order, decide_units, read_file
 from epipole.scene import Trajectory
 
 TRAJECTORIES = ("trajectory.txt", "trajectory_causal.txt")
 """Of an output folder: the final one, and what was known when each frame came."""
-BEGUN = "checkpoint/trajectory_causal.txt"
+STARTED = "checkpoint/trajectory_causal.txt"
 """Of one that was stopped."""
 
 
@@ -38,10 +38,10 @@ def trajectories_of(out: Path, truth: Path) -> list[Path]:
     elif not truth.is_file() or truth.suffix.lower() == ".json" or truth.name.endswith("_par.txt"):
         return []
     if not found:
-        begun = out / BEGUN
+        started = out / STARTED
         stopped = (
-            f"; the run in it was stopped: {BEGUN} is the path so far, and --resume goes on"
-            if begun.is_file()
+            f"; the run in it was stopped: {STARTED} is the path so far, and --resume goes on"
+            if started.is_file()
             else ""
         )
         raise FileFormatError(out, f"is no trajectory, and holds no {TRAJECTORIES[0]}{stopped}")
@@ -90,7 +90,7 @@ def evaluate_trajectory(
 
 def _numbered(known: Reading, table: FrameTable, max_difference_s: float) -> Reading | None:
     """A truth whose times are numbers of images, with the images' times."""
-    timed = at_numbers_of_pictures(known.trajectory, table.picture, table.timestamp_s, max_difference_s)
+    timed = at_image_numbers(known.trajectory, table.image, table.timestamp_s, max_difference_s)
     return None if timed is None else Reading(timed, known.assumptions)
 
 
@@ -103,7 +103,7 @@ def _timed_together(
         FileFormatError: which rows belong together is unknown.
     """
     ours, theirs = found.trajectory, known.trajectory
-    if ours.is_timed and table is not None and len(table.picture) == len(theirs):
+    if ours.is_timed and table is not None and len(table.image) == len(theirs):
         rows = np.flatnonzero(np.isfinite(table.timestamp_s))
         return Reading(Trajectory(table.timestamp_s[rows], theirs.world_from_body[rows]), known.assumptions)
     if len(ours) == len(theirs):

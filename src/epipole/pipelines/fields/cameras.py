@@ -20,7 +20,7 @@ from epipole.scene import Reconstruction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class RenderView:
     """One picture that is to be drawn."""
 
     name: str
@@ -29,7 +29,7 @@ class Shot:
     cam_from_world: Rigid3
 
 
-def shots_of_model(source: Path, job: RenderJob) -> list[Shot]:
+def render_views_of_model(source: Path, job: RenderJob) -> list[RenderView]:
     """The registered cameras of a model, without distortion, by their names.
 
     Raises:
@@ -50,7 +50,7 @@ def shots_of_model(source: Path, job: RenderJob) -> list[Shot]:
             raise FileFormatError(
                 source, f"the camera of {name!a} is too large: {error}; pass --width"
             ) from error
-        out.append(Shot(name, camera, cams_from_world[row]))
+        out.append(RenderView(name, camera, cams_from_world[row]))
     if not out:
         raise NoModelError(f"{source} holds no camera with a pose")
     return out
@@ -68,28 +68,28 @@ def sized(camera: Camera, width: int | None) -> Camera:
     return Camera(camera.model, width, height, params)
 
 
-def orbit(position: np.ndarray, look_at: np.ndarray, up: np.ndarray, job: RenderJob) -> list[Shot]:
+def orbit(position: np.ndarray, look_at: np.ndarray, up: np.ndarray, job: RenderJob) -> list[RenderView]:
     """A circle from `position` around the axis `up` through `look_at`, in even steps; it closes where it goes all the way round."""
     width, height = job.width or 800, job.height or round((job.width or 800) * 3 / 4)
     focal = 0.5 * width / np.tan(0.5 * np.deg2rad(job.fov_deg))
     params = np.array([focal, focal, 0.5 * (width - 1), 0.5 * (height - 1)])
     camera = Camera(CameraModel.PINHOLE, width, height, params)
-    is_closed = abs(job.turn_deg) >= 360
-    angles = np.deg2rad(np.linspace(0.0, job.turn_deg, job.frames, endpoint=not is_closed))
+    is_closed = abs(job.rotation_deg) >= 360
+    angles = np.deg2rad(np.linspace(0.0, job.rotation_deg, job.frames, endpoint=not is_closed))
     axis = up / np.linalg.norm(up)
     arm = position - look_at
     out = []
     for n, angle in enumerate(angles.tolist()):
-        turned = (
+        rotated = (
             arm * np.cos(angle)
             + np.cross(axis, arm) * np.sin(angle)
             + axis * (axis @ arm) * (1 - np.cos(angle))
         )
-        out.append(Shot(f"{n:05d}", camera, _looking(look_at + turned, look_at, axis)))
+        out.append(RenderView(f"{n:05d}", camera, _facing(look_at + rotated, look_at, axis)))
     return out
 
 
-def _looking(position: np.ndarray, look_at: np.ndarray, up: np.ndarray) -> Rigid3:
+def _facing(position: np.ndarray, look_at: np.ndarray, up: np.ndarray) -> Rigid3:
     """cam_from_world of a camera with x right, y down, z towards what it looks at."""
     ahead = (look_at - position) / np.linalg.norm(look_at - position)
     right = np.cross(ahead, up)

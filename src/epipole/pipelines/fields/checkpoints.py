@@ -51,7 +51,7 @@ class Checkpoint:
         parts = (
             (
                 v.name,
-                v.picture,
+                v.image,
                 v.camera.params,
                 v.cam_from_world.rotation,
                 v.cam_from_world.translation,
@@ -89,8 +89,8 @@ class Checkpoint:
         Raises:
             WorkspaceError: the disk is full; what was written before stays.
         """
-        told = {"seconds": np.array(seconds), "curve": np.array(curve).reshape(-1, 4)}
-        store(self._path, self._key, {**self._trainer.state(), **told})
+        counts = {"seconds": np.array(seconds), "curve": np.array(curve).reshape(-1, 4)}
+        store(self._path, self._key, {**self._trainer.state(), **counts})
         self._saved = perf_counter()
 
     def remove(self) -> None:

@@ -17,7 +17,7 @@ from epipole.fields.config import NerfConfig, SplatConfig
 from epipole.pipelines.fields.config import FieldOptions, MeshJob, RenderJob
 from epipole.pipelines.sfm.command import STAGES
 
-DEFAULTS, ALL_PICTURES, CIRCLE, MARCHED = SplatConfig(), FieldOptions(), RenderJob(), NerfConfig()
+DEFAULTS, ALL_IMAGES, CIRCLE, MARCHED = SplatConfig(), FieldOptions(), RenderJob(), NerfConfig()
 WORDS = {
     **STAGES,
     "load": "Reading images",
@@ -33,7 +33,7 @@ INTERRUPTED = 130
 def splat(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
-    job: Annotated[FieldOptions, tyro.conf.arg(name="")] = ALL_PICTURES,
+    job: Annotated[FieldOptions, tyro.conf.arg(name="")] = ALL_IMAGES,
     config: Annotated[SplatConfig, tyro.conf.arg(name="")] = DEFAULTS,
 ) -> None:
     """Train 3D Gaussians on pictures, without a GPU. Ctrl-C ends the training, and writes what was learnt.
@@ -57,7 +57,7 @@ def splat(
 def nerf(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
-    job: Annotated[FieldOptions, tyro.conf.arg(name="")] = ALL_PICTURES,
+    job: Annotated[FieldOptions, tyro.conf.arg(name="")] = ALL_IMAGES,
     config: Annotated[NerfConfig, tyro.conf.arg(name="")] = MARCHED,
 ) -> None:
     """Train a neural radiance field, or an explicit grid, on pictures around a scene, without a GPU. Ctrl-C ends the training, and writes what was learnt.
@@ -132,7 +132,7 @@ def mesh(
 def compare_fields(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")],
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
-    job: Annotated[FieldOptions, tyro.conf.arg(name="")] = ALL_PICTURES,
+    job: Annotated[FieldOptions, tyro.conf.arg(name="")] = ALL_IMAGES,
     config: Annotated[NerfConfig, tyro.conf.arg(name="")] = MARCHED,
 ) -> None:
     """Train Gaussians and a neural field for the same time, and compare them: likeness, speed, and work for each pixel.
@@ -168,8 +168,8 @@ def _compared(rows: dict[str, dict[str, Any]], kind: str) -> Table:
             if "queries" in row
             else f"{row['evaluated']:.1f} pairs evaluated, {row['useful']:.1f} useful"
         )
-        likeness = f"{row['psnr']:.2f} dB", f"{row['ssim']:.3f}"
-        table.add_row(names[name], *likeness, f"{row['train_s']:.0f} s", f"{row['frames_s']:.1f}", work)
+        similarity = f"{row['psnr']:.2f} dB", f"{row['ssim']:.3f}"
+        table.add_row(names[name], *similarity, f"{row['train_s']:.0f} s", f"{row['frames_s']:.1f}", work)
     return table
 
 
@@ -188,8 +188,8 @@ def _show(summary: dict[str, Any], warnings: Sequence[str], count: str, model: P
     if summary["psnr"] is not None:
         test, compared = summary["num_test"], summary["num_compared"]
         of_all = "" if compared == test else f"{compared} of "
-        held = f"{of_all}{test} picture{'s that were' if test > 1 else ' that was'} held out"
-        table.add_row("likeness", f"PSNR {summary['psnr']:.2f} dB, SSIM {summary['ssim']:.3f} ({held})")
+        held_out = f"{of_all}{test} picture{'s that were' if test > 1 else ' that was'} held out"
+        table.add_row("likeness", f"PSNR {summary['psnr']:.2f} dB, SSIM {summary['ssim']:.3f} ({held_out})")
     if summary["interrupted"]:
         table.add_row("ended", "by Ctrl-C")
     console.print(table)

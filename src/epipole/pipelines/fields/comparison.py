@@ -13,7 +13,7 @@ import numpy as np
 
 from epipole._jit import compile_seconds
 from epipole.fields.config import NerfConfig, SplatConfig
-from epipole.fields.splat.rasterizer import render as draw
+from epipole.fields.splat.rasterizer import render as render
 from epipole.fields.splat.rasterizer import useful_pairs
 from epipole.fields.training_view import TrainingView
 from epipole.io.files import read_json
@@ -21,23 +21,23 @@ from epipole.io.images.photographs import read_rgb
 from epipole.io.images.rgba import write_png
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.held_out import in_time, timed
+from epipole.pipelines.fields.images import FieldImages
 from epipole.pipelines.fields.kinds import KINDS, Kind
 from epipole.pipelines.fields.nerf import NerfResult, nerf_of
 from epipole.pipelines.fields.page import rendered_names
-from epipole.pipelines.fields.pictures import FieldPictures
 from epipole.pipelines.fields.run import SplatResult, splat_of
 from epipole.pipelines.fields.scores import scores_of
 from epipole.pipelines.fields.training import MEANS, METRICS, background_of, called
 from epipole.runs import ProgressCallback, Run, ignore_progress, open_run
 
-PICTURES, FIGURES = "pictures", "compare.json"
+IMAGES, FIGURES = "pictures", "compare.json"
 SPLAT, NERF = "splat", "nerf"
 
 
 class Shown(NamedTuple):
     """A view, rendered and compared with its picture."""
 
-    picture: np.ndarray
+    image: np.ndarray
     row: dict[str, float]
     """Likeness, seconds (`s`), and work for each pixel."""
 
@@ -68,7 +68,7 @@ def compare_fields(
 
     Args:
         source: as of `splat`.
-        out: output folder: `splat`, `nerf`, `pictures/NAME.png` (truth, Gaussians, field), `compare.json`.
+        out: output folder: `splat`, `nerf`, `images/NAME.png` (truth, Gaussians, field), `compare.json`.
         config: which field Gaussians are compared with; None for the neural one. Its seed is that of both.
         job: which pictures, and for how long each is trained.
         progress: called with the progress of each stage.
@@ -82,34 +82,34 @@ def compare_fields(
         WorkspaceError: the output folder cannot be used.
     """
     given = called("compare-fields", (source, out), (NerfConfig, config), job, progress, options)
-    source, wanted, config = given.source, given.pictures, given.config
+    source, wanted, config = given.source, given.images, given.config
     with open_run(given.task, given.out) as run:
         of_splat = (SplatConfig, SplatConfig(seed=config.seed))
-        gaussians, pictures = splat_of(
+        gaussians, images = splat_of(
             called(SPLAT, (source, run.root / SPLAT), of_splat, wanted, progress, {})
         )
         of_nerf = (NerfConfig, config)
-        field, _ = nerf_of(called(NERF, (source, run.root / NERF), of_nerf, wanted, progress, {}), pictures)
-        background = background_of(wanted, pictures)
+        field, _ = nerf_of(called(NERF, (source, run.root / NERF), of_nerf, wanted, progress, {}), images)
+        background = background_of(wanted, images)
         run.warnings = list(dict.fromkeys([*gaussians.warnings, *field.warnings]))
-        views, marched = _of_field(field, KINDS[config.kind], pictures, wanted, run)
-        views = [view for view in views if not pictures.test or view.name in _rows_of(gaussians.out)]
-        splatted, files = partial(_splatted, gaussians, background), rendered_names(pictures.test or views)
+        views, marched = _of_field(field, KINDS[config.kind], images, wanted, run)
+        views = [view for view in views if not images.test or view.name in _rows_of(gaussians.out)]
+        splatted, files = partial(_splatted, gaussians, background), rendered_names(images.test or views)
         rows = _compared(splatted, marched, views, background, files, run)
         for name, result in ((SPLAT, gaussians), (NERF, field)):
             rows[name]["train_s"] = result.summary["train_s"]
         rows[SPLAT]["num_gaussians"] = len(gaussians.cloud)
-        told: dict[str, Any] = {
+        figures: dict[str, Any] = {
             "kind": config.kind,
-            "held_out": bool(pictures.test),
+            "held_out": bool(images.test),
             "views": len(views),
             **rows,
         }
-        told["frames_ratio"] = rows[SPLAT]["frames_s"] / rows[NERF]["frames_s"]
-        told["warnings"] = run.warnings
-        run.folder.write_json(FIGURES, told)
+        figures["frames_ratio"] = rows[SPLAT]["frames_s"] / rows[NERF]["frames_s"]
+        figures["warnings"] = run.warnings
+        run.folder.write_json(FIGURES, figures)
         is_interrupted = gaussians.summary["interrupted"] or field.summary["interrupted"]
-        run.finish(told)
+        run.finish(figures)
         return FieldComparison(run.root, rows, tuple(run.warnings), is_interrupted)
 
 
@@ -121,53 +121,55 @@ class _FieldRenderer:
     result: NerfResult
     kind: Kind
 
-    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+    def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
         """The picture of a view, and how often the field was asked for it."""
-        drawn, _, count = self.kind.draw(self.result.field, view.camera, view.cam_from_world, self.background)
-        return drawn, count
+        rendered, _, count = self.kind.render(
+            self.result.field, view.camera, view.cam_from_world, self.background
+        )
+        return rendered, count
 
 
 def _of_field(
-    field: NerfResult, kind: Kind, pictures: FieldPictures, wanted: FieldOptions, run: Run
+    field: NerfResult, kind: Kind, images: FieldImages, wanted: FieldOptions, run: Run
 ) -> tuple[list[TrainingView], Callable[[TrainingView], Shown]]:
     """The views that are compared, and what the field shows in each.
 
     Held-out views are those that its job has rendered, a minute each perhaps; views of the training are rendered now.
     """
-    if pictures.test:
-        rows, files = _rows_of(field.out), rendered_names(pictures.test)
-        return [view for view in pictures.test if view.name in rows], partial(_read, field.out, files, rows)
-    renderer = _FieldRenderer(background_of(wanted, pictures), field, kind)
+    if images.test:
+        rows, files = _rows_of(field.out), rendered_names(images.test)
+        return [view for view in images.test if view.name in rows], partial(_read, field.out, files, rows)
+    renderer = _FieldRenderer(background_of(wanted, images), field, kind)
     report = partial(run.report, "test")
-    shown = in_time(pictures.train, wanted, partial(_rendered, renderer), report, run.warnings)
+    shown = in_time(images.train, wanted, partial(_rendered, renderer), report, run.warnings)
     by_name = {view.name: each for view, each in shown}
     return [view for view, _ in shown], lambda view: by_name[view.name]
 
 
 def _rendered(renderer: _FieldRenderer, view: TrainingView) -> Shown:
-    picture, seconds, count = timed(renderer, view)
-    scores = scores_of(picture, view, renderer.background)
-    return Shown(picture, {**scores, "s": seconds, "queries": count / picture[..., 0].size})
+    image, seconds, count = timed(renderer, view)
+    scores = scores_of(image, view, renderer.background)
+    return Shown(image, {**scores, "s": seconds, "queries": count / image[..., 0].size})
 
 
 def _read(
     folder: Path, files: Mapping[str, str], rows: Mapping[str, Mapping[str, Any]], view: TrainingView
 ) -> Shown:
     """As the job has rendered and compared it."""
-    picture, row = read_rgb(folder / "test" / files[view.name]), rows[view.name]
+    image, row = read_rgb(folder / "test" / files[view.name]), rows[view.name]
     scores = {name: np.nan if row[name] is None else row[name] for name in MEANS}  # JSON has no NaN
-    told = {"s": row["render_s"], "queries": row["count"] / picture[..., 0].size}
-    return Shown(picture.astype(np.float32) / np.float32(255.0), {**scores, **told})
+    figures = {"s": row["render_s"], "queries": row["count"] / image[..., 0].size}
+    return Shown(image.astype(np.float32) / np.float32(255.0), {**scores, **figures})
 
 
 def _splatted(gaussians: SplatResult, background: np.ndarray, view: TrainingView) -> Shown:
-    begin, compiled = perf_counter(), compile_seconds()
-    drawn = draw(gaussians.cloud, view.camera, view.cam_from_world)
-    picture = drawn.over(background)
-    seconds = perf_counter() - begin - (compile_seconds() - compiled)
-    pairs = {"evaluated": drawn.tiles.num_evaluated, "useful": useful_pairs(drawn)}
-    each = {name: count / picture[..., 0].size for name, count in pairs.items()}
-    return Shown(picture, {**scores_of(picture, view, background), "s": seconds, **each})
+    start, compiled = perf_counter(), compile_seconds()
+    rendered = render(gaussians.cloud, view.camera, view.cam_from_world)
+    image = rendered.over(background)
+    seconds = perf_counter() - start - (compile_seconds() - compiled)
+    pairs = {"evaluated": rendered.tiles.num_evaluated, "useful": useful_pairs(rendered)}
+    each = {name: count / image[..., 0].size for name, count in pairs.items()}
+    return Shown(image, {**scores_of(image, view, background), "s": seconds, **each})
 
 
 def _rows_of(folder: Path) -> dict[str, dict[str, Any]]:
@@ -187,14 +189,14 @@ def _compared(
     scores: dict[str, list[dict[str, float]]] = {SPLAT: [], NERF: []}
     splatted(views[0])  # in the caches
     run.report("compare", 0, len(views))
-    with run.stage("compare"), run.folder.publish(PICTURES) as aside:
+    with run.stage("compare"), run.folder.publish(IMAGES) as aside:
         for n, view in enumerate(views):
             beside = [view.over(background)]
             for name, shown in ((SPLAT, splatted(view)), (NERF, marched(view))):
-                beside.append(shown.picture)
+                beside.append(shown.image)
                 scores[name].append(shown.row)
             whole = np.rint(255 * np.clip(np.hstack(beside), 0, 1)).astype(np.uint8)
-            write_png(aside / PICTURES / files[view.name], whole)
+            write_png(aside / IMAGES / files[view.name], whole)
             run.report("compare", n + 1, len(views))
     means = {
         name: {part: float(np.mean([one[part] for one in rows])) for part in rows[0]}

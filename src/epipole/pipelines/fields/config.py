@@ -48,7 +48,7 @@ class FieldOptions:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_options(self, negative=("turn_deg",))
+        check_options(self, negative=("rotation_deg",))
         if self.time is not None and self.steps is not None:
             raise ConfigError("time and steps are two ways to say how long: give one")
         if self.steps is not None and not 1 <= self.steps < 10**9:
@@ -87,7 +87,7 @@ class RenderJob:
     """Draw from these cameras: a transforms.json, a COLMAP model or an output folder; else on a circle around the scene."""
     frames: int = 120
     """Pictures of the circle."""
-    turn_deg: float = 360.0
+    rotation_deg: float = 360.0
     """How far the circle goes round."""
     width: int | None = None
     """Of the pictures; as the cameras' own, 800 for a circle."""
@@ -110,7 +110,7 @@ class RenderJob:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_options(self, negative=("turn_deg",))
+        check_options(self, negative=("rotation_deg",))
         if not 1 <= self.frames <= 1_000_000:
             raise ConfigError(f"frames must be from 1 to a million, got {self.frames}")
         for name in ("width", "height"):
@@ -121,8 +121,8 @@ class RenderJob:
             raise ConfigError(f"fov_deg must be from 1 to 170, got {self.fov_deg}")
         if not 0.0 < self.fps <= 1000.0:
             raise ConfigError(f"fps must be above 0 and at most 1000, got {self.fps}")
-        if not -3600.0 <= self.turn_deg <= 3600.0:
-            raise ConfigError(f"turn_deg must be within 3600 degrees, got {self.turn_deg}")
+        if not -3600.0 <= self.rotation_deg <= 3600.0:
+            raise ConfigError(f"turn_deg must be within 3600 degrees, got {self.rotation_deg}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,7 +150,7 @@ class MeshJob:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_options(self, negative=("turn_deg",))
+        check_options(self, negative=("rotation_deg",))
         if not 8 <= self.voxels <= 1024:
             raise ConfigError(f"voxels must be from 8 to 1024, got {self.voxels}")
         if self.most_views < 1:

@@ -23,7 +23,7 @@ SIDE_PX = 480
 PARTNERS, BEST_DEG, SPREAD = 2, 8.0, 0.6
 """Of each view, those that see most of its points from an angle nearest to that; one that is e^SPREAD times as large counts 0.6."""
 LEAST_SCORE, LEAST_POINTS = 0.1, 20
-RANGE_SHARE, RANGE_PX = 0.15, 4.0
+RANGE_FRACTION, RANGE_PX = 0.15, 4.0
 """How much farther than the known points disparities are searched, of their range and in pixels."""
 MOST_ERROR = 0.01
 """Standard deviation of a disparity, of the disparity: so much of its depth a point may be off."""
@@ -37,7 +37,7 @@ class DensePoints(NamedTuple):
 
 
 def dense_points(
-    views: Sequence[TrainingView], count: int, seed: int, told: Callable[[int, int], None]
+    views: Sequence[TrainingView], count: int, seed: int, progress: Callable[[int, int], None]
 ) -> DensePoints:
     """At most so many points, drawn from all that neighbouring views find; none where no two fit.
 
@@ -45,16 +45,16 @@ def dense_points(
         views: pinhole cameras that know which of the model's points they show.
         count: points.
         seed: of the draw.
-        told: called with pairs done and all pairs.
+        progress: called with pairs done and all pairs.
     """
     pairs, found = neighbours_of(views), list[DensePoints]()
     for n, (one, other) in enumerate(pairs):
-        told(n, len(pairs))
+        progress(n, len(pairs))
         try:
             found.append(_points_of_pair(views[one], views[other]))
         except EpipoleError:  # one stands before the other, or they share no row: others may fit
             continue
-    told(len(pairs), len(pairs))
+    progress(len(pairs), len(pairs))
     if not found:
         return DensePoints(np.empty((0, 3)), np.empty((0, 3), np.uint8))
     points, rgb = (np.concatenate(parts) for parts in zip(*found))
@@ -76,9 +76,9 @@ def neighbours_of(views: Sequence[TrainingView]) -> list[tuple[int, int]]:
 def _score(view: TrainingView, other: TrainingView) -> float:
     """Share of a view's points that the other sees, times how good the angle between them is."""
     points = _known(view)
-    places = other.cam_from_world.apply(points)
-    pixels, size = other.camera.project(places), np.array([other.camera.width, other.camera.height])
-    inside = (pixels >= 0).all(axis=1) & (pixels < size).all(axis=1) & (places[:, 2] > 0)
+    positions = other.cam_from_world.apply(points)
+    pixels, size = other.camera.project(positions), np.array([other.camera.width, other.camera.height])
+    inside = (pixels >= 0).all(axis=1) & (pixels < size).all(axis=1) & (positions[:, 2] > 0)
     if inside.sum() < LEAST_POINTS:
         return 0.0
     rays = [points[inside] - one.cam_from_world.inverse().translation for one in (view, other)]
@@ -106,9 +106,9 @@ def _points_of_pair(one: TrainingView, other: TrainingView) -> DensePoints:
     if is_right_of_left(rig):
         rig, left, right = rig.swapped(), right, left
     flat = rectify(rig)
-    pictures = flat.apply(*(np.ascontiguousarray(view.picture[..., :3]) for view in (left, right)))
+    images = flat.apply(*(np.ascontiguousarray(view.image[..., :3]) for view in (left, right)))
     known = left.cam_from_world.apply(np.concatenate([_known(left), _known(right)]))
-    found = match_stereo(*pictures, _range_of(flat, known))
+    found = match_stereo(*images, _range_of(flat, known))
     found = within_both(found, flat.left_valid, flat.right_valid)
     disparity = found.disparity_px + flat.rig.principal_offset_px
     with np.errstate(invalid="ignore"):
@@ -116,24 +116,24 @@ def _points_of_pair(one: TrainingView, other: TrainingView) -> DensePoints:
     row, column = np.nonzero(good)
     depth = flat.rig.focal_px * flat.rig.baseline / disparity[good].astype(np.float64)
     rays = np.stack([column - flat.rig.cx, row - flat.rig.cy, np.full(len(row), flat.rig.focal_px)], axis=1)
-    places = (rays * (depth / flat.rig.focal_px)[:, None]) @ flat.rectified_from_left
-    return DensePoints(left.cam_from_world.inverse().apply(places), pictures[0][good])
+    positions = (rays * (depth / flat.rig.focal_px)[:, None]) @ flat.rectified_from_left
+    return DensePoints(left.cam_from_world.inverse().apply(positions), images[0][good])
 
 
-def _range_of(flat: Rectification, places: np.ndarray) -> DisparityConfig:
+def _range_of(flat: Rectification, positions: np.ndarray) -> DisparityConfig:
     """Disparities of points (n, 3) in the left camera's axes, and some more."""
-    depth = places @ flat.rectified_from_left[2]
+    depth = positions @ flat.rectified_from_left[2]
     disparities = flat.rig.focal_px * flat.rig.baseline / depth[depth > 0] - flat.rig.principal_offset_px
     low, high = np.quantile(disparities, [0.01, 0.99])
-    more = RANGE_SHARE * (high - low) + RANGE_PX
+    more = RANGE_FRACTION * (high - low) + RANGE_PX
     return DisparityConfig(min_disparity_px=int(low - more), max_disparity_px=int(high + more))
 
 
 def _is_used(flat: Rectification, view: TrainingView) -> np.ndarray:
     """(h, w) where a rectified left picture shows what is neither masked nor transparent."""
-    used = np.ones(view.picture.shape[:2], bool) if view.used_mask is None else view.used_mask
-    if view.picture.shape[2] == 4:
-        used = used & (view.picture[..., 3] > 0)
+    used = np.ones(view.image.shape[:2], bool) if view.used_mask is None else view.used_mask
+    if view.image.shape[2] == 4:
+        used = used & (view.image[..., 3] > 0)
     at = np.rint(flat.left_map_px).astype(np.int64)
     inside = (at >= 0).all(axis=2) & (at[..., 0] < view.camera.width) & (at[..., 1] < view.camera.height)
     at = np.where(inside[..., None], at, 0)

@@ -20,7 +20,7 @@ from epipole.runs import Run
 
 Found = TypeVar("Found")
 
-RENDER_SHARE = 0.25
+RENDER_FRACTION = 0.25
 """Of the time of the training: rendering views afterwards takes no more, but for a single view."""
 PROBED = 3
 """Held-out views that are rendered along the way."""
@@ -36,7 +36,7 @@ class Renderer(Protocol):
     def background(self) -> np.ndarray:
         """(3,) the colour behind it."""
 
-    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+    def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
         """(h, w, 3) the picture of a view, and how often the field was asked for it."""
 
 
@@ -57,12 +57,12 @@ def seconds_of_view(renderer: Renderer, view: TrainingView) -> float:
 
 def timed(renderer: Renderer, view: TrainingView) -> tuple[np.ndarray, float, int]:
     """The picture, the seconds without compilation, and how often the field was asked."""
-    begin, compiled = perf_counter(), compile_seconds()
-    picture, count = renderer.draw_counted(view)
-    return picture, max(perf_counter() - begin - (compile_seconds() - compiled), 1e-9), count
+    start, compiled = perf_counter(), compile_seconds()
+    image, count = renderer.render_counted(view)
+    return image, max(perf_counter() - start - (compile_seconds() - compiled), 1e-9), count
 
 
-def rows_in_halves(count: int) -> list[int]:
+def rows_of_two_passes(count: int) -> list[int]:
     """All rows in an order of which every beginning is spread over them: the ends, then the middles of what lies between."""
     order, gaps = [0, count - 1][:count], [(0, count - 1)]
     while gaps:
@@ -90,11 +90,11 @@ def in_time(
         report: called with the number that is done and that of all.
         warnings: given one where not all are rendered.
     """
-    budget_s = np.inf if wanted.seconds is None else RENDER_SHARE * wanted.seconds
+    budget_s = np.inf if wanted.seconds is None else RENDER_FRACTION * wanted.seconds
     found: dict[int, Found] = {}
     spent_s = 0.0
     report(0, len(views))
-    for row in rows_in_halves(len(views)):
+    for row in rows_of_two_passes(len(views)):
         if found and spent_s * (len(found) + 1) / len(found) > budget_s:
             warnings.append(
                 f"{len(found)} of {len(views)} views are rendered and compared: a view takes about "
@@ -103,9 +103,9 @@ def in_time(
             )
             report(len(found), len(found))
             break
-        begin, compiled = perf_counter(), compile_seconds()
+        start, compiled = perf_counter(), compile_seconds()
         found[row] = render(views[row])
-        spent_s += perf_counter() - begin - (compile_seconds() - compiled)
+        spent_s += perf_counter() - start - (compile_seconds() - compiled)
         report(len(found), len(views))
     return [(views[row], found[row]) for row in sorted(found)]
 
@@ -118,10 +118,12 @@ def compared(
     with run.stage("test"), run.folder.publish("test") as aside:
 
         def render(view: TrainingView) -> dict[str, Any]:
-            drawn, seconds, count = timed(renderer, view)
-            write_png(aside / "test" / files[view.name], np.rint(255 * np.clip(drawn, 0, 1)).astype(np.uint8))
-            told = {"name": view.name, **scores_of(drawn, view, renderer.background)}
-            return {**told, "render_s": seconds, "count": count}
+            rendered, seconds, count = timed(renderer, view)
+            write_png(
+                aside / "test" / files[view.name], np.rint(255 * np.clip(rendered, 0, 1)).astype(np.uint8)
+            )
+            figures = {"name": view.name, **scores_of(rendered, view, renderer.background)}
+            return {**figures, "render_s": seconds, "count": count}
 
         rows = in_time(test, wanted, render, partial(run.report, "test"), run.warnings)
     return [row for _, row in rows]
@@ -129,12 +131,12 @@ def compared(
 
 def probed(renderer: Renderer, test: Sequence[TrainingView], most_s: float) -> float | None:
     """Mean PSNR of some held-out views, spread over them; None where there are none, or it would take longer than that."""
-    views = [test[row] for row in rows_in_halves(len(test))[:PROBED]]
+    views = [test[row] for row in rows_of_two_passes(len(test))[:PROBED]]
     if not views or most_s <= 0 or len(views) * seconds_of_view(renderer, views[0]) > most_s:
         return None
-    begin, scores = perf_counter(), list[float]()
+    start, scores = perf_counter(), list[float]()
     for view in views:
-        if perf_counter() - begin > most_s:
+        if perf_counter() - start > most_s:
             return None
-        scores.append(scores_of(renderer.draw_counted(view)[0], view, renderer.background)["psnr"])
+        scores.append(scores_of(renderer.render_counted(view)[0], view, renderer.background)["psnr"])
     return float(np.mean(scores))

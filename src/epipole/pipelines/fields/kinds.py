@@ -12,10 +12,10 @@ import numpy as np
 from epipole._declared.tables import Table
 from epipole.cameras import Camera
 from epipole.errors import FileFormatError
-from epipole.fields.nerf.hash_field import HashField, Room, draw_hash, voxels_of
+from epipole.fields.nerf.hash_field import HashField, Room, render_hash, voxels_of
 from epipole.fields.nerf.hash_files import HashContents, read_hash, write_hash
 from epipole.fields.nerf.hash_trainer import HashTrainer
-from epipole.fields.nerf.voxel_field import Voxels, corners_of, draw_voxels, unit_of, voxels_on
+from epipole.fields.nerf.voxel_field import Voxels, corners_of, render_voxels, unit_of, voxels_on
 from epipole.fields.nerf.voxel_files import WIDTH, GridContents, read_grid, write_grid
 from epipole.fields.nerf.voxel_trainer import VoxelTrainer
 from epipole.fields.rays import blocks_of
@@ -37,10 +37,10 @@ class FieldTrainer(Protocol):
     def step(self, progress: float) -> float:
         """One step, at a share of the training; returns the loss."""
 
-    def draw(self, view: TrainingView) -> np.ndarray:
+    def render(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
 
-    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+    def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
         """(h, w, 3) the picture of a view, and how often the field was asked for it."""
 
     @property
@@ -68,11 +68,11 @@ class Kind:
     trainer: Callable[[Sequence[TrainingView], np.ndarray, int], FieldTrainer]
     write: Callable[[Path, Field], None]
     read: Callable[[Path], Field]
-    draw: Callable[[Field, Camera, Rigid3, np.ndarray], tuple[np.ndarray, np.ndarray, int]]
+    render: Callable[[Field, Camera, Rigid3, np.ndarray], tuple[np.ndarray, np.ndarray, int]]
     """The picture, depth along rays times coverage, and how often the field was asked."""
     voxels: Callable[[Field], Voxels]
     """As an explicit grid."""
-    places: Callable[[Field], np.ndarray]
+    positions: Callable[[Field], np.ndarray]
     """(n, 3) middles of the cells in which something is."""
 
 
@@ -106,7 +106,7 @@ def _write_voxels(path: Path, voxels: Voxels) -> None:
     write_grid(path, contents)
 
 
-def _places_of_voxels(voxels: Voxels) -> np.ndarray:
+def _positions_of_voxels(voxels: Voxels) -> np.ndarray:
     cells = voxels.seen if voxels.seen.any() else voxels.occupied
     return voxels.low + voxels.size * (np.argwhere(cells) + 0.5)
 
@@ -128,7 +128,7 @@ def _write_neural(path: Path, field: HashField) -> None:
     write_hash(path, HashContents(occupied, room.low, room.size, field.cells, field.tables, field.weights))
 
 
-def _places_of_neural(field: HashField) -> np.ndarray:
+def _positions_of_neural(field: HashField) -> np.ndarray:
     return field.room.low + field.room.size * (np.argwhere(field.room.occupied) + 0.5)
 
 
@@ -139,9 +139,9 @@ KINDS = {
         VoxelTrainer,
         _write_voxels,
         read_voxels,
-        draw_voxels,
+        render_voxels,
         lambda voxels: voxels,
-        _places_of_voxels,
+        _positions_of_voxels,
     ),
     "hash": Kind(
         "hash.npz",
@@ -149,9 +149,9 @@ KINDS = {
         HashTrainer,
         _write_neural,
         read_neural,
-        draw_hash,
+        render_hash,
         voxels_of,
-        _places_of_neural,
+        _positions_of_neural,
     ),
 }
 """By the name of `NerfConfig.kind`."""

@@ -13,7 +13,7 @@ from epipole.dense.tsdf import DistanceVolume
 from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.io.meshes.mesh_ply import write_mesh_ply
 from epipole.io.models.losses import losses_in
-from epipole.pipelines.fields.cameras import Shot, shots_of_model
+from epipole.pipelines.fields.cameras import RenderView, render_views_of_model
 from epipole.pipelines.fields.config import MeshJob, RenderJob
 from epipole.pipelines.fields.scene import CAMERAS
 from epipole.pipelines.fields.surfaces import seen_from
@@ -54,30 +54,30 @@ def mesh(
         raise ConfigError(f"a mesh is written to a file that ends in .ply, not to {out}")
     inputs = (source,) if wanted.cameras is None else (source, wanted.cameras)
     refuse_existing([out], "mesh", inputs)
-    see, places = seen_from(source)
-    shots = _shots(source, wanted)
-    volume = DistanceVolume(*_box(places, wanted), wanted.voxels)
+    see, positions = seen_from(source)
+    views = _views(source, wanted)
+    volume = DistanceVolume(*_box(positions, wanted), wanted.voxels)
     for loss in [] if wanted.cameras is None else losses_in(wanted.cameras):
-        progress(Progress("fuse", 0, len(shots), loss))
-    for n, shot in enumerate(shots):
-        volume.add(shot.camera, shot.cam_from_world, *see(shot))
-        progress(Progress("fuse", n + 1, len(shots)))
+        progress(Progress("fuse", 0, len(views), loss))
+    for n, render_view in enumerate(views):
+        volume.add(render_view.camera, render_view.cam_from_world, *see(render_view))
+        progress(Progress("fuse", n + 1, len(views)))
     found = volume.mesh().without_small_components(wanted.least_component)
     with replacing_file(out, "mesh", inputs) as aside:
         write_mesh_ply(aside, found.vertices_in_world, found.faces, found.rgb)
     return found
 
 
-def _box(places: np.ndarray, wanted: MeshJob) -> tuple[np.ndarray, np.ndarray]:
+def _box(positions: np.ndarray, wanted: MeshJob) -> tuple[np.ndarray, np.ndarray]:
     """The lowest and the highest corner of what is meshed."""
     if wanted.box is not None:
         return np.array(wanted.box[:3]), np.array(wanted.box[3:])
-    low, high = np.quantile(places, (0.5 - 0.5 * wanted.around, 0.5 + 0.5 * wanted.around), axis=0)
+    low, high = np.quantile(positions, (0.5 - 0.5 * wanted.around, 0.5 + 0.5 * wanted.around), axis=0)
     margin = 0.03 * float(np.max(high - low))
     return low - margin, high + margin
 
 
-def _shots(source: Path, wanted: MeshJob) -> list[Shot]:
+def _views(source: Path, wanted: MeshJob) -> list[RenderView]:
     """Cameras that were asked for, or those of the training; spread over all where there are many."""
     cameras = wanted.cameras or (source if source.is_dir() else source.parent) / CAMERAS
     if wanted.cameras is None and not cameras.exists():
@@ -85,6 +85,6 @@ def _shots(source: Path, wanted: MeshJob) -> list[Shot]:
             f"the cameras of {source} are unknown, for there is no {cameras}: give the cameras that look at the scene, a "
             "transforms.json or a COLMAP model (cameras)"
         )
-    shots = shots_of_model(cameras, RenderJob(width=wanted.width))
-    rows = np.linspace(0, len(shots) - 1, min(len(shots), wanted.most_views)).astype(np.int64)
-    return [shots[row] for row in rows.tolist()]
+    views = render_views_of_model(cameras, RenderJob(width=wanted.width))
+    rows = np.linspace(0, len(views) - 1, min(len(views), wanted.most_views)).astype(np.int64)
+    return [views[row] for row in rows.tolist()]

@@ -10,10 +10,10 @@ from epipole.fields.config import NerfConfig
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.held_out import compared
+from epipole.pipelines.fields.images import FieldImages
 from epipole.pipelines.fields.kinds import KINDS, Field
-from epipole.pipelines.fields.pictures import FieldPictures
 from epipole.pipelines.fields.scene import CAMERAS, FIRST_VIEW, first_view_of, write_cameras
-from epipole.pipelines.fields.training import Called, background_of, called, finished, pictures_of, train
+from epipole.pipelines.fields.training import Called, background_of, called, finished, images_of, train
 from epipole.runs import ProgressCallback, ignore_progress, open_run
 
 
@@ -61,34 +61,32 @@ def nerf(
     return nerf_of(called("nerf", (source, out), (NerfConfig, config), job, progress, options))[0]
 
 
-def nerf_of(
-    given: Called[NerfConfig], pictures: FieldPictures | None = None
-) -> tuple[NerfResult, FieldPictures]:
+def nerf_of(given: Called[NerfConfig], images: FieldImages | None = None) -> tuple[NerfResult, FieldImages]:
     """The job as it was called, on pictures that were read before, or on those of its source; and the pictures."""
-    source, wanted, config = given.source, given.pictures, given.config
+    source, wanted, config = given.source, given.images, given.config
     kind = KINDS[config.kind]
     with open_run(given.task, given.out) as run:
         with run.stage("read"):
-            pictures = pictures_of(source, run, wanted) if pictures is None else pictures
-        run.warnings += pictures.problems
+            images = images_of(source, run, wanted) if images is None else images
+        run.warnings += images.problems
         with run.stage("start"):
             run.report("start", 0, 1)
-            trainer = kind.trainer(pictures.train, background_of(wanted, pictures), config.seed)
+            trainer = kind.trainer(images.train, background_of(wanted, images), config.seed)
             run.report("start", 1, 1)
         with run.stage("train"):
-            checkpoint = Checkpoint(run.root, given.settings, pictures.train, trainer)
-            trained = train(trainer, pictures, wanted, run, checkpoint=checkpoint)
+            checkpoint = Checkpoint(run.root, given.settings, images.train, trainer)
+            trained = train(trainer, images, wanted, run, checkpoint=checkpoint)
         with run.stage("write"), run.folder.publish("model") as aside:
             kind.write(aside / kind.file, trainer.field)
-            write_cameras(aside / CAMERAS, pictures.train)
-        told: dict[str, Any] = {
+            write_cameras(aside / CAMERAS, images.train)
+        figures: dict[str, Any] = {
             kind.count: len(trainer),
             "kind": config.kind,
         }
-        told[FIRST_VIEW] = first_view_of(kind.places(trainer.field), pictures.train)
+        figures[FIRST_VIEW] = first_view_of(kind.positions(trainer.field), images.train)
         summary = finished(
-            trainer, pictures, compared(trainer, pictures.test, wanted, run), trained, run, **told
+            trainer, images, compared(trainer, images.test, wanted, run), trained, run, **figures
         )
         if not trained.is_interrupted:
             checkpoint.remove()
-        return NerfResult(run.root, trainer.field, summary, tuple(run.warnings)), pictures
+        return NerfResult(run.root, trainer.field, summary, tuple(run.warnings)), images

@@ -13,10 +13,10 @@ from epipole.fields.training_view import TrainingView
 from epipole.image import color_map
 from epipole.io.images.photographs import read_rgb
 from epipole.io.names import flat_names
-from epipole.pipelines.fields.pictures import FieldPictures
+from epipole.pipelines.fields.images import FieldImages
 from epipole.report.charts import draw_curves, draw_timings
 from epipole.report.frame import render
-from epipole.report.pictures import photograph_uri
+from epipole.report.images import jpeg_uri
 
 MOST_VIEWS, LARGEST_ERROR = 8, 0.25
 """Views that are shown, spread over all; and the error that has the last colour, in shares of white."""
@@ -29,7 +29,7 @@ class FieldPage:
 
     summary: dict[str, Any]
     scores: list[dict[str, Any]]
-    pictures: FieldPictures
+    images: FieldImages
     background: np.ndarray
     tables: dict[str, dict[str, list[Any]]]
     root: Path
@@ -41,7 +41,7 @@ class _View:
     name: str
     psnr: str
     ssim: str
-    pictures: list[tuple[str, str]]
+    images: list[tuple[str, str]]
     """Caption and data URI of truth, drawing and error."""
 
 
@@ -55,7 +55,7 @@ def render_page(page: FieldPage) -> str:
     """One HTML page with everything inside it."""
     summary = page.summary
     rows = np.unique(np.linspace(0, len(page.scores) - 1, MOST_VIEWS).astype(np.int64)).tolist()
-    views, files = {view.name: view for view in page.pictures.test}, rendered_names(page.pictures.test)
+    views, files = {view.name: view for view in page.images.test}, rendered_names(page.images.test)
     chosen = [page.scores[row] for row in rows if page.scores]
     shown = [_view(page, views[score["name"]], files[score["name"]], score) for score in chosen]
     return render(
@@ -93,22 +93,22 @@ def _figures(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _curves(page: FieldPage) -> list[Any]:
     columns = list(zip(*page.tables["curve"]["rows"])) or [(), (), (), ()]
-    drawn = []
-    held = [*page.tables["held_out"]["rows"]]
-    if held:
+    charts = []
+    held_out = [*page.tables["held_out"]["rows"]]
+    if held_out:
         if page.summary["psnr"] is not None:
-            held.append([page.summary["train_s"], page.summary["steps"], page.summary["psnr"]])
-        seconds, _, likeness = zip(*held)
-        drawn.append(draw_curves({"held out": (seconds, likeness)}, "seconds", "PSNR, dB", even_y=True))
-    drawn.append(draw_curves({"loss": (columns[0], columns[2])}, "seconds", "loss of a step"))
-    return drawn
+            held_out.append([page.summary["train_s"], page.summary["steps"], page.summary["psnr"]])
+        seconds, _, psnr = zip(*held_out)
+        charts.append(draw_curves({"held out": (seconds, psnr)}, "seconds", "PSNR, dB", even_y=True))
+    charts.append(draw_curves({"loss": (columns[0], columns[2])}, "seconds", "loss of a step"))
+    return charts
 
 
 def _view(page: FieldPage, view: TrainingView, file: str, score: dict[str, Any]) -> _View:
     truth = np.rint(255 * view.over(page.background)).astype(np.uint8)
-    drawn = read_rgb(page.root / "test" / file)
-    error = np.abs(drawn.astype(np.float64) - truth).mean(axis=2) / 255
+    charts = read_rgb(page.root / "test" / file)
+    error = np.abs(charts.astype(np.float64) - truth).mean(axis=2) / 255
     heat = color_map(error, (0.0, LARGEST_ERROR))
     captions = ("picture", "drawn", "error")
-    sources = [photograph_uri(one) for one in (truth, drawn, heat)]
+    sources = [jpeg_uri(one) for one in (truth, charts, heat)]
     return _View(view.name, f"{score['psnr']:.2f}", f"{score['ssim']:.3f}", list(zip(captions, sources)))

@@ -15,22 +15,22 @@ from epipole.config import options_of
 from epipole.errors import ConfigError, FileFormatError
 from epipole.fields.normals import normals_of
 from epipole.fields.splat.rasterizer import RenderOptions
-from epipole.fields.splat.rasterizer import render as draw
+from epipole.fields.splat.rasterizer import render as rasterize
 from epipole.image import color_map, color_range
 from epipole.io.images.rgba import write_png
 from epipole.io.images.video_files import VIDEO_SUFFIX, write_video
 from epipole.io.models.losses import losses_in
-from epipole.pipelines.fields.cameras import Shot, orbit, shots_of_model
+from epipole.pipelines.fields.cameras import RenderView, orbit, render_views_of_model
 from epipole.pipelines.fields.config import RenderJob
 from epipole.pipelines.fields.kinds import kind_in
 from epipole.pipelines.fields.scene import (
     BACKGROUNDS,
     SUMMARY,
-    looked_at,
+    first_view_of_positions,
+    recorded_antialiased,
+    recorded_background,
+    recorded_first_view,
     seen_gaussians,
-    told_antialiased,
-    told_background,
-    told_first_view,
 )
 from epipole.pipelines.fields.surfaces import seen_from
 from epipole.runs import (
@@ -42,11 +42,11 @@ from epipole.runs import (
     refuse_existing,
     replacing_file,
 )
-from epipole.runs.folder import check_place
+from epipole.runs.folder import check_output_path
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class Rendered:
     """What `render` has written."""
 
     out: Path
@@ -61,7 +61,7 @@ def render(
     job: RenderJob | None = None,
     progress: ProgressCallback = ignore_progress,
     **options: Any,
-) -> Drawn:
+) -> Rendered:
     """Draw trained Gaussians, a trained grid or neural field.
 
     Args:
@@ -85,34 +85,38 @@ def render(
     inputs = (source,) if wanted.cameras is None else (source, wanted.cameras)
     _check_target(out, inputs)
     colour = np.full(3, _background(source, wanted), np.float32)
-    picture_of, first_view = _drawer(source, wanted, colour)
-    shots = orbit(*first_view, wanted) if wanted.cameras is None else shots_of_model(wanted.cameras, wanted)
+    image_of, first_view = _drawer(source, wanted, colour)
+    views = (
+        orbit(*first_view, wanted)
+        if wanted.cameras is None
+        else render_views_of_model(wanted.cameras, wanted)
+    )
     for loss in [] if wanted.cameras is None else losses_in(wanted.cameras):
-        progress(Progress("draw", 0, len(shots), loss))
+        progress(Progress("draw", 0, len(views), loss))
     if wanted.output != "colour":
-        picture_of = _surface_drawer(source, wanted.output, shots[0])
+        image_of = _surface_drawer(source, wanted.output, views[0])
     spent = [0.0]
 
-    def pictures() -> Iterator[tuple[Shot, np.ndarray]]:
-        for n, shot in enumerate(shots):
-            begin = perf_counter()
-            drawn = picture_of(shot)
-            spent[0] += perf_counter() - begin
-            yield shot, np.rint(255 * np.clip(drawn, 0, 1)).astype(np.uint8)
-            progress(Progress("draw", n + 1, len(shots)))
+    def images() -> Iterator[tuple[RenderView, np.ndarray]]:
+        for n, render_view in enumerate(views):
+            start = perf_counter()
+            rendered = image_of(render_view)
+            spent[0] += perf_counter() - start
+            yield render_view, np.rint(255 * np.clip(rendered, 0, 1)).astype(np.uint8)
+            progress(Progress("draw", n + 1, len(views)))
 
     if out.suffix.lower() == VIDEO_SUFFIX:
         with replacing_file(out, "render", inputs) as aside:
-            write_video(aside, (picture for _, picture in pictures()), wanted.fps)
+            write_video(aside, (image for _, image in images()), wanted.fps)
     else:
         settings = {**asdict(wanted), "cameras": None if wanted.cameras is None else str(wanted.cameras)}
         task = Job(kind="render", inputs=(source,), settings=settings, progress=progress)
         with open_run(task, out) as run:
             with run.stage("draw"), run.folder.publish("pictures") as aside:
-                for shot, picture in pictures():
-                    write_png(aside / f"{shot.name}.png", picture)
+                for render_view, image in images():
+                    write_png(aside / f"{render_view.name}.png", image)
             run.finish()
-    return Drawn(out, len(shots), len(shots) / max(spent[0], 1e-9))
+    return Rendered(out, len(views), len(views) / max(spent[0], 1e-9))
 
 
 def _check_target(out: Path, inputs: tuple[Path, ...]) -> None:
@@ -131,45 +135,47 @@ def _check_target(out: Path, inputs: tuple[Path, ...]) -> None:
             f"render writes a video that ends in {VIDEO_SUFFIX}, or a folder of PNG images: {out} is neither, as it ends "
             f"in {out.suffix}"
         )
-    check_place(out, "render", inputs[:1])
+    check_output_path(out, "render", inputs[:1])
 
 
 def _drawer(
     source: Path, wanted: RenderJob, colour: np.ndarray
-) -> tuple[Callable[[Shot], np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+) -> tuple[Callable[[RenderView], np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """What draws a shot of Gaussians, or of a field that is marched through; and position, middle and up of its first view."""
     found = kind_in(source)
     if found is not None:
         kind, file = found
         field = kind.read(file)
-        position, look_at, up = told_first_view(file.with_name(SUMMARY)) or looked_at(kind.places(field))
+        position, look_at, up = recorded_first_view(file.with_name(SUMMARY)) or first_view_of_positions(
+            kind.positions(field)
+        )
         return (
-            lambda shot: kind.draw(field, shot.camera, shot.cam_from_world, colour)[0],
+            lambda each: kind.render(field, each.camera, each.cam_from_world, colour)[0],
             (position, look_at, up),
         )
-    (cloud, view), asked = seen_gaussians(source), wanted.antialiased
-    if asked is None:
-        asked = told_antialiased((source if source.is_dir() else source.parent) / SUMMARY)
-    options = RenderOptions(antialiased=asked)
+    (cloud, view), requested = seen_gaussians(source), wanted.antialiased
+    if requested is None:
+        requested = recorded_antialiased((source if source.is_dir() else source.parent) / SUMMARY)
+    options = RenderOptions(antialiased=requested)
     return (
-        lambda shot: draw(cloud, shot.camera, shot.cam_from_world, options).over(colour),
+        lambda each: rasterize(cloud, each.camera, each.cam_from_world, options).over(colour),
         (view.position, view.look_at, view.up),
     )
 
 
-def _surface_drawer(source: Path, output: str, first: Shot) -> Callable[[Shot], np.ndarray]:
+def _surface_drawer(source: Path, output: str, first: RenderView) -> Callable[[RenderView], np.ndarray]:
     """What draws depth, normals or coverage of a shot, as a picture from 0 to 1."""
     see, _ = seen_from(source)
     limits = color_range(see(first).surface())
 
-    def depth(shot: Shot) -> np.ndarray:
-        return color_map(see(shot).surface(), limits) / np.float32(255.0)
+    def depth(render_view: RenderView) -> np.ndarray:
+        return color_map(see(render_view).surface(), limits) / np.float32(255.0)
 
-    def normals(shot: Shot) -> np.ndarray:
-        return np.nan_to_num(0.5 + 0.5 * normals_of(see(shot).surface(), shot.camera))
+    def normals(render_view: RenderView) -> np.ndarray:
+        return np.nan_to_num(0.5 + 0.5 * normals_of(see(render_view).surface(), render_view.camera))
 
-    def coverage(shot: Shot) -> np.ndarray:
-        return np.repeat(see(shot).coverage[..., None], 3, axis=2)
+    def coverage(render_view: RenderView) -> np.ndarray:
+        return np.repeat(see(render_view).coverage[..., None], 3, axis=2)
 
     return {"depth": depth, "normals": normals, "coverage": coverage}[output]
 
@@ -178,4 +184,4 @@ def _background(source: Path, wanted: RenderJob) -> float:
     """As it was trained, where that is known."""
     if wanted.background != "auto":
         return BACKGROUNDS[wanted.background]
-    return told_background((source if source.is_dir() else source.parent) / SUMMARY) or 0.0
+    return recorded_background((source if source.is_dir() else source.parent) / SUMMARY) or 0.0

@@ -15,7 +15,7 @@ from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.first_gaussians import LEAST_POINTS, first_gaussians
 from epipole.pipelines.fields.held_out import compared
-from epipole.pipelines.fields.pictures import FieldPictures
+from epipole.pipelines.fields.images import FieldImages
 from epipole.pipelines.fields.scene import (
     ANTIALIASED,
     CAMERAS,
@@ -24,7 +24,7 @@ from epipole.pipelines.fields.scene import (
     first_view_of,
     write_cameras,
 )
-from epipole.pipelines.fields.training import Called, background_of, called, finished, pictures_of, train
+from epipole.pipelines.fields.training import Called, background_of, called, finished, images_of, train
 from epipole.runs import ProgressCallback, ignore_progress, open_run
 from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.scene.local_origin import ORIGIN
@@ -81,75 +81,75 @@ def splat(
     return splat_of(called("splat", (source, out), (SplatConfig, config), job, progress, options))[0]
 
 
-def splat_of(given: Called[SplatConfig]) -> tuple[SplatResult, FieldPictures]:
+def splat_of(given: Called[SplatConfig]) -> tuple[SplatResult, FieldImages]:
     """The job as it was called, and the pictures that it read."""
-    source, wanted, config = given.source, given.pictures, given.config
+    source, wanted, config = given.source, given.images, given.config
     with open_run(given.task, given.out) as run:
         with run.stage("read"):
-            pictures = pictures_of(source, run, wanted).about_origin()
-        run.warnings += pictures.problems
-        most = _fitting(config, pictures, wanted)
+            images = images_of(source, run, wanted).about_origin()
+        run.warnings += images.problems
+        most = _fitting(config, images, wanted)
         config = replace(config, max_gaussians=most)
-        background = background_of(wanted, pictures)
+        background = background_of(wanted, images)
         with run.stage("start"):
-            start = first_gaussians(pictures, config, most, partial(run.report, "start"))
+            start = first_gaussians(images, config, most, partial(run.report, "start"))
             run.warnings += start.warnings
-            trainer = SplatTrainer(pictures.train, start.cloud, config, background)
+            trainer = SplatTrainer(images.train, start.cloud, config, background)
         with run.stage("train"):
-            checkpoint = Checkpoint(run.root, given.settings, pictures.train, trainer)
-            gigabytes = 1e-9 * _memory(pictures, most, config.sh_degree)
-            note = f"up to {most:,} Gaussians on {len(pictures.train)} pictures, about {gigabytes:.1f} GB"
-            trained = train(trainer, pictures, wanted, run, note, checkpoint)
-        cloud = replace(trainer.cloud, origin_in_world=pictures.origin_in_world)
+            checkpoint = Checkpoint(run.root, given.settings, images.train, trainer)
+            gigabytes = 1e-9 * _memory(images, most, config.sh_degree)
+            note = f"up to {most:,} Gaussians on {len(images.train)} pictures, about {gigabytes:.1f} GB"
+            trained = train(trainer, images, wanted, run, note, checkpoint)
+        cloud = replace(trainer.cloud, origin_in_world=images.origin_in_world)
         with run.stage("write"), run.folder.publish("model") as aside:
             write_gaussian_ply(aside / SPLAT, cloud)
-            write_cameras(aside / CAMERAS, trainer.placed_views, pictures.origin_in_world)
-        told: dict[str, Any] = {"num_gaussians": len(cloud), ANTIALIASED: config.antialiased}
-        told[FIRST_VIEW] = first_view_of(cloud.means_in_world, pictures.train, pictures.origin_in_world)
-        if pictures.origin_in_world.any():
-            told[ORIGIN] = pictures.origin_in_world.tolist()
+            write_cameras(aside / CAMERAS, trainer.posed_views, images.origin_in_world)
+        figures: dict[str, Any] = {"num_gaussians": len(cloud), ANTIALIASED: config.antialiased}
+        figures[FIRST_VIEW] = first_view_of(cloud.means_in_world, images.train, images.origin_in_world)
+        if images.origin_in_world.any():
+            figures[ORIGIN] = images.origin_in_world.tolist()
         summary = finished(
-            trainer, pictures, compared(trainer, pictures.test, wanted, run), trained, run, **told
+            trainer, images, compared(trainer, images.test, wanted, run), trained, run, **figures
         )
         if not trained.is_interrupted:
             checkpoint.remove()
-        return SplatResult(run.root, cloud, summary, tuple(run.warnings)), pictures
+        return SplatResult(run.root, cloud, summary, tuple(run.warnings)), images
 
 
-def _memory(pictures: FieldPictures, count: int, sh_degree: int) -> float:
+def _memory(images: FieldImages, count: int, sh_degree: int) -> float:
     """Bytes that a training of so many Gaussians takes, with the pictures in three sizes and what their comparison needs."""
-    views = [*pictures.train, *pictures.test]
-    held = sum(view.picture.nbytes for view in views) * 21 / 16
+    views = [*images.train, *images.test]
+    num_bytes = sum(view.image.nbytes for view in views) * 21 / 16
     largest = max(view.camera.width * view.camera.height for view in views)
     numbers = 3 * (11 + 3 * (1 + sh_degree) ** 2)
-    return PROGRAM_BYTES + held + WORK_BYTES_OF_PIXEL * largest + (4 * numbers + WORK_BYTES) * count
+    return PROGRAM_BYTES + num_bytes + WORK_BYTES_OF_PIXEL * largest + (4 * numbers + WORK_BYTES) * count
 
 
-def _fitting(config: SplatConfig, pictures: FieldPictures, wanted: FieldOptions) -> int:
+def _fitting(config: SplatConfig, images: FieldImages, wanted: FieldOptions) -> int:
     """How many Gaussians there may be.
 
     Raises:
         ConfigError: the memory is too small for the pictures, or for as many as are asked for.
     """
-    asked = config.max_gaussians
-    most = _borne(pictures, wanted) if asked is None else asked
+    requested = config.max_gaussians
+    most = _borne(images, wanted) if requested is None else requested
     if config.memory_gb is None:
         return most
-    none = _memory(pictures, 0, config.sh_degree)
-    each = _memory(pictures, 1, config.sh_degree) - none
+    none = _memory(images, 0, config.sh_degree)
+    each = _memory(images, 1, config.sh_degree) - none
     fits = int((1e9 * config.memory_gb - none) / each)
-    if fits < (LEAST_POINTS if asked is None else asked):
-        needs = _memory(pictures, LEAST_POINTS if asked is None else asked, config.sh_degree)
+    if fits < (LEAST_POINTS if requested is None else requested):
+        needs = _memory(images, LEAST_POINTS if requested is None else requested, config.sh_degree)
         raise ConfigError(
             f"memory_gb is {config.memory_gb:g}, and {needs / 1e9:.2f} are needed for these pictures and"
-            f" {LEAST_POINTS if asked is None else asked:,} Gaussians: smaller pictures (max_side_px) or"
+            f" {LEAST_POINTS if requested is None else requested:,} Gaussians: smaller pictures (max_side_px) or"
             " fewer Gaussians take less"
         )
     return min(most, fits)
 
 
-def _borne(pictures: FieldPictures, wanted: FieldOptions) -> int:
+def _borne(images: FieldImages, wanted: FieldOptions) -> int:
     """As many Gaussians as the time bears, and as the pictures tell apart."""
     seconds = STEP_S * (wanted.steps or 0) if wanted.seconds is None else wanted.seconds
-    told = sum(view.camera.width * view.camera.height for view in pictures.train) / PIXELS_OF_EACH
-    return max(LEAST_POINTS, int(min(BORNE * seconds**0.5, told)))
+    figures = sum(view.camera.width * view.camera.height for view in images.train) / PIXELS_OF_EACH
+    return max(LEAST_POINTS, int(min(BORNE * seconds**0.5, figures)))

@@ -17,7 +17,7 @@ from epipole.io.files import read_json
 from epipole.io.gaussians.files import META, gaussians_file, is_unpacked_sog, read_gaussians
 from epipole.io.gaussians.files import SPLAT as SPLAT
 from epipole.io.models.transforms import model_of_cameras, write_transforms
-from epipole.pipelines.fields.cameras import Shot, shots_of_model
+from epipole.pipelines.fields.cameras import RenderView, render_views_of_model
 from epipole.pipelines.fields.config import RenderJob
 from epipole.pipelines.fields.kinds import kind_in
 from epipole.report.gaussians import DEGREE_KEPT
@@ -62,19 +62,19 @@ def scene(path: Path) -> SpaceScene:
     view = replace(view, position=view.position - origin, look_at=view.look_at - origin)
     folder = path if path.is_dir() else path.parent
     is_result = path.is_dir() or path.name == SPLAT or kind_in(path) is not None
-    shots: list[Shot] = []
+    views: list[RenderView] = []
     if is_result and (folder / CAMERAS).is_file():
-        shots = shots_of_model(folder / CAMERAS, RenderJob())
+        views = render_views_of_model(folder / CAMERAS, RenderJob())
     is_field = kind_in(path) is not None and not (path / SPLAT).is_file()
     stands_for = " that stand for a radiance field, a coarse likeness of it" if is_field else ""
     return SpaceScene(
         title=path.resolve().name,
         words=f"{plural(len(cloud), 'Gaussian')}{stands_for}; {colours_in_words(cloud.sh_degree)}",
-        unit=UNIT if shots else UNIT_OF_FILE,
-        cameras=cameras_of(shots, origin) if shots else None,
+        unit=UNIT if views else UNIT_OF_FILE,
+        cameras=cameras_of(views, origin) if views else None,
         gaussians=cloud,
         view=view,
-        background=told_background(folder / SUMMARY) or 0.0,
+        background=recorded_background(folder / SUMMARY) or 0.0,
     )
 
 
@@ -87,8 +87,8 @@ def seen_gaussians(path: Path) -> tuple[GaussianCloud, FirstView]:
     cloud, file = _gaussians_in(path, MOST_SHOWN)
     if not len(cloud):
         raise FileFormatError(file, "holds no Gaussian")
-    known = told_first_view(file.with_name(SUMMARY))
-    return cloud, FirstView(*(known or looked_at(cloud.centers_in_world)))
+    known = recorded_first_view(file.with_name(SUMMARY))
+    return cloud, FirstView(*(known or first_view_of_positions(cloud.centers_in_world)))
 
 
 def colours_in_words(degree: int) -> str:
@@ -101,17 +101,17 @@ def colours_in_words(degree: int) -> str:
 
 
 def cameras_of(
-    shots: Sequence[Shot] | Sequence[TrainingView], origin_in_world: np.ndarray | None = None
+    views: Sequence[RenderView] | Sequence[TrainingView], origin_in_world: np.ndarray | None = None
 ) -> CameraLayer:
     """Not shown at first: they stand before what they see. Relative to the origin of the Gaussians."""
     origin = np.zeros(3) if origin_in_world is None else origin_in_world
-    places = [shot.cam_from_world @ Rigid3(np.eye(3), origin) for shot in shots]
+    positions = [render_view.cam_from_world @ Rigid3(np.eye(3), origin) for render_view in views]
     return CameraLayer(
         "Cameras",
-        tuple(shot.name for shot in shots),
-        Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places])),
-        np.array([shot.camera.K for shot in shots]),
-        np.array([[shot.camera.width, shot.camera.height] for shot in shots]),
+        tuple(render_view.name for render_view in views),
+        Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions])),
+        np.array([render_view.camera.K for render_view in views]),
+        np.array([[render_view.camera.width, render_view.camera.height] for render_view in views]),
         is_shown=False,
     )
 
@@ -135,28 +135,28 @@ def _gaussians_in(path: Path, most: int) -> tuple[GaussianCloud, Path]:
     return read_gaussians(file), file
 
 
-def looked_at(places: np.ndarray) -> list[np.ndarray]:
+def first_view_of_positions(positions: np.ndarray) -> list[np.ndarray]:
     """Position, middle and up of a view of places (n, 3) whose pictures are not known: as most such files are, the world of a camera, y down."""
-    middle = np.median(places, axis=0)
-    size = float(np.percentile(np.linalg.norm(places - middle, axis=1), 90.0))
+    middle = np.median(positions, axis=0)
+    size = float(np.percentile(np.linalg.norm(positions - middle, axis=1), 90.0))
     away = 2.5 * max(size, 1e-6) * np.array([0.0, -0.3, -1.0])
     return [middle + away, middle, np.array([0.0, -1.0, 0.0])]
 
 
 def first_view_of(
-    places: np.ndarray, views: Sequence[TrainingView], origin_in_world: np.ndarray | None = None
+    positions: np.ndarray, views: Sequence[TrainingView], origin_in_world: np.ndarray | None = None
 ) -> dict[str, list[float]]:
     """The place of the first view, the middle of what it sees, and what is up, for a job's summary.
 
     Args:
-        places: (n, 3) of what is seen.
+        positions: (n, 3) of what is seen.
         views: cameras.
         origin_in_world: what both are relative to; the view is told in the world.
     """
     origin = np.zeros(3) if origin_in_world is None else origin_in_world
     world_from_camera = views[0].cam_from_world.inverse()
     up = -np.mean([view.cam_from_world.rotation[1] for view in views], axis=0)
-    middle = np.median(places.astype(np.float64), axis=0)
+    middle = np.median(positions.astype(np.float64), axis=0)
     up = up / max(float(np.linalg.norm(up)), 1e-9)
     position = world_from_camera.translation + origin
     return {"position": position.tolist(), "look_at": (middle + origin).tolist(), "up": up.tolist()}
@@ -177,9 +177,10 @@ def write_cameras(
     """
     origin = None if origin_in_world is None or not origin_in_world.any() else origin_in_world
     shift = Rigid3(np.eye(3), np.zeros(3) if origin is None else -origin)
-    places = [view.cam_from_world @ shift for view in views]
+    positions = [view.cam_from_world @ shift for view in views]
     cams_from_world = Rigid3(
-        np.stack([place.rotation for place in places]), np.stack([place.translation for place in places])
+        np.stack([position.rotation for position in positions]),
+        np.stack([position.translation for position in positions]),
     )
     cameras = [view.camera for view in views]
     none = Points(np.empty((0, 3)), np.empty((0, 3), np.uint8), np.empty(0))
@@ -188,18 +189,18 @@ def write_cameras(
     write_transforms(model, path, image_folder="", origin_in_world=origin)
 
 
-def told_background(summary: Path) -> float | None:
+def recorded_background(summary: Path) -> float | None:
     """The grey value behind everything as it was trained; None where no job has told it."""
-    told = _told(summary, "background")
-    return BACKGROUNDS.get(told) if isinstance(told, str) else None
+    recorded = _given(summary, "background")
+    return BACKGROUNDS.get(recorded) if isinstance(recorded, str) else None
 
 
-def told_antialiased(summary: Path) -> bool:
+def recorded_antialiased(summary: Path) -> bool:
     """Whether Gaussians were trained with Mip-Splatting's filter."""
-    return _told(summary, ANTIALIASED) is True
+    return _given(summary, ANTIALIASED) is True
 
 
-def _told(summary: Path, name: str) -> Any:
+def _given(summary: Path, name: str) -> Any:
     try:
         content = read_json(summary)
     except FileFormatError:
@@ -207,12 +208,12 @@ def _told(summary: Path, name: str) -> Any:
     return content.get(name) if isinstance(content, dict) else None
 
 
-def told_first_view(summary: Path) -> list[np.ndarray] | None:
+def recorded_first_view(summary: Path) -> list[np.ndarray] | None:
     """Position, what is looked at, and up; None where no job has told it, or not in three times three numbers."""
     try:
         content: Any = read_json(summary)
-        told = [np.array(content[FIRST_VIEW][name], np.float64) for name in ("position", "look_at", "up")]
+        recorded = [np.array(content[FIRST_VIEW][name], np.float64) for name in ("position", "look_at", "up")]
     except (FileFormatError, OSError, KeyError, TypeError, ValueError):
         return None
-    good = all(part.shape == (3,) and np.isfinite(part).all() for part in told)
-    return told if good and np.linalg.norm(told[0] - told[1]) > 0 and told[2].any() else None
+    good = all(part.shape == (3,) and np.isfinite(part).all() for part in recorded)
+    return recorded if good and np.linalg.norm(recorded[0] - recorded[1]) > 0 and recorded[2].any() else None

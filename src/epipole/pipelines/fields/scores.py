@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from epipole.fields.exposure import colour_match
-from epipole.fields.photometric import likeness, psnr
+from epipole.fields.photometric import photometric_loss, psnr
 from epipole.fields.training_view import TrainingView
 
 
-def scores_of(drawn: np.ndarray, view: TrainingView, background: np.ndarray) -> dict[str, float]:
+def scores_of(rendered: np.ndarray, view: TrainingView, background: np.ndarray) -> dict[str, float]:
     """PSNR in dB, SSIM, and PSNR after the map of colours that fits best (`psnr_matched`), where the picture is used.
 
     Args:
-        drawn: (h, w, 3) the drawing.
+        rendered: (h, w, 3) the drawing.
         view: the picture.
         background: (3,) colour behind it.
     """
@@ -21,9 +21,9 @@ def scores_of(drawn: np.ndarray, view: TrainingView, background: np.ndarray) -> 
     used = np.ones(truth.shape[:2], bool) if view.used_mask is None else view.used_mask
     if not used.any():
         return dict.fromkeys(("psnr", "ssim", "psnr_matched"), float("nan"))
-    shown, wanted = drawn[used][None], truth[used][None]
+    shown, wanted = rendered[used][None], truth[used][None]
     colours = colour_match(shown, wanted).astype(np.float32)
     matched = shown @ colours[:, :3].T + colours[:, 3]
     weight = used[..., None].astype(np.float32)
-    ssim = likeness(drawn * weight, truth * weight).ssim
+    ssim = photometric_loss(rendered * weight, truth * weight).ssim
     return {"psnr": psnr(shown, wanted), "ssim": ssim, "psnr_matched": psnr(matched, wanted)}

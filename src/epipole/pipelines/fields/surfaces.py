@@ -10,11 +10,11 @@ import numpy as np
 
 from epipole.cameras import Camera
 from epipole.fields.splat.rasterizer import RenderOptions
-from epipole.fields.splat.rasterizer import render as draw
+from epipole.fields.splat.rasterizer import render as render
 from epipole.io.gaussians.files import gaussians_file, read_gaussians
-from epipole.pipelines.fields.cameras import Shot
+from epipole.pipelines.fields.cameras import RenderView
 from epipole.pipelines.fields.kinds import Kind, kind_in
-from epipole.pipelines.fields.scene import SUMMARY, told_antialiased
+from epipole.pipelines.fields.scene import SUMMARY, recorded_antialiased
 
 LEAST_OPACITY, LEAST_COVERAGE = 0.1, 0.5
 """Of Gaussians that tell how large the scene is, and of pixels that show a surface."""
@@ -36,7 +36,7 @@ class Seen(NamedTuple):
         return np.where(shown, self.depth / np.maximum(self.coverage, LEAST_COVERAGE), np.nan)
 
 
-def seen_from(source: Path) -> tuple[Callable[[Shot], Seen], np.ndarray]:
+def seen_from(source: Path) -> tuple[Callable[[RenderView], Seen], np.ndarray]:
     """What draws a shot, and places (n, 3) that say where the scene is.
 
     Raises:
@@ -46,27 +46,29 @@ def seen_from(source: Path) -> tuple[Callable[[Shot], Seen], np.ndarray]:
     if found is not None:
         kind, file = found
         field = kind.read(file)
-        return lambda shot: _marched(kind, field, shot), kind.places(field)
+        return lambda render_view: _marched(kind, field, render_view), kind.positions(field)
     file = gaussians_file(source)
     cloud, options = (
         read_gaussians(file),
-        RenderOptions(antialiased=told_antialiased(file.with_name(SUMMARY))),
+        RenderOptions(antialiased=recorded_antialiased(file.with_name(SUMMARY))),
     )
     opacity = 1.0 / (1.0 + np.exp(-cloud.opacity_logits))
-    places = cloud.centers_in_world[opacity >= LEAST_OPACITY]
+    positions = cloud.centers_in_world[opacity >= LEAST_OPACITY]
 
-    def splatted(shot: Shot) -> Seen:
-        drawn = draw(cloud, shot.camera, shot.cam_from_world, options)
-        return Seen(drawn.depth, drawn.coverage, drawn.colour)
+    def splatted(render_view: RenderView) -> Seen:
+        rendered = render(cloud, render_view.camera, render_view.cam_from_world, options)
+        return Seen(rendered.depth, rendered.coverage, rendered.colour)
 
-    return splatted, places if len(places) else cloud.centers_in_world
+    return splatted, positions if len(positions) else cloud.centers_in_world
 
 
-def _marched(kind: Kind, field: Any, shot: Shot) -> Seen:
+def _marched(kind: Kind, field: Any, render_view: RenderView) -> Seen:
     """What is seen before white but not before black is background; depth along rays becomes that along the axis."""
-    black, depth, _ = kind.draw(field, shot.camera, shot.cam_from_world, np.zeros(3, np.float32))
-    white = kind.draw(field, shot.camera, shot.cam_from_world, np.ones(3, np.float32))[0]
-    return Seen(depth * _along_axis(shot.camera), 1.0 - (white - black).mean(axis=2), black)
+    black, depth, _ = kind.render(
+        field, render_view.camera, render_view.cam_from_world, np.zeros(3, np.float32)
+    )
+    white = kind.render(field, render_view.camera, render_view.cam_from_world, np.ones(3, np.float32))[0]
+    return Seen(depth * _along_axis(render_view.camera), 1.0 - (white - black).mean(axis=2), black)
 
 
 def _along_axis(camera: Camera) -> np.ndarray:

@@ -19,18 +19,18 @@ from epipole.io.models.losses import losses_in, losses_of
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.held_out import probed
+from epipole.pipelines.fields.images import FieldImages, gather_field_images, is_model
 from epipole.pipelines.fields.page import FieldPage, render_page
-from epipole.pipelines.fields.pictures import FieldPictures, gather_field_pictures, is_model
 from epipole.pipelines.fields.watching import open_watch
 from epipole.pipelines.sfm.run import reconstruct
-from epipole.runs import Job, ProgressCallback, Run, heeded_interrupts
+from epipole.runs import Job, ProgressCallback, Run, graceful_interrupt
 from epipole.runs.earlier import note_on_poorer
 
 METRICS, MODEL, REPORT = "metrics.json", "sfm", "report.html"
 C = TypeVar("C", SplatConfig, NerfConfig)
 MEANS = ("psnr", "ssim", "psnr_matched")
 CURVE_POINTS = 200
-PROBES, PROBE_SHARE = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85), 0.1
+PROBES, PROBE_FRACTION = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85), 0.1
 """At these shares of the training some held-out views are drawn and compared; their time is not counted, but where it is more than
 this share of the training's the comparison is left out: fog is slow to draw."""
 
@@ -45,10 +45,10 @@ class Trainer(Protocol):
     def step(self, progress: float) -> float:
         """One step, at a share of the training; returns the loss."""
 
-    def draw(self, view: TrainingView) -> np.ndarray:
+    def render(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
 
-    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+    def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
         """The picture of a view, and how often the field was asked for it."""
 
     def __len__(self) -> int:
@@ -61,7 +61,7 @@ class Called(Generic[C]):
 
     source: Path
     out: Path
-    pictures: FieldOptions
+    images: FieldOptions
     config: C
     settings: dict[str, Any]
     task: Job
@@ -91,16 +91,16 @@ def called(
     """
     names: list[str] = [field.name for field in fields(FieldOptions)]
     own = {name: options.pop(name) for name in names if name in options}
-    pictures = options_of(FieldOptions, job, own)
+    images = options_of(FieldOptions, job, own)
     config = options_of(*configs, options, [*names, "config", "job", "progress"])
     source, out = (as_path(path) for path in paths)
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
     watched = ("view", "host", "port")  # which change nothing of what comes out
-    kept = {name: value for name, value in asdict(pictures).items() if name not in watched}
+    kept = {name: value for name, value in asdict(images).items() if name not in watched}
     settings = {"job": kept, "config": asdict(config)}
     task = Job(kind=kind, inputs=(source,), settings=settings, progress=progress)
-    return Called(source, out, pictures, config, settings, task)
+    return Called(source, out, images, config, settings, task)
 
 
 class Trained(NamedTuple):
@@ -113,7 +113,7 @@ class Trained(NamedTuple):
     is_interrupted: bool
 
 
-def pictures_of(source: Path, run: Run, wanted: FieldOptions) -> FieldPictures:
+def images_of(source: Path, run: Run, wanted: FieldOptions) -> FieldImages:
     """Cameras and pictures of a source; those of photographs are found first, in a folder beside.
 
     What is lost on the way stands among their problems.
@@ -126,19 +126,19 @@ def pictures_of(source: Path, run: Run, wanted: FieldOptions) -> FieldPictures:
         found = reconstruct(source, model, progress=run.job.progress, masks=wanted.masks)
         losses = losses_of(found.summary, model)
         photographs = source if source.is_dir() else model / "images"
-    pictures = gather_field_pictures(model, wanted, photographs, run.job.progress)
-    return replace(pictures, problems=[*losses, *pictures.problems])
+    images = gather_field_images(model, wanted, photographs, run.job.progress)
+    return replace(images, problems=[*losses, *images.problems])
 
 
-def background_of(wanted: FieldOptions, pictures: FieldPictures) -> np.ndarray:
+def background_of(wanted: FieldOptions, images: FieldImages) -> np.ndarray:
     """(3,) white or black."""
-    is_white = wanted.background == "white" or (wanted.background == "auto" and pictures.has_alpha)
+    is_white = wanted.background == "white" or (wanted.background == "auto" and images.has_alpha)
     return np.full(3, 1.0 if is_white else 0.0, np.float32)
 
 
 def train(
     trainer: Trainer,
-    pictures: FieldPictures,
+    images: FieldImages,
     wanted: FieldOptions,
     run: Run,
     note: str = "",
@@ -153,10 +153,10 @@ def train(
         earlier, curve = checkpoint.restore()
     if trainer.num_steps:
         run.warnings.append(f"an earlier training was ended at step {trainer.num_steps}, and goes on")
-    begin, compiling, aside = perf_counter(), compile_seconds(), 0.0
+    start, compiling, aside = perf_counter(), compile_seconds(), 0.0
 
     def seconds() -> float:
-        return earlier + perf_counter() - begin - aside - (compile_seconds() - compiling)
+        return earlier + perf_counter() - start - aside - (compile_seconds() - compiling)
 
     def done() -> float:
         if limit is None:
@@ -165,23 +165,23 @@ def train(
 
     is_over = False
     run.report("train", 0, 100, note)
-    num_due = sum(share < done() for share in PROBES)
-    with open_watch(wanted, pictures, trainer, run.root.name) as watch, heeded_interrupts() as is_pressed:
-        while (share := done()) < 1.0 and not is_over:
-            if num_due < len(PROBES) and share >= PROBES[num_due]:
+    num_due = sum(fraction < done() for fraction in PROBES)
+    with open_watch(wanted, images, trainer, run.root.name) as watch, graceful_interrupt() as is_pressed:
+        while (fraction := done()) < 1.0 and not is_over:
+            if num_due < len(PROBES) and fraction >= PROBES[num_due]:
                 num_due += 1
                 at, paused, compiled = seconds(), perf_counter(), compile_seconds()
-                likeness_then = probed(trainer, pictures.test, PROBE_SHARE * at - aside)
+                similarity_then = probed(trainer, images.test, PROBE_FRACTION * at - aside)
                 aside += perf_counter() - paused - (compile_seconds() - compiled)
-                if likeness_then is not None:
-                    probes.append([at, trainer.num_steps, likeness_then])
-            loss = trainer.step(share)
-            watch.show(trainer, share)
+                if similarity_then is not None:
+                    probes.append([at, trainer.num_steps, similarity_then])
+            loss = trainer.step(fraction)
+            watch.show(trainer, fraction)
             is_over = is_pressed()
-            if share * CURVE_POINTS >= len(curve):
+            if fraction * CURVE_POINTS >= len(curve):
                 curve.append([seconds(), trainer.num_steps, loss, len(trainer)])
                 try:
-                    run.report("train", min(round(100 * share), 99), 100)
+                    run.report("train", min(round(100 * fraction), 99), 100)
                 except KeyboardInterrupt:  # by the caller's own callback
                     is_over = True
             if checkpoint is not None and (is_over or checkpoint.is_due()):
@@ -202,7 +202,7 @@ def _keep(checkpoint: Checkpoint, seconds: float, curve: list[list[float]], run:
 
 def finished(
     trainer: Trainer,
-    pictures: FieldPictures,
+    images: FieldImages,
     scores: list[dict[str, Any]],
     trained: Trained,
     run: Run,
@@ -213,8 +213,8 @@ def finished(
     summary: dict[str, Any] = {
         **more,
         "interrupted": trained.is_interrupted,
-        "num_train": len(pictures.train),
-        "num_test": len(pictures.test),
+        "num_train": len(images.train),
+        "num_test": len(images.test),
         "num_compared": len(scores),
         "steps": trainer.num_steps,
         "train_s": trained.curve[-1][0] if trained.curve else 0.0,
@@ -225,12 +225,10 @@ def finished(
     }
     tables: dict[str, dict[str, list[Any]]] = {
         "curve": {"columns": ["s", "step", "loss", "size"], "rows": trained.curve},
-        "held_out": {"columns": ["s", "step", "psnr"], "rows": trained.probes if pictures.test else []},
+        "held_out": {"columns": ["s", "step", "psnr"], "rows": trained.probes if images.test else []},
     }
     run.folder.write_json(METRICS, {**summary, "views": scores, **tables})
-    page = render_page(
-        FieldPage(summary, scores, pictures, trainer.background, tables, run.root, run.warnings)
-    )
+    page = render_page(FieldPage(summary, scores, images, trainer.background, tables, run.root, run.warnings))
     run.folder.write_text(REPORT, page)
     run.finish(summary)
     return summary

@@ -16,16 +16,16 @@ from epipole.fields.splat.trainer import SplatTrainer
 from epipole.fields.training_view import TrainingView
 from epipole.geometry import Rigid3
 from epipole.pipelines.fields.config import FieldOptions
-from epipole.pipelines.fields.pictures import FieldPictures
+from epipole.pipelines.fields.images import FieldImages
 from epipole.pipelines.fields.scene import UNIT, cameras_of, first_view_of
 from epipole.report.gaussians import most_visible
 from epipole.report.space_scene import FirstView, SpaceScene
 from epipole.scene.gaussian_cloud import GaussianCloud
-from epipole.viewer.asked_views import AskedViews
 from epipole.viewer.live import Budget, LivePage, LiveScene, opened_live
 from epipole.viewer.page_server import JPEG, Served
+from epipole.viewer.requested_views import RequestedViews
 
-SHARE, PAUSE_S = 0.08, 0.25
+FRACTION, PAUSE_S = 0.08, 0.25
 """Fraction of the training's time, at most, for what is shown; and the shortest time between two updates."""
 SPLAT_PAUSE_S = 1.0
 """The same for Gaussians: without a graphics card, a browser needs 45 ms to show even a new word above a large view."""
@@ -34,20 +34,20 @@ MOST_GAUSSIANS = 60_000
 
 
 @runtime_checkable
-class Drawn(Protocol):
+class Renderable(Protocol):
     """What is learnt, and can be rendered."""
 
     num_steps: int
     background: np.ndarray
 
-    def draw(self, view: TrainingView) -> np.ndarray:
+    def render(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the image of a view."""
 
 
 class Watch:
     """Shows nothing: what a training without a viewer has."""
 
-    def show(self, trainer: Drawn, share: float) -> None:
+    def show(self, trainer: Renderable, fraction: float) -> None:
         """A step was taken, at a fraction of the training."""
 
 
@@ -57,14 +57,18 @@ class BrowserWatch(Watch):
     Gaussians are copied, and rendered by the page. Fields are rendered here, for the viewpoint of each tab.
     """
 
-    def __init__(self, page: LiveScene, views: AskedViews, scene: SpaceScene) -> None:
+    def __init__(self, page: LiveScene, views: RequestedViews, scene: SpaceScene) -> None:
         self.page, self.views, self.scene = page, views, scene
         pause_s = PAUSE_S if scene.gaussians is None else SPLAT_PAUSE_S
-        self.budget, self.words_budget, self.share = Budget(SHARE, pause_s), Budget(SHARE, pause_s), 0.0
+        self.budget, self.words_budget, self.fraction = (
+            Budget(FRACTION, pause_s),
+            Budget(FRACTION, pause_s),
+            0.0,
+        )
 
-    def show(self, trainer: Drawn, share: float) -> None:
+    def show(self, trainer: Renderable, fraction: float) -> None:
         """Update the page, if a tab is open and the budget allows it."""
-        self.share = min(share, 1.0)
+        self.fraction = min(fraction, 1.0)
         if not self.page.is_watched:
             return
         if self.budget.allows():
@@ -72,7 +76,7 @@ class BrowserWatch(Watch):
         if self.words_budget.allows():
             self._spend(self.words_budget, lambda: self.page.publish(self._state(trainer)))
 
-    def show_field(self, trainer: Drawn) -> None:
+    def show_field(self, trainer: Renderable) -> None:
         """The Gaussians of now, or one of the views that tabs wait for."""
         if isinstance(trainer, SplatTrainer):
             cloud = trainer.cloud
@@ -80,30 +84,30 @@ class BrowserWatch(Watch):
         else:
             self.render_next(trainer)
 
-    def _state(self, trainer: Drawn) -> dict[str, Any]:
-        words = f"step {trainer.num_steps:,}, {round(100 * self.share)} % of the training"
+    def _state(self, trainer: Renderable) -> dict[str, Any]:
+        words = f"step {trainer.num_steps:,}, {round(100 * self.fraction)} % of the training"
         if isinstance(trainer, SplatTrainer):
             words += f", {len(trainer):,} Gaussians"
-        return {"state": "Running", "words": words, "fraction": self.share}
+        return {"state": "Running", "words": words, "fraction": self.fraction}
 
     def _spend(self, budget: Budget, act: Callable[[], object]) -> None:
         """Kernels that compile are no part of it: they do so once."""
-        begin, compiling = perf_counter(), compile_seconds()
+        start, compiling = perf_counter(), compile_seconds()
         act()
-        budget.spend(perf_counter() - begin - (compile_seconds() - compiling))
+        budget.spend(perf_counter() - start - (compile_seconds() - compiling))
 
-    def render_next(self, trainer: Drawn) -> bool:
+    def render_next(self, trainer: Renderable) -> bool:
         """Render the view of a field that has waited longest, if there is one."""
 
-        def draw(camera: Camera, cam_from_world: Rigid3) -> np.ndarray:
+        def render(camera: Camera, cam_from_world: Rigid3) -> np.ndarray:
             blank = np.zeros((camera.height, camera.width, 3), np.uint8)
-            return trainer.draw(TrainingView("watched", blank, camera, cam_from_world))
+            return trainer.render(TrainingView("watched", blank, camera, cam_from_world))
 
-        return self.views.render_next(draw)
+        return self.views.render_next(render)
 
 
 @contextmanager
-def open_watch(wanted: FieldOptions, pictures: FieldPictures, trainer: Drawn, name: str) -> Iterator[Watch]:
+def open_watch(wanted: FieldOptions, images: FieldImages, trainer: Renderable, name: str) -> Iterator[Watch]:
     """What shows the training of that name: a page in the browser, whose address is printed, or nothing.
 
     Raises:
@@ -112,10 +116,10 @@ def open_watch(wanted: FieldOptions, pictures: FieldPictures, trainer: Drawn, na
     if not wanted.view:
         yield Watch()
         return
-    is_splat, views = isinstance(trainer, SplatTrainer), AskedViews()
+    is_splat, views = isinstance(trainer, SplatTrainer), RequestedViews()
     own = {} if is_splat else {"live/view": Served(JPEG, views.answer)}
     live = LivePage(job="training", has_views=not is_splat, pages=own)
-    scene = _scene(pictures, trainer, f"{name}: training")
+    scene = _scene(images, trainer, f"{name}: training")
     with opened_live(live, scene, wanted.host, wanted.port) as page:
         watch = BrowserWatch(page, views, scene)
         page.meanwhile = lambda: watch.render_next(trainer)
@@ -123,16 +127,16 @@ def open_watch(wanted: FieldOptions, pictures: FieldPictures, trainer: Drawn, na
         watch.show_field(trainer)
 
 
-def _scene(pictures: FieldPictures, trainer: Drawn, title: str) -> SpaceScene:
+def _scene(images: FieldImages, trainer: Renderable, title: str) -> SpaceScene:
     """Cameras, and the Gaussians of now if it trains some."""
-    told = first_view_of(_places_of(pictures), pictures.train)
+    view = first_view_of(_centers_of(images), images.train)
     return SpaceScene(
         title=title,
         words="",
         unit=UNIT,
-        cameras=cameras_of(pictures.train),
+        cameras=cameras_of(images.train),
         gaussians=_bounded(trainer.cloud) if isinstance(trainer, SplatTrainer) else None,
-        view=FirstView(*(np.array(told[name]) for name in ("position", "look_at", "up"))),
+        view=FirstView(*(np.array(view[name]) for name in ("position", "look_at", "up"))),
         background=float(trainer.background[0]),
     )
 
@@ -141,9 +145,9 @@ def _bounded(cloud: GaussianCloud) -> GaussianCloud:
     return cloud.rows(most_visible(cloud, MOST_GAUSSIANS))
 
 
-def _places_of(pictures: FieldPictures) -> np.ndarray:
+def _centers_of(images: FieldImages) -> np.ndarray:
     """Known points, or where none are, what the first camera looks at from where the others stand."""
-    points = pictures.points_in_world[np.isfinite(pictures.points_in_world).all(axis=1)]
+    points = images.points_in_world[np.isfinite(images.points_in_world).all(axis=1)]
     if len(points):
         return points
-    return np.mean([view.cam_from_world.inverse().translation for view in pictures.train], axis=0)[None]
+    return np.mean([view.cam_from_world.inverse().translation for view in images.train], axis=0)[None]

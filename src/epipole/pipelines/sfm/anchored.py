@@ -72,7 +72,7 @@ def with_scale(
     if alignment is not None:
         positions = gps_to_enu(images.lat_lon_alt)
         residuals_m = gps_distances(model.camera_centers_in_world(), positions)
-        alignment = replace(alignment, residuals_m=residuals_m) if found.places is None else None
+        alignment = replace(alignment, residuals_m=residuals_m) if found.positions is None else None
     return (
         replace(
             mapped,
@@ -87,13 +87,13 @@ def with_scale(
 def _moved(model: Reconstruction, found: Anchoring, config: ReconstructConfig) -> Reconstruction:
     """In metres; with measured places once more adjusted, with them as factors."""
     model = model.transformed(_about_middle(model, found))
-    if found.places is None:
+    if found.positions is None:
         return model
     rows = np.flatnonzero(model.is_registered())
     before = model.camera_centers_in_world()[rows]
     expected = np.full((len(model.frames), 3), np.nan)
-    expected[model.images.frame[rows]] = found.places.positions
-    priors = BundlePriors(position_in_world=expected, position_sigma=found.places.sigma)
+    expected[model.images.frame[rows]] = found.positions.positions
+    priors = BundlePriors(position_in_world=expected, position_sigma=found.positions.sigma)
     loss = Loss[config.mapper.final_loss.upper()]
     bundle = BundleConfig(loss=loss, loss_scale_px=config.mapper.final_scale_px)
     adjusted, _ = adjust_reconstruction(model, bundle, priors=priors)
@@ -102,7 +102,7 @@ def _moved(model: Reconstruction, found: Anchoring, config: ReconstructConfig) -
 
 def _about_middle(model: Reconstruction, found: Anchoring) -> Similarity3:
     """Without measured places the middle of the cameras stays, so that those that GPS has placed stay there."""
-    if found.places is not None:
+    if found.positions is not None:
         return found.world_from_model
     middle = np.nanmean(model.camera_centers_in_world(), axis=0)
     scale = float(found.world_from_model.scale)

@@ -59,7 +59,7 @@ class MapperConfig:
     """The same for a finished model; below it, mapping starts again from other initial pairs."""
     restarts: int = 3
     """Largest number of restarts from other initial pairs."""
-    image_share: float = 0.3
+    image_fraction: float = 0.3
     """An image is removed again if a smaller share of its matches agrees with the model."""
     max_error_px: float = 4.0
     """Observations with a larger reprojection error are dropped."""
@@ -79,7 +79,7 @@ class MapperConfig:
     """Global bundle adjustment runs each time the model has grown by this factor."""
     final_rounds: int = 5
     """Largest number of final rounds of adjusting, filtering and triangulating again."""
-    settled_share: float = 5e-4
+    converged_fraction: float = 5e-4
     """The final rounds end when a smaller share of the observations changes."""
     final_loss: Literal["trivial", "huber", "soft_l1", "cauchy"] = "cauchy"
     """Robust loss of the last adjustment; before it, soft L1."""

@@ -135,7 +135,7 @@ class IncrementalMapper:
         Pairs are tried in falling order of inliers and angle. The first model that agrees is kept; if none does,
         the one that agrees best (two nearly parallel views may start a mirrored model that fits both).
         """
-        best_share, best_edge, probes = 0.0, -1, 0
+        best_fraction, best_edge, probes = 0.0, -1, 0
         for edge in self._ranked_starts(usable)[: self.config.start_trials]:
             if probes == MAX_PROBES or not self._probe(int(edge), usable):
                 if probes == MAX_PROBES:
@@ -143,11 +143,11 @@ class IncrementalMapper:
                 continue
             probes += 1
             self._started |= {int(self.view_graph.image1[edge]), int(self.view_graph.image2[edge])}
-            share = self.consistency.overall(self.model)
-            if share >= self.config.min_match_agreement:
+            fraction = self.consistency.overall(self.model)
+            if fraction >= self.config.min_match_agreement:
                 return True
-            if share > best_share:
-                best_share, best_edge = share, int(edge)
+            if fraction > best_fraction:
+                best_fraction, best_edge = fraction, int(edge)
         if best_edge >= 0 and self._probe(best_edge, usable):
             return True
         self.model.clear()
@@ -162,8 +162,8 @@ class IncrementalMapper:
 
     def _ranked_starts(self, usable: np.ndarray) -> np.ndarray:
         g = self.view_graph
-        tells_depth = np.isin(g.kind, (PairKind.GENERAL, PairKind.UNCALIBRATED, PairKind.PLANAR))
-        fits = tells_depth & usable[g.image1] & usable[g.image2] & np.isfinite(g.median_angle_rad)
+        measures_depth = np.isin(g.kind, (PairKind.GENERAL, PairKind.UNCALIBRATED, PairKind.PLANAR))
+        fits = measures_depth & usable[g.image1] & usable[g.image2] & np.isfinite(g.median_angle_rad)
         wanted = np.deg2rad(self.config.start_angle_deg)
         preference = np.where(g.kind == PairKind.PLANAR, 0.5, 1.0) * np.minimum(
             g.median_angle_rad / wanted, 1.0
@@ -185,7 +185,7 @@ class IncrementalMapper:
         """Remove an image that sees its own matches as different points: its pose is wrong."""
         if not self.model.registered[image] or self.model.registered.sum() <= 3:
             return
-        if self.consistency.of_image(self.model, image) < self.config.image_share:
+        if self.consistency.of_image(self.model, image) < self.config.image_fraction:
             in_sight = self._num_rows_in_sight(image)
             self.model.deregister(image)
             self.rejections[image] = Rejection(image, in_sight, 0)
@@ -278,16 +278,16 @@ class IncrementalMapper:
         """
         model, config = self.model, self.config
         everything = np.arange(len(model.components))
-        for turn in range(max(rounds, 1)):
+        for rotation in range(max(rounds, 1)):
             adjust_all(model, self._global_bundle(), self._freedom(), self.priors)
             dropped = model.filter(config.max_error_px, self._angle)
             self._drop_lost_images()
-            done(min(turn + 1, rounds))
-            if turn == rounds - 1 or rounds == 0:
+            done(min(rotation + 1, rounds))
+            if rotation == rounds - 1 or rounds == 0:
                 break
             added = model.extend(everything, config.max_error_px)
             added += model.triangulate(everything, config.max_error_px, self._angle)
-            if dropped + added < config.settled_share * (model.row_point >= 0).sum():
+            if dropped + added < config.converged_fraction * (model.row_point >= 0).sum():
                 break
 
     def _drop_lost_images(self) -> None:

@@ -50,7 +50,7 @@ class Mapped:
     scale: MetricScale | None = None
     """What made the largest model metric; None where it is up to scale."""
 
-    def num_placed(self) -> int:
+    def num_registered(self) -> int:
         """Images that have a place in any model."""
         return sum(int(model.is_registered().sum()) for model in self.models)
 
@@ -76,7 +76,7 @@ def map_images(
         mapper = IncrementalMapper(builder, view_graph, config)
         if not mapper.run(remaining, _counting(progress, remaining), _adjusting(progress)):
             break
-        gps = _put_in_place(mapper, positions, images.up_in_cams, config, _adjusting(progress))
+        gps = _publish(mapper, positions, images.up_in_cams, config, _adjusting(progress))
         rejections.update({i: r for i, r in mapper.rejections.items() if not found})
         if builder.registered.sum() < 2 or len(np.unique(builder.row_point[builder.row_point >= 0])) < 3:
             break
@@ -109,7 +109,7 @@ def _adjusting(progress: ProgressCallback) -> Callable[[int, int], None]:
     return lambda done, total: progress(Progress("adjust", done, total))
 
 
-def _put_in_place(
+def _publish(
     mapper: IncrementalMapper,
     positions_enu: np.ndarray,
     up_in_cams: np.ndarray,
@@ -118,11 +118,11 @@ def _put_in_place(
 ) -> GpsAlignment | None:
     """Rotate the model upright; where GPS agrees, also to metres, east-north-up, and adjust it with the GPS."""
     model = mapper.model
-    ups = up_directions(model.registered_places(), up_in_cams[model.registered])
+    ups = up_directions(model.registered_poses(), up_in_cams[model.registered])
     reach_m = GPS_OUTLIER_SIGMAS * config.gps_sigma_m
     aligned = align_to_gps(model.center, ups, positions_enu, config.gps_sigma_m, reach_m, config.seed)
     if aligned is None:
-        model.move(upright_from_world(model.registered_places(), model.living_points(), ups[0]))
+        model.move(upright_from_world(model.registered_poses(), model.living_points(), ups[0]))
         return None
     model.move(aligned.enu_from_world)
     expected = np.where(model.registered[:, None], positions_enu, np.nan)
@@ -198,11 +198,11 @@ def reasons_in_words(
     images: ImageSet, mapped: Mapped, view_graph: ViewGraph, keypoints: Sequence[np.ndarray], min_inliers: int
 ) -> dict[str, str]:
     """Why each image that has no place has none, in words."""
-    placed = np.zeros(len(images), bool)
+    registered = np.zeros(len(images), bool)
     for model in mapped.models:
-        placed |= model.is_registered()
+        registered |= model.is_registered()
     out = dict(images.left_out)
-    for image in np.flatnonzero(~placed):
+    for image in np.flatnonzero(~registered):
         words = _reason(int(image), mapped, view_graph, len(keypoints[int(image)]), min_inliers)
         is_masked = images.mask_fingerprints[image] and len(keypoints[int(image)]) < 2 * min_inliers
         out[images.names[image]] = f"{words}, or its mask covers it" if is_masked else words

@@ -32,7 +32,7 @@ def title_of(source: Path) -> str:
     return source.name or str(source)
 
 
-def notes_on_choice_and_lenses(solution: Solution) -> list[str]:
+def notes_on_choice_and_cameras(solution: Solution) -> list[str]:
     """What was noticed about pictures and masks, and focal lengths that nobody gave."""
     return [*solution.images.notes, *_focal_notes(solution)]
 
@@ -58,7 +58,7 @@ def _wrong_focals(solution: Solution) -> list[str]:
     """Known focal lengths that the images contradict."""
     known = solution.images.cameras.is_constant
     wrong = [
-        f"{pictures_of_camera(solution, c)}: {focal.model_px:.0f} px is given, {_with_sigma(focal.focal_px, focal)} estimated"
+        f"{images_of_camera(solution, c)}: {focal.model_px:.0f} px is given, {_with_sigma(focal.focal_px, focal)} estimated"
         for c, focal in solution.focals.items()
         if known[c] and focal.contradicts_model
     ]
@@ -93,26 +93,26 @@ def _focal_notes(solution: Solution) -> list[str]:
         final_px = _final_focal_px(solution, int(c))
         if final_px is None:
             continue
-        of_pictures, first_px = pictures_of_camera(solution, int(c)), solution.cameras[int(c)].focal_px
+        of_images, first_px = images_of_camera(solution, int(c)), solution.cameras[int(c)].focal_px
         accuracy = solution.focals.get(int(c))
         final = _with_sigma(final_px, accuracy)
         if int(c) in solution.guessed_cameras:
             first = f" (first estimate {first_px:.0f} px)" if f"{first_px:.0f}" != f"{final_px:.0f}" else ""
-            found.append(f"{of_pictures}: {final}{first}")
+            found.append(f"{of_images}: {final}{first}")
             if accuracy is None or not accuracy.is_determined:
-                doubtful.append(f"{of_pictures}: {_share_of(accuracy)}")
+                doubtful.append(f"{of_images}: {_fraction_of(accuracy)}")
         else:
-            unknown.append(f"{of_pictures}: {final} from a guess of {first_px:.0f} px")
+            unknown.append(f"{of_images}: {final} from a guess of {first_px:.0f} px")
     notes = []
     if found:
         words = "focal length" if len(found) == 1 else "focal lengths"
-        doubt = (
+        warning = (
             f". The images do not determine {'it' if len(found) == 1 else 'all of them'} well (standard deviation of"
             f" {_first_of(doubtful)}): angles and proportions may be wrong by as much. Known values are given by"
             " --calibration or --camera-params"
         )
         notes.append(
-            f"{words} found from the pictures themselves: {_first_of(found)}{doubt if doubtful else ''}"
+            f"{words} found from the pictures themselves: {_first_of(found)}{warning if doubtful else ''}"
         )
     if unknown:
         notes.append(
@@ -146,7 +146,7 @@ def focal_verdict(accuracy: FocalAccuracy) -> str:
     return f"{verdict} by the images, {_with_sigma(accuracy.focal_px, accuracy)}"
 
 
-def _share_of(accuracy: FocalAccuracy | None) -> str:
+def _fraction_of(accuracy: FocalAccuracy | None) -> str:
     if accuracy is None or not accuracy.sigma_px < accuracy.focal_px:
         return "100 % or more"
     return f"{100 * accuracy.sigma_px / accuracy.focal_px:.1f} %"
@@ -165,7 +165,7 @@ def _first_of(cameras: list[str]) -> str:
     return "; ".join(cameras[:CAMERAS_SHOWN]) + (f"; and {more} more, see the report" if more > 0 else "")
 
 
-def pictures_of_camera(solution: Solution, camera: int) -> str:
+def images_of_camera(solution: Solution, camera: int) -> str:
     """The pictures that a camera took: the first one, and how many more."""
     rows = np.flatnonzero(solution.images.camera_of_image == camera)
     if not len(rows):

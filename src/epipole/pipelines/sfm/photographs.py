@@ -20,8 +20,8 @@ from epipole.io.images.photographs import (
     mask_of,
     read_header,
 )
+from epipole.pipelines.sfm.cameras import group_cameras
 from epipole.pipelines.sfm.config import ReconstructConfig
-from epipole.pipelines.sfm.lenses import group_cameras
 from epipole.runs import Progress, ProgressCallback, content_digests
 from epipole.scene import Cameras
 
@@ -217,8 +217,10 @@ def _masks_of(names: Sequence[str], masks: Path | None) -> tuple[dict[str, Path]
     found = {name: path for name in names if (path := mask_of(masks, name)) is not None}
     if not found:
         first, second = mask_names(names[0])
-        held = sorted(p.relative_to(masks).as_posix() for p in islice(masks.rglob("*"), 1000) if p.is_file())
-        there = f"there are {_some(held)}" if held else "it is empty"
+        present = sorted(
+            p.relative_to(masks).as_posix() for p in islice(masks.rglob("*"), 1000) if p.is_file()
+        )
+        there = f"there are {_some(present)}" if present else "it is empty"
         raise ConfigError(
             f"masks {masks} holds none for any of the {_counted(len(names), 'picture')}: looked for {first} or {second}, "
             f"and so on; {there}"

@@ -123,7 +123,7 @@ def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
         images = replace(solution.images, cameras=corrected)
         again = _match_and_map(images, detected, run, config, "-again")
         solution = max(solution, again, key=Solution.worth)
-        run.report("map", solution.mapped.num_placed(), len(images))
+        run.report("map", solution.mapped.num_registered(), len(images))
     return solution
 
 
@@ -179,8 +179,8 @@ def _without_contradictions(images: ImageSet, view_graph: ViewGraph, config: Rec
     wrong = contradicted_cameras(images.cameras, images.camera_of_image, view_graph)
     if not wrong:
         return images
-    lens = [images.cameras[c] for c in wrong]
-    sizes = ", ".join(f"{camera.width}x{camera.height}" for camera in lens)
+    intrinsics = [images.cameras[c] for c in wrong]
+    sizes = ", ".join(f"{camera.width}x{camera.height}" for camera in intrinsics)
     if config.single_camera or images.is_video:
         why = "single_camera" if config.single_camera else "a video"
         note = (
@@ -205,8 +205,8 @@ def _without_contradictions(images: ImageSet, view_graph: ViewGraph, config: Rec
 def _matches(todo: PairWork, detected: _Detected, folder: Path) -> list[Unit]:
     if detected.database is None or not detected.given:
         return match_units(todo, folder)
-    asked = {pair: detected.given[pair] for pair in _in_order(todo.pairs)}
-    return given_match_units(asked, folder)
+    requested = {pair: detected.given[pair] for pair in _in_order(todo.pairs)}
+    return given_match_units(requested, folder)
 
 
 def _verify(
@@ -320,12 +320,12 @@ def _choose_pairs(
     given: dict[tuple[int, int], np.ndarray],
 ) -> np.ndarray:
     """The pairs to work on; of those with given matches, where there are any, the ones asked for."""
-    asked = read_pairs(config.pairs, images.names) if config.pairs is not None else None
+    requested = read_pairs(config.pairs, images.names) if config.pairs is not None else None
     if given:
-        kept = sorted(given) if asked is None else [p for p in _in_order(asked) if p in given]
+        kept = sorted(given) if requested is None else [p for p in _in_order(requested) if p in given]
         return np.array(kept, np.int32).reshape(-1, 2)
-    if asked is not None:
-        return asked
+    if requested is not None:
+        return requested
     descriptors = _Descriptors([u.path for u in features])
     return choose_pairs(descriptors, images.lat_lon_alt, config.pairing, is_video=images.is_video)
 

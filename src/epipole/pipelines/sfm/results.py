@@ -41,16 +41,16 @@ def write_results(solution: Solution, run: Run) -> None:
         for number, model in enumerate(models):
             write_colmap_model(model, aside / "sparse" / str(number))
         write_scene_ply(aside / "points.ply", models[0])
-    _write_pictures(solution, run)
+    _write_images(solution, run)
 
 
-def _write_pictures(solution: Solution, run: Run) -> None:
+def _write_images(solution: Solution, run: Run) -> None:
     """Write the registered pictures, turned upright; copies of pictures that have not changed stay."""
     images, record = solution.images, run.root / COPIES
-    placed = np.zeros(len(images), bool)
+    registered = np.zeros(len(images), bool)
     for model in solution.mapped.models:
-        placed |= model.is_registered()
-    rows = np.flatnonzero(placed)
+        registered |= model.is_registered()
+    rows = np.flatnonzero(registered)
     copied = {images.names[i]: images.fingerprints[i] for i in rows}
     before = _read_record(record)
     record.unlink(missing_ok=True)  # a stopped run leaves no record that is half true

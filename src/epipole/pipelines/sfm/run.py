@@ -14,7 +14,7 @@ from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.pipelines.sfm.anchored import UP_TO_SCALE, with_scale
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.mapping_stage import reasons_in_words
-from epipole.pipelines.sfm.notes import absences_of, focal_source, notes_on_choice_and_lenses, warnings_of
+from epipole.pipelines.sfm.notes import absences_of, focal_source, notes_on_choice_and_cameras, warnings_of
 from epipole.pipelines.sfm.page.content import page_content
 from epipole.pipelines.sfm.page.page import render_report
 from epipole.pipelines.sfm.pipeline import Solution, solve
@@ -98,7 +98,7 @@ def reconstruct(
         with run.stage("write"):
             write_results(solution, run)
         run.warnings += _note_on_fewer(solution, out)
-        run.warnings += [*notes_on_choice_and_lenses(solution), *warnings_of(solution, config.mapper)]
+        run.warnings += [*notes_on_choice_and_cameras(solution), *warnings_of(solution, config.mapper)]
         with run.stage("report"):
             content = page_content(solution, reasons, run, asdict(config))
             run.folder.write_text("report.html", render_report(content))

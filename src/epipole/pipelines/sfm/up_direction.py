@@ -14,7 +14,7 @@ MAX_OFF_LEVEL = 0.05
 """First eigenvalue: above, the x axes are not level, and nothing is orthogonal to all of them."""
 MIN_AGREEMENT = 0.3
 """Length of a mean of unit vectors that is more than chance."""
-GRAVITY_SIGMA_RAD, LEVEL_SIGMA_RAD, HELD_SIGMA_RAD = np.deg2rad([2.0, 4.0, 12.0])
+GRAVITY_SIGMA_RAD, LEVEL_SIGMA_RAD, HANDHELD_SIGMA_RAD = np.deg2rad([2.0, 4.0, 12.0])
 """Of a gimbal's own measurement, of level x axes, and of cameras held roughly straight or straight down."""
 MAX_GRAVITY_ERROR_RAD = np.deg2rad(10.0)
 """Measured directions that differ more from their median than this, in most images, do not agree."""
@@ -48,23 +48,23 @@ def up_directions(cams_from_world: Rigid3, up_in_cams: np.ndarray | None = None)
     x_axes, y_axes, z_axes = (cams_from_world.rotation[:, k] for k in range(3))
     mean_y, mean_z = y_axes.mean(axis=0), z_axes.mean(axis=0)
     length_y, length_z = float(np.linalg.norm(mean_y)), float(np.linalg.norm(mean_z))
-    held = []
+    usual = []
     if length_y > MIN_AGREEMENT:
-        held.append(UpDirection(-mean_y / length_y, float(HELD_SIGMA_RAD)))
+        usual.append(UpDirection(-mean_y / length_y, float(HANDHELD_SIGMA_RAD)))
     if length_z > MIN_AGREEMENT:
         # Headings that vary average the camera's tilt.
-        sigma_rad = HELD_SIGMA_RAD if length_y > MIN_AGREEMENT else LEVEL_SIGMA_RAD
-        held.append(UpDirection(-mean_z / length_z, float(sigma_rad)))
+        sigma_rad = HANDHELD_SIGMA_RAD if length_y > MIN_AGREEMENT else LEVEL_SIGMA_RAD
+        usual.append(UpDirection(-mean_z / length_z, float(sigma_rad)))
     values, vectors = np.linalg.eigh(x_axes.T @ x_axes / len(x_axes))
     if values[1] <= MIN_SPAN or values[0] > MAX_OFF_LEVEL:
-        if len(held) == 2 and length_z - length_y > MIN_AGREEMENT:
-            held.reverse()  # back and forth, looking down: the y axes cancel, the z axes agree
-        return held or [UpDirection(_any_up(mean_y), float(HELD_SIGMA_RAD))]
+        if len(usual) == 2 and length_z - length_y > MIN_AGREEMENT:
+            usual.reverse()  # back and forth, looking down: the y axes cancel, the z axes agree
+        return usual or [UpDirection(_any_up(mean_y), float(HANDHELD_SIGMA_RAD))]
     normal = vectors[:, 0]
     along_y, along_z = float(normal @ mean_y), float(normal @ mean_z)
     sign = -np.sign(along_y if abs(along_y) > MIN_AGREEMENT else along_z) or 1.0
     level = UpDirection(sign * normal, float(LEVEL_SIGMA_RAD))
-    return [level, *(up for up in held if abs(up.direction @ normal) < np.cos(2 * HELD_SIGMA_RAD))]
+    return [level, *(up for up in usual if abs(up.direction @ normal) < np.cos(2 * HANDHELD_SIGMA_RAD))]
 
 
 def _measured(cams_from_world: Rigid3, up_in_cams: np.ndarray | None) -> UpDirection | None:

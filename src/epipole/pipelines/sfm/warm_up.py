@@ -31,7 +31,12 @@ def warm_up() -> None:
     for Numba compiles one function at a time in a process. If it fails, they are compiled here.
     """
     helper = None
-    if _jit.shares_compiling() and not _jit.is_compiled() and _parallel.num_threads() > 1 and sys.executable:
+    if (
+        _jit.compiles_on_all_threads()
+        and not _jit.is_compiled()
+        and _parallel.num_threads() > 1
+        and sys.executable
+    ):
         with suppress(OSError):
             helper = subprocess.Popen(
                 [sys.executable, "-c", _ALONE],

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from epipole.pipelines.slam.output.results import SlamResult
 
 DEFAULTS, NO_CAMERA, ALL_FRAMES = SlamConfig(), CameraOptions(), JobOptions()
-LEAST_SHIFT_TOLD_PX = 0.1
+LEAST_SHIFT_REPORTED_PX = 0.1
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as of every command."""
 
@@ -67,9 +67,10 @@ def show_slam(result: SlamResult) -> None:
 
     summary, console = result.summary, open_console()
     table = Table(box=None, show_header=False)
-    causal = summary["num_placed_causal"]
+    causal = summary["num_localized_causal"]
     table.add_row(
-        "frames with a place", f"{summary['num_placed']} of {summary['num_frames']} ({causal} as they came)"
+        "frames with a place",
+        f"{summary['num_localized']} of {summary['num_frames']} ({causal} as they came)",
     )
     if summary["num_dropped"]:
         table.add_row("frames dropped", f"{summary['num_dropped']}, to keep up")
@@ -94,7 +95,7 @@ def show_slam(result: SlamResult) -> None:
         table.add_row(
             "position accuracy", f"{sigma:.2g} m (1 sigma, median; summary.json lists what it covers)"
         )
-    if abs(summary["right_principal_point_shift_px"]) > LEAST_SHIFT_TOLD_PX:
+    if abs(summary["right_principal_point_shift_px"]) > LEAST_SHIFT_REPORTED_PX:
         shift = summary["right_principal_point_shift_px"]
         table.add_row("second camera", f"principal point {shift:+.2f} px off the calibration; corrected")
     for label, words in _source_rows(summary["source"]):

@@ -34,7 +34,7 @@ class SlamConfig:
     """Points further from where the map says are mistakes."""
     min_tracked: int = 15
     """With fewer points of the map in agreement the camera is lost."""
-    keyframe_share: float = 0.65
+    keyframe_fraction: float = 0.65
     """A new keyframe is made when fewer of the last one's points are in sight."""
     keyframe_motion: float = 0.04
     """... or when points have moved by more than this share of the picture's width."""
@@ -44,7 +44,7 @@ class SlamConfig:
     """... or after so many frames."""
     min_angle_deg: float = 0.5
     """Two rays that meet under a narrower angle give no point."""
-    place_angle_deg: float = 1.0
+    triangulation_angle_deg: float = 1.0
     """... and under a wider one than this a point that only one keyframe has seen gets its place from a frame between."""
     start_angle_deg: float = 1.0
     """One camera: median angle of the rays at which the map begins."""

@@ -21,7 +21,7 @@ class TrackingState(StrEnum):
     STARTING = "starting"
     """One camera: the map has not begun."""
     TRACKING = "tracking"
-    TURNING = "turning"
+    ROTATING = "turning"
     """One camera that turns on the spot, or rests: its orientation is known, its place is the last known one."""
     LOST = "lost"
     SUBMAP = "submap"
@@ -65,7 +65,7 @@ class SlamCamera:
             raise ConfigError(f"readout_s must be from 0 to below 1, got {self.readout_s}")
 
     @property
-    def tells_depth(self) -> bool:
+    def measures_depth(self) -> bool:
         """Whether a single frame has depth."""
         return self.depth is not None or self.baseline is not None
 
@@ -78,14 +78,14 @@ class SlamCamera:
         """
         if frame.timestamp_s <= after_s:
             raise ConfigError(f"a frame of {frame.timestamp_s:.6f} s comes after one of {after_s:.6f} s")
-        lens = self.camera
-        if frame.grey.shape != (lens.height, lens.width):
+        camera = self.camera
+        if frame.grey.shape != (camera.height, camera.width):
             size = f"{frame.grey.shape[1]} x {frame.grey.shape[0]}"
-            raise ShapeError(f"the picture is {size}, the camera's {lens.width} x {lens.height}")
+            raise ShapeError(f"the picture is {size}, the camera's {camera.width} x {camera.height}")
         if self.baseline is not None and frame.right_grey is None:
             raise ConfigError("a frame of a stereo camera needs its right picture")
         self._check_depth(frame)
-        blind = pixels_without_ray(lens)
+        blind = pixels_without_ray(camera)
         if blind is None:
             return frame
         ignored = blind if frame.ignored_mask is None else blind | frame.ignored_mask

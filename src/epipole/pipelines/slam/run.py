@@ -27,8 +27,8 @@ from epipole.pipelines.slam.output.live import LiveView, open_live
 from epipole.pipelines.slam.output.map_file import KnownMap, read_slam_map, require_map
 from epipole.pipelines.slam.output.record import FrameRecord
 from epipole.pipelines.slam.output.results import (
-    PLACED,
-    PLACED_WORDS,
+    LOCALIZED,
+    LOCALIZED_WORDS,
     RunInputs,
     SlamResult,
     keep_better,
@@ -48,9 +48,9 @@ from epipole.pipelines.slam.sources.streams import (
     open_camera,
     open_video_frames,
 )
-from epipole.runs import Job, Progress, ProgressCallback, Run, heeded_interrupts, ignore_progress, open_run
+from epipole.runs import Job, Progress, ProgressCallback, Run, graceful_interrupt, ignore_progress, open_run
 from epipole.runs.earlier import refuse_poorer
-from epipole.runs.folder import check_place
+from epipole.runs.folder import check_output_path
 from epipole.scale import Anchoring, check_anchor_files, mounted_imu
 
 ARGUMENTS = ("config", "job", "camera", "progress")
@@ -97,25 +97,25 @@ def slam(
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
     model = None if known is None else known.model
     system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize, imu=mounted_imu(wanted.anchors))
-    check_one_camera(wanted.anchors, tells_depth=frames.camera.tells_depth)
+    check_one_camera(wanted.anchors, measures_depth=frames.camera.measures_depth)
     check_known_map(wanted.anchors, known, is_map_fixed=wanted.localize)
     settings = _settings(wanted, given, config)
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     shown = open_live(system, FrameStream(frames, wanted).num_expected, wanted, out.name)
-    with open_run(task, out) as run, shown as live, heeded_interrupts() as is_stopped:
-        key = key_of(run.folder.source.sketch, frames, system, wanted)
+    with open_run(task, out) as run, shown as live, graceful_interrupt() as is_stopped:
+        key = key_of(run.folder.source.fingerprint, frames, system, wanted)
         stands = start_or_continue(run.root / autosave.FOLDER, key, system, frames, wanted)
         run.warnings += [*_notes(found, system), *stands.notes]
-        feed = FrameStream(stands.source, stands.job, is_stopped, num_dropped=stands.num_dropped)
+        stream = FrameStream(stands.source, stands.job, is_stopped, num_dropped=stands.num_dropped)
         with run.stage("track"), closing(stands.autosave):
-            records = _track(feed, system, progress, live, stands, known)
+            records = _track(stream, system, progress, live, stands, known)
         with run.stage("adjust"):
-            _finish(feed, system, run, is_stopped)
+            _finish(stream, system, run, is_stopped)
             anchoring = _anchored(system, wanted.anchors, records, known, run)
-        with completing(run.root / autosave.FOLDER, key, is_complete=not feed.is_interrupted):
+        with completing(run.root / autosave.FOLDER, key, is_complete=not stream.is_interrupted):
             keep_better(system, run, can_repeat=not (frames.is_live or wanted.realtime))
             return write_results(
-                feed, system, records, RunInputs(truth, known, anchoring, found), wanted, run
+                stream, system, records, RunInputs(truth, known, anchoring, found), wanted, run
             )
 
 
@@ -137,19 +137,19 @@ def _check_target(source: Path, out: Path, job: JobOptions) -> None:
     Raises:
         WorkspaceError: it is not ours, or its result has more frames than are asked for.
     """
-    check_place(out, "slam", (_input(source),))
+    check_output_path(out, "slam", (_input(source),))
     if job.max_frames is not None:
-        refuse_poorer(out, PLACED, job.max_frames, PLACED_WORDS)
+        refuse_poorer(out, LOCALIZED, job.max_frames, LOCALIZED_WORDS)
 
 
-def _finish(feed: FrameStream, system: Slam, run: Run, is_stopped: Callable[[], bool]) -> None:
+def _finish(stream: FrameStream, system: Slam, run: Run, is_stopped: Callable[[], bool]) -> None:
     """The last adjustment; Ctrl-C ends it, unless it has ended the frames."""
-    total, was_stopped = LAST_STEPS * len(system.maps), feed.is_interrupted
+    total, was_stopped = LAST_STEPS * len(system.maps), stream.is_interrupted
 
     def goes_on(done: int, of: int) -> bool:
         run.report("adjust", done, of)
-        feed.is_interrupted |= done < of and is_stopped()
-        return was_stopped or not feed.is_interrupted
+        stream.is_interrupted |= done < of and is_stopped()
+        return was_stopped or not stream.is_interrupted
 
     run.report("adjust", 0, total)
     system.finish(goes_on)
@@ -232,10 +232,10 @@ def _open_without_readout(
 
 def _open_folder(folder: Path, job: JobOptions, given: CameraOptions, found: Camera | None) -> FrameSource:
     sequence = read_sequence(folder, job.fps, given.depth_scale)
-    header = read_header(sequence.frames[0].picture)
+    header = read_header(sequence.frames[0].image)
     known = given.fitted_camera(ImageShape(header.width, header.height, header.orientation))
-    lens, notes = (found, []) if found or known is None else known
-    opened = open_sequence(sequence, job.sensor, lens, job.masks)
+    camera, notes = (found, []) if found or known is None else known
+    opened = open_sequence(sequence, job.sensor, camera, job.masks)
     if given.depth_scale is not None and opened.camera.depth is None:
         raise ConfigError("depth_scale is given, but the depth images are not used (sensor)")
     return replace(opened, notes=lambda: [*notes, *opened.notes()])
@@ -248,7 +248,7 @@ def _input(source: Path) -> Path:
 
 
 def _track(
-    feed: FrameStream,
+    stream: FrameStream,
     system: Slam,
     progress: ProgressCallback,
     live: LiveView,
@@ -257,21 +257,21 @@ def _track(
 ) -> list[FrameRecord]:
     """Track every frame; one that cannot be read, or does not fit, is left out and named."""
     records, before = stands.records, len(stands.records)
-    for queued in feed:
-        answer, problem, begin, compiling = None, "", perf_counter(), compile_seconds()
+    for queued in stream:
+        answer, problem, start, compiling = None, "", perf_counter(), compile_seconds()
         number = stands.first_number + queued.number
         try:
             frame = queued.read()
-            begin = perf_counter()
+            start = perf_counter()
             answer = system.track(frame)
         except EpipoleError as error:
             problem = f"frame {number} is left out: {error}"
-        seconds = perf_counter() - begin - (compile_seconds() - compiling)
+        seconds = perf_counter() - start - (compile_seconds() - compiling)
         records.append(FrameRecord(number, queued.name, seconds, answer, problem))
         stands.autosave.add(system, records, lambda: keyframe_names(system, records, known))
         if answer is not None:
             live.show(system, frame, answer)
-        progress(Progress("track", len(records), max(before + feed.num_expected, len(records))))
+        progress(Progress("track", len(records), max(before + stream.num_expected, len(records))))
     stands.autosave.save_map(system, lambda: keyframe_names(system, records, known))
     live.show_map(system, "Adjusting the map")
     return records

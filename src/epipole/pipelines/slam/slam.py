@@ -21,7 +21,7 @@ from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.slam_state import SlamState
 from epipole.pipelines.slam.start.bootstrap import bootstrap_map
 from epipole.pipelines.slam.start.rotation import RotationEstimate, RotationTracker
-from epipole.pipelines.slam.start.two_view import Confirmation, Initialization, OneCameraStart, place_in_map
+from epipole.pipelines.slam.start.two_view import Confirmation, Initialization, OneCameraStart, initialize_map
 from epipole.pipelines.slam.tracking.points import Tracks
 
 LOOP_ITERATIONS = 10
@@ -49,88 +49,88 @@ class Slam(SlamState):
         frame = self.camera.checked(frame, self._time_s)
         self._quality = self._quality_monitor.assess(frame)
         if not self.map.num_points:
-            answer = self._begin(frame)
-        elif self.state in (TrackingState.LOST, TrackingState.TURNING):
-            answer = self._find_place(frame)
+            answer = self._initialize(frame)
+        elif self.state in (TrackingState.LOST, TrackingState.ROTATING):
+            answer = self._find_pose(frame)
         else:
-            answer = self._follow(frame)
+            answer = self._track(frame)
         self._before, self._time_s = frame, frame.timestamp_s
         self._num_frames += 1
-        return self._quality.told(self._with_doubts(answer))
+        return self._quality.with_quality(self._with_warnings(answer))
 
     # The begin of a map.
 
-    def _begin(self, frame: Frame) -> TrackedFrame:
+    def _initialize(self, frame: Frame) -> TrackedFrame:
         """A map from this frame, where it tells depth; else with those that waited before it."""
-        if not self.camera.tells_depth:
+        if not self.camera.measures_depth:
             return self._wait(frame)
         self.odometry.cam_from_world = Rigid3.identity()
         self.odometry.tracker.tracks = Tracks.none()
         self.odometry.insert_keyframe(frame, self._num_frames)
         if self.map.is_triangulated(self.odometry.tracker.tracks.point).sum() >= self.config.min_tracked:
-            return self._begun(frame, np.zeros((6, 6)))
+            return self._initialized(frame, np.zeros((6, 6)))
         self.map.clear()
         self.odometry.tracker.tracks = Tracks.none()
-        return self._no_place(frame, "too few points with depth: blank, dark, or nothing in range")
+        return self._no_pose(frame, "too few points with depth: blank, dark, or nothing in range")
 
     def _wait(self, frame: Frame) -> TrackedFrame:
         """One camera: a map where it has moved enough; until then its orientation, where it only turns."""
-        begun = self._start.add(frame, self._num_frames, self._quality.problem)
-        if not isinstance(begun, str):
-            return self._begin_with_one_camera(frame, begun)
-        turned = self._turn(frame)
-        if turned is not None:
-            return self._turned(frame, turned, begun)
+        initial = self._start.add(frame, self._num_frames, self._quality.problem)
+        if not isinstance(initial, str):
+            return self._start_with_one_camera(frame, initial)
+        rotated = self._track_rotation(frame)
+        if rotated is not None:
+            return self._rotated(frame, rotated, initial)
         self.state = TrackingState.STARTING if self.map is self.maps[0] else self.state
-        return self._no_place(frame, begun, len(self._start.tracks))
+        return self._no_pose(frame, initial, len(self._start.tracks))
 
-    def _begin_with_one_camera(self, frame: Frame, begun: Initialization) -> TrackedFrame:
+    def _start_with_one_camera(self, frame: Frame, initial: Initialization) -> TrackedFrame:
         """The new map goes on in the world of the turns before it, where its first frame is one of them."""
-        first, lens = begun.model.keyframes[0], self.camera.camera
-        there, place = self._turns.get(first.number), begun.cam_from_world
+        first, camera = initial.model.keyframes[0], self.camera.camera
+        there, position = self._rotations.get(first.number), initial.cam_from_world
         if self.map is self.maps[0]:
             if there is None:
                 self.first_frame, self.map.keyframes[:] = first.number, []
             else:
-                begun.model.move(Similarity3(np.array(1.0), there.rotation.T, np.zeros(3)))
-                place = place @ there
+                initial.model.move(Similarity3(np.array(1.0), there.rotation.T, np.zeros(3)))
+                position = position @ there
             self.map.keyframes[:] = [k for k in self.map.keyframes if k.number < first.number]
-        self.map.absorb(begun.model)
-        self.odometry.tracker.tracks, self.odometry.cam_from_world = begun.tracks, place
+        self.map.absorb(initial.model)
+        self.odometry.tracker.tracks, self.odometry.cam_from_world = initial.tracks, position
         self.odometry.insert_keyframe(frame, self._num_frames)
-        for told in bootstrap_map(self.odometry.mapper, begun):
-            self._path.add(*told)
+        for with_quality in bootstrap_map(self.odometry.mapper, initial):
+            self._path.add(*with_quality)
         now = self.map.keyframes[-1]
         self.odometry.cam_from_world = now.cam_from_world
-        here = place_in_map(self.map, now.point, now.pixels, now.cam_from_world, lens, self.config)
+        here = initialize_map(self.map, now.point, now.pixels, now.cam_from_world, camera, self.config)
         # A rolling shutter displaces the points, and the check does not model it.
         self._unconfirmed = None if self.camera.readout_s else self._start
-        self._start, self._turns = OneCameraStart(lens, self.config), {}
-        return self._begun(frame, np.full((6, 6), np.inf) if here is None else here.covariance())
+        self._start, self._rotations = OneCameraStart(camera, self.config), {}
+        return self._initialized(frame, np.full((6, 6), np.inf) if here is None else here.covariance())
 
-    def _begun(self, frame: Frame, covariance: np.ndarray) -> TrackedFrame:
+    def _initialized(self, frame: Frame, covariance: np.ndarray) -> TrackedFrame:
         for keyframe in (k for k in self.map.keyframes if len(k.point)):
             describe_keyframe(keyframe)
-        self._set_followed()
+        self._set_tracking()
         count = int(self.map.is_triangulated(self.odometry.tracker.tracks.point).sum())
         reason = "the map begins" if self.map is self.maps[0] else "a new map begins"
-        return self._told_from(self.odometry.newest_keyframe(), frame, covariance, count, reason)
+        return self._relative_to(self.odometry.newest_keyframe(), frame, covariance, count, reason)
 
-    def _set_followed(self) -> None:
+    def _set_tracking(self) -> None:
         self.state = TrackingState.TRACKING if self.map is self.maps[0] else TrackingState.SUBMAP
-        self._num_lost, self._turning = 0, None
+        self._num_lost, self._rotation = 0, None
 
     # A frame in the map.
 
-    def _follow(self, frame: Frame) -> TrackedFrame:
+    def _track(self, frame: Frame) -> TrackedFrame:
         """Follow the points, find the pose with which they agree, extend the map where it is needed."""
         assert self._before is not None
-        found = self._quality.sure(self.odometry.track(self._before, frame), self.config)
+        found = self._quality.confirmed(self.odometry.track(self._before, frame), self.config)
         if found is None:
-            return self._find_place(frame)
+            return self._find_pose(frame)
         if self._is_refuted(frame, found[0].cam_from_world):
-            return self._begin_anew(frame)
-        return self._placed(frame, *found)
+            return self._start_again(frame)
+        return self._localized(frame, *found)
 
     def _is_refuted(self, frame: Frame, cam_from_world: Rigid3) -> bool:
         """Whether later frames contradict the initialization of a monocular map."""
@@ -138,45 +138,45 @@ class Slam(SlamState):
         if start is None:
             return False
         first = next((k for k in self.map.keyframes if k.number == start.first_number), None)
-        told = Confirmation.OUT_OF_SIGHT
+        with_quality = Confirmation.OUT_OF_SIGHT
         if first is not None:
             moved = cam_from_world @ first.cam_from_world.inverse()
-            told = start.confirm(frame, self._num_frames, moved)
-        if told is Confirmation.OUT_OF_SIGHT:
+            with_quality = start.confirm(frame, self._num_frames, moved)
+        if with_quality is Confirmation.OUT_OF_SIGHT:
             self._leave_unconfirmed()
-        elif told is not Confirmation.OPEN:
+        elif with_quality is not Confirmation.OPEN:
             self._unconfirmed = None
-        return told is Confirmation.REFUTED
+        return with_quality is Confirmation.REFUTED
 
     def _leave_unconfirmed(self) -> None:
         """Report that no later frame can confirm the initialization."""
         if self._unconfirmed is not None:
-            self.start_doubts.append(
+            self.start_warnings.append(
                 f"the map initialized at {self._unconfirmed.first_time_s:.2f} s could not be confirmed: its first points left the"
                 " view before the camera had moved far enough"
             )
         self._unconfirmed = None
 
-    def _begin_anew(self, frame: Frame) -> TrackedFrame:
+    def _start_again(self, frame: Frame) -> TrackedFrame:
         """Discard a map that was initialized wrongly, with the poses of its frames, and initialize again."""
         first = self.map.keyframes[0].timestamp_s
-        self.start_doubts.append(
+        self.start_warnings.append(
             f"the map initialized at {first:.2f} s was discarded at {frame.timestamp_s:.2f} s: later frames contradict it"
         )
-        self._closer.forget()
-        self._path.forget(self.map.keyframes)
+        self._closer.clear()
+        self._path.clear(self.map.keyframes)
         if self.map is self.maps[0]:
             self.map.clear()
             self.map.number, self._num_maps = self._num_maps, self._num_maps + 1
             self._enter(self.map)
             self.odometry.cam_from_world, self.state = Rigid3.identity(), TrackingState.STARTING
-            return self._begin(frame)
+            return self._initialize(frame)
         self.maps.remove(self.map)
         self._enter(self.maps[0])
         self.state = TrackingState.LOST
-        return self._find_place(frame)
+        return self._find_pose(frame)
 
-    def _placed(self, frame: Frame, refined: RefinedPose, num_agreeing: int) -> TrackedFrame:
+    def _localized(self, frame: Frame, refined: RefinedPose, num_agreeing: int) -> TrackedFrame:
         """A frame with a known pose: the map grows, loops are closed, and what tells nothing new is culled."""
         known = frame, refined, num_agreeing, self._num_frames, self._quality
         reason = "" if self.is_map_fixed else self.odometry.extend_map(*known)
@@ -186,12 +186,12 @@ class Slam(SlamState):
             reason = self._close_loop() or reason
             refine_past_poses(self._path, self.odometry.tracker)
             cull(self.map, self._path, self.odometry.tracker)
-        own = own_covariance(refined, self.map, self._num_frames, tells_depth=self.camera.tells_depth)
-        return self._told_from(self.odometry.newest_keyframe(), frame, own, num_agreeing, reason)
+        own = own_covariance(refined, self.map, self._num_frames, measures_depth=self.camera.measures_depth)
+        return self._relative_to(self.odometry.newest_keyframe(), frame, own, num_agreeing, reason)
 
     # A camera that is lost.
 
-    def _find_place(self, frame: Frame) -> TrackedFrame:
+    def _find_pose(self, frame: Frame) -> TrackedFrame:
         """The frame's place in one of the maps by what it looks like; else its turn, or a new map."""
         reason = f"{len(self.odometry.tracker.tracks)} points are followed, too few agree with the map"
         if self.state in (TrackingState.TRACKING, TrackingState.SUBMAP):
@@ -199,15 +199,15 @@ class Slam(SlamState):
         for model in self.maps if self._quality.is_usable else ():
             found = self._recognized(frame, model)
             if found is not None:
-                return self._placed(frame, *found)
+                return self._localized(frame, *found)
         self._num_lost += 1
-        turned = None if self.camera.tells_depth or self.is_map_fixed else self._turn(frame)
-        if turned is not None:
-            return self._turned(frame, turned, "the camera only turns: its place is the last known")
+        rotated = None if self.camera.measures_depth or self.is_map_fixed else self._track_rotation(frame)
+        if rotated is not None:
+            return self._rotated(frame, rotated, "the camera only turns: its place is the last known")
         self.state = TrackingState.LOST
         if self._num_lost <= self.config.lost_patience or self.is_map_fixed or not self._quality.is_usable:
-            return self._no_place(frame, reason)
-        return self._begin_submap(frame, reason)
+            return self._no_pose(frame, reason)
+        return self._start_submap(frame, reason)
 
     def _recognized(self, frame: Frame, model: SlamMap) -> tuple[RefinedPose, int] | None:
         again = relocalize(frame.grey, model, self.camera.camera, self.config)
@@ -216,31 +216,31 @@ class Slam(SlamState):
         self._enter(model)
         found = self.odometry.tracker.take_up(frame, again)
         if found is not None:
-            self._set_followed()
+            self._set_tracking()
         return found
 
     def _lose(self) -> None:
-        self._closer.forget()
+        self._closer.clear()
         if self.map is not self.maps[0] and len(self.map.keyframes) < LEAST_KEYFRAMES:
             self.maps.remove(self.map)
-            self._path.forget(self.map.keyframes)
+            self._path.clear(self.map.keyframes)
             self._enter(self.maps[0])
             self._unconfirmed = None
         self._leave_unconfirmed()
 
-    def _begin_submap(self, frame: Frame, reason: str) -> TrackedFrame:
+    def _start_submap(self, frame: Frame, reason: str) -> TrackedFrame:
         known = self.map
         self.maps.append(SlamMap(self._num_maps))
         self._num_maps += 1
         self._enter(self.maps[-1])
         self.map.right_shift_px = known.right_shift_px
-        answer = self._begin(frame)
+        answer = self._initialize(frame)
         if answer.submap_from_body is not None:
             return answer
         self.maps.pop()
         self._num_maps -= 1
         self._enter(known)
-        return self._no_place(frame, f"{reason}; {answer.reason}", answer.num_points)
+        return self._no_pose(frame, f"{reason}; {answer.reason}", answer.num_points)
 
     # Places seen again.
 
@@ -248,37 +248,39 @@ class Slam(SlamState):
         """Correct the map, or join it to an older one, if the newest keyframe shows a place seen before."""
         describe_keyframe(self.map.keyframes[-1])
         for there in self.maps:
-            tie = self._closer.consider(self.map, there)
-            if tie is not None and (self._joined(tie) if there is not self.map else self._corrected(tie)):
-                self._closer.forget()
+            constraint = self._closer.consider(self.map, there)
+            if constraint is not None and (
+                self._joined(constraint) if there is not self.map else self._corrected(constraint)
+            ):
+                self._closer.clear()
                 return "a place seen before"
         return ""
 
-    def _corrected(self, tie: LoopConstraint) -> bool:
-        if not correct_drift(self.map, tie, is_metric=self.camera.tells_depth):
+    def _corrected(self, constraint: LoopConstraint) -> bool:
+        if not correct_drift(self.map, constraint, is_metric=self.camera.measures_depth):
             self._closer.reject_last("the pose graph does not agree")
             return False
-        self._settle()
+        self._refine_start()
         return True
 
-    def _joined(self, tie: LoopConstraint) -> bool:
+    def _joined(self, constraint: LoopConstraint) -> bool:
         """The younger map becomes part of the older one, in whose world all is told."""
-        here, there, tracks = self.map, tie.there, self.odometry.tracker.tracks
+        here, there, tracks = self.map, constraint.there, self.odometry.tracker.tracks
         if self.maps.index(there) < self.maps.index(here):
-            here.move(tie.there_from_here)
+            here.move(constraint.there_from_here)
             tracks.point = tracks.point + there.absorb(here)
             self.maps.remove(here)
             self._enter(there)
             self.odometry.tracker.tracks = tracks
         else:
-            there.move(tie.there_from_here.inverse())
+            there.move(constraint.there_from_here.inverse())
             here.absorb(there)
             self.maps.remove(there)
-        self._set_followed()
-        self._settle()
+        self._set_tracking()
+        self._refine_start()
         return True
 
-    def _settle(self) -> None:
+    def _refine_start(self) -> None:
         """After a correction: what was seen twice becomes one, and the whole map is adjusted."""
         newest = len(self.map.keyframes) - 1
         into = fuse(self.map, self.odometry.mapper.window_of(newest)[0][::-1], self.camera.camera)
@@ -290,50 +292,50 @@ class Slam(SlamState):
 
     # Turns.
 
-    def _turn(self, frame: Frame) -> RotationEstimate | None:
+    def _track_rotation(self, frame: Frame) -> RotationEstimate | None:
         """The frame's orientation, if the camera has only turned since its place was known."""
-        if self._turning is None:
-            first = self._first_to_turn(frame)
+        if self._rotation is None:
+            first = self._first_to_rotate(frame)
             if first is None:
                 return None
             number = self._num_frames - int(first is not frame)
-            turning = RotationTracker(
+            rotation_tracker = RotationTracker(
                 first, number, self.camera.camera, self.config, self.odometry.cam_from_world
             )
-            if not turning.is_rich:
+            if not rotation_tracker.is_rich:
                 return None
-            self._turning = turning
+            self._rotation = rotation_tracker
             if number not in {k.number for k in self.map.keyframes}:
-                self.map.keyframes += turning.keyframes
+                self.map.keyframes += rotation_tracker.keyframes
             if first is frame:
                 none = np.zeros((6, 6))
                 return RotationEstimate(
-                    turning.keyframes[0], self.odometry.cam_from_world, none, 0, is_keyframe=False
+                    rotation_tracker.keyframes[0], self.odometry.cam_from_world, none, 0, is_keyframe=False
                 )
-        turned = self._turning.track(frame, self._num_frames)
-        self._turning = None if turned is None else self._turning
-        return turned
+        rotated = self._rotation.track(frame, self._num_frames)
+        self._rotation = None if rotated is None else self._rotation
+        return rotated
 
-    def _first_to_turn(self, frame: Frame) -> Frame | None:
+    def _first_to_rotate(self, frame: Frame) -> Frame | None:
         """The last frame with a known place, or the first of a world; None where a turn would be tied to nothing."""
         if self.map.num_points:
             return self._before if self._num_lost == 1 else None
-        if self.map is not self.maps[0] or self._turns:
+        if self.map is not self.maps[0] or self._rotations:
             return None
         self.first_frame = self._num_frames
         return frame
 
-    def _turned(self, frame: Frame, turned: RotationEstimate, reason: str) -> TrackedFrame:
+    def _rotated(self, frame: Frame, rotated: RotationEstimate, reason: str) -> TrackedFrame:
         self.state, self.odometry.cam_from_world, self._num_lost = (
-            TrackingState.TURNING,
-            turned.cam_from_world,
+            TrackingState.ROTATING,
+            rotated.cam_from_world,
             0,
         )
-        if turned.is_keyframe:
-            self.map.keyframes.append(turned.keyframe)
+        if rotated.is_keyframe:
+            self.map.keyframes.append(rotated.keyframe)
         if not self.map.num_points:
-            self._turns[self._num_frames] = turned.cam_from_world
-        return self._told_from(turned.keyframe, frame, turned.covariance, turned.num_points, reason)
+            self._rotations[self._num_frames] = rotated.cam_from_world
+        return self._relative_to(rotated.keyframe, frame, rotated.covariance, rotated.num_points, reason)
 
     # Answers.
 

@@ -66,20 +66,20 @@ class SlamState:
         if is_map_fixed and known is None:
             raise ConfigError("a map that is to stay as it is must be given")
         self.config = SlamConfig() if config is None else config
-        self.camera, self.imu = camera, imu if known is None and not camera.tells_depth else None
+        self.camera, self.imu = camera, imu if known is None and not camera.measures_depth else None
         self.focal_baseline = focal_baseline_of(camera, self.config)
         self.state = TrackingState.STARTING if known is None else TrackingState.LOST
         self.is_map_fixed = is_map_fixed
         self.maps: list[SlamMap] = [SlamMap() if known is None else known]
         self.first_number = self.first_frame = 1 + max((k.number for k in self.maps[0].keyframes), default=-1)
         self._enter(self.maps[0], Rigid3.identity())
-        self._closer = LoopCloser(camera.camera, self.config, is_metric=camera.tells_depth)
+        self._closer = LoopCloser(camera.camera, self.config, is_metric=camera.measures_depth)
         self.loops = self._closer.ledger
         self._start = OneCameraStart(camera.camera, self.config)
         self._unconfirmed: OneCameraStart | None = None
-        self.start_doubts: list[str] = []
-        self._turning: RotationTracker | None = None
-        self._turns: dict[int, Rigid3] = {}
+        self.start_warnings: list[str] = []
+        self._rotation: RotationTracker | None = None
+        self._rotations: dict[int, Rigid3] = {}
         self._before: Frame | None = None
         self._time_s = -np.inf
         self._quality_monitor, self._quality = FrameQualityMonitor(), FrameQuality()
@@ -134,7 +134,7 @@ class SlamState:
         source = self.odometry.tracker if self.map.num_points else self._start
         return snapshot_of(self.map, self.state, source.tracks)
 
-    def _told_from(
+    def _relative_to(
         self, keyframe: Keyframe, frame: Frame, covariance: np.ndarray, num_points: int, reason: str
     ) -> TrackedFrame:
         self._path.add(
@@ -142,25 +142,25 @@ class SlamState:
         )
         between = self.odometry.cam_from_world @ keyframe.cam_from_world.inverse()
         covariance = with_map_error(keyframe.covariance, between, covariance)
-        place, is_first = self.odometry.cam_from_world.inverse(), self.map is self.maps[0]
+        position, is_first = self.odometry.cam_from_world.inverse(), self.map is self.maps[0]
         return TrackedFrame(
             frame.timestamp_s,
             self.state,
             reason,
-            place if is_first else None,
+            position if is_first else None,
             covariance,
             num_points,
             is_keyframe=keyframe.number == self._num_frames,
-            submap_from_body=None if is_first else place,
+            submap_from_body=None if is_first else position,
             moving=self.odometry.tracker.moving,
             map_number=self.map.number,
         )
 
-    def _no_place(self, frame: Frame, reason: str, num_points: int | None = None) -> TrackedFrame:
+    def _no_pose(self, frame: Frame, reason: str, num_points: int | None = None) -> TrackedFrame:
         count = len(self.odometry.tracker.tracks) if num_points is None else num_points
         return TrackedFrame(frame.timestamp_s, self.state, reason, None, None, count, is_keyframe=False)
 
-    def _with_doubts(self, answer: TrackedFrame) -> TrackedFrame:
+    def _with_warnings(self, answer: TrackedFrame) -> TrackedFrame:
         """The answer, with the reasons to doubt its pose."""
         if not answer.has_pose:
             return answer

@@ -37,12 +37,12 @@ class Snapshot:
 def snapshot_of(model: SlamMap, state: TrackingState, tracks: Tracks) -> Snapshot:
     """What there is to see."""
     keyframes = [keyframe.cam_from_world.inverse() for keyframe in model.keyframes]
-    places = Rigid3(
-        np.array([place.rotation for place in keyframes]).reshape(-1, 3, 3),
-        np.array([place.translation for place in keyframes]).reshape(-1, 3),
+    positions = Rigid3(
+        np.array([position.rotation for position in keyframes]).reshape(-1, 3, 3),
+        np.array([position.translation for position in keyframes]).reshape(-1, 3),
     )
     # Before the begin of one camera's map the rows that are followed are not yet the map's.
-    has_begun = model.num_points > 0
-    known = model.is_triangulated(tracks.point) if has_begun else np.zeros(len(tracks), bool)
+    has_started = model.num_points > 0
+    known = model.is_triangulated(tracks.point) if has_started else np.zeros(len(tracks), bool)
     points = model.xyz[np.isfinite(model.xyz[:, 0])]
-    return Snapshot(state, places, points, tracks.pixels.copy(), known)
+    return Snapshot(state, positions, points, tracks.pixels.copy(), known)

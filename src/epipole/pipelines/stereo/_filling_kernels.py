@@ -15,12 +15,12 @@ def solve_line(weights, values, links, strength, upper, out):
     n = len(values)
     before, ahead, right = 0.0, 0.0, 0.0
     for i in range(n):
-        tie_back = strength * links[i - 1] if i > 0 else 0.0
-        tie = strength * links[i] if i < n - 1 else 0.0
-        diagonal = weights[i] + tie_back + tie - tie_back * before
-        right = weights[i] * values[i] + tie_back * ahead
+        weight_before = strength * links[i - 1] if i > 0 else 0.0
+        constraint = strength * links[i] if i < n - 1 else 0.0
+        diagonal = weights[i] + weight_before + constraint - weight_before * before
+        right = weights[i] * values[i] + weight_before * ahead
         inverse = 1.0 / max(diagonal, 1e-12)
-        before, ahead = tie * inverse, right * inverse
+        before, ahead = constraint * inverse, right * inverse
         upper[i], out[i] = before, ahead
     for i in range(n - 2, -1, -1):
         out[i] += upper[i] * out[i + 1]
@@ -30,10 +30,10 @@ def solve_line(weights, values, links, strength, upper, out):
 def smooth_rows(weights, values, links, strength, start, stop):
     """Rows start..stop of values (h, w) replaced by their solutions, in place; weights likewise smoothed."""
     width = values.shape[1]
-    upper, sums, shares, ones = np.empty(width), np.empty(width), np.empty(width), np.ones(width)
+    upper, sums, fractions, ones = np.empty(width), np.empty(width), np.empty(width), np.ones(width)
     for y in range(start, stop):
         # Numerator and denominator are smoothed alike, so that a line without any known value keeps none.
         solve_line(ones, values[y], links[y], strength, upper, sums)
-        solve_line(ones, weights[y], links[y], strength, upper, shares)
+        solve_line(ones, weights[y], links[y], strength, upper, fractions)
         for x in range(width):
-            values[y, x], weights[y, x] = sums[x], shares[x]
+            values[y, x], weights[y, x] = sums[x], fractions[x]

@@ -120,7 +120,7 @@ def examine(
         raise ShapeError("there is no pair to examine")
     if isinstance(rig, StereoRig):
         for left, right in pairs:
-            rig.check_pictures(left, right)
+            rig.check_image_sizes(left, right)
     findings: list[_Finding] = []
     rectification: Rectification | None = None
     flat = rig if isinstance(rig, RectifiedRig) else None
@@ -166,8 +166,8 @@ def examine(
 
 def _match(pair: tuple[np.ndarray, np.ndarray], rectification: Rectification | None) -> RowMatches:
     grey = []
-    for picture in pair:
-        array = np.ascontiguousarray(picture)
+    for image in pair:
+        array = np.ascontiguousarray(image)
         grey.append(cv2.cvtColor(array, cv2.COLOR_RGB2GRAY) if array.ndim == 3 else array)
     if rectification is not None:
         grey = list(rectification.apply(grey[0], grey[1]))
@@ -196,8 +196,8 @@ def _size(grey: np.ndarray) -> str:
 def _fits(matches: RowMatches, flat: RectifiedRig | None, size: tuple[int, int]) -> tuple[float, float]:
     if len(matches) < LEAST_FOR_TREND:
         return np.nan, np.nan
-    rig, lens = row_basis(matches, flat, size)
-    return fit_trend(matches.vertical_px, rig).rms_px, fit_trend(matches.vertical_px, lens).rms_px
+    rig, camera = row_basis(matches, flat, size)
+    return fit_trend(matches.vertical_px, rig).rms_px, fit_trend(matches.vertical_px, camera).rms_px
 
 
 def _rms(matches: RowMatches) -> float:

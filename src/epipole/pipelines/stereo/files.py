@@ -143,5 +143,5 @@ def _described(
         "rectified_from_left": rectification.rectified_from_left.tolist(),
         "rectified_from_right": rectification.rectified_from_right.tolist(),
         "Q": rectification.Q.tolist(),
-        "is_turned": rectification.is_turned,
+        "is_rotated": rectification.is_rotated,
     }

@@ -53,15 +53,15 @@ def fill_disparities(found: DisparityMap, left: Any, strength: float = 10.0) -> 
     """
     if not strength > 0:
         raise ConfigError(f"strength must be positive, got {strength}")
-    picture = np.ascontiguousarray(left)
-    if picture.dtype != np.uint8 or picture.shape[:2] != found.reason.shape:
+    image = np.ascontiguousarray(left)
+    if image.dtype != np.uint8 or image.shape[:2] != found.reason.shape:
         raise ShapeError(
-            f"left must be of 8 bits and {found.reason.shape}, is {picture.shape} of {picture.dtype}"
+            f"left must be of 8 bits and {found.reason.shape}, is {image.shape} of {image.dtype}"
         )
     known = np.isfinite(found.disparity_px)
     if not known.any():
         return FilledDisparities(found.disparity_px.copy(), np.zeros(known.shape, bool))
-    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) if picture.ndim == 3 else picture
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
     weight = np.where(known, 1.0 / np.maximum(found.sigma_px, 0.05).astype(np.float64) ** 2, 0.0)
     values = np.where(known, found.disparity_px, 0.0).astype(np.float64)
     behind = ~known & np.isin(found.reason, _BEHIND)
@@ -82,9 +82,9 @@ def _smoothed(
     down = np.exp(-np.abs(np.diff(grey, axis=0)) / 255.0 * _SHARPNESS)
     along = [np.pad(across, ((0, 0), (0, 1))), np.ascontiguousarray(np.pad(down, ((0, 1), (0, 0))).T)]
     for round_ in range(_ROUNDS):
-        share = 1.5 * 4.0 ** (_ROUNDS - round_ - 1) / (4.0**_ROUNDS - 1.0)
+        fraction = 1.5 * 4.0 ** (_ROUNDS - round_ - 1) / (4.0**_ROUNDS - 1.0)
         for links in along:
-            _smooth_rows(weight, weighted, links, share * strength)
+            _smooth_rows(weight, weighted, links, fraction * strength)
             weight, weighted = np.ascontiguousarray(weight.T), np.ascontiguousarray(weighted.T)
     return (weighted / np.maximum(weight, _LEAST)).astype(np.float32)
 

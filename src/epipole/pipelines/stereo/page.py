@@ -8,7 +8,7 @@ from epipole.pipelines.stereo.files import REASON_COLORS
 from epipole.pipelines.stereo.pair import StereoResult
 from epipole.report.charts import draw_histogram, histogram_of
 from epipole.report.frame import render
-from epipole.report.pictures import color_map_uri, color_range_text, picture_uri
+from epipole.report.images import color_map_uri, color_range_text, png_uri
 from epipole.scene import StereoReason
 
 _REASONS = {
@@ -18,7 +18,7 @@ _REASONS = {
     StereoReason.AMBIGUOUS: "another disparity fits nearly as well",
     StereoReason.SPECKLE: "it stands alone among others",
     StereoReason.TEXTURELESS: "nothing around it changes along the row",
-    StereoReason.UNSURE: "its standard deviation is larger than was asked for",
+    StereoReason.UNCERTAIN: "its standard deviation is larger than was asked for",
 }
 
 
@@ -32,7 +32,7 @@ def render_page(result: StereoResult) -> str:
         title="Stereo pair",
         percent=f"{100 * found.density:.1f}",
         warnings=result.warnings,
-        pictures=_pictures(result),
+        images=_images(result),
         reasons=_reasons(result),
         histograms=[
             draw_histogram(histogram_of(found.disparity_px[known], "disparity, px")),
@@ -45,20 +45,20 @@ def render_page(result: StereoResult) -> str:
     )
 
 
-def _pictures(result: StereoResult) -> list[tuple[str, str]]:
+def _images(result: StereoResult) -> list[tuple[str, str]]:
     """Caption and data URI of each picture."""
     found = result.disparities
-    pictures = [
-        ("left", picture_uri(result.left_rgb)),
-        ("right", picture_uri(result.right_rgb)),
+    images = [
+        ("left", png_uri(result.left_rgb)),
+        ("right", png_uri(result.right_rgb)),
         (f"disparity, {color_range_text(found.disparity_px)} px", color_map_uri(found.disparity_px)),
         (f"its standard deviation, {color_range_text(found.sigma_px)} px", color_map_uri(found.sigma_px)),
-        ("what is not known, and why", picture_uri(REASON_COLORS[found.reason])),
+        ("what is not known, and why", png_uri(REASON_COLORS[found.reason])),
     ]
     if result.depths is not None:
         depth = result.depths.depth
-        pictures.append((f"depth, {color_range_text(depth)}", color_map_uri(depth)))
-    return pictures
+        images.append((f"depth, {color_range_text(depth)}", color_map_uri(depth)))
+    return images
 
 
 def _reasons(result: StereoResult) -> list[tuple[str, str, str]]:

@@ -145,7 +145,7 @@ def _rectified(
         unknown = rectify_uncalibrated(left, right)
         return _RectifiedPair(*unknown.apply(left, right), None, unknown)
     if isinstance(rig, StereoRig):
-        rig.check_pictures(left, right)
+        rig.check_image_sizes(left, right)
         flat = rectified_rig_of(rig)
         if flat is not None:
             return _RectifiedPair(left, right, flat, None)

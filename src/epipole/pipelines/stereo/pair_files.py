@@ -58,22 +58,22 @@ def files_of_pair(left: Path, right: Path, rig: RectifiedRig | StereoRig | None)
     headers = [read_header(path) for path in (left, right)]
     shapes = [ImageShape(h.width, h.height, h.orientation) for h in headers]
     cameras = (rig.left, rig.right)
-    ways = [
+    orientations = [
         pixels
         for pixels in ImagePixels
         if all(is_same_view((c.width, c.height), s.size(pixels)) for c, s in zip(cameras, shapes))
     ]
-    if not ways:
+    if not orientations:
         return PairFiles(left, right, rig)
-    files = [_fitted(left, right, rig, shapes, pixels) for pixels in ways]
-    is_turned = {shape.orientation for shape in shapes} != {1}
-    if len(files) == 1 or not is_turned:
+    files = [_fitted(left, right, rig, shapes, pixels) for pixels in orientations]
+    is_rotated = {shape.orientation for shape in shapes} != {1}
+    if len(files) == 1 or not is_rotated:
         return files[-1]
     counts = [_num_agreeing(file) for file in files]
     if max(counts) >= LEAST_MATCHES and max(counts) >= CLEAR * min(counts):
         return files[int(np.argmax(counts))]
     return files[
-        ways.index(
+        orientations.index(
             ImagePixels.STORED if shapes[0].orientation != shapes[1].orientation else ImagePixels.UPRIGHT
         )
     ]

@@ -23,7 +23,7 @@ _LEAST_MATCHES = 30
 _SPARSE, _FEW = 0.3, 0.2
 _AGREES_PX, _MOST_BEYOND = 2.0, 0.1
 _NEAR_PX = 1.0  # a disparity of less says nothing of the order of the pictures
-_SWAPPED_SHARE = 0.8
+_SWAPPED_FRACTION = 0.8
 _MOST_OFF_PX = 1.0
 """A median vertical offset beyond this spoils matching by rows."""
 
@@ -156,7 +156,7 @@ def is_swapped(matches: RowMatches) -> bool:
         return False
     # Half of the matches may be mistakes: the sign of what agrees in its row counts.
     agrees = telling & (np.abs(matches.vertical_px - np.median(matches.vertical_px)) < _AGREES_PX)
-    return bool(agrees.any() and (matches.disparity_px[agrees] < 0).mean() > _SWAPPED_SHARE)
+    return bool(agrees.any() and (matches.disparity_px[agrees] < 0).mean() > _SWAPPED_FRACTION)
 
 
 def fit_trend(offsets: Float64[np.ndarray, " n"], basis: Float64[np.ndarray, "n p"]) -> RowTrend:

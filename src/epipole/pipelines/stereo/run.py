@@ -31,7 +31,7 @@ from epipole.pipelines.stereo.pairs import (
     run_batch,
     summary_of,
 )
-from epipole.runs import Job, ProgressCallback, holds_own_model, ignore_progress, open_run
+from epipole.runs import Job, ProgressCallback, has_own_model, ignore_progress, open_run
 from epipole.runs.folder import refuse_folder_of
 from epipole.scene import RectifiedRig, StereoRig
 
@@ -158,7 +158,7 @@ def stereo_of_model(
     refuse_folder_of(as_path(out), (workspace,))
     model = read_colmap_model(find_model(workspace))
     rows = {name: k for k, name in enumerate(model.images.name)}
-    registered, places = model.is_registered(), model.cams_from_world()
+    registered, positions = model.is_registered(), model.cams_from_world()
     for name in (first, second):
         if name not in rows or not registered[rows[name]]:
             near = [each for each in rows if Path(each).stem == name]
@@ -166,9 +166,9 @@ def stereo_of_model(
             raise ConfigError(f"{name} has no place in the model in {workspace}{hint}")
     if first == second:
         raise DegenerateGeometryError("the two pictures of a pair must differ")
-    files = ModelImages(model, workspace / "images", is_own=holds_own_model(workspace))
+    files = ModelImages(model, workspace / "images", is_own=has_own_model(workspace))
     left, right = files.find(first), files.find(second)
-    rig = StereoRig(left.camera, right.camera, places[rows[second]] @ places[rows[first]].inverse())
+    rig = StereoRig(left.camera, right.camera, positions[rows[second]] @ positions[rows[first]].inverse())
     note: tuple[str, ...] = ()
     if is_right_of_left(rig):
         rig, left, right, first, second = rig.swapped(), right, left, second, first
@@ -216,7 +216,7 @@ def examine_stereo(
         return replace(found, notes=(*found.notes, *files.notes, *unread))
 
 
-def _settings(config: StereoConfig, rig: RectifiedRig | StereoRig | None, *pictures: Path) -> dict[str, Any]:
+def _settings(config: StereoConfig, rig: RectifiedRig | StereoRig | None, *images: Path) -> dict[str, Any]:
     """All that the result depends on: other pictures or another calibration of the same name are not the same pair."""
     described: Any = asdict(rig) if isinstance(rig, RectifiedRig) else rig
     if isinstance(rig, StereoRig):
@@ -225,5 +225,5 @@ def _settings(config: StereoConfig, rig: RectifiedRig | StereoRig | None, *pictu
             "right_from_left": rig.right_from_left.as_matrix().tolist(),
             "covariance": None if rig.covariance is None else rig.covariance.tolist(),
         }
-    files = [[str(p), p.stat().st_size, p.stat().st_mtime_ns] for p in pictures if p.is_file()]
+    files = [[str(p), p.stat().st_size, p.stat().st_mtime_ns] for p in images if p.is_file()]
     return {"config": asdict(config), "rig": described, "pictures": files}

@@ -20,9 +20,9 @@ def show_stereo(result: StereoResult) -> None:
     known = np.isfinite(found.disparity_px)
     table = Table(title=f"Stereo pair: {100 * found.density:.1f} % of the pixels known", show_header=False)
     for reason in StereoReason:
-        share = float((found.reason == reason).mean())
-        if share > 0 and reason != StereoReason.OK:
-            table.add_row(reason.name.lower().replace("_", " "), f"{100 * share:.1f} %")
+        fraction = float((found.reason == reason).mean())
+        if fraction > 0 and reason != StereoReason.OK:
+            table.add_row(reason.name.lower().replace("_", " "), f"{100 * fraction:.1f} %")
     if known.any():
         low, high = np.percentile(found.disparity_px[known], (1, 99))
         table.add_row("disparities", f"{low:.1f} to {high:.1f} px")
@@ -35,8 +35,8 @@ def show_stereo(result: StereoResult) -> None:
     console.print(table)
     print_warnings(console, result.warnings)
     if result.out is not None:
-        look = "" if result.depths is None else f"\nlook     epipole view {quote(str(result.out))}"
-        words = f"results  {result.out}\nreport   {result.out / 'report.html'}{look}"
+        descriptor = "" if result.depths is None else f"\nlook     epipole view {quote(str(result.out))}"
+        words = f"results  {result.out}\nreport   {result.out / 'report.html'}{descriptor}"
         console.print(words, highlight=False, markup=False)
 
 
@@ -46,8 +46,10 @@ def show_batch(batch: StereoBatch) -> None:
     earlier = f", {len(batch.earlier)} by an earlier run" if batch.earlier else ""
     console.print(f"{len(batch.done)} pairs measured{earlier}; in {batch.out}", highlight=False)
     if batch.known:
-        shares = sorted(batch.known.values())
-        console.print(f"known pixels: {100 * shares[0]:.0f} to {100 * shares[-1]:.0f} %", highlight=False)
+        fractions = sorted(batch.known.values())
+        console.print(
+            f"known pixels: {100 * fractions[0]:.0f} to {100 * fractions[-1]:.0f} %", highlight=False
+        )
     print_warnings(console, [f"{name}: {'; '.join(words)}" for name, words in batch.warnings.items()])
     print_warnings(console, [f"{name}: {reason}" for name, reason in batch.problems.items()], "problem")
 

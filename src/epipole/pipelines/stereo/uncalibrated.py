@@ -52,8 +52,8 @@ class UncalibratedRectification:
     def apply(self, left: Any, right: Any) -> tuple[np.ndarray, np.ndarray]:
         """Both pictures, resampled (bilinear); black where a camera saw nothing."""
         warped = [
-            cv2.warpPerspective(np.ascontiguousarray(picture), matrix, self.size)
-            for picture, matrix in (
+            cv2.warpPerspective(np.ascontiguousarray(image), matrix, self.size)
+            for image, matrix in (
                 (left, self.rectified_from_left_px),
                 (right, self.rectified_from_right_px),
             )
@@ -82,8 +82,8 @@ def rectify_uncalibrated(left: Any, right: Any, seed: int = 0) -> UncalibratedRe
         ShapeError: the pictures are no pair.
     """
     grey = []
-    for name, picture in (("left", left), ("right", right)):
-        array = np.ascontiguousarray(picture)
+    for name, image in (("left", left), ("right", right)):
+        array = np.ascontiguousarray(image)
         if array.dtype != np.uint8 or array.ndim not in (2, 3):
             raise ShapeError(f"{name} must be a picture of 8 bits, is {array.shape} of {array.dtype}")
         grey.append(cv2.cvtColor(array, cv2.COLOR_RGB2GRAY) if array.ndim == 3 else array)

@@ -19,7 +19,7 @@ from epipole.io.images.photographs import common_range
 from epipole.io.images.writing import write_photograph
 from epipole.io.models.images import ModelImage, ModelImages
 from epipole.io.models.losses import losses_in
-from epipole.runs import Job, ProgressCallback, holds_own_model, ignore_progress, open_run
+from epipole.runs import Job, ProgressCallback, has_own_model, ignore_progress, open_run
 from epipole.scene import Cameras, Reconstruction
 
 
@@ -55,7 +55,7 @@ def undistort(
     found = read_colmap_model(folder)
     registered = np.flatnonzero(found.is_registered())
     names = [found.images.name[image] for image in registered]
-    files = ModelImages(found, workspace / "images", is_own=holds_own_model(workspace))
+    files = ModelImages(found, workspace / "images", is_own=has_own_model(workspace))
     images = [files.find(name) for name in names]
     pinholes = _pinholes(found, registered, images)
     is_further = folder.parent.name == "sparse" and folder.name != "0"
@@ -96,8 +96,8 @@ def _pinholes(model: Reconstruction, registered: np.ndarray, images: Sequence[Mo
             )
     out = []
     for c in range(len(model.cameras)):
-        lens, K = model.cameras[c], model.cameras[c].K
-        unused = Camera("PINHOLE", lens.width, lens.height, [K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
+        camera, K = model.cameras[c], model.cameras[c].K
+        unused = Camera("PINHOLE", camera.width, camera.height, [K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
         out.append(undistorted_camera(used[c]) if c in used else unused)
     return out
 
@@ -117,8 +117,8 @@ def _model_numbered(workspace: Path, number: int) -> Path:
 def _workspace_of(folder: Path, given: Path) -> Path:
     """The folder with the pictures: what was given, or the one that the model lies in."""
     at = folder.resolve()
-    places = (given, folder, at.parent, at.parent.parent)
-    return next((place for place in places if (place / "images").is_dir()), given)
+    positions = (given, folder, at.parent, at.parent.parent)
+    return next((position for position in positions if (position / "images").is_dir()), given)
 
 
 def without_distortion(model: Reconstruction, pinholes: list[Camera]) -> Reconstruction:

@@ -36,11 +36,11 @@ def scene_of_ply(path: Path) -> SpaceScene:
     """
     found = read_mesh_ply(path)
     xyz, n = found.xyz, len(found.xyz)
-    drawn = (np.abs(xyz) < FARTHEST).all(axis=1)
-    if not drawn.any():
+    rendered = (np.abs(xyz) < FARTHEST).all(axis=1)
+    if not rendered.any():
         raise FileFormatError(path, "holds no point that can be drawn: finite, and nearer than 1e30")
-    if not drawn.all():
-        xyz = np.where(drawn[:, None], xyz, np.nan)
+    if not rendered.all():
+        xyz = np.where(rendered[:, None], xyz, np.nan)
     num_cameras = num_cameras_of_scene(path)
     if num_cameras is not None and 5 * num_cameras <= n and found.rgb is not None:
         return _scene_of_model(path, xyz, found.rgb, num_cameras)

@@ -10,7 +10,7 @@ import numpy as np
 
 from epipole._jit import kernel
 from epipole.robust._item_kernels import median, sampson_agreeing
-from epipole.robust._loop_kernels import draw
+from epipole.robust._loop_kernels import sample_items
 from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers, solve_spd
 
 PLANE_SAMPLES, PLANE_TESTED = 40, 128
@@ -80,7 +80,7 @@ def find_plane(f, e2, m, residuals, threshold_sq, state, h):
     a, b, tried, sample = np.empty((3, 3)), np.empty(3), np.empty(9), np.empty(3, np.int64)
     best, tested, reach_sq = 0, min(count, PLANE_TESTED), OFF_PLANE * OFF_PLANE * threshold_sq
     for _ in range(PLANE_SAMPLES):
-        draw(state, count, 3, sample)
+        sample_items(state, count, 3, sample)
         clear_rows(a)
         clear(b)
         for i in range(3):
@@ -120,12 +120,12 @@ def off_plane(h, m, reach_sq):
     count = 0
     for k in range(m.shape[1]):
         count += 1 if _transfer_sq(h, m, k) > reach_sq else 0
-    out, place = np.empty((4, count)), 0
+    out, position = np.empty((4, count)), 0
     for k in range(m.shape[1]):
         if _transfer_sq(h, m, k) > reach_sq:
             for i in range(4):
-                out[i, place] = m[i, k]
-            place += 1
+                out[i, position] = m[i, k]
+            position += 1
     return out
 
 
@@ -148,7 +148,7 @@ def plane_and_parallax(h, off, threshold_sq, state, f):
     best, iteration, needed = 0, 0, PARALLAX_SAMPLES
     while iteration < needed:
         iteration += 1
-        draw(state, n, 2, sample)
+        sample_items(state, n, 2, sample)
         _parallax_line(h, off, sample[0], one)
         _parallax_line(h, off, sample[1], two)
         size = 0.0

@@ -75,7 +75,7 @@ def signed_epipole(model):
 
 
 @kernel(fuse=True, extra_fastmath=REASSOC)
-def is_turned(epipole, m, k, line, threshold_sq):
+def is_behind(epipole, m, k, line, threshold_sq):
     """Whether match k sees its epipolar line from the other side than the sample did, farther from e2 than the threshold.
 
     `epipole` is e2 times the sample's sense, a tuple.
@@ -83,8 +83,8 @@ def is_turned(epipole, m, k, line, threshold_sq):
     s0, s1, s2 = epipole
     c, d = m[2, k], m[3, k]
     n0, n1, n2 = s1 - s2 * d, s2 * c - s0, s0 * d - s1 * c
-    turned = n0 * line[0] + n1 * line[1] + n2 * line[2] < 0.0
-    return turned and n0 * n0 + n1 * n1 > 4.0 * threshold_sq * s2 * s2
+    behind = n0 * line[0] + n1 * line[1] + n2 * line[2] < 0.0
+    return behind and n0 * n0 + n1 * n1 > 4.0 * threshold_sq * s2 * s2
 
 
 @kernel(extra_fastmath=REASSOC)
@@ -94,7 +94,7 @@ def _score_block(model, m, threshold_sq, start, stop):
     for k in range(start, stop):
         e, s, line, _ = sampson(f, m, k)
         r = e * e / s
-        total += threshold_sq if is_turned(epipole, m, k, line, threshold_sq) or r > threshold_sq else r
+        total += threshold_sq if is_behind(epipole, m, k, line, threshold_sq) or r > threshold_sq else r
     return total
 
 
@@ -106,7 +106,7 @@ def _rows_of_block(model, m, threshold_sq, soft_sq, start, stop, rows):
         e, s, line, back = sampson(f, m, k)
         inverse = 1.0 / s
         r = e * e * inverse
-        is_out = is_turned(epipole, m, k, line, threshold_sq) or r > threshold_sq
+        is_out = is_behind(epipole, m, k, line, threshold_sq) or r > threshold_sq
         total += threshold_sq if is_out else r
         root = 0.0 if is_out else math.sqrt(inverse / (1.0 + r / soft_sq))
         row, i = sampson_row(m, k, e, inverse, root, line, back), k - start
@@ -183,7 +183,7 @@ class EpipolarProblem(MatrixProblem):
 
     def error_sq(self, model, threshold_sq, k):
         e, s, line, _ = sampson(nine(model, 0), self.items, k)
-        return math.inf if is_turned(signed_epipole(model), self.items, k, line, threshold_sq) else e * e / s
+        return math.inf if is_behind(signed_epipole(model), self.items, k, line, threshold_sq) else e * e / s
 
     def score_block(self, model, threshold_sq, start, stop):
         return _score_block(model, self.items, threshold_sq, start, stop)
@@ -227,15 +227,15 @@ class FundamentalProblem(EpipolarProblem, Items):
                 count += 1
         return count
 
-    def settle(self, sample, model, settled, work):
-        copy_numbers(model, settled[0])
-        return np.int64(1) if decompose(settled[0]) else np.int64(0)
+    def refine(self, sample, model, refined, work):
+        copy_numbers(model, refined[0])
+        return np.int64(1) if decompose(refined[0]) else np.int64(0)
 
     def derivatives(self, model, d):
         derivatives_of_fundamental(model, d)
 
     def retract(self, model, delta, out):
-        transposed, turned, back = np.empty(9), np.empty(9), np.empty(3)
+        transposed, behind, back = np.empty(9), np.empty(9), np.empty(3)
         for which in range(2):
             base = 9 + 9 * which
             for i in range(3):
@@ -243,10 +243,10 @@ class FundamentalProblem(EpipolarProblem, Items):
                 for j in range(3):
                     transposed[3 * j + i] = model[base + 3 * i + j]
             # U exp(u) = (exp(-u) U^T)^T
-            rotate_left(back, transposed, turned)
+            rotate_left(back, transposed, behind)
             for i in range(3):
                 for j in range(3):
-                    out[base + 3 * i + j] = turned[3 * j + i]
+                    out[base + 3 * i + j] = behind[3 * j + i]
         out[RATIO] = max(model[RATIO] + delta[6], 0.0)
         _compose(out)
 
@@ -260,23 +260,23 @@ class FundamentalProblem(EpipolarProblem, Items):
         """
         h, other = np.empty(9), np.empty(MODEL_SIZE)
         m = self.items
-        share, reach_sq = find_plane(
+        fraction, reach_sq = find_plane(
             model, model[EPIPOLE : EPIPOLE + 3], m, residuals, threshold_sq, state, h
         )
-        if share < DOMINANT:
+        if fraction < DOMINANT:
             return
         off = off_plane(h, m, reach_sq)
         if plane_and_parallax(h, off, threshold_sq, state, other) < 3:
             return
         if not (find_epipole(other) and decompose(other)):
             return
-        turned = 0
+        behind = 0
         one, two = np.ones(3), np.ones(3)
         for k in range(m.shape[1]):
             if residuals[k] < threshold_sq:
                 one[0], one[1], two[0], two[1] = m[0, k], m[1, k], m[2, k], m[3, k]
-                turned += 1 if line_sense(other, one, two) < 0.0 else -1
-        other[SENSE] = -1.0 if turned > 0 else 1.0
+                behind += 1 if line_sense(other, one, two) < 0.0 else -1
+        other[SENSE] = -1.0 if behind > 0 else 1.0
         optimize_locally(self, other, threshold_sq)
         others = FundamentalProblem(off)
         before = others.score(model, threshold_sq, math.inf)
@@ -291,9 +291,9 @@ def parallax_support(model, m, threshold_sq, seed):
     residuals, h, state = np.empty(m.shape[1]), np.empty(9), np.empty(1, np.uint64)
     state[0] = seed
     FundamentalProblem(m).residuals_sq(model, threshold_sq, residuals)
-    share, reach_sq = find_plane(model, model[EPIPOLE : EPIPOLE + 3], m, residuals, threshold_sq, state, h)
-    if share < DOMINANT:
-        return share, 0, 0, 1.0
+    fraction, reach_sq = find_plane(model, model[EPIPOLE : EPIPOLE + 3], m, residuals, threshold_sq, state, h)
+    if fraction < DOMINANT:
+        return fraction, 0, 0, 1.0
     off = off_plane(h, m, reach_sq)
     agreed = sampson_agreeing(model, off, threshold_sq, 0, off.shape[1])
-    return share, off.shape[1], agreed, chance_of_agreement(model, m, threshold_sq)
+    return fraction, off.shape[1], agreed, chance_of_agreement(model, m, threshold_sq)

@@ -116,7 +116,7 @@ class HomographyProblem(RobustProblem, Items):
     def rows_of_block(self, model, threshold_sq, soft_sq, start, stop, rows):
         return _rows_of_block(model, self.items, threshold_sq, soft_sq, start, stop, rows)
 
-    def hold_gauge(self, model, a):
+    def fix_gauge(self, model, a):
         # One parameter too many: the scale of H changes nothing; a penalty on it leaves the other steps as they are.
         weight = (a[0, 0] + a[4, 4] + a[8, 8]) / 3.0
         for i in range(9):

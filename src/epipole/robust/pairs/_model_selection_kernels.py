@@ -21,9 +21,9 @@ from epipole.solvers._two_view_kernels import svd3
 
 EPIPOLAR, PLANE, ROTATION, NO_MOTION, NONE = 0, 1, 2, 3, -1
 """The models, in the order of the costs; NONE: too few matches agree with any."""
-TURNING_SHARE = 0.9
+ROTATING_FRACTION = 0.9
 TRUSTED_FOCAL, GUESSED_FOCAL = 0.4, 1.2  # a rotation may correct the logarithm of a focal length by so much
-TURN_STEPS = 8
+ROTATION_STEPS = 8
 LEAST_NOISE_PX = 0.25  # pixels are not known better than this, whatever the residuals say
 
 
@@ -48,7 +48,7 @@ def _gric(total, count, dimension, parameters):
 
 
 @kernel(fuse=True)
-def _turn_error_sq(pairs, p, k, r, ray):
+def _rotation_error_sq(pairs, p, k, r, ray):
     """Squared distance of a turned ray's pixel from its match in image 2."""
     camera = pairs.camera2[p]
     u, v = project_one(
@@ -68,12 +68,12 @@ def _fit_rotation(pairs, p, chosen, rays1, rays2, scale_px, rotation):
     m, u, s, v = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     for i in range(9):
         rotation[i] = 1.0 if i % 4 == 0 else 0.0
-    for turn in range(8):
+    for step_rotation in range(8):
         clear_rows(m)
         for c in range(len(chosen)):
             weight = 1.0
-            if turn > 0:
-                error = _turn_error_sq(pairs, p, chosen[c], rotation, rays1[c])
+            if step_rotation > 0:
+                error = _rotation_error_sq(pairs, p, chosen[c], rotation, rays1[c])
                 weight = 1.0 / (1.0 + error / scale_px**2)
             if weight > 0.0:
                 for i in range(3):
@@ -87,15 +87,15 @@ def _fit_rotation(pairs, p, chosen, rays1, rays2, scale_px, rotation):
 
 
 @kernel(allocates=True)
-def _fit_turning_lens(rays1, rays2, focal_px, variance, rotation):
+def _fit_rotating_camera(rays1, rays2, focal_px, variance, rotation):
     """Refine a rotation together with a factor g of the focal lengths, on the planes z = 1; returns g and the fit.
 
     x2 = g h(R (x1 / g)), h the division by the third coordinate; Gauss-Newton in (phi, log g) with Cauchy's weights. The
     fit is the sum of squared transfer errors over two variances, each cut at 4.
     """
     a, b, step = np.empty((4, 4)), np.empty(4), np.empty((2, 4))
-    turned, r, g = np.empty(9), rotation.copy(), 1.0
-    for turn in range(TURN_STEPS + 1):
+    rotated, r, g = np.empty(9), rotation.copy(), 1.0
+    for step_rotation in range(ROTATION_STEPS + 1):
         total = 0.0
         clear_rows(a)
         clear(b)
@@ -122,15 +122,15 @@ def _fit_turning_lens(rays1, rays2, focal_px, variance, rotation):
                 b[i] -= weight * (step[0, i] * eu + step[1, i] * ev)
                 for j in range(4):
                     a[i, j] += weight * (step[0, i] * step[0, j] + step[1, i] * step[1, j])
-        if turn == TURN_STEPS:
+        if step_rotation == ROTATION_STEPS:
             break
         for i in range(4):
             a[i, i] += 1e-9 * a[i, i] + 1e-15
         if not solve_spd(a, b, 4):
             break
-        rotate_left(b, r, turned)
+        rotate_left(b, r, rotated)
         for i in range(9):
-            r[i] = turned[i]
+            r[i] = rotated[i]
         g *= math.exp(min(max(b[3], -0.5), 0.5))
     return g, total
 
@@ -195,34 +195,34 @@ def select_models(pairs, calibrated, search, epipolar, planes, motions, selectio
         rotation = selection.rotation[p]
         scale_px = 2.0 * math.sqrt(variance) if calibrated[p] else search.max_error_px
         _fit_rotation(pairs, p, chosen, rays1, rays2, scale_px, rotation)
-        totals, turning = np.zeros(4), 0
+        totals, rotating = np.zeros(4), 0
         for c in range(count):
             k = chosen[c]
             still = (pairs.pixels[2, k] - pairs.pixels[0, k]) ** 2 + (
                 pairs.pixels[3, k] - pairs.pixels[1, k]
             ) ** 2
             plane = planes.residuals_px[k] ** 2
-            turned = _turn_error_sq(pairs, p, k, rotation, rays1[c])
-            turning += 1 if turned < search.max_error_px**2 else 0
+            rotated = _rotation_error_sq(pairs, p, k, rotation, rays1[c])
+            rotating += 1 if rotated < search.max_error_px**2 else 0
             totals[0] += min(epipolar.residuals_px[k] ** 2 / variance, 2.0)
             totals[1] += min(0.5 * plane / variance, 4.0)
-            totals[2] += min(0.5 * turned / variance, 4.0)
+            totals[2] += min(0.5 * rotated / variance, 4.0)
             totals[3] += min(0.5 * still / variance, 4.0)
         cost = selection.cost[p]
         cost[0] = _gric(totals[0], count, 3.0, 5.0 if calibrated[p] else 7.0)
         cost[1] = _gric(totals[1], count, 2.0, 8.0)
         cost[2] = _gric(totals[2], count, 2.0, 3.0)
         focal_px = 0.5 * (pairs.focal_px[pairs.camera1[p]] + pairs.focal_px[pairs.camera2[p]])
-        g, turning_lens = _fit_turning_lens(rays1, rays2, focal_px, variance, rotation)
+        g, rotating_camera = _fit_rotating_camera(rays1, rays2, focal_px, variance, rotation)
         if abs(math.log(g)) < (TRUSTED_FOCAL if calibrated[p] else GUESSED_FOCAL):
-            cost[2] = min(cost[2], _gric(turning_lens, count, 2.0, 4.0))
+            cost[2] = min(cost[2], _gric(rotating_camera, count, 2.0, 4.0))
         cost[3] = _gric(totals[3], count, 2.0, 0.0)
         best = 0
         for i in range(1, 4):
             if cost[i] < cost[best]:
                 best = i
         # A rotation under a guessed focal length is never exact; it need only explain nearly all to the threshold.
-        if best == PLANE and not calibrated[p] and turning >= TURNING_SHARE * count:
+        if best == PLANE and not calibrated[p] and rotating >= ROTATING_FRACTION * count:
             best = ROTATION
         selection.model[p] = best
         selection.noise_px[p] = math.sqrt(variance)

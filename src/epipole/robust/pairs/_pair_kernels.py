@@ -47,7 +47,7 @@ class Search(NamedTuple):
     min_iterations: int
     max_iterations: int
     min_inliers: int
-    min_share: float
+    min_fraction: float
 
 
 class Fits(NamedTuple):
@@ -131,9 +131,9 @@ def keep(pairs, p, chosen, count, residuals, scale, fits):
 
 
 @kernel
-def least_share(search, count):
+def least_fraction(search, count):
     """Share of inliers that is still of use."""
-    return min(1.0, max(search.min_share, search.min_inliers / count))
+    return min(1.0, max(search.min_fraction, search.min_inliers / count))
 
 
 @kernel(allocates=True)
@@ -157,7 +157,7 @@ def search_pair(pairs, p, problem, chosen, quality, search, fits):
             search.confidence,
             search.min_iterations,
             search.max_iterations,
-            least_share(search, count),
+            least_fraction(search, count),
             pairs.seed[p],
             _ranking(quality, chosen, count),
             fits.raw[p],

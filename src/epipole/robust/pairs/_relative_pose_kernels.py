@@ -151,14 +151,14 @@ class MotionProblem(MatrixProblem):
                 models[k, MATRIX + i] = essentials[k, i]
         return count
 
-    def settle(self, sample, model, settled, work):
+    def refine(self, sample, model, refined, work):
         # Those of the four motions of E that put the sample in front.
         y1, y2, _, motions, _ = work
         self.gather_rays(sample, y1, y2)
         count = motions_from_essential(model[MATRIX : MATRIX + 9], y1, y2, motions)
         for c in range(count):
-            copy_numbers(motions[c], settled[c])
-            essential_from_motion(settled[c], settled[c, MATRIX : MATRIX + 9])
+            copy_numbers(motions[c], refined[c])
+            essential_from_motion(refined[c], refined[c, MATRIX : MATRIX + 9])
         return count
 
     def derivatives(self, model, d):

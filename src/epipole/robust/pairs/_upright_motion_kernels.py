@@ -38,7 +38,7 @@ class UprightMotionProblem(PlaneMotionProblem, UprightItems):
         return x1, x2, y1, y2, np.empty((12, 12)), np.empty((3, 3)), upright_relative_workspace()
 
     def solve_sample(self, sample, models, work):
-        x1, x2, y1, y2, found, turned, solver = work
+        x1, x2, y1, y2, found, rotated, solver = work
         u1, u2 = self.upright1, self.upright2
         gather(self.items, sample, x1, x2)
         for k in range(3):
@@ -55,23 +55,23 @@ class UprightMotionProblem(PlaneMotionProblem, UprightItems):
             # R = upright2^T R_y upright1, t = upright2^T t_y.
             for i in range(3):
                 for j in range(3):
-                    turned[i, j] = 0.0
+                    rotated[i, j] = 0.0
                     for c in range(3):
-                        turned[i, j] += found[k, 3 * i + c] * u1[c, j]
+                        rotated[i, j] += found[k, 3 * i + c] * u1[c, j]
             for i in range(3):
                 models[count, 9 + i] = 0.0
                 for c in range(3):
                     models[count, 9 + i] += u2[c, i] * found[k, 9 + c]
                 for j in range(3):
                     models[count, 3 * i + j] = (
-                        u2[0, i] * turned[0, j] + u2[1, i] * turned[1, j] + u2[2, i] * turned[2, j]
+                        u2[0, i] * rotated[0, j] + u2[1, i] * rotated[1, j] + u2[2, i] * rotated[2, j]
                     )
             essential_from_motion(models[count], models[count, MATRIX : MATRIX + 9])
             count += 1
         return count
 
-    def settle(self, sample, model, settled, work):
-        copy_numbers(model, settled[0])
+    def refine(self, sample, model, refined, work):
+        copy_numbers(model, refined[0])
         return np.int64(1)
 
     def with_items(self, items):

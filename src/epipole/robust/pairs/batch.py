@@ -67,7 +67,7 @@ def no_fits(pairs: kernels.Pairs) -> kernels.Fits:
 
 
 def search_for(
-    config: RansacConfig, factor: float = 1.0, most: int | None = None, share: float | None = None
+    config: RansacConfig, factor: float = 1.0, most: int | None = None, fraction: float | None = None
 ) -> kernels.Search:
     """The configuration as kernels take it.
 
@@ -75,7 +75,7 @@ def search_for(
         config: options of the robust loop.
         factor: of the threshold.
         most: samples at most.
-        share: of inliers, below which a model is of no use.
+        fraction: of inliers, below which a model is of no use.
     """
     most = config.max_iterations if most is None else min(most, config.max_iterations)
     return kernels.Search(
@@ -84,7 +84,7 @@ def search_for(
         min(config.min_iterations, most),
         most,
         config.needed_inliers(5, 1),
-        float(config.min_inlier_ratio if share is None else share),
+        float(config.min_inlier_ratio if fraction is None else fraction),
     )
 
 

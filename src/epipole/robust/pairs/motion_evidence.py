@@ -87,7 +87,7 @@ class _Model:
     """Noise in pixels, share of right matches, and the inverse depths' location and scale."""
 
     sigma: float
-    share: float
+    fraction: float
     location: float
     scale: float
 
@@ -211,7 +211,7 @@ def _right(matches: Matches, rotation: np.ndarray, translation: np.ndarray, mode
     """(n,) log density of a right match: of its residual, the sign of its depth, and its inverse depth."""
     residual, behind = _residuals(matches, rotation, translation, model)
     depth = _log_depth(matches, rotation, translation, model)
-    return np.log(model.share) - 0.5 * (residual**2 + behind**2) + depth
+    return np.log(model.fraction) - 0.5 * (residual**2 + behind**2) + depth
 
 
 def _residuals(
@@ -235,7 +235,7 @@ def _log_depth(matches: Matches, rotation: np.ndarray, translation: np.ndarray, 
 def _weights(matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model) -> np.ndarray:
     """(n,) probability that a match is right."""
     right = _right(matches, rotation, translation, model)
-    return np.exp(right - np.logaddexp(right, np.log1p(-model.share) - matches.log_area))
+    return np.exp(right - np.logaddexp(right, np.log1p(-model.fraction) - matches.log_area))
 
 
 def _likelihood(
@@ -243,8 +243,8 @@ def _likelihood(
 ) -> np.ndarray:
     """(...) log likelihood of motions near the fitted one; the scene's depths keep their density there, `depth` (n,)."""
     residual, behind = _residuals(matches, rotation, translation, model)
-    right = np.log(model.share) - 0.5 * (residual**2 + behind**2) + depth
-    return np.asarray(np.logaddexp(right, np.log1p(-model.share) - matches.log_area).sum(axis=-1))
+    right = np.log(model.fraction) - 0.5 * (residual**2 + behind**2) + depth
+    return np.asarray(np.logaddexp(right, np.log1p(-model.fraction) - matches.log_area).sum(axis=-1))
 
 
 def _sign_evidence(matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model) -> float:
@@ -297,8 +297,8 @@ def _noise_information(
 def _weakest(information: np.ndarray, noise: np.ndarray) -> float:
     """Least ratio, over all directions, of the information to that of the noise."""
     root = np.linalg.cholesky(information)
-    share = np.linalg.solve(root, np.linalg.solve(root, noise).T)
-    return float(1.0 / max(np.linalg.eigvalsh(share)[-1], 1e-300))
+    fraction = np.linalg.solve(root, np.linalg.solve(root, noise).T)
+    return float(1.0 / max(np.linalg.eigvalsh(fraction)[-1], 1e-300))
 
 
 def _has_rival(
@@ -306,12 +306,12 @@ def _has_rival(
 ) -> bool:
     """Whether a motion in another direction explains the matches as well; found from directions all over the sphere."""
     index = np.arange(NUM_DIRECTIONS) + 0.5
-    height, turn = (
+    height, step_rotation = (
         1.0 - 2.0 * index / NUM_DIRECTIONS,
         np.pi * (1.0 + np.sqrt(5.0)) * index,
     )  # Fibonacci's sphere
     flat = np.sqrt(1.0 - height**2)
-    t = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+    t = np.stack([flat * np.cos(step_rotation), flat * np.sin(step_rotation), height], axis=1)
     r = np.broadcast_to(rotation, (NUM_DIRECTIONS, 3, 3))
     weight = _weights(matches, rotation, translation, model)
     for _ in range(SEARCH_STEPS):

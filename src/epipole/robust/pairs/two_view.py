@@ -14,7 +14,7 @@ from epipole._declared import checked
 from epipole.cameras import Camera
 from epipole.config import RansacConfig, options_of
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1
-from epipole.robust.absolute_pose import turn_upright
+from epipole.robust.absolute_pose import rotate_upright
 from epipole.robust.estimate import (
     Estimate,
     Found,
@@ -117,7 +117,7 @@ def estimate_upright_motion(
     Raises:
         ShapeError: the arrays do not fit, or a direction is zero.
     """
-    up1, up2 = (turn_upright(down, f"down_in_cams[{k}]") for k, down in enumerate(down_in_cams))
+    up1, up2 = (rotate_upright(down, f"down_in_cams[{k}]") for k, down in enumerate(down_in_cams))
     cameras, options = (camera1, camera2), options_of(RansacConfig, config)
     found = _fit_upright_motion(pixels1, pixels2, cameras, (up1, up2), options)
     motion = Rigid3(found.raw[:9].reshape(3, 3).copy(), found.raw[9:12].copy())
@@ -204,7 +204,7 @@ def estimate_fundamental_matrix(
     kernels.fit_fundamentals(one.pairs, np.ones(1, bool), one.use, one.quality, search_for(config), one.fits)
     found = _off_a_line(found_of_one(FundamentalProblem(_NO_ITEMS), one.use, one.fits, config), one)
     t1, t2 = to_coordinates(one.fits, 0)
-    if found.reason is Reason.OK and _is_held_by_a_plane(one, config):
+    if found.reason is Reason.OK and _is_explained_by_a_plane(one, config):
         found = replace(found, reason=Reason.DEGENERATE, covariance=np.full((7, 7), np.inf))
     model = t2.T @ found.raw[:9].reshape(3, 3) @ t1
     norm = np.linalg.norm(model)
@@ -337,7 +337,7 @@ def _off_a_line(found: Found, one: _OnePair) -> Found:
     return replace(found, reason=Reason.DEGENERATE, covariance=np.full_like(found.covariance, np.inf))
 
 
-def _is_held_by_a_plane(one: _OnePair, config: RansacConfig) -> bool:
+def _is_explained_by_a_plane(one: _OnePair, config: RansacConfig) -> bool:
     """Whether F stands on a plane and on no more matches off it than chance gives.
 
     Any two matches off the plane fix an epipole: that of the pair with most company must have more than chance is
@@ -347,8 +347,8 @@ def _is_held_by_a_plane(one: _OnePair, config: RansacConfig) -> bool:
     center, spread = one.fits.frame[0, :4, None], one.fits.frame[0, 4]
     items = np.ascontiguousarray((one.pairs.pixels[:, one.use] - center) / spread)
     max_error_sq = (config.max_error_px / spread) ** 2
-    share, num_off, agreed, chance = parallax_support(one.fits.raw[0], items, max_error_sq, np.uint64(0))
-    if share < _ALL_BUT_CHANCE:
+    fraction, num_off, agreed, chance = parallax_support(one.fits.raw[0], items, max_error_sq, np.uint64(0))
+    if fraction < _ALL_BUT_CHANCE:
         return False
     pairs = 0.5 * num_off * (num_off - 1)
     return bool(agreed < 3 or bdtrc(agreed - 3, num_off - 2, chance) * pairs > 0.1)

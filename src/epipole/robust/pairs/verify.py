@@ -30,7 +30,7 @@ from epipole.robust.pairs.batch import (
 )
 from epipole.robust.pairs.kind import PairKind
 
-PLANE_SHARE = 0.7
+PLANE_FRACTION = 0.7
 """A plane that explains less of the epipolar inliers than this could not win, and is not searched for."""
 PLANE_ITERATIONS = 500
 GUESS_FACTOR, GUESS_ITERATIONS = 3.0, 200
@@ -166,7 +166,7 @@ def _verify(pairs: Sequence[PairMatches], config: RansacConfig) -> list[PairGeom
         loose = search_for(config, factor=GUESS_FACTOR, most=GUESS_ITERATIONS)
         fit_motions(packed, ~calibrated, inliers, None, loose, motions)
     planes = no_fits(packed)
-    plane_search = search_for(config, most=PLANE_ITERATIONS, share=PLANE_SHARE)
+    plane_search = search_for(config, most=PLANE_ITERATIONS, fraction=PLANE_FRACTION)
     kernels.fit_homographies(packed, inliers, None, plane_search, planes)
     selection = selection_kernels.Selection(
         np.zeros(n, np.int64), np.zeros((n, 4)), np.zeros(n), np.zeros((n, 9)), np.zeros(n)

@@ -12,11 +12,11 @@ from epipole._declared.tables import Arrays
 from epipole.errors import ConfigError
 from epipole.io.colmap.database import DatabaseContents, read_database
 from epipole.io.images.photographs import read_header
-from epipole.pipelines.sfm.matching.feature_stage import as_unit_arrays, read_picture
+from epipole.pipelines.sfm.matching.feature_stage import as_unit_arrays, read_image
 from epipole.pipelines.sfm.matching.pair_blocks import PairBlock, block_units, filled
 from epipole.pipelines.sfm.matching.unit_tables import MATCHES
 from epipole.pipelines.sfm.photographs import ImageSet
-from epipole.runs import Unit, digest, holds_own_model
+from epipole.runs import Unit, digest, has_own_model
 
 FORMAT = 2
 Matches = dict[tuple[int, int], np.ndarray]
@@ -42,7 +42,7 @@ class DatabaseSource:
 
     def matches(self, names: Sequence[str]) -> Matches:
         """Matches between these pictures: before verification where the database has them, else verified ones."""
-        place = {self.row_of_name[name]: i for i, name in enumerate(names)}
+        position = {self.row_of_name[name]: i for i, name in enumerate(names)}
         found: Matches = dict(self.contents.matches)
         graph = self.contents.view_graph
         for edge in range(0 if graph is None else len(graph)):
@@ -53,8 +53,8 @@ class DatabaseSource:
                 found[pair] = np.stack([graph.keypoint1[rows], graph.keypoint2[rows]], axis=1)
         out = {}
         for (i, j), matches in sorted(found.items()):
-            if i in place and j in place and len(matches):
-                a, b = place[i], place[j]
+            if i in position and j in position and len(matches):
+                a, b = position[i], position[j]
                 out[min(a, b), max(a, b)] = (matches if a < b else matches[:, ::-1]).astype(np.int32)
         return out
 
@@ -89,8 +89,8 @@ def open_source(path: Path, images: ImageSet, *, keep_cameras: bool) -> tuple[Da
             raise ConfigError(
                 f"{images.names[i]} is {own.width}x{own.height} upright, but {theirs.width}x{theirs.height} in {path}"
             )
-    if not holds_own_model(path.resolve().parent):
-        _refuse_turned(path, images)
+    if not has_own_model(path.resolve().parent):
+        _refuse_rotated(path, images)
     if keep_cameras:
         return source, images
     sources = tuple(
@@ -101,7 +101,7 @@ def open_source(path: Path, images: ImageSet, *, keep_cameras: bool) -> tuple[Da
     )
 
 
-def _refuse_turned(path: Path, images: ImageSet) -> None:
+def _refuse_rotated(path: Path, images: ImageSet) -> None:
     """A database from elsewhere may be of stored pixels (COLMAP ignores EXIF orientation); images are worked on upright.
 
     Where EXIF turns by 90 degrees, the sizes have told already.
@@ -131,11 +131,11 @@ def feature_units(source: DatabaseSource, images: ImageSet, folder: Path, max_si
 
 def features_with_colors(payload: GivenFeatures) -> dict[str, np.ndarray]:
     """The unit's arrays; for a damaged picture the reason instead."""
-    picture = read_picture(payload.path, payload.max_size_px)
-    if isinstance(picture, str):
-        return {"failure": np.array(picture)}
+    image = read_image(payload.path, payload.max_size_px)
+    if isinstance(image, str):
+        return {"failure": np.array(image)}
     nothing = np.zeros(len(payload.pixels), np.float32)
-    return as_unit_arrays(picture, payload.pixels, nothing, nothing, payload.descriptors)
+    return as_unit_arrays(image, payload.pixels, nothing, nothing, payload.descriptors)
 
 
 def match_units(matches: Matches, folder: Path) -> list[Unit]:
@@ -149,4 +149,4 @@ def match_units(matches: Matches, folder: Path) -> list[Unit]:
 
 def given_matches(block: PairBlock) -> Arrays:
     """The matches as the matching stage would store them."""
-    return filled(block, lambda places: [{"matches": block.task[n]} for n in places])
+    return filled(block, lambda positions: [{"matches": block.task[n]} for n in positions])

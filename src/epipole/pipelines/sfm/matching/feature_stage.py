@@ -36,15 +36,15 @@ class FeaturePayload:
 def feature_units(images: ImageSet, folder: Path, config: FeatureConfig, masks: Path | None) -> list[Unit]:
     """One unit per picture."""
     units = []
-    for name, picture, mask in zip(images.names, images.fingerprints, images.mask_fingerprints):
-        key = digest("features", FORMAT, picture, mask, asdict(config))
+    for name, image, mask in zip(images.names, images.fingerprints, images.mask_fingerprints):
+        key = digest("features", FORMAT, image, mask, asdict(config))
         payload = FeaturePayload(images.folder / name, name, masks, config)
         units.append(Unit(folder / f"{key}.npz", key, detect_in_file, payload))
     return units
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class Image:
     """A picture as it is worked on, and its full size."""
 
     rgb: np.ndarray
@@ -52,46 +52,44 @@ class Picture:
     height: int
 
 
-def read_picture(path: Path, max_size_px: int) -> Picture | str:
+def read_image(path: Path, max_size_px: int) -> Image | str:
     """Read a picture, reduced to `max_size_px`; for a damaged one the reason instead."""
     try:
         header = read_header(path)
-        return Picture(read_rgb(path, max_size_px), header.width, header.height)
+        return Image(read_rgb(path, max_size_px), header.width, header.height)
     except (FileFormatError, MissingDependencyError) as error:
         return str(error).removeprefix(f"{path}: ")
 
 
 def detect_in_file(payload: FeaturePayload) -> dict[str, np.ndarray]:
     """Features of one picture, their colours and a thumbnail; for a damaged picture the reason instead."""
-    picture = read_picture(payload.path, payload.config.max_size_px)
-    if isinstance(picture, str):
-        return {"failure": np.array(picture)}
-    rgb, mask = picture.rgb, None
+    image = read_image(payload.path, payload.config.max_size_px)
+    if isinstance(image, str):
+        return {"failure": np.array(image)}
+    rgb, mask = image.rgb, None
     try:
         if payload.masks is not None:
-            mask = read_mask(payload.masks, payload.name, size=(picture.width, picture.height))
+            mask = read_mask(payload.masks, payload.name, size=(image.width, image.height))
     except (FileFormatError, MissingDependencyError) as error:
         return {"failure": np.array(str(error))}
     cv2.setNumThreads(1)  # pictures are the unit of parallel work
     small = detect_features(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), payload.config)
-    stretch = np.array([picture.width / rgb.shape[1], picture.height / rgb.shape[0]])
+    stretch = np.array([image.width / rgb.shape[1], image.height / rgb.shape[0]])
     pixels = ((small.pixels + 0.5) * stretch - 0.5).astype(np.float32)
     keep = np.ones(len(pixels), bool)
     if mask is not None:
-        at = np.clip(np.rint(pixels).astype(int), 0, [picture.width - 1, picture.height - 1])
+        at = np.clip(np.rint(pixels).astype(int), 0, [image.width - 1, image.height - 1])
         keep = mask[at[:, 1], at[:, 0]]
     scale_px = (small.scale_px * stretch.mean()).astype(np.float32)
-    return as_unit_arrays(
-        picture, pixels[keep], scale_px[keep], small.angle_rad[keep], small.descriptors[keep]
-    )
+    return as_unit_arrays(image, pixels[keep], scale_px[keep], small.angle_rad[keep], small.descriptors[keep])
 
 
 def as_unit_arrays(
-    picture: Picture, pixels: np.ndarray, scale_px: np.ndarray, angle_rad: np.ndarray, descriptors: np.ndarray
+    image: Image, pixels: np.ndarray, scale_px: np.ndarray, angle_rad: np.ndarray, descriptors: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Features, their colours and a thumbnail of the picture, as a unit stores them."""
-    rgb = picture.rgb
-    shrink = np.array([rgb.shape[1] / picture.width, rgb.shape[0] / picture.height])
+    rgb = image.rgb
+    shrink = np.array([rgb.shape[1] / image.width, rgb.shape[0] / image.height])
     at = np.clip(np.rint((pixels + 0.5) * shrink - 0.5).astype(int), 0, [rgb.shape[1] - 1, rgb.shape[0] - 1])
     factor = min(1.0, THUMBNAIL_PX / max(rgb.shape[:2]))
     size = (max(1, round(rgb.shape[1] * factor)), max(1, round(rgb.shape[0] * factor)))

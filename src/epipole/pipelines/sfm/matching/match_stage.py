@@ -113,16 +113,16 @@ def _seed(first: str, second: str) -> int:
 
 def match_block(block: PairBlock) -> Arrays:
     """Putative matches of a block of pairs."""
-    return filled(block, lambda places: _matched(block, places))
+    return filled(block, lambda positions: _matched(block, positions))
 
 
-def _matched(block: PairBlock, places: Sequence[int]) -> list[PairResult]:
+def _matched(block: PairBlock, positions: Sequence[int]) -> list[PairResult]:
     task: MatchTask = block.task
-    pairs = [block.pairs[n] for n in places]
+    pairs = [block.pairs[n] for n in positions]
     features = {i: load_features(task.feature_files[i]) for i in sorted({i for pair in pairs for i in pair})}
     return [
         {"matches": match_pair(features[i], features[j], i, j, task.seeds[n], task)}
-        for n, (i, j) in zip(places, pairs)
+        for n, (i, j) in zip(positions, pairs)
     ]
 
 
@@ -156,17 +156,17 @@ def match_pair(first: Features, second: Features, i: int, j: int, seed: int, tas
 
 def verify_block(block: PairBlock) -> Arrays:
     """Geometry of a block of matched pairs."""
-    return filled(block, lambda places: _verified(block, places))
+    return filled(block, lambda positions: _verified(block, positions))
 
 
-def _verified(block: PairBlock, places: Sequence[int]) -> list[PairResult]:
+def _verified(block: PairBlock, positions: Sequence[int]) -> list[PairResult]:
     task: MatchTask = block.task
     assert task.match_file is not None
     stored = load(task.match_file, MATCHES, p=len(block.pairs))
-    putative = [result_of(stored, n)["matches"] for n in places]
-    in_use = sorted({i for n in places for i in block.pairs[n]})
+    putative = [result_of(stored, n)["matches"] for n in positions]
+    in_use = sorted({i for n in positions for i in block.pairs[n]})
     pixels = {i: load_features(task.feature_files[i]).pixels for i in in_use}
-    for n, matches in zip(places, putative):
+    for n, matches in zip(positions, putative):
         check_matches(task.match_file, matches, [len(pixels[i]) for i in block.pairs[n]])
     pairs = [
         PairMatches(
@@ -177,7 +177,7 @@ def _verified(block: PairBlock, places: Sequence[int]) -> list[PairResult]:
             task.is_trusted[i] and task.is_trusted[j],
             task.seeds[n],
         )
-        for n, (i, j), matches in zip(places, [block.pairs[n] for n in places], putative)
+        for n, (i, j), matches in zip(positions, [block.pairs[n] for n in positions], putative)
     ]
     geometries = verify_pairs(pairs, task.verification)
     return [

@@ -31,7 +31,7 @@ class PairBlock:
     pairs: tuple[tuple[int, int], ...]
     keys: tuple[str, ...]
     """Of each pair: a digest of everything that its result depends on."""
-    held: dict[int, tuple[Path, int]]
+    blocks: dict[int, tuple[Path, int]]
     """Pairs of the block whose results are there already: file and place in it."""
     table: Table
     """What the file of the block holds, and those that hold its pairs."""
@@ -65,18 +65,20 @@ def block_units(
     """
     slices = block_slices(len(pairs))
     names = [f"{digest(list(keys[block]))}.npz" for block in slices]
-    held = _held_in(folder, {*names}, table) if not all((folder / name).exists() for name in names) else {}
+    blocks = (
+        _blocks_in(folder, {*names}, table) if not all((folder / name).exists() for name in names) else {}
+    )
     units = []
     for block, name in zip(slices, names):
-        places = {n: held[key] for n, key in enumerate(keys[block]) if key in held}
-        payload = PairBlock(tuple(pairs[block]), tuple(keys[block]), places, table, task_of(block))
+        positions = {n: blocks[key] for n, key in enumerate(keys[block]) if key in blocks}
+        payload = PairBlock(tuple(pairs[block]), tuple(keys[block]), positions, table, task_of(block))
         units.append(Unit(folder / name, Path(name).stem, work, payload, len(payload.pairs)))
     return units
 
 
-def _held_in(folder: Path, planned: set[str], table: Table) -> dict[str, tuple[Path, int]]:
+def _blocks_in(folder: Path, planned: set[str], table: Table) -> dict[str, tuple[Path, int]]:
     """Where the results of pairs are, by key, in the files of earlier lists of pairs."""
-    held: dict[str, tuple[Path, int]] = {}
+    blocks: dict[str, tuple[Path, int]] = {}
     for path in sorted(folder.glob("*.npz")):
         if path.name in planned or not is_done(path, stored_key(path)):
             continue
@@ -84,8 +86,8 @@ def _held_in(folder: Path, planned: set[str], table: Table) -> dict[str, tuple[P
             keys = load(path, table)["pair_keys"]
         except WorkspaceError:  # of another kind, or not to be used
             continue
-        held.update({str(key): (path, n) for n, key in enumerate(keys)})
-    return held
+        blocks.update({str(key): (path, n) for n, key in enumerate(keys)})
+    return blocks
 
 
 def filled(block: PairBlock, make: Callable[[list[int]], Sequence[PairResult]]) -> Arrays:
@@ -96,9 +98,9 @@ def filled(block: PairBlock, make: Callable[[list[int]], Sequence[PairResult]]) 
         make: the results of the pairs in these places of the block, which no file holds.
     """
     results: dict[int, PairResult] = {}
-    for path in {path: None for path, _ in block.held.values()}:
+    for path in {path: None for path, _ in block.blocks.values()}:
         stored = load(path, block.table)
-        results.update({n: result_of(stored, row) for n, (at, row) in block.held.items() if at == path})
+        results.update({n: result_of(stored, row) for n, (at, row) in block.blocks.items() if at == path})
     missing = [n for n in range(len(block.pairs)) if n not in results]
     if missing:
         results.update(zip(missing, make(missing)))
@@ -113,8 +115,8 @@ def filled(block: PairBlock, make: Callable[[list[int]], Sequence[PairResult]]) 
     }
 
 
-def result_of(stored: Arrays, place: int) -> PairResult:
+def result_of(stored: Arrays, index: int) -> PairResult:
     """The result of one pair of a block's file."""
     others = [name for name in stored if name not in ("pair_keys", "offsets", "matches")]
-    begin, end = stored["offsets"][place : place + 2]
-    return {"matches": stored["matches"][begin:end], **{name: stored[name][place] for name in others}}
+    start, end = stored["offsets"][index : index + 2]
+    return {"matches": stored["matches"][start:end], **{name: stored[name][index] for name in others}}

@@ -43,17 +43,17 @@ def choose_pairs(
         if has_gps.sum() < 2:
             raise ConfigError("spatial pairs need GPS in the pictures' EXIF")
         return sorted_pairs(
-            [*_spatial(lat_lon_alt, has_gps, config.neighbours), *_look_alikes(descriptors, 5)]
+            [*_spatial(lat_lon_alt, has_gps, config.neighbours), *_similar_images(descriptors, 5)]
         )
     pairs = []
     if method == "sequential":
         reach = min(config.overlap, n - 1)
         pairs += [(i, i + step) for i in range(n) for step in range(1, reach + 1) if i + step < n]
     neighbours = min(config.neighbours, 10) if method == "sequential" else config.neighbours
-    return sorted_pairs([*pairs, *_look_alikes(descriptors, neighbours)])
+    return sorted_pairs([*pairs, *_similar_images(descriptors, neighbours)])
 
 
-def _look_alikes(descriptors: Sequence[np.ndarray], count: int) -> list[tuple[int, int]]:
+def _similar_images(descriptors: Sequence[np.ndarray], count: int) -> list[tuple[int, int]]:
     words = train_vocabulary(descriptors)
     nearest = most_similar(np.stack([describe_image(d, words) for d in descriptors]), count)
     return [(i, int(j)) for i in range(len(nearest)) for j in nearest[i]]

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from epipole._jit import compile_seconds
 from epipole.pipelines.sfm.anchored import UP_TO_SCALE
 from epipole.pipelines.sfm.matching.unit_tables import FEATURES
-from epipole.pipelines.sfm.notes import focal_source, focal_verdict, pictures_of_camera, title_of
+from epipole.pipelines.sfm.notes import focal_source, focal_verdict, images_of_camera, title_of
 from epipole.pipelines.sfm.pipeline import Solution
 from epipole.runs import Run, load
 from epipole.scene import Reconstruction, ViewGraph
@@ -85,16 +85,16 @@ def page_content(
     for i, name in enumerate(images.names):
         shown = max(int(component[i]), 0)
         counts, errors = per_model[shown]
-        placed = bool(component[i] >= 0)
+        registered = bool(component[i] >= 0)
         rows.append(
             ImageRow(
                 name,
-                placed,
+                registered,
                 int(component[i]),
                 len(solution.keypoints[i]),
-                int(counts[i]) if placed else 0,
-                float(errors[i]) if placed else float("nan"),
-                "" if placed else reasons.get(name, ""),
+                int(counts[i]) if registered else 0,
+                float(errors[i]) if registered else float("nan"),
+                "" if registered else reasons.get(name, ""),
             )
         )
         thumbnails[name] = load(solution.features[i].path, FEATURES, "thumbnail")["thumbnail"].tobytes()
@@ -130,7 +130,7 @@ def _camera_line(solution: Solution, camera: int) -> str:
     first_px, accuracy = solution.images.cameras[camera].focal_px, solution.focals.get(camera)
     verdict = "" if accuracy is None else f"; {focal_verdict(accuracy)}"
     return (
-        f"{pictures_of_camera(solution, camera)}: {solution.mapped.models[0].cameras[camera]!r}; "
+        f"{images_of_camera(solution, camera)}: {solution.mapped.models[0].cameras[camera]!r}; "
         f"focal length first {first_px:.0f} px, {focal_source(solution, camera)}{verdict}"
     )
 

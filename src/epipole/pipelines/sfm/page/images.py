@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from epipole.pipelines.sfm.page.content import ImageRow, ReportContent
+from epipole.report.images import Thumbnail, thumbnail_of
 from epipole.report.markup import count, number
-from epipole.report.pictures import Thumbnail, thumbnail_of
 
 
 @dataclass(frozen=True, slots=True)
-class PictureLine:
+class ImageLine:
     """One picture's line in the table."""
 
     name: str
@@ -24,17 +24,17 @@ class PictureLine:
     """What to sort by, empty for unknown, and what to show."""
 
 
-def picture_lines(content: ReportContent) -> list[PictureLine]:
+def image_lines(content: ReportContent) -> list[ImageLine]:
     """The lines in order; pictures without a place come first."""
     return [_line(row, content) for row in sorted(content.image_rows, key=lambda row: row.is_registered)]
 
 
-def _line(row: ImageRow, content: ReportContent) -> PictureLine:
+def _line(row: ImageRow, content: ReportContent) -> ImageLine:
     used = row.num_observations / row.num_keypoints if row.num_keypoints else math.nan
     model = "\N{EN DASH}" if row.component < 0 else str(row.component + 1)
     error = number(row.mean_error_px) + (" px" if math.isfinite(row.mean_error_px) else "")
     jpeg, dots = content.thumbnails.get(row.name), content.inliers.get(row.name, np.zeros((0, 2)))
-    return PictureLine(
+    return ImageLine(
         row.name,
         row.is_registered,
         row.reason or "reason not recorded",

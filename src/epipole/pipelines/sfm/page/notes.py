@@ -77,15 +77,15 @@ def _parallax(content: ReportContent, statistics: Statistics) -> str:
             "such pairs fix directions well and depth poorly."
         )
     if narrow:
-        share = 100 * narrow / len(angles)
-        sentences.append(f"{share:.0f} % of the points have no two rays that meet at {limit} or more.")
+        fraction = 100 * narrow / len(angles)
+        sentences.append(f"{fraction:.0f} % of the points have no two rays that meet at {limit} or more.")
     return " ".join(sentences)
 
 
 def _two_view(statistics: Statistics) -> str:
     if not statistics.num_points:
         return ""
-    share = 100 * float((statistics.track_length == 2).mean())
-    if share < 1:
+    fraction = 100 * float((statistics.track_length == 2).mean())
+    if fraction < 1:
         return ""
-    return f"{share:.0f} % of the points are seen in two pictures only, so no third picture confirms them."
+    return f"{fraction:.0f} % of the points are seen in two pictures only, so no third picture confirms them."

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from epipole.pipelines.sfm.page.content import ReportContent
-from epipole.pipelines.sfm.page.images import picture_lines
+from epipole.pipelines.sfm.page.images import image_lines
 from epipole.pipelines.sfm.page.notes import notes_of
 from epipole.pipelines.sfm.page.statistics import Statistics, statistics_of
 from epipole.report.charts import Histogram, draw_histogram, draw_timings, histogram_of, histogram_of_integers
@@ -25,7 +25,7 @@ def render_report(content: ReportContent) -> str:
     """One HTML page with everything inside it: no file, font or script from elsewhere."""
     model, graph = content.reconstruction, content.view_graph
     statistics = statistics_of(model)
-    is_placed = model.is_registered()
+    is_registered = model.is_registered()
     total = max(len(content.image_rows), statistics.num_images)
     return render(
         __package__,
@@ -35,14 +35,14 @@ def render_report(content: ReportContent) -> str:
         total=total,
         tiles=_tiles(content, statistics, total),
         notes=notes_of(content, statistics),
-        model=_space(content) if is_placed.any() else None,
+        model=_space(content) if is_registered.any() else None,
         plan=draw_plan(model, content.unit),
         num_pairs=len(graph),
-        pairs=match_matrix_payload(graph, is_placed),
+        pairs=match_matrix_payload(graph, is_registered),
         most_inliers=int(graph.num_inliers().max(initial=0)),
         histograms=_histograms(statistics),
         with_models=bool(content.other_components),
-        pictures=picture_lines(content),
+        images=image_lines(content),
         camera_lines=content.camera_lines,
         timings=draw_timings(content.timings) if content.timings else None,
         total_seconds=sum(content.timings.values()),

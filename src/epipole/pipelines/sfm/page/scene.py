@@ -17,10 +17,10 @@ from epipole.io.models.images import ModelImages
 from epipole.io.names import path_inside
 from epipole.report.space_model import scene_of_model
 from epipole.report.space_scene import METRES, NO_UNIT, SpaceScene
-from epipole.runs import holds_own_model
+from epipole.runs import has_own_model
 from epipole.scene import Reconstruction
 
-PICTURE_PX = 640
+IMAGE_PX = 640
 
 
 def scene(path: Path) -> SpaceScene:
@@ -35,7 +35,7 @@ def scene(path: Path) -> SpaceScene:
         model,
         title=_title(path),
         unit=METRES if summary.get("is_metric") is True else NO_UNIT,
-        load_picture=picture_loader(path / "images", model, is_own=holds_own_model(path)),
+        load_image=image_loader(path / "images", model, is_own=has_own_model(path)),
         num_given=num_given if isinstance(num_given, int) and num_given >= len(model.images) else None,
     )
     others = [other for other in sorted((path / "sparse").glob("[0-9]*")) if other.is_dir()][1:]
@@ -61,7 +61,7 @@ def _summary(path: Path) -> dict[str, Any]:
     return summary if isinstance(summary, dict) else {}
 
 
-def picture_loader(
+def image_loader(
     folder: Path, model: Reconstruction | None = None, *, is_own: bool = False
 ) -> Callable[[str], np.ndarray | None]:
     """Reads an image by its name; gives None for one that cannot be read.
@@ -72,12 +72,12 @@ def picture_loader(
         is_own: the model was made here.
     """
     if model is not None:
-        return ModelImages(model, folder, is_own=is_own).loader(PICTURE_PX)
+        return ModelImages(model, folder, is_own=is_own).loader(IMAGE_PX)
 
-    def load_picture(name: str) -> np.ndarray | None:
+    def load_image(name: str) -> np.ndarray | None:
         try:
-            return read_rgb(path_inside(folder, name), PICTURE_PX)
+            return read_rgb(path_inside(folder, name), IMAGE_PX)
         except FileFormatError:
             return None
 
-    return load_picture
+    return load_image

@@ -13,7 +13,7 @@ from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.loops.recognition import (
     Recognition,
     describe_keyframe,
-    is_same_place,
+    is_same_position,
     most_alike,
     recognize,
     rival_of,
@@ -75,7 +75,7 @@ class LoopCloser:
         self.ledger: list[LoopCandidate] = []
         self._waiting: list[_Hypothesis] = []
 
-    def forget(self) -> None:
+    def clear(self) -> None:
         """Give up what waits for confirmation: the map has changed."""
         self._waiting.clear()
 
@@ -92,7 +92,7 @@ class LoopCloser:
             hypothesis.age += hypothesis.there is there
         self._waiting = [h for h in self._waiting if h.age <= PATIENCE]
         again = [h.keyframe for h in self._waiting if h.there is there and h.keyframe < len(there.keyframes)]
-        alike = [k for k, _ in most_alike(view.look, there, excluded, CANDIDATES)]
+        alike = [k for k, _ in most_alike(view.descriptor, there, excluded, CANDIDATES)]
         found = [
             recognize(view, there, k, self.camera, self.config, unwanted)
             for k in dict.fromkeys([*alike, *again])
@@ -122,15 +122,17 @@ class LoopCloser:
         """Why a place cannot be the same: the way between would have to be wrong by more than it can be."""
         if there is not here:
             return ""
-        way, turn = _way_since(here, found.keyframe)
-        place = here.keyframes[-1].cam_from_world
-        off = float(np.linalg.norm((place @ found.cam_from_world.inverse()).translation))
-        turned = float(np.degrees(Rotation3(place.rotation @ found.cam_from_world.rotation.T).angle_rad()))
-        share, depth = (0.06 if self.is_metric else 0.3), _median_depth(here)
-        if off > share * way + 0.05 * depth:
-            return f"the way of {way:.3g} since would be wrong by {off:.3g}"
-        if turned > 5.0 + 0.04 * turn:
-            return f"the turns of {turn:.0f} degrees since would be wrong by {turned:.0f}"
+        trajectory, rotation = _motion_since(here, found.keyframe)
+        position = here.keyframes[-1].cam_from_world
+        off = float(np.linalg.norm((position @ found.cam_from_world.inverse()).translation))
+        rotated = float(
+            np.degrees(Rotation3(position.rotation @ found.cam_from_world.rotation.T).angle_rad())
+        )
+        fraction, depth = (0.06 if self.is_metric else 0.3), _median_depth(here)
+        if off > fraction * trajectory + 0.05 * depth:
+            return f"the way of {trajectory:.3g} since would be wrong by {off:.3g}"
+        if rotated > 5.0 + 0.04 * rotation:
+            return f"the turns of {rotation:.0f} degrees since would be wrong by {rotated:.0f}"
         return ""
 
     def _believe(self, here: SlamMap, there: SlamMap, plausible: list[Recognition]) -> LoopConstraint | None:
@@ -148,18 +150,18 @@ class LoopCloser:
             )
             return None
         for hypothesis in self._waiting:
-            told = hypothesis.there_from_here.move_cam_from_source(newest.cam_from_world)
-            if hypothesis.there is there and is_same_place(told, best, there, self.camera):
+            given = hypothesis.there_from_here.move_cam_from_source(newest.cam_from_world)
+            if hypothesis.there is there and is_same_position(given, best, there, self.camera):
                 hypothesis.count, hypothesis.age = hypothesis.count + 1, 0
                 hypothesis.keyframe, hypothesis.there_from_here = best.keyframe, motion
                 break
         else:
             hypothesis = _Hypothesis(there, best.keyframe, motion, 1, 0)
             self._waiting.append(hypothesis)
-        is_sure = hypothesis.count >= CONFIRMATIONS
+        is_certain = hypothesis.count >= CONFIRMATIONS
         words = f"told by {hypothesis.count} keyframes of {CONFIRMATIONS}"
-        self._note(newest, there, best, "accepted" if is_sure else "waiting", words)
-        return LoopConstraint(there, best.keyframe, motion, best) if is_sure else None
+        self._note(newest, there, best, "accepted" if is_certain else "waiting", words)
+        return LoopConstraint(there, best.keyframe, motion, best) if is_certain else None
 
     def _motion(self, newest: Keyframe, here: SlamMap, there: SlamMap, found: Recognition) -> Similarity3:
         """From the world of `here` to that of `there`; of one camera the unit, too, by the depths of the same points."""
@@ -173,9 +175,9 @@ class LoopCloser:
             now = newest.cam_from_world.apply(here.xyz[newest.point[rows[both]]])[:, 2]
             then = found.cam_from_world.apply(there.xyz[found.points[both]])[:, 2]
             scale = float(np.median(then / now)) if len(both) >= 5 else 1.0
-        rotation, place = found.cam_from_world.rotation.T, newest.cam_from_world
-        moved = rotation @ (scale * place.translation - found.cam_from_world.translation)
-        return Similarity3(np.array(scale), rotation @ place.rotation, moved)
+        rotation, position = found.cam_from_world.rotation.T, newest.cam_from_world
+        moved = rotation @ (scale * position.translation - found.cam_from_world.translation)
+        return Similarity3(np.array(scale), rotation @ position.rotation, moved)
 
     def _note(self, newest: Keyframe, there: SlamMap, found: Recognition, verdict: str, reason: str) -> None:
         number = there.keyframes[found.keyframe].number
@@ -193,12 +195,12 @@ def paired_rows(keyframe: Keyframe, pixels: np.ndarray, radius_px: float = 2.0) 
     return np.where(apart[np.arange(len(pixels)), nearest] <= radius_px, nearest, -1)
 
 
-def _way_since(model: SlamMap, keyframe: int) -> tuple[float, float]:
+def _motion_since(model: SlamMap, keyframe: int) -> tuple[float, float]:
     """Length of the way from a keyframe to the newest, and degrees turned on it."""
-    places = [k.cam_from_world for k in model.keyframes[keyframe:]]
-    steps = [b @ a.inverse() for a, b in pairwise(places)]
-    way = sum(float(np.linalg.norm(s.translation)) for s in steps)
-    return way, sum(float(np.degrees(Rotation3(s.rotation).angle_rad())) for s in steps)
+    positions = [k.cam_from_world for k in model.keyframes[keyframe:]]
+    steps = [b @ a.inverse() for a, b in pairwise(positions)]
+    trajectory = sum(float(np.linalg.norm(s.translation)) for s in steps)
+    return trajectory, sum(float(np.degrees(Rotation3(s.rotation).angle_rad())) for s in steps)
 
 
 def _median_depth(model: SlamMap) -> float:

@@ -15,7 +15,7 @@ from epipole.pipelines.slam.tracking.redetection import redetect
 
 EDGES_EACH, EDGE_POINTS = 5, 30
 """Every keyframe is tied to so many that share most points with it, if they share enough."""
-LENGTH_SHARE, DEPTH_SHARE, TURN_RAD, SCALE = 0.03, 0.005, 0.01, 0.03
+LENGTH_FRACTION, DEPTH_FRACTION, ROTATION_RAD, SCALE = 0.03, 0.005, 0.01, 0.03
 """Standard deviations: a share of an edge's length; for each keyframe that it goes over, a share of the scene's depth, rotation,
 and logarithm of the scale.
 
@@ -24,10 +24,10 @@ drift grows with an edge, and so must its deviation: with the same for all, the 
 """
 CONFIDENCE = 1.0 - 1e-9
 """A loop that bends the way by more than these deviations allow is rejected. What is usual is no measure: drift is not noise."""
-LOOP_DEPTH_SHARE, LOOP_TURN_RAD, LOOP_SCALE = 0.002, 0.002, 0.01
+LOOP_DEPTH_FRACTION, LOOP_ROTATION_RAD, LOOP_SCALE = 0.002, 0.002, 0.01
 
 
-def correct_drift(model: SlamMap, tie: LoopConstraint, *, is_metric: bool) -> bool:
+def correct_drift(model: SlamMap, constraint: LoopConstraint, *, is_metric: bool) -> bool:
     """Move keyframes and points so that the newest keyframe lies where the loop says.
 
     Every keyframe is tied to those that it shares points with by the motion between them as it is, and to the place seen
@@ -37,22 +37,24 @@ def correct_drift(model: SlamMap, tie: LoopConstraint, *, is_metric: bool) -> bo
     Returns:
         whether the loop fits the edges; nothing is moved if not.
     """
-    places = _places(model)
-    world_from_cam = places.inverse()
+    positions = _positions(model)
+    world_from_cam = positions.inverse()
     first, second = _edges(model)
     newest = len(model.keyframes) - 1
     here = Similarity3(np.array(1.0), world_from_cam.rotation[newest], world_from_cam.translation[newest])
-    then = Similarity3(np.array(1.0), places.rotation[tie.keyframe], places.translation[tie.keyframe])
-    loop = then @ tie.there_from_here @ here
-    between = places[first] @ world_from_cam[second]
+    then = Similarity3(
+        np.array(1.0), positions.rotation[constraint.keyframe], positions.translation[constraint.keyframe]
+    )
+    loop = then @ constraint.there_from_here @ here
+    between = positions[first] @ world_from_cam[second]
     depth = _median_depth(model)
     length = np.linalg.norm(between.translation, axis=1)
     deviation = np.empty((len(length) + 1, 7))
     steps = np.minimum(second - first, EDGES_EACH)
-    deviation[:-1, :3] = (LENGTH_SHARE * length + DEPTH_SHARE * depth * steps)[:, None]
-    deviation[:-1, 3:] = steps[:, None] * [TURN_RAD, TURN_RAD, TURN_RAD, SCALE]
-    deviation[-1, :3], deviation[-1, 3:] = LOOP_DEPTH_SHARE * depth, [*3 * [LOOP_TURN_RAD], LOOP_SCALE]
-    first, second = np.append(first, tie.keyframe), np.append(second, newest)
+    deviation[:-1, :3] = (LENGTH_FRACTION * length + DEPTH_FRACTION * depth * steps)[:, None]
+    deviation[:-1, 3:] = steps[:, None] * [ROTATION_RAD, ROTATION_RAD, ROTATION_RAD, SCALE]
+    deviation[-1, :3], deviation[-1, 3:] = LOOP_DEPTH_FRACTION * depth, [*3 * [LOOP_ROTATION_RAD], LOOP_SCALE]
+    first, second = np.append(first, constraint.keyframe), np.append(second, newest)
     size = 6 if is_metric else 7
     information = np.eye(size) / deviation[:, :size, None] ** 2
     rotation = np.concatenate([between.rotation, loop.rotation[None]])
@@ -62,19 +64,19 @@ def correct_drift(model: SlamMap, tie: LoopConstraint, *, is_metric: bool) -> bo
     if is_metric:
         graph = PoseGraph(world_from_cam, first, second, Rigid3(rotation, translation), information)
     else:
-        ones = Similarity3(np.ones(len(places)), world_from_cam.rotation, world_from_cam.translation)
+        ones = Similarity3(np.ones(len(positions)), world_from_cam.rotation, world_from_cam.translation)
         graph = PoseGraph(ones, first, second, Similarity3(scale, rotation, translation), information)
     found = optimize_pose_graph_robustly(graph, is_loop, PoseGraphConfig(confidence=CONFIDENCE))
     if not found.kept_mask[-1]:
         return False
     assert not isinstance(found.world_from_body, Rigid2)
-    _move(model, places, found.world_from_body)
+    _move(model, positions, found.world_from_body)
     return True
 
 
-def _places(model: SlamMap) -> Rigid3:
-    places = [k.cam_from_world for k in model.keyframes]
-    return Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places]))
+def _positions(model: SlamMap) -> Rigid3:
+    positions = [k.cam_from_world for k in model.keyframes]
+    return Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))
 
 
 def _median_depth(model: SlamMap) -> float:
@@ -124,10 +126,10 @@ def fuse(model: SlamMap, keyframes: list[int], camera: Camera) -> np.ndarray:
     into = np.arange(model.num_points)
     for k in keyframes:
         keyframe = model.keyframes[k]
-        place = keyframe.cam_from_world
-        pixels, points = redetect(model, camera, keyframe.grey, place, keyframe.point)
+        position = keyframe.cam_from_world
+        pixels, points = redetect(model, camera, keyframe.grey, position, keyframe.point)
         pixels, is_same, is_stale = align_to_reference_patch(
-            model, camera, keyframe.grey, place, points, pixels
+            model, camera, keyframe.grey, position, points, pixels
         )
         good = is_same & ~is_stale
         pixels, points = pixels[good], points[good]

@@ -22,9 +22,9 @@ from epipole.robust import estimate_absolute_pose
 WORDS = Path(__file__).parent / "assets" / "words.npy"
 NEIGHBOURS = 3
 """Further keyframes whose points are compared together with those of one that looks alike."""
-MIN_SAMPLE, MIN_SHARE = 12, 0.25
+MIN_SAMPLE, MIN_FRACTION = 12, 0.25
 """Fewest matches, and the share of them, that a pose must agree with. Patches that look alike by chance agree less."""
-SAME_PLACE_PX, RIVAL_SHARE = 12.0, 0.6
+SAME_POSITION_PX, RIVAL_FRACTION = 12.0, 0.6
 ROUNDS, RIM_PX = 2, 5.0
 MIN_AGREEING = 30
 """... and fewest points when those that only the pose lets find are counted, too."""
@@ -36,7 +36,7 @@ class View(NamedTuple):
     grey: np.ndarray
     pixels: np.ndarray  # (n, 2)
     descriptors: np.ndarray  # (n, 128)
-    look: np.ndarray
+    descriptor: np.ndarray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +60,7 @@ def _words() -> np.ndarray:
     return np.load(WORDS).astype(np.float32)
 
 
-def look_size() -> int:
+def descriptor_size() -> int:
     """Numbers of the vector that a picture is compared by."""
     return _words().size
 
@@ -73,26 +73,30 @@ def view_of(grey: np.ndarray, pixels: np.ndarray) -> View:
 
 def describe_keyframe(keyframe: Keyframe) -> View:
     """Describe a keyframe's observations, once."""
-    if keyframe.look is None:
+    if keyframe.descriptor is None:
         made = view_of(keyframe.grey, keyframe.pixels)
-        keyframe.descriptors, keyframe.look = made.descriptors, made.look
+        keyframe.descriptors, keyframe.descriptor = made.descriptors, made.descriptor
     described = keyframe.descriptors.any(axis=1)
-    return View(keyframe.grey, keyframe.pixels[described], keyframe.descriptors[described], keyframe.look)
+    return View(
+        keyframe.grey, keyframe.pixels[described], keyframe.descriptors[described], keyframe.descriptor
+    )
 
 
-def most_alike(look: np.ndarray, model: SlamMap, excluded: np.ndarray, count: int) -> list[tuple[int, float]]:
+def most_alike(
+    descriptor: np.ndarray, model: SlamMap, excluded: np.ndarray, count: int
+) -> list[tuple[int, float]]:
     """(keyframe, cosine) of the keyframes that look most like a picture, best first.
 
     Args:
-        look: of the picture.
+        descriptor: of the picture.
         model: the map.
         excluded: (k,) keyframes not to be considered.
         count: how many.
     """
-    numbers = [k for k in np.flatnonzero(~excluded) if model.keyframes[k].look is not None]
+    numbers = [k for k in np.flatnonzero(~excluded) if model.keyframes[k].descriptor is not None]
     if not numbers:
         return []
-    cosine = np.stack([model.keyframes[k].look for k in numbers]) @ look  # type: ignore[misc]
+    cosine = np.stack([model.keyframes[k].descriptor for k in numbers]) @ descriptor  # type: ignore[misc]
     return [(int(numbers[n]), float(cosine[n])) for n in np.argsort(-cosine, kind="stable")[:count]]
 
 
@@ -131,7 +135,7 @@ def recognize(
         return Recognition(number, len(matches), f"no pose agrees with {MIN_SAMPLE} matches", *none)
     refined = refine_pose(model.xyz[rows], pixels, camera, sought.model)
     agrees = refined.error_sq <= limit**2
-    if agrees.sum() < max(MIN_SAMPLE, MIN_SHARE * len(matches)):
+    if agrees.sum() < max(MIN_SAMPLE, MIN_FRACTION * len(matches)):
         words = f"a pose agrees with {int(agrees.sum())} of {len(matches)} matches only"
         return Recognition(number, len(matches), words, *none)
     return _grown(
@@ -145,8 +149,8 @@ def recognize(
 
 def _grown(view: View, model: SlamMap, found: Recognition, camera: Camera, config: SlamConfig) -> Recognition:
     """All points that should be in sight at a pose and look so, and the pose that agrees with them."""
-    place, points = found.cam_from_world, found.points
-    in_cam = place.apply(model.xyz[points])
+    position, points = found.cam_from_world, found.points
+    in_cam = position.apply(model.xyz[points])
     pixels = camera.project(in_cam)
     size = np.array([camera.width, camera.height])
     inside = (in_cam[:, 2] > 0) & (pixels >= RIM_PX).all(axis=1) & (pixels < size - RIM_PX).all(axis=1)
@@ -154,30 +158,32 @@ def _grown(view: View, model: SlamMap, found: Recognition, camera: Camera, confi
     # A few rounds: each is held to where a better pose foretells it.
     agrees = np.zeros(len(points), bool)
     for _ in range(ROUNDS):
-        held, is_same, is_stale = align_to_reference_patch(model, camera, view.grey, place, points, pixels)
-        looks = is_same & ~is_stale
-        if looks.sum() < MIN_AGREEING:
-            words = (
-                f"{int(looks.sum())} of {len(points)} points look the same there, {MIN_AGREEING} are needed"
-            )
-            return replace(found, reason=words, pixels=held[looks], points=points[looks])
-        refined = refine_pose(model.xyz[points[looks]], held[looks], camera, place)
-        place = refined.cam_from_world
-        agrees = looks.copy()
-        agrees[looks] = refined.error_sq <= config.max_error_px**2
-        pixels = camera.project(place.apply(model.xyz[points]))
+        aligned, is_same, is_stale = align_to_reference_patch(
+            model, camera, view.grey, position, points, pixels
+        )
+        is_alike = is_same & ~is_stale
+        if is_alike.sum() < MIN_AGREEING:
+            words = f"{int(is_alike.sum())} of {len(points)} points look the same there, {MIN_AGREEING} are needed"
+            return replace(found, reason=words, pixels=aligned[is_alike], points=points[is_alike])
+        refined = refine_pose(model.xyz[points[is_alike]], aligned[is_alike], camera, position)
+        position = refined.cam_from_world
+        agrees = is_alike.copy()
+        agrees[is_alike] = refined.error_sq <= config.max_error_px**2
+        pixels = camera.project(position.apply(model.xyz[points]))
     reason = ""
     if agrees.sum() < MIN_AGREEING:
         reason = f"{int(agrees.sum())} points that look the same agree, {MIN_AGREEING} are needed"
-    return replace(found, reason=reason, cam_from_world=place, pixels=held[agrees], points=points[agrees])
+    return replace(
+        found, reason=reason, cam_from_world=position, pixels=aligned[agrees], points=points[agrees]
+    )
 
 
-def is_same_place(cam_from_world: Rigid3, found: Recognition, model: SlamMap, camera: Camera) -> bool:
+def is_same_position(cam_from_world: Rigid3, found: Recognition, model: SlamMap, camera: Camera) -> bool:
     """Whether another pose sees the recognised points where they were seen."""
     points = model.xyz[found.points]
     one = camera.project(cam_from_world.apply(points))
     off = np.linalg.norm(one - camera.project(found.cam_from_world.apply(points)), axis=1)
-    return float(np.median(np.where(np.isfinite(off), off, np.inf))) <= SAME_PLACE_PX
+    return float(np.median(np.where(np.isfinite(off), off, np.inf))) <= SAME_POSITION_PX
 
 
 def rival_of(
@@ -185,8 +191,8 @@ def rival_of(
 ) -> Recognition | None:
     """Another place with which nearly as many points agree: of two that look alike neither can be believed."""
     for other in others:
-        is_near = len(other.points) > RIVAL_SHARE * len(best.points)
-        if is_near and not is_same_place(other.cam_from_world, best, model, camera):
+        is_near = len(other.points) > RIVAL_FRACTION * len(best.points)
+        if is_near and not is_same_position(other.cam_from_world, best, model, camera):
             return other
     return None
 

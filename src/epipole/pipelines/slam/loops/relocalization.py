@@ -24,7 +24,7 @@ def relocalize(grey: np.ndarray, model: SlamMap, camera: Camera, config: SlamCon
         return None
     view, count = view_of(grey, corners), len(model.keyframes)
     latest = list(range(max(0, count - LATEST), count))
-    alike = [k for k, _ in most_alike(view.look, model, np.zeros(count, bool), ALIKE)]
+    alike = [k for k, _ in most_alike(view.descriptor, model, np.zeros(count, bool), ALIKE)]
     found = [recognize(view, model, k, camera, config) for k in dict.fromkeys([*alike, *latest])]
     good = [f for f in found if not f.reason]
     if not good:

@@ -31,11 +31,11 @@ from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
 class CalibrationSigma(NamedTuple):
     """Standard deviations of a calibration."""
 
-    focal_share: float
+    focal_fraction: float
     """Relative, of the focal length."""
     center_px: float
     """Of the principal point."""
-    depth_share: float
+    depth_fraction: float
     """Relative, of the baseline or of measured depth."""
 
     @staticmethod
@@ -48,8 +48,8 @@ class CalibrationSigma(NamedTuple):
     def in_words(self) -> str:
         """For the summary."""
         return (
-            f"{100 * self.focal_share:g} % of the focal length, {self.center_px:g} px of the principal point,"
-            f" {100 * self.depth_share:g} % of depth"
+            f"{100 * self.focal_fraction:g} % of the focal length, {self.center_px:g} px of the principal point,"
+            f" {100 * self.depth_fraction:g} % of depth"
         )
 
 
@@ -62,16 +62,16 @@ SHARED_PX = 0.02
 too large, most at edges."""
 
 
-def own_covariance(refined: RefinedPose, model: SlamMap, number: int, *, tells_depth: bool) -> np.ndarray:
+def own_covariance(refined: RefinedPose, model: SlamMap, number: int, *, measures_depth: bool) -> np.ndarray:
     """(6, 6) of a frame's place before the map: none where it has become a keyframe, which knows its own.
 
     Args:
         refined: the frame's place.
         model: the map.
         number: of the frame.
-        tells_depth: whether the map knows its error: then the noise is that which the frame's own errors show, else a pixel.
+        measures_depth: whether the map knows its error: then the noise is that which the frame's own errors show, else a pixel.
     """
-    if not tells_depth:
+    if not measures_depth:
         return refined.covariance()
     newest = next((k for k in reversed(model.keyframes) if len(k.point)), None)
     if newest is not None and newest.number == number and newest.covariance.any():
@@ -130,11 +130,11 @@ def learn_covariances(
     except DegenerateGeometryError:
         return
     shared = _by_shared_error(problem, result, config)
-    held = [k for k in range(num_free, len(keyframes)) if keyframes[k].covariance.any()]
+    constrained = [k for k in range(num_free, len(keyframes)) if keyframes[k].covariance.any()]
     for k in range(num_free):
         covariance = own[k] + np.outer(shared[k], shared[k])
-        if held:
-            near = keyframes[max(held, key=lambda n: keyframes[n].number)]
+        if constrained:
+            near = keyframes[max(constrained, key=lambda n: keyframes[n].number)]
             between = result.rig_from_world[k] @ near.cam_from_world.inverse()
             covariance = with_map_error(near.covariance, between, covariance)
         if np.isfinite(covariance).all():
@@ -162,7 +162,7 @@ def add_calibration_error(
     if not any(sigma):
         return
     found = replace(with_result(problem, result), params_free=np.zeros_like(problem.params_free))
-    found = replace(found, priors=_of_places(found))
+    found = replace(found, priors=_of_poses(found))
     for changed in _off_calibrations(found, sigma):
         moved = adjust_bundle(changed, replace(config, max_iterations=1)).rig_from_world
         steps = (moved @ result.rig_from_world.inverse()).log()
@@ -175,7 +175,7 @@ def _off_calibrations(problem: BundleProblem, sigma: CalibrationSigma) -> Iterat
     """The problem with one parameter of both cameras changed by a standard deviation; last, with another baseline."""
     params = problem.camera_params
     for columns, step in (
-        (slice(0, 2), sigma.focal_share * params[:, :2]),
+        (slice(0, 2), sigma.focal_fraction * params[:, :2]),
         (slice(2, 3), sigma.center_px),
         (slice(3, 4), sigma.center_px),
     ):
@@ -183,7 +183,7 @@ def _off_calibrations(problem: BundleProblem, sigma: CalibrationSigma) -> Iterat
         off[:, columns] += step
         yield replace(problem, camera_params=off)
     beside = problem.cam_from_rig
-    longer = Rigid3(beside.rotation, beside.translation * (1.0 + sigma.depth_share))
+    longer = Rigid3(beside.rotation, beside.translation * (1.0 + sigma.depth_fraction))
     yield replace(problem, cam_from_rig=longer)
 
 
@@ -192,14 +192,14 @@ def _by_shared_error(problem: BundleProblem, result: BundleResult, config: Bundl
     found = with_result(problem, result)
     params = found.camera_params.copy()
     params[1, 2] += SHARED_PX
-    fixed = replace(
-        found, camera_params=params, params_free=np.zeros_like(found.params_free), priors=_of_places(found)
+    constrained = replace(
+        found, camera_params=params, params_free=np.zeros_like(found.params_free), priors=_of_poses(found)
     )
-    moved = adjust_bundle(fixed, replace(config, max_iterations=1)).rig_from_world
+    moved = adjust_bundle(constrained, replace(config, max_iterations=1)).rig_from_world
     return (moved @ result.rig_from_world.inverse()).log()
 
 
-def _of_places(problem: BundleProblem) -> BundlePriors | None:
+def _of_poses(problem: BundleProblem) -> BundlePriors | None:
     """The priors, without those of parameters, which are held."""
     known = problem.priors
     return None if known is None else replace(known, params_expected=None, params_sigma=None)

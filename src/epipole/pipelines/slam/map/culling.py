@@ -70,14 +70,14 @@ def _redundancy(model: SlamMap, number: int, seen: np.ndarray) -> float:
     return float((seen[points] > OFTEN).mean()) if len(points) else 1.0
 
 
-def drop_unused_points(model: SlamMap, followed: np.ndarray) -> np.ndarray | None:
+def drop_unused_points(model: SlamMap, tracked: np.ndarray) -> np.ndarray | None:
     """Give up the rows of points that no keyframe sees and that are not followed, where they are many.
 
     Returns:
         (p,) what each row has become, -1 for those that are gone; None where nothing was done.
     """
     used = model.counts(list(range(len(model.keyframes)))) > 0
-    used[followed] = True
+    used[tracked] = True
     if model.num_points <= max(SPARE_ROWS * used.sum(), 4096):
         return None
     return model.keep_points(used)

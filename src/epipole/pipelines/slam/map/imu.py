@@ -31,7 +31,7 @@ LARGEST_MISFIT = 5.0
 LEAST_NOISE_PX = 0.05
 
 
-class InertialTies:
+class InertialConstraints:
     """What a unit says of the keyframes of one map.
 
     Attributes:
@@ -51,10 +51,10 @@ class InertialTies:
             return
         rows = [own[-MOST_ALIGNED:] for own in self._in_a_row(keyframes)]
         for own in reversed(rows):
-            times, places = _path([keyframes[k] for k in own])
+            times, positions = _path([keyframes[k] for k in own])
             imu = self.imu
             try:
-                aligned = align_path_to_imu(times, places, imu.log, imu.camera_from_imu, imu.noise)
+                aligned = align_path_to_imu(times, positions, imu.log, imu.camera_from_imu, imu.noise)
                 if aligned.misfit <= LARGEST_MISFIT:
                     self.aligned = aligned
                     return
@@ -73,8 +73,10 @@ class InertialTies:
         imu, out = replace(self.imu, noise=self.noise), []
         for own in self._in_a_row(keyframes):
             for part in np.array_split(own, -(-len(own) // MOST_TIED)):
-                times, places = _path([keyframes[k] for k in part])
-                out.append(imu_factors(part.astype(np.int64), times, places, imu, self.aligned, variance_px))
+                times, positions = _path([keyframes[k] for k in part])
+                out.append(
+                    imu_factors(part.astype(np.int64), times, positions, imu, self.aligned, variance_px)
+                )
         return tuple(out)
 
     def agrees(self, factors: Sequence[ImuFactors], cam_from_world: Rigid3) -> bool:
@@ -84,8 +86,8 @@ class InertialTies:
             factors: one or more, with which the poses were adjusted.
             cam_from_world: the poses.
         """
-        told = np.array([one.variance_factors(cam_from_world[one.frames]) for one in factors])
-        gyro, accel = np.average(told, axis=0, weights=[len(one.frames) for one in factors])
+        given = np.array([one.variance_factors(cam_from_world[one.frames]) for one in factors])
+        gyro, accel = np.average(given, axis=0, weights=[len(one.frames) for one in factors])
         if not max(gyro, accel) <= LARGEST_MISFIT**2:
             self.aligned = None
             return False
@@ -155,6 +157,6 @@ def pixel_variance(problem: BundleProblem, camera: Camera) -> float:
 
 def _path(keyframes: Sequence[Keyframe]) -> tuple[np.ndarray, Rigid3]:
     """Times, and world_from_camera."""
-    places = [k.cam_from_world for k in keyframes]
-    there = Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places]))
+    positions = [k.cam_from_world for k in keyframes]
+    there = Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))
     return np.array([k.timestamp_s for k in keyframes]), there.inverse()

@@ -26,20 +26,20 @@ from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.map.covariance import CalibrationSigma, add_calibration_error, learn_covariances
 from epipole.pipelines.slam.map.gauge import align_gauge
-from epipole.pipelines.slam.map.imu import InertialTies, pixel_variance
+from epipole.pipelines.slam.map.imu import InertialConstraints, pixel_variance
 from epipole.pipelines.slam.map.pair_adjustment import adjust_pair
 from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
-from epipole.pipelines.slam.map.triangulation import places_of
+from epipole.pipelines.slam.map.triangulation import positions_of
 from epipole.pipelines.slam.shutter.motion import points_by_depth, shutter_shifts, straighten
 from epipole.pipelines.slam.tracking.corners import new_corners
 from epipole.pipelines.slam.tracking.depth import disparities_of
 from epipole.pipelines.slam.tracking.points import Tracks
-from epipole.pipelines.slam.tracking.redetection import redetect, tie_together
+from epipole.pipelines.slam.tracking.redetection import link_tracks, redetect
 
 LOSS_SCALE_PX = 1.0
 LAST_SCALES_PX = (8.0, 2.0, 1.0)
 """Of the loss, in the last rounds: wide at first, so that what has drifted apart is drawn together."""
-FIRST_SETTLED, GROWTH = 6, 1.25
+FIRST_OPTIMIZED, GROWTH = 6, 1.25
 """Keyframes at the begin of a map, and by how much more all of them are adjusted again."""
 LAST_STEPS = 1 + 2 * len(LAST_SCALES_PX)
 COVARIANCES_EVERY = 3
@@ -79,37 +79,37 @@ class LocalMapper:
         self.positions: dict[int, np.ndarray] = {}
         """Measured places of keyframes in the world, by the frames' numbers; used where all are adjusted."""
         self.position_sigma = 1.0
-        self.inertial = None if imu is None else InertialTies(imu)
-        self._num_settled = FIRST_SETTLED
+        self.inertial = None if imu is None else InertialConstraints(imu)
+        self._num_optimized = FIRST_OPTIMIZED
         """Keyframes when all were adjusted last."""
 
     def insert_keyframe(
-        self, frame: Frame, number: int, place: Rigid3, tracks: Tracks, stale: np.ndarray
+        self, frame: Frame, number: int, position: Rigid3, tracks: Tracks, stale: np.ndarray
     ) -> Tracks:
         """A keyframe: points that are followed, older ones found again, and new ones; all of them are followed on.
 
         Args:
             frame: the pictures.
             number: of the frame.
-            place: cam_from_world.
+            position: cam_from_world.
             tracks: points that are followed.
             stale: rows of points that look otherwise by now: they are known by their present look from here on.
         """
         if self.map.keyframes:
-            tracks.add(*redetect(self.map, self.camera, frame.grey, place, tracks.point))
+            tracks.add(*redetect(self.map, self.camera, frame.grey, position, tracks.point))
             tracks.keep(frame.is_used(tracks.pixels))
         corners = new_corners(frame.grey, tracks.pixels, self.config, frame.ignored_mask)
         index = len(self.map.keyframes)
         pixels = np.concatenate([tracks.pixels, corners])
         points = np.concatenate([tracks.point, np.full(len(corners), -1)])
-        disparity = self._disparities(frame, pixels, points, place)
+        disparity = self._disparities(frame, pixels, points, position)
         fresh = points < 0
-        made = self._from_depth(pixels, disparity, place)
+        made = self._from_depth(pixels, disparity, position)
         points[fresh] = self.map.add_points(made[fresh], pixels[fresh], index)
         lacking = ~self.map.is_triangulated(points) & ~fresh
         self.map.xyz[points[lacking]] = made[lacking]
         seen = Observations(pixels, disparity, points)
-        keyframe = Keyframe(number, frame.timestamp_s, frame.grey, place, seen)
+        keyframe = Keyframe(number, frame.timestamp_s, frame.grey, position, seen)
         keyframe.motion, keyframe.ignored_mask = self.map.motion, frame.ignored_mask
         shutter = keyframe.motion, self.camera, self.sensor.readout_s
         keyframe.shift_px = shutter_shifts(self.map, keyframe, *shutter)
@@ -118,24 +118,26 @@ class LocalMapper:
         self.map.anchor[points[anew]], self.map.anchor_px[points[anew]] = index, pixels[anew]
         return Tracks(pixels.copy(), points.copy(), pixels.copy())
 
-    def _disparities(self, frame: Frame, pixels: np.ndarray, points: np.ndarray, place: Rigid3) -> np.ndarray:
+    def _disparities(
+        self, frame: Frame, pixels: np.ndarray, points: np.ndarray, position: Rigid3
+    ) -> np.ndarray:
         guess = np.full(len(pixels), np.nan)
         if self.focal_baseline is None:
             return guess
         known = points >= 0
-        depth = place.apply(self.map.xyz[points[known]])[:, 2]
+        depth = position.apply(self.map.xyz[points[known]])[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             guess[known] = np.where(depth > 0, self.focal_baseline / depth, np.nan) - self.map.right_shift_px
         return disparities_of(frame, pixels, guess, self.sensor, self.config)
 
-    def _from_depth(self, pixels: np.ndarray, disparity: np.ndarray, place: Rigid3) -> np.ndarray:
+    def _from_depth(self, pixels: np.ndarray, disparity: np.ndarray, position: Rigid3) -> np.ndarray:
         """Places of points by their disparities; NaN without one, or where it says little."""
         if self.focal_baseline is None:
             return np.full((len(pixels), 3), np.nan)
         most = self.config.max_depth_baselines
         seen, motion = Observations(pixels, disparity, np.full(len(pixels), -1)), self.map.motion
         in_cam = points_by_depth(self.map, seen, motion, self.sensor, self.focal_baseline, most)
-        return place.inverse().apply(in_cam)
+        return position.inverse().apply(in_cam)
 
     def window_of(self, newest: int) -> tuple[list[int], list[int]]:
         """Keyframes that share most points with the newest, and those that share points with these."""
@@ -157,11 +159,11 @@ class LocalMapper:
         the whole, whatever the map's size. One camera's keyframes, in a larger map the new ones, are then shown all points in
         sight: only what is seen from many sides keeps its scale.
         """
-        if len(self.map.keyframes) >= GROWTH * self._num_settled:
-            since, self._num_settled = self._num_settled, len(self.map.keyframes)
+        if len(self.map.keyframes) >= GROWTH * self._num_optimized:
+            since, self._num_optimized = self._num_optimized, len(self.map.keyframes)
             if self.focal_baseline is None:
                 first = since if len(self.map.keyframes) > MOST_TIED else 0
-                tie_together(self.map, self.camera, self.map.keyframes[first:])
+                link_tracks(self.map, self.camera, self.map.keyframes[first:])
             self.adjust_all(max_iterations=8)
             self.learn_inertial()
             return
@@ -191,7 +193,7 @@ class LocalMapper:
         for loss_scale_px in LAST_SCALES_PX:
             if not goes_on(done, total):
                 break
-            tie_together(self.map, self.camera, self.map.keyframes)
+            link_tracks(self.map, self.camera, self.map.keyframes)
             if not goes_on(done + 1, total):
                 break
             adjusted = self.adjust_all(loss_scale_px)
@@ -217,7 +219,7 @@ class LocalMapper:
         if self.sensor.readout_s:
             for keyframe in (self.map.keyframes[k] for k in views):
                 straighten(self.map, keyframe, self.camera, self.sensor.readout_s, self.config.min_tracked)
-        rows, held = self._built(window, views)
+        rows, is_outside = self._built(window, views)
         if not len(rows):
             return None
         config = BundleConfig(
@@ -226,34 +228,34 @@ class LocalMapper:
             max_iterations=max_iterations,
             function_tolerance=1e-3,
         )
-        held, result = self._adjusted(held, views, config)
+        is_outside, result = self._adjusted(is_outside, views, config)
         if self.focal_baseline is not None:
             self.map.right_shift_px = float(result.camera_params[1, 2] - self.camera.params[2])
         # Where nothing is held the map stays as near to where it was as can be: places that were told stay true.
         if self.focal_baseline is None and not fixed and not self.positions:
-            back = align_gauge(result.rig_from_world, places_of(self.map, window))
+            back = align_gauge(result.rig_from_world, positions_of(self.map, window))
             result = replace(
                 result,
                 rig_from_world=back.move_cam_from_source(result.rig_from_world),
                 points_in_world=back.apply(result.points_in_world),
             )
-        for place, k in enumerate(window):
-            self.map.keyframes[k].cam_from_world = result.rig_from_world[place]
+        for position, k in enumerate(window):
+            self.map.keyframes[k].cam_from_world = result.rig_from_world[position]
         is_due = len(self.map.keyframes) % COVARIANCES_EVERY == 0 or len(window) == len(self.map.keyframes)
         if self.focal_baseline is not None and is_due:
-            learn_covariances([self.map.keyframes[k] for k in views], len(window), held, result, config)
+            learn_covariances([self.map.keyframes[k] for k in views], len(window), is_outside, result, config)
         self.map.xyz[rows] = result.points_in_world
-        self.forget_mistakes(views, max(self.config.max_error_px, 2.0 * loss_scale_px))
-        return Adjusted(held, result, config, views)
+        self.remove_outliers(views, max(self.config.max_error_px, 2.0 * loss_scale_px))
+        return Adjusted(is_outside, result, config, views)
 
     def cost_of(self, window: list[int]) -> float:
         """What is left over after an adjustment of keyframes, which the map does not learn of."""
         window = [k for k in window if self.map.is_triangulated(self.map.keyframes[k].point).any()]
-        rows, held = self._built(window, window)
+        rows, is_outside = self._built(window, window)
         if not len(rows):
             return 0.0
         config = BundleConfig(loss=Loss.CAUCHY, max_iterations=15, function_tolerance=1e-4)
-        return adjust_bundle(held, config).final_cost
+        return adjust_bundle(is_outside, config).final_cost
 
     def _built(self, window: list[int], views: list[int]) -> tuple[np.ndarray, BundleProblem]:
         """Rows of the points that take part, and the problem of the views, of which the first are free."""
@@ -263,14 +265,14 @@ class LocalMapper:
         kept = enough[point]
         rows, local = np.unique(point[kept], return_inverse=True)
         seen = frame[kept], local, pixels[kept], disparity[kept]
-        return rows, self._held(self._problem(views, len(window), rows, seen))
+        return rows, self._fixed(self._problem(views, len(window), rows, seen))
 
-    def _held(self, problem: BundleProblem) -> BundleProblem:
+    def _fixed(self, problem: BundleProblem) -> BundleProblem:
         """With what the pictures leave open held: one place, and the scale where nothing tells it."""
-        is_held = (~problem.frame_free.any(axis=1)).any()
+        is_fixed = (~problem.frame_free.any(axis=1)).any()
         if self.focal_baseline is None:
             return with_fixed_gauge(problem)
-        if not is_held:
+        if not is_fixed:
             problem.frame_free[0] = 0.0
         return problem
 
@@ -299,12 +301,12 @@ class LocalMapper:
         self, views: list[int], is_wanted: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         parts = []
-        for place, k in enumerate(views):
+        for position, k in enumerate(views):
             own = self.map.keyframes[k]
             mask = is_wanted[own.point]
             parts.append(
                 (
-                    np.full(int(mask.sum()), place),
+                    np.full(int(mask.sum()), position),
                     own.point[mask],
                     own.straight_px[mask],
                     own.straight_disparity_px[mask],
@@ -329,7 +331,7 @@ class LocalMapper:
         params = np.tile(self.camera.padded_params(), (2, 1))
         shifted, params_free, priors = self._right_camera(params, views, num_free)
         return BundleProblem(
-            places_of(self.map, views),
+            positions_of(self.map, views),
             Rigid3(np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0, 0.0, 0.0], [-baseline, 0.0, 0.0]])),
             np.full(2, int(self.camera.model), np.int32),
             shifted,
@@ -358,7 +360,7 @@ class LocalMapper:
         if num_free < len(views):
             return shifted, free, None
         if self.positions:
-            return shifted, free, self._known_places(views)
+            return shifted, free, self._known_poses(views)
         if self.sensor.baseline is None or num_free < LEAST_TOGETHER:
             return shifted, free, None
         free[1, 2] = 1.0
@@ -366,19 +368,19 @@ class LocalMapper:
         sigma[1, 2] = SHIFT_SIGMA_PX
         return shifted, free, BundlePriors(params_expected=params, params_sigma=sigma)
 
-    def _known_places(self, views: list[int]) -> BundlePriors:
+    def _known_poses(self, views: list[int]) -> BundlePriors:
         none = np.full(3, np.nan)
         measured = np.array([self.positions.get(self.map.keyframes[k].number, none) for k in views])
         return BundlePriors(position_in_world=measured, position_sigma=self.position_sigma)
 
-    def forget_mistakes(self, keyframes: list[int], max_error_px: float) -> None:
+    def remove_outliers(self, keyframes: list[int], max_error_px: float) -> None:
         """Drop observations that are off by more, and points that are behind a camera that saw them."""
         for k in keyframes:
             own = self.map.keyframes[k]
-            placed = self.map.is_triangulated(own.point)
-            at = self.camera.project(own.cam_from_world.apply(self.map.xyz[own.point[placed]]))
+            localized = self.map.is_triangulated(own.point)
+            at = self.camera.project(own.cam_from_world.apply(self.map.xyz[own.point[localized]]))
             off = np.zeros(len(own.point), bool)
-            off[placed] = ~(np.linalg.norm(at - own.straight_px[placed], axis=1) <= max_error_px)
+            off[localized] = ~(np.linalg.norm(at - own.straight_px[localized], axis=1) <= max_error_px)
             if off.any():
                 own.keep(~off)
 

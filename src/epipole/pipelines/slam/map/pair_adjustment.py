@@ -29,7 +29,7 @@ def adjust_pair(problem: BundleProblem, config: BundleConfig) -> tuple[BundlePro
     said = problem.priors.params_expected
     if np.abs(result.camera_params - said).max() >= LEAST_SHIFT_PX:
         return problem, result
-    held = replace(
+    fixed = replace(
         problem,
         rig_from_world=result.rig_from_world,
         points_in_world=result.points_in_world,
@@ -37,4 +37,4 @@ def adjust_pair(problem: BundleProblem, config: BundleConfig) -> tuple[BundlePro
         params_free=np.zeros_like(problem.params_free),
         priors=replace(problem.priors, params_expected=None, params_sigma=None),
     )
-    return held, adjust_bundle(held, config)
+    return fixed, adjust_bundle(fixed, config)

@@ -8,7 +8,7 @@ from epipole.geometry import Rigid3
 from epipole.mapping import Disparities, refine_pose
 from epipole.pipelines.slam.map.covariance import by_errors
 from epipole.pipelines.slam.map.trajectory import Path
-from epipole.pipelines.slam.shutter.motion import SETTLED_SIGMA, refine_while_moving
+from epipole.pipelines.slam.shutter.motion import CONVERGED_SIGMA, refine_while_moving
 from epipole.pipelines.slam.tracking.points import SeenFrame
 from epipole.pipelines.slam.tracking.tracker import PointTracker
 
@@ -27,33 +27,33 @@ def refine_past_poses(path: Path, tracker: PointTracker, *, is_last: bool = Fals
     if not tracker.waiting:
         return
     numbers = [keyframe.number for keyframe in tracker.map.keyframes]
-    settled = numbers[-min(KEYFRAMES_LATER, len(numbers))]
-    done = [seen for seen in tracker.waiting if is_last or seen.number < settled]
-    tracker.waiting = [seen for seen in tracker.waiting if not (is_last or seen.number < settled)]
+    converged = numbers[-min(KEYFRAMES_LATER, len(numbers))]
+    done = [seen for seen in tracker.waiting if is_last or seen.number < converged]
+    tracker.waiting = [seen for seen in tracker.waiting if not (is_last or seen.number < converged)]
     for seen in done:
-        told = path.told(seen.number)
-        if told is not None and told[0].number != seen.number:
-            keyframe, relative, covariance = told
-            place, covariance = _placed(seen, tracker, relative @ keyframe.cam_from_world, covariance)
-            path.add(seen.number, seen.timestamp_s, keyframe, place, covariance)
+        stored = path.stored(seen.number)
+        if stored is not None and stored[0].number != seen.number:
+            keyframe, relative, covariance = stored
+            position, covariance = _localized(seen, tracker, relative @ keyframe.cam_from_world, covariance)
+            path.add(seen.number, seen.timestamp_s, keyframe, position, covariance)
 
 
-def _placed(
+def _localized(
     seen: SeenFrame, tracker: PointTracker, start: Rigid3, covariance: np.ndarray
 ) -> tuple[Rigid3, np.ndarray]:
     """The place, and its covariance before the map; as they were where they cannot be told again."""
-    placed = tracker.map.is_triangulated(seen.point)
-    points, pixels = tracker.map.xyz[seen.point[placed]], seen.pixels[placed]
+    localized = tracker.map.is_triangulated(seen.point)
+    points, pixels = tracker.map.xyz[seen.point[localized]], seen.pixels[localized]
     readout, config = tracker.sensor.readout_s, tracker.config
     if len(points) < config.min_tracked or (readout and seen.motion is None):
         return start, covariance
     if readout:
         assert seen.motion is not None
         known = tracker.camera, start, seen.motion, readout
-        return refine_while_moving(points, pixels, *known, sigma=SETTLED_SIGMA)[0], covariance
+        return refine_while_moving(points, pixels, *known, sigma=CONVERGED_SIGMA)[0], covariance
     deep = None
     if tracker.focal_baseline is not None and seen.disparity_px is not None:
-        deep = Disparities(seen.disparity_px[placed], tracker.focal_baseline, config.depth_sigma_px)
+        deep = Disparities(seen.disparity_px[localized], tracker.focal_baseline, config.depth_sigma_px)
     refined = refine_pose(points, pixels, tracker.camera, start, disparities=deep)
     if tracker.focal_baseline is not None:
         covariance = by_errors(refined)

@@ -47,7 +47,7 @@ class Keyframe:
         self.shift_px = np.zeros((len(self.point), 3))
         self.motion = np.zeros(12)
         self.descriptors = np.zeros((len(self.point), 128), np.uint8)
-        self.look: np.ndarray | None = None
+        self.descriptor: np.ndarray | None = None
         self.unit = 1.0
         self.ignored_mask: np.ndarray | None = None
         self.covariance = np.zeros((6, 6))

@@ -34,30 +34,30 @@ class Path:
         self._open = _empty()
 
     def add(
-        self, number: int, timestamp_s: float, keyframe: Keyframe, place: Rigid3, covariance: np.ndarray
+        self, number: int, timestamp_s: float, keyframe: Keyframe, position: Rigid3, covariance: np.ndarray
     ) -> None:
         """A frame's cam_from_world, told from a keyframe."""
-        relative = place @ keyframe.cam_from_world.inverse()
+        relative = position @ keyframe.cam_from_world.inverse()
         row = np.empty(_COLUMNS)
         row[_TIME], row[KEYFRAME], row[_UNIT] = timestamp_s, self._number_of(keyframe), keyframe.unit
         row[_ROTATION], row[_TRANSLATION] = relative.rotation.ravel(), relative.translation
         row[_COVARIANCE] = covariance.ravel()
-        block, place_in_block = divmod(number - self.first, BLOCK)
+        block, position_in_block = divmod(number - self.first, BLOCK)
         while block > len(self._full):
             self._full.append(self._open)
             self._open = _empty()
         if block < len(self._full):
             self._full[block] = self._full[block].copy()
-            self._full[block][place_in_block] = row
+            self._full[block][position_in_block] = row
         else:
-            self._open[place_in_block] = row
+            self._open[position_in_block] = row
 
-    def told(self, number: int) -> tuple[Keyframe, Rigid3, np.ndarray] | None:
+    def stored(self, number: int) -> tuple[Keyframe, Rigid3, np.ndarray] | None:
         """A frame's keyframe, cam_from_keyframe and its covariance, in the unit of now; None for one without a place."""
-        block, place_in_block = divmod(number - self.first, BLOCK)
+        block, position_in_block = divmod(number - self.first, BLOCK)
         if not 0 <= block <= len(self._full):
             return None
-        row = (self._full[block] if block < len(self._full) else self._open)[place_in_block]
+        row = (self._full[block] if block < len(self._full) else self._open)[position_in_block]
         keyframe = self._keyframes[int(row[KEYFRAME])] if row[KEYFRAME] >= 0 else None
         if keyframe is None:
             return None
@@ -86,7 +86,7 @@ class Path:
             rows[mask] = own
         self._keyframes[old] = None
 
-    def forget(self, keyframes: Sequence[Keyframe]) -> None:
+    def clear(self, keyframes: Sequence[Keyframe]) -> None:
         """Frames that are told from these have no place any more."""
         gone = {id(k) for k in keyframes}
         for number, one in enumerate(self._keyframes):
@@ -113,8 +113,8 @@ class Path:
         )
         own = _scaled(rows[:, _COVARIANCE].reshape(-1, 6, 6), grown)
         of_map = np.stack([k.covariance for k in keys])[which]
-        places = (relative @ there).inverse()
-        return Trajectory(rows[:, _TIME].copy(), places, with_map_error(of_map, relative, own))
+        positions = (relative @ there).inverse()
+        return Trajectory(rows[:, _TIME].copy(), positions, with_map_error(of_map, relative, own))
 
     def _number_of(self, keyframe: Keyframe) -> int:
         """In the list, where it is put if it is not there; the newest are asked for most."""

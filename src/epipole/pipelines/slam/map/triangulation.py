@@ -32,7 +32,7 @@ def triangulate(model: SlamMap, camera: Camera, config: SlamConfig, newest: int)
     if len(views) < 2:
         return 0
     found = triangulate_points(
-        places_of(model, views),
+        positions_of(model, views),
         camera,
         pixels,
         max_error_px=config.max_error_px,
@@ -67,7 +67,7 @@ def triangulate_between_keyframes(
             sensor.camera,
             np.stack([model.anchor_px[points[rows]], pixels[rows]]),
             max_error_px=1.0,
-            min_angle_rad=np.deg2rad(config.place_angle_deg),
+            min_angle_rad=np.deg2rad(config.triangulation_angle_deg),
         )
         good = found.success_mask
         model.xyz[points[rows[good]]] = found.points_in_world[good]
@@ -75,7 +75,7 @@ def triangulate_between_keyframes(
     return count
 
 
-def places_of(model: SlamMap, keyframes: list[int]) -> Rigid3:
+def positions_of(model: SlamMap, keyframes: list[int]) -> Rigid3:
     """cam_from_world of keyframes."""
-    places = [model.keyframes[k].cam_from_world for k in keyframes]
-    return Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places]))
+    positions = [model.keyframes[k].cam_from_world for k in keyframes]
+    return Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))

@@ -84,28 +84,30 @@ def _record_of(path: Path, line: bytes) -> FrameRecord:
     checksum, _, text = line.partition(b" ")
     if int(checksum, 16) != zlib.crc32(text):
         raise ValueError("the line is cut off")
-    held = json_values(path, text.decode(), allow_nan=True)
-    seconds, problem = float(held["seconds"]), _text(held["problem"])
-    answer = None if held["answer"] is None else _answer_of(held["answer"])
-    return FrameRecord(_count(held["number"]), _text(held["name"]), seconds, answer, problem)
+    content = json_values(path, text.decode(), allow_nan=True)
+    seconds, problem = float(content["seconds"]), _text(content["problem"])
+    answer = None if content["answer"] is None else _answer_of(content["answer"])
+    return FrameRecord(_count(content["number"]), _text(content["name"]), seconds, answer, problem)
 
 
-def _answer_of(held: Any) -> TrackedFrame:
-    timestamp_s = float(held["timestamp_s"])
+def _answer_of(content: Any) -> TrackedFrame:
+    timestamp_s = float(content["timestamp_s"])
     if not np.isfinite(timestamp_s):
         raise ValueError("the time is not finite")
-    covariance = None if held["covariance"] is None else np.array(held["covariance"], np.float64)
+    covariance = None if content["covariance"] is None else np.array(content["covariance"], np.float64)
     if covariance is not None and covariance.shape != (6, 6):
         raise ValueError("a covariance must be 6 x 6")
     return TrackedFrame(
         timestamp_s=timestamp_s,
-        state=TrackingState(held["state"]),
-        reason=_text(held["reason"]),
-        world_from_body=None if held["rotation"] is None else _pose(held["rotation"], held["translation"]),
+        state=TrackingState(content["state"]),
+        reason=_text(content["reason"]),
+        world_from_body=None
+        if content["rotation"] is None
+        else _pose(content["rotation"], content["translation"]),
         covariance=covariance,
-        num_points=_count(held["num_points"]),
-        is_keyframe=held["is_keyframe"] is True,
-        map_number=_count(held["map_number"]),
+        num_points=_count(content["num_points"]),
+        is_keyframe=content["is_keyframe"] is True,
+        map_number=_count(content["map_number"]),
     )
 
 

@@ -35,17 +35,17 @@ def reconstruction_of(model: SlamMap, camera: Camera, names: Sequence[str]) -> R
     grey = np.full(len(rows), 128, np.uint8)
     for j, row in enumerate(rows):
         x, y = np.rint(model.anchor_px[row]).astype(int)
-        picture = model.keyframes[int(model.anchor[row])].grey
-        grey[j] = picture[np.clip(y, 0, picture.shape[0] - 1), np.clip(x, 0, picture.shape[1] - 1)]
-    places = [k.cam_from_world for k in keyframes]
+        name = model.keyframes[int(model.anchor[row])].grey
+        grey[j] = name[np.clip(y, 0, name.shape[0] - 1), np.clip(x, 0, name.shape[1] - 1)]
+    positions = [k.cam_from_world for k in keyframes]
     made = Reconstruction(
         Cameras.from_list([camera], is_constant=[True]),
         Rigs.of_single_cameras(1),
         Frames(
             np.zeros(n, np.int32),
             Rigid3(
-                np.array([p.rotation for p in places]).reshape(-1, 3, 3),
-                np.array([p.translation for p in places]).reshape(-1, 3),
+                np.array([p.rotation for p in positions]).reshape(-1, 3, 3),
+                np.array([p.translation for p in positions]).reshape(-1, 3),
             ),
             np.array([k.timestamp_s for k in keyframes], np.float64),
         ),

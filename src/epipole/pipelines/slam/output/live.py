@@ -19,7 +19,7 @@ from epipole.cameras import Camera
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.config import JobOptions
 from epipole.pipelines.slam.frames import Frame, TrackedFrame
-from epipole.pipelines.slam.output.drawing import FINAL_RGB, LOOP_RGB, LOOPS, path_curve
+from epipole.pipelines.slam.output.rendering import FINAL_RGB, LOOP_RGB, LOOPS, path_curve
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.snapshot import Snapshot
 from epipole.report.markup import plural
@@ -27,10 +27,10 @@ from epipole.report.space_scene import METRES, NO_UNIT, CameraLayer, FirstView, 
 from epipole.scene import Curve, frustum_corners_in_cam
 from epipole.viewer.live import Budget, LivePage, LiveScene, opened_live
 
-SHARE, PAUSE_S = 0.05, 0.4
+FRACTION, PAUSE_S = 0.05, 0.4
 """Fraction of the run's time, at most, for copies of what is shown; and the shortest time between two."""
 IMAGE_WIDTH_PX = 480
-PLACED_RGB, WAITING_RGB = (60, 220, 110), (255, 170, 60)
+LOCALIZED_RGB, WAITING_RGB = (60, 220, 110), (255, 170, 60)
 POINT_RGB, NOW_RGB = (200, 200, 200), (240, 170, 40)
 NOW_SIZE = 0.12
 """Size of the current camera: fraction of the median distance to the points."""
@@ -53,19 +53,19 @@ class LiveView:
 class BrowserView(LiveView):
     """Shows the run to whoever has its page open.
 
-    The thread of the run copies what is shown, for at most `SHARE` of its time; threads of the server make bytes of it.
+    The thread of the run copies what is shown, for at most `FRACTION` of its time; threads of the server make bytes of it.
     """
 
     def __init__(self, page: LiveScene, num_frames: int) -> None:
         self.page, self.num_frames, self.count = page, num_frames, 0
-        self.budget, self.depth = Budget(SHARE, PAUSE_S), 0.0
+        self.budget, self.depth = Budget(FRACTION, PAUSE_S), 0.0
 
     def show(self, system: Slam, frame: Frame, answer: TrackedFrame) -> None:
         """Image, state, trajectory and map, if a tab is open and the budget allows it."""
         self.count += 1
         if not (self.page.is_watched and self.budget.allows()):
             return
-        begin, now = perf_counter(), system.snapshot()
+        start, now = perf_counter(), system.snapshot()
         state = {
             "state": answer.state.value.capitalize() + (f": {answer.reason}" if answer.reason else ""),
             "words": f"frame {self.count} of {self.num_frames}, {plural(len(now.tracked_px), 'tracked point')}",
@@ -73,7 +73,7 @@ class BrowserView(LiveView):
         }
         image = partial(image_with_points, frame.grey, now.tracked_px, now.is_triangulated)
         self._publish(system, now, state, answer.world_from_body, image=lambda: _jpeg(image()))
-        self.budget.spend(perf_counter() - begin)
+        self.budget.spend(perf_counter() - start)
 
     def show_map(self, system: Slam, words: str) -> None:
         """Trajectory and map. Whether or not a tab is open: one may be, before the next state."""
@@ -132,7 +132,7 @@ def image_with_points(
     size = (max(1, round(scale * grey.shape[1])), max(1, round(scale * grey.shape[0])))
     small = cv2.cvtColor(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2RGB)
     for (x, y), known in zip((pixels + 0.5) * scale - 0.5, is_triangulated):
-        color = PLACED_RGB if known else WAITING_RGB
+        color = LOCALIZED_RGB if known else WAITING_RGB
         cv2.circle(small, (round(x), round(y)), 2, color, -1, cv2.LINE_AA)
     return small
 
@@ -177,7 +177,7 @@ def _scene(system: Slam, now: Snapshot, curves: tuple[Curve, ...], view: FirstVi
     return SpaceScene(
         title="SLAM",
         words="",
-        unit=METRES if system.camera.tells_depth else NO_UNIT,
+        unit=METRES if system.camera.measures_depth else NO_UNIT,
         points=(PointLayer("Points", now.points_in_world, rgb),),
         cameras=keyframes,
         curves=(*path, Curve("current camera", none, NOW_RGB)),

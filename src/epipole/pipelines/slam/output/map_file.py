@@ -77,13 +77,13 @@ def write_slam_map(
     number = {id(k): n for n, k in enumerate(k for k in model.keyframes if len(k.point))}
     keyframes = [k for k in model.keyframes if len(k.point)]
     column = np.array([number.get(id(k), -1) for k in model.keyframes], np.int64)
-    lens = sensor.camera
-    size = (lens.height, lens.width)
+    camera = sensor.camera
+    size = (camera.height, camera.width)
     arrays = {
-        "camera_model": np.array(int(lens.model)),
-        "camera_params": lens.params,
-        "size": np.array([lens.width, lens.height]),
-        "is_metric": np.array(sensor.tells_depth or bool(scale)),
+        "camera_model": np.array(int(camera.model)),
+        "camera_params": camera.params,
+        "size": np.array([camera.width, camera.height]),
+        "is_metric": np.array(sensor.measures_depth or bool(scale)),
         "scale": np.array(scale),
         "right_shift_px": np.array(model.right_shift_px),
         "number": np.array([k.number for k in keyframes], np.int64),
@@ -104,7 +104,7 @@ def write_slam_map(
     store(as_path(path), VERSION, arrays)
 
 
-class MapSketch(NamedTuple):
+class MapSummary(NamedTuple):
     """What there is to see of a map."""
 
     camera: Camera
@@ -119,7 +119,7 @@ class MapSketch(NamedTuple):
     is_metric: bool
 
 
-def sketch_of_map(path: str | Path) -> MapSketch:
+def summary_of_map(path: str | Path) -> MapSummary:
     """A map as it can be drawn, without what is needed to go on in it.
 
     Args:
@@ -129,14 +129,14 @@ def sketch_of_map(path: str | Path) -> MapSketch:
         FileFormatError: it is no map, or damaged.
     """
     arrays = _arrays(_file_of(as_path(path)))
-    placed = np.isfinite(arrays["xyz"]).all(axis=1) & (arrays["anchor"] >= 0)
-    return MapSketch(
+    localized = np.isfinite(arrays["xyz"]).all(axis=1) & (arrays["anchor"] >= 0)
+    return MapSummary(
         _camera_of(arrays),
         tuple(str(n) for n in arrays["name"]),
         Rigid3(arrays["rotation"], arrays["translation"]),
         arrays["grey"],
-        arrays["xyz"][placed],
-        arrays["num_agreed"][placed],
+        arrays["xyz"][localized],
+        arrays["num_agreed"][localized],
         bool(arrays["is_metric"]),
     )
 
@@ -181,15 +181,15 @@ def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
     """
     path = _file_of(as_path(path))
     arrays = _arrays(path)
-    lens = sensor.camera
+    camera = sensor.camera
     size, params = arrays["size"], arrays["camera_params"]
-    if (int(size[0]), int(size[1])) != (lens.width, lens.height):
+    if (int(size[0]), int(size[1])) != (camera.width, camera.height):
         raise ConfigError(
-            f"{path} is of pictures of {size[0]}x{size[1]}, these are {lens.width}x{lens.height}"
+            f"{path} is of pictures of {size[0]}x{size[1]}, these are {camera.width}x{camera.height}"
         )
-    if int(arrays["camera_model"]) != int(lens.model) or not np.allclose(params, lens.params, rtol=0.02):
-        raise ConfigError(f"{path} is the map of another camera: {params} against {lens.params}")
-    if sensor.tells_depth and not arrays["is_metric"]:
+    if int(arrays["camera_model"]) != int(camera.model) or not np.allclose(params, camera.params, rtol=0.02):
+        raise ConfigError(f"{path} is the map of another camera: {params} against {camera.params}")
+    if sensor.measures_depth and not arrays["is_metric"]:
         raise ConfigError(f"{path} has no metre, one camera made it: go on in it with one camera, too")
     scale = arrays.get("scale")
     return KnownMap(
@@ -251,10 +251,10 @@ def _model_of(arrays: Arrays) -> SlamMap:
     model.right_shift_px = float(arrays["right_shift_px"])
     for k, number in enumerate(arrays["number"]):
         own = slice(offsets[k], offsets[k + 1])
-        place = Rigid3(arrays["rotation"][k], arrays["translation"][k])
+        position = Rigid3(arrays["rotation"][k], arrays["translation"][k])
         seen = Observations(*(arrays[name][own].copy() for name in ("pixels", "disparity_px", "point")))
         grey = np.ascontiguousarray(arrays["grey"][k], np.uint8)
-        keyframe = Keyframe(int(number), float(arrays["timestamp_s"][k]), grey, place, seen)
+        keyframe = Keyframe(int(number), float(arrays["timestamp_s"][k]), grey, position, seen)
         describe_keyframe(keyframe)
         model.keyframes.append(keyframe)
     return model

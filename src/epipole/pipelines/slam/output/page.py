@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from epipole.pipelines.slam.output.drawing import (
+from epipole.pipelines.slam.output.page_frames import frame_charts, keyframe_reasons, state_strip
+from epipole.pipelines.slam.output.record import FrameRecord, stretches
+from epipole.pipelines.slam.output.rendering import (
     CAUSAL,
     CAUSAL_RGB,
     FINAL,
@@ -21,8 +23,6 @@ from epipole.pipelines.slam.output.drawing import (
     path_curve,
     upright_from_world,
 )
-from epipole.pipelines.slam.output.page_frames import frame_charts, keyframe_reasons, state_strip
-from epipole.pipelines.slam.output.record import FrameRecord, stretches
 from epipole.pipelines.slam.output.truth import PathErrors, errors_of
 from epipole.report.charts import draw_timings
 from epipole.report.frame import render
@@ -71,7 +71,7 @@ def render_page(page: SlamPage) -> str:
     upright = upright_from_world(page.final.world_from_body)
     curves = [curve.transformed(upright) for curve in _curves(page, errors)]
     model = page.model.transformed(upright)
-    places = page.final.world_from_body.translation
+    positions = page.final.world_from_body.translation
     loops = page.summary.get("loops") or []
     return render(
         __package__,
@@ -86,7 +86,7 @@ def render_page(page: SlamPage) -> str:
         has_truth=page.truth is not None,
         model=space_data(_scene(page, model, curves), MAX_POINTS),
         num_points=len(model.points),
-        plan=draw_path_plan(curves, model.points.xyz_in_world, upright.apply(places[[0, -1]]), page.unit),
+        plan=draw_path_plan(curves, model.points.xyz_in_world, upright.apply(positions[[0, -1]]), page.unit),
         strip=state_strip(page.records),
         stretches=stretches(page.records)[:MOST_STRETCHES],
         num_stretches_left=max(len(stretches(page.records)) - MOST_STRETCHES, 0),
@@ -146,7 +146,7 @@ def _tiles(page: SlamPage) -> list[tuple[str, str, str]]:
     """Name, value and unit of the large numbers."""
     summary = page.summary
     tiles = [
-        ("Frames with a place", count(summary["num_placed"]), f"of {count(summary['num_frames'])}"),
+        ("Frames with a place", count(summary["num_localized"]), f"of {count(summary['num_frames'])}"),
         ("Keyframes", count(summary["num_keyframes"]), ""),
         ("Points", count(summary["num_points"]), ""),
         ("Mean reprojection error", number(_or_nan(summary["mean_reprojection_error_px"])), "px"),
@@ -190,8 +190,8 @@ def _scores(page: SlamPage) -> list[tuple[str, str, list[str], bool]]:
 
 def _error_chart(page: SlamPage, errors: tuple[PathErrors | None, PathErrors | None]) -> Markup:
     """Distance from the truth, frame by frame."""
-    told = [(r.answer.timestamp_s, r.number) for r in page.records if r.answer is not None]
-    times, numbers = (np.array(column, np.float64) for column in zip(*told))
+    given = [(r.answer.timestamp_s, r.number) for r in page.records if r.answer is not None]
+    times, numbers = (np.array(column, np.float64) for column in zip(*given))
     lines = []
     for name, color, found in ((FINAL, "accent", errors[0]), (CAUSAL, "soft", errors[1])):
         if found is not None:

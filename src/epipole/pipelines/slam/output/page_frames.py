@@ -56,16 +56,16 @@ def frame_charts(records: Sequence[FrameRecord], unit: str) -> list[tuple[str, M
         ),
         ("Time for a frame", Line("", numbers, ms), "ms", _time_words(ms)),
     )
-    drawn = [(title, draw_lines([line], span, label), words) for title, line, label, words in charts]
-    return [row for row in drawn if row[1]]
+    rendered = [(title, draw_lines([line], span, label), words) for title, line, label, words in charts]
+    return [row for row in rendered if row[1]]
 
 
 def _time_words(ms: np.ndarray) -> str:
     """Percentiles of the time for a frame."""
     names = ("median", *(f"{p} %" for p in PERCENTILES[1:-1]), "longest")
-    told = ", ".join(f"{name} {value:.1f}" for name, value in zip(names, np.percentile(ms, PERCENTILES)))
+    given = ", ".join(f"{name} {value:.1f}" for name, value in zip(names, np.percentile(ms, PERCENTILES)))
     return (
-        f"{told} ms. To follow a frame, with the keyframe and the local adjustment that it may bring; not to read its"
+        f"{given} ms. To follow a frame, with the keyframe and the local adjustment that it may bring; not to read its"
         " file, nor to compile what a first run has to."
     )
 

@@ -14,7 +14,7 @@ from epipole.pipelines.slam.frames import TrackedFrame
 
 LEFT_OUT = "left out"
 """In the place of a state, for a frame that could not be read or did not fit."""
-COLUMNS = ("frame", "timestamp_s", "picture", "state", "has_place", "keyframe", "points", "ms", "reason")
+COLUMNS = ("frame", "timestamp_s", "picture", "state", "has_pose", "keyframe", "points", "ms", "reason")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,21 +62,21 @@ def write_records(records: Sequence[FrameRecord], path: Path) -> None:
         table.writerow(COLUMNS)
         for record in records:
             answer = record.answer
-            told = ["", LEFT_OUT, 0, 0, 0]
+            given = ["", LEFT_OUT, 0, 0, 0]
             if answer is not None:
-                has_place = int(answer.world_from_body is not None)
-                told = [
+                has_pose = int(answer.world_from_body is not None)
+                given = [
                     f"{answer.timestamp_s:.9f}",
                     answer.state.value,
-                    has_place,
+                    has_pose,
                     int(answer.is_keyframe),
                     answer.num_points,
                 ]
             row = [
                 record.number,
-                told[0],
+                given[0],
                 record.name,
-                *told[1:],
+                *given[1:],
                 f"{1e3 * record.seconds:.3f}",
                 record.reason,
             ]
@@ -109,8 +109,8 @@ def stretches(records: Sequence[FrameRecord]) -> list[Stretch]:
     out: list[Stretch] = []
     words = ""
     for record in records:
-        has_place = record.answer is not None and record.answer.world_from_body is not None
-        reason = "" if has_place else record.reason
+        has_pose = record.answer is not None and record.answer.world_from_body is not None
+        reason = "" if has_pose else record.reason
         if record.answer is not None and record.answer.submap_from_body is not None:
             reason = reason.split("; ")[0]
         now = without_numbers(reason)

@@ -22,15 +22,15 @@ from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
 from epipole.pipelines.slam.loops.recognition import MIN_SAMPLE
 from epipole.pipelines.slam.map.covariance import CalibrationSigma
 from epipole.pipelines.slam.map.local_mapping import LocalMapper
+from epipole.pipelines.slam.output.camera_check import camera_warnings, check_camera
 from epipole.pipelines.slam.output.export import reconstruction_of
 from epipole.pipelines.slam.output.formats import missing_rows, write_in_format
-from epipole.pipelines.slam.output.lens_check import check_lens, lens_warnings
 from epipole.pipelines.slam.output.map_file import MAP_FILE, KnownMap, write_slam_map
 from epipole.pipelines.slam.output.page import SlamPage, render_page
 from epipole.pipelines.slam.output.record import FrameRecord, without_numbers, write_records
 from epipole.pipelines.slam.output.scale import moved_path
 from epipole.pipelines.slam.output.truth import truth_at_frames, truth_summary
-from epipole.pipelines.slam.output.warnings import doubts, moving_things, poor_pictures
+from epipole.pipelines.slam.output.warnings import moving_things, poor_images, warnings
 from epipole.pipelines.slam.shutter.check import find_readout, with_readout
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.sources.folder import FrameSource
@@ -43,7 +43,7 @@ from epipole.scene import Reconstruction, Trajectory
 
 TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"
 CAMERA = "camera.json"
-PLACED, PLACED_WORDS = "num_placed", "localized frames"
+LOCALIZED, LOCALIZED_WORDS = "num_localized", "localized frames"
 """What `summary.json` calls their number."""
 
 IN_OTHER_MAP = "tracked in a separate map that is not connected to the main one"
@@ -82,7 +82,7 @@ class RunInputs(NamedTuple):
 
 
 def write_results(
-    feed: FrameStream,
+    stream: FrameStream,
     system: Slam,
     records: list[FrameRecord],
     given: RunInputs,
@@ -92,7 +92,7 @@ def write_results(
     """Write what was found, and tell it.
 
     Args:
-        feed: where the frames came from.
+        stream: where the frames came from.
         system: what followed them.
         records: what became of each frame.
         given: what was known besides the frames.
@@ -102,9 +102,9 @@ def write_results(
     Raises:
         NoModelError: no frame got a place.
     """
-    source, truth = feed.source, given.truth
+    source, truth = stream.source, given.truth
     tracked = [record.answer for record in records if record.answer is not None]
-    problems = [record.problem for record in records if record.problem] + feed.notes()
+    problems = [record.problem for record in records if record.problem] + stream.notes()
     if not len(system.trajectory()):
         raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
     came, anchoring = _causal(system, tracked), given.anchoring
@@ -113,16 +113,16 @@ def write_results(
     final, causal = (_of_body(path, source) for path in (system.trajectory(), came))
     names = keyframe_names(system, records, given.map)
     model = reconstruction_of(system.maps[0], source.camera.camera, names)
-    num_frames = len(records) + feed.num_dropped
+    num_frames = len(records) + stream.num_dropped
     run.warnings += [*problems, *missing_rows(final, num_frames, job.trajectory_format)]
     checked = _checked(system, tracked, final, run)
-    run.warnings += system.start_doubts
+    run.warnings += system.start_warnings
     facts = _summary(system, records, model, run.warnings)
-    summary, known = {**facts, **feed.summary(), **checked}, None
+    summary, known = {**facts, **stream.summary(), **checked}, None
     if given.camera is not None:
         summary["camera_found"] = given.camera.summary()
-    metres, told = _metres(given, source, is_map_fixed=job.localize)
-    summary |= told
+    metres, noted = _metres(given, source, is_map_fixed=job.localize)
+    summary |= noted
     if truth is not None:
         known = truth_at_frames(truth, records)
         summary["truth"], odd = truth_summary(truth, known, (final, causal), len(records))
@@ -149,11 +149,11 @@ def keep_better(system: Slam, run: Run, *, can_repeat: bool) -> None:
     Raises:
         WorkspaceError: an earlier result has more frames, and these can be read again.
     """
-    num_placed = len(system.trajectory())
-    if num_placed and can_repeat:
-        refuse_poorer(run.root, PLACED, num_placed, PLACED_WORDS)
+    num_localized = len(system.trajectory())
+    if num_localized and can_repeat:
+        refuse_poorer(run.root, LOCALIZED, num_localized, LOCALIZED_WORDS)
     else:
-        run.warnings += note_on_poorer(run.root, PLACED, num_placed, PLACED_WORDS)
+        run.warnings += note_on_poorer(run.root, LOCALIZED, num_localized, LOCALIZED_WORDS)
 
 
 def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, run: Run) -> dict[str, Any]:
@@ -163,24 +163,24 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
         mapper = LocalMapper(model, system.camera, system.focal_baseline, config)
         shutter = None if system.camera.readout_s else find_readout(mapper, system.trajectory())
         with with_readout(mapper, system.trajectory(), 0.0 if shutter is None else shutter.readout_s):
-            lens = check_lens(model, system.camera.camera)
+            camera = check_camera(model, system.camera.camera)
         blind = pixels_without_ray(system.camera.camera)
         run.warnings += no_ray_warning(system.camera.camera)
         run.warnings += [] if shutter is None else [shutter.warning()]
-        run.warnings += [*lens_warnings(lens, model.right_shift_px), *doubts(tracked, path)]
+        run.warnings += [*camera_warnings(camera, model.right_shift_px), *warnings(tracked, path)]
         return {
             "readout_s": system.camera.readout_s if shutter is None else shutter.readout_s,
-            "lens": None if lens is None else asdict(lens),
+            "lens": None if camera is None else asdict(camera),
             "fraction_without_ray": 0.0 if blind is None else float(blind.mean()),
             "right_principal_point_shift_px": model.right_shift_px,
-            "poor_pictures": poor_pictures(tracked),
+            "poor_images": poor_images(tracked),
             "moving": moving_things(tracked),
         }
 
 
 def _covariance_words(system: Slam) -> str:
     """Which errors the covariances of the trajectory cover, and which they exclude."""
-    if not system.camera.tells_depth:
+    if not system.camera.measures_depth:
         return (
             "they cover the image noise of each frame (one pixel); they exclude errors of the map, of its scale and of the"
             " calibration"
@@ -219,28 +219,30 @@ def _causal(system: Slam, tracked: Sequence[TrackedFrame]) -> Trajectory:
     rows = [
         (t, t.submap_from_body if t.world_from_body is None else t.world_from_body, t.covariance) for t in own
     ]
-    placed = [(t.timestamp_s, place, covariance) for t, place, covariance in rows if place is not None]
+    localized = [
+        (t.timestamp_s, position, covariance) for t, position, covariance in rows if position is not None
+    ]
     return Trajectory(
-        np.array([time for time, _, _ in placed], np.float64).reshape(-1),
+        np.array([time for time, _, _ in localized], np.float64).reshape(-1),
         Rigid3(
-            np.array([place.rotation for _, place, _ in placed]).reshape(-1, 3, 3),
-            np.array([place.translation for _, place, _ in placed]).reshape(-1, 3),
+            np.array([position.rotation for _, position, _ in localized]).reshape(-1, 3, 3),
+            np.array([position.translation for _, position, _ in localized]).reshape(-1, 3),
         ),
-        np.array([np.zeros((6, 6)) if c is None else c for _, _, c in placed]).reshape(-1, 6, 6),
+        np.array([np.zeros((6, 6)) if c is None else c for _, _, c in localized]).reshape(-1, 6, 6),
     )
 
 
 def _of_body(trajectory: Trajectory, source: FrameSource) -> Trajectory:
     """The path of the camera that took the pictures, not of its rectified picture."""
-    turned = source.body_from_camera
-    if np.array_equal(turned.rotation, np.eye(3)) and not turned.translation.any():
+    rotated = source.body_from_camera
+    if np.array_equal(rotated.rotation, np.eye(3)) and not rotated.translation.any():
         return trajectory
-    places = trajectory.world_from_body @ turned.inverse()
-    adjoint = turned.adjoint()
+    positions = trajectory.world_from_body @ rotated.inverse()
+    adjoint = rotated.adjoint()
     covariance = trajectory.covariance
     if covariance is not None:
         covariance = adjoint @ covariance @ adjoint.T
-    return Trajectory(trajectory.timestamp_s, places, covariance)
+    return Trajectory(trajectory.timestamp_s, positions, covariance)
 
 
 def _write(
@@ -273,11 +275,11 @@ def _summary(
     ms = 1e3 * np.array([record.seconds for record in records]) if records else np.zeros(1)
     keyframes = [n for n, record in enumerate(records) if record.answer and record.answer.is_keyframe]
     warm = ms[keyframes[WARM - 1] + 1 :] if len(keyframes) >= WARM else ms
-    placed, error_px = len(slam.trajectory()), model.mean_reprojection_error_px()
+    localized, error_px = len(slam.trajectory()), model.mean_reprojection_error_px()
     return {
         "num_frames": len(records),
-        PLACED: placed,
-        "num_placed_causal": len(_causal(slam, tracked)),
+        LOCALIZED: localized,
+        "num_localized_causal": len(_causal(slam, tracked)),
         "states": {state.value: states.count(state) for state in TrackingState},
         "num_keyframes": len(slam.maps[0].keyframes),
         "num_points": int(np.isfinite(slam.maps[0].xyz[:, 0]).sum()),
@@ -305,7 +307,7 @@ def _submap_words(slam: Slam, number: int) -> dict[str, Any]:
         "num_keyframes": len(slam.maps[number].keyframes),
         "from_s": float(path.timestamp_s[0]) if len(path) else None,
         "to_s": float(path.timestamp_s[-1]) if len(path) else None,
-        "is_metric": slam.camera.tells_depth,
+        "is_metric": slam.camera.measures_depth,
     }
 
 
@@ -315,7 +317,7 @@ def _metres(given: RunInputs, source: FrameSource, *, is_map_fixed: bool) -> tup
     if given.anchoring is not None:
         words = scale = given.anchoring.scale.in_words()
         more = {"anchor": given.anchoring.scale.summary()}
-    elif source.camera.tells_depth and not is_map_fixed:
+    elif source.camera.measures_depth and not is_map_fixed:
         words = scale = _scale_words(source)
     elif known is not None and known.is_metric:
         whence = f" ({known.scale.removeprefix('metres, ')})" if known.scale else ""

@@ -55,22 +55,22 @@ class Continued(NamedTuple):
     """What the user should know of it."""
 
 
-def key_of(sketch: Sequence[str], source: FrameSource, system: Slam, job: JobOptions) -> Key:
+def key_of(fingerprint: Sequence[str], source: FrameSource, system: Slam, job: JobOptions) -> Key:
     """What identifies a live run: another source, camera, map, version or option gives other answers.
 
     Args:
-        sketch: of the source's files; not used for a camera, which has none.
+        fingerprint: of the source's files; not used for a camera, which has none.
         source: the frames.
         system: its camera, options and known map.
         job: options.
     """
     camera, depth = source.camera, source.camera.depth
-    lens = camera.camera
+    intrinsics = camera.camera
     seen: list[Any] = [
-        int(lens.model),
-        lens.width,
-        lens.height,
-        lens.params,
+        int(intrinsics.model),
+        intrinsics.width,
+        intrinsics.height,
+        intrinsics.params,
         camera.baseline,
         camera.readout_s,
     ]
@@ -82,7 +82,7 @@ def key_of(sketch: Sequence[str], source: FrameSource, system: Slam, job: JobOpt
     own = {name: value for name, value in asdict(job).items() if name not in _FREE_OPTIONS}
     return {
         "the version of epipole": __version__,
-        "the source's files": "" if source.is_live else digest(*sketch),
+        "the source's files": "" if source.is_live else digest(*fingerprint),
         "the camera": digest(*seen),
         "the known map": digest(known.xyz, [k.number for k in known.keyframes]) if known.num_points else "",
         **{
@@ -173,8 +173,8 @@ def _saved(folder: Path, key: Key, system: Slam, job: JobOptions) -> list[FrameR
         return []
     advice = f"remove {folder} to start again"
     try:
-        held = read_json(folder / KEY)
-        before, is_written = dict(held["key"]), bool(held["is_written"])
+        content = read_json(folder / KEY)
+        before, is_written = dict(content["key"]), bool(content["is_written"])
     except (ValueError, KeyError, TypeError, OSError) as error:
         raise FileFormatError(folder / KEY, f"is damaged ({error}); {advice}") from error
     if not job.resume:

@@ -42,10 +42,10 @@ def anchor_map(
         DegenerateGeometryError: nothing that is known tells the scale; the message says why.
         FileFormatError: a file that was named cannot be read.
     """
-    check_one_camera(options, tells_depth=system.camera.tells_depth)
-    model, lens = system.maps[0], system.camera.camera
+    check_one_camera(options, measures_depth=system.camera.measures_depth)
+    model, camera = system.maps[0], system.camera.camera
     keyframes = [k for k in model.keyframes if len(k.point)]
-    views = views_of_model(reconstruction_of(model, lens, keyframe_names), lambda row: keyframes[row].grey)
+    views = views_of_model(reconstruction_of(model, camera, keyframe_names), lambda row: keyframes[row].grey)
     # What is known is told by the clock and the names of this run: keyframes of a known map have others.
     is_old = np.array([k.number < system.first_number for k in keyframes], bool)
     views = replace(
@@ -59,15 +59,15 @@ def anchor_map(
         options = replace(options, imu=None, imu_mounting=None)
     anchoring = anchor_model(views, options, path, [] if by_imu is None else [by_imu])
     model.move(anchoring.world_from_model)
-    places = anchoring.places
-    if places is not None:
+    positions = anchoring.positions
+    if positions is not None:
         before = _centers(system)
         mapper = LocalMapper(model, system.camera, system.focal_baseline, system.config, system.imu)
-        known = np.isfinite(places.positions[:, 0])
+        known = np.isfinite(positions.positions[:, 0])
         mapper.positions = {
-            k.number: p for k, p, is_known in zip(keyframes, places.positions, known) if is_known
+            k.number: p for k, p, is_known in zip(keyframes, positions.positions, known) if is_known
         }
-        mapper.position_sigma = places.sigma
+        mapper.position_sigma = positions.sigma
         mapper.learn_inertial()
         mapper.adjust_all()
         model.move(after_adjustment(anchoring, before, _centers(system)))
@@ -87,13 +87,13 @@ def scale_by_imu(system: Slam) -> ScaleEstimate | None:
         return None
 
 
-def check_one_camera(options: AnchorOptions, *, tells_depth: bool) -> None:
+def check_one_camera(options: AnchorOptions, *, measures_depth: bool) -> None:
     """Check that there is a scale to be told.
 
     Raises:
         ConfigError: the camera has its metres from its own depth.
     """
-    if tells_depth and not options.is_empty:
+    if measures_depth and not options.is_empty:
         raise ConfigError(
             "positions, lengths, tags, boards and odometry tell the scale of one camera; this one has its metres from its "
             "own depth"
@@ -142,8 +142,10 @@ def _views_of_path(path: Trajectory, names: Mapping[float, str], keyframes: Anch
 
 def moved_path(path: Trajectory, world_from_model: Similarity3) -> Trajectory:
     """A path told in the metres and the world that were found afterwards."""
-    places, scale = path.world_from_body, float(world_from_model.scale)
-    moved = Rigid3(world_from_model.rotation @ places.rotation, world_from_model.apply(places.translation))
+    positions, scale = path.world_from_body, float(world_from_model.scale)
+    moved = Rigid3(
+        world_from_model.rotation @ positions.rotation, world_from_model.apply(positions.translation)
+    )
     covariance = path.covariance
     if covariance is not None:
         unit = np.array([scale, scale, scale, 1.0, 1.0, 1.0])

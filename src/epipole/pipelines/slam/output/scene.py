@@ -17,7 +17,8 @@ from epipole.io.images.photographs import read_rgb
 from epipole.io.sequences.sequence import read_sequence
 from epipole.io.trajectories.files import read_trajectory, trajectory_format
 from epipole.io.trajectories.frame_tables import FRAME_TABLE, read_frame_table
-from epipole.pipelines.slam.output.drawing import (
+from epipole.pipelines.slam.output.map_file import MAP_FILE, summary_of_map
+from epipole.pipelines.slam.output.rendering import (
     CAUSAL,
     CAUSAL_RGB,
     FINAL,
@@ -26,16 +27,15 @@ from epipole.pipelines.slam.output.drawing import (
     path_curve,
     upright_from_world,
 )
-from epipole.pipelines.slam.output.map_file import MAP_FILE, sketch_of_map
 from epipole.report.markup import plural
 from epipole.report.space_model import scene_of_model
 from epipole.report.space_scene import METRES, NO_UNIT, CameraLayer, PointLayer, PointMeasure, SpaceScene
 from epipole.runs.folder import read_mark
 
 TRAJECTORY, CAUSAL_TRAJECTORY = "trajectory.txt", "trajectory_causal.txt"
-PICTURE_PX = 640
+IMAGE_PX = 640
 UNIT_OF_FILE = "units of the file"
-MANY_PLACES = 300
+MANY_POSITIONS = 300
 
 
 def is_mine(path: Path) -> bool:
@@ -66,7 +66,7 @@ def scene(path: Path) -> SpaceScene:
         title=path.resolve().name,
         unit=METRES if summary.get("is_metric") is True else NO_UNIT,
         cameras="Keyframes",
-        load_picture=picture_loader(path),
+        load_image=image_loader(path),
         curves=curves,
     )
     return replace(found, upright_from_world=upright_from_world(final.world_from_body).rotation)
@@ -95,12 +95,12 @@ def scene_of_trajectory(path: Path) -> SpaceScene:
     found = read_trajectory(path)
     if not len(found):
         raise FileFormatError(path, "holds no place")
-    begins_at_first = np.abs(found.world_from_body[0].as_matrix() - np.eye(4)).max() < 1e-3
-    upright = upright_from_world(found.world_from_body).rotation if begins_at_first else None
+    starts_at_first = np.abs(found.world_from_body[0].as_matrix() - np.eye(4)).max() < 1e-3
+    upright = upright_from_world(found.world_from_body).rotation if starts_at_first else None
     covariances = None
     if found.covariance is not None:
-        turned = found.world_from_body.rotation
-        covariances = turned @ found.covariance[:, :3, :3] @ np.swapaxes(turned, 1, 2)
+        rotated = found.world_from_body.rotation
+        covariances = rotated @ found.covariance[:, :3, :3] @ np.swapaxes(rotated, 1, 2)
     times = found.timestamp_s - found.timestamp_s[0]
     has_times = trajectory_format(path) != "kitti"  # its lines are numbered alone
     instants = PointLayer(
@@ -118,7 +118,7 @@ def scene_of_trajectory(path: Path) -> SpaceScene:
         unit=UNIT_OF_FILE,
         points=(instants,),
         # Many places are a line by themselves, in their colours, which one drawn over them would hide.
-        curves=(path_curve("path", found, FINAL_RGB, is_shown=len(found) < MANY_PLACES),),
+        curves=(path_curve("path", found, FINAL_RGB, is_shown=len(found) < MANY_POSITIONS),),
         upright_from_world=upright,
     )
 
@@ -134,12 +134,12 @@ def scene_of_map(path: Path) -> SpaceScene:
     Raises:
         FileFormatError: it is no map, or damaged.
     """
-    found = sketch_of_map(path)
+    found = summary_of_map(path)
     upright = upright_from_world(found.cams_from_world.inverse()).rotation
     points = found.xyz_in_world
     rgb = np.full((len(points), 3), 200, np.uint8)
     agreed = PointMeasure("keyframes that agree", found.num_agreed.astype(np.float64), "", is_at_least=True)
-    pictures = dict(zip(found.names, found.grey))
+    images = dict(zip(found.names, found.grey))
     n = len(found.names)
     keyframes = CameraLayer(
         "Keyframes",
@@ -147,7 +147,7 @@ def scene_of_map(path: Path) -> SpaceScene:
         found.cams_from_world,
         np.broadcast_to(found.camera.K, (n, 3, 3)).copy(),
         np.broadcast_to([found.camera.width, found.camera.height], (n, 2)).copy(),
-        lambda name: np.repeat(pictures[name][..., None], 3, axis=2),
+        lambda name: np.repeat(images[name][..., None], 3, axis=2),
     )
     words = f"A map of {plural(n, 'keyframe')} and {plural(len(points), 'point')}"
     unit = METRES if found.is_metric else NO_UNIT
@@ -155,7 +155,7 @@ def scene_of_map(path: Path) -> SpaceScene:
     return SpaceScene(path.resolve().name, words, unit, layers, keyframes, upright_from_world=upright)
 
 
-def picture_loader(out: Path) -> Callable[[str], np.ndarray | None]:
+def image_loader(out: Path) -> Callable[[str], np.ndarray | None]:
     """Reads a keyframe's picture from the frames that the path was made from; gives None where they are gone."""
     mark = read_mark(out)
     files: dict[str, Path] = {}
@@ -164,15 +164,15 @@ def picture_loader(out: Path) -> Callable[[str], np.ndarray | None]:
             frames = read_sequence(mark.source.paths[0]).frames
         except EpipoleError:
             frames = ()
-        files = {frame.picture.name: frame.picture for frame in frames}
+        files = {frame.image.name: frame.image for frame in frames}
 
-    def load_picture(name: str) -> np.ndarray | None:
+    def load_image(name: str) -> np.ndarray | None:
         try:
-            return read_rgb(files[name], PICTURE_PX) if name in files else None
+            return read_rgb(files[name], IMAGE_PX) if name in files else None
         except FileFormatError:
             return None
 
-    return load_picture
+    return load_image
 
 
 def _summary(path: Path) -> dict[str, Any]:
@@ -191,5 +191,5 @@ def _frame_numbers(path: Path) -> dict[str, int]:
     if not (path / FRAME_TABLE).is_file():
         return {}
     table = read_frame_table(path / FRAME_TABLE)
-    followed = np.flatnonzero(np.isfinite(table.timestamp_s))
-    return {table.picture[row]: number for number, row in enumerate(followed)}
+    tracked = np.flatnonzero(np.isfinite(table.timestamp_s))
+    return {table.image[row]: number for number, row in enumerate(tracked)}

@@ -14,7 +14,7 @@ from epipole.geometry import Similarity3
 from epipole.io.trajectories.true_trajectories import Truth
 from epipole.io.trajectories.true_trajectories import true_path_at as true_path_at
 from epipole.metrics import absolute_error, associate, score_trajectory
-from epipole.metrics.numbered_truth import at_numbers_of_pictures
+from epipole.metrics.numbered_truth import at_image_numbers
 from epipole.pipelines.slam.output.record import FrameRecord
 from epipole.scene import Trajectory
 
@@ -33,7 +33,7 @@ def truth_at_frames(truth: Truth, records: Sequence[FrameRecord]) -> Trajectory:
     if truth.has_times:
         times = np.array([r.answer.timestamp_s if r.answer else np.nan for r in records])
         names = [record.name for record in records]
-        return at_numbers_of_pictures(truth.trajectory, names, times, MAX_DIFFERENCE_S) or truth.trajectory
+        return at_image_numbers(truth.trajectory, names, times, MAX_DIFFERENCE_S) or truth.trajectory
     rows = np.array([record.number for record in records])
     if len(truth.trajectory) != len(records):
         stems = [Path(record.name).stem for record in records]
@@ -43,9 +43,9 @@ def truth_at_frames(truth: Truth, records: Sequence[FrameRecord]) -> Trajectory:
                 f"the truth holds no times (KITTI's form) and {len(truth.trajectory)} rows for"
                 f" {len(records)} frames: which belong together cannot be told"
             )
-    told = [(row, record.answer.timestamp_s) for row, record in zip(rows, records) if record.answer]
-    places = truth.trajectory.world_from_body[np.array([row for row, _ in told], np.int64)]
-    return Trajectory(np.array([time for _, time in told], np.float64), places)
+    given = [(row, record.answer.timestamp_s) for row, record in zip(rows, records) if record.answer]
+    positions = truth.trajectory.world_from_body[np.array([row for row, _ in given], np.int64)]
+    return Trajectory(np.array([time for _, time in given], np.float64), positions)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

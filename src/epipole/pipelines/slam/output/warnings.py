@@ -13,8 +13,8 @@ from epipole.pipelines.slam.frames import TrackedFrame
 from epipole.pipelines.slam.tracking.static_points import CAMERA_AT_REST, MOVES_ALONG
 from epipole.scene import Trajectory
 
-_PICTURE = re.compile(r"the (?:left |right )?picture is (?:blurred|dark|overexposed|of one shade)")
-LEAST_MOVING, SHARE_MOVING = 5, 0.05
+_IMAGE = re.compile(r"the (?:left |right )?picture is (?:blurred|dark|overexposed|of one shade)")
+LEAST_MOVING, MOVING_FRACTION = 5, 0.05
 """Frames with something that moves, at least so many and such a share, are worth a warning."""
 REST_SIGMAS = 4.0
 """A camera that is never further from its first place, in deviations, rests as far as can be told."""
@@ -23,9 +23,9 @@ LEAST_RESTED = 3
 """Frames with a static part that is assumed to be the scene, for a warning."""
 
 
-def poor_pictures(tracked: Sequence[TrackedFrame]) -> dict[str, int]:
+def poor_images(tracked: Sequence[TrackedFrame]) -> dict[str, int]:
     """In how many frames a picture was blurred, dark, ...; by the words of the reason."""
-    return dict(Counter(words for frame in tracked for words in _PICTURE.findall(frame.reason)))
+    return dict(Counter(words for frame in tracked for words in _IMAGE.findall(frame.reason)))
 
 
 def moving_things(tracked: Sequence[TrackedFrame]) -> dict[str, Any] | None:
@@ -47,23 +47,25 @@ def rest(path: Trajectory) -> str:
     """In words, that the path is no longer than its places are uncertain; empty for one that is."""
     if len(path) < LEAST_RESTING or path.covariance is None:
         return ""
-    places = path.world_from_body
-    furthest = float(np.linalg.norm(places.translation - places.translation[0], axis=1).max())
+    positions = path.world_from_body
+    furthest = float(np.linalg.norm(positions.translation - positions.translation[0], axis=1).max())
     variance = np.trace(path.covariance[:, :3, :3], axis1=1, axis2=2)
     known = variance[np.isfinite(variance) & (variance > 0)]
     if furthest > (REST_SIGMAS * np.sqrt(float(np.median(known))) if len(known) else 0.0):
         return ""
-    turns_deg = np.degrees(np.linalg.norm((places.inverse() @ places[0]).log()[:, 3:], axis=1).max())
-    if turns_deg > MOST_REST_DEG:
-        return f"the camera only turns, by up to {turns_deg:.3g} degrees: no place differs from the first"
-    return f"the camera rests: no place is further than {furthest:.2g} from the first, or turned by more than {turns_deg:.2g} degrees"
+    rotations_deg = np.degrees(
+        np.linalg.norm((positions.inverse() @ positions[0]).log()[:, 3:], axis=1).max()
+    )
+    if rotations_deg > MOST_REST_DEG:
+        return f"the camera only turns, by up to {rotations_deg:.3g} degrees: no place differs from the first"
+    return f"the camera rests: no place is further than {furthest:.2g} from the first, or turned by more than {rotations_deg:.2g} degrees"
 
 
-def doubts(tracked: Sequence[TrackedFrame], path: Trajectory) -> list[str]:
+def warnings(tracked: Sequence[TrackedFrame], path: Trajectory) -> list[str]:
     """Warnings of a finished run, in words."""
-    out = [f"in {count} of {len(tracked)} frames {words}" for words, count in poor_pictures(tracked).items()]
+    out = [f"in {count} of {len(tracked)} frames {words}" for words, count in poor_images(tracked).items()]
     moving = moving_things(tracked)
-    if moving and moving["num_frames"] >= max(LEAST_MOVING, SHARE_MOVING * len(tracked)):
+    if moving and moving["num_frames"] >= max(LEAST_MOVING, MOVING_FRACTION * len(tracked)):
         (left, top), (right, bottom) = moving["low_px"], moving["high_px"]
         out.append(
             f"something moves besides the camera in {moving['num_frames']} of {len(tracked)} frames (at most"
@@ -72,7 +74,7 @@ def doubts(tracked: Sequence[TrackedFrame], path: Trajectory) -> list[str]:
         )
     for assumed, least in (
         (CAMERA_AT_REST, LEAST_RESTED),
-        (MOVES_ALONG, max(LEAST_MOVING, SHARE_MOVING * len(tracked))),
+        (MOVES_ALONG, max(LEAST_MOVING, MOVING_FRACTION * len(tracked))),
     ):
         if (count := sum(assumed in frame.reason for frame in tracked)) >= least:
             out.append(

@@ -78,21 +78,23 @@ def find_readout(mapper: LocalMapper, path: Trajectory) -> ReadoutFound | None:
     motions = motions_at(path, keyframes)
     kept = [k.shift_px for k in keyframes]
 
-    def cost(share: float) -> float:
+    def cost(fraction: float) -> float:
         for keyframe, motion in zip(keyframes, motions):
-            keyframe.shift_px = shutter_shifts(mapper.map, keyframe, motion, mapper.camera, share * interval)
+            keyframe.shift_px = shutter_shifts(
+                mapper.map, keyframe, motion, mapper.camera, fraction * interval
+            )
         return mapper.cost_of(numbers)
 
     try:
         costs = {0.0: cost(0.0)}
-        for share in TRIED:
-            costs[share] = cost(share)
+        for fraction in TRIED:
+            costs[fraction] = cost(fraction)
             if costs[0.5] >= costs[0.0]:
                 return None
         if 1.0 - min(costs.values()) / costs[0.0] < LEAST_GAIN:
             return None
         best = _lowest(costs)
-        near = {share: cost(share) for share in (best - NEAR, best, best + NEAR)}
+        near = {fraction: cost(fraction) for fraction in (best - NEAR, best, best + NEAR)}
     finally:
         for keyframe, shift in zip(keyframes, kept):
             keyframe.shift_px = shift
@@ -101,9 +103,9 @@ def find_readout(mapper: LocalMapper, path: Trajectory) -> ReadoutFound | None:
 
 def _lowest(costs: dict[float, float]) -> float:
     """Where a parabola through the lowest cost and those beside it is lowest."""
-    shares = np.array(sorted(costs))
-    values = np.array([costs[share] for share in shares])
-    middle = int(np.clip(np.argmin(values), 1, len(shares) - 2))
-    a, b, _ = np.polyfit(shares[middle - 1 : middle + 2], values[middle - 1 : middle + 2], 2)
-    lowest = -b / (2.0 * a) if a > 0 else shares[int(np.argmin(values))]
+    fractions = np.array(sorted(costs))
+    values = np.array([costs[fraction] for fraction in fractions])
+    middle = int(np.clip(np.argmin(values), 1, len(fractions) - 2))
+    a, b, _ = np.polyfit(fractions[middle - 1 : middle + 2], values[middle - 1 : middle + 2], 2)
+    lowest = -b / (2.0 * a) if a > 0 else fractions[int(np.argmin(values))]
     return float(np.clip(lowest, NEAR, 1.2))

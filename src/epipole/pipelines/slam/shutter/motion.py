@@ -14,10 +14,10 @@ from epipole.pipelines.slam.shutter.recent_motion import AROUND, motion_among
 from epipole.pipelines.slam.tracking.depth import points_by_disparity
 from epipole.scene import Trajectory
 
-UNKNOWN_SIGMA, FORETOLD_SIGMA, SETTLED_SIGMA = (0.5, 15.0), (0.3, 8.0), (0.01, 0.3)
+UNKNOWN_SIGMA, FORETOLD_SIGMA, CONVERGED_SIGMA = (0.5, 15.0), (0.3, 8.0), (0.01, 0.3)
 """Of a frame's speed, and of its change, in radians, or depths of the scene, per second (squared): where nothing is known of it,
 against that by the frames before, and by those on both sides. A looser one lets a bent map, and motions that undo it, agree."""
-STEPS, SETTLED = 8, 1e-7
+STEPS, CONVERGED = 8, 1e-7
 LONGEST_GAP = 3.0
 """Between a keyframe and the frames beside it, in median gaps: over a longer one its motion is not known."""
 
@@ -62,10 +62,10 @@ def shutter_shifts(
     if readout_s == 0 or not len(keyframe.point):
         return np.zeros((len(keyframe.point), 3))
     in_cam = keyframe.cam_from_world.apply(model.xyz[keyframe.point])
-    placed = in_cam[:, 2] > 0
+    localized = in_cam[:, 2] > 0
     rays = camera.unproject(keyframe.pixels)
-    far = rays / rays[:, 2:] * (np.median(in_cam[placed, 2]) if placed.any() else 1.0)
-    in_cam = np.where(placed[:, None], in_cam, far)
+    far = rays / rays[:, 2:] * (np.median(in_cam[localized, 2]) if localized.any() else 1.0)
+    in_cam = np.where(localized[:, None], in_cam, far)
     moved = Rigid3.exp(_moved(motion, _late(keyframe.pixels, camera, readout_s))).apply(in_cam)
     nearer = keyframe.disparity_px * (moved[:, 2] / in_cam[:, 2] - 1.0)
     shift = np.column_stack([camera.project(in_cam) - camera.project(moved), nearer])
@@ -114,17 +114,17 @@ def straighten(
     What the rows tell of the motion refines it, within what the frames around it allow; it is not kept, for a map that bends,
     and a motion that bends with it, would follow each other.
     """
-    motion, placed = keyframe.motion, model.is_triangulated(keyframe.point)
-    if placed.sum() >= least_points and motion.any():
-        xyz, pixels = model.xyz[keyframe.point[placed]], keyframe.pixels[placed]
+    motion, localized = keyframe.motion, model.is_triangulated(keyframe.point)
+    if localized.sum() >= least_points and motion.any():
+        xyz, pixels = model.xyz[keyframe.point[localized]], keyframe.pixels[localized]
         known = camera, keyframe.cam_from_world, motion, readout_s
-        _, motion, _ = refine_while_moving(xyz, pixels, *known, sigma=SETTLED_SIGMA)
+        _, motion, _ = refine_while_moving(xyz, pixels, *known, sigma=CONVERGED_SIGMA)
     keyframe.shift_px = shutter_shifts(model, keyframe, motion, camera, readout_s)
 
 
 def straighten_recent(model: SlamMap, camera: Camera, readout_s: float) -> None:
     """Tell the last keyframes' motions by the frames around them."""
-    motions = model.recent.settled()
+    motions = model.recent.converged()
     for keyframe in model.keyframes[-AROUND:]:
         motion = motions.get(keyframe.timestamp_s)
         if motion is not None and motion.any():
@@ -160,13 +160,13 @@ def refine_while_moving(
         cam_from_world in the middle of the readout, the motion, and the squared errors (n,).
     """
     late = _late(pixels, camera, readout_s)
-    place, given, motion = start, motion, motion.copy()
+    position, given, motion = start, motion, motion.copy()
     depth = max(float(np.median(start.apply(points_in_world)[:, 2])), 1e-6)
     unit = np.array([depth, depth, depth, 1.0, 1.0, 1.0])
     deviation = np.concatenate([sigma[0] * unit, sigma[1] * unit])
     error_sq = np.full(len(pixels), np.inf)
     for _ in range(STEPS):
-        moved = Rigid3.exp(_moved(motion, late)).apply(place.apply(points_in_world))
+        moved = Rigid3.exp(_moved(motion, late)).apply(position.apply(points_in_world))
         off = camera.project(moved) - pixels
         error_sq = (off**2).sum(axis=1)
         seen = np.isfinite(error_sq) & (moved[:, 2] > 0)
@@ -180,10 +180,10 @@ def refine_while_moving(
         normal[range(6, 18), range(6, 18)] += 1.0 / deviation**2
         gradient[6:] += (motion - given) / deviation**2
         step = -np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal)), gradient)
-        place, motion = Rigid3.exp(step[:6]) @ place, motion + step[6:]
-        if np.abs(step[:6]).max() < SETTLED:
+        position, motion = Rigid3.exp(step[:6]) @ position, motion + step[6:]
+        if np.abs(step[:6]).max() < CONVERGED:
             break
-    return place, motion, np.where(np.isfinite(error_sq), error_sq, np.inf)
+    return position, motion, np.where(np.isfinite(error_sq), error_sq, np.inf)
 
 
 def _late(pixels: np.ndarray, camera: Camera, readout_s: float) -> np.ndarray:

@@ -31,7 +31,7 @@ class RecentMotion:
         self.steps: list[Rigid3] = []
         self.has_dropped = False
 
-    def begin_at(self, timestamp_s: float) -> RecentMotion:
+    def start_at(self, timestamp_s: float) -> RecentMotion:
         """The same where this was the last frame; else one that begins with it."""
         if self.times and self.times[-1] == timestamp_s:
             return self
@@ -66,7 +66,7 @@ class RecentMotion:
         """(12,) of the last frame."""
         return self.motion(len(self.times) - 1, max(len(self.times) - BEFORE, 0))
 
-    def settled(self) -> dict[float, np.ndarray]:
+    def converged(self) -> dict[float, np.ndarray]:
         """Motions (12,) of frames of which as much is known as ever will be, by their times; at first of all frames."""
         frames = [AROUND // 2] if self.has_dropped else range(len(self.times))
         return {self.times[frame]: self.motion(frame) for frame in frames}

@@ -25,7 +25,7 @@ from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
 from epipole.pipelines.slam.sources.depth_range import DepthRange
 from epipole.scene import StereoRig
 
-ReadPicture = Callable[[Path], UInt8[np.ndarray, "h w"]]
+ReadImage = Callable[[Path], UInt8[np.ndarray, "h w"]]
 
 FAR_MM = 65535
 """What depth cameras write where they see nothing, besides zero."""
@@ -76,9 +76,9 @@ class Preparation:
     """Of a grey picture of the (left) camera, as the frame has it."""
 
 
-def of_one_camera(lens: Camera) -> Preparation:
+def of_one_camera(intrinsics: Camera) -> Preparation:
     """Pictures as they are."""
-    return Preparation(SlamCamera(lens), Rigid3.identity(), Frame)
+    return Preparation(SlamCamera(intrinsics), Rigid3.identity(), Frame)
 
 
 def of_pair(rig: StereoRig) -> Preparation:
@@ -93,45 +93,45 @@ def of_pair(rig: StereoRig) -> Preparation:
         return Preparation(SlamCamera(rig.left, rig.baseline), Rigid3.identity(), Frame)
     found = rectify(rig)
     flat = found.rig
-    lens = Camera(
+    intrinsics = Camera(
         CameraModel.PINHOLE, *found.size, np.array([flat.focal_px, flat.focal_px, flat.cx, flat.cy])
     )
-    turned = Rigid3(found.rectified_from_left.T.copy(), np.zeros(3))
+    rotated = Rigid3(found.rectified_from_left.T.copy(), np.zeros(3))
     prepared = partial(_rectified, rig, found)
     return Preparation(
-        SlamCamera(lens, rig.baseline),
-        turned,
+        SlamCamera(intrinsics, rig.baseline),
+        rotated,
         prepared,
-        flat=lambda picture: found.apply(picture, picture)[0],
+        flat=lambda image: found.apply(image, image)[0],
     )
 
 
-def of_depth(lens: Camera, sensor: Camera | None, depth_from_color: Rigid3 | None) -> Preparation:
+def of_depth(intrinsics: Camera, sensor: Camera | None, depth_from_color: Rigid3 | None) -> Preparation:
     """Pictures with depth, undistorted.
 
     Args:
-        lens: of the pictures.
+        intrinsics: of the pictures.
         sensor: of the depth; None: registered to the pictures, with their distortion.
         depth_from_color: None: registered, or of one place.
     """
-    flat = lens if lens.model == CameraModel.PINHOLE else undistorted_camera(lens)
-    table = None if flat is lens else undistortion_map_px(lens, flat)
-    depth_camera = DepthCamera(sensor or lens, depth_from_color or Rigid3.identity())
+    flat = intrinsics if intrinsics.model == CameraModel.PINHOLE else undistorted_camera(intrinsics)
+    table = None if flat is intrinsics else undistortion_map_px(intrinsics, flat)
+    depth_camera = DepthCamera(sensor or intrinsics, depth_from_color or Rigid3.identity())
     ranges = DepthRange()
 
-    def flat_picture(grey: np.ndarray) -> np.ndarray:
+    def flat_image(grey: np.ndarray) -> np.ndarray:
         if table is None:
             return grey
-        _require_size("picture", grey, lens)
+        _require_size("picture", grey, intrinsics)
         return cv2.remap(grey, table[..., 0], table[..., 1], cv2.INTER_LINEAR)
 
     def frame(seconds: float, grey: np.ndarray, depth: np.ndarray) -> Frame:
-        grey = flat_picture(grey)
+        grey = flat_image(grey)
         ranges.add(depth)
         return Frame(seconds, grey, None, depth)
 
     camera = SlamCamera(flat, None, depth_camera)
-    return Preparation(camera, Rigid3.identity(), frame, ranges.notes, flat_picture)
+    return Preparation(camera, Rigid3.identity(), frame, ranges.notes, flat_image)
 
 
 def open_sequence(
@@ -152,38 +152,38 @@ def open_sequence(
         ConfigError: the intrinsics are not known, the sensor asked for is not there, or no picture has a mask.
     """
     kind = _kind_of(sequence, sensor)
-    if masks is not None and not any(mask_of(masks, files.picture.name) for files in sequence.frames):
+    if masks is not None and not any(mask_of(masks, files.image.name) for files in sequence.frames):
         raise ConfigError(f"no picture has a mask in {masks} (NAME.png beside the picture's name)")
-    lens = sequence.camera if camera is None else camera
-    if lens is None:
+    intrinsics = sequence.camera if camera is None else camera
+    if intrinsics is None:
         why = sequence.camera_problem or next((w for w in sequence.warnings if CALIBRATION_NOT_USED in w), "")
         why = f"{why}. " if why else ""
         raise ConfigError(
             f"{why}Unknown camera intrinsics for {sequence.kind.value}: pass --camera-params fx,fy,cx,cy or --calibration FILE"
         )
-    notes = [] if camera is not None else _fit_to_folder(sequence, lens)
+    notes = [] if camera is not None else _fit_to_folder(sequence, intrinsics)
     if kind == "stereo":
         if camera is not None:
             raise ConfigError("the folder's calibration of both cameras is used: give no other")
         assert sequence.rig is not None
         made, read = of_pair(sequence.rig), _read_pair
     elif kind == "mono":
-        made, read = of_one_camera(lens), _read_one
+        made, read = of_one_camera(intrinsics), _read_one
     else:
         assert sequence.depth is not None
-        made = of_depth(lens, sequence.depth.camera, sequence.depth.depth_from_color)
+        made = of_depth(intrinsics, sequence.depth.camera, sequence.depth.depth_from_color)
         read = partial(_read_with_depth, unit=sequence.depth.unit)
 
     read = partial(read, made)
 
     def frames() -> Generator[QueuedFrame, None, None]:
         # All frames are mapped alike: tracking compares their grey.
-        limits = common_range([files.picture for files in sequence.frames])
-        turning = _Turning(sequence.frames[0], limits)
+        limits = common_range([files.image for files in sequence.frames])
+        rotation_tracker = _ImageRotation(sequence.frames[0], limits)
         for number, files in enumerate(sequence.frames):
-            plain = partial(read, turning, files)
-            masked = plain if masks is None else partial(_with_mask, plain, made, masks, files.picture)
-            yield QueuedFrame(number, files.timestamp_s, files.picture.name, masked)
+            plain = partial(read, rotation_tracker, files)
+            masked = plain if masks is None else partial(_with_mask, plain, made, masks, files.image)
+            yield QueuedFrame(number, files.timestamp_s, files.image.name, masked)
 
     return FrameSource(
         made.camera,
@@ -206,7 +206,7 @@ def _about(sequence: ImageSequence, kind: str, *, is_camera_given: bool) -> dict
     return out
 
 
-def _fit_to_folder(sequence: ImageSequence, lens: Camera) -> list[str]:
+def _fit_to_folder(sequence: ImageSequence, intrinsics: Camera) -> list[str]:
     """Check that a camera of the folder is of its upright images; one image alone may be damaged. Gives what is odd about it.
 
     Raises:
@@ -215,28 +215,28 @@ def _fit_to_folder(sequence: ImageSequence, lens: Camera) -> list[str]:
     shapes = []
     for row in sorted({0, len(sequence) // 2, len(sequence) - 1}):
         try:
-            header = read_header(sequence.frames[row].picture)
+            header = read_header(sequence.frames[row].image)
         except FileFormatError:
             continue
         shapes.append(ImageShape(header.width, header.height, header.orientation))
     sizes = {(shape.width, shape.height) for shape in shapes}
-    if sizes and (lens.width, lens.height) not in sizes:
+    if sizes and (intrinsics.width, intrinsics.height) not in sizes:
         size = " x ".join(map(str, sizes.pop()))
         raise ConfigError(
-            f"the camera ({sequence.camera_source}) is of images of {lens.width} x {lens.height} pixels, but these are {size}: pass"
+            f"the camera ({sequence.camera_source}) is of images of {intrinsics.width} x {intrinsics.height} pixels, but these are {size}: pass"
             " --camera-params fx,fy,cx,cy or --calibration FILE"
         )
-    return fit_notes(lens, shapes[:1], ImagePixels.UPRIGHT, f"the camera ({sequence.camera_source})")
+    return fit_notes(intrinsics, shapes[:1], ImagePixels.UPRIGHT, f"the camera ({sequence.camera_source})")
 
 
-def _with_mask(plain: Callable[[], Frame], made: Preparation, masks: Path, picture: Path) -> Frame:
+def _with_mask(plain: Callable[[], Frame], made: Preparation, masks: Path, image: Path) -> Frame:
     frame = plain()
-    used_mask = read_mask(masks, picture.name)
+    used_mask = read_mask(masks, image.name)
     if used_mask is None:
         return frame
     ignored_mask = made.flat(np.where(used_mask, 0, 255).astype(np.uint8)) > 0
     if ignored_mask.shape != frame.grey.shape:
-        raise ShapeError(f"the mask of {picture.name} is not of its size")
+        raise ShapeError(f"the mask of {image.name} is not of its size")
     return replace(frame, ignored_mask=ignored_mask)
 
 
@@ -255,7 +255,7 @@ def _kind_of(sequence: ImageSequence, sensor: str) -> str:
     return "rgbd" if sequence.depth is not None else "stereo" if has_right else "mono"
 
 
-class _Turning:
+class _ImageRotation:
     """Reads the images of each camera turned as its first one: a sensor stays as it is mounted, whatever EXIF says later."""
 
     def __init__(self, first: FrameFiles, limits: GreyRange | None) -> None:
@@ -264,7 +264,7 @@ class _Turning:
 
     @cached_property
     def _left(self) -> int | None:
-        return _orientation_of(self._first.picture)
+        return _orientation_of(self._first.image)
 
     @cached_property
     def _right(self) -> int | None:
@@ -273,7 +273,7 @@ class _Turning:
 
     def left(self, files: FrameFiles) -> np.ndarray:
         """The grey image of the (left) camera."""
-        return read_grey(files.picture, limits=self._limits, orientation=self._left)
+        return read_grey(files.image, limits=self._limits, orientation=self._left)
 
     def right(self, files: FrameFiles) -> np.ndarray:
         """The grey image of the right camera."""
@@ -289,19 +289,21 @@ def _orientation_of(path: Path) -> int | None:
         return None
 
 
-def _read_one(made: Preparation, turning: _Turning, files: FrameFiles) -> Frame:
-    return made.frame(files.timestamp_s, turning.left(files))
+def _read_one(made: Preparation, rotation_tracker: _ImageRotation, files: FrameFiles) -> Frame:
+    return made.frame(files.timestamp_s, rotation_tracker.left(files))
 
 
-def _read_pair(made: Preparation, turning: _Turning, files: FrameFiles) -> Frame:
-    return made.frame(files.timestamp_s, turning.left(files), turning.right(files))
+def _read_pair(made: Preparation, rotation_tracker: _ImageRotation, files: FrameFiles) -> Frame:
+    return made.frame(files.timestamp_s, rotation_tracker.left(files), rotation_tracker.right(files))
 
 
-def _read_with_depth(made: Preparation, turning: _Turning, files: FrameFiles, *, unit: float) -> Frame:
+def _read_with_depth(
+    made: Preparation, rotation_tracker: _ImageRotation, files: FrameFiles, *, unit: float
+) -> Frame:
     assert files.depth is not None
     depth = np.nan_to_num(read_png16(files.depth, 1.0), nan=0.0)
     depth = np.where(depth == FAR_MM, 0.0, depth / unit).astype(np.float32)
-    return made.frame(files.timestamp_s, turning.left(files), depth)
+    return made.frame(files.timestamp_s, rotation_tracker.left(files), depth)
 
 
 def _rectified(
@@ -312,8 +314,8 @@ def _rectified(
     return Frame(seconds, *found.apply(left, right))
 
 
-def _require_size(what: str, picture: np.ndarray, camera: Camera) -> None:
+def _require_size(what: str, image: np.ndarray, camera: Camera) -> None:
     """A table of pixels would read others of a picture of another size."""
-    if picture.shape != (camera.height, camera.width):
-        size = f"{picture.shape[1]} x {picture.shape[0]}"
+    if image.shape != (camera.height, camera.width):
+        size = f"{image.shape[1]} x {image.shape[0]}"
         raise ShapeError(f"the {what} is {size}, its camera's {camera.width} x {camera.height}")

@@ -100,15 +100,15 @@ class FrameStream:
         if first is None:
             return
         yield first
-        begin_s = self._clock.now_s() - first.timestamp_s
-        held = next(frames, None)
-        while held is not None:
-            now_s = self._clock.now_s() - begin_s
+        start_s = self._clock.now_s() - first.timestamp_s
+        waiting = next(frames, None)
+        while waiting is not None:
+            now_s = self._clock.now_s() - start_s
             following = next(frames, None)
             while following is not None and following.timestamp_s <= now_s:
                 self.num_dropped += 1
-                held, following = following, next(frames, None)
-            if held.timestamp_s > now_s:
-                self._clock.wait(held.timestamp_s - now_s)
-            yield held
-            held = following
+                waiting, following = following, next(frames, None)
+            if waiting.timestamp_s > now_s:
+                self._clock.wait(waiting.timestamp_s - now_s)
+            yield waiting
+            waiting = following

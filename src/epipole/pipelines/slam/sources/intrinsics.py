@@ -16,7 +16,7 @@ import numpy as np
 
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, EpipoleError, NoModelError
-from epipole.features.flow import follow_points
+from epipole.features.flow import track_points
 from epipole.geometry import Rigid3
 from epipole.image.encoding import encoded_image
 from epipole.io.bags.recording import is_bag
@@ -35,12 +35,12 @@ from epipole.pipelines.slam.sources.streams import camera_index
 from epipole.pipelines.slam.tracking.corners import new_corners
 from epipole.runs import Progress, ProgressCallback
 
-MOST_PICTURES, LEAST_PICTURES = 30, 8
+MOST_IMAGES, LEAST_IMAGES = 30, 8
 MOST_FRAMES = 1500
 """That are looked at."""
 APART = 0.12
 """Of the picture's width: what points move by from one picture to the next that is taken."""
-LEAST_FOLLOWED = 80
+LEAST_TRACKED = 80
 MOST_SIGMA = 0.005
 """Of the focal length, as a share of it. In rooms and on an arc it was 0.1 to 0.3 %. On a street and before a cube it was 0.8 and 0.9 %, and
 the focal lengths were 3 and 8 % off: the lens has more than one number of distortion, its middle is not the picture's."""
@@ -52,7 +52,7 @@ class FoundCamera:
     """A camera, and what it was found from."""
 
     camera: Camera
-    num_pictures: int
+    num_images: int
     """0 where it is that of the map that is gone on in."""
     sigma_px: float
     """Standard deviation of its focal length."""
@@ -61,10 +61,10 @@ class FoundCamera:
 
     def notes(self) -> list[str]:
         """What a user should know."""
-        if not self.num_pictures:
+        if not self.num_images:
             return ["nothing tells the camera: it is taken to be that which made the map"]
         return [
-            f"nothing tells the camera: it was found from {self.num_pictures} of the pictures ({self.camera}; focal length "
+            f"nothing tells the camera: it was found from {self.num_images} of the pictures ({self.camera}; focal length "
             f"+- {self.sigma_px:.1f} px). A calibration is more accurate",
             *(f"estimating the camera: {loss}" for loss in self.losses),
         ]
@@ -72,36 +72,34 @@ class FoundCamera:
     @property
     def source(self) -> str:
         """Where it comes from, in words."""
-        return (
-            f"found from {self.num_pictures} of the images" if self.num_pictures else "that of the known map"
-        )
+        return f"found from {self.num_images} of the images" if self.num_images else "that of the known map"
 
     def summary(self) -> dict[str, Any]:
         """For the run's summary."""
         return {
             "camera": repr(self.camera),
-            "pictures": self.num_pictures,
+            "pictures": self.num_images,
             "focal_sigma_px": self.sigma_px,
             "warnings": list(self.losses),
         }
 
     def write(self, path: Path) -> None:
         """Write a calibration, for the next run."""
-        lens = CalibrationFile((self.camera,), Rigid3.identity(1))
+        intrinsics = CalibrationFile((self.camera,), Rigid3.identity(1))
         write_calibration(
-            path, lens, {"found_from_pictures": self.num_pictures, "focal_sigma_px": self.sigma_px}
+            path, intrinsics, {"found_from_pictures": self.num_images, "focal_sigma_px": self.sigma_px}
         )
 
 
-class _Picture(NamedTuple):
+class _Image(NamedTuple):
     grey: np.ndarray
     file: Path | None
 
 
-class _Pictures(NamedTuple):
+class _Images(NamedTuple):
     num: int
     """As announced."""
-    each: Generator[_Picture, None, None]
+    each: Generator[_Image, None, None]
 
 
 def find_camera(
@@ -121,58 +119,58 @@ def find_camera(
     """
     if given.camera_params or given.calibration or is_bag(source) or camera_index(source) is not None:
         return None
-    pictures = _pictures(source, job)
-    if pictures is None:
+    images = _images(source, job)
+    if images is None:
         return None
     if job.map is not None:
         return FoundCamera(camera_of_map(job.map), 0, 0.0)
-    return _camera_of(pictures, job, given, progress)
+    return _camera_of(images, job, given, progress)
 
 
-def _pictures(source: Path, job: JobOptions) -> _Pictures | None:
+def _images(source: Path, job: JobOptions) -> _Images | None:
     """The pictures of a video or a folder; None of a folder that tells its camera, or is not of one camera."""
     if is_video(source):
-        return _Pictures(count_frames(source)[0], _of_video(opened_video(source)))
+        return _Images(count_frames(source)[0], _of_video(opened_video(source)))
     sequence = read_sequence(source, job.fps)
     is_known = sequence.camera or sequence.camera_problem or sequence.rig or sequence.depth
     if job.sensor not in ("auto", "mono") or is_known:
         return None  # what lies beside the images but does not fit them is refused where they are opened
-    read_header(sequence.frames[0].picture)  # an image of another kind is refused with the reason
-    return _Pictures(len(sequence), _of_files([frame.picture for frame in sequence.frames]))
+    read_header(sequence.frames[0].image)  # an image of another kind is refused with the reason
+    return _Images(len(sequence), _of_files([frame.image for frame in sequence.frames]))
 
 
-def _of_video(video: cv2.VideoCapture) -> Generator[_Picture, None, None]:
+def _of_video(video: cv2.VideoCapture) -> Generator[_Image, None, None]:
     try:
         while True:
-            is_read, picture = video.read()
+            is_read, image = video.read()
             if not is_read:
                 return
-            yield _Picture(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), None)
+            yield _Image(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), None)
     finally:
         video.release()
 
 
-def _of_files(files: Iterable[Path]) -> Generator[_Picture, None, None]:
+def _of_files(files: Iterable[Path]) -> Generator[_Image, None, None]:
     for file in files:
         try:
-            yield _Picture(read_grey(file), file)
+            yield _Image(read_grey(file), file)
         except EpipoleError:
             continue  # it is named when its turn comes to be followed
 
 
 def _camera_of(
-    pictures: _Pictures, job: JobOptions, given: CameraOptions, progress: ProgressCallback
+    images: _Images, job: JobOptions, given: CameraOptions, progress: ProgressCallback
 ) -> FoundCamera:
-    num = max(0, min(job.max_frames or MOST_FRAMES, MOST_FRAMES, (pictures.num - job.start) // job.stride))
-    wanted = islice(pictures.each, job.start, job.start + num * job.stride, job.stride)
-    with tempfile.TemporaryDirectory(prefix="epipole-camera-") as name, closing(pictures.each):
+    num = max(0, min(job.max_frames or MOST_FRAMES, MOST_FRAMES, (images.num - job.start) // job.stride))
+    wanted = islice(images.each, job.start, job.start + num * job.stride, job.stride)
+    with tempfile.TemporaryDirectory(prefix="epipole-camera-") as name, closing(images.each):
         folder = Path(name) / "pictures"
         folder.mkdir()
-        selected = _select(_counted(wanted, num, progress), max(1, num // MOST_PICTURES), folder)
+        selected = _select(_counted(wanted, num, progress), max(1, num // MOST_IMAGES), folder)
         progress(Progress("choose", num, num))
-        if len(selected) < LEAST_PICTURES:
+        if len(selected) < LEAST_IMAGES:
             raise ConfigError(
-                f"nothing tells the camera, and {len(selected)} pictures are too few to find it ({LEAST_PICTURES} are needed): "
+                f"nothing tells the camera, and {len(selected)} pictures are too few to find it ({LEAST_IMAGES} are needed): "
                 f"{ADVICE}"
             )
         model: dict[str, Any] = {} if given.camera_model is None else {"camera_model": given.camera_model}
@@ -190,15 +188,13 @@ def _camera_of(
         return _judged(found, losses)
 
 
-def _counted(
-    pictures: Iterable[_Picture], num: int, progress: ProgressCallback
-) -> Generator[_Picture, None, None]:
-    for n, picture in enumerate(pictures):
+def _counted(images: Iterable[_Image], num: int, progress: ProgressCallback) -> Generator[_Image, None, None]:
+    for n, image in enumerate(images):
         progress(Progress("choose", min(n, num - 1), num))
-        yield picture
+        yield image
 
 
-def _select(pictures: Iterable[_Picture], usual: int, folder: Path) -> dict[str, str]:
+def _select(images: Iterable[_Image], usual: int, folder: Path) -> dict[str, str]:
     """Write every so-many-th of the pictures, and those between where the points have moved by a part of the width.
 
     Returns:
@@ -206,7 +202,7 @@ def _select(pictures: Iterable[_Picture], usual: int, folder: Path) -> dict[str,
     """
     view, since = _View(), 0
     selected: dict[str, str] = {}
-    for number, (grey, file) in enumerate(pictures):
+    for number, (grey, file) in enumerate(images):
         since += 1
         if not view.is_apart(grey) and selected and since < usual:
             continue
@@ -215,9 +211,9 @@ def _select(pictures: Iterable[_Picture], usual: int, folder: Path) -> dict[str,
             name.write_bytes(encoded_image(".png", grey))
         else:
             copyfile(file, name)  # with what it says of its lens
-        view.begin(grey)
+        view.start(grey)
         selected[name.name], since = f"image {number}" if file is None else file.name, 0
-        if len(selected) == MOST_PICTURES:
+        if len(selected) == MOST_IMAGES:
             break
     return selected
 
@@ -228,20 +224,20 @@ class _View:
     def __init__(self) -> None:
         self._config = SlamConfig()
         self._before: np.ndarray | None = None
-        self._begin = self._now = np.zeros((0, 2))
+        self._initialize = self._now = np.zeros((0, 2))
 
-    def begin(self, grey: np.ndarray) -> None:
+    def start(self, grey: np.ndarray) -> None:
         self._before = grey
-        self._begin = self._now = new_corners(grey, np.zeros((0, 2)), self._config)
+        self._initialize = self._now = new_corners(grey, np.zeros((0, 2)), self._config)
 
     def is_apart(self, grey: np.ndarray) -> bool:
         """Whether the points have moved, or are gone; the next picture in turn."""
         if self._before is None or self._before.shape != grey.shape:
             return self._before is None
-        there, found_mask = follow_points(self._before, grey, self._now, None, self._config.flow)
-        self._before, self._now, self._begin = grey, there[found_mask], self._begin[found_mask]
-        shift = np.linalg.norm(self._now - self._begin, axis=1)
-        return len(shift) < LEAST_FOLLOWED or float(np.median(shift)) > APART * grey.shape[1]
+        there, found_mask = track_points(self._before, grey, self._now, None, self._config.flow)
+        self._before, self._now, self._initialize = grey, there[found_mask], self._initialize[found_mask]
+        shift = np.linalg.norm(self._now - self._initialize, axis=1)
+        return len(shift) < LEAST_TRACKED or float(np.median(shift)) > APART * grey.shape[1]
 
 
 def _judged(found: ReconstructionResult, losses: Iterable[str]) -> FoundCamera:
@@ -251,25 +247,25 @@ def _judged(found: ReconstructionResult, losses: Iterable[str]) -> FoundCamera:
         ConfigError: they do not.
     """
     count = int(found.model.is_registered().sum())
-    if count < LEAST_PICTURES:
+    if count < LEAST_IMAGES:
         raise ConfigError(
             f"nothing tells the camera, and only {count} of the pictures that should tell it fit together: {ADVICE}"
         )
     config, problem = BundleConfig(loss=Loss.CAUCHY), with_fixed_gauge(bundle_problem_of(found.model))
     result = adjust_bundle(problem, config)
     spread = bundle_covariance(problem, result, config, clustered=True).camera_params[0, 0, 0]
-    lens = found.model.cameras[0]
+    intrinsics = found.model.cameras[0]
     sigma_px = float(np.sqrt(spread))
-    if not sigma_px <= MOST_SIGMA * lens.focal_px:
-        known = f"to {sigma_px / lens.focal_px:.1%} alone" if np.isfinite(sigma_px) else "not at all"
+    if not sigma_px <= MOST_SIGMA * intrinsics.focal_px:
+        known = f"to {sigma_px / intrinsics.focal_px:.1%} alone" if np.isfinite(sigma_px) else "not at all"
         raise ConfigError(
             f"nothing tells the camera, and the pictures tell its focal length {known}: {ADVICE}. What they agree with best is "
-            f"--camera-model {lens.model.name} --camera-params {text_of_camera(lens)}"
+            f"--camera-model {intrinsics.model.name} --camera-params {text_of_camera(intrinsics)}"
         )
-    return FoundCamera(lens, count, _honest_sigma_px(found, sigma_px), tuple(losses))
+    return FoundCamera(intrinsics, count, _honest_sigma_px(found, sigma_px), tuple(losses))
 
 
 def _honest_sigma_px(found: ReconstructionResult, formal_px: float) -> float:
     """The deviation of the focal length that the reconstruction tells, with what its lens lacks; else the formal one."""
-    told = [focal["sigma_px"] for focal in found.summary.get("focals", []) if focal["camera"] == 0]
-    return max(formal_px, float(told[0])) if told and told[0] is not None else formal_px
+    given = [focal["sigma_px"] for focal in found.summary.get("focals", []) if focal["camera"] == 0]
+    return max(formal_px, float(given[0])) if given and given[0] is not None else formal_px

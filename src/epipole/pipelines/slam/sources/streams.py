@@ -67,21 +67,21 @@ def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = N
             "nothing tells the camera of a video: give camera_params (fx,fy,cx,cy), or a calibration"
         )
     rate = rate if 0 < rate < 1e4 else _USUAL_HZ
-    lens, notes = known
+    intrinsics, notes = known
     end = "the video ends after {} of {} announced frames"
-    made, counted = of_one_camera(lens), _Counted(count if is_counted else 0, end)
+    made, counted = of_one_camera(intrinsics), _Counted(count if is_counted else 0, end)
 
     def frames() -> Generator[QueuedFrame, None, None]:
         video, seconds = opened_video(path), -1.0 / rate
         try:
             while True:
-                is_read, picture = video.read()
+                is_read, image = video.read()
                 if not is_read:
                     counted.is_over = True
                     return
-                told = video.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
-                seconds = told if told > seconds and counted.num else seconds + 1.0 / rate
-                yield _queued(counted.num, seconds, partial(_of_color, made, seconds, picture))
+                position_s = video.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
+                seconds = position_s if position_s > seconds and counted.num else seconds + 1.0 / rate
+                yield _queued(counted.num, seconds, partial(_of_color, made, seconds, image))
                 counted.num += 1
         finally:
             video.release()
@@ -138,17 +138,17 @@ def open_camera(
     if not is_read:
         capture.release()
         raise ConfigError(f"camera {index} gives no picture: another program may use it")
-    lens = given.camera((first.shape[1], first.shape[0]))
-    if lens is None:
+    intrinsics = given.camera((first.shape[1], first.shape[0]))
+    if intrinsics is None:
         capture.release()
         raise ConfigError(
             "nothing tells the intrinsics of a camera: give camera_params (fx,fy,cx,cy), or a calibration"
         )
-    made, newest = of_one_camera(lens), _Newest(capture, clock)
+    made, newest = of_one_camera(intrinsics), _Newest(capture, clock)
 
     def frames() -> Generator[QueuedFrame, None, None]:
-        for number, seconds, picture in newest.pictures():
-            yield _queued(number, seconds, partial(_of_color, made, seconds, picture))
+        for number, seconds, image in newest.images():
+            yield _queued(number, seconds, partial(_of_color, made, seconds, image))
 
     about = {"layout": "camera", "sensor": "mono", "camera_source": _GIVEN}
     return FrameSource(made.camera, 0, frames, made.body_from_camera, is_live=True, about=about)
@@ -176,7 +176,7 @@ class _Newest:
         self._newest: tuple[int, float, np.ndarray] | None = None
         self._is_over = False
 
-    def pictures(self) -> Iterator[tuple[int, float, np.ndarray]]:
+    def images(self) -> Iterator[tuple[int, float, np.ndarray]]:
         """Number, seconds and pixels of the newest picture, each once, until the camera ends or the caller does."""
         thread = threading.Thread(target=self._read, daemon=True)
         thread.start()
@@ -197,11 +197,11 @@ class _Newest:
     def _read(self) -> None:
         number = 0
         while not self._is_over:
-            is_read, picture = self._capture.read()
+            is_read, image = self._capture.read()
             seconds = self._clock()
             with self._changed:
                 if is_read:
-                    self._newest = (number, seconds, picture)
+                    self._newest = (number, seconds, image)
                 else:
                     self._is_over = True
                 self._changed.notify()
@@ -228,14 +228,14 @@ def _preparation_of(bag: BagSequence, given: CameraOptions) -> Preparation:
                 f"no CameraInfo of {bag.path} tells both cameras and the baseline: give a calibration of both"
             )
         return of_pair(rig)
-    lens = given.camera(bag.size) or bag.camera
-    if lens is None:
+    intrinsics = given.camera(bag.size) or bag.camera
+    if intrinsics is None:
         raise ConfigError(
             f"no CameraInfo of {bag.path} tells the camera: give camera_params, or a calibration"
         )
     if bag.sensor == "mono":
-        return of_one_camera(lens)
-    return of_depth(lens, bag.depth_camera, bag.depth_from_color)
+        return of_one_camera(intrinsics)
+    return of_depth(intrinsics, bag.depth_camera, bag.depth_from_color)
 
 
 def _queued(number: int, seconds: float, read: Callable[[], Frame]) -> QueuedFrame:
@@ -274,6 +274,6 @@ def _about_bag(bag: BagSequence, given: CameraOptions) -> dict[str, Any]:
     return out
 
 
-def _of_color(made: Preparation, seconds: float, picture: np.ndarray) -> Frame:
-    grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+def _of_color(made: Preparation, seconds: float, image: np.ndarray) -> Frame:
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     return made.frame(seconds, grey)

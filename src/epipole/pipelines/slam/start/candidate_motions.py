@@ -22,14 +22,14 @@ from epipole.robust import estimate_homography, triangulate_points
 from epipole.robust.ray_matches import Matches
 
 PLANE_ERROR_PX = 2.0
-MIN_PLACED, JUDGING_ITERATIONS, JUDGING_ROUNDS = 20, 20, 3
-JUDGED_SHARE = 0.8
+MIN_TRIANGULATED, JUDGING_ITERATIONS, JUDGING_ROUNDS = 20, 20, 3
+JUDGED_FRACTION = 0.8
 """Fraction of the points that count, those that fit best: tracks of the others may have drifted."""
-BEFORE_SHARE = 0.5
+BEFORE_FRACTION = 0.5
 """Minimum fraction of a plane's points in front of the camera. Not all: noise moves an obliquely seen plane behind some of them."""
 CLEARLY = 2.0
 """A rival is ruled out at this many times the loss of the best motion. Tracking errors are correlated, so no chi-square test."""
-LEAST_TURN_DEG, LEAST_ANGLE_DEG = 0.5, 10.0
+LEAST_ROTATION_DEG, LEAST_ANGLE_DEG = 0.5, 10.0
 """Motions are different if they differ by more than this in rotation or in the direction of translation."""
 
 
@@ -60,12 +60,12 @@ def motions_of_plane(first_px: np.ndarray, pixels: np.ndarray, camera: Camera, s
     )
     if not found.success:
         return []
-    lens = np.diag([camera.focal_px, camera.focal_px, 1.0])
+    intrinsics = np.diag([camera.focal_px, camera.focal_px, 1.0])
     flat = on_plane[0][found.inlier_mask]
     with suppress(DegenerateGeometryError):
-        allowed = decompose_homography(found.model, lens, lens)
+        allowed = decompose_homography(found.model, intrinsics, intrinsics)
         depth = np.column_stack([flat / camera.focal_px, np.ones(len(flat))]) @ allowed.normals_in_cam1.T
-        before = (depth > 0).mean(axis=0) >= BEFORE_SHARE
+        before = (depth > 0).mean(axis=0) >= BEFORE_FRACTION
         moved = np.linalg.norm(allowed.cam2_from_cam1.translation, axis=1)
         return [
             Rigid3(allowed.cam2_from_cam1.rotation[k], allowed.cam2_from_cam1.translation[k] / moved[k])
@@ -83,53 +83,53 @@ def judge(cam_from_first: Rigid3, pixels: np.ndarray, camera: Camera) -> Judged:
         camera: any model.
     """
     frames, config = len(pixels), BundleConfig(loss=Loss.CAUCHY, max_iterations=JUDGING_ITERATIONS)
-    places = _places_between(cam_from_first, pixels, camera)
+    positions = _poses_between(cam_from_first, pixels, camera)
     for _ in range(JUDGING_ROUNDS):
-        made = triangulate_points(places, camera, pixels, max_error_px=PLANE_ERROR_PX)
+        made = triangulate_points(positions, camera, pixels, max_error_px=PLANE_ERROR_PX)
         good = made.success_mask
-        if good.sum() < MIN_PLACED:
+        if good.sum() < MIN_TRIANGULATED:
             break
         seen = np.ascontiguousarray(pixels[:, good].swapaxes(0, 1)).reshape(-1, 2)
-        problem = _problem(places, made.points_in_world[good], seen, camera)
-        places = adjust_bundle(with_fixed_gauge(problem), config).rig_from_world
-    made = triangulate_points(places, camera, pixels)
+        problem = _problem(positions, made.points_in_world[good], seen, camera)
+        positions = adjust_bundle(with_fixed_gauge(problem), config).rig_from_world
+    made = triangulate_points(positions, camera, pixels)
     errors = np.full((frames, pixels.shape[1]), PLANE_ERROR_PX)
     for k in range(frames):
-        at = camera.project(places[k].apply(made.points_in_world))
+        at = camera.project(positions[k].apply(made.points_in_world))
         off = np.linalg.norm(at - pixels[k], axis=1)
         np.copyto(errors[k], off, where=made.success_mask & (off < PLANE_ERROR_PX))
-    last = places[frames - 1] @ places[0].inverse()
+    last = positions[frames - 1] @ positions[0].inverse()
     angle = (
         float(np.degrees(np.median(made.angles_rad[made.success_mask]))) if made.success_mask.any() else 0.0
     )
     of_points = np.sort(np.log1p(errors**2).mean(axis=0))
-    return Judged(last, float(of_points[: round(JUDGED_SHARE * len(of_points))].mean()), angle)
+    return Judged(last, float(of_points[: round(JUDGED_FRACTION * len(of_points))].mean()), angle)
 
 
-def _places_between(cam_from_first: Rigid3, pixels: np.ndarray, camera: Camera) -> Rigid3:
+def _poses_between(cam_from_first: Rigid3, pixels: np.ndarray, camera: Camera) -> Rigid3:
     """cams_from_first (f,): the frames in between are localized in the points of the first and the last."""
     frames = len(pixels)
     ends = Rigid3.stack([Rigid3.identity(), cam_from_first])
     made = triangulate_points(ends, camera, pixels[[0, -1]], min_angle_rad=np.radians(0.1))
     good = made.success_mask
-    out, place = [Rigid3.identity()], Rigid3.identity()
+    out, position = [Rigid3.identity()], Rigid3.identity()
     for k in range(1, frames - 1):
-        if good.sum() >= MIN_PLACED:
+        if good.sum() >= MIN_TRIANGULATED:
             for scale in (15.0, 1.0):
-                place = refine_pose(
-                    made.points_in_world[good], pixels[k][good], camera, place, loss_scale=scale
+                position = refine_pose(
+                    made.points_in_world[good], pixels[k][good], camera, position, loss_scale=scale
                 ).cam_from_world
-        out.append(place)
+        out.append(position)
     out.append(cam_from_first)
     return Rigid3.stack(out)
 
 
-def _problem(places: Rigid3, points: np.ndarray, pixels: np.ndarray, camera: Camera) -> BundleProblem:
+def _problem(positions: Rigid3, points: np.ndarray, pixels: np.ndarray, camera: Camera) -> BundleProblem:
     """Bundle adjustment of points that all frames observe."""
-    frames, count = len(places), len(points)
+    frames, count = len(positions), len(points)
     one = np.zeros(frames * count, np.int32)
     return BundleProblem(
-        places,
+        positions,
         Rigid3(np.eye(3)[None], np.zeros((1, 3))),
         np.array([int(camera.model)], np.int32),
         camera.padded_params()[None],
@@ -172,10 +172,10 @@ def median_off_px(cam_from_first: Rigid3, first_px: np.ndarray, pixels: np.ndarr
 
 
 def are_apart(
-    one: Rigid3, other: Rigid3, turn_deg: float = LEAST_TURN_DEG, angle_deg: float = LEAST_ANGLE_DEG
+    one: Rigid3, other: Rigid3, rotation_deg: float = LEAST_ROTATION_DEG, angle_deg: float = LEAST_ANGLE_DEG
 ) -> bool:
     """Whether two motions between the same frames differ in rotation or in the direction of translation."""
-    turn = np.degrees(np.linalg.norm((one @ other.inverse()).log()[3:]))
+    rotation = np.degrees(np.linalg.norm((one @ other.inverse()).log()[3:]))
     lengths = np.linalg.norm(one.translation) * np.linalg.norm(other.translation)
     cosine = float(one.translation @ other.translation) / max(float(lengths), 1e-12)
-    return bool(turn > turn_deg or cosine < np.cos(np.radians(angle_deg)))
+    return bool(rotation > rotation_deg or cosine < np.cos(np.radians(angle_deg)))

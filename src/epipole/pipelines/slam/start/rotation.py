@@ -16,7 +16,7 @@ from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
 from epipole.pipelines.slam.tracking.points import Tracks, predict_pixels
 from epipole.pipelines.slam.tracking.redetection import redetect
 
-AGREEING_PX, AGREEING_SHARE, LEAST_POINTS = 0.7, 0.8, 40
+AGREEING_PX, AGREEING_FRACTION, LEAST_POINTS = 0.7, 0.8, 40
 """A turn explains the pictures if so many points, and such a share of them, are as near to where it says.
 
 The place is then wrong by less than AGREEING_PX / f of the scene's depth. Of turns the errors are 0.1 px; a walk shows as more
@@ -24,7 +24,7 @@ at the second frame.
 """
 SCALES_PX = (15.0, 5.0, 2.0, 2.0, 2.0)
 """Of Cauchy's loss, round by round."""
-KEYFRAME_SHARE, KEYFRAME_SHIFT = 0.7, 0.1
+KEYFRAME_FRACTION, KEYFRAME_SHIFT = 0.7, 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,76 +67,78 @@ class RotationTracker:
 
     def track(self, frame: Frame, number: int) -> RotationEstimate | None:
         """The frame's orientation; None where a turn does not explain it."""
-        tracks, lens, place = self._tracks, self.camera, self._cam_from_sphere
-        guess = predict_pixels(tracks.pixels, self._sphere.xyz[tracks.point], place, place, lens)
-        tracks.follow(self._before.grey, frame.grey, guess, self.config, and_back=True)
+        tracks, camera, position = self._tracks, self.camera, self._cam_from_sphere
+        guess = predict_pixels(tracks.pixels, self._sphere.xyz[tracks.point], position, position, camera)
+        tracks.track(self._before.grey, frame.grey, guess, self.config, and_back=True)
         tracks.keep(frame.is_used(tracks.pixels))
         self._before = frame
         if not self.is_rich:
             return None
-        rays = _unit(lens.unproject(tracks.pixels))
-        turned, _, _ = _fit_turn(self._sphere.xyz[tracks.point], rays, place.rotation, lens.focal_px)
-        held, is_same, _ = align_to_reference_patch(
-            self._sphere, lens, frame.grey, Rigid3(turned, np.zeros(3)), tracks.point, tracks.pixels
+        rays = _unit(camera.unproject(tracks.pixels))
+        rotated, _, _ = _fit_rotation(
+            self._sphere.xyz[tracks.point], rays, position.rotation, camera.focal_px
         )
-        tracks.pixels = held
+        aligned, is_same, _ = align_to_reference_patch(
+            self._sphere, camera, frame.grey, Rigid3(rotated, np.zeros(3)), tracks.point, tracks.pixels
+        )
+        tracks.pixels = aligned
         tracks.keep(is_same)
-        return self._answer(frame, number, turned)
+        return self._answer(frame, number, rotated)
 
-    def _answer(self, frame: Frame, number: int, turned: np.ndarray) -> RotationEstimate | None:
-        tracks, lens = self._tracks, self.camera
-        directions, rays = self._sphere.xyz[tracks.point], _unit(lens.unproject(tracks.pixels))
-        turned, off_px, information = _fit_turn(directions, rays, turned, lens.focal_px)
+    def _answer(self, frame: Frame, number: int, rotated: np.ndarray) -> RotationEstimate | None:
+        tracks, camera = self._tracks, self.camera
+        directions, rays = self._sphere.xyz[tracks.point], _unit(camera.unproject(tracks.pixels))
+        rotated, off_px, information = _fit_rotation(directions, rays, rotated, camera.focal_px)
         agrees = off_px <= AGREEING_PX
-        if agrees.sum() < max(LEAST_POINTS, AGREEING_SHARE * len(tracks)):
+        if agrees.sum() < max(LEAST_POINTS, AGREEING_FRACTION * len(tracks)):
             return None
         tracks.keep(off_px <= self.config.max_error_px)
-        self._cam_from_sphere = Rigid3(turned, np.zeros(3))
-        moved = tracks.shift_px() > KEYFRAME_SHIFT * lens.width
-        is_keyframe = moved or len(tracks) < KEYFRAME_SHARE * self._num_at_keyframe
+        self._cam_from_sphere = Rigid3(rotated, np.zeros(3))
+        moved = tracks.shift_px() > KEYFRAME_SHIFT * camera.width
+        is_keyframe = moved or len(tracks) < KEYFRAME_FRACTION * self._num_at_keyframe
         if is_keyframe:
             self._insert_keyframe(frame, number)
         covariance = np.full((6, 6), np.inf)
         covariance[3:] = covariance[:, 3:] = 0.0
         covariance[3:, 3:] = np.linalg.inv(information)
-        place = self._cam_from_sphere @ self.start
-        return RotationEstimate(self.keyframes[-1], place, covariance, int(agrees.sum()), is_keyframe)
+        position = self._cam_from_sphere @ self.start
+        return RotationEstimate(self.keyframes[-1], position, covariance, int(agrees.sum()), is_keyframe)
 
     def _insert_keyframe(self, frame: Frame, number: int) -> None:
-        tracks, lens, sphere = self._tracks, self.camera, self._sphere
-        place = self._cam_from_sphere
-        tracks.add(*redetect(sphere, lens, frame.grey, place, tracks.point))
+        tracks, camera, sphere = self._tracks, self.camera, self._sphere
+        position = self._cam_from_sphere
+        tracks.add(*redetect(sphere, camera, frame.grey, position, tracks.point))
         corners = new_corners(frame.grey, tracks.pixels, self.config, frame.ignored_mask)
-        directions = _unit(lens.unproject(corners)) @ place.rotation
+        directions = _unit(camera.unproject(corners)) @ position.rotation
         fresh = sphere.add_points(directions, corners, len(sphere.keyframes))
         pixels = np.concatenate([tracks.pixels, corners])
         points = np.concatenate([tracks.point, fresh])
         none = np.full(len(points), np.nan)
         seen = Observations(pixels, none, points)
-        sphere.keyframes.append(Keyframe(number, frame.timestamp_s, frame.grey, place, seen))
+        sphere.keyframes.append(Keyframe(number, frame.timestamp_s, frame.grey, position, seen))
         nothing = Observations(np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int64))
-        self.keyframes.append(Keyframe(number, frame.timestamp_s, frame.grey, place @ self.start, nothing))
+        self.keyframes.append(Keyframe(number, frame.timestamp_s, frame.grey, position @ self.start, nothing))
         self._tracks = Tracks(pixels.copy(), points, pixels.copy())
         self._num_at_keyframe = len(points)
 
 
-def _fit_turn(
+def _fit_rotation(
     directions: np.ndarray, rays: np.ndarray, start: np.ndarray, focal_px: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(rotation, errors in pixels, information) of least sum of Cauchy(|ray - R direction| f).
 
     Wahba's problem (SIAM Review 1965) by the SVD (Markley 1988), weights found anew in each round.
     """
-    turned, weight = start, np.ones(len(rays))
+    rotated, weight = start, np.ones(len(rays))
     for scale in SCALES_PX:
-        off = focal_px * np.linalg.norm(rays - directions @ turned.T, axis=1)
+        off = focal_px * np.linalg.norm(rays - directions @ rotated.T, axis=1)
         weight = 1.0 / (1.0 + (off / scale) ** 2)
         u, _, vt = np.linalg.svd((rays * weight[:, None]).T @ directions)
-        turned = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    off = focal_px * np.linalg.norm(rays - directions @ turned.T, axis=1)
-    jacobian = skew(directions @ turned.T)
+        rotated = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    off = focal_px * np.linalg.norm(rays - directions @ rotated.T, axis=1)
+    jacobian = skew(directions @ rotated.T)
     information = focal_px**2 * np.einsum("n,nki,nkj->ij", weight, jacobian, jacobian)
-    return turned, off, information
+    return rotated, off, information
 
 
 def _unit(rays: np.ndarray) -> np.ndarray:

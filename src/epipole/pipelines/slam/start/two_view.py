@@ -161,7 +161,7 @@ class Initialization:
         rows = self.row_of_track[one.track]
         return one.pixels[rows >= 0], rows[rows >= 0]
 
-    def place_waiting(
+    def locate_waiting(
         self, model: SlamMap, camera: Camera, config: SlamConfig
     ) -> list[tuple[WaitingFrame, Keyframe, Rigid3, np.ndarray]]:
         """Frames before the begin: each with the keyframe before it, cam_from_world, and its covariance.
@@ -176,11 +176,11 @@ class Initialization:
         for one in self.waiting:
             keyframe = keyframes[int(np.searchsorted(numbers, one.number, side="right")) - 1]
             pixels, rows = self.seen_by(one)
-            found = place_in_map(model, rows, pixels, keyframe.cam_from_world, camera, config)
+            found = initialize_map(model, rows, pixels, keyframe.cam_from_world, camera, config)
             if found is not None:
                 is_keyframe = keyframe.number == one.number
-                place = keyframe.cam_from_world if is_keyframe else found.cam_from_world
-                out.append((one, keyframe, place, found.covariance()))
+                position = keyframe.cam_from_world if is_keyframe else found.cam_from_world
+                out.append((one, keyframe, position, found.covariance()))
         return out
 
 
@@ -197,17 +197,17 @@ class OneCameraStart:
         """The map, if it begins with this frame; else what it waits for: a picture with a problem begins none."""
         if not self._waiting:
             return self._wait_from(frame, number, "the first frame: depth needs a second place")
-        self._follow(frame)
+        self._track(frame)
         tracks = self.tracks
         started = try_start(tracks.start_px, tracks.pixels, self.camera, self.config)
         reason = started.reason or self._may_rest() or problem
         if not reason:
             started = self._best_of(started)
             reason = started.reason
-        begun = None if reason else self._begin(started)
+        initial = None if reason else self._initialize(started)
         self._waiting.append(WaitingFrame(frame, number, tracks.pixels, tracks.point))
-        if begun is not None:
-            return begun
+        if initial is not None:
+            return initial
         is_thin = len(tracks.pixels) < max(MIN_POINTS, LEAST_KEPT * self._num_at_start)
         if is_thin or len(self._waiting) > MOST_WAITING:
             return self._wait_from(frame, number, reason)
@@ -231,18 +231,18 @@ class OneCameraStart:
             number: its number.
             cam_from_first: its motion since the first frame, from the map.
         """
-        self._follow(frame)
-        now, lens = self.tracks, self.camera
+        self._track(frame)
+        now, camera = self.tracks, self.camera
         if len(now) < MIN_CONFIRMING or number - self.first_number > MOST_WAITING:
             return Confirmation.OUT_OF_SIGHT
         self._waiting.append(WaitingFrame(frame, number, now.pixels, now.point))
         while len(self._waiting) > MAX_CONFIRMING_FRAMES:  # they hold their images
             self._waiting = [*self._waiting[:-1:2], self._waiting[-1]]
         least_deg = CONFIRMING_ANGLE * self.config.start_angle_deg
-        if not median_angle_deg(cam_from_first, now.start_px, now.pixels, lens) >= least_deg:
+        if not median_angle_deg(cam_from_first, now.start_px, now.pixels, camera) >= least_deg:
             return Confirmation.OPEN
         ransac = RansacConfig(max_error_px=1.5, min_inliers=MIN_CONFIRMING, seed=self.config.seed)
-        found = verify_pair(now.start_px, now.pixels, lens, lens, is_calibrated=True, config=ransac)
+        found = verify_pair(now.start_px, now.pixels, camera, camera, is_calibrated=True, config=ransac)
         epipolar = [found.cam2_from_cam1] if found.kind in (PairKind.GENERAL, PairKind.PLANAR) else []
         judged = self._judged([cam_from_first, *epipolar])
         best = min(judged, key=lambda one: one.loss)
@@ -251,7 +251,7 @@ class OneCameraStart:
         if not are_apart(best.cam_from_first, cam_from_first, MAX_ROTATION_DEG, MAX_DIRECTION_DEG):
             return Confirmation.CONFIRMED
         off_px, least_px = (
-            median_off_px(motion, now.start_px, now.pixels, lens)
+            median_off_px(motion, now.start_px, now.pixels, camera)
             for motion in (cam_from_first, best.cam_from_first)
         )
         return (
@@ -260,9 +260,9 @@ class OneCameraStart:
             else Confirmation.OPEN
         )
 
-    def _follow(self, frame: Frame) -> None:
+    def _track(self, frame: Frame) -> None:
         tracks = self.tracks
-        tracks.follow(self._waiting[-1].frame.grey, frame.grey, tracks.pixels, self.config, and_back=True)
+        tracks.track(self._waiting[-1].frame.grey, frame.grey, tracks.pixels, self.config, and_back=True)
         tracks.keep(frame.is_used(tracks.pixels))
 
     def _wait_from(self, frame: Frame, number: int, reason: str) -> str:
@@ -312,29 +312,29 @@ class OneCameraStart:
 
     def _judged(self, motions: list[Rigid3]) -> list[Judged]:
         """These motions, followed by those that a plane allows, optimized with the frames since the first."""
-        now, lens, waiting = self.tracks, self.camera, self._waiting
-        of_plane = motions_of_plane(now.start_px, now.pixels, lens, self.config.seed)
+        now, camera, waiting = self.tracks, self.camera, self._waiting
+        of_plane = motions_of_plane(now.start_px, now.pixels, camera, self.config.seed)
         used = np.unique(np.linspace(0, len(waiting) - 1, START_KEYFRAMES).astype(int))
         seen = [waiting[n].pixels[np.searchsorted(waiting[n].track, now.point)] for n in used]
         pixels = np.stack([*seen, now.pixels])
-        return [judge(motion, pixels, lens) for motion in (*motions, *of_plane)]
+        return [judge(motion, pixels, camera) for motion in (*motions, *of_plane)]
 
-    def _begin(self, started: Start) -> Initialization:
+    def _initialize(self, started: Start) -> Initialization:
         """Keyframes from the first frame on: at a narrow angle those between tell as much as the two at the ends."""
         assert started.cam_from_first is not None and started.points_in_first is not None
         model, waiting = SlamMap(), list(self._waiting)
         points = model.add_points(started.points_in_first, self.tracks.start_px, 0)
         row_of_track = np.full(self._num_at_start, -1)
         row_of_track[self.tracks.point] = points
-        place = Rigid3.identity()
+        position = Rigid3.identity()
         for n in np.unique(np.linspace(0, len(waiting) - 1, START_KEYFRAMES).astype(int)):
             one = waiting[n]
             rows = row_of_track[one.track]
             pixels, rows = one.pixels[rows >= 0], rows[rows >= 0]
-            found = place_in_map(model, rows, pixels, place, self.camera, self.config)
-            place = found.cam_from_world if found is not None and n > 0 else place
+            found = initialize_map(model, rows, pixels, position, self.camera, self.config)
+            position = found.cam_from_world if found is not None and n > 0 else position
             seen = Observations(pixels, np.full(len(rows), np.nan), rows)
-            keyframe = Keyframe(one.number, one.frame.timestamp_s, one.frame.grey, place, seen)
+            keyframe = Keyframe(one.number, one.frame.timestamp_s, one.frame.grey, position, seen)
             keyframe.ignored_mask = one.frame.ignored_mask
             model.keyframes.append(keyframe)
         tracks = Tracks(self.tracks.pixels, points, self.tracks.start_px)
@@ -345,7 +345,7 @@ def _too_narrow(angle_deg: float, config: SlamConfig) -> Start:
     return Start(f"the rays meet at {angle_deg:.2f} degrees, {config.start_angle_deg:g} are needed: move on")
 
 
-def place_in_map(
+def initialize_map(
     model: SlamMap,
     rows: np.ndarray,
     pixels: np.ndarray,

@@ -46,10 +46,10 @@ def noise_of(grey: np.ndarray) -> float:
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     difference = np.abs(cv2.filter2D(grey, cv2.CV_32F, kernel)[::4, ::4]).astype(np.int64)
     # Differences are whole numbers, each of which stands for half of one to both sides.
-    share = np.cumsum(np.bincount(difference.ravel())) / difference.size
-    ends = np.arange(len(share) + 1) - 0.5
+    fraction = np.cumsum(np.bincount(difference.ravel())) / difference.size
+    ends = np.arange(len(fraction) + 1) - 0.5
     ends[0] = 0.0
-    quartile = np.interp(0.25, np.concatenate([[0.0], share]), ends)
+    quartile = np.interp(0.25, np.concatenate([[0.0], fraction]), ends)
     return max(LEAST_NOISE, float(quartile) / (0.3186 * 6.0))
 
 

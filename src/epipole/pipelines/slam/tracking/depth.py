@@ -15,7 +15,7 @@ ROWS_PX = 1.0
 LEAST_SCORE = 0.7
 LEAST_LEAD = 0.05
 """Of the best place in a row over others."""
-LARGEST_SHARE = 0.2
+LARGEST_FRACTION = 0.2
 """Largest disparity that is sought, as a share of the picture's width."""
 GUESS_LEVELS = 2
 ROUNDS = 4
@@ -54,7 +54,7 @@ def disparities_of(
 
 def _best_shifts(left: np.ndarray, right: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """(n,) disparities to two pixels by a search along the whole row, at half the size; NaN where two places look alike."""
-    most = int(left.shape[1] * LARGEST_SHARE / 2)
+    most = int(left.shape[1] * LARGEST_FRACTION / 2)
     shift, score, rival = find_along_rows(cv2.pyrDown(left), cv2.pyrDown(right), pixels / 2, most)
     return np.where((score > LEAST_SCORE) & (score - rival > LEAST_LEAD), 2 * shift, np.nan)
 

@@ -14,7 +14,7 @@ from epipole.pipelines.slam.frames import Frame, TrackedFrame
 REMEMBERED = 15
 """Frames before this one that tell how sharp pictures of this camera and place are; a blur that lasts becomes usual."""
 LEAST_REMEMBERED = 3
-SURE = 2
+CERTAIN = 2
 """So many times as many points as usual must agree on the place of a picture with a problem."""
 BLURRED = 0.68
 """Share of the usual detail below which a picture is blurred. The kitchen of 7-Scenes, carried by hand, goes down to 0.71;
@@ -44,17 +44,17 @@ class FrameQuality:
         """Whether the (left) picture may become a keyframe."""
         return not self.problem
 
-    def sure(
+    def confirmed(
         self, found: tuple[RefinedPose, int] | None, config: SlamConfig
     ) -> tuple[RefinedPose, int] | None:
         """A place and the number of points that agree; None where these are few for such a picture.
 
         Points that are found in a blurred picture are off by more than others, and all to the same side.
         """
-        is_sure = found is None or self.is_usable or found[1] >= SURE * config.min_tracked
-        return found if is_sure else None
+        is_certain = found is None or self.is_usable or found[1] >= CERTAIN * config.min_tracked
+        return found if is_certain else None
 
-    def told(self, answer: TrackedFrame) -> TrackedFrame:
+    def with_quality(self, answer: TrackedFrame) -> TrackedFrame:
         """The answer with what is wrong: alone where the frame has a place, else before the reason why it has none."""
         words = self.problem
         if self.right_problem:
@@ -93,8 +93,12 @@ class FrameQualityMonitor:
     def _blur(self, detail: np.ndarray) -> str:
         if len(self._usual) < LEAST_REMEMBERED:
             return ""
-        share = float((detail / np.median(np.array(self._usual), axis=0)).min())
-        return f"the picture is blurred: {100 * share:.0f} % of the usual detail" if share < BLURRED else ""
+        fraction = float((detail / np.median(np.array(self._usual), axis=0)).min())
+        return (
+            f"the picture is blurred: {100 * fraction:.0f} % of the usual detail"
+            if fraction < BLURRED
+            else ""
+        )
 
 
 def shows_something(grey: np.ndarray) -> bool:

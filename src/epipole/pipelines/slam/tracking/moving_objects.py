@@ -12,7 +12,7 @@ from epipole.pipelines.slam.frames import MovingThing
 from epipole.robust import estimate_absolute_pose, estimate_homography
 
 LEAST_POINTS = 15
-LEAST_SHARE = 0.5
+LEAST_FRACTION = 0.5
 """Of the points that disagree: chance mistakes do not agree on anything."""
 MAX_ERROR_PX = 1.5
 MAX_ITERATIONS = 300
@@ -20,12 +20,12 @@ OFF_PX, ROUGH_PX = 4.0, 3.0
 """One camera: further than this from where a point of the scene can be; and what a homography leaves of a thing with depth."""
 NEAREST = 0.2
 """Of the scene's median depth: nearer than that nothing of it is."""
-MOST_TURN_DEG, MOST_SHIFT = 20.0, 0.3
+MOST_ROTATION_DEG, MOST_SHIFT = 20.0, 0.3
 """From one picture to the next a thing turns by no more, and moves by no larger share of its distance."""
 
 
 def find_moving_object(
-    points_in_world: np.ndarray, pixels: np.ndarray, camera: Camera, place: Rigid3, config: SlamConfig
+    points_in_world: np.ndarray, pixels: np.ndarray, camera: Camera, position: Rigid3, config: SlamConfig
 ) -> MovingThing | None:
     """What points show that were followed into a frame but are not where its place foretells them; None for nothing.
 
@@ -36,7 +36,7 @@ def find_moving_object(
         points_in_world: (n, 3) where they were in the last keyframe.
         pixels: (n, 2) where they are seen.
         camera: any model.
-        place: cam_from_world of the frame.
+        position: cam_from_world of the frame.
         config: the seed.
     """
     if len(pixels) < LEAST_POINTS:
@@ -44,20 +44,22 @@ def find_moving_object(
     ransac = RansacConfig(
         max_error_px=MAX_ERROR_PX,
         min_inliers=LEAST_POINTS,
-        min_inlier_ratio=LEAST_SHARE,
+        min_inlier_ratio=LEAST_FRACTION,
         max_iterations=MAX_ITERATIONS,
         seed=config.seed,
     )
     found = estimate_absolute_pose(points_in_world, pixels, camera, ransac)
     agrees = found.inlier_mask
-    if not found.success or agrees.sum() < LEAST_SHARE * len(pixels):
+    if not found.success or agrees.sum() < LEAST_FRACTION * len(pixels):
         return None
-    moved = place.inverse() @ found.model
+    moved = position.inverse() @ found.model
     there = moved.apply(points_in_world[agrees])
     center = np.median(points_in_world[agrees], axis=0)
     motion = np.median(there - points_in_world[agrees], axis=0)
     angle_deg = np.degrees(np.linalg.norm(moved.log()[3:]))
-    if angle_deg > MOST_TURN_DEG or np.linalg.norm(motion) > MOST_SHIFT * np.linalg.norm(place.apply(center)):
+    if angle_deg > MOST_ROTATION_DEG or np.linalg.norm(motion) > MOST_SHIFT * np.linalg.norm(
+        position.apply(center)
+    ):
         return None
     return _thing(pixels[agrees], motion)
 
@@ -79,8 +81,10 @@ def off_px_of_scene(
     far = camera.project(now_from_then.apply(1e3 * depth * rays))
     near = camera.project(now_from_then.apply(NEAREST * depth * rays))
     along = near - far
-    share = np.einsum("ni,ni->n", pixels - far, along) / np.maximum(np.einsum("ni,ni->n", along, along), 1e-9)
-    return np.linalg.norm(far + np.clip(share, 0.0, 1.0)[:, None] * along - pixels, axis=1)
+    fraction = np.einsum("ni,ni->n", pixels - far, along) / np.maximum(
+        np.einsum("ni,ni->n", along, along), 1e-9
+    )
+    return np.linalg.norm(far + np.clip(fraction, 0.0, 1.0)[:, None] * along - pixels, axis=1)
 
 
 def find_moving_object_in_image(
@@ -109,13 +113,13 @@ def find_moving_object_in_image(
     ransac = RansacConfig(
         max_error_px=ROUGH_PX,
         min_inliers=LEAST_POINTS,
-        min_inlier_ratio=LEAST_SHARE,
+        min_inlier_ratio=LEAST_FRACTION,
         max_iterations=MAX_ITERATIONS,
         seed=seed,
     )
     found = estimate_homography(pixels_then[off], pixels[off], ransac)
     agrees = found.inlier_mask
-    if not found.success or agrees.sum() < LEAST_SHARE * off.sum():
+    if not found.success or agrees.sum() < LEAST_FRACTION * off.sum():
         return None
     return _thing(pixels[off][agrees], np.full(3, np.nan))
 

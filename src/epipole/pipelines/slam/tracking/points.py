@@ -6,7 +6,7 @@ import numpy as np
 
 from epipole.cameras import Camera
 from epipole.config import RansacConfig
-from epipole.features.flow import follow_points
+from epipole.features.flow import track_points
 from epipole.geometry import Rigid3
 from epipole.mapping import Disparities, RefinedPose, refine_pose
 from epipole.pipelines.slam.config import SlamConfig
@@ -15,10 +15,10 @@ from epipole.robust import estimate_absolute_pose
 COARSE_PX = 15.0
 """Scale of the loss in a first refinement: at the final one a prediction that is far off ends in a wrong minimum."""
 LEAST_PROVEN = 40
-FEW, LARGEST_TURN_DEG = 2, 0.75
+FEW, LARGEST_ROTATION_DEG = 2, 0.75
 """With points fewer than so many times the least: the standard deviation of a frame's orientation, for points that are off by
 a pixel, beyond which it has no place."""
-AGREEING_SHARE = 0.7
+AGREEING_FRACTION = 0.7
 """With a smaller share of the points in agreement the predicted place is not trusted, and one is sought anew."""
 
 
@@ -57,11 +57,11 @@ class Tracks:
         _, first = np.unique(self.point, return_index=True)
         self.keep(np.isin(np.arange(len(self.point)), first))
 
-    def follow(
+    def track(
         self, before: np.ndarray, now: np.ndarray, guess: np.ndarray, config: SlamConfig, *, and_back: bool
     ) -> None:
         """Find the points in the next picture; those that are not found are given up."""
-        pixels, found = follow_points(before, now, self.pixels, guess, config.flow, and_back=and_back)
+        pixels, found = track_points(before, now, self.pixels, guess, config.flow, and_back=and_back)
         self.pixels = pixels
         self.keep(found)
 
@@ -97,12 +97,12 @@ def predict_pixels(
 ) -> np.ndarray:
     """Where points will be after a motion: by their places, or, where they have none, as if at the others' median depth."""
     in_cam = now.apply(points_in_world)
-    placed = np.isfinite(in_cam[:, 0]) & (in_cam[:, 2] > 0)
-    depth = np.median(before.apply(points_in_world[placed])[:, 2]) if placed.any() else 1.0
+    localized = np.isfinite(in_cam[:, 0]) & (in_cam[:, 2] > 0)
+    depth = np.median(before.apply(points_in_world[localized])[:, 2]) if localized.any() else 1.0
     rays = camera.unproject(pixels)
     motion = now @ before.inverse()
     far = camera.project(motion.apply(rays / np.maximum(rays[:, 2:], 1e-6) * depth))
-    guess = np.where(placed[:, None], camera.project(np.where(placed[:, None], in_cam, 1.0)), far)
+    guess = np.where(localized[:, None], camera.project(np.where(localized[:, None], in_cam, 1.0)), far)
     return np.where(np.asarray(np.isfinite(guess)).all(axis=1, keepdims=True), guess, pixels)
 
 
@@ -153,7 +153,7 @@ def _search(
     )
     found = refine_pose(points_in_world, pixels, camera, coarse.cam_from_world, disparities=disparities)
     agrees = found.error_sq <= limit
-    if agrees.mean() < AGREEING_SHARE:
+    if agrees.mean() < AGREEING_FRACTION:
         ransac = RansacConfig(
             max_error_px=config.max_error_px, min_inliers=config.min_tracked, seed=config.seed
         )
@@ -165,9 +165,9 @@ def _search(
     return (found, agrees) if agrees.sum() >= config.min_tracked else None
 
 
-def is_sure(refined: RefinedPose, agrees: np.ndarray, config: SlamConfig) -> bool:
+def is_certain(refined: RefinedPose, agrees: np.ndarray, config: SlamConfig) -> bool:
     """Whether points are many, or the few lie so that a pixel's error turns the camera little."""
     if agrees.sum() >= FEW * config.min_tracked:
         return True
     variance = np.linalg.eigvalsh(refined.covariance()[3:, 3:])[-1]
-    return bool(variance <= np.radians(LARGEST_TURN_DEG) ** 2)
+    return bool(variance <= np.radians(LARGEST_ROTATION_DEG) ** 2)

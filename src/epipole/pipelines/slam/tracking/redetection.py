@@ -30,13 +30,13 @@ def redetect(
     camera: Camera,
     grey: np.ndarray,
     cam_from_world: Rigid3,
-    followed: np.ndarray,
+    tracked: np.ndarray,
     search_px: float = SEARCH_PX,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(pixels, points) of points that are in sight and not followed, by patches of the keyframes that see most of them."""
     pixels, points = [np.zeros((0, 2))], [np.zeros(0, np.int64)]
     missing = np.isfinite(model.xyz[:, 0])
-    missing[followed] = False
+    missing[tracked] = False
     if not missing.any():
         return pixels[0], points[0]
     expected = np.full((model.num_points, 2), np.nan)
@@ -49,11 +49,11 @@ def redetect(
     missing[rows] = inside & (in_cam[:, 2] > 0)
     rotations = np.stack([k.cam_from_world.rotation for k in model.keyframes])
     # The trace of a rotation is 1 + 2 cos of its angle.
-    is_turned = np.einsum("ij,kij->k", cam_from_world.rotation, rotations) < 1 + 2 * LEAST_COSINE
+    is_rotated = np.einsum("ij,kij->k", cam_from_world.rotation, rotations) < 1 + 2 * LEAST_COSINE
     none = np.zeros(0, np.int64)
     views = [
-        none if turned else _usable(k, model, missing, cam_from_world)
-        for k, turned in zip(model.keyframes, is_turned, strict=True)
+        none if rotated else _usable(k, model, missing, cam_from_world)
+        for k, rotated in zip(model.keyframes, is_rotated, strict=True)
     ]
     for index in np.argsort([-len(v) for v in views], kind="stable")[:MOST_KEYFRAMES]:
         keyframe, own = model.keyframes[int(index)], views[int(index)]
@@ -86,19 +86,19 @@ def _usable(keyframe: Keyframe, model: SlamMap, missing: np.ndarray, cam_from_wo
     return own[(cosine > LEAST_COSINE) & (ratio < LARGEST_SCALE) & (ratio > 1 / LARGEST_SCALE)]
 
 
-def tie_together(model: SlamMap, camera: Camera, keyframes: Sequence[Keyframe]) -> int:
+def link_tracks(model: SlamMap, camera: Camera, keyframes: Sequence[Keyframe]) -> int:
     """Let keyframes see all points of the map that are in its picture; returns the number of new observations.
 
     While the camera moves a point is looked for near its place alone; here also where drift has moved it to.
     """
     count = 0
     for keyframe in keyframes:
-        place = keyframe.cam_from_world
-        pixels, points = redetect(model, camera, keyframe.grey, place, keyframe.point, DRIFT_PX)
+        position = keyframe.cam_from_world
+        pixels, points = redetect(model, camera, keyframe.grey, position, keyframe.point, DRIFT_PX)
         if not len(points):
             continue
         pixels, is_same, is_stale = align_to_reference_patch(
-            model, camera, keyframe.grey, place, points, pixels
+            model, camera, keyframe.grey, position, points, pixels
         )
         good = is_same & ~is_stale & is_outside(keyframe.ignored_mask, pixels)
         keyframe.add(pixels[good], np.full(int(good.sum()), np.nan), points[good])

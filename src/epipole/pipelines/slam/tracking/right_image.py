@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from epipole.cameras import Camera
-from epipole.features.flow import follow_points
+from epipole.features.flow import track_points
 from epipole.geometry import Rigid3
 from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.config import SlamConfig
@@ -20,7 +20,7 @@ def pose_from_right_image(
     model: SlamMap,
     sensor: SlamCamera,
     frames: tuple[Frame, Frame],
-    place: Rigid3,
+    position: Rigid3,
     points: np.ndarray,
     config: SlamConfig,
 ) -> tuple[RefinedPose, Tracks] | None:
@@ -30,7 +30,7 @@ def pose_from_right_image(
         model: the map.
         sensor: the pair.
         frames: the one before, and this one.
-        place: cam_from_world of the one before.
+        position: cam_from_world of the one before.
         points: (n,) rows of the map's points that were followed.
         config: thresholds.
     """
@@ -40,12 +40,12 @@ def pose_from_right_image(
     right = _right_camera(sensor.camera, model.right_shift_px)
     right_from_left = Rigid3(np.eye(3), np.array([-sensor.baseline, 0.0, 0.0]))
     points = points[model.is_triangulated(points)]
-    was = right.project((right_from_left @ place).apply(model.xyz[points]))
+    was = right.project((right_from_left @ position).apply(model.xyz[points]))
     inside = ((was >= 0) & (was < [right.width, right.height])).all(axis=1)
     points, was = points[inside], was[inside]
-    pixels, found = follow_points(before.right_grey, frame.right_grey, was, was, config.flow)
+    pixels, found = track_points(before.right_grey, frame.right_grey, was, was, config.flow)
     points, pixels = points[found], pixels[found]
-    located = locate(model.xyz[points], pixels, right, right_from_left @ place, None, config)
+    located = locate(model.xyz[points], pixels, right, right_from_left @ position, None, config)
     if located is None:
         return None
     refined, agrees = located

@@ -30,7 +30,7 @@ from epipole.pipelines.slam.tracking.moving_objects import (
     off_px_of_scene,
 )
 from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
-from epipole.pipelines.slam.tracking.points import SeenFrame, Tracks, is_sure, locate, predict_pixels
+from epipole.pipelines.slam.tracking.points import SeenFrame, Tracks, is_certain, locate, predict_pixels
 from epipole.pipelines.slam.tracking.redetection import redetect
 from epipole.pipelines.slam.tracking.right_image import pose_from_right_image
 from epipole.pipelines.slam.tracking.static_points import StaticPart, find_static_part
@@ -80,14 +80,14 @@ class PointTracker:
             the points as they were in the previous frame; None if it shows nothing that could be tracked.
         """
         tracks = self.tracks
-        self._pose_before, self.map.recent = predicted, self.map.recent.begin_at(previous.timestamp_s)
+        self._pose_before, self.map.recent = predicted, self.map.recent.start_at(previous.timestamp_s)
         last = Tracks(tracks.pixels, tracks.point, tracks.start_px)
         if not shows_something(previous.grey):
             tracks.keep(np.zeros(len(tracks), bool))
             return None
         points = self.map.xyz[tracks.point]
         guess = predict_pixels(tracks.pixels, points, predicted, predicted, self.camera)
-        tracks.follow(previous.grey, frame.grey, guess, self.config, and_back=True)
+        tracks.track(previous.grey, frame.grey, guess, self.config, and_back=True)
         tracks.pixels, is_same, is_stale = align_to_reference_patch(
             self.map, self.camera, frame.grey, predicted, tracks.point, tracks.pixels
         )
@@ -143,27 +143,27 @@ class PointTracker:
         """
         tracks, self.moving, self.static_part = self.tracks, None, None
         tracks.keep(frame.is_used(tracks.pixels))
-        placed = np.flatnonzero(self.map.is_triangulated(tracks.point))
-        rows, pixels = tracks.point[placed], tracks.pixels[placed]
+        localized = np.flatnonzero(self.map.is_triangulated(tracks.point))
+        rows, pixels = tracks.point[localized], tracks.pixels[localized]
         deep, measured = None, None
         if frame.depth is not None and self.focal_baseline is not None:
             measured = disparities_of(frame, pixels, np.full(len(pixels), np.nan), self.sensor, self.config)
             deep = Disparities(measured, self.focal_baseline, self.config.depth_sigma_px)
         proven = self.map.num_agreed[rows] >= PROVEN_FRAMES
         found = locate(self.map.xyz[rows], pixels, self.camera, predicted, deep, self.config, proven)
-        if found is None or not is_sure(*found, self.config):
+        if found is None or not is_certain(*found, self.config):
             return None
         if last is not None:
-            found, self.static_part = self._unless_at_rest(found, rows, placed, predicted, deep)
+            found, self.static_part = self._unless_at_rest(found, rows, localized, predicted, deep)
         refined, agrees = found
         if self.sensor.readout_s:
             refined, agrees = self._while_moving(frame, found, rows, pixels)
         measured = None if measured is None else measured[agrees]
         self._seen = SeenFrame(frame.timestamp_s, pixels[agrees], rows[agrees], measured)
         kept = np.ones(len(tracks.point), bool)
-        kept[placed] = agrees
-        place = refined.cam_from_world
-        self.moving = None if last is None else self._what_moves(last, rows, pixels, agrees, place)
+        kept[localized] = agrees
+        position = refined.cam_from_world
+        self.moving = None if last is None else self._what_moves(last, rows, pixels, agrees, position)
         self.map.num_agreed[rows[agrees]] += 1
         tracks.keep(kept)
         return refined, int(agrees.sum())
@@ -172,12 +172,12 @@ class PointTracker:
         self,
         found: tuple[RefinedPose, np.ndarray],
         rows: np.ndarray,
-        placed: np.ndarray,
+        localized: np.ndarray,
         predicted: Rigid3,
         deep: Disparities | None,
     ) -> tuple[tuple[RefinedPose, np.ndarray], StaticPart | None]:
         """The pose, or that of a camera at rest if a large part of the image is static; and the static part."""
-        pixels, pixels_before = self.tracks.pixels[placed], self.tracks.start_px[placed]
+        pixels, pixels_before = self.tracks.pixels[localized], self.tracks.start_px[localized]
         at = self.camera.project(found[0].cam_from_world.apply(self.map.xyz[rows]))
         errors_px = np.linalg.norm(at - pixels, axis=1)
         static = find_static_part(pixels_before, pixels, errors_px, self.camera)
@@ -202,68 +202,68 @@ class PointTracker:
     ) -> tuple[RefinedPose, np.ndarray]:
         """The pose in the middle of the readout, found with the motion, and which points agree then; as before if too few."""
         refined, agreed = located
-        readout, place = self.sensor.readout_s, refined.cam_from_world
+        readout, position = self.sensor.readout_s, refined.cam_from_world
         for _ in range(SHUTTER_ROUNDS):
-            recent = self._recent_at(frame, place, self.map.xyz[points])
-            place, motion, error_sq = refine_while_moving(
+            recent = self._recent_at(frame, position, self.map.xyz[points])
+            position, motion, error_sq = refine_while_moving(
                 self.map.xyz[points],
                 pixels,
                 self.camera,
-                place,
+                position,
                 recent.newest(),
                 readout,
                 sigma=FORETOLD_SIGMA if recent.steps else UNKNOWN_SIGMA,
             )
-            self._straighten_begin(recent)
+            self._straighten_start(recent)
         agrees = error_sq <= self.config.max_error_px**2
         if agrees.sum() < self.config.min_tracked:
             self.map.recent = RecentMotion()
             return refined, agreed
-        self.map.recent = self._recent_at(frame, place, self.map.xyz[points])
+        self.map.recent = self._recent_at(frame, position, self.map.xyz[points])
         straighten_recent(self.map, self.camera, readout)
-        motions = self.map.recent.settled()
+        motions = self.map.recent.converged()
         for one in self.waiting:
             one.motion = motions.get(one.timestamp_s, one.motion)
         self.map.motion = motion
-        return replace(refined, cam_from_world=place), agrees
+        return replace(refined, cam_from_world=position), agrees
 
-    def _straighten_begin(self, recent: RecentMotion) -> None:
+    def _straighten_start(self, recent: RecentMotion) -> None:
         """Place the first keyframe's points anew: nothing was known of its motion when they were made."""
-        first, motions = self.map.keyframes[0], recent.settled()
+        first, motions = self.map.keyframes[0], recent.converged()
         if len(self.map.keyframes) > 1 or self.focal_baseline is None or first.timestamp_s not in motions:
             return
-        lens = self.camera, self.sensor.readout_s
+        camera = self.camera, self.sensor.readout_s
         first.motion = motions[first.timestamp_s]
         seen = Observations(first.pixels, first.disparity_px, first.point)
         most = self.config.max_depth_baselines
         in_cam = points_by_depth(self.map, seen, first.motion, self.sensor, self.focal_baseline, most)
         self.map.xyz[first.point] = first.cam_from_world.inverse().apply(in_cam)
-        first.shift_px = shutter_shifts(self.map, first, first.motion, *lens)
+        first.shift_px = shutter_shifts(self.map, first, first.motion, *camera)
 
-    def _recent_at(self, frame: Frame, place: Rigid3, points: np.ndarray) -> RecentMotion:
+    def _recent_at(self, frame: Frame, position: Rigid3, points: np.ndarray) -> RecentMotion:
         """The motion up to a frame that is at this place."""
         if self._pose_before is None:
-            return RecentMotion().begin_at(frame.timestamp_s)
-        step, depth = place @ self._pose_before.inverse(), float(np.median(place.apply(points)[:, 2]))
+            return RecentMotion().start_at(frame.timestamp_s)
+        step, depth = position @ self._pose_before.inverse(), float(np.median(position.apply(points)[:, 2]))
         return self.map.recent.with_step(frame.timestamp_s, step, depth)
 
     def _what_moves(
-        self, last: Tracks, points: np.ndarray, pixels: np.ndarray, agrees: np.ndarray, place: Rigid3
+        self, last: Tracks, points: np.ndarray, pixels: np.ndarray, agrees: np.ndarray, position: Rigid3
     ) -> MovingThing | None:
         """A thing that moves besides the camera; not told where rows are read one after another, which bends all that is near."""
         if self.sensor.readout_s:
             return None
         fresh = ~agrees & (self.map.anchor[points] == len(self.map.keyframes) - 1)
-        fresh = self._moving_now(fresh, last, points, pixels, place)
+        fresh = self._moving_now(fresh, last, points, pixels, position)
         found = find_moving_object(
-            self.map.xyz[points[fresh]], pixels[fresh], self.camera, place, self.config
+            self.map.xyz[points[fresh]], pixels[fresh], self.camera, position, self.config
         )
         if found is None and self.focal_baseline is None:
-            return self._motion_in_picture(last, points[agrees], place)
+            return self._image_motion(last, points[agrees], position)
         return found
 
     def _moving_now(
-        self, mask: np.ndarray, last: Tracks, points: np.ndarray, pixels: np.ndarray, place: Rigid3
+        self, mask: np.ndarray, last: Tracks, points: np.ndarray, pixels: np.ndarray, position: Rigid3
     ) -> np.ndarray:
         """(n,) masked points that moved independently of the scene since the previous frame; none if fewer than LEAST_POINTS.
 
@@ -274,21 +274,25 @@ class PointTracker:
             return out
         order = np.argsort(last.point)
         then = last.pixels[order[np.searchsorted(last.point, points[rows], sorter=order)]]
-        placed = self.map.is_triangulated(points)
-        depth = float(np.median(place.apply(self.map.xyz[points[placed]])[:, 2])) if placed.any() else 1.0
-        step = place @ self._pose_before.inverse()
+        localized = self.map.is_triangulated(points)
+        depth = (
+            float(np.median(position.apply(self.map.xyz[points[localized]])[:, 2]))
+            if localized.any()
+            else 1.0
+        )
+        step = position @ self._pose_before.inverse()
         out[rows] = off_px_of_scene(then, pixels[rows], self.camera, step, depth) > STEP_PX
         return out
 
-    def _motion_in_picture(self, last: Tracks, placed: np.ndarray, place: Rigid3) -> MovingThing | None:
+    def _image_motion(self, last: Tracks, localized: np.ndarray, position: Rigid3) -> MovingThing | None:
         newest = len(self.map.keyframes) - 1
         lacking = ~self.map.is_triangulated(self.tracks.point) & (
             self.map.anchor[self.tracks.point] == newest
         )
-        lacking = self._moving_now(lacking, last, self.tracks.point, self.tracks.pixels, place)
+        lacking = self._moving_now(lacking, last, self.tracks.point, self.tracks.pixels, position)
         points = self.tracks.point[lacking]
-        now_from_then = place @ self.map.keyframes[newest].cam_from_world.inverse()
-        depth = float(np.median(place.apply(self.map.xyz[placed])[:, 2]))
+        now_from_then = position @ self.map.keyframes[newest].cam_from_world.inverse()
+        depth = float(np.median(position.apply(self.map.xyz[localized])[:, 2]))
         then, now = self.map.anchor_px[points], self.tracks.pixels[lacking]
         return find_moving_object_in_image(then, now, self.camera, now_from_then, depth, self.config.seed)
 
@@ -315,15 +319,15 @@ class PointTracker:
         self.tracks, self.stale = tracks, np.zeros(0, np.int64)
         self._num_at_start = max(int(self.map.is_triangulated(tracks.point).sum()), 1)
 
-    def track_points_in_sight(self, frame: Frame, place: Rigid3) -> None:
+    def track_points_in_sight(self, frame: Frame, position: Rigid3) -> None:
         """Take up all points of the map that are in sight."""
         tracks = self.tracks
-        tracks.add(*redetect(self.map, self.camera, frame.grey, place, tracks.point))
+        tracks.add(*redetect(self.map, self.camera, frame.grey, position, tracks.point))
         self.start_from(Tracks(tracks.pixels, tracks.point, tracks.pixels.copy()))
 
     def why_keyframe(self, num_agreeing: int, age: int) -> str:
         """Why the present frame, so many after the last keyframe, should be one; empty if it need not."""
-        if num_agreeing < self.config.keyframe_share * self._num_at_start:
+        if num_agreeing < self.config.keyframe_fraction * self._num_at_start:
             return "fewer points in sight"
         if num_agreeing < self.config.keyframe_points and age >= 3:
             return "few points in sight"

@@ -15,7 +15,7 @@ from PIL import Image
 from epipole._jit import compile_seconds
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3
-from epipole.viewer.page_server import Asked
+from epipole.viewer.page_server import Request
 
 LEAST_SIDE_PX, MOST_SIDE_PX = 48, 320
 """Height of a view: the least at first, for a field that has just begun is fog, and slow to render."""
@@ -25,22 +25,22 @@ LEAST_ASPECT, MOST_ASPECT = 0.25, 4.0
 MOST_WAITING, LONGEST_WAIT_S = 4, 20.0
 """Views that may wait; and how long a tab waits for its view before it has to ask again."""
 
-Draw = Callable[[Camera, Rigid3], Float32[np.ndarray, "h w 3"]]
+Render = Callable[[Camera, Rigid3], Float32[np.ndarray, "h w 3"]]
 
 
-class AskedViews:
+class RequestedViews:
     """Takes requests in threads of the server, and renders them in the thread of the job."""
 
     def __init__(self) -> None:
-        self._waiting = queue.Queue[_Asked](MOST_WAITING)
+        self._waiting = queue.Queue[_Pending](MOST_WAITING)
         self._side_px = float(LEAST_SIDE_PX)
 
-    def answer(self, asked: Asked) -> bytes | None:
+    def answer(self, requested: Request) -> bytes | None:
         """The JPEG of a view; empty if the job had no time for it, None if its query is no view."""
-        values = _numbers_of(asked.query)
+        values = _numbers_of(requested.query)
         if values is None or camera_of(values, LEAST_SIDE_PX) is None:
             return None
-        one = _Asked(values)
+        one = _Pending(values)
         try:
             self._waiting.put_nowait(one)
         except queue.Full:
@@ -48,7 +48,7 @@ class AskedViews:
         one.is_wanted = one.is_rendered.wait(LONGEST_WAIT_S)
         return _jpeg(one.image) if one.is_wanted else b""
 
-    def render_next(self, draw: Draw) -> bool:
+    def render_next(self, render: Render) -> bool:
         """Render the view that has waited longest, if there is one."""
         while True:
             try:
@@ -58,16 +58,16 @@ class AskedViews:
             found = camera_of(one.values, round(self._side_px)) if one.is_wanted else None
             if found is None:
                 continue
-            begin, compiling = perf_counter(), compile_seconds()
-            one.image = draw(*found)
+            start, compiling = perf_counter(), compile_seconds()
+            one.image = render(*found)
             one.is_rendered.set()
-            seconds = max(perf_counter() - begin - (compile_seconds() - compiling), 1e-6)
+            seconds = max(perf_counter() - start - (compile_seconds() - compiling), 1e-6)
             side = self._side_px * np.sqrt(RENDER_S / seconds)
             self._side_px = float(np.clip(side, LEAST_SIDE_PX, MOST_SIDE_PX))
             return True
 
 
-class _Asked:
+class _Pending:
     def __init__(self, values: np.ndarray) -> None:
         self.values, self.image, self.is_wanted = values, np.zeros((1, 1, 3), np.float32), True
         self.is_rendered = threading.Event()

@@ -16,29 +16,29 @@ from epipole.report.markup import data_uri
 MAX_FEATURES = 400
 """Features drawn on one thumbnail."""
 _SHOWN_PX = 1000  # longest side of the pictures in the page
-_PHOTOGRAPH_PX, _PHOTOGRAPH_QUALITY = 640, 85
+_JPEG_PX, _JPEG_QUALITY = 640, 85
 _SMALL_BYTES = 1 << 15
 """Longest side of photographs, which stand three beside each other, and the quality of their JPEGs; PNGs up to so many bytes stay exact."""
 
 
-def picture_uri(rgb: UInt8[np.ndarray, "h w 3"]) -> str:
+def png_uri(rgb: UInt8[np.ndarray, "h w 3"]) -> str:
     """The picture, reduced, as a data URI."""
     small = downscaled(rgb, _SHOWN_PX)
     return data_uri(encoded_image(".png", small[..., ::-1]), "image/png")
 
 
-def photograph_uri(rgb: UInt8[np.ndarray, "h w 3"]) -> str:
+def jpeg_uri(rgb: UInt8[np.ndarray, "h w 3"]) -> str:
     """A photograph or a render, reduced, as a data URI: a JPEG, a tenth of the bytes, unless its PNG is small."""
-    small = downscaled(rgb, _PHOTOGRAPH_PX)
+    small = downscaled(rgb, _JPEG_PX)
     exact = encoded_image(".png", small[..., ::-1])
     if len(exact) <= _SMALL_BYTES:
         return data_uri(exact, "image/png")
-    return data_uri(encoded_image(".jpg", small[..., ::-1], _PHOTOGRAPH_QUALITY), "image/jpeg")
+    return data_uri(encoded_image(".jpg", small[..., ::-1], _JPEG_QUALITY), "image/jpeg")
 
 
 def color_map_uri(values: Float[np.ndarray, "h w"]) -> str:
     """Numbers as colours, as a data URI."""
-    return picture_uri(color_map(values))
+    return png_uri(color_map(values))
 
 
 def color_range_text(values: Float[np.ndarray, "h w"]) -> str:

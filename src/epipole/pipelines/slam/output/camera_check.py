@@ -50,7 +50,7 @@ FOCAL, CX, CY, K1, K2 = range(5)
 
 
 @dataclass(frozen=True, slots=True)
-class LensCheck:
+class CameraCheck:
     """The focal length and the first radial term that the pictures agree with best, besides the distortion given."""
 
     given_focal_px: float
@@ -95,14 +95,14 @@ class LensCheck:
         return out
 
 
-def check_lens(model: SlamMap, camera: Camera) -> LensCheck | None:
+def check_camera(model: SlamMap, camera: Camera) -> CameraCheck | None:
     """The lens that the finished map agrees with best; None where the map is too small to tell.
 
     Args:
         model: which stays as it is.
         camera: as given, of any model.
     """
-    seen = _observations(_turning_most(model), model, camera)
+    seen = _observations(_most_rotated(model), model, camera)
     if seen is None:
         return None
     problem = _problem(seen, model, camera.focal_px)
@@ -117,7 +117,7 @@ def check_lens(model: SlamMap, camera: Camera) -> LensCheck | None:
         sigmas_off = min(sigmas_off, wide.sigmas_off(camera.focal_px))
     focal_px, k1 = narrow.focal_px, narrow.k1
     edge = EDGE * 0.5 * float(np.hypot(camera.width, camera.height)) / focal_px
-    return LensCheck(
+    return CameraCheck(
         camera.focal_px,
         focal_px,
         narrow.whole_sigma_px,
@@ -128,7 +128,7 @@ def check_lens(model: SlamMap, camera: Camera) -> LensCheck | None:
     )
 
 
-class _Lens(NamedTuple):
+class _CameraFit(NamedTuple):
     """What an adjustment finds, and its formal deviations."""
 
     focal_px: float
@@ -146,7 +146,7 @@ class _Lens(NamedTuple):
         return abs(self.focal_px - given_focal_px) / self.whole_sigma_px
 
 
-def _adjusted(problem: BundleProblem, free: tuple[int, ...]) -> _Lens | None:
+def _adjusted(problem: BundleProblem, free: tuple[int, ...]) -> _CameraFit | None:
     """The lens, with these of its parameters free; None where they are not determined."""
     params_free = np.zeros_like(problem.params_free)
     params_free[0, list(free)] = 1.0
@@ -159,11 +159,11 @@ def _adjusted(problem: BundleProblem, free: tuple[int, ...]) -> _Lens | None:
         found = bundle_covariance(with_result(problem, result), result, config, clustered=True)
     except DegenerateGeometryError:
         return None
-    lens, variance = result.camera_params[0], np.diagonal(found.camera_params[0])
-    if not (np.isfinite([*lens[list(free)], *variance[[FOCAL, K1]]]).all() and lens[FOCAL] > 0):
+    camera, variance = result.camera_params[0], np.diagonal(found.camera_params[0])
+    if not (np.isfinite([*camera[list(free)], *variance[[FOCAL, K1]]]).all() and camera[FOCAL] > 0):
         return None
-    return _Lens(
-        float(lens[FOCAL]), float(np.sqrt(variance[FOCAL])), float(lens[K1]), float(np.sqrt(variance[K1]))
+    return _CameraFit(
+        float(camera[FOCAL]), float(np.sqrt(variance[FOCAL])), float(camera[K1]), float(np.sqrt(variance[K1]))
     )
 
 
@@ -176,13 +176,13 @@ class _Seen(NamedTuple):
     pixels: np.ndarray
 
 
-def _turning_most(model: SlamMap) -> list[Keyframe]:
+def _most_rotated(model: SlamMap) -> list[Keyframe]:
     """So many keyframes in a row, with points: a camera that turns as it moves tells its focal length."""
     views = [k for k in model.keyframes if model.is_triangulated(k.point).any()]
     if len(views) <= MOST_KEYFRAMES:
         return views
-    turns = [(b.cam_from_world @ a.cam_from_world.inverse()).rotation for a, b in pairwise(views)]
-    angles = np.arccos(np.clip([(np.trace(turn) - 1.0) / 2.0 for turn in turns], -1.0, 1.0))
+    rotations = [(b.cam_from_world @ a.cam_from_world.inverse()).rotation for a, b in pairwise(views)]
+    angles = np.arccos(np.clip([(np.trace(rotation) - 1.0) / 2.0 for rotation in rotations], -1.0, 1.0))
     together = np.convolve(angles, np.ones(MOST_KEYFRAMES - 1), "valid")
     first = int(np.argmax(together))
     return views[first : first + MOST_KEYFRAMES]
@@ -212,10 +212,10 @@ def _problem(seen: _Seen, model: SlamMap, focal_px: float) -> BundleProblem:
     none = np.zeros(len(order), np.int32)
     params = np.zeros((1, 12))
     params[0, FOCAL] = focal_px
-    places = [keyframe.cam_from_world for keyframe in seen.views]
+    positions = [keyframe.cam_from_world for keyframe in seen.views]
     return with_fixed_gauge(
         BundleProblem(
-            Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places])),
+            Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions])),
             Rigid3(np.eye(3)[None], np.zeros((1, 3))),
             np.array([int(CameraModel.RADIAL)], np.int32),
             params,
@@ -225,14 +225,14 @@ def _problem(seen: _Seen, model: SlamMap, focal_px: float) -> BundleProblem:
             none,
             none,
             seen.pixels[order],
-            np.ones((len(places), 6)),
+            np.ones((len(positions), 6)),
             np.zeros((1, 12)),
             np.ones(len(rows)),
         )
     )
 
 
-def lens_warnings(found: LensCheck | None, right_shift_px: float) -> list[str]:
+def camera_warnings(found: CameraCheck | None, right_shift_px: float) -> list[str]:
     """What is wrong with lens or pair, in words; empty where nothing is seen to be.
 
     Args:

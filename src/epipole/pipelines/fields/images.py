@@ -23,7 +23,7 @@ from epipole.io.models.llff import LLFF, read_llff
 from epipole.io.models.transforms import read_transforms_scene
 from epipole.io.names import path_inside
 from epipole.pipelines.fields.config import FieldOptions
-from epipole.runs import Progress, ProgressCallback, holds_own_model, ignore_progress
+from epipole.runs import Progress, ProgressCallback, has_own_model, ignore_progress
 from epipole.scene import Reconstruction
 from epipole.scene.local_origin import local_origin
 
@@ -32,7 +32,7 @@ SPLITS = ("transforms_train.json", "transforms_test.json")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FieldPictures:
+class FieldImages:
     """Views to train on, views that are held out, and what is known of the scene."""
 
     train: list[TrainingView]
@@ -45,7 +45,7 @@ class FieldPictures:
     origin_in_world: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """(3,) what the coordinates are relative to."""
 
-    def about_origin(self) -> FieldPictures:
+    def about_origin(self) -> FieldImages:
         """The same about an origin near the cameras, where these are far from that of the world: Gaussians are of single precision."""
         views = [*self.train, *self.test]
         origin = local_origin(np.stack([view.cam_from_world.inverse().translation for view in views]))
@@ -82,12 +82,12 @@ def is_model(source: Path) -> bool:
     return True
 
 
-def gather_field_pictures(
+def gather_field_images(
     source: Path,
     options: FieldOptions,
     photographs: Path | None = None,
     progress: ProgressCallback = ignore_progress,
-) -> FieldPictures:
+) -> FieldImages:
     """Read cameras and pictures.
 
     Args:
@@ -120,8 +120,8 @@ def gather_field_pictures(
             + "".join(f"; {p}" for p in problems[:3])
             + ("; SLAM keeps no images beside its map" if results_of(source) == "slam" else "")
         )
-    has_alpha = any(view.picture.shape[2] == 4 for view in train)
-    return FieldPictures(train, test, model.points.xyz_in_world, model.points.rgb, has_alpha, problems)
+    has_alpha = any(view.image.shape[2] == 4 for view in train)
+    return FieldImages(train, test, model.points.xyz_in_world, model.points.rgb, has_alpha, problems)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,32 +152,36 @@ def _split(
     """
     names = [view.name for view in views]
     if options.test is not None:
-        held = {name.strip() for name in options.test.split(",") if name.strip()}
-        if missing := sorted(held - set(names)):
+        held_out_names = {name.strip() for name in options.test.split(",") if name.strip()}
+        if missing := sorted(held_out_names - set(names)):
             raise ConfigError(f"test names pictures that have no camera: {', '.join(missing[:4])}")
         if splits:
             problems.append("the splits of the file are not used, because test names the held-out images")
     elif splits:
         return _split_of_file(views, splits, problems)
     else:
-        held = set(names[:: options.test_every]) if options.test_every else set()
-    return [view for view in views if view.name not in held], [view for view in views if view.name in held]
+        held_out_names = set(names[:: options.test_every]) if options.test_every else set()
+    return [view for view in views if view.name not in held_out_names], [
+        view for view in views if view.name in held_out_names
+    ]
 
 
 def _split_of_file(
     views: list[TrainingView], splits: Mapping[str, tuple[str, ...]], problems: list[str]
 ) -> tuple[list[TrainingView], list[TrainingView]]:
     """Without a list of test images those for validation are held out; without one to train on, all others are."""
-    held = set(splits.get("test", splits.get("val", ())))
-    others = {view.name for view in views} - held - set(splits.get("val", ()))
+    held_out_names = set(splits.get("test", splits.get("val", ())))
+    others = {view.name for view in views} - held_out_names - set(splits.get("val", ()))
     wanted = set(splits.get("train", others))
-    if both := sorted(wanted & held):
+    if both := sorted(wanted & held_out_names):
         problems.append(
             f"{len(both)} images are both trained on and held out ({both[0]}), so their scores are too high"
         )
-    if unused := sorted({view.name for view in views} - wanted - held):
+    if unused := sorted({view.name for view in views} - wanted - held_out_names):
         problems.append(f"{len(unused)} images are in no split that is used ({unused[0]})")
-    return [view for view in views if view.name in wanted], [view for view in views if view.name in held]
+    return [view for view in views if view.name in wanted], [
+        view for view in views if view.name in held_out_names
+    ]
 
 
 def _transforms_source(file: Path, problems: list[str]) -> _Source:
@@ -202,9 +206,9 @@ def _source_of(source: Path, max_side_px: int, photographs: Path | None, problem
     else:
         folder = find_model(source)
         at = folder.resolve()
-        places = (source, folder, at.parent, at.parent.parent)
-        workspace = next((place for place in places if (place / "images").is_dir()), source)
-        found = _Source(read_colmap_model(folder), workspace / "images", holds_own_model(workspace))
+        positions = (source, folder, at.parent, at.parent.parent)
+        workspace = next((position for position in positions if (position / "images").is_dir()), source)
+        found = _Source(read_colmap_model(folder), workspace / "images", has_own_model(workspace))
     return found if photographs is None else replace(found, folder=photographs)
 
 

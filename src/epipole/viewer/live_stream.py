@@ -27,7 +27,7 @@ MOST_POINTS = 100_000
 """Of each layer: 1.6 MB."""
 
 
-class LiveFeed:
+class LiveStream:
     """The newest state of a job, and its data, made when a tab first asks for them.
 
     A state replaces the one before it. A slow or stuck tab therefore misses states, and delays nobody.

@@ -26,10 +26,10 @@ def upright_from_world(world_from_body: Rigid3) -> Similarity3:
     start = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     up = start @ up
     size = float(np.linalg.norm(up))
-    turn = np.eye(3)
+    rotation = np.eye(3)
     if size > 1e-6:
-        turn = Rotation3.from_two_vectors(up / size, np.array([0.0, 0.0, 1.0])).matrix
-    return Similarity3(np.asarray(1.0), turn @ start, np.zeros(3))
+        rotation = Rotation3.from_two_vectors(up / size, np.array([0.0, 0.0, 1.0])).matrix
+    return Similarity3(np.asarray(1.0), rotation @ start, np.zeros(3))
 
 
 def path_curve(
