@@ -1,4 +1,4 @@
-# make demo: pictures in, 3D model out.   make test: everything that is checked before a change lands.
+# make demo: images in, 3D model out.   make test: everything that is checked before a change lands.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin

@@ -1,1 +1,1 @@
-"""Comparisons of epipole with other programs: the same pictures, the same limits, quality and time in one row."""
+"""Comparisons of epipole with other programs: the same images, the same limits, quality and time in one row."""

@@ -2,7 +2,7 @@
 
 Each trial is a ring of cameras around points, seen with noise, adjusted, and moved by a similarity that nobody is told: its
 places have the errors that an adjustment leaves. Then one thing is known besides, with noise of the stated size, and goes
-the way of the command line: files and pictures to one scale. The truth is the scale of the similarity that best moves the
+the way of the command line: files and images to one scale. The truth is the scale of the similarity that best moves the
 adjusted cameras onto the true ones.
 """
 
@@ -51,7 +51,7 @@ class Trial:
     folder: Path
 
     def views(self, image: Callable[[int], np.ndarray | None] = lambda _: None) -> AnchorViews:
-        """The model's pictures."""
+        """The model's images."""
         return views_of_model(self.model, image)
 
     def write(self, name: str, lines: list[str]) -> Path:
@@ -81,7 +81,7 @@ def trial_of(seed: int, folder: Path) -> Trial:
 
 
 def positions(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
-    """Every third picture's place, 5 cm wrong, by name."""
+    """Every third image's place, 5 cm wrong, by name."""
     rows = np.arange(0, VIEWS, 3)
     positions = trial.centers[rows] + 0.05 * trial.rng.normal(size=(len(rows), 3))
     names = trial.truth.images.name
@@ -98,7 +98,7 @@ def timed_positions(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
 
 
 def lengths(trial: Trial, count: int = 1) -> tuple[AnchorViews, AnchorOptions]:
-    """Lengths in the scene, clicked in four pictures with an error of a pixel, and measured to 2 mm."""
+    """Lengths in the scene, clicked in four images with an error of a pixel, and measured to 2 mm."""
     camera, lines = trial.truth.cameras[0], []
     cams = trial.truth.cams_from_world()
     for n in range(count):
@@ -136,7 +136,7 @@ def _facing(trial: Trial) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
 
 
 def _sampled(trial: Trial, things: list[Any], rows: np.ndarray) -> AnchorViews:
-    """Views that see a scene in small pictures."""
+    """Views that see a scene in small images."""
     scene = SyntheticScene.of(things, light=(0.3, 0.3, 0.9))
     camera = trial.truth.cameras[0].scaled_to(*SMALL)
     cams = trial.truth.cams_from_world()
@@ -158,7 +158,7 @@ def _vector(values: np.ndarray) -> tuple[float, float, float]:
 
 
 def tags(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
-    """Three AprilTags in rendered pictures, one printed 10 % too large; the sides are stated 0.3 % wrong."""
+    """Three AprilTags in rendered images, one printed 10 % too large; the sides are stated 0.3 % wrong."""
     right, down, _, rows = _facing(trial)
     side, things = 0.25, []
     for n, (aside, size) in enumerate(((-0.5, side), (0.0, side), (0.5, 1.1 * side))):
@@ -168,7 +168,7 @@ def tags(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
 
 
 def board(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
-    """A chessboard in rendered pictures; the side of its squares is stated 0.3 % wrong."""
+    """A chessboard in rendered images; the side of its squares is stated 0.3 % wrong."""
     right, down, _, rows = _facing(trial)
     things = chessboard_sheet(8, 5, 0.1, (0.0, 0.0, 0.0), _vector(right), _vector(down))
     stated = 0.1 * (1.0 + 0.003 * trial.rng.normal())
@@ -225,7 +225,7 @@ ANCHORS: dict[str, Callable[[Trial], tuple[AnchorViews, AnchorOptions]]] = {
 
 
 DRAWN = ("three tags, one too large", "chessboard")
-"""Anchors that are found in rendered pictures."""
+"""Anchors that are found in rendered images."""
 
 
 def measured(name: str, count: int) -> dict[str, Any]:
@@ -260,7 +260,7 @@ def main() -> None:
     """Run all anchors and print the table."""
     parser = argparse.ArgumentParser(description="Scales by anchors against the truth.")
     parser.add_argument("--anchor", nargs="+", choices=list(ANCHORS), default=list(ANCHORS))
-    parser.add_argument("--trials", type=int, default=200, help="a quarter of them where pictures are drawn")
+    parser.add_argument("--trials", type=int, default=200, help="a quarter of them where images are drawn")
     arguments = parser.parse_args()
     report: dict[str, Any] = {"machine": describe_machine(1), "anchors": {}}
     table = Table(title="scale")

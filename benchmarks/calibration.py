@@ -89,7 +89,7 @@ def spoiled(views: list[list[BoardView]]) -> list[list[BoardView]]:
 
 
 def desk_rows(folder: Path) -> dict[str, dict[str, float]]:
-    """Difference of projections from a given lens, over the picture and where corners were seen."""
+    """Difference of projections from a given lens, over the image and where corners were seen."""
     views = [find_board(read_grey(path), DESK) for path in sorted((folder / "images").iterdir())]
     K, (k1, k2) = np.loadtxt(folder / "K.txt"), np.loadtxt(folder / "D.txt")
     f = K[0, 0]
@@ -103,7 +103,7 @@ def desk_rows(folder: Path) -> dict[str, dict[str, float]]:
         rows[model] = {
             "rms px": found.rms_px,
             "fx": found.cameras[0].K[0, 0],
-            "difference px, whole picture": float(np.nanmedian(whole)),
+            "difference px, whole image": float(np.nanmedian(whole)),
             "where corners were seen": float(np.nanmedian(seen)),
         }
     return rows

@@ -35,7 +35,7 @@ LEAST = 1000
 COUNTS, SIDES = (100_000, 200_000, 400_000, 700_000, 1_000_000), (200, 400, 600, 800)
 USUAL_COUNT, USUAL_SIDE = 200_000, 400
 VIEWS, GROWING = 8, 40
-"""Pictures, and steps in which Gaussians are still split and dropped."""
+"""Images, and steps in which Gaussians are still split and dropped."""
 
 
 def measured(source: Path, count: int, side: int, steps: int) -> dict[str, float]:

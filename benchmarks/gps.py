@@ -21,7 +21,7 @@ MIN_STEP_M = 3.0
 def score_gps(task: SfmTask, model: Reconstruction) -> dict[str, float]:
     """Median distance to the fixes after a robust similarity, and median angle of axes against motion.
 
-    The axis of image i is compared with the way from its fix to the next picture's, in the horizontal plane.
+    The axis of image i is compared with the way from its fix to the next image's, in the horizontal plane.
     """
     enu = _fixes(task)
     registered = np.flatnonzero(model.is_registered())
@@ -79,7 +79,7 @@ def _align(source: np.ndarray, target: np.ndarray) -> Similarity3 | None:
 
 
 def _fixes(task: SfmTask) -> np.ndarray:
-    """East, north, up of every picture in metres; NaN where it has no fix."""
+    """East, north, up of every image in metres; NaN where it has no fix."""
     table = np.full((len(task.image_names), 3), np.nan)
     for k, name in enumerate(task.image_names):
         fix = read_header(task.images / name).gps

@@ -1,6 +1,6 @@
 """Record the lesson's page on fields: one scene learnt as Gaussians and as a neural field, and some pixels of both. `python -m benchmarks.lesson_fields`.
 
-The scene is drawn, so that no picture of anybody else's is in the package.
+The scene is drawn, so that no image of anybody else's is in the package.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from epipole.synthetic.scene import Box, Sphere, SyntheticScene
 
 RECORD = REPOSITORY / "src" / "epipole" / "lesson" / "assets" / "fields.json"
 SIDE, FINER, VIEWS, FOCAL = 200, 3, 72, 1.3
-"""Pixels of a picture across, drawn so many times finer; pictures; and the focal length over the picture's width."""
+"""Pixels of an image across, drawn so many times finer; images; and the focal length over the image's width."""
 MIDDLE = np.array([0.0, 0.0, 0.3])
 PIXELS = ((104, 92), (61, 118), (140, 76), (100, 150), (22, 30))
 """Columns and rows that are looked into."""
@@ -151,7 +151,7 @@ def image(rgb: np.ndarray) -> str:
 
 
 def looked_into(field: HashField, cloud: GaussianCloud, folder: Path) -> dict[str, Any]:
-    """Pictures of one view, and the pixels."""
+    """Images of one view, and the pixels."""
     view = gather_field_images(folder, FieldOptions()).test[SHOWN]
     white = np.ones(3, np.float32)
     rendered = render(cloud, view.camera, view.cam_from_world)

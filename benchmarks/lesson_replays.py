@@ -1,6 +1,6 @@
 """Record the replays of the lesson's page on failures: the library's own SLAM on drawn rides. `python -m benchmarks.lesson_replays`.
 
-Pictures are drawn, so that none of anybody else's is in the package; of the kitchen of 7-Scenes only figures are kept.
+Images are drawn, so that none of anybody else's is in the package; of the kitchen of 7-Scenes only figures are kept.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from epipole.synthetic.ride import Ride, Shutter
 
 RECORD = REPOSITORY / "src" / "epipole" / "lesson" / "assets" / "failures.json"
 SIZE, SHOWN_SIZE, SHOWN, QUALITY = (320, 240), (176, 132), 26, 40
-"""Of the pictures that are followed, and that are shown; how many of these, at most; and how well."""
+"""Of the images that are followed, and that are shown; how many of these, at most; and how well."""
 
 
 class Sight(NamedTuple):
@@ -137,14 +137,14 @@ def rounded(positions: np.ndarray) -> Any:
 
 
 def small(grey: np.ndarray) -> str:
-    """A picture as the page shows it."""
+    """An image as the page shows it."""
     shrunk = cv2.resize(grey, SHOWN_SIZE, interpolation=cv2.INTER_AREA)
     _, encoded = cv2.imencode(".webp", shrunk, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
     return base64.b64encode(encoded.tobytes()).decode("ascii")
 
 
 def without_repeats(runs: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Pictures that the first run has, too, are kept there alone."""
+    """Images that the first run has, too, are kept there alone."""
     first, *others = runs.values()
     for run in others:
         if run["pictures"] == first["pictures"]:
@@ -153,7 +153,7 @@ def without_repeats(runs: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]
 
 
 def kitchen(folder: Path) -> dict[str, Any]:
-    """How far a run of ours is from each of the two truths of 7-Scenes' kitchen, picture by picture."""
+    """How far a run of ours is from each of the two truths of 7-Scenes' kitchen, image by image."""
     with tempfile.TemporaryDirectory(prefix="epipole-kitchen-") as out:
         path = epipole.slam(folder, out, sensor="rgbd").trajectory
     numbers = np.rint(30 * path.timestamp_s).astype(int)

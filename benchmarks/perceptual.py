@@ -3,7 +3,7 @@
     pip install -e '.[bench]' && pip install lpips
     python -m benchmarks.perceptual OUT TRUTH [--net alex]
 
-OUT is an output folder with `test/NAME.png`, TRUTH a folder with pictures of the same names in the same size. The package
+OUT is an output folder with `test/NAME.png`, TRUTH a folder with images of the same names in the same size. The package
 `lpips` needs PyTorch and weights of a network, which it loads by itself from elsewhere when it is first used: epipole never
 imports it, and says so where one of them is missing.
 """
@@ -22,7 +22,7 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".PNG")
 
 
 def pairs_of(out: Path, truth: Path) -> list[tuple[str, Path, Path]]:
-    """Name, drawn picture and true one of each view that both folders have."""
+    """Name, drawn image and true one of each view that both folders have."""
     found = []
     for rendered in sorted((out / "test").rglob("*.png")):
         name = rendered.relative_to(out / "test").with_suffix("")
@@ -45,7 +45,7 @@ def network(name: str) -> Any:
 
 
 def tensor(path: Path) -> Any:
-    """A picture as (1, 3, h, w) from -1 to 1; what is transparent is white."""
+    """An image as (1, 3, h, w) from -1 to 1; what is transparent is white."""
     import torch
 
     rgba = np.asarray(Image.open(path).convert("RGBA"), np.float32) / 255.0
@@ -62,7 +62,7 @@ def main() -> None:
     arguments = parser.parse_args()
     pairs = pairs_of(arguments.out, arguments.truth)
     if not pairs:
-        sys.exit(f"no view of {arguments.out / 'test'} has a picture of its name in {arguments.truth}")
+        sys.exit(f"no view of {arguments.out / 'test'} has an image of its name in {arguments.truth}")
     measure, values = network(arguments.net), []
     for name, rendered, real in pairs:
         values.append(float(measure(tensor(rendered), tensor(real)).item()))

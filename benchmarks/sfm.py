@@ -1,4 +1,4 @@
-"""Structure-from-motion against COLMAP, on the same pictures, under the same limits, scored by the same code.
+"""Structure-from-motion against COLMAP, on the same images, under the same limits, scored by the same code.
 
 `python -m benchmarks.sfm --set fountain-P11 lund_gps` runs each program in a process of its own, in turn
 (A B A B ...), and prints median and range for every figure; the runs go to benchmarks/results/sfm_SET.json.
@@ -91,15 +91,15 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--threads", type=int, default=default.num_threads)
     parser.add_argument("--cold", action="store_true", help="no warm-up: the first run compiles kernels")
     parser.add_argument(
-        "--shared-camera", action="store_true", help="tell pycolmap that one camera took all pictures"
+        "--shared-camera", action="store_true", help="tell pycolmap that one camera took all images"
     )
     return parser.parse_args()
 
 
 def _warm_up(task: SfmTask, peers: list[SfmPeer], limits: Limits, work: Path) -> None:
-    """One run of each program on a few pictures, not counted: libraries are read, kernels compiled.
+    """One run of each program on a few images, not counted: libraries are read, kernels compiled.
 
-    It may fail (a few pictures need not give a model); a program that starts from another's files has no need of it.
+    It may fail (a few images need not give a model); a program that starts from another's files has no need of it.
     """
     few = work / "warm-up" / "images"
     few.mkdir(parents=True)
@@ -153,7 +153,7 @@ def _in_a_line(run: Run) -> str:
     if run["exit_code"] != 0:
         return f"failed (exit {run['exit_code']}): {run['error'].strip().splitlines()[-1:]}"
     score = run["score"]
-    return f"{score['registered']} of {score['pictures']} registered, {run['wall_s']:.1f} s"
+    return f"{score['registered']} of {score['images']} registered, {run['wall_s']:.1f} s"
 
 
 def value_of(run: Run, metric: str) -> float | None:
@@ -217,7 +217,7 @@ def _report(
         "told": task.known,
         "unit": task.unit,
         "limits": asdict(limits),
-        "warm_up": "none" if arguments.cold else f"one run on {WARM_UP_PICTURES} pictures, not counted",
+        "warm_up": "none" if arguments.cold else f"one run on {WARM_UP_PICTURES} images, not counted",
         "pycolmap_shared_camera": arguments.shared_camera,
         "machine": describe_machine(limits.num_threads),
         "versions": {peer.name: peer.version() for peer in peers},
@@ -248,7 +248,7 @@ def _table(task: SfmTask, report: dict[str, Any], peers: list[SfmPeer]) -> Table
     """One row per figure, one column per program, and the ratio to pycolmap's better mapper."""
     num_runs = max((run["run"] for run in report["runs"]), default=-1) + 1
     title = (
-        f"{task.name}: {len(task.image_names)} pictures, told {task.known}; median (range) of {num_runs} runs"
+        f"{task.name}: {len(task.image_names)} images, told {task.known}; median (range) of {num_runs} runs"
     )
     table = Table(title=title, title_justify="left")
     table.add_column("", no_wrap=True)

@@ -34,7 +34,7 @@ RESULTS = REPOSITORY / "benchmarks" / "results" / "slam_covariance.json"
 
 
 class Rendered:
-    """Pictures of a ride without noise, and where they were taken."""
+    """Images of a ride without noise, and where they were taken."""
 
     def __init__(self, ride: Ride) -> None:
         clean = replace(ride, shutter=Shutter(noise_sigma=0.0))

@@ -1,4 +1,4 @@
-"""Pictures a second of Gaussians and of a neural field at the same likeness, on lego. `python -m benchmarks.splat_against_nerf`.
+"""Images a second of Gaussians and of a neural field at the same likeness, on lego. `python -m benchmarks.splat_against_nerf`.
 
 Gaussians are trained for as long as the field, with different numbers of them: at the field's PSNR their speed lies between those of two rows.
 """
@@ -74,7 +74,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="epipole-fields-") as folder:
         found = measured(data / "fields" / "lego", arguments.time, Path(folder))
     RESULTS.write_text(json.dumps({"machine": describe_machine(2), **found}, indent=1) + "\n")
-    table = Table("", "Gaussians", "PSNR", "pictures a second")
+    table = Table("", "Gaussians", "PSNR", "images a second")
     table.add_row("neural field", "", f"{found['nerf']['psnr']:.2f}", f"{found['nerf']['frames_s']:.1f}")
     for row in found["splats"]:
         table.add_row("splats", f"{row['gaussians']:,}", f"{row['psnr']:.2f}", f"{row['frames_s']:.0f}")

@@ -1,6 +1,6 @@
 """Where the time of a training step goes, its operations and its floor. `python -m benchmarks.splat_step`.
 
-The late steps of a training of fountain-P11, cameras found first: every Gaussian is there, and pictures have their full size.
+The late steps of a training of fountain-P11, cameras found first: every Gaussian is there, and images have their full size.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How like their pictures splats, grids and neural fields are after a given time, from cameras or photographs. `python -m benchmarks.splats`.
+"""How like their images splats, grids and neural fields are after a given time, from cameras or photographs. `python -m benchmarks.splats`.
 
 Held-out views alone are compared. The rates of the training were chosen on lego's test views: that row is in-sample.
 """
@@ -26,7 +26,7 @@ SIZES = ("num_gaussians", "num_voxels", "num_parameters")
 
 
 class Task(NamedTuple):
-    """Pictures, and for how long is trained on them."""
+    """Images, and for how long is trained on them."""
 
     folder: str
     time: str

@@ -50,7 +50,7 @@ def verify_with_pycolmap(problems: list[KnownPair], _threads: int) -> list[str]:
     words = {2: "general", 3: "general", 4: "planar", 5: "rotation", 6: "planar"}
     out = []
     for a, b, _, known in problems:
-        params = [*known.params[:2], *(known.params[2:] + 0.5)]  # its picture's corner is at (0, 0)
+        params = [*known.params[:2], *(known.params[2:] + 0.5)]  # its image's corner is at (0, 0)
         camera = pycolmap.Camera(model="PINHOLE", width=known.width, height=known.height, params=params)
         rows = np.repeat(np.arange(len(a), dtype=np.uint32)[:, None], 2, axis=1)
         found = pycolmap.estimate_calibrated_two_view_geometry(

@@ -104,7 +104,7 @@ def main() -> None:
         rows.append({"points": n} | {name: statistics.median(run[name] for run in runs) for name in runs[0]})
     content = {"machine": describe_machine(2), "window": SIZE, "num_runs": arguments.runs, "clouds": rows}
     RESULTS.write_text(json.dumps(content, indent=1) + "\n")
-    heads = ("read, s", "first picture, s", "all points, s", "ms a frame", "95 %", "points a frame")
+    heads = ("read, s", "first image, s", "all points, s", "ms a frame", "95 %", "points a frame")
     table = Table("points", *heads)
     for row in rows:
         seconds = (f"{row[name]:.2f}" for name in ("read_s", "first_picture_s", "all_s"))

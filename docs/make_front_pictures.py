@@ -1,6 +1,6 @@
-"""Draw the pictures at the head of README.md: `python docs/make_front_pictures.py`, three minutes on two cores.
+"""Draw the images at the head of README.md: `python docs/make_front_pictures.py`, three minutes on two cores.
 
-Everything in them was computed from real pictures of the data folder (`$EPIPOLE_DATA`, else ../shared/data beside the repository):
+Everything in them was computed from real images of the data folder (`$EPIPOLE_DATA`, else ../shared/data beside the repository):
 fountain-P11 (Strecha et al., CVPR 2008), Motorcycle (Scharstein et al., GCPR 2014), 7-Scenes (Shotton et al., CVPR 2013).
 """
 
@@ -35,10 +35,10 @@ BACK, CAMERAS = (24, 20, 17), (60, 80, 230)
 
 
 class View:
-    """A picture into which points and lines of space are drawn."""
+    """An image into which points and lines of space are drawn."""
 
     def __init__(self, cam_from_world: Rigid3, focal_px: float) -> None:
-        """An empty picture seen from there."""
+        """An empty image seen from there."""
         self.image = np.full((FINER * HEIGHT, FINER * WIDTH, 3), BACK, np.uint8)
         self.cam_from_world, self.focal_px = cam_from_world, FINER * focal_px
 
@@ -88,7 +88,7 @@ class View:
             self.path(world[[0, corner]], CAMERAS, 3)
 
     def small(self) -> np.ndarray:
-        """The picture in its size."""
+        """The image in its size."""
         return cv2.resize(self.image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
 
 
@@ -99,7 +99,7 @@ def save(name: str, image: np.ndarray) -> None:
 
 
 def filled(rgb: np.ndarray, width: int) -> np.ndarray:
-    """The middle of a picture, of this width and the height of all, in OpenCV's order of colours."""
+    """The middle of an image, of this width and the height of all, in OpenCV's order of colours."""
     scale = max(width / rgb.shape[1], HEIGHT / rgb.shape[0])
     size = (max(width, round(scale * rgb.shape[1])), max(HEIGHT, round(scale * rgb.shape[0])))
     trajectory = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
@@ -128,7 +128,7 @@ def model(work: Path) -> None:
 
 
 def stereo(_: Path) -> None:
-    """A picture of a pair, and its depth: near blue, far red, black where it is not known."""
+    """An image of a pair, and its depth: near blue, far red, black where it is not known."""
     left, right = (read_rgb(DATA / f"stereo/motorcycle/motorcycle_{side}.png") for side in ("left", "right"))
     rig = RectifiedRig(
         focal_px=994.978, cx=311.193, cy=254.877, baseline=0.193001, principal_offset_px=31.086

@@ -1,4 +1,4 @@
-"""Draw the pictures of these pages: `python docs/make_pictures.py`. Everything in them comes from the package."""
+"""Draw the images of these pages: `python docs/make_pictures.py`. Everything in them comes from the package."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def save(name: str, image: np.ndarray, suffix: str = "png") -> None:
 
 
 def homography() -> None:
-    """Picture 1 carried onto picture 2 by a plane of the scene: the plane is sharp, all else is double."""
+    """Image 1 carried onto image 2 by a plane of the scene: the plane is sharp, all else is double."""
     one, two, x1, x2 = two_pictures()
     found = estimate_homography(x1, x2)
     moved = cv2.warpPerspective(one, found.model, (two.shape[1], two.shape[0]))
@@ -63,7 +63,7 @@ def homography() -> None:
 
 
 def fundamental() -> None:
-    """Points of picture 1 and the lines of picture 2 on which their partners lie."""
+    """Points of image 1 and the lines of image 2 on which their partners lie."""
     one, two, x1, x2 = two_pictures()
     found = estimate_fundamental_matrix(x1, x2, RansacConfig(max_error_px=1.5))
     chosen = np.flatnonzero(found.inlier_mask)[:: max(1, found.num_inliers // 14)]
@@ -238,7 +238,7 @@ def bundle_growth() -> None:
 
 
 def stereo() -> None:
-    """A rendered pair: the left picture, its disparities, their standard deviations, and the errors in units of them."""
+    """A rendered pair: the left image, its disparities, their standard deviations, and the errors in units of them."""
     pair = stereo_room(2, (480, 360))
     limit = int(np.nanmax(pair.disparity_px)) + 8
     found = match_stereo(pair.left, pair.right, StereoConfig(max_disparity_px=limit))
@@ -275,7 +275,7 @@ def conventions() -> None:
 
     arrow = 'marker-end="url(#tip)"'
     red, green, blue = "#b3261e", "#2e7d32", "#1f5fa8"
-    # the camera: its centre, a picture in front of it, and its axes
+    # the camera: its centre, an image in front of it, and its axes
     eye, corners = (70, 200), [(140, 64), (300, 64), (300, 170), (140, 170)]
     for corner in corners:
         line(eye, corner, "#aaa")

@@ -12,7 +12,7 @@ from epipole.geometry import Rigid3, Rotation3
 from epipole.image import undistorted_camera
 from epipole.io import params_from_colmap
 
-# A camera is the name of a model, the size of its pictures and the model's parameters in pixels. The names,
+# A camera is the name of a model, the size of its images and the model's parameters in pixels. The names,
 # the order and the coefficients are COLMAP's and OpenCV's.
 
 camera = epipole.Camera("OPENCV", 640, 480, [500, 500, 319.5, 239.5, -0.1, 0.02, 0.001, -0.001])
@@ -20,7 +20,7 @@ print(camera)
 print("parameters:", ", ".join(camera.model.param_names))
 
 # A point on the optical axis falls on the principal point; one to the right of it falls right, one below it
-# falls lower in the picture. What is behind the camera has no pixel: NaN, not a mirrored one.
+# falls lower in the image. What is behind the camera has no pixel: NaN, not a mirrored one.
 
 pixels = camera.project([[0, 0, 2], [0.1, 0, 2], [0, 0.1, 2], [0, 0, -2]])
 print(pixels.round(2))
@@ -54,7 +54,7 @@ assert np.allclose(
     cam2_from_world.apply(point_in_world), cam2_from_cam1.apply(cam_from_world.apply(point_in_world))
 )
 
-# COLMAP counts pixels from the corner of the picture, half a pixel more. Readers and writers of its files
+# COLMAP counts pixels from the corner of the image, half a pixel more. Readers and writers of its files
 # convert by themselves; numbers that are copied by hand need this call.
 
 colmap_params = np.array([500.0, 500.0, 320.0, 240.0])
@@ -62,7 +62,7 @@ params = params_from_colmap("PINHOLE", colmap_params)
 assert params.tolist() == [500.0, 500.0, 319.5, 239.5]
 
 # A pinhole that sees what the lens saw, for programs that know no distortion: the same ray has another pixel
-# in it, and a straight line in space is straight in its pictures.
+# in it, and a straight line in space is straight in its images.
 
 pinhole = undistorted_camera(camera)
 line = np.stack([np.linspace(-1.0, 1.0, 21), np.full(21, 0.5), np.full(21, 2.0)], axis=1)

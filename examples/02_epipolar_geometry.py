@@ -1,7 +1,7 @@
-"""Epipolar geometry of two pictures
+"""Epipolar geometry of two images
 
-A point of one picture lies on a line of the other, and that line follows from where the two cameras stand.
-Here keypoints are found and matched in two rendered pictures, the fundamental and the essential matrix are
+A point of one image lies on a line of the other, and that line follows from where the two cameras stand.
+Here keypoints are found and matched in two rendered images, the fundamental and the essential matrix are
 estimated, and the relative pose that comes out is compared with the true one.
 """
 
@@ -22,7 +22,7 @@ from epipole.geometry import (
 from epipole.robust import estimate_essential_matrix, estimate_fundamental_matrix, estimate_relative_pose
 from epipole.synthetic import courtyard, courtyard_views, render
 
-# Two pictures of a small courtyard. With photographs, read grey pictures instead: `grey1 =
+# Two images of a small courtyard. With photographs, read grey images instead: `grey1 =
 # epipole.io.images.photographs.read_grey("one.jpg")`.
 
 camera = epipole.Camera("PINHOLE", 480, 320, [380.0, 380.0, 239.5, 159.5])
@@ -49,7 +49,7 @@ print("F:", found_f, f"noise {found_f.noise_px:.2f} px")
 assert found_f.success
 
 # Residuals are Sampson distances in pixels: how far a match must move to satisfy the equation, to first
-# order. The distance of a pixel from the line of its partner says the same in one picture alone.
+# order. The distance of a pixel from the line of its partner says the same in one image alone.
 
 right = found_f.inlier_mask
 residuals_px = sampson_error(found_f.model, pixels1, pixels2)
@@ -69,7 +69,7 @@ alike = abs(float((from_f * found_e.model).sum())) / np.linalg.norm(from_f)
 print(f"cosine between E and K2^T F K1: {alike:.4f}")
 assert found_e.success and alike > 0.99
 
-# E is a rotation and a direction. The length of the way cannot be known from two pictures, so that of the
+# E is a rotation and a direction. The length of the way cannot be known from two images, so that of the
 # translation is one.
 
 found = estimate_relative_pose(pixels1, pixels2, camera, camera)

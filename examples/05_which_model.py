@@ -1,6 +1,6 @@
 """Which model: homography, F or E?
 
-Two pictures may show a scene with depth, a plane, or a camera that only turned. A fundamental matrix "fits"
+Two images may show a scene with depth, a plane, or a camera that only turned. A fundamental matrix "fits"
 all three, and is meaningless in two of them. `verify_pairs` lets the models compete, and names the one that
 explains the matches.
 """
@@ -18,7 +18,7 @@ from epipole.robust import (
 )
 from epipole.synthetic.problems import two_view_problem
 
-# Four pairs of pictures with known answers: 300 matches, one in five wrong, half a pixel of noise. With
+# Four pairs of images with known answers: 300 matches, one in five wrong, half a pixel of noise. With
 # photographs, the pixels are those of matched keypoints, as on the page on epipolar geometry.
 
 problems = {

@@ -1,7 +1,7 @@
 """Bundle adjustment, with covariances
 
 The cameras, the lens and the points that agree best with all pixels at once, found by Levenberg-Marquardt
-from a rough start; and what the pictures leave uncertain.
+from a rough start; and what the images leave uncertain.
 """
 
 from dataclasses import replace
@@ -13,7 +13,7 @@ from epipole.metrics import camera_errors
 from epipole.optim import BundleConfig, Loss, adjust_bundle, bundle_covariance, with_fixed_gauge
 from epipole.synthetic.problems import bundle_problem
 
-# Twelve pictures of 400 points, taken on a ring of radius four; each point is seen by five neighbours, half a
+# Twelve images of 400 points, taken on a ring of radius four; each point is seen by five neighbours, half a
 # pixel wrong. The start has every pose and point moved at random, a focal length that is off, and no
 # distortion. A model of your own is read by `epipole.io.read_colmap_model("OUT/sparse/0")`.
 
@@ -31,7 +31,7 @@ problem = bundle_problem_of(start)
 print(problem)
 print("free:", [n for n, free in zip(start.cameras[0].model.param_names, problem.params_free[0]) if free])
 
-# Pictures leave place, orientation and scale of the whole open. For covariances these are held: one frame
+# Images leave place, orientation and scale of the whole open. For covariances these are held: one frame
 # entirely, and one coordinate of another.
 
 problem = with_fixed_gauge(problem)

@@ -32,17 +32,17 @@ for n, cam_from_world in enumerate(true_cams_from_world):
     image = render(courtyard(), camera, cam_from_world, noise_sigma=2.0, seed=n)
     write_jpeg_with_exif(photographs / f"{n}.jpg", image.rgb, focal_35mm=focal_35mm)
 
-# One call: features, matches, two-view geometries, a model that grows picture by picture, and bundle
+# One call: features, matches, two-view geometries, a model that grows image by image, and bundle
 # adjustment.
 
 result = epipole.reconstruct(photographs, out / "model")
 model = result.model
 print(result)
-print("pictures without a place:", result.reasons or "none")
+print("images without a place:", result.reasons or "none")
 assert model.is_registered().all()
 assert model.mean_reprojection_error_px() < 1.0
 
-# A model from pictures alone is known up to a similarity: where it is, how it is turned, and its unit of
+# A model from images alone is known up to a similarity: where it is, how it is turned, and its unit of
 # length are free. Errors are therefore taken after the similarity that fits the camera centres best, here in
 # metres of the true courtyard.
 
@@ -61,7 +61,7 @@ print(camera)
 assert abs(camera.focal_px / focal_px - 1.0) < 0.01
 assert abs(camera.params[-1] - -0.05) < 0.02
 
-# The points lie on the surfaces. Those that the first picture sees, moved into the world of the truth, have
+# The points lie on the surfaces. Those that the first image sees, moved into the world of the truth, have
 # the depth that was rendered there (the sky has none: NaN).
 
 points = model.tracks.point_of_observation()[model.tracks.image == rows[0]]
@@ -70,7 +70,7 @@ in_cam = true_cams_from_world[0].apply(moved)
 column, row = np.rint(camera.project(in_cam)).astype(int).T
 depth = render(courtyard(), camera, true_cams_from_world[0]).depth[row, column]
 off_m = np.abs(in_cam[:, 2] - depth)
-print(f"{len(points)} points in the first picture, depth off by {1000 * np.nanmedian(off_m):.1f} mm (median)")
+print(f"{len(points)} points in the first image, depth off by {1000 * np.nanmedian(off_m):.1f} mm (median)")
 assert len(points) > 100 and np.nanmedian(off_m) < 0.02
 
 # What stands in the folder: COLMAP's files, points with cameras for any viewer of meshes, a page to look at.

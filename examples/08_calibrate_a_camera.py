@@ -1,6 +1,6 @@
 """Calibrate a camera
 
-Pictures of a flat board from many sides tell the focal lengths, the principal point and the distortion of a
+Images of a flat board from many sides tell the focal lengths, the principal point and the distortion of a
 lens, and how well each is known. The board here is rendered through a lens whose numbers are known.
 """
 
@@ -24,9 +24,9 @@ out = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 camera = epipole.Camera("OPENCV", 480, 360, [390.0, 393.0, 236.0, 177.0, -0.25, 0.08, 0.001, -0.0005])
 board = SyntheticScene.of(chessboard_sheet(9, 6, 0.025, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
 
-# Ten pictures from about 40 cm, tilted to all sides and all over the picture: views that are parallel to the
+# Ten images from about 40 cm, tilted to all sides and all over the image: views that are parallel to the
 # board do not tell the focal length, and corners near the middle alone do not tell the distortion. With
-# pictures of your own, this block goes, and `photographs = Path("BOARDS")`.
+# images of your own, this block goes, and `photographs = Path("BOARDS")`.
 
 photographs = out / "boards"
 photographs.mkdir(parents=True, exist_ok=True)
@@ -56,7 +56,7 @@ assert off.max() < 5.0
 assert abs(camera.focal_px / camera.focal_px - 1.0) < 5e-3
 
 # Numbers of a lens trade against each other and against the poses, so two lenses are better compared by their
-# rays: how far apart are the pixels of the same directions over the whole picture, after the turn of the
+# rays: how far apart are the pixels of the same directions over the whole image, after the turn of the
 # camera that makes them most alike?
 
 x, y = np.meshgrid(np.linspace(10, 469, 20), np.linspace(10, 349, 15))

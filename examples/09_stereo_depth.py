@@ -1,6 +1,6 @@
 """Stereo: disparity, depth, and its error bar
 
-In a rectified pair a point lies on the same row of both pictures, so many pixels further left in the right
+In a rectified pair a point lies on the same row of both images, so many pixels further left in the right
 one: its disparity. Depth is Z = f B / d, and an error of the disparity becomes an error of depth that grows
 with the square of the range.
 """
@@ -23,7 +23,7 @@ out = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 out.mkdir(parents=True, exist_ok=True)
 
 # A rendered street with objects from 2 to 30 metres, seen by two cameras 12 cm apart, with the truth for
-# every pixel. With pictures of your own, `left` and `right` are arrays (h, w), and focal length and baseline
+# every pixel. With images of your own, `left` and `right` are arrays (h, w), and focal length and baseline
 # come from the calibration.
 
 pair = stereo_street(3, size=(480, 360), focal_px=600.0, baseline=0.12)
@@ -32,7 +32,7 @@ cx, cy = camera.params[2:]
 rig = epipole.RectifiedRig(focal_px=camera.focal_px, cx=cx, cy=cy, baseline=pair.baseline)
 
 # Census windows are compared, their costs summed along eight paths (Hirschmueller 2008), and the right
-# picture is asked, too: what it does not confirm stays unknown. Unknown pixels are NaN and have a reason.
+# image is asked, too: what it does not confirm stays unknown. Unknown pixels are NaN and have a reason.
 
 found = match_stereo(left, right, epipole.StereoConfig(max_disparity_px=63))
 print(found)

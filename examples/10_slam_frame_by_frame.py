@@ -1,6 +1,6 @@
 """SLAM, frame by frame
 
-A robot cannot wait for all pictures: it asks after every frame where it is. `Slam.track` takes one frame and
+A robot cannot wait for all images: it asks after every frame where it is. `Slam.track` takes one frame and
 answers with a pose, or with the reason why there is none; the map grows behind it.
 """
 
@@ -11,7 +11,7 @@ from epipole.metrics import absolute_error
 from epipole.synthetic.rides import loop_room
 
 # A camera with a depth sensor is carried through a furnished room: rendered frames, with the true path. A
-# robot's own loop takes grey pictures of 8 bits and depth in metres as float32 (0 for unknown) from its
+# robot's own loop takes grey images of 8 bits and depth in metres as float32 (0 for unknown) from its
 # driver.
 
 ride = loop_room(46, size=(320, 240))

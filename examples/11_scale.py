@@ -1,6 +1,6 @@
 """Scale: metres for a model
 
-Pictures of one camera tell shapes, not lengths. Anything known besides fixes the unit: measured places, a
+Images of one camera tell shapes, not lengths. Anything known besides fixes the unit: measured places, a
 length, a marker of known size, odometry. Each gives a scale with its deviation, and together they say whether
 they agree.
 """
@@ -12,7 +12,7 @@ from epipole.geometry import Similarity3
 from epipole.scale import ScaleEstimate, agreed_scale, fit_scale_to_object, fit_scale_to_positions
 from epipole.synthetic.problems import bundle_problem
 
-# A made-up model of 16 pictures in metres, and the same model as a reconstruction would give it: in a world
+# A made-up model of 16 images in metres, and the same model as a reconstruction would give it: in a world
 # and a unit of its own. Here one unit is 2.5 metres; that is what is to be found.
 
 rng = np.random.default_rng(3)
@@ -33,8 +33,8 @@ print("places:", by_places)
 scale_of_places = float(by_places.world_from_model.scale)
 assert abs(scale_of_places - 2.5) < 4 * by_places.sigma < 0.1
 
-# A known length: a bar of 1.2 m, of which both ends are clicked in five pictures, a pixel wrong. Pixels are
-# told picture by picture, with NaN where an end was not clicked.
+# A known length: a bar of 1.2 m, of which both ends are clicked in five images, a pixel wrong. Pixels are
+# told image by image, with NaN where an end was not clicked.
 
 bar = np.array([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0]])
 ends_in_world = np.array([[-0.6, 0.1, 0.0], [0.6, 0.1, 0.0]])

@@ -1,7 +1,7 @@
 """Gaussian splats
 
-Thousands of small coloured ellipsoids, moved until they look like the pictures from where each was taken
-(Kerbl et al. 2023). Then they can be drawn from anywhere. How well that works is told by a picture that the
+Thousands of small coloured ellipsoids, moved until they look like the images from where each was taken
+(Kerbl et al. 2023). Then they can be drawn from anywhere. How well that works is told by an image that the
 training has not seen.
 """
 
@@ -24,7 +24,7 @@ out = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 scene = out / "scene"
 (scene / "images").mkdir(parents=True, exist_ok=True)
 
-# Eighteen small pictures of the courtyard, whose cameras are known. With photographs of your own, all of this
+# Eighteen small images of the courtyard, whose cameras are known. With photographs of your own, all of this
 # block is `epipole.splat("PHOTOS", "OUT")`: the cameras are found first.
 
 camera = epipole.Camera("PINHOLE", 192, 128, [150.0, 150.0, 95.5, 63.5])
@@ -58,7 +58,7 @@ camera = {"w": 192, "h": 128, "fl_x": fx, "fl_y": fy, "cx": cx + 0.5, "cy": cy +
 content = {**camera, "ply_file_path": "points.ply", "frames": frames}
 (scene / "transforms.json").write_text(json.dumps(content))
 
-# Train for 250 steps, a picture each, and hold out every sixth picture. `time="5m"` trains as long as told;
+# Train for 250 steps, an image each, and hold out every sixth image. `time="5m"` trains as long as told;
 # steps give the same Gaussians on any machine.
 
 result = epipole.splat(scene, out / "splat", steps=250, max_gaussians=6000, sh_degree=1, test_every=6)
@@ -66,7 +66,7 @@ print(result)
 print(f"PSNR of held-out views: {result.summary['psnr']:.1f} dB")
 assert len(result.cloud) <= 6000 and result.summary["psnr"] > 20
 
-# The same number by hand. Draw from the camera of a view that was held out, and compare with its picture: 20
+# The same number by hand. Draw from the camera of a view that was held out, and compare with its image: 20
 # dB is a root mean square error of a tenth of the range of brightness, and each 6 dB more are half of that.
 
 black = np.zeros(3, np.float32)
@@ -90,7 +90,7 @@ off = np.abs(depth[solid] / true_depth[solid] - 1.0)
 print(f"depth off by {100 * np.median(off):.1f} % (median of {100 * solid.mean():.0f} % of the pixels)")
 assert np.median(off) < 0.05
 
-# Side by side: the picture, and what was drawn. `epipole.render("OUT", "round.mp4")` draws a film of the
+# Side by side: the image, and what was drawn. `epipole.render("OUT", "round.mp4")` draws a film of the
 # whole.
 
 both = np.concatenate([truth, np.clip(rendered, 0, 1)], axis=1)

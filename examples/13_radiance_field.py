@@ -2,7 +2,7 @@
 
 A field of density and colour in space, drawn by marching along rays: what a pixel sees is the sum of the
 colours on its way, each weighed by how much light gets through to it. Here the field is a grid of voxels,
-learnt from pictures; then one pixel is computed again in plain NumPy.
+learnt from images; then one pixel is computed again in plain NumPy.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from epipole.fields.photometric import psnr
 from epipole.fields.training_view import TrainingView
 from epipole.synthetic import Box, Sphere, SyntheticScene, look_at, render
 
-# A box and two balls before nothing: where the rendering has no depth, pictures are transparent. Such
+# A box and two balls before nothing: where the rendering has no depth, images are transparent. Such
 # silhouettes tell at once where nothing is.
 
 things = SyntheticScene.of(
@@ -44,7 +44,7 @@ for n in range(30):
     views.append(TrainingView(f"{n:02d}.png", np.dstack([image.rgb, alpha]), camera, position))
 held_out, learnt = views[15], views[:15] + views[16:]
 
-# Train: each step follows 4096 rays of all pictures, and moves densities and colours against the error.
+# Train: each step follows 4096 rays of all images, and moves densities and colours against the error.
 
 white, steps = np.ones(3, np.float32), 200
 trainer = VoxelTrainer(learnt, white)
@@ -57,10 +57,10 @@ assert np.mean(errors[-10:]) < 0.2 * errors[0]
 truth = held_out.over(white)
 rendered = trainer.render(held_out)
 empty = psnr(np.broadcast_to(white, truth.shape).astype(np.float32), truth)
-print(f"held-out view: {psnr(rendered, truth):.1f} dB; a white picture: {empty:.1f} dB")
+print(f"held-out view: {psnr(rendered, truth):.1f} dB; a white image: {empty:.1f} dB")
 assert psnr(rendered, truth) > empty + 8
 
-# Now one pixel by hand: the ray through the middle of that picture, in the grid's own coordinates.
+# Now one pixel by hand: the ray through the middle of that image, in the grid's own coordinates.
 
 grid = trainer.field
 column, row = 47, 50
@@ -97,7 +97,7 @@ for t in np.arange(near + 0.35, far, 0.7):
         break
 colour += left * white
 
-# The kernel that drew the picture says the same.
+# The kernel that drew the image says the same.
 
 image, _, total = render_voxels(grid, camera, held_out.cam_from_world, white)
 print(f"by hand {colour.round(4)} from {num_samples} samples, drawn {image[row, column].round(4)}")

@@ -21,7 +21,7 @@ out = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 out.mkdir(parents=True, exist_ok=True)
 
 # A scene to show. `epipole.splat` trains one from photographs; to be quick, Gaussians are put here on the
-# surfaces that five rendered pictures see: one for each ninth pixel.
+# surfaces that five rendered images see: one for each ninth pixel.
 
 camera = epipole.Camera("PINHOLE", 320, 240, [250.0, 250.0, 159.5, 119.5])
 views = courtyard_views(5)
@@ -48,7 +48,7 @@ cloud = GaussianCloud(
 )
 print(cloud)
 
-# It looks like the scene: drawn from between the cameras, most of the picture is covered, with the right
+# It looks like the scene: drawn from between the cameras, most of the image is covered, with the right
 # colours.
 
 between = courtyard_views(9)[3]

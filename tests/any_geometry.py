@@ -58,14 +58,14 @@ GROUPS = {
 
 
 def pixels() -> st.SearchStrategy[np.ndarray]:
-    """A handful of places in a picture, its borders among them."""
+    """A handful of places in an image, its borders among them."""
     one = st.tuples(numbers(-0.5, WIDTH - 0.5), numbers(-0.5, HEIGHT - 0.5))
     return st.lists(one, min_size=1, max_size=6).map(np.array)
 
 
 @st.composite
 def cameras(render: st.DrawFn, bend: float = 0.03, model: CameraModel | None = None) -> Camera:
-    """A camera of any model; `bend` bounds its distortion (0.03 and less has an inverse in all of the picture)."""
+    """A camera of any model; `bend` bounds its distortion (0.03 and less has an inverse in all of the image)."""
     model = render(MODELS) if model is None else model
     focal = [render(numbers(400.0, 2000.0)) for _ in model.focal_indices]
     middle = [render(numbers(250.0, 390.0)), render(numbers(180.0, 300.0))]

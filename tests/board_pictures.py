@@ -1,4 +1,4 @@
-"""Pictures of a board that is known."""
+"""Images of a board that is known."""
 
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from epipole.geometry import Rotation3
 
 
 def board_pictures(folder: Path, count: int = 12, moved_m: float = 0.0) -> dict[str, Any]:
-    """Pictures of a chessboard of 9 x 6 inner corners before a pinhole camera, as files in IMAGES and as arrays.
+    """Images of a chessboard of 9 x 6 inner corners before a pinhole camera, as files in IMAGES and as arrays.
 
     `moved_m` is how far to the right all boards are: of a camera beside the first, minus the baseline."""
     square_px, images = 40, []

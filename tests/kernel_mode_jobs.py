@@ -19,7 +19,7 @@ CAMERA = Camera(CameraModel.OPENCV, 640, 480, np.array([500.0, 505.0, 319.5, 239
 
 
 def two_views() -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of 60 points in two pictures, a fifth of them wrong."""
+    """Pixels of 60 points in two images, a fifth of them wrong."""
     random = np.random.default_rng(1)
     points = random.uniform([-2, -1.5, 4], [2, 1.5, 7], (60, 3))
     motion = Rigid3.exp(np.array([-0.8, 0.0, 0.1, 0.02, 0.1, 0.0]))
@@ -44,7 +44,7 @@ def homography() -> Iterable[np.ndarray]:
 
 
 def adjustment() -> Iterable[np.ndarray]:
-    """Bundle adjustment of two pictures and their points."""
+    """Bundle adjustment of two images and their points."""
     from epipole.optim import BundleProblem, adjust_bundle
 
     first, second = two_views()
@@ -71,7 +71,7 @@ def adjustment() -> Iterable[np.ndarray]:
 
 
 def stereo() -> Iterable[np.ndarray]:
-    """Semi-global matching of a shifted picture."""
+    """Semi-global matching of a shifted image."""
     from epipole.disparity_search.config import DisparityConfig
     from epipole.disparity_search.search import match_stereo
 

@@ -161,7 +161,7 @@ def _tables() -> Iterator[Row]:
     mounting = "cam0:\n  T_cam_imu: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n"
     yield _row(imu_logs.read_camera_from_imu, path=_text("mounting.yaml", mounting))
     yield _row(
-        frame_tables.read_frame_table, path=_text("frames.csv", "frame,timestamp_s,picture\n0,0.5,a.png\n")
+        frame_tables.read_frame_table, path=_text("frames.csv", "frame,timestamp_s,image\n0,0.5,a.png\n")
     )
     yield _row(json_files.json_values, path=at / "a.json", text="[1, 2]", allow_nan=False)
     graph = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"

@@ -19,11 +19,11 @@ class Limits:
 
 
 class SfmPeer(Protocol):
-    """A program that turns pictures into a COLMAP model under `out/sparse`."""
+    """A program that turns images into a COLMAP model under `out/sparse`."""
 
     name: str
     needs: str | None
-    """The peer whose run just before left `database.db`, which this one starts from; None: starts from pictures."""
+    """The peer whose run just before left `database.db`, which this one starts from; None: starts from images."""
 
     def version(self) -> str | None:
         """The installed version; None where it is not installed."""

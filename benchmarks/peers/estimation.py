@@ -226,7 +226,7 @@ class OpenCv(EstimationPeer):
 
 
 class Pycolmap(EstimationPeer):
-    """COLMAP through pycolmap; its pixels have the picture's corner at (0, 0), which no figure here depends on."""
+    """COLMAP through pycolmap; its pixels have the image's corner at (0, 0), which no figure here depends on."""
 
     name, package = "pycolmap", "pycolmap"
 

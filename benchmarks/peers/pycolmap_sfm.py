@@ -60,7 +60,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--limits", type=int, nargs=3, default=(3200, 8192, 2))
     parser.add_argument("--camera-model")
     parser.add_argument("--camera-params", default="")
-    parser.add_argument("--shared-camera", action="store_true", help="one camera took all pictures")
+    parser.add_argument("--shared-camera", action="store_true", help="one camera took all images")
     parser.add_argument("--database", type=Path)
     return parser.parse_args()
 

@@ -97,7 +97,7 @@ def cost(
 def bal_task(path: Path | str) -> BundleTask:
     """A problem of "Bundle Adjustment in the Large" (Agarwal et al., ECCV 2010), .txt or .txt.bz2.
 
-    Its cameras look along -z with y up, and every picture has its own f, k1, k2; both are turned exactly.
+    Its cameras look along -z with y up, and every image has its own f, k1, k2; both are turned exactly.
     """
     path = Path(path)
     text = bz2.decompress(path.read_bytes()) if path.suffix == ".bz2" else path.read_bytes()
@@ -189,7 +189,7 @@ def _looking_along(direction: np.ndarray) -> np.ndarray:
 
 
 _SPACING_M = 0.5
-"""Between pictures along a street."""
+"""Between images along a street."""
 _YAWS_DEG = (60.0, 0.0, -60.0, 0.0)
 """Where they look in turn, to the left of the way: forward ones tie both sides together."""
 _PITCH_DEG = 10.0
@@ -235,11 +235,11 @@ class _Facades(NamedTuple):
 def city_task(num_frames: int, num_points: int, num_observations: int, seed: int = 0) -> BundleTask:
     """Streets on a grid, driven one after the other by a car that looks ahead and at the facades beside it.
 
-    Every point is seen 2 times or more, by some of the pictures nearest to it that have it in view; the start
+    Every point is seen 2 times or more, by some of the images nearest to it that have it in view; the start
     is off by some centimetres and 0.2 degrees, smoothly along the drive, without drift, and points by 10 cm.
 
     Raises:
-        ValueError: fewer than two observations a point, or more than the pictures have in view.
+        ValueError: fewer than two observations a point, or more than the images have in view.
     """
     if num_observations < 2 * num_points:
         raise ValueError("a city needs two observations a point")
@@ -275,7 +275,7 @@ def city_task(num_frames: int, num_points: int, num_observations: int, seed: int
 
 
 def _drive(num_frames: int) -> _Drive:
-    """Eastward and northward streets in turn, so that any number of pictures hangs together."""
+    """Eastward and northward streets in turn, so that any number of images hangs together."""
     length = _SPACING_M * num_frames
     streets = max(2, round(0.5 + np.sqrt(length / 200.0)))
     block = max(length / (2 * streets * (streets - 1)), _LEAST_BLOCK_M)
@@ -367,7 +367,7 @@ def _track_lengths(visible: np.ndarray, quota: int, random: np.random.Generator)
     while (missing := quota - int(counts.sum())) != 0:
         movable = np.flatnonzero(counts < visible if missing > 0 else counts > 2)
         if not len(movable):
-            raise ValueError(f"the pictures of the city have no {mean:.1f} views of a point")
+            raise ValueError(f"the images of the city have no {mean:.1f} views of a point")
         chosen = random.choice(movable, min(abs(missing), len(movable)), replace=False)
         counts[chosen] += np.sign(missing)
     return counts

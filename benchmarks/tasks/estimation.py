@@ -25,7 +25,7 @@ from epipole.synthetic.problems import absolute_pose_problem, dominant_plane_pro
 Kind = Literal["relative_pose", "absolute_pose", "fundamental", "homography"]
 LEAST_MATCHES = 15
 MISFILED = ("Brussels", "Dresden", "Leuven1")
-"""Pairs of kusvod2 whose putative matches are of other pictures (none agrees with the clicked ones): matched anew."""
+"""Pairs of kusvod2 whose putative matches are of other images (none agrees with the clicked ones): matched anew."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,7 +240,7 @@ def _surveyed(name: str) -> Callable[[Path, int], list[EstimationProblem]]:
             known = ["--camera-model", "PINHOLE", "--camera-params", params]
             subprocess.run(command + known, check=True, capture_output=True)
             found = read_database(Path(out) / "database.db")
-        K[:2, 2] -= 0.5  # the file has the picture's corner at (0, 0)
+        K[:2, 2] -= 0.5  # the file has the image's corner at (0, 0)
         truth = read_truth(folder / "gt_dense_cameras")
         row = {Path(n).stem: k for k, n in enumerate(truth.names)}
         motion = [truth.cams_from_world[row[Path(n).stem]] for n in found.images.name]

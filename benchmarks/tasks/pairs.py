@@ -1,4 +1,4 @@
-"""Pairs of pictures of known kind: made-up matches, and matches of rendered pictures."""
+"""Pairs of images of known kind: made-up matches, and matches of rendered images."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class KnownPair(NamedTuple):
     pixels2: np.ndarray
     kind: str
     camera: Camera
-    """Of both pictures."""
+    """Of both images."""
 
 
 def made_up_pairs(count: int, num_matches: int, outliers: float) -> list[KnownPair]:
@@ -48,7 +48,7 @@ def made_up_pairs(count: int, num_matches: int, outliers: float) -> list[KnownPa
 
 
 def rendered_pairs(count: int) -> list[KnownPair]:
-    """SIFT matches of noisy rendered pictures.
+    """SIFT matches of noisy rendered images.
 
     Neighbours around the courtyard, a floor seen from two places, a camera that turns where it stands, and one at rest.
     """

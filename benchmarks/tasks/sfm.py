@@ -1,4 +1,4 @@
-"""Structure-from-motion sets: where the pictures are, what is known beforehand, and the truth."""
+"""Structure-from-motion sets: where the images are, what is known beforehand, and the truth."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png")
 
 @dataclass(frozen=True, slots=True)
 class SfmTask:
-    """One set of photographs. Camera parameters are in COLMAP's pixels: the picture's corner is (0, 0)."""
+    """One set of photographs. Camera parameters are in COLMAP's pixels: the image's corner is (0, 0)."""
 
     name: str
     images: Path
     image_names: tuple[str, ...]
     known: str
-    """What a reconstruction is told besides the pictures, in words."""
+    """What a reconstruction is told besides the images, in words."""
     camera_model: str | None = None
     camera_params: tuple[float, ...] | None = None
     """Given as constants; None: the program finds the intrinsics itself."""
@@ -49,7 +49,7 @@ def prepare(name: str, data: Path, work: Path) -> SfmTask:
 
 
 def strip_exif(jpeg: bytes) -> bytes:
-    """The same JPEG picture without its application and comment segments (JFIF and Adobe colour ones stay).
+    """The same JPEG image without its application and comment segments (JFIF and Adobe colour ones stay).
 
     Raises:
         ValueError: these are no bytes of a JPEG file.
@@ -57,7 +57,7 @@ def strip_exif(jpeg: bytes) -> bytes:
     if jpeg[:2] != b"\xff\xd8":
         raise ValueError("not a JPEG file")
     kept, position = [jpeg[:2]], 2
-    while jpeg[position + 1] != 0xDA:  # start of scan: the compressed picture follows
+    while jpeg[position + 1] != 0xDA:  # start of scan: the compressed image follows
         marker, length = jpeg[position + 1], int.from_bytes(jpeg[position + 2 : position + 4], "big")
         if not (0xE1 <= marker <= 0xEF and marker != 0xEE) and marker != 0xFE:
             kept.append(jpeg[position : position + 2 + length])
@@ -68,7 +68,7 @@ def strip_exif(jpeg: bytes) -> bytes:
 def _pictures_in(folder: Path) -> tuple[str, ...]:
     names = tuple(sorted(p.name for p in folder.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES))
     if not names:
-        raise FileNotFoundError(f"no pictures in {folder}")
+        raise FileNotFoundError(f"no images in {folder}")
     return names
 
 
@@ -77,7 +77,7 @@ def _pinhole(K: np.ndarray) -> tuple[float, float, float, float]:
 
 
 def _strecha(name: str) -> Callable[[Path, Path], SfmTask]:
-    """Strecha et al. (CVPR 2008), with its calibration; K.txt has the picture's corner at (0, 0)."""
+    """Strecha et al. (CVPR 2008), with its calibration; K.txt has the image's corner at (0, 0)."""
 
     def make(folder: Path, _work: Path) -> SfmTask:
         images = folder / name / "images"
@@ -90,7 +90,7 @@ def _strecha(name: str) -> Callable[[Path, Path], SfmTask]:
 
 
 def _fountain_unknown(folder: Path, work: Path) -> SfmTask:
-    """The fountain's pictures alone: no calibration file beside them, no EXIF in them."""
+    """The fountain's images alone: no calibration file beside them, no EXIF in them."""
     source = folder / "fountain-P11"
     images = work / "fountain-P11-unknown"
     images.mkdir(parents=True, exist_ok=True)

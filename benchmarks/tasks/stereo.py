@@ -17,9 +17,9 @@ class StereoTask:
     """(h, w) grey."""
     right: np.ndarray
     truth: np.ndarray
-    """Disparities of the left picture, NaN where unknown."""
+    """Disparities of the left image, NaN where unknown."""
     seen: np.ndarray
-    """Pixels with a truth that the right picture sees too."""
+    """Pixels with a truth that the right image sees too."""
     num_disparities: int
     """0 ... num_disparities - 1 are looked for."""
 
@@ -63,7 +63,7 @@ def _aloe(folder: Path) -> StereoTask:
 
 
 def seen_by_both(truth: np.ndarray) -> np.ndarray:
-    """Pixels that lie in the right picture with nothing nearer in the same place: the truth warped forward."""
+    """Pixels that lie in the right image with nothing nearer in the same place: the truth warped forward."""
     height, width = truth.shape
     known = np.isfinite(truth)
     y, x = np.nonzero(known)
@@ -81,7 +81,7 @@ def seen_by_both(truth: np.ndarray) -> np.ndarray:
 
 
 def figures(disparity: np.ndarray, task: StereoTask) -> dict[str, float]:
-    """Of the pixels both pictures see: share answered, share of wrong answers, average error, and with holes as wrong."""
+    """Of the pixels both images see: share answered, share of wrong answers, average error, and with holes as wrong."""
     error = np.abs(disparity - task.truth)
     known = np.isfinite(disparity) & task.seen
     bad = {f"bad {t} %": 100.0 * float((error[known] > t).mean()) for t in (1, 2, 4)}

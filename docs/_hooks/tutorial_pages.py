@@ -1,7 +1,7 @@
 """Tutorials made of examples/NN_name.py.
 
 The first line of the module's docstring is the title, the rest the introduction. A comment at the margin with an empty line (or the
-end) after it is prose, Markdown included: pictures and links are written from the repository's root, `docs/pictures/name.jpg`. All
+end) after it is prose, Markdown included: images and links are written from the repository's root, `docs/pictures/name.jpg`. All
 else, comments that belong to a line of code included, is shown as code.
 """
 

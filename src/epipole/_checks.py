@@ -72,7 +72,7 @@ def as_table(array: Any, name: str, rows: int, columns: int) -> np.ndarray:
 
 
 def as_image(image: Any, name: str) -> np.ndarray:
-    """Return a picture as a C-contiguous array of whatever type it has.
+    """Return an image as a C-contiguous array of whatever type it has.
 
     Raises:
         ShapeError: it is no array.
@@ -80,7 +80,7 @@ def as_image(image: Any, name: str) -> np.ndarray:
     try:
         return np.ascontiguousarray(image)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ShapeError(f"{name} must be a picture: {error}") from error
+        raise ShapeError(f"{name} must be an image: {error}") from error
 
 
 def as_vector(vector: Any, name: str) -> np.ndarray:

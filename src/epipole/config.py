@@ -97,7 +97,7 @@ class FeatureConfig:
     max_features: int = 8192
     """Features kept per image, the largest first."""
     max_size_px: int = 3200
-    """Pictures are reduced for detection until their longer side has at most this many pixels."""
+    """Images are reduced for detection until their longer side has at most this many pixels."""
     contrast_threshold: float = 0.02
     """SIFT: blobs with less contrast are ignored (in the unit of OpenCV's contrastThreshold)."""
 
@@ -127,10 +127,10 @@ class MatchConfig:
     max_bits: int = 64
     """ORB: largest Hamming distance of a match."""
     preemptive_features: int = 2048
-    """SIFT: the largest third of both pictures' features, at most this many, are matched first (preemptive
+    """SIFT: the largest third of both images' features, at most this many, are matched first (preemptive
     matching); the others then along their epipolar lines. 0: all features are matched with all."""
     preemptive_min_matches: int = 12
-    """With fewer preemptive matches the pictures count as not overlapping."""
+    """With fewer preemptive matches the images count as not overlapping."""
     preemptive_min_inliers: int = 30
     """With fewer preemptive inliers there is no epipolar geometry to guide: all features are matched with
     all."""
@@ -159,7 +159,7 @@ class FlowConfig:
     window_px: int = 21
     """Side of the patch that is compared."""
     levels: int = 4
-    """Times that the picture is halved, and one more."""
+    """Times that the image is halved, and one more."""
     max_return_px: float = 0.7
     """A point followed there and back again ends at most so far from where it began."""
     min_eigenvalue: float = 1e-4
@@ -300,7 +300,7 @@ ANCHOR_FILES = ("positions", "lengths", "odometry", "odometry_mounting", "imu", 
 
 @dataclass(frozen=True, kw_only=True)
 class AnchorOptions:
-    """What is known besides the pictures and fixes the scale: places, lengths, objects of known size, odometry, an IMU."""
+    """What is known besides the images and fixes the scale: places, lengths, objects of known size, odometry, an IMU."""
 
     positions: Path | None = None
     """Measured places of the camera, which fix the scale and the world: `SECONDS X Y Z` a line by the frames' clock (GPS
@@ -308,8 +308,8 @@ class AnchorOptions:
     positions_sigma_m: float = 1.0
     """Standard deviation of a coordinate of these."""
     lengths: Path | None = None
-    """Known lengths, a line for each end in each picture: `NAME METRES END PICTURE X Y`. END is a or b; (0, 0) is the centre
-    of the first pixel of the picture as it is looked at."""
+    """Known lengths, a line for each end in each image: `NAME METRES END PICTURE X Y`. END is a or b; (0, 0) is the centre
+    of the first pixel of the image as it is looked at."""
     lengths_sigma_m: float = 0.002
     """Standard deviation of a length."""
     clicks_sigma_px: float = 1.0
@@ -361,7 +361,7 @@ class AnchorOptions:
 
     @property
     def is_empty(self) -> bool:
-        """Nothing is known besides the pictures."""
+        """Nothing is known besides the images."""
         return not self.given
 
     @property

@@ -50,7 +50,7 @@ class WorkspaceError(EpipoleError, OSError):
 
 
 class NoModelError(EpipoleError, RuntimeError):
-    """The pictures give no 3D model; the message says why."""
+    """The images give no 3D model; the message says why."""
 
 
 class MissingDependencyError(EpipoleError, ImportError):

@@ -54,7 +54,7 @@ def test_stripping_exif_keeps_every_pixel() -> None:
     assert dict(before.getexif()) and not dict(after.getexif()) and "comment" not in after.info
     assert np.array_equal(np.asarray(before), np.asarray(after))
     with pytest.raises(ValueError, match="JPEG"):
-        strip_exif(b"not a picture")
+        strip_exif(b"not an image")
 
 
 def test_robust_fit_is_not_moved_by_wrong_fixes() -> None:

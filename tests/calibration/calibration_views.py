@@ -26,7 +26,7 @@ def board_places(rng, count, distance=(0.35, 0.9), spread=0.5, tilt=0.6):
 
 
 def views_of(cameras, cam_from_rig, positions, board, rng, noise_px=0.1, shape=None):
-    """[camera][view], corners outside a picture left out."""
+    """[camera][view], corners outside an image left out."""
     points = corners_on_board(board) if shape is None else shape
     out = []
     for camera, position in zip(cameras, cam_from_rig):

@@ -1,4 +1,4 @@
-"""Which pictures belong to which camera, and what is said of those that cannot be used."""
+"""Which images belong to which camera, and what is said of those that cannot be used."""
 
 import numpy as np
 import pytest
@@ -78,11 +78,11 @@ def test_what_cannot_be_used_is_said(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(WorkspaceError, match="is a file"):
         calibrate(tmp_path / "blank", tmp_path / "file", CalibrationConfig())
-    with pytest.raises(WorkspaceError, match="is the folder of the pictures"):
+    with pytest.raises(WorkspaceError, match="is the folder of the images"):
         calibrate(tmp_path / "blank", tmp_path / "blank", CalibrationConfig())
     with pytest.raises(FileFormatError, match="the left and the right folder are the same"):
         calibrate(tmp_path / "blank", tmp_path / "out", CalibrationConfig(), tmp_path / "blank")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(FileFormatError, match="no picture"):
+    with pytest.raises(FileFormatError, match="no image"):
         calibrate(tmp_path / "empty", tmp_path / "out", CalibrationConfig())
     assert not (tmp_path / "out").exists()

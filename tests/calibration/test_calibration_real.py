@@ -110,7 +110,7 @@ def test_a_known_wide_lens(data_dir):
         [focal, matrix[1, 1], matrix[0, 2], matrix[1, 2], k1 * focal**2, k2 * focal**4, 0.0, 0.0]
     )
     known = Camera(CameraModel.OPENCV, 752, 480, params)
-    # The given lens has two radial coefficients of the radius in pixels: so has ours for the whole picture.
+    # The given lens has two radial coefficients of the radius in pixels: so has ours for the whole image.
     radial = calibrate_views([views], [(752, 480)], CalibrationConfig(board=board, model="RADIAL"))
     assert np.nanmedian(projection_difference(known, radial.cameras[0]).distance_px) < 0.5
     found = calibrate_views([views], [(752, 480)], CalibrationConfig(board=board))

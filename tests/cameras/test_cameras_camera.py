@@ -1,4 +1,4 @@
-"""One camera: what it accepts, what it cannot see, and how it follows its picture's size."""
+"""One camera: what it accepts, what it cannot see, and how it follows its image's size."""
 
 import pickle
 from dataclasses import replace

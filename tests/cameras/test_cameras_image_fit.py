@@ -102,7 +102,7 @@ def test_sizes_tell_which_pixels_are_described(shapes, expected):
 
 
 def test_images_that_fit_neither_way_are_refused():
-    with pytest.raises(ConfigError, match="file is of pictures of 40x30, but these are 30x40"):
+    with pytest.raises(ConfigError, match="file is of images of 40x30, but these are 30x40"):
         described_pixels((40, 30), [ImageShape(40, 30, 1), ImageShape(30, 40, 1)], "file")
     with pytest.raises(ConfigError, match="these are 30x30"):
         described_pixels((40, 30), [ImageShape(30, 30, 6)])

@@ -104,9 +104,9 @@ def test_a_config_of_a_run_names_options_too_but_leaves_words_alone(capsys):
 
 def test_a_field_beside_an_option_is_written_as_one():
     words, signature = ["reconstruct", "a", "b", "--include", "*"], SIGNATURES["reconstruct"]
-    message = "include and exclude choose pictures of a folder; x.mp4 is a video"
+    message = "include and exclude choose images of a folder; x.mp4 is a video"
     said = with_option_names(message, words, signature, also_plain=False)
-    assert said == "--include and --exclude choose pictures of a folder; x.mp4 is a video"
+    assert said == "--include and --exclude choose images of a folder; x.mp4 is a video"
 
 
 def test_an_option_that_took_a_path_for_its_value_is_shown(capsys):

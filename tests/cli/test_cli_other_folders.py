@@ -1,4 +1,4 @@
-"""No command writes among the pictures it reads, or over the results of another."""
+"""No command writes among the images it reads, or over the results of another."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ def contents(root: Path) -> dict[str, bytes]:
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    """Pictures left and right, and a finished reconstruction of others."""
+    """Images left and right, and a finished reconstruction of others."""
     for side in ("left", "right"):
         images(tmp_path / side)
     job = Job(kind="reconstruct", inputs=(tmp_path / "right",), settings={})

@@ -1,4 +1,4 @@
-"""One model through every format, with its pictures, and nothing of anyone's overwritten."""
+"""One model through every format, with its images, and nothing of anyone's overwritten."""
 
 import json
 from dataclasses import replace
@@ -21,7 +21,7 @@ def names_in(folder: Path) -> list[str]:
 
 
 def output_folder(root: Path, model: Reconstruction) -> Path:
-    """A model and its pictures, laid out as `reconstruct` does."""
+    """A model and its images, laid out as `reconstruct` does."""
     write_colmap_model(model, root / "sparse" / "0")
     for name in model.images.name:
         (root / "images" / name).parent.mkdir(parents=True, exist_ok=True)
@@ -130,7 +130,7 @@ def test_misuse_is_refused(tmp_path: Path) -> None:
 
 
 def test_only_a_file_of_an_earlier_conversion_is_replaced(tmp_path: Path) -> None:
-    """A picture of the model, or the model itself, as a mistyped target."""
+    """An image of the model, or the model itself, as a mistyped target."""
     model = mappable_model()
     out = output_folder(tmp_path / "out", model)
     for name in (f"images/{model.images.name[0]}", "sparse/0/points3D.bin"):

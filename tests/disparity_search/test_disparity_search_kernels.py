@@ -49,7 +49,7 @@ def test_strips_of_paths(
     assert calls
     for *before, start, stop, margin, sums, out in calls:
         assert_same_as_python(_path_kernels.match_strip, *before, start, stop, margin, sums, out)
-        if stop - start > 2:  # a strip within the picture, with paths from one row beyond it
+        if stop - start > 2:  # a strip within the image, with paths from one row beyond it
             assert_same_as_python(_path_kernels.match_strip, *before, start + 1, stop - 1, 1, sums, out)
 
 
@@ -93,7 +93,7 @@ def test_judgements(rng: np.random.Generator) -> None:
     disparity, theirs = (rng.uniform(-4, 9, shape).astype(np.float32) for _ in range(2))
     theirs[1], theirs[2, ::2] = np.nan, np.inf
     disparity[3] = theirs[3] = 2.0
-    disparity[4] = 1e6  # far out of the other picture
+    disparity[4] = 1e6  # far out of the other image
     lowest = rng.integers(0, 300, shape).astype(np.uint16)
     second = (lowest + rng.integers(0, 3, shape)).astype(np.uint16)
     blank = (rng.random(shape) < 0.5, rng.random(shape) < 0.5)

@@ -87,7 +87,7 @@ def grey(image: np.ndarray) -> np.ndarray:
 
 
 def images(folder: Path, numbers: slice = slice(None), ending: str = ".png") -> list[str]:
-    """A folder of pictures; their names."""
+    """A folder of images; their names."""
     folder.mkdir(parents=True)
     names = []
     for n, image in enumerate(ride().left[numbers]):
@@ -97,7 +97,7 @@ def images(folder: Path, numbers: slice = slice(None), ending: str = ".png") -> 
 
 
 def many_pictures(folder: Path, at_rest: int) -> list[str]:
-    """The ride after so many pictures at rest, two of each frame."""
+    """The ride after so many images at rest, two of each frame."""
     names = images(folder)
     for name in names:
         (folder / name).rename(folder / f"frame_{name}")
@@ -111,7 +111,7 @@ def many_pictures(folder: Path, at_rest: int) -> list[str]:
 
 
 def lengths(path: Path, names: list[str], numbers: slice) -> None:
-    """Two points of the wall, in three pictures."""
+    """Two points of the wall, in three images."""
     ends = np.array([[-0.6, 2.4, 1.0], [0.5, 2.4, 1.2]])
     lines = []
     for end, position in zip("ab", ends):
@@ -205,7 +205,7 @@ def positions(path: Path, names: list[str] | None = None, numbers: slice = slice
 
 
 class Capture:
-    """The camera at this computer: gives the ride's pictures."""
+    """The camera at this computer: gives the ride's images."""
 
     def __init__(self) -> None:
         self.left = [*ride().left]

@@ -62,7 +62,7 @@ def model(folder: Path) -> None:
 
 
 def seen_model(folder: Path) -> dict[str, Any]:
-    """A model with its pictures, which are of one colour."""
+    """A model with its images, which are of one colour."""
     truth = bundle_problem(6, 100, 4).truth
     write_colmap_model(truth, folder / "MODEL" / "sparse" / "0")
     for row, name in enumerate(truth.images.name):
@@ -119,7 +119,7 @@ def ride(_: Path) -> dict[str, Any]:
 
 
 def ride_folder(folder: Path, count: int) -> None:
-    """The same in the form of KITTI: pairs of grey pictures and calib.txt."""
+    """The same in the form of KITTI: pairs of grey images and calib.txt."""
     camera = Camera("PINHOLE", *SIZE, [260.0, 260.0, 159.5, 119.5])
     for side, offset in (("image_0", 0.0), ("image_1", 0.12)):
         (folder / side).mkdir(parents=True)

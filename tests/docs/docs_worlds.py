@@ -160,7 +160,7 @@ def from_orb_slam(folder: Path) -> None:
 
 
 def field_sources(*names: str, model: str | None = None) -> Callable[[Path], None]:
-    """PHOTOS of the ride, an output of a reconstruction, and pictures with cameras as NeRF writes them."""
+    """PHOTOS of the ride, an output of a reconstruction, and images with cameras as NeRF writes them."""
 
     def prepare(folder: Path) -> None:
         docs_ride.images(folder / "PHOTOS", docs_ride.FEW, ".jpg")

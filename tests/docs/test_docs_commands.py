@@ -1,8 +1,8 @@
 """Every command line of README.md and of the pages under docs/ is run, block by block from the top, on small files of the kind it speaks of.
 
-Nothing is left out. What would take minutes is shortened: trainings take twenty steps instead of a time, a circle of pictures has
+Nothing is left out. What would take minutes is shortened: trainings take twenty steps instead of a time, a circle of images has
 three, the demo six photographs. Where a line serves pages the address that it prints is asked, and then Ctrl-C is pressed; the
-camera at this computer is a stand-in that gives rendered pictures.
+camera at this computer is a stand-in that gives rendered images.
 """
 
 import itertools
@@ -39,7 +39,7 @@ _ADDRESS = re.compile(r"(?:Viewer|Lesson) at (http://\S+)")
 
 
 def shortened(line: str) -> list[str]:
-    """The words to run, fewer steps and pictures."""
+    """The words to run, fewer steps and images."""
     words = shlex.split(re.sub(r" --(time|steps) \w+", "", line))[1:]
     if words[0] in TRAINING:
         words += ["--steps", "20"]

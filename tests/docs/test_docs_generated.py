@@ -24,7 +24,7 @@ What a sum is.
 
 import math
 
-# Prose with a picture: ![a sum](docs/pictures/sum.png)
+# Prose with an image: ![a sum](docs/pictures/sum.png)
 # in two lines.
 
 # A second paragraph.

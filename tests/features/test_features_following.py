@@ -1,4 +1,4 @@
-"""Points followed from picture to picture, and patches placed to a fraction of a pixel."""
+"""Points followed from image to image, and patches placed to a fraction of a pixel."""
 
 import cv2
 import numpy as np
@@ -146,7 +146,7 @@ def test_shifts_along_rows_are_found_and_what_repeats_has_a_rival(image, pixels,
     right = np.roll(image, -shift, axis=1)
     found, score, rival = find_along_rows(image, right, pixels, 40)
     whole, more = (find_along_rows(image, right, pixels, shift) for shift in (image.shape[1], 2**62))
-    np.testing.assert_array_equal(whole, more)  # beyond the picture there is nothing to find
+    np.testing.assert_array_equal(whole, more)  # beyond the image there is nothing to find
     inside = (pixels > [shift + 6, 6]).all(axis=1) & (pixels < [314, 234]).all(axis=1)
     assert inside.sum() > 20
     assert (found[inside] == shift).all() and (score[inside] > 0.999).all()

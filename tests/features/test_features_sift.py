@@ -1,4 +1,4 @@
-"""Our SIFT against its definition, against OpenCV's, and against a turned picture."""
+"""Our SIFT against its definition, against OpenCV's, and against a turned image."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""A page in a headless browser with WebGL in software: its pictures, its errors, and hands on it."""
+"""A page in a headless browser with WebGL in software: its images, its errors, and hands on it."""
 
 import base64
 import shutil

@@ -31,7 +31,7 @@ def scene():
 
 @cache
 def views(count=14, with_alpha=True):
-    """Pictures of it, with transparency or before white."""
+    """Images of it, with transparency or before white."""
     out = []
     for n in range(count):
         angle, up = 2.399963 * n, -0.7 + 1.4 * (n + 0.5) / count
@@ -46,7 +46,7 @@ def views(count=14, with_alpha=True):
 
 
 def frames_of(chosen, folder):
-    """Pictures in a folder, and their entries in a transforms.json."""
+    """Images in a folder, and their entries in a transforms.json."""
     out = []
     for seen in chosen:
         image = cv2.cvtColor(seen.image, cv2.COLOR_RGBA2BGRA)

@@ -1,4 +1,4 @@
-"""A neural field: its pictures and derivatives against the equations, known volumes, and training."""
+"""A neural field: its images and derivatives against the equations, known volumes, and training."""
 
 import numpy as np
 import pytest
@@ -205,7 +205,7 @@ def test_rays_without_room_are_left_out(monkeypatch):
 
 
 def test_what_cannot_be_trained_is_refused():
-    with pytest.raises(ConfigError, match="no picture"):
+    with pytest.raises(ConfigError, match="no image"):
         HashTrainer([], WHITE)
     away = [TrainingView(v.name, np.zeros_like(v.image), v.camera, v.cam_from_world) for v in views()]
     with pytest.raises(DegenerateGeometryError, match="no place in common"):

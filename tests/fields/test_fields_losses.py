@@ -13,11 +13,11 @@ from epipole.io.models.transforms import read_transforms
 from epipole.pipelines.fields import training
 
 SUMMARY = {
-    "warnings": ["3 of 17 pictures are in no model"],
+    "warnings": ["3 of 17 images are in no model"],
     "models": [{"num_registered": 14}, {"num_registered": 2}],
     "not_registered": {"cut.jpg": "is truncated", "x<b>.jpg": "no overlap", "z.jpg": "no overlap"},
 }
-LOST = ("3 of 17 pictures", "2 models that do not connect", "cut.jpg is in no model: is truncated")
+LOST = ("3 of 17 images", "2 models that do not connect", "cut.jpg is in no model: is truncated")
 
 
 def reconstructed(folder):

@@ -1,4 +1,4 @@
-"""Meshes: depth pictures fused into distances, surfaces against known ones, and `epipole.mesh` of every kind of field."""
+"""Meshes: depth images fused into distances, surfaces against known ones, and `epipole.mesh` of every kind of field."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""`epipole.nerf`: from cameras and pictures to a field of either kind, held-out pictures and figures; its file; and drawing it."""
+"""`epipole.nerf`: from cameras and images to a field of either kind, held-out images and figures; its file; and drawing it."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""What pictures have of their own while a field is learnt: colours, places, masks, and the depths of known points."""
+"""What images have of their own while a field is learnt: colours, places, masks, and the depths of known points."""
 
 from dataclasses import replace
 
@@ -94,7 +94,7 @@ def test_the_mean_of_all_maps_goes_into_the_scene(rng):
 
 
 def darkened():
-    """Every other picture at 60 % and more blue."""
+    """Every other image at 60 % and more blue."""
     colours = np.array([[0.6, 0, 0, 0], [0, 0.6, 0, 0], [0, 0, 0.7, 0.1]])
     out = list(views())
     for n in range(0, len(out), 2):
@@ -235,7 +235,7 @@ def test_the_loss_of_depths_and_its_derivative():
 
 
 def test_depths_hold_gaussians_at_their_points():
-    """One picture of a plain wall cannot tell how far it is."""
+    """One image of a plain wall cannot tell how far it is."""
     camera, grey = Camera("PINHOLE", 32, 24, [30.0, 30.0, 15.5, 11.5]), np.full((24, 32, 3), 128, np.uint8)
     grid = np.stack(
         np.meshgrid(np.linspace(-1.6, 1.6, 16), np.linspace(-1.2, 1.2, 12), [3.0]), axis=-1

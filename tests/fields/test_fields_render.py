@@ -1,4 +1,4 @@
-"""`epipole.render`: circles and given cameras, to pictures and a video."""
+"""`epipole.render`: circles and given cameras, to images and a video."""
 
 import json
 from dataclasses import replace
@@ -102,7 +102,7 @@ def test_a_circle_goes_round_and_looks_at_the_middle():
     for view in views:
         assert view.camera.project(view.cam_from_world.apply(middle[None]))[0] == pytest.approx([49.5, 37.0])
         above = view.camera.project(view.cam_from_world.apply(middle[None] + [0, -0.1, 0]))[0]
-        assert above[1] < 37.0  # up in the world is up in the picture
+        assert above[1] < 37.0  # up in the world is up in the image
     half = orbit(middle + np.array([3.0, 0.0, 0.0]), middle, up, RenderJob(frames=3, rotation_deg=180.0))
     assert half[2].cam_from_world.centers() == pytest.approx(middle - [3, 0, 0])
     straight = orbit(middle + np.array([0.0, -3.0, 0.0]), middle, up, RenderJob(frames=2))

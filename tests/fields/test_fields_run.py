@@ -1,4 +1,4 @@
-"""`epipole.splat`: from cameras and pictures to Gaussians, held-out pictures and figures; and what is wrong with them."""
+"""`epipole.splat`: from cameras and images to Gaussians, held-out images and figures; and what is wrong with them."""
 
 import json
 import os
@@ -66,7 +66,7 @@ def test_the_report_shows_what_was_held_out(result):
         metrics["psnr"], abs=3.0
     )
     page = (result.out / "report.html").read_text()
-    assert f"{metrics['psnr']:.2f} dB on pictures that were held out" in page
+    assert f"{metrics['psnr']:.2f} dB on images that were held out" in page
     assert page.count("data:image/png") == 3 * 2 and "images/07.png" in page and "PSNR, dB" in page
 
 
@@ -116,7 +116,7 @@ def test_pictures_that_are_missing_are_left_out_and_named(source, tmp_path):
     folder.mkdir()
     frames = frames_of(views(), folder)
     (folder / "images" / "03.png").unlink()
-    (folder / "images" / "04.png").write_bytes(b"no picture")
+    (folder / "images" / "04.png").write_bytes(b"no image")
     (folder / "transforms.json").write_text(json.dumps(camera() | {"frames": frames}))
     found = splat(folder, tmp_path / "out", **OPTIONS | {"steps": 3})
     assert found.summary["num_train"] + found.summary["num_test"] == 12
@@ -155,7 +155,7 @@ def test_masks_lie_beside_by_name(source, tmp_path):
     fixed = json.loads((found.out / "metrics.json").read_text())["views"][0]
     assert fixed["name"] == "images/00.png" and np.isfinite([fixed["psnr"], fixed["psnr_matched"]]).all()
     (tmp_path / "other").mkdir()
-    with pytest.raises(ConfigError, match="no picture has a mask"):
+    with pytest.raises(ConfigError, match="no image has a mask"):
         gather_field_images(source, replace(options, masks=tmp_path / "other"))
     cv2.imwrite(str(tmp_path / "masks" / "images" / "05.png.png"), mask[:5])
     assert any("mask is" in problem for problem in gather_field_images(source, options).problems)
@@ -230,7 +230,7 @@ def test_memory_is_told_first_and_kept(source, tmp_path):
     notes = []
     found = splat(source, tmp_path / "out", steps=2, memory_gb=0.24, progress=lambda p: notes.append(p.note))
     given = next(note for note in notes if note)
-    assert "12 pictures, about 0.2 GB" in given
+    assert "12 images, about 0.2 GB" in given
     assert found.summary["num_gaussians"] <= int(given.split()[2].replace(",", "")) <= 10_000
     with pytest.raises(ConfigError, match=r"memory_gb is 0\.01, and 0\.23 are needed"):
         splat(source, tmp_path / "small", steps=2, memory_gb=0.01)

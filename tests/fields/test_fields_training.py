@@ -202,7 +202,7 @@ def test_smaller_pictures_are_means_and_their_camera_sees_the_same():
 
 def test_what_does_not_fit_is_refused():
     view, cloud = views()[0], scene()
-    with pytest.raises(ConfigError, match="no picture"):
+    with pytest.raises(ConfigError, match="no image"):
         SplatTrainer([], cloud, SplatConfig(), WHITE)
     with pytest.raises(ShapeError, match="no Gaussian"):
         SplatTrainer([view], cloud.rows(np.zeros(0, np.int64)), SplatConfig(), WHITE)

@@ -1,4 +1,4 @@
-"""A grid of densities and colours: its pictures and derivatives against the equations, known volumes, and training."""
+"""A grid of densities and colours: its images and derivatives against the equations, known volumes, and training."""
 
 import numpy as np
 import pytest
@@ -190,7 +190,7 @@ def test_any_number_of_threads_gives_the_same():
 
 
 def test_what_cannot_be_trained_is_refused():
-    with pytest.raises(ConfigError, match="no picture"):
+    with pytest.raises(ConfigError, match="no image"):
         VoxelTrainer([], WHITE)
     away = [TrainingView(v.name, np.zeros_like(v.image), v.camera, v.cam_from_world) for v in views()]
     with pytest.raises(DegenerateGeometryError, match="no place in common"):

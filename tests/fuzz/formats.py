@@ -215,7 +215,7 @@ def _bag(name: str) -> Callable[[Path], None]:
         bag = read_bag(path)
         for frame in bag_frames(bag):
             assert np.isfinite(frame.timestamp_s)
-            with suppress(EpipoleError):  # a picture that is damaged is left out
+            with suppress(EpipoleError):  # an image that is damaged is left out
                 assert frame.grey().ndim == 2
         assert np.isfinite(read_bag_imu(path).accel_m_s2).all()
 
@@ -777,7 +777,7 @@ FORMATS: dict[str, Format] = {
         *("a.pose.txt", "text", _pose_matrix, ("read_pose_matrix",)),
     ),
     "frame-table": Format(
-        _put("frames.csv", b'frame,timestamp_s,picture\n0,0.5,a.png\n1,,"b,c.png"\n'),
+        _put("frames.csv", b'frame,timestamp_s,image\n0,0.5,a.png\n1,,"b,c.png"\n'),
         *("frames.csv", "text", _frame_table, ("read_frame_table",)),
     ),
     "truth-strecha": Format(_put("a.png.camera", STRECHA), "a.png.camera", "text", _truth, ("read_truth",)),

@@ -110,7 +110,7 @@ FEATURES |= {"angle_rad": np.ones(6, np.float32), "descriptors": np.ones((6, 128
 
 
 def put_features(folder: Path) -> None:
-    """Of one picture."""
+    """Of one image."""
     others = {
         "colors": np.zeros((6, 3), np.uint8),
         "thumbnail": np.zeros(9, np.uint8),
@@ -130,7 +130,7 @@ def _block(table: object) -> PairBlock:
 
 
 def put_matches(folder: Path) -> None:
-    """Of two pairs of pictures."""
+    """Of two pairs of images."""
     rows = np.array([[0, 1], [2, 3]], np.int32)
     store(
         folder / "a.npz",
@@ -146,7 +146,7 @@ def use_matches(folder: Path) -> None:
 
 
 def put_geometries(folder: Path) -> None:
-    """Of two pairs of pictures."""
+    """Of two pairs of images."""
     one = {"matches": np.array([[0, 1], [2, 3]], np.int32), "median_angle_rad": np.array(0.1)}
     one |= {"kind": np.array(1, np.int32), "num_putative": np.array(3, np.int32), "translation": np.ones(3)}
     one |= {name: np.eye(3) for name in ("rotation", "essential", "fundamental", "homography")}

@@ -1,4 +1,4 @@
-"""Smaller pictures, and numbers as colours."""
+"""Smaller images, and numbers as colours."""
 
 import numpy as np
 import pytest

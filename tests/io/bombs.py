@@ -91,7 +91,7 @@ def png_chunk(kind: bytes, data: bytes) -> bytes:
 def png(
     width: int, height: int, depth: int = 8, colour: int = 0, extra: bytes = b"", rows: bytes = bytes(100)
 ) -> bytes:
-    """A PNG whose header promises a picture of this size."""
+    """A PNG whose header promises an image of this size."""
     head = png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0))
     rest = png_chunk(b"IDAT", zlib.compress(rows)) + png_chunk(b"IEND", b"")
     return b"\x89PNG\r\n\x1a\n" + head + extra + rest
@@ -103,7 +103,7 @@ def text_chunks(kind: bytes, head: bytes, count: int) -> bytes:
 
 
 def encoded(kind: str, size: tuple[int, int] = (32, 24), **options: object) -> bytes:
-    """A valid picture."""
+    """A valid image."""
     stream = io.BytesIO()
     Image.new("RGB", size, (200, 100, 50)).save(stream, kind, **options)
     return stream.getvalue()

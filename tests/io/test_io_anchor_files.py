@@ -7,7 +7,7 @@ from epipole.errors import FileFormatError
 from epipole.io.anchor_files import NamedPositions, read_anchor_positions, read_lengths, read_odometry
 from epipole.io.trajectories.files import PositionLog
 
-LENGTHS = """# name metres end picture x y
+LENGTHS = """# name metres end image x y
 shelf 1.5 a one.jpg 10 20.5
 shelf 1.5 b one.jpg 30 20
 shelf 1.5 a holiday pictures/two.jpg 11 21
@@ -38,7 +38,7 @@ def test_lengths(tmp_path):
         ("L 0 a p.jpg 3 4\n", "positive"),
         ("L x a p.jpg 3 4\n", "no number"),
         ("L 1 a p.jpg nan 4\n", "no number to calculate"),
-        ("L 1 a p.jpg 3 4\n", "end b of L is seen in no picture"),
+        ("L 1 a p.jpg 3 4\n", "end b of L is seen in no image"),
         ("L 1 a p.jpg 3 4\nL 2 b p.jpg 3 4\n", "1 above"),
         ("L 1 a p.jpg 3 4\nL 1 a p.jpg 3 4\n", "stands above already"),
     ],

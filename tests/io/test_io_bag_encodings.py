@@ -1,4 +1,4 @@
-"""Pictures of ROS with 16 bits, mosaics and rare encodings."""
+"""Images of ROS with 16 bits, mosaics and rare encodings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings of ROS are written by rosbags and read back: topics, cameras, pictures, pairs by stamps, IMU, damage."""
+"""Recordings of ROS are written by rosbags and read back: topics, cameras, images, pairs by stamps, IMU, damage."""
 
 import builtins
 import shutil
@@ -164,8 +164,8 @@ def test_topics_that_could_be_meant_are_listed(recorded, tmp_path):
     assert read_bag(path, topics=("/rear/image_raw",)).topics == ("/rear/image_raw",)
     assert read_bag(path, topics=("/rear/image_raw", "/front/image_raw")).sensor == "stereo"
     for requested, sensor, words in (
-        (("/imu",), "auto", "/imu holds no pictures"),
-        (("/none",), "auto", "/none holds no pictures"),
+        (("/imu",), "auto", "/imu holds no images"),
+        (("/none",), "auto", "/none holds no images"),
         (("/rear/image_raw",) * 2, "auto", "one name, or two"),
         (("/rear/image_raw",), "stereo", "are mono, not stereo"),
         ((), "rgbd", "no topics for rgbd"),
@@ -190,7 +190,7 @@ def test_depth_of_another_place_and_wrong_sizes_are_told(recorded, tmp_path):
     recorded.camera_info("/depth/camera_info", BEGIN, SIZE, K, frame_id="depth")
     bag = read_bag(recorded.write(tmp_path))
     assert bag.camera is None and bag.depth_camera is not None
-    assert any("64 x 48 pixels, its pictures are of 32 x 24" in warning for warning in bag.warnings)
+    assert any("64 x 48 pixels, its images are of 32 x 24" in warning for warning in bag.warnings)
 
 
 def test_unregistered_depth_is_told(recorded, tmp_path):
@@ -212,7 +212,7 @@ def test_stamps_make_pairs():
 
 
 def test_the_nearest_is_taken_of_several():
-    """Depth three times as often as pictures, and a tolerance that reaches two of them."""
+    """Depth three times as often as images, and a tolerance that reaches two of them."""
     left = [(0, 0.1 * n, n) for n in range(5)]
     right = [(1, 0.1 * n + d, n + d) for n in range(5) for d in (-0.015, 0.004, 0.02)]
     found = list(paired(sorted(left + right, key=lambda row: row[1]), 0.02))
@@ -309,7 +309,7 @@ def test_pictures_that_make_no_sense(recorded, tmp_path):
     path = recorded.write(tmp_path)
     first, *rest = bag_frames(read_bag(path, topics=("/bad/image",)))
     assert np.array_equal(first.grey(), grey(0))
-    for frame, words in zip(rest, ("no picture of 32 x 1000", "'purple' are not read")):
+    for frame, words in zip(rest, ("no image of 32 x 1000", "'purple' are not read")):
         with pytest.raises(FileFormatError, match=words):
             frame.grey()
 

@@ -307,7 +307,7 @@ def _replace_line(name: str, old: str, new: str) -> Callable[[Path], None]:
             r"camera 1: the focal length must be positive",
         ),
         (_replace_line("cameras", "640 480 500.0", "640 480 nan"), r"camera 1: .*not a finite number"),
-        (_replace_line("cameras", "640 480", "0 480"), r"camera 1: impossible picture size"),
+        (_replace_line("cameras", "640 480", "0 480"), r"camera 1: impossible image size"),
         (_replace_line("cameras", "2 OPENCV", "1 OPENCV"), r"cameras.txt: camera 1 is there twice"),
         (_replace_line("cameras", "3 PINHOLE", "9 PINHOLE"), r"images.txt: image 7: there is no camera 3"),
         (_replace_line("rigs", "CAMERA 3", "CAMERA 2"), r"frame 4: image 7 is not of camera 3 of its rig"),

@@ -184,7 +184,7 @@ def test_kinds(tmp_path: Path) -> None:
     write_database(tmp_path / "x.db", replace(contents, view_graph=graph))
     read = read_database(tmp_path / "x.db").view_graph
     assert read is not None
-    # COLMAP has no name for two pictures without motion: they come back as a rotation.
+    # COLMAP has no name for two images without motion: they come back as a rotation.
     np.testing.assert_array_equal(read.kind, [*kinds[:-1], PairKind.ROTATION])
     assert np.isnan(read.cam2_from_cam1.translation[0]).all()
     assert np.isfinite(read.cam2_from_cam1.translation[1:]).all()

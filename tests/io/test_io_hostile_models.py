@@ -300,7 +300,7 @@ def test_impossible_maps(folder: Path, text: str) -> None:
     ],
     ids=[
         "a long name of points",
-        "a long name of a picture",
+        "a long name of an image",
         "no angle",
         "endless width",
         "width of 400 digits",

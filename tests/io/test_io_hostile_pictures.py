@@ -1,4 +1,4 @@
-"""Maps, photographs and videos out of damaged files: a clear error or a picture, in the memory that it takes."""
+"""Maps, photographs and videos out of damaged files: a clear error or an image, in the memory that it takes."""
 
 import io
 import json
@@ -85,7 +85,7 @@ def spoilt_exif(valid: bytes, exif: bytes) -> bytes:
 
 @given(data=st.data())
 def test_exif(folder: Path, data: st.DataObject) -> None:
-    """A damaged block tells less, or nothing: the picture itself is sound and stays readable."""
+    """A damaged block tells less, or nothing: the image itself is sound and stays readable."""
     path = folder / "exif.jpg"
     block = new_exif("Canon", "Canon EOS 5D", 35.0, GPS).tobytes().removeprefix(b"Exif\0\0")
     path.write_bytes(spoilt_exif(encoded("JPEG"), data.render(spoilt(block, is_text=False))[:60000]))

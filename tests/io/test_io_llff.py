@@ -10,7 +10,7 @@ from epipole.synthetic import look_at
 
 
 def write_scene(folder, count=3, sizes=((1, 80, 60), (4, 20, 15))):
-    """A folder of pictures in two sizes, and cameras around the middle; returns their poses."""
+    """A folder of images in two sizes, and cameras around the middle; returns their poses."""
     positions = [look_at((np.sin(k), -4.0, 0.3 * k), (0, 0, 0)) for k in range(count)]
     rows = []
     for position in positions:

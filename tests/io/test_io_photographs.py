@@ -42,7 +42,7 @@ STORED_FROM_UPRIGHT = {
 
 
 def colour_blocks(height=64, width=96):
-    """A picture of flat 16-pixel blocks in different colours, which JPEG keeps almost exactly."""
+    """An image of flat 16-pixel blocks in different colours, which JPEG keeps almost exactly."""
     rng = np.random.default_rng(7)
     blocks = rng.integers(0, 256, (height // 16, width // 16, 3), dtype=np.uint8)
     return np.ascontiguousarray(blocks.repeat(16, 0).repeat(16, 1))
@@ -248,7 +248,7 @@ def test_a_200_megapixel_jpeg_stays_in_bounded_memory(tmp_path):
     )
     growth_mb, *rest = done.stdout.strip().split("|")
     assert rest == ["(1500, 2000, 3)", "(2250, 3000)", "16384", "77", "77"]
-    assert float(growth_mb) < 120.0, "the full picture has 201 MB in grey and 604 MB in colour"
+    assert float(growth_mb) < 120.0, "the full image has 201 MB in grey and 604 MB in colour"
 
 
 def test_a_lossless_picture_over_the_limit_is_refused(tmp_path):
@@ -445,7 +445,7 @@ def test_masks(tmp_path):
         assert mask.dtype == bool
         np.testing.assert_array_equal(mask, keep, err_msg=name)
     assert read_mask(tmp_path, "g.jpg") is None
-    with pytest.raises(FileFormatError, match=r"30 x 20 but its picture a\.jpg is 20 x 30"):
+    with pytest.raises(FileFormatError, match=r"30 x 20 but its image a\.jpg is 20 x 30"):
         read_mask(tmp_path, "a.jpg", size=(20, 30))
     touch(tmp_path / "h.jpg.png", b"\x89PNG\r\n\x1a\n")
     with pytest.raises(FileFormatError, match="damaged"):

@@ -1,4 +1,4 @@
-"""Patterns on names, and which 16-bit grey pictures are depth."""
+"""Patterns on names, and which 16-bit grey images are depth."""
 
 import pytest
 
@@ -40,7 +40,7 @@ def test_depth_beside_colour_is_found(kind):
         ([], ["depth_1.png", "depth_2.png"]),  # nothing else is there
         (["IMG_1.jpg", "IMG_2.jpg"], ["DSC_0107.png", "DSC_0108.png"]),  # a camera of 16 bits beside a phone
         (["1.jpg", "2.jpg", "3.jpg", "4.jpg", "5.jpg"], ["a1.png"]),  # one of many
-        (["1.jpg", "2.jpg"], ["a1.png", "a7.png"]),  # not each has its colour picture
+        (["1.jpg", "2.jpg"], ["a1.png", "a7.png"]),  # not each has its colour image
     ],
 )
 def test_sixteen_bits_alone_are_no_depth(others, deep):

@@ -53,7 +53,7 @@ def test_tum_frames_get_the_nearest_depth(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "names no picture"),
+        ("", "names no image"),
         ("1.0\n", "line 1: a time and a file's name"),
         ("x rgb/1.png\n", "line 1: a time"),
         ("1.0 rgb/1.png\nnan rgb/1.png\n", "line 2: the time is not finite"),
@@ -82,14 +82,14 @@ def test_times_beside_pictures(tmp_path):
 def test_folders_that_are_none(tmp_path, data_dir):
     for wrong, words in (
         (tmp_path / "nothing", "does not exist"),
-        (tmp_path, "no picture"),
+        (tmp_path, "no image"),
         (Path(__file__), "is a file"),
     ):
         with pytest.raises(FileFormatError, match=words):
             read_sequence(wrong)
     shutil.copytree(data_dir / "slam" / "euroc_static" / "mav0" / "cam0", tmp_path / "cam0")
     shutil.rmtree(tmp_path / "cam0" / "data")
-    with pytest.raises(FileFormatError, match="none of its pictures is there"):
+    with pytest.raises(FileFormatError, match="none of its images is there"):
         read_sequence(tmp_path)
 
 

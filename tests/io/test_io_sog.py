@@ -43,7 +43,7 @@ def image(pixels, size=(WIDTH, HEIGHT), kind="WEBP"):
 
 
 def by_hand(version=2, kind="WEBP"):
-    """(meta, pictures by name, codes by name) of a file of five Gaussians with harmonics of degree 1."""
+    """(meta, images by name, codes by name) of a file of five Gaussians with harmonics of degree 1."""
     rng = np.random.default_rng(3)
     codes = {name: rng.integers(0, 256, (6, 4)) for name in ("low", "up", "scales", "quats", "sh0")}
     codes["quats"][:, :3] = rng.integers(60, 200, (6, 3))
@@ -308,16 +308,16 @@ def grey():
 BAD = {
     "another version": (changed("version", value=3), "is of version 3"),
     "no version": (changed("version", value=[]), "is of version"),
-    "no means": (without("means"), "pictures of means"),
-    "means are words": (changed("means", value="a"), "pictures of means"),
-    "one picture of two": (changed("means", "files", value=["low"]), "pictures of means"),
+    "no means": (without("means"), "images of means"),
+    "means are words": (changed("means", value="a"), "images of means"),
+    "one image of two": (changed("means", "files", value=["low"]), "images of means"),
     "a name is a number": (changed("quats", "files", value=[3]), "a name is text"),
-    "no such picture": (changed("quats", "files", value=["../../etc/passwd"]), "no item named"),
+    "no such image": (changed("quats", "files", value=["../../etc/passwd"]), "no item named"),
     "no count": (without("count"), "how many Gaussians"),
     "half a Gaussian": (changed("count", value=2.5), "how many Gaussians"),
     "none": (changed("count", value=0), "how many Gaussians"),
     "very many": (changed("count", value=10**12), "promises 1000000000000 Gaussians"),
-    "more than the pictures hold": (changed("count", value=7), "has 6 pixels for 7"),
+    "more than the images hold": (changed("count", value=7), "has 6 pixels for 7"),
     "no range": (without("means", "mins"), "mins is missing"),
     "a range of two": (changed("means", "maxs", value=[1, 2]), "maxs is not 3 numbers"),
     "no codebook": (without("sh0", "codebook"), "codebook of sh0"),
@@ -329,12 +329,12 @@ BAD = {
     "other bands": (changed("shN", "bands", value=2), "those of 2 bands"),
     "a palette of no width": (other_picture("palette", webp("RGB", (100, 2))), "100 x 2"),
     "a palette too high": (other_picture("palette", webp("RGB", (192, 1025))), "192 x 1025"),
-    "a picture too large": (other_picture("scales", webp("RGB", (2000, 2000))), "too large: 2000 x 2000"),
+    "an image too large": (other_picture("scales", webp("RGB", (2000, 2000))), "too large: 2000 x 2000"),
     "a rotation without its largest": (other_picture("quats", webp("RGBA", (3, 2))), "the alpha 0"),
-    "no picture": (other_picture("sh0", b"nothing"), "no WebP or PNG"),
-    "a cut picture": (other_picture("sh0", webp("RGB", (3, 2))[:-9]), "'sh0' is damaged"),
-    "an empty picture": (other_picture("sh0", b""), "no WebP or PNG"),
-    "a grey picture": (other_picture("sh0", grey()), "three colours"),
+    "no image": (other_picture("sh0", b"nothing"), "no WebP or PNG"),
+    "a cut image": (other_picture("sh0", webp("RGB", (3, 2))[:-9]), "'sh0' is damaged"),
+    "an empty image": (other_picture("sh0", b""), "no WebP or PNG"),
+    "a grey image": (other_picture("sh0", grey()), "three colours"),
     "nothing is finite": (changed("means", "maxs", value=[1e300] * 3), "none of its 5 Gaussians is finite"),
 }
 

@@ -48,7 +48,7 @@ def test_a_shared_camera_stands_once(tmp_path: Path) -> None:
         550.0,
         "OPENCV",
     )
-    assert (content["cx"], content["cy"]) == (320.0, 240.0)  # the middle of the picture, from its corner
+    assert (content["cx"], content["cy"]) == (320.0, 240.0)  # the middle of the image, from its corner
     assert content["ply_file_path"] == "sparse_pc.ply" and (tmp_path / "sparse_pc.ply").is_file()
     assert content["frames"][0]["file_path"] == "photos/000.jpg"
     assert set(content["frames"][0]) == {"file_path", "transform_matrix"}
@@ -120,7 +120,7 @@ def valid() -> dict:
         ({"fl_x": "wide"}, "frame 0: could not convert"),
         ({"fl_x": -3}, "focal length must be positive"),
         ({"fl_x": float("nan")}, "not a finite number"),
-        ({"w": 0}, "impossible picture size"),
+        ({"w": 0}, "impossible image size"),
         ({"w": None}, "frame 0"),
         ({"k4": 0.1}, "k4 of"),
     ],

@@ -64,7 +64,7 @@ def test_the_jacobian_is_the_slope(model: CameraModel, data: st.DataObject) -> N
 
 @given(cameras(), pixels(), st.integers(2, 5), st.integers(2, 5))
 def test_a_resampled_picture_has_the_same_rays(camera, positions, times_x, times_y) -> None:
-    """Pixel edges stay: x in the small picture is n x + (n - 1) / 2 in one n times as wide."""
+    """Pixel edges stay: x in the small image is n x + (n - 1) / 2 in one n times as wide."""
     if len(camera.model.focal_indices) == 1:
         times_y = times_x
     scaled = camera.scaled_to(times_x * WIDTH, times_y * HEIGHT)

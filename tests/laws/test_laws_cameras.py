@@ -32,7 +32,7 @@ def camera(request: pytest.FixtureRequest) -> Camera:
 
 
 def picture_grid() -> np.ndarray:
-    """Pixels over the whole picture with its corners, and the principal point."""
+    """Pixels over the whole image with its corners, and the principal point."""
     u, v = np.meshgrid(np.linspace(-0.5, WIDTH - 0.5, 17), np.linspace(-0.5, HEIGHT - 0.5, 13))
     return np.vstack([np.column_stack([u.ravel(), v.ravel()]), [[321.5, 236.25]]])
 

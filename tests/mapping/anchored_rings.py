@@ -19,7 +19,7 @@ class Ring:
     metres: float
 
     def length(self, ends, views, name="L", metres=None, noise=None):
-        """Lines of a file of lengths: both ends in these pictures."""
+        """Lines of a file of lengths: both ends in these images."""
         camera, cams, out = self.truth.cameras[0], self.truth.cams_from_world(), []
         metres = float(np.linalg.norm(ends[0] - ends[1])) if metres is None else metres
         for end, position in zip("ab", ends, strict=True):

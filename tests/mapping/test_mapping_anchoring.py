@@ -54,7 +54,7 @@ def test_lengths_one_of_them_wrong(known, tmp_path, rng):
 
 def test_lengths_that_tell_nothing_say_why(known, tmp_path):
     for text, words in (
-        (known.length(ENDS[0], (4,)), "seen in 1 picture with a place"),
+        (known.length(ENDS[0], (4,)), "seen in 1 image with a place"),
         (known.length(ENDS[0], (4, 7)).replace("ring_0007", "absent"), "absent.jpg has no place"),
         (
             known.length(ENDS[0], (0, 6, 12)) + known.length(ENDS[1], (0, 6, 12), "M", 5.0),
@@ -131,7 +131,7 @@ def test_objects_in_rendered_pictures(known, kind):
         return cv2.cvtColor(rendered.rgb, cv2.COLOR_RGB2GRAY)
 
     views = views_of_model(known.model, image)
-    # The pictures are smaller than those of the model.
+    # The images are smaller than those of the model.
     object.__setattr__(views, "cameras", (camera,) * len(views))
     if kind == "nothing":
         with pytest.raises(DegenerateGeometryError, match="no tag of 36h11 is seen"):

@@ -51,8 +51,8 @@ def test_contradiction_and_ignorance_are_refused():
         agreed_scale([estimate(s, name=str(s)) for s in (1.0, 1.01, 1.2, 1.21)])
     with pytest.raises(DegenerateGeometryError, match="known to 30 % only"):
         agreed_scale([estimate(1.0, 0.3)])
-    with pytest.raises(DegenerateGeometryError, match="tag 3: seen in 1 picture"):
-        agreed_scale([], ["tag 3: seen in 1 picture"])
+    with pytest.raises(DegenerateGeometryError, match="tag 3: seen in 1 image"):
+        agreed_scale([], ["tag 3: seen in 1 image"])
     with pytest.raises(ConfigError, match="positive"):
         agreed_scale([estimate(0.0)])
 

@@ -133,7 +133,7 @@ def test_a_truth_of_picture_numbers_gets_the_pictures_times() -> None:
     np.testing.assert_array_equal(
         found.world_from_body.translation, np.delete(poses.translation[::2], 3, axis=0)
     )
-    # What are times indeed, or numbers of other pictures, stays as it is.
+    # What are times indeed, or numbers of other images, stays as it is.
     timed = Trajectory(times[~np.isnan(times)], poses[np.arange(24)])
     assert at_image_numbers(timed, names, times, 0.01) is None
     assert at_image_numbers(truth, [f"{n + 1000}.png" for n in range(25)], times, 0.01) is None

@@ -24,13 +24,13 @@ def content(model: Reconstruction) -> ReportContent:
 
 @pytest.fixture(scope="session")
 def empty_content() -> ReportContent:
-    """Four pictures and no model."""
+    """Four images and no model."""
     return content_of(empty_model(4), "Nothing")
 
 
 @pytest.fixture(scope="session")
 def big_content() -> ReportContent:
-    """Fifty pictures and more points than the page shows."""
+    """Fifty images and more points than the page shows."""
     base = ring_model(50, num_points=1500, num_absent=3, seed=8)
     rng, num_points = np.random.default_rng(1), 70_000
     extra = num_points - len(base.points)
@@ -47,7 +47,7 @@ def big_content() -> ReportContent:
 
 @pytest.fixture(scope="session")
 def hostile_content() -> ReportContent:
-    """A picture whose name tries to break out of the page."""
+    """An image whose name tries to break out of the page."""
     base = ring_model(5, num_points=60, num_absent=1)
     names = (
         HOSTILE,

@@ -26,7 +26,7 @@ HOSTILE = "<script>alert('x')</script>\"&\u202e.jpg"
 
 
 def looking_at_origin(centers: np.ndarray) -> Rigid3:
-    """Cameras at these places that look at the origin with +z of the world upwards in the picture."""
+    """Cameras at these places that look at the origin with +z of the world upwards in the image."""
     forward = -centers / np.linalg.norm(centers, axis=1, keepdims=True)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right, axis=1, keepdims=True)
@@ -122,7 +122,7 @@ def rows_of(model: Reconstruction) -> tuple[ImageRow, ...]:
                 num_keypoints=len(model.images.keypoints_of(i)),
                 num_observations=len(mine),
                 mean_error_px=float(mine.mean()) if len(mine) else float("nan"),
-                reason="" if registered[i] else "too few matches with any placed picture (7, needed 15)",
+                reason="" if registered[i] else "too few matches with any placed image (7, needed 15)",
             )
         )
     return tuple(rows)

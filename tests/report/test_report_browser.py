@@ -49,7 +49,7 @@ frame.onload = () => {{
 
 
 def test_the_table_of_pictures_fits_a_narrow_screen(content: ReportContent, tmp_path: Path) -> None:
-    """State and error of each picture are seen without scrolling sideways on 390 pixels."""
+    """State and error of each image are seen without scrolling sideways on 390 pixels."""
     page = render_report(content)
     dom = dom_after_script(WRAPPER.format(page=escape(page)), tmp_path)
     found = re.search(r'data-cells="(\d+)" data-right="(\d+)"', dom)

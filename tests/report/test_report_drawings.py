@@ -1,4 +1,4 @@
-"""The 3D payload, the view from above and the table of pictures, read back."""
+"""The 3D payload, the view from above and the table of images, read back."""
 
 import re
 from dataclasses import replace
@@ -30,9 +30,7 @@ def decoded(data: SpaceData) -> np.ndarray:
 
 
 def table_of(content: ReportContent) -> str:
-    return re.search(
-        r'<table class="pictures sortable">.*?</table>', render_report(content), re.DOTALL
-    ).group()
+    return re.search(r'<table class="images sortable">.*?</table>', render_report(content), re.DOTALL).group()
 
 
 def by_position(xyz: np.ndarray, *columns: np.ndarray) -> list[np.ndarray]:
@@ -159,7 +157,7 @@ def test_table_lists_absent_pictures_first_with_their_reason(content: ReportCont
     table = table_of(content)
     names = re.findall(r'<th scope="row" class="name">([^<]*)</th>', table)
     assert names == [*content.reconstruction.images.name[10:], *content.reconstruction.images.name[:10]]
-    assert table.count("not placed: too few matches with any placed picture (7, needed 15)") == 2
+    assert table.count("not placed: too few matches with any placed image (7, needed 15)") == 2
     assert "Model" not in table
     assert "Model" in table_of(replace(content, other_components=(3,)))
 
@@ -176,5 +174,5 @@ def test_dots_are_capped_and_bad_thumbnails_left_out(content: ReportContent) -> 
     row, name = content.image_rows[0], content.image_rows[0].name
     many = replace(content, image_rows=(row,), inliers={name: np.random.default_rng(0).random((5000, 2))})
     assert table_of(many).count("h0") == 2 * MAX_FEATURES
-    broken = replace(content, image_rows=(row,), thumbnails={name: b"not a picture"})
+    broken = replace(content, image_rows=(row,), thumbnails={name: b"not an image"})
     assert "<image" not in table_of(broken)

@@ -29,7 +29,7 @@
     return product;
   };
   const isSvg = (element) => element instanceof SVGElement && element.tagName !== "svg";
-  /* What an element paints below a text: a colour with alpha; null where it is a picture. */
+  /* What an element paints below a text: a colour with alpha; null where it is an image. */
   const paint = (element) => {
     const style = getComputedStyle(element);
     if (isSvg(element)) {
@@ -53,7 +53,7 @@
     for (const below of stack.slice(isSvg(element) ? at + 1 : at)) {
       const painted = paint(below);
       if (painted === null) {
-        // Of a picture nothing is known: it may be white or black, under layers that cover most of it.
+        // Of an image nothing is known: it may be white or black, under layers that cover most of it.
         if (layers.reduce((left, layer) => left * (1 - layer[3]), 1) > 0.5) return null;
         grounds = [[0, 0, 0], [255, 255, 255]];
         break;

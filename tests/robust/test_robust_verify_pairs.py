@@ -1,4 +1,4 @@
-"""Many pairs at once: their kinds against made-up truth, alone and in a list, and on real pictures."""
+"""Many pairs at once: their kinds against made-up truth, alone and in a list, and on real images."""
 
 import numpy as np
 import pytest

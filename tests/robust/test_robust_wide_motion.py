@@ -105,6 +105,6 @@ def test_which_lenses_are_wide():
     assert is_wide(camera(CameraModel.SIMPLE_RADIAL, 700, 799.5, 599.5, -0.1))
     fisheye = (400.0, 400.0, 799.5, 599.5, 0.0, 0.0, 0.0, 0.0)
     assert is_wide(camera(CameraModel.OPENCV_FISHEYE, *fisheye))
-    # Its circle lies within the picture: the corners have no ray at all.
+    # Its circle lies within the image: the corners have no ray at all.
     assert is_wide(camera(CameraModel.OPENCV_FISHEYE, 200.0, 200.0, *fisheye[2:]))
     assert not is_wide(camera(CameraModel.OPENCV_FISHEYE, 4000.0, 4000.0, *fisheye[2:]))

@@ -129,7 +129,7 @@ def test_text(model: Reconstruction) -> None:
 
 
 def test_single_cameras_are_rigs_of_one(rng: np.random.Generator) -> None:
-    """The same pictures as single cameras give the same places."""
+    """The same images as single cameras give the same places."""
     model = rig_model(rng)
     cams_from_world = model.cams_from_world()
     single = replace(

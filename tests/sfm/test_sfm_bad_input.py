@@ -30,7 +30,7 @@ def copied(rendered: Path, folder: Path, count: int = 6) -> Path:
 
 def test_empty_folder_and_no_folder(tmp_path):
     (tmp_path / "empty").mkdir()
-    (tmp_path / "empty" / "notes.txt").write_text("no picture")
+    (tmp_path / "empty" / "notes.txt").write_text("no image")
     with pytest.raises(NoModelError, match="holds no photographs"):
         reconstruct(tmp_path / "empty", tmp_path / "out")
     with pytest.raises(NoModelError, match="does not exist"):
@@ -42,7 +42,7 @@ def test_a_mistyped_folder_leaves_the_output_free(rendered, tmp_path):
     for wrong in ("nowhere", "empty"):
         with pytest.raises(NoModelError):
             reconstruct(tmp_path / wrong, tmp_path / "out")
-    with pytest.raises(NoModelError, match="one picture"):  # the output is not the wrong folder's
+    with pytest.raises(NoModelError, match="one image"):  # the output is not the wrong folder's
         reconstruct(copied(rendered, tmp_path / "right", 1), tmp_path / "out")
 
 
@@ -61,7 +61,7 @@ import os, signal, sys
 from epipole.io.atomic import atomic_write
 
 with atomic_write(sys.argv[1]) as aside:
-    aside.write_bytes(b"half a picture")
+    aside.write_bytes(b"half an image")
     os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -106,7 +106,7 @@ def test_avif_ends_with_a_model(rendered, tmp_path):
 
 
 def test_one_image(rendered, tmp_path):
-    with pytest.raises(NoModelError, match="one picture cannot give depth"):
+    with pytest.raises(NoModelError, match="one image cannot give depth"):
         reconstruct(copied(rendered, tmp_path / "one", 1), tmp_path / "out")
 
 
@@ -152,7 +152,7 @@ def test_damaged_pictures_are_named_and_the_rest_is_reconstructed(rendered, tmp_
     folder = copied(rendered, tmp_path / "mixed")
     whole = (folder / "view_00.jpg").read_bytes()
     (folder / "cut.jpg").write_bytes(whole[: len(whole) // 2])
-    (folder / "text.jpg").write_text("this is no picture")
+    (folder / "text.jpg").write_text("this is no image")
     cv2.imwrite(str(folder / "blank.png"), np.full((320, 480, 3), 128, np.uint8))
     result = reconstruct(folder, tmp_path / "out")
     assert result.summary["num_registered"] == 6

@@ -1,4 +1,4 @@
-"""Which pictures take part, with which masks and which known camera: said before the work begins."""
+"""Which images take part, with which masks and which known camera: said before the work begins."""
 
 import json
 import os
@@ -30,7 +30,7 @@ def chosen(folder, **options):
 
 @pytest.fixture
 def rgbd(rendered, tmp_path):
-    """Six colour pictures with their depth, as RGB-D cameras store them."""
+    """Six colour images with their depth, as RGB-D cameras store them."""
     folder = tmp_path / "rgbd"
     folder.mkdir()
     for n, path in enumerate(sorted(rendered.iterdir())):
@@ -53,7 +53,7 @@ def test_masks_that_fit_no_picture_are_an_error_that_tells_the_names(rendered, t
     masks = tmp_path / "masks"
     masks.mkdir()
     with pytest.raises(
-        ConfigError, match=r"any of the 6 pictures: looked for view_00.jpg.png or view_00.png.*empty"
+        ConfigError, match=r"any of the 6 images: looked for view_00.jpg.png or view_00.png.*empty"
     ):
         reconstruct(rendered, tmp_path / "out", ReconstructConfig(masks=masks))
     cv2.imwrite(str(masks / "view_00_mask.png"), BLACK)
@@ -92,7 +92,7 @@ def test_patterns_that_fit_nothing_name_what_is_there(rgbd, tmp_path):
     ):
         reconstruct(rgbd, tmp_path / "out", ReconstructConfig(include=("*.jpg", "*.tif")))
     with pytest.raises(
-        ConfigError, match=r"exclude 'frame\*' leaves no picture: there are frame-000000.color.jpg"
+        ConfigError, match=r"exclude 'frame\*' leaves no image: there are frame-000000.color.jpg"
     ):
         reconstruct(rgbd, tmp_path / "out", ReconstructConfig(exclude=("frame*",)))
     assert not (tmp_path / "out").exists()
@@ -102,7 +102,7 @@ def test_patterns_that_fit_nothing_name_what_is_there(rgbd, tmp_path):
 def test_depth_beside_colour_is_left_out_and_said(rgbd):
     found = chosen(rgbd)
     assert [name for name in found.names if "depth" in name] == [] and len(found) == 6
-    assert "6 of 12 pictures are 16-bit grey PNGs" in found.notes[0] and "--include '*'" in found.notes[0]
+    assert "6 of 12 images are 16-bit grey PNGs" in found.notes[0] and "--include '*'" in found.notes[0]
     for path in rgbd.glob("*.color.jpg"):
         path.unlink()
     alone = chosen(rgbd)  # a camera may well give 16 bits
@@ -136,7 +136,7 @@ def test_calibrations_that_do_not_fit(rendered, tmp_path):
     with pytest.raises(ConfigError, match="holds 2 cameras"):
         chosen(rendered, calibration=path)
     write_calibration(path, CalibrationFile((replace(CAMERA, width=100),), Rigid3.identity(1)))
-    with pytest.raises(ConfigError, match="of pictures of 100x320, but these are 480x320"):
+    with pytest.raises(ConfigError, match="of images of 100x320, but these are 480x320"):
         chosen(rendered, calibration=path)
     with pytest.raises(ConfigError, match="calibration tells model and parameters"):
         ReconstructConfig(calibration=path, camera_params="1,2,3")
@@ -185,11 +185,11 @@ def test_masks_that_cover_everything_are_named_as_the_cause(rendered, tmp_path):
     masks.mkdir()
     for path in rendered.iterdir():
         cv2.imwrite(str(masks / f"{path.name}.png"), BLACK)
-    with pytest.raises(NoModelError, match=r"the masks leave 6 of 6 pictures fewer than .* inverted"):
+    with pytest.raises(NoModelError, match=r"the masks leave 6 of 6 images fewer than .* inverted"):
         reconstruct(rendered, tmp_path / "out", masks=masks)
     for path in rendered.iterdir():
         cv2.imwrite(str(masks / f"{path.name}.png"), BLACK[:, 1:])
-    with pytest.raises(NoModelError, match=r"can be used .*the mask is 479 x 320 but its picture"):
+    with pytest.raises(NoModelError, match=r"can be used .*the mask is 479 x 320 but its image"):
         reconstruct(rendered, tmp_path / "out", masks=masks)
 
 

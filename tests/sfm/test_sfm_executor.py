@@ -54,7 +54,7 @@ def test_the_same_bytes_from_an_executor_of_the_users(rendered: Path, tmp_path: 
     here = reconstruct(rendered, tmp_path / "here")
     executor = Elsewhere()
     there = reconstruct(rendered, tmp_path / "there", executor=executor)
-    assert executor.num_tasks >= 5 + 1 + 1  # a picture each, and blocks of pairs
+    assert executor.num_tasks >= 5 + 1 + 1  # an image each, and blocks of pairs
     assert not executor.is_shut
     assert here.summary["num_registered"] == there.summary["num_registered"] == 5
     files = sorted(p.relative_to(here.out) for p in (here.out / "sparse").rglob("*.bin"))

@@ -99,7 +99,7 @@ def test_fixes_that_cannot_tell_give_nothing(case: str) -> None:
 
 @pytest.mark.parametrize("count", [3, 4, 5, 8, 12, 40, 200])
 def test_random_fixes_are_not_believed(count: int) -> None:
-    """Places within 111 m that have nothing to do with the pictures: one set in twenty deceives, at most."""
+    """Places within 111 m that have nothing to do with the images: one set in twenty deceives, at most."""
     believed, trials = 0, 20 if count > 6 else 60
     for seed in range(trials):
         rng = np.random.default_rng(seed)
@@ -238,7 +238,7 @@ METRES_PER_UNIT = 20.0
 
 @pytest.fixture(scope="module")
 def photographs(tmp_path_factory):
-    """Seven pictures whose EXIF holds where they were taken, in a courtyard a hundred metres across; one is 2 km off."""
+    """Seven images whose EXIF holds where they were taken, in a courtyard a hundred metres across; one is 2 km off."""
     folder = tmp_path_factory.mktemp("gps") / "photographs"
     folder.mkdir()
     views = neighbouring_views(7)

@@ -213,7 +213,7 @@ def test_two_separate_rings_are_mapped_one_after_the_other(ring: Reconstruction,
 
 
 def test_the_better_spread_points_count_more() -> None:
-    """Points over the whole picture score higher than as many in a corner, and none score nothing."""
+    """Points over the whole image score higher than as many in a corner, and none score nothing."""
     rng = np.random.default_rng(0)
     spread = rng.uniform(0, [640, 480], (60, 2))
     assert spread_score(spread, 640, 480) > 3 * spread_score(spread / 20, 640, 480) > 0

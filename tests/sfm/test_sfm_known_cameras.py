@@ -66,9 +66,9 @@ def test_half_size_images(calibration):
 
 
 def test_what_does_not_fit_is_refused_with_both_sizes(calibration):
-    with pytest.raises(ConfigError, match="of pictures of 480x320, but these are 320x480"):
+    with pytest.raises(ConfigError, match="of images of 480x320, but these are 320x480"):
         grouped([header(size=(320, 480))], calibration=calibration)
-    with pytest.raises(ConfigError, match="of pictures of 480x320, but these are 480x300"):
+    with pytest.raises(ConfigError, match="of images of 480x320, but these are 480x300"):
         grouped([header(), header(size=(480, 300))], calibration=calibration)
 
 

@@ -1,4 +1,4 @@
-"""Which pictures are compared: every method against pairs written down by hand."""
+"""Which images are compared: every method against pairs written down by hand."""
 
 from itertools import combinations
 from pathlib import Path
@@ -14,7 +14,7 @@ NO_GPS = (np.nan, np.nan, np.nan)
 
 
 def images_of(subjects: list[int]) -> list[np.ndarray]:
-    """Descriptors of pictures: those of one subject have the same features but for noise."""
+    """Descriptors of images: those of one subject have the same features but for noise."""
     rng = np.random.default_rng(5)
     features = rng.integers(0, 230, (max(subjects) + 1, 150, 128))
     return [(features[s] + rng.integers(0, 20, (150, 128))).astype(np.uint8) for s in subjects]
@@ -68,7 +68,7 @@ def test_look_alikes_are_compared() -> None:
 
 
 def test_pictures_taken_near_each_other_are_compared() -> None:
-    """Two subjects of six pictures, taken in turns along a road: 10 m from one to the other, 90 m to the next."""
+    """Two subjects of six images, taken in turns along a road: 10 m from one to the other, 90 m to the next."""
     images = images_of([0] * 6 + [1] * 6)
     road = positions([100.0 * k for k in range(6)] + [100.0 * k + 10.0 for k in range(6)])
     look_alikes = {*combinations(range(6), 2), *combinations(range(6, 12), 2)}
@@ -84,7 +84,7 @@ def test_a_picture_without_a_place_is_compared_with_its_look_alikes() -> None:
     road = [100.0 * k for k in range(6)] + [100.0 * k + 10.0 for k in range(6)]
     found = chosen(images, positions([None, *road[1:]]), method="spatial", neighbours=1)
     look_alikes = {*combinations(range(6), 2), *combinations(range(6, 12), 2)}
-    # Picture 6 has lost its neighbour at 0 m; the next one stands at 100 m.
+    # Image 6 has lost its neighbour at 0 m; the next one stands at 100 m.
     assert found == look_alikes | {(k, k + 6) for k in range(1, 6)} | {(1, 6)}
 
 
@@ -92,7 +92,7 @@ def test_places_are_needed_for_pairs_by_place() -> None:
     images = images_of([0, 1, 2])
     with pytest.raises(ConfigError, match="need GPS"):
         chosen(images, positions([0.0, None, None]), method="spatial")
-    # Nine in ten pictures must have one before they decide by themselves.
+    # Nine in ten images must have one before they decide by themselves.
     scattered = positions([0.0, 10.0, None])
     by_looks = chosen(images, scattered, method="retrieval", neighbours=1)
     assert chosen(images, scattered, exhaustive_limit=2, neighbours=1) == by_looks
@@ -118,9 +118,9 @@ def test_pairs_from_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"a.jpg\n", "line 1: expected two picture names, got 1"),
-        (b"\na.jpg b.jpg c.jpg\n", "line 2: expected two picture names, got 3"),
-        (b"a.jpg z.jpg\n", "line 1: no picture 'z.jpg'"),
+        (b"a.jpg\n", "line 1: expected two image names, got 1"),
+        (b"\na.jpg b.jpg c.jpg\n", "line 2: expected two image names, got 3"),
+        (b"a.jpg z.jpg\n", "line 1: no image 'z.jpg'"),
         (b"a.jpg \xff.jpg\n", "cannot be read as a list of pairs"),
     ],
 )

@@ -1,4 +1,4 @@
-"""A changed set of pictures repeats the work on the changed pictures only, and gives what a fresh run gives."""
+"""A changed set of images repeats the work on the changed images only, and gives what a fresh run gives."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Counts = Counter
 
 @pytest.fixture
 def work(monkeypatch: pytest.MonkeyPatch) -> Counts:
-    """How many pictures were searched, and pairs matched and verified, since it was last cleared."""
+    """How many images were searched, and pairs matched and verified, since it was last cleared."""
     counts: Counts = Counter()
     detect, match, verify = feature_stage.detect_features, match_stage.match_pair, match_stage.verify_pairs
 
@@ -38,7 +38,7 @@ def work(monkeypatch: pytest.MonkeyPatch) -> Counts:
 
 @pytest.fixture
 def images(rendered: Path, tmp_path: Path) -> Path:
-    """Five of the six rendered pictures, without the first."""
+    """Five of the six rendered images, without the first."""
     folder = tmp_path / "pictures"
     folder.mkdir()
     for path in sorted(rendered.iterdir())[1:]:
@@ -47,7 +47,7 @@ def images(rendered: Path, tmp_path: Path) -> Path:
 
 
 def assert_as_fresh(result: ReconstructionResult, images: Path, tmp_path: Path) -> None:
-    """The same model, points, pictures, and files of work as a run that began with these pictures."""
+    """The same model, points, images, and files of work as a run that began with these images."""
     fresh = reconstruct(images, tmp_path / "fresh")
     for root, other in ((result.out, fresh.out), (fresh.out, result.out)):
         for path in [

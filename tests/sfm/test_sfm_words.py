@@ -15,7 +15,7 @@ from epipole.pipelines.sfm.notes import title_of
 
 @pytest.fixture(scope="module")
 def given(rendered, tmp_path_factory):
-    """Five pictures without EXIF, and two of noise; with few blocks of pairs. Result, progress, folder."""
+    """Five images without EXIF, and two of noise; with few blocks of pairs. Result, progress, folder."""
     folder = tmp_path_factory.mktemp("words") / "garden" / "images"
     folder.mkdir(parents=True)
     for path in sorted(rendered.iterdir())[:5]:
@@ -47,7 +47,7 @@ def test_focal_lengths_are_said_of_pictures_with_their_final_values(given):
     result, _, _ = given
     (note,) = [w for w in result.warnings if "focal length" in w]
     final_px = result.model.cameras[0].focal_px
-    assert note.startswith("focal length found from the pictures themselves: view_00.jpg and 4 others: ")
+    assert note.startswith("focal length found from the images themselves: view_00.jpg and 4 others: ")
     assert f": {final_px:.0f} px" in note
     assert abs(final_px - CAMERA.focal_px) < 0.1 * CAMERA.focal_px
 
@@ -55,12 +55,12 @@ def test_focal_lengths_are_said_of_pictures_with_their_final_values(given):
 def test_where_focal_lengths_come_from(given, tmp_path, rendered):
     result, _, folder = given
     (source,) = result.summary["focal_sources"][:1]
-    assert source == "found from the pictures (assumed 1.2 x the longer side at first)"
-    for path in sorted(folder.iterdir())[:2]:  # two pictures: nothing can be found from their pair alone
+    assert source == "found from the images (assumed 1.2 x the longer side at first)"
+    for path in sorted(folder.iterdir())[:2]:  # two images: nothing can be found from their pair alone
         (tmp_path / "two").mkdir(exist_ok=True)
         (tmp_path / "two" / path.name).write_bytes(path.read_bytes())
     two = reconstruct(tmp_path / "two", tmp_path / "out")
-    is_found = "found from the pictures" in two.summary["focal_sources"][0]
+    is_found = "found from the images" in two.summary["focal_sources"][0]
     assert is_found != any("nothing tells the focal length" in w for w in two.warnings)
     known = reconstruct(rendered, tmp_path / "known")
     assert known.summary["focal_sources"] == ["EXIF, 35 mm equivalent, then adjusted with the model"]
@@ -71,10 +71,10 @@ def test_the_report_has_the_name_of_the_source_and_says_things_once(given):
     _, _, folder = given
     page = (folder.parent.parent / "out" / "report.html").read_text(encoding="utf-8")
     assert "<h1>garden</h1>" in page
-    assert page.count("2 of 7 pictures") == 1
+    assert page.count("2 of 7 images") == 1
     assert "view_00.jpg and 4 others: " in page
     summary = json.loads((folder.parent.parent / "out" / "summary.json").read_text())
-    assert "2 of 7 pictures are in no model" in summary["warnings"]
+    assert "2 of 7 images are in no model" in summary["warnings"]
 
 
 def test_names_of_sources(tmp_path):

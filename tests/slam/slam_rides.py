@@ -27,7 +27,7 @@ RIGHT_FROM_LEFT = Rigid3(np.eye(3), np.array([-BASELINE, 0.0, 0.0]))
 
 @dataclass(frozen=True)
 class Ride:
-    """Frames of one ride, with the pictures of every sensor, and where they were taken."""
+    """Frames of one ride, with the images of every sensor, and where they were taken."""
 
     left: tuple
     right: tuple
@@ -101,7 +101,7 @@ def write_pairs(folder: Path, count: int = 12) -> Path:
 
 @dataclass(frozen=True)
 class Rendered:
-    """Every few frames of a ride of `epipole.synthetic`, in small pictures."""
+    """Every few frames of a ride of `epipole.synthetic`, in small images."""
 
     ride: SyntheticRide
     images: dict

@@ -36,7 +36,7 @@ def write_places(path, part, sigma=0.01):
 
 
 def write_named_places(path, part):
-    """By the pictures' names, which are numbered from the first of these frames."""
+    """By the images' names, which are numbered from the first of these frames."""
     write_places(path, part)
     rows = [line.split(maxsplit=1)[1] for line in path.read_text().splitlines()]
     path.write_text("".join(f"{n:03d}.png {row}\n" for n, row in enumerate(rows)))
@@ -52,7 +52,7 @@ def write_wheels(path, part):
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """Two folders of pictures with the same names and clock; a map in metres of the first, and one up to scale."""
+    """Two folders of images with the same names and clock; a map in metres of the first, and one up to scale."""
     folder = tmp_path_factory.mktemp("maps")
     for name, part in (("old", OLD), ("new", NEW)):
         (folder / name).mkdir()

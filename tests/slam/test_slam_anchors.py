@@ -92,7 +92,7 @@ LENS = CameraOptions(camera_params=",".join(str(p) for p in (260.0, 260.0, 160.0
 def test_the_job_states_what_fixed_the_scale(images, tmp_path, rng):
     assert np.allclose(LENS.camera((320, 240)).params, CAMERA.params)
     log = log_of(rng)
-    times = np.arange(30)[::2] / 30.0  # a folder of pictures is of 30 Hz
+    times = np.arange(30)[::2] / 30.0  # a folder of images is of 30 Hz
     lines = [f"{t:.6f}, {x}, {y}, {z}, 99" for t, (x, y, z) in zip(times, log.positions, strict=True)]
     (tmp_path / "log.csv").write_text("# seconds, x, y, z, satellites\n" + "\n".join(lines))
     out = tmp_path / "out"

@@ -1,4 +1,4 @@
-"""Lists, depth and pictures that are wrong: said in clear words, and the path that can be known is kept."""
+"""Lists, depth and images that are wrong: said in clear words, and the path that can be known is kept."""
 
 from functools import partial
 
@@ -76,7 +76,7 @@ def test_a_list_of_euroc_out_of_order(tmp_path, data_dir):
     ("factor", "is_given"), [(1.0, False), (10.0, True), (0.05, True), (1000.0, True), (0.001, True)]
 )
 def test_depth_in_a_wrong_unit_is_told(factor, is_given):
-    """Registered depth that is too long by a factor agrees with the pictures: only its range tells."""
+    """Registered depth that is too long by a factor agrees with the images: only its range tells."""
     ranges = DepthRange()
     for depth in ride().depth[:3]:
         ranges.add((factor * depth).astype(np.float32))
@@ -101,7 +101,7 @@ def test_depth_pictures_of_another_size(tmp_path):
     assert result.summary["num_localized"] == COUNT - 1
     (warning,) = result.warnings
     assert warning.startswith("frame 4 is left out: the depth is 80 x 60, the depth camera's 320 x 240")
-    assert "depth that is registered to the picture has its size" in warning
+    assert "depth that is registered to the image has its size" in warning
     for n in range(COUNT):
         cv2.imwrite(str(folder / "depth" / f"{n}.png"), np.full((60, 80), 5000, np.uint16))
     with pytest.raises(NoModelError, match="the depth is 80 x 60"):
@@ -119,7 +119,7 @@ def test_pictures_that_change_size_before_they_are_undistorted(tmp_path):
 
 
 def test_pictures_of_a_distorted_lens_with_depth(tmp_path):
-    """TUM's freiburg1 and 2 are so. What is registered to a picture has its distortion: here next to none."""
+    """TUM's freiburg1 and 2 are so. What is registered to an image has its distortion: here next to none."""
     bent = CameraOptions(camera_model="OPENCV", camera_params=f"{PARAMS},1e-4,0,0,0")
     result = run_slam(tum_folder(tmp_path / "room"), tmp_path / "out", camera=bent)
     path = result.trajectory.world_from_body
@@ -144,7 +144,7 @@ def test_a_pair_whose_pictures_change_size_before_they_are_rectified(tmp_path):
 
 
 def test_a_folder_whose_pictures_end_before_its_list(tmp_path):
-    """A copy that was not finished: the last pictures are not there, the one before is cut off."""
+    """A copy that was not finished: the last images are not there, the one before is cut off."""
     folder = tum_folder(tmp_path / "room")
     for n in (7, 8, 9):
         (folder / "rgb" / f"{n}.png").unlink()

@@ -32,7 +32,7 @@ def test_noise_is_told(sigma, size):
 
 @pytest.mark.parametrize("sigma", [1.0, 2.0, 4.0])
 def test_texture_is_not_noise(sigma):
-    """Strong corners over three fifths of the picture, and a rendered courtyard."""
+    """Strong corners over three fifths of the image, and a rendered courtyard."""
     wall = np.full((240, 320), 120.0)
     square = np.kron(np.random.default_rng(1).integers(0, 2, (40, 24)), np.ones((6, 8)))
     wall[:, :192] = 40 + 150 * square

@@ -23,7 +23,7 @@ def walking():
     ("kind", "alignment", "most_m"), [("rgbd", "none", 0.01), ("mono", "similarity", 0.02)]
 )
 def test_a_box_that_walks_does_not_take_the_camera_along(kind, alignment, most_m):
-    """It covers up to a third of the picture, with more corners than the room behind; it goes 3 m, the camera 1.7."""
+    """It covers up to a third of the image, with more corners than the room behind; it goes 3 m, the camera 1.7."""
     slam = Slam(walking().sensor(kind))
     answers = [slam.track(frame) for frame in walking().frames(kind)]
     waiting = sum(a.state is not TrackingState.TRACKING for a in answers)
@@ -62,7 +62,7 @@ def test_while_the_lens_is_covered_nothing_is_claimed(shade):
 
 @pytest.mark.parametrize("gain", [0.4, 1.5])
 def test_exposure_may_jump(gain):
-    """From one picture to the next, and back again."""
+    """From one image to the next, and back again."""
     frames = []
     for n, frame in enumerate(ride().frames("rgbd")[:18]):
         grey = np.rint(frame.grey * (gain if 6 <= n < 12 else 1.0)).clip(0, 255).astype(np.uint8)
@@ -81,7 +81,7 @@ def test_frames_may_be_missing(gap):
 
 
 def test_a_camera_at_rest_stays_within_two_millimetres():
-    """One picture with fresh noise, thirty times."""
+    """One image with fresh noise, thirty times."""
     still = ride("rest", 1)
     noise = np.random.default_rng(5)
     frames = []

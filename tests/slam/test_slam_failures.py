@@ -24,7 +24,7 @@ PARAMS = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(CAMERA.params))
 
 
 def changed(frame: Frame, grey=None, right=None) -> Frame:
-    """The frame with other pictures."""
+    """The frame with other images."""
     return Frame(
         frame.timestamp_s,
         frame.grey if grey is None else grey,
@@ -34,7 +34,7 @@ def changed(frame: Frame, grey=None, right=None) -> Frame:
 
 
 def moved_blur(grey: np.ndarray, length_px: int, angle: float) -> np.ndarray:
-    """The picture of a camera that turned meanwhile, so that all moved along a line."""
+    """The image of a camera that turned meanwhile, so that all moved along a line."""
     kernel = np.zeros((2 * length_px + 1, 2 * length_px + 1), np.float32)
     for t in np.linspace(-0.5, 0.5, 8 * length_px):
         x, y = length_px * (1 + t * np.cos(angle)), length_px * (1 + t * np.sin(angle))
@@ -88,7 +88,7 @@ def test_blurred_frames_are_told_and_no_keyframes(kind, length_px):
     for n in blurred:
         frames[n] = changed(frames[n], moved_blur(frames[n].grey, length_px, 0.9 * n))
     slam, answers = tracked(frames, MONO if kind == "mono" else RGBD)
-    assert {n for n, a in enumerate(answers) if "the picture is blurred" in a.reason} == blurred
+    assert {n for n, a in enumerate(answers) if "the image is blurred" in a.reason} == blurred
     assert not blurred & {k.number for k in slam.map.keyframes if len(k.point)}
     assert all(a.state is TrackingState.TRACKING for a in answers[20:])
     if kind == "rgbd":
@@ -114,9 +114,9 @@ def test_pictures_that_show_nothing_have_a_reason(shade, words):
     frames[6] = changed(frames[6], np.full_like(frames[6].grey, shade))
     _, answers = tracked(frames, RGBD)
     assert answers[6].world_from_body is None and words in answers[6].reason
-    assert not answers[5].reason.startswith("the picture") and answers[9].world_from_body is not None
+    assert not answers[5].reason.startswith("the image") and answers[9].world_from_body is not None
     (warning,) = warnings(answers, Trajectory(np.zeros(0), Rigid3(np.zeros((0, 3, 3)), np.zeros((0, 3)))))
-    assert warning.startswith("in 1 of 10 frames the picture is")
+    assert warning.startswith("in 1 of 10 frames the image is")
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -127,8 +127,8 @@ def test_with_one_lens_of_a_pair_covered_the_other_is_followed(side):
         frames[n] = changed(frames[n], **{"grey" if side == "left" else "right": dark})
     slam, answers = tracked(frames, STEREO)
     assert all(a.state is TrackingState.TRACKING for a in answers)
-    assert all(f"the {side} picture is dark" in a.reason for a in answers[8:16])
-    assert [n for n, a in enumerate(answers) if "followed in the right picture" in a.reason] == (
+    assert all(f"the {side} image is dark" in a.reason for a in answers[8:16])
+    assert [n for n, a in enumerate(answers) if "followed in the right image" in a.reason] == (
         list(range(8, 16)) if side == "left" else []
     )
     assert side == "right" or not any(a.is_keyframe for a in answers[8:16])
@@ -199,7 +199,7 @@ def test_start_stride_rate_and_masks_of_a_folder(tmp_path):
     )
     result = run_slam(folder, tmp_path / "out2", max_frames=6, **known)
     assert any("30 a second are assumed" in w for w in result.warnings)
-    with pytest.raises(ConfigError, match="no picture has a mask"):
+    with pytest.raises(ConfigError, match="no image has a mask"):
         run_slam(folder, tmp_path / "out3", masks=folder.parent / "image_1" / "none", **known)
     with pytest.raises(ConfigError, match="have their own"):
         run_slam(folder.parent, tmp_path / "out3", fps=5.0)
@@ -209,6 +209,6 @@ def test_start_stride_rate_and_masks_of_a_folder(tmp_path):
 
 def test_the_message_of_wrong_parameters_has_an_example():
     with pytest.raises(
-        ConfigError, match=r"such as 640,640,320,240; cx and cy count from the picture's corner, half"
+        ConfigError, match=r"such as 640,640,320,240; cx and cy count from the image's corner, half"
     ):
         camera_of_text(CAMERA.model, (640, 480), "525")

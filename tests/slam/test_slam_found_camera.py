@@ -1,4 +1,4 @@
-"""A camera that nothing tells: found from the pictures, taken from a map, or refused with the reason."""
+"""A camera that nothing tells: found from the images, taken from a map, or refused with the reason."""
 
 import cv2
 import numpy as np
@@ -44,7 +44,7 @@ def test_it_is_found_from_the_pictures_and_written(tmp_path):
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("kind", "count", "words"),
-    [("arc", 4, "4 pictures are too few"), ("rest", 12, "nothing tells the camera")],
+    [("arc", 4, "4 images are too few"), ("rest", 12, "nothing tells the camera")],
 )
 def test_frames_that_do_not_tell_it_are_refused(kind, count, words, tmp_path):
     images = folder_of(tmp_path / "pictures", ride(kind, count).left[:count])

@@ -21,7 +21,7 @@ def test_losses_have_the_names_of_the_source(tmp_path, monkeypatch):
     def reconstruct(folder, out, **_):
         taken.extend(sorted(path.name for path in folder.iterdir()))
         reasons = {taken[1]: "no overlap", taken[4]: "is truncated"}
-        warnings = [f"2 of {len(taken)} pictures are in no model", f"focal length of {taken[0]}"]
+        warnings = [f"2 of {len(taken)} images are in no model", f"focal length of {taken[0]}"]
         return SimpleNamespace(summary={"warnings": warnings, "models": [{}, {}], "not_registered": reasons})
 
     monkeypatch.setattr(found_camera, "reconstruct", reconstruct)

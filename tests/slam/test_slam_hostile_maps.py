@@ -41,7 +41,7 @@ def at(name, where, value):
         (at("point", 0, -1), "point must be within"),
         (at("anchor", 0, 99), "anchor must be within"),
         (at("offsets", 1, 10**9), "offsets must rise"),
-        (at("pixels", (0, 0), 1e9), "within the picture"),
+        (at("pixels", (0, 0), 1e9), "within the image"),
         (at("rotation", (0, 0, 0), 2.0), "rotation matrices"),
         (at("camera_model", (), 99), "no map's"),
         (lambda arrays: arrays.pop("grey"), "'grey' is missing"),

@@ -20,7 +20,7 @@ from epipole.synthetic.inertial import imu_along, inertial_path
 
 COUNT, STEP = 108, 2
 LONG_ENOUGH = 64
-"""Pictures, for the unit to tell the scale."""
+"""Images, for the unit to tell the scale."""
 MOUNTING = Rigid3(Rotation3.exp(np.array([0.4, -1.1, 0.7])).matrix, np.array([0.03, -0.02, 0.05]))
 NOISE = ImuNoise(accel_gain_sigma=1e-6)
 
@@ -70,7 +70,7 @@ def test_the_scale_is_told_with_its_deviation(ride, with_unit, tmp_path, unit):
     options = AnchorOptions(imu=tmp_path / "imu.txt", imu_mounting=tmp_path / "mounting.yaml")
     found = anchor_map(system, options, [f"{k.number}" for k in system.maps[0].keyframes], {})
     (estimate,) = found.scale.estimates
-    assert estimate.kind == "imu" and "adjusted with the pictures" in estimate.note
+    assert estimate.kind == "imu" and "adjusted with the images" in estimate.note
     off = float(errors(system, ride.truth(), "similarity").truth_from_estimate.scale) - 1.0
     assert abs(off) < 3 * estimate.sigma / estimate.scale < 0.03
 

@@ -1,4 +1,4 @@
-"""Tags, boards and clicked lengths make one camera's path metric, from a folder of pictures to the summary."""
+"""Tags, boards and clicked lengths make one camera's path metric, from a folder of images to the summary."""
 
 import json
 
@@ -74,7 +74,7 @@ def test_a_chessboard(images, cams_from_world, tmp_path):
 @pytest.mark.usefixtures("unchecked")
 def test_a_length_clicked_in_two_pictures(images, cams_from_world, tmp_path):
     ends = np.array([[TAG[0] - 0.25, TAG[1], TAG[2]], [BOARD[0] + 3.5 * SQUARE, BOARD[1], BOARD[2]]])
-    lines = ["# name metres end picture x y"]
+    lines = ["# name metres end image x y"]
     for end, there in zip("ab", ends, strict=True):
         for n in (2, COUNT - 2):
             x, y = CAMERA.project(cams_from_world[n].apply(there[None]))[0]

@@ -86,7 +86,7 @@ def test_places_that_only_look_the_same_are_never_tied(kind):
     assert all(a.state not in (TrackingState.LOST, TrackingState.SUBMAP) for a in answers)
     assert answers[-1].state is TrackingState.TRACKING
     tempting = [loop for loop in slam.loops if loop.num_agreeing >= 30]
-    assert len(tempting) >= 20  # the pictures are the same
+    assert len(tempting) >= 20  # the images are the same
     assert all(loop.verdict == "rejected" for loop in slam.loops)
     assert all("since would be wrong by" in loop.reason for loop in tempting)
     alignment = "similarity" if kind == "mono" else "none"

@@ -217,7 +217,7 @@ def test_a_false_tie_is_rejected_and_moves_nothing(is_metric, rotation_deg):
 
 
 class Recognized:
-    """Stands in for the comparison of pictures: of each map the poses by which its keyframes seem to see the newest."""
+    """Stands in for the comparison of images: of each map the poses by which its keyframes seem to see the newest."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.poses: dict[int, list[Rigid3]] = {}

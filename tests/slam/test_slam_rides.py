@@ -182,13 +182,13 @@ def test_frames_that_do_not_fit_are_refused():
     slam.track(frames[0])
     with pytest.raises(ConfigError, match="comes after"):
         slam.track(frames[0])
-    with pytest.raises(ShapeError, match="the picture is 100 x 80"):
+    with pytest.raises(ShapeError, match="the image is 100 x 80"):
         slam.track(Frame(5.0, np.zeros((80, 100), np.uint8), None, frames[0].depth))
     with pytest.raises(ShapeError, match="the depth is 100 x 80, the depth camera's 320 x 240"):
         slam.track(Frame(5.0, frames[0].grey, None, np.ones((80, 100), np.float32)))
     with pytest.raises(ConfigError, match="needs its depth"):
         slam.track(Frame(5.0, frames[0].grey))
-    with pytest.raises(ConfigError, match="right picture"):
+    with pytest.raises(ConfigError, match="right image"):
         Slam(STEREO).track(Frame(0.0, frames[0].grey))
     with pytest.raises(ConfigError, match="must be a number"):
         Frame(float("nan"), frames[0].grey)

@@ -54,7 +54,7 @@ def test_a_folder_becomes_a_path_and_a_map(stereo_folder, tmp_path):
 
 @pytest.mark.usefixtures("unchecked")
 def test_a_damaged_frame_is_left_out_and_named(stereo_folder, tmp_path):
-    (stereo_folder / "image_0" / "000005.png").write_bytes(b"no picture")
+    (stereo_folder / "image_0" / "000005.png").write_bytes(b"no image")
     cv2.imwrite(str(stereo_folder / "image_0" / "000007.png"), np.zeros((40, 50), np.uint8))
     result = run_slam(stereo_folder, tmp_path / "out")
     assert result.summary["num_localized"] == 10
@@ -70,7 +70,7 @@ def test_one_camera_from_pictures_alone(stereo_folder, tmp_path):
     for wrong, words in (("1,2", "takes 4 parameters"), ("a,b,c,d", "must be numbers")):
         with pytest.raises(ConfigError, match=words):
             run_slam(left, tmp_path / "out", camera=CameraOptions(camera_params=wrong))
-    for sensor, words in (("stereo", "no second camera"), ("rgbd", "no depth pictures")):
+    for sensor, words in (("stereo", "no second camera"), ("rgbd", "no depth images")):
         with pytest.raises(ConfigError, match=words):
             run_slam(left, tmp_path / "out", sensor=sensor, camera=CameraOptions(camera_params=PARAMS))
 

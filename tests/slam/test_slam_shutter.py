@@ -1,4 +1,4 @@
-"""Pictures that are read out row by row: shifts undo the motion, the readout is found, and the path is straight with it."""
+"""Images that are read out row by row: shifts undo the motion, the readout is found, and the path is straight with it."""
 
 from dataclasses import replace
 

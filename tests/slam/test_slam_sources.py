@@ -78,7 +78,7 @@ def test_topics_are_chosen_on_the_command_line(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["slam", str(path), str(tmp_path / "out"), "--topics", "/wrong"])
     said = capsys.readouterr().err
-    assert "/wrong holds no pictures" in said and "/cam/right/image_rect (12 of Image, picture)" in said
+    assert "/wrong holds no images" in said and "/cam/right/image_rect (12 of Image, image)" in said
     with pytest.raises(ConfigError, match="topics are of recordings of ROS"):
         run_slam(tmp_path, tmp_path / "o", topics="/a", camera=KNOWN)
 
@@ -126,7 +126,7 @@ def test_a_video_without_frames(tmp_path):
 
 
 class FakeCapture:
-    """A camera that gives each picture once the one before was taken, and then ends, or goes on."""
+    """A camera that gives each image once the one before was taken, and then ends, or goes on."""
 
     def __init__(self, images):
         self.images, self.is_released = list(images), False
@@ -174,10 +174,10 @@ def test_a_slow_tracker_gets_the_newest_picture_of_a_camera():
         values.append((queued.timestamp_s, int(queued.read().grey[0, 0])))
         for _ in range(3):  # while this one is followed three more come
             capture.may_read.release()
-        # Another call begins when the picture of the last is kept; the thirteenth, which fails, is the last.
+        # Another call begins when the image of the last is kept; the thirteenth, which fails, is the last.
         while capture.num_calls < min(3 + 3 * len(values), 13):
             time.sleep(0.002)
-    # Picture 0 told the size; the others have the clock's time of each.
+    # Image 0 told the size; the others have the clock's time of each.
     assert values == [(0.0, 1), (3.0, 4), (6.0, 7), (9.0, 10), (10.0, 11)]
     assert stream.num_dropped == 6 and capture.is_released
 
@@ -243,7 +243,7 @@ def test_all_frames_are_taken_otherwise():
 
 
 def test_dropped_frames_are_told(tmp_path, capsys, monkeypatch):
-    """Two thousand pictures a second cannot be kept up with by a computer that takes a millisecond for each."""
+    """Two thousand images a second cannot be kept up with by a computer that takes a millisecond for each."""
     ticks = itertools.count()
     monkeypatch.setattr(Clock, "now_s", lambda _: 0.001 * next(ticks))
     for n in range(30):

@@ -1,4 +1,4 @@
-"""The begin of one camera's map: doubted until frames after it agree, and refused where pictures cannot tell."""
+"""The begin of one camera's map: doubted until frames after it agree, and refused where images cannot tell."""
 
 from pathlib import Path
 
@@ -132,7 +132,7 @@ def test_one_camera_does_not_take_a_thing_that_passes_for_its_own_motion(width, 
 
 @pytest.mark.parametrize(("width", "height"), [(0.3, 1.0), (0.55, 1.0), (0.75, 1.0), (0.9, 0.45)])
 def test_with_depth_a_thing_that_passes_is_said_to(width, height):
-    """Of most of the picture it takes the camera along: then that is said."""
+    """Of most of the image it takes the camera along: then that is said."""
     slam, answers = tracked(passing(width, height, "rgbd", 5), RGBD)
     said = warnings(answers, slam.trajectory())
     assert any(

@@ -32,7 +32,7 @@ def records_of(times: list[float | None], names: list[str] | None = None) -> lis
         if time is not None:
             answer = TrackedFrame(time, TrackingState.LOST, "4 points", None, None, 0, is_keyframe=False)
         name = names[n] if names else f"{n}.png"
-        out.append(FrameRecord(n, name, 0.01, answer, "" if answer else f"frame {n} is left out: no picture"))
+        out.append(FrameRecord(n, name, 0.01, answer, "" if answer else f"frame {n} is left out: no image"))
     return out
 
 
@@ -170,16 +170,16 @@ def test_records_become_a_table_and_stretches(tmp_path):
     table = read_frame_table(tmp_path / "frames.csv")
     assert table.image == ("0.png", "1.png", "2.png", "3.png")
     np.testing.assert_array_equal(table.timestamp_s, [0.0, 0.1, np.nan, 0.3])
-    assert "left out: no picture" in (tmp_path / "frames.csv").read_text().splitlines()[3]
+    assert "left out: no image" in (tmp_path / "frames.csv").read_text().splitlines()[3]
     parts = stretches(records)
     assert [(p.first, p.last, p.state) for p in parts] == [(0, 1, "lost"), (2, 2, "left out"), (3, 3, "lost")]
     assert without_numbers("12.5 px of 3") == without_numbers("7 px of 41.0")
     # Frames that were dropped to keep up are not in the table, and count all the same.
-    (tmp_path / "frames.csv").write_text("frame,timestamp_s,picture\n1,0.0,a.png\n3,0.2,b.png\n")
+    (tmp_path / "frames.csv").write_text("frame,timestamp_s,image\n1,0.0,a.png\n3,0.2,b.png\n")
     table = read_frame_table(tmp_path / "frames.csv")
     assert table.image == ("", "a.png", "", "b.png")
     np.testing.assert_array_equal(table.timestamp_s, [np.nan, 0.0, np.nan, 0.2])
     for row in ("1,0.0,a.png\n1,0.1,b.png", "1,0.0,a.png\n0,0.1,b.png", "99999999,0,a", "-1,0,a", "x,0,a"):
-        (tmp_path / "frames.csv").write_text(f"frame,timestamp_s,picture\n{row}\n")
-        with pytest.raises(FileFormatError, match="its number, timestamp_s and picture expected"):
+        (tmp_path / "frames.csv").write_text(f"frame,timestamp_s,image\n{row}\n")
+        with pytest.raises(FileFormatError, match="its number, timestamp_s and image expected"):
             read_frame_table(tmp_path / "frames.csv")

@@ -61,7 +61,7 @@ def test_a_calibration_is_turned_and_scaled_and_said(tmp_path):
     camera, notes = options.fitted_camera(ImageShape(2 * H, 2 * W, 8))
     np.testing.assert_allclose(camera.params, [122.0, 120.0, 40.0, 2 * W - 1 - 70])
     assert "as they are stored" in notes[0]
-    with pytest.raises(ConfigError, match=f"is of pictures of {2 * W}x{2 * H}, but these are {H}x{W}"):
+    with pytest.raises(ConfigError, match=f"is of images of {2 * W}x{2 * H}, but these are {H}x{W}"):
         options.camera((H, W))
 
 

@@ -46,7 +46,7 @@ def test_a_folder_with_a_corrupt_picture_goes_on(tmp_path, pair):
     assert [p.done for p in seen] == [1, 2, 3]
     np.testing.assert_array_equal(read_pfm(out / "a" / "depth.pfm"), read_pfm(out / "c" / "depth.pfm"))
     assert json.loads((out / "summary.json").read_text())["done"] == ["a", "c"]
-    # Again: nothing is measured twice, and the mended picture is.
+    # Again: nothing is measured twice, and the mended image is.
     (tmp_path / "right" / "b.png").write_bytes(data)
     again = api.stereo_many(tmp_path / "left", tmp_path / "right", out, CONFIG, rig)
     assert again.done == ("b",) and again.earlier == ("a", "c") and not again.problems
@@ -87,7 +87,7 @@ def test_pairs_by_name_and_by_order(tmp_path, pair):
     with pytest.raises(FileFormatError, match="which belong together"):
         list_pairs(tmp_path / "left", tmp_path / "right", tmp_path / "out", 5)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(FileFormatError, match="no picture"):
+    with pytest.raises(FileFormatError, match="no image"):
         list_pairs(tmp_path / "empty", tmp_path / "right", tmp_path / "out", 5)
     with pytest.raises(FileFormatError, match="it is not a folder"):
         list_pairs(tmp_path / "left" / "l1.png", tmp_path / "right", tmp_path / "out", 5)
@@ -131,7 +131,7 @@ def test_another_video_of_the_same_name_is_measured_again(tmp_path, pair):
 
 
 def written_model(folder, pair, camera: Camera):
-    """A workspace with the pair's two pictures, the right one first."""
+    """A workspace with the pair's two images, the right one first."""
     saved(folder / "images" / "a.png", pair.right)
     saved(folder / "images" / "b.png", pair.left)
     saved(folder / "images" / "c.png", pair.left)

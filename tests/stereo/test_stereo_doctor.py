@@ -168,7 +168,7 @@ def test_a_run_warns_of_what_spoils_it(cones, data_dir):
         ((left, np.roll(right, 5, axis=0)), "4.9 px off their rows"),
         ((left, teddy), "the same thing"),
         ((blank, blank), "blank, dark or blurred"),
-        ((left, left), "the same picture"),
+        ((left, left), "the same image"),
     ):
         warnings = measure_pair(*pair, config).warnings
         assert (warnings == ()) if words is None else (len(warnings) == 1 and words in warnings[0])
@@ -194,7 +194,7 @@ def test_what_tells_nothing_is_not_healthy(cones, data_dir):
     for pair, words in (
         ((left, teddy), "too few to say anything"),
         ((np.zeros_like(left),) * 2, "too few to say anything"),
-        ((left, left), "the same picture"),
+        ((left, left), "the same image"),
     ):
         found = examine([pair])
         assert not found.is_healthy and any(words in p for p in found.problems)
@@ -235,5 +235,5 @@ def test_every_cause_makes_a_sentence():
     assert (
         examine([(blank, blank)])
         .problems[0]
-        .startswith("0 features match, too few to say anything: the pictures")
+        .startswith("0 features match, too few to say anything: the images")
     )

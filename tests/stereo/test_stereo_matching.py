@@ -19,7 +19,7 @@ def texture(rng, height, width):
 
 
 def shifted_pair(rng, height, width, disparity):
-    """Both pictures of a plane that faces the cameras."""
+    """Both images of a plane that faces the cameras."""
     wide = texture(rng, height, width + disparity)
     return wide[:, :width], wide[:, disparity:]
 
@@ -74,7 +74,7 @@ def test_sums_are_those_of_the_paper(rng, paths, low):
         k = sums[y, x].argmin()
         far = np.delete(sums[y, x], [i for i in (k - 1, k, k + 1) if 0 <= i < 9])
         assert found.second[y, x] == far.min()
-    # The other picture's disparities, read along the diagonals of the sums.
+    # The other image's disparities, read along the diagonals of the sums.
     for y, x in np.ndindex(left.shape):
         orientations = [(sums[y, x + low + k, k], k) for k in range(9) if 0 <= x + low + k < 40]
         assert (
@@ -204,7 +204,7 @@ def test_inputs_are_not_written_to(rng):
     ("name", "most_bad", "least_density"), [("cones", 2.5, 0.965), ("teddy", 4.0, 0.945)]
 )
 def test_real_pairs_with_truth(data_dir, name, most_bad, least_density):
-    """Errors above one pixel among what both pictures see, and how much of that is known."""
+    """Errors above one pixel among what both images see, and how much of that is known."""
     folder = data_dir / "stereo" / "middlebury_2003" / name
     left, right = (np.asarray(Image.open(folder / f"im{k}.png").convert("RGB")) for k in (2, 6))
     truth, theirs = (np.asarray(Image.open(folder / f"disp{k}.png")) / 4.0 for k in (2, 6))

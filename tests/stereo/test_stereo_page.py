@@ -12,7 +12,7 @@ from epipole.scene import DisparityMap, RectifiedRig, StereoReason
 
 
 def page_of(warnings: tuple[str, ...] = (), rig: RectifiedRig | None = None) -> str:
-    """A picture of 40 x 30 pixels, the left half of it at 8 px, the other hidden."""
+    """An image of 40 x 30 pixels, the left half of it at 8 px, the other hidden."""
     is_known = np.arange(40) < 20
     disparity = np.broadcast_to(np.where(is_known, 8.0, np.nan), (30, 40)).astype(np.float32)
     reason = np.where(is_known, StereoReason.OK, StereoReason.OCCLUDED)
@@ -25,7 +25,7 @@ def page_of(warnings: tuple[str, ...] = (), rig: RectifiedRig | None = None) -> 
 
 def test_shares_and_pictures() -> None:
     page = page_of()
-    assert "<h1>Stereo pair: 50.0 % of the left picture's pixels known</h1>" in page
+    assert "<h1>Stereo pair: 50.0 % of the left image's pixels known</h1>" in page
     rows = re.findall(r"<td>([^<]*)</td><td>([\d.]+) %</td>", page)
     assert len(rows) == len(StereoReason) and rows[0] == ("known", "50.0")
     assert sum(float(fraction) for _, fraction in rows) == pytest.approx(100)

@@ -69,7 +69,7 @@ def test_points_in_space_lie_in_common_rows(name, rng):
     four = np.column_stack([rectified[0], disparity, np.ones(500)]) @ found.Q.T
     np.testing.assert_allclose(four[:, :3] / four[:, 3:], in_left @ found.rectified_from_left.T, rtol=1e-9)
     assert found.is_rotated == name.startswith("right camera")
-    # The tables say where each rectified pixel lies in the given picture.
+    # The tables say where each rectified pixel lies in the given image.
     row, column = found.size[1] // 2, found.size[0] // 2
     ray = np.array([[(column - flat.cx) / flat.focal_px, (row - flat.cy) / flat.focal_px, 1.0]])
     np.testing.assert_allclose(

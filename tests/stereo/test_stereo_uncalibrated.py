@@ -41,7 +41,7 @@ def test_pictures_that_are_no_pair(rng):
 
 
 def test_a_turned_pair_to_disparities(tmp_path):
-    """The right picture turned by two degrees: rows match again, and order what lies in them by depth."""
+    """The right image turned by two degrees: rows match again, and order what lies in them by depth."""
     pair = stereo_room(3, (480, 360))
     height, width = pair.right.shape[:2]
     rotation = cv2.getRotationMatrix2D((width / 2, height / 2), 2.0, 1.0)

@@ -1,4 +1,4 @@
-"""Rows of a made-up picture against the interpreter, for every lens, shape and texture, and of nothing."""
+"""Rows of a made-up image against the interpreter, for every lens, shape and texture, and of nothing."""
 
 import numpy as np
 import pytest

@@ -28,7 +28,7 @@ def silent(name: str) -> Ride:
 
 
 def agreeing(ride: Ride, first: int, second: int, truth: Ride | None = None) -> tuple[float, float, float]:
-    """Of the pixels of one frame that the other has in its picture: share, share with the right depth, grey difference."""
+    """Of the pixels of one frame that the other has in its image: share, share with the right depth, grey difference."""
     here, there = ride.left(first), ride.left(second)
     positions = (ride if truth is None else truth).world_from_camera
     v, u = np.mgrid[2 : SIZE[1] - 2 : 3, 2 : SIZE[0] - 2 : 3].reshape(2, -1)
@@ -68,7 +68,7 @@ def test_a_point_is_seen_where_the_truth_says(name: str, first: int, second: int
 def test_another_place_does_not_agree() -> None:
     ride, stopped = silent("loop_room"), 35 / rides.RATE_HZ
     late = replace(ride, world_from_camera_at=lambda t: ride.world_from_camera_at(t + 0.1 * (t > stopped)))
-    # The picture of frame 36 is now that of 39, and agrees: the truth goes along. The old truth does not.
+    # The image of frame 36 is now that of 39, and agrees: the truth goes along. The old truth does not.
     assert agreeing(late, 30, 36)[1] > 0.95
     assert agreeing(late, 30, 36, truth=ride)[1] < 0.8
 
@@ -143,7 +143,7 @@ def test_each_row_is_drawn_from_its_own_place() -> None:
     still = replace(ride, shutter=SILENT)
     middle = ride.timestamp_s[frame]
     for row in (0, 17, 60, height - 1):
-        # Rows follow each other evenly; the middle of the picture is read at the frame's time.
+        # Rows follow each other evenly; the middle of the image is read at the frame's time.
         time = middle + 0.03 * (row + 0.5 - 0.5 * height) / height
         moment = replace(still, timestamp_s=np.array([time]))
         np.testing.assert_array_equal(moment.left(0).grey[row], seen.grey[row])

@@ -1,4 +1,4 @@
-"""Pictures of any format are undistorted into the format that their suffix names; deep greyscale is mapped alike in all."""
+"""Images of any format are undistorted into the format that their suffix names; deep greyscale is mapped alike in all."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +18,7 @@ SUFFIXES = (".avif", ".jfif", ".JPG", ".webp", ".tif", ".png")
 
 @pytest.fixture
 def workspace(tmp_path: Path) -> Path:
-    """An output folder whose pictures are named in several formats, and are JPEG all."""
+    """An output folder whose images are named in several formats, and are JPEG all."""
     model = mappable_model()
     names = tuple(f"{n}{SUFFIXES[n % len(SUFFIXES)]}" for n in range(len(model.images)))
     named = replace(model, images=replace(model.images, name=names))

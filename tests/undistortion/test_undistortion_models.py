@@ -15,7 +15,7 @@ from io_models import mappable_model
 
 @pytest.fixture
 def workspace(tmp_path: Path) -> Path:
-    """An output folder with two models of different pictures."""
+    """An output folder with two models of different images."""
     out, model = tmp_path / "out", mappable_model()
     (out / "images").mkdir(parents=True)
     for number in range(2):

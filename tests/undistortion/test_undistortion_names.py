@@ -31,7 +31,7 @@ def name(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 
 @pytest.fixture
 def workspace(tmp_path: Path, name: str) -> Path:
-    """An output folder whose model names a picture of the user's."""
+    """An output folder whose model names an image of the user's."""
     model = mappable_model()
     names = (name, *model.images.name[1:])
     write_colmap_model(

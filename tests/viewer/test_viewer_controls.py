@@ -1,4 +1,4 @@
-"""Hands on the viewer's controls: layers, limits, section, distances with their errors, cameras, pictures."""
+"""Hands on the viewer's controls: layers, limits, section, distances with their errors, cameras, images."""
 
 import io
 from collections.abc import Iterator

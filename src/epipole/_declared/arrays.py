@@ -78,9 +78,9 @@ def check_axes(array: np.ndarray, name: str, axes: list[str], sizes: Sizes) -> N
 
 
 def _hint(axes: list[str], shape: tuple[int, ...]) -> str:
-    """What is usually meant by one axis too many: a colour picture, or OpenCV's points."""
+    """What is usually meant by one axis too many: a colour image, or OpenCV's points."""
     if axes == ["h", "w"] and len(shape) == 3:
-        return "; a colour picture? cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) makes it grey"
+        return "; a colour image? cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) makes it grey"
     if len(axes) == 2 and len(shape) == 3 and 1 in shape[:2]:
         return f"; OpenCV's points? .reshape(-1, {shape[2]})"
     return ""

@@ -80,7 +80,7 @@ def full_params_jacobian(params, a, b, jac_params):
 
 @kernel
 def undistort_full(params, p, q):
-    """(a, b) whose distortion by FULL_OPENCV is (p, q), before the picture folds; NaN where there is none.
+    """(a, b) whose distortion by FULL_OPENCV is (p, q), before the image folds; NaN where there is none.
 
     Along the radius in steps until the image passes the target, then Newton's method in two dimensions.
     """
@@ -223,7 +223,7 @@ def project_with_jacobian_one(model, params, x, y, z, jac_point, jac_params):
 
 @kernel
 def fold_radius(d0, d1):
-    """The first r > 0 with d(r (1 + d0 r^2 + d1 r^4))/dr = 0, where the picture folds back; infinity for none."""
+    """The first r > 0 with d(r (1 + d0 r^2 + d1 r^4))/dr = 0, where the image folds back; infinity for none."""
     root = 9.0 * d0 * d0 - 20.0 * d1
     inverse_sq = 0.5 * (math.sqrt(root) - 3.0 * d0) if root >= 0.0 else 0.0
     return 1.0 / math.sqrt(inverse_sq) if inverse_sq > 0.0 else math.inf
@@ -298,7 +298,7 @@ def unproject_one(model, params, u, v):
             du, dv, ua, ub, vb = distort_with_jacobian(d0, d1, d2, d3, a, b)
             eu, ev = du - p, dv - q
             det = ua * vb - ub * ub
-            # A vanishing or negative determinant: the picture folds over here.
+            # A vanishing or negative determinant: the image folds over here.
             if det < 1e-6:
                 return math.nan, math.nan, math.nan
             a -= (vb * eu - ub * ev) / det

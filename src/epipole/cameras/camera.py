@@ -1,4 +1,4 @@
-"""One camera: a model, a picture size and parameters; projection both ways."""
+"""One camera: a model, an image size and parameters; projection both ways."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Camera:
 
         Args:
             model: the model, or its name or number.
-            width: of the picture, in pixels.
+            width: of the image, in pixels.
             height: the same.
             params: the model's parameters in their order, `model.param_names`.
 
@@ -103,7 +103,7 @@ class Camera:
         if shortest <= 0:
             raise ConfigError(f"the focal length must be positive, got {shortest:g}")
         if self.width < 1 or self.height < 1:
-            raise ConfigError(f"the picture size must be positive, got {self.width}x{self.height}")
+            raise ConfigError(f"the image size must be positive, got {self.width}x{self.height}")
 
     @property
     def focal_px(self) -> float:
@@ -169,7 +169,7 @@ class Camera:
 
     @checked
     def scaled_to(self, width: int, height: int) -> Camera:
-        """The camera of the same picture resampled to another size (pixel edges are aligned, not centres)."""
+        """The camera of the same image resampled to another size (pixel edges are aligned, not centres)."""
         sx, sy = width / self.width, height / self.height
         params = as_float_array(self.params, "params").copy()
         focal = self.model.focal_indices

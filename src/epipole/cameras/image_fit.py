@@ -177,9 +177,7 @@ def described_pixels(
         sizes = sorted({shape.size(ImagePixels.UPRIGHT) for shape in shapes})
         others = [size for size in sizes if not is_same_view(camera_size, size)] or sizes
         listed = ", ".join(f"{w}x{h}" for w, h in others)
-        raise ConfigError(
-            f"{what} is of pictures of {camera_size[0]}x{camera_size[1]}, but these are {listed}"
-        )
+        raise ConfigError(f"{what} is of images of {camera_size[0]}x{camera_size[1]}, but these are {listed}")
     is_mixed = len({shape.orientation for shape in shapes}) > 1
     if all(fits.values()):
         return ImagePixels.STORED if is_mixed else ImagePixels.UPRIGHT
@@ -200,7 +198,7 @@ def likely_size(principal_point: tuple[float, float] | None, shapes: Sequence[Im
     upright = {shape.size(ImagePixels.UPRIGHT) for shape in shapes}
     if min(len(stored), len(upright)) > 1:
         listed = ", ".join(f"{w}x{h}" for w, h in sorted(upright))
-        raise ConfigError(f"a single camera needs pictures of one size, but there are {listed}")
+        raise ConfigError(f"a single camera needs images of one size, but there are {listed}")
     if len(upright) > 1:
         return stored.pop()
     if len(stored) > 1:
@@ -252,11 +250,11 @@ def with_likely_principal_point(camera: Camera) -> tuple[Camera, str]:
         return camera, ""
     cx, cy = point + 0.5
     odd = (
-        f"the known principal point, cx = {cx:g} and cy = {cy:g}, is far from the middle of the pictures "
+        f"the known principal point, cx = {cx:g} and cy = {cy:g}, is far from the middle of the images "
         f"({camera.width / 2:g}, {camera.height / 2:g})"
     )
     if not is_swapped:
-        return camera, f"{odd}: right only for a cropped or rectified picture"
+        return camera, f"{odd}: right only for a cropped or rectified image"
     ask = (
         f"{odd}: were cx and cy swapped, or are the parameters of images of {camera.height}x{camera.width} and these"
         f" of {camera.width}x{camera.height}?"

@@ -56,7 +56,7 @@ class CameraModel(IntEnum):
 
     @checked
     def initial_params(self, focal_px: float, width: int, height: int) -> np.ndarray:
-        """Parameters of an undistorted camera that looks through the middle of its picture."""
+        """Parameters of an undistorted camera that looks through the middle of its image."""
         focal = [focal_px] * len(_SPECS[self].focal)
         zeros = [0.0] * len(self.distortion_indices)
         return np.array([*focal, 0.5 * (width - 1), 0.5 * (height - 1), *zeros])

@@ -1,4 +1,4 @@
-"""Depth pictures fused into a volume of truncated signed distances (Curless and Levoy, SIGGRAPH 1996)."""
+"""Depth images fused into a volume of truncated signed distances (Curless and Levoy, SIGGRAPH 1996)."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ LEAST_COVERAGE = np.float32(0.5)
 
 @kernel
 def fuse(view, depth, coverage, rgb, low, size, band, start, stop, distance, weight, colour):
-    """Add a picture to the planes start..stop of constant x.
+    """Add an image to the planes start..stop of constant x.
 
     view: rotation (9), translation (3), focal (2), middle (2). depth (h, w) along the optical axis times coverage (h, w); rgb (h, w, 3) times
     coverage. distance (x, y, z) gets means, in shares of `band` and at most 1, of depth less the voxel's own, weight (x, y, z) their number,

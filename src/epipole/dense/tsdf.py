@@ -1,4 +1,4 @@
-"""A surface from depth pictures: signed distances in a volume (Curless and Levoy 1996), cut at 0 by marching cubes (Lewiner et al. 2003)."""
+"""A surface from depth images: signed distances in a volume (Curless and Levoy 1996), cut at 0 by marching cubes (Lewiner et al. 2003)."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ PLANES_TOGETHER = 8
 
 
 class DistanceVolume:
-    """Distances to what depth pictures show, voxel by voxel; the same for any number of threads.
+    """Distances to what depth images show, voxel by voxel; the same for any number of threads.
 
     Attributes:
         distance: (x, y, z) in shares of the band, above 0 before a surface.
-        weight: (x, y, z) pictures that each voxel is seen in.
+        weight: (x, y, z) images that each voxel is seen in.
     """
 
     @checked
@@ -64,7 +64,7 @@ class DistanceVolume:
         coverage: Float32[np.ndarray, "h w"],
         rgb: Float32[np.ndarray, "h w 3"],
     ) -> None:
-        """Fuse a picture of a pinhole.
+        """Fuse an image of a pinhole.
 
         Args:
             camera: without distortion.

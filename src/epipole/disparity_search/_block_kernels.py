@@ -26,7 +26,7 @@ def take_row(columns, row):
 
 @kernel
 def sum_across(columns, half, width, depth, sums):
-    """Sums (width, depth) of the columns x - half ... x + half of each pixel, those inside the picture."""
+    """Sums (width, depth) of the columns x - half ... x + half of each pixel, those inside the image."""
     running = sums[:depth]
     running[:] = 0
     for c in range(min(half, width - 1) + 1):
@@ -51,7 +51,7 @@ def sum_across(columns, half, width, depth, sums):
 
 @kernel(allocates=True)
 def match_blocks(images, size, search, half, start, stop, out):
-    """Disparities of rows start..stop. Windows are cut off at the picture's borders. out as of `choose_row`."""
+    """Disparities of rows start..stop. Windows are cut off at the image's borders. out as of `choose_row`."""
     height, width = size[0], size[1]
     first, _, depth = search
     positions = width + depth + abs(first) if out[5].size else 0

@@ -13,7 +13,7 @@ OK, OCCLUDED, OUT_OF_VIEW, AMBIGUOUS, TEXTURELESS = 0, 1, 2, 3, 5
 
 @kernel
 def bottom_of_v(winner, lowest, beside, other, first, start, stop, out):
-    """Disparities of rows start..stop, with the steepness of their sums, and the other picture's, from whole ones.
+    """Disparities of rows start..stop, with the steepness of their sums, and the other image's, from whole ones.
 
     Where a V of two equal slopes through the lowest sum and those beside it has its bottom, -1/2 ... 1/2 from the whole disparity: sums
     of census costs grow linearly from their minimum; a parabola would draw it to the whole numbers. At the ends of the range
@@ -39,10 +39,10 @@ def bottom_of_v(winner, lowest, beside, other, first, start, stop, out):
 
 @kernel
 def check_rows(mine, theirs, blank, first, limits, start, stop, out):
-    """Difference from the other picture's disparity and reason of each pixel of rows start..stop.
+    """Difference from the other image's disparity and reason of each pixel of rows start..stop.
 
-    mine = (disparity, lowest sum, second), theirs = the other picture's disparities, blank = (of this picture, of the other): where
-    nothing changes along the row. limits = (margin, largest difference). out = (difference, reason); where the other picture
+    mine = (disparity, lowest sum, second), theirs = the other image's disparities, blank = (of this image, of the other): where
+    nothing changes along the row. limits = (margin, largest difference). out = (difference, reason); where the other image
     has nothing the difference is infinite.
     """
     disparity, lowest, second = mine
@@ -70,6 +70,6 @@ def check_rows(mine, theirs, blank, first, limits, start, stop, out):
                 found = TEXTURELESS
             else:
                 found = OK
-            # Before the first known pixel of a row surfaces begin that reach beyond the other picture's border.
+            # Before the first known pixel of a row surfaces begin that reach beyond the other image's border.
             starts = starts and found == OCCLUDED
             reason[y, x] = OUT_OF_VIEW if starts else found

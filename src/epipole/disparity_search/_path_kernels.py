@@ -15,7 +15,7 @@ from epipole.disparity_search._simd_kernels import LANES, count_bits, extend_pat
 
 MOST = 4  # paths of one sweep
 EDGE = LANES  # bytes between neighbours' disparities: 255, which no step takes
-NEVER = 255  # the cost of a disparity that leads out of the picture
+NEVER = 255  # the cost of a disparity that leads out of the image
 NOBODY = 65535
 
 
@@ -23,7 +23,7 @@ NOBODY = 65535
 def cost_row(images, y, size, search, out):
     """Costs (width, depth) of row y: the bits in which two windows differ, and half the difference of brightness up to `most`.
 
-    pictures = (left, right, left's brightness, right's, most). left (h, width, planes) and right (h, planes, padded width) hold the
+    images = (left, right, left's brightness, right's, most). left (h, width, planes) and right (h, planes, padded width) hold the
     census, flat; the rows of right and of its brightness (h, padded width) run from right to left, so that disparities ascend.
     size = (height, width, planes, padding), search = (first, count, depth). most = 0: the bits alone.
     """
@@ -40,7 +40,7 @@ def cost_row(images, y, size, search, out):
             for k in range(depth):
                 apart = abs(np.int16(other_bright[there + k]) - here) >> 1
                 out[at + k] += min(apart, most)
-        # x - first - k lies in the other picture for lowest <= k < highest.
+        # x - first - k lies in the other image for lowest <= k < highest.
         lowest, highest = max(x - first - width + 1, 0), min(x - first + 1, count)
         for k in range(min(lowest, depth)):
             out[at + k] = NEVER
@@ -118,11 +118,11 @@ def sweep_row(costs, grey, y, y_before, step, size, depth, penalties, state, sum
 
 @kernel
 def choose_row(sums, at_row, more, y, width, search, out, best, winners):
-    """Add the second sweep's sums of row y to the first's; the disparities of the lowest, of both pictures.
+    """Add the second sweep's sums of row y to the first's; the disparities of the lowest, of both images.
 
     out = (winner, lowest, second, beside, spread, other's winner), spread being how far the two sweeps' own winners lie
     apart; best and winners are scratch, one place for each pixel of the
-    other picture from right to left; all three are empty where its winners are not asked for.
+    other image from right to left; all three are empty where its winners are not asked for.
     """
     winner, lowest, second, beside, spread, other = out
     first, _, depth = search

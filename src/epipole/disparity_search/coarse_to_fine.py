@@ -1,4 +1,4 @@
-"""Where in the range of disparities each tile of a picture needs to be searched: what a picture of half the size shows there."""
+"""Where in the range of disparities each tile of an image needs to be searched: what an image of half the size shows there."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ TILE_PX = 384
 MARGIN_PX = 24
 """Beyond a tile on every side, in which its paths begin."""
 _SPARE_PX = 6
-"""Disparities searched beyond those of the coarse picture, at full size."""
+"""Disparities searched beyond those of the coarse image, at full size."""
 _BESIDE = 1
 """Tiles whose coarse disparities count too: things reach over borders."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """A rectangle of the picture and its disparities."""
+    """A rectangle of the image and its disparities."""
 
     rows: tuple[int, int]
     columns: tuple[int, int]
@@ -35,20 +35,20 @@ class Tile:
 def tiles_of(
     coarse_px: Float32[np.ndarray, "h2 w2"], shape: tuple[int, int], search: tuple[int, int]
 ) -> Iterator[Tile]:
-    """The tiles of a picture, each with the range in which its own and its neighbours' coarse disparities lie.
+    """The tiles of an image, each with the range in which its own and its neighbours' coarse disparities lie.
 
     Args:
-        coarse_px: disparities of the picture of half the size, in its own pixels; NaN where unknown.
-        shape: height and width of the picture.
-        search: first and last disparity of the whole picture.
+        coarse_px: disparities of the image of half the size, in its own pixels; NaN where unknown.
+        shape: height and width of the image.
+        search: first and last disparity of the whole image.
 
     Raises:
-        ShapeError: a picture is empty.
+        ShapeError: an image is empty.
         ConfigError: it is too large.
     """
     height, width = shape
     if coarse_px.size == 0 or min(shape) < 1:
-        raise ShapeError(f"pictures must not be empty, got {coarse_px.shape} and {shape}")
+        raise ShapeError(f"images must not be empty, got {coarse_px.shape} and {shape}")
     check_pixels(width, height)
     rows, columns = -(-height // TILE_PX), -(-width // TILE_PX)
     scale = width / coarse_px.shape[1]

@@ -17,7 +17,7 @@ class DisparityConfig:
     """Smallest disparity searched; 0 becomes the disparity of infinity where the rig's principal points
     differ."""
     max_disparity_px: int | None = None
-    """Largest disparity searched; None: estimated from the pictures."""
+    """Largest disparity searched; None: estimated from the images."""
     search: Literal["full", "coarse_to_fine"] = "full"
     """full: every disparity at every pixel; coarse_to_fine: in each tile only disparities near those found at
     half the resolution."""
@@ -40,7 +40,7 @@ class DisparityConfig:
     edge_fade: float = 10.0
     """Difference of brightness, in grey levels, at which the extra penalty has fallen to 37 %."""
     left_right: Literal["accurate", "fast"] = "accurate"
-    """Left-right check: accurate matches the right picture on its own; fast (half the time) reads its
+    """Left-right check: accurate matches the right image on its own; fast (half the time) reads its
     disparities off the same sums."""
     max_left_right_px: float = 1.25
     """Pixels whose left and right disparities differ by more count as occluded."""
@@ -91,7 +91,7 @@ class DisparityConfig:
             )
         if self.search == "coarse_to_fine" and self.left_right == "fast":
             raise ConfigError(
-                "coarse_to_fine needs left_right accurate: tiles do not hold the right picture's disparities"
+                "coarse_to_fine needs left_right accurate: tiles do not hold the right image's disparities"
             )
         if self.max_sigma_px is not None and not self.max_sigma_px > 0:
             raise ConfigError(f"max_sigma_px must be positive, is {self.max_sigma_px}")

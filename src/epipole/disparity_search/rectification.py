@@ -17,8 +17,8 @@ from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.scene import DisparityMap, RectifiedRig, StereoReason, StereoRig
 
 _WIDEST = 2.0  # tangent of the widest angle from the axis that is drawn: a plane cannot show 90 degrees
-_BORDER = 65  # rays along each side of a picture
-_MOST_GROWTH = 4.0  # a rectified picture has at most so many times the pixels of the larger one given
+_BORDER = 65  # rays along each side of an image
+_MOST_GROWTH = 4.0  # a rectified image has at most so many times the pixels of the larger one given
 _SWAPPED_DEG = 135.0  # a baseline that points so far to the left belongs to a swapped pair
 _VERTICAL_DEG = 45.0
 _IMAGES = (np.uint8, np.uint16, np.int16, np.float32, np.float64)
@@ -28,24 +28,24 @@ Matrix3 = Float64[np.ndarray, "3 3"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rectification(Declared):
-    """Tables that resample both pictures, and the rig that would have taken the results."""
+    """Tables that resample both images, and the rig that would have taken the results."""
 
     rig: RectifiedRig
     rectified_from_left: Matrix3
-    """Rotation from the left camera's axes to the rectified ones, which both pictures share."""
+    """Rotation from the left camera's axes to the rectified ones, which both images share."""
     rectified_from_right: Matrix3
     left_map_px: Float32[np.ndarray, "h w 2"]
-    """Where in the left picture each rectified pixel lies."""
+    """Where in the left image each rectified pixel lies."""
     right_map_px: Float32[np.ndarray, "h w 2"]
     left_valid: Bool[np.ndarray, "h w"]
     """Pixels that the left camera sees."""
     right_valid: Bool[np.ndarray, "h w"]
     is_rotated: bool
-    """The cameras stand one above the other: the rectified pictures lie on their side."""
+    """The cameras stand one above the other: the rectified images lie on their side."""
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the rectified pictures."""
+        """Width and height of the rectified images."""
         height, width = self.left_valid.shape
         return width, height
 
@@ -60,10 +60,10 @@ class Rectification(Declared):
         return out
 
     def apply(self, left: Any, right: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Both pictures, resampled (bilinear); where a camera saw nothing its border goes on.
+        """Both images, resampled (bilinear); where a camera saw nothing its border goes on.
 
         Raises:
-            ShapeError: one of them is no picture.
+            ShapeError: one of them is no image.
         """
         images = []
         for name, image, table in (
@@ -73,7 +73,7 @@ class Rectification(Declared):
             array = as_image(image, name)
             is_image = array.ndim in (2, 3) and array.size > 0 and array.dtype in _IMAGES
             if not is_image or (array.ndim == 3 and array.shape[2] > 4):
-                raise ShapeError(f"{name} must be a picture, is {array.shape} of {array.dtype}")
+                raise ShapeError(f"{name} must be an image, is {array.shape} of {array.dtype}")
             images.append(
                 cv2.remap(array, table[..., 0], table[..., 1], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
             )
@@ -90,7 +90,7 @@ def rectify(rig: StereoRig) -> Rectification:
 
     The common x axis lies along the baseline; z is as near to both optical axes as that allows. The rectified pinhole has the
     smaller of both focal lengths and shows all that either camera sees, up to 63 degrees from the axis, in the rows
-    that both see. Cameras one above the other give pictures that lie on their side.
+    that both see. Cameras one above the other give images that lie on their side.
 
     Raises:
         ConfigError: left and right are swapped.
@@ -153,7 +153,7 @@ def is_right_of_left(rig: StereoRig) -> bool:
 
 
 def _seen(camera: Camera, rectified_from_cam: np.ndarray) -> tuple[float, float, float, float]:
-    """(least x, largest x, least y, largest y) on the plane z = 1 of what the picture's border and middle see."""
+    """(least x, largest x, least y, largest y) on the plane z = 1 of what the image's border and middle see."""
     x, y = np.linspace(-0.5, camera.width - 0.5, _BORDER), np.linspace(-0.5, camera.height - 0.5, _BORDER)
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     rays = camera.unproject(grid) @ rectified_from_cam.T
@@ -168,7 +168,7 @@ def _seen(camera: Camera, rectified_from_cam: np.ndarray) -> tuple[float, float,
 
 
 def _table(pinhole: Camera, camera: Camera, rectified_from_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where each pixel of the pinhole lies in the camera's picture, and whether it does."""
+    """Where each pixel of the pinhole lies in the camera's image, and whether it does."""
     shape = (pinhole.height, pinhole.width)
     v, u = np.mgrid[: pinhole.height, : pinhole.width]
     fx, fy, cx, cy = pinhole.params

@@ -30,7 +30,7 @@ _MOST_STRIP_BYTES = 1 << 27
 _LEAST_ROWS, _MOST_ROWS = 16, 192
 _ROWS = 64  # at a time, of what is done pixel by pixel
 _MOST_DISPARITIES = 4096
-_COARSE = 4  # times smaller are the pictures from which the range is found
+_COARSE = 4  # times smaller are the images from which the range is found
 _LEAST_CHANGE, _TEXTURE_WINDOW = 3, 25  # of 255 grey levels; pixels
 _FEW_DISPARITIES = 48  # are searched in full
 _SMOOTH_PX = 1.0  # neighbours of one region differ by no more
@@ -41,7 +41,7 @@ class _Image:
     """What matching compares."""
 
     bits: UInt8[np.ndarray, "h w planes"]
-    """Census. Windows differ in as many bits whatever the bits' order: that of a mirrored picture is the mirrored one."""
+    """Census. Windows differ in as many bits whatever the bits' order: that of a mirrored image is the mirrored one."""
     brightness: Int16[np.ndarray, "h w"]
     """0 to 255."""
 
@@ -54,7 +54,7 @@ class _Image:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Winners:
-    """What the sums of one picture say."""
+    """What the sums of one image say."""
 
     disparity: Float32[np.ndarray, "h w"]
     lowest: UInt16[np.ndarray, "h w"]
@@ -65,15 +65,15 @@ class _Winners:
     spread: UInt16[np.ndarray, "h w"]
     """How far apart the winners of the downward and the upward sweep lie."""
     other: Float32[np.ndarray, "h2 w2"]
-    """Disparities of the other picture read off the same sums, whole; NaN where there is none. Empty if not asked for."""
+    """Disparities of the other image read off the same sums, whole; NaN where there is none. Empty if not asked for."""
 
 
 def match_stereo(left: Any, right: Any, config: DisparityConfig | None = None) -> DisparityMap:
     """Disparities of a rectified pair by semi-global matching of census windows (Hirschmueller, PAMI 2008).
 
     Every step is a line of `match_with_evidence`. A disparity is whole where the costs, summed along straight paths, are lowest, plus the
-    V through its neighbours' sums (Haller and Nedevschi, TIP 2012); what the other picture does not confirm is
-    unknown. Memory beside the pictures' own: 128 MB or 16 rows of sums (2 bytes for each pixel and disparity) per thread.
+    V through its neighbours' sums (Haller and Nedevschi, TIP 2012); what the other image does not confirm is
+    unknown. Memory beside the images' own: 128 MB or 16 rows of sums (2 bytes for each pixel and disparity) per thread.
 
     Args:
         left: (h, w) or (h, w, 3), 8 or 16 bits; rows are epipolar lines.
@@ -81,8 +81,8 @@ def match_stereo(left: Any, right: Any, config: DisparityConfig | None = None) -
         config: options; None for the defaults.
 
     Raises:
-        ShapeError: the pictures are no pair.
-        ConfigError: the range of disparities does not fit the pictures.
+        ShapeError: the images are no pair.
+        ConfigError: the range of disparities does not fit the images.
     """
     return match_with_evidence(left, right, config)[0]
 
@@ -119,7 +119,7 @@ def match_with_evidence(
 
 
 def _grey_pair(left: Any, right: Any) -> tuple[UInt16[np.ndarray, "h w"], UInt16[np.ndarray, "h w"]]:
-    """Both pictures with one channel; a grey one may go with a coloured one."""
+    """Both images with one channel; a grey one may go with a coloured one."""
     greys = []
     for name, image in (("left", left), ("right", right)):
         array = as_image(image, name)
@@ -136,7 +136,7 @@ def _grey_pair(left: Any, right: Any) -> tuple[UInt16[np.ndarray, "h w"], UInt16
         (h1, w1), (h2, w2) = greys[0].shape, greys[1].shape
         raise ShapeError(f"left is {w1} x {h1} pixels and right {w2} x {h2}: a rectified pair has one size")
     if min(greys[0].shape) < 1:
-        raise ShapeError("the pictures are empty")
+        raise ShapeError("the images are empty")
     return greys[0], greys[1]
 
 
@@ -144,7 +144,7 @@ def _search_range(left: np.ndarray, right: np.ndarray, config: DisparityConfig) 
     """First and last disparity to look for."""
     low, high, width = config.min_disparity_px, config.max_disparity_px, left.shape[1]
     if low >= width or (high is not None and high <= -width):
-        raise ConfigError(f"no disparity from {low} on exists in pictures {width} pixels wide")
+        raise ConfigError(f"no disparity from {low} on exists in images {width} pixels wide")
     if high is None:
         high = max(_largest_disparity(left, right, config), low + 1)
     high = min(high, width - 1)
@@ -156,7 +156,7 @@ def _search_range(left: np.ndarray, right: np.ndarray, config: DisparityConfig) 
 
 
 def _largest_disparity(left: np.ndarray, right: np.ndarray, config: DisparityConfig) -> int:
-    """What all but the nearest two in a thousand pixels have, from pictures a quarter as large."""
+    """What all but the nearest two in a thousand pixels have, from images a quarter as large."""
     size = (max(1, left.shape[1] // _COARSE), max(1, left.shape[0] // _COARSE))
     small = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (left, right)]
     low, high = config.min_disparity_px // _COARSE, max(size[0] // 2, config.min_disparity_px // _COARSE + 1)
@@ -176,7 +176,7 @@ def _inspect(grey: UInt16[np.ndarray, "h w"], config: DisparityConfig) -> _Image
 def _winners(
     left: _Image, right: _Image, low: int, high: int, config: DisparityConfig, *, with_other: bool = True
 ) -> _Winners:
-    """Disparities of the left picture, from sums along the paths or over blocks."""
+    """Disparities of the left image, from sums along the paths or over blocks."""
     height, width = left.brightness.shape
     count = high - low + 1
     depth = -(-count // LANES) * LANES
@@ -220,9 +220,9 @@ def _winners(
 def _both_winners(
     left: np.ndarray, right: np.ndarray, low: int, high: int, config: DisparityConfig
 ) -> tuple[_Winners, _Winners]:
-    """Of the left picture, and of the mirrored right one whose left is the mirrored left one.
+    """Of the left image, and of the mirrored right one whose left is the mirrored left one.
 
-    Coarse to fine, what agrees in pictures of half the size tells each tile where to search.
+    Coarse to fine, what agrees in images of half the size tells each tile where to search.
     """
     height, width = left.shape
     is_small = high - low < _FEW_DISPARITIES or min(height, width) < 2 * TILE_PX
@@ -263,7 +263,7 @@ def _winners_by_tiles(
         (top, bottom), (start, end), (first, last) = tile.rows, tile.columns, tile.disparities
         y0, y1 = max(top - MARGIN_PX, 0), min(bottom + MARGIN_PX, height)
         x0, x1 = max(start - MARGIN_PX - (last - first), 0), min(end + MARGIN_PX, width)
-        # x - first of the right picture beside x of the left one: the range begins at zero.
+        # x - first of the right image beside x of the left one: the range begins at zero.
         shifted = np.clip(np.arange(x0, x1) - first, 0, width - 1)
         here, there = _inspect(left[y0:y1, x0:x1], config), _inspect(right[y0:y1][:, shifted], config)
         found = _winners(here, there, 0, last - first, config, with_other=False)
@@ -301,7 +301,7 @@ def _match_paths(
 def _blended(
     left: np.ndarray, right: np.ndarray, padding: int, most: int
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Brightness as bytes, that of the right picture from right to left; nothing where it is not asked for."""
+    """Brightness as bytes, that of the right image from right to left; nothing where it is not asked for."""
     if not most:
         return np.zeros(1, np.uint8), np.zeros(1, np.uint8), 0
     height, width = right.shape
@@ -311,7 +311,7 @@ def _blended(
 
 
 def _brightness(grey: UInt16[np.ndarray, "h w"]) -> np.ndarray:
-    """0 ... 255 from the darkest to the brightest, whatever the depth of the picture."""
+    """0 ... 255 from the darkest to the brightest, whatever the depth of the image."""
     if grey.max(initial=0) <= 255:
         return grey.astype(np.int16)
     low, high = np.percentile(grey, (0.5, 99.5))
@@ -325,9 +325,9 @@ def _checked(
     config: DisparityConfig,
     blank: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> tuple[Float32[np.ndarray, "h w"], UInt8[np.ndarray, "h w"]]:
-    """How far each disparity is from that of the matched pixel in the other picture, and reasons before speckles are looked at.
+    """How far each disparity is from that of the matched pixel in the other image, and reasons before speckles are looked at.
 
-    blank: where nothing changes along the row, of both pictures; None: not looked at.
+    blank: where nothing changes along the row, of both images; None: not looked at.
     """
     shape = mine.disparity.shape
     nowhere = np.zeros(shape, bool)

@@ -1,7 +1,7 @@
 """How far a disparity may be wrong.
 
 Six things are seen at every pixel: how steep the sums rise from their minimum, by how much the second best loses, how well the
-other picture's disparity agrees, what the median filter changed, how much the neighbours differ, and how far apart the paths from above and from below
+other image's disparity agrees, what the median filter changed, how much the neighbours differ, and how far apart the paths from above and from below
 find it. Their logarithms and squares make a score; the score's table of standard deviations was fitted so that 68 % of
 the errors lie within, on rendered rooms alone (`python -m benchmarks.stereo_sigma --fit`).
 """
@@ -22,7 +22,7 @@ NUM_CUES = 6
 _ROWS = 64  # at a time: the cues take 24 bytes a pixel
 _MOST_APART_PX = np.float32(
     1e4
-)  # what no other picture confirms differs by an infinity, of which no score can be made
+)  # what no other image confirms differs by an infinity, of which no score can be made
 _TABLE = 4096  # entries, evenly spaced in the score
 WEIGHTS = np.array(
     [-0.2448, 0.0088, 0.201, 0.0679, 0.096, -0.0324, 0.0281, -0.0087, -0.0445, 0.0119, 0.0412, 0.0435, -0.162]
@@ -80,7 +80,7 @@ class MatchEvidence(Declared):
     margin: Float32[np.ndarray, "h w"]
     """By how much the lowest sum beats the next that is not beside it."""
     left_right_px: Float32[np.ndarray, "h w"]
-    """Difference from the other picture's disparity."""
+    """Difference from the other image's disparity."""
     smoothing_px: Float32[np.ndarray, "h w"]
     """What the median filter changed."""
     spread: UInt16[np.ndarray, "h w"]

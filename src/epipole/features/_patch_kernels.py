@@ -15,7 +15,7 @@ CONVERGED_SQ = 0.01 * 0.01
 
 @kernel(fuse=True)
 def _value_at(image, x, y):
-    """Bilinear value of a picture of bytes; (x, y) is inside by a pixel."""
+    """Bilinear value of an image of bytes; (x, y) is inside by a pixel."""
     column, row = int(x), int(y)
     a, b = x - column, y - row
     upper = (1.0 - a) * image[row, column] + a * image[row, column + 1]
@@ -25,7 +25,7 @@ def _value_at(image, x, y):
 
 @kernel
 def _warped_patch(image, x, y, warp, half, patch):
-    """The patch as the other picture should show it; False where it leaves its own picture.
+    """The patch as the other image should show it; False where it leaves its own image.
 
     patch[i, j] is the value at (x, y) + warp^-1 (j - half - 1, i - half - 1), with a border of one for gradients.
     """
@@ -95,7 +95,7 @@ def align_patches(image, other, pixels, warps, half, start, stop, found, score):
 
     Inverse compositional Gauss-Newton over the shift, a gain and an offset of brightness (Baker and Matthews, IJCV 2004;
     the warp of the template as Forster et al., SVO, ICRA 2014). Patch and gradients have no mean, so that the offset drops
-    out of every sum. score becomes the correlation of the patches, from -1 to 1, and NaN where a patch left its picture or
+    out of every sum. score becomes the correlation of the patches, from -1 to 1, and NaN where a patch left its image or
     is flat.
     """
     side = 2 * half + 1

@@ -44,7 +44,7 @@ def halve(level, out):
 
 @kernel(allocates=True)
 def blur(level, weights, out):
-    """Gaussian blur, columns then rows; beyond the rim the picture is mirrored.
+    """Gaussian blur, columns then rows; beyond the rim the image is mirrored.
 
     Args:
         level: (height, width), float32.

@@ -48,8 +48,8 @@ def describe_all(levels, extrema, sigma, pixel, columns, descriptors):
         levels: the inner levels of the octave, a tuple of images.
         extrema: (n, 4) of x, y, scale, level (from 1), as found.
         sigma: (n,) scales in pixels of the octave.
-        pixel: side of these pixels in pixels of the picture.
-        columns: (MOST_ORIENTATIONS n, 4), written: x, y, diameter in pixels of the picture; radians, x towards y.
+        pixel: side of these pixels in pixels of the image.
+        columns: (MOST_ORIENTATIONS n, 4), written: x, y, diameter in pixels of the image; radians, x towards y.
         descriptors: (MOST_ORIENTATIONS n, 128) uint8, written.
 
     Returns:

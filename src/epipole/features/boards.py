@@ -1,4 +1,4 @@
-"""Calibration boards: where their corners are, and which of them a picture shows."""
+"""Calibration boards: where their corners are, and which of them an image shows."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from epipole.config import BoardConfig
 
 _opencv: Any = cv2  # its stubs lack parts of aruco
 _LEAST_CORNERS = 6
-_LEAST_LARGER = 2  # pictures
-_LEAST_SIDE = 64  # pixels: a smaller picture shows no board
+_LEAST_LARGER = 2  # images
+_LEAST_SIDE = 64  # pixels: a smaller image shows no board
 _WINDOW_FRACTION = (
     0.4  # half window over the least distance between corners: the best of 0.15 to 0.5 on real pairs
 )
@@ -24,7 +24,7 @@ _REFINE = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-4)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardView:
-    """Corners of the board found in one picture."""
+    """Corners of the board found in one image."""
 
     corner: Int64[np.ndarray, " n"]
     """Rows in `corners_on_board`."""
@@ -63,7 +63,7 @@ def find_board(grey: UInt8[np.ndarray, "h w"], board: BoardConfig) -> BoardView:
     """The corners that OpenCV's detectors find; empty where there is no board."""
     if min(grey.shape) < _LEAST_SIDE:
         return _nothing()
-    cv2.setRNGSeed(0)  # OpenCV's detectors guess; what they find must not depend on the pictures before
+    cv2.setRNGSeed(0)  # OpenCV's detectors guess; what they find must not depend on the images before
     find = {"chessboard": _find_chessboard, "charuco": _find_charuco, "apriltag": _find_tags}
     found = find[board.kind](np.ascontiguousarray(grey), board)
     return found if len(found) >= _LEAST_CORNERS else _nothing()
@@ -99,9 +99,9 @@ def _find_chessboard(grey: np.ndarray, board: BoardConfig) -> BoardView:
 def whole_chessboard(
     images: Iterable[UInt8[np.ndarray, "h w"]], board: BoardConfig
 ) -> tuple[int, int] | None:
-    """Columns and rows of inner corners that the pictures show, if the board is larger than stated.
+    """Columns and rows of inner corners that the images show, if the board is larger than stated.
 
-    OpenCV's detector of larger boards sometimes finds a row too many and sometimes nothing: one picture of a
+    OpenCV's detector of larger boards sometimes finds a row too many and sometimes nothing: one image of a
     board of the stated size settles it; else at least two must show more. The most frequent size wins, the
     smallest of equally frequent ones.
     """

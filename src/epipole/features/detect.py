@@ -19,10 +19,10 @@ _opencv: Any = cv2  # its stubs lack ORB
 
 @checked
 def detect_features(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig | None = None) -> Features:
-    """Find and describe features of a grey picture; none in a blank or tiny one.
+    """Find and describe features of a grey image; none in a blank or tiny one.
 
     Returns:
-        Features in pixels of the given picture, also when it was reduced for detection.
+        Features in pixels of the given image, also when it was reduced for detection.
     """
     config = options_of(FeatureConfig, config)
     height, width = grey.shape

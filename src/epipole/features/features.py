@@ -15,7 +15,7 @@ class Features(Declared):
     """One row per feature, strongest scale first."""
 
     pixels: Float32[np.ndarray, "n 2"]
-    """In pixels of the full picture, (0, 0) the centre of its top-left pixel."""
+    """In pixels of the full image, (0, 0) the centre of its top-left pixel."""
     scale_px: Float32[np.ndarray, " n"]
     """Diameter of the described region."""
     angle_rad: Float32[np.ndarray, " n"]

@@ -1,4 +1,4 @@
-"""Points followed from one picture to the next: pyramidal Lucas-Kanade, with OpenCV."""
+"""Points followed from one image to the next: pyramidal Lucas-Kanade, with OpenCV."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from epipole.config import FlowConfig, options_of
 from epipole.errors import ShapeError
 
 LARGEST_GAIN = 1.2
-"""Between pictures as they are; one that is darker by more is first made as bright as the other."""
+"""Between images as they are; one that is darker by more is first made as bright as the other."""
 AROUND_PX = 15
 """Side of the square whose mean tells how bright a point is."""
 
@@ -26,13 +26,13 @@ def track_points(
     *,
     and_back: bool = True,
 ) -> tuple[Float64[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
-    """Find points of one picture in another (Lucas and Kanade 1981; Bouguet 2001), and back again.
+    """Find points of one image in another (Lucas and Kanade 1981; Bouguet 2001), and back again.
 
-    The method takes a point to be as bright in both. Where exposure differs, so that the points are darker in one of the pictures
+    The method takes a point to be as bright in both. Where exposure differs, so that the points are darker in one of the images
     by a sixth or more (median), that one is brightened first.
 
     Args:
-        first: grey picture that the points are in.
+        first: grey image that the points are in.
         second: another of its size.
         pixels: where they are in the first.
         guess: where they are thought to be in the second; None: at the same place.
@@ -40,20 +40,20 @@ def track_points(
         and_back: points count as found only if the way back ends where it began.
 
     Returns:
-        Pixels in the second picture, and which of them were found.
+        Pixels in the second image, and which of them were found.
 
     Raises:
-        ShapeError: the pictures are smaller than a patch.
+        ShapeError: the images are smaller than a patch.
     """
     config = options_of(FlowConfig, config)
     if min(first.shape) <= config.window_px:
-        raise ShapeError(f"a picture of {first.shape[1]} x {first.shape[0]} is too small for the patches")
+        raise ShapeError(f"an image of {first.shape[1]} x {first.shape[0]} is too small for the patches")
     if not len(pixels):
         return np.zeros((0, 2)), np.zeros(0, bool)
     height, width = first.shape
     at = np.ascontiguousarray(pixels, np.float32)
     start = at if guess is None else np.ascontiguousarray(guess, np.float32)
-    # A guess outside the picture, or none at all, is no place to begin at.
+    # A guess outside the image, or none at all, is no place to begin at.
     usable = np.asarray(np.isfinite(start) & (start >= 0) & (start < (width, height))).all(
         axis=1, keepdims=True
     )
@@ -80,7 +80,7 @@ def track_points(
 def _equally_bright(
     first: np.ndarray, second: np.ndarray, at: np.ndarray, there: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The pictures, the darker one multiplied if points at these places differ by more than the method bears."""
+    """The images, the darker one multiplied if points at these places differ by more than the method bears."""
     one, other = _brightness(first, at), _brightness(second, there)
     gain = float(np.median((other + 1.0) / (one + 1.0)))
     if gain > LARGEST_GAIN:

@@ -124,7 +124,7 @@ def match_along_epipolar_lines(
 ) -> Int32[np.ndarray, "k 2"]:
     """Mutual nearest SIFT neighbours among the features within `band_px` of each other's epipolar line.
 
-    A line crosses about one hundredth of a picture's features, so that this costs a small fraction of
+    A line crosses about one hundredth of an image's features, so that this costs a small fraction of
     comparing all with all; the ratio test is among the candidates of the line.
 
     Args:
@@ -135,7 +135,7 @@ def match_along_epipolar_lines(
         config: ratio and distance bounds.
 
     Raises:
-        ShapeError: features are not SIFT's, or have pixels that no picture has.
+        ShapeError: features are not SIFT's, or have pixels that no image has.
         ConfigError: the band has no width.
     """
     config = options_of(MatchConfig, config)
@@ -175,7 +175,7 @@ def _cells(features: Features, axis: int) -> tuple[np.ndarray, np.ndarray, np.nd
     cell = np.maximum(pixels[:, 1 - axis] // _CELL_PX, 0).astype(np.int64)
     strips, cells = int(strip.max()) + 1, int(cell.max()) + 1
     if strips * cells > _MOST_CELLS:
-        raise ShapeError(f"features have pixels as large as {pixels.max():.3g}: no picture is so large")
+        raise ShapeError(f"features have pixels as large as {pixels.max():.3g}: no image is so large")
     key = strip * cells + cell
     order = np.argsort(key, kind="stable")
     starts = np.concatenate([[0], np.cumsum(np.bincount(key, minlength=strips * cells))])

@@ -1,4 +1,4 @@
-"""Points of one picture placed in another by their patches, each warped as the geometry foretells."""
+"""Points of one image placed in another by their patches, each warped as the geometry foretells."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from epipole.errors import ConfigError, ShapeError
 from epipole.features import _patch_kernels as kernels
 
 SIMILAR = 0.5
-"""Correlation in a halved picture at which the place there is a better guess than the one before."""
+"""Correlation in a halved image at which the place there is a better guess than the one before."""
 COARSE_HALF_PX = 6
-"""Larger patches of a halved picture reach over several surfaces."""
+"""Larger patches of a halved image reach over several surfaces."""
 FEWEST_OF_CHUNK = 50
 """Fewer patches take less time than handing them to another thread."""
 
@@ -28,19 +28,19 @@ def align_patches(
     guess: Float64[np.ndarray, "n 2"],
     half_px: int = 6,
 ) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, " n"]]:
-    """Place points by least squares of their patches, free of the drift of following from picture to picture.
+    """Place points by least squares of their patches, free of the drift of following from image to image.
 
     Args:
-        first: grey picture that the patches are of.
-        second: picture to find them in.
+        first: grey image that the patches are of.
+        second: image to find them in.
         pixels: where the points are in the first.
         warps: d(pixel in second) / d(pixel in first) around each point.
         guess: where they are thought to be in the second, to a pixel or three.
         half_px: the patches are of 2 half_px + 1 pixels a side.
 
     Returns:
-        Pixels in the second picture, and the correlation of the patches there: 1 for the same look, NaN where a patch is
-        flat or leaves its picture.
+        Pixels in the second image, and the correlation of the patches there: 1 for the same look, NaN where a patch is
+        flat or leaves its image.
 
     Raises:
         ShapeError: the arrays do not fit.
@@ -71,21 +71,21 @@ def find_patches(
     levels: int = 3,
     half_px: int = 6,
 ) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, " n"]]:
-    """The same from guesses that are further off: from halved pictures to the pictures themselves.
+    """The same from guesses that are further off: from halved images to the images themselves.
 
     Each level doubles the distance, some 2 pixels for one, from which a patch is found.
 
     Args:
-        first: grey picture that the patches are of.
-        second: picture to find them in.
+        first: grey image that the patches are of.
+        second: image to find them in.
         pixels: where the points are in the first.
         warps: d(pixel in second) / d(pixel in first) around each point.
         guess: where they are thought to be in the second.
-        levels: times that the pictures are halved, and one more.
-        half_px: the patches are of 2 half_px + 1 pixels a side, in halved pictures of 13 at most.
+        levels: times that the images are halved, and one more.
+        half_px: the patches are of 2 half_px + 1 pixels a side, in halved images of 13 at most.
 
     Returns:
-        Pixels in the second picture, and the correlation of the patches there, as `align_patches`.
+        Pixels in the second image, and the correlation of the patches there, as `align_patches`.
 
     Raises:
         ShapeError: the arrays do not fit.
@@ -119,7 +119,7 @@ def find_along_rows(
     """Whole shifts to the left after which patches look most alike (zero-mean normalised correlation), each tried in turn.
 
     Args:
-        first: grey picture, rectified.
+        first: grey image, rectified.
         second: its partner.
         pixels: points in the first.
         max_shift: the largest, in pixels.
@@ -127,7 +127,7 @@ def find_along_rows(
 
     Returns:
         Shifts; correlations; the largest correlation two or more pixels from there. NaN where a patch is flat, or leaves
-        the picture.
+        the image.
 
     Raises:
         ShapeError: the arrays do not fit.
@@ -137,7 +137,7 @@ def find_along_rows(
         raise ConfigError(
             f"max_shift must not be negative and half_px from 2 to 20, got {max_shift} and {half_px}"
         )
-    max_shift = min(max_shift, first.shape[1])  # farther left there is no picture
+    max_shift = min(max_shift, first.shape[1])  # farther left there is no image
     out = np.full((len(pixels), 3), np.nan)
     at = np.where(np.isfinite(pixels).all(axis=1, keepdims=True), pixels, -1.0)
     _parallel.map_chunks(

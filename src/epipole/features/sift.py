@@ -19,16 +19,16 @@ from epipole.features.features import Features, in_order
 _SIGMA = 1.6
 """Blur of the first level of every octave, in its pixels."""
 _CAMERA_SIGMA = 0.5
-"""Blur taken to be in the picture itself."""
+"""Blur taken to be in the image itself."""
 _LEAST_SIDE = 2 * space.BORDER + 2
 _MOST_EDGE = 10.0
 """Largest ratio of principal curvatures: along edges a position is not determined."""
 
 
 def detect_sift(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig) -> Features:
-    """The largest SIFT features of a grey picture, as root-SIFT.
+    """The largest SIFT features of a grey image, as root-SIFT.
 
-    The first octave is of twice the picture's size. A pixel (x, y) of the picture is pixel (2 x, 2 y) there, so
+    The first octave is of twice the image's size. A pixel (x, y) of the image is pixel (2 x, 2 y) there, so
     that keypoints are not shifted. Work per pixel of an octave: five blurs of 11 to 27 taps along rows and
     columns, then 27 comparisons for each of three levels.
 
@@ -59,7 +59,7 @@ class _Octave:
     extrema: Float32[np.ndarray, "n 4"]
     """x, y and scale in the octave's units, and level."""
     pixel: float
-    """Side of its pixels, in pixels of the picture."""
+    """Side of its pixels, in pixels of the image."""
 
     def sigma(self) -> np.ndarray:
         """Scale of each extremum, in pixels of the octave."""
@@ -121,11 +121,11 @@ def describe_upright(
 ) -> UInt8[np.ndarray, "n 128"]:
     """Root-SIFT of windows of one size that are not turned: for corners of a camera that stays upright.
 
-    Work: one blur of the picture, and 0.9 k samples for each window.
+    Work: one blur of the image, and 0.9 k samples for each window.
 
     Args:
-        grey: the picture.
-        pixels: middles of the windows; what of a window lies outside is the picture's rim.
+        grey: the image.
+        pixels: middles of the windows; what of a window lies outside is the image's rim.
         sigma_px: scale; a window's side is 12 times as long.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Square markers with a number: AprilTags and ArUco markers in a picture."""
+"""Square markers with a number: AprilTags and ArUco markers in an image."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _FURTHEST_PX = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TagView:
-    """Markers found in one picture."""
+    """Markers found in one image."""
 
     number: Int64[np.ndarray, " n"]
     corners: Float64[np.ndarray, "n 4 2"]
@@ -38,10 +38,10 @@ class TagView:
 
 
 def find_tags(grey: UInt8[np.ndarray, "h w"], dictionary: str) -> TagView:
-    """The markers that OpenCV's detector finds, each number once; those seen twice in a picture are left out.
+    """The markers that OpenCV's detector finds, each number once; those seen twice in an image are left out.
 
     Args:
-        grey: the picture.
+        grey: the image.
         dictionary: OpenCV's name without DICT_, such as APRILTAG_36h11 or 4X4_50.
 
     Raises:

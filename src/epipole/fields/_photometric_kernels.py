@@ -1,4 +1,4 @@
-"""The likeness of two pictures and its derivative, number by number, between the blurs that SSIM is made of."""
+"""The likeness of two images and its derivative, number by number, between the blurs that SSIM is made of."""
 
 import numpy as np
 

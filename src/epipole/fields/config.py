@@ -24,18 +24,18 @@ class SplatConfig:
     ssim_weight: float = 0.2
     """Share of SSIM in the loss; the rest is L1."""
     antialiased: bool = False
-    """Train with Mip-Splatting's filter: for pictures of many sizes."""
+    """Train with Mip-Splatting's filter: for images of many sizes."""
     start: Literal["points", "dense", "random"] = "points"
     """Where the first Gaussians are: at the model's points (points), also at those that stereo of neighbouring views finds where
     the model has few (dense), or where the cameras look (random, and where there are no points)."""
     start_from: Path | None = None
     """Begin with these Gaussians: a PLY file of some, or an output folder of `splat` or `nerf`."""
     exposure: bool = False
-    """Learn a map of colours for each picture: where cameras chose exposure and white balance anew."""
+    """Learn a map of colours for each image: where cameras chose exposure and white balance anew."""
     refine_poses: bool = False
     """Move the cameras, too: where they are less sure than to a pixel."""
     depth_weight: float = 0.2
-    """Weight of the depths of the model's points in the loss, against the pictures' 1."""
+    """Weight of the depths of the model's points in the loss, against the images' 1."""
     seed: int = 0
     """Of all that is drawn."""
 

@@ -1,6 +1,6 @@
-"""Colours of each picture: cameras choose exposure and white balance anew, which a scene's colours cannot explain.
+"""Colours of each image: cameras choose exposure and white balance anew, which a scene's colours cannot explain.
 
-Beside the field an affine map of colours is learnt for each picture, x' = A x + b, which what is drawn goes through before it is
+Beside the field an affine map of colours is learnt for each image, x' = A x + b, which what is drawn goes through before it is
 compared (Kerbl et al., "A hierarchical 3D Gaussian representation", ACM TOG 2024).
 """
 
@@ -28,7 +28,7 @@ RATES = 1e-2, 1e-3
 
 
 class Exposures:
-    """A map of colours for each picture.
+    """A map of colours for each image.
 
     Attributes:
         maps: (views, 3, 4) A and b.
@@ -143,15 +143,15 @@ class Exposures:
 def colour_match(
     image: Float32[np.ndarray, "h w 3"], truth: Float32[np.ndarray, "h w 3"]
 ) -> Float64[np.ndarray, "3 4"]:
-    """The map of colours, A and b, that brings a picture nearest to another: linear least squares.
+    """The map of colours, A and b, that brings an image nearest to another: linear least squares.
 
-    Held-out pictures have an exposure, too, that nobody knows: compared in its colours, they tell of the scene alone.
+    Held-out images have an exposure, too, that nobody knows: compared in its colours, they tell of the scene alone.
 
     Raises:
-        ShapeError: the pictures are empty, or not finite.
+        ShapeError: the images are empty, or not finite.
     """
     flat, wanted = (part.reshape(-1, 3).astype(np.float64) for part in (image, truth))
     if not flat.size or not (np.isfinite(flat).all() and np.isfinite(wanted).all()):
-        raise ShapeError("picture and truth must have pixels, and be finite")
+        raise ShapeError("image and truth must have pixels, and be finite")
     known = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
     return np.linalg.lstsq(known, wanted, rcond=None)[0].T

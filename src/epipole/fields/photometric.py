@@ -1,4 +1,4 @@
-"""How like a picture is to another: L1 and SSIM with their derivative, and PSNR."""
+"""How like an image is to another: L1 and SSIM with their derivative, and PSNR."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class PhotometricLoss(NamedTuple):
 def photometric_loss(
     image: Float32[np.ndarray, "h w 3"], truth: Float32[np.ndarray, "h w 3"], ssim_weight: float = 0.2
 ) -> PhotometricLoss:
-    """L1 and SSIM (Wang et al., IEEE TIP 2004) of pictures from 0 to 1, and the derivative of the loss by the first.
+    """L1 and SSIM (Wang et al., IEEE TIP 2004) of images from 0 to 1, and the derivative of the loss by the first.
 
     Windows are Gaussian, 11 pixels wide, with zeros beyond the edges, as in 3D Gaussian Splatting. A blur is its own
     transpose: dL/dx = B(dL/dB(x)) + 2 x B(dL/dB(x x)) + y B(dL/dB(x y)).
@@ -46,12 +46,12 @@ def photometric_loss(
         ssim_weight: w, from 0 to 1.
 
     Raises:
-        ShapeError: the pictures are empty.
+        ShapeError: the images are empty.
         ConfigError: the weight is not from 0 to 1.
     """
     check_fraction(ssim_weight, "ssim_weight")
     if not image.size:
-        raise ShapeError("a picture without pixels is like nothing")
+        raise ShapeError("an image without pixels is like nothing")
     n = image.size
     pairs = ((image, None), (truth, None), (image, image), (truth, truth), (image, truth))
     blurred = _parallel.map_items(lambda k: _blurred(*pairs[k]), 5)
@@ -73,18 +73,18 @@ def photometric_loss(
 
 @checked
 def psnr(image: Float32[np.ndarray, "h w 3"], truth: Float32[np.ndarray, "h w 3"]) -> float:
-    """Peak signal to noise, in dB, of pictures from 0 to 1; infinite for the same.
+    """Peak signal to noise, in dB, of images from 0 to 1; infinite for the same.
 
     Raises:
-        ShapeError: the pictures are empty, or not finite.
+        ShapeError: the images are empty, or not finite.
     """
     if not image.size or not (np.isfinite(image).all() and np.isfinite(truth).all()):
-        raise ShapeError("picture and truth must have pixels, and be finite")
+        raise ShapeError("image and truth must have pixels, and be finite")
     error = float(np.mean((np.clip(image, 0.0, 1.0) - truth) ** 2, dtype=np.float64))
     return float(-10.0 * np.log10(error)) if error > 0 else float("inf")
 
 
 def _blurred(image: np.ndarray, other: np.ndarray | None = None) -> np.ndarray:
-    """Of a picture, or of its product with another."""
+    """Of an image, or of its product with another."""
     source = image if other is None else image * other
     return cv2.sepFilter2D(source, -1, _WINDOW, _WINDOW, borderType=cv2.BORDER_CONSTANT)

@@ -15,7 +15,7 @@ LEAST_COVERAGE = np.float32(0.1)
 
 
 class PointDepths(NamedTuple):
-    """Pixels of a picture that show known points."""
+    """Pixels of an image that show known points."""
 
     row: np.ndarray
     column: np.ndarray

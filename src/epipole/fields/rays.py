@@ -1,4 +1,4 @@
-"""Pictures and cameras as rays, and cells that rays step over."""
+"""Images and cameras as rays, and cells that rays step over."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ FULL = 255
 
 
 class Rays(NamedTuple):
-    """Pictures and cameras, as kernels read them."""
+    """Images and cameras, as kernels read them."""
 
     pixels: np.ndarray
-    """(total, 4) uint8, of all pictures."""
+    """(total, 4) uint8, of all images."""
     offset: np.ndarray
     width: np.ndarray
     intrinsics: np.ndarray
@@ -41,7 +41,7 @@ def rays_of(views: Sequence[TrainingView]) -> Rays:
         ConfigError: there is no view, or masks leave no pixel of any.
     """
     if not views:
-        raise ConfigError("there is no picture to train on")
+        raise ConfigError("there is no image to train on")
     pixels, offset = [], [0]
     for view in views:
         flat = view.image.reshape(-1, view.image.shape[2])
@@ -76,13 +76,13 @@ def _used(views: Sequence[TrainingView], offset: list[int]) -> np.ndarray:
     masks = [np.ones(v.image.shape[:2], bool) if v.used_mask is None else v.used_mask for v in views]
     used = np.concatenate([start + np.flatnonzero(mask) for start, mask in zip(offset, masks)])
     if not len(used):
-        raise ConfigError("the masks leave no pixel of any picture")
+        raise ConfigError("the masks leave no pixel of any image")
     return used
 
 
 @checked
 def rays_of_camera(camera: Camera, cam_from_world: Rigid3) -> Rays:
-    """Rays without pictures.
+    """Rays without images.
 
     Raises:
         ConfigError: the camera has more pixels than are rendered.

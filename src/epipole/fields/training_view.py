@@ -1,4 +1,4 @@
-"""A picture that a field is trained on, in the sizes that training asks for."""
+"""An image that a field is trained on, in the sizes that training asks for."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from epipole.geometry import Rigid3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingView(Declared):
-    """A picture without distortion, and its camera."""
+    """An image without distortion, and its camera."""
 
     name: str
     image: UInt8[np.ndarray, "h w c"]
@@ -24,32 +24,32 @@ class TrainingView(Declared):
     camera: Camera
     cam_from_world: Rigid3
     used_mask: Bool[np.ndarray, "h w"] | None = None
-    """Where the picture is learnt from and compared; None: everywhere."""
+    """Where the image is learnt from and compared; None: everywhere."""
     points_in_world: Float64[np.ndarray, "n 3"] | None = None
-    """Points of the model that the picture shows."""
+    """Points of the model that the image shows."""
 
     def __post_init__(self) -> None:
-        """Check that picture and camera fit.
+        """Check that image and camera fit.
 
         Raises:
             ShapeError: they do not.
         """
         check_fields(self)
         if self.image.shape != (self.camera.height, self.camera.width, self.image.shape[2]):
-            raise ShapeError(f"{self.name}: the picture is not of its camera's size")
+            raise ShapeError(f"{self.name}: the image is not of its camera's size")
         if self.cam_from_world.batch_shape() != ():
             raise ShapeError(f"{self.name}: cam_from_world must be a single motion")
         if not np.isfinite(self.cam_from_world.as_matrix()).all():
             raise ShapeError(f"{self.name}: cam_from_world is not finite")
         if self.image.shape[2] not in (3, 4):
-            raise ShapeError(f"{self.name}: a picture has 3 or 4 channels, got {self.image.shape[2]}")
+            raise ShapeError(f"{self.name}: an image has 3 or 4 channels, got {self.image.shape[2]}")
 
     def __repr__(self) -> str:
         return f"TrainingView({self.name!r}, {self.camera.width} x {self.camera.height})"
 
     @checked
     def smaller(self, factor: int) -> TrainingView:
-        """With pictures `factor` times smaller, by the mean of pixels (of colours times alpha).
+        """With images `factor` times smaller, by the mean of pixels (of colours times alpha).
 
         Raises:
             ConfigError: the factor is not positive, or leaves no pixel.
@@ -73,7 +73,7 @@ class TrainingView(Declared):
 
     @checked
     def over(self, background: Float32[np.ndarray, " 3"]) -> Float32[np.ndarray, "h w 3"]:
-        """The picture from 0 to 1, before a background of one colour."""
+        """The image from 0 to 1, before a background of one colour."""
         rgb = self.image[..., :3].astype(np.float32) / np.float32(255.0)
         if self.image.shape[2] == 3:
             return rgb
@@ -88,7 +88,7 @@ def shrunk_mask(used_mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def shrunk(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """A picture in another, smaller size: the mean of pixels, of colours weighed by alpha."""
+    """An image in another, smaller size: the mean of pixels, of colours weighed by alpha."""
     if image.shape[2] == 3:
         return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     alpha = image[..., 3:].astype(np.float32)

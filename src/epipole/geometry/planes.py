@@ -1,4 +1,4 @@
-"""What a homography between two calibrated pictures of a plane says: motion and normal."""
+"""What a homography between two calibrated images of a plane says: motion and normal."""
 
 from __future__ import annotations
 

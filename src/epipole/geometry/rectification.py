@@ -1,4 +1,4 @@
-"""Homographies that lay the epipolar lines of two uncalibrated pictures along their rows."""
+"""Homographies that lay the epipolar lines of two uncalibrated images along their rows."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def rectifying_homographies(
 ) -> tuple[Matrix3, Matrix3]:
     """(H1, H2) after which matches lie in the same row, with the smallest disparities (Hartley, IJCV 1999; HZ 11.12).
 
-    H2 turns the second epipole about the picture's centre onto the x axis and sends it to infinity, which moves the
+    H2 turns the second epipole about the image's centre onto the x axis and sends it to infinity, which moves the
     neighbourhood of the centre rigidly; H1 is the matching transformation that brings the pixels nearest.
 
     Args:
@@ -33,7 +33,7 @@ def rectifying_homographies(
         size: width and height of image 2.
 
     Raises:
-        DegenerateGeometryError: an epipole lies in the picture (a forward motion), or the matches do not
+        DegenerateGeometryError: an epipole lies in the image (a forward motion), or the matches do not
             determine the shear.
         ShapeError: the arrays do not fit.
     """
@@ -47,11 +47,11 @@ def rectifying_homographies(
         u, v = e2[:2] / e2[2]
         if -0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5:
             raise DegenerateGeometryError(
-                "the epipole lies in the picture: no homography can send it to infinity"
+                "the epipole lies in the image: no homography can send it to infinity"
             )
     center = np.array([[1.0, 0.0, -(width - 1) / 2], [0.0, 1.0, -(height - 1) / 2], [0.0, 0.0, 1.0]])
     e = center @ e2
-    # Turn by less than a quarter: the picture stays upright.
+    # Turn by less than a quarter: the image stays upright.
     length = np.hypot(e[0], e[1])
     cos, sin = (e[:2] if e[0] >= 0 else -e[:2]) / length
     rotation = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])

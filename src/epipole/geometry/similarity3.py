@@ -1,4 +1,4 @@
-"""Similarities of space, Sim(3), in batches: what a reconstruction from pictures alone is known up to."""
+"""Similarities of space, Sim(3), in batches: what a reconstruction from images alone is known up to."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ class ImuFactors:
     def variance_factors(self, rig_from_world: Rigid3) -> tuple[float, float]:
         """By how much the variances of gyroscope and accelerometer should be larger than stated, seen from adjusted poses.
 
-        An interval's nine numbers leave three to each: three turns, and six less the three of a velocity. Poses that pictures
+        An interval's nine numbers leave three to each: three turns, and six less the three of a velocity. Poses that images
         hold weakly follow the unit, and show less.
         """
         states, _ = self._at_best(rig_from_world.inverse())

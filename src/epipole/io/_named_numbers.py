@@ -156,11 +156,11 @@ def _xml_value(node: ElementTree.Element) -> float | str | dict[str, str]:
 
 
 def size_of(path: Path, width: float, height: float) -> tuple[int, int]:
-    """Width and height of pictures.
+    """Width and height of images.
 
     Raises:
         FileFormatError: they are no sizes.
     """
     if not (1 <= width <= _MOST_PIXELS and 1 <= height <= _MOST_PIXELS):
-        raise FileFormatError(path, f"pictures of {width:g} x {height:g} pixels cannot be")
+        raise FileFormatError(path, f"images of {width:g} x {height:g} pixels cannot be")
     return int(width), int(height)

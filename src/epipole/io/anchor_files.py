@@ -1,4 +1,4 @@
-"""Files that say what is known besides the pictures: lengths, measured places of pictures, distances travelled."""
+"""Files that say what is known besides the images: lengths, measured places of images, distances travelled."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ class KnownLength:
     name: str
     length_m: float
     ends: tuple[dict[str, tuple[float, float]], dict[str, tuple[float, float]]]
-    """Of each end: names of pictures, and the pixel there."""
+    """Of each end: names of images, and the pixel there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NamedPositions:
-    """Measured places of pictures."""
+    """Measured places of images."""
 
     names: tuple[str, ...]
     positions: Float64[np.ndarray, "n 3"]
@@ -50,12 +50,12 @@ class OdometryLog:
 
 @checked
 def read_lengths(path: str | Path) -> tuple[KnownLength, ...]:
-    """Read known lengths: a line for each end in each picture, `NAME METRES END PICTURE X Y`.
+    """Read known lengths: a line for each end in each image, `NAME METRES END PICTURE X Y`.
 
-    END is a or b. Names of pictures may have blanks. Lines that start with # are skipped.
+    END is a or b. Names of images may have blanks. Lines that start with # are skipped.
 
     Raises:
-        FileFormatError: no such file, a line that is none, or an end that is seen in no picture.
+        FileFormatError: no such file, a line that is none, or an end that is seen in no image.
     """
     path = Path(path)
     found: dict[str, KnownLength] = {}
@@ -79,7 +79,7 @@ def read_lengths(path: str | Path) -> tuple[KnownLength, ...]:
     for known in found.values():
         for name, end in zip("ab", known.ends):
             if not end:
-                raise FileFormatError(path, f"end {name} of {known.name} is seen in no picture")
+                raise FileFormatError(path, f"end {name} of {known.name} is seen in no image")
     if not found:
         raise FileFormatError(path, "holds no length")
     return tuple(found.values())
@@ -90,7 +90,7 @@ def read_anchor_positions(path: str | Path) -> PositionLog | NamedPositions:
     """Read measured places: `SECONDS X Y Z` a line, or `PICTURE X Y Z` (the names may have blanks).
 
     Raises:
-        FileFormatError: no such file, a line that is none, or a picture that stands there twice.
+        FileFormatError: no such file, a line that is none, or an image that stands there twice.
     """
     path = Path(path)
     lines = _lines(path)

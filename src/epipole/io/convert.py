@@ -16,7 +16,7 @@ from epipole.scene import Reconstruction
 
 ModelFormat = Literal["txt", "bin", "ply", "transforms", "bundler", "splat"]
 IMAGE_FOLDER = "images"
-"""Where the pictures are beside a transforms.json or a bundle.out."""
+"""Where the images are beside a transforms.json or a bundle.out."""
 
 TRANSFORMS = "transforms.json"
 

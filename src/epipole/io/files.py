@@ -129,7 +129,7 @@ def read_json(path: Path, most_bytes: int = MOST_JSON_BYTES, *, allow_nan: bool 
 
 
 def problem_of_name(name: object) -> str | None:
-    """Why what a file gives as a picture's name cannot be one; None where it can."""
+    """Why what a file gives as an image's name cannot be one; None where it can."""
     if not isinstance(name, str):
         return f"a name is text, not {type(name).__name__}"
     if not name:

@@ -26,7 +26,7 @@ def passed_over_in_words(folder: Path, others: Sequence[str], results: Sequence[
 
 
 def _refuse_folder(error: OSError) -> None:
-    """A folder that cannot be listed may hold half of the pictures: not to be passed over."""
+    """A folder that cannot be listed may hold half of the images: not to be passed over."""
     raise FileFormatError(Path(error.filename), f"the folder cannot be listed: {error.strerror}")
 
 

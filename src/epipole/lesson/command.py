@@ -8,7 +8,7 @@ from epipole._terminal import say
 
 
 def lesson(export: Path | None = None, port: int | None = None, host: str = "127.0.0.1") -> None:
-    """Show the lesson in the browser: pages on depth from pictures, with something to move on each; or write them as files.
+    """Show the lesson in the browser: pages on depth from images, with something to move on each; or write them as files.
 
     Args:
         export: Write the pages to this folder instead, in English and Chinese; they need no server.

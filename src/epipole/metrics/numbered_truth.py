@@ -1,4 +1,4 @@
-"""A known path whose rows are told by the numbers of pictures, not by times."""
+"""A known path whose rows are told by the numbers of images, not by times."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from epipole.scene import Trajectory
 
 MOST_NAMED = 0.9
-"""Share of the pictures with times whose numbers the truth's first column holds, where it is no time."""
+"""Share of the images with times whose numbers the truth's first column holds, where it is no time."""
 
 
 def at_image_numbers(
@@ -21,13 +21,13 @@ def at_image_numbers(
     timestamp_s: Float64[np.ndarray, " n"],
     max_difference_s: float,
 ) -> Trajectory | None:
-    """The truth with the pictures' times, where its own are the last numbers in the pictures' names (7-Scenes).
+    """The truth with the images' times, where its own are the last numbers in the images' names (7-Scenes).
 
     Args:
         truth: what a file's first column calls times may be numbers.
         images: file names.
         timestamp_s: of each; NaN where it has no time.
-        max_difference_s: instants nearer than that to most pictures' are times indeed.
+        max_difference_s: instants nearer than that to most images' are times indeed.
 
     Returns:
         None where its times are times.

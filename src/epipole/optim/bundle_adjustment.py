@@ -101,7 +101,7 @@ class BundleResult:
     history: tuple[BundleIteration, ...]
     solver: LinearSolver
     summary: str
-    """Counts, and what the pictures do not determine; `str` of the result is the whole report."""
+    """Counts, and what the images do not determine; `str` of the result is the whole report."""
 
     @property
     def converged(self) -> bool:

@@ -31,7 +31,7 @@ _NOTHING = 1e-250
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleCovariance:
-    """Covariances; zero for what was held constant, infinite for what the pictures do not determine."""
+    """Covariances; zero for what was held constant, infinite for what the images do not determine."""
 
     rig_from_world: Float64[np.ndarray, "f 6 6"]
     """Of xi in exp(xi) @ rig_from_world, (translation, rotation)."""
@@ -67,7 +67,7 @@ def bundle_covariance(
         result: its minimum.
         config: the loss that was minimised.
         noise_px: standard deviation of the pixels' errors; None: the residuals' own, after the loss.
-        clustered: errors of a point go together from picture to picture, and those of neighbours in the list of points: the
+        clustered: errors of a point go together from image to image, and those of neighbours in the list of points: the
             covariances, but for those of points, are made as large as the points' scores say (see `cluster_robust`).
 
     Raises:

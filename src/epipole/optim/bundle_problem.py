@@ -46,7 +46,7 @@ class PathFactors(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class BundlePriors(Declared):
-    """What is known besides the pictures; each part may be missing. Each adds half its squared, weighed error.
+    """What is known besides the images; each part may be missing. Each adds half its squared, weighed error.
 
     Standard deviations are relative to pixels with a standard deviation of one.
     """
@@ -113,7 +113,7 @@ class BundlePriors(Declared):
 
     @property
     def fixes_gauge(self) -> bool:
-        """Whether a prior fixes position, orientation or scale of the model, which pictures do not."""
+        """Whether a prior fixes position, orientation or scale of the model, which images do not."""
         return self.fixes_position or self.down_in_rig is not None or self.distances is not None
 
     @property
@@ -300,7 +300,7 @@ def free_params_mask(
 
 @checked
 def with_fixed_gauge(problem: BundleProblem) -> BundleProblem:
-    """Hold the seven degrees of freedom that pictures leave open: one frame, and one coordinate of a second.
+    """Hold the seven degrees of freedom that images leave open: one frame, and one coordinate of a second.
 
     The frame with most observations stays; of the frame farthest from it, the component of its translation
     tangent along the line between both (the largest, in its own axes) stays, which holds the scale. Holding

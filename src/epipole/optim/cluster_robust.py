@@ -1,6 +1,6 @@
 """How much larger the errors of places are than independent errors of pixels would make them.
 
-A point that is followed from picture to picture keeps its error, and its neighbours have like ones. The scores of points, their
+A point that is followed from image to image keeps its error, and its neighbours have like ones. The scores of points, their
 parts of the gradient, hold all of that: with H the normal matrix, and g_c the score of a cluster of points, both after the
 elimination of the points, the covariance is H^-1 (sum g_c g_c^T) H^-1 (Liang and Zeger, Longitudinal data analysis using
 generalized linear models, 1986; as a covariance of clusters: Cameron and Miller, A practitioner's guide to cluster-robust

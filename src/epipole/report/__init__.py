@@ -1,4 +1,4 @@
-"""The frame of the pages: templates, charts, 3D view, view from above, pictures. It knows no pipeline.
+"""The frame of the pages: templates, charts, 3D view, view from above, images. It knows no pipeline.
 
 A pipeline's page is a sub-package: `page.py`, which gathers the values, and its template in `templates/`.
 """

@@ -1,7 +1,7 @@
 """The frame of every page: templates that escape all values, and the scripts and styles inside the page.
 
 A pipeline's page is a template in the folder `templates/` of its own package. It extends
-`frame/base.html.jinja`, takes sections, tables and pictures from the other templates under `frame/`, and names
+`frame/base.html.jinja`, takes sections, tables and images from the other templates under `frame/`, and names
 the assets it needs.
 """
 

@@ -1,4 +1,4 @@
-"""Pictures inside a page: data URIs, thumbnails with the features that see points."""
+"""Images inside a page: data URIs, thumbnails with the features that see points."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from epipole.report.markup import data_uri
 
 MAX_FEATURES = 400
 """Features drawn on one thumbnail."""
-_SHOWN_PX = 1000  # longest side of the pictures in the page
+_SHOWN_PX = 1000  # longest side of the images in the page
 _JPEG_PX, _JPEG_QUALITY = 640, 85
 _SMALL_BYTES = 1 << 15
 """Longest side of photographs, which stand three beside each other, and the quality of their JPEGs; PNGs up to so many bytes stay exact."""
 
 
 def png_uri(rgb: UInt8[np.ndarray, "h w 3"]) -> str:
-    """The picture, reduced, as a data URI."""
+    """The image, reduced, as a data URI."""
     small = downscaled(rgb, _SHOWN_PX)
     return data_uri(encoded_image(".png", small[..., ::-1]), "image/png")
 
@@ -49,7 +49,7 @@ def color_range_text(values: Float[np.ndarray, "h w"]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Thumbnail:
-    """A small picture with dots on it."""
+    """A small image with dots on it."""
 
     width: int
     height: int
@@ -59,7 +59,7 @@ class Thumbnail:
 
 
 def thumbnail_of(jpeg: bytes, fractions: Float[np.ndarray, "k 2"]) -> Thumbnail | None:
-    """The picture with dots at these fractions of width and height; None if it is no JPEG."""
+    """The image with dots at these fractions of width and height; None if it is no JPEG."""
     size = _jpeg_size(jpeg)
     if size is None:
         return None

@@ -51,7 +51,7 @@ def count(value: int) -> str:
 
 
 def plural(value: int, singular: str, many: str | None = None) -> str:
-    """A count and its noun: "1 picture", "4 pictures"."""
+    """A count and its noun: "1 image", "4 images"."""
     return f"{count(value)} {singular if value == 1 else many or singular + 's'}"
 
 

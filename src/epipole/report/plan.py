@@ -52,7 +52,7 @@ class PlanFrame:
 
 @dataclass(frozen=True, slots=True)
 class Density:
-    """A picture as the mask of a plain rectangle, whose colour the scheme sets."""
+    """An image as the mask of a plain rectangle, whose colour the scheme sets."""
 
     width: int
     height: int
@@ -127,7 +127,7 @@ def density_of(points_in_world: Float64[np.ndarray, "n 3"], frame: PlanFrame) ->
 
 
 def _sequence(images: np.ndarray, centers: np.ndarray, frame: PlanFrame) -> str:
-    """A line through neighbours in the order of names, broken where a picture has no place."""
+    """A line through neighbours in the order of names, broken where an image has no place."""
     steps, previous = [], -2
     for image, center in zip(images, centers):
         verb = "L" if image == previous + 1 else "M"

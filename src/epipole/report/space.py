@@ -38,7 +38,7 @@ RAMP_STOPS = 16
 UNKNOWN = 65535
 """The step of a measure that is not known."""
 IMAGE_SIDE_PX, MOST_IMAGES = 320, 150
-"""Longer side of a camera's picture in a page; so many are in one file, spread over all."""
+"""Longer side of a camera's image in a page; so many are in one file, spread over all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,7 +187,7 @@ def _curve(data: SpaceData, k: int, curve: Curve, origin: np.ndarray) -> dict[st
 
 
 def _cameras(data: SpaceData, layer: CameraLayer, origin: np.ndarray, extent: Extent) -> dict[str, Any]:
-    """Centres, axes (right and ahead) and corners of the pictures around the centres."""
+    """Centres, axes (right and ahead) and corners of the images around the centres."""
     centers, rotations = layer.cams_from_world.centers(), layer.cams_from_world.rotation
     cameras = np.concatenate([layer.K.reshape(-1, 9), layer.sizes], axis=1)
     different, of_camera = np.unique(cameras, axis=0, return_inverse=True)
@@ -206,7 +206,7 @@ def _cameras(data: SpaceData, layer: CameraLayer, origin: np.ndarray, extent: Ex
         "places": data.put("camera-places", (centers - origin).astype("<f4")),
         "axes": data.put("camera-axes", rotations[:, [0, 2]].astype("<f4")),
         "corners": data.put("camera-corners", corners.astype("<f4")),
-        "pictures": None,
+        "images": None,
     }
 
 
@@ -245,7 +245,7 @@ def _gaussians(data: SpaceData, scene: SpaceScene, most: int | None) -> dict[str
 
 
 def embedded_images(layer: CameraLayer, most: int = MOST_IMAGES) -> list[str | None]:
-    """Small pictures of the cameras as URIs that need no file; None where there is none, or beyond so many."""
+    """Small images of the cameras as URIs that need no file; None where there is none, or beyond so many."""
     out: list[str | None] = [None] * len(layer.names)
     if layer.load_image is None or not layer.names:
         return out
@@ -256,7 +256,7 @@ def embedded_images(layer: CameraLayer, most: int = MOST_IMAGES) -> list[str | N
 
 
 def small_jpeg(load_image: LoadImage, name: str) -> bytes | None:
-    """A camera's picture in the size of a page; None where there is none."""
+    """A camera's image in the size of a page; None where there is none."""
     rgb = load_image(name)
     if rgb is None:
         return None

@@ -47,13 +47,13 @@ def scene_of_model(
         cameras: what the cameras are called.
         curves: lines with pieces.
         load_image: of an image's name.
-        num_given: how many pictures there were, placed or not; None: a model's files do not tell.
+        num_given: how many images there were, placed or not; None: a model's files do not tell.
     """
     num_registered = int(model.is_registered().sum())
     images = (
-        plural(num_registered, "picture")
+        plural(num_registered, "image")
         if num_given is None
-        else f"{num_registered} of {num_given} pictures placed"
+        else f"{num_registered} of {num_given} images placed"
     )
     words = f"{images}, {plural(len(model.points), 'point')}"
     return SpaceScene(
@@ -67,7 +67,7 @@ def scene_of_model(
 
 
 def points_of_model(model: Reconstruction) -> PointLayer:
-    """The points, with reprojection errors, numbers of pictures that see each, and covariances."""
+    """The points, with reprojection errors, numbers of images that see each, and covariances."""
     noise = pixel_noise(model)
     known = np.isfinite(noise)
     return PointLayer(
@@ -77,7 +77,7 @@ def points_of_model(model: Reconstruction) -> PointLayer:
         (
             PointMeasure("error", model.points.error_px, "px"),
             PointMeasure(
-                "pictures that see it", np.diff(model.tracks.offsets).astype(float), "", is_at_least=True
+                "images that see it", np.diff(model.tracks.offsets).astype(float), "", is_at_least=True
             ),
         ),
         covariances_of_points(model, noise) if known else None,

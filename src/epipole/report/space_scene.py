@@ -14,7 +14,7 @@ from epipole.scene import Curve
 from epipole.scene.gaussian_cloud import GaussianCloud
 
 LoadImage = Callable[[str], UInt8[np.ndarray, "h w 3"] | None]
-"""The RGB picture of a camera's name, or None where there is none."""
+"""The RGB image of a camera's name, or None where there is none."""
 METRES, NO_UNIT = "m", ""
 """Units of a scene; without one it is known up to scale."""
 

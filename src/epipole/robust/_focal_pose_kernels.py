@@ -48,7 +48,7 @@ def _rows_of_block(p, m, threshold_sq, soft_sq, start, stop, rows):
 
 
 class FocalPoseProblem(RobustProblem, Items):
-    """Points of order one, rows X (3), u, v; pixels in units of the picture."""
+    """Points of order one, rows X (3), u, v; pixels in units of the image."""
 
     __slots__ = ()
 

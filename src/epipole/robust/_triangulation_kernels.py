@@ -236,11 +236,11 @@ def without_distortion(camera, model, params, f, u, v):
 def triangulate_two_views(
     models, params, motion, essential, focal, max_cosine, pixels1, pixels2, start, stop, out
 ):
-    """Points start..stop that minimise the sum of squared reprojection errors in both pictures.
+    """Points start..stop that minimise the sum of squared reprojection errors in both images.
 
     Lindstrom (CVPR 2010), the iteration of table 3 (niter2): with x2^T E x1 = 0, both points move to the epipolar
     lines of each other by lambda n, twice, and then meet. Coordinates are pixels from the principal point, lenses
-    undistorted, so that both pictures weigh alike. `out` = (points in camera 1, errors, cosines, reasons).
+    undistorted, so that both images weigh alike. `out` = (points in camera 1, errors, cosines, reasons).
     """
     points, errors, cosines, reasons = out
     f1, f2 = focal[0], focal[1]

@@ -159,12 +159,12 @@ def estimate_pose_and_focal(
     """Pose and focal length of a camera without distortion: four points (P4Pf), then the reprojection error.
 
     Four points of one plane seldom give a solution, so that a plane alone may end in `Reason.NO_MODEL`; one that is parallel
-    to the picture leaves the focal length open and always does.
+    to the image leaves the focal length open and always does.
 
     Args:
         points_in_world: (n, 3); NaN and infinite ones are outliers.
         pixels: where the camera saw them, (n, 2).
-        principal_point: (2,), the picture's centre where nothing better is known.
+        principal_point: (2,), the image's centre where nothing better is known.
         config: threshold in pixels.
 
     Returns:

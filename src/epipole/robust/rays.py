@@ -11,7 +11,7 @@ from epipole._checks import as_points
 from epipole.cameras import Camera
 
 _UNEVEN = 1.25
-"""Sizes of a pixel on the plane z = 1, over that in the middle, from which on the plane is no picture."""
+"""Sizes of a pixel on the plane z = 1, over that in the middle, from which on the plane is no image."""
 
 
 def rays_on_plane(camera: Camera, pixels: Any, name: str = "pixels") -> Float64[np.ndarray, "n 2"]:
@@ -22,7 +22,7 @@ def rays_on_plane(camera: Camera, pixels: Any, name: str = "pixels") -> Float64[
 
 
 def is_wide(camera: Camera) -> bool:
-    """Whether pixels of the picture are of different sizes on the plane z = 1, or some never meet it."""
+    """Whether pixels of the image are of different sizes on the plane z = 1, or some never meet it."""
     if not camera.model.distortion_indices:
         return False
     grid = np.meshgrid(np.linspace(0.0, camera.width - 1.0, 9), np.linspace(0.0, camera.height - 1.0, 9))

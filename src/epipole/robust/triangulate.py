@@ -73,7 +73,7 @@ def triangulate_points(
     max_error_px: float | None = None,
     min_angle_rad: float = 0.0,
 ) -> Triangulation:
-    """Points whose projections are nearest to the pixels, in the least squares of all pictures.
+    """Points whose projections are nearest to the pixels, in the least squares of all images.
 
     Two views: the optimal correction of Lindstrom (CVPR 2010). More: the pair of views that most others agree with,
     then Gauss-Newton on the true camera models; with a threshold, over the views that agree.

@@ -12,7 +12,7 @@ from epipole import _parallel
 
 ExecutorChoice = Literal["threads", "processes", "inline"] | Executor
 """A name, or any `concurrent.futures.Executor`: Dask's `Client.get_executor()`, for one. Its workers must
-have epipole installed and see the output folder and the pictures under the same paths. It is not shut
+have epipole installed and see the output folder and the images under the same paths. It is not shut
 down."""
 
 

@@ -276,7 +276,7 @@ def refuse_folder_of(root: Path, inputs: Sequence[Path]) -> None:
     with reporting(root, "use the output folder"):
         for path in inputs:
             if root.resolve() == (path.resolve() if path.is_dir() else path.resolve().parent):
-                what = "the pictures" if path.is_dir() else path.name
+                what = "the images" if path.is_dir() else path.name
                 raise WorkspaceError(f"{root} is the folder of {what}: choose another for the results")
 
 

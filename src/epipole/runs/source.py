@@ -35,7 +35,7 @@ class Source:
 
         Args:
             inputs: files and folders.
-            ignored: a folder that is left out, as it may lie among the pictures.
+            ignored: a folder that is left out, as it may lie among the images.
         """
         return cls(tuple(str(path.resolve()) for path in inputs), _fingerprint(inputs, ignored.resolve()))
 

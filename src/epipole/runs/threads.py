@@ -20,7 +20,7 @@ def thread_scope(num_threads: int | None = None, *, opencv_alone: bool = False) 
 
     Args:
         num_threads: of epipole's pool; None: as it is.
-        opencv_alone: OpenCV uses the calling thread only, for jobs that work on several pictures at a time.
+        opencv_alone: OpenCV uses the calling thread only, for jobs that work on several images at a time.
     """
     before = _parallel.requested_threads()
     if num_threads is not None:

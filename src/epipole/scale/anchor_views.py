@@ -1,4 +1,4 @@
-"""The pictures of a model as anchors of its scale see them: names, times, places with their covariance, pixels."""
+"""The images of a model as anchors of its scale see them: names, times, places with their covariance, pixels."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RAYLEIGH_MEDIAN = 1.1774
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AnchorViews(Declared):
-    """Pictures with a place in one model; a row each."""
+    """Images with a place in one model; a row each."""
 
     names: tuple[str, ...]
     timestamp_s: Float64[np.ndarray, " n"]
@@ -34,7 +34,7 @@ class AnchorViews(Declared):
     covariance_of: Callable[[int], np.ndarray]
     """Of a row: (6, 6) of xi = (translation, rotation) in exp(xi) @ cam_from_world."""
     image_of: Callable[[int], UInt8[np.ndarray, "h w"] | None]
-    """Grey picture of a row, as the camera's pixels count; None where it cannot be had."""
+    """Grey image of a row, as the camera's pixels count; None where it cannot be had."""
 
     def __post_init__(self) -> None:
         """Check the rows.
@@ -51,10 +51,10 @@ class AnchorViews(Declared):
         return len(self.names)
 
     def __repr__(self) -> str:
-        return f"AnchorViews({len(self)} pictures)"
+        return f"AnchorViews({len(self)} images)"
 
     def row_of(self, name: str) -> int | None:
-        """The row of a picture by its name, or by the last part of it where that is unique; None where there is none."""
+        """The row of an image by its name, or by the last part of it where that is unique; None where there is none."""
         if name in self.names:
             return self.names.index(name)
         last = [n for n, own in enumerate(self.names) if PurePath(own).name == PurePath(name).name]
@@ -69,7 +69,7 @@ def views_of_model(
 
     Args:
         model: places, lenses, points and tracks.
-        image_of: the grey picture of a row of the model's images; None where it cannot be had.
+        image_of: the grey image of a row of the model's images; None where it cannot be had.
     """
     rows = np.flatnonzero(model.is_registered())
     camera = model.camera_of_image

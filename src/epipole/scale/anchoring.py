@@ -26,7 +26,7 @@ class MeasuredPositions(Declared):
 
     fit: ScaleFit
     positions: Float64[np.ndarray, "n 3"]
-    """Of each of the model's pictures, in the world; NaN for none."""
+    """Of each of the model's images, in the world; NaN for none."""
     sigma: float
     """Standard deviation of a coordinate with which they enter an adjustment."""
     num_measured: int
@@ -63,9 +63,9 @@ def anchor_model(
     """The similarity to metres on which all that is known agrees.
 
     Args:
-        views: pictures of the model.
+        views: images of the model.
         options: what is known.
-        path: all pictures with a place, of which `views` are some; None: the same.
+        path: all images with a place, of which `views` are some; None: the same.
         others: what else is known of the scale.
 
     Raises:
@@ -101,11 +101,11 @@ def _similarity(scale: float, positions: MeasuredPositions | None, views: Anchor
 def positions_of_views(
     views: AnchorViews, path: AnchorViews, log: PositionLog | NamedPositions, sigma: float
 ) -> MeasuredPositions:
-    """Fit measured places to a model, by the pictures' times or by their names.
+    """Fit measured places to a model, by the images' times or by their names.
 
     Args:
-        views: pictures of the model.
-        path: all pictures with a place; the places between them are interpolated where they have times.
+        views: images of the model.
+        path: all images with a place; the places between them are interpolated where they have times.
         log: what was measured.
         sigma: standard deviation of a coordinate, in metres.
 

@@ -1,4 +1,4 @@
-"""An object of known size in the pictures of a model: where it is, and what it says of the model's scale."""
+"""An object of known size in the images of a model: where it is, and what it says of the model's scale."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def _start(shape: np.ndarray, seen: _Seen) -> Similarity3:
     """From the triangulated points that are good."""
     if len(seen.cameras) < 2:
         raise DegenerateGeometryError(
-            f"seen in {len(seen.cameras) or 'no'} picture{'' if len(seen.cameras) == 1 else 's'} with a place: two from "
+            f"seen in {len(seen.cameras) or 'no'} image{'' if len(seen.cameras) == 1 else 's'} with a place: two from "
             "different places are needed"
         )
     found = triangulate_points(
@@ -169,14 +169,14 @@ def _start(shape: np.ndarray, seen: _Seen) -> Similarity3:
 def _why_no_points(reason: np.ndarray, seen: _Seen) -> str:
     """In words: of the points' reasons, and of the widest angle between two rays to one point."""
     if (reason == PointReason.TOO_FEW_VIEWS).any():
-        return "one of its ends is seen in one picture only: two from different places are needed"
+        return "one of its ends is seen in one image only: two from different places are needed"
     rays = np.stack(
         [c.unproject(p) @ r for c, p, r in zip(seen.cameras, seen.pixels, seen.cams_from_world.rotation)]
     )
     cosine = np.einsum("vnk,wnk->nvw", rays, rays)
     if np.nanmin(cosine, initial=1.0) > np.cos(np.deg2rad(MIN_ANGLE_DEG)):
         return f"seen from one place only: its rays meet under less than {MIN_ANGLE_DEG:g} degree"
-    return "its pixels in two pictures belong to no point before both cameras"
+    return "its pixels in two images belong to no point before both cameras"
 
 
 def _fit(shape: np.ndarray, seen: _Seen) -> tuple[Similarity3, float, np.ndarray]:

@@ -89,9 +89,9 @@ def scale_evidence(
     """What lengths, tags, boards, odometry and an IMU say of a model's scale; measured places are `fit_scale_to_positions`'.
 
     Args:
-        views: pictures with a place, in which tags and boards are looked for.
+        views: images with a place, in which tags and boards are looked for.
         options: what is known.
-        path: all pictures with a place, for lengths and odometry; None: the same.
+        path: all images with a place, for lengths and odometry; None: the same.
 
     Raises:
         FileFormatError: a file that was named cannot be read.
@@ -148,7 +148,7 @@ def _of_length(views: AnchorViews, known: KnownLength, options: AnchorOptions) -
         )
         raise DegenerateGeometryError(f"{error}{words}") from error
     sigma = fit.scale * float(np.hypot(fit.sigma / fit.scale, options.lengths_sigma_m / known.length_m))
-    words = f"{known.length_m:g} m in {int(fit.kept_mask.sum())} pictures"
+    words = f"{known.length_m:g} m in {int(fit.kept_mask.sum())} images"
     return ScaleEstimate("length", f"length {known.name}", fit.scale, sigma, 0.0, words)
 
 
@@ -164,7 +164,7 @@ def _add_tags(views: AnchorViews, options: AnchorOptions, found: _Gathered) -> N
                 seen.setdefault(int(number), []).append((row, corners))
     if not seen:
         found.refusals.append(
-            f"no tag of {options.tag_family} is seen in the {len(views)} pictures with a place"
+            f"no tag of {options.tag_family} is seen in the {len(views)} images with a place"
         )
     square = 0.5 * size * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
     for number, own in sorted(seen.items()):
@@ -174,7 +174,7 @@ def _add_tags(views: AnchorViews, options: AnchorOptions, found: _Gathered) -> N
             number: int = number, rows: list[int] = rows, corners: np.ndarray = corners
         ) -> ScaleEstimate:
             fit = _fit_object(square, views, rows, corners, CORNERS_SIGMA_PX)
-            words = f"{int(fit.kept_mask.sum())} pictures"
+            words = f"{int(fit.kept_mask.sum())} images"
             return ScaleEstimate("tag", f"tag {number}", fit.scale, fit.sigma, options.size_sigma, words)
 
         found.try_one(f"tag {number}", of_tag)
@@ -190,9 +190,9 @@ def _of_board(views: AnchorViews, board: BoardConfig, options: AnchorOptions) ->
             rows.append(row)
             pixels.append(view.pixels)
     if not rows:
-        raise DegenerateGeometryError(f"it is seen in none of the {len(views)} pictures with a place")
+        raise DegenerateGeometryError(f"it is seen in none of the {len(views)} images with a place")
     fit = _fit_object(shape, views, rows, _in_one_order(views, rows, np.stack(pixels), board), BOARD_SIGMA_PX)
-    words = f"{int(fit.kept_mask.sum())} pictures"
+    words = f"{int(fit.kept_mask.sum())} images"
     return ScaleEstimate(
         "board", f"the board of {options.board}", fit.scale, fit.sigma, options.size_sigma, words
     )
@@ -201,7 +201,7 @@ def _of_board(views: AnchorViews, board: BoardConfig, options: AnchorOptions) ->
 def _in_one_order(
     views: AnchorViews, rows: Sequence[int], pixels: np.ndarray, board: BoardConfig
 ) -> np.ndarray:
-    """Corners of a chessboard begin at either end of it: in each picture the order that meets the first picture's rays."""
+    """Corners of a chessboard begin at either end of it: in each image the order that meets the first image's rays."""
     grid = np.arange(board.columns * board.rows).reshape(board.rows, board.columns)
     rotations = (0, 1, 2, 3) if board.columns == board.rows else (0, 2)
     orders = [np.rot90(grid, rotation).ravel() for rotation in rotations]
@@ -255,9 +255,9 @@ def _of_imu(views: AnchorViews, imu: MountedImu) -> ScaleEstimate:
 
 
 def _timed(views: AnchorViews) -> tuple[np.ndarray, Rigid3]:
-    """Times and world_from_camera of the pictures that have a time, in their order."""
+    """Times and world_from_camera of the images that have a time, in their order."""
     timed = np.flatnonzero(np.isfinite(views.timestamp_s))
     if not len(timed):
-        raise DegenerateGeometryError("the pictures have no times")
+        raise DegenerateGeometryError("the images have no times")
     timed = timed[np.unique(views.timestamp_s[timed], return_index=True)[1]]
     return views.timestamp_s[timed], views.cams_from_world[timed].inverse()

@@ -88,12 +88,12 @@ def _trajectory(
     inside = np.flatnonzero(within)
     if len(inside) < LEAST_STRETCHES + 1:
         raise DegenerateGeometryError(
-            f"odometry: {len(inside)} pictures with a place fall within its times, {LEAST_STRETCHES + 1} are needed"
+            f"odometry: {len(inside)} images with a place fall within its times, {LEAST_STRETCHES + 1} are needed"
         )
     times, positions, levers = timestamp_s[inside], positions_in_model[inside], levers[inside]
     wheels = _along(log_s, travelled_m, positions_by_odometry, times)
     if not wheels[-1] > 0:
-        raise DegenerateGeometryError("odometry: it stood still while the pictures were taken")
+        raise DegenerateGeometryError("odometry: it stood still while the images were taken")
     cuts = _cuts(wheels, MOST_STRETCHES)
     if travelled_m is not None:
         rows = np.unique([*_cuts(wheels, MOST_STRETCHES * STEPS_IN_STRETCH), *cuts])
@@ -130,7 +130,7 @@ class _Trajectory(NamedTuple):
 def _along(
     log_s: np.ndarray, travelled_m: np.ndarray | None, positions: np.ndarray | None, times: np.ndarray
 ) -> np.ndarray:
-    """Measured distance from the first picture to each."""
+    """Measured distance from the first image to each."""
     if travelled_m is None:
         assert positions is not None
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)

@@ -1,4 +1,4 @@
-"""Maps of one picture: disparities and depths, each with its standard deviation."""
+"""Maps of one image: disparities and depths, each with its standard deviation."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class StereoReason(IntEnum):
 
     OK = 0
     OCCLUDED = 1
-    """The other picture's disparity differs: hidden there, or wrongly matched."""
+    """The other image's disparity differs: hidden there, or wrongly matched."""
     OUT_OF_VIEW = 2
-    """Its match would lie beyond the other picture."""
+    """Its match would lie beyond the other image."""
     AMBIGUOUS = 3
     """Another disparity fits nearly as well: repeated texture."""
     SPECKLE = 4
@@ -31,7 +31,7 @@ class StereoReason(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DisparityMap(Declared):
-    """Disparities of the left picture: x_right = x_left - disparity."""
+    """Disparities of the left image: x_right = x_left - disparity."""
 
     disparity_px: Float32[np.ndarray, "h w"]
     """NaN where unknown."""
@@ -52,7 +52,7 @@ class DisparityMap(Declared):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthMap(Declared):
-    """Depth of the left picture's pixels, in the unit of the baseline."""
+    """Depth of the left image's pixels, in the unit of the baseline."""
 
     depth: Float64[np.ndarray, "h w"]
     """z in the left camera; NaN where unknown."""

@@ -86,7 +86,7 @@ def frustum_size(centers_in_world: Float64[np.ndarray, "n 3"], least: float, mos
 def frustum_corners_in_cam(
     K: Float64[np.ndarray, "3 3"], width: int, height: int
 ) -> Float64[np.ndarray, "4 3"]:
-    """The picture's corners, clockwise from the top-left, at depth 1 and without distortion."""
+    """The image's corners, clockwise from the top-left, at depth 1 and without distortion."""
     widest = np.tan(WIDEST_HALF_ANGLE_RAD)
     x = np.clip((np.array([-0.5, width - 0.5]) - K[0, 2]) / K[0, 0], -widest, widest)
     y = np.clip((np.array([-0.5, height - 0.5]) - K[1, 2]) / K[1, 1], -widest, widest)

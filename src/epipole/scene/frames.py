@@ -1,4 +1,4 @@
-"""Rigs and frames: cameras that move together, and the instants at which they took pictures."""
+"""Rigs and frames: cameras that move together, and the instants at which they took images."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def covariances_of_points(model: Reconstruction, noise_px: float) -> Float64[np.
     """First-order covariances sigma^2 (sum over the track of J^T J)^-1 with the cameras taken as exact (HZ section 5.2).
 
     Args:
-        model: its tracks say which pictures see a point.
+        model: its tracks say which images see a point.
         noise_px: standard deviation of a pixel's coordinate.
 
     Returns:
@@ -42,6 +42,6 @@ def covariances_of_points(model: Reconstruction, noise_px: float) -> Float64[np.
         camera, pose = model.cameras[int(model.camera_of_image[image])], cams_from_world[image]
         _, jacobian, _ = camera.project_with_jacobian(pose.apply(model.points.xyz_in_world[seen]))
         rows = jacobian @ pose.rotation
-        # A picture may see a point by two keypoints.
+        # An image may see a point by two keypoints.
         np.add.at(information, seen, np.swapaxes(rows, 1, 2) @ rows)
     return covariances_of_information(information, noise_px)

@@ -59,14 +59,14 @@ class StereoRig:
 
     @checked
     def check_image_sizes(self, left: np.ndarray, right: np.ndarray) -> None:
-        """Compare the sizes of two pictures, (h, w) or (h, w, c), with those the cameras were calibrated for.
+        """Compare the sizes of two images, (h, w) or (h, w, c), with those the cameras were calibrated for.
 
         Raises:
             ShapeError: one differs.
         """
         for name, image, camera in (("left", left, self.left), ("right", right, self.right)):
             if image.ndim < 2:
-                raise ShapeError(f"{name} must be a picture, has shape {image.shape}")
+                raise ShapeError(f"{name} must be an image, has shape {image.shape}")
             height, width = image.shape[:2]
             if (width, height) != (camera.width, camera.height):
                 raise ShapeError(

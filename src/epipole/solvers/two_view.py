@@ -65,11 +65,11 @@ class SharedFocals:
 def solve_shared_focal_six_point(pixels1: Any, pixels2: Any) -> SharedFocals:
     """All fundamental matrices of six matches between two cameras of one focal length (Stewenius et al. 2005).
 
-    Assumption: square pixels, no distortion; focal lengths from a quarter of the pictures' extent to eight times that.
+    Assumption: square pixels, no distortion; focal lengths from a quarter of the images' extent to eight times that.
 
     Args:
         pixels1: counted from the principal point, (6, 2).
-        pixels2: the same in picture 2.
+        pixels2: the same in image 2.
 
     Returns:
         Between 0 and 8 solutions; none where optical axes meet, which leaves the focal length open.

@@ -1,4 +1,4 @@
-"""Ray casting: the nearest surface along every ray of a picture, its colour and its distance."""
+"""Ray casting: the nearest surface along every ray of an image, its colour and its distance."""
 
 import math
 
@@ -194,7 +194,7 @@ def _row(width):
 
 @kernel(allocates=True)
 def render_rows(scene, model, camera_params, motion, start, stop, width, rgb, depth):
-    """Rows start..stop of a picture: rgb (h, w, 3) in [0, 1], four samples a pixel; depth of the pixel's centre.
+    """Rows start..stop of an image: rgb (h, w, 3) in [0, 1], four samples a pixel; depth of the pixel's centre.
 
     Colours are added to what rgb holds, so that several exposures make a sum.
 

@@ -14,7 +14,7 @@ from epipole.synthetic.scene import Box, HeightField, Plane, Sphere, SyntheticSc
 
 
 def look_at(center: Any, target: Any, up: Any = (0.0, 0.0, 1.0)) -> Rigid3:
-    """cam_from_world of a camera at `center` that looks at `target` and holds `up` upwards in the picture.
+    """cam_from_world of a camera at `center` that looks at `target` and holds `up` upwards in the image.
 
     Raises:
         ShapeError: one is no vector (3,).

@@ -22,14 +22,14 @@ RING_RADIUS, BALL_RADIUS = 4.0, 1.0
 DISTORTION = (-0.05, 0.01, 1e-3, -1e-3)
 """The first coefficients of whichever model a bundle problem uses."""
 _MOST_ROUNDS = 1000
-"""Draws of points for two pictures; a few do where the pictures overlap."""
+"""Draws of points for two images; a few do where the images overlap."""
 START_TWIST, START_POINT, START_FOCAL = 0.01, 0.02, 0.01
 """Standard deviations of a bundle problem's start: twist of each camera, points, and focal length (relative)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwoViewProblem:
-    """Matches between two pictures; an outlier's second pixel lies anywhere in the picture."""
+    """Matches between two images; an outlier's second pixel lies anywhere in the image."""
 
     pixels1: Float64[np.ndarray, "n 2"]
     pixels2: Float64[np.ndarray, "n 2"]
@@ -46,7 +46,7 @@ class TwoViewProblem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AbsolutePoseProblem:
-    """Points and their pixels; an outlier's pixel lies anywhere in the picture."""
+    """Points and their pixels; an outlier's pixel lies anywhere in the image."""
 
     points_in_world: Float64[np.ndarray, "n 3"]
     pixels: Float64[np.ndarray, "n 2"]
@@ -74,17 +74,17 @@ def two_view_problem(
     focal_px: float = 800.0,
     size: tuple[int, int] = (1280, 960),
 ) -> TwoViewProblem:
-    """Matches between two pictures of one camera, with a baseline of 1 and depths of 4 to 9.
+    """Matches between two images of one camera, with a baseline of 1 and depths of 4 to 9.
 
     Args:
         num_matches: inliers and outliers together.
         outlier_ratio: share of wrong matches.
-        noise_px: standard deviation of every coordinate in both pictures.
+        noise_px: standard deviation of every coordinate in both images.
         seed: of everything random.
         kind: general; planar, all points on one slanted plane; rotation, no baseline; forward, the baseline along
             the first camera's axis.
         focal_px: of both cameras.
-        size: width and height of both pictures.
+        size: width and height of both images.
 
     Raises:
         ConfigError: a value makes no sense.
@@ -107,7 +107,7 @@ def dominant_plane_problem(
         num_matches: inliers and outliers together.
         plane_fraction: of the points.
         outlier_ratio: share of wrong matches.
-        noise_px: standard deviation of every coordinate in both pictures.
+        noise_px: standard deviation of every coordinate in both images.
         seed: of everything random.
 
     Raises:
@@ -148,9 +148,7 @@ def _two_views(
         pixels1 = np.concatenate([pixels1, seen1[inside]])[:num_matches]
         pixels2 = np.concatenate([pixels2, seen2[inside]])[:num_matches]
     if len(points) < num_matches:
-        raise ConfigError(
-            f"pictures of {camera.width} x {camera.height} pixels hardly show a point in common"
-        )
+        raise ConfigError(f"images of {camera.width} x {camera.height} pixels hardly show a point in common")
     pixels1 = pixels1 + noise_px * rng.standard_normal(pixels1.shape)
     pixels2, inlier_mask = _with_noise_and_outliers(rng, camera, pixels2, outlier_ratio, noise_px)
     return TwoViewProblem(pixels1, pixels2, inlier_mask, cam2_from_cam1, camera, camera, points, plane_mask)
@@ -176,7 +174,7 @@ def absolute_pose_problem(
         seed: of everything random.
         planar: all points on one slanted plane.
         focal_px: of the camera.
-        size: width and height of the picture.
+        size: width and height of the image.
 
     Raises:
         ConfigError: a value makes no sense.
@@ -265,7 +263,7 @@ def _points_in_view(
     plane_normal: np.ndarray | None,
     plane_fraction: float = 1.0,
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
-    """Points in camera coordinates, their exact pixels, spread evenly over the picture, and which are on the plane."""
+    """Points in camera coordinates, their exact pixels, spread evenly over the image, and which are on the plane."""
     pixels = _anywhere(rng, camera, count)
     rays = camera.unproject(pixels)
     rays = rays / rays[:, 2:]

@@ -1,4 +1,4 @@
-"""Pictures of a synthetic scene, with exact depth."""
+"""Images of a synthetic scene, with exact depth."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from epipole.synthetic.scene import SyntheticScene
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendering:
-    """A picture and its depth."""
+    """An image and its depth."""
 
     rgb: UInt8[np.ndarray, "h w 3"]
     depth: Float64[np.ndarray, "h w"]
@@ -40,7 +40,7 @@ def render(
         seed: of the noise.
 
     Raises:
-        ConfigError: noise or seed is negative, or the picture too large.
+        ConfigError: noise or seed is negative, or the image too large.
         ShapeError: the camera stands in many places.
     """
     if not 0 <= noise_sigma < np.inf or seed < 0:
@@ -60,7 +60,7 @@ def render(
 def render_exposures(
     scene: SyntheticScene, camera: Camera, cam_from_world: Rigid3, *, gain: float = 1.0
 ) -> Rendering:
-    """A picture taken while the camera moves: rows are read one after another, light is gathered over time.
+    """An image taken while the camera moves: rows are read one after another, light is gathered over time.
 
     Each row is drawn from the place that the camera has while that row is read, and the mean of several exposures is
     motion blur. The scene stands still meanwhile.
@@ -68,14 +68,14 @@ def render_exposures(
     Args:
         scene: what there is.
         camera: any model, distortion included.
-        cam_from_world: places, (exposures, rows); one row instead of the picture's height is a global shutter.
-        gain: brightness of the picture; what goes beyond white stays white.
+        cam_from_world: places, (exposures, rows); one row instead of the image's height is a global shutter.
+        gain: brightness of the image; what goes beyond white stays white.
 
     Returns:
-        The picture, and the depth of its middle exposure, for each row from where the camera was then.
+        The image, and the depth of its middle exposure, for each row from where the camera was then.
 
     Raises:
-        ConfigError: the gain is negative or not finite, or the picture too large.
+        ConfigError: the gain is negative or not finite, or the image too large.
         ShapeError: the places are not (exposures, rows), or there are none.
     """
     if not 0 <= gain < np.inf:
@@ -100,7 +100,7 @@ def _blank(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
 def _add_exposure(
     scene: SyntheticScene, camera: Camera, cam_from_world: Rigid3, rgb: np.ndarray, depth: np.ndarray
 ) -> None:
-    """Add a picture to rgb and write its depth; of one place, or of as many as there are rows."""
+    """Add an image to rgb and write its depth; of one place, or of as many as there are rows."""
     height, width = depth.shape
     rotation, translation = cam_from_world.rotation.reshape(-1, 9), cam_from_world.translation.reshape(-1, 3)
     motion = np.concatenate([rotation, translation], axis=1)

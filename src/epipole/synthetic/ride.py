@@ -1,4 +1,4 @@
-"""A camera carried through a synthetic scene: its pictures, one by one, with exact places and depth."""
+"""A camera carried through a synthetic scene: its images, one by one, with exact places and depth."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ MOST_EXPOSURES = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shutter:
-    """How a picture is taken. The row in the middle is exposed around the frame's time."""
+    """How an image is taken. The row in the middle is exposed around the frame's time."""
 
     readout_s: float = 0.0
     """From the first row to the one after the last; 0 is a global shutter."""
     exposure_s: float = 0.0
     """How long a row gathers light; 0 draws without motion blur."""
     num_exposures: int = 5
-    """Pictures of which motion blur is the mean."""
+    """Images of which motion blur is the mean."""
     noise_sigma: float = 2.0
     """Standard deviation of the sensor's noise, in grey levels."""
 
@@ -56,7 +56,7 @@ class Shutter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RideImage:
-    """A grey picture and its depth."""
+    """A grey image and its depth."""
 
     grey: UInt8[np.ndarray, "h w"]
     depth: Float32[np.ndarray, "h w"]
@@ -111,7 +111,7 @@ class Ride:
 
     @checked
     def left(self, frame: int) -> RideImage:
-        """The left picture of a frame.
+        """The left image of a frame.
 
         Raises:
             ConfigError: there is no such frame.
@@ -120,7 +120,7 @@ class Ride:
 
     @checked
     def right(self, frame: int) -> RideImage:
-        """The right picture of a frame.
+        """The right image of a frame.
 
         Raises:
             ConfigError: there is no such frame.

@@ -23,7 +23,7 @@ from epipole.synthetic.ride_scenes import (
 from epipole.synthetic.scene import Box, SyntheticScene, Texture
 
 FOCAL_FRACTION = 0.7
-"""Focal length over the picture's width: 71 degrees across."""
+"""Focal length over the image's width: 71 degrees across."""
 BASELINE_M, RATE_HZ, EYE_M = 0.12, 30.0, 1.35
 Size = tuple[int, int]
 _CORRIDOR_TRAJECTORY = (
@@ -56,10 +56,10 @@ def loop_room(num_frames: int = 400, size: Size = (640, 480)) -> Ride:
 
     Args:
         num_frames: a degree each.
-        size: width and height of the pictures.
+        size: width and height of the images.
 
     Raises:
-        ConfigError: no frame is asked for, or the picture is too small.
+        ConfigError: no frame is asked for, or the image is too small.
     """
 
     def path(times: np.ndarray) -> Rigid3:
@@ -77,10 +77,10 @@ def rotate_only(num_frames: int = 200, size: Size = (640, 480)) -> Ride:
 
     Args:
         num_frames: of the whole turn.
-        size: width and height of the pictures.
+        size: width and height of the images.
 
     Raises:
-        ConfigError: no frame is asked for, or the picture is too small.
+        ConfigError: no frame is asked for, or the image is too small.
     """
 
     def path(times: np.ndarray) -> Rigid3:
@@ -100,10 +100,10 @@ def tiled_room(num_frames: int = 400, size: Size = (640, 480)) -> Ride:
 
     Args:
         num_frames: a degree each.
-        size: width and height of the pictures.
+        size: width and height of the images.
 
     Raises:
-        ConfigError: no frame is asked for, or the picture is too small.
+        ConfigError: no frame is asked for, or the image is too small.
     """
 
     def path(times: np.ndarray) -> Rigid3:
@@ -124,10 +124,10 @@ def corridor(num_frames: int = 620, size: Size = (640, 480)) -> Ride:
 
     Args:
         num_frames: of the way, which is at its end after 620.
-        size: width and height of the pictures.
+        size: width and height of the images.
 
     Raises:
-        ConfigError: no frame is asked for, or the picture is too small.
+        ConfigError: no frame is asked for, or the image is too small.
     """
     frame, x, y, yaw_deg = np.array(_CORRIDOR_TRAJECTORY).T
     offset = PchipInterpolator(frame / RATE_HZ, np.stack([x, y, np.deg2rad(yaw_deg)], axis=1))
@@ -143,16 +143,16 @@ def corridor(num_frames: int = 620, size: Size = (640, 480)) -> Ride:
 
 @checked
 def walking_box(num_frames: int = 240, size: Size = (640, 480)) -> Ride:
-    """A box as large as a person crosses the picture of a camera that moves, rests and moves on in the furnished room.
+    """A box as large as a person crosses the image of a camera that moves, rests and moves on in the furnished room.
 
-    It is in sight from about frame 70 to 180, over up to a third of the picture; the camera rests from 90 to 150.
+    It is in sight from about frame 70 to 180, over up to a third of the image; the camera rests from 90 to 150.
 
     Args:
         num_frames: from the begin.
-        size: width and height of the pictures.
+        size: width and height of the images.
 
     Raises:
-        ConfigError: no frame is asked for, or the picture is too small.
+        ConfigError: no frame is asked for, or the image is too small.
     """
     offset = PchipInterpolator(np.array([0.0, 90.0, 150.0, 240.0]) / RATE_HZ, [-0.8, 0.1, 0.1, 0.9])
     room = furnished_room_things()
@@ -180,11 +180,11 @@ def shuttered(num_frames: int = 240, size: Size = (640, 480), readout_s: float =
 
     Args:
         num_frames: from the begin.
-        size: width and height of the pictures.
+        size: width and height of the images.
         readout_s: from the first row to the one after the last; 0 is the same path with a global shutter.
 
     Raises:
-        ConfigError: no frame is asked for, the picture is too small, or readout_s is negative.
+        ConfigError: no frame is asked for, the image is too small, or readout_s is negative.
     """
 
     def path(times: np.ndarray) -> Rigid3:

@@ -27,7 +27,7 @@ class StereoPair:
     left: UInt8[np.ndarray, "h w"]
     right: UInt8[np.ndarray, "h w"]
     disparity_px: Float64[np.ndarray, "h w"]
-    """Of the left picture; NaN for the sky."""
+    """Of the left image; NaN for the sky."""
     camera: Camera
     """Both cameras."""
     baseline: float
@@ -37,14 +37,14 @@ class StereoPair:
 def stereo_room(seed: int, size: tuple[int, int] = (480, 360)) -> StereoPair:
     """A wall, a rolling floor and a few things before them, seen by two cameras of some sharpness, contrast and noise.
 
-    As with real pairs, rows match to within a part of a pixel only, and half of the pictures went through JPEG.
+    As with real pairs, rows match to within a part of a pixel only, and half of the images went through JPEG.
 
     Args:
         seed: another room for another number.
         size: width and height.
 
     Raises:
-        ConfigError: the seed is negative, or the picture too large.
+        ConfigError: the seed is negative, or the image too large.
     """
     check_seed(seed)
     check_pixels(*size, MOST_RENDERED_PIXELS)
@@ -69,7 +69,7 @@ def stereo_street(
         baseline: in metres.
 
     Raises:
-        ConfigError: the seed is negative, or the picture too large.
+        ConfigError: the seed is negative, or the image too large.
     """
     check_seed(seed)
     check_pixels(*size, MOST_RENDERED_PIXELS)

@@ -29,13 +29,13 @@ def scene_page(scene: SpaceScene, most: int) -> ScenePage:
     data = space_data(scene, most, most)
     if scene.cameras is not None:
         inside = embedded_images(scene.cameras)
-        data.numbers["cameras"]["pictures"] = inside if any(inside) else None
+        data.numbers["cameras"]["images"] = inside if any(inside) else None
     words = _with_what_is_left_out(scene, data)
     return ScenePage(_html(scene, data, words, data.blocks), words)
 
 
 def served_page(scene: SpaceScene, live: dict[str, Any] | None = None) -> tuple[str, SpaceData]:
-    """A page of a server, which has the bytes at `data/NAME` and the cameras' pictures at `image/NUMBER`.
+    """A page of a server, which has the bytes at `data/NAME` and the cameras' images at `image/NUMBER`.
 
     Args:
         scene: what is shown.
@@ -44,7 +44,7 @@ def served_page(scene: SpaceScene, live: dict[str, Any] | None = None) -> tuple[
     data = space_data(scene)
     data.numbers["live"] = live
     if scene.cameras is not None and scene.cameras.load_image is not None:
-        data.numbers["cameras"]["pictures"] = [f"{IMAGE_ADDRESS}{k}" for k in range(len(scene.cameras.names))]
+        data.numbers["cameras"]["images"] = [f"{IMAGE_ADDRESS}{k}" for k in range(len(scene.cameras.names))]
     return _html(scene, data, scene.words, {}, served=True), data
 
 

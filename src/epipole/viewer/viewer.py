@@ -22,7 +22,7 @@ def view_scene(
     """Show a scene in the browser.
 
     Args:
-        scene: what is shown; its cameras' pictures are read when they are looked at.
+        scene: what is shown; its cameras' images are read when they are looked at.
         port: where to listen; None: 8080, or the next free port if that is in use.
         host: the address to listen on; "0.0.0.0" lets other machines in.
         block: return only when the user interrupts with Ctrl-C, and stop the viewer then.

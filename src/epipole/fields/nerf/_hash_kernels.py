@@ -180,7 +180,7 @@ def join(said, kept, kept_counts, basis, out):
 
 @kernel
 def compose(colours, light, positions, kept, kept_counts, image):
-    """Add the samples' colours (m, 3), each before a logistic function, which they pass here, and distances to the rays' picture (rays, 4)."""
+    """Add the samples' colours (m, 3), each before a logistic function, which they pass here, and distances to the rays' image (rays, 4)."""
     at, one = 0, np.float32(1.0)
     for n in range(len(kept_counts)):
         for i in range(at, at + kept_counts[n]):
@@ -194,7 +194,7 @@ def compose(colours, light, positions, kept, kept_counts, image):
 
 @kernel
 def compose_back(colours, light, kept_counts, behind, by_image, by_colours, by_raw):
-    """Derivatives by what the network says of colours (m, 3) and densities (m,) from those by the picture (rays, 3).
+    """Derivatives by what the network says of colours (m, 3) and densities (m,) from those by the image (rays, 3).
 
     colours (m, 3) have passed the logistic function; behind (rays,) is dL/dC . background times what is seen of it.
     """

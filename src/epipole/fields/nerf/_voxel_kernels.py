@@ -100,7 +100,7 @@ def _march(voxels, flat, origin, direction, first, work):
 
 @kernel
 def render_pixels(rays, view, width, voxels, background, start, stop, image, depth, work):
-    """Pixels start..stop of a view, flat, into picture (h w, 3) and depth (h w,) along the ray, in voxels, times coverage."""
+    """Pixels start..stop of a view, flat, into image (h w, 3) and depth (h w,) along the ray, in voxels, times coverage."""
     flat = voxels.values.reshape(-1)
     samples = 0
     for at in range(start, stop):
@@ -128,7 +128,7 @@ def render_pixels(rays, view, width, voxels, background, start, stop, image, dep
 def learn_rays(rays, chosen, first, voxels, background, scale, start, stop, records, cells, work):
     """Samples of the rays start..stop with their derivatives, into records (capacity, RECORD) and cells (capacity,).
 
-    chosen (n,) are pixels of all pictures, first (n,) where in a step each begins; scale times the squared error is the loss. Returns
+    chosen (n,) are pixels of all images, first (n,) where in a step each begins; scale times the squared error is the loss. Returns
     the number of records, the sum of squared errors, and the number of samples.
     """
     flat = voxels.values.reshape(-1)

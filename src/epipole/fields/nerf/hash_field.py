@@ -31,7 +31,7 @@ FEATURES, SAID, BASIS = 4, 16, 16
 MOST_CELLS = 1 << 27
 """Of an explicit grid that is made."""
 TOGETHER, WAVE = 1024, 16
-"""Rays of a picture in one piece of work, and samples of each before what is hidden is left out."""
+"""Rays of an image in one piece of work, and samples of each before what is hidden is left out."""
 DELTA = np.float32(kernels.STEP)
 """Length of a step, in which densities are told: cells."""
 LEAST_SIGMA = 1e-8
@@ -169,7 +169,7 @@ def seen(field: HashField, samples: Samples, left: np.ndarray) -> Seen:
 def render_hash(
     field: HashField, camera: Camera, cam_from_world: Rigid3, background: Float32[np.ndarray, " 3"]
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """(h, w, 3) the picture, (h, w) the depth along rays times coverage in the world's unit, and the samples at which the network was asked.
+    """(h, w, 3) the image, (h, w) the depth along rays times coverage in the world's unit, and the samples at which the network was asked.
 
     Raises:
         ShapeError: the arrays of the field do not fit each other, or the pose is not a single motion.

@@ -1,4 +1,4 @@
-"""A neural radiance field learnt from pictures, its network's and tables' derivatives by hand, and where nothing is it is no longer asked."""
+"""A neural radiance field learnt from images, its network's and tables' derivatives by hand, and where nothing is it is no longer asked."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class HashTrainer:
 
     @checked
     def step(self, progress: float) -> float:
-        """A batch of rays of all pictures; returns the mean squared error.
+        """A batch of rays of all images; returns the mean squared error.
 
         Args:
             progress: share of the training that is done, from 0 to 1.
@@ -182,7 +182,7 @@ class HashTrainer:
         set_state(self._rng, state["rng"])
 
     def _marched(self, chosen: np.ndarray, first: np.ndarray, count: int) -> Marched:
-        """Pixels (n,) of all pictures, of `count` in this step, whose rays begin with the offsets first (n,), less 1."""
+        """Pixels (n,) of all images, of `count` in this step, whose rays begin with the offsets first (n,), less 1."""
         field, rays = self.field, self.rays
         view = np.searchsorted(rays.offset, chosen, side="right") - 1
         samples = sampled(field, rays, chosen - rays.offset[view], view, first, LONGEST, 4 * SAMPLES)
@@ -280,10 +280,10 @@ class HashTrainer:
 
     @checked
     def render(self, view: TrainingView) -> np.ndarray:
-        """(h, w, 3) the picture of a view."""
+        """(h, w, 3) the image of a view."""
         return self.render_counted(view)[0]
 
     def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
-        """(h, w, 3) the picture of a view, and how often the field was asked for it."""
+        """(h, w, 3) the image of a view, and how often the field was asked for it."""
         image, _, count = render_hash(self.field, view.camera, view.cam_from_world, self.background)
         return image, count

@@ -134,7 +134,7 @@ def unit_of(voxels: Voxels) -> float:
 def render_voxels(
     voxels: Voxels, camera: Camera, cam_from_world: Rigid3, background: Float32[np.ndarray, " 3"]
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """(h, w, 3) the picture, (h, w) the depth along rays times coverage in the world's unit, and the samples that were looked up.
+    """(h, w, 3) the image, (h, w) the depth along rays times coverage in the world's unit, and the samples that were looked up.
 
     Raises:
         ShapeError: the arrays of the grid do not fit each other, or the pose is not a single motion.

@@ -1,4 +1,4 @@
-"""An explicit grid learnt from pictures, coarse to fine: what is empty at one size is left out at the next."""
+"""An explicit grid learnt from images, coarse to fine: what is empty at one size is left out at the next."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class VoxelTrainer:
 
     @checked
     def step(self, progress: float) -> float:
-        """A batch of rays of all pictures; returns the mean squared error.
+        """A batch of rays of all images; returns the mean squared error.
 
         Args:
             progress: share of the training that is done, from 0 to 1.
@@ -218,7 +218,7 @@ class VoxelTrainer:
     _rows_at: np.ndarray | None = None
 
     def _can_refine(self) -> bool:
-        """Whether a finer grid comes, which is so while voxels are larger than the pictures' pixels."""
+        """Whether a finer grid comes, which is so while voxels are larger than the images' pixels."""
         return self._level + 1 < len(SIZES) and self.field.size > self._pixel
 
     def _half_progress(self) -> float:
@@ -250,11 +250,11 @@ class VoxelTrainer:
 
     @checked
     def render(self, view: TrainingView) -> np.ndarray:
-        """(h, w, 3) the picture of a view."""
+        """(h, w, 3) the image of a view."""
         return self.render_counted(view)[0]
 
     def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
-        """(h, w, 3) the picture of a view, and how often the field was asked for it."""
+        """(h, w, 3) the image of a view, and how often the field was asked for it."""
         image, _, count = render_voxels(self.field, view.camera, view.cam_from_world, self.background)
         return image, count
 

@@ -1,4 +1,4 @@
-"""Tiles of a picture: their ellipses are blended front to back, and derivatives go the same way once more.
+"""Tiles of an image: their ellipses are blended front to back, and derivatives go the same way once more.
 
 With alpha_i, colour c_i and transmittance T_i = prod_{j<i} (1 - alpha_j) a pixel is sum_i alpha_i T_i c_i. Its derivatives, with v_i = c_i . dL/dC,
     dL/dalpha_i = T_i v_i - (sum_{j>i} alpha_j T_j v_j) / (1 - alpha_i),
@@ -106,7 +106,7 @@ def position_in_tile(row, column):
 
 @kernel
 def blend_tiles(tiles, start, end, colour, depth, coverage, evaluated, state):
-    """Blend the tiles begin..end into pictures (h, w, 3), (h, w) and (h, w); state (5 * 256,) is scratch."""
+    """Blend the tiles begin..end into images (h, w, 3), (h, w) and (h, w); state (5 * 256,) is scratch."""
     height, width = coverage.shape
     for tile in range(start, end):
         top, left = TILE * (tile // tiles.num_across), TILE * (tile % tiles.num_across)
@@ -164,7 +164,7 @@ def blend_tile_backward(ellipses, pairs_of_tile, first, last, left, top, rows, s
 
 @kernel
 def blend_tiles_backward(tiles, start, end, wanted, by_pair, state, sums):
-    """Derivatives of the tiles begin..end; `wanted` holds the picture and dL/d of it, state (7 * 256,) and sums are scratch."""
+    """Derivatives of the tiles begin..end; `wanted` holds the image and dL/d of it, state (7 * 256,) and sums are scratch."""
     height, width = wanted.coverage.shape
     for tile in range(start, end):
         top, left = TILE * (tile // tiles.num_across), TILE * (tile % tiles.num_across)
@@ -204,7 +204,7 @@ def blend_tiles_backward(tiles, start, end, wanted, by_pair, state, sums):
 
 @kernel
 def put_over(colour, coverage, background, start, stop, out):
-    """Rows start..stop of a picture (h, w, 3) before a background of one colour."""
+    """Rows start..stop of an image (h, w, 3) before a background of one colour."""
     for row in range(start, stop):
         for column in range(coverage.shape[1]):
             behind = np.float32(1.0) - coverage[row, column]

@@ -1,4 +1,4 @@
-"""Gaussians as ellipses of a picture, and the way back of gradients.
+"""Gaussians as ellipses of an image, and the way back of gradients.
 
 A Gaussian of mean m and covariance C = (R S)(R S)^T is seen, to first order about its middle (Zwicker, Pfister, van Baar and
 Gross, EWA volume splatting, 2001), as an ellipse with

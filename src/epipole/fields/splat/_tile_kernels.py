@@ -1,4 +1,4 @@
-"""Which ellipses touch which tiles of a picture, each tile's in the order of their depth."""
+"""Which ellipses touch which tiles of an image, each tile's in the order of their depth."""
 
 import math
 

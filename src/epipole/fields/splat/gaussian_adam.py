@@ -1,4 +1,4 @@
-"""Adam for Gaussians, each moved where its derivatives are gathered (Kingma and Ba, ICLR 2015): those that a picture has seen."""
+"""Adam for Gaussians, each moved where its derivatives are gathered (Kingma and Ba, ICLR 2015): those that an image has seen."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class GaussianAdam:
         Args:
             cloud: what was drawn; is changed.
             view: how.
-            tiles: of the picture.
+            tiles: of the image.
             by_pair: of `sums_of_pairs`.
             rates: the size of a step.
             count: this step's number, from 1.

@@ -1,4 +1,4 @@
-"""Where Gaussians are needed: those whose pictures pull hardest at them are split, those that nobody sees go."""
+"""Where Gaussians are needed: those whose images pull hardest at them are split, those that nobody sees go."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from epipole.fields.splat.rasterizer import Cloud
 from epipole.geometry import Rotation3
 
 LEAST_OPACITY = 0.005
-"""A Gaussian that is fainter shows in no picture."""
+"""A Gaussian that is fainter shows in no image."""
 APART, NARROWER, THINNER, FAINTER = 0.5, 0.5, 0.85, 0.6
 """Of the two parts of a Gaussian: their distance from its middle in its longest deviation, and what becomes of that deviation, of the
 others and of the opacity."""
@@ -26,7 +26,7 @@ class Growth:
         self.grad2d, self.views = np.zeros(count, np.float32), np.zeros(count, np.float32)
 
     def add(self, grad2d: np.ndarray, seen: np.ndarray, width: int) -> None:
-        """Count a view: pulls are told in shares of the picture's width, so that sizes can be mixed."""
+        """Count a view: pulls are told in shares of the image's width, so that sizes can be mixed."""
         self.grad2d[seen] += np.float32(0.5 * width) * grad2d
         self.views[seen] += 1.0
 

@@ -1,4 +1,4 @@
-"""Gaussians to pictures: projected, sorted by depth, given to tiles, and blended front to back."""
+"""Gaussians to images: projected, sorted by depth, given to tiles, and blended front to back."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from epipole.geometry import Rigid3
 from epipole.scene.gaussian_cloud import GaussianCloud
 
 LEAST_TOGETHER, MOST_PIECES, TILES_TOGETHER, ROWS_TOGETHER = 1024, 64, 16, 64
-"""Gaussians in one piece of work, unless there would be more pieces than that; tiles, and rows of a picture, in one."""
+"""Gaussians in one piece of work, unless there would be more pieces than that; tiles, and rows of an image, in one."""
 
 
 MOST_BLUR_PX = 1e6
@@ -83,7 +83,7 @@ class View(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendering(Declared):
-    """A picture of Gaussians, before any background."""
+    """An image of Gaussians, before any background."""
 
     colour: Float32[np.ndarray, "h w 3"]
     """Times coverage."""
@@ -96,7 +96,7 @@ class Rendering(Declared):
 
     @checked
     def over(self, background: Float32[np.ndarray, " 3"]) -> Float32[np.ndarray, "h w 3"]:
-        """The picture before a background of one colour."""
+        """The image before a background of one colour."""
         out, height = np.empty_like(self.colour), len(self.coverage)
         _parallel.map_chunks(
             lambda a, b, _: blend_kernels.put_over(self.colour, self.coverage, background, a, b, out),
@@ -136,7 +136,7 @@ def view_of(camera: Camera, cam_from_world: Rigid3, options: RenderOptions) -> V
     """
     check_pixels(camera.width, camera.height, MOST_RENDERED_PIXELS)
     if camera.model not in (CameraModel.PINHOLE, CameraModel.SIMPLE_PINHOLE):
-        raise ConfigError("Gaussians are drawn by a PINHOLE camera: undistort the pictures")
+        raise ConfigError("Gaussians are drawn by a PINHOLE camera: undistort the images")
     if cam_from_world.batch_shape() != ():
         raise ShapeError(
             f"cam_from_world must be a single motion, got a batch of {cam_from_world.batch_shape()}"
@@ -162,7 +162,7 @@ def view_of(camera: Camera, cam_from_world: Rigid3, options: RenderOptions) -> V
 def render(
     cloud: GaussianCloud, camera: Camera, cam_from_world: Rigid3, options: RenderOptions | None = None
 ) -> Rendering:
-    """The picture of Gaussians (Kerbl et al. 2023), equal for any number of threads.
+    """The image of Gaussians (Kerbl et al. 2023), equal for any number of threads.
 
     Args:
         cloud: the Gaussians.
@@ -272,7 +272,7 @@ def useful_pairs(rendering: Rendering) -> int:
 
 
 class Wanted(NamedTuple):
-    """A picture, and derivatives of a loss by it, as kernels read them."""
+    """An image, and derivatives of a loss by it, as kernels read them."""
 
     colour: np.ndarray
     depth: np.ndarray
@@ -323,7 +323,7 @@ def sums_of_pairs(
     """What each pair of an ellipse and a tile adds to its Gaussian's derivatives: (pairs, SUMS).
 
     Args:
-        rendering: the picture.
+        rendering: the image.
         by_colour: (h, w, 3) dL/d of `rendering.colour`.
         by_depth: (h, w) of its depth; None for none.
         by_coverage: (h, w) of its coverage; None for none.
@@ -361,7 +361,7 @@ def gradient_of(
     Args:
         cloud: what was drawn.
         view: how.
-        tiles: of the picture.
+        tiles: of the image.
         by_pair: of `sums_of_pairs`.
     """
     n, num_sh = len(cloud.means), cloud.sh.shape[1]

@@ -94,7 +94,7 @@ def points_in_frusta(
         points.append(view.cam_from_world.inverse().apply(rays / rays[:, 2:] * depth[:, None]))
         colours.append(view.image[row, column, :3])
     if not any(len(part) for part in points):
-        raise DegenerateGeometryError("the pictures are transparent, or masked, everywhere")
+        raise DegenerateGeometryError("the images are transparent, or masked, everywhere")
     return np.concatenate(points)[:count], np.concatenate(colours)[:count]
 
 
@@ -102,7 +102,7 @@ def points_in_frusta(
 def points_in_silhouettes(
     views: Sequence[TrainingView], count: int, seed: int = 0
 ) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
-    """Points drawn in the ball that all cameras look into, that no picture with transparency shows to be empty; and their colours.
+    """Points drawn in the ball that all cameras look into, that no image with transparency shows to be empty; and their colours.
 
     Args:
         views: cameras that look at one place.
@@ -143,7 +143,7 @@ def points_in_silhouettes(
 
 @checked
 def fraction_in_view(views: Sequence[TrainingView], points_in_world: Float64[np.ndarray, "n 3"]) -> float:
-    """The share of points that a picture shows, if nothing hides another: the median of all views.
+    """The share of points that an image shows, if nothing hides another: the median of all views.
 
     Raises:
         ConfigError: there is no view.
@@ -161,7 +161,7 @@ def fraction_in_view(views: Sequence[TrainingView], points_in_world: Float64[np.
 
 
 class Silhouette(NamedTuple):
-    """A picture with transparency."""
+    """An image with transparency."""
 
     view: TrainingView
     away: np.ndarray
@@ -170,7 +170,7 @@ class Silhouette(NamedTuple):
 
 @checked
 def silhouettes_of(views: Sequence[TrainingView]) -> list[Silhouette]:
-    """Those of all pictures that have transparency."""
+    """Those of all images that have transparency."""
     found = []
     for view in views:
         if view.image.shape[2] == 4:
@@ -184,7 +184,7 @@ def silhouettes_of(views: Sequence[TrainingView]) -> list[Silhouette]:
 def may_be_full(
     silhouettes: Sequence[Silhouette], centers_in_world: Float64[np.ndarray, "n 3"], radius: float
 ) -> Bool[np.ndarray, " n"]:
-    """Which balls (n, 3) touch every silhouette of the pictures that see their middles.
+    """Which balls (n, 3) touch every silhouette of the images that see their middles.
 
     Raises:
         ShapeError: a silhouette is not of its view's size.
@@ -224,7 +224,7 @@ def _across(axes: np.ndarray) -> np.ndarray:
 
 @checked
 def common_ball(views: Sequence[TrainingView]) -> tuple[np.ndarray, float]:
-    """The point nearest to all optical axes, and how far the pictures reach around it.
+    """The point nearest to all optical axes, and how far the images reach around it.
 
     Raises:
         DegenerateGeometryError: most cameras look away from it.
@@ -262,7 +262,7 @@ def first_cells(views: Sequence[TrainingView], side: int) -> tuple[np.ndarray, f
     silhouettes = silhouettes_of(views)
     full = _full(silhouettes, low, size, (side, side, side))
     if not full.any():
-        raise DegenerateGeometryError("the silhouettes of the pictures have no place in common")
+        raise DegenerateGeometryError("the silhouettes of the images have no place in common")
     positions = np.argwhere(full)
     first, last = positions.min(axis=0), positions.max(axis=0) + 1
     low, finer = low + size * first, size * (last - first).max() / side

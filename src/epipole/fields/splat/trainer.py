@@ -1,4 +1,4 @@
-"""Gaussians learnt from pictures, step by step (Kerbl et al. 2023), in a schedule of sizes and counts (Chen et al., DashGaussian, 2025)."""
+"""Gaussians learnt from images, step by step (Kerbl et al. 2023), in a schedule of sizes and counts (Chen et al., DashGaussian, 2025)."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from epipole.fields.training_view import TrainingView
 from epipole.scene.gaussian_cloud import DC, NUM_SH, GaussianCloud
 
 SIZES = ((0.10, 4), (0.35, 2), (1.0, 1))
-"""Pictures are so many times smaller until that share of the training."""
+"""Images are so many times smaller until that share of the training."""
 DEGREES = ((0.10, 0), (0.25, 1), (0.45, 2), (1.0, 3))
 """Degree of the harmonics until that share."""
 GROWN, CHANGES = 0.6, 40
@@ -51,7 +51,7 @@ DROPPED_BY, MOST_DROPPED, LEAST_DROPPED = 0.5, 0.2, 0.05
 """Gaussians that are left out of a step are two views' worth, within these shares (0 below the least), reached at that progress."""
 USUAL_MOST = 50_000
 LEAST_SIDE_PX = 24
-"""Of the smallest pictures."""
+"""Of the smallest images."""
 
 
 class SplatTrainer:
@@ -75,7 +75,7 @@ class SplatTrainer:
         """Begin.
 
         Args:
-            views: pictures and cameras.
+            views: images and cameras.
             start: the first Gaussians; more than `max_gaussians` (None: 50,000) are thinned out.
             config: options.
             background: (3,) colour behind everything.
@@ -85,7 +85,7 @@ class SplatTrainer:
             ShapeError: there is no Gaussian, or the background is not finite.
         """
         if not views:
-            raise ConfigError("there is no picture to train on")
+            raise ConfigError("there is no image to train on")
         if not np.isfinite(background).all():
             raise ShapeError("background must be finite")
         if not len(start):
@@ -207,18 +207,18 @@ class SplatTrainer:
 
     @checked
     def render(self, view: TrainingView) -> np.ndarray:
-        """(h, w, 3) the picture of a view."""
+        """(h, w, 3) the image of a view."""
         return self.render_counted(view)[0]
 
     def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
-        """(h, w, 3) the picture of a view, and the pairs of Gaussian and pixel that were evaluated for it."""
+        """(h, w, 3) the image of a view, and the pairs of Gaussian and pixel that were evaluated for it."""
         seen = view_of(view.camera, view.cam_from_world, self.options)
         rendered = blend(tiles_of(self._arrays, seen), seen)
         return rendered.over(self.background), rendered.tiles.num_evaluated
 
     @checked
     def step(self, progress: float) -> float:
-        """One picture: draw it, compare, and move what was seen; returns the loss.
+        """One image: draw it, compare, and move what was seen; returns the loss.
 
         Args:
             progress: share of the training that is done, from 0 to 1; sizes, counts and rates follow it.
@@ -239,7 +239,7 @@ class SplatTrainer:
         return self.loss
 
     def _learn(self, number: int, factor: int, progress: float) -> float:
-        """Move what a view sees, in pictures `factor` times smaller; returns the loss."""
+        """Move what a view sees, in images `factor` times smaller; returns the loss."""
         of = self._view(number, factor)
         view = view_of(of.camera, of.cam_from_world, self.options)
         rendered = blend(tiles_of(self._arrays, view, self._shown(progress)), view)
@@ -283,7 +283,7 @@ class SplatTrainer:
         return self._order.pop()
 
     def _factor(self, number: int, progress: float) -> int:
-        """How many times smaller pictures are by the schedule."""
+        """How many times smaller images are by the schedule."""
         factor, camera = _until(SIZES, progress), self.views[number].camera
         while factor > 1 and min(camera.width, camera.height) // factor < LEAST_SIDE_PX:
             factor //= 2
@@ -334,7 +334,7 @@ class SplatTrainer:
         return Rates(position, *(fallen * rate for rate in RATES))
 
     def _change(self, progress: float) -> None:
-        """Split where pictures pull, up to the count of the schedule, and drop what is not seen."""
+        """Split where images pull, up to the count of the schedule, and drop what is not seen."""
         fraction = min(1.0, progress / GROWN)
         wanted = self._num_first + (self._most - self._num_first) * fraction
         rows, stays = self._growth.changes(self._arrays, int(wanted))

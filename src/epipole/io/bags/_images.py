@@ -1,4 +1,4 @@
-"""Pictures, depth and cameras in ROS' messages (sensor_msgs: Image, CompressedImage, CameraInfo)."""
+"""Images, depth and cameras in ROS' messages (sensor_msgs: Image, CompressedImage, CameraInfo)."""
 
 from __future__ import annotations
 
@@ -44,18 +44,18 @@ _DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 
 
 def encoding_of(message: Any) -> str:
-    """How a picture is written: `bgr8`, `16UC1`, or the format of a compressed one; empty for a message that is no picture."""
+    """How an image is written: `bgr8`, `16UC1`, or the format of a compressed one; empty for a message that is no image."""
     return str(getattr(message, "encoding", getattr(message, "format", "")))
 
 
 def _require_image(path: Path, topic: str, message: Any) -> None:
     """Refuse messages of another type, which a damaged list of connections puts into a topic."""
     if not (hasattr(message, "data") and (hasattr(message, "encoding") or hasattr(message, "format"))):
-        raise FileFormatError(path, f"{topic}: a message is no picture")
+        raise FileFormatError(path, f"{topic}: a message is no image")
 
 
 def is_depth(topic: str, encoding: str) -> bool:
-    """Whether pictures of this encoding hold depth; 16 bits alone may be grey."""
+    """Whether images of this encoding hold depth; 16 bits alone may be grey."""
     if "compresseddepth" in encoding.lower() or "32FC1" in encoding:
         return True
     return encoding.split(";")[0].strip() in _DEPTHS and ("16UC1" in encoding or "depth" in topic.lower())
@@ -67,7 +67,7 @@ def values_per_metre(encoding: str) -> float:
 
 
 def grey_of(path: Path, topic: str, message: Any, scale: GreyScale | None = None) -> UInt8[np.ndarray, "h w"]:
-    """The picture of a message in grey of 8 bits.
+    """The image of a message in grey of 8 bits.
 
     Args:
         path: of the recording, for errors.
@@ -84,7 +84,7 @@ def grey_of(path: Path, topic: str, message: Any, scale: GreyScale | None = None
     encoding = str(message.encoding)
     is_deep, plain = _as_8_bits(encoding)
     if plain not in _TO_GREY:
-        raise FileFormatError(path, f"{topic}: pictures of the encoding {encoding[:60]!r} are not read")
+        raise FileFormatError(path, f"{topic}: images of the encoding {encoding[:60]!r} are not read")
     channels, conversion = _TO_GREY[plain]
     pixels = _values(path, topic, message, channels, "u2" if is_deep else "u1")
     if is_deep:
@@ -93,7 +93,7 @@ def grey_of(path: Path, topic: str, message: Any, scale: GreyScale | None = None
 
 
 def grey_scale(path: Path, topic: str, messages: Sequence[Any]) -> GreyScale | None:
-    """How the pictures of a topic become 8 bits, from some of them; None where they have 8 bits.
+    """How the images of a topic become 8 bits, from some of them; None where they have 8 bits.
 
     Raises:
         FileFormatError: as of `grey_of`.
@@ -129,7 +129,7 @@ def _decompressed(path: Path, topic: str, message: Any, scale: GreyScale | None)
     if not plain.startswith("bayer_"):
         return grey
     if plain not in _TO_GREY:
-        raise FileFormatError(path, f"{topic}: pictures of the encoding {plain[:60]!r} are not read")
+        raise FileFormatError(path, f"{topic}: images of the encoding {plain[:60]!r} are not read")
     return _converted(path, topic, grey[:, :, None], _TO_GREY[plain][1])
 
 
@@ -142,7 +142,7 @@ def _converted(
         flat = np.ascontiguousarray(pixels if pixels.shape[2] > 1 else pixels[:, :, 0])
         return np.asarray(cv2.cvtColor(flat, conversion), np.uint8)
     except cv2.error as error:  # Bayer and YUV need sides of two pixels and more
-        raise FileFormatError(path, f"{topic}: the picture cannot be made grey ({error.err})") from error
+        raise FileFormatError(path, f"{topic}: the image cannot be made grey ({error.err})") from error
 
 
 def depth_of(path: Path, topic: str, message: Any) -> Float32[np.ndarray, "h w"]:
@@ -161,7 +161,7 @@ def depth_of(path: Path, topic: str, message: Any) -> Float32[np.ndarray, "h w"]
         if kind == "u2":
             metres = np.where(metres == 65535, 0.0, metres / np.float32(_MM))
     else:
-        raise FileFormatError(path, f"{topic}: pictures of the encoding {encoding[:60]!r} hold no depth")
+        raise FileFormatError(path, f"{topic}: images of the encoding {encoding[:60]!r} hold no depth")
     is_known = np.isfinite(metres) & (metres > 0)
     return np.where(is_known, metres, 0.0).astype(np.float32)
 
@@ -172,7 +172,7 @@ def camera_of(path: Path, message: Any, *, is_rectified: bool) -> Camera | None:
     Args:
         path: of the recording, for errors.
         message: the CameraInfo.
-        is_rectified: of the rectified pictures, whose camera matrix is the left part of P.
+        is_rectified: of the rectified images, whose camera matrix is the left part of P.
 
     Raises:
         FileFormatError: the numbers make no camera, or the distortion is not known.
@@ -223,7 +223,7 @@ def _values(path: Path, topic: str, message: Any, channels: int, kind: str) -> n
     data = np.asarray(message.data, np.uint8)
     if min(height, width) < 1 or height * width > _MOST_PX or step < row or len(data) < step * height:
         raise FileFormatError(
-            path, f"{topic}: {len(data)} bytes in rows of {step} are no picture of {width} x {height} pixels"
+            path, f"{topic}: {len(data)} bytes in rows of {step} are no image of {width} x {height} pixels"
         )
     rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :row])
     return rows.view(kind).reshape(height, width, channels).astype(kind[1:], copy=False)
@@ -234,7 +234,7 @@ def _compressed_depth(path: Path, topic: str, data: bytes, encoding: str) -> np.
     if "compresseddepth" not in encoding.lower():
         return np.asarray(png16_in(path, data, _MM))
     if len(data) < _DEPTH_HEADER.size:
-        raise FileFormatError(path, f"{topic}: a depth picture of {len(data)} bytes is cut off")
+        raise FileFormatError(path, f"{topic}: a depth image of {len(data)} bytes is cut off")
     _, a, b = _DEPTH_HEADER.unpack_from(data)
     data = data[_DEPTH_HEADER.size :]
     if "32FC1" not in encoding:

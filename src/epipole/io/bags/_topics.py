@@ -1,4 +1,4 @@
-"""Which topics of a recording are followed: one camera, a pair of them, or pictures and depth."""
+"""Which topics of a recording are followed: one camera, a pair of them, or images and depth."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _OF_ONE_CAMERA = (
     "image_color",
     "image",
 )
-"""Pictures of one camera under one name space, the best first: rectified ones have no distortion any more."""
+"""Images of one camera under one name space, the best first: rectified ones have no distortion any more."""
 _LONGEST_LIST = 4000
 """Letters of topics in an error."""
 
@@ -31,7 +31,7 @@ class BagTopic:
     """A topic of a recording."""
 
     name: str
-    kind: Literal["picture", "depth", "camera", "imu", "other"]
+    kind: Literal["image", "depth", "camera", "imu", "other"]
     message: str
     """As `sensor_msgs/msg/Image`."""
     num_messages: int
@@ -48,14 +48,14 @@ def base_name(topic: str) -> str:
 
 
 def is_rectified(topic: str) -> bool:
-    """Whether a topic's name says that its pictures are rectified."""
+    """Whether a topic's name says that its images are rectified."""
     return "rect" in base_name(topic).rpartition("/")[2]
 
 
 def choose_topics(
     path: Path, topics: Sequence[BagTopic], sensor: str, requested: Sequence[str]
 ) -> tuple[BagSensor, tuple[str, ...]]:
-    """What is followed, and the topics of it: pictures; left, right; or pictures, depth.
+    """What is followed, and the topics of it: images; left, right; or images, depth.
 
     Args:
         path: of the recording, for errors.
@@ -68,7 +68,7 @@ def choose_topics(
     """
     if requested:
         return _as_requested(path, topics, sensor, requested)
-    images = _best([t.name for t in topics if t.kind == "picture"])
+    images = _best([t.name for t in topics if t.kind == "image"])
     depths = _best([t.name for t in topics if t.kind == "depth"])
     registered = [name for name in depths if "aligned" in name or "registered" in name]
     depths = registered or depths
@@ -88,11 +88,9 @@ def _as_requested(
 ) -> tuple[BagSensor, tuple[str, ...]]:
     kinds = {t.name: t.kind for t in topics}
     names = tuple(name if name in kinds else f"/{name}" for name in requested)
-    wrong = [
-        name for k, name in enumerate(names) if kinds.get(name) not in ("picture", *["depth"] * (k == 1))
-    ]
+    wrong = [name for k, name in enumerate(names) if kinds.get(name) not in ("image", *["depth"] * (k == 1))]
     if wrong or len(names) > 2 or len(set(names)) < len(names):
-        what = f"{', '.join(wrong)} holds no pictures" if wrong else "topics are one name, or two"
+        what = f"{', '.join(wrong)} holds no images" if wrong else "topics are one name, or two"
         raise ConfigError(
             f"{path}: {what}; give PICTURES, LEFT,RIGHT or PICTURES,DEPTH of {listed_topics(topics)}"
         )
@@ -119,7 +117,7 @@ def _only(
 
 def listed_topics(topics: Sequence[BagTopic]) -> str:
     """Of a recording, those with images first."""
-    ordered = sorted(topics, key=lambda t: (t.kind not in ("picture", "depth"), t.name))
+    ordered = sorted(topics, key=lambda t: (t.kind not in ("image", "depth"), t.name))
     return _shortened("; ".join(map(str, ordered)))
 
 
@@ -129,7 +127,7 @@ def _shortened(text: str) -> str:
 
 
 def _best(names: Sequence[str]) -> list[str]:
-    """Of the same pictures under several names the best: not compressed, rectified."""
+    """Of the same images under several names the best: not compressed, rectified."""
     found: dict[str, tuple[tuple[int, bool], str]] = {}
     for name in names:
         space, _, last = base_name(name).rpartition("/")

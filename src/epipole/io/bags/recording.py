@@ -1,4 +1,4 @@
-"""Recordings of ROS as frames: one camera, a pair, or pictures with depth; and what an IMU measured.
+"""Recordings of ROS as frames: one camera, a pair, or images with depth; and what an IMU measured.
 
 ROS 1 bags (.bag), ROS 2 bags (a folder with metadata.yaml and .db3 or .mcap files, or one such file). They are read
 by the package `rosbags` (`pip install 'epipole[ros]'`).
@@ -55,29 +55,29 @@ class BagSequence:
     path: Path
     sensor: BagSensor
     topics: tuple[str, ...]
-    """Of the pictures; of left and right; of pictures and depth."""
+    """Of the images; of left and right; of images and depth."""
     num_frames: int
     """Messages of the topic that has fewest."""
     size: tuple[int, int]
-    """Width and height of the pictures."""
+    """Width and height of the images."""
     camera: Camera | None
     """None where no CameraInfo tells it."""
     rig: StereoRig | None = None
     """Of a pair; None where no CameraInfo tells it."""
     depth_camera: Camera | None = None
-    """Of the depth pictures, where a CameraInfo tells it."""
+    """Of the depth images, where a CameraInfo tells it."""
     depth_from_color: Rigid3 | None = None
-    """None for depth that is registered to the pictures, or of a sensor whose place is not known."""
+    """None for depth that is registered to the images, or of a sensor whose place is not known."""
     warnings: tuple[str, ...] = ()
     scales: tuple[GreyScale | None, ...] = ()
-    """How pictures of 16 bits become 8, by topic: the same way for all of a topic."""
+    """How images of 16 bits become 8, by topic: the same way for all of a topic."""
     depth_values_per_m: float | None = None
     """Stored values for a metre by the encoding of the depth (REP 118); None without depth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BagFrame:
-    """One instant; pictures are decoded when they are asked for, and raise FileFormatError where they are damaged."""
+    """One instant; images are decoded when they are asked for, and raise FileFormatError where they are damaged."""
 
     timestamp_s: float
     grey: Callable[[], UInt8[np.ndarray, "h w"]]
@@ -115,7 +115,7 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
     Args:
         path: the recording.
         sensor: mono, stereo or rgbd; auto takes depth, else a pair, where there is one.
-        topics: names of the pictures' topic; of left and right; of pictures and depth. Empty: found by type and name.
+        topics: names of the images' topic; of left and right; of images and depth. Empty: found by type and name.
 
     Raises:
         FileFormatError: the recording cannot be read, or a camera in it makes no sense.
@@ -137,7 +137,7 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
         if own != size:
             infos[row] = None
             warnings.append(
-                f"the CameraInfo of {names[row]} is of {own[0]} x {own[1]} pixels, its pictures are of "
+                f"the CameraInfo of {names[row]} is of {own[0]} x {own[1]} pixels, its images are of "
                 f"{size[0]} x {size[1]}: it is not used"
             )
     camera = None if infos[0] is None else infos[0].camera
@@ -232,7 +232,7 @@ def _topics(bag: OpenBag) -> tuple[BagTopic, ...]:
             continue
         what: Any = kinds.get(kind, "other")
         if kind in (images.IMAGE, images.COMPRESSED):
-            what = "depth" if images.is_depth(name, images.encoding_of(_first(bag, name))) else "picture"
+            what = "depth" if images.is_depth(name, images.encoding_of(_first(bag, name))) else "image"
         found.append(BagTopic(name, what, kind, bag.counts[name]))
     return tuple(sorted(found, key=lambda t: t.name))
 
@@ -253,12 +253,12 @@ def _first(bag: OpenBag, topic: str) -> Any:
 
 
 def _scale(bag: OpenBag, topic: str) -> GreyScale | None:
-    """From the first pictures of a topic that can be read."""
+    """From the first images of a topic that can be read."""
     contents: list[Any] = []
     for message in islice(bag.messages([topic]), MOST_SAMPLED):
         with suppress(FileFormatError):
             contents.append(bag.content(message))
-    with suppress(FileFormatError):  # it is raised where the picture is read
+    with suppress(FileFormatError):  # it is raised where the image is read
         return images.grey_scale(bag.path, topic, contents)
     return None
 
@@ -269,7 +269,7 @@ def _size_of(path: Path, topic: str, message: Any) -> tuple[int, int]:
 
 
 def _info_of(bag: OpenBag, topic: str, first: Any, topics: Sequence[BagTopic]) -> _Info | None:
-    """The CameraInfo beside a topic of pictures; else the only one of the same frame."""
+    """The CameraInfo beside a topic of images; else the only one of the same frame."""
     names = [t.name for t in topics if t.kind == "camera"]
     beside = f"{base_name(topic).rpartition('/')[0]}/camera_info"
     if beside in names:
@@ -287,13 +287,13 @@ def _info(path: Path, message: Any, is_flat: bool) -> _Info:
 
 
 def _unregistered(depth_topic: str, color: _Info | None, depth: _Info | None) -> list[str]:
-    """A warning about depth of another frame than the pictures'."""
+    """A warning about depth of another frame than the images'."""
     if any(word in depth_topic for word in ("aligned", "registered")):
         return []
     if color is None or depth is None or color.frame_id == depth.frame_id:
         return []
     return [
-        f"the depth of {depth_topic} is not registered to the pictures (its frame is {depth.frame_id}), and is "
+        f"the depth of {depth_topic} is not registered to the images (its frame is {depth.frame_id}), and is "
         "taken as if both were at one place"
     ]
 

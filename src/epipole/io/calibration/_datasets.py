@@ -94,7 +94,7 @@ def kitti_cameras(
         elif size is not None:
             width_height = size
         else:
-            raise FileFormatError(path, "it does not hold the size of the pictures: give it")
+            raise FileFormatError(path, "it does not hold the size of the images: give it")
         cameras.append(_pinhole(path, P[:, :3], width_height))
         offsets.append(np.linalg.solve(P[:, :3], P[:, 3]))
     # The frame of P0 is KITTI's reference; ours is the first camera's.

@@ -18,7 +18,7 @@ from epipole.io.colmap.model import params_from_colmap, params_to_colmap
 MIN_FOCAL, MAX_FOCAL = 0.01, 1000.0
 """Known focal lengths in units of the longer side: beyond, a number was mistyped."""
 MAX_OFFSET = 10.0
-"""Largest distance of a known principal point from the picture's corner, in the same unit."""
+"""Largest distance of a known principal point from the image's corner, in the same unit."""
 MAX_DISTORTION = 1e4
 
 
@@ -62,8 +62,8 @@ def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Came
 
     Args:
         model: the camera model.
-        size: width and height of its pictures.
-        text: the numbers in COLMAP's order; its principal point counts from the picture's corner.
+        size: width and height of its images.
+        text: the numbers in COLMAP's order; its principal point counts from the image's corner.
 
     Raises:
         ConfigError: not the numbers of this model, or such as no lens has.
@@ -74,7 +74,7 @@ def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Came
         example = ",".join(f"{value:g}" for value in _example(model, size))
         raise ConfigError(
             f"{model.name} takes {model.num_params} parameters ({names}), got {len(known)}: such as {example}; cx and cy count"
-            " from the picture's corner, half a pixel more than from the first pixel's centre"
+            " from the image's corner, half a pixel more than from the first pixel's centre"
         )
     camera = Camera(model, *size, params_from_colmap(model, np.array(known)))
     refuse_impossible(camera, "camera_params")
@@ -135,7 +135,7 @@ def refuse_impossible(camera: Camera, where: str) -> None:
 
 
 def _example(model: CameraModel, size: tuple[int, int]) -> list[float]:
-    """Numbers as they might be, in COLMAP's order, for pictures of this size."""
+    """Numbers as they might be, in COLMAP's order, for images of this size."""
     longer = float(max(size))
     focal = [float(round(longer))] * len(model.focal_indices)
     return [*focal, size[0] / 2, size[1] / 2, *[0.0] * len(model.distortion_indices)]

@@ -63,7 +63,7 @@ def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) ->
     Args:
         paths: one file; or two: those of the left and the right camera (ROS, EuRoC), or intrinsics and extrinsics
             (OpenCV's sample).
-        size: width and height of the pictures, for files that do not say (OpenCV's stereo sample, KITTI).
+        size: width and height of the images, for files that do not say (OpenCV's stereo sample, KITTI).
 
     Raises:
         FileFormatError: a file cannot be read; the message says which key is missing.

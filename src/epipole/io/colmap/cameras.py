@@ -99,7 +99,7 @@ def camera_from_colmap(model_id: int, width: int, height: int, params: np.ndarra
     if len(params) != expected:
         raise ConfigError(f"camera model {model_id} has {expected} parameters, got {len(params)}")
     if not (0 < width <= _MAX_SIZE and 0 < height <= _MAX_SIZE):
-        raise ConfigError(f"impossible picture size {width}x{height}")
+        raise ConfigError(f"impossible image size {width}x{height}")
     model, own_params = _as_own_model(model_id, np.asarray(params, np.float64))
     return Camera(model, width, height, params_from_colmap(model, own_params))
 

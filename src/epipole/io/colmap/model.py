@@ -204,6 +204,6 @@ def find_model(path: str | Path) -> Path:
     if not path.exists():
         raise FileFormatError(path, "there is no such folder")
     images = any(p.suffix.lower() in FORMAT_OF_SUFFIX for at in (path, path / "images") for p in at.glob("*"))
-    advice = "`epipole reconstruct` makes a model of pictures" if images and not results_of(path) else ""
+    advice = "`epipole reconstruct` makes a model of images" if images and not results_of(path) else ""
     problem = "holds no model (no cameras.bin or cameras.txt, nor sparse/0)"
     raise FileFormatError(path, with_what_it_is(problem, path, advice))

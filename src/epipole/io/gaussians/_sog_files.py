@@ -1,4 +1,4 @@
-"""The files of a SOG: a zip or a folder with meta.json and pictures, which may promise more than they hold."""
+"""The files of a SOG: a zip or a folder with meta.json and images, which may promise more than they hold."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from epipole.io.names import path_inside
 
 META = "meta.json"
 _PARTS = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
-"""What meta.json describes, and the number of its pictures."""
+"""What meta.json describes, and the number of its images."""
 _MOST_META, _MOST_MEMBER = 1 << 22, 1 << 29
-"""Bytes of meta.json, and of a picture in a folder."""
+"""Bytes of meta.json, and of an image in a folder."""
 _SMALL, _MOST_PX, _MOST_PER_BYTE = 1 << 20, 8, 2
 """So many pixels or Gaussians every file may have; beyond, pixels to a Gaussian and Gaussians to a byte: real ones take ten bytes."""
 _DAMAGE = (
@@ -66,7 +66,7 @@ def is_unpacked_sog(path: Path) -> bool:
 
 
 def in_folder(path: Path) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """What a meta.json tells, and the pictures beside it."""
+    """What a meta.json tells, and the images beside it."""
     meta = _meta(path, file_bytes(path, _MOST_META))
     return meta, {
         name: file_bytes(path_inside(path.parent, name), _MOST_MEMBER) for name in _names(path, meta)
@@ -74,7 +74,7 @@ def in_folder(path: Path) -> tuple[dict[str, Any], dict[str, bytes]]:
 
 
 def in_archive(path: Path) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """What the meta.json of a zip tells, and the pictures that it names; nothing is unpacked to the disk."""
+    """What the meta.json of a zip tells, and the images that it names; nothing is unpacked to the disk."""
     data = file_bytes(path)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -87,7 +87,7 @@ def in_archive(path: Path) -> tuple[dict[str, Any], dict[str, bytes]]:
                 return found
 
             meta = _meta(path, member(META, _MOST_META))
-            # Pictures are packed already: what a zip makes much smaller is none.
+            # Images are packed already: what a zip makes much smaller is none.
             return meta, {name: member(name, 4 * len(data) + _SMALL) for name in _names(path, meta)}
     except FileFormatError:
         raise
@@ -115,12 +115,12 @@ def _meta(path: Path, data: bytes) -> dict[str, Any]:
             continue
         files = given.get("files") if isinstance(given, dict) else None
         if not isinstance(files, list) or len(files) < number:
-            raise FileFormatError(path, f"{META} does not tell the pictures of {part}")
+            raise FileFormatError(path, f"{META} does not tell the images of {part}")
     return meta
 
 
 def _names(path: Path, meta: Mapping[str, Any]) -> list[str]:
-    """Of all pictures, once each.
+    """Of all images, once each.
 
     Raises:
         FileFormatError: one cannot be a file's name.
@@ -151,14 +151,14 @@ def count_of(path: Path, meta: Mapping[str, Any], num_bytes: int) -> int:
 
 
 def decoded(path: Path, name: str, data: bytes, count: int) -> np.ndarray:
-    """(h, w, 4) uint8, a picture's pixels as they stand.
+    """(h, w, 4) uint8, an image's pixels as they stand.
 
     Raises:
         FileFormatError: it is damaged, none, or much larger than `count` pixels.
     """
     is_webp = data[:4] == b"RIFF" and data[8:12] == b"WEBP"
     if not is_webp and data[:8] != b"\x89PNG\r\n\x1a\n":
-        raise FileFormatError(path, f"{name!a} is no WebP or PNG picture")
+        raise FileFormatError(path, f"{name!a} is no WebP or PNG image")
     reader: Callable[[io.BytesIO], Image.Image] = WebPImageFile if is_webp else PngImageFile
     try:
         with reader(io.BytesIO(data)) as image:
@@ -175,7 +175,7 @@ def decoded(path: Path, name: str, data: bytes, count: int) -> np.ndarray:
 
 
 def write_archive(path: Path, meta: Mapping[str, Any], images: Mapping[str, np.ndarray]) -> None:
-    """A zip that packs nothing once more, for WebP is packed; the same pictures give the same bytes."""
+    """A zip that packs nothing once more, for WebP is packed; the same images give the same bytes."""
     with atomic_write(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
         for name, image in images.items():
             data = io.BytesIO()

@@ -1,8 +1,8 @@
-"""Gaussians as SOG, PlayCanvas's format for the web: pictures in a zip, a pixel for each Gaussian, and meta.json that tells how to read them.
+"""Gaussians as SOG, PlayCanvas's format for the web: images in a zip, a pixel for each Gaussian, and meta.json that tells how to read them.
 
-Means are sign(x) log(1 + |x|) in 16 bits, the upper 8 in a picture of their own. Rotations lack their largest part (which one, alpha tells).
+Means are sign(x) log(1 + |x|) in 16 bits, the upper 8 in an image of their own. Rotations lack their largest part (which one, alpha tells).
 Logarithms of deviations and colours are numbers of a codebook of 256. Harmonics above degree 0 are rows of a palette, 64 in a row of its
-picture, whose numbers have a codebook, too. Axes are those of a PLY file. Version 1 has ranges (mins, maxs) instead of codebooks, and
+image, whose numbers have a codebook, too. Axes are those of a PLY file. Version 1 has ranges (mins, maxs) instead of codebooks, and
 is read, not written. The specification: developer.playcanvas.com, user manual, Gaussian splatting, formats, SOG.
 """
 
@@ -25,9 +25,9 @@ from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.scene.local_origin import ORIGIN
 
 ROW = 64
-"""Rows of the palette in a row of its picture."""
+"""Rows of the palette in a row of its image."""
 _HIGHER = {ROW * 3: 3, ROW * 8: 8, ROW * 15: 15}
-"""Harmonics above degree 0, by the width of the palette's picture."""
+"""Harmonics above degree 0, by the width of the palette's image."""
 _FIRST_TAG = 252
 _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 """Parts of a rotation (w, x, y, z) that are there when one is not."""
@@ -73,7 +73,7 @@ def read_sog(path: str | Path) -> GaussianCloud:
 
 
 def _table(path: Path, meta: Mapping[str, Any], part: str, channels: int) -> np.ndarray:
-    """(256, channels) float32, what the numbers of a picture mean; the fourth is the logit of an opacity.
+    """(256, channels) float32, what the numbers of an image mean; the fourth is the logit of an opacity.
 
     Raises:
         FileFormatError: meta.json does not tell it.
@@ -210,7 +210,7 @@ def _smallest_three(quats: np.ndarray) -> np.ndarray:
 
 
 def _add_harmonics(cloud: GaussianCloud, images: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Put the two pictures of the harmonics to the others; what meta.json tells of them."""
+    """Put the two images of the harmonics to the others; what meta.json tells of them."""
     n, higher = len(cloud), cloud.sh.shape[1] - 1
     rows = np.clip(cloud.sh[:, 1:], -_LARGEST, _LARGEST).reshape(n, -1)
     palette, labels = palette_of(rows, _seen(cloud), _palette_size(n))
@@ -241,7 +241,7 @@ def _palette_size(count: int) -> int:
 
 
 def _rows_of_pixels(values: np.ndarray) -> np.ndarray:
-    """(h, w, 3 or 4) uint8, a pixel for each row, in a picture that is nearly square; black behind the end."""
+    """(h, w, 3 or 4) uint8, a pixel for each row, in an image that is nearly square; black behind the end."""
     width = -(-int(np.ceil(np.sqrt(len(values)))) // 4) * 4
     height = -(-len(values) // (4 * width)) * 4
     out = np.zeros((height * width, values.shape[1]), np.uint8)

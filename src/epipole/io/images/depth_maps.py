@@ -89,7 +89,7 @@ def read_png16(path: str | Path, scale: float = PNG_SCALE) -> Float32[np.ndarray
     """Read what `write_png16` or KITTI has written; NaN where 0.
 
     Raises:
-        FileFormatError: it is damaged, no 16-bit picture of one channel, or no such file.
+        FileFormatError: it is damaged, no 16-bit image of one channel, or no such file.
     """
     path = Path(path)
     return png16_in(path, file_bytes(path, 4 * _MOST_PIXELS), scale)
@@ -105,7 +105,7 @@ def png16_in(path: Path, data: bytes, scale: float = PNG_SCALE) -> Float32[np.nd
         scale: a stored number is so many times the value.
 
     Raises:
-        FileFormatError: it is damaged, or no 16-bit picture of one channel.
+        FileFormatError: it is damaged, or no 16-bit image of one channel.
     """
     # OpenCV would also read other formats, PFM among them.
     array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if _is_png16(data) else None
@@ -117,7 +117,7 @@ def png16_in(path: Path, data: bytes, scale: float = PNG_SCALE) -> Float32[np.nd
 def _is_png16(data: bytes) -> bool:
     """Whether the header is that of a 16-bit grey PNG whose pixels these bytes can hold (PNG 1.2, 4.1.1).
 
-    Deflate packs at most 1032 bytes into one: a header that claims a larger picture is wrong, and the file is
+    Deflate packs at most 1032 bytes into one: a header that claims a larger image is wrong, and the file is
     not decoded.
     """
     if not data.startswith(b"\x89PNG\r\n\x1a\n") or data[12:16] != b"IHDR" or len(data) < 26:

@@ -3,10 +3,10 @@
 Focal length in pixels, from the first of these that is present and credible (0.2 to 20 times the longer
 side):
 
-1. "35 mm equivalent": focal_px = f35 / 36 * max(width, height). The equivalent is taken over the picture's
+1. "35 mm equivalent": focal_px = f35 / 36 * max(width, height). The equivalent is taken over the image's
    longer side; the variant over the diagonal (43.27 mm) is not used.
 2. "sensor width": focal_px = f_mm / sensor_width_mm * max(width, height), with `sensor_widths`.
-3. "focal-plane resolution": focal_px = f_mm * pixels per mm on the sensor, scaled when the picture is smaller
+3. "focal-plane resolution": focal_px = f_mm * pixels per mm on the sensor, scaled when the image is smaller
    than the one that EXIF describes.
 """
 
@@ -93,7 +93,7 @@ def camera_of(exif: Image.Exif) -> tuple[str, str]:
 
 @checked
 def focal_of(exif: Image.Exif, width: int, height: int) -> Focal | None:
-    """Focal length in pixels of a picture of the given size; None when EXIF has no credible one."""
+    """Focal length in pixels of an image of the given size; None when EXIF has no credible one."""
     size_px = max(width, height)
     details = _block(exif, _EXIF_IFD)
     candidates: tuple[tuple[FocalSource, float | None], ...] = (
@@ -109,7 +109,7 @@ def focal_of(exif: Image.Exif, width: int, height: int) -> Focal | None:
 
 @checked
 def gps_of(exif: Image.Exif) -> GpsPosition | None:
-    """Place where the picture was taken; None where it is missing, void, impossible or exactly (0, 0)."""
+    """Place where the image was taken; None where it is missing, void, impossible or exactly (0, 0)."""
     block = _block(exif, _GPS_IFD)
     if _text(block.get(_GPS_STATUS)).upper() == "V":
         return None

@@ -104,4 +104,4 @@ def format_of(path: Path, head: bytes) -> str:
         raise FileFormatError(path, f"is a {unread} file, which is not read; convert it to PNG or JPEG first")
     is_text = all(32 <= byte < 127 or byte in b"\t\n\r\f" for byte in head.removeprefix(b"\xef\xbb\xbf")[:16])
     kind = "it looks like text" if is_text else f"it starts with the bytes {head[:8].hex(' ')}"
-    raise FileFormatError(path, f"is not a picture in a known format: {kind}")
+    raise FileFormatError(path, f"is not an image in a known format: {kind}")

@@ -18,9 +18,9 @@ PAIRED_FRACTION = 0.4
 
 @checked
 def name_problem(name: str) -> str:
-    """Why lists of pictures and COLMAP's files cannot hold a name; empty where they can.
+    """Why lists of images and COLMAP's files cannot hold a name; empty where they can.
 
-    They are UTF-8 with one line per picture.
+    They are UTF-8 with one line per image.
     """
     try:
         name.encode()
@@ -52,14 +52,14 @@ def fits(name: str, pattern: str) -> bool:
 
 @checked
 def depth_among(names: Sequence[str], deep_grey: frozenset[str]) -> list[str]:
-    """Those of the 16-bit grey PNGs that are the depth of the colour pictures beside them, by their names.
+    """Those of the 16-bit grey PNGs that are the depth of the colour images beside them, by their names.
 
-    A camera can well give 16-bit grey pictures. They are depth where there are colour pictures, too, and the name
-    says "depth", or where each (two fifths of all pictures at least) has a colour picture whose name is the same but
+    A camera can well give 16-bit grey images. They are depth where there are colour images, too, and the name
+    says "depth", or where each (two fifths of all images at least) has a colour image whose name is the same but
     for letters: `rgb/12.png` and `raw/12.png`.
 
     Args:
-        names: of all pictures.
+        names: of all images.
         deep_grey: those that are 16-bit grey PNGs.
     """
     others = {_without_letters(name) for name in names if name not in deep_grey}

@@ -1,6 +1,6 @@
 """Photographs: listing, headers, pixels, masks.
 
-Every picture is returned upright (EXIF orientation applied), as 8-bit greyscale or RGB.
+Every image is returned upright (EXIF orientation applied), as 8-bit greyscale or RGB.
 Rules for what is not 8-bit grey or RGB:
 
 - 16-bit, 32-bit and float greyscale is stretched so that its 0.1 and 99.9 percentiles become 0 and 255 (such
@@ -10,7 +10,7 @@ Rules for what is not 8-bit grey or RGB:
 - transparency is composited on black; palette and CMYK become RGB; greyscale whose zero is white is inverted;
 - animations (WebP, AVIF), TIFFs of several pages and camera RAW are refused. The contents tell the format, never the suffix.
 
-JPEG is decoded at 1/2, 1/4 or 1/8 where a smaller picture is asked for, so that memory follows the result and
+JPEG is decoded at 1/2, 1/4 or 1/8 where a smaller image is asked for, so that memory follows the result and
 not the file (a progressive JPEG still needs its coefficients, about 3 bytes per pixel). Other formats are
 limited to 150 megapixels.
 """
@@ -75,14 +75,14 @@ class PhotographList:
 
     folder: Path
     names: tuple[str, ...]
-    """Sorted paths relative to the folder, with forward slashes, of the pictures that can be read."""
+    """Sorted paths relative to the folder, with forward slashes, of the images that can be read."""
     unreadable: tuple[str, ...]
-    """Pictures in formats that cannot be read here, where there is no readable one of the same name."""
+    """Images in formats that cannot be read here, where there is no readable one of the same name."""
     advice: str
     """What to do about the unreadable ones; empty when there are none."""
     unusable: Mapping[str, str] = field(default_factory=dict)
-    """Files named as pictures that are not listed, and why: pipes, sockets and devices, which are never opened, and
-    names that no list of pictures can hold (written here with escapes)."""
+    """Files named as images that are not listed, and why: pipes, sockets and devices, which are never opened, and
+    names that no list of images can hold (written here with escapes)."""
     passed_over: tuple[str, ...] = ()
     """Sentences on files of other kinds, and folders of results, that lie there and are not listed."""
 
@@ -99,7 +99,7 @@ class PhotographList:
             FileFormatError: it is empty; the message says what lies there instead.
         """
         if not self.names:
-            raise FileFormatError(self.folder, "; ".join(["there is no picture in it", *self.notes]))
+            raise FileFormatError(self.folder, "; ".join(["there is no image in it", *self.notes]))
         return self
 
     def __len__(self) -> int:
@@ -111,7 +111,7 @@ class PhotographList:
 
 @dataclass(frozen=True, slots=True)
 class PhotographHeader:
-    """What a picture's header tells, without decoding its pixels."""
+    """What an image's header tells, without decoding its pixels."""
 
     width: int
     """Upright, in pixels."""
@@ -172,10 +172,10 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
 
 @checked
 def read_header(path: Path | str) -> PhotographHeader:
-    """Read size, camera, focal length, place and time of a picture from its header alone.
+    """Read size, camera, focal length, place and time of an image from its header alone.
 
     Raises:
-        FileFormatError: it is not a picture in a known format.
+        FileFormatError: it is not an image in a known format.
         MissingDependencyError: it is HEIC and pillow-heif is not installed.
     """
     path = Path(path)
@@ -213,18 +213,18 @@ def read_grey(
     limits: GreyRange | None = None,
     orientation: int | None = None,
 ) -> UInt8[np.ndarray, "h w"]:
-    """Read a picture upright as 8-bit greyscale (luma 0.299 R + 0.587 G + 0.114 B).
+    """Read an image upright as 8-bit greyscale (luma 0.299 R + 0.587 G + 0.114 B).
 
     Args:
-        path: the picture.
-        max_size_px: longest side of the result; a larger picture is shrunk by area averaging. Its pixel x
-            lies at (x + 0.5) * width / result width - 0.5 in the full picture. None: full size.
+        path: the image.
+        max_size_px: longest side of the result; a larger image is shrunk by area averaging. Its pixel x
+            lies at (x + 0.5) * width / result width - 0.5 in the full image. None: full size.
         limits: values of deep greyscale that become 0 and 255 (`common_range`); None: its own percentiles.
         orientation: applied in place of the file's EXIF orientation; 1: the pixels as they are stored. None: the file's.
 
     Raises:
         ConfigError: the limits are no range.
-        FileFormatError: it is damaged, truncated, too large or not a picture.
+        FileFormatError: it is damaged, truncated, too large or not an image.
         MissingDependencyError: it is HEIC and pillow-heif is not installed.
     """
     return decode(Path(path), True, max_size_px, limits, orientation)
@@ -238,17 +238,17 @@ def read_rgb(
     limits: GreyRange | None = None,
     orientation: int | None = None,
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Read a picture upright as 8-bit RGB.
+    """Read an image upright as 8-bit RGB.
 
     Args:
-        path: the picture.
+        path: the image.
         max_size_px: longest side of the result, as in `read_grey`.
         limits: as in `read_grey`.
         orientation: the same.
 
     Raises:
         ConfigError: the limits are no range.
-        FileFormatError: it is damaged, truncated, too large or not a picture.
+        FileFormatError: it is damaged, truncated, too large or not an image.
         MissingDependencyError: it is HEIC and pillow-heif is not installed.
     """
     return decode(Path(path), False, max_size_px, limits, orientation)
@@ -256,7 +256,7 @@ def read_rgb(
 
 @checked
 def mask_of(mask_folder: Path | str, name: str) -> Path | None:
-    """The file that holds the mask of a picture, by the names that `read_mask` tells; None where there is none."""
+    """The file that holds the mask of an image, by the names that `read_mask` tells; None where there is none."""
     for candidate in mask_names(name):
         path = Path(mask_folder) / candidate
         with suppress(OSError):  # NAME.png of the longest name possible is too long
@@ -267,7 +267,7 @@ def mask_of(mask_folder: Path | str, name: str) -> Path | None:
 
 @checked
 def mask_names(name: str) -> tuple[str, str]:
-    """What the mask of a picture can be called, in the order of preference.
+    """What the mask of an image can be called, in the order of preference.
 
     Raises:
         ConfigError: the name is none.
@@ -281,18 +281,18 @@ def mask_names(name: str) -> tuple[str, str]:
 def read_mask(
     mask_folder: Path | str, name: str, *, size: tuple[int, int] | None = None
 ) -> Bool[np.ndarray, "h w"] | None:
-    """Read the mask of a picture: NAME.png (photo.jpg.png), else NAME with the suffix .png (photo.png).
+    """Read the mask of an image: NAME.png (photo.jpg.png), else NAME with the suffix .png (photo.png).
 
     Args:
-        mask_folder: folder of masks, laid out like the folder of pictures.
-        name: the picture's name, relative to its folder.
-        size: upright (width, height) of the picture, which the mask must have.
+        mask_folder: folder of masks, laid out like the folder of images.
+        name: the image's name, relative to its folder.
+        size: upright (width, height) of the image, which the mask must have.
 
     Returns:
-        True where the picture is to be used (mask not black and not transparent); None when there is no mask.
+        True where the image is to be used (mask not black and not transparent); None when there is no mask.
 
     Raises:
-        FileFormatError: the mask is damaged or not of the picture's size.
+        FileFormatError: the mask is damaged or not of the image's size.
     """
     path = mask_of(mask_folder, name)
     return None if path is None else read_mask_file(path, name, size=size)
@@ -303,7 +303,7 @@ def read_mask_file(path: Path, name: str, *, size: tuple[int, int] | None = None
     """Read a mask whose file is known; as `read_mask`.
 
     Raises:
-        FileFormatError: the mask is missing, damaged or not of the picture's size.
+        FileFormatError: the mask is missing, damaged or not of the image's size.
     """
     data = file_bytes(path)
     image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
@@ -313,7 +313,7 @@ def read_mask_file(path: Path, name: str, *, size: tuple[int, int] | None = None
     keep = rotation(keep.view(np.uint8), orientation).view(bool)
     if size is not None and keep.shape != (size[1], size[0]):
         h, w = keep.shape
-        raise FileFormatError(path, f"the mask is {w} x {h} but its picture {name} is {size[0]} x {size[1]}")
+        raise FileFormatError(path, f"the mask is {w} x {h} but its image {name} is {size[0]} x {size[1]}")
     return keep
 
 
@@ -330,7 +330,7 @@ def _file_problem(path: Path) -> str:
 
 
 def _advice(unreadable: Sequence[str]) -> str:
-    """One sentence per kind of unreadable picture."""
+    """One sentence per kind of unreadable image."""
     kinds = (
         ("HEIC", HEIF_SUFFIXES, "run `pip install pillow-heif` to read them, or convert them to JPEG"),
         ("AVIF", AVIF_SUFFIXES, "run `pip install --upgrade Pillow` to read them, or convert them to JPEG"),

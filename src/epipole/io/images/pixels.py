@@ -1,4 +1,4 @@
-"""Decoding of picture files to 8 bits, upright; the rules are stated in `photographs`."""
+"""Decoding of image files to 8 bits, upright; the rules are stated in `photographs`."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from epipole.io.images.exif import EXIF_ERRORS, orientation_of
 from epipole.io.images.formats import AVIF_SUFFIXES, FORMAT_OF_SUFFIX, HEIF_SUFFIXES, format_of
 
 MAX_LOSSLESS_PX = 150_000_000
-"""Largest picture, in pixels, that is read from a format other than JPEG."""
+"""Largest image, in pixels, that is read from a format other than JPEG."""
 
 MAX_JPEG_PX = 2**30
 """Largest JPEG, in pixels."""
@@ -63,7 +63,7 @@ _PILLOW_READERS: dict[str, Callable[..., ImageFile]] = {
     "PPM": PpmImageFile,
 }
 PILLOW_ERRORS = (*EXIF_ERRORS, MemoryError, AttributeError, RuntimeError, Image.DecompressionBombError)
-"""What Pillow may raise on a damaged picture."""
+"""What Pillow may raise on a damaged image."""
 _SUBFILE_TYPE, _PHOTOMETRIC, _BITS_PER_SAMPLE, _DNG_VERSION = 254, 262, 258, 50706
 _IS_PREVIEW, _IS_NO_PAGE = 1, 5
 _WHITE_IS_ZERO = 0
@@ -84,7 +84,7 @@ def readable_suffixes() -> frozenset[str]:
 
 
 def open_with_pillow(path: Path, stream: io.BufferedIOBase, file_format: str) -> ImageFile:
-    """Read a header. The reader is called by name: `Image.open` refuses every picture of 180 megapixels."""
+    """Read a header. The reader is called by name: `Image.open` refuses every image of 180 megapixels."""
     stream.seek(0)
     # Pillow would look for the numbers of the header byte by byte, behind comments without end.
     if file_format == "PPM" and len(_COMMENT.sub(b" ", stream.read(_LONGEST_PPM_HEADER)).split()) < 3:
@@ -141,7 +141,7 @@ def _reader(path: Path, file_format: str) -> Callable[..., ImageFile]:
     try:
         reader: Callable[..., ImageFile] = getattr(import_module(module), name)
     except ImportError as error:
-        problem = f"{path} is a {file_format} picture: run `pip install {package}`, or convert it to JPEG"
+        problem = f"{path} is a {file_format} image: run `pip install {package}`, or convert it to JPEG"
         raise MissingDependencyError(problem) from error
     return reader
 
@@ -149,7 +149,7 @@ def _reader(path: Path, file_format: str) -> Callable[..., ImageFile]:
 def exif_of(image: ImageFile) -> Image.Exif:
     """The EXIF block, empty when it is damaged."""
     if isinstance(image, PngImageFile) and image.fp is not None and not _has_exif_chunk(image.fp):
-        return Image.Exif()  # Pillow would decode the whole picture to look behind its pixels
+        return Image.Exif()  # Pillow would decode the whole image to look behind its pixels
     try:
         return image.getexif()
     except EXIF_ERRORS:
@@ -180,7 +180,7 @@ def stored_size(image: ImageFile) -> tuple[int, int]:
 
 
 def refuse_huge(path: Path, image: ImageFile, data: bytes) -> None:
-    """Refuse a picture that is too large, before memory or time is used.
+    """Refuse an image that is too large, before memory or time is used.
 
     Raises:
         FileFormatError: more pixels than the format's limit, or than so many bytes can hold; a JPEG that goes over its
@@ -202,7 +202,7 @@ def refuse_huge(path: Path, image: ImageFile, data: bytes) -> None:
         raise FileFormatError(path, f"the JPEG is truncated or damaged: {problem}")
     num_scans = data.count(b"\xff\xda") if isinstance(image, JpegImageFile) else 1
     if num_scans > _MOST_SCANS and num_scans * width * height > _MOST_SCANNED_PX:
-        raise FileFormatError(path, f"the JPEG goes over its pixels {num_scans} times: no picture needs that")
+        raise FileFormatError(path, f"the JPEG goes over its pixels {num_scans} times: no image needs that")
 
 
 def decode(
@@ -266,7 +266,7 @@ def _decode_jpeg(
     """Decode at 1 / reduction; a size that it does not divide is rounded up."""
     if not _jpeg_is_complete(data):
         raise FileFormatError(
-            path, f"the JPEG is truncated: the file ends ({len(data)} bytes) before the picture"
+            path, f"the JPEG is truncated: the file ends ({len(data)} bytes) before the image"
         )
     if image.layers == 4:
         if reduction > 1:
@@ -380,9 +380,9 @@ def _shrink(
     reduction: int,
     max_size_px: int | None,
 ) -> UInt8[np.ndarray, "new_h new_w *channels"]:
-    """Area averages on the grid that divides the full picture evenly.
+    """Area averages on the grid that divides the full image evenly.
 
-    A JPEG reduced to ceil(width / reduction) pixels covers a little more than the picture where the division
+    A JPEG reduced to ceil(width / reduction) pixels covers a little more than the image where the division
     leaves a remainder; it is then sampled (bilinearly, less than two pixels apart) at the places of the grid.
     """
     width, height = full_size

@@ -1,4 +1,4 @@
-"""Pictures with transparency, and pictures that are drawn."""
+"""Images with transparency, and images that are drawn."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def read_rgba(path: Path | str, *, orientation: int | None = None) -> UInt8[np.n
         orientation: applied in place of the file's EXIF orientation, as in `read_rgb`.
 
     Raises:
-        FileFormatError: it is damaged, too large or not a picture.
+        FileFormatError: it is damaged, too large or not an image.
     """
     path = Path(path)
     data = file_bytes(path)
@@ -58,7 +58,7 @@ def read_rgba(path: Path | str, *, orientation: int | None = None) -> UInt8[np.n
 
 @checked
 def write_png(path: Path | str, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
-    """Write a picture as PNG.
+    """Write an image as PNG.
 
     Raises:
         ConfigError: the image has no pixel, or too many.

@@ -31,17 +31,17 @@ def write_video(path: str | Path, images: Iterable[UInt8[np.ndarray, "h w 3"]], 
     Args:
         path: the file; its name may have any ending.
         images: one after the other.
-        fps: pictures a second.
+        fps: images a second.
 
     Raises:
-        ConfigError: the pictures differ in size, there is none, or the rate is not from 0 to 1000.
+        ConfigError: the images differ in size, there is none, or the rate is not from 0 to 1000.
         WorkspaceError: the file cannot be written, or does not read back as it was written (the disk is full).
     """
     path, fps = _target(path, fps)
     try:
         each = iter(images)
     except TypeError as error:  # an array without axes is an Iterable, too
-        raise ConfigError(f"pictures must be images, got {images!r:.60}") from error
+        raise ConfigError(f"images must be images, got {images!r:.60}") from error
     aside = path.with_name(path.name + VIDEO_SUFFIX)  # OpenCV takes the container from the ending
     writer, size, count = None, (0, 0), 0
     first = last = np.zeros((1, 1, 3), np.uint8)
@@ -52,12 +52,12 @@ def write_video(path: str | Path, images: Iterable[UInt8[np.ndarray, "h w 3"]], 
                 writer, first = _opened(aside, fps, size), image
             if (image.shape[1], image.shape[0]) != size:
                 raise ConfigError(
-                    "the pictures of a video must be of one size: give a width, or draw to a folder"
+                    "the images of a video must be of one size: give a width, or draw to a folder"
                 )
             writer.write(cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
             last, count = image, count + 1
         if writer is None:
-            raise ConfigError("a video needs a picture")
+            raise ConfigError("a video needs an image")
         writer.release()
         problem = _problem_of(aside, count, first, last)
         if problem:

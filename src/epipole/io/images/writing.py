@@ -34,7 +34,7 @@ _LONGEST_JPEG_SIDE = 65500
 
 @checked
 def copy_or_rotate(source: Path | str, target: Path | str) -> None:
-    """Put a picture at `target` with its pixels as `read_rgb` gives them, and no orientation tag to apply.
+    """Put an image at `target` with its pixels as `read_rgb` gives them, and no orientation tag to apply.
 
     An upright file is hard-linked (copied across file systems). One that is turned, or of another format than
     the suffix of `target`, is encoded again (JPEG at quality 97, others without loss) with camera, focal
@@ -93,7 +93,7 @@ def write_photograph(
 def _format_of_target(path: Path) -> str:
     found = FORMAT_OF_SUFFIX.get(path.suffix.lower())
     if found is None:
-        problem = "pictures are not written in this format; convert yours to JPEG, PNG or TIFF first"
+        problem = "images are not written in this format; convert yours to JPEG, PNG or TIFF first"
         raise FileFormatError(path, problem)
     return found
 

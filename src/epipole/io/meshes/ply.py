@@ -31,7 +31,7 @@ _FEW, _ROUNDING_OF_FEW = 10, 1e-6
 _EDGE_HEADER = ("int vertex1", "int vertex2", "uchar red", "uchar green", "uchar blue")
 SCENE_COMMENT = "comment epipole scene, +z up: points, then five corners and eight edges of each camera"
 """Of `write_scene_ply`: a viewer of ours draws the cameras as such."""
-# Vertex 0 is the centre, 1 to 4 the corners of the picture in turn.
+# Vertex 0 is the centre, 1 to 4 the corners of the image in turn.
 _FRUSTUM_EDGES = np.array([(0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1)])
 
 PLY_TYPES = {
@@ -128,7 +128,7 @@ def num_cameras_of_scene(path: str | Path) -> int | None:
 
 @checked
 def frustum_segments(corners: Float64[np.ndarray, "n 5 3"]) -> Float64[np.ndarray, "m 2 3"]:
-    """The lines of drawn cameras, from their centres and the corners of their pictures."""
+    """The lines of drawn cameras, from their centres and the corners of their images."""
     return corners[:, _FRUSTUM_EDGES].reshape(-1, 2, 3)
 
 
@@ -141,7 +141,7 @@ def _points_and_colours(xyz: Any, rgb: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _frustums_in_world(reconstruction: Reconstruction) -> Float64[np.ndarray, "n 5 3"]:
-    """Centre and picture corners of every registered camera; lens distortion is left out of the drawing."""
+    """Centre and image corners of every registered camera; lens distortion is left out of the drawing."""
     cams_from_world, camera_of_image = reconstruction.cams_from_world(), reconstruction.camera_of_image
     registered = np.flatnonzero(np.isfinite(cams_from_world.translation).all(axis=1))
     depth = _frustum_depth(reconstruction, cams_from_world.centers()[registered])

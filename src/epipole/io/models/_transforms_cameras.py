@@ -191,7 +191,7 @@ def _size(path: Path, values: Mapping[str, Any], name: str) -> tuple[int, int]:
 def _pixels(values: Mapping[str, Any], key: str) -> int:
     value = float(values[key])
     if not (0 < value < 2**31 and value == int(value)):
-        raise ConfigError(f"impossible picture size, {key} = {value:g}")
+        raise ConfigError(f"impossible image size, {key} = {value:g}")
     return int(value)
 
 

@@ -1,7 +1,7 @@
 """Bundle problems in the text format of Bundle Adjustment in the Large (Agarwal, Snavely, Seitz and Szeliski, ECCV 2010).
 
 Snavely's camera looks along -z with y up: p = -(X, Y) / Z, pixel = f (1 + k1 |p|^2 + k2 |p|^4) p from the middle of the
-picture, y up. Turned half around its x axis it is a RADIAL camera with the principal point at (0, 0) and y down; the
+image, y up. Turned half around its x axis it is a RADIAL camera with the principal point at (0, 0) and y down; the
 two are the same to the last digit, signs apart.
 """
 
@@ -102,7 +102,7 @@ def _unpacked(data: bytes) -> bytes:
 
 @checked
 def write_bal(path: str | Path, problem: BundleProblem) -> None:
-    """Write a problem whose frames each have one picture, by a RADIAL camera with its principal point at (0, 0).
+    """Write a problem whose frames each have one image, by a RADIAL camera with its principal point at (0, 0).
 
     A camera that several frames share is written for each of them; what is held, and priors, have no place in the
     format.

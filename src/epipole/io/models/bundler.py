@@ -26,7 +26,7 @@ def write_bundler(reconstruction: Reconstruction, path: str | Path, image_folder
     """Write the registered cameras and the points, with `list.txt` beside.
 
     A Bundler camera looks down -z, with y up, and has f, k1 and k2. Pixels count from the principal point,
-    which the format takes to be the middle of the picture; that keeps the file consistent where it is not.
+    which the format takes to be the middle of the image; that keeps the file consistent where it is not.
 
     Args:
         reconstruction: what to write.
@@ -34,7 +34,7 @@ def write_bundler(reconstruction: Reconstruction, path: str | Path, image_folder
         image_folder: where the images are, seen from the file's folder.
 
     Raises:
-        ConfigError: a camera has a distortion that the format cannot hold (undistort the pictures first).
+        ConfigError: a camera has a distortion that the format cannot hold (undistort the images first).
         WorkspaceError: a file cannot be written.
     """
     path = Path(path)
@@ -69,7 +69,7 @@ def _bundler_intrinsics(camera: Camera) -> np.ndarray:
     if camera.model == CameraModel.OPENCV_FISHEYE or distortion[2:].any():
         raise ConfigError(
             f"Bundler cannot hold the distortion of {camera.model.name}, only k1 and k2: "
-            "undistort the pictures first"
+            "undistort the images first"
         )
     return np.array([camera.focal_px, distortion[0], distortion[1]])
 

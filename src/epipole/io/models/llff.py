@@ -1,7 +1,7 @@
-"""Cameras as LLFF's poses_bounds.npy: a row of 17 numbers for each picture, in the order of the pictures' names.
+"""Cameras as LLFF's poses_bounds.npy: a row of 17 numbers for each image, in the order of the images' names.
 
 A row is a matrix (3, 5) and the nearest and furthest depth. The matrix's columns are world_from_camera with the axes (down, right,
-backwards), and (height, width, focal length) of the pictures in their full size; `images_8` beside it holds them eight times smaller.
+backwards), and (height, width, focal length) of the images in their full size; `images_8` beside it holds them eight times smaller.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class LlffScene:
     """Names start from `image_folder`; points are those of sparse/0, without tracks."""
     image_folder: Path
     near_far: Float64[np.ndarray, "n 2"]
-    """Depths between which a picture's scene lies, in the unit of the cameras."""
+    """Depths between which an image's scene lies, in the unit of the cameras."""
 
 
 @checked
@@ -50,11 +50,11 @@ def read_llff(folder: str | Path, max_side_px: int | None = None) -> LlffScene:
 
     Args:
         folder: of the file.
-        max_side_px: the largest of the folders `images`, `images_2`, ... is taken whose pictures are no larger, else the smallest;
+        max_side_px: the largest of the folders `images`, `images_2`, ... is taken whose images are no larger, else the smallest;
             None: the largest.
 
     Raises:
-        FileFormatError: there is no such file, a value is impossible, or pictures and rows are not equally many.
+        FileFormatError: there is no such file, a value is impossible, or images and rows are not equally many.
     """
     folder = Path(folder)
     path = folder / LLFF
@@ -64,7 +64,7 @@ def read_llff(folder: str | Path, max_side_px: int | None = None) -> LlffScene:
     names = sorted(p.name for p in image_folder.iterdir() if p.suffix.lower() in FORMAT_OF_SUFFIX)
     if len(names) != len(rows):
         raise FileFormatError(
-            path, f"tells {len(rows)} cameras, and {image_folder} holds {len(names)} pictures"
+            path, f"tells {len(rows)} cameras, and {image_folder} holds {len(names)} images"
         )
     n = len(rows)
     cameras = [_camera(path, matrix[:, 4], size) for matrix in matrices]
@@ -94,12 +94,12 @@ def _rows(path: Path) -> np.ndarray:
         raise FileFormatError(path, "a number is not finite")
     rows = rows.astype(np.float64)
     if not ((rows[:, 15] > 0) & (rows[:, 16] >= rows[:, 15])).all():
-        raise FileFormatError(path, "the nearest and furthest depth of a picture are not in order")
+        raise FileFormatError(path, "the nearest and furthest depth of an image are not in order")
     return rows
 
 
 def _images(folder: Path, max_side_px: int | None) -> tuple[Path, tuple[int, int]]:
-    """The folder of pictures that is wanted, and the size of its first."""
+    """The folder of images that is wanted, and the size of its first."""
     sizes: list[tuple[int, Path, tuple[int, int]]] = []
     for position in sorted(folder.iterdir()):
         found = _SIZES.fullmatch(position.name)
@@ -110,7 +110,7 @@ def _images(folder: Path, max_side_px: int | None) -> tuple[Path, tuple[int, int
             header = read_header(files[0])
             sizes.append((int(found[1] or 1), position, (header.width, header.height)))
     if not sizes:
-        raise FileFormatError(folder, "there are no pictures (no images, images_2, images_4 or images_8)")
+        raise FileFormatError(folder, "there are no images (no images, images_2, images_4 or images_8)")
     sizes.sort(key=lambda one: one[0])
     for _, position, size in sizes:
         if max_side_px is None or max(size) <= max_side_px:
@@ -119,7 +119,7 @@ def _images(folder: Path, max_side_px: int | None) -> tuple[Path, tuple[int, int
 
 
 def _camera(path: Path, given: np.ndarray, size: tuple[int, int]) -> Camera:
-    """A pinhole of the pictures in the size that they have; its middle is that of the picture."""
+    """A pinhole of the images in the size that they have; its middle is that of the image."""
     height, width, focal = given.tolist()
     is_possible = height >= 1 and width >= 1 and focal > 0
     fx, fy = (focal * size[0] / width, focal * size[1] / height) if is_possible else (0.0, 0.0)

@@ -1,7 +1,7 @@
 """Cameras as nerfstudio's transforms.json (also read: instant-ngp's and NeRF-synthetic's).
 
 A frame's matrix is world_from_cam with OpenGL camera axes: x right, y up, looking down -z. The principal
-point counts from the corner of the picture, half a pixel before the centre of its first pixel. Where the file has
+point counts from the corner of the image, half a pixel before the centre of its first pixel. Where the file has
 `origin_in_world`, its coordinates, and those of its points, are relative to it.
 """
 
@@ -97,7 +97,7 @@ def _intrinsics(camera: Camera) -> dict[str, Any]:
     values = camera.params[list(camera.model.distortion_indices)]
     distortion[: len(values)] = values
     if distortion[5:].any():
-        raise ConfigError("transforms.json cannot hold a rational lens: undistort the pictures first")
+        raise ConfigError("transforms.json cannot hold a rational lens: undistort the images first")
     return {
         "camera_model": "OPENCV_FISHEYE" if is_fisheye else "OPENCV",
         "w": camera.width,

@@ -21,7 +21,7 @@ class SequenceKind(StrEnum):
     TUM_RGBD = "TUM RGB-D"
     EUROC = "EuRoC"
     KITTI = "KITTI odometry"
-    IMAGES = "pictures"
+    IMAGES = "images"
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,7 +36,7 @@ def timed_names(folder: Path, name: str) -> list[tuple[float, Path]]:
             raise FileFormatError(folder / name, f"line {number}: the time is not finite")
         out.append((time, path_inside(folder, file)))
     if not out:
-        raise FileFormatError(folder / name, "names no picture")
+        raise FileFormatError(folder / name, "names no image")
     return out
 
 
@@ -62,7 +62,7 @@ def timed_names_of_camera(folder: Path) -> list[tuple[int, Path]]:
             problem = f"line {number}: a whole number of nanoseconds and a file's name expected"
             raise FileFormatError(folder / "data.csv", problem) from error
     if not out:
-        raise FileFormatError(folder / "data.csv", "names no picture")
+        raise FileFormatError(folder / "data.csv", "names no image")
     step_s = (
         float(np.median(np.diff(sorted(nanoseconds for nanoseconds, _ in out)))) * 1e-9
         if len(out) > 2

@@ -125,7 +125,7 @@ def scannet(folder: Path) -> ImageSequence:
     """ScanNet as its reader exports it: `color/N.jpg`, `depth/N.png`, `pose/N.txt`, and matrices in `intrinsic`."""
     names = list_photographs(folder / "color").names
     if not names:
-        raise FileFormatError(folder / "color", "there is no picture in it")
+        raise FileFormatError(folder / "color", "there is no image in it")
     stems = [Path(name).stem for name in names]
     odd = next((stem for stem in stems if not (stem.isascii() and stem.isdecimal() and len(stem) < 10)), None)
     if odd is not None:
@@ -189,7 +189,7 @@ def tum(folder: Path) -> ImageSequence:
         if depth is not None or not depths:
             frames.append(FrameFiles(time, image, None, depth))
     if not frames:
-        raise FileFormatError(folder / "depth.txt", "no depth picture belongs to a colour picture")
+        raise FileFormatError(folder / "depth.txt", "no depth image belongs to a colour image")
     sequence = ImageSequence(SequenceKind.TUM_RGBD, tuple(frames), None, warnings=warnings)
     sequence = _with_tum_camera(sequence, folder)
     if not depths:

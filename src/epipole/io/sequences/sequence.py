@@ -33,17 +33,17 @@ def read_sequence(
 
     Args:
         folder: of any of the layouts.
-        fps: frames a second of pictures that have no times; None: 30, with a warning.
+        fps: frames a second of images that have no times; None: 30, with a warning.
         depth_scale: stored depth values for a metre, such as 1000 for millimetres; None: what the files and the layout say.
 
     Raises:
-        FileFormatError: there is no picture, or a file that comes with the layout is damaged.
+        FileFormatError: there is no image, or a file that comes with the layout is damaged.
         ConfigError: fps is given for frames that have times of their own, or depth_scale for frames without depth.
     """
     found = _read_sequence(Path(folder), fps)
     if fps is not None and (found.kind is not SequenceKind.IMAGES or (Path(folder) / TIMES).is_file()):
         raise ConfigError(
-            f"fps is for folders of pictures without times; these ({found.kind.value}) have their own"
+            f"fps is for folders of images without times; these ({found.kind.value}) have their own"
         )
     if depth_scale is None:
         return found
@@ -85,7 +85,7 @@ def _read_sequence(folder: Path, fps: float | None) -> ImageSequence:
 
 
 def _refuse_several(folder: Path) -> None:
-    """Sequences beside each other are not one, though their pictures could be read as one."""
+    """Sequences beside each other are not one, though their images could be read as one."""
     inside = [sub for sub in sorted(folder.iterdir()) if sub.is_dir() and _is_sequence(sub)]
     if len(inside) > 1:
         names = ", ".join(sub.name for sub in inside[:4]) + (", ..." if len(inside) > 4 else "")
@@ -95,7 +95,7 @@ def _refuse_several(folder: Path) -> None:
 
 
 def _is_sequence(folder: Path) -> bool:
-    """Whether a folder has a layout of its own, other than pictures alone."""
+    """Whether a folder has a layout of its own, other than images alone."""
     if (
         (folder / "mav0").is_dir()
         or (folder / "cam0" / "data.csv").is_file()
@@ -118,7 +118,7 @@ def _euroc(folder: Path) -> ImageSequence:
     )
     frames = tuple(f for f in frames if f.image.is_file() and (f.right is None or f.right.is_file()))
     if not frames:
-        raise FileFormatError(folder / "cam0" / "data.csv", "none of its pictures is there, with one of cam1")
+        raise FileFormatError(folder / "cam0" / "data.csv", "none of its images is there, with one of cam1")
     files, source = [folder / "cam0" / "sensor.yaml"], "cam0/sensor.yaml"
     sequence = ImageSequence(SequenceKind.EUROC, frames, None, warnings=warnings, camera_source=source)
     if not has_right:
@@ -158,8 +158,8 @@ def _images(listed: PhotographList, fps: float | None) -> ImageSequence:
     times, warnings = times_of(folder, names, fps or _PLAIN_HZ)
     frames = tuple(FrameFiles(time, folder / name) for time, name in zip(times, names))
     note = (
-        f"the pictures have no times: {_PLAIN_HZ:g} a second are assumed (give fps, or a file times.txt with the seconds"
-        " of a picture a line)"
+        f"the images have no times: {_PLAIN_HZ:g} a second are assumed (give fps, or a file times.txt with the seconds"
+        " of an image a line)"
     )
     is_given = fps is not None or (folder / TIMES).is_file()
     warnings = (*warnings, *(() if is_given else (note,)), *listed.notes)

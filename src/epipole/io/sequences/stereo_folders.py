@@ -1,4 +1,4 @@
-"""Which pictures of a left and a right camera belong together."""
+"""Which images of a left and a right camera belong together."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ Pair = tuple[Path, Path]
 
 @checked
 def pair_folders(left: Path, right: Path, ignore: Sequence[Path] = ()) -> list[tuple[str, Pair]]:
-    """(name, (left picture, right picture)): by names; by names but for the side's word; else by order.
+    """(name, (left image, right image)): by names; by names but for the side's word; else by order.
 
-    A picture without a partner keeps the path at which that was looked for: who reads it learns that there is none.
+    An image without a partner keeps the path at which that was looked for: who reads it learns that there is none.
 
     Raises:
-        FileFormatError: a folder has no picture, both are one folder, or it is not clear which belong
+        FileFormatError: a folder has no image, both are one folder, or it is not clear which belong
             together.
     """
     listed = [list_photographs(folder, ignore=list(ignore)) for folder in (left, right)]
@@ -53,7 +53,7 @@ def pair_folders(left: Path, right: Path, ignore: Sequence[Path] = ()) -> list[t
 def pair_within(folder: Path) -> list[Pair]:
     """Pairs of one folder whose names differ in the side's word: left01.jpg with right01.jpg; none where no two do.
 
-    A picture that has the word but no partner keeps the path at which that was looked for.
+    An image that has the word but no partner keeps the path at which that was looked for.
     """
     names = list_photographs(folder).names
     sides = [_by_word(names, side) for side in (_LEFT, _RIGHT)]

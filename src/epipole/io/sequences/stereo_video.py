@@ -1,4 +1,4 @@
-"""Pairs of frames from stereo video: two files, or one that holds both pictures side by side."""
+"""Pairs of frames from stereo video: two files, or one that holds both images side by side."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def extract_pairs(
     """Write evenly spaced pairs of frames as left/frame_000123.png and right/frame_000123.png.
 
     Args:
-        left: a video; both pictures side by side where `right` is the same file.
+        left: a video; both images side by side where `right` is the same file.
         right: the other video, whose frames were taken at the same instants.
         folder: where to write; frames that are there already are not read again.
         max_frames: largest number of pairs.

@@ -22,7 +22,7 @@ _DIGITS = 7
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameTable:
-    """Pictures and times, in the order of the source."""
+    """Images and times, in the order of the source."""
 
     image: tuple[str, ...]
     """Empty for a frame that was dropped to keep up."""
@@ -36,7 +36,7 @@ class FrameTable:
 
 @checked
 def read_frame_table(path: str | Path) -> FrameTable:
-    """Read the pictures and times of all frames.
+    """Read the images and times of all frames.
 
     Raises:
         FileFormatError: no such file, a column is missing, or the frames' numbers do not rise.
@@ -49,11 +49,11 @@ def read_frame_table(path: str | Path) -> FrameTable:
     images: list[str] = []
     times: list[float] = []
     for row in rows:
-        name, time, given = row.get("picture"), row.get("timestamp_s"), row.get("frame") or ""
+        name, time, given = row.get("image"), row.get("timestamp_s"), row.get("frame") or ""
         number = int(given) if given.isascii() and given.isdecimal() and len(given) <= _DIGITS else -1
         if number < len(images) or name is None or time is None:
             position = f"frame {len(images)}"
-            raise FileFormatError(path, f"{position}: its number, timestamp_s and picture expected")
+            raise FileFormatError(path, f"{position}: its number, timestamp_s and image expected")
         try:
             seconds = float(time) if time else np.nan
         except ValueError as error:

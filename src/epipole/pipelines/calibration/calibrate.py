@@ -27,7 +27,7 @@ _LEAST_FRACTION = 0.5  # a view with a smaller share of inlier corners is left o
 
 
 class ViewState(StrEnum):
-    """Whether a picture was used, or why not."""
+    """Whether an image was used, or why not."""
 
     USED = "used"
     NO_BOARD = "no board found"
@@ -106,9 +106,7 @@ class Calibration:
     def __repr__(self) -> str:
         used = sum(state is ViewState.USED for states in self.view_states for state in states)
         total = sum(len(states) for states in self.view_states)
-        return (
-            f"Calibration({len(self.cameras)} cameras, {used} of {total} pictures, rms {self.rms_px:.3f} px)"
-        )
+        return f"Calibration({len(self.cameras)} cameras, {used} of {total} images, rms {self.rms_px:.3f} px)"
 
 
 def calibrate_views(
@@ -124,7 +122,7 @@ def calibrate_views(
 
     Args:
         views: By `[camera][instant]`; empty where the board was not found.
-        sizes: width and height of each camera's pictures.
+        sizes: width and height of each camera's images.
         config: options.
 
     Raises:

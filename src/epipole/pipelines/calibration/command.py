@@ -24,17 +24,17 @@ def calibrate(
     right: Path | None = None,
     strict: bool = False,
 ) -> None:
-    """Calibrate a camera, or a pair of cameras, from pictures of a chessboard, ChArUco board or AprilTag grid.
+    """Calibrate a camera, or a pair of cameras, from images of a chessboard, ChArUco board or AprilTag grid.
 
-    A pair's pictures lie in sub-folders left and right, or are named left01.jpg and right01.jpg. The principal
+    A pair's images lie in sub-folders left and right, or are named left01.jpg and right01.jpg. The principal
     point (cx, cy) is printed and written with the centre of the first pixel at 0, 0, as OpenCV has it; the line for
-    `epipole reconstruct --camera-params` counts it from the picture's corner, half a pixel more.
+    `epipole reconstruct --camera-params` counts it from the image's corner, half a pixel more.
 
     Args:
-        images: Folder of pictures.
+        images: Folder of images.
         out: Output folder.
         config: Board and options.
-        right: Folder of the right camera's pictures, if they are in a folder of their own.
+        right: Folder of the right camera's images, if they are in a folder of their own.
         strict: Exit with code 3 if the calibration fails its checks; it is written all the same.
     """
     from epipole.screen import ANSWER_IS_NO, progress_on_screen
@@ -49,7 +49,7 @@ def calibrate(
 
 
 def camera_options(camera: Camera) -> str:
-    """The camera as options of `epipole reconstruct`, whose principal point counts from the picture's corner."""
+    """The camera as options of `epipole reconstruct`, whose principal point counts from the image's corner."""
     from epipole.io.colmap.model import params_to_colmap
 
     params = ",".join(f"{p:.8g}" for p in params_to_colmap(camera.model, camera.params))
@@ -73,7 +73,7 @@ def show_calibration(run: CalibrationRun) -> None:
             table.add_row(name, f"{value:.6g}", f"{sigma:.2g}")
         console.print(table)
     console.print(
-        "for `epipole reconstruct`, with the principal point from the picture's corner:", markup=False
+        "for `epipole reconstruct`, with the principal point from the image's corner:", markup=False
     )
     for camera in found.cameras:
         console.print(f"  {camera_options(camera)}", highlight=False, markup=False, soft_wrap=True)

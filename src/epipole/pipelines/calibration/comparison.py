@@ -30,7 +30,7 @@ class ProjectionDifference:
     """How far apart two cameras project the same directions."""
 
     pixels: Float64[np.ndarray, "n 2"]
-    """Of the first camera's picture."""
+    """Of the first camera's image."""
     difference_px: Float64[np.ndarray, "n 2"]
     """Second minus first; NaN where one of them sees nothing."""
 
@@ -74,15 +74,15 @@ class CrossCheck:
 def projection_difference(
     first: Camera, second: Camera, pixels: Float64[np.ndarray, "n 2"] | None = None
 ) -> ProjectionDifference:
-    """Difference of two cameras over the picture, after the rotation that makes it smallest.
+    """Difference of two cameras over the image, after the rotation that makes it smallest.
 
-    A change of the principal point is nearly a turn of the camera, which no picture of a board tells apart; what remains is what
+    A change of the principal point is nearly a turn of the camera, which no image of a board tells apart; what remains is what
     matters (mrcal's differencing, Kogan 2021, at infinity). Gauss-Newton with Cauchy's weights.
 
     Args:
         first: a camera.
         second: another one, or the same calibrated again.
-        pixels: of the first one's picture; None: a grid over all of it.
+        pixels: of the first one's image; None: a grid over all of it.
     """
     if pixels is None:
         u, v = np.meshgrid(np.linspace(0, first.width - 1, 24), np.linspace(0, first.height - 1, 18))

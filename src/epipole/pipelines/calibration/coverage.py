@@ -1,4 +1,4 @@
-"""Where in the picture corners were seen: elsewhere the lens model is extrapolated."""
+"""Where in the image corners were seen: elsewhere the lens model is extrapolated."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _CELLS = (12, 9)
 
 
 def coverage(found: Calibration, camera: int) -> float:
-    """Share of the picture's 12 x 9 cells in which corners were used, or that such cells surround."""
+    """Share of the image's 12 x 9 cells in which corners were used, or that such cells surround."""
     return float(covered_cells(found, camera).mean())
 
 

@@ -60,7 +60,7 @@ class Corners:
         )
 
     def of_view(self, camera: int, view: int) -> Int64[np.ndarray, " n"]:
-        """Rows of one picture."""
+        """Rows of one image."""
         return np.flatnonzero((self.camera == camera) & (self.view == view))
 
     def __len__(self) -> int:

@@ -27,7 +27,7 @@ _BAR_LENGTH = 120.0
 
 @dataclass(frozen=True, slots=True)
 class _Dot:
-    """A corner in the picture, with a line from it as far as its residual says."""
+    """A corner in the image, with a line from it as far as its residual says."""
 
     x: str
     y: str
@@ -125,7 +125,7 @@ def _camera(run: CalibrationRun, c: int) -> dict[str, object]:
 
 
 def _far_sigma(found: Calibration, c: int) -> tuple[float, float, str]:
-    """How well a far point's projection is known over the picture: best, worst (1 % aside), and as colours."""
+    """How well a far point's projection is known over the image: best, worst (1 % aside), and as colours."""
     camera, (columns, rows) = found.cameras[c], _GRID
     u, v = np.meshgrid(np.linspace(0, camera.width - 1, columns), np.linspace(0, camera.height - 1, rows))
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)

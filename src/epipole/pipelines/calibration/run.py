@@ -1,4 +1,4 @@
-"""The job: pictures of a board to calibrated cameras on disk."""
+"""The job: images of a board to calibrated cameras on disk."""
 
 from __future__ import annotations
 
@@ -37,21 +37,21 @@ def calibrate(
     progress: ProgressCallback = ignore_progress,
     **options: Any,
 ) -> CalibrationRun:
-    """Calibrate a camera, or a pair, from pictures of a board, with a report.
+    """Calibrate a camera, or a pair, from images of a board, with a report.
 
     Writes `calibration.json` (with covariances), `opencv.yaml`, ROS' `ros.yaml` (of a pair `ros_left.yaml` and
     `ros_right.yaml`) and `report.html`.
 
     Args:
-        images: folder of pictures; of a pair's: sub-folders left and right, or files left01.jpg and right01.jpg.
+        images: folder of images; of a pair's: sub-folders left and right, or files left01.jpg and right01.jpg.
         out: output folder, made if missing.
         config: board and options.
-        right: folder of the right camera's pictures, of the same names or in the same order.
+        right: folder of the right camera's images, of the same names or in the same order.
         progress: called with the progress.
         **options: single options of the config or its board by name, which override it: `columns=9`.
 
     Raises:
-        FileFormatError: there are no pictures, or the two folders do not fit.
+        FileFormatError: there are no images, or the two folders do not fit.
         DegenerateGeometryError: the board is seen too seldom, or the views do not determine everything.
         WorkspaceError: the output folder cannot be used.
         ConfigError: an option is unknown, or its value makes no sense.
@@ -78,7 +78,7 @@ def calibrate(
 
 
 def _measure(images: list[list[Path]], run: Run, config: CalibrationConfig) -> CalibrationRun:
-    """Find the board in every picture, calibrate, and check."""
+    """Find the board in every image, calibrate, and check."""
     views, sizes, problems = _inspect_all(images, run, config)
     run.report("calibrate", 0, 2)
     against = _against(images, config.board)
@@ -98,7 +98,7 @@ def _measure(images: list[list[Path]], run: Run, config: CalibrationConfig) -> C
 def _inspect_all(
     images: list[list[Path]], run: Run, config: CalibrationConfig
 ) -> tuple[list[list[BoardView]], list[tuple[int, int]], dict[str, str]]:
-    """Views of the board and the picture size of each camera, and what is wrong with single pictures."""
+    """Views of the board and the image size of each camera, and what is wrong with single images."""
     views: list[list[BoardView]] = []
     sizes: list[tuple[int, int]] = []
     problems: dict[str, str] = {}
@@ -144,7 +144,7 @@ def _readable(images: Sequence[Path]) -> Iterator[np.ndarray]:
 
 
 def images_of_cameras(images: Path, right: Path | None = None) -> list[list[Path]]:
-    """Pictures of one camera, or of two in the same order, where some may not exist: views of one camera alone.
+    """Images of one camera, or of two in the same order, where some may not exist: views of one camera alone.
 
     Raises:
         FileFormatError: there are none, or left and right do not fit.
@@ -211,13 +211,13 @@ def _common_size(
     images: Sequence[Path],
     board: BoardConfig,
 ) -> tuple[int, int]:
-    """The size of most pictures with a board (of most pictures where there is none)."""
+    """The size of most images with a board (of most images where there is none)."""
     with_board = [s for s, view in zip(shapes, found) if s is not None and len(view)]
     every = with_board or [s for s in shapes if s is not None]
     if not every:
-        raise FileFormatError(images[0].parent, "none of its pictures can be read")
+        raise FileFormatError(images[0].parent, "none of its images can be read")
     if not with_board:
         raise DegenerateGeometryError(
-            f"the board is in none of the {len(images)} pictures of {images[0].parent}: {_requested(board)}"
+            f"the board is in none of the {len(images)} images of {images[0].parent}: {_requested(board)}"
         )
     return max(sorted(set(every)), key=every.count)

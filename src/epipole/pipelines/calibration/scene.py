@@ -18,7 +18,7 @@ CALIBRATION = "calibration.json"
 UNIT = "the unit of the calibration"
 """Metres where the board was told in metres."""
 LINES, STEPS = 9, 32
-"""Of the grid of a picture's pixels: lines each way, and pieces of a line."""
+"""Of the grid of an image's pixels: lines each way, and pieces of a line."""
 GRID_RGB = ((120, 190, 220), (230, 170, 90))
 
 

@@ -13,7 +13,7 @@ from epipole.geometry.rotation3 import skew
 from epipole.pipelines.calibration.observations import Corners
 from epipole.solvers import solve_pnp
 
-_FOCALS = np.geomspace(0.3, 4.0, 14)  # of the picture's longer side
+_FOCALS = np.geomspace(0.3, 4.0, 14)  # of the image's longer side
 _FINER = 1.0 + np.linspace(-0.08, 0.08, 5)
 _FAR_VIEW = 5.0  # a view this many times worse than the median view is left out from the start
 _TRIMS, _TRIM = (
@@ -43,7 +43,7 @@ def start_camera(
     seen = [v for v, rows in enumerate(views) if len(rows)]
     if len(seen) < 3:
         raise DegenerateGeometryError(
-            f"the board is found in {len(seen)} pictures of a camera; at least 3 are needed"
+            f"the board is found in {len(seen)} images of a camera; at least 3 are needed"
         )
 
     def guess(focal: float) -> Camera:

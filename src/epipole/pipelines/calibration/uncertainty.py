@@ -88,7 +88,7 @@ def uncertainty_of(
     lowest = np.linalg.eigvalsh(scaled)[0]
     if not lowest > 1e-13:
         raise DegenerateGeometryError(
-            "the views do not determine everything: show the board tilted to many sides and near the picture's borders"
+            "the views do not determine everything: show the board tilted to many sides and near the image's borders"
         )
     theta[own] = np.linalg.inv(scaled) * scale[free][:, None] * scale[free]
     mean_map /= max(num_views, 1)

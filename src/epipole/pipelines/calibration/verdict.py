@@ -50,7 +50,7 @@ def assess(found: Calibration, check: CrossCheck | None, against: Sequence[str] 
         covered = coverage(found, c)
         if covered < LEAST_COVERAGE:
             failures.append(
-                f"{who}corners cover {100 * covered:.0f} % of the picture; beyond them the lens is guessed"
+                f"{who}corners cover {100 * covered:.0f} % of the image; beyond them the lens is guessed"
             )
         sigma = _covered_sigma_px(found, c)
         if not sigma <= MOST_SIGMA_PX:
@@ -64,7 +64,7 @@ def assess(found: Calibration, check: CrossCheck | None, against: Sequence[str] 
         width, height = camera.width, camera.height
         cx, cy = camera.K[0, 2], camera.K[1, 2]
         if not (0 < cx < width and 0 < cy < height):
-            failures.append(f"{who}the principal point lies outside the picture")
+            failures.append(f"{who}the principal point lies outside the image")
     if found.rms_px > MOST_RMS_PX:
         failures.append(f"corners lie {found.rms_px:.2f} px off (root mean square)")
     if check is None:

@@ -40,9 +40,9 @@ class Conversion:
     out: Path
     """The folder, or the PLY file."""
     num_images: int
-    """Pictures that lie in `images/` beside the model."""
+    """Images that lie in `images/` beside the model."""
     missing: tuple[str, ...]
-    """Images of the model whose pictures were not found."""
+    """Images of the model whose images were not found."""
     warnings: tuple[str, ...] = ()
     """What the reconstruction that is the source has lost: images and models that are not in what was written."""
     losses: tuple[str, ...] = ()
@@ -68,7 +68,7 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
         source: output folder of `reconstruct`, a COLMAP model, or a transforms.json; for `splat` an output folder of `splat`, or a
             file of Gaussians.
         target: for `ply` a file; for `splat` a .ply, .compressed.ply, .spz, .sog or .splat; for the other formats, which are of several files, a new folder, or that of an earlier
-            conversion of the same model, whose other formats stay. `transforms` and `bundler` get their pictures, too, in `images/` (as hard links
+            conversion of the same model, whose other formats stay. `transforms` and `bundler` get their images, too, in `images/` (as hard links
             where the disk is the same): the paths in these files are then right.
         format: txt or bin (COLMAP's), transforms (nerfstudio's), bundler, ply or splat; None where the target's name tells it.
 
@@ -102,7 +102,7 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
             with run.folder.replacing(IMAGE_FOLDER, [f"{IMAGE_FOLDER}/{name}" for name in found]):
                 for name, path in found.items():
                     link_or_copy(path, run.root / IMAGE_FOLDER / name)
-        with run.folder.publish(format) as aside:  # last: where it is, its pictures are
+        with run.folder.publish(format) as aside:  # last: where it is, its images are
             FOLDER_WRITERS[format](model, aside)
         run.finish({"num_images": len(found), "warnings": losses})
     return Conversion(target, len(found), tuple(name for name in names if name not in found), losses)
@@ -148,7 +148,7 @@ def _names_with_pose(model: Reconstruction) -> list[str]:
 
 
 def _image(source: Path, name: str) -> Path | None:
-    """The picture of an image: in `images/` of the output folder that the model is, or lies in, or beside its file.
+    """The image of an image: in `images/` of the output folder that the model is, or lies in, or beside its file.
 
     Raises:
         FileFormatError: the name leads out of the folder.

@@ -69,7 +69,7 @@ class DemoResult:
 
     @property
     def success(self) -> bool:
-        """Whether all pictures were placed, as exactly as they should be."""
+        """Whether all images were placed, as exactly as they should be."""
         return self.num_registered == self.num_views and self.relative_error <= MAX_RELATIVE_ERROR
 
     def __repr__(self) -> str:

@@ -50,7 +50,7 @@ def evaluate(out: str | Path, truth: str | Path) -> Evaluation:
         truth: a COLMAP model, a transforms.json, a folder of Strecha `.camera` files or a Middlebury `_par.txt` file.
 
     Raises:
-        FileFormatError: one of them cannot be read, is a trajectory, or they share no pictures.
+        FileFormatError: one of them cannot be read, is a trajectory, or they share no images.
         DegenerateGeometryError: fewer than two known cameras are registered.
     """
     for path in (as_path(out), as_path(truth)):
@@ -73,7 +73,7 @@ def evaluate(out: str | Path, truth: str | Path) -> Evaluation:
     found = np.isfinite(translation).all(axis=1)
     if not found.any():
         raise FileFormatError(
-            Path(truth), "none of its pictures is registered in the model; do the names agree?"
+            Path(truth), "none of its images is registered in the model; do the names agree?"
         )
     if found.sum() < 2:
         raise DegenerateGeometryError("only one known camera is registered; errors need at least two")

@@ -26,7 +26,7 @@ STARTED = "checkpoint/trajectory_causal.txt"
 
 
 def trajectories_of(out: Path, truth: Path) -> list[Path]:
-    """The trajectories to compare with a truth; empty where the truth is one of pictures.
+    """The trajectories to compare with a truth; empty where the truth is one of images.
 
     Raises:
         FileFormatError: the truth is a trajectory, and there is none to compare with it.
@@ -55,7 +55,7 @@ def evaluate_trajectory(
     """Compare a trajectory with a known one.
 
     Instants without times (KITTI) belong together in their order; beside the other's table of frames in theirs. A truth
-    whose times are numbers of pictures (7-Scenes) is known by the names in that table. Where the order of a quaternion or
+    whose times are numbers of images (7-Scenes) is known by the names in that table. Where the order of a quaternion or
     the unit of times cannot be known from one file, both files decide together, and `assumptions` says how they were read.
 
     Args:

@@ -1,1 +1,1 @@
-"""Pictures to a radiance field, and back to pictures."""
+"""Images to a radiance field, and back to images."""

@@ -21,7 +21,7 @@ from epipole.scene import Reconstruction
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderView:
-    """One picture that is to be drawn."""
+    """One image that is to be drawn."""
 
     name: str
     """Of its file, without ending."""
@@ -57,7 +57,7 @@ def render_views_of_model(source: Path, job: RenderJob) -> list[RenderView]:
 
 
 def sized(camera: Camera, width: int | None) -> Camera:
-    """A pinhole with pictures of another width, of the same view."""
+    """A pinhole with images of another width, of the same view."""
     if width is None or width == camera.width:
         return camera
     height = max(1, round(camera.height * width / camera.width))

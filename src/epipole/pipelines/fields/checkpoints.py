@@ -43,7 +43,7 @@ class Resumable(Protocol):
 
 
 class Checkpoint:
-    """The file of one job: that of other pictures, options or another version is not read."""
+    """The file of one job: that of other images, options or another version is not read."""
 
     def __init__(
         self, folder: Path, settings: dict[str, Any], views: Sequence[TrainingView], trainer: Resumable

@@ -36,13 +36,13 @@ def splat(
     job: Annotated[FieldOptions, tyro.conf.arg(name="")] = ALL_IMAGES,
     config: Annotated[SplatConfig, tyro.conf.arg(name="")] = DEFAULTS,
 ) -> None:
-    """Train 3D Gaussians on pictures, without a GPU. Ctrl-C ends the training, and writes what was learnt.
+    """Train 3D Gaussians on images, without a GPU. Ctrl-C ends the training, and writes what was learnt.
 
     Args:
         source: A folder of photographs or a video (cameras are found first), an output folder of `reconstruct`, a COLMAP model
-            with its pictures, or a transforms.json.
+            with its images, or a transforms.json.
         out: Output folder: splat.ply, test/NAME.png, metrics.json, report.html.
-        job: Which pictures, and for how long.
+        job: Which images, and for how long.
         config: Options of the training.
     """
     from epipole.screen import progress_on_screen
@@ -60,12 +60,12 @@ def nerf(
     job: Annotated[FieldOptions, tyro.conf.arg(name="")] = ALL_IMAGES,
     config: Annotated[NerfConfig, tyro.conf.arg(name="")] = MARCHED,
 ) -> None:
-    """Train a neural radiance field, or an explicit grid, on pictures around a scene, without a GPU. Ctrl-C ends the training, and writes what was learnt.
+    """Train a neural radiance field, or an explicit grid, on images around a scene, without a GPU. Ctrl-C ends the training, and writes what was learnt.
 
     Args:
         source: As of `splat`: a folder of photographs or a video, an output folder of `reconstruct`, a COLMAP model, a transforms.json.
         out: Output folder: hash.npz or grid.npz, test/NAME.png, metrics.json, report.html.
-        job: Which pictures, and for how long.
+        job: Which images, and for how long.
         config: Options of the training.
     """
     from epipole.screen import progress_on_screen
@@ -85,11 +85,11 @@ def render(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     job: Annotated[RenderJob, tyro.conf.arg(name="")] = CIRCLE,
 ) -> None:
-    """Draw trained Gaussians, a neural field or a grid, from a circle or given cameras, to a video or pictures.
+    """Draw trained Gaussians, a neural field or a grid, from a circle or given cameras, to a video or images.
 
     Args:
         source: Output folder of `splat` or `nerf`, or a file of Gaussians (.ply, .compressed.ply, .spz, .sog, .splat).
-        out: A video (.mp4), or a folder for PNG pictures.
+        out: A video (.mp4), or a folder for PNG images.
         job: From where, and how large.
     """
     from epipole.screen import open_console, progress_on_screen
@@ -98,7 +98,7 @@ def render(
         from epipole.pipelines.fields.rendering import render as run
 
         done = run(source, out, job, progress)
-    text = f"Written {done.out}: {done.num_frames} pictures, {done.frames_per_s:.1f} drawn a second"
+    text = f"Written {done.out}: {done.num_frames} images, {done.frames_per_s:.1f} drawn a second"
     open_console().print(text, highlight=False, markup=False)
 
 
@@ -140,7 +140,7 @@ def compare_fields(
     Args:
         source: As of `splat`: a folder of photographs or a video, an output folder of `reconstruct`, a COLMAP model, a transforms.json.
         out: Output folder: splat, nerf, pictures/NAME.png (truth, Gaussians, field), compare.json.
-        job: Which pictures, and for how long each is trained.
+        job: Which images, and for how long each is trained.
         config: Which field the Gaussians are compared with.
     """
     from epipole.screen import open_console, print_warnings, progress_on_screen
@@ -160,7 +160,7 @@ def compare_fields(
 def _compared(rows: dict[str, dict[str, Any]], kind: str) -> Table:
     from rich.table import Table
 
-    table = Table("", "PSNR", "SSIM", "trained", "pictures a second", "for each pixel")
+    table = Table("", "PSNR", "SSIM", "trained", "images a second", "for each pixel")
     names = {"splat": "Gaussians", "nerf": "neural field" if kind == "hash" else "grid"}
     for name, row in rows.items():
         work = (
@@ -183,12 +183,12 @@ def _show(summary: dict[str, Any], warnings: Sequence[str], count: str, model: P
     table.add_row(count.removeprefix("num_"), f"{summary[count]:,}")
     table.add_row(
         "trained",
-        f"{summary['steps']} steps in {summary['train_s']:.0f} s on {summary['num_train']} pictures",
+        f"{summary['steps']} steps in {summary['train_s']:.0f} s on {summary['num_train']} images",
     )
     if summary["psnr"] is not None:
         test, compared = summary["num_test"], summary["num_compared"]
         of_all = "" if compared == test else f"{compared} of "
-        held_out = f"{of_all}{test} picture{'s that were' if test > 1 else ' that was'} held out"
+        held_out = f"{of_all}{test} image{'s that were' if test > 1 else ' that was'} held out"
         table.add_row("likeness", f"PSNR {summary['psnr']:.2f} dB, SSIM {summary['ssim']:.3f} ({held_out})")
     if summary["interrupted"]:
         table.add_row("ended", "by Ctrl-C")

@@ -1,4 +1,4 @@
-"""The job: Gaussians and a field that is marched through, trained for the same time on the same pictures and compared."""
+"""The job: Gaussians and a field that is marched through, trained for the same time on the same images and compared."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from epipole.pipelines.fields.scores import scores_of
 from epipole.pipelines.fields.training import MEANS, METRICS, background_of, called
 from epipole.runs import ProgressCallback, Run, ignore_progress, open_run
 
-IMAGES, FIGURES = "pictures", "compare.json"
+IMAGES, FIGURES = "images", "compare.json"
 SPLAT, NERF = "splat", "nerf"
 
 
 class Shown(NamedTuple):
-    """A view, rendered and compared with its picture."""
+    """A view, rendered and compared with its image."""
 
     image: np.ndarray
     row: dict[str, float]
@@ -70,12 +70,12 @@ def compare_fields(
         source: as of `splat`.
         out: output folder: `splat`, `nerf`, `images/NAME.png` (truth, Gaussians, field), `compare.json`.
         config: which field Gaussians are compared with; None for the neural one. Its seed is that of both.
-        job: which pictures, and for how long each is trained.
+        job: which images, and for how long each is trained.
         progress: called with the progress of each stage.
         **options: single options of both by name, which override them: `time="1m"`.
 
     Raises:
-        NoModelError: the pictures give no cameras, or fewer than two can be used.
+        NoModelError: the images give no cameras, or fewer than two can be used.
         ConfigError: an option is unknown or makes no sense.
         DegenerateGeometryError: the cameras see nothing in common, or look the same way.
         FileFormatError: the source cannot be read.
@@ -122,7 +122,7 @@ class _FieldRenderer:
     kind: Kind
 
     def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
-        """The picture of a view, and how often the field was asked for it."""
+        """The image of a view, and how often the field was asked for it."""
         rendered, _, count = self.kind.render(
             self.result.field, view.camera, view.cam_from_world, self.background
         )

@@ -19,22 +19,22 @@ Background = Literal["auto", "white", "black"]
 
 @dataclass(frozen=True, kw_only=True)
 class FieldOptions:
-    """What is taken of the pictures, and for how long is trained."""
+    """What is taken of the images, and for how long is trained."""
 
     time: str | None = None
     """How long to train: 30s, 5m or 1h; 5m unless steps are given. The result depends on the machine's speed."""
     steps: int | None = None
     """Steps instead of a time: the same result on any machine."""
     test_every: int = 8
-    """Every so many pictures one is held out and compared in the end; 0: none. Sets with a test split of their own keep it."""
+    """Every so many images one is held out and compared in the end; 0: none. Sets with a test split of their own keep it."""
     test: str | None = None
-    """Names of pictures that are held out instead, separated by commas."""
+    """Names of images that are held out instead, separated by commas."""
     max_side_px: int = 800
-    """Larger pictures are shrunk to this longest side."""
+    """Larger images are shrunk to this longest side."""
     background: Background = "auto"
-    """Colour behind everything: white for pictures with transparency, else black."""
+    """Colour behind everything: white for images with transparency, else black."""
     masks: Path | None = None
-    """Folder of masks, MASKS/NAME.png: where a mask is black a picture is neither learnt from nor compared."""
+    """Folder of masks, MASKS/NAME.png: where a mask is black an image is neither learnt from nor compared."""
     view: bool = False
     """Watch the training in the browser; it takes at most a tenth of its time."""
     port: int | None = None
@@ -86,23 +86,23 @@ class RenderJob:
     cameras: Path | None = None
     """Draw from these cameras: a transforms.json, a COLMAP model or an output folder; else on a circle around the scene."""
     frames: int = 120
-    """Pictures of the circle."""
+    """Images of the circle."""
     rotation_deg: float = 360.0
     """How far the circle goes round."""
     width: int | None = None
-    """Of the pictures; as the cameras' own, 800 for a circle."""
+    """Of the images; as the cameras' own, 800 for a circle."""
     height: int | None = None
-    """Of the circle's pictures; 3/4 of the width."""
+    """Of the circle's images; 3/4 of the width."""
     fov_deg: float = 50.0
     """Across, of the circle's camera."""
     fps: float = 30.0
-    """Pictures a second of a video."""
+    """Images a second of a video."""
     background: Background = "auto"
     """Colour behind everything: as it was trained, else black."""
     antialiased: bool | None = None
     """With Mip-Splatting's filter; None: if it was trained with it."""
     output: Literal["colour", "depth", "normals", "coverage"] = "colour"
-    """What is drawn. Depth in colours, near blue, far red, the same for all pictures; normals as (n + 1) / 2 in the camera's axes."""
+    """What is drawn. Depth in colours, near blue, far red, the same for all images; normals as (n + 1) / 2 in the camera's axes."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -142,7 +142,7 @@ class MeshJob:
     least_component: float = 0.01
     """Remove components with fewer triangles than this fraction of the largest one; 0 keeps all."""
     width: int | None = None
-    """Of the depth pictures; as the cameras' own."""
+    """Of the depth images; as the cameras' own."""
 
     def __post_init__(self) -> None:
         """Check the ranges.

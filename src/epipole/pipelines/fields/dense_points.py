@@ -1,6 +1,6 @@
 """Points by stereo of neighbouring views: where a model has few, Gaussians begin at these, too.
 
-Pictures of a training are small, and a pair of them takes a tenth of a second: what is found so, is found before a training has begun
+Images of a training are small, and a pair of them takes a tenth of a second: what is found so, is found before a training has begun
 to look for it (as EDGS does by a network; Kotovenko et al., 2025).
 """
 
@@ -19,7 +19,7 @@ from epipole.fields.training_view import TrainingView
 from epipole.scene import StereoRig
 
 SIDE_PX = 480
-"""Of the pictures that are compared: larger ones are made smaller by a whole factor."""
+"""Of the images that are compared: larger ones are made smaller by a whole factor."""
 PARTNERS, BEST_DEG, SPREAD = 2, 8.0, 0.6
 """Of each view, those that see most of its points from an angle nearest to that; one that is e^SPREAD times as large counts 0.6."""
 LEAST_SCORE, LEAST_POINTS = 0.1, 20
@@ -130,7 +130,7 @@ def _range_of(flat: Rectification, positions: np.ndarray) -> DisparityConfig:
 
 
 def _is_used(flat: Rectification, view: TrainingView) -> np.ndarray:
-    """(h, w) where a rectified left picture shows what is neither masked nor transparent."""
+    """(h, w) where a rectified left image shows what is neither masked nor transparent."""
     used = np.ones(view.image.shape[:2], bool) if view.used_mask is None else view.used_mask
     if view.image.shape[2] == 4:
         used = used & (view.image[..., 3] > 0)

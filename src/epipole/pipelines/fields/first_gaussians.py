@@ -24,7 +24,7 @@ from epipole.scene.gaussian_cloud import NUM_SH, GaussianCloud
 LEAST_POINTS = 100
 """Of a model: with fewer the first Gaussians are drawn."""
 LEAST_IN_VIEW = 0.02
-"""Of the points: with fewer in most pictures the cameras look elsewhere."""
+"""Of the points: with fewer in most images the cameras look elsewhere."""
 FIRST_FRACTION = 0.1
 """Of the Gaussians in the end, where they are drawn."""
 FILLED_FRACTION = 0.6

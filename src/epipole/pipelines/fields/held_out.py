@@ -1,4 +1,4 @@
-"""Held-out views of a trained field: rendered, as many as the time allows, written and compared with their pictures."""
+"""Held-out views of a trained field: rendered, as many as the time allows, written and compared with their images."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ RENDER_FRACTION = 0.25
 PROBED = 3
 """Held-out views that are rendered along the way."""
 RAYS_OF_THREAD = 2048
-"""Pixels, for each thread, of the small picture that shows how long a view takes: all threads have work."""
+"""Pixels, for each thread, of the small image that shows how long a view takes: all threads have work."""
 
 
 @runtime_checkable
@@ -37,7 +37,7 @@ class Renderer(Protocol):
         """(3,) the colour behind it."""
 
     def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
-        """(h, w, 3) the picture of a view, and how often the field was asked for it."""
+        """(h, w, 3) the image of a view, and how often the field was asked for it."""
 
 
 def seconds_of_view(renderer: Renderer, view: TrainingView) -> float:
@@ -56,7 +56,7 @@ def seconds_of_view(renderer: Renderer, view: TrainingView) -> float:
 
 
 def timed(renderer: Renderer, view: TrainingView) -> tuple[np.ndarray, float, int]:
-    """The picture, the seconds without compilation, and how often the field was asked."""
+    """The image, the seconds without compilation, and how often the field was asked."""
     start, compiled = perf_counter(), compile_seconds()
     image, count = renderer.render_counted(view)
     return image, max(perf_counter() - start - (compile_seconds() - compiled), 1e-9), count

@@ -1,4 +1,4 @@
-"""What a field is trained on: pictures without distortion, cameras, and points, from any of the formats here."""
+"""What a field is trained on: images without distortion, cameras, and points, from any of the formats here."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class FieldImages:
     rgb: np.ndarray
     has_alpha: bool
     problems: list[str]
-    """Pictures that are left out, and why."""
+    """Images that are left out, and why."""
     origin_in_world: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """(3,) what the coordinates are relative to."""
 
@@ -88,19 +88,19 @@ def gather_field_images(
     photographs: Path | None = None,
     progress: ProgressCallback = ignore_progress,
 ) -> FieldImages:
-    """Read cameras and pictures.
+    """Read cameras and images.
 
     Args:
         source: an output folder of `reconstruct`, a COLMAP model with `images` beside it, a transforms.json, or a folder of one
             or of LLFF's poses_bounds.npy.
-        options: which pictures are held out, and how large they may be.
-        photographs: where the pictures are, if not beside the model.
-        progress: called after each picture.
+        options: which images are held out, and how large they may be.
+        photographs: where the images are, if not beside the model.
+        progress: called after each image.
 
     Raises:
         FileFormatError: there is no model, or it is damaged.
-        NoModelError: fewer than two pictures can be used.
-        ConfigError: a picture that is to be held out has no camera.
+        NoModelError: fewer than two images can be used.
+        ConfigError: an image that is to be held out has no camera.
     """
     problems: list[str] = []
     if (source / SPLITS[0]).is_file():
@@ -116,7 +116,7 @@ def gather_field_images(
         train, test = _split(_views(found, options, problems, progress), found.splits, options, problems)
     if len(train) < 2:
         raise NoModelError(
-            f"{len(train)} of the pictures can be trained on, two are needed"
+            f"{len(train)} of the images can be trained on, two are needed"
             + "".join(f"; {p}" for p in problems[:3])
             + ("; SLAM keeps no images beside its map" if results_of(source) == "slam" else "")
         )
@@ -154,7 +154,7 @@ def _split(
     if options.test is not None:
         held_out_names = {name.strip() for name in options.test.split(",") if name.strip()}
         if missing := sorted(held_out_names - set(names)):
-            raise ConfigError(f"test names pictures that have no camera: {', '.join(missing[:4])}")
+            raise ConfigError(f"test names images that have no camera: {', '.join(missing[:4])}")
         if splits:
             problems.append("the splits of the file are not used, because test names the held-out images")
     elif splits:
@@ -218,7 +218,7 @@ def _views(
     """By their names; an image that cannot be read is left out.
 
     Raises:
-        ConfigError: there are masks, and of none of the pictures.
+        ConfigError: there are masks, and of none of the images.
     """
     model = source.model
     out, cams_from_world = [], model.cams_from_world()
@@ -258,7 +258,7 @@ def _mask(source: _Source, options: FieldOptions, name: str, size: tuple[int, in
 
 
 def _grey_range(folder: Path, names: list[str]) -> GreyRange | None:
-    """Of all pictures together, where they are deep greyscale: a field has one brightness for all views."""
+    """Of all images together, where they are deep greyscale: a field has one brightness for all views."""
     paths = []
     for name in names:
         with suppress(EpipoleError):

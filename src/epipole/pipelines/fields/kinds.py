@@ -38,10 +38,10 @@ class FieldTrainer(Protocol):
         """One step, at a share of the training; returns the loss."""
 
     def render(self, view: TrainingView) -> np.ndarray:
-        """(h, w, 3) the picture of a view."""
+        """(h, w, 3) the image of a view."""
 
     def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
-        """(h, w, 3) the picture of a view, and how often the field was asked for it."""
+        """(h, w, 3) the image of a view, and how often the field was asked for it."""
 
     @property
     def table(self) -> Table:
@@ -69,7 +69,7 @@ class Kind:
     write: Callable[[Path, Field], None]
     read: Callable[[Path], Field]
     render: Callable[[Field, Camera, Rigid3, np.ndarray], tuple[np.ndarray, np.ndarray, int]]
-    """The picture, depth along rays times coverage, and how often the field was asked."""
+    """The image, depth along rays times coverage, and how often the field was asked."""
     voxels: Callable[[Field], Voxels]
     """As an explicit grid."""
     positions: Callable[[Field], np.ndarray]

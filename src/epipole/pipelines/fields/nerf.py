@@ -1,4 +1,4 @@
-"""The job: pictures to a field that is marched through, with pictures of held-out views and figures, in one folder."""
+"""The job: images to a field that is marched through, with images of held-out views and figures, in one folder."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from epipole.runs import ProgressCallback, ignore_progress, open_run
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NerfResult:
-    """A trained field, and how like the pictures it is."""
+    """A trained field, and how like the images it is."""
 
     out: Path
     field: Field
@@ -38,7 +38,7 @@ def nerf(
     progress: ProgressCallback = ignore_progress,
     **options: Any,
 ) -> NerfResult:
-    """Train a neural field, or a grid of densities and colours, on pictures that surround a scene; Ctrl-C ends the training, and keeps what was learnt.
+    """Train a neural field, or a grid of densities and colours, on images that surround a scene; Ctrl-C ends the training, and keeps what was learnt.
 
     Called again with the same options it goes on where it was; after a crash, where it was at most a minute before.
 
@@ -47,12 +47,12 @@ def nerf(
             LLFF's poses_bounds.npy.
         out: output folder: `hash.npz` or `grid.npz`, `test/NAME.png`, `metrics.json`, `report.html`.
         config: options of the training; None for the defaults.
-        job: which pictures, and for how long.
+        job: which images, and for how long.
         progress: called with the progress of each stage.
         **options: single options of both by name, which override them: `time="1m"`.
 
     Raises:
-        NoModelError: the pictures give no cameras, or fewer than two can be used.
+        NoModelError: the images give no cameras, or fewer than two can be used.
         ConfigError: an option is unknown or makes no sense.
         DegenerateGeometryError: the cameras see nothing in common, or look the same way.
         FileFormatError: the source cannot be read.
@@ -62,7 +62,7 @@ def nerf(
 
 
 def nerf_of(given: Called[NerfConfig], images: FieldImages | None = None) -> tuple[NerfResult, FieldImages]:
-    """The job as it was called, on pictures that were read before, or on those of its source; and the pictures."""
+    """The job as it was called, on images that were read before, or on those of its source; and the images."""
     source, wanted, config = given.source, given.images, given.config
     kind = KINDS[config.kind]
     with open_run(given.task, given.out) as run:

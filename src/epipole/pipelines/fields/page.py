@@ -1,4 +1,4 @@
-"""The page of a trained field: held-out views beside their pictures, likeness against time, counts and timings."""
+"""The page of a trained field: held-out views beside their images, likeness against time, counts and timings."""
 
 from __future__ import annotations
 
@@ -76,8 +76,8 @@ def render_page(page: FieldPage) -> str:
 def _figures(summary: dict[str, Any]) -> list[tuple[str, str]]:
     rows = [(words, f"{summary[name]:,}") for name, words in COUNTS.items() if name in summary]
     rows += [
-        ("pictures trained on", str(summary["num_train"])),
-        ("pictures held out", str(summary["num_test"])),
+        ("images trained on", str(summary["num_train"])),
+        ("images held out", str(summary["num_test"])),
         ("steps", f"{summary['steps']:,}"),
         ("seconds of training", f"{summary['train_s']:.1f}"),
         ("background", summary["background"]),
@@ -109,6 +109,6 @@ def _view(page: FieldPage, view: TrainingView, file: str, score: dict[str, Any])
     charts = read_rgb(page.root / "test" / file)
     error = np.abs(charts.astype(np.float64) - truth).mean(axis=2) / 255
     heat = color_map(error, (0.0, LARGEST_ERROR))
-    captions = ("picture", "drawn", "error")
+    captions = ("image", "drawn", "error")
     sources = [jpeg_uri(one) for one in (truth, charts, heat)]
     return _View(view.name, f"{score['psnr']:.2f}", f"{score['ssim']:.3f}", list(zip(captions, sources)))

@@ -1,4 +1,4 @@
-"""The job: a field drawn from given cameras, to pictures or a video."""
+"""The job: a field drawn from given cameras, to images or a video."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def render(
         settings = {**asdict(wanted), "cameras": None if wanted.cameras is None else str(wanted.cameras)}
         task = Job(kind="render", inputs=(source,), settings=settings, progress=progress)
         with open_run(task, out) as run:
-            with run.stage("draw"), run.folder.publish("pictures") as aside:
+            with run.stage("draw"), run.folder.publish("images") as aside:
                 for render_view, image in images():
                     write_png(aside / f"{render_view.name}.png", image)
             run.finish()
@@ -164,7 +164,7 @@ def _drawer(
 
 
 def _surface_drawer(source: Path, output: str, first: RenderView) -> Callable[[RenderView], np.ndarray]:
-    """What draws depth, normals or coverage of a shot, as a picture from 0 to 1."""
+    """What draws depth, normals or coverage of a shot, as an image from 0 to 1."""
     see, _ = seen_from(source)
     limits = color_range(see(first).surface())
 

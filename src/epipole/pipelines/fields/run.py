@@ -1,4 +1,4 @@
-"""The job: pictures to Gaussians, with pictures of held-out views and figures, in one folder."""
+"""The job: images to Gaussians, with images of held-out views and figures, in one folder."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ BORNE, STEP_S = 3600.0, 0.02
 PROGRAM_BYTES, WORK_BYTES, WORK_BYTES_OF_PIXEL = 230e6, 480, 200
 """Memory of the program alone, and what a step, or writing the file, needs of each Gaussian, and a step of each pixel: measured."""
 PIXELS_OF_EACH = 80
-"""Pixels for each Gaussian, which has 59 numbers: with fewer, what few pictures show is learnt by heart."""
+"""Pixels for each Gaussian, which has 59 numbers: with fewer, what few images show is learnt by heart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SplatResult:
-    """Trained Gaussians, and how like the pictures they are."""
+    """Trained Gaussians, and how like the images they are."""
 
     out: Path
     cloud: GaussianCloud
@@ -58,7 +58,7 @@ def splat(
     progress: ProgressCallback = ignore_progress,
     **options: Any,
 ) -> SplatResult:
-    """Train 3D Gaussians on pictures; Ctrl-C ends the training, and keeps what was learnt.
+    """Train 3D Gaussians on images; Ctrl-C ends the training, and keeps what was learnt.
 
     Called again with the same options it goes on where it was; after a crash, where it was at most a minute before.
 
@@ -67,12 +67,12 @@ def splat(
             `reconstruct`; a COLMAP model; or a transforms.json.
         out: output folder: `splat.ply`, `test/NAME.png`, `metrics.json`, `report.html`.
         config: options of the training; None for the defaults.
-        job: which pictures, and for how long.
+        job: which images, and for how long.
         progress: called with the progress of each stage.
         **options: single options of both by name, which override them: `time="1m"`.
 
     Raises:
-        NoModelError: the pictures give no cameras, or fewer than two can be used.
+        NoModelError: the images give no cameras, or fewer than two can be used.
         ConfigError: an option is unknown or makes no sense.
         DegenerateGeometryError: the cameras see nothing in common.
         FileFormatError: the source cannot be read.
@@ -82,7 +82,7 @@ def splat(
 
 
 def splat_of(given: Called[SplatConfig]) -> tuple[SplatResult, FieldImages]:
-    """The job as it was called, and the pictures that it read."""
+    """The job as it was called, and the images that it read."""
     source, wanted, config = given.source, given.images, given.config
     with open_run(given.task, given.out) as run:
         with run.stage("read"):
@@ -98,7 +98,7 @@ def splat_of(given: Called[SplatConfig]) -> tuple[SplatResult, FieldImages]:
         with run.stage("train"):
             checkpoint = Checkpoint(run.root, given.settings, images.train, trainer)
             gigabytes = 1e-9 * _memory(images, most, config.sh_degree)
-            note = f"up to {most:,} Gaussians on {len(images.train)} pictures, about {gigabytes:.1f} GB"
+            note = f"up to {most:,} Gaussians on {len(images.train)} images, about {gigabytes:.1f} GB"
             trained = train(trainer, images, wanted, run, note, checkpoint)
         cloud = replace(trainer.cloud, origin_in_world=images.origin_in_world)
         with run.stage("write"), run.folder.publish("model") as aside:
@@ -117,7 +117,7 @@ def splat_of(given: Called[SplatConfig]) -> tuple[SplatResult, FieldImages]:
 
 
 def _memory(images: FieldImages, count: int, sh_degree: int) -> float:
-    """Bytes that a training of so many Gaussians takes, with the pictures in three sizes and what their comparison needs."""
+    """Bytes that a training of so many Gaussians takes, with the images in three sizes and what their comparison needs."""
     views = [*images.train, *images.test]
     num_bytes = sum(view.image.nbytes for view in views) * 21 / 16
     largest = max(view.camera.width * view.camera.height for view in views)
@@ -129,7 +129,7 @@ def _fitting(config: SplatConfig, images: FieldImages, wanted: FieldOptions) -> 
     """How many Gaussians there may be.
 
     Raises:
-        ConfigError: the memory is too small for the pictures, or for as many as are asked for.
+        ConfigError: the memory is too small for the images, or for as many as are asked for.
     """
     requested = config.max_gaussians
     most = _borne(images, wanted) if requested is None else requested
@@ -141,15 +141,15 @@ def _fitting(config: SplatConfig, images: FieldImages, wanted: FieldOptions) -> 
     if fits < (LEAST_POINTS if requested is None else requested):
         needs = _memory(images, LEAST_POINTS if requested is None else requested, config.sh_degree)
         raise ConfigError(
-            f"memory_gb is {config.memory_gb:g}, and {needs / 1e9:.2f} are needed for these pictures and"
-            f" {LEAST_POINTS if requested is None else requested:,} Gaussians: smaller pictures (max_side_px) or"
+            f"memory_gb is {config.memory_gb:g}, and {needs / 1e9:.2f} are needed for these images and"
+            f" {LEAST_POINTS if requested is None else requested:,} Gaussians: smaller images (max_side_px) or"
             " fewer Gaussians take less"
         )
     return min(most, fits)
 
 
 def _borne(images: FieldImages, wanted: FieldOptions) -> int:
-    """As many Gaussians as the time bears, and as the pictures tell apart."""
+    """As many Gaussians as the time bears, and as the images tell apart."""
     seconds = STEP_S * (wanted.steps or 0) if wanted.seconds is None else wanted.seconds
     figures = sum(view.camera.width * view.camera.height for view in images.train) / PIXELS_OF_EACH
     return max(LEAST_POINTS, int(min(BORNE * seconds**0.5, figures)))

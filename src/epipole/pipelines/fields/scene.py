@@ -50,7 +50,7 @@ def is_mine(path: Path) -> bool:
 
 
 def scene(path: Path) -> SpaceScene:
-    """The Gaussians of an output folder or a file, or those of a grid, from where one of their pictures was taken.
+    """The Gaussians of an output folder or a file, or those of a grid, from where one of their images was taken.
 
     With the cameras of the training where they are known.
 
@@ -136,7 +136,7 @@ def _gaussians_in(path: Path, most: int) -> tuple[GaussianCloud, Path]:
 
 
 def first_view_of_positions(positions: np.ndarray) -> list[np.ndarray]:
-    """Position, middle and up of a view of places (n, 3) whose pictures are not known: as most such files are, the world of a camera, y down."""
+    """Position, middle and up of a view of places (n, 3) whose images are not known: as most such files are, the world of a camera, y down."""
     middle = np.median(positions, axis=0)
     size = float(np.percentile(np.linalg.norm(positions - middle, axis=1), 90.0))
     away = 2.5 * max(size, 1e-6) * np.array([0.0, -0.3, -1.0])

@@ -1,4 +1,4 @@
-"""How like a drawing is to a picture that was held out."""
+"""How like a drawing is to an image that was held out."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from epipole.fields.training_view import TrainingView
 
 
 def scores_of(rendered: np.ndarray, view: TrainingView, background: np.ndarray) -> dict[str, float]:
-    """PSNR in dB, SSIM, and PSNR after the map of colours that fits best (`psnr_matched`), where the picture is used.
+    """PSNR in dB, SSIM, and PSNR after the map of colours that fits best (`psnr_matched`), where the image is used.
 
     Args:
         rendered: (h, w, 3) the drawing.
-        view: the picture.
+        view: the image.
         background: (3,) colour behind it.
     """
     truth = view.over(background)

@@ -1,4 +1,4 @@
-"""What training any field has in common: pictures, the clock, Ctrl-C, and the comparison with views that were held out."""
+"""What training any field has in common: images, the clock, Ctrl-C, and the comparison with views that were held out."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ class Trainer(Protocol):
         """One step, at a share of the training; returns the loss."""
 
     def render(self, view: TrainingView) -> np.ndarray:
-        """(h, w, 3) the picture of a view."""
+        """(h, w, 3) the image of a view."""
 
     def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
-        """The picture of a view, and how often the field was asked for it."""
+        """The image of a view, and how often the field was asked for it."""
 
     def __len__(self) -> int:
         """Gaussians, or voxels."""
@@ -81,7 +81,7 @@ def called(
         kind: of the job.
         paths: source and output folder.
         configs: the class of the training's options, and these.
-        job: which pictures, and for how long.
+        job: which images, and for how long.
         progress: called with the progress of each stage.
         options: single options of both by name.
 
@@ -114,7 +114,7 @@ class Trained(NamedTuple):
 
 
 def images_of(source: Path, run: Run, wanted: FieldOptions) -> FieldImages:
-    """Cameras and pictures of a source; those of photographs are found first, in a folder beside.
+    """Cameras and images of a source; those of photographs are found first, in a folder beside.
 
     What is lost on the way stands among their problems.
     """

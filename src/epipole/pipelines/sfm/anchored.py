@@ -1,4 +1,4 @@
-"""The largest model in metres: by GPS of the pictures, measured places, known lengths, tags, boards or odometry."""
+"""The largest model in metres: by GPS of the images, measured places, known lengths, tags, boards or odometry."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from epipole.scale import (
 )
 from epipole.scene import Reconstruction
 
-UP_TO_SCALE = "up to scale: pictures alone cannot tell lengths"
+UP_TO_SCALE = "up to scale: images alone cannot tell lengths"
 
 
 def with_scale(
@@ -123,5 +123,5 @@ def _gps_estimate(mapped: Mapped, images: ImageSet, config: ReconstructConfig) -
     spread = float(np.sqrt(((centers[rows] - centers[rows].mean(axis=0)) ** 2).sum()))
     off = np.linalg.norm(centers[rows] - fixes[rows], axis=1)
     each = max(config.mapper.gps_sigma_m, float(np.median(off)))
-    words = f"GPS of {len(rows)} pictures"
+    words = f"GPS of {len(rows)} images"
     return ScaleEstimate("GPS", "GPS", 1.0, each / max(spread, 1e-9), 0.0, words)

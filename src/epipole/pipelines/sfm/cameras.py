@@ -1,4 +1,4 @@
-"""Which camera took which picture, and what is known of its lens before anything is matched."""
+"""Which camera took which image, and what is known of its lens before anything is matched."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def group_cameras(headers: Mapping[str, PhotographHeader], config: ReconstructCo
     sources: list[str] = []
     rows: list[int] = []
     for header in headers.values():
-        # A picture without camera and focal length in its EXIF may come from any camera: sizes decide.
+        # An image without camera and focal length in its EXIF may come from any camera: sizes decide.
         key = (header.make, header.model, header.width, header.height, round(header.focal_px or 0.0, 1))
         if key not in groups:
             groups[key] = len(cameras)
@@ -80,7 +80,7 @@ def _check_one_size(headers: Mapping[str, PhotographHeader]) -> None:
     sizes = {(h.width, h.height) for h in headers.values()}
     if len(sizes) > 1:
         listed = ", ".join(f"{w}x{h}" for w, h in sorted(sizes))
-        raise ConfigError(f"a single camera needs pictures of one size, but there are {listed}")
+        raise ConfigError(f"a single camera needs images of one size, but there are {listed}")
 
 
 def _known_cameras(headers: Mapping[str, PhotographHeader], config: ReconstructConfig) -> GroupedCameras:

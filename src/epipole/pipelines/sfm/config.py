@@ -92,7 +92,7 @@ class MapperConfig:
     refine_distortion: bool = True
     """Refine distortion that is not given as known."""
     max_models: int = 10
-    """Largest number of models made when the pictures do not connect."""
+    """Largest number of models made when the images do not connect."""
     gps_sigma_m: float = 3.0
     """Standard deviation of GPS positions, which enter the adjustment with Cauchy's loss."""
     use_gps: bool = True
@@ -128,21 +128,21 @@ class ReconstructConfig:
     camera_model: str | None = None
     """SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV or OPENCV_FISHEYE (SIMPLE_RADIAL unless parameters are given)."""
     camera_params: str | None = None
-    """Known intrinsics, comma separated, in COLMAP's order; one camera took all pictures. The principal point
-    is counted from the top-left corner of the picture, as COLMAP does (the centre of the first pixel is 0.5,
+    """Known intrinsics, comma separated, in COLMAP's order; one camera took all images. The principal point
+    is counted from the top-left corner of the image, as COLMAP does (the centre of the first pixel is 0.5,
     0.5)."""
     calibration: Path | None = None
-    """Calibration file of the camera that took all pictures, as `epipole calibrate` writes it (OpenCV's, ROS' and
+    """Calibration file of the camera that took all images, as `epipole calibrate` writes it (OpenCV's, ROS' and
     Kalibr's too)."""
     refine_known: bool = False
     """Refine known intrinsics too."""
     single_camera: bool = False
-    """One camera took all pictures."""
+    """One camera took all images."""
     include: tuple[str, ...] = ()
-    """Take only pictures whose name, relative to the folder, fits one of these patterns, such as
+    """Take only images whose name, relative to the folder, fits one of these patterns, such as
     "*.color.jpg"."""
     exclude: tuple[str, ...] = ()
-    """Leave out pictures whose name fits one of these patterns, such as "depth/*"."""
+    """Leave out images whose name fits one of these patterns, such as "depth/*"."""
     masks: Path | None = None
     """Folder of masks: MASKS/NAME.png; features where the mask is black are dropped."""
     pairs: Path | None = None
@@ -153,7 +153,7 @@ class ReconstructConfig:
     max_frames: int = 200
     """Largest number of frames taken from a video."""
     executor: Literal["threads", "processes", "inline"] = "threads"
-    """What works on single pictures and pairs: threads, processes, or the calling thread (inline)."""
+    """What works on single images and pairs: threads, processes, or the calling thread (inline)."""
     threads: int | None = None
     """Number of threads; results do not depend on it. None: every processor."""
     features: FeatureConfig = field(default_factory=FeatureConfig)
@@ -162,10 +162,10 @@ class ReconstructConfig:
     verification: RansacConfig = field(default_factory=lambda: RansacConfig(min_inlier_ratio=0.3))
     mapper: MapperConfig = field(default_factory=MapperConfig)
     anchors: Annotated[AnchorOptions, tyro.conf.arg(name="")] = field(default_factory=AnchorOptions)
-    """What is known besides the pictures and fixes the scale."""
+    """What is known besides the images and fixes the scale."""
 
     def __post_init__(self) -> None:
-        """Check what can be checked without looking at the pictures.
+        """Check what can be checked without looking at the images.
 
         Raises:
             ConfigError: camera parameters are not numbers, options exclude each other, or threads is not positive.

@@ -64,7 +64,7 @@ def map_images(
     config: MapperConfig,
     progress: ProgressCallback,
 ) -> Mapped:
-    """Make a model of each connected component of the pictures."""
+    """Make a model of each connected component of the images."""
     starts = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
     components = connect_matches(view_graph, starts)
     positions = gps_to_enu(images.lat_lon_alt) if config.use_gps else np.full((len(images), 3), np.nan)
@@ -90,7 +90,7 @@ def map_images(
 
 
 def _counting(progress: ProgressCallback, remaining: np.ndarray) -> Callable[[int, int], None]:
-    """Progress over all pictures: those of earlier models, and of this attempt at this one."""
+    """Progress over all images: those of earlier models, and of this attempt at this one."""
     earlier, best, num_attempts = int((~remaining).sum()), 0, 0
 
     def report(done: int, _: int) -> None:
@@ -211,20 +211,20 @@ def reasons_in_words(
 
 def _reason(image: int, mapped: Mapped, view_graph: ViewGraph, num_features: int, min_inliers: int) -> str:
     if num_features == 0:
-        return "no features: the picture is blank, too dark or too blurred"
+        return "no features: the image is blank, too dark or too blurred"
     if num_features < 2 * min_inliers:
         return f"only {num_features} features: too little texture"
     edges = np.flatnonzero((view_graph.image1 == image) | (view_graph.image2 == image))
     if len(edges) == 0:
-        return f"{num_features} features, but no other picture shares enough of them: no overlap"
+        return f"{num_features} features, but no other image shares enough of them: no overlap"
     kinds = view_graph.kind[edges]
     if (kinds == PairKind.NO_MOTION).all():
-        return "the same picture as another: without a change of place there is no depth"
+        return "the same image as another: without a change of place there is no depth"
     if np.isin(kinds, (PairKind.ROTATION, PairKind.NO_MOTION)).all():
         return "the camera only turned towards its neighbours: without a change of place there is no depth"
     rejection = mapped.rejections.get(image)
     if not mapped.models:
-        return "no pair of pictures could start a model: too few matches, or seen under too narrow an angle"
+        return "no pair of images could start a model: too few matches, or seen under too narrow an angle"
     if rejection is None or rejection.num_points_in_sight == 0:
         return "its matches lead to no point of the model"
     if rejection.num_inliers == 0:
@@ -235,24 +235,24 @@ def _reason(image: int, mapped: Mapped, view_graph: ViewGraph, num_features: int
 def no_model_reason(images: ImageSet, keypoints: Sequence[np.ndarray], view_graph: ViewGraph) -> str:
     """Why there is no model at all, in words, with advice."""
     if len(images) < 2:
-        return "one picture cannot give depth; take at least two from different places"
+        return "one image cannot give depth; take at least two from different places"
     covered = [bool(mask) and len(k) < FEW_FEATURES for mask, k in zip(images.mask_fingerprints, keypoints)]
     if sum(covered) > len(images) / 2:
         return (
-            f"the masks leave {sum(covered)} of {len(images)} pictures fewer than {FEW_FEATURES} features: what is black "
+            f"the masks leave {sum(covered)} of {len(images)} images fewer than {FEW_FEATURES} features: what is black "
             "in a mask is not used (are they inverted?)"
         )
     if len(view_graph) == 0:
         return (
-            "no two pictures share enough features; take pictures that overlap by half or more, "
+            "no two images share enough features; take images that overlap by half or more, "
             "sharp and of textured surfaces"
         )
     kinds = view_graph.kind
     if (kinds == PairKind.NO_MOTION).all():
-        return "the pictures are the same; take them from different places"
+        return "the images are the same; take them from different places"
     if np.isin(kinds, (PairKind.ROTATION, PairKind.NO_MOTION)).all():
         return (
             "the camera only turned: pure rotation shows no parallax, and no depth can be had from it; "
-            "move sideways between pictures"
+            "move sideways between images"
         )
-    return "no pair of pictures has enough matches under a wide enough angle to start a model"
+    return "no pair of images has enough matches under a wide enough angle to start a model"

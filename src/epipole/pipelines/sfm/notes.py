@@ -16,9 +16,9 @@ from epipole.pipelines.sfm.pipeline import Solution
 
 KINDS_OF_FOLDER = frozenset(
     {"color", "colour", "data", "frames", "image", "images", "img", "imgs", "input"}
-    | {"photo", "photographs", "photos", "pictures", "rgb"}
+    | {"photo", "photographs", "photos", "picture", "pictures", "rgb"}
 )
-"""Names of folders that tell nothing of what the pictures show."""
+"""Names of folders that tell nothing of what the images show."""
 CAMERAS_SHOWN = 3
 
 
@@ -33,7 +33,7 @@ def title_of(source: Path) -> str:
 
 
 def notes_on_choice_and_cameras(solution: Solution) -> list[str]:
-    """What was noticed about pictures and masks, and focal lengths that nobody gave."""
+    """What was noticed about images and masks, and focal lengths that nobody gave."""
     return [*solution.images.notes, *_focal_notes(solution)]
 
 
@@ -71,21 +71,19 @@ def _wrong_focals(solution: Solution) -> list[str]:
 
 
 def absences_of(solution: Solution, reasons: Mapping[str, str]) -> list[str]:
-    """Pictures and models that are apart; the report says the same in its own words."""
+    """Images and models that are apart; the report says the same in its own words."""
     out, mapped, images = [], solution.mapped, solution.images
     if reasons:
-        of_all = f"{len(reasons)} of {len(images) + len(images.left_out)} pictures"
+        of_all = f"{len(reasons)} of {len(images) + len(images.left_out)} images"
         out.append(f"{of_all} {'is' if len(reasons) == 1 else 'are'} in no model")
     if len(mapped.models) > 1:
         counts = ", ".join(str(int(m.is_registered().sum())) for m in mapped.models)
-        out.append(
-            f"the pictures fall into {len(mapped.models)} models that do not connect ({counts} pictures)"
-        )
+        out.append(f"the images fall into {len(mapped.models)} models that do not connect ({counts} images)")
     return out
 
 
 def _focal_notes(solution: Solution) -> list[str]:
-    """Focal lengths that nobody gave: those that came out of the pictures, and those that did not."""
+    """Focal lengths that nobody gave: those that came out of the images, and those that did not."""
     found, unknown, doubtful = [], [], []
     for c in np.flatnonzero(
         ~(solution.images.cameras.is_focal_trusted | solution.images.cameras.is_constant)
@@ -112,11 +110,11 @@ def _focal_notes(solution: Solution) -> list[str]:
             " --calibration or --camera-params"
         )
         notes.append(
-            f"{words} found from the pictures themselves: {_first_of(found)}{warning if doubtful else ''}"
+            f"{words} found from the images themselves: {_first_of(found)}{warning if doubtful else ''}"
         )
     if unknown:
         notes.append(
-            "nothing tells the focal length, and the pictures do not agree on one, so that it, and with it angles and "
+            "nothing tells the focal length, and the images do not agree on one, so that it, and with it angles and "
             f"proportions, may be wrong by several per cent: {_first_of(unknown)}. Known values are given by "
             "--calibration or --camera-params"
         )
@@ -129,7 +127,7 @@ def focal_source(solution: Solution, camera: int) -> str:
     if solution.images.cameras.is_constant[camera]:
         return source
     if camera in solution.guessed_cameras:
-        return f"found from the pictures ({source} at first)"
+        return f"found from the images ({source} at first)"
     return f"{source}, then adjusted with the model"
 
 
@@ -153,7 +151,7 @@ def _fraction_of(accuracy: FocalAccuracy | None) -> str:
 
 
 def _final_focal_px(solution: Solution, camera: int) -> float | None:
-    """As it is in the largest model that the camera has a picture in."""
+    """As it is in the largest model that the camera has an image in."""
     for model in solution.mapped.models:
         if (model.is_registered() & (model.camera_of_image == camera)).any():
             return float(model.cameras[camera].focal_px)
@@ -166,9 +164,9 @@ def _first_of(cameras: list[str]) -> str:
 
 
 def images_of_camera(solution: Solution, camera: int) -> str:
-    """The pictures that a camera took: the first one, and how many more."""
+    """The images that a camera took: the first one, and how many more."""
     rows = np.flatnonzero(solution.images.camera_of_image == camera)
     if not len(rows):
-        return "no picture"
+        return "no image"
     first, others = solution.images.names[rows[0]], len(rows) - 1
     return first if not others else f"{first} and {others} other{'s' if others > 1 else ''}"

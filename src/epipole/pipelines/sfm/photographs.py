@@ -1,4 +1,4 @@
-"""The first stage: which pictures there are, and with what cameras they were taken."""
+"""The first stage: which images there are, and with what cameras they were taken."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NAMES_SHOWN = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageSet:
-    """The pictures that take part, in order of their names."""
+    """The images that take part, in order of their names."""
 
     folder: Path
     names: tuple[str, ...]
@@ -45,25 +45,25 @@ class ImageSet:
     """Direction of up in each camera's coordinates, as its gimbal measured it; NaN rows for none."""
     timestamps_s: Float64[np.ndarray, " n"]
     fingerprints: tuple[str, ...]
-    """Digest of each picture's file."""
+    """Digest of each image's file."""
     mask_fingerprints: tuple[str, ...]
-    """Digest of each picture's mask; empty for none."""
+    """Digest of each image's mask; empty for none."""
     left_out: dict[str, str]
-    """Pictures that cannot take part, and why."""
+    """Images that cannot take part, and why."""
     is_video: bool = False
     notes: tuple[str, ...] = ()
-    """What was noticed about the choice of pictures and masks, in words."""
+    """What was noticed about the choice of images and masks, in words."""
 
     def __len__(self) -> int:
         return len(self.names)
 
     @property
     def num_masked(self) -> int:
-        """Pictures that have a mask."""
+        """Images that have a mask."""
         return sum(map(bool, self.mask_fingerprints))
 
     def without(self, failures: dict[int, str]) -> ImageSet:
-        """The set without the pictures of these rows."""
+        """The set without the images of these rows."""
         if not failures:
             return self
         keep = np.array([i not in failures for i in range(len(self))], bool)
@@ -90,20 +90,20 @@ def read_image_set(
     video_orientation: int = 1,
     progress: ProgressCallback,
 ) -> ImageSet:
-    """Read the headers of all pictures of a folder and group them by camera.
+    """Read the headers of all images of a folder and group them by camera.
 
     Args:
-        folder: the pictures.
+        folder: the images.
         config: which of them, their cameras and masks.
-        memory: file that remembers what the pictures held, by size and time.
-        ignore: folders that are no pictures.
+        memory: file that remembers what the images held, by size and time.
+        ignore: folders that are no images.
         timestamps_s: of each frame of a video, by name.
         video_orientation: EXIF orientation that made its frames upright.
         progress: told how many headers are read.
 
     Raises:
-        NoModelError: there are no pictures that can be read.
-        ConfigError: the camera options do not fit, or patterns or masks fit no picture.
+        NoModelError: there are no images that can be read.
+        ConfigError: the camera options do not fit, or patterns or masks fit no image.
     """
     listed = list_photographs(folder, ignore=[*ignore, *config.named_files()])
     if not listed.names:
@@ -120,7 +120,7 @@ def read_image_set(
         notes += listed.passed_over
     if not headers:
         reasons = "; ".join(f"{n}: {why}" for n, why in list(left_out.items())[:NAMES_SHOWN])
-        raise NoModelError(f"none of the pictures in {folder} can be used ({reasons})")
+        raise NoModelError(f"none of the images in {folder} can be used ({reasons})")
     grouped = group_cameras(headers, config)
     masks, mask_note = _masks_of(tuple(headers), config.masks)
     digests = content_digests([*(folder / name for name in headers), *masks.values()], memory, progress)
@@ -150,7 +150,7 @@ def _nothing_in(listed: PhotographList) -> str:
 def _read_headers(
     folder: Path, names: Sequence[str], progress: ProgressCallback, video_orientation: int
 ) -> tuple[dict[str, PhotographHeader], dict[str, str]]:
-    """Headers of the pictures that can be used, and why the others cannot."""
+    """Headers of the images that can be used, and why the others cannot."""
     headers: dict[str, PhotographHeader] = {}
     left_out: dict[str, str] = {}
     progress(Progress("read", 0, len(names)))
@@ -178,12 +178,12 @@ def _chosen(names: Sequence[str], config: ReconstructConfig) -> tuple[list[str],
     there = f"there are {_some(names)}"
     for pattern in config.include:
         if not any(fits(name, pattern) for name in names):
-            raise ConfigError(f"include {pattern!r} fits none of the pictures: {there}")
+            raise ConfigError(f"include {pattern!r} fits none of the images: {there}")
     kept = [name for name in names if _is_wanted(name, config)]
     if not kept:
-        raise ConfigError(f"exclude {' '.join(map(repr, config.exclude))} leaves no picture: {there}")
+        raise ConfigError(f"exclude {' '.join(map(repr, config.exclude))} leaves no image: {there}")
     idle = [pattern for pattern in config.exclude if not any(fits(name, pattern) for name in names)]
-    return kept, [f"exclude {pattern!r} fits none of the pictures: {there}" for pattern in idle]
+    return kept, [f"exclude {pattern!r} fits none of the images: {there}" for pattern in idle]
 
 
 def _is_wanted(name: str, config: ReconstructConfig) -> bool:
@@ -192,13 +192,13 @@ def _is_wanted(name: str, config: ReconstructConfig) -> bool:
 
 
 def _take_out_depth(headers: dict[str, PhotographHeader]) -> str:
-    """Remove depth pictures from the headers; a note that says so, empty where there are none."""
+    """Remove depth images from the headers; a note that says so, empty where there are none."""
     deep_grey = frozenset(name for name, header in headers.items() if header.is_deep_grey_png)
     depth = depth_among(tuple(headers), deep_grey)
     if not depth:
         return ""
     note = (
-        f"{len(depth)} of {len(headers)} pictures are 16-bit grey PNGs beside colour pictures of like names "
+        f"{len(depth)} of {len(headers)} images are 16-bit grey PNGs beside colour images of like names "
         f"({_some(depth)}): taken for depth and left out (--include '*' takes all)"
     )
     for name in depth:
@@ -207,10 +207,10 @@ def _take_out_depth(headers: dict[str, PhotographHeader]) -> str:
 
 
 def _masks_of(names: Sequence[str], masks: Path | None) -> tuple[dict[str, Path], str]:
-    """The mask of each picture that has one, and a note where some have none.
+    """The mask of each image that has one, and a note where some have none.
 
     Raises:
-        ConfigError: no picture has one.
+        ConfigError: no image has one.
     """
     if masks is None:
         return {}, ""
@@ -222,7 +222,7 @@ def _masks_of(names: Sequence[str], masks: Path | None) -> tuple[dict[str, Path]
         )
         there = f"there are {_some(present)}" if present else "it is empty"
         raise ConfigError(
-            f"masks {masks} holds none for any of the {_counted(len(names), 'picture')}: looked for {first} or {second}, "
+            f"masks {masks} holds none for any of the {_counted(len(names), 'image')}: looked for {first} or {second}, "
             f"and so on; {there}"
         )
     without = [name for name in names if name not in found]

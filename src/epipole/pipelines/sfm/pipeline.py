@@ -1,6 +1,6 @@
 """Structure-from-motion from a folder of photographs (or a video) to models, stage by stage.
 
-Each stage stores its results as files of units of work, from which a stopped run continues: pictures,
+Each stage stores its results as files of units of work, from which a stopped run continues: images,
 features, matches, two-view geometries, models.
 """
 
@@ -57,7 +57,7 @@ class Solution:
     cameras: Cameras
     view_graph: ViewGraph
     guessed_cameras: tuple[int, ...]
-    """Cameras whose focal lengths were estimated from the pictures themselves; `cameras` has the estimates."""
+    """Cameras whose focal lengths were estimated from the images themselves; `cameras` has the estimates."""
     mapped: Mapped
     focals: Mapping[int, FocalAccuracy] = field(default_factory=dict)
     """How well the models determine the focal length of each camera, by its row."""
@@ -91,7 +91,7 @@ class _Detected:
 
 
 def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
-    """From pictures to models: read, detect, match, verify and map.
+    """From images to models: read, detect, match, verify and map.
 
     Args:
         source: folder of photographs, or a video file.
@@ -99,8 +99,8 @@ def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
         config: options.
 
     Raises:
-        NoModelError: there are no usable pictures; the message says why. No model at all is no error here.
-        ConfigError: options that do not fit the pictures.
+        NoModelError: there are no usable images; the message says why. No model at all is no error here.
+        ConfigError: options that do not fit the images.
     """
     compiling = threading.Thread(target=warm_up, name="epipole-compile", daemon=True)
     compiling.start()
@@ -248,7 +248,7 @@ def _read(source: Path, run: Run, config: ReconstructConfig) -> ImageSet:
     memory = run.root / CONTENTS
     if is_video(source):
         if config.include or config.exclude:
-            raise ConfigError(f"include and exclude choose pictures of a folder; {source} is a video")
+            raise ConfigError(f"include and exclude choose images of a folder; {source} is a video")
         folder = run.root / FRAMES
         frames = extract_frames(
             source,
@@ -276,7 +276,7 @@ def _read(source: Path, run: Run, config: ReconstructConfig) -> ImageSet:
 def _open_database(
     images: ImageSet, run: Run, config: ReconstructConfig
 ) -> tuple[DatabaseSource | None, ImageSet]:
-    """The database to start from, where one is given, and the pictures that it knows."""
+    """The database to start from, where one is given, and the images that it knows."""
     if config.database is None:
         return None, images
     if config.database.resolve() == (run.root / DATABASE).resolve():
@@ -287,7 +287,7 @@ def _open_database(
 def _detect(
     images: ImageSet, run: Run, config: ReconstructConfig, database: DatabaseSource | None
 ) -> tuple[ImageSet, tuple[Unit, ...]]:
-    """Features of every picture, found or from the database; damaged pictures leave the set."""
+    """Features of every image, found or from the database; damaged images leave the set."""
     folder = run.root / UNITS / "features"
     if database is None:
         units = feature_units(images, folder, config.features, config.masks)
@@ -301,10 +301,10 @@ def _detect(
     images = images.without(failures)
     if len(images) == 0:
         reason = next(iter(images.left_out.values()))
-        raise NoModelError(f"none of the pictures can be used ({reason})")
+        raise NoModelError(f"none of the images can be used ({reason})")
     if len(images) < 2:
         left_out = "".join(f"; {name}: {why}" for name, why in list(images.left_out.items())[:3])
-        raise NoModelError(f"only one usable picture, and one picture cannot give depth{left_out}")
+        raise NoModelError(f"only one usable image, and one image cannot give depth{left_out}")
     return images, tuple(u for i, u in enumerate(units) if i not in failures)
 
 

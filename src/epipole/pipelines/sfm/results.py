@@ -1,4 +1,4 @@
-"""The files of a reconstruction: the database, the models, their points and their pictures."""
+"""The files of a reconstruction: the database, the models, their points and their images."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from epipole.runs import Run, load
 from epipole.scene import Frames, Images, Rigs, unregistered
 
 COPIES = f"{UNITS}/copied_pictures.json"
-"""In the output folder: which state of each picture its copy was made of."""
+"""In the output folder: which state of each image its copy was made of."""
 
 
 def write_results(solution: Solution, run: Run) -> None:
@@ -45,7 +45,7 @@ def write_results(solution: Solution, run: Run) -> None:
 
 
 def _write_images(solution: Solution, run: Run) -> None:
-    """Write the registered pictures, turned upright; copies of pictures that have not changed stay."""
+    """Write the registered images, turned upright; copies of images that have not changed stay."""
     images, record = solution.images, run.root / COPIES
     registered = np.zeros(len(images), bool)
     for model in solution.mapped.models:
@@ -66,7 +66,7 @@ def _write_images(solution: Solution, run: Run) -> None:
 
 
 def _read_record(path: Path) -> dict[str, str]:
-    """Of which state of its picture each copy was made; empty where that is not known."""
+    """Of which state of its image each copy was made; empty where that is not known."""
     try:
         content = read_json(path)
     except FileFormatError:

@@ -31,9 +31,9 @@ class ReconstructionResult:
 
     out: Path
     models: tuple[Reconstruction, ...]
-    """Largest first; more than one when the pictures do not connect."""
+    """Largest first; more than one when the images do not connect."""
     reasons: dict[str, str]
-    """Why each picture without a place has none."""
+    """Why each image without a place has none."""
     warnings: tuple[str, ...]
     timings_s: dict[str, float]
     summary: dict[str, Any]
@@ -64,14 +64,14 @@ def reconstruct(
         out: output folder, made if missing.
         config: options; None for the defaults.
         progress: called with the progress of each stage.
-        executor: what works on single pictures and pairs, instead of the config's choice: a name or any
+        executor: what works on single images and pairs, instead of the config's choice: a name or any
             `concurrent.futures.Executor`, such as Dask's `Client.get_executor()`.
         **options: single options of the config by name, which override it: `single_camera=True`.
 
     Raises:
-        NoModelError: the pictures give no model; the message says why.
+        NoModelError: the images give no model; the message says why.
         WorkspaceError: the output folder cannot be used.
-        ConfigError: an option is unknown, or does not fit the pictures.
+        ConfigError: an option is unknown, or does not fit the images.
         FileFormatError: a file that was named is missing or cannot be read.
     """
     config = options_of(ReconstructConfig, config, options, ["config", "progress", "executor"])

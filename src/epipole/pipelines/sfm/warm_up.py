@@ -1,4 +1,4 @@
-"""Compile, or load from disk, every kernel of the main job while pictures are still being read."""
+"""Compile, or load from disk, every kernel of the main job while images are still being read."""
 
 from __future__ import annotations
 

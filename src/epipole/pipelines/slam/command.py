@@ -33,7 +33,7 @@ def slam(
     """Follow a moving camera: its path, frame by frame, and the map that it sees. Ctrl-C ends it, and writes what there is.
 
     Args:
-        source: A 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of pictures, a video, a recording of ROS
+        source: A 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of images, a video, a recording of ROS
             (.bag, .db3, .mcap, or the folder of a ROS 2 bag), or the number of a camera, such as 0.
         out: Output folder.
         job: What is taken of the source, what it is compared with, what is written and shown.

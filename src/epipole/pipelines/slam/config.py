@@ -29,7 +29,7 @@ class SlamConfig:
     min_distance_px: int = 12
     """Between points, at their begin."""
     corner_quality: float = 0.02
-    """Corners weaker than this share of the picture's strongest are not taken."""
+    """Corners weaker than this share of the image's strongest are not taken."""
     max_error_px: float = 3.0
     """Points further from where the map says are mistakes."""
     min_tracked: int = 15
@@ -37,7 +37,7 @@ class SlamConfig:
     keyframe_fraction: float = 0.65
     """A new keyframe is made when fewer of the last one's points are in sight."""
     keyframe_motion: float = 0.04
-    """... or when points have moved by more than this share of the picture's width."""
+    """... or when points have moved by more than this share of the image's width."""
     keyframe_points: int = 150
     """... or when fewer than this many points with a place are followed."""
     keyframe_gap: int = 20
@@ -101,7 +101,7 @@ class CameraOptions:
     """SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV or OPENCV_FISHEYE (PINHOLE unless given)."""
     camera_params: str | None = None
     """Intrinsics, comma separated, in COLMAP's order, such as 525,525,320,240 (fx,fy,cx,cy): the principal point counts
-    from the picture's corner, half a pixel more than from the first pixel's centre (OpenCV, ROS)."""
+    from the image's corner, half a pixel more than from the first pixel's centre (OpenCV, ROS)."""
     calibration: Path | None = None
     """Calibration file, as `epipole calibrate` writes it (OpenCV's, ROS' and Kalibr's too)."""
     readout_s: float = 0.0
@@ -165,7 +165,7 @@ class CameraOptions:
         return camera_of_image(found, shape, described), notes
 
     def rig(self, size: tuple[int, int]) -> StereoRig | None:
-        """The pair of cameras for pictures of this size; None where no calibration is given.
+        """The pair of cameras for images of this size; None where no calibration is given.
 
         Raises:
             ConfigError: camera_params, which are of one camera, are given.
@@ -188,7 +188,7 @@ class JobOptions:
     sensor: Literal["auto", "mono", "stereo", "rgbd"] = "auto"
     """What to use; auto takes depth, else a second camera, where there is one."""
     topics: str | None = None
-    """Recordings of ROS: the topic of the pictures; LEFT,RIGHT; or PICTURES,DEPTH (found by type and name unless given)."""
+    """Recordings of ROS: the topic of the images; LEFT,RIGHT; or PICTURES,DEPTH (found by type and name unless given)."""
     start: int = 0
     """First frame to follow: so many of the source before it are left out."""
     stride: int = 1
@@ -196,9 +196,9 @@ class JobOptions:
     max_frames: int | None = None
     """Frames to follow at most."""
     fps: float | None = None
-    """Folders of pictures without times: frames a second (30 unless given)."""
+    """Folders of images without times: frames a second (30 unless given)."""
     masks: Path | None = None
-    """Folder of masks for a folder of pictures: MASKS/NAME.png; points where the mask is black are not used."""
+    """Folder of masks for a folder of images: MASKS/NAME.png; points where the mask is black are not used."""
     realtime: bool = False
     """Take frames as a camera gives them: those whose time passes while another is followed are dropped, and counted."""
     trajectory_format: Literal["tum", "kitti", "euroc"] = "tum"
@@ -215,7 +215,7 @@ class JobOptions:
     resume: bool = False
     """Continue the run that was stopped in the output folder; one whose frames can be read again is started again."""
     view: bool = False
-    """Show path, map and picture in the browser while it runs, and after it until Ctrl-C."""
+    """Show path, map and image in the browser while it runs, and after it until Ctrl-C."""
     port: int | None = None
     """Of the live view; None: 8080, or the next free one."""
     host: str = "127.0.0.1"

@@ -34,7 +34,7 @@ class DepthCamera:
 
     camera: Camera
     depth_from_color: Rigid3
-    """Identity for depth that was registered to the colour picture already."""
+    """Identity for depth that was registered to the colour image already."""
     scale: float = 1.0
     """Metres for each metre that it reports."""
 
@@ -45,7 +45,7 @@ class SlamCamera:
 
     camera: Camera
     baseline: float | None = None
-    """Of a rectified pair, in metres; the right picture has the left one's rows and camera matrix."""
+    """Of a rectified pair, in metres; the right image has the left one's rows and camera matrix."""
     depth: DepthCamera | None = None
     readout_s: float = 0.0
     """Of a rolling shutter: from the first row to the one after the last; 0: all rows at once."""
@@ -73,7 +73,7 @@ class SlamCamera:
         """The frame, without the pixels that have no ray, once it is known to be this camera's and later than `after_s`.
 
         Raises:
-            ShapeError: the pictures are not of the camera's size.
+            ShapeError: the images are not of the camera's size.
             ConfigError: the frame is not later, or lacks what tells depth.
         """
         if frame.timestamp_s <= after_s:
@@ -81,9 +81,9 @@ class SlamCamera:
         camera = self.camera
         if frame.grey.shape != (camera.height, camera.width):
             size = f"{frame.grey.shape[1]} x {frame.grey.shape[0]}"
-            raise ShapeError(f"the picture is {size}, the camera's {camera.width} x {camera.height}")
+            raise ShapeError(f"the image is {size}, the camera's {camera.width} x {camera.height}")
         if self.baseline is not None and frame.right_grey is None:
-            raise ConfigError("a frame of a stereo camera needs its right picture")
+            raise ConfigError("a frame of a stereo camera needs its right image")
         self._check_depth(frame)
         blind = pixels_without_ray(camera)
         if blind is None:
@@ -105,13 +105,13 @@ class SlamCamera:
             size = f"{frame.depth.shape[1]} x {frame.depth.shape[0]}"
             raise ShapeError(
                 f"the depth is {size}, the depth camera's {sensor.width} x {sensor.height} (depth that is registered to the"
-                " picture has its size)"
+                " image has its size)"
             )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """Pictures of one instant."""
+    """Images of one instant."""
 
     timestamp_s: float
     grey: UInt8[np.ndarray, "h w"]
@@ -120,14 +120,14 @@ class Frame:
     depth: Float32[np.ndarray, "h2 w2"] | None = None
     """Metres along the optical axis, at the depth camera's pixels; zero, NaN or infinite where not known."""
     ignored_mask: Bool[np.ndarray, "h w"] | None = None
-    """True where the (left) picture is not to be used: people, the vehicle itself."""
+    """True where the (left) image is not to be used: people, the vehicle itself."""
 
     def is_used(self, pixels: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-        """Which places in the picture are to be used."""
+        """Which places in the image are to be used."""
         return is_outside(self.ignored_mask, pixels)
 
     def __post_init__(self) -> None:
-        """Check the pictures.
+        """Check the images.
 
         Raises:
             ShapeError: they are not of one size or kind.
@@ -142,7 +142,7 @@ class Frame:
             check_fields(self)
         except ShapeError as error:
             raise ShapeError(
-                f"a frame's pictures must be of one size, grey of 8 bits, depth float32: {error}"
+                f"a frame's images must be of one size, grey of 8 bits, depth float32: {error}"
             ) from None
         if not np.isfinite(self.timestamp_s):
             raise ConfigError(f"timestamp_s must be finite, got {self.timestamp_s}")

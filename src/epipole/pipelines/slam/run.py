@@ -71,7 +71,7 @@ def slam(
     Ctrl-C ends the frames: what was followed by then is adjusted and written (`interrupted` in the summary).
 
     Args:
-        source: a 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of pictures, a video, a recording of ROS
+        source: a 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of images, a video, a recording of ROS
             (.bag, .db3, .mcap or the folder of a ROS 2 bag), or the number of a camera at this computer.
         out: output folder, made if missing.
         config: options; None for the defaults.
@@ -198,10 +198,10 @@ def _check_source(source: Path, job: JobOptions, given: CameraOptions) -> None:
     if job.topics and not is_bag(source):
         raise ConfigError("topics are of recordings of ROS (.bag, .db3, .mcap or the folder of a ROS 2 bag)")
     if job.masks is not None and not source.is_dir():
-        raise ConfigError("masks are of folders of pictures")
+        raise ConfigError("masks are of folders of images")
     if not is_bag(source) and (camera_index(source) is not None or is_video(source)):
         if job.fps is not None:
-            raise ConfigError("fps is for folders of pictures without times: a video has its own")
+            raise ConfigError("fps is for folders of images without times: a video has its own")
         if job.sensor not in ("auto", "mono"):
             raise ConfigError("a video is of one camera")
         if given.depth_scale is not None:

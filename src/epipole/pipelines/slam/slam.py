@@ -43,7 +43,7 @@ class Slam(SlamState):
         """Where the camera was when this frame was taken.
 
         Raises:
-            ShapeError: the pictures are not of the camera's size.
+            ShapeError: the images are not of the camera's size.
             ConfigError: the frame is not later than the one before, or lacks what tells depth.
         """
         frame = self.camera.checked(frame, self._time_s)

@@ -1,1 +1,1 @@
-"""Stereo: two pictures of a rectified, calibrated or unknown pair to disparities, depth and points."""
+"""Stereo: two images of a rectified, calibrated or unknown pair to disparities, depth and points."""

@@ -1,7 +1,7 @@
 """Weighted least squares along rows and columns in turn (Min et al., Fast global image smoothing, TIP 2014).
 
 Along one line: minimise sum_i w_i (u_i - f_i)^2 + lambda sum_i e_i (u_i - u_i+1)^2, a tridiagonal system solved by elimination
-(Thomas). w is zero where nothing is known, e small across edges of the picture.
+(Thomas). w is zero where nothing is known, e small across edges of the image.
 """
 
 import numpy as np

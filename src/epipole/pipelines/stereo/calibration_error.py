@@ -1,6 +1,6 @@
 """What an uncertain calibration does to depth.
 
-A pixel of the rectified left picture and its match are two pixels that were measured; with another calibration their rays meet elsewhere.
+A pixel of the rectified left image and its match are two pixels that were measured; with another calibration their rays meet elsewhere.
 In rectified axes the left ray is (a_l, b_l, 1), the right one (a_r, b_r, 1) from the centre C, so that
     1 / Z = (a_l - a_r) / (C_x - a_r C_z),
 which is (d / f) / B where nothing is wrong. The change of f B / Z under each column of the covariance's root is an error of the disparity;
@@ -26,7 +26,7 @@ def calibration_sigma(
 ) -> Float64[np.ndarray, "h w"]:
     """Standard deviation of each disparity, in pixels, that the calibration's own covariance causes; NaN where unknown.
 
-    Computed on a grid over picture and disparity, and interpolated.
+    Computed on a grid over image and disparity, and interpolated.
 
     Raises:
         ShapeError: the rig has no covariance.
@@ -42,7 +42,7 @@ def calibration_sigma(
     x, y = np.linspace(0, width - 1, _COLUMNS), np.linspace(0, height - 1, _ROWS)
     d, v, u = np.meshgrid(steps, y, x, indexing="ij")
     sigma = _sigma_at(rig, rectification, u.ravel(), v.ravel(), d.ravel()).reshape(_STEPS, _ROWS, _COLUMNS)
-    sigma = np.where(np.isfinite(sigma), sigma, np.nanmax(sigma))  # beyond the picture: as bad as anywhere
+    sigma = np.where(np.isfinite(sigma), sigma, np.nanmax(sigma))  # beyond the image: as bad as anywhere
     rows, columns = np.nonzero(known)
     at = np.stack(
         [

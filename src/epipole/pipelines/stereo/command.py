@@ -37,16 +37,16 @@ def stereo(
 ) -> None:
     """Compute disparities of a pair with standard deviations; depth and points where the cameras are known.
 
-    LEFT and RIGHT are two pictures, two folders, or two videos (the same one twice if it holds both pictures
+    LEFT and RIGHT are two images, two folders, or two videos (the same one twice if it holds both images
     side by side). Without a calibration they count as rectified. With --workspace and --pair give OUT alone.
 
     Args:
-        left: Left picture, whose pixels get the disparities (with --workspace: OUT).
-        right: Right picture.
+        left: Left image, whose pixels get the disparities (with --workspace: OUT).
+        right: Right image.
         out: Output folder.
         config: Options.
         rig: What is known of the cameras.
-        model: Two pictures of a reconstruction.
+        model: Two images of a reconstruction.
         strict: Exit with code 3 if any pair of several could not be measured.
     """
     paths = [path for path in (left, right, out) if path is not None]
@@ -77,8 +77,8 @@ def stereo_doctor(
     Also prints the depth error to expect at each range. `epipole stereo doctor` is the same command.
 
     Args:
-        left: Left picture, folder or video.
-        right: Right picture, folder or video.
+        left: Left image, folder or video.
+        right: Right image, folder or video.
         rig: What is known of the cameras.
         json: Print JSON.
         strict: Exit with code 3 if something is wrong.

@@ -39,7 +39,7 @@ class RigOptions:
     baseline: float | None = None
     """Distance between the cameras, in the unit the depth is wanted in."""
     principal_point: tuple[float, float] | None = None
-    """Principal point of the left camera, x y; None: the middle of the picture."""
+    """Principal point of the left camera, x y; None: the middle of the image."""
     principal_offset_px: float = 0.0
     """cx of the right camera minus cx of the left (Middlebury's doffs)."""
     focal_sigma_px: float = 0.0
@@ -60,9 +60,9 @@ class RigOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelPair:
-    """Two pictures of a finished reconstruction, in place of LEFT and RIGHT."""
+    """Two images of a finished reconstruction, in place of LEFT and RIGHT."""
 
     workspace: Path | None = None
     """Output folder of the reconstruction."""
     pair: tuple[str, str] | None = None
-    """Names of the pictures."""
+    """Names of the images."""

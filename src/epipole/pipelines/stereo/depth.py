@@ -9,7 +9,7 @@ from epipole.errors import ConfigError
 from epipole.geometry import depth_error, disparity_to_depth
 from epipole.scene import DepthMap, DisparityMap, RectifiedRig
 
-_SAME = 1e-6  # relative: a thousandth of a pixel across a picture
+_SAME = 1e-6  # relative: a thousandth of a pixel across an image
 
 
 def depth_of(
@@ -22,7 +22,7 @@ def depth_of(
     Points at infinity have neither.
 
     Args:
-        disparities: of the left picture.
+        disparities: of the left image.
         rig: focal length, baseline and principal points.
         calibration_sigma_px: what the calibration's errors come to in pixels of disparity
             (`calibration_sigma`); None: from the rig's own standard deviations.

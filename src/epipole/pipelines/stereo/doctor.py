@@ -61,7 +61,7 @@ class DepthExpectation:
     from_matching: float
     """Standard deviation from disparities alone."""
     from_calibration: float
-    """From the calibration's covariance at the picture's middle; NaN where it has none."""
+    """From the calibration's covariance at the image's middle; NaN where it has none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,9 +75,9 @@ class Diagnosis:
     """Of the absolute offset."""
     vertical_p95_px: float
     vertical_signed_px: float
-    """Median with its sign: positive where the right picture lies lower."""
+    """Median with its sign: positive where the right image lies lower."""
     vertical_map_px: Float64[np.ndarray, "3 3"]
-    """Median offset in each ninth of the picture; NaN where nothing matches."""
+    """Median offset in each ninth of the image; NaN where nothing matches."""
     after_extrinsics_px: float
     """Robust standard deviation left after the best rotation, scale and direction of the baseline."""
     after_distortion_px: float
@@ -110,11 +110,11 @@ def examine(
     """Examine one pair, or several of the same rig.
 
     Args:
-        pairs: pictures, (h, w) or (h, w, 3) of 8 bits; as taken for a `StereoRig`, else rectified.
+        pairs: images, (h, w) or (h, w, 3) of 8 bits; as taken for a `StereoRig`, else rectified.
         rig: what is known of the cameras.
 
     Raises:
-        ShapeError: there is no pair, or pictures do not fit each other or the calibration.
+        ShapeError: there is no pair, or images do not fit each other or the calibration.
     """
     if not pairs:
         raise ShapeError("there is no pair to examine")
@@ -225,7 +225,7 @@ def _order(
     rectification: Rectification | None,
 ) -> list[_Finding]:
     if matched and all(is_swapped(m) for m in matched):
-        return [_Finding("left and right are swapped: features lie farther right in the right picture", True)]
+        return [_Finding("left and right are swapped: features lie farther right in the right image", True)]
     if rectification is None or not matched or _off_px(matched[0]) <= BAD_PX:
         return []
     left, right = pairs[0]
@@ -244,10 +244,10 @@ def _rows(matches: RowMatches, fits: tuple[float, float], num_pairs: int) -> lis
         return []
     if len(matches) < LEAST_FOR_TREND:
         found = f"{len(matches)} {'feature matches' if len(matches) == 1 else 'features match'}"
-        words = f"{found}, too few to say anything: the pictures are blank, blurred or of different things"
+        words = f"{found}, too few to say anything: the images are blank, blurred or of different things"
         return [_Finding(words, True)]
     if np.median(np.hypot(matches.disparity_px, matches.vertical_px)) < SAME_PX:
-        return [_Finding("left and right are the same picture", True)]
+        return [_Finding("left and right are the same image", True)]
     cause = _cause(matches, fits)
     if cause is Cause.NONE:
         return []

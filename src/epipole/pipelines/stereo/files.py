@@ -110,7 +110,7 @@ def read_stereo(out: Path) -> StereoFiles:
         read_rgb(out / "left.png"), read_pfm(out / "depth.pfm"), read_pfm(out / "sigma_depth.pfm"), K
     )
     if not files.left_rgb.shape[:2] == files.depths.shape == files.sigma_depth.shape:
-        raise FileFormatError(out, "its pictures and maps are not of one size")
+        raise FileFormatError(out, "its images and maps are not of one size")
     return files
 
 

@@ -26,7 +26,7 @@ class FilledDisparities:
     """Disparities without holes."""
 
     disparity_px: Float32[np.ndarray, "h w"]
-    """The known ones as they were; NaN only where the whole picture has none."""
+    """The known ones as they were; NaN only where the whole image has none."""
     filled_mask: Bool[np.ndarray, "h w"]
     """Pixels that are guessed."""
 
@@ -36,11 +36,11 @@ class FilledDisparities:
 
 
 def fill_disparities(found: DisparityMap, left: Any, strength: float = 10.0) -> FilledDisparities:
-    """Fill by weighted least squares guided by the picture; occluded pixels take what lies behind.
+    """Fill by weighted least squares guided by the image; occluded pixels take what lies behind.
 
     A pixel hidden from the right camera belongs to the farther of the surfaces beside it (Hirschmueller, PAMI 2008, section 2.5):
     where matching failed for that reason the smaller of the nearest known disparities in the row is taken as seen, with the weight of an error of a third of a pixel.
-    All else is the smoothest surface that bends at edges of the picture.
+    All else is the smoothest surface that bends at edges of the image.
 
     Args:
         found: the disparities; known pixels are weighted by the inverse of their variance.
@@ -48,7 +48,7 @@ def fill_disparities(found: DisparityMap, left: Any, strength: float = 10.0) -> 
         strength: weight of the smoothness term.
 
     Raises:
-        ShapeError: the picture does not fit.
+        ShapeError: the image does not fit.
         ConfigError: the strength is not positive.
     """
     if not strength > 0:

@@ -1,4 +1,4 @@
-"""What the page of a stereo pair shows: pictures, disparities, what is unknown and why, error against range."""
+"""What the page of a stereo pair shows: images, disparities, what is unknown and why, error against range."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from epipole.scene import StereoReason
 
 _REASONS = {
     StereoReason.OK: "known",
-    StereoReason.OCCLUDED: "the other picture does not confirm it (hidden there, or mistaken)",
-    StereoReason.OUT_OF_VIEW: "its match lies beyond the other picture",
+    StereoReason.OCCLUDED: "the other image does not confirm it (hidden there, or mistaken)",
+    StereoReason.OUT_OF_VIEW: "its match lies beyond the other image",
     StereoReason.AMBIGUOUS: "another disparity fits nearly as well",
     StereoReason.SPECKLE: "it stands alone among others",
     StereoReason.TEXTURELESS: "nothing around it changes along the row",
@@ -46,7 +46,7 @@ def render_page(result: StereoResult) -> str:
 
 
 def _images(result: StereoResult) -> list[tuple[str, str]]:
-    """Caption and data URI of each picture."""
+    """Caption and data URI of each image."""
     found = result.disparities
     images = [
         ("left", png_uri(result.left_rgb)),

@@ -1,4 +1,4 @@
-"""A pair of pictures to disparities, depth and points: the method, without files."""
+"""A pair of images to disparities, depth and points: the method, without files."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def measure_pair(
     """Rectify if the rig is a calibration, match, and compute depth if the rig is known.
 
     Raises:
-        ShapeError: the pictures are no pair, or not of the calibration's size.
+        ShapeError: the images are no pair, or not of the calibration's size.
         ConfigError: left and right are swapped in the calibration, the range of disparities does not fit, or an uncalibrated
             pair has a rig.
         DegenerateGeometryError: the pair cannot be rectified.

@@ -39,7 +39,7 @@ class StereoBatch:
 
 
 def is_many(left: Path, right: Path) -> bool:
-    """Whether these are folders or videos, not two pictures."""
+    """Whether these are folders or videos, not two images."""
     return left.is_dir() or right.is_dir() or is_video(left) or is_video(right)
 
 
@@ -63,7 +63,7 @@ def list_pairs(
     for folder in (left, right):
         if not folder.is_dir():
             raise FileFormatError(
-                folder, "it is not a folder but the other one is: give pictures, folders or videos"
+                folder, "it is not a folder but the other one is: give images, folders or videos"
             )
     found = pair_folders(left, right, ignore=[out])
     return _by_folder([pair for _, pair in found], [name for name, _ in found])
@@ -81,7 +81,7 @@ def run_batch(
     Args:
         pairs: as of `list_pairs`.
         out: the folder of the folders.
-        settings: what the results of two pictures depend on: a pair that was measured with the same is not measured again.
+        settings: what the results of two images depend on: a pair that was measured with the same is not measured again.
         measure: called with (left, right, folder).
         progress: called after each pair.
     """
@@ -120,7 +120,7 @@ def summary_of(
         "known": kept["known"] | batch.known,
         "warnings": warned | batch.warnings,
         "problems": batch.problems,
-        "pictures": {name: [str(a), str(b)] for name, (a, b) in pairs.items()},
+        "images": {name: [str(a), str(b)] for name, (a, b) in pairs.items()},
     }
 
 
@@ -130,7 +130,7 @@ def read_summary(out: Path) -> dict[str, Any]:
         content = read_json(out / "summary.json", allow_nan=True)
     except FileFormatError:
         return {}
-    tables = ("known", "warnings", "problems", "pictures")
+    tables = ("known", "warnings", "problems", "images")
     is_valid = isinstance(content, dict) and all(isinstance(content.get(part, {}), dict) for part in tables)
     return content if is_valid and isinstance(content.get("done", []), list) else {}
 

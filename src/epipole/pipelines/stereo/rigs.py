@@ -17,7 +17,7 @@ from epipole.scene import RectifiedRig, StereoRig
 
 _SIGMAS = ("focal_sigma_px", "baseline_sigma", "principal_offset_sigma_px")
 _MAX_FOCAL = 1000.0  # times the longer side; beyond, a number was mistyped
-_SAME = 1e-6  # relative: a thousandth of a pixel across a picture
+_SAME = 1e-6  # relative: a thousandth of a pixel across an image
 
 
 def rig_of(left: Path, right: Path, options: RigOptions) -> RectifiedRig | StereoRig | None:
@@ -54,7 +54,7 @@ def rig_of(left: Path, right: Path, options: RigOptions) -> RectifiedRig | Stere
 
 
 def _size_of_first(path: Path) -> tuple[int, int] | None:
-    """Width and height of a picture, or of the first of a folder; None for video."""
+    """Width and height of an image, or of the first of a folder; None for video."""
     if is_video(path):
         return frame_size(path)
     if path.is_dir():
@@ -67,7 +67,7 @@ def _size_of_first(path: Path) -> tuple[int, int] | None:
 
 
 def rig_from_options(options: RigOptions, size: tuple[int, int]) -> RectifiedRig | None:
-    """The rig of a rectified pair whose pictures have a width and height; None where nothing of it is known.
+    """The rig of a rectified pair whose images have a width and height; None where nothing of it is known.
 
     Raises:
         ConfigError: one of focal length and baseline is missing, or no camera can have it.
@@ -79,7 +79,7 @@ def rig_from_options(options: RigOptions, size: tuple[int, int]) -> RectifiedRig
         raise ConfigError(f"depth needs both focal_px and baseline, and only {given} was given")
     if options.focal_px > _MAX_FOCAL * max(size):
         raise ConfigError(
-            f"focal_px = {options.focal_px:g} cannot be of pictures of {size[0]}x{size[1]} pixels: it is in pixels"
+            f"focal_px = {options.focal_px:g} cannot be of images of {size[0]}x{size[1]} pixels: it is in pixels"
         )
     cx, cy = options.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
     return RectifiedRig(

@@ -1,4 +1,4 @@
-"""Do the rows of a rectified pair match? Vertical offsets of features, their trend, and the pictures' order."""
+"""Do the rows of a rectified pair match? Vertical offsets of features, their trend, and the images' order."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from epipole.config import FeatureConfig
 from epipole.features import detect_features, match_descriptors
 from epipole.scene import RectifiedRig
 
-_MOST_OFFSET = 0.1  # of the picture's height: matches with larger vertical offsets are wrong
+_MOST_OFFSET = 0.1  # of the image's height: matches with larger vertical offsets are wrong
 _ROUNDS = 20
 LEAST_FOR_TREND = 50
 _KEPT = 3.0  # robust deviations: matches farther from the trend are mistakes
 SAME_PX = 0.02
-"""Features that move by less in the median show the same picture twice."""
+"""Features that move by less in the median show the same image twice."""
 _LEAST_MATCHES = 30
 _SPARSE, _FEW = 0.3, 0.2
 _AGREES_PX, _MOST_BEYOND = 2.0, 0.1
-_NEAR_PX = 1.0  # a disparity of less says nothing of the order of the pictures
+_NEAR_PX = 1.0  # a disparity of less says nothing of the order of the images
 _SWAPPED_FRACTION = 0.8
 _MOST_OFF_PX = 1.0
 """A median vertical offset beyond this spoils matching by rows."""
@@ -35,7 +35,7 @@ class RowMatches:
     left_px: Float64[np.ndarray, "n 2"]
     right_px: Float64[np.ndarray, "n 2"]
     num_features: int = 0
-    """Features of the picture that has fewer."""
+    """Features of the image that has fewer."""
 
     @property
     def vertical_px(self) -> Float64[np.ndarray, " n"]:
@@ -56,7 +56,7 @@ class RowMatches:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowTrend:
-    """Vertical offsets as a smooth function of the place in the picture: what a wrong calibration leaves."""
+    """Vertical offsets as a smooth function of the place in the image: what a wrong calibration leaves."""
 
     coefficients: Float64[np.ndarray, " p"]
     sigma: Float64[np.ndarray, " p"]
@@ -90,7 +90,7 @@ class MatchedPair:
     density: float
     """Share of the pixels for which a disparity was found."""
     search_px: tuple[float, float]
-    """First and last disparity looked for; infinite where the pictures themselves set the end."""
+    """First and last disparity looked for; infinite where the images themselves set the end."""
     is_calibrated: bool
 
 
@@ -112,23 +112,23 @@ def quick_warnings(left_rgb: np.ndarray, right_rgb: np.ndarray, found: MatchedPa
         if found.density > _SPARSE:
             return ()
         if matches.num_features < _LEAST_MATCHES:
-            return (f"{few}: the pictures are blank, dark or blurred",)
+            return (f"{few}: the images are blank, dark or blurred",)
         return (
-            f"{few}, and hardly any feature of one picture is found in the other: do they show the same thing?",
+            f"{few}, and hardly any feature of one image is found in the other: do they show the same thing?",
         )
     if np.median(np.hypot(matches.disparity_px, matches.vertical_px)) < SAME_PX:
-        return ("left and right are the same picture: there is no depth in it",)
+        return ("left and right are the same image: there is no depth in it",)
     out = []
     low, high = found.search_px
     span = f"from {low:g} px on" if np.isinf(high) else f"{low:g} to {high:g} px"
     agrees = np.abs(matches.vertical_px - np.median(matches.vertical_px)) < _AGREES_PX
     beyond = (matches.disparity_px < low - _NEAR_PX) | (matches.disparity_px > high + _NEAR_PX)
     if low >= 0 and is_swapped(matches):
-        where = "nearly all features lie farther right in the right picture"
+        where = "nearly all features lie farther right in the right image"
         out.append(
             f"the calibration seems to be of another pair, or of this one exchanged: {where}"
             if found.is_calibrated
-            else f"left and right look swapped: {where}. Exchange the two pictures"
+            else f"left and right look swapped: {where}. Exchange the two images"
         )
     elif agrees.any() and beyond[agrees].mean() > _MOST_BEYOND:
         out.append(
@@ -138,7 +138,7 @@ def quick_warnings(left_rgb: np.ndarray, right_rgb: np.ndarray, found: MatchedPa
     offset = float(np.median(np.abs(matches.vertical_px)))
     if offset > _MOST_OFF_PX:
         advice = (
-            "the calibration does not fit these pictures" if found.is_calibrated else "give its calibration"
+            "the calibration does not fit these images" if found.is_calibrated else "give its calibration"
         )
         out.append(
             f"the pair is not rectified: features lie {offset:.1f} px off their rows (median); {advice}. "

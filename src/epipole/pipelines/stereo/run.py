@@ -1,4 +1,4 @@
-"""The jobs of a stereo pair: measured, many of them, two pictures of a model, and the doctor."""
+"""The jobs of a stereo pair: measured, many of them, two images of a model, and the doctor."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def stereo(
     """Disparities of a pair with standard deviations, with a rig also depth and points, and a report.
 
     Args:
-        left: picture whose pixels get a disparity.
+        left: image whose pixels get a disparity.
         right: the other.
         out: output folder, made if missing.
         config: options; None for the defaults.
@@ -57,8 +57,8 @@ def stereo(
         **options: single options of the config by name, which override it: `max_disparity_px=96`.
 
     Raises:
-        FileFormatError: a picture cannot be read.
-        ShapeError: the pictures are no pair, or not of the calibration's size.
+        FileFormatError: an image cannot be read.
+        ShapeError: the images are no pair, or not of the calibration's size.
         ConfigError: an option is unknown, or left and right are swapped in the calibration.
         DegenerateGeometryError: the pair cannot be rectified.
         WorkspaceError: the output folder cannot be used.
@@ -102,7 +102,7 @@ def stereo_many(
 ) -> StereoBatch:
     """`stereo` for every pair of two folders or of stereo video.
 
-    A video with both pictures side by side is given twice. A pair that cannot be measured is reported with its
+    A video with both images side by side is given twice. A pair that cannot be measured is reported with its
     reason and does not stop the others; a stopped run continues.
 
     Raises:
@@ -138,11 +138,11 @@ def stereo_of_model(
     config: StereoConfig | None = None,
     **options: Any,
 ) -> StereoResult:
-    """`stereo` for two pictures of a finished reconstruction, rectified by their places; depth in the model's unit.
+    """`stereo` for two images of a finished reconstruction, rectified by their places; depth in the model's unit.
 
     Args:
         workspace: output folder of `reconstruct`.
-        first: name of the picture whose pixels get depth (the other one's do if it stands left of this one).
+        first: name of the image whose pixels get depth (the other one's do if it stands left of this one).
         second: name of the other.
         out: output folder.
         config: options.
@@ -150,8 +150,8 @@ def stereo_of_model(
 
     Raises:
         FileFormatError: there is no model.
-        ConfigError: a picture has no place in it.
-        DegenerateGeometryError: the two pictures cannot be rectified.
+        ConfigError: an image has no place in it.
+        DegenerateGeometryError: the two images cannot be rectified.
         WorkspaceError: the output folder cannot be used.
     """
     config, workspace = options_of(StereoConfig, config, options, ["config"]), as_path(workspace)
@@ -165,7 +165,7 @@ def stereo_of_model(
             hint = f"; did you mean {near[0]}?" if near else ""
             raise ConfigError(f"{name} has no place in the model in {workspace}{hint}")
     if first == second:
-        raise DegenerateGeometryError("the two pictures of a pair must differ")
+        raise DegenerateGeometryError("the two images of a pair must differ")
     files = ModelImages(model, workspace / "images", is_own=has_own_model(workspace))
     left, right = files.find(first), files.find(second)
     rig = StereoRig(left.camera, right.camera, positions[rows[second]] @ positions[rows[first]].inverse())
@@ -185,13 +185,13 @@ def examine_stereo(
     """Find what is wrong with a pair, or with several of one rig: swapped, rows off, not synchronous.
 
     Args:
-        left: a picture, a folder or a video.
+        left: an image, a folder or a video.
         right: the other.
         rig: as for `stereo`.
         max_frames: largest number of pairs examined.
 
     Raises:
-        FileFormatError: a picture cannot be read, or there is no pair.
+        FileFormatError: an image cannot be read, or there is no pair.
     """
     left, right = as_path(left), as_path(right)
     if max_frames < 1:
@@ -217,7 +217,7 @@ def examine_stereo(
 
 
 def _settings(config: StereoConfig, rig: RectifiedRig | StereoRig | None, *images: Path) -> dict[str, Any]:
-    """All that the result depends on: other pictures or another calibration of the same name are not the same pair."""
+    """All that the result depends on: other images or another calibration of the same name are not the same pair."""
     described: Any = asdict(rig) if isinstance(rig, RectifiedRig) else rig
     if isinstance(rig, StereoRig):
         described = {
@@ -226,4 +226,4 @@ def _settings(config: StereoConfig, rig: RectifiedRig | StereoRig | None, *image
             "covariance": None if rig.covariance is None else rig.covariance.tolist(),
         }
     files = [[str(p), p.stat().st_size, p.stat().st_mtime_ns] for p in images if p.is_file()]
-    return {"config": asdict(config), "rig": described, "pictures": files}
+    return {"config": asdict(config), "rig": described, "images": files}

@@ -1,1 +1,1 @@
-"""Undistortion: a model and its pictures as pinhole cameras would have taken them."""
+"""Undistortion: a model and its images as pinhole cameras would have taken them."""

@@ -15,7 +15,7 @@ def undistort(
     target: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[DEST]")] = None,
     model: int | None = None,
 ) -> None:
-    """Write pictures without distortion and a PINHOLE model, for splat trainers and MVS.
+    """Write images without distortion and a PINHOLE model, for splat trainers and MVS.
 
     Args:
         out: Output folder of a reconstruction, or one of its models (OUT/sparse/1).
@@ -28,4 +28,4 @@ def undistort(
         from epipole.pipelines.undistortion.run import undistort as run
 
         folder = run(out, progress, target=target, model=model)
-    say(f"Undistorted pictures and model in {folder}")
+    say(f"Undistorted images and model in {folder}")

@@ -1,4 +1,4 @@
-"""The job: pictures without distortion and a PINHOLE model, as splat trainers and MVS read them."""
+"""The job: images without distortion and a PINHOLE model, as splat trainers and MVS read them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def undistort(
     target: str | Path | None = None,
     model: int | None = None,
 ) -> Path:
-    """Write pictures without distortion and a PINHOLE model, as splat trainers and MVS read them.
+    """Write images without distortion and a PINHOLE model, as splat trainers and MVS read them.
 
     Args:
         out: output folder of a reconstruction, or a model in it (`OUT/sparse/1`).
@@ -115,7 +115,7 @@ def _model_numbered(workspace: Path, number: int) -> Path:
 
 
 def _workspace_of(folder: Path, given: Path) -> Path:
-    """The folder with the pictures: what was given, or the one that the model lies in."""
+    """The folder with the images: what was given, or the one that the model lies in."""
     at = folder.resolve()
     positions = (given, folder, at.parent, at.parent.parent)
     return next((position for position in positions if (position / "images").is_dir()), given)

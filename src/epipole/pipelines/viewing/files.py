@@ -20,7 +20,7 @@ from epipole.scene import Curve, extent_of
 UNIT, FARTHEST = "units of the file", 1e30
 GREY = 190
 WIDTH_DEG = 60.0
-"""Taken to be across a depth map's picture, where no lens is told."""
+"""Taken to be across a depth map's image, where no lens is told."""
 
 
 def is_ply(path: Path) -> bool:

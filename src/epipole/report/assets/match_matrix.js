@@ -1,4 +1,4 @@
-/* The matrix of matches: a cell per pair of pictures. */
+/* The matrix of matches: a cell per pair of images. */
 /* global byId, readJson, cssColour, darkScheme, NAMES, showTip, fitCanvas */
 "use strict";
 function matchMatrix(canvas, data) {

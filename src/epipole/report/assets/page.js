@@ -1,4 +1,4 @@
-/* The frame of a page with scripts: hover text, sorting, enlarged pictures. No library. */
+/* The frame of a page with scripts: hover text, sorting, enlarged images. No library. */
 /* exported bytesOf, cssColour, darkScheme, NAMES, showTip, fitCanvas */
 "use strict";
 const byId = (id) => document.getElementById(id);

@@ -5,7 +5,7 @@
 /* global orbitEye, eyeAt, frameOf, unit, cross, dot, glTarget */
 /* global spaceBlocks, spaceLayers, gaussiansOf, gaussianSorter, spaceTools, pickPoint, pickTriangle, pickGaussian */
 "use strict";
-const SPREAD = 0.75 * Math.tan((25 * Math.PI) / 180); // 50 degrees across a picture of 4 : 3
+const SPREAD = 0.75 * Math.tan((25 * Math.PI) / 180); // 50 degrees across an image of 4 : 3
 const EVERYWHERE = { low: [-1e30, -1e30, -1e30], high: [1e30, 1e30, 1e30] };
 const [FIRST_PORTION, LEAST_PORTION] = [30000, 8000]; // points
 const REST_TIMES = 6; // portions a frame when nothing moves
@@ -282,7 +282,7 @@ async function spaceView(canvas, data) {
     return best;
   }
 
-  /* The eye of a camera: the whole of its picture is seen. */
+  /* The eye of a camera: the whole of its image is seen. */
   function toCamera(k) {
     const { places, axes } = drawn.cameras,
       [width, height] = data.cameras.sizes[k],
@@ -306,7 +306,7 @@ async function spaceView(canvas, data) {
     view.flyTo(start());
   }
   function showPicture(k) {
-    const address = (data.cameras.pictures || [])[k];
+    const address = (data.cameras.images || [])[k];
     drawn.picture.of = -1;
     if (!address) return;
     const image = new Image();

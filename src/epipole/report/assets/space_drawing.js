@@ -152,7 +152,7 @@ function lineDrawing(gl) {
   };
 }
 
-/* Eight edges a camera: from its centre to the picture's corners, and around the picture. */
+/* Eight edges a camera: from its centre to the image's corners, and around the image. */
 function frustumPieces(places, corners, rgb) {
   const count = places.length / 3,
     out = new Float32Array(8 * LINE_FLOATS * count);
@@ -230,7 +230,7 @@ function meshDrawing(gl, mesh, bytes) {
   };
 }
 
-/* The picture of one camera, spread between the corners of its frustum. */
+/* The image of one camera, spread between the corners of its frustum. */
 const PICTURE_VERTEX = `#version 300 es
 precision highp float;
 ${EYE_GLSL}
@@ -244,11 +244,11 @@ void main() {
 }`;
 const PICTURE_FRAGMENT = `#version 300 es
 precision mediump float;
-uniform sampler2D picture;
+uniform sampler2D image;
 uniform float opacity;
 in vec2 uv;
 out vec4 drawn;
-void main() { drawn = vec4(opacity * texture(picture, uv).rgb, opacity); }`;
+void main() { drawn = vec4(opacity * texture(image, uv).rgb, opacity); }`;
 const PICTURE_UNIT = 7;
 function pictureDrawing(gl) {
   const made = glProgram(gl, PICTURE_VERTEX, PICTURE_FRAGMENT),
@@ -269,7 +269,7 @@ function pictureDrawing(gl) {
       gl.uniform3fv(made.at("corners"), corners);
       gl.uniform1f(made.at("scale"), scale);
       gl.uniform1f(made.at("opacity"), opacity);
-      gl.uniform1i(made.at("picture"), PICTURE_UNIT);
+      gl.uniform1i(made.at("image"), PICTURE_UNIT);
       gl.bindVertexArray(null);
       gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
     },

@@ -1,4 +1,4 @@
-/* The controls of the 3D view: layers, sizes, limits, section, distances, pictures. */
+/* The controls of the 3D view: layers, sizes, limits, section, distances, images. */
 /* global byId, fullScreen, distanceBetween */
 /* exported spaceTools */
 "use strict";
@@ -26,7 +26,7 @@ function besideItsError(length, sigma) {
 function lengthInWords({ length, sigma }, unit, scale, errorWords) {
   const named = unit ? ` ${unit}` : "";
   if (sigma === null) return `${inDigits(length, 4)}${named}${scale}; how exact is not known here`;
-  if (sigma === Infinity) return `${inDigits(length, 4)}${named}${scale}; the pictures do not hold it fast`;
+  if (sigma === Infinity) return `${inDigits(length, 4)}${named}${scale}; the images do not hold it fast`;
   const why = errorWords ? ` (${errorWords})` : "";
   return `${besideItsError(length, sigma)} \u00b1 ${inDigits(sigma, 2)}${named}${scale}, one standard deviation${why}`;
 }
@@ -196,10 +196,10 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
     if (label)
       label.textContent = k < 0 ? "" : `${k + 1} of ${data.cameras.names.length}: ${data.cameras.names[k]}`;
     if (!byId("camera-picture")) return;
-    byId("camera-picture").hidden = k < 0 || !data.cameras.pictures[k];
+    byId("camera-picture").hidden = k < 0 || !data.cameras.images[k];
     if (!byId("camera-picture").hidden) {
-      byId("camera-picture").src = data.cameras.pictures[k];
-      byId("camera-picture").alt = `The picture of ${data.cameras.names[k]}`;
+      byId("camera-picture").src = data.cameras.images[k];
+      byId("camera-picture").alt = `The image of ${data.cameras.names[k]}`;
     }
   }
   return { mark, measureAt, isMeasuring, setMeasuring, showCamera };

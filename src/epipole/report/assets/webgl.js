@@ -54,7 +54,7 @@ function setEye(gl, { program, at }, { basis, focal, near, box }) {
   gl.uniform1f(at("near"), near);
 }
 
-/* A picture that is drawn in several steps, and shown after each. */
+/* An image that is drawn in several steps, and shown after each. */
 function glTarget(gl) {
   const frame = gl.createFramebuffer(),
     sides = { width: 0, height: 0 };

@@ -2,7 +2,7 @@
 
 Model: F (9), of any length; R row by row (9:18), t (18:21), f1, f2 (21, 22); then the sense of the lines and the
 epipole, as for fundamental matrices, whose score serves. F = D2 [t]x R D1 with D = diag(1, 1, f): pixels are counted
-from the principal points, in units of the picture.
+from the principal points, in units of the image.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Homographies for the robust loop.
 
 Model: H row by row, |H| = 1, with positive third coordinates for the points in front. Residual: with e = H x1 - x2 in
-image 2 and its derivative J by x1, noise of one size in both pictures gives e the covariance I + J J^T. Sampson's distance
+image 2 and its derivative J by x1, noise of one size in both images gives e the covariance I + J J^T. Sampson's distance
 (HZ section 4.2.6) is e^T (I + J J^T)^-1 e; twice that is used, which is |e|^2 where H keeps lengths, so that a threshold
 means pixels of transfer. Points that H moves through infinity are as far as can be.
 """

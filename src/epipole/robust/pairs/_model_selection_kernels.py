@@ -159,7 +159,7 @@ def select_models(pairs, calibrated, search, epipolar, planes, motions, selectio
     """Compare epipolar geometry, homography, rotation and no motion over the epipolar inliers.
 
     Distances are orthogonal ones in the four dimensions of a match, to first order: Sampson's for the epipolar
-    geometry; half the squared transfer error for the others, whose noise comes from both pictures. Each is cut at
+    geometry; half the squared transfer error for the others, whose noise comes from both images. Each is cut at
     2 (4 - d) variances, the noise being estimated from the epipolar residuals.
     Focal lengths are never known so well that a rotation fits to the noise: it may correct them. Where they are guesses
     it also takes over from the homography if it explains nearly all matches to within the threshold.

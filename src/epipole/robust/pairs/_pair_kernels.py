@@ -34,7 +34,7 @@ class Pairs(NamedTuple):
     focal_px: np.ndarray
     """(cameras,), mean focal lengths."""
     wide: np.ndarray
-    """(cameras,), whether the plane z = 1 is no picture of theirs."""
+    """(cameras,), whether the plane z = 1 is no image of theirs."""
     seed: np.ndarray
     """(pairs,), uint64."""
 
@@ -192,7 +192,7 @@ def fit_motions(pairs, wanted, use, quality, search, fits):
 
 @kernel
 def _normalize(pairs, chosen, count, frame, items):
-    """Centre both pictures' matches and divide by one length; returns their number, or 0 where they coincide."""
+    """Centre both images' matches and divide by one length; returns their number, or 0 where they coincide."""
     frame[4] = 1.0
     for r in range(4):
         total = 0.0

@@ -1,7 +1,7 @@
 """Relative pose of wide lenses for the robust loop.
 
 Model as in `_relative_pose_kernels`. On the plane z = 1 a pixel at the rim of a fisheye is many pixels long: here matches
-are unit rays with their derivatives by the pixels, and the residual is Sampson's distance in the pictures themselves
+are unit rays with their derivatives by the pixels, and the residual is Sampson's distance in the images themselves
 (the tangent Sampson error of Terekhov and Larsson, ICCV 2023),
     r = e / sqrt(m), e = y2^T E y1, m = |J2^T E y1|^2 + |J1^T E^T y2|^2, J = dy / du.
 """

@@ -105,7 +105,7 @@ def fit_motions(
 
 
 def to_coordinates(fits: kernels.Fits, p: int) -> tuple[np.ndarray, np.ndarray]:
-    """The maps (3, 3) of both pictures' pixels to the coordinates that the model of pair p was fitted in."""
+    """The maps (3, 3) of both images' pixels to the coordinates that the model of pair p was fitted in."""
     u1, v1, u2, v2, s = fits.frame[p]
     t1, t2 = (np.array([[1 / s, 0, -u / s], [0, 1 / s, -v / s], [0, 0, 1]]) for u, v in ((u1, v1), (u2, v2)))
     return t1, t2

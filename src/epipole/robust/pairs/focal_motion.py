@@ -36,7 +36,7 @@ def estimate_motion_and_shared_focal(
     Args:
         pixels1: matches in image 1, (n, 2); NaN and infinite ones are outliers.
         pixels2: the same in image 2.
-        principal_point: (2,), of both pictures; their centre where nothing better is known.
+        principal_point: (2,), of both images; their centre where nothing better is known.
         config: threshold in pixels.
 
     Returns:

@@ -1,4 +1,4 @@
-"""What two pictures tell about each other."""
+"""What two images tell about each other."""
 
 from enum import IntEnum
 
@@ -17,4 +17,4 @@ class PairKind(IntEnum):
     ROTATION = 4
     """The camera only turned: no depth can be had."""
     NO_MOTION = 5
-    """The same picture twice."""
+    """The same image twice."""

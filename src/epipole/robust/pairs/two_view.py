@@ -1,4 +1,4 @@
-"""Robust estimators between two pictures: homography, fundamental and essential matrix, relative pose."""
+"""Robust estimators between two images: homography, fundamental and essential matrix, relative pose."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def estimate_relative_pose(
     Args:
         pixels1: matches in image 1, (n, 2); NaN and infinite ones are outliers.
         pixels2: the same in image 2.
-        camera1: any model. Where a lens is wide the error is that in the pictures (tangent Sampson: Terekhov and Larsson,
+        camera1: any model. Where a lens is wide the error is that in the images (tangent Sampson: Terekhov and Larsson,
             ICCV 2023), behind the plane of the pupil too.
         camera2: any model.
         config: `max_error_px` is divided by the mean focal length.
@@ -217,7 +217,7 @@ def estimate_fundamental_matrix(
 def estimate_homography(
     pixels1: Any, pixels2: Any, config: RansacConfig | None = None, *, quality: Any = None
 ) -> Estimate[Matrix3]:
-    """Homography, x2 ~ H x1, |H| = 1: four points, then a truncated transfer error that weighs both pictures alike.
+    """Homography, x2 ~ H x1, |H| = 1: four points, then a truncated transfer error that weighs both images alike.
 
     Planes of the world are not quite plane, and the matches that show it lie beyond any threshold for pixels: models are
     searched for at one and a half thresholds, and the best is fitted to all matches within 3.64, the nearer the more.

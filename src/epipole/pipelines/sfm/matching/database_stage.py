@@ -24,7 +24,7 @@ Matches = dict[tuple[int, int], np.ndarray]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GivenFeatures:
-    """What the unit of one picture needs: its file, and its rows of the database."""
+    """What the unit of one image needs: its file, and its rows of the database."""
 
     path: Path
     max_size_px: int
@@ -34,14 +34,14 @@ class GivenFeatures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DatabaseSource:
-    """A database, and the image of it that each picture is."""
+    """A database, and the image of it that each image is."""
 
     path: Path
     contents: DatabaseContents
     row_of_name: dict[str, int]
 
     def matches(self, names: Sequence[str]) -> Matches:
-        """Matches between these pictures: before verification where the database has them, else verified ones."""
+        """Matches between these images: before verification where the database has them, else verified ones."""
         position = {self.row_of_name[name]: i for i, name in enumerate(names)}
         found: Matches = dict(self.contents.matches)
         graph = self.contents.view_graph
@@ -60,26 +60,26 @@ class DatabaseSource:
 
 
 def open_source(path: Path, images: ImageSet, *, keep_cameras: bool) -> tuple[DatabaseSource, ImageSet]:
-    """Read a database and match its images to the pictures of a folder, by name.
+    """Read a database and match its images to the images of a folder, by name.
 
     Args:
         path: the database.
-        images: the pictures of the folder.
+        images: the images of the folder.
         keep_cameras: cameras were given on the command line; else the database's are used.
 
     Returns:
-        The source, and the pictures that the database knows; the others are left out with the reason.
+        The source, and the images that the database knows; the others are left out with the reason.
 
     Raises:
         FileFormatError: it is no such database.
-        ConfigError: no picture is in it, or a picture has another size there.
+        ConfigError: no image is in it, or an image has another size there.
     """
     contents = read_database(path)
     row_of_name = {str(name): row for row, name in enumerate(contents.images.name)}
     source = DatabaseSource(path, contents, row_of_name)
     missing = {i: f"not in {path.name}" for i, n in enumerate(images.names) if n not in source.row_of_name}
     if len(missing) == len(images):
-        raise ConfigError(f"{path} knows none of the pictures in {images.folder}: names must be the same")
+        raise ConfigError(f"{path} knows none of the images in {images.folder}: names must be the same")
     images = images.without(missing)
     rows = np.array([source.row_of_name[name] for name in images.names])
     camera_rows = contents.rigs.sensor_camera[contents.images.sensor[rows]]
@@ -116,7 +116,7 @@ def _refuse_rotated(path: Path, images: ImageSet) -> None:
 
 
 def feature_units(source: DatabaseSource, images: ImageSet, folder: Path, max_size_px: int) -> list[Unit]:
-    """One unit per picture: the database's features with the picture's colours."""
+    """One unit per image: the database's features with the image's colours."""
     contents, units = source.contents, []
     for name, fingerprint in zip(images.names, images.fingerprints):
         row = source.row_of_name[name]
@@ -130,7 +130,7 @@ def feature_units(source: DatabaseSource, images: ImageSet, folder: Path, max_si
 
 
 def features_with_colors(payload: GivenFeatures) -> dict[str, np.ndarray]:
-    """The unit's arrays; for a damaged picture the reason instead."""
+    """The unit's arrays; for a damaged image the reason instead."""
     image = read_image(payload.path, payload.max_size_px)
     if isinstance(image, str):
         return {"failure": np.array(image)}

@@ -1,4 +1,4 @@
-"""The second stage: features of every picture, one file each."""
+"""The second stage: features of every image, one file each."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ THUMBNAIL_PX = 320
 
 @dataclass(frozen=True, slots=True)
 class FeaturePayload:
-    """What the unit of one picture needs."""
+    """What the unit of one image needs."""
 
     path: Path
     name: str
@@ -34,7 +34,7 @@ class FeaturePayload:
 
 
 def feature_units(images: ImageSet, folder: Path, config: FeatureConfig, masks: Path | None) -> list[Unit]:
-    """One unit per picture."""
+    """One unit per image."""
     units = []
     for name, image, mask in zip(images.names, images.fingerprints, images.mask_fingerprints):
         key = digest("features", FORMAT, image, mask, asdict(config))
@@ -45,7 +45,7 @@ def feature_units(images: ImageSet, folder: Path, config: FeatureConfig, masks: 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Image:
-    """A picture as it is worked on, and its full size."""
+    """An image as it is worked on, and its full size."""
 
     rgb: np.ndarray
     width: int
@@ -53,7 +53,7 @@ class Image:
 
 
 def read_image(path: Path, max_size_px: int) -> Image | str:
-    """Read a picture, reduced to `max_size_px`; for a damaged one the reason instead."""
+    """Read an image, reduced to `max_size_px`; for a damaged one the reason instead."""
     try:
         header = read_header(path)
         return Image(read_rgb(path, max_size_px), header.width, header.height)
@@ -62,7 +62,7 @@ def read_image(path: Path, max_size_px: int) -> Image | str:
 
 
 def detect_in_file(payload: FeaturePayload) -> dict[str, np.ndarray]:
-    """Features of one picture, their colours and a thumbnail; for a damaged picture the reason instead."""
+    """Features of one image, their colours and a thumbnail; for a damaged image the reason instead."""
     image = read_image(payload.path, payload.config.max_size_px)
     if isinstance(image, str):
         return {"failure": np.array(image)}
@@ -72,7 +72,7 @@ def detect_in_file(payload: FeaturePayload) -> dict[str, np.ndarray]:
             mask = read_mask(payload.masks, payload.name, size=(image.width, image.height))
     except (FileFormatError, MissingDependencyError) as error:
         return {"failure": np.array(str(error))}
-    cv2.setNumThreads(1)  # pictures are the unit of parallel work
+    cv2.setNumThreads(1)  # images are the unit of parallel work
     small = detect_features(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), payload.config)
     stretch = np.array([image.width / rgb.shape[1], image.height / rgb.shape[0]])
     pixels = ((small.pixels + 0.5) * stretch - 0.5).astype(np.float32)
@@ -87,7 +87,7 @@ def detect_in_file(payload: FeaturePayload) -> dict[str, np.ndarray]:
 def as_unit_arrays(
     image: Image, pixels: np.ndarray, scale_px: np.ndarray, angle_rad: np.ndarray, descriptors: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Features, their colours and a thumbnail of the picture, as a unit stores them."""
+    """Features, their colours and a thumbnail of the image, as a unit stores them."""
     rgb = image.rgb
     shrink = np.array([rgb.shape[1] / image.width, rgb.shape[0] / image.height])
     at = np.clip(np.rint((pixels + 0.5) * shrink - 0.5).astype(int), 0, [rgb.shape[1] - 1, rgb.shape[0] - 1])
@@ -107,7 +107,7 @@ def as_unit_arrays(
 
 
 def load_features(path: Path) -> Features:
-    """The features of a unit's file; those of the last pictures asked for are kept in memory."""
+    """The features of a unit's file; those of the last images asked for are kept in memory."""
     return _remembered(path, path.stat().st_mtime_ns)
 
 

@@ -1,4 +1,4 @@
-"""Matching and verification of pairs of pictures, block by block."""
+"""Matching and verification of pairs of images, block by block."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MIN_PREEMPTIVE = 768
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchTask:
-    """What matching and verification need of the pictures of a block."""
+    """What matching and verification need of the images of a block."""
 
     feature_files: dict[int, Path]
     cameras: dict[int, Camera]
@@ -35,7 +35,7 @@ class MatchTask:
     is_trusted: dict[int, bool]
     """Whether each image's focal length is known."""
     seeds: tuple[int, ...]
-    """Of each pair: made of what its pictures hold, so that neither order of work nor other pictures matter."""
+    """Of each pair: made of what its images hold, so that neither order of work nor other images matter."""
     matching: MatchConfig
     verification: RansacConfig
     match_file: Path | None = None
@@ -96,7 +96,7 @@ def _units(
 
 
 def _pair_keys(todo: PairWork, pairs: Sequence[tuple[int, int]], what: str) -> Iterator[str]:
-    """A digest of what the result of each pair depends on: its pictures, their cameras and the options."""
+    """A digest of what the result of each pair depends on: its images, their cameras and the options."""
     common = digest(what, FORMAT, asdict(todo.matching), asdict(todo.verification))
     trusted = todo.cameras.is_focal_trusted | todo.cameras.is_constant
     of_camera = [
@@ -107,7 +107,7 @@ def _pair_keys(todo: PairWork, pairs: Sequence[tuple[int, int]], what: str) -> I
 
 
 def _seed(first: str, second: str) -> int:
-    """31 bits of the keys of two pictures' features."""
+    """31 bits of the keys of two images' features."""
     return int(digest(first, second)[:8], 16) >> 1
 
 

@@ -1,6 +1,6 @@
-"""Pairs of pictures in blocks, one file each, in which every pair keeps a key of its own.
+"""Pairs of images in blocks, one file each, in which every pair keeps a key of its own.
 
-Blocks are cut from the list of pairs, which one picture more or less shifts. So a block takes the results of pairs that
+Blocks are cut from the list of pairs, which one image more or less shifts. So a block takes the results of pairs that
 files of an earlier list hold, and works on the others only.
 """
 
@@ -56,7 +56,7 @@ def block_units(
     """Units of the blocks of pairs.
 
     Args:
-        pairs: pairs of pictures, in order.
+        pairs: pairs of images, in order.
         keys: a digest of everything that the result of each pair depends on.
         folder: where the files go; those there already may hold results.
         work: makes the file of a block.

@@ -1,4 +1,4 @@
-"""The third stage: which pairs of pictures are compared."""
+"""The third stage: which pairs of images are compared."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def choose_pairs(
     """Pairs (i, j), i < j, sorted.
 
     Raises:
-        ConfigError: spatial pairs are asked for but the pictures carry no GPS.
+        ConfigError: spatial pairs are asked for but the images carry no GPS.
     """
     n = len(descriptors)
     has_gps = np.isfinite(lat_lon_alt[:, :2]).all(axis=1)
@@ -41,7 +41,7 @@ def choose_pairs(
         return np.stack(np.triu_indices(n, 1), axis=1).astype(np.int32)
     if method == "spatial":
         if has_gps.sum() < 2:
-            raise ConfigError("spatial pairs need GPS in the pictures' EXIF")
+            raise ConfigError("spatial pairs need GPS in the images' EXIF")
         return sorted_pairs(
             [*_spatial(lat_lon_alt, has_gps, config.neighbours), *_similar_images(descriptors, 5)]
         )
@@ -78,7 +78,7 @@ def read_pairs(path: Path, names: Sequence[str]) -> Int32[np.ndarray, "p 2"]:
     """Pairs from a text file: two names a line; blank lines and lines that start with # are skipped.
 
     Raises:
-        FileFormatError: no such file, a line without two names, or an unknown picture.
+        FileFormatError: no such file, a line without two names, or an unknown image.
     """
     row = {name: i for i, name in enumerate(names)}
     try:
@@ -91,9 +91,9 @@ def read_pairs(path: Path, names: Sequence[str]) -> Int32[np.ndarray, "p 2"]:
         if not words or words[0].startswith("#"):
             continue
         if len(words) != 2:
-            raise FileFormatError(path, f"line {number}: expected two picture names, got {len(words)}")
+            raise FileFormatError(path, f"line {number}: expected two image names, got {len(words)}")
         missing = [w for w in words if w not in row]
         if missing:
-            raise FileFormatError(path, f"line {number}: no picture {missing[0]!r} (or it cannot be used)")
+            raise FileFormatError(path, f"line {number}: no image {missing[0]!r} (or it cannot be used)")
         pairs.append((row[words[0]], row[words[1]]))
     return sorted_pairs(pairs)

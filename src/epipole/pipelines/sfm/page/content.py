@@ -22,7 +22,7 @@ MAX_INLIERS_SHOWN = 400
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageRow:
-    """One picture's line in the report."""
+    """One image's line in the report."""
 
     name: str
     is_registered: bool
@@ -33,7 +33,7 @@ class ImageRow:
     mean_error_px: float
     """Mean reprojection error of its observations; NaN where there are none."""
     reason: str = ""
-    """Why the picture has no place, in words; empty when it has one."""
+    """Why the image has no place, in words; empty when it has one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

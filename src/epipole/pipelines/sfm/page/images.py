@@ -1,4 +1,4 @@
-"""The table of pictures: thumbnails with the features that see points, numbers, and reasons in words."""
+"""The table of images: thumbnails with the features that see points, numbers, and reasons in words."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from epipole.report.markup import count, number
 
 @dataclass(frozen=True, slots=True)
 class ImageLine:
-    """One picture's line in the table."""
+    """One image's line in the table."""
 
     name: str
     is_registered: bool
@@ -25,7 +25,7 @@ class ImageLine:
 
 
 def image_lines(content: ReportContent) -> list[ImageLine]:
-    """The lines in order; pictures without a place come first."""
+    """The lines in order; images without a place come first."""
     return [_line(row, content) for row in sorted(content.image_rows, key=lambda row: row.is_registered)]
 
 

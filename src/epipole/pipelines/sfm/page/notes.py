@@ -16,13 +16,13 @@ def notes_of(content: ReportContent, statistics: Statistics) -> tuple[tuple[str,
     if not statistics.num_registered:
         return (
             *notes,
-            ("There is no model: no picture could be placed.", True),
+            ("There is no model: no image could be placed.", True),
         )
     notes.append((_scale(content.scale_note), False))
     notes += [(text, False) for text in (_parallax(content, statistics), _two_view(statistics)) if text]
     notes.append(
         (
-            "The reprojection error tells how well the model explains the pictures it was made from. "
+            "The reprojection error tells how well the model explains the images it was made from. "
             "It is not the model's accuracy; only a comparison with something measured gives that.",
             False,
         )
@@ -40,10 +40,10 @@ def _absent(content: ReportContent) -> str:
     if not absent:
         return ""
     verb = "has" if absent == 1 else "have"
-    total = plural(len(content.image_rows), "picture")
+    total = plural(len(content.image_rows), "image")
     return (
         f"{count(absent)} of {total} {verb} no place in the model. "
-        "The table of pictures gives each one's reason."
+        "The table of images gives each one's reason."
     )
 
 
@@ -54,13 +54,13 @@ def _components(content: ReportContent) -> str:
     sizes = f"{', '.join(count(n) for n in others[:-1])} and {count(others[-1])}"
     if len(others) == 1:
         return (
-            f"The pictures fell into two models that are not tied to each other: this one and another of "
-            f"{plural(others[0], 'picture')}. More pictures between the two would join them."
+            f"The images fell into two models that are not tied to each other: this one and another of "
+            f"{plural(others[0], 'image')}. More images between the two would join them."
         )
     return (
-        f"The pictures fell into {len(others) + 1} models that are not tied to each other. "
-        f"This page shows the largest; the others hold {sizes} pictures. "
-        "More pictures between them would join them."
+        f"The images fell into {len(others) + 1} models that are not tied to each other. "
+        f"This page shows the largest; the others hold {sizes} images. "
+        "More images between them would join them."
     )
 
 
@@ -88,4 +88,4 @@ def _two_view(statistics: Statistics) -> str:
     fraction = 100 * float((statistics.track_length == 2).mean())
     if fraction < 1:
         return ""
-    return f"{fraction:.0f} % of the points are seen in two pictures only, so no third picture confirms them."
+    return f"{fraction:.0f} % of the points are seen in two images only, so no third image confirms them."

@@ -62,7 +62,7 @@ def _tiles(content: ReportContent, statistics: Statistics, total: int) -> list[t
     has_errors = len(statistics.error_px) > 0
     time = seconds(sum(content.timings.values())) if content.timings else number(float("nan"))
     return [
-        ("Pictures placed", count(statistics.num_registered), f"of {count(total)}"),
+        ("Images placed", count(statistics.num_registered), f"of {count(total)}"),
         ("Points", count(statistics.num_points), ""),
         ("Observations", count(statistics.num_observations), ""),
         ("Mean reprojection error", number(statistics.mean_error_px), "px" if has_errors else ""),
@@ -79,7 +79,7 @@ def _histograms(statistics: Statistics) -> list[tuple[str, object, str]]:
     angles = np.rad2deg(statistics.finite_angle_rad)
     charts = (
         ("Reprojection error", histogram_of(statistics.error_px, "pixels, per observation"), 2),
-        ("Track length", histogram_of_integers(statistics.track_length, "pictures that see a point"), 0),
+        ("Track length", histogram_of_integers(statistics.track_length, "images that see a point"), 0),
         ("Triangulation angle", histogram_of(angles, "degrees, the widest of each point"), 1),
     )
     return [(title, draw_histogram(chart, digits), _shown(chart)) for title, chart, digits in charts]

@@ -24,7 +24,7 @@ IMAGE_PX = 640
 
 
 def scene(path: Path) -> SpaceScene:
-    """The points of a model, its cameras and its pictures.
+    """The points of a model, its cameras and its images.
 
     Raises:
         FileFormatError: there is no model.

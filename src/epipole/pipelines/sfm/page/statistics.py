@@ -34,7 +34,7 @@ class Statistics:
 
     @property
     def mean_track_length(self) -> float:
-        """Mean number of pictures in which a point is seen; NaN without points."""
+        """Mean number of images in which a point is seen; NaN without points."""
         return float(self.track_length.mean()) if len(self.track_length) else float("nan")
 
     @property

@@ -1,4 +1,4 @@
-"""Which place of a map a picture shows: pictures that look alike, points that match, and a pose with which they agree."""
+"""Which place of a map an image shows: images that look alike, points that match, and a pose with which they agree."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MIN_AGREEING = 30
 
 
 class View(NamedTuple):
-    """A picture to be recognised."""
+    """An image to be recognised."""
 
     grey: np.ndarray
     pixels: np.ndarray  # (n, 2)
@@ -41,7 +41,7 @@ class View(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recognition:
-    """What came of comparing a picture with a place of the map."""
+    """What came of comparing an image with a place of the map."""
 
     keyframe: int
     """The keyframe that looks alike."""
@@ -61,12 +61,12 @@ def _words() -> np.ndarray:
 
 
 def descriptor_size() -> int:
-    """Numbers of the vector that a picture is compared by."""
+    """Numbers of the vector that an image is compared by."""
     return _words().size
 
 
 def view_of(grey: np.ndarray, pixels: np.ndarray) -> View:
-    """A picture described at its corners."""
+    """An image described at its corners."""
     descriptors = describe_upright(grey, pixels)
     return View(grey, pixels, descriptors, describe_image(descriptors, _words()))
 
@@ -85,10 +85,10 @@ def describe_keyframe(keyframe: Keyframe) -> View:
 def most_alike(
     descriptor: np.ndarray, model: SlamMap, excluded: np.ndarray, count: int
 ) -> list[tuple[int, float]]:
-    """(keyframe, cosine) of the keyframes that look most like a picture, best first.
+    """(keyframe, cosine) of the keyframes that look most like an image, best first.
 
     Args:
-        descriptor: of the picture.
+        descriptor: of the image.
         model: the map.
         excluded: (k,) keyframes not to be considered.
         count: how many.
@@ -108,17 +108,17 @@ def recognize(
     config: SlamConfig,
     unwanted: np.ndarray | None = None,
 ) -> Recognition:
-    """Compare a picture with a keyframe and its neighbours.
+    """Compare an image with a keyframe and its neighbours.
 
     Descriptors are matched, P3P in RANSAC finds a pose, and at this pose all points that should be in sight are looked for.
 
     Args:
-        view: the picture.
+        view: the image.
         model: the map.
         number: of the keyframe.
         camera: of both.
         config: thresholds.
-        unwanted: rows of points that are not to be used: those of the picture's own surroundings.
+        unwanted: rows of points that are not to be used: those of the image's own surroundings.
     """
     points, descriptors = _points_around(model, number, unwanted)
     matches = match_descriptors(view.descriptors, descriptors, MatchConfig(max_ratio=0.85))

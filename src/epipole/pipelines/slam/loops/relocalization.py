@@ -1,4 +1,4 @@
-"""Where a lost camera is: the places of the map that look most like its picture are compared with it."""
+"""Where a lost camera is: the places of the map that look most like its image are compared with it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LATEST, ALIKE = 2, 4
 
 
 def relocalize(grey: np.ndarray, model: SlamMap, camera: Camera, config: SlamConfig) -> Recognition | None:
-    """The place of a picture in a map, by the keyframe with most points in agreement.
+    """The place of an image in a map, by the keyframe with most points in agreement.
 
     None if none has enough, or if two places look like it.
     """

@@ -143,7 +143,7 @@ def scale_by_factors(
     weight = 1.0 / np.array(variances)
     scale = float(np.exp((weight * logs).sum() / weight.sum()))
     sigma, shared = scale / float(np.sqrt(weight.sum())), imu.noise.accel_gain_sigma
-    return ScaleEstimate("imu", "the IMU", scale, sigma, shared, "the IMU, adjusted with the pictures")
+    return ScaleEstimate("imu", "the IMU", scale, sigma, shared, "the IMU, adjusted with the images")
 
 
 def pixel_variance(problem: BundleProblem, camera: Camera) -> float:

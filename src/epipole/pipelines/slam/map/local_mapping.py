@@ -89,7 +89,7 @@ class LocalMapper:
         """A keyframe: points that are followed, older ones found again, and new ones; all of them are followed on.
 
         Args:
-            frame: the pictures.
+            frame: the images.
             number: of the frame.
             position: cam_from_world.
             tracks: points that are followed.
@@ -268,7 +268,7 @@ class LocalMapper:
         return rows, self._fixed(self._problem(views, len(window), rows, seen))
 
     def _fixed(self, problem: BundleProblem) -> BundleProblem:
-        """With what the pictures leave open held: one place, and the scale where nothing tells it."""
+        """With what the images leave open held: one place, and the scale where nothing tells it."""
         is_fixed = (~problem.frame_free.any(axis=1)).any()
         if self.focal_baseline is None:
             return with_fixed_gauge(problem)
@@ -352,7 +352,7 @@ class LocalMapper:
     ) -> tuple[np.ndarray, np.ndarray, BundlePriors | None]:
         """Parameters of both cameras, which of them are free, and what is known of these.
 
-        A constant error of all disparities bends the scene, and the frames' motion shows it: where a pair's pictures are
+        A constant error of all disparities bends the scene, and the frames' motion shows it: where a pair's images are
         adjusted all together, the second one's principal point is found, too.
         """
         shifted, free = params.copy(), np.zeros((2, params.shape[1]))
@@ -395,5 +395,5 @@ def focal_baseline_of(sensor: SlamCamera, config: SlamConfig) -> float | None:
     if baseline is None:
         return None
     if sensor.camera.model != CameraModel.PINHOLE:
-        raise ConfigError("with depth, or a second camera, pictures are undistorted and the camera a PINHOLE")
+        raise ConfigError("with depth, or a second camera, images are undistorted and the camera a PINHOLE")
     return sensor.camera.focal_px * baseline

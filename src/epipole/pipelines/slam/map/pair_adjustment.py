@@ -9,7 +9,7 @@ import numpy as np
 from epipole.optim import BundleConfig, BundleProblem, BundleResult, adjust_bundle
 
 LEAST_SHIFT_PX = 0.1
-"""Places in the right picture that patches are found at are off by hundredths of a pixel, all to one side: on rendered pairs,
+"""Places in the right image that patches are found at are off by hundredths of a pixel, all to one side: on rendered pairs,
 whose principal points are known, shifts of 0.04 px were found, and made the path 0.2 % too short."""
 
 

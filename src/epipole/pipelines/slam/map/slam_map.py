@@ -11,7 +11,7 @@ from epipole.pipelines.slam.shutter.recent_motion import NO_MOTION, RecentMotion
 
 
 class Observations(NamedTuple):
-    """Points of the map in one picture."""
+    """Points of the map in one image."""
 
     pixels: np.ndarray  # (n, 2)
     disparity_px: np.ndarray  # (n,); NaN for none
@@ -19,12 +19,12 @@ class Observations(NamedTuple):
 
 
 class Keyframe:
-    """A frame that stays: its picture, its place, and what it saw of the map.
+    """A frame that stays: its image, its place, and what it saw of the map.
 
     Attributes:
         number: of the frame in the sequence.
         timestamp_s: its time.
-        grey: its picture.
+        grey: its image.
         cam_from_world: its place, which adjustments change.
         pixels: (n, 2) of its observations.
         disparity_px: (n,) of them, NaN for none.
@@ -32,9 +32,9 @@ class Keyframe:
         shift_px: (n, 3) from pixels and disparities to what a shutter of one instant would have seen; zero where it is one.
         point: (n,) rows of the map's points, each at most once.
         descriptors: (n, 128) of them, zeros where none was made.
-        look: the whole picture as one vector, for finding pictures that look alike; None before it is made.
+        look: the whole image as one vector, for finding images that look alike; None before it is made.
         unit: by what lengths around it were multiplied since it was made.
-        ignored_mask: where nothing may be seen in its picture, as in `Frame`; None of a map that was read from a file.
+        ignored_mask: where nothing may be seen in its image, as in `Frame`; None of a map that was read from a file.
         covariance: (6, 6) of xi = (translation, rotation) in exp(xi) @ cam_from_world; zero where it is not known.
     """
 

@@ -1,4 +1,4 @@
-"""Whether the pictures agree with the lens that was given: the finished map is adjusted once more with the lens free.
+"""Whether the images agree with the lens that was given: the finished map is adjusted once more with the lens free.
 
 A wrong focal length is partly absorbed by path and points (all of it, where the camera goes straight ahead), and so is a
 wrong distortion. What they cannot absorb is what tells: the covariance says how much that is (Triggs et al. 2000,
@@ -39,9 +39,9 @@ MAX_ITERATIONS = 40
 WIDEST = 1.5
 """Tangent of the widest angle from the axis, in x and y: beyond, pixels without distortion have other errors."""
 FOCAL_ERROR, K1_ERROR = 0.02, 0.015
-"""Deviation of what is found, as a share of the focal length (k1: of the radius at the picture's edge), besides the formal."""
+"""Deviation of what is found, as a share of the focal length (k1: of the radius at the image's edge), besides the formal."""
 EDGE = 0.8
-"""Of half the picture's diagonal: the radius at which a distortion is told in pixels."""
+"""Of half the image's diagonal: the radius at which a distortion is told in pixels."""
 MOST_SIGMAS = 3.0
 MOST_SHIFT_PX = 1.0
 """By which the principal point of a pair's second camera may be off, once it was rectified."""
@@ -51,7 +51,7 @@ FOCAL, CX, CY, K1, K2 = range(5)
 
 @dataclass(frozen=True, slots=True)
 class CameraCheck:
-    """The focal length and the first radial term that the pictures agree with best, besides the distortion given."""
+    """The focal length and the first radial term that the images agree with best, besides the distortion given."""
 
     given_focal_px: float
     focal_px: float
@@ -60,7 +60,7 @@ class CameraCheck:
     """In x (1 + k1 r^2) of what the lens given leaves: 0 for one that is right."""
     k1_sigma: float
     edge: float
-    """Radius r near the picture's edge."""
+    """Radius r near the image's edge."""
     sigmas_off: float
     """Between the focal length given and the one found, in standard deviations: with the principal point as given, or, where that
     is wrong, the smaller one of that and of a lens whose principal point is free."""
@@ -82,13 +82,13 @@ class CameraCheck:
         out = []
         if self.is_focal_wrong:
             out.append(
-                f"the focal length given is {self.given_focal_px:.0f} px, the pictures agree better with"
+                f"the focal length given is {self.given_focal_px:.0f} px, the images agree better with"
                 f" {found}: if it is wrong, path and map are bent; a calibration tells (epipole calibrate). Rows that are read"
                 " one after another (a rolling shutter) look like that, too"
             )
         if self.is_distortion_wrong:
             out.append(
-                f"the pictures are distorted otherwise than the lens given: by a further k1 = {self.k1:.3f} +-"
+                f"the images are distorted otherwise than the lens given: by a further k1 = {self.k1:.3f} +-"
                 f" {self.k1_sigma:.3f} (of RADIAL, OPENCV), {shift_px:.0f} px near the edge; calibrate the camera (epipole"
                 " calibrate)"
             )
@@ -243,6 +243,6 @@ def camera_warnings(found: CameraCheck | None, right_shift_px: float) -> list[st
     if not out and abs(right_shift_px) > MOST_SHIFT_PX:
         out.append(
             f"all disparities of the pair are off by {right_shift_px:.1f} px: its calibration, or its rectification, is not that"
-            " of these pictures"
+            " of these images"
         )
     return out

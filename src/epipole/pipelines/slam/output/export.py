@@ -19,7 +19,7 @@ def reconstruction_of(model: SlamMap, camera: Camera, names: Sequence[str]) -> R
     Args:
         model: the map.
         camera: of all keyframes.
-        names: of the keyframes' pictures.
+        names: of the keyframes' images.
     """
     keyframes = [k for k in model.keyframes if len(k.point)]  # not those of turns, which see no point
     n, counts = len(keyframes), model.counts(list(range(len(model.keyframes))))

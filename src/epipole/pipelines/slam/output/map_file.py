@@ -51,7 +51,7 @@ class KnownMap(NamedTuple):
 
     model: SlamMap
     names: tuple[str, ...]
-    """Of the keyframes' pictures."""
+    """Of the keyframes' images."""
     numbers: tuple[int, ...]
     """Of the keyframes' frames."""
     is_metric: bool
@@ -67,7 +67,7 @@ def write_slam_map(
     Args:
         path: the file.
         model: the map; keyframes of turns, which see no point, are left out.
-        names: of the keyframes' pictures, a name for each of the model's keyframes.
+        names: of the keyframes' images, a name for each of the model's keyframes.
         sensor: whose map it is.
         scale: where its metres come from, in words; empty: it is up to scale, unless the camera tells depth.
 
@@ -109,10 +109,10 @@ class MapSummary(NamedTuple):
 
     camera: Camera
     names: tuple[str, ...]
-    """Of the keyframes' pictures."""
+    """Of the keyframes' images."""
     cams_from_world: Rigid3
     grey: np.ndarray
-    """Pictures of the keyframes (k, h, w)."""
+    """Images of the keyframes (k, h, w)."""
     xyz_in_world: np.ndarray
     """Points that have a place (n, 3)."""
     num_agreed: np.ndarray
@@ -185,7 +185,7 @@ def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
     size, params = arrays["size"], arrays["camera_params"]
     if (int(size[0]), int(size[1])) != (camera.width, camera.height):
         raise ConfigError(
-            f"{path} is of pictures of {size[0]}x{size[1]}, these are {camera.width}x{camera.height}"
+            f"{path} is of images of {size[0]}x{size[1]}, these are {camera.width}x{camera.height}"
         )
     if int(arrays["camera_model"]) != int(camera.model) or not np.allclose(params, camera.params, rtol=0.02):
         raise ConfigError(f"{path} is the map of another camera: {params} against {camera.params}")
@@ -232,14 +232,14 @@ def _check(arrays: Arrays) -> None:
     """Check what the table does not say.
 
     Raises:
-        ShapeError: the pictures are not of the camera's size, or a keypoint is outside its picture.
+        ShapeError: the images are not of the camera's size, or a keypoint is outside its image.
     """
     width, height = arrays["size"].tolist()
     if arrays["grey"].shape[1:] != (height, width):
-        raise ShapeError(f"grey must be pictures of {width} x {height}, got {arrays['grey'].shape}")
+        raise ShapeError(f"grey must be images of {width} x {height}, got {arrays['grey'].shape}")
     for name in ("pixels", "anchor_px"):
         if not ((arrays[name] > -1.0) & (arrays[name] < arrays["size"])).all():
-            raise ShapeError(f"{name} must be within the picture")
+            raise ShapeError(f"{name} must be within the image")
 
 
 def _model_of(arrays: Arrays) -> SlamMap:

@@ -1,4 +1,4 @@
-"""What is kept of each frame: its answer, its picture's name, and the time that it took."""
+"""What is kept of each frame: its answer, its image's name, and the time that it took."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from epipole.pipelines.slam.frames import TrackedFrame
 
 LEFT_OUT = "left out"
 """In the place of a state, for a frame that could not be read or did not fit."""
-COLUMNS = ("frame", "timestamp_s", "picture", "state", "has_pose", "keyframe", "points", "ms", "reason")
+COLUMNS = ("frame", "timestamp_s", "image", "state", "has_pose", "keyframe", "points", "ms", "reason")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,7 +24,7 @@ class FrameRecord:
     number: int
     """In the source, from 0."""
     name: str
-    """Of its picture."""
+    """Of its image."""
     seconds: float
     """Of tracking, without reading the files."""
     answer: TrackedFrame | None

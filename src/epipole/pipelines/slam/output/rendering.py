@@ -19,7 +19,7 @@ GAP, TRUTH_GAP = 1.5, 20.0
 def upright_from_world(world_from_body: Rigid3) -> Similarity3:
     """The turn that makes +z up and leaves the first camera's forward direction along +y.
 
-    Up is the mean of the pictures' upward directions: cameras are held level, or turned to all sides.
+    Up is the mean of the images' upward directions: cameras are held level, or turned to all sides.
     """
     up = -world_from_body.rotation[:, :, 1].mean(axis=0) if len(world_from_body.rotation) else np.zeros(3)
     # A level camera (x right, y down, z forward) as the start: z to y, -y to z.

@@ -78,7 +78,7 @@ class RunInputs(NamedTuple):
     anchoring: Anchoring | None
     """What made the map metric."""
     camera: FoundCamera | None = None
-    """The camera, where it was found from the pictures."""
+    """The camera, where it was found from the images."""
 
 
 def write_results(
@@ -157,7 +157,7 @@ def keep_better(system: Slam, run: Run, *, can_repeat: bool) -> None:
 
 
 def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, run: Run) -> dict[str, Any]:
-    """Facts for the summary, and warnings, of what may be wrong with lens, pictures and scene."""
+    """Facts for the summary, and warnings, of what may be wrong with lens, images and scene."""
     with run.stage("check"):
         model, config = system.maps[0], system.config
         mapper = LocalMapper(model, system.camera, system.focal_baseline, config)
@@ -205,7 +205,7 @@ def _median_sigma(path: Trajectory) -> float | None:
 
 
 def keyframe_names(system: Slam, records: Sequence[FrameRecord], known: KnownMap | None) -> list[str]:
-    """Names of the pictures of the first map's keyframes."""
+    """Names of the images of the first map's keyframes."""
     names = [record.name for record in records if record.answer]
     named = {} if known is None else dict(zip(known.numbers, known.names))
     named |= {system.first_number + n: name for n, name in enumerate(names)}
@@ -233,7 +233,7 @@ def _causal(system: Slam, tracked: Sequence[TrackedFrame]) -> Trajectory:
 
 
 def _of_body(trajectory: Trajectory, source: FrameSource) -> Trajectory:
-    """The path of the camera that took the pictures, not of its rectified picture."""
+    """The path of the camera that took the images, not of its rectified image."""
     rotated = source.body_from_camera
     if np.array_equal(rotated.rotation, np.eye(3)) and not rotated.translation.any():
         return trajectory

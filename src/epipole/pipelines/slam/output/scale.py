@@ -1,4 +1,4 @@
-"""What makes the map of one camera metric: places, lengths, objects or odometry that are known besides its pictures."""
+"""What makes the map of one camera metric: places, lengths, objects or odometry that are known besides its images."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def is_mine(path: Path) -> bool:
 
 
 def scene(path: Path) -> SpaceScene:
-    """The map's points, keyframes with their pictures where they are still there, the path and the loops.
+    """The map's points, keyframes with their images where they are still there, the path and the loops.
 
     Raises:
         FileFormatError: there is no map, or a file is damaged.
@@ -129,7 +129,7 @@ def is_map(path: Path) -> bool:
 
 
 def scene_of_map(path: Path) -> SpaceScene:
-    """Points and keyframes of a map, with the pictures that it keeps of them.
+    """Points and keyframes of a map, with the images that it keeps of them.
 
     Raises:
         FileFormatError: it is no map, or damaged.
@@ -156,7 +156,7 @@ def scene_of_map(path: Path) -> SpaceScene:
 
 
 def image_loader(out: Path) -> Callable[[str], np.ndarray | None]:
-    """Reads a keyframe's picture from the frames that the path was made from; gives None where they are gone."""
+    """Reads a keyframe's image from the frames that the path was made from; gives None where they are gone."""
     mark = read_mark(out)
     files: dict[str, Path] = {}
     if mark is not None and mark.source.paths:
@@ -187,7 +187,7 @@ def _loops(summary: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _frame_numbers(path: Path) -> dict[str, int]:
-    """Numbers of the frames by their pictures' names; those that were dropped or left out are not counted."""
+    """Numbers of the frames by their images' names; those that were dropped or left out are not counted."""
     if not (path / FRAME_TABLE).is_file():
         return {}
     table = read_frame_table(path / FRAME_TABLE)

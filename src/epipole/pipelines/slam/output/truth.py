@@ -28,7 +28,7 @@ def truth_at_frames(truth: Truth, records: Sequence[FrameRecord]) -> Trajectory:
     """The truth with the frames' times, where it brings none: its rows are those of all frames of the source.
 
     Raises:
-        ConfigError: there are not as many rows, and the pictures are not named by the rows' numbers either.
+        ConfigError: there are not as many rows, and the images are not named by the rows' numbers either.
     """
     if truth.has_times:
         times = np.array([r.answer.timestamp_s if r.answer else np.nan for r in records])

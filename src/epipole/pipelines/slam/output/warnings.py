@@ -1,4 +1,4 @@
-"""What a finished run says besides its path: pictures that told little, things that moved, a camera that rests."""
+"""What a finished run says besides its path: images that told little, things that moved, a camera that rests."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from epipole.pipelines.slam.frames import TrackedFrame
 from epipole.pipelines.slam.tracking.static_points import CAMERA_AT_REST, MOVES_ALONG
 from epipole.scene import Trajectory
 
-_IMAGE = re.compile(r"the (?:left |right )?picture is (?:blurred|dark|overexposed|of one shade)")
+_IMAGE = re.compile(r"the (?:left |right )?image is (?:blurred|dark|overexposed|of one shade)")
 LEAST_MOVING, MOVING_FRACTION = 5, 0.05
 """Frames with something that moves, at least so many and such a share, are worth a warning."""
 REST_SIGMAS = 4.0
@@ -24,7 +24,7 @@ LEAST_RESTED = 3
 
 
 def poor_images(tracked: Sequence[TrackedFrame]) -> dict[str, int]:
-    """In how many frames a picture was blurred, dark, ...; by the words of the reason."""
+    """In how many frames an image was blurred, dark, ...; by the words of the reason."""
     return dict(Counter(words for frame in tracked for words in _IMAGE.findall(frame.reason)))
 
 

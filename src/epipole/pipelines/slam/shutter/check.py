@@ -1,4 +1,4 @@
-"""Whether a map's pictures were read out row by row, and how long the readout takes."""
+"""Whether a map's images were read out row by row, and how long the readout takes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ReadoutFound:
     def warning(self) -> str:
         """What that means, in words."""
         return (
-            f"the rows of the pictures are read one after another, in {1e3 * self.readout_s:.1f} ms, and the path is bent by "
+            f"the rows of the images are read one after another, in {1e3 * self.readout_s:.1f} ms, and the path is bent by "
             f"it: follow again with --readout-s {self.readout_s:.4f}"
         )
 
@@ -62,7 +62,7 @@ def with_readout(mapper: LocalMapper, path: Trajectory, readout_s: float) -> Ite
 def find_readout(mapper: LocalMapper, path: Trajectory) -> ReadoutFound | None:
     """The readout with which a map's keyframes fit best; None for a shutter of one instant, or too little motion.
 
-    Pictures that are read out row by row leave residuals that go with the row and the motion. Each readout tried takes the
+    Images that are read out row by row leave residuals that go with the row and the motion. Each readout tried takes the
     motion out of the pixels, by the frames beside each keyframe, and adjusts the map; the best of a parabola through the
     costs is told.
 

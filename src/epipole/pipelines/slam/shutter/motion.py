@@ -1,4 +1,4 @@
-"""Pictures that are read out row by row: what the motion did to them, and how long the readout takes."""
+"""Images that are read out row by row: what the motion did to them, and how long the readout takes."""
 
 from __future__ import annotations
 

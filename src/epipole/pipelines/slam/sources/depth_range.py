@@ -13,7 +13,7 @@ _STEP = 4
 class DepthRange:
     """The median depth of each frame.
 
-    A factor on all depths of registered pictures is seen nowhere else: map and path grow by it, and agree.
+    A factor on all depths of registered images is seen nowhere else: map and path grow by it, and agree.
     """
 
     def __init__(self) -> None:
@@ -36,9 +36,9 @@ class DepthRange:
         if NEAREST_M <= median_m <= FARTHEST_M:
             return [
                 f"the median depth is {median_m:.3g} m, unusual for a depth camera ({USUAL_M[0]:g} to {USUAL_M[1]:g} m): is"
-                " the unit of the depth pictures right? A factor on all depths is one on all lengths of path and map"
+                " the unit of the depth images right? A factor on all depths is one on all lengths of path and map"
             ]
         return [
             f"the median depth is {median_m:.4g} m, no depth camera's ({NEAREST_M:g} to {FARTHEST_M:g} m): the unit "
-            "of the depth pictures is probably wrong, and with it all lengths"
+            "of the depth images is probably wrong, and with it all lengths"
         ]

@@ -33,13 +33,13 @@ FAR_MM = 65535
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QueuedFrame:
-    """A frame whose pictures are read when its turn has come."""
+    """A frame whose images are read when its turn has come."""
 
     number: int
     """In its source, from 0."""
     timestamp_s: float
     name: str
-    """Of the picture."""
+    """Of the image."""
     read: Callable[[], Frame]
     """Raises an EpipoleError where files are damaged, or do not fit each other."""
 
@@ -54,7 +54,7 @@ class FrameSource:
     frames: Callable[[], Generator[QueuedFrame, None, None]]
     """As they come; raises an EpipoleError where the source is damaged from there on."""
     body_from_camera: Rigid3
-    """From the camera that is followed (rectified, where it is one of two) to the one that took the pictures."""
+    """From the camera that is followed (rectified, where it is one of two) to the one that took the images."""
     notes: Callable[[], Sequence[str]] = tuple
     """What is odd about the frames that were read so far, in words."""
     is_live: bool = False
@@ -65,24 +65,24 @@ class FrameSource:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Preparation:
-    """How pictures become frames of a camera without distortion, where depth is told."""
+    """How images become frames of a camera without distortion, where depth is told."""
 
     camera: SlamCamera
     body_from_camera: Rigid3
     frame: Callable[..., Frame]
-    """Of seconds, the grey picture, and the right grey picture or depth in metres."""
+    """Of seconds, the grey image, and the right grey image or depth in metres."""
     notes: Callable[[], Sequence[str]] = tuple
     flat: Callable[[np.ndarray], np.ndarray] = np.asarray
-    """Of a grey picture of the (left) camera, as the frame has it."""
+    """Of a grey image of the (left) camera, as the frame has it."""
 
 
 def of_one_camera(intrinsics: Camera) -> Preparation:
-    """Pictures as they are."""
+    """Images as they are."""
     return Preparation(SlamCamera(intrinsics), Rigid3.identity(), Frame)
 
 
 def of_pair(rig: StereoRig) -> Preparation:
-    """Pictures of two cameras, rectified unless they are already."""
+    """Images of two cameras, rectified unless they are already."""
     is_flat = (
         rig.left.model == rig.right.model == CameraModel.PINHOLE
         and np.array_equal(rig.left.params, rig.right.params)
@@ -107,11 +107,11 @@ def of_pair(rig: StereoRig) -> Preparation:
 
 
 def of_depth(intrinsics: Camera, sensor: Camera | None, depth_from_color: Rigid3 | None) -> Preparation:
-    """Pictures with depth, undistorted.
+    """Images with depth, undistorted.
 
     Args:
-        intrinsics: of the pictures.
-        sensor: of the depth; None: registered to the pictures, with their distortion.
+        intrinsics: of the images.
+        sensor: of the depth; None: registered to the images, with their distortion.
         depth_from_color: None: registered, or of one place.
     """
     flat = intrinsics if intrinsics.model == CameraModel.PINHOLE else undistorted_camera(intrinsics)
@@ -122,7 +122,7 @@ def of_depth(intrinsics: Camera, sensor: Camera | None, depth_from_color: Rigid3
     def flat_image(grey: np.ndarray) -> np.ndarray:
         if table is None:
             return grey
-        _require_size("picture", grey, intrinsics)
+        _require_size("image", grey, intrinsics)
         return cv2.remap(grey, table[..., 0], table[..., 1], cv2.INTER_LINEAR)
 
     def frame(seconds: float, grey: np.ndarray, depth: np.ndarray) -> Frame:
@@ -146,14 +146,14 @@ def open_sequence(
         sequence: the folder's files.
         sensor: what to use of them; auto takes depth, else the second camera, where there is one.
         camera: given intrinsics, instead of the folder's.
-        masks: folder of masks, MASKS/NAME.png, black where a picture is not to be used; None for none.
+        masks: folder of masks, MASKS/NAME.png, black where an image is not to be used; None for none.
 
     Raises:
-        ConfigError: the intrinsics are not known, the sensor asked for is not there, or no picture has a mask.
+        ConfigError: the intrinsics are not known, the sensor asked for is not there, or no image has a mask.
     """
     kind = _kind_of(sequence, sensor)
     if masks is not None and not any(mask_of(masks, files.image.name) for files in sequence.frames):
-        raise ConfigError(f"no picture has a mask in {masks} (NAME.png beside the picture's name)")
+        raise ConfigError(f"no image has a mask in {masks} (NAME.png beside the image's name)")
     intrinsics = sequence.camera if camera is None else camera
     if intrinsics is None:
         why = sequence.camera_problem or next((w for w in sequence.warnings if CALIBRATION_NOT_USED in w), "")
@@ -249,7 +249,7 @@ def _kind_of(sequence: ImageSequence, sensor: str) -> str:
         why = "".join(
             f"; {words}" for words in sequence.warnings if words.startswith("the depth images are not used")
         )
-        raise ConfigError(f"there are no depth pictures in these frames{why}")
+        raise ConfigError(f"there are no depth images in these frames{why}")
     if sensor != "auto":
         return sensor
     return "rgbd" if sequence.depth is not None else "stereo" if has_right else "mono"
@@ -309,13 +309,13 @@ def _read_with_depth(
 def _rectified(
     rig: StereoRig, found: Rectification, seconds: float, left: np.ndarray, right: np.ndarray
 ) -> Frame:
-    _require_size("left picture", left, rig.left)
-    _require_size("right picture", right, rig.right)
+    _require_size("left image", left, rig.left)
+    _require_size("right image", right, rig.right)
     return Frame(seconds, *found.apply(left, right))
 
 
 def _require_size(what: str, image: np.ndarray, camera: Camera) -> None:
-    """A table of pixels would read others of a picture of another size."""
+    """A table of pixels would read others of an image of another size."""
     if image.shape != (camera.height, camera.width):
         size = f"{image.shape[1]} x {image.shape[0]}"
         raise ShapeError(f"the {what} is {size}, its camera's {camera.width} x {camera.height}")

@@ -39,11 +39,11 @@ MOST_IMAGES, LEAST_IMAGES = 30, 8
 MOST_FRAMES = 1500
 """That are looked at."""
 APART = 0.12
-"""Of the picture's width: what points move by from one picture to the next that is taken."""
+"""Of the image's width: what points move by from one image to the next that is taken."""
 LEAST_TRACKED = 80
 MOST_SIGMA = 0.005
 """Of the focal length, as a share of it. In rooms and on an arc it was 0.1 to 0.3 %. On a street and before a cube it was 0.8 and 0.9 %, and
-the focal lengths were 3 and 8 % off: the lens has more than one number of distortion, its middle is not the picture's."""
+the focal lengths were 3 and 8 % off: the lens has more than one number of distortion, its middle is not the image's."""
 ADVICE = "give camera_params (fx,fy,cx,cy), or a calibration"
 
 
@@ -64,7 +64,7 @@ class FoundCamera:
         if not self.num_images:
             return ["nothing tells the camera: it is taken to be that which made the map"]
         return [
-            f"nothing tells the camera: it was found from {self.num_images} of the pictures ({self.camera}; focal length "
+            f"nothing tells the camera: it was found from {self.num_images} of the images ({self.camera}; focal length "
             f"+- {self.sigma_px:.1f} px). A calibration is more accurate",
             *(f"estimating the camera: {loss}" for loss in self.losses),
         ]
@@ -78,7 +78,7 @@ class FoundCamera:
         """For the run's summary."""
         return {
             "camera": repr(self.camera),
-            "pictures": self.num_images,
+            "images": self.num_images,
             "focal_sigma_px": self.sigma_px,
             "warnings": list(self.losses),
         }
@@ -105,7 +105,7 @@ class _Images(NamedTuple):
 def find_camera(
     source: Path, job: JobOptions, given: CameraOptions, progress: ProgressCallback
 ) -> FoundCamera | None:
-    """The camera of a video, or of a folder of pictures; None where it is told, or the source is of another kind.
+    """The camera of a video, or of a folder of images; None where it is told, or the source is of another kind.
 
     Args:
         source: of the frames.
@@ -114,7 +114,7 @@ def find_camera(
         progress: of the reconstruction.
 
     Raises:
-        ConfigError: the pictures do not tell their camera; the message says why.
+        ConfigError: the images do not tell their camera; the message says why.
         FileFormatError: the source cannot be read.
     """
     if given.camera_params or given.calibration or is_bag(source) or camera_index(source) is not None:
@@ -128,7 +128,7 @@ def find_camera(
 
 
 def _images(source: Path, job: JobOptions) -> _Images | None:
-    """The pictures of a video or a folder; None of a folder that tells its camera, or is not of one camera."""
+    """The images of a video or a folder; None of a folder that tells its camera, or is not of one camera."""
     if is_video(source):
         return _Images(count_frames(source)[0], _of_video(opened_video(source)))
     sequence = read_sequence(source, job.fps)
@@ -164,13 +164,13 @@ def _camera_of(
     num = max(0, min(job.max_frames or MOST_FRAMES, MOST_FRAMES, (images.num - job.start) // job.stride))
     wanted = islice(images.each, job.start, job.start + num * job.stride, job.stride)
     with tempfile.TemporaryDirectory(prefix="epipole-camera-") as name, closing(images.each):
-        folder = Path(name) / "pictures"
+        folder = Path(name) / "images"
         folder.mkdir()
         selected = _select(_counted(wanted, num, progress), max(1, num // MOST_IMAGES), folder)
         progress(Progress("choose", num, num))
         if len(selected) < LEAST_IMAGES:
             raise ConfigError(
-                f"nothing tells the camera, and {len(selected)} pictures are too few to find it ({LEAST_IMAGES} are needed): "
+                f"nothing tells the camera, and {len(selected)} images are too few to find it ({LEAST_IMAGES} are needed): "
                 f"{ADVICE}"
             )
         model: dict[str, Any] = {} if given.camera_model is None else {"camera_model": given.camera_model}
@@ -178,7 +178,7 @@ def _camera_of(
             found = reconstruct(folder, Path(name) / "model", progress=progress, single_camera=True, **model)
         except NoModelError as error:
             raise ConfigError(
-                f"nothing tells the camera, and the pictures give no model: {error}: {ADVICE}"
+                f"nothing tells the camera, and the images give no model: {error}: {ADVICE}"
             ) from error
         losses = []
         for loss in losses_of(found.summary, None):
@@ -195,10 +195,10 @@ def _counted(images: Iterable[_Image], num: int, progress: ProgressCallback) -> 
 
 
 def _select(images: Iterable[_Image], usual: int, folder: Path) -> dict[str, str]:
-    """Write every so-many-th of the pictures, and those between where the points have moved by a part of the width.
+    """Write every so-many-th of the images, and those between where the points have moved by a part of the width.
 
     Returns:
-        The name in the source (of a video: the number of the picture, of those looked at) of each file that is written.
+        The name in the source (of a video: the number of the image, of those looked at) of each file that is written.
     """
     view, since = _View(), 0
     selected: dict[str, str] = {}
@@ -219,7 +219,7 @@ def _select(images: Iterable[_Image], usual: int, folder: Path) -> dict[str, str
 
 
 class _View:
-    """Points of the picture that was taken last, followed."""
+    """Points of the image that was taken last, followed."""
 
     def __init__(self) -> None:
         self._config = SlamConfig()
@@ -231,7 +231,7 @@ class _View:
         self._initialize = self._now = new_corners(grey, np.zeros((0, 2)), self._config)
 
     def is_apart(self, grey: np.ndarray) -> bool:
-        """Whether the points have moved, or are gone; the next picture in turn."""
+        """Whether the points have moved, or are gone; the next image in turn."""
         if self._before is None or self._before.shape != grey.shape:
             return self._before is None
         there, found_mask = track_points(self._before, grey, self._now, None, self._config.flow)
@@ -241,7 +241,7 @@ class _View:
 
 
 def _judged(found: ReconstructionResult, losses: Iterable[str]) -> FoundCamera:
-    """The camera, where the pictures tell its focal length.
+    """The camera, where the images tell its focal length.
 
     Raises:
         ConfigError: they do not.
@@ -249,7 +249,7 @@ def _judged(found: ReconstructionResult, losses: Iterable[str]) -> FoundCamera:
     count = int(found.model.is_registered().sum())
     if count < LEAST_IMAGES:
         raise ConfigError(
-            f"nothing tells the camera, and only {count} of the pictures that should tell it fit together: {ADVICE}"
+            f"nothing tells the camera, and only {count} of the images that should tell it fit together: {ADVICE}"
         )
     config, problem = BundleConfig(loss=Loss.CAUCHY), with_fixed_gauge(bundle_problem_of(found.model))
     result = adjust_bundle(problem, config)
@@ -259,7 +259,7 @@ def _judged(found: ReconstructionResult, losses: Iterable[str]) -> FoundCamera:
     if not sigma_px <= MOST_SIGMA * intrinsics.focal_px:
         known = f"to {sigma_px / intrinsics.focal_px:.1%} alone" if np.isfinite(sigma_px) else "not at all"
         raise ConfigError(
-            f"nothing tells the camera, and the pictures tell its focal length {known}: {ADVICE}. What they agree with best is "
+            f"nothing tells the camera, and the images tell its focal length {known}: {ADVICE}. What they agree with best is "
             f"--camera-model {intrinsics.model.name} --camera-params {text_of_camera(intrinsics)}"
         )
     return FoundCamera(intrinsics, count, _honest_sigma_px(found, sigma_px), tuple(losses))

@@ -47,7 +47,7 @@ def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = N
     Args:
         path: the file.
         given: what is known of the camera.
-        found: the camera, where it was found from the pictures.
+        found: the camera, where it was found from the images.
 
     Raises:
         ConfigError: the intrinsics are not given.
@@ -127,7 +127,7 @@ def open_camera(
     Args:
         index: its number, as OpenCV counts.
         given: its intrinsics.
-        capture: what gives the pictures (`read`, `release`); None opens the camera.
+        capture: what gives the images (`read`, `release`); None opens the camera.
         clock: seconds.
 
     Raises:
@@ -137,7 +137,7 @@ def open_camera(
     is_read, first = capture.read()
     if not is_read:
         capture.release()
-        raise ConfigError(f"camera {index} gives no picture: another program may use it")
+        raise ConfigError(f"camera {index} gives no image: another program may use it")
     intrinsics = given.camera((first.shape[1], first.shape[0]))
     if intrinsics is None:
         capture.release()
@@ -168,7 +168,7 @@ class _Counted:
 
 
 class _Newest:
-    """Pictures of a camera, read by a thread as they come: the queues of drivers would hand out old ones."""
+    """Images of a camera, read by a thread as they come: the queues of drivers would hand out old ones."""
 
     def __init__(self, capture: Any, clock: Callable[[], float]) -> None:
         self._capture, self._clock = capture, clock
@@ -177,7 +177,7 @@ class _Newest:
         self._is_over = False
 
     def images(self) -> Iterator[tuple[int, float, np.ndarray]]:
-        """Number, seconds and pixels of the newest picture, each once, until the camera ends or the caller does."""
+        """Number, seconds and pixels of the newest image, each once, until the camera ends or the caller does."""
         thread = threading.Thread(target=self._read, daemon=True)
         thread.start()
         try:

@@ -45,7 +45,7 @@ def bootstrap_map(
 def _straighten(mapper: LocalMapper, initial: Initialization) -> dict[float, Rigid3]:
     """Adjust the map with its keyframes' motions by all frames up to its begin; cam_from_world of these, by their times.
 
-    The first pictures bend the map, and the map the places of the frames, but all alike: the motion between them is nearly right.
+    The first images bend the map, and the map the places of the frames, but all alike: the motion between them is nearly right.
     """
     model, motions = mapper.map, dict[float, np.ndarray]()
     for _ in range(ROUNDS):

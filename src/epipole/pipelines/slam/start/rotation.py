@@ -17,7 +17,7 @@ from epipole.pipelines.slam.tracking.points import Tracks, predict_pixels
 from epipole.pipelines.slam.tracking.redetection import redetect
 
 AGREEING_PX, AGREEING_FRACTION, LEAST_POINTS = 0.7, 0.8, 40
-"""A turn explains the pictures if so many points, and such a share of them, are as near to where it says.
+"""A turn explains the images if so many points, and such a share of them, are as near to where it says.
 
 The place is then wrong by less than AGREEING_PX / f of the scene's depth. Of turns the errors are 0.1 px; a walk shows as more
 at the second frame.

@@ -31,7 +31,7 @@ from epipole.robust import PairKind, triangulate_points, verify_pair
 
 MIN_POINTS = 50
 LEAST_SHIFT = 0.015
-"""Median shift of the points, as a share of the picture's width, below which nothing is tried."""
+"""Median shift of the points, as a share of the image's width, below which nothing is tried."""
 START_KEYFRAMES = 6
 CONFIRMING_ANGLE = 2.0
 """Later frames confirm the initialization at this multiple of `SlamConfig.start_angle_deg`."""
@@ -194,7 +194,7 @@ class OneCameraStart:
         self._num_at_start = 0
 
     def add(self, frame: Frame, number: int, problem: str = "") -> Initialization | str:
-        """The map, if it begins with this frame; else what it waits for: a picture with a problem begins none."""
+        """The map, if it begins with this frame; else what it waits for: an image with a problem begins none."""
         if not self._waiting:
             return self._wait_from(frame, number, "the first frame: depth needs a second place")
         self._track(frame)

@@ -1,4 +1,4 @@
-"""Where new points begin: corners that stand out of the picture's noise, away from those that are there."""
+"""Where new points begin: corners that stand out of the image's noise, away from those that are there."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def new_corners(
 
 
 def noise_of(grey: np.ndarray) -> float:
-    """Standard deviation of a picture's noise in grey levels, from its smoothest quarter.
+    """Standard deviation of an image's noise in grey levels, from its smoothest quarter.
 
     By the second difference along rows and columns, which is zero for planes (Immerkaer, CVIU 1996); the lower quartile of
     its absolute value instead of the mean, so that texture does not count.

@@ -11,12 +11,12 @@ from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
 
 ROWS_PX = 1.0
-"""A point of the right picture is at most so far off its row."""
+"""A point of the right image is at most so far off its row."""
 LEAST_SCORE = 0.7
 LEAST_LEAD = 0.05
 """Of the best place in a row over others."""
 LARGEST_FRACTION = 0.2
-"""Largest disparity that is sought, as a share of the picture's width."""
+"""Largest disparity that is sought, as a share of the image's width."""
 GUESS_LEVELS = 2
 ROUNDS = 4
 SMOOTH = 0.03
@@ -29,8 +29,8 @@ def disparities_of(
     """(n,) disparity f B / Z of points; NaN where there is none.
 
     Args:
-        frame: the pictures.
-        pixels: (n, 2) where the points are in the left, or colour, picture.
+        frame: the images.
+        pixels: (n, 2) where the points are in the left, or colour, image.
         guess_px: (n,) disparities thought likely; NaN for no idea.
         camera: what tells depth.
         config: the sensor's baseline.
@@ -71,7 +71,7 @@ def points_by_disparity(
 
 
 def depth_at(depth: np.ndarray, pixels: np.ndarray, camera: Camera, sensor: DepthCamera) -> np.ndarray:
-    """(n,) depth of points of the colour picture in its camera, NaN where the sensor sees none, or an edge.
+    """(n,) depth of points of the colour image in its camera, NaN where the sensor sees none, or an edge.
 
     A point of depth z is where the sensor sees it; what the sensor says there is the next z. Sensors are centimetres from
     their colour cameras, so that a few rounds settle.

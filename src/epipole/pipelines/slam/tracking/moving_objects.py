@@ -21,7 +21,7 @@ OFF_PX, ROUGH_PX = 4.0, 3.0
 NEAREST = 0.2
 """Of the scene's median depth: nearer than that nothing of it is."""
 MOST_ROTATION_DEG, MOST_SHIFT = 20.0, 0.3
-"""From one picture to the next a thing turns by no more, and moves by no larger share of its distance."""
+"""From one image to the next a thing turns by no more, and moves by no larger share of its distance."""
 
 
 def find_moving_object(
@@ -70,10 +70,10 @@ def off_px_of_scene(
     """(n,) how far points are from where a point of the scene can be, whatever its depth.
 
     Args:
-        pixels_then: (n, 2) in an earlier picture.
+        pixels_then: (n, 2) in an earlier image.
         pixels: where they are seen.
         camera: any model.
-        now_from_then: between the pictures.
+        now_from_then: between the images.
         depth: of the scene, in the middle.
     """
     rays = camera.unproject(pixels_then)

@@ -26,12 +26,12 @@ def align_to_reference_patch(
     points: np.ndarray,
     pixels: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels of points by the pictures in which they were first seen; which are the same things still; which look otherwise.
+    """Pixels of points by the images in which they were first seen; which are the same things still; which look otherwise.
 
     Args:
         model: the map.
         camera: any model.
-        grey: the present picture.
+        grey: the present image.
         cam_from_world: about where it was taken.
         points: (n,) rows of the map.
         pixels: (n, 2) where they are thought to be, to a few pixels.
@@ -51,7 +51,7 @@ def align_to_reference_patch(
     is_same = (score >= LEAST_SCORE) & near
     scale = np.sqrt(np.abs(np.linalg.det(warps)))
     is_stale = (scale > LARGEST_SCALE) | (scale < 1 / LARGEST_SCALE) | (score < LEAST_FRESH_SCORE)
-    # A patch at the picture's edge cannot be compared: it is taken as it was followed.
+    # A patch at the image's edge cannot be compared: it is taken as it was followed.
     return np.where(is_same[:, None], out, pixels), is_same | np.isnan(score), is_stale
 
 
@@ -73,12 +73,12 @@ def warps_between(
     """(n, 2, 2) d(pixel now) / d(pixel then), for small surfaces that faced the camera then.
 
     Args:
-        then: cam_from_world of other pictures.
+        then: cam_from_world of other images.
         which: (n,) of these.
         pixels: (n, 2) in them.
         points_in_world: (n, 3); NaN: as far as the others (median).
         camera: any model.
-        cam_from_world: of the present picture.
+        cam_from_world: of the present image.
     """
     out = np.tile(np.eye(2), (len(pixels), 1, 1))
     if not len(pixels):

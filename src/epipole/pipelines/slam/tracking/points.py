@@ -26,7 +26,7 @@ class Tracks:
     """Points that are followed at present.
 
     Attributes:
-        pixels: (n, 2) in the last picture.
+        pixels: (n, 2) in the last image.
         point: (n,) rows of the map's points.
         start_px: (n, 2) in the last keyframe.
     """
@@ -60,7 +60,7 @@ class Tracks:
     def track(
         self, before: np.ndarray, now: np.ndarray, guess: np.ndarray, config: SlamConfig, *, and_back: bool
     ) -> None:
-        """Find the points in the next picture; those that are not found are given up."""
+        """Find the points in the next image; those that are not found are given up."""
         pixels, found = track_points(before, now, self.pixels, guess, config.flow, and_back=and_back)
         self.pixels = pixels
         self.keep(found)

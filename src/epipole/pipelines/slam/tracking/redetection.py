@@ -1,4 +1,4 @@
-"""Points of the map that should be in sight, but are not followed: found again by the pictures of older keyframes."""
+"""Points of the map that should be in sight, but are not followed: found again by the images of older keyframes."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from epipole.pipelines.slam.tracking.patches import align_to_reference_patch, wa
 
 MOST_KEYFRAMES = 4
 LARGEST_SCALE, LEAST_COSINE = 1.6, math.cos(math.radians(35.0))
-"""Beyond, a patch of the older picture does not look like the new one's."""
+"""Beyond, a patch of the older image does not look like the new one's."""
 HALF_PX = 10
 LEAST_SCORE = 0.8
 REACH_PX = 2.0
-"""From so far a patch is found without halving the picture."""
+"""From so far a patch is found without halving the image."""
 SEARCH_PX, DRIFT_PX = 8.0, 25.0
 """How far from where the map says a point may be found: at once, and after the last frame."""
 
@@ -87,7 +87,7 @@ def _usable(keyframe: Keyframe, model: SlamMap, missing: np.ndarray, cam_from_wo
 
 
 def link_tracks(model: SlamMap, camera: Camera, keyframes: Sequence[Keyframe]) -> int:
-    """Let keyframes see all points of the map that are in its picture; returns the number of new observations.
+    """Let keyframes see all points of the map that are in its image; returns the number of new observations.
 
     While the camera moves a point is looked for near its place alone; here also where drift has moved it to.
     """

@@ -1,4 +1,4 @@
-"""A pair whose left picture shows nothing (a covered lens): the points of the map are followed in the right one."""
+"""A pair whose left image shows nothing (a covered lens): the points of the map are followed in the right one."""
 
 from __future__ import annotations
 

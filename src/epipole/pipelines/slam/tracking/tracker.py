@@ -137,7 +137,7 @@ class PointTracker:
         """The frame's pose; points that do not agree are given up.
 
         Args:
-            frame: the pictures.
+            frame: the images.
             predicted: a place near it.
             last: the same points in the previous frame, if they were tracked from there; needed to detect motion of objects.
         """
