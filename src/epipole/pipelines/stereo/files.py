@@ -69,7 +69,7 @@ def write_stereo(result: StereoResult, folder: Path) -> None:
         (folder / "rig.json").write_text(text, encoding="utf-8")
 
 
-def write_picture(path: Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
+def write_image(path: Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
     """Write a PNG.
 
     Raises:

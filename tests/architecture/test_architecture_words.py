@@ -1,0 +1,114 @@
+"""One vocabulary: names and texts of the source use the words of the field, not household words for them."""
+
+import ast
+import io
+import re
+import tokenize
+from collections.abc import Iterator
+
+from architecture_sources import Source, sources
+
+NAMES = {
+    **dict.fromkeys(("picture", "pictures"), "image"),
+    **dict.fromkeys(("place", "places", "placed", "placing"), "pose, position; registered, localized, triangulated"),
+    **dict.fromkeys(("told", "tells"), "given, measured"),
+    **dict.fromkeys(("follow", "followed", "follows"), "track"),
+    **dict.fromkeys(("turn", "turned", "turns", "turning"), "rotate, rotation"),
+    **dict.fromkeys(("drawn", "draws", "unblend"), "render, sample; backward"),
+    **dict.fromkeys(("likeness", "doubt", "doubts", "sketch"), "loss, similarity; warnings; fingerprint"),
+    **dict.fromkeys(("begin", "begun", "begins"), "start, initialization"),
+    **dict.fromkeys(("settle", "settled", "settles"), "optimize, converge"),
+    **dict.fromkeys(("way", "ways"), "trajectory, direction"),
+    **dict.fromkeys(("held", "hold", "holding"), "fixed, constrained"),
+    **dict.fromkeys(("tie", "ties", "tied"), "constraint"),
+    **dict.fromkeys(("forget", "forgets", "forgotten"), "cull, remove"),
+    **dict.fromkeys(("lens", "lenses"), "camera, intrinsics"),
+    **dict.fromkeys(("sure", "unsure", "heeded"), "certain, uncertain; graceful"),
+    **dict.fromkeys(("shares", "shot", "shots", "halves", "pull"), "fractions; views; split; gradient"),
+}
+"""Parts of identifiers, and what stands in their place."""
+ALLOWED_NAMES = {"held_out", "held_out_rms_px", "MOST_HELD_OUT", "fillna"}
+"""`held_out`: the views that a training does not see."""
+
+TEXTS = {
+    r"\bpictures?\b": "image",
+    r"(?<!in )(?<!take )(?<!takes )(?<!decimal )(?<!first )\bplace[sd]?\b": "pose, position; registered, localized, triangulated",
+    r"\btold\b|\btells?\b": "given, specified, measures, determines",
+    r"\bfollow(s|ed|ing)? (the |a |each |its )?(points?|cameras?|corners?|features?|frames?)\b|\bfollowed\b": "track",
+    r"\bturned\b(?! (on|off|into|out))|\bturning\b|\bturns\b(?! (on|off|into|out))|\bturn of\b|\ba turn\b": "rotate, rotation",
+    r"\blikeness\b": "PSNR, SSIM, similarity",
+    r"\b(the|its|a|each|their) begin\b": "start, initialization",
+    r"\bsettle[sd]?\b": "optimize, converge",
+    r"\bunsure\b|\bsurely\b|\bhow sure\b": "uncertain, standard deviation",
+    r"\b(the|a|this|that|its|their|which|what|largest|least|smallest) shares?\b|\bshares? of\b": "fraction, ratio",
+    r"\binertial units?\b": "IMU",
+    r"\bso many\b|\bas many as\b": "the number itself",
+    r"\bthe eye\b": "the viewpoint",
+    r"\blens(es)?\b(?! distortion)": "camera, intrinsics",
+    r"\b(is|are|was|were|be|been) held\b(?! out)|\bholds? (fast|still)\b": "fixed, constrained",
+    r"\bforg[eo]ts?\b|\bforgotten\b|\blet go\b": "cull, remove",
+    r"\bties?\b|\btied\b": "constraint, connected",
+    r"\bseen again\b|\bfound again\b": "revisited, relocalized, detected again",
+    r"\bin the end\b|\bas it is\b|\bof its own\b": "usually nothing",
+    r"\b(nothing|nobody|no one) (tells|gave|gives|knows|said|says)\b": "unknown, not given",
+}
+"""Phrases of docstrings, comments and messages, and what says it in the words of the field."""
+DRAWING = r"\bdraw(s|n|ing)?\b"
+CHARTS = ("report", "viewer", "lesson", "pipelines/viewing")
+"""Folders in which charts are drawn; elsewhere an image is rendered, and a number sampled."""
+
+
+def names_of(source: Source) -> Iterator[tuple[int, str]]:
+    """Line and identifier of what a file defines, binds or takes."""
+    for node in ast.walk(source.tree):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.lineno, node.name
+        elif isinstance(node, ast.arg):
+            yield node.lineno, node.arg
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.lineno, node.id
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            yield node.lineno, node.attr
+
+
+def parts_of(name: str) -> set[str]:
+    return {part.lower() for part in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)}
+
+
+def texts_of(source: Source) -> Iterator[tuple[int, str]]:
+    """Line and text of every string and comment."""
+    for token in tokenize.generate_tokens(io.StringIO(source.text).readline):
+        if token.type in (tokenize.STRING, tokenize.COMMENT):
+            yield token.start[0], token.string
+
+
+def test_names_are_of_the_field() -> None:
+    wrong = []
+    for source in sources():
+        for line, name in names_of(source):
+            if name not in ALLOWED_NAMES and (bad := parts_of(name) & NAMES.keys()):
+                wrong += [f"{source.name}:{line} {name}: {word} -> {NAMES[word]}" for word in bad]
+    assert not wrong, "\n".join(sorted(set(wrong)))
+
+
+def test_texts_are_of_the_field() -> None:
+    wrong = []
+    for source in sources():
+        phrases = TEXTS if source.name.startswith(CHARTS) else {**TEXTS, DRAWING: "render, sample"}
+        for line, text in texts_of(source):
+            for phrase, better in phrases.items():
+                wrong += [
+                    f"{source.name}:{line + text[: m.start()].count(chr(10))} {m.group()!r} -> {better}"
+                    for m in re.finditer(phrase, text, re.IGNORECASE)
+                ]
+    assert not wrong, f"{len(wrong)} phrases\n" + "\n".join(sorted(set(wrong)))
+
+
+def test_the_check_finds_what_it_looks_for() -> None:
+    """A file with a word of each kind does not pass."""
+    code = '"""A picture whose place nothing tells."""\n\n\ndef draw_picture(lens, *, turn_deg):\n    place = 1  # settled\n'
+    source = Source(sources()[0].path, code, ast.parse(code))
+    found = [parts_of(name) & NAMES.keys() for _, name in names_of(source)]
+    assert found == [{"picture"}, {"lens"}, {"turn"}, {"place"}]
+    texts = " ".join(text for _, text in texts_of(source))
+    assert sum(bool(re.search(phrase, texts)) for phrase in TEXTS) == 5
