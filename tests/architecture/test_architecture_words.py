@@ -10,7 +10,9 @@ from architecture_sources import Source, sources
 
 NAMES = {
     **dict.fromkeys(("picture", "pictures"), "image"),
-    **dict.fromkeys(("place", "places", "placed", "placing"), "pose, position; registered, localized, triangulated"),
+    **dict.fromkeys(
+        ("place", "places", "placed", "placing"), "pose, position; registered, localized, triangulated"
+    ),
     **dict.fromkeys(("told", "tells"), "given, measured"),
     **dict.fromkeys(("follow", "followed", "follows"), "track"),
     **dict.fromkeys(("turn", "turned", "turns", "turning"), "rotate, rotation"),

@@ -151,8 +151,10 @@ def test_own_lenses_with_priors_that_tie_them_are_one_lens(rng):
     shared = adjust_bundle(with_fixed_gauge(start), BundleConfig(function_tolerance=1e-12))
     own = with_own_cameras(start)
     expected = np.repeat(shared.camera_params, len(own.frame_free), axis=0)
-    tied = BundlePriors(params_expected=expected, params_sigma=np.full(expected.shape, 1e-6))
-    found = adjust_bundle(with_fixed_gauge(replace(own, priors=tied)), BundleConfig(function_tolerance=1e-12))
+    is_constrained = BundlePriors(params_expected=expected, params_sigma=np.full(expected.shape, 1e-6))
+    found = adjust_bundle(
+        with_fixed_gauge(replace(own, priors=is_constrained)), BundleConfig(function_tolerance=1e-12)
+    )
     np.testing.assert_allclose(found.camera_params, expected, atol=1e-6)
     assert found.final_cost == pytest.approx(shared.final_cost, rel=1e-6)
 

@@ -22,7 +22,7 @@ from epipole.optim.bundle_system import BundleSystem, LinearSolver
 from epipole.optim.losses import Loss
 
 _LEAST_DAMPING, _FREE_DAMPING, _MOST_DAMPING = 1e-10, 1e-6, 1e12
-_WEAKLY_TIED = 1e-5
+_WEAK_GAUGE = 1e-5
 """Factor of the first two where priors alone say where the model is: a GPS fix weighs little against pixels."""
 _LEAST_FACTOR = 0.01
 
@@ -172,7 +172,7 @@ def _adjust(
     used = system.find_visible(state)
     cost = initial = system.cost(state)
     damping, growth, iteration = config.initial_damping, 2.0, 0
-    constraint = _WEAKLY_TIED if problem.priors is not None and problem.priors.fixes_gauge else 1.0
+    constraint = _WEAK_GAUGE if problem.priors is not None and problem.priors.fixes_gauge else 1.0
     history: list[BundleIteration] = []
     reason = StopReason.MAX_ITERATIONS
     if not system.has_unknowns:

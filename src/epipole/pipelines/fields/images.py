@@ -152,17 +152,17 @@ def _split(
     """
     names = [view.name for view in views]
     if options.test is not None:
-        held_out_names = {name.strip() for name in options.test.split(",") if name.strip()}
-        if missing := sorted(held_out_names - set(names)):
+        test_names = {name.strip() for name in options.test.split(",") if name.strip()}
+        if missing := sorted(test_names - set(names)):
             raise ConfigError(f"test names images that have no camera: {', '.join(missing[:4])}")
         if splits:
             problems.append("the splits of the file are not used, because test names the held-out images")
     elif splits:
         return _split_of_file(views, splits, problems)
     else:
-        held_out_names = set(names[:: options.test_every]) if options.test_every else set()
-    return [view for view in views if view.name not in held_out_names], [
-        view for view in views if view.name in held_out_names
+        test_names = set(names[:: options.test_every]) if options.test_every else set()
+    return [view for view in views if view.name not in test_names], [
+        view for view in views if view.name in test_names
     ]
 
 
@@ -170,17 +170,17 @@ def _split_of_file(
     views: list[TrainingView], splits: Mapping[str, tuple[str, ...]], problems: list[str]
 ) -> tuple[list[TrainingView], list[TrainingView]]:
     """Without a list of test images those for validation are held out; without one to train on, all others are."""
-    held_out_names = set(splits.get("test", splits.get("val", ())))
-    others = {view.name for view in views} - held_out_names - set(splits.get("val", ()))
+    test_names = set(splits.get("test", splits.get("val", ())))
+    others = {view.name for view in views} - test_names - set(splits.get("val", ()))
     wanted = set(splits.get("train", others))
-    if both := sorted(wanted & held_out_names):
+    if both := sorted(wanted & test_names):
         problems.append(
             f"{len(both)} images are both trained on and held out ({both[0]}), so their scores are too high"
         )
-    if unused := sorted({view.name for view in views} - wanted - held_out_names):
+    if unused := sorted({view.name for view in views} - wanted - test_names):
         problems.append(f"{len(unused)} images are in no split that is used ({unused[0]})")
     return [view for view in views if view.name in wanted], [
-        view for view in views if view.name in held_out_names
+        view for view in views if view.name in test_names
     ]
 
 

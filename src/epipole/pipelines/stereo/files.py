@@ -49,14 +49,14 @@ def write_stereo(result: StereoResult, folder: Path) -> None:
     write_pfm(folder / "disparity.pfm", found.disparity_px)
     write_png16(folder / "disparity.png", found.disparity_px)
     write_pfm(folder / "sigma_disparity.pfm", found.sigma_px)
-    write_picture(folder / "reasons.png", REASON_COLORS[found.reason])
+    write_image(folder / "reasons.png", REASON_COLORS[found.reason])
     if result.filled is not None:
         write_pfm(folder / "filled.pfm", result.filled.disparity_px)
         mask = 255 * result.filled.filled_mask.astype(np.uint8)
-        write_picture(folder / "filled_mask.png", np.repeat(mask[..., None], 3, axis=2))
+        write_image(folder / "filled_mask.png", np.repeat(mask[..., None], 3, axis=2))
     if result.rectification is not None or depths is not None:
-        write_picture(folder / "left.png", result.left_rgb)
-        write_picture(folder / "right.png", result.right_rgb)
+        write_image(folder / "left.png", result.left_rgb)
+        write_image(folder / "right.png", result.right_rgb)
     if isinstance(result.rectification, UncalibratedRectification):
         text = json_text(_homographies(result.rectification), indent=1)
         (folder / "homographies.json").write_text(text, encoding="utf-8")

@@ -24,7 +24,7 @@ from epipole.scale import ScaleEstimate
 
 LONGEST_S, SHORTEST_S = 2.0, 0.02
 """Between keyframes: over more the biases carry the unit too far, over less there is hardly a measurement."""
-LEAST, MOST_ALIGNED, MOST_TIED = 10, 60, 80
+LEAST, MOST_ALIGNED, MOST_CONSTRAINED = 10, 60, 80
 """Keyframes in a row: for a factor, for an alignment, and in one factor, whose cost grows with their cube."""
 LARGEST_MISFIT = 5.0
 """Times the noise that is stated: on EuRoC's flights it is 1.3 to 3.5, with the log of another path 30."""
@@ -72,7 +72,7 @@ class InertialConstraints:
             return ()
         imu, out = replace(self.imu, noise=self.noise), []
         for own in self._in_a_row(keyframes):
-            for part in np.array_split(own, -(-len(own) // MOST_TIED)):
+            for part in np.array_split(own, -(-len(own) // MOST_CONSTRAINED)):
                 times, positions = _path([keyframes[k] for k in part])
                 out.append(
                     imu_factors(part.astype(np.int64), times, positions, imu, self.aligned, variance_px)

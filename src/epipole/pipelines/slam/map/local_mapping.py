@@ -44,7 +44,7 @@ FIRST_OPTIMIZED, GROWTH = 6, 1.25
 LAST_STEPS = 1 + 2 * len(LAST_SCALES_PX)
 COVARIANCES_EVERY = 3
 """Keyframes: those between carry the covariance of the one before on, and their own part."""
-MOST_TIED = 30
+MOST_CONSTRAINED = 30
 """Keyframes of one camera's map that are all tied together again: 12 ms for each."""
 LEAST_TOGETHER = 8
 """Keyframes, adjusted all together, that tell where the second camera's principal point lies."""
@@ -162,7 +162,7 @@ class LocalMapper:
         if len(self.map.keyframes) >= GROWTH * self._num_optimized:
             since, self._num_optimized = self._num_optimized, len(self.map.keyframes)
             if self.focal_baseline is None:
-                first = since if len(self.map.keyframes) > MOST_TIED else 0
+                first = since if len(self.map.keyframes) > MOST_CONSTRAINED else 0
                 link_tracks(self.map, self.camera, self.map.keyframes[first:])
             self.adjust_all(max_iterations=8)
             self.learn_inertial()
@@ -285,11 +285,11 @@ class LocalMapper:
         keyframes = [self.map.keyframes[k] for k in views]
         paths = self.inertial.factors(keyframes, pixel_variance(problem, self.camera))
         if paths:
-            tied = replace(problem, priors=replace(problem.priors or BundlePriors(), paths=paths))
+            is_constrained = replace(problem, priors=replace(problem.priors or BundlePriors(), paths=paths))
             with suppress(DegenerateGeometryError):
-                tied, result = adjust_pair(tied, config)
+                is_constrained, result = adjust_pair(is_constrained, config)
                 if self.inertial.agrees(paths, result.rig_from_world):
-                    return tied, result
+                    return is_constrained, result
         return adjust_pair(problem, config)
 
     def learn_inertial(self) -> None:
