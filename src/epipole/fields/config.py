@@ -12,7 +12,7 @@ from epipole.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
-class SplatConfig:
+class SplatTraining:
     """How Gaussians are trained."""
 
     max_gaussians: int | None = None
@@ -61,7 +61,7 @@ class SplatConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NerfConfig:
+class NerfTraining:
     """How a field that is marched through is trained."""
 
     kind: Literal["grid", "hash"] = "hash"
