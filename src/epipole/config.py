@@ -284,7 +284,7 @@ class BoardConfig:
         if not 0 < self.square < float("inf"):
             raise ConfigError(f"square must be positive and finite, got {self.square}")
         if not (0 < self.marker_ratio < 1 and self.spacing >= 0):
-            raise ConfigError("marker_share must lie between 0 and 1, spacing must not be negative")
+            raise ConfigError("marker_ratio must lie between 0 and 1, spacing must not be negative")
         if self.dictionary:
             check_dictionary(self.dictionary)
 
