@@ -82,7 +82,7 @@ assert own > gray + 4
 
 # Depth comes with it: along the optical axis, weighed by what each Gaussian adds to the pixel.
 
-seen = draw(result.cloud, camera, cams_from_world[held_out])
+seen = render_splats(result.cloud, camera, cams_from_world[held_out])
 depth = seen.depth / np.maximum(seen.coverage, 1e-6)
 true_depth = images[held_out].depth
 solid = np.isfinite(true_depth) & (seen.coverage > 0.9)
