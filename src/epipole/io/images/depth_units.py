@@ -61,13 +61,13 @@ def decide_unit(values: np.ndarray, proposed: float, proposer: str) -> DepthUnit
     # Sensors write millimetres, and only TUM's tools use another unit: if both fit, millimetres need no confirmation.
     if fits and other_fits and proposed == TUM_VALUES_PER_M:
         words = (
-            f"Depth is read with {proposed:g} values per metre ({proposer}), but {other:g} would also give plausible distances "
+            f"depth is read with {proposed:g} values per metre ({proposer}), but {other:g} would also give plausible distances "
             f"({_range(values, proposed)} or {_range(values, other)}): pass --depth-scale to confirm or change it"
         )
         return DepthUnit(proposed, f"{proposer}; {other:g} is also possible", (words,))
     if other_fits and not fits:
         words = (
-            f"Depth is read with {other:g} values per metre: with {proposed:g} ({proposer}) it would range over "
+            f"depth is read with {other:g} values per metre: with {proposed:g} ({proposer}) it would range over "
             f"{_range(values, proposed)}, with {other:g} over {_range(values, other)}. If that is wrong, pass --depth-scale"
         )
         return DepthUnit(other, f"the stored values, overriding {proposer} ({proposed:g})", (words,))
