@@ -155,7 +155,7 @@ def _ros1_records(stream: io.BufferedIOBase) -> Iterator[Any]:
 
 
 def _ros1_fields(data: bytes) -> dict[str, bytes]:
-    """Fields of a header: lengths, each followed by `name=value`."""
+    """Fields of a header: the length of `name=value`, then `name=value`."""
     out, at = {}, 0
     while at < len(data):
         (size,) = struct.unpack_from("<I", data, at)

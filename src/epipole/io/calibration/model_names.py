@@ -15,10 +15,10 @@ from epipole.io._spherical import SPHERICAL_REFUSAL, is_spherical_word
 
 _SIDE = r"(_?(left|right|[lr]|\d))?"
 _KEY = re.compile(
-    rf"(distortion|[lL]ens|projection)_?(model|type){_SIDE}|camera_?model{_SIDE}|model_type", re.IGNORECASE
+    rf"(distortion|lens|projection)_?(model|type){_SIDE}|camera_?model{_SIDE}|model_type", re.IGNORECASE
 )
 # Values under these keys may also be product names.
-_LOOSE_KEY = re.compile(r"model|type|camera_?type|projection|[lL]ens|distortion", re.IGNORECASE)
+_LOOSE_KEY = re.compile(r"model|type|camera_?type|projection|lens|distortion", re.IGNORECASE)
 _FLAG = re.compile(r"(is_)?fisheye(_model)?", re.IGNORECASE)
 _OMNIDIRECTIONAL = re.compile(r"xi\d?|mirror_parameters", re.IGNORECASE)
 _NEUTRAL = frozenset(("pinhole", "perspective", "camera", "opencv"))

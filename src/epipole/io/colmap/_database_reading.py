@@ -38,7 +38,7 @@ from epipole.io.colmap.cameras import HALF_PIXEL
 from epipole.scene import Cameras, Frames, Images, Rigs, ViewGraph, unregistered
 
 _KEYPOINT_WIDTHS = (2, 4, 6)
-"""x, y; optionally followed by scale and angle, or an affine shape."""
+"""x, y; optionally with scale and angle, or an affine shape."""
 
 
 def read_contents(database: DatabaseReader) -> DatabaseContents:

@@ -23,7 +23,7 @@ from epipole.io.meshes.ply import PLY_TYPES
 from epipole.scene.gaussian_cloud import DC, NUM_SH, GaussianCloud
 
 CHUNK = 256
-"""Number of Gaussians that share their ranges."""
+"""Number of Gaussians with common ranges."""
 
 _RANGES = tuple(
     tuple(f"{end}_{mark}{axis}" for end in ("min", "max") for axis in axes)

@@ -48,7 +48,7 @@ _NOT_USED = {
 }
 _GEOMETRY = re.compile(
     r"[kpsb]\d+|xi|alpha|beta|gamma\w*|omega\w*|tau\w*|skew\w*|shear\w*|ftheta\w*|from_na|crop_\w+|(\w+_)?shift_[xy]"
-    r"|\w*(distort|[lL]ens|fisheye|orthogra|projection|intrinsic|camera_model|camera_type|shutter|transform|principal|pixel_aspect"
+    r"|\w*(distort|lens|fisheye|orthogra|projection|intrinsic|camera_model|camera_type|shutter|transform|principal|pixel_aspect"
     r"|convention|coordinate)\w*",
     re.IGNORECASE,
 )

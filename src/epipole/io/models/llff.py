@@ -1,6 +1,6 @@
 """Cameras in LLFF's poses_bounds.npy: one row of 17 numbers per image, in the order of the image names.
 
-A row is a (3, 5) matrix, followed by the nearest and the farthest depth. The columns of the matrix are world_from_camera with
+A row is a (3, 5) matrix, then the nearest and the farthest depth. The columns of the matrix are world_from_camera with
 the axes (down, right, backwards), and (height, width, focal length) of the full-size images; `images_8` has them downscaled by 8.
 """
 

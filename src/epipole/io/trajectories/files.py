@@ -62,7 +62,7 @@ def trajectory_format(path: str | Path) -> TrajectoryFormat:
 def read_trajectory(path: str | Path, format: TrajectoryFormat | None = None) -> Trajectory:
     """Read a trajectory.
 
-    TUM: `t x y z qx qy qz qw` per line, followed by 21 numbers if the covariance is known (its upper triangle, row by row).
+    TUM: `t x y z qx qy qz qw` per line, then 21 numbers if the covariance is known (its upper triangle, row by row).
     KITTI: the 12 numbers of the 3 x 4 matrix world_from_body per line; times are 0, 1, 2, ... and `is_timed` is False.
     EuRoC: time, position, quaternion (w first), and further columns, which are ignored. Numbers are separated by spaces or
     commas, and lines that start with # are skipped. Column names in the header determine the quaternion order; otherwise
