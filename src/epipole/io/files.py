@@ -105,8 +105,8 @@ def file_bytes(path: Path, most_bytes: int | None = None) -> bytes:
 def file_text(path: Path, most_bytes: int | None = None) -> str:
     """The content of a file as UTF-8 text.
 
-    FileFormatError: the file is missing, unreadable, larger than `most_bytes`, or not text.
-        FileFormatError: there is none, it cannot be read, it is too large, or it is not text.
+    Raises:
+        FileFormatError: the file is missing, unreadable, larger than `most_bytes`, or not text.
     """
     try:
         return file_bytes(path, most_bytes).decode("utf-8-sig")

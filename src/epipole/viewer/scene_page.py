@@ -35,7 +35,7 @@ def scene_page(scene: SpaceScene, most: int) -> ScenePage:
 
 
 def served_page(scene: SpaceScene, live: dict[str, Any] | None = None) -> tuple[str, SpaceData]:
-    """A page for a server that has the bytes at `data/NAME` and the cameras' images at `picture/NUMBER`.
+    """A page for a server that has the bytes at `data/NAME` and the cameras' images below `IMAGE_ADDRESS`.
 
     Args:
         scene: the scene.
