@@ -1,4 +1,4 @@
-"""Console output of all commands: progress with the remaining time, and warnings; on a terminal, in a log file, or silenced."""
+"""Console output of all commands: progress with the remaining time, and warnings."""
 
 from __future__ import annotations
 
@@ -266,7 +266,7 @@ class _Lines:
 
 @contextmanager
 def _lines(console: Console, words: Mapping[str, str]) -> Iterator[ProgressCallback]:
-    """Print a line when a stage starts, one when it ends, and one every ten seconds in between (if verbose, for each report)."""
+    """Print a line when a stage starts and ends, and every ten seconds in between (if verbose, for each report)."""
     lines = _Lines(console, words)
     with _beating(lines.beat, lambda: lines.printed_at):
         try:
@@ -340,8 +340,8 @@ def print_warnings(console: Console, warnings: Iterable[str], word: str = "note"
         console: where to print.
         warnings: the warnings.
         word: prefix of each line.
-        rest_in: the file that has all warnings, if only the first ten are to be printed and the others counted; empty: print
-            all.
+        rest_in: the file that has all warnings, if only the first ten are to be printed and the others counted; empty:
+            print all.
     """
     listed = list(warnings)
     shown = listed[:MOST_PRINTED] if rest_in and len(listed) > MOST_PRINTED + 1 else listed

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 _UNITS = ((1e17, 1e-9, "nanoseconds"), (1e14, 1e-6, "microseconds"), (1e11, 1e-3, "milliseconds"))
-"""(threshold, factor to seconds, unit): larger numbers are dates after 1973 in this unit, or after the year 5000 in seconds."""
+"""(threshold, factor to seconds, unit): larger numbers are dates after 1973 in this unit (in seconds, after 5000)."""
 _STEP_S = 1e-4, 2.0
 """Usual time between rows, seconds. Nanoseconds since boot are smaller than nanoseconds since 1970; the spacing
 distinguishes them from microseconds and milliseconds."""

@@ -1,7 +1,7 @@
 """Pose graphs in g2o's text format: SE(2), SE(3) and Sim(3).
 
-Information matrices of 3D edges refer to (translation, rotation vector), as in GTSAM; g2o itself uses the imaginary part
-of a quaternion, which is half the rotation vector.
+Information matrices of 3D edges refer to (translation, rotation vector), as in GTSAM; g2o itself uses the imaginary
+part of a quaternion, which is half the rotation vector.
 """
 
 from __future__ import annotations

@@ -52,9 +52,9 @@ def path_inside(root: Path, name: str) -> Path:
 def flat_names(names: Sequence[str]) -> list[str]:
     """Unique file names without suffix for images in a single flat folder.
 
-    The name is the image's path without suffix, with `_` for slashes: `b_c` for `b/c.png`. Images whose names would collide
-    (`a.png` and `a.jpg`; `b/c.png` and `b_c.png`; `A.png` and `a.png`, which are the same on some file systems) keep their
-    suffix, and get a number if that is not enough.
+    The name is the image's path without suffix, with `_` for slashes: `b_c` for `b/c.png`. Images whose names would
+    collide (`a.png` and `a.jpg`; `b/c.png` and `b_c.png`; `A.png` and `a.png`, which are the same on some file systems)
+    keep their suffix, and get a number if that is not enough.
     """
     short = [str(PurePosixPath(name).with_suffix("")).replace("/", "_") for name in names]
     count: dict[str, int] = {}

@@ -1,7 +1,7 @@
 """A seal inside a file that records which epipole command wrote it and detects later changes.
 
-The seal is a line of text in a comment of the file's format: `epipole-seal COMMAND DIGEST`. The digest is BLAKE2b of the
-file with zeros instead of the digest. Formats without comments (.splat) are not sealed.
+The seal is a line of text in a comment of the file's format: `epipole-seal COMMAND DIGEST`. The digest is BLAKE2b of
+the file with zeros instead of the digest. Formats without comments (.splat) are not sealed.
 """
 
 from __future__ import annotations

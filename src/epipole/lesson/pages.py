@@ -98,7 +98,7 @@ def _file(name: str, language: str) -> str:
 
 
 def _in(language: str, value: Any) -> Any:
-    """Select the texts of one language: {en: ..., zh: ...} becomes the text in that language, everything else stays unchanged."""
+    """Select the texts of one language: replaces every {en: ..., zh: ...}."""
     if isinstance(value, dict):
         if set(value) == set(LANGUAGES):
             return value[language]

@@ -56,7 +56,7 @@ def corridor(count: int = 90) -> tuple[np.ndarray, np.ndarray]:
 
 
 def wall(count: int = 60) -> tuple[np.ndarray, np.ndarray]:
-    """(count, 3) points near a wall (across, down, and -1 to 1 in depth), and (2, count, 2) pixel noise with unit standard deviation."""
+    """(count, 3) points of a wall (across, down, depth -1 to 1), and (2, count, 2) pixel noise of unit deviation."""
     rng = np.random.default_rng(4)
     return rng.uniform([-2.4, -1.8, -1.0], [2.6, 1.8, 1.0], (count, 3)), rng.normal(size=(2, count, 2))
 

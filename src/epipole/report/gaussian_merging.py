@@ -1,9 +1,9 @@
 """Merging of Gaussians into fewer ones that look the same, each representing its neighbors.
 
-Some Gaussians are kept: the most visible ones, and an even sample of the rest along a space-filling curve (Morton, 1966).
-Each of the others joins the nearest kept one. A group becomes one Gaussian with its mean, covariance and color, weighted by
-opacity times area, and with the opacity that covers the same area (moment matching; as in Kerbl et al., A Hierarchical 3D
-Gaussian Representation, 2024, section 4.1).
+Some Gaussians are kept: the most visible ones, and an even sample of the rest along a space-filling curve (Morton,
+1966). Each of the others joins the nearest kept one. A group becomes one Gaussian with its mean, covariance and color,
+weighted by opacity times area, and with the opacity that covers the same area (moment matching; as in Kerbl et al., A
+Hierarchical 3D Gaussian Representation, 2024, section 4.1).
 """
 
 from __future__ import annotations

@@ -20,7 +20,8 @@ ROW = np.dtype(
 )
 """Color is the view-independent part: red, green and blue with 10 bits each, red in the lowest bits."""
 DEGREE_KEPT = 1
-"""Degree of the harmonics that are kept: the coefficients for -y, z and -x are three more words, packed like the color."""
+"""Degree of the harmonics that are kept: the coefficients for -y, z and -x are three more words, packed like the
+color."""
 MOST_LOG_SCALE = 40.0
 COLOURS, HARMONICS = (-1.0, 2.0), (-2.0, 2.0)
 """Values outside these ranges, which are very rare, are clipped."""

@@ -18,7 +18,8 @@ MAX_FEATURES = 400
 _SHOWN_PX = 1000  # longest side of the images in the page
 _JPEG_PX, _JPEG_QUALITY = 640, 85
 _SMALL_BYTES = 1 << 15
-"""Longest side of photographs, shown three side by side, and their JPEG quality; PNGs up to this size (bytes) stay lossless."""
+"""Longest side of photographs, shown three side by side, and their JPEG quality; PNGs up to this size (bytes) stay
+lossless."""
 
 
 def png_uri(rgb: UInt8[np.ndarray, "h w 3"]) -> str:

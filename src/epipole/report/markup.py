@@ -20,8 +20,8 @@ _BIDI_CONTROLS_IN_JSON = re.compile(r"\\u(202[a-e]|206[6-9])")
 def escape(value: object) -> Markup:
     """Escape text for HTML content and quoted attributes; `Markup` stays markup.
 
-    Characters not allowed in HTML (control characters, lone surrogates) and those that change the direction of text become
-    U+FFFD in both cases.
+    Characters not allowed in HTML (control characters, lone surrogates) and those that change the direction of text
+    become U+FFFD in both cases.
     """
     return Markup(_UNPRINTABLE.sub("\N{REPLACEMENT CHARACTER}", markupsafe.escape(value)))
 

@@ -111,8 +111,8 @@ class OutputFolder:
     def publish(self, group: str) -> Iterator[Path]:
         """Yield an empty folder whose contents replace the group's earlier files when the block ends.
 
-        Each file is replaced atomically, and files of an earlier run that this one does not write are removed. If the block
-        raises, nothing changes.
+        Each file is replaced atomically, and files of an earlier run that this one does not write are removed. If the
+        block raises, nothing changes.
 
         Raises:
             WorkspaceError: the disk is full, or a file of that name exists that was not written by an earlier run.
@@ -159,7 +159,7 @@ class OutputFolder:
         self.write_text(name, json_text(content))
 
     def give_up(self, *, has_failed: bool) -> None:
-        """Clean up after a run that ended early: remove the marker if the folder is otherwise empty, else record a failure."""
+        """Clean up after a run that ended early: remove the marker if nothing else is there, else record a failure."""
         left = {path.name for path in self.root.iterdir()} - {MARK, LOCK}
         if not self.files and not left:
             (self.root / MARK).unlink()
@@ -283,9 +283,9 @@ def refuse_folder_of(root: Path, inputs: Sequence[Path]) -> None:
 def claim(root: Path, kind: str, inputs: Sequence[Path]) -> OutputFolder:
     """Create the output folder, or reopen it if it belongs to the same job on the same source.
 
-    The source is the same if its paths are, or if nothing exists at the old paths and most files at the new ones match. A
-    folder whose run failed may be taken over by any job. With `overwriting`, so may any folder; in a folder without a marker,
-    only files that have the names of results are replaced.
+    The source is the same if its paths are, or if nothing exists at the old paths and most files at the new ones match.
+    A folder whose run failed may be taken over by any job. With `overwriting`, so may any folder; in a folder without a
+    marker, only files that have the names of results are replaced.
 
     Args:
         root: the folder.

@@ -1,7 +1,7 @@
 """What a command may write: new files, files written by an earlier run of the same command, or anything with --overwrite.
 
-An output folder is recognized by its marker (`folder.py`), a single file (a video, a mesh, a page) by the seal inside it
-(`io/seals.py`). Name and format prove nothing, and a file changed since it was written counts as the user's.
+An output folder is recognized by its marker (`folder.py`), a single file (a video, a mesh, a page) by the seal inside
+it (`io/seals.py`). Name and format prove nothing, and a file changed since it was written counts as the user's.
 """
 
 from __future__ import annotations

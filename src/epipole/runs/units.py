@@ -1,8 +1,8 @@
 """Units of work: each writes one file from its inputs, and is skipped if that file already exists.
 
-A unit's key is a digest of everything its result depends on. The file (an npz archive) contains the key, and ends with a
-digest of its bytes. It is written under another name and then renamed. A killed run therefore leaves only complete files, a
-changed option recomputes only what depends on it, and a damaged file is recomputed.
+A unit's key is a digest of everything its result depends on. The file (an npz archive) contains the key, and ends with
+a digest of its bytes. It is written under another name and then renamed. A killed run therefore leaves only complete
+files, a changed option recomputes only what depends on it, and a damaged file is recomputed.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Which requests a viewer answers: other web pages open in the user's browser must not read the scene.
 
-Browsers let any page connect to this machine, and let a page whose domain was made to resolve to it (DNS rebinding) read
-the answers, too. Both are visible in request headers, which scripts cannot forge.
+Browsers let any page connect to this machine, and let a page whose domain was made to resolve to it (DNS rebinding)
+read the answers, too. Both are visible in request headers, which scripts cannot forge.
 """
 
 from __future__ import annotations

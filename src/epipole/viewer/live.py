@@ -58,7 +58,8 @@ class LiveScene:
 
         Args:
             state: `state` and `words` of the page, the `fraction` of the job that is done, the current `camera`.
-            make_scene: makes the scene, with the layers that the page was opened with, in a server thread; None: unchanged.
+            make_scene: makes the scene, with the layers that the page was opened with, in a server thread; None:
+                unchanged.
             parts: as in `LiveStream.publish`.
         """
         if make_scene is not None:

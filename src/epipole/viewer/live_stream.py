@@ -17,8 +17,8 @@ from epipole.report.space_scene import SpaceScene
 from epipole.viewer.page_server import BYTES, EVENTS, JPEG, Served
 
 MOST_STREAMS = 4
-"""Tabs with an open event stream. Browsers open six connections to a server, so two stay free for data. The tab that has
-been connected longest is disconnected for a newer one, and reconnects automatically."""
+"""Tabs with an open event stream. Browsers open six connections to a server, so two stay free for data. The tab that
+has been connected longest is disconnected for a newer one, and reconnects automatically."""
 RECONNECT_MS, HEARTBEAT_S = 1000, 10.0
 """How long a tab waits before it reconnects, and how often an idle stream checks that its tab is still open."""
 END_S = 3.0
@@ -52,7 +52,8 @@ class LiveStream:
 
         Args:
             state: small JSON values for the page; values under other names stay unchanged.
-            parts: functions that make the bytes of `scene` or `image`, called in a server thread if a tab requests them.
+            parts: functions that make the bytes of `scene` or `image`, called in a server thread if a tab requests
+                them.
         """
         with self._changed:
             self._number += 1

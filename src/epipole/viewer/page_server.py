@@ -21,7 +21,8 @@ from epipole.viewer.ports import is_local
 HTML, BYTES, JPEG = "text/html; charset=utf-8", "application/octet-stream", "image/jpeg"
 EVENTS = "text/event-stream"
 OWN_SITE = (None, "same-origin", "none")
-"""Allowed origins of a browser's request (`Sec-Fetch-Site`): the page itself, the address bar, or a program other than a browser."""
+"""Allowed origins of a browser's request (`Sec-Fetch-Site`): the page itself, the address bar, or a program other than
+a browser."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -148,7 +148,7 @@ def _converted(
 
 
 def depth_of(path: Path, topic: str, message: Any) -> Float32[np.ndarray, "h w"]:
-    """Decode depth in metres along the optical axis (REP 118: 16-bit integers are millimetres, floats are metres); 0 if unknown.
+    """Decode depth in metres along the optical axis (REP 118: integers are millimetres, floats metres); 0 if unknown.
 
     Raises:
         FileFormatError: the message is inconsistent, or not a depth image.

@@ -42,7 +42,7 @@ __all__ = ["BagFrame", "BagSequence", "BagTopic", "bag_frames", "is_bag"]
 __all__ += ["read_bag", "read_bag_imu", "read_bag_topics"]
 
 PAIR_TOLERANCE_S = 0.005
-"""Largest time difference within a stereo pair: the cameras are triggered together, and their stamps differ by driver jitter."""
+"""Largest time difference within a stereo pair: cameras are triggered together; drivers add jitter to the stamps."""
 DEPTH_TOLERANCE_S = 0.02
 """Largest time difference between color and depth, whose sensors are not synchronized (as in the TUM dataset)."""
 _FIRST_MESSAGES = 5

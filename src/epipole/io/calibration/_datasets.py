@@ -41,7 +41,7 @@ def is_euroc(content: Mapping[str, Any]) -> bool:
 
 
 def is_kitti(content: Mapping[str, Any]) -> bool:
-    """Whether it has projection matrices with KITTI's names, and no OpenCV keys (OpenCV's P1 and P2 are rectified cameras)."""
+    """Whether it has KITTI's projection matrices, and no OpenCV keys (OpenCV's P1 and P2 are rectified cameras)."""
     is_opencvs = any(key in content for key in ("M1", "K1", "D1", "R", "T", "Q", "cameraMatrix1"))
     return not is_opencvs and bool(_matrices(content))
 

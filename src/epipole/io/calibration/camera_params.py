@@ -40,7 +40,7 @@ def params_of_text(text: str) -> tuple[float, ...]:
 
 @checked
 def camera_of_images(model: str | None, shapes: Sequence[ImageShape], text: str) -> Camera:
-    """The camera of an option `camera_params`, for images in stored or upright orientation, whichever fits the principal point.
+    """The camera of an option `camera_params`, for stored or upright images, whichever fits the principal point.
 
     Args:
         model: name of the camera model; None: PINHOLE.
@@ -73,8 +73,8 @@ def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Came
         names = ",".join(model.param_names)
         example = ",".join(f"{value:g}" for value in _example(model, size))
         raise ConfigError(
-            f"{model.name} takes {model.num_params} parameters ({names}), got {len(known)}: use, for example, {example}; cx and cy are"
-            " relative to the image corner, half a pixel more than relative to the center of the first pixel"
+            f"{model.name} takes {model.num_params} parameters ({names}), got {len(known)}: use, for example, {example}; cx"
+            " and cy are relative to the image corner, half a pixel more than relative to the center of the first pixel"
         )
     camera = Camera(model, *size, params_from_colmap(model, np.array(known)))
     refuse_impossible(camera, "camera_params")

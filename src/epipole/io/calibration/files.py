@@ -236,7 +236,7 @@ def write_ros_yaml(
     rectification: Float64[np.ndarray, "3 3"] | None = None,
     projection: Float64[np.ndarray, "3 4"] | None = None,
 ) -> None:
-    """Write a ROS camera_info YAML of one camera, with rectifying rotation and rectified projection if it belongs to a pair.
+    """Write a ROS camera_info YAML of one camera, with rectification and rectified projection if it belongs to a pair.
 
     Raises:
         WorkspaceError: the file cannot be written.

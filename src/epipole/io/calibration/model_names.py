@@ -135,7 +135,7 @@ def refuse_binning(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def _kinds_of(path: Path, key: str, value: Any) -> list[str]:
-    """Kinds of one name, or of two joined by a hyphen (pinhole-radtan): fisheye, perspective, none; empty for a pinhole."""
+    """Kinds (fisheye, perspective, none) of one name, or of two joined by a hyphen; empty for a pinhole."""
     if value is None or value == "":
         return []
     word = _normal(value)

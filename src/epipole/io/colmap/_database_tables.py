@@ -170,7 +170,8 @@ class DatabaseReader:
         """All rows of a table; empty if there is no such table.
 
         Raises:
-            FileFormatError: a column is missing, a cell has the wrong type, or there are more rows than the file can contain.
+            FileFormatError: a column is missing, a cell has the wrong type, or there are more rows than the file can
+                contain.
         """
         there = self.columns(table)
         if not there:

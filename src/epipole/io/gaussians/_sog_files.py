@@ -30,7 +30,7 @@ _PARTS = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
 _MOST_META, _MOST_MEMBER = 1 << 22, 1 << 29
 """Largest size of meta.json, and of an image in a folder, bytes."""
 _SMALL, _MOST_PX, _MOST_PER_BYTE = 1 << 20, 8, 2
-"""Pixels or Gaussians allowed in any file; beyond, pixels per Gaussian and Gaussians per byte (real files use ten bytes)."""
+"""Pixels or Gaussians allowed in any file; beyond, pixels per Gaussian and Gaussians per byte (0.1 in real files)."""
 _DAMAGE = (
     ValueError,
     KeyError,

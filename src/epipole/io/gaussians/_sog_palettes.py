@@ -48,7 +48,7 @@ def codebook_of(values: Float32[np.ndarray, "*shape"], power: float = 0.0) -> Fl
 
 
 def _spread(ordered: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Initial codes with a density proportional to the cube root of the values' density, optimal for many codes (Panter and Dite, 1951)."""
+    """Initial codes, as dense as the cube root of the values' density, optimal for many codes (Panter and Dite, 1951)."""
     counts, edges = np.histogram(ordered, _BINS, weights=weights)
     fraction = np.concatenate([[0.0], np.cumsum(np.cbrt(counts))])
     wanted = (np.arange(CODES) + 0.5) / CODES * fraction[-1]
@@ -68,8 +68,8 @@ def palette_of(
 ) -> tuple[Float32[np.ndarray, "k d"], Int64[np.ndarray, " n"]]:
     """Palette rows that represent all rows, and the palette index of each row.
 
-    For speed, rows are first divided into groups; each group gets a fraction of the palette proportional to its weighted sum
-    of squared deviations, and its own iteration. Groups are stored one after the other.
+    For speed, rows are first divided into groups; each group gets a fraction of the palette proportional to its
+    weighted sum of squared deviations, and its own iteration. Groups are stored one after the other.
     """
     if size >= len(rows):
         return rows, np.arange(len(rows))
@@ -92,7 +92,7 @@ def palette_of(
 
 
 def _cells_per_group(counts: np.ndarray, wanted: np.ndarray, size: int) -> np.ndarray:
-    """Palette size of each group, with a sum of at most `size`: at least one per non-empty group, at most its number of rows."""
+    """Palette size per group, at most `size` in total: at least one if not empty, at most its number of rows."""
     fractions = np.minimum(counts, 1)
     for _ in range(_ROUNDS):
         open_groups = np.where(fractions < counts, wanted, 0.0)

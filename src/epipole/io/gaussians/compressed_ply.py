@@ -1,8 +1,8 @@
-"""Gaussians in PlayCanvas' compressed PLY: 16 bytes each plus up to 45 for harmonics, in chunks of 256 with their own ranges.
+"""Gaussians in PlayCanvas' compressed PLY: 16 bytes each, up to 45 for harmonics, in chunks of 256.
 
-Positions and log scales have 11, 10 and 11 bits within their chunk's range, colors 8 bits (in the range 0 to 1 in early files, whose
-chunks have no color range), opacities 8 bits. Rotations omit their largest component (2 bits say which); the others have 10 bits.
-Harmonics are bytes for -4 to 4. Axes are those of a PLY file.
+Positions and log scales have 11, 10 and 11 bits within their chunk's own range, colors 8 bits (in the range 0 to 1 in
+early files, whose chunks have no color range), opacities 8 bits. Rotations omit their largest component (2 bits say
+which); the others have 10 bits. Harmonics are bytes for -4 to 4. Axes are those of a PLY file.
 """
 
 from __future__ import annotations

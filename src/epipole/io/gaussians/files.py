@@ -1,7 +1,7 @@
 """Reading and writing Gaussians in common exchange formats: PLY, compressed PLY, SPZ, SOG and .splat.
 
-The content determines the format, except for .splat, which has no header: 32 bytes per Gaussian with position, scale, color with
-opacity, and rotation as bytes, without harmonics above degree 0.
+The content determines the format, except for .splat, which has no header: 32 bytes per Gaussian with position, scale,
+color with opacity, and rotation as bytes, without harmonics above degree 0.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def gaussians_file(path: Path) -> Path:
 
 @checked
 def write_gaussians(path: str | Path, cloud: GaussianCloud) -> None:
-    """Write Gaussians in the format given by the suffix; all but .ply are rounded, and .splat has no harmonics above degree 0.
+    """Write Gaussians in the format given by the suffix; all but .ply are rounded, and .splat has only degree 0.
 
     Raises:
         ConfigError: the suffix is not supported.

@@ -66,8 +66,8 @@ def read_gaussian_ply(path: str | Path) -> GaussianCloud:
     Normals, labels and color previews are ignored, as are elements after the vertices.
 
     Raises:
-        FileFormatError: not a PLY file of Gaussians, truncated, without finite Gaussians, or with unsupported properties
-            (such as filter_3D).
+        FileFormatError: not a PLY file of Gaussians, truncated, without finite Gaussians, or with unsupported
+            properties (such as filter_3D).
     """
     path = Path(path)
     columns = ply_columns(path)

@@ -1,9 +1,10 @@
-"""Gaussians in SOG, PlayCanvas' format for the web: a zip of images with one pixel per Gaussian, described by a meta.json.
+"""Gaussians in SOG, PlayCanvas' format for the web: a zip of images with one pixel per Gaussian, and meta.json.
 
-Means are sign(x) log(1 + |x|) in 16 bits, the upper 8 in a separate image. Rotations omit their largest component (alpha says which).
-Log scales and colors are indices into a codebook of 256 numbers. Harmonics above degree 0 are rows of a palette, stored 64 per image row,
-whose values also use a codebook. Axes are those of a PLY file. Version 1 has ranges (mins, maxs) instead of codebooks, and is supported
-for reading only. Specification: developer.playcanvas.com, user manual, Gaussian splatting, formats, SOG.
+Means are sign(x) log(1 + |x|) in 16 bits, the upper 8 in a separate image. Rotations omit their largest component
+(alpha says which). Log scales and colors are indices into a codebook of 256 numbers. Harmonics above degree 0 are rows
+of a palette, stored 64 per image row, whose values also use a codebook. Axes are those of a PLY file. Version 1 has
+ranges (mins, maxs) instead of codebooks, and is supported for reading only. Specification: developer.playcanvas.com,
+user manual, Gaussian splatting, formats, SOG.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ _FIRST_TAG = 252
 _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 """Components of a quaternion (w, x, y, z) that are stored, by the index of the omitted one."""
 _LARGE_COUNT, _SEEN_COUNT = 1.5, 0.5
-"""Exponents of the weights of scales in the codebook, and of Gaussians in the palette: few are large, but they dominate a render."""
+"""Exponents of weights in the codebook and the palette: few Gaussians are large, but they dominate a render."""
 _SMALLEST_PALETTE, _LARGEST = 1024, 6e4
 """Fewest palette rows, and largest coefficient (squares are summed in single precision)."""
 
@@ -92,7 +93,7 @@ def _table(path: Path, meta: Mapping[str, Any], part: str, channels: int) -> np.
 
 
 def _codebook(path: Path, part: str, given: Any) -> np.ndarray:
-    """256 numbers. Early writers omitted the first one; as in PlayCanvas' player, it is set one mean step below the second."""
+    """256 numbers. If the first one is missing, as in early files, it is set one mean step below the second (as PlayCanvas)."""
     if not isinstance(given, list) or len(given) != CODES:
         raise FileFormatError(path, f"{META} does not have the {CODES} codebook numbers of {part}")
     name = f"the codebook of {part}"
@@ -231,14 +232,14 @@ def _add_harmonics(cloud: GaussianCloud, images: dict[str, np.ndarray]) -> dict[
 
 
 def _seen(cloud: GaussianCloud) -> np.ndarray:
-    """(n,) float32 visibility of each Gaussian, independent of its position: (opacity^2 times the area of its ellipse) to a power."""
+    """(n,) float32 visibility independent of position: (opacity^2 times the area of the ellipse) to a power."""
     area = np.sort(cloud.log_scales, axis=1)[:, 1:].sum(axis=1, dtype=np.float64)
     seen = (_opacity(cloud) ** 2 * np.exp(area - area.max())) ** _SEEN_COUNT
     return np.maximum(seen / seen.max(), 1e-6).astype(np.float32)
 
 
 def _palette_size(count: int) -> int:
-    """The largest power of two up to the number of Gaussians, as in PlayCanvas' writer: half as many rows lose 6 dB in renders."""
+    """The largest power of two up to the number of Gaussians, as in PlayCanvas' writer; half of it loses 6 dB in renders."""
     return min(PALETTE, max(_SMALLEST_PALETTE, 1 << max(0, count.bit_length() - 1)))
 
 

@@ -1,8 +1,9 @@
-"""Gaussians in SPZ (Niantic): about 64 bytes each before compression with gzip (up to version 3) or zstd streams (version 4).
+"""Gaussians in SPZ (Niantic): about 64 bytes each, compressed with gzip (up to version 3) or zstd (version 4).
 
-Positions are 24-bit fixed-point numbers (half-precision floats in version 1), opacities and colors bytes, log scales sixteenths, and
-harmonics 128ths. Rotations are x, y, z as three bytes up to version 2, and then the three smallest components with 10 bits each. SPZ's
-axes are right, up, back: rotated by 180 degrees around x from those of a PLY file. Specification: github.com/nianticlabs/spz.
+Positions are 24-bit fixed-point numbers (half-precision floats in version 1), opacities and colors bytes, log scales
+sixteenths, and harmonics 128ths. Rotations are x, y, z as three bytes up to version 2, and then the three smallest
+components with 10 bits each. SPZ's axes are right, up, back: rotated by 180 degrees around x from those of a PLY file.
+Specification: github.com/nianticlabs/spz.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _HEAD_4 = struct.Struct("<4sIIBBBBI12x")
 _SIZES = struct.Struct("<QQ")
 _WRITTEN_VERSION, _FRACTIONAL_BITS, _MOST_FRACTIONAL_BITS = 3, 12, 24
 _SMALL_BYTES = 1 << 24
-"""Unpacked size allowed for any file; larger files may unpack to a multiple of their size (`most_unpacked_bytes`). Real ones compress to a half or a third."""
+"""Unpacked size allowed for any file; larger ones may unpack to a multiple of their size (`most_unpacked_bytes`)."""
 _SPARE_BYTES = 1 << 16
 """Space for extensions that may follow the Gaussians."""
 _LARGEST_FIXED = (1 << 23) - 1
@@ -213,7 +214,7 @@ def _first_three(packed: np.ndarray) -> np.ndarray:
 
 
 def _smallest_three(packed: np.ndarray) -> np.ndarray:
-    """Quaternions from (x, y, z, w) without the largest component: two bits say which, 10 each are sign and size of the others, the last one lowest."""
+    """Quaternions from the three smallest of (x, y, z, w), 10 bits of sign and size each, the last one lowest."""
     bits = np.ascontiguousarray(packed).view("<u4")[:, 0].astype(np.int64)
     largest = bits >> 30
     xyzw = np.zeros((len(bits), 4))

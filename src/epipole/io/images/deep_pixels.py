@@ -1,9 +1,10 @@
 """Conversion of images with more than 8 bits per channel to 8 bits.
 
-Files do not record which values are black and white. Sensors with 10, 12 and 14 bits use 16-bit files, most often the lower bits:
+Files do not record which values are black and white. Sensors with 10, 12 and 14 bits use 16-bit files, most often the
+lower bits:
 
-- color, and grey in recordings: the largest value determines the sensor's bits (8, 10, 12, 14 or 16), of which the upper 8 are
-  kept. All channels, and all images of such a sensor, are thus mapped alike;
+- color, and grey in recordings: the largest value determines the sensor's bits (8, 10, 12, 14 or 16), of which the
+  upper 8 are kept. All channels, and all images of such a sensor, are thus mapped alike;
 - grey in files: the 0.1 and 99.9 percentiles of the image, or of a set of images (`common_range`), become 0 and 255.
 """
 
@@ -117,7 +118,8 @@ def colour_16(
 ) -> UInt8[np.ndarray, "h w c"]:
     """Convert a color image with 16 bits per channel to its 8 significant bits.
 
-    Pillow returns the upper byte of each channel. If the sensor had fewer bits, the image is decoded again for the lower bytes.
+    Pillow returns the upper byte of each channel. If the sensor had fewer bits, the image is decoded again for the
+    lower bytes.
 
     Args:
         reader: Pillow's reader of the format.

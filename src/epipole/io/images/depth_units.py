@@ -33,7 +33,7 @@ class DepthUnit:
 
 
 def sample_depth(files: Sequence[Path]) -> np.ndarray:
-    """(n,) stored values of a few evenly spaced images; unreadable files are skipped here and reported when they are used."""
+    """(n,) stored values of a few evenly spaced images; unreadable files are skipped, and reported when used."""
     rows = np.unique(np.linspace(0, max(len(files) - 1, 0), _SAMPLES).astype(int))[: len(files)]
     parts = [np.zeros(0)]
     for row in rows:

@@ -7,7 +7,8 @@ Every image is returned upright (EXIF orientation applied), as 8-bit greyscale o
   images that must be mapped alike, use the range of the set (`common_range`);
 - 16-bit color keeps the upper 8 of its sensor's bits: 8, 10, 12, 14 or 16, by the largest value (`deep_pixels`);
 - transparency is composited on black; palette and CMYK become RGB; greyscale whose zero is white is inverted;
-- animations (WebP, AVIF), multi-page TIFFs and camera RAW are rejected. The content determines the format, not the suffix.
+- animations (WebP, AVIF), multi-page TIFFs and camera RAW are rejected. The content determines the format, not the
+  suffix.
 
 JPEG is decoded at 1/2, 1/4 or 1/8 if a smaller image is requested, so that memory depends on the result and not on
 the file (a progressive JPEG still needs its coefficients, about 3 bytes per pixel). Other formats are limited to 150

@@ -120,7 +120,7 @@ def _problem_of_pages(image: ImageFile) -> str:
 
 
 def _problem_of_tiff(image: TiffImageFile) -> str:
-    """Why a TIFF is not a single photograph; previews, masks (TIFF 6.0, NewSubfileType) and other sizes do not count as pages."""
+    """Why a TIFF is not a single photograph; previews, masks (TIFF 6.0, NewSubfileType) and other sizes are no pages."""
     if _DNG_VERSION in image.tag_v2:
         return "camera RAW (DNG) is not supported; develop it to JPEG or TIFF first"
     if int(image.tag_v2.get(_SUBFILE_TYPE, 0)) & _IS_PREVIEW:

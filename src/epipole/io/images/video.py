@@ -135,8 +135,8 @@ def extract_frames(
 ) -> VideoFrames:
     """Write evenly spaced sharp frames of a video as frame_000123.jpg (numbered as in the video).
 
-    The folder, which also gets a `frames.json`, is written atomically. A second call with the same video and options does
-    not read the video again; with other options it replaces the frames listed in `frames.json`.
+    The folder, which also gets a `frames.json`, is written atomically. A second call with the same video and options
+    does not read the video again; with other options it replaces the frames listed in `frames.json`.
 
     Args:
         video: the file.
@@ -271,8 +271,8 @@ def opened_video(video: Path) -> cv2.VideoCapture:
 def announced_frames(video: Path, capture: cv2.VideoCapture) -> tuple[int, bool]:
     """Number of frames that a video announces (0 if none), and whether its container counts them.
 
-    MP4, QuickTime and AVI list their frames. For others (Matroska, WebM, transport streams), FFmpeg multiplies duration and
-    frame rate, which can be far off if the frame rate varies.
+    MP4, QuickTime and AVI list their frames. For others (Matroska, WebM, transport streams), FFmpeg multiplies duration
+    and frame rate, which can be far off if the frame rate varies.
     """
     announced = capture.get(cv2.CAP_PROP_FRAME_COUNT)
     with open_file(video) as stream:

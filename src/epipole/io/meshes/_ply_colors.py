@@ -4,12 +4,12 @@ The range is determined from the type and the values:
 
 - `uchar` is 0 to 255; `char` is the same byte, read as signed;
 - wider integers are 0 to 255 if no value is larger, else 0 to 65535;
-- floating point is 0 to 1 if no value is larger than 1, else 0 to 255, else 0 to 65535. Non-integer values up to 2 are taken as
-  0 to 1 with overshoot, which is clipped;
+- floating point is 0 to 1 if no value is larger than 1, else 0 to 255, else 0 to 65535. Non-integer values up to 2 are
+  taken as 0 to 1 with overshoot, which is clipped;
 - a single 4-byte property `rgb` or `rgba` contains the bytes of red, green and blue (PCL).
 
-Two cases are ambiguous: wider integers that are all below 256 are read as 8-bit colors, and floats that are all between 0
-and 1 as fractions. Larger values and negative integers are rejected; negative floats become 0.
+Two cases are ambiguous: wider integers that are all below 256 are read as 8-bit colors, and floats that are all between
+0 and 1 as fractions. Larger values and negative integers are rejected; negative floats become 0.
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ class PlyMesh:
 
 @checked
 def read_mesh_ply(path: str | Path) -> PlyMesh:
-    """Read vertices and faces of a PLY file, text or binary; polygons are split into triangle fans from their first corner.
+    """Read vertices and faces of a PLY file, text or binary; polygons become triangle fans from their first corner.
 
     Raises:
         FileFormatError: not a PLY file, without x, y, z, truncated, or a face refers to a missing vertex.
@@ -83,7 +83,7 @@ def read_mesh_ply(path: str | Path) -> PlyMesh:
 
 
 def _require_no_other_surface(path: Path, header: PlyHeader) -> None:
-    """Check that all surfaces can be read: triangle strips, and faces not directly after the vertices, are not supported.
+    """Check that all surfaces can be read; triangle strips, and faces not right after the vertices, are not supported.
 
     Raises:
         FileFormatError: the file has an unsupported surface.

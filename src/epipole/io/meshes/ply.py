@@ -25,7 +25,7 @@ CAMERA_SIZE = 0.3
 
 _EDGE = np.dtype([("vertices", "<i4", 2), ("rgb", "u1", 3)])
 _LARGEST_ROUNDING = 1e-6
-"""Largest rounding of single-precision coordinates, as a fraction of the points' spread; beyond, they are written as doubles."""
+"""Largest single-precision rounding, as a fraction of the points' spread; beyond, coordinates are doubles."""
 _FEW, _ROUNDING_OF_FEW = 10, 1e-6
 """Below this number of points, the spread is not meaningful; largest rounding in that case."""
 _EDGE_HEADER = ("int vertex1", "int vertex2", "uchar red", "uchar green", "uchar blue")
@@ -63,8 +63,9 @@ class PlyPoints:
 def vertex_type(xyz: Float64[np.ndarray, "n 3"]) -> tuple[np.dtype, list[str]]:
     """Storage type of vertices (n, 3) with colors, and its header lines.
 
-    Coordinates are `float`, or `double` if single precision rounds them by more than a millionth of their spread: for points far from the
-    origin, such as UTM, `float` has a resolution of 0.25 to 0.5 m. For fewer than ten points, whose spread is not meaningful, rounding by up to 1e-6 is allowed.
+    Coordinates are `float`, or `double` if single precision rounds them by more than a millionth of their spread: for
+    points far from the origin, such as UTM, `float` has a resolution of 0.25 to 0.5 m. For fewer than ten points, whose
+    spread is not meaningful, rounding by up to 1e-6 is allowed.
     """
     points = xyz[np.isfinite(xyz).all(axis=1)].astype(np.float64)
     kind, word = "<f4", "float"

@@ -204,7 +204,7 @@ def _image_size(file: Path) -> tuple[int, int]:
 
 
 def world_from_camera(frame: Mapping[str, Any]) -> tuple[np.ndarray | None, float]:
-    """The pose (4, 4) with epipole's camera axes, None if a number is not finite; and the size of the rotation's correction.
+    """The pose (4, 4) with epipole's camera axes, None if not finite, and the size of the rotation's correction.
 
     Raises:
         ConfigError: the matrix is not a rigid motion.

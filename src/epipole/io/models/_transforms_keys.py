@@ -1,6 +1,6 @@
 """Keys of transforms.json as written by nerfstudio, instant-ngp and exporters of the same format.
 
-Each key is used, known to have no effect, or named in a warning. Unknown keys that may change the geometry are rejected.
+Each key is used, known to have no effect, or named in a warning. Unknown keys that may change geometry are rejected.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Bundle adjustment problems in the text format of Bundle Adjustment in the Large (Agarwal, Snavely, Seitz and Szeliski, ECCV 2010).
+"""The text format of Bundle Adjustment in the Large (BAL; Agarwal, Snavely, Seitz and Szeliski, ECCV 2010).
 
 Snavely's camera looks along -z with y up: p = -(X, Y) / Z, pixel = f (1 + k1 |p|^2 + k2 |p|^4) p relative to the image
 center, y up. Rotated by 180 degrees about its x axis, it is a RADIAL camera with the principal point at (0, 0) and y

@@ -1,8 +1,8 @@
 """The image files of a model, in the orientation and at the scale that its cameras describe.
 
-COLMAP and most similar programs read the stored pixels and ignore the EXIF orientation; epipole's models describe upright
-images. Which of the two a model describes is determined from the sizes of its images, else from the colors of its points at
-their keypoints, else from the program that wrote it.
+COLMAP and most similar programs read the stored pixels and ignore the EXIF orientation; epipole's models describe
+upright images. Which of the two a model describes is determined from the sizes of its images, else from the colors of
+its points at their keypoints, else from the program that wrote it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MAX_COMPARED, COMPARED_PX = 6, 800
 """Number of images whose colors are compared with those of the points, and their longest side."""
 MIN_COLORS = 50
 MIN_CORRELATION, MIN_DIFFERENCE = 0.4, 0.2
-"""Correlation of brightness between points and pixels: minimum for the better orientation, and its margin over the other."""
+"""Smallest correlation of brightness between points and pixels, and its margin over the other orientation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +148,7 @@ class ModelImages:
         return ImagePixels.STORED if of_stored > of_upright else ImagePixels.UPRIGHT
 
     def _colors(self, name: str, shape: ImageShape) -> np.ndarray | None:
-        """(3, n) brightness of points, and of their keypoints' pixels if keypoints refer to the stored or to the upright image."""
+        """(3, n) brightness of points, and of their pixels if keypoints refer to the stored or to the upright image."""
         model, row = self._model, self._row[name]
         own = model.tracks.image == row
         camera = self._camera_of(row)

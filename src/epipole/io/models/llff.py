@@ -1,7 +1,8 @@
 """Cameras in LLFF's poses_bounds.npy: one row of 17 numbers per image, in the order of the image names.
 
 A row is a (3, 5) matrix, then the nearest and the farthest depth. The columns of the matrix are world_from_camera with
-the axes (down, right, backwards), and (height, width, focal length) of the full-size images; `images_8` has them downscaled by 8.
+the axes (down, right, backwards), and (height, width, focal length) of the full-size images; `images_8` has them
+downscaled by 8.
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ def read_llff(folder: str | Path, max_side_px: int | None = None) -> LlffScene:
 
     Args:
         folder: folder of the file.
-        max_side_px: use the largest of the folders `images`, `images_2`, ... whose images are no larger, else the smallest;
-            None: the largest.
+        max_side_px: use the largest of the folders `images`, `images_2`, ... whose images are no larger, else the
+            smallest; None: the largest.
 
     Raises:
         FileFormatError: the file is missing, a value is invalid, or the numbers of images and rows differ.

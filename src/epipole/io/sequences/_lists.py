@@ -96,11 +96,11 @@ def by_number(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def times_of(folder: Path, names: tuple[str, ...], rate_hz: float) -> tuple[list[float], tuple[str, ...]]:
-    """Times of images in seconds from `times.txt` (one number per line), and warnings; a constant rate without that file.
+    """Times of images in seconds from `times.txt`, one number per line, or at a constant rate; and warnings.
 
     Raises:
-        FileFormatError: a line is not one number, times do not increase, or their count differs from the number of images
-            and the image names do not say which belong together.
+        FileFormatError: a line is not one number, times do not increase, or their count differs from the number of
+            images and the image names do not say which belong together.
     """
     path = folder / TIMES
     if not path.is_file():

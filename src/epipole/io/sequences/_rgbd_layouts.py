@@ -43,7 +43,7 @@ _SEVEN_SCENES = "7-Scenes by its file names"
 
 
 def numbered_frames(folder: Path, names: tuple[str, ...]) -> ImageSequence:
-    """Read `frame-NNNNNN.color.*` with depth and poses: 7-Scenes, unless a calibration file or the images contradict it."""
+    """Read `frame-NNNNNN.color.*` with depth: 7-Scenes, unless a calibration file or the images contradict it."""
     found = sorted((int(match[1]), match[0]) for name in names if (match := NUMBERED_FRAME.fullmatch(name)))
     frames = []
     for number, name in found:
@@ -99,7 +99,7 @@ def _of_seven_scenes(sequence: ImageSequence, *, has_depth: bool) -> ImageSequen
 
 
 def _with_depth(sequence: ImageSequence, sample: np.ndarray, beside: CalibrationBeside) -> ImageSequence:
-    """Add depth as described by the info file, or else registered to the color images in millimetres unless the values contradict it."""
+    """Add depth as in the info file, or else registered to color, in millimetres unless the values contradict it."""
     info = beside.info
     if info is not None and info.problem:
         return replace(

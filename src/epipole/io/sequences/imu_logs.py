@@ -39,8 +39,8 @@ def read_imu(path: str | Path) -> tuple[ImuLog, ImuNoise]:
             `SECONDS wx wy wz ax ay az` per line (or nanoseconds), or a ROS recording with one IMU.
 
     Raises:
-        FileFormatError: the file is missing, a line is malformed, times belong to several recordings, or measurements are
-            in another unit (g, degrees per second, milliseconds) or without gravity.
+        FileFormatError: the file is missing, a line is malformed, times belong to several recordings, or measurements
+            are in another unit (g, degrees per second, milliseconds) or without gravity.
         MissingDependencyError: the package rosbags is required and not installed.
     """
     path = Path(path)
@@ -90,7 +90,7 @@ def _sorted(path: Path, values: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]
 
 @checked
 def read_camera_from_imu(path: str | Path) -> Rigid3:
-    """Read the IMU's pose: `T_cam_imu` or `T_imu_cam` (Kalibr, OpenVINS; of the first camera), or T_BS (EuRoC's sensor.yaml).
+    """Read camera_from_imu: `T_cam_imu` or `T_imu_cam` of the first camera (Kalibr, OpenVINS), or T_BS (EuRoC).
 
     The IMU may be any point on the body; odometry measured at the center of the wheel axle uses the same format.
 

@@ -113,7 +113,7 @@ def _why(acceleration: float) -> str:
 
 
 def _tilt_error_rad(times: np.ndarray, gyro_rad_s: np.ndarray, accel: np.ndarray) -> float:
-    """Median angle between gravity's direction in a window and the previous window's, rotated by the gyroscope; 0 for few windows."""
+    """Median angle between gravity in a window and the previous one's rotated by the gyroscope; 0 for few windows."""
     window = np.floor((times - times[0]) / _WINDOW_S).astype(np.int64)
     starts = np.flatnonzero(np.diff(window, prepend=-1))
     counts = np.diff([*starts, len(times)])
@@ -122,7 +122,7 @@ def _tilt_error_rad(times: np.ndarray, gyro_rad_s: np.ndarray, accel: np.ndarray
     middle_s = np.add.reduceat(times, starts) / counts
     direction = np.add.reduceat(accel, starts) / counts[:, None]
     direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
-    # The integral of the angular velocity up to each sample; its difference between window centers is the rotation, if small.
+    # Integral of the angular velocity up to each sample; between window centers, it is the rotation, if small.
     step_s = np.diff(times, prepend=times[0])
     travelled = np.cumsum(gyro_rad_s * step_s[:, None], axis=0)
     at_middle = np.stack([np.interp(middle_s, times, travelled[:, axis]) for axis in range(3)], axis=1)

@@ -63,7 +63,7 @@ def pair_within(folder: Path) -> list[Pair]:
 
 @checked
 def side_of(name: str, side: Literal["left", "right"]) -> str | None:
-    """A name without the word for this side (left, cam0, infra1 ...), the same for both images of a pair; None without the word."""
+    """A name without the word for this side (left, cam0, infra1 ...), common to a pair; None without the word."""
     word = _LEFT if side == "left" else _RIGHT
     return word.sub("*", name.lower()) if word.search(name.lower()) else None
 

@@ -50,7 +50,7 @@ class TrajectoryReading:
 
 @checked
 def trajectory_format(path: str | Path) -> TrajectoryFormat:
-    """The format of a trajectory file by its content: tum (w last in the quaternion), euroc (w first), or kitti (no times).
+    """The format of a trajectory file by its content: tum (quaternion with w last), euroc (w first), kitti (no times).
 
     Raises:
         FileFormatError: the file is missing, in another format, or its columns are ambiguous.
@@ -64,17 +64,18 @@ def read_trajectory(path: str | Path, format: TrajectoryFormat | None = None) ->
 
     TUM: `t x y z qx qy qz qw` per line, then 21 numbers if the covariance is known (its upper triangle, row by row).
     KITTI: the 12 numbers of the 3 x 4 matrix world_from_body per line; times are 0, 1, 2, ... and `is_timed` is False.
-    EuRoC: time, position, quaternion (w first), and further columns, which are ignored. Numbers are separated by spaces or
-    commas, and lines that start with # are skipped. Column names in the header determine the quaternion order; otherwise
-    commas with nanoseconds mean EuRoC, and spaces TUM. The file's suffix is ignored. Times since 1970 in nanoseconds,
-    microseconds or milliseconds are recognized by their size.
+    EuRoC: time, position, quaternion (w first), and further columns, which are ignored. Numbers are separated by spaces
+    or commas, and lines that start with # are skipped. Column names in the header determine the quaternion order;
+    otherwise commas with nanoseconds mean EuRoC, and spaces TUM. The file's suffix is ignored. Times since 1970 in
+    nanoseconds, microseconds or milliseconds are recognized by their size.
 
     Args:
         path: the file.
         format: None: determined from the content.
 
     Raises:
-        FileFormatError: the file is missing or empty, a line is malformed, times decrease, or the columns are ambiguous.
+        FileFormatError: the file is missing or empty, a line is malformed, times decrease, or the columns are
+            ambiguous.
     """
     return read_trajectory_columns(path, format).trajectory
 
@@ -171,7 +172,7 @@ class PositionLog:
 
 @checked
 def read_positions(path: str | Path) -> PositionLog:
-    """Read a log of positions: `seconds x y z` per line, separated by spaces or commas; further columns (as in TUM) are ignored.
+    """Read a log of positions: `seconds x y z` per line, separated by spaces or commas; further columns are ignored.
 
     Times since 1970 in nanoseconds, microseconds or milliseconds are recognized by their size.
 

@@ -65,16 +65,17 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
     """Write a model in another format.
 
     Args:
-        source: output folder of `reconstruct`, a COLMAP model, or a transforms.json; for `splat` an output folder of `splat`, or a
-            file of Gaussians.
-        target: for `ply` a file; for `splat` a .ply, .compressed.ply, .spz, .sog or .splat file; for the other formats, which consist
-            of several files, a new folder, or that of an earlier conversion of the same model, whose other formats stay. For
-            `transforms` and `bundler`, the images are copied (hard-linked if possible) to `images/`, so that the paths in these
-            files are valid.
+        source: output folder of `reconstruct`, a COLMAP model, or a transforms.json; for `splat` an output folder of
+            `splat`, or a file of Gaussians.
+        target: for `ply` a file; for `splat` a .ply, .compressed.ply, .spz, .sog or .splat file; for the other formats,
+            which consist of several files, a new folder, or that of an earlier conversion of the same model, whose
+            other formats stay. For `transforms` and `bundler`, the images are copied (hard-linked if possible) to
+            `images/`, so that the paths in these files are valid.
         format: txt or bin (COLMAP), transforms (nerfstudio), bundler, ply or splat; None: given by the target's suffix.
 
     Raises:
-        ConfigError: the format is unknown or cannot represent the cameras, or is None and the suffix does not determine it.
+        ConfigError: the format is unknown or cannot represent the cameras, or is None and the suffix does not determine
+            it.
         FileFormatError: there is no readable model.
         WorkspaceError: the target cannot be written, has other contents, or is a file not written by an earlier call.
     """
@@ -149,7 +150,7 @@ def _names_with_pose(model: Reconstruction) -> list[str]:
 
 
 def _image(source: Path, name: str) -> Path | None:
-    """The file of an image: in `images/` of the output folder that is or contains the model, or beside the model's file.
+    """The file of an image: in `images/` of the output folder of the model, or beside the model's file.
 
     Raises:
         FileFormatError: the name leads out of the folder.

@@ -147,7 +147,7 @@ def decide_order(one: Reading, other: Reading, max_difference_s: float) -> tuple
     problems = [reading.problem for reading in (one, other) if reading.problem is not None]
     agreeing = [n for n, error in enumerate(errors) if error <= MOST_DEG]
     if not problems and 0 not in agreeing:
-        # Positions on a line, or at rest, do not constrain the alignment's rotation; rotations relative to the first pose do not need it.
+        # Positions on a line, or at rest, leave the alignment's rotation free; rotations since the first pose do not need it.
         agreeing = [
             n for n in agreeing if errors[n] <= CLEARER * errors[0] and since_first[n] <= since_first[0]
         ]

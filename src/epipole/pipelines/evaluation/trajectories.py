@@ -54,9 +54,10 @@ def evaluate_trajectory(
 ) -> TrajectoryEvaluation:
     """Compare a trajectory with ground truth.
 
-    Trajectories without times (KITTI) are matched in order, or in the order of the other's frame table. Ground truth whose
-    times are image numbers (7-Scenes) is recognized by the names in that table. If one file alone does not determine the
-    quaternion order or the time unit, both files are used, and `assumptions` reports how they were interpreted.
+    Trajectories without times (KITTI) are matched in order, or in the order of the other's frame table. Ground truth
+    whose times are image numbers (7-Scenes) is recognized by the names in that table. If one file alone does not
+    determine the quaternion order or the time unit, both files are used, and `assumptions` reports how they were
+    interpreted.
 
     Args:
         estimate: TUM, KITTI or EuRoC file.
