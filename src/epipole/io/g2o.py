@@ -106,7 +106,6 @@ def read_g2o(path: str | Path, *, indefinite: Literal["refuse", "nearest"] = "re
 
 
 def _with_fixed(path: Path, found: G2oFile, fixed: dict[int, int]) -> G2oFile:
-    """Mark the vertices named by FIX lines as fixed."""
     known = set(found.ids.tolist())
     for name, number in fixed.items():
         if name not in known:
@@ -116,7 +115,6 @@ def _with_fixed(path: Path, found: G2oFile, fixed: dict[int, int]) -> G2oFile:
 
 
 def _fixed_names(path: Path, number: int, words: list[str]) -> list[int]:
-    """Vertex names in a FIX line, at least one."""
     try:
         names = [int(word) for word in words]
     except ValueError as error:

@@ -101,7 +101,6 @@ def _append_to_mp4(path: Path, seal: bytes) -> None:
 
 
 def _insert_into_ply(path: Path, seal: bytes) -> None:
-    """Insert a comment before `end_header`."""
     with path.open("rb") as stream:
         head = stream.read(_SEARCHED_BYTES)
     end = head.find(b"end_header")

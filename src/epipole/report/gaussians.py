@@ -92,6 +92,5 @@ def _steps(values: np.ndarray, within: Range, most: int) -> np.ndarray:
 
 
 def _words(triples: np.ndarray, within: Range) -> np.ndarray:
-    """Pack three 10-bit numbers into one word."""
     steps = _steps(triples, within, 1023).astype(np.uint32)
     return steps[:, 0] | steps[:, 1] << 10 | steps[:, 2] << 20

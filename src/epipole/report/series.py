@@ -99,7 +99,6 @@ def _x_of(value: float, span: tuple[float, float]) -> float:
 
 
 def _axes(span: tuple[float, float], height: int, bottom: int) -> dict[str, object]:
-    """Properties common to both drawings: their size, and the frame axis."""
     return {
         "width": _WIDTH,
         "height": height,

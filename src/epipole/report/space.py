@@ -103,7 +103,6 @@ def space_data(
 
 
 def _extent(scene: SpaceScene) -> Extent:
-    """Extent of the points, or of everything else if there are none."""
     positions = [
         np.asarray(layer.xyz_in_world[:: max(1, len(layer.xyz_in_world) // 200_000)], float)
         for layer in scene.points

@@ -340,7 +340,6 @@ def _existing(root: Path, kind: str, source: Source) -> OutputFolder | None:
 
 
 def _is_bare(root: Path, found: OutputFolder) -> bool:
-    """Whether the folder contains neither results nor intermediate files of a run."""
     return not found.files and {path.name for path in root.iterdir()} <= {MARK, LOCK}
 
 

@@ -62,7 +62,6 @@ def remove_free_locks(root: Path) -> None:
 
 
 def _locked(root: Path) -> int:
-    """Open and lock the lock file."""
     while True:
         file = os.open(root / LOCK, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
         try:

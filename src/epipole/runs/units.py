@@ -93,7 +93,6 @@ def remove_other_results(folder: Path, units: Sequence[Unit]) -> None:
 
 
 def _shared_out(pool: Executor, units: Sequence[Unit]) -> Iterator[int]:
-    """Yield the size of each unit when it is done."""
     futures = [pool.submit(do_unit_as_worker, unit) for unit in units]
     try:
         for future in as_completed(futures):

@@ -154,9 +154,7 @@ def _reader_and_types(path: Path) -> tuple[Path, Any, Any]:
         require_file(path)
         return path, Reader1, get_typestore(Stores.ROS1_NOETIC)
     at = path
-    if (
-        path.is_dir() and not (path / METADATA).is_file()
-    ):  # the metadata are written last, so the recording was interrupted
+    if path.is_dir() and not (path / METADATA).is_file():  # written last: the recording was cut off
         storages = _storages(path)
         if len(storages) != 1:
             raise FileFormatError(
@@ -169,7 +167,6 @@ def _reader_and_types(path: Path) -> tuple[Path, Any, Any]:
 
 
 def _storages(folder: Path) -> list[Path]:
-    """The message files in the folder of a ROS 2 bag."""
     return sorted(
         file
         for file in folder.iterdir()

@@ -142,9 +142,7 @@ def _converted(
         flat = np.ascontiguousarray(pixels if pixels.shape[2] > 1 else pixels[:, :, 0])
         return np.asarray(cv2.cvtColor(flat, conversion), np.uint8)
     except cv2.error as error:  # Bayer and YUV images need at least two pixels per side
-        raise FileFormatError(
-            path, f"{topic}: the image cannot be converted to grey ({error.err})"
-        ) from error
+        raise FileFormatError(path, f"{topic}: the image cannot be made grey ({error.err})") from error
 
 
 def depth_of(path: Path, topic: str, message: Any) -> Float32[np.ndarray, "h w"]:

@@ -139,7 +139,6 @@ def _best(names: Sequence[str]) -> list[str]:
 
 
 def _pairs(names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Left and right topics whose names differ only in the side's word."""
     sides = {
         side: {key: name for name in names if (key := side_of(name, side))} for side in ("left", "right")
     }

@@ -253,7 +253,6 @@ def _first(bag: OpenBag, topic: str) -> Any:
 
 
 def _scale(bag: OpenBag, topic: str) -> GreyScale | None:
-    """Conversion to 8 bits, from the first readable images of a topic."""
     contents: list[Any] = []
     for message in islice(bag.messages([topic]), MOST_SAMPLED):
         with suppress(FileFormatError):
@@ -287,7 +286,6 @@ def _info(path: Path, message: Any, is_flat: bool) -> _Info:
 
 
 def _unregistered(depth_topic: str, color: _Info | None, depth: _Info | None) -> list[str]:
-    """A warning if depth is in another frame than the images."""
     if any(word in depth_topic for word in ("aligned", "registered")):
         return []
     if color is None or depth is None or color.frame_id == depth.frame_id:

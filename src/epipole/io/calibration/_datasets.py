@@ -87,9 +87,7 @@ def kitti_cameras(
         if np.abs(P[2, :3] - [0, 0, 1]).max() > _SAME or max(abs(P[1, 0]), abs(P[0, 1])) > _SAME * abs(
             P[0, 0]
         ):
-            raise FileFormatError(
-                path, f"{key} is not the projection matrix of a rectified camera, K (1 | t)"
-            )
+            raise FileFormatError(path, f"{key} is not a projection K (1 | t) of a rectified camera")
         own_size = f"S_rect_{key[-2:]}"
         if own_size in content:
             width_height = size_of(path, *numbers_of(path, content, own_size, 2))
@@ -117,7 +115,6 @@ def middlebury_cameras(
 
 
 def _matrices(content: Mapping[str, Any]) -> list[str]:
-    """KITTI's keys in numerical order."""
     found = {key: match for key in content if (match := _KITTI.fullmatch(str(key)))}
     return sorted(found, key=lambda key: int(found[key].group(1)))
 

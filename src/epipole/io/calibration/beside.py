@@ -54,7 +54,6 @@ class CalibrationBeside:
 
     camera: Camera | None = None
     source: str = ""
-    """Name of the file."""
     problem: str = ""
     """Why the calibration found cannot be used; empty if it is used, or none was found."""
     info: SensorInfo | None = None

@@ -155,9 +155,7 @@ def _motion(path: Path, own: Mapping[str, Any], key: str) -> Rigid3:
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if not error <= _ROUNDED_ROTATION or np.linalg.det(rotation) <= 0 or (matrix[3] != [0, 0, 0, 1]).any():
-        raise FileFormatError(
-            path, f"{key} is not a rigid motion: R R^T is not 1, or the last row is not 0 0 0 1"
-        )
+        raise FileFormatError(path, f"{key} is not a motion: R R^T is not 1, or the last row is not 0 0 0 1")
     return Rigid3(Rotation3.nearest(rotation).matrix, matrix[:3, 3])
 
 

@@ -135,7 +135,6 @@ def refuse_impossible(camera: Camera, where: str) -> None:
 
 
 def _example(model: CameraModel, size: tuple[int, int]) -> list[float]:
-    """Example parameters in COLMAP's order for images of this size."""
     longer = float(max(size))
     focal = [float(round(longer))] * len(model.focal_indices)
     return [*focal, size[0] / 2, size[1] / 2, *[0.0] * len(model.distortion_indices)]

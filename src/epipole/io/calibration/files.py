@@ -300,7 +300,6 @@ def _size(path: Path, content: Mapping[str, Any], given: tuple[int, int] | None)
 
 
 def _is_whole(content: Mapping[str, Any]) -> bool:
-    """Whether the format stores both cameras in one file."""
     return content.get("format") == FORMAT or is_chain(content) or datasets.is_kitti(content)
 
 
@@ -315,7 +314,6 @@ def _single(path: Path, content: Mapping[str, Any], size: tuple[int, int] | None
 
 
 def _camera(path: Path, content: Mapping[str, Any], keys: tuple[str, str], size: tuple[int, int]) -> Camera:
-    """The camera with a matrix and coefficients in OpenCV's order, given their keys."""
     words = named_model(path, content)
     K = numbers_of(path, content, keys[0], 3, 3)
     is_empty = words.is_without_distortion and keys[1] not in content

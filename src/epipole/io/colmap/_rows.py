@@ -233,7 +233,6 @@ def _images(records: list[ImageRecord], positions: ImagePoses) -> Images:
 def _points(
     table: PointTable, images: Images, image_ids: Int64[np.ndarray, " n"], path: Path
 ) -> tuple[Points, Tracks]:
-    """Points in the order of their ids, with their tracks."""
     order = np.argsort(table.ids, kind="stable")
     ids = table.ids[order]
     for row in np.flatnonzero(ids[1:] == ids[:-1]):

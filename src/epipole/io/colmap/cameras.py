@@ -105,7 +105,6 @@ def camera_from_colmap(model_id: int, width: int, height: int, params: np.ndarra
 
 
 def _as_own_model(model_id: int, p: np.ndarray) -> tuple[CameraModel, np.ndarray]:
-    """The same camera in one of epipole's models."""
     if model_id == _FISHEYE:
         return CameraModel.OPENCV_FISHEYE, np.concatenate([p, np.zeros(4)])
     if model_id in (_SIMPLE_RADIAL_FISHEYE, _RADIAL_FISHEYE, _SIMPLE_FISHEYE):

@@ -44,9 +44,7 @@ def finite_gaussians(
     whole = (means, log_scales, quats, logits, sh)
     good = np.all([np.isfinite(part).all(axis=tuple(range(1, part.ndim))) for part in whole], axis=0)
     if not good.any():
-        raise FileFormatError(
-            path, f"none of its {n} Gaussians is finite" if n else "it contains no Gaussians"
-        )
+        raise FileFormatError(path, f"none of its {n} Gaussians is finite" if n else "no Gaussians in it")
     centers = means[good].astype(np.float64)
     near = local_origin(centers)
     log_scales, quats, logits, sh = (np.ascontiguousarray(part[good], np.float32) for part in whole[1:])

@@ -108,9 +108,7 @@ def _meta(path: Path, data: bytes) -> dict[str, Any]:
     if not isinstance(meta, dict):
         raise FileFormatError(path, f"{META} is not a JSON object")
     if meta.get("version", 1) not in (1, 2):
-        raise FileFormatError(
-            path, f"unsupported SOG version {meta['version']!a}; versions 1 and 2 can be read"
-        )
+        raise FileFormatError(path, f"unsupported SOG version {meta['version']!a} (not 1 or 2)")
     for part, number in _PARTS.items():
         given = meta.get(part)
         if part == "shN" and not given:

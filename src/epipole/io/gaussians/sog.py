@@ -161,9 +161,7 @@ def write_sog(path: str | Path, cloud: GaussianCloud) -> None:
     try:
         cloud = finite_gaussians(path, _arrays(cloud), cloud.origin_in_world)
     except FileFormatError as error:
-        raise ConfigError(
-            f"none of {len(cloud)} Gaussians is finite, so there is nothing to write"
-        ) from error
+        raise ConfigError(f"none of {len(cloud)} Gaussians is finite; nothing to write") from error
     logs = np.sign(cloud.means_in_world) * np.log1p(np.abs(cloud.means_in_world.astype(np.float64)))
     lows, highs = logs.min(axis=0), logs.max(axis=0)
     codes = np.rint(65535.0 / np.maximum(highs - lows, 1e-30) * (logs - lows)).astype(np.uint32)

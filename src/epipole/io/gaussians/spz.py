@@ -136,13 +136,11 @@ def _check_head(path: Path, head: tuple, versions: tuple[int, ...], num_bytes: i
     if magic != _MAGIC:
         raise FileFormatError(path, "not an SPZ file")
     if version not in versions:
-        raise FileFormatError(path, f"unsupported SPZ version {version}; versions 1 to 4 can be read")
+        raise FileFormatError(path, f"unsupported SPZ version {version} (not 1 to 4)")
     if count > MOST_GAUSSIANS:
         raise FileFormatError(path, f"{count} Gaussians are more than the limit of {MOST_GAUSSIANS}")
     if degree >= len(NUM_SH):
-        raise FileFormatError(
-            path, f"unsupported degree of harmonics {degree}; 0 to {len(NUM_SH) - 1} can be read"
-        )
+        raise FileFormatError(path, f"unsupported harmonics of degree {degree} (not 0 to {len(NUM_SH) - 1})")
     if not (version == 1 or 0 <= bits <= _MOST_FRACTIONAL_BITS):
         raise FileFormatError(path, f"damaged SPZ file: positions with {bits} fractional bits")
     if count * sum(_section_sizes(version, degree)) > most_unpacked_bytes(num_bytes, _SMALL_BYTES):

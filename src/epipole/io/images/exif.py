@@ -280,7 +280,6 @@ def _focal_in_sizes_from_plane(details: Mapping[int, Any], size_px: int) -> floa
 
 
 def _block(exif: Image.Exif, tag: int) -> Mapping[int, Any]:
-    """A sub-block, empty if missing or damaged."""
     try:
         return exif.get_ifd(tag)
     except EXIF_ERRORS:
@@ -288,7 +287,6 @@ def _block(exif: Image.Exif, tag: int) -> Mapping[int, Any]:
 
 
 def _number(value: Any) -> float | None:
-    """A finite number, or None."""
     if isinstance(value, tuple) and len(value) == 1:
         value = value[0]
     try:
@@ -299,7 +297,6 @@ def _number(value: Any) -> float | None:
 
 
 def _text(value: Any) -> str:
-    """A printable string; empty for any other type."""
     if isinstance(value, bytes):
         value = value.decode("latin-1")
     return value.split("\x00")[0].strip() if isinstance(value, str) else ""

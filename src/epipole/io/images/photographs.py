@@ -329,7 +329,6 @@ def _file_problem(path: Path) -> str:
 
 
 def _advice(unreadable: Sequence[str]) -> str:
-    """One sentence per kind of unreadable image."""
     kinds = (
         ("HEIC", HEIF_SUFFIXES, "run `pip install pillow-heif` to read them, or convert them to JPEG"),
         ("AVIF", AVIF_SUFFIXES, "run `pip install --upgrade Pillow` to read them, or convert them to JPEG"),

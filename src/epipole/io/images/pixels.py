@@ -112,11 +112,7 @@ def _problem_of_pages(image: ImageFile) -> str:
     if image.format not in ("WEBP", "AVIF"):  # others start with the main image, even an animated PNG
         return ""
     count = int(getattr(image, "n_frames", 1))
-    return (
-        f"it is an animation of {count} frames; extract the frames you need as PNG or JPEG"
-        if count > 1
-        else ""
-    )
+    return f"it is an animation of {count} frames; extract those you need as PNG or JPEG" if count > 1 else ""
 
 
 def _problem_of_tiff(image: TiffImageFile) -> str:
@@ -206,7 +202,7 @@ def refuse_huge(path: Path, image: ImageFile, data: bytes) -> None:
         raise FileFormatError(path, f"the JPEG is truncated or damaged: {problem}")
     num_scans = data.count(b"\xff\xda") if isinstance(image, JpegImageFile) else 1
     if num_scans > _MOST_SCANS and num_scans * width * height > _MOST_SCANNED_PX:
-        raise FileFormatError(path, f"the JPEG has {num_scans} scans, more than any valid image")
+        raise FileFormatError(path, f"the JPEG has {num_scans} scans, more than any image needs")
 
 
 def decode(
@@ -283,9 +279,7 @@ def _decode_jpeg(
     except cv2.error as error:
         raise FileFormatError(path, f"the JPEG cannot be decoded ({error.err})") from error
     if decoded is None:
-        raise FileFormatError(
-            path, "the JPEG cannot be decoded: it is damaged or uses an unsupported encoding"
-        )
+        raise FileFormatError(path, "the JPEG cannot be decoded: it is damaged or of an unsupported kind")
     return decoded if grey else cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB, dst=decoded)
 
 

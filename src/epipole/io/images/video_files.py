@@ -85,7 +85,6 @@ def _frame(image: UInt8[np.ndarray, "h w 3"]) -> np.ndarray:
 
 
 def _problem_of(path: Path, count: int, first: np.ndarray, last: np.ndarray) -> str:
-    """What is wrong with a written video; empty if nothing."""
     if not path.is_file():
         return "the encoder wrote no file"
     capture, num_read = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG), 0

@@ -141,7 +141,6 @@ def _corners(path: Path, data: bytes, header: PlyHeader) -> list[np.ndarray]:
 def _mixed_corners(
     path: Path, data: bytes, header: PlyHeader, start: int, count_type: np.dtype, corner_type: np.dtype
 ) -> list[np.ndarray]:
-    """Polygons of different sizes, read one by one."""
     by_size: dict[int, list[np.ndarray]] = {}
     for _ in range(header.num_faces):
         room = len(data) - start - count_type.itemsize

@@ -76,7 +76,6 @@ def _require_finite(values: Mapping[str, Any]) -> None:
 
 
 def _model_of(content: Mapping[str, Any], frame: Mapping[str, Any]) -> tuple[str, bool]:
-    """Name of the camera model, and whether it is a fisheye model."""
     values = {**content, **frame}
     flag = values.get("is_fisheye")
     if flag is not None and not isinstance(flag, (bool, int)):
@@ -97,7 +96,6 @@ def _model_of(content: Mapping[str, Any], frame: Mapping[str, Any]) -> tuple[str
 
 
 def _distortion(values: Mapping[str, Any], name: str, is_fisheye: bool) -> tuple[CameraModel, list[float]]:
-    """The camera model and its coefficients."""
     has = (_FISHEYE if is_fisheye else _PERSPECTIVE)[name]
     given = {key: _coefficient(values, key) for key in _RATIONAL_KEYS}
     for key in given:

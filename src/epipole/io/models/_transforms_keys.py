@@ -96,7 +96,6 @@ def key_warnings(values: Mapping[str, Any], frames: Sequence[Mapping[str, Any]])
 
 
 def _says_nothing(value: Any) -> bool:
-    """Whether a value is zero, false or empty."""
     if isinstance(value, list):
         return all(_says_nothing(item) for item in value)
     return (

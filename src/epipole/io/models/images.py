@@ -177,7 +177,6 @@ def _colors_at(rgb: np.ndarray, keypoints: np.ndarray, size: tuple[int, int]) ->
 
 
 def _fits(camera: Camera, shape: ImageShape) -> list[ImagePixels]:
-    """The orientations of a file's pixels that a camera may describe."""
     size = camera.width, camera.height
     return [pixels for pixels in ImagePixels if is_same_view(size, shape.size(pixels))]
 

@@ -82,7 +82,6 @@ def read_llff(folder: str | Path, max_side_px: int | None = None) -> LlffScene:
 
 
 def _rows(path: Path) -> np.ndarray:
-    """The numbers in the file (n, 17), checked."""
     try:
         rows = np.load(io.BytesIO(file_bytes(path, _MOST_BYTES)), allow_pickle=False)
     except (ValueError, EOFError, OSError, SyntaxError, MemoryError, TokenError, TypeError) as error:

@@ -79,9 +79,7 @@ def in_order(name: str, rows: list[tuple[Time, Path]]) -> tuple[list[tuple[Time,
     late = sum(later[0] < earlier[0] for earlier, later in pairwise(rows))
     first = dict(reversed(rows))
     doubled = len(rows) - len(first)
-    warnings = (
-        [f"{name}: {late} lines are earlier than the previous line; the lines were sorted"] if late else []
-    )
+    warnings = [f"{name}: {late} lines are earlier than the previous line, and were sorted"] if late else []
     if doubled:
         warnings.append(f"{name}: {doubled} lines repeat a time; only the first of each is used")
     return sorted(first.items()), tuple(warnings)

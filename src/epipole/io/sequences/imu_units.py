@@ -99,9 +99,7 @@ def check_imu_units(path: Path, timestamp_s: np.ndarray, gyro: np.ndarray, accel
 
 
 def _why(acceleration: float) -> str:
-    without = (
-        "gravity was removed (the specific force including gravity is needed, as measured by the sensor)"
-    )
+    without = "gravity was removed (the specific force with gravity is needed, as sensors measure it)"
     for low, high, name, remedy in _ACCEL_UNITS:
         if low <= acceleration <= high:
             return f"it is probably in {name} ({remedy})" + (f", or {without}" if name == "g" else "")

@@ -95,7 +95,6 @@ def _refuse_several(folder: Path) -> None:
 
 
 def _is_sequence(folder: Path) -> bool:
-    """Whether a folder has a sequence layout rather than plain images."""
     if (
         (folder / "mav0").is_dir()
         or (folder / "cam0" / "data.csv").is_file()

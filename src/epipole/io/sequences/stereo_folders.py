@@ -69,7 +69,6 @@ def side_of(name: str, side: Literal["left", "right"]) -> str | None:
 
 
 def _by_word(names: Sequence[str], side: re.Pattern[str]) -> dict[str, str]:
-    """Names that have the side's word, by the name without it."""
     return {side.sub("*", name.lower()): name for name in names if side.search(name.lower())}
 
 
@@ -83,7 +82,6 @@ def _joined(lefts: dict[str, str], rights: dict[str, str], left: Path, right: Pa
 
 
 def _for_other_side(name: str) -> str:
-    """The same name with the other side's word."""
     found = _LEFT.search(name.lower()) or _RIGHT.search(name.lower())
     if found is None:
         return name

@@ -163,7 +163,6 @@ def check_position_of_quaternion(table: TrajectoryTable, values: np.ndarray) -> 
 
 
 def _unit(table: TrajectoryTable, times: np.ndarray) -> tuple[float, bool]:
-    """The unit of the times in seconds, and whether it is certain."""
     clock = unit_of_clock(times)
     if clock is not None:
         return clock[0], True

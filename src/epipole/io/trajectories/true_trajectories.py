@@ -90,7 +90,6 @@ def _file_of(folder: Path) -> Path | None:
 
 
 def _poses_of(folder: Path) -> list[tuple[int, Path]]:
-    """Frame numbers and pose files, in order."""
     for inside, pattern in _POSES:
         at = folder / inside
         names = sorted(at.iterdir()) if at.is_dir() else []

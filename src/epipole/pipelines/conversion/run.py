@@ -111,7 +111,6 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
 
 
 def _convert_gaussians(source: Path, target: Path) -> Conversion:
-    """Convert Gaussians to the format given by the target's suffix."""
     file = gaussians_file(source)
     if target.is_dir():
         raise WorkspaceError(f"{target} is a folder; pass a file name ({', '.join(SUFFIXES)})")
@@ -123,7 +122,6 @@ def _convert_gaussians(source: Path, target: Path) -> Conversion:
 
 
 def _losses(target: Path, cloud: GaussianCloud) -> tuple[str, ...]:
-    """Content that the format cannot store, as sentences."""
     out = []
     suffix = target.suffix.lower()
     if suffix in WITHOUT_ORIGIN and cloud.origin_in_world.any():

@@ -121,7 +121,6 @@ def decide_units(one: Reading, other: Reading, max_difference_s: float) -> tuple
 
 
 def _num_paired(one: Trajectory, other: Trajectory, max_difference_s: float) -> int:
-    """Number of poses that match one of the other trajectory."""
     try:
         rows, rows_of_other = associate(one, other, max_difference_s)
     except DegenerateGeometryError:

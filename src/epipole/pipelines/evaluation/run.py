@@ -76,9 +76,7 @@ def evaluate(out: str | Path, truth: str | Path) -> Evaluation:
             Path(truth), "none of its images is registered in the model: check that the names agree"
         )
     if found.sum() < 2:
-        raise DegenerateGeometryError(
-            "only one ground-truth camera is registered, but at least two are needed"
-        )
+        raise DegenerateGeometryError("only one known camera is registered; errors need at least two")
     estimated = Rigid3(rotation, translation)
     errors = camera_errors(estimated, known.cams_from_world)
     auc = relative_pose_auc(estimated, known.cams_from_world, found, (1, 3, 5))

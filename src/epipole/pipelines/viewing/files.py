@@ -38,9 +38,7 @@ def scene_of_ply(path: Path) -> SpaceScene:
     xyz, n = found.xyz, len(found.xyz)
     rendered = (np.abs(xyz) < FARTHEST).all(axis=1)
     if not rendered.any():
-        raise FileFormatError(
-            path, "it has no points that can be shown (finite, with coordinates below 1e30)"
-        )
+        raise FileFormatError(path, "it has no finite points with coordinates below 1e30")
     if not rendered.all():
         xyz = np.where(rendered[:, None], xyz, np.nan)
     num_cameras = num_cameras_of_scene(path)
