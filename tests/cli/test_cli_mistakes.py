@@ -60,7 +60,7 @@ def refused(given: str, capsys: pytest.CaptureFixture, code: int = 2) -> str:
         ("stereo a b c --calibration", ["--calibration needs a path"]),
         ("stereo a b c --paths 5", ["--paths must be one of 4, 8; got '5'"]),
         ("evaluate a", ["needs --truth with a path"]),
-        ("convert a b", ["b tells no format", "one of txt, bin, ply, transforms, bundler, splat"]),
+        ("convert a b", ["unknown output format of ", "one of txt, bin, ply, transforms, bundler, splat"]),
         ("convert a b txt", ["takes SOURCE TARGET alone", "'txt' is too much"]),
         ("convert a b --format obj", ["--format must be one of txt", "got 'obj'"]),
         ("calibrate a b --square", ["--square needs a number"]),

@@ -32,15 +32,15 @@ def test_lengths(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "no length"),
+        ("", "contains no lengths"),
         ("L 1 a p.jpg 3\n", "NAME METRES END"),
         ("L 1 c p.jpg 3 4\n", "a or b"),
         ("L 0 a p.jpg 3 4\n", "positive"),
         ("L x a p.jpg 3 4\n", "no number"),
-        ("L 1 a p.jpg nan 4\n", "no number to calculate"),
+        ("L 1 a p.jpg nan 4\n", "is not finite, or exceeds"),
         ("L 1 a p.jpg 3 4\n", "end b of L is seen in no image"),
         ("L 1 a p.jpg 3 4\nL 2 b p.jpg 3 4\n", "1 above"),
-        ("L 1 a p.jpg 3 4\nL 1 a p.jpg 3 4\n", "stands above already"),
+        ("L 1 a p.jpg 3 4\nL 1 a p.jpg 3 4\n", "is given twice"),
     ],
 )
 def test_lengths_that_are_none(tmp_path, text, words):
@@ -71,7 +71,7 @@ def test_odometry_as_distances_or_places(tmp_path):
     assert positions.travelled_m is None and positions.timestamp_s.tolist() == [0, 1]
     for text, words in (
         ("", "no odometry"),
-        ("0 1\n1 0\n", "may not fall"),
+        ("0 1\n1 0\n", "must not decrease"),
         ("0 1\n0 2\n", "rise"),
         ("0 1\n1\n", "METRES"),
     ):

@@ -174,7 +174,7 @@ def read_transforms_scene(path: str | Path, image_folder: str = "images") -> Tra
     for number, frame in enumerate(frames):
         found.add(number, frame)
     if frames and not found.names:
-        raise FileFormatError(path, f"none of its {len(frames)} frames can be used: {found.left_out[0]}")
+        raise FileFormatError(path, f"none of its {len(frames)} frames can be used; {found.left_out[0]}")
     points, point_warnings = _points(path, content)
     notes = (*key_warnings(content, frames), *point_warnings, *found.warnings())
     splits = {
