@@ -195,7 +195,7 @@ def test_quiet_and_verbose_before_and_after_the_command(flag, position, capsys, 
         assert said.out == "" and said.err == ""
         return
     assert said.out == "said x True\n"
-    assert "Doing: begins, 2 to do" in said.err and "Doing: 2 of 2 after" in said.err
+    assert "Doing: started, 2 to do" in said.err and "Doing: 2 of 2 after" in said.err
     assert ("Doing: 1 of 2, 50 %" in said.err) == bool(flag)
     assert ("DEBUG epipole.anything: thought" in said.err) == bool(flag)
     assert not logging.getLogger("epipole").handlers

@@ -113,7 +113,7 @@ def test_a_calibration_of_two_cameras_is_not_one_camera(here):
     other = Camera("PINHOLE", 60, 40, [70.0, 71.0, 30.0, 20.0])
     write_calibration(here / "pair.json", CalibrationFile((one, other), Rigid3.identity(2)))
     said = (
-        r"holds 2 cameras, .*camera_params 50,51,30\.5,20\.5 or camera_model PINHOLE and camera_params 70,71,"
+        r"has 2 cameras, .*camera_params 50,51,30\.5,20\.5 or camera_model PINHOLE and camera_params 70,71,"
     )
     with pytest.raises(ConfigError, match=said):
         CameraOptions(calibration=here / "pair.json").camera((60, 40))
