@@ -75,7 +75,10 @@ def here(tmp_path, monkeypatch):
         ("undistort x.glb", "glTF scene"),
         ("view x.zip", "not a file that can be shown; it is a ZIP archive"),
         ("view clip.mp4", "it is a video"),
-        ("evaluate slammed --truth images", "not cameras in a supported format; it holds images|contains no model"),
+        (
+            "evaluate slammed --truth images",
+            "not cameras in a supported format; it holds images|contains no model",
+        ),
         ("splat images out --time 5", "--time needs a unit: 5s for seconds, 5m for minutes or 5h for hours"),
         ("nerf images out --time 2.5", r"--time needs a unit: 2\.5s"),
         ("compare-fields images out --time 5min", "--time is a number with its unit, such as 30s"),

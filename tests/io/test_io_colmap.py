@@ -310,7 +310,10 @@ def _replace_line(name: str, old: str, new: str) -> Callable[[Path], None]:
         (_replace_line("cameras", "640 480", "0 480"), r"camera 1: invalid image size"),
         (_replace_line("cameras", "2 OPENCV", "1 OPENCV"), r"cameras.txt: camera 1 is defined twice"),
         (_replace_line("cameras", "3 PINHOLE", "9 PINHOLE"), r"images.txt: image 7: camera 3 is not defined"),
-        (_replace_line("rigs", "CAMERA 3", "CAMERA 2"), r"frame 4: image 7 does not belong to camera 3 of its rig"),
+        (
+            _replace_line("rigs", "CAMERA 3", "CAMERA 2"),
+            r"frame 4: image 7 does not belong to camera 3 of its rig",
+        ),
         (_replace_line("rigs", "CAMERA 3", "SONAR 3"), r"rigs.txt: line \d+: not a rig"),
         (_replace_line("frames", "1 CAMERA 3 7", "1 CAMERA 3 8"), r"image 8 is in two frames"),
         (_replace_line("frames", "1 CAMERA 3 7", "0"), r"frames.txt: image 7 belongs to no frame"),

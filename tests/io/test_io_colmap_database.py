@@ -292,7 +292,10 @@ def test_keypoints_with_more_columns(database: Path, columns: int) -> None:
         ("UPDATE keypoints SET rows = -1 WHERE image_id = 2", "impossible size"),
         ("UPDATE keypoints SET cols = 'x' WHERE image_id = 2", "impossible size"),
         ("UPDATE descriptors SET cols = 64 WHERE image_id = 2", "descriptors of image 2"),
-        ("UPDATE matches SET pair_id = 77 WHERE pair_id = 2147483650", "pair 77: images 0 and 77 are not defined"),
+        (
+            "UPDATE matches SET pair_id = 77 WHERE pair_id = 2147483650",
+            "pair 77: images 0 and 77 are not defined",
+        ),
         ("UPDATE matches SET rows = rows + 1", "pair 2147483650: .* x 2 values do not take"),
         ("UPDATE matches SET data = zeroblob(4), rows = 1, cols = 1", "1 columns, expected 2"),
         ("UPDATE two_view_geometries SET config = 99", "unknown configuration 99"),

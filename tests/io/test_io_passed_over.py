@@ -50,7 +50,10 @@ def test_they_are_counted_and_named(folder):
     assert files.startswith(FILES) and results.startswith(FOLDER)
     for words in ("2 .xyz (a.xyz, a JPEG image)", "1 .thm (c.thm, a GIF image)", "1 .txt (notes.txt)"):
         assert words in files
-    assert "1 without a suffix (nosuffix)" in files and "to use the images among them, convert or rename them" in files
+    assert (
+        "1 without a suffix (nosuffix)" in files
+        and "to use the images among them, convert or rename them" in files
+    )
     assert not list_photographs(folder / "day").passed_over[1:]
     fewer = list_photographs(folder, ignore=[folder / "day", folder / "notes.txt"])
     assert len(fewer.passed_over) == 1 and fewer.passed_over[0].startswith("Skipped 4 files")
@@ -80,7 +83,9 @@ def test_every_job_reports_them(folder, tmp_path):
         tmp_path / "memory.npz",
         progress=lambda _: None,
     )
-    assert any(note.startswith("Skipped 4 files") for note in images.notes) and FOLDER in " ".join(images.notes)
+    assert any(note.startswith("Skipped 4 files") for note in images.notes) and FOLDER in " ".join(
+        images.notes
+    )
     assert FILES in " ".join(read_sequence(folder, 10.0).warnings)
 
 

@@ -356,7 +356,12 @@ def test_damaged_zips_and_texts_are_told(tmp_path):
         with pytest.raises(FileFormatError, match="not a SOG file, or damaged"):
             read_sog(tmp_path / "a.sog")
         assert not is_sog(tmp_path / "a.sog")
-    for text, said in (("{", "not JSON"), ("[1]", "not a JSON object"), (b"\xff\xfe", "not UTF-8"), (None, "no item")):
+    for text, said in (
+        ("{", "not JSON"),
+        ("[1]", "not a JSON object"),
+        (b"\xff\xfe", "not UTF-8"),
+        (None, "no item"),
+    ):
         with pytest.raises(FileFormatError, match=said):
             read_sog(put(tmp_path / "b.sog", text, images))
     with pytest.raises(FileFormatError, match="NaN is not a finite number"):

@@ -223,7 +223,9 @@ def test_one_pose_that_is_not_finite_leaves_one_frame_out(tmp_path: Path) -> Non
     assert scene.reconstruction.images.name == ("0.png", "1.png")
     assert scene.reconstruction.is_registered().all() and scene.splits == {"train": ("0.png",)}
     assert scene.warnings == ("skipped frame 2 (2.png): its transform_matrix is not finite",)
-    with pytest.raises(FileFormatError, match=r"none of its 1 frames can be used; skipped frame 0 \(0\.png\)"):
+    with pytest.raises(
+        FileFormatError, match=r"none of its 1 frames can be used; skipped frame 0 \(0\.png\)"
+    ):
         scene_of(tmp_path, {}, {"transform_matrix": broken.tolist()})
     assert scene_of(tmp_path, {}, {"is_bad": True}, count=2).reconstruction.images.name == ("0.png",)
 

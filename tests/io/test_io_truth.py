@@ -104,6 +104,7 @@ def test_nothing_there(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="no such file or folder"):
         read_truth(tmp_path / "nothing")
     with pytest.raises(
-        FileFormatError, match="not cameras in a supported format; it is empty; supported are a folder with a COLMAP model"
+        FileFormatError,
+        match="not cameras in a supported format; it is empty; supported are a folder with a COLMAP model",
     ):
         read_truth(tmp_path)

@@ -130,7 +130,8 @@ def test_the_work_of_a_stopped_run_is_not_free(folder: OutputFolder) -> None:
     folder.give_up(has_failed=False)
     folder.save()
     with pytest.raises(
-        WorkspaceError, match=r"contains the intermediate files of `epipole made` for /pictures; .* rename them back"
+        WorkspaceError,
+        match=r"contains the intermediate files of `epipole made` for /pictures; .* rename them back",
     ):
         claim(folder.root, "made", [Path("/elsewhere")])
     claim(folder.root, "made", [IMAGES])

@@ -76,7 +76,9 @@ def test_points_too_far_to_be_drawn_are_left_out(tmp_path: Path) -> None:
     (tmp_path / "far.ply").write_text(head + "0 0 0\n1e300 0 0\n")
     assert np.isfinite(space_data(scene_of(tmp_path / "far.ply")).numbers["radius"])
     (tmp_path / "farther.ply").write_text(head + "1e300 0 0\n0 1e300 0\n")
-    with pytest.raises(FileFormatError, match=r"farther\.ply: it has no finite points with coordinates below 1e30"):
+    with pytest.raises(
+        FileFormatError, match=r"farther\.ply: it has no finite points with coordinates below 1e30"
+    ):
         scene_of(tmp_path / "farther.ply")
 
 
