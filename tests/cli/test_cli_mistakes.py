@@ -52,7 +52,7 @@ def refused(given: str, capsys: pytest.CaptureFixture, code: int = 2) -> str:
         ("stereo a b c --window 5", ["'--window'", "Expected 2 values"]),
         ("stereo a b c --window 5 x", ["--window", "['5', 'x']"]),
         ("evaluate a", ["Missing from epipole evaluate: --truth"]),
-        ("convert a b", ["b tells no format", "one of txt, bin, ply, transforms, bundler, splat"]),
+        ("convert a b", ["unknown output format of ", "one of txt, bin, ply, transforms, bundler, splat"]),
         ("convert a b --format obj", ["'obj'", "'--format'", "'txt'"]),
         ("--quiet --verbose version", ["exclude each other"]),
     ],
@@ -156,7 +156,7 @@ def test_quiet_and_verbose_before_and_after_the_command(flag, position, capsys, 
         assert said.out == "" and said.err == ""
         return
     assert said.out == "said x True\n"
-    assert "Doing: begins, 2 to do" in said.err and "Doing: 2 of 2 after" in said.err
+    assert "Doing: started, 2 to do" in said.err and "Doing: 2 of 2 after" in said.err
     assert ("Doing: 1 of 2, 50 %" in said.err) == bool(flag)
     assert ("DEBUG epipole.anything: thought" in said.err) == bool(flag)
     assert not logging.getLogger("epipole").handlers

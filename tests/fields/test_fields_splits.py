@@ -91,7 +91,7 @@ def test_a_folder_of_masks_goes_before_those_of_the_file(tmp_path) -> None:
     assert [view.name for view in [*found.train, *found.test] if view.used_mask is not None] == names(1)
     assert ["masks that the file names are not used" in text for text in found.problems] == [True]
     scene(tmp_path, {"mask_path": "../all.png"})
-    with pytest.raises(FileFormatError, match="no name of a file inside"):
+    with pytest.raises(FileFormatError, match="does not name a file inside"):
         gather_field_images(folder, OPTIONS)
 
 
@@ -101,4 +101,4 @@ def test_what_the_file_holds_besides_is_a_warning_of_the_job(tmp_path) -> None:
     found = gather_field_images(folder, OPTIONS)
     assert len(found.train) + len(found.test) == 5
     words = "\n".join(found.problems)
-    assert "unknown keys are not used: weather" in words and "frame 4 (images/4.png) is left out" in words
+    assert "unknown keys are ignored: weather" in words and "skipped frame 4 (images/4.png)" in words

@@ -133,7 +133,7 @@ def test_a_calibration_makes_the_camera_known(rendered, tmp_path):
 def test_calibrations_that_do_not_fit(rendered, tmp_path):
     path = tmp_path / "calibration.json"
     write_calibration(path, CalibrationFile((CAMERA, CAMERA), Rigid3.identity(2)))
-    with pytest.raises(ConfigError, match="holds 2 cameras"):
+    with pytest.raises(ConfigError, match="has 2 cameras"):
         chosen(rendered, calibration=path)
     write_calibration(path, CalibrationFile((replace(CAMERA, width=100),), Rigid3.identity(1)))
     with pytest.raises(ConfigError, match="of images of 100x320, but these are 480x320"):

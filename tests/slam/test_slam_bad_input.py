@@ -44,8 +44,8 @@ def test_a_list_out_of_order_and_with_doubled_times(tmp_path):
     result = run_slam(folder, tmp_path / "out", **KNOWN)
     assert result.summary["num_localized"] == COUNT
     assert set(result.warnings) == {
-        "rgb.txt: 2 lines are earlier than those before them, and are sorted",
-        "rgb.txt: 1 lines repeat a time; of each the first is taken",
+        "rgb.txt: 2 lines are earlier than the previous line, and were sorted",
+        "rgb.txt: 1 lines repeat a time; only the first of each is used",
     }
 
 

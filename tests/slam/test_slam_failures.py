@@ -195,13 +195,13 @@ def test_start_stride_rate_and_masks_of_a_folder(tmp_path):
     result = run_slam(folder, tmp_path / "out", start=3, stride=2, fps=10.0, masks=masks, **known)
     np.testing.assert_allclose(result.trajectory.timestamp_s, 0.1 * np.arange(3, 24, 2))
     assert result.summary["num_frames"] == 11 and not any(
-        "a second are assumed" in w for w in result.warnings
+        "per second are assumed" in w for w in result.warnings
     )
     result = run_slam(folder, tmp_path / "out2", max_frames=6, **known)
-    assert any("30 a second are assumed" in w for w in result.warnings)
+    assert any("30 per second are assumed" in w for w in result.warnings)
     with pytest.raises(ConfigError, match="no image has a mask"):
         run_slam(folder, tmp_path / "out3", masks=folder.parent / "image_1" / "none", **known)
-    with pytest.raises(ConfigError, match="have their own"):
+    with pytest.raises(ConfigError, match="have times"):
         run_slam(folder.parent, tmp_path / "out3", fps=5.0)
     with pytest.raises(ConfigError, match="start must be at least 0"):
         run_slam(folder, tmp_path / "out3", stride=0, **known)
@@ -209,6 +209,6 @@ def test_start_stride_rate_and_masks_of_a_folder(tmp_path):
 
 def test_the_message_of_wrong_parameters_has_an_example():
     with pytest.raises(
-        ConfigError, match=r"such as 640,640,320,240; cx and cy count from the image's corner, half"
+        ConfigError, match=r"for example, 640,640,320,240; cx and cy are relative to the image corner, half"
     ):
         camera_of_text(CAMERA.model, (640, 480), "525")

@@ -78,7 +78,7 @@ def test_topics_are_chosen_on_the_command_line(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["slam", str(path), str(tmp_path / "out"), "--topics", "/wrong"])
     said = capsys.readouterr().err
-    assert "/wrong holds no images" in said and "/cam/right/image_rect (12 of Image, image)" in said
+    assert "/wrong has no images" in said and "/cam/right/image_rect (12 of Image, image)" in said
     with pytest.raises(ConfigError, match="topics are of recordings of ROS"):
         run_slam(tmp_path, tmp_path / "o", topics="/a", **KNOWN)
 
