@@ -68,7 +68,7 @@ def map_colours(colour, coverage, colours, background, start, stop, out):
 def map_colours_back(
     colour, coverage, colours, background, by_mapped, start, stop, by_colour, by_coverage, part, total
 ):
-    """Derivatives w.r.t. C and K of pixels start..stop; adds those w.r.t. A and b to total (12,), row-major; part (12,) is scratch."""
+    """Derivatives w.r.t. C and K of pixels start..stop; adds those w.r.t. [A b] to total (12,); part (12,): scratch."""
     for first_item in range(start, stop, BLOCK):
         part[:] = 0.0
         for n in range(first_item, min(first_item + BLOCK, stop)):

@@ -26,7 +26,7 @@ class SplatConfig:
     antialiased: bool = False
     """Train with Mip-Splatting's filter, for images of very different resolutions."""
     start: Literal["points", "dense", "random"] = "points"
-    """Initial Gaussians: at the model's points, also at stereo points where the model has few (dense), or at random positions."""
+    """Initial Gaussians: at the model's points, also at stereo points (dense), or at random positions (random)."""
     start_from: Path | None = None
     """Initialize with the Gaussians of a PLY file or of an output folder of `splat` or `nerf`."""
     exposure: bool = False
@@ -64,7 +64,7 @@ class NerfConfig:
     """Options for training a field that is rendered by ray marching."""
 
     kind: Literal["grid", "hash"] = "hash"
-    """hash: a small network on hashed feature tables (Instant-NGP); grid: density and harmonics in voxels (DVGO, Plenoxels)."""
+    """hash: a small network on hashed feature tables (Instant-NGP); grid: values in voxels (DVGO, Plenoxels)."""
     seed: int = 0
     """Random seed."""
 

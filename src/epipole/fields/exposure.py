@@ -51,7 +51,7 @@ class Exposures:
     def applied(
         self, view: int, rendered: Rendering, background: Float32[np.ndarray, " 3"]
     ) -> Float32[np.ndarray, "h w 3"]:
-        """Apply the transform of a view to a render; the background stays as it is given.
+        """Apply the transform of a view to a render; the background is not transformed.
 
         Raises:
             ConfigError: there is no such view.
@@ -112,7 +112,7 @@ class Exposures:
         return by_colour, by_coverage
 
     def taken_mean(self) -> Float32[np.ndarray, "3 4"]:
-        """Remove the mean transform from all transforms and return it; it cannot be separated from the scene's colors, which should absorb it."""
+        """Remove the mean transform from all maps and return it: it cannot be separated from the scene's own colors."""
         mean = self.maps.astype(np.float64).mean(axis=0)
         rotation = self.maps[:, :, :3] @ np.linalg.inv(mean[:, :3])
         self.maps[:, :, 3] -= (rotation @ mean[:, 3]).astype(np.float32)

@@ -27,7 +27,7 @@ class PoseSteps:
         self._adam = RowsAdam(len(self.cams_from_world), 6, RATES)
 
     def move(self, view: int, gradient: np.ndarray, progress: float) -> None:
-        """Update one pose, given the derivative (6,) of the loss w.r.t. xi = (translation, rotation) in exp(xi) @ cam_from_world."""
+        """Update one pose; gradient (6,) is w.r.t. xi = (translation, rotation) in exp(xi) @ cam_from_world."""
         xi = self._unit * self._adam.step(view, self._unit * gradient, progress)
         self.cams_from_world[view] = Rigid3.exp(xi) @ self.cams_from_world[view]
 

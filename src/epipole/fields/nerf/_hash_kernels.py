@@ -1,8 +1,9 @@
 """Ray sampling, hash encoding and compositing (Mueller, Evans, Schied and Keller, Instant-NGP, 2022; Max 1995).
 
-A sample in [0, 1]^3 has features from several levels. A level with s cells per side interpolates trilinearly between the eight corners
-of the sample's cell, each a row of the level's table. If the table has a row for each corner, rows are indexed directly; otherwise
-corner (i, j, k) has row (i xor 2654435761 j xor 805459861 k) mod rows, and the other levels and the network resolve collisions.
+A sample in [0, 1]^3 has features from several levels. A level with s cells per side interpolates trilinearly between
+the eight corners of the sample's cell, each a row of the level's table. If the table has a row for each corner, rows
+are indexed directly; otherwise corner (i, j, k) has row (i xor 2654435761 j xor 805459861 k) mod rows, and the other
+levels and the network resolve collisions.
 
 With step length delta, sigma = exp(raw + SHIFT) and alpha = 1 - exp(-sigma delta), a ray's color is
     C = sum_i T_i alpha_i c_i + T_end background,  T_i = prod_{j<i} (1 - alpha_j);  with v_i = c_i . dL/dC
@@ -32,10 +33,10 @@ BEFORE, ALPHA, THICKNESS = 0, 1, 2
 def sample_rays(rays, pixel_of, view_of, room, start, stop, most, at, positions, counts, basis, work):
     """Take the next samples, at most `most` per ray, of rays start..stop in occupied cells; returns their number.
 
-    pixel_of (n,) are pixels in views view_of (n,). at (n,) is the ray parameter to continue from, in cells from the camera; a new ray has its
-    first offset minus 1 (below 0), and a ray that has left the grid gets infinity. positions (capacity, 4) gets the samples in [0, 1]^3 and
-    their distance in cells; counts (stop - start,) their number; basis (stop - start, 16) the harmonics of the directions. A ray that
-    exceeds the capacity gets no samples.
+    pixel_of (n,) are pixels in views view_of (n,). at (n,) is the ray parameter to continue from, in cells from the
+    camera; a new ray has its first offset minus 1 (below 0), and a ray that has left the grid gets infinity. positions
+    (capacity, 4) gets the samples in [0, 1]^3 and their distance in cells; counts (stop - start,) their number; basis
+    (stop - start, 16) the harmonics of the directions. A ray that exceeds the capacity gets no samples.
     """
     origin, direction = work[0], work[1]
     side = np.float32(1.0) / np.float32(max(room.occupied.shape))
@@ -91,7 +92,7 @@ def _cell_of(position, scale):
 
 @kernel(fuse=True)
 def encode(positions, cells, tables, features):
-    """Features (n, levels * 4) of positions (n, 4). Level by level, so that a table stays in cache; tables (levels, rows, 4), rows a power of two."""
+    """Features (n, levels * 4) of positions (n, 4), level by level for the cache; tables (levels, 2^k rows, 4)."""
     levels, rows = tables.shape[0], tables.shape[1]
     mask, one = np.uint32(rows - 1), np.float32(1.0)
     for level in range(levels):
@@ -142,8 +143,9 @@ def spread(positions, cells, level, by_features, gradient):
 def weigh(said, counts, delta, left, light, kept, kept_counts):
     """Transmittance, alpha and optical thickness along rays, until they are opaque; returns the number of samples kept.
 
-    said (n, 16) are the first network's outputs, density first; counts (rays,) samples per ray; left (rays,) the transmittance before them,
-    which is updated. light (n, 3) gets BEFORE, ALPHA, THICKNESS; kept the indices of the visible samples; kept_counts (rays,) their number.
+    said (n, 16) are the first network's outputs, density first; counts (rays,) samples per ray; left (rays,) the
+    transmittance before them, which is updated. light (n, 3) gets BEFORE, ALPHA, THICKNESS; kept the indices of the
+    visible samples; kept_counts (rays,) their number.
     """
     at, found = 0, 0
     for n in range(len(counts)):
@@ -166,7 +168,7 @@ def weigh(said, counts, delta, left, light, kept, kept_counts):
 
 @kernel
 def join(said, kept, kept_counts, basis, out):
-    """Network input for color, out (m, 32): outputs of the first network for the kept samples, and harmonics (rays, 16) of their rays."""
+    """Color network input out (m, 32): the first network's outputs of kept samples, and harmonics (rays, 16)."""
     at = 0
     for n in range(len(kept_counts)):
         for i in range(at, at + kept_counts[n]):
@@ -178,7 +180,7 @@ def join(said, kept, kept_counts, basis, out):
 
 @kernel
 def compose(colours, light, positions, kept, kept_counts, image):
-    """Apply the logistic function to colours (m, 3) in place, and add colors and distances of the samples to image (rays, 4)."""
+    """Apply the logistic function to colours (m, 3) in place; add colors and distances to image (rays, 4)."""
     at, one = 0, np.float32(1.0)
     for n in range(len(kept_counts)):
         for i in range(at, at + kept_counts[n]):
@@ -192,7 +194,7 @@ def compose(colours, light, positions, kept, kept_counts, image):
 
 @kernel
 def compose_back(colours, light, kept_counts, behind, by_image, by_colours, by_raw):
-    """Derivatives w.r.t. the networks' outputs for color (m, 3) and density (m,), given those w.r.t. the image (rays, 3).
+    """Derivatives w.r.t. the outputs for color (m, 3) and density (m,), given those w.r.t. the image (rays, 3).
 
     colours (m, 3) are after the logistic function; behind (rays,) is dL/dC . background times the final transmittance.
     """

@@ -3,8 +3,8 @@
 With step length delta a ray's color is C = sum_i T_i alpha_i c_i + T_end background, alpha_i = 1 - exp(-sigma_i delta),
 T_i = prod_{j<i} (1 - alpha_j); the weights and T_end sum to one. With v_i = c_i . dL/dC,
     dL/dsigma_i = delta (T_{i+1} v_i - sum_{j>i} T_j alpha_j v_j - T_end background . dL/dC).
-Each corner has a row with the density before its softplus and harmonics up to degree 1 of red, green and blue; a sample interpolates
-eight corners.
+Each corner has a row with the density before its softplus and harmonics up to degree 1 of red, green and blue; a sample
+interpolates eight corners.
 """
 
 import math
@@ -59,7 +59,8 @@ def _softplus(x):
 def _march(voxels, flat, origin, direction, first, work):
     """Sample a ray from the camera on; returns the number of samples and the final transmittance.
 
-    work.position (samples, 6) gets the cell and the fraction in it; work.light (samples, 6) transmittance, alpha, softplus' and color.
+    work.position (samples, 6) gets the cell and the fraction in it; work.light (samples, 6) transmittance, alpha,
+    softplus' and color.
     """
     near, far = enter(voxels.occupied, origin, direction)
     one, half, zero = np.float32(1.0), np.float32(0.5), np.float32(0.0)
@@ -101,7 +102,7 @@ def _march(voxels, flat, origin, direction, first, work):
 
 @kernel
 def render_pixels(rays, view, width, voxels, background, start, stop, image, depth, work):
-    """Render pixels start..stop of a view into flat image (h w, 3) and depth (h w,), which is along the ray, in voxels, times coverage."""
+    """Render pixels start..stop into flat image (h w, 3) and depth (h w,), along the ray in voxels, times coverage."""
     flat = voxels.values.reshape(-1)
     samples = 0
     for at in range(start, stop):
@@ -129,8 +130,8 @@ def render_pixels(rays, view, width, voxels, background, start, stop, image, dep
 def learn_rays(rays, chosen, first, voxels, background, scale, start, stop, records, cells, work):
     """Write samples of rays start..stop and their derivatives to records (capacity, RECORD) and cells (capacity,).
 
-    chosen (n,) are pixels of all images, first (n,) the offset of the first sample in steps; the loss is scale times the squared error.
-    Returns the number of records, the sum of squared errors, and the number of samples.
+    chosen (n,) are pixels of all images, first (n,) the offset of the first sample in steps; the loss is scale times
+    the squared error. Returns the number of records, the sum of squared errors, and the number of samples.
     """
     flat = voxels.values.reshape(-1)
     ny, nz = voxels.row_of.shape[1], voxels.row_of.shape[2]
@@ -191,10 +192,10 @@ def learn_rays(rays, chosen, first, voxels, background, scale, start, stop, reco
 
 @kernel
 def move_planes(voxels, records, cells, order, plane_start, row_start, first, last, adam, one):
-    """Add the derivatives in planes first..last of constant x to their rows, and take an Adam step of the rows that got any.
+    """Add derivatives in planes first..last of constant x to their rows, with an Adam step of each row that got any.
 
-    A record touches the planes on both sides of its cell. `order` sorts the records by cell, `plane_start` is the first one of each plane;
-    one (16,) is scratch.
+    A record touches the planes on both sides of its cell. `order` sorts the records by cell, `plane_start` is the first
+    one of each plane; one (16,) is scratch.
     """
     flat, gradient = voxels.values.reshape(-1), adam.gradient.reshape(-1)
     for plane in range(first, last):

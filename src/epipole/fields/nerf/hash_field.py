@@ -1,7 +1,7 @@
 """A neural radiance field: hashed feature tables, decoded by a small network along rays.
 
-Mildenhall et al., NeRF (2020): a network maps position and direction to density and color, which are integrated along rays.
-Mueller et al., Instant-NGP (2022): trained feature tables at several resolutions allow a small network.
+Mildenhall et al., NeRF (2020): a network maps position and direction to density and color, which are integrated along
+rays. Mueller et al., Instant-NGP (2022): trained feature tables at several resolutions allow a small network.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def query_density(field: HashField, positions: np.ndarray) -> tuple[np.ndarray, 
 
 
 def coloured(field: HashField, joined: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Layers (n, .) of the color network for inputs (n, 32): outputs of the first network, and the direction's harmonics."""
+    """Layers (n, .) of the color network for inputs (n, 32): the first network's outputs and harmonics."""
     first = joined @ field.weights[2]
     np.maximum(first, 0.0, out=first)
     second = first @ field.weights[3]
@@ -217,7 +217,9 @@ def _render_rays(
 
 @checked
 def voxels_of(field: HashField, finer: int = 2) -> Voxels:
-    """Convert to an explicit grid with `finer` cells per cell; colors are sampled along six axes and fitted with harmonics of degree 1.
+    """Convert to an explicit grid with `finer` cells along each cell.
+
+    Colors are sampled along six axes and fitted with harmonics of degree 1.
 
     Raises:
         ShapeError: the arrays of the field do not match.
@@ -251,7 +253,7 @@ def voxels_of(field: HashField, finer: int = 2) -> Voxels:
 
 
 def _degree_1(field: HashField, said: np.ndarray) -> np.ndarray:
-    """(n, 12) harmonics of degree 0 and 1 of the colors along six axes, scaled so that the average over the axes matches the sphere."""
+    """(n, 12) harmonics of degree 0 and 1 of the colors along six axes, whose mean square matches the sphere's."""
     total = np.zeros((len(said), 4, 3), np.float32)
     for axis in np.concatenate([np.eye(3), -np.eye(3)]):
         basis = np.zeros(BASIS, np.float32)

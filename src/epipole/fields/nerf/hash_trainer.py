@@ -200,7 +200,7 @@ class HashTrainer:
         set_state(self._rng, state["rng"])
 
     def _marched(self, chosen: np.ndarray, first: np.ndarray, count: int) -> Marched:
-        """Forward and backward pass of pixels (n,), out of `count` in this step; first (n,) are the offsets of the first samples minus 1."""
+        """Forward and backward pass of pixels (n,), out of `count` in this step; first (n,): ray offsets minus 1."""
         field, rays = self.field, self.rays
         view = np.searchsorted(rays.offset, chosen, side="right") - 1
         samples = sampled(field, rays, chosen - rays.offset[view], view, first, LONGEST, 4 * SAMPLES)

@@ -1,4 +1,4 @@
-"""A grid of densities and colors, rendered by ray marching (Sun et al., DVGO; Fridovich-Keil et al., Plenoxels; 2022)."""
+"""Grid of densities and colors, rendered by ray marching (Sun et al., DVGO; Fridovich-Keil et al., Plenoxels; 2022)."""
 
 from __future__ import annotations
 

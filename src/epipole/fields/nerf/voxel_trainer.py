@@ -226,7 +226,7 @@ class VoxelTrainer:
         return self._level + 1 < len(SIZES) and self.field.size > self._pixel
 
     def _half_progress(self) -> float:
-        """Progress in the middle of this level; before it everything is fog, so seen cells are counted only afterwards."""
+        """Progress at the middle of this level; seen cells count only from there on, as all is fog at first."""
         ends = [*(fraction for fraction, _ in SIZES), 1.0]
         return 0.5 * (ends[self._level] + ends[self._level + 1])
 

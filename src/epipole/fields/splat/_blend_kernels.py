@@ -1,9 +1,10 @@
 """Blend the ellipses of each tile front to back, and compute derivatives in the same order.
 
-With alpha_i, color c_i and transmittance T_i = prod_{j<i} (1 - alpha_j) a pixel is sum_i alpha_i T_i c_i. With v_i = c_i . dL/dC,
+With alpha_i, color c_i and transmittance T_i = prod_{j<i} (1 - alpha_j) a pixel is sum_i alpha_i T_i c_i, and with
+v_i = c_i . dL/dC
     dL/dalpha_i = T_i v_i - (sum_{j>i} alpha_j T_j v_j) / (1 - alpha_i).
-The backward pass needs no reverse order, because the sum over j > i is the total minus what was accumulated, one number per
-pixel. Each ellipse-tile pair writes its own row of sums, so that no two threads add to the same number.
+The backward pass needs no reverse order, because the sum over j > i is the total minus what was accumulated, one number
+per pixel. Each ellipse-tile pair writes its own row of sums, so that no two threads add to the same number.
 """
 
 import math
@@ -75,7 +76,7 @@ def _blocks_of(e, x, y, last_row):
 
 @kernel
 def blend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state):
-    """Blend pairs first..last of a tile with corner (left, top); state (5, 256), flat, has transmittance, color and depth.
+    """Blend pairs first..last of a tile with corner (left, top); state (5, 256) has transmittance, color and depth.
 
     Returns the pair at which the tile became opaque, and the number of pixels evaluated.
     """
@@ -164,7 +165,7 @@ def blend_tile_backward(ellipses, pairs_of_tile, first, last, left, top, rows, s
 
 @kernel
 def blend_tiles_backward(tiles, start, end, wanted, by_pair, state, sums):
-    """Derivatives of tiles start..end; `wanted` has the image and dL/d(image); state (7 * 256,) and sums are scratch."""
+    """Derivatives of tiles start..end; `wanted` has the image and dL/d(image); state (7 * 256,), sums are scratch."""
     height, width = wanted.coverage.shape
     for tile in range(start, end):
         top, left = TILE * (tile // tiles.num_across), TILE * (tile % tiles.num_across)

@@ -1,4 +1,4 @@
-"""Gradients of Gaussians and the camera from the sums of the tiles; equations in `_projection_kernels` and `_blend_kernels`."""
+"""Gradients of Gaussians and pose from the tiles' sums; equations in `_projection_kernels` and `_blend_kernels`."""
 
 import math
 
@@ -109,7 +109,7 @@ def _add_pairs(by_pair, first, last, total):
 
 @kernel(fuse=True)
 def _by_ellipse(view, total, seen):
-    """DL/d(px, py), and dL/dV as (xx, xy, yy) of a symmetric matrix, from the sums of g, g dx, ... with g = dL/dpower."""
+    """DL/d(px, py), and dL/dV as (xx, xy, yy) of a symmetric matrix, from the sums of g = dL/dpower, g dx, ..."""
     plain_xx, xy, plain_yy = seen
     xx, yy = plain_xx + view.blur, plain_yy + view.blur
     inverse = 1.0 / (xx * yy - xy * xy)

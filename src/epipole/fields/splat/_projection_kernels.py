@@ -4,13 +4,15 @@ A Gaussian of mean m and covariance C = (R S)(R S)^T projects, linearized at its
 Gross, EWA volume splatting, 2001), to an ellipse with
     x_cam = W m + t,    V = (J W) C (J W)^T + blur I,    J = d project / d x_cam,
 and its alpha at offset d from the center is o exp(-d^T V^-1 d / 2). Alphas below 1/255 are skipped, which means
-d^T V^-1 d > k = 2 ln(255 o). A row of `ellipses` has what blending needs (`ELLIPSE`): with the conic V^-1 = [[a, b], [b, c]]
-    ln(alpha) / 8 = XX dx^2 + XY dx dy + YY dy^2 + PEAK,    XX = -a / 16,    XY = -b / 8,    YY = -c / 16,    PEAK = ln(o) / 8,
+d^T V^-1 d > k = 2 ln(255 o). A row of `ellipses` has what blending needs (`ELLIPSE`). With conic V^-1 = [[a, b], [b,
+c]]
+    ln(alpha) / 8 = XX dx^2 + XY dx dy + YY dy^2 + PEAK,
+    XX = -a / 16,    XY = -b / 8,    YY = -c / 16,    PEAK = ln(o) / 8,
 and the pixels of the ellipse in a row at offset dy are those within
     x - (b / a) dy +- sqrt(k / a - (a c - b^2) / a^2 dy^2),    |dy| <= sqrt(k V_yy),
 with the rightmost one at dy = RIGHTMOST = -(b / a) V_yy sqrt(k / V_xx) and the leftmost one at -RIGHTMOST.
-Colors are max(0, 1/2 + sum of harmonics). Derivatives follow these equations backward, one Gaussian at a time, so that no two
-threads add to the same number.
+Colors are max(0, 1/2 + sum of harmonics). Derivatives follow these equations backward, one Gaussian at a time, so that
+no two threads add to the same number.
 """
 
 import math
@@ -22,7 +24,7 @@ ELLIPSE = 16
 """Floats of a row: one cache line."""
 LEAST_ALPHA = 1.0 / 255.0
 WIDEST = 1.3
-"""Limit of the half field of view for the Jacobian, which is clamped there because the linearization degrades beyond."""
+"""Limit of the half field of view at which the Jacobian is clamped, as the linearization degrades beyond it."""
 SH1, SH2A, SH2B, SH2C = 0.4886025119029199, 1.0925484305920792, 0.31539156525252005, 0.5462742152960396
 SH3A, SH3B, SH3C = 0.5900435899266435, 2.890611442640554, 0.4570457994644658
 SH3D, SH3E = 0.3731763325901154, 1.445305721320277
@@ -212,7 +214,7 @@ def by_direction(x, y, z, count, by_basis):
 
 @kernel(fuse=True)
 def back_to_shape(quat, axes, by_cov, by_log_scale, by_quat):
-    """Gradient w.r.t. log scales and quaternion from dL/dC = (xx, xy, xz, yy, yz, zz) of a symmetric matrix; axes = R S."""
+    """Gradient w.r.t. log scales and quaternion from symmetric dL/dC = (xx, xy, xz, yy, yz, zz); axes = R S."""
     w, x, y, z = float(quat[0]), float(quat[1]), float(quat[2]), float(quat[3])
     inverse = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = w * inverse, x * inverse, y * inverse, z * inverse

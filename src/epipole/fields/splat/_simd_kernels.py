@@ -1,8 +1,8 @@
 """SIMD code for a block of 4 x 4 pixels and one Gaussian, the innermost operation of blending.
 
-The compiler does not vectorize a loop over pixels (measured on rows of 8, on one thread: 0.14 billion pixel-Gaussian pairs per second
-against 1.3 billion). Alpha is computed as the eighth power of a polynomial of degree 4 in ln(alpha) / 8, whose relative error is at
-most 2.2e-5 from 1/255 to 0.99 (minimax, by reweighted least squares).
+The compiler does not vectorize a loop over pixels (measured on rows of 8, on one thread: 0.14 billion pixel-Gaussian
+pairs per second against 1.3 billion). Alpha is computed as the eighth power of a polynomial of degree 4 in ln(alpha) /
+8, whose relative error is at most 2.2e-5 from 1/255 to 0.99 (minimax, by reweighted least squares).
 """
 
 from typing import Any
@@ -45,7 +45,7 @@ PIXEL_Y, PIXEL_X = (
 )
 """Pixel coordinates in a tile, block by block, in the order of a plane."""
 SUMS = 10
-"""Sums for a Gaussian in a tile: g, g dx, g dx^2, g dy, g dx dy, g dy^2 with g = dL/dpower, dL/dcolor (3) and dL/ddepth."""
+"""Sums per Gaussian and tile: g, g dx, g dx^2, g dy, g dx dy, g dy^2 (g = dL/dpower), dL/dcolor (3), dL/ddepth."""
 
 
 def _alpha(at, x, y, xx, xy, yy, peak):
@@ -124,13 +124,13 @@ def _written_alpha(
 def touched_blocks(typingctx, x, y, slope, reach, narrowing, down, half_height, last_row):
     """Bit mask of the blocks of a tile, row by row, that an ellipse centered at (x, y) touches.
 
-    `down` is the height of its rightmost point below the center; its leftmost point is at the same height above. The sides are convex, so
-    in a row of blocks each reaches farthest at the height nearest to its extreme point.
+    `down` is the height of its rightmost point below the center; its leftmost point is at the same height above. The
+    sides are convex, so in a row of blocks each reaches farthest at the height nearest to its extreme point.
     """
     signature = types.int64(*[types.float32] * 8)
 
     def generate(context, builder, signature, arguments):
-        # Both sides of each row of blocks go in one vector (right, then left), because the square root is the slowest operation.
+        # Both sides of each row of blocks share one vector (right, then left): the square root is the slowest step.
         rows = LANES // ACROSS
         low, slope, reach, narrowing, down, tall, end = (
             spread(builder, value, 2 * rows) for value in arguments[1:]
@@ -208,7 +208,8 @@ def blend_block(typingctx, state, at, x, y, xx, xy, yy, peak, red, green, blue, 
 def blend_block_backward(typingctx, state, at, sums, x, y, xx, xy, yy, peak, red, green, blue, depth):
     """Add the derivatives at pixels state[at : at + 16] to sums (SUMS, 16).
 
-    Planes: transmittance, contribution to the loss of all Gaussians from this one on, and dL/d of red, green, blue, depth and coverage.
+    Planes: transmittance, contribution to the loss of all Gaussians from this one on, and dL/d of red, green, blue,
+    depth and coverage.
     """
     signature = types.void(state, types.int64, sums, *[types.float32] * 10)
 

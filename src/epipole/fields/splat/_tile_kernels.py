@@ -28,8 +28,8 @@ SOON = 8
 def sort_by_depth(bits, first, second, counts):
     """Write rows of nonzero depth, nearest first (stable), to the start of `second` (n,); returns their number.
 
-    A radix sort of 11 bits at a time: depths are positive, so their bits (n,) sort like the depths. first (n,) and zeroed counts (3, 2048)
-    are scratch. It takes a quarter of the time of sorting depth and row as one number.
+    A radix sort of 11 bits at a time: depths are positive, so their bits (n,) sort like the depths. first (n,) and
+    zeroed counts (3, 2048) are scratch. It takes a quarter of the time of sorting depth and row as one number.
     """
     for row in range(len(bits)):
         if bits[row] != 0:
@@ -71,7 +71,7 @@ def _rows_of_tiles(ellipse, height):
 
 @kernel(fuse=True)
 def widest(slope, reach, narrowing, down, top, bottom):
-    """Leftmost and rightmost offsets of an ellipse between two heights; all relative to its center, `down` that of its rightmost point.
+    """Leftmost and rightmost x of an ellipse between two heights, relative to its center; `down`: y of the rightmost.
 
     The sides are convex, so each reaches farthest at the height between the two that is nearest to its extreme point.
     """
@@ -121,8 +121,8 @@ def count_tiles(seen, order, start, stop, size, num_across, ellipses, counts, of
 def fill_tiles(ellipses, start, stop, size, num_across, position, pair, pairs_of_tile):
     """Add ellipses start..stop to the lists of their tiles.
 
-    `position` (tiles,) is the next free row of each tile, and is advanced; `pair` (ellipses,) is the first pair of each ellipse;
-    `pairs_of_tile` (pairs, 2) gets ellipse and pair.
+    `position` (tiles,) is the next free row of each tile, and is advanced; `pair` (ellipses,) is the first pair of each
+    ellipse; `pairs_of_tile` (pairs, 2) gets ellipse and pair.
     """
     for e in range(start, stop):
         number = pair[e]

@@ -317,7 +317,7 @@ def gather_work(num_sh: int) -> GatherWork:
 
 
 def gradient_like(count: int, num_sh: int) -> CloudGradient:
-    """Zeros."""
+    """Zero gradient of `count` Gaussians."""
     shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, num_sh, 3), (count, 2))
     return CloudGradient(*(np.zeros(shape, np.float32) for shape in shapes))
 
@@ -364,7 +364,9 @@ def ellipse_of_gaussian(tiles: Tiles, count: int) -> np.ndarray:
 def gradient_of(
     cloud: Cloud, view: View, tiles: Tiles, by_pair: np.ndarray
 ) -> tuple[CloudGradient, np.ndarray]:
-    """Derivatives of a loss w.r.t. the Gaussians, and (6,) w.r.t. xi = (translation, rotation) in exp(xi) @ cam_from_world.
+    """Derivatives of a loss w.r.t. the Gaussians and (6,) w.r.t. xi.
+
+    xi = (translation, rotation) in exp(xi) @ cam_from_world.
 
     Args:
         cloud: Gaussians that were rendered.

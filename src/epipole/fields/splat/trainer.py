@@ -1,4 +1,4 @@
-"""Trainer for 3D Gaussians (Kerbl et al. 2023), with a schedule of resolutions and counts (Chen et al., DashGaussian, 2025)."""
+"""Trainer for 3D Gaussians (Kerbl et al. 2023) with a schedule of resolutions and counts (DashGaussian, 2025)."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ GROWN = 0.6
 CHANGES = 40
 """Number of times that Gaussians are split and removed until then."""
 MEAN_RATE_BY_VIEW = 3e-5
-"""Initial learning rate of positions per view, in scene sizes. Few views constrain positions weakly along their rays, so a low rate
-keeps good initial positions: it gains 0.7 to 1.2 dB."""
+"""Initial learning rate of positions per view, in scene sizes. Few views constrain positions weakly along their rays,
+so a low rate keeps good initial positions: it gains 0.7 to 1.2 dB."""
 MEAN_RATES = (3e-4, 3e-3)
 """Bounds of the initial learning rate of positions."""
 MEAN_RATE_DECAY = 0.05
@@ -265,7 +265,7 @@ class SplatTrainer:
     def _compare(
         self, number: int, of: TrainingView, rendered: Rendering, progress: float
     ) -> tuple[float, np.ndarray, np.ndarray]:
-        """Loss of a render over the used pixels, with the view's exposure, and its derivatives w.r.t. color and coverage."""
+        """Loss of a render on the used pixels, with the view's exposure, and derivatives w.r.t. color and coverage."""
         exposures, behind = self._exposures, self.background
         seen = rendered.over(behind) if exposures is None else exposures.applied(number, rendered, behind)
         truth = of.over(behind)
@@ -317,7 +317,7 @@ class SplatTrainer:
         return self._depths[number, factor]
 
     def _shown(self, progress: float) -> np.ndarray | None:
-        """Opacity factors that drop random Gaussians, so that none hides behind others (Park et al., DropGaussian, 2025).
+        """Opacity factors that drop random Gaussians, so that all of them train (Park et al., DropGaussian, 2025).
 
         This reduces overfitting to few views: with 6 to 10 training views, held-out views gain 0.6 to 1.5 dB.
         """
