@@ -21,13 +21,13 @@ from rich.table import Table
 
 from benchmarks.measure import REPOSITORY, describe_machine
 from benchmarks.rasterizer import multiplied
-from epipole.fields.config import SplatConfig
+from epipole.fields.config import SplatTraining
 from epipole.fields.splat.rasterizer import render
 from epipole.fields.splat.trainer import SplatTrainer
 from epipole.fields.training_view import TrainingView
 from epipole.io.gaussians.files import read_gaussians
 from epipole.pipelines.fields.cameras import orbit
-from epipole.pipelines.fields.config import RenderJob
+from epipole.pipelines.fields.config import RenderConfig
 from epipole.pipelines.fields.scene import seen_gaussians
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "field_growth.json"
@@ -41,14 +41,14 @@ VIEWS, GROWING = 8, 40
 def measured(source: Path, count: int, side: int, steps: int) -> dict[str, float]:
     """Median seconds of a step of so many Gaussians and pixels, and the most memory that was used, in bytes."""
     (_, known), guitar = seen_gaussians(source), read_gaussians(source)
-    job = RenderJob(frames=VIEWS, width=side, height=side)
+    job = RenderConfig(frames=VIEWS, width=side, height=side)
     shots = orbit(known.position, known.look_at, known.up, job)
     views = []
     for shot in shots:
         rendered = render(guitar, shot.camera, shot.cam_from_world).over(np.zeros(3, np.float32))
         image = np.rint(255 * np.clip(rendered, 0, 1)).astype(np.uint8)
         views.append(TrainingView(shot.name, image, shot.camera, shot.cam_from_world))
-    config = SplatConfig(max_gaussians=count)
+    config = SplatTraining(max_gaussians=count)
     trainer = SplatTrainer(views, multiplied(guitar, count // 4), config, np.zeros(3, np.float32))
     for step in range(GROWING):
         trainer.step(0.599 * step / GROWING)

@@ -16,7 +16,6 @@ import cv2
 import numpy as np
 from rich.console import Console
 
-import epipole
 from benchmarks.measure import REPOSITORY
 from benchmarks.rasterizer import FLOPS
 from epipole.cameras import Camera
@@ -30,6 +29,7 @@ from epipole.fields.splat._tile_kernels import TILE
 from epipole.fields.splat.rasterizer import Rendering, render
 from epipole.geometry import Rigid3
 from epipole.io.gaussians.files import read_gaussians
+from epipole.pipelines.fields.comparison import compare_fields
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.images import gather_field_images
 from epipole.pipelines.fields.kinds import read_neural
@@ -192,7 +192,7 @@ def main() -> None:
         scene, compared = Path(out) / "scene", Path(out) / "out"
         scene.mkdir()
         write_views(scene)
-        found = epipole.compare_fields(scene, compared, time=arguments.time, background="white")
+        found = compare_fields(scene, compared, time=arguments.time, background="white")
         field = read_neural(compared / "nerf" / "hash.npz")
         cloud = read_gaussians(compared / "splat" / "splat.ply")
         record = {"time": arguments.time, "rows": found.rows, **looked_into(field, cloud, scene)}

@@ -28,7 +28,7 @@ from epipole.fields.splat.rasterizer import (
 )
 from epipole.io.gaussians.files import read_gaussians
 from epipole.pipelines.fields.cameras import RenderView, orbit
-from epipole.pipelines.fields.config import FieldOptions, RenderJob
+from epipole.pipelines.fields.config import FieldOptions, RenderConfig
 from epipole.pipelines.fields.images import gather_field_images
 from epipole.pipelines.fields.scene import seen_gaussians
 from epipole.scene.gaussian_cloud import GaussianCloud
@@ -58,7 +58,7 @@ def multiplied(cloud: GaussianCloud, count: int) -> GaussianCloud:
 def around(source: Path, size: tuple[int, int], rounds: int) -> list[RenderView]:
     """Of a circle around a model."""
     _, known = seen_gaussians(source)
-    job = RenderJob(frames=rounds, width=size[0], height=size[1])
+    job = RenderConfig(frames=rounds, width=size[0], height=size[1])
     return orbit(known.position, known.look_at, known.up, job)
 
 

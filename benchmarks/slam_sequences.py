@@ -26,7 +26,6 @@ from benchmarks.measure import REPOSITORY, describe_machine
 from epipole.geometry import Rotation3, align_points
 from epipole.io.trajectories.true_trajectories import true_path_at
 from epipole.metrics import absolute_error, associate
-from epipole.pipelines.slam.config import CameraOptions
 from epipole.scene import Trajectory
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "slam_sequences.json"
@@ -46,8 +45,8 @@ class Sequence:
     """Of truths that are numbered by frames."""
 
 
-LENS = CameraOptions(camera_model="PINHOLE", camera_params="495.5678,495.4820,270.0029,169.6941")
-HOLOLENS: dict[str, Any] = {"camera": LENS}
+LENS = {"camera_model": "PINHOLE", "camera_params": "495.5678,495.4820,270.0029,169.6941"}
+HOLOLENS: dict[str, Any] = LENS
 SEQUENCES = {
     "hololens": Sequence("hololens", "groundtruth.txt", HOLOLENS),
     "hololens-mono": Sequence("hololens", "groundtruth.txt", {**HOLOLENS, "sensor": "mono"}),

@@ -23,7 +23,7 @@ from rich.table import Table
 import epipole
 from benchmarks.measure import REPOSITORY, describe_machine
 from benchmarks.rasterizer import FLOPS
-from epipole.fields.config import SplatConfig
+from epipole.fields.config import SplatTraining
 from epipole.fields.splat import trainer as splat_trainer
 from epipole.fields.splat.gaussian_adam import GaussianAdam
 from epipole.fields.splat.trainer import SplatTrainer
@@ -63,7 +63,7 @@ def timed(function: Callable[..., Any], name: str, spent: dict[str, float]) -> C
 def trained(model: Path, photographs: Path, width: int, steps: int) -> SplatTrainer:
     """A trainer near its end."""
     images = gather_field_images(model, FieldOptions(max_side_px=width, test="0005.jpg"), photographs)
-    config = SplatConfig(max_gaussians=SIZES[width])
+    config = SplatTraining(max_gaussians=SIZES[width])
     start = first_gaussians(images, config, SIZES[width], lambda *_: None)
     trainer = SplatTrainer(images.train, start.cloud, config, np.zeros(3, np.float32))
     for step in range(steps):

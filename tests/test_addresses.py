@@ -7,6 +7,8 @@ import pytest
 import epipole
 from epipole.cli.main import main
 from epipole.errors import ConfigError
+from epipole.pipelines.fields.comparison import compare_fields
+from epipole.pipelines.stereo.run import examine_stereo
 
 URL = "https://x.org/photos.zip"
 SAID = r"https://x\.org/photos\.zip, an address on a network.*: download it and give the path"
@@ -23,11 +25,11 @@ SAID = r"https://x\.org/photos\.zip, an address on a network.*: download it and 
         lambda url, out: epipole.slam(out, out, map=url),
         lambda url, out: epipole.splat(url, out),
         lambda url, out: epipole.nerf(url, out),
-        lambda url, out: epipole.compare_fields(url, out),
+        lambda url, out: compare_fields(url, out),
         lambda url, out: epipole.render(out, out, cameras=Path(url)),
         lambda url, out: epipole.mesh(url, out),
         lambda url, out: epipole.stereo(out, url, out),
-        lambda url, out: epipole.examine_stereo(url, out),
+        lambda url, out: examine_stereo(url, out),
         lambda url, out: epipole.calibrate(url, out),
         lambda url, out: epipole.evaluate(out, url),
         lambda url, out: epipole.undistort(url),

@@ -8,6 +8,7 @@ import pytest
 
 import epipole
 from epipole.errors import EpipoleError
+from epipole.pipelines.stereo.run import examine_stereo, stereo_many, stereo_of_model
 
 VERBS = (
     "reconstruct",
@@ -20,6 +21,7 @@ VERBS = (
     "convert",
 )
 MORE_VERBS = ("view", "share", "examine_stereo", "slam", "evaluate_trajectory")
+MORE = {job.__name__: job for job in (examine_stereo, stereo_many, stereo_of_model)}
 CONFIGS = [name for name in dir(epipole) if name.endswith("Config")]
 WRONG = (
     None,
@@ -46,7 +48,7 @@ pytestmark = pytest.mark.usefixtures("unchecked")
 def test_verbs(verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Beside one wrong argument the others name files that are not there."""
     monkeypatch.chdir(tmp_path)
-    function = getattr(epipole, verb)
+    function = MORE.get(verb) or getattr(epipole, verb)
     parameters = [p for p in inspect.signature(function).parameters.values() if p.kind != p.VAR_KEYWORD]
     usual = {p.name: "missing" if p.default is p.empty else p.default for p in parameters}
     usual |= {"block": False} if verb == "view" else {}

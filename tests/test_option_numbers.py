@@ -8,19 +8,28 @@ from epipole.config import AnchorOptions, BoardConfig, FeatureConfig, MatchConfi
 from epipole.disparity_search.config import DisparityConfig
 from epipole.errors import ConfigError
 from epipole.features import FlowConfig
-from epipole.fields.config import NerfConfig, SplatConfig
+from epipole.fields.config import NerfTraining, SplatTraining
 from epipole.optim import BundleConfig, PoseGraphConfig
 from epipole.pipelines.calibration.config import CalibrationConfig
-from epipole.pipelines.fields.config import FieldOptions, MeshJob, RenderJob
+from epipole.pipelines.fields.config import FieldOptions, MeshConfig, RenderConfig
 from epipole.pipelines.sfm.config import MapperConfig, PairingConfig, ReconstructConfig
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.stereo.config import RigOptions, StereoConfig
 
 CONFIGS = (
     *(AnchorOptions, BoardConfig, BundleConfig, CalibrationConfig, CameraOptions, DisparityConfig),
-    *(FeatureConfig, FieldOptions, FlowConfig, JobOptions, MapperConfig, MatchConfig, MeshJob, NerfConfig),
-    *(PairingConfig, PoseGraphConfig, RansacConfig, ReconstructConfig, RenderJob, RigOptions, SlamConfig),
-    *(SplatConfig, StereoConfig),
+    *(
+        FeatureConfig,
+        FieldOptions,
+        FlowConfig,
+        JobOptions,
+        MapperConfig,
+        MatchConfig,
+        MeshConfig,
+        NerfTraining,
+    ),
+    *(PairingConfig, PoseGraphConfig, RansacConfig, ReconstructConfig, RenderConfig, RigOptions, SlamConfig),
+    *(SplatTraining, StereoConfig),
 )
 MAY_BE_NEGATIVE = {"min_disparity_px", "max_disparity_px", "rotation_deg", "principal_offset_px"}
 MAY_BE_INFINITE = {

@@ -9,7 +9,7 @@ import numpy as np
 from epipole.cameras import Camera, CameraModel
 from epipole.dense import tsdf
 from epipole.fields import exposure, normals, photometric, point_depths, rays
-from epipole.fields.config import NerfConfig, SplatConfig
+from epipole.fields.config import NerfTraining, SplatTraining
 from epipole.fields.nerf import hash_field, voxel_field
 from epipole.fields.nerf.hash_trainer import HashTrainer
 from epipole.fields.nerf.voxel_trainer import VoxelTrainer
@@ -132,9 +132,9 @@ def _starts() -> Iterator[Row]:
 
 
 def _trainers() -> Iterator[Row]:
-    for kind in (SplatConfig, NerfConfig):
+    for kind in (SplatTraining, NerfTraining):
         yield _row(kind, **{name: getattr(kind(), name) for name in kind.__dataclass_fields__})
-    start = {"start": cloud(), "config": SplatConfig(max_gaussians=40, sh_degree=1)}
+    start = {"start": cloud(), "config": SplatTraining(max_gaussians=40, sh_degree=1)}
     for trainer, more in ((SplatTrainer, start), (HashTrainer, {"seed": 1}), (VoxelTrainer, {"seed": 1})):
         made = trainer(views(), background=BLACK, **more)
         if trainer is SplatTrainer:  # the others take half a second

@@ -15,15 +15,19 @@ import numpy as np
 import epipole
 from epipole.cameras import Camera, CameraModel
 from epipole.config import AnchorOptions
-from epipole.fields.config import NerfConfig, SplatConfig
+from epipole.fields.config import NerfTraining, SplatTraining
 from epipole.geometry import Rigid3
+from epipole.lesson.run import export_lesson
 from epipole.pipelines.calibration.config import CalibrationConfig
-from epipole.pipelines.fields.config import FieldOptions
+from epipole.pipelines.fields.comparison import compare_fields
+from epipole.pipelines.fields.config import FieldOptions, MeshConfig, NerfConfig, RenderConfig, SplatConfig
 from epipole.pipelines.sfm.config import ReconstructConfig
-from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
+from epipole.pipelines.slam.config import CameraOptions, JobOptions, OdometryConfig, SlamConfig
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
+from epipole.pipelines.slam.output.map_file import read_slam_map
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.stereo.config import StereoConfig
+from epipole.pipelines.stereo.run import examine_stereo, stereo_many, stereo_of_model
 from epipole.runs import Job, open_run
 from epipole.scene import RectifiedRig
 
@@ -36,10 +40,12 @@ OPTIONS = (
         CameraOptions,
         FieldOptions,
         JobOptions,
+        MeshConfig,
         NerfConfig,
+        NerfTraining,
         ReconstructConfig,
     ),
-    *(SlamConfig, SplatConfig, StereoConfig),
+    *(OdometryConfig, RenderConfig, SlamConfig, SplatConfig, SplatTraining, StereoConfig),
 )
 
 
@@ -81,27 +87,23 @@ def _jobs() -> Iterator[Row]:
         source=images,
         out=here / "out2",
         config=SlamConfig(),
-        job=JobOptions(),
-        camera=CameraOptions(camera_params="60,60,32,24"),
+        camera_params="60,60,32,24",
     )
     yield _row(epipole.stereo, left=left, right=right, out=here / "out3", config=StereoConfig(), rig=rig)
+    yield _row(stereo_many, left=images, right=images, out=here / "out4", config=StereoConfig(), rig=rig)
     yield _row(
-        epipole.stereo_many, left=images, right=images, out=here / "out4", config=StereoConfig(), rig=rig
-    )
-    yield _row(
-        epipole.stereo_of_model,
+        stereo_of_model,
         workspace=here / "out1",
         first="0.png",
         second="1.png",
         out=here / "out5",
         config=StereoConfig(),
     )
-    yield _row(epipole.examine_stereo, left=images, right=images, rig=rig, max_frames=2)
+    yield _row(examine_stereo, left=images, right=images, rig=rig, max_frames=2)
     yield _row(epipole.calibrate, images=images, out=here / "out6", config=CalibrationConfig(), right=None)
-    options = {"job": FieldOptions(steps=1), "out": here / "field"}
-    yield _row(epipole.splat, source=images, config=SplatConfig(), **options)
-    yield _row(epipole.nerf, source=images, config=NerfConfig(), **options)
-    yield _row(epipole.compare_fields, source=images, config=NerfConfig(), **options)
+    yield _row(epipole.splat, source=images, config=SplatConfig(steps=1), out=here / "field")
+    for job in (epipole.nerf, compare_fields):
+        yield _row(job, source=images, config=NerfConfig(steps=1), out=here / "field")
     yield _row(epipole.render, source=images, out=here / "out7")
     yield _row(epipole.mesh, source=images, out=here / "out8")
     yield _row(epipole.convert, source=path, target=here / "converted.txt", format="ply")
@@ -109,9 +111,9 @@ def _jobs() -> Iterator[Row]:
     yield _row(epipole.evaluate_trajectory, estimate=path, truth=path, max_difference_s=0.01)
     yield _row(epipole.undistort, out=here / "out10", target=here / "undistorted", model=0)
     yield _row(epipole.share, out=path, file=here / "page.html", share_max=100)
-    yield _row(epipole.export_lesson, folder=here / "lesson")
+    yield _row(export_lesson, folder=here / "lesson")
     yield "view and stop", _view, {"out": path, "port": 8097, "host": "127.0.0.1"}
-    yield _row(epipole.read_slam_map, path=here / "map.npz", sensor=SlamCamera(LENS))
+    yield _row(read_slam_map, path=here / "map.npz", sensor=SlamCamera(LENS))
     job = {"kind": "slam", "inputs": (images,), "settings": {"seed": 0}}
     yield _row(Job, **job, threads=None, executor="threads", opencv_alone=False)
     yield "open a run", _opened, {"job": Job(**job), "out": here / "run"}

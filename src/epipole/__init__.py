@@ -1,10 +1,13 @@
-"""epipole takes pixels and gives back space.
+"""3D vision from images: cameras, features, two-view geometry, structure-from-motion, stereo, SLAM, radiance fields.
 
 `epipole.reconstruct(images, out)` turns a folder of photographs into a 3D model; every other job is one call, too.
-Everything is imported on first use: `import epipole` loads and compiles nothing.
+Everything is imported on first use: `import epipole` loads and compiles nothing. `api.py` lists the names.
 """
 
+import re
+from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from epipole._version import __version__ as __version__
@@ -12,116 +15,24 @@ from epipole._version import __version__ as __version__
 if TYPE_CHECKING:
     from epipole.api import *  # noqa: F403 - the names below, for editors and type checkers
 
-_JOBS = (
-    "reconstruct",
-    "slam",
-    "splat",
-    "nerf",
-    "render",
-    "mesh",
-    "stereo",
-    "calibrate",
-    "evaluate",
-    "undistort",
-    "convert",
-    "view",
-    "share",
-    "demo",
-)
-_MORE_JOBS = (
-    "compare_fields",
-    "export_lesson",
-    "stereo_many",
-    "stereo_of_model",
-    "examine_stereo",
-    "evaluate_trajectory",
-)
-_CONFIGS = (
-    "ReconstructConfig",
-    "FeatureConfig",
-    "MatchConfig",
-    "PairingConfig",
-    "RansacConfig",
-    "MapperConfig",
-    "AnchorOptions",
-    "SlamConfig",
-    "JobOptions",
-    "StereoConfig",
-    "CalibrationConfig",
-    "BoardConfig",
-)
-_DATA = (
-    "Camera",
-    "CameraModel",
-    "CameraOptions",
-    "Reconstruction",
-    "RectifiedRig",
-    "Rigid3",
-    "StereoRig",
-    "Slam",
-    "SlamCamera",
-    "DepthCamera",
-    "Frame",
-    "read_slam_map",
-    "write_slam_map",
-)
-_RESULTS = (
-    "ReconstructionResult",
-    "StereoResult",
-    "StereoBatch",
-    "Diagnosis",
-    "CalibrationRun",
-    "Conversion",
-    "Evaluation",
-    "DemoResult",
-    "FieldComparison",
-    "Rendered",
-    "ExportedLesson",
-    "NerfResult",
-    "SharedPage",
-    "SlamResult",
-    "SplatResult",
-    "TrackedFrame",
-    "TrajectoryEvaluation",
-    "ViewerHandle",
-)
-_ROOMS = (
-    "api",
-    "cameras",
-    "config",
-    "dense",
-    "disparity_search",
-    "errors",
-    "features",
-    "fields",
-    "geometry",
-    "image",
-    "inertial",
-    "io",
-    "lesson",
-    "mapping",
-    "metrics",
-    "optim",
-    "pipelines",
-    "report",
-    "robust",
-    "runs",
-    "scale",
-    "scene",
-    "solvers",
-    "synthetic",
-    "viewer",
-)
-__all__ = [*_JOBS, *_MORE_JOBS, *_CONFIGS, *_DATA, *_RESULTS, *_ROOMS, "__version__"]  # noqa: PLE0604 - the names are strings
+
+@cache
+def _public_names() -> list[str]:
+    """What `api.py` imports by name, without importing it."""
+    text = Path(__file__).with_name("api.py").read_text(encoding="utf-8")
+    return re.findall(r"^from \S+ import \w+ as (\w+)$", text, re.MULTILINE)
 
 
 def __getattr__(name: str) -> Any:
-    if name in _ROOMS:
-        return import_module(f"epipole.{name}")
-    if name in __all__:
+    if name == "__all__":
+        return [*_public_names(), "__version__"]
+    if name in _public_names():
         return getattr(import_module("epipole.api"), name)
+    folder = Path(__file__).parent
+    if not name.startswith("_") and ((folder / name).is_dir() or (folder / f"{name}.py").is_file()):
+        return import_module(f"epipole.{name}")
     raise AttributeError(f"module 'epipole' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted([*_public_names(), "__version__"])

@@ -146,7 +146,7 @@ def test_no_field_is_named_as_a_method_of_problems() -> None:
         for function in node.body
         if isinstance(function, ast.FunctionDef)
     }
-    assert {"score", "near", "settle"} <= methods
+    assert {"score", "near", "refine"} <= methods
     wrong = []
     for source in sources():
         for node in classes(source):

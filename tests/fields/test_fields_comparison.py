@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from fields_scenes import camera, frames_of, views
 
-from epipole import compare_fields
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.images.photographs import read_rgb
+from epipole.pipelines.fields.comparison import compare_fields
 
 
 @pytest.fixture(scope="module")

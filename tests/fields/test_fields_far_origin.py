@@ -13,7 +13,7 @@ from epipole.geometry import Rigid3
 from epipole.io.gaussians.files import read_gaussians, write_gaussians
 from epipole.io.models.transforms import read_transforms
 from epipole.pipelines.fields.cameras import render_views_of_model
-from epipole.pipelines.fields.config import RenderJob
+from epipole.pipelines.fields.config import RenderConfig
 from epipole.pipelines.fields.scene import scene as viewer_scene
 from epipole.pipelines.fields.scene import seen_gaussians
 from epipole.scene.local_origin import local_origin
@@ -68,7 +68,7 @@ def test_renders_from_cameras_in_the_world(results):
     cloud, view = seen_gaussians(far.out)
     assert np.abs(view.position - UTM).max() < 10.0
     for file in (source / "transforms.json", far.out / "cameras.json"):
-        shot = next(s for s in render_views_of_model(file, RenderJob()) if s.name.endswith("03"))
+        shot = next(s for s in render_views_of_model(file, RenderConfig()) if s.name.endswith("03"))
         rendered = render(cloud, shot.camera, shot.cam_from_world).over(np.ones(3, np.float32))
         truth = views()[3].over(np.ones(3, np.float32))
         assert -10 * np.log10(np.mean((rendered - truth) ** 2)) > 15.0

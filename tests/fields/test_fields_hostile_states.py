@@ -8,7 +8,7 @@ import pytest
 from fields_scenes import WHITE, views
 
 from epipole.errors import EpipoleError, WorkspaceError
-from epipole.fields.config import SplatConfig
+from epipole.fields.config import SplatTraining
 from epipole.fields.nerf.hash_trainer import HashTrainer
 from epipole.fields.nerf.voxel_trainer import VoxelTrainer
 from epipole.fields.splat.starting import cloud_of_points, points_in_silhouettes
@@ -21,7 +21,7 @@ from epipole.runs.units import store
 def trainer_of(kind):
     if kind == "splat":
         start = cloud_of_points(*points_in_silhouettes(views(), 60, seed=1))
-        options = SplatConfig(max_gaussians=80, exposure=True, refine_poses=True, sh_degree=1)
+        options = SplatTraining(max_gaussians=80, exposure=True, refine_poses=True, sh_degree=1)
         return SplatTrainer(views()[:4], start, options, WHITE)
     return (HashTrainer if kind == "hash" else VoxelTrainer)(views()[:4], WHITE)
 

@@ -11,7 +11,7 @@ from epipole.fields.rays import rays_of_camera
 from epipole.fields.splat.rasterizer import RenderOptions, view_of
 from epipole.geometry import Rigid3
 from epipole.pipelines.fields.cameras import render_views_of_model
-from epipole.pipelines.fields.config import RenderJob
+from epipole.pipelines.fields.config import RenderConfig
 
 
 def cameras_of(folder, width, height):
@@ -26,11 +26,11 @@ def test_a_file_with_a_huge_camera_is_refused(tmp_path):
     with pytest.raises(
         FileFormatError, match=r"transforms\.json: the camera of 'a' is too large.*60000 x 60000"
     ):
-        render_views_of_model(source, RenderJob())
-    (view,) = render_views_of_model(source, RenderJob(width=64))
+        render_views_of_model(source, RenderConfig())
+    (view,) = render_views_of_model(source, RenderConfig(width=64))
     assert (view.camera.width, view.camera.height) == (64, 64)
     with pytest.raises(FileFormatError, match="too large"):  # what is narrow may be long
-        render_views_of_model(cameras_of(tmp_path, 1, 60000), RenderJob(width=16384))
+        render_views_of_model(cameras_of(tmp_path, 1, 60000), RenderConfig(width=16384))
 
 
 def test_no_field_is_rendered_at_such_a_size():

@@ -6,11 +6,12 @@ from types import SimpleNamespace
 import pytest
 from fields_scenes import camera, frames_of, views
 
-from epipole import compare_fields, convert, nerf, splat, undistort
+from epipole import convert, nerf, splat, undistort
 from epipole.io.colmap.model import write_colmap_model
 from epipole.io.models.losses import losses_in
 from epipole.io.models.transforms import read_transforms
 from epipole.pipelines.fields import training
+from epipole.pipelines.fields.comparison import compare_fields
 
 SUMMARY = {
     "warnings": ["3 of 17 images are in no model"],

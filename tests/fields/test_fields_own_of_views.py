@@ -9,7 +9,7 @@ from fields_scenes import CAMERA, WHITE, scene, views
 from epipole.cameras import Camera
 from epipole.errors import ConfigError
 from epipole.fields import _photometric_kernels
-from epipole.fields.config import SplatConfig
+from epipole.fields.config import SplatTraining
 from epipole.fields.exposure import IDENTITY, Exposures, colour_match
 from epipole.fields.nerf.hash_trainer import HashTrainer
 from epipole.fields.photometric import photometric_loss, psnr
@@ -41,7 +41,7 @@ def start():
 
 
 def trained(of, steps=260, **options):
-    trainer = SplatTrainer(of, start(), SplatConfig(max_gaussians=700, sh_degree=0, **options), WHITE)
+    trainer = SplatTrainer(of, start(), SplatTraining(max_gaussians=700, sh_degree=0, **options), WHITE)
     for step in range(steps):
         trainer.step(step / steps)
     return trainer
@@ -245,7 +245,7 @@ def test_depths_hold_gaussians_at_their_points():
     depths = []
     for weight in (0.0, 1.0):
         trainer = SplatTrainer(
-            [view, view], first, SplatConfig(max_gaussians=300, depth_weight=weight, sh_degree=0), WHITE
+            [view, view], first, SplatTraining(max_gaussians=300, depth_weight=weight, sh_degree=0), WHITE
         )
         for step in range(300):
             trainer.step(step / 300)
@@ -256,7 +256,7 @@ def test_depths_hold_gaussians_at_their_points():
 
 
 def test_what_views_have_of_their_own_is_in_the_state():
-    of, options = darkened()[:6], SplatConfig(max_gaussians=500, exposure=True, refine_poses=True)
+    of, options = darkened()[:6], SplatTraining(max_gaussians=500, exposure=True, refine_poses=True)
     whole, first, second = (SplatTrainer(of, start(), options, WHITE) for _ in range(3))
     for step in range(40):
         whole.step(step / 40)

@@ -20,7 +20,7 @@ from epipole.io.gaussians.files import write_gaussians
 from epipole.io.gaussians.ply import read_gaussian_ply
 from epipole.io.images.photographs import read_rgb
 from epipole.pipelines.fields.cameras import orbit
-from epipole.pipelines.fields.config import RenderJob
+from epipole.pipelines.fields.config import RenderConfig
 from epipole.synthetic.problems import bundle_problem
 
 
@@ -95,7 +95,7 @@ def test_a_filter_is_used_again_that_was_trained_with(tmp_path):
 
 def test_a_circle_goes_round_and_looks_at_the_middle():
     middle, up = np.array([1.0, 2.0, 3.0]), np.array([0.0, -2.0, 0.0])
-    views = orbit(middle + np.array([3.0, -1.0, 0.0]), middle, up, RenderJob(frames=8, width=100))
+    views = orbit(middle + np.array([3.0, -1.0, 0.0]), middle, up, RenderConfig(frames=8, width=100))
     centers = np.array([view.cam_from_world.centers() for view in views])
     assert np.linalg.norm(centers - middle, axis=1) == pytest.approx(np.full(8, np.sqrt(10.0)))
     assert centers.mean(axis=0) == pytest.approx(middle - np.array([0, 1, 0]))
@@ -103,9 +103,9 @@ def test_a_circle_goes_round_and_looks_at_the_middle():
         assert view.camera.project(view.cam_from_world.apply(middle[None]))[0] == pytest.approx([49.5, 37.0])
         above = view.camera.project(view.cam_from_world.apply(middle[None] + [0, -0.1, 0]))[0]
         assert above[1] < 37.0  # up in the world is up in the image
-    half = orbit(middle + np.array([3.0, 0.0, 0.0]), middle, up, RenderJob(frames=3, rotation_deg=180.0))
+    half = orbit(middle + np.array([3.0, 0.0, 0.0]), middle, up, RenderConfig(frames=3, rotation_deg=180.0))
     assert half[2].cam_from_world.centers() == pytest.approx(middle - [3, 0, 0])
-    straight = orbit(middle + np.array([0.0, -3.0, 0.0]), middle, up, RenderJob(frames=2))
+    straight = orbit(middle + np.array([0.0, -3.0, 0.0]), middle, up, RenderConfig(frames=2))
     assert np.isfinite(straight[0].cam_from_world.rotation).all()
 
 

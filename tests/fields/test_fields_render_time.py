@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from fields_scenes import CAMERA, camera, frames_of, views
 
-from epipole import compare_fields, nerf, splat
+from epipole import nerf, splat
 from epipole.cameras import Camera
 from epipole.pipelines.fields import held_out
+from epipole.pipelines.fields.comparison import compare_fields
 from epipole.pipelines.fields.config import FieldOptions
 
 

@@ -9,7 +9,7 @@ from fields_scenes import CAMERA, scene, views
 
 from epipole.cameras import Camera
 from epipole.errors import DegenerateGeometryError, FileFormatError
-from epipole.fields.config import SplatConfig
+from epipole.fields.config import SplatTraining
 from epipole.fields.splat.starting import have_one_direction, points_in_frusta
 from epipole.fields.training_view import TrainingView
 from epipole.io.gaussians.ply import write_gaussian_ply
@@ -83,14 +83,14 @@ def test_masked_pixels_give_no_points():
 def test_what_is_missing_is_filled_up_by_stereo():
     of, points = yard()[0], yard()[0][2].points_in_world
     given = []
-    plain = first_gaussians(images(of, points), SplatConfig(start="points"), 5000, untold).cloud
+    plain = first_gaussians(images(of, points), SplatTraining(start="points"), 5000, untold).cloud
     assert len(plain) == len(points)
     dense, _ = first_gaussians(
-        images(of, points), SplatConfig(start="dense"), 5000, lambda *counts: given.append(counts)
+        images(of, points), SplatTraining(start="dense"), 5000, lambda *counts: given.append(counts)
     )
     assert len(dense) == 3000 and given[-1][0] == given[-1][1] > 0
     np.testing.assert_array_equal(dense.means_in_world[: len(points)], plain.means_in_world)
-    enough = first_gaussians(images(of, points), SplatConfig(start="dense"), 200, untold).cloud
+    enough = first_gaussians(images(of, points), SplatTraining(start="dense"), 200, untold).cloud
     assert len(enough) == len(points)
 
 
@@ -106,7 +106,7 @@ def test_cameras_that_look_the_same_way_start_in_what_they_see():
     pixels = CAMERA.project(of[0].cam_from_world.apply(points[:25])).round().astype(int)
     np.testing.assert_array_equal(rgb[:25], of[0].image[pixels[:, 1], pixels[:, 0], :3])
     assert (of[0].image[pixels[:, 1], pixels[:, 0], 3] > 0).all()
-    started = first_gaussians(images(of), SplatConfig(), 2000, untold).cloud
+    started = first_gaussians(images(of), SplatTraining(), 2000, untold).cloud
     assert len(started) == 200
     with pytest.raises(DegenerateGeometryError, match="at one place"):
         points_in_frusta([of[0], of[0]], 10)
@@ -117,15 +117,15 @@ def test_cameras_that_look_the_same_way_start_in_what_they_see():
 def test_another_field_is_begun_with(tmp_path):
     write_gaussian_ply(tmp_path / "a.ply", scene())
     for degree, start_from in ((0, tmp_path / "a.ply"), (3, tmp_path / "a.ply")):
-        config = SplatConfig(start_from=start_from, sh_degree=degree)
+        config = SplatTraining(start_from=start_from, sh_degree=degree)
         found = first_gaussians(images(views()), config, 1000, untold).cloud
         np.testing.assert_array_equal(found.means_in_world, scene().means_in_world)
         assert found.sh.shape[1] == 1
     with pytest.raises(FileFormatError):
-        first_gaussians(images(views()), SplatConfig(start_from=tmp_path / "b.ply"), 1000, untold)
+        first_gaussians(images(views()), SplatTraining(start_from=tmp_path / "b.ply"), 1000, untold)
 
 
 def test_points_can_be_left_aside():
-    config = SplatConfig(start="random")
+    config = SplatTraining(start="random")
     found = first_gaussians(images(views(), np.ones((500, 3))), config, 5000, untold).cloud
     assert len(found) == 500 and len(np.unique(found.means_in_world, axis=0)) > 400

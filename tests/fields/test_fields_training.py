@@ -7,7 +7,7 @@ from fields_scenes import CAMERA, WHITE, scene, views
 from epipole import _parallel
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
-from epipole.fields.config import SplatConfig
+from epipole.fields.config import SplatTraining
 from epipole.fields.photometric import psnr
 from epipole.fields.splat import _gradient_kernels
 from epipole.fields.splat.gaussian_adam import GaussianAdam, Rates
@@ -90,7 +90,7 @@ def test_a_gaussian_that_is_left_out_is_not_drawn_and_others_make_up_for_it(rng)
 
 def trained(steps=260, threads=None, **options):
     points, rgb = points_in_silhouettes(views(), 300, seed=1)
-    config = SplatConfig(max_gaussians=700, sh_degree=1, **options)
+    config = SplatTraining(max_gaussians=700, sh_degree=1, **options)
     _parallel.set_num_threads(threads)
     try:
         trainer = SplatTrainer(views()[2:], cloud_of_points(points, rgb), config, WHITE)
@@ -107,7 +107,9 @@ def likeness_of(cloud, view):
 
 def test_views_that_were_held_out_are_drawn():
     trainer = trained()
-    first = SplatTrainer(views(), cloud_of_points(*points_in_silhouettes(views(), 300)), SplatConfig(), WHITE)
+    first = SplatTrainer(
+        views(), cloud_of_points(*points_in_silhouettes(views(), 300)), SplatTraining(), WHITE
+    )
     for view in views()[:2]:
         assert likeness_of(trainer.cloud, view) > max(27.0, likeness_of(first.cloud, view) + 8.0)
     assert 300 < len(trainer) <= 700 and trainer.cloud.sh_degree == 1 and trainer.num_steps == 260
@@ -203,16 +205,16 @@ def test_smaller_pictures_are_means_and_their_camera_sees_the_same():
 def test_what_does_not_fit_is_refused():
     view, cloud = views()[0], scene()
     with pytest.raises(ConfigError, match="no image"):
-        SplatTrainer([], cloud, SplatConfig(), WHITE)
+        SplatTrainer([], cloud, SplatTraining(), WHITE)
     with pytest.raises(ShapeError, match="no Gaussian"):
-        SplatTrainer([view], cloud.rows(np.zeros(0, np.int64)), SplatConfig(), WHITE)
+        SplatTrainer([view], cloud.rows(np.zeros(0, np.int64)), SplatTraining(), WHITE)
     with pytest.raises(ShapeError, match="size"):
         TrainingView("x", view.image, Camera("PINHOLE", 60, 48, CAMERA.params), view.cam_from_world)
     with pytest.raises(ShapeError, match="3 or 4"):
         TrainingView("x", view.image[..., :2], CAMERA, view.cam_from_world)
     for wrong in ({"max_gaussians": 0}, {"sh_degree": 4}, {"ssim_weight": 1.5}, {"seed": -1}):
         with pytest.raises(ConfigError):
-            SplatConfig(**wrong)
+            SplatTraining(**wrong)
 
 
 @pytest.mark.parametrize(("gone", "new"), [(0, 0), (0, 5), (3, 3), (3, 5), (5, 3), (7, 0), (12, 1)])

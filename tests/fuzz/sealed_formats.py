@@ -12,7 +12,7 @@ from slam_rides import STEREO, ride
 
 from epipole.cameras import Camera
 from epipole.features import Features
-from epipole.fields.config import SplatConfig
+from epipole.fields.config import SplatTraining
 from epipole.fields.nerf.hash_trainer import HashTrainer
 from epipole.fields.nerf.voxel_trainer import VoxelTrainer
 from epipole.fields.splat.starting import cloud_of_points, points_in_silhouettes
@@ -39,7 +39,7 @@ def trainer_of(kind: str) -> SplatTrainer | HashTrainer | VoxelTrainer:
     views = field_views()[:VIEWS]
     if kind == "splat":
         start = cloud_of_points(*points_in_silhouettes(views, 60, seed=1))
-        options = SplatConfig(max_gaussians=80, exposure=True, refine_poses=True, sh_degree=1)
+        options = SplatTraining(max_gaussians=80, exposure=True, refine_poses=True, sh_degree=1)
         made: SplatTrainer | HashTrainer | VoxelTrainer = SplatTrainer(views, start, options, WHITE)
     else:
         made = (HashTrainer if kind == "hash" else VoxelTrainer)(views, WHITE)

@@ -15,6 +15,7 @@ from epipole.io.sequences.sequence import read_sequence
 from epipole.pipelines.calibration import run as calibration
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.photographs import read_image_set
+from epipole.pipelines.stereo.run import stereo_many
 
 
 @pytest.fixture
@@ -67,7 +68,7 @@ def test_a_folder_of_them_alone_says_what_is_in_it(folder, tmp_path):
         lambda: epipole.slam(gifs, tmp_path / "b"),
         lambda: epipole.calibrate(gifs, tmp_path / "c"),
         lambda: epipole.splat(gifs, tmp_path / "d", steps=1),
-        lambda: epipole.stereo_many(gifs, folder, tmp_path / "e"),
+        lambda: stereo_many(gifs, folder, tmp_path / "e"),
     ):
         with pytest.raises(EpipoleError, match=said):
             job()
@@ -89,7 +90,7 @@ def test_stereo_reports_them(folder, tmp_path):
     other.mkdir()
     for n in range(3):
         cv2.imwrite(str(other / f"{n}.png"), cv2.imread(str(folder / f"{n}.png")))
-    batch = epipole.stereo_many(folder, other, tmp_path / "stereo", max_disparity_px=16)
+    batch = stereo_many(folder, other, tmp_path / "stereo", max_disparity_px=16)
     assert FILES in batch.warnings[str(folder)][0] and str(other) not in batch.warnings
     summary = json.loads((tmp_path / "stereo" / "summary.json").read_text())
     assert summary["warnings"][str(folder)][1].startswith(FOLDER)

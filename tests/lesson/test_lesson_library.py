@@ -14,7 +14,7 @@ from epipole.geometry import Rigid3, Rotation3, epipolar
 from epipole.lesson.pages import PAGES, lesson_pages
 from epipole.lesson.scenes import ring
 
-JOBS = ("reconstruct", "slam", "splat", "nerf", "compare_fields")
+JOBS = ("reconstruct", "slam", "splat", "nerf", "render")
 
 
 def only_bound(job):
@@ -22,7 +22,7 @@ def only_bound(job):
 
     def called(*given, **named):
         inspect.signature(job).bind(*given, **named)
-        return types.SimpleNamespace(warnings=(), rows={})
+        return types.SimpleNamespace(warnings=(), summary={"psnr": 30.0})
 
     return called
 

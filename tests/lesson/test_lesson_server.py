@@ -6,10 +6,9 @@ import urllib.request
 
 import pytest
 
-from epipole import export_lesson
 from epipole.errors import ConfigError, WorkspaceError
 from epipole.lesson.pages import lesson_pages
-from epipole.lesson.run import open_lesson
+from epipole.lesson.run import export_lesson, open_lesson
 
 
 @pytest.fixture

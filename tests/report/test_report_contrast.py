@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 import epipole
-from epipole import api, export_lesson, splat
+from epipole import api, splat
+from epipole.lesson.run import export_lesson
 from epipole.pipelines.sfm.page.content import ReportContent
 from epipole.pipelines.sfm.page.page import render_report
 from epipole.pipelines.slam.run import slam as run_slam

@@ -8,7 +8,7 @@ from test_report_gaussians import cloud_of
 
 from epipole.fields.splat.rasterizer import render
 from epipole.pipelines.fields.cameras import orbit
-from epipole.pipelines.fields.config import RenderJob
+from epipole.pipelines.fields.config import RenderConfig
 from epipole.pipelines.fields.scene import seen_gaussians
 from epipole.report.gaussian_merging import merged
 from epipole.report.gaussians import log_visibility, most_visible
@@ -32,7 +32,7 @@ def surface(n: int = 4000) -> GaussianCloud:
 
 def psnrs(cloud: GaussianCloud, others: list[GaussianCloud], view: tuple[np.ndarray, ...]) -> np.ndarray:
     """(clouds, views) against the whole."""
-    shots = orbit(*view, RenderJob(frames=3, width=200))
+    shots = orbit(*view, RenderConfig(frames=3, width=200))
     rendered = [
         np.stack(
             [np.clip(render(each, shot.camera, shot.cam_from_world).over(BLACK), 0, 1) for shot in shots]

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from slam_rides import CAMERA, RGBD, ride
 
-from epipole import CameraOptions, Slam, read_slam_map
+from epipole import Slam
 from epipole.config import AnchorOptions
 from epipole.errors import ConfigError
 from epipole.geometry import align_points
 from epipole.pipelines.slam.frames import SlamCamera
-from epipole.pipelines.slam.output.map_file import MAP_FILE, TABLE, VERSION
+from epipole.pipelines.slam.output.map_file import MAP_FILE, TABLE, VERSION, read_slam_map
 from epipole.pipelines.slam.output.scale import anchor_map
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.runs.units import load, store
 
 OLD, NEW = slice(0, 18), slice(8, 30)
-GIVEN = {"camera": CameraOptions(camera_params="260,260,160,120"), "fps": 10.0}
+GIVEN = {"camera_params": "260,260,160,120", "fps": 10.0}
 MONO = SlamCamera(CAMERA)
 pytestmark = pytest.mark.usefixtures("unchecked")
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from tests.slam.slam_rides import CAMERA, MONO, RGBD, ride, tracked
 
-from epipole import CameraOptions
 from epipole.config import AnchorOptions
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.io import read_positions, read_trajectory
 from epipole.io.trajectories.files import PositionLog
 from epipole.metrics import absolute_error
+from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.output.scale import anchor_map
 from epipole.pipelines.slam.run import slam as run_slam
 
@@ -86,17 +86,17 @@ def images(tmp_path_factory):
     return folder
 
 
-LENS = CameraOptions(camera_params=",".join(str(p) for p in (260.0, 260.0, 160.0, 120.0)))
+LENS = {"camera_params": ",".join(str(p) for p in (260.0, 260.0, 160.0, 120.0))}
 
 
 def test_the_job_states_what_fixed_the_scale(images, tmp_path, rng):
-    assert np.allclose(LENS.camera((320, 240)).params, CAMERA.params)
+    assert np.allclose(CameraOptions(**LENS).camera((320, 240)).params, CAMERA.params)
     log = log_of(rng)
     times = np.arange(30)[::2] / 30.0  # a folder of images is of 30 Hz
     lines = [f"{t:.6f}, {x}, {y}, {z}, 99" for t, (x, y, z) in zip(times, log.positions, strict=True)]
     (tmp_path / "log.csv").write_text("# seconds, x, y, z, satellites\n" + "\n".join(lines))
     out = tmp_path / "out"
-    options = {"camera": LENS, "positions": tmp_path / "log.csv", "positions_sigma_m": SIGMA}
+    options = {**LENS, "positions": tmp_path / "log.csv", "positions_sigma_m": SIGMA}
     result = run_slam(images, out, **options)
     summary = json.loads((out / "summary.json").read_text())
     assert summary["is_metric"] and "measured places" in summary["scale"] and "1 sigma" in summary["scale"]
@@ -111,7 +111,7 @@ def test_the_job_states_what_fixed_the_scale(images, tmp_path, rng):
 
 def test_places_that_tell_nothing_leave_the_path_up_to_scale(images, tmp_path):
     (tmp_path / "log.txt").write_text("".join(f"{n / 30} 1 2 3\n" for n in range(30)))
-    result = run_slam(images, tmp_path / "out", camera=LENS, positions=tmp_path / "log.txt")
+    result = run_slam(images, tmp_path / "out", **LENS, positions=tmp_path / "log.txt")
     assert not result.summary["is_metric"] and "up to scale" in result.summary["scale"]
     assert any("stays up to scale" in w for w in result.warnings)
 
@@ -133,7 +133,7 @@ def test_wheels_half_a_metre_behind_the_camera(images, tmp_path, kind):
     for mounting in (None, tmp_path / "mounting.yaml"):
         out = tmp_path / f"out_{mounting is None}"
         options = {"odometry": tmp_path / "wheels.txt", "odometry_mounting": mounting}
-        result = run_slam(images, out, camera=LENS, **options)
+        result = run_slam(images, out, **LENS, **options)
         rows = np.rint(30 * result.trajectory.timestamp_s).astype(int)
         error = absolute_error(result.trajectory.world_from_body, true[rows], "similarity")
         off = abs(np.log(float(error.truth_from_estimate.scale)))
@@ -147,7 +147,7 @@ def test_a_mounting_that_cannot_be_read_is_told_before_any_frame(images, tmp_pat
     (tmp_path / "mounting.yaml").write_text("T_cam_imu: [1, 2]\n")
     options = {"odometry": tmp_path / "wheels.txt", "odometry_mounting": tmp_path / "mounting.yaml"}
     with pytest.raises(FileFormatError, match=r"mounting\.yaml.*4 x 4"):
-        run_slam(images, tmp_path / "out", camera=LENS, **options)
+        run_slam(images, tmp_path / "out", **LENS, **options)
     assert not (tmp_path / "out").exists()
 
 
@@ -156,7 +156,7 @@ def test_files_that_cannot_be_read_are_told_before_any_frame(images, tmp_path, n
     (tmp_path / "damaged.txt").write_text("not a number\n")
     for path in (tmp_path / "damaged.txt", tmp_path / "missing.txt"):
         with pytest.raises(FileFormatError, match=path.name):
-            run_slam(images, tmp_path / "out", camera=LENS, **{name: path})
+            run_slam(images, tmp_path / "out", **LENS, **{name: path})
     assert not (tmp_path / "out").exists()
 
 

@@ -11,14 +11,13 @@ from epipole.errors import FileFormatError, NoModelError
 from epipole.geometry import Rigid3
 from epipole.io import read_sequence
 from epipole.pipelines.slam import run
-from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.pipelines.slam.sources.depth_range import DepthRange
 from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame
 
 PARAMS = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(CAMERA.params))
-KNOWN = CameraOptions(camera_params=PARAMS)
+KNOWN = {"camera_params": PARAMS}
 COUNT = 10
 
 
@@ -42,7 +41,7 @@ def tum_folder(folder, unit=5000.0, lines=None):
 
 def test_a_list_out_of_order_and_with_doubled_times(tmp_path):
     folder = tum_folder(tmp_path / "room", lines=[3, 0, 1, 2, 4, 4, 6, 5, 7, 8, 9])
-    result = run_slam(folder, tmp_path / "out", camera=KNOWN)
+    result = run_slam(folder, tmp_path / "out", **KNOWN)
     assert result.summary["num_localized"] == COUNT
     assert set(result.warnings) == {
         "rgb.txt: 2 lines are earlier than those before them, and are sorted",
@@ -88,7 +87,7 @@ def test_depth_in_a_wrong_unit_is_told(factor, is_given):
 
 def test_depth_in_a_wrong_unit_is_told_beside_the_path(tmp_path):
     """Metres times 50 in a file that has 5000 for a metre."""
-    result = run_slam(tum_folder(tmp_path / "room", unit=50.0), tmp_path / "out", camera=KNOWN)
+    result = run_slam(tum_folder(tmp_path / "room", unit=50.0), tmp_path / "out", **KNOWN)
     assert result.summary["num_localized"] > 0
     (warning,) = (w for w in result.warnings if "median depth" in w)
     assert "0.05 to 100 m" in warning
@@ -97,7 +96,7 @@ def test_depth_in_a_wrong_unit_is_told_beside_the_path(tmp_path):
 def test_depth_pictures_of_another_size(tmp_path):
     folder = tum_folder(tmp_path / "room")
     cv2.imwrite(str(folder / "depth" / "4.png"), np.full((60, 80), 5000, np.uint16))
-    result = run_slam(folder, tmp_path / "out", camera=KNOWN)
+    result = run_slam(folder, tmp_path / "out", **KNOWN)
     assert result.summary["num_localized"] == COUNT - 1
     (warning,) = result.warnings
     assert warning.startswith("frame 4 is left out: the depth is 80 x 60, the depth camera's 320 x 240")
@@ -105,23 +104,23 @@ def test_depth_pictures_of_another_size(tmp_path):
     for n in range(COUNT):
         cv2.imwrite(str(folder / "depth" / f"{n}.png"), np.full((60, 80), 5000, np.uint16))
     with pytest.raises(NoModelError, match="the depth is 80 x 60"):
-        run_slam(folder, tmp_path / "none", camera=KNOWN)
+        run_slam(folder, tmp_path / "none", **KNOWN)
 
 
 def test_pictures_that_change_size_before_they_are_undistorted(tmp_path):
     folder = tum_folder(tmp_path / "room")
-    bent = CameraOptions(camera_model="OPENCV", camera_params=f"{PARAMS},0.01,0,0,0")
+    bent = {"camera_model": "OPENCV", "camera_params": f"{PARAMS},0.01,0,0,0"}
     cv2.imwrite(str(folder / "rgb" / "3.png"), np.zeros((60, 80), np.uint8))
     (folder / "rgb" / "6.png").write_bytes((folder / "rgb" / "6.png").read_bytes()[:700])
-    result = run_slam(folder, tmp_path / "out", camera=bent)
+    result = run_slam(folder, tmp_path / "out", **bent)
     assert result.summary["num_localized"] == COUNT - 2
     assert [w.split(":")[0] for w in result.warnings] == ["frame 3 is left out", "frame 6 is left out"]
 
 
 def test_pictures_of_a_distorted_lens_with_depth(tmp_path):
     """TUM's freiburg1 and 2 are so. What is registered to an image has its distortion: here next to none."""
-    bent = CameraOptions(camera_model="OPENCV", camera_params=f"{PARAMS},1e-4,0,0,0")
-    result = run_slam(tum_folder(tmp_path / "room"), tmp_path / "out", camera=bent)
+    bent = {"camera_model": "OPENCV", "camera_params": f"{PARAMS},1e-4,0,0,0"}
+    result = run_slam(tum_folder(tmp_path / "room"), tmp_path / "out", **bent)
     path = result.trajectory.world_from_body
     assert result.summary["num_localized"] == COUNT and not result.warnings
     assert np.linalg.norm(path.translation - ride().truth().translation[:COUNT], axis=1).max() < 0.02
@@ -149,12 +148,12 @@ def test_a_folder_whose_pictures_end_before_its_list(tmp_path):
     for n in (7, 8, 9):
         (folder / "rgb" / f"{n}.png").unlink()
     (folder / "rgb" / "6.png").write_bytes((folder / "rgb" / "6.png").read_bytes()[:900])
-    result = run_slam(folder, tmp_path / "out", camera=KNOWN)
+    result = run_slam(folder, tmp_path / "out", **KNOWN)
     assert result.summary["num_localized"] == 6
     assert [w.split(":")[0] for w in result.warnings] == [f"frame {n} is left out" for n in range(6, 10)]
     (folder / "rgb" / "0.png").unlink()
     with pytest.raises(FileFormatError, match=r"0\.png"):
-        run_slam(folder, tmp_path / "none", camera=KNOWN)
+        run_slam(folder, tmp_path / "none", **KNOWN)
 
 
 def test_a_pair_whose_second_camera_ends_first(tmp_path):

@@ -38,8 +38,8 @@ def true_length():
 
 
 def test_millimetres_in_the_layout_of_tum(tmp_path, true_length, capsys):
-    folder, known = tum_folder(tmp_path / "room", 1000.0), CameraOptions(camera_params=PARAMS)
-    result = run_slam(folder, tmp_path / "out", camera=known)
+    folder, known = tum_folder(tmp_path / "room", 1000.0), {"camera_params": PARAMS}
+    result = run_slam(folder, tmp_path / "out", **known)
     (warning,) = (words for words in result.warnings if "--depth-scale" in words)
     assert "5000 values for a metre" in warning and "1000 would give usual distances, too" in warning
     source = result.summary["source"]
@@ -47,22 +47,20 @@ def test_millimetres_in_the_layout_of_tum(tmp_path, true_length, capsys):
     main(["slam", str(folder), str(tmp_path / "mm"), "--camera-params", PARAMS, "--depth-scale", "1000"])
     said = " ".join(capsys.readouterr().out.split())
     assert "1000 values for a metre, from given" in said and "camera from given" in said
-    result = run_slam(
-        folder, tmp_path / "again", camera=CameraOptions(camera_params=PARAMS, depth_scale=1000.0)
-    )
+    result = run_slam(folder, tmp_path / "again", camera_params=PARAMS, depth_scale=1000.0)
     assert not result.warnings
     assert result.trajectory.path_length() == pytest.approx(true_length, rel=0.1)
 
 
 def test_a_depth_scale_without_depth_is_refused(tmp_path):
     folder = tum_folder(tmp_path / "room", 5000.0)
-    known = CameraOptions(camera_params=PARAMS, depth_scale=5000.0)
+    known = {"camera_params": PARAMS, "depth_scale": 5000.0}
     with pytest.raises(ConfigError, match="depth_scale is given"):
-        run_slam(folder, tmp_path / "out", camera=known, sensor="mono")
+        run_slam(folder, tmp_path / "out", **known, sensor="mono")
     with pytest.raises(ConfigError, match="has no depth images"):
-        run_slam(folder / "rgb", tmp_path / "out", camera=known)
+        run_slam(folder / "rgb", tmp_path / "out", **known)
     with pytest.raises(ConfigError, match="a video and a camera have none"):
-        run_slam("0", tmp_path / "out", camera=known)
+        run_slam("0", tmp_path / "out", **known)
     with pytest.raises(ConfigError, match="depth_scale must be positive"):
         CameraOptions(depth_scale=0.0)
 
@@ -79,10 +77,10 @@ def test_the_depth_scale_of_a_recording(tmp_path):
     lengths = {}
     ride_file = recorded.write(tmp_path, "ride")
     for scale in (None, 800.0):
-        result = run_slam(ride_file, tmp_path / f"out_{scale}", camera=CameraOptions(depth_scale=scale))
+        result = run_slam(ride_file, tmp_path / f"out_{scale}", depth_scale=scale)
         lengths[scale] = result.trajectory.path_length()
         source = result.summary["source"]
         assert source["camera_source"] == "CameraInfo" and source["depth_scale"] == (scale or 1000.0)
     assert lengths[None] == pytest.approx(0.8 * lengths[800.0], rel=0.05)
     with pytest.raises(ConfigError, match="depth_scale is given"):
-        run_slam(ride_file, tmp_path / "mono", sensor="mono", camera=CameraOptions(depth_scale=800.0))
+        run_slam(ride_file, tmp_path / "mono", sensor="mono", depth_scale=800.0)

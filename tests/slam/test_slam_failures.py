@@ -9,7 +9,7 @@ from epipole.cameras import Camera
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
 from epipole.io.calibration.camera_params import camera_of_text
-from epipole.pipelines.slam.config import CameraOptions, SlamConfig
+from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackingState
 from epipole.pipelines.slam.output.camera_check import camera_warnings, check_camera
 from epipole.pipelines.slam.output.warnings import moving_things, rest, warnings
@@ -191,7 +191,7 @@ def test_start_stride_rate_and_masks_of_a_folder(tmp_path):
         mask = np.full(ride().left[0].shape, 255, np.uint8)
         mask[:, :60] = 0
         cv2.imwrite(str(masks / f"{n:06d}.png"), mask)
-    known = {"camera": CameraOptions(camera_params=PARAMS)}
+    known = {"camera_params": PARAMS}
     result = run_slam(folder, tmp_path / "out", start=3, stride=2, fps=10.0, masks=masks, **known)
     np.testing.assert_allclose(result.trajectory.timestamp_s, 0.1 * np.arange(3, 24, 2))
     assert result.summary["num_frames"] == 11 and not any(

@@ -8,7 +8,6 @@ from slam_rides import CAMERA, MONO, ride, tracked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.calibration.files import read_calibration
 from epipole.metrics import absolute_error
-from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.output.map_file import camera_of_map, write_slam_map
 from epipole.pipelines.slam.run import slam as run_slam
 
@@ -33,9 +32,7 @@ def test_it_is_found_from_the_pictures_and_written(tmp_path):
     assert (
         absolute_error(result.trajectory.world_from_body, ride().truth(), "similarity").position.rmse < 0.03
     )
-    again = run_slam(
-        images, tmp_path / "again", fps=10.0, camera=CameraOptions(calibration=out / "camera.json")
-    )
+    again = run_slam(images, tmp_path / "again", fps=10.0, calibration=out / "camera.json")
     np.testing.assert_allclose(
         again.trajectory.world_from_body.translation, result.trajectory.world_from_body.translation, atol=1e-9
     )

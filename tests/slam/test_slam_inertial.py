@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from tests.slam.slam_rides import errors, rendered
 
-from epipole import CameraOptions
 from epipole.config import AnchorOptions
 from epipole.geometry import Rigid3, Rotation3
 from epipole.inertial import ImuFactors, ImuLog, ImuNoise, MountedImu
@@ -95,9 +94,9 @@ def test_a_run_uses_the_unit(ride, unit, tmp_path):
     for n, (grey, _, _) in enumerate(list(ride.images.values())[:LONG_ENOUGH]):
         cv2.imwrite(str(images / f"{n:03d}.png"), grey)
     write_unit(tmp_path, unit)
-    camera = CameraOptions(camera_params=",".join(map(str, ride.sensor("mono").camera.params)))
+    camera = {"camera_params": ",".join(map(str, ride.sensor("mono").camera.params))}
     options = {"imu": tmp_path / "imu.txt", "imu_mounting": tmp_path / "mounting.yaml", "fps": 10.0}
-    whole = run_slam(images, tmp_path / "whole", camera=camera, **options)
+    whole = run_slam(images, tmp_path / "whole", **camera, **options)
     assert whole.summary["is_metric"] and "the IMU" in whole.summary["scale"]
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from slam_rides import CAMERA, position
 
-from epipole import CameraOptions
 from epipole.cli.main import main
 from epipole.geometry import Rigid3, align_points
 from epipole.io import read_trajectory
@@ -18,7 +17,7 @@ from epipole.synthetic.markers import chessboard_sheet, tag_sheet
 COUNT = 24
 TAG, BOARD, SQUARE = (-0.5, 1.6, 1.75), (0.8, 1.5, 1.4), 0.15
 LENS = "260,260,160,120"
-GIVEN = {"camera": CameraOptions(camera_params=LENS), "fps": 10.0}
+GIVEN = {"camera_params": LENS, "fps": 10.0}
 COLUMNS = ("kind", "params", "texture", "color", "seed")
 
 

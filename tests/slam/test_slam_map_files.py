@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from tests.slam.slam_rides import CAMERA, MONO, RGBD, STEREO, ride, tracked
 
-from epipole import Slam, read_slam_map, write_slam_map
+from epipole import Slam
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3
+from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.frames import DepthCamera, SlamCamera, TrackingState
-from epipole.pipelines.slam.output.map_file import MAP_FILE
+from epipole.pipelines.slam.output.map_file import MAP_FILE, read_slam_map, write_slam_map
 from epipole.pipelines.slam.run import slam as run_slam
 
 
@@ -133,19 +134,16 @@ def test_the_job_writes_goes_on_and_localises(tmp_path):
         (tmp_path / folder).mkdir()
         for n, image in enumerate(ride().left[part]):
             cv2.imwrite(str(tmp_path / folder / f"{n:03d}.png"), image)
-    from epipole import CameraOptions
 
-    camera = CameraOptions(camera_params=",".join(str(p) for p in (260.0, 260.0, 160.0, 120.0)))
-    assert np.allclose(camera.camera((320, 240)).params, CAMERA.params)
-    first = run_slam(tmp_path / "first", tmp_path / "out", camera=camera)
-    fixed = run_slam(
-        tmp_path / "second", tmp_path / "fixed", camera=camera, map=tmp_path / "out", localize=True
-    )
-    grown = run_slam(tmp_path / "second", tmp_path / "grown", camera=camera, map=tmp_path / "out")
+    camera = {"camera_params": ",".join(str(p) for p in (260.0, 260.0, 160.0, 120.0))}
+    assert np.allclose(CameraOptions(**camera).camera((320, 240)).params, CAMERA.params)
+    first = run_slam(tmp_path / "first", tmp_path / "out", **camera)
+    fixed = run_slam(tmp_path / "second", tmp_path / "fixed", **camera, map=tmp_path / "out", localize=True)
+    grown = run_slam(tmp_path / "second", tmp_path / "grown", **camera, map=tmp_path / "out")
     assert fixed.summary["num_localized"] == grown.summary["num_localized"] == 10
     assert fixed.summary["num_keyframes"] == first.summary["num_keyframes"]
     gap = fixed.trajectory.world_from_body.translation - first.trajectory.world_from_body.translation[6:16]
     assert np.linalg.norm(gap, axis=1).max() < 0.01  # in the first run's world and unit
     assert len(read_slam_map(tmp_path / "grown", SlamCamera(CAMERA)).names) == grown.summary["num_keyframes"]
     with pytest.raises(ConfigError, match="localize"):
-        run_slam(tmp_path / "second", tmp_path / "none", camera=camera, localize=True)
+        run_slam(tmp_path / "second", tmp_path / "none", **camera, localize=True)

@@ -15,7 +15,6 @@ from epipole import api
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam import run as slam_run
-from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.frames import TrackingState
 from epipole.pipelines.slam.output import page as slam_page
 from epipole.pipelines.slam.output import results as slam_results
@@ -90,8 +89,8 @@ def test_loops_are_listed_and_accepted_ones_drawn(made):
 def test_lengths_without_a_unit_are_said_to_have_none(made, tmp_path):
     folder, result, _ = made
     f, _, cx, cy = result.summary and (260.0, 260.0, 160.0, 120.0)
-    given = CameraOptions(camera_params=f"{f},{f},{cx},{cy}")
-    slam_run.slam(folder / "image_0", tmp_path / "out", camera=given, truth=folder / "poses.txt")
+    given = {"camera_params": f"{f},{f},{cx},{cy}"}
+    slam_run.slam(folder / "image_0", tmp_path / "out", **given, truth=folder / "poses.txt")
     html = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert (
         "The path is up to scale" in html

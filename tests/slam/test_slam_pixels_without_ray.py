@@ -7,7 +7,6 @@ import pytest
 from epipole import Frame, Slam, SlamCamera
 from epipole.cameras import Camera
 from epipole.image.pixels_without_ray import no_ray_warning, pixels_without_ray
-from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.run import slam as run_slam
 
 FOLDED = Camera("OPENCV", 320, 240, [260.0, 260.0, 159.5, 119.5, 0.2312, -0.9, -0.0033, -0.0001])
@@ -58,8 +57,8 @@ def test_the_run_says_how_many_pixels_have_no_ray(tmp_path):
     for n, grey in enumerate(moving_frames()):
         cv2.imwrite(str(tmp_path / "images" / f"{n:02d}.png"), grey)
     params = ",".join(str(p + 0.5 * (n in (2, 3))) for n, p in enumerate(FOLDED.params))
-    camera = CameraOptions(camera_model="OPENCV", camera_params=params)
-    result = run_slam(tmp_path / "images", tmp_path / "out", camera=camera)
+    camera = {"camera_model": "OPENCV", "camera_params": params}
+    result = run_slam(tmp_path / "images", tmp_path / "out", **camera)
     (warning,) = (w for w in result.warnings if "has no ray" in w)
     assert "check the distortion coefficients" in warning
     assert result.summary["fraction_without_ray"] == pytest.approx(pixels_without_ray(FOLDED).mean())

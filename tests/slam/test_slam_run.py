@@ -11,7 +11,6 @@ from epipole.cli.main import main
 from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.io import read_colmap_model, read_trajectory
 from epipole.metrics import absolute_error, associate
-from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.scene import Trajectory
 
@@ -65,14 +64,14 @@ def test_a_damaged_frame_is_left_out_and_named(stereo_folder, tmp_path):
 
 def test_one_camera_from_pictures_alone(stereo_folder, tmp_path):
     left = stereo_folder / "image_0"
-    result = run_slam(left, tmp_path / "out", camera=CameraOptions(camera_params=PARAMS))
+    result = run_slam(left, tmp_path / "out", camera_params=PARAMS)
     assert result.summary["scale"].startswith("up to scale") and not result.summary["is_metric"]
     for wrong, words in (("1,2", "takes 4 parameters"), ("a,b,c,d", "must be numbers")):
         with pytest.raises(ConfigError, match=words):
-            run_slam(left, tmp_path / "out", camera=CameraOptions(camera_params=wrong))
+            run_slam(left, tmp_path / "out", camera_params=wrong)
     for sensor, words in (("stereo", "no second camera"), ("rgbd", "no depth images")):
         with pytest.raises(ConfigError, match=words):
-            run_slam(left, tmp_path / "out", sensor=sensor, camera=CameraOptions(camera_params=PARAMS))
+            run_slam(left, tmp_path / "out", sensor=sensor, camera_params=PARAMS)
 
 
 def test_frames_of_nothing_end_with_the_reason(tmp_path):
@@ -80,7 +79,7 @@ def test_frames_of_nothing_end_with_the_reason(tmp_path):
     for n in range(3):
         cv2.imwrite(str(tmp_path / "dark" / f"{n}.png"), np.zeros((240, 320), np.uint8))
     with pytest.raises(NoModelError, match=r"no frame got a place: .*blank"):
-        run_slam(tmp_path / "dark", tmp_path / "out", camera=CameraOptions(camera_params=PARAMS))
+        run_slam(tmp_path / "dark", tmp_path / "out", camera_params=PARAMS)
     with pytest.raises(FileFormatError, match="does not exist"):
         run_slam(tmp_path / "nothing", tmp_path / "out")
 

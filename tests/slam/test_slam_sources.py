@@ -30,7 +30,7 @@ from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame
 from epipole.pipelines.slam.sources.frame_stream import Clock, FrameStream
 
 PARAMS = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(CAMERA.params))
-KNOWN = CameraOptions(camera_params=PARAMS)
+KNOWN = {"camera_params": PARAMS}
 BEGIN, STEP = 1_500_000_000 * 10**9, 10**8
 FOCAL, _, CX, CY = CAMERA.params
 K = np.array([[FOCAL, 0, CX], [0, FOCAL, CY], [0, 0, 1]])
@@ -80,7 +80,7 @@ def test_topics_are_chosen_on_the_command_line(tmp_path, capsys):
     said = capsys.readouterr().err
     assert "/wrong holds no images" in said and "/cam/right/image_rect (12 of Image, image)" in said
     with pytest.raises(ConfigError, match="topics are of recordings of ROS"):
-        run_slam(tmp_path, tmp_path / "o", topics="/a", camera=KNOWN)
+        run_slam(tmp_path, tmp_path / "o", topics="/a", **KNOWN)
 
 
 def test_a_recording_that_was_cut_off_gives_the_path_before(tmp_path):
@@ -104,11 +104,11 @@ def write_video(path: Path, images) -> Path:
 
 def test_videos_whole_and_cut_off(tmp_path):
     path = write_video(tmp_path / "ride.avi", ride().left)
-    result = run_slam(path, tmp_path / "out", camera=KNOWN)
+    result = run_slam(path, tmp_path / "out", **KNOWN)
     assert result.summary["num_localized"] == 30 and not result.warnings
     assert np.allclose(np.diff(result.trajectory.timestamp_s), 0.1, atol=1e-6)
     path.write_bytes(path.read_bytes()[: int(0.6 * path.stat().st_size)])
-    result = run_slam(path, tmp_path / "cut", camera=KNOWN)
+    result = run_slam(path, tmp_path / "cut", **KNOWN)
     assert 10 < result.summary["num_localized"] < 25
     assert error_m(result.trajectory, "similarity") < 0.03
     assert any("ends after" in warning and "of 30 announced frames" in warning for warning in result.warnings)
@@ -117,12 +117,12 @@ def test_videos_whole_and_cut_off(tmp_path):
 def test_a_video_without_frames(tmp_path):
     (tmp_path / "none.mp4").write_bytes(b"")
     with pytest.raises(FileFormatError, match=r"none\.mp4.*empty"):
-        run_slam(tmp_path / "none.mp4", tmp_path / "out", camera=KNOWN)
+        run_slam(tmp_path / "none.mp4", tmp_path / "out", **KNOWN)
     path = write_video(tmp_path / "head.avi", ride().left[:1])
     data = path.read_bytes()
     path.write_bytes(data[: data.index(b"movi")])
     with pytest.raises(FileFormatError, match=r"head\.avi"):
-        run_slam(path, tmp_path / "out", camera=KNOWN)
+        run_slam(path, tmp_path / "out", **KNOWN)
 
 
 class FakeCapture:
@@ -149,7 +149,7 @@ def opened_by(monkeypatch, capture):
 def test_a_camera_is_followed_until_it_ends(tmp_path, monkeypatch):
     capture = FakeCapture([ride().left[0], *ride().left[:14]])
     opened_by(monkeypatch, capture)
-    result = run_slam("0", tmp_path / "out", camera=KNOWN, progress=lambda report: capture.may_read.release())
+    result = run_slam("0", tmp_path / "out", **KNOWN, progress=lambda report: capture.may_read.release())
     assert result.summary["num_frames"] == result.summary["num_localized"] == 14
     assert result.summary["is_live"] and result.summary["num_dropped"] == 0 and capture.is_released
     assert not result.summary["interrupted"]
@@ -158,7 +158,7 @@ def test_a_camera_is_followed_until_it_ends(tmp_path, monkeypatch):
     opened_by(monkeypatch, capture)
     result = run_slam(
         *("0", tmp_path / "shorter"),
-        camera=KNOWN,
+        **KNOWN,
         max_frames=9,
         progress=lambda report: capture.may_read.release(),
     )
@@ -168,7 +168,7 @@ def test_a_camera_is_followed_until_it_ends(tmp_path, monkeypatch):
 def test_a_slow_tracker_gets_the_newest_picture_of_a_camera():
     images = [np.full((240, 320), n, np.uint8) for n in range(12)]
     capture, seconds = FakeCapture(images), iter(range(100))
-    source = moving_sources.open_camera(0, KNOWN, capture, lambda: float(next(seconds)))
+    source = moving_sources.open_camera(0, CameraOptions(**KNOWN), capture, lambda: float(next(seconds)))
     stream, values = FrameStream(source, JobOptions()), []
     for queued in stream:
         values.append((queued.timestamp_s, int(queued.read().grey[0, 0])))
@@ -184,10 +184,10 @@ def test_a_slow_tracker_gets_the_newest_picture_of_a_camera():
 
 def test_where_there_is_no_camera(tmp_path, capfd):
     with pytest.raises(ConfigError, match="camera 97 cannot be opened"):
-        run_slam("97", tmp_path / "out", camera=KNOWN)
+        run_slam("97", tmp_path / "out", **KNOWN)
     assert capfd.readouterr().err == ""
     with pytest.raises(ConfigError, match="of one camera"):
-        run_slam("97", tmp_path / "out", camera=KNOWN, sensor="stereo")
+        run_slam("97", tmp_path / "out", **KNOWN, sensor="stereo")
 
 
 def test_a_camera_without_intrinsics_is_refused(tmp_path, monkeypatch):
@@ -289,12 +289,12 @@ def heeding():
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT to itself there")
 @pytest.mark.usefixtures("heeding")
 def test_ctrl_c_writes_what_there_is(folder, tmp_path):
-    result = run_slam(folder, tmp_path / "out", camera=KNOWN, progress=stop_after(15))
+    result = run_slam(folder, tmp_path / "out", **KNOWN, progress=stop_after(15))
     assert result.summary["interrupted"] and result.summary["num_localized"] == 15
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["interrupted"] is True
     assert len(read_trajectory(tmp_path / "out" / "trajectory.txt")) == 15
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    again = run_slam(folder, tmp_path / "out", camera=KNOWN)
+    again = run_slam(folder, tmp_path / "out", **KNOWN)
     assert again.summary["num_localized"] == 30 and not again.summary["interrupted"]
 
 
@@ -308,7 +308,7 @@ def test_ctrl_c_twice_stops_at_once(folder, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         run_slam(
             *(folder, tmp_path / "out"),
-            camera=KNOWN,
+            **KNOWN,
             progress=lambda report: [progress(report), progress(report)],
         )
     assert not (tmp_path / "out" / "trajectory.txt").exists()

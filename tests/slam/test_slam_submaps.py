@@ -9,7 +9,6 @@ from slam_rides import errors, rendered
 
 from epipole.io import read_trajectory
 from epipole.metrics import absolute_error
-from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.frames import TrackingState
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.pipelines.slam.slam import Slam
@@ -103,7 +102,7 @@ def test_a_map_that_is_never_joined_has_its_own_file(tmp_path):
         (source / f"{kind}.txt").write_text("\n".join(lines) + "\n")
     camera = corridor().ride.camera
     params = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(camera.params))
-    result = run_slam(source, out, camera=CameraOptions(camera_params=params))
+    result = run_slam(source, out, camera_params=params)
     summary = json.loads((out / "summary.json").read_text())
     assert summary["submaps"] == result.summary["submaps"] and len(summary["submaps"]) == 1
     given = summary["submaps"][0]

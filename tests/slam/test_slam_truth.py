@@ -14,7 +14,6 @@ from epipole.io.trajectories.files import read_pose_matrix
 from epipole.io.trajectories.frame_tables import read_frame_table
 from epipole.metrics import absolute_error
 from epipole.pipelines.evaluation.trajectories import evaluate_trajectory
-from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
 from epipole.pipelines.slam.output.record import FrameRecord, stretches, without_numbers, write_records
 from epipole.pipelines.slam.output.truth import errors_of, true_path_at, truth_at_frames, truth_summary
@@ -136,9 +135,7 @@ def test_a_path_of_one_camera_is_compared_by_the_table_of_its_frames(tmp_path):
     """The causal path lacks the frames before the begin: KITTI's rows are told by the numbers of the frames."""
     folder = write_pairs(tmp_path / "ride")
     out = tmp_path / "out"
-    result = run_slam(
-        folder / "image_0", out, camera=CameraOptions(camera_params=PARAMS), truth=folder / "poses.txt"
-    )
+    result = run_slam(folder / "image_0", out, camera_params=PARAMS, truth=folder / "poses.txt")
     causal = out / "trajectory_causal.txt"
     assert len(result.causal) < 12
     found = evaluate_trajectory(causal, folder / "poses.txt")

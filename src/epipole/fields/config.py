@@ -12,7 +12,7 @@ from epipole.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
-class SplatConfig:
+class SplatTraining:
     """Options for training Gaussians."""
 
     max_gaussians: int | None = None
@@ -60,7 +60,7 @@ class SplatConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NerfConfig:
+class NerfTraining:
     """Options for training a field that is rendered by ray marching."""
 
     kind: Literal["grid", "hash"] = "hash"

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8
 
 from epipole._checks import check_pixels
 from epipole._declared import checked
@@ -40,6 +40,28 @@ class _View(NamedTuple):
     @property
     def area(self) -> float:
         return max(0.0, self.right - self.left) * max(0.0, self.bottom - self.top)
+
+
+@checked
+def undistort_points(
+    pixels: Float64[np.ndarray, "n 2"], camera: Camera, pinhole: Camera | None = None
+) -> Float64[np.ndarray, "n 2"]:
+    """Pixels of a camera as a pinhole camera without distortion would see them.
+
+    Args:
+        pixels: (n, 2) in the camera's image.
+        camera: the camera, of any model.
+        pinhole: the camera without distortion; None: focal lengths, principal point and size of `camera`.
+
+    Returns:
+        (n, 2) pixels; NaN where the camera has no ray, or one that the pinhole camera cannot see.
+    """
+    if pinhole is None:
+        K = camera.K
+        pinhole = Camera(
+            CameraModel.PINHOLE, camera.width, camera.height, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
+        )
+    return pinhole.project(camera.unproject(pixels))
 
 
 @checked

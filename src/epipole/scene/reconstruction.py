@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,8 @@ from jaxtyping import Bool, Float64, Int32, Int64
 
 from epipole._checks import check_indices, check_offsets
 from epipole._declared import check_fields, checked
-from epipole.errors import ShapeError
+from epipole.cameras import Camera
+from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, Similarity3
 from epipole.scene.cameras import Cameras
 from epipole.scene.frames import Frames, Rigs
@@ -56,6 +58,72 @@ class Reconstruction:
         ):
             if found != wanted:
                 raise ShapeError(f"{name} must have {wanted} rows, got {found}")
+
+    @staticmethod
+    @checked
+    def from_observations(
+        cams_from_world: Rigid3,
+        cameras: Camera | Sequence[Camera],
+        points_in_world: Float64[np.ndarray, "p 3"],
+        image: Int64[np.ndarray, " k"],
+        point: Int64[np.ndarray, " k"],
+        pixels: Float64[np.ndarray, "k 2"],
+        names: Sequence[str] | None = None,
+    ) -> Reconstruction:
+        """Put together a model of single images, such as one for `write_colmap_model`.
+
+        Args:
+            cams_from_world: pose of each image.
+            cameras: one that took all images, or one per image.
+            points_in_world: points.
+            image: row of the image of each observation, in any order.
+            point: row of its point.
+            pixels: where the image shows the point.
+            names: of the images' files; None: 00000.png, 00001.png and so on.
+
+        Raises:
+            ShapeError: the arrays do not fit each other, or an observation names an image or a point that is not there.
+            ConfigError: there are neither one nor as many cameras or names as images.
+        """
+        shape, own = (
+            cams_from_world.batch_shape(),
+            [cameras] if isinstance(cameras, Camera) else list(cameras),
+        )
+        if len(shape) != 1:
+            raise ShapeError(f"cams_from_world must have a batch of one axis, got {shape}")
+        n, files = shape[0], tuple(f"{k:05d}.png" for k in range(shape[0])) if names is None else tuple(names)
+        if len(own) not in (1, n) or len(files) != n:
+            raise ConfigError(
+                f"cameras must be one, or one per image, and names one per image ({n}), "
+                f"got {len(own)} and {len(files)}"
+            )
+        check_indices(image, "image", n)
+        check_indices(point, "point", len(points_in_world))
+        sensor = np.zeros(n, np.int32) if len(own) == 1 else np.arange(n, dtype=np.int32)
+        keypoints = np.argsort(image, kind="stable")
+        first = np.concatenate([[0], np.cumsum(np.bincount(image, minlength=n))]).astype(np.int64)
+        keypoint = np.empty(len(image), np.int64)
+        keypoint[keypoints] = np.arange(len(image)) - first[image[keypoints]]
+        tracks = np.argsort(point, kind="stable")
+        seen = np.bincount(point, minlength=len(points_in_world))
+        model = Reconstruction(
+            Cameras.from_list(own),
+            Rigs.of_single_cameras(len(own)),
+            Frames(sensor, cams_from_world, np.full(n, np.nan)),
+            Images(files, np.arange(n, dtype=np.int32), sensor, first, pixels[keypoints]),
+            Points(
+                points_in_world,
+                np.full((len(points_in_world), 3), 128, np.uint8),
+                np.full(len(points_in_world), np.nan),
+            ),
+            Tracks(
+                np.concatenate([[0], np.cumsum(seen)]).astype(np.int64),
+                image[tracks].astype(np.int32),
+                keypoint[tracks].astype(np.int32),
+            ),
+        )
+        off = np.bincount(point[tracks], np.nan_to_num(model.reprojection_errors_px()), len(points_in_world))
+        return replace(model, points=replace(model.points, error_px=off / np.where(seen > 0, seen, np.nan)))
 
     @property
     def camera_of_image(self) -> Int32[np.ndarray, " n"]:

@@ -12,7 +12,7 @@ from epipole._checks import check_fraction
 from epipole._declared import checked
 from epipole._declared.tables import Expected, Table, check_arrays
 from epipole.errors import ConfigError, ShapeError
-from epipole.fields.config import SplatConfig
+from epipole.fields.config import SplatTraining
 from epipole.fields.exposure import Exposures
 from epipole.fields.photometric import photometric_loss
 from epipole.fields.point_depths import PointDepths, depth_loss, point_depths
@@ -77,7 +77,7 @@ class SplatTrainer:
         self,
         views: Sequence[TrainingView],
         start: GaussianCloud,
-        config: SplatConfig,
+        config: SplatTraining,
         background: Float32[np.ndarray, " 3"],
     ) -> None:
         """Set up a training.
@@ -132,6 +132,11 @@ class SplatTrainer:
     def cloud(self) -> GaussianCloud:
         """Copy of the current Gaussians."""
         return GaussianCloud(*(part.copy() for part in self._arrays))
+
+    @property
+    def field(self) -> GaussianCloud:
+        """The same, by the name that all trainers share."""
+        return self.cloud
 
     def __len__(self) -> int:
         return len(self._arrays.means)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from epipole.pipelines.calibration.calibrate import calibrate_views
 from epipole.pipelines.calibration.comparison import cross_check
 from epipole.pipelines.calibration.config import CalibrationConfig
 from epipole.pipelines.calibration.files import CalibrationRun, write_results
+from epipole.pipelines.calibration.options import CalibrationKeywords
 from epipole.pipelines.calibration.page import render_page
 from epipole.pipelines.calibration.verdict import assess
 from epipole.runs import Job, ProgressCallback, Run, ignore_progress, open_run
@@ -35,7 +36,7 @@ def calibrate(
     config: CalibrationConfig | None = None,
     right: str | Path | None = None,
     progress: ProgressCallback = ignore_progress,
-    **options: Any,
+    **options: Unpack[CalibrationKeywords],
 ) -> CalibrationRun:
     """Calibrate a camera, or a pair, from images of a board, with a report.
 

@@ -15,7 +15,7 @@ from epipole.image import undistorted_camera
 from epipole.io.convert import read_model
 from epipole.io.models.llff import LLFF, read_llff
 from epipole.io.names import flat_names
-from epipole.pipelines.fields.config import RenderJob
+from epipole.pipelines.fields.config import RenderConfig
 from epipole.scene import Reconstruction
 
 
@@ -29,7 +29,7 @@ class RenderView:
     cam_from_world: Rigid3
 
 
-def render_views_of_model(source: Path, job: RenderJob) -> list[RenderView]:
+def render_views_of_model(source: Path, job: RenderConfig) -> list[RenderView]:
     """The registered cameras of a model, without distortion, by their names.
 
     Raises:
@@ -68,7 +68,7 @@ def sized(camera: Camera, width: int | None) -> Camera:
     return Camera(camera.model, width, height, params)
 
 
-def orbit(position: np.ndarray, look_at: np.ndarray, up: np.ndarray, job: RenderJob) -> list[RenderView]:
+def orbit(position: np.ndarray, look_at: np.ndarray, up: np.ndarray, job: RenderConfig) -> list[RenderView]:
     """A circle from `position` around the axis `up` through `look_at`, in even steps; it closes where it goes all the way round."""
     width, height = job.width or 800, job.height or round((job.width or 800) * 3 / 4)
     focal = 0.5 * width / np.tan(0.5 * np.deg2rad(job.fov_deg))

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
 from epipole._declared.tables import Expected, Table
 from epipole._version import __version__
 from epipole.errors import ShapeError, WorkspaceError
+from epipole.fields.trainer import Trainer
 from epipole.fields.training_view import TrainingView
 from epipole.runs.units import digest, is_done, load, store
 
@@ -23,30 +24,11 @@ _OWN: Table = {
 }
 
 
-@runtime_checkable
-class Resumable(Protocol):
-    """What can go on from where it was."""
-
-    @property
-    def table(self) -> Table:
-        """What a `state` holds."""
-
-    def state(self) -> dict[str, np.ndarray]:
-        """All that the next steps depend on, besides the views."""
-
-    def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from a `state` that holds what the table says.
-
-        Raises:
-            ShapeError: its arrays do not fit each other.
-        """
-
-
 class Checkpoint:
     """The file of one job: that of other images, options or another version is not read."""
 
     def __init__(
-        self, folder: Path, settings: dict[str, Any], views: Sequence[TrainingView], trainer: Resumable
+        self, folder: Path, settings: dict[str, Any], views: Sequence[TrainingView], trainer: Trainer
     ) -> None:
         parts = (
             (

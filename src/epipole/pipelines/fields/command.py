@@ -13,11 +13,10 @@ import tyro
 if TYPE_CHECKING:
     from rich.table import Table
 
-from epipole.fields.config import NerfConfig, SplatConfig
-from epipole.pipelines.fields.config import FieldOptions, MeshJob, RenderJob
+from epipole.pipelines.fields.config import MeshConfig, NerfConfig, RenderConfig, SplatConfig
 from epipole.pipelines.sfm.command import STAGES
 
-DEFAULTS, ALL_IMAGES, CIRCLE, MARCHED = SplatConfig(), FieldOptions(), RenderJob(), NerfConfig()
+DEFAULTS, MARCHED, CIRCLE, WHOLE = SplatConfig(), NerfConfig(), RenderConfig(), MeshConfig()
 WORDS = {
     **STAGES,
     "load": "Reading images",
@@ -25,7 +24,6 @@ WORDS = {
     "train": "Training",
     "test": "Rendering held-out views",
 }
-WHOLE = MeshJob()
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as of every command."""
 
@@ -33,7 +31,6 @@ INTERRUPTED = 130
 def splat(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
-    job: Annotated[FieldOptions, tyro.conf.arg(name="")] = ALL_IMAGES,
     config: Annotated[SplatConfig, tyro.conf.arg(name="")] = DEFAULTS,
 ) -> None:
     """Train 3D Gaussians on images, without a GPU. Ctrl-C ends the training, and writes what was learnt.
@@ -42,22 +39,20 @@ def splat(
         source: A folder of photographs or a video (cameras are found first), an output folder of `reconstruct`, a COLMAP model
             with its images, or a transforms.json.
         out: Output folder: splat.ply, test/NAME.png, metrics.json, report.html.
-        job: Which images, and for how long.
-        config: Options of the training.
+        config: Options.
     """
     from epipole.screen import progress_on_screen
 
     with progress_on_screen(WORDS) as progress:
         from epipole.pipelines.fields.run import splat as run
 
-        result = run(source, out, config, job, progress)
+        result = run(source, out, config, progress)
     _show(result.summary, result.warnings, "num_gaussians", result.out / "splat.ply")
 
 
 def nerf(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
-    job: Annotated[FieldOptions, tyro.conf.arg(name="")] = ALL_IMAGES,
     config: Annotated[NerfConfig, tyro.conf.arg(name="")] = MARCHED,
 ) -> None:
     """Train a neural radiance field, or an explicit grid, on images around a scene, without a GPU. Ctrl-C ends the training, and writes what was learnt.
@@ -65,15 +60,14 @@ def nerf(
     Args:
         source: As of `splat`: a folder of photographs or a video, an output folder of `reconstruct`, a COLMAP model, a transforms.json.
         out: Output folder: hash.npz or grid.npz, test/NAME.png, metrics.json, report.html.
-        job: Which images, and for how long.
-        config: Options of the training.
+        config: Options.
     """
     from epipole.screen import progress_on_screen
 
     with progress_on_screen(WORDS) as progress:
-        from epipole.pipelines.fields.nerf import nerf as run
+        from epipole.pipelines.fields.run import nerf as run
 
-        result = run(source, out, config, job, progress)
+        result = run(source, out, config, progress)
         from epipole.pipelines.fields.kinds import KINDS
 
     kind = KINDS[config.kind]
@@ -83,21 +77,21 @@ def nerf(
 def render(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SPLAT")],
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
-    job: Annotated[RenderJob, tyro.conf.arg(name="")] = CIRCLE,
+    config: Annotated[RenderConfig, tyro.conf.arg(name="")] = CIRCLE,
 ) -> None:
     """Draw trained Gaussians, a neural field or a grid, from a circle or given cameras, to a video or images.
 
     Args:
         source: Output folder of `splat` or `nerf`, or a file of Gaussians (.ply, .compressed.ply, .spz, .sog, .splat).
         out: A video (.mp4), or a folder for PNG images.
-        job: From where, and how large.
+        config: From where, and how large.
     """
     from epipole.screen import open_console, progress_on_screen
 
     with progress_on_screen({"draw": "Drawing"}) as progress:
         from epipole.pipelines.fields.rendering import render as run
 
-        done = run(source, out, job, progress)
+        done = run(source, out, config, progress)
     text = f"Written {done.out}: {done.num_frames} images, {done.frames_per_s:.1f} drawn a second"
     open_console().print(text, highlight=False, markup=False)
 
@@ -105,26 +99,26 @@ def render(
 def mesh(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FIELD")],
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")],
-    job: Annotated[MeshJob, tyro.conf.arg(name="")] = WHOLE,
+    config: Annotated[MeshConfig, tyro.conf.arg(name="")] = WHOLE,
 ) -> None:
     """Cut a mesh out of trained Gaussians, a neural field or a grid: their depth, fused from all cameras.
 
     Args:
         source: Output folder of `splat` or `nerf`, or a file of Gaussians with --cameras.
         out: The mesh, a PLY file with colours.
-        job: From where, and how fine.
+        config: From where, and how fine.
     """
     from epipole.screen import open_console, progress_on_screen
 
     with progress_on_screen({"fuse": "Fusing depth"}) as progress:
         from epipole.pipelines.fields.meshing import mesh as run
 
-        found = run(source, out, job, progress)
+        found = run(source, out, config, progress)
     text = f"Written {out}: {len(found.vertices_in_world):,} vertices, {len(found):,} triangles"
     if found.num_removed:
         text += (
             f"; removed {found.num_removed:,} of {found.num_components:,} components, which have fewer triangles than"
-            f" {100 * job.least_component:g} % of the largest (--least-component)"
+            f" {100 * config.least_component:g} % of the largest (--least-component)"
         )
     open_console().print(text, highlight=False, markup=False)
 
@@ -132,7 +126,6 @@ def mesh(
 def compare_fields(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")],
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
-    job: Annotated[FieldOptions, tyro.conf.arg(name="")] = ALL_IMAGES,
     config: Annotated[NerfConfig, tyro.conf.arg(name="")] = MARCHED,
 ) -> None:
     """Train Gaussians and a neural field for the same time, and compare them: likeness, speed, and work for each pixel.
@@ -140,7 +133,6 @@ def compare_fields(
     Args:
         source: As of `splat`: a folder of photographs or a video, an output folder of `reconstruct`, a COLMAP model, a transforms.json.
         out: Output folder: splat, nerf, pictures/NAME.png (truth, Gaussians, field), compare.json.
-        job: Which images, and for how long each is trained.
         config: Which field the Gaussians are compared with.
     """
     from epipole.screen import open_console, print_warnings, progress_on_screen
@@ -148,7 +140,7 @@ def compare_fields(
     with progress_on_screen({**WORDS, "compare": "Comparing"}) as progress:
         from epipole.pipelines.fields.comparison import compare_fields as run
 
-        result = run(source, out, config, job, progress)
+        result = run(source, out, config, progress)
     console = open_console()
     console.print(_compared(result.rows, config.kind))
     print_warnings(console, result.warnings, rest_in=str(result.out / "compare.json"))

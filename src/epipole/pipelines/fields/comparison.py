@@ -3,31 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
 from epipole._jit import compile_seconds
-from epipole.fields.config import NerfConfig, SplatConfig
-from epipole.fields.splat.rasterizer import render as render
-from epipole.fields.splat.rasterizer import useful_pairs
+from epipole.fields.splat.rasterizer import render, useful_pairs
 from epipole.fields.training_view import TrainingView
 from epipole.io.files import read_json
 from epipole.io.images.photographs import read_rgb
 from epipole.io.images.rgba import write_png
-from epipole.pipelines.fields.config import FieldOptions
+from epipole.pipelines.fields.config import FieldOptions, NerfConfig, SplatConfig
 from epipole.pipelines.fields.held_out import in_time, timed
 from epipole.pipelines.fields.images import FieldImages
 from epipole.pipelines.fields.kinds import KINDS, Kind
-from epipole.pipelines.fields.nerf import NerfResult, nerf_of
+from epipole.pipelines.fields.options import NerfKeywords
 from epipole.pipelines.fields.page import rendered_names
-from epipole.pipelines.fields.run import SplatResult, splat_of
+from epipole.pipelines.fields.recipes import GaussianRecipe, RayRecipe
+from epipole.pipelines.fields.run import FieldResult, train_field
 from epipole.pipelines.fields.scores import scores_of
-from epipole.pipelines.fields.training import MEANS, METRICS, background_of, called
+from epipole.pipelines.fields.training import MEANS, METRICS, background_of, training_of
 from epipole.runs import ProgressCallback, Run, ignore_progress, open_run
 
 IMAGES, FIGURES = "images", "compare.json"
@@ -57,9 +56,8 @@ def compare_fields(
     source: str | Path,
     out: str | Path,
     config: NerfConfig | None = None,
-    job: FieldOptions | None = None,
     progress: ProgressCallback = ignore_progress,
-    **options: Any,
+    **options: Unpack[NerfKeywords],
 ) -> FieldComparison:
     """Train Gaussians, and a neural field or a grid, for the same time, and draw the same views with both.
 
@@ -69,10 +67,9 @@ def compare_fields(
     Args:
         source: as of `splat`.
         out: output folder: `splat`, `nerf`, `images/NAME.png` (truth, Gaussians, field), `compare.json`.
-        config: which field Gaussians are compared with; None for the neural one. Its seed is that of both.
-        job: which images, and for how long each is trained.
+        config: which images, for how long, and which field Gaussians are compared with. The seed is that of both.
         progress: called with the progress of each stage.
-        **options: single options of both by name, which override them: `time="1m"`.
+        **options: single options by name, which override `config`: `time="1m"`.
 
     Raises:
         NoModelError: the images give no cameras, or fewer than two can be used.
@@ -81,18 +78,18 @@ def compare_fields(
         FileFormatError: the source cannot be read.
         WorkspaceError: the output folder cannot be used.
     """
-    given = called("compare-fields", (source, out), (NerfConfig, config), job, progress, options)
-    source, wanted, config = given.source, given.images, given.config
+    given = training_of("compare-fields", (source, out), (NerfConfig, config), progress, options)
+    source, wanted = given.source, given.config
+    shared = {name.name: getattr(wanted, name.name) for name in fields(FieldOptions)}
     with open_run(given.task, given.out) as run:
-        of_splat = (SplatConfig, SplatConfig(seed=config.seed))
-        gaussians, images = splat_of(
-            called(SPLAT, (source, run.root / SPLAT), of_splat, wanted, progress, {})
-        )
-        of_nerf = (NerfConfig, config)
-        field, _ = nerf_of(called(NERF, (source, run.root / NERF), of_nerf, wanted, progress, {}), images)
+        of_splat = (SplatConfig, SplatConfig(seed=wanted.seed, **shared))
+        splat = training_of(SPLAT, (source, run.root / SPLAT), of_splat, progress, {})
+        gaussians, images = train_field(splat, GaussianRecipe(splat.config))
+        nerf = training_of(NERF, (source, run.root / NERF), (NerfConfig, wanted), progress, {})
+        field, _ = train_field(nerf, RayRecipe(nerf.config), images)
         background = background_of(wanted, images)
         run.warnings = list(dict.fromkeys([*gaussians.warnings, *field.warnings]))
-        views, marched = _of_field(field, KINDS[config.kind], images, wanted, run)
+        views, marched = _of_field(field, KINDS[wanted.kind], images, wanted, run)
         views = [view for view in views if not images.test or view.name in _rows_of(gaussians.out)]
         splatted, files = partial(_splatted, gaussians, background), rendered_names(images.test or views)
         rows = _compared(splatted, marched, views, background, files, run)
@@ -100,7 +97,7 @@ def compare_fields(
             rows[name]["train_s"] = result.summary["train_s"]
         rows[SPLAT]["num_gaussians"] = len(gaussians.cloud)
         figures: dict[str, Any] = {
-            "kind": config.kind,
+            "kind": wanted.kind,
             "held_out": bool(images.test),
             "views": len(views),
             **rows,
@@ -118,7 +115,7 @@ class _FieldRenderer:
     """A trained field."""
 
     background: np.ndarray
-    result: NerfResult
+    result: FieldResult
     kind: Kind
 
     def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
@@ -130,7 +127,7 @@ class _FieldRenderer:
 
 
 def _of_field(
-    field: NerfResult, kind: Kind, images: FieldImages, wanted: FieldOptions, run: Run
+    field: FieldResult, kind: Kind, images: FieldImages, wanted: FieldOptions, run: Run
 ) -> tuple[list[TrainingView], Callable[[TrainingView], Shown]]:
     """The views that are compared, and what the field shows in each.
 
@@ -162,7 +159,7 @@ def _read(
     return Shown(image.astype(np.float32) / np.float32(255.0), {**scores, **figures})
 
 
-def _splatted(gaussians: SplatResult, background: np.ndarray, view: TrainingView) -> Shown:
+def _splatted(gaussians: FieldResult, background: np.ndarray, view: TrainingView) -> Shown:
     start, compiled = perf_counter(), compile_seconds()
     rendered = render(gaussians.cloud, view.camera, view.cam_from_world)
     image = rendered.over(background)

@@ -1,4 +1,4 @@
-"""Options of `epipole splat`."""
+"""Options of `epipole splat`, `nerf`, `render` and `mesh`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Literal
 
 from epipole._declared import check_options
 from epipole.errors import ConfigError
+from epipole.fields.config import NerfTraining, SplatTraining
 
 USUAL_TIME = "5m"
 _UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0}
@@ -80,7 +81,35 @@ class FieldOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RenderJob:
+class SplatConfig(SplatTraining, FieldOptions):
+    """Options of `splat`: images, duration and training."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        FieldOptions.__post_init__(self)
+        SplatTraining.__post_init__(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NerfConfig(NerfTraining, FieldOptions):
+    """Options of `nerf`: images, duration and training."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        FieldOptions.__post_init__(self)
+        NerfTraining.__post_init__(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderConfig:
     """From where a field is drawn, and how large."""
 
     cameras: Path | None = None
@@ -122,11 +151,11 @@ class RenderJob:
         if not 0.0 < self.fps <= 1000.0:
             raise ConfigError(f"fps must be above 0 and at most 1000, got {self.fps}")
         if not -3600.0 <= self.rotation_deg <= 3600.0:
-            raise ConfigError(f"turn_deg must be within 3600 degrees, got {self.rotation_deg}")
+            raise ConfigError(f"rotation_deg must be within 3600 degrees, got {self.rotation_deg}")
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeshJob:
+class MeshConfig:
     """From where a field's depth is drawn, and how fine the mesh is."""
 
     cameras: Path | None = None

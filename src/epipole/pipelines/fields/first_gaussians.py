@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from epipole.fields.config import SplatConfig
+from epipole.fields.config import SplatTraining
 from epipole.fields.splat.starting import (
     cloud_of_points,
     fraction_in_view,
@@ -39,7 +39,7 @@ class Start(NamedTuple):
 
 
 def first_gaussians(
-    images: FieldImages, config: SplatConfig, most: int, progress: Callable[[int, int], None]
+    images: FieldImages, config: SplatTraining, most: int, progress: Callable[[int, int], None]
 ) -> Start:
     """What the training begins with.
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
-from epipole._declared.tables import Table
 from epipole.cameras import Camera
 from epipole.errors import FileFormatError
 from epipole.fields.nerf.hash_field import HashField, Room, render_hash, voxels_of
@@ -19,42 +18,12 @@ from epipole.fields.nerf.voxel_field import Voxels, corners_of, render_voxels, u
 from epipole.fields.nerf.voxel_files import WIDTH, GridContents, read_grid, write_grid
 from epipole.fields.nerf.voxel_trainer import VoxelTrainer
 from epipole.fields.rays import blocks_of
+from epipole.fields.trainer import Trainer
 from epipole.fields.training_view import TrainingView
 from epipole.geometry import Rigid3
 
 Field = Any
 """Voxels, or a HashField."""
-
-
-@runtime_checkable
-class FieldTrainer(Protocol):
-    """What trains a field that is marched through."""
-
-    background: np.ndarray
-    num_steps: int
-    field: Field
-
-    def step(self, progress: float) -> float:
-        """One step, at a share of the training; returns the loss."""
-
-    def render(self, view: TrainingView) -> np.ndarray:
-        """(h, w, 3) the image of a view."""
-
-    def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
-        """(h, w, 3) the image of a view, and how often the field was asked for it."""
-
-    @property
-    def table(self) -> Table:
-        """What a `state` holds."""
-
-    def state(self) -> dict[str, np.ndarray]:
-        """All that the next steps depend on, besides the views."""
-
-    def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from a `state`."""
-
-    def __len__(self) -> int:
-        """Numbers, or rows of them, that are learnt."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +34,7 @@ class Kind:
     """In an output folder."""
     count: str
     """What its size is called in a summary."""
-    trainer: Callable[[Sequence[TrainingView], np.ndarray, int], FieldTrainer]
+    trainer: Callable[[Sequence[TrainingView], np.ndarray, int], Trainer]
     write: Callable[[Path, Field], None]
     read: Callable[[Path], Field]
     render: Callable[[Field, Camera, Rigid3, np.ndarray], tuple[np.ndarray, np.ndarray, int]]
@@ -154,4 +123,4 @@ KINDS = {
         _positions_of_neural,
     ),
 }
-"""By the name of `NerfConfig.kind`."""
+"""By the name of `NerfTraining.kind`."""

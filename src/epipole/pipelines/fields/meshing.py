@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.io.meshes.mesh_ply import write_mesh_ply
 from epipole.io.models.losses import losses_in
 from epipole.pipelines.fields.cameras import RenderView, render_views_of_model
-from epipole.pipelines.fields.config import MeshJob, RenderJob
+from epipole.pipelines.fields.config import MeshConfig, RenderConfig
+from epipole.pipelines.fields.options import MeshKeywords
 from epipole.pipelines.fields.scene import CAMERAS
 from epipole.pipelines.fields.surfaces import seen_from
 from epipole.runs import Progress, ProgressCallback, ignore_progress, refuse_existing, replacing_file
@@ -24,9 +25,9 @@ from epipole.scene import Mesh
 def mesh(
     source: str | Path,
     out: str | Path,
-    job: MeshJob | None = None,
+    config: MeshConfig | None = None,
     progress: ProgressCallback = ignore_progress,
-    **options: Any,
+    **options: Unpack[MeshKeywords],
 ) -> Mesh:
     """Cut a mesh out of trained Gaussians, a neural field or a grid.
 
@@ -35,9 +36,9 @@ def mesh(
     Args:
         source: an output folder of `splat` or `nerf`, or a file of Gaussians (with `cameras`).
         out: the mesh, a PLY file with colours.
-        job: from where, and how fine; None for the defaults.
+        config: from where, and how fine; None for the defaults.
         progress: called with the progress.
-        **options: single options by name, which override `job`.
+        **options: single options by name, which override `config`.
 
     Raises:
         ConfigError: an option is unknown or makes no sense.
@@ -47,7 +48,7 @@ def mesh(
         WorkspaceError: the file exists and no earlier call wrote it, or it cannot be written.
     """
     source, out = as_path(source), as_path(out)
-    wanted = options_of(MeshJob, job, options, ["job", "progress"])
+    wanted = options_of(MeshConfig, config, options, ["config", "progress"])
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
     if out.suffix.lower() != ".ply" or out.is_dir():
@@ -68,7 +69,7 @@ def mesh(
     return found
 
 
-def _box(positions: np.ndarray, wanted: MeshJob) -> tuple[np.ndarray, np.ndarray]:
+def _box(positions: np.ndarray, wanted: MeshConfig) -> tuple[np.ndarray, np.ndarray]:
     """The lowest and the highest corner of what is meshed."""
     if wanted.box is not None:
         return np.array(wanted.box[:3]), np.array(wanted.box[3:])
@@ -77,7 +78,7 @@ def _box(positions: np.ndarray, wanted: MeshJob) -> tuple[np.ndarray, np.ndarray
     return low - margin, high + margin
 
 
-def _views(source: Path, wanted: MeshJob) -> list[RenderView]:
+def _views(source: Path, wanted: MeshConfig) -> list[RenderView]:
     """Cameras that were asked for, or those of the training; spread over all where there are many."""
     cameras = wanted.cameras or (source if source.is_dir() else source.parent) / CAMERAS
     if wanted.cameras is None and not cameras.exists():
@@ -85,6 +86,6 @@ def _views(source: Path, wanted: MeshJob) -> list[RenderView]:
             f"the cameras of {source} are unknown, for there is no {cameras}: give the cameras that look at the scene, a "
             "transforms.json or a COLMAP model (cameras)"
         )
-    views = render_views_of_model(cameras, RenderJob(width=wanted.width))
+    views = render_views_of_model(cameras, RenderConfig(width=wanted.width))
     rows = np.linspace(0, len(views) - 1, min(len(views), wanted.most_views)).astype(np.int64)
     return [views[row] for row in rows.tolist()]

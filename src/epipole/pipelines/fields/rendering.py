@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 
@@ -21,8 +21,9 @@ from epipole.io.images.rgba import write_png
 from epipole.io.images.video_files import VIDEO_SUFFIX, write_video
 from epipole.io.models.losses import losses_in
 from epipole.pipelines.fields.cameras import RenderView, orbit, render_views_of_model
-from epipole.pipelines.fields.config import RenderJob
+from epipole.pipelines.fields.config import RenderConfig
 from epipole.pipelines.fields.kinds import kind_in
+from epipole.pipelines.fields.options import RenderKeywords
 from epipole.pipelines.fields.scene import (
     BACKGROUNDS,
     SUMMARY,
@@ -46,7 +47,7 @@ from epipole.runs.folder import check_output_path
 
 
 @dataclass(frozen=True, slots=True)
-class Rendered:
+class RenderResult:
     """What `render` has written."""
 
     out: Path
@@ -58,18 +59,18 @@ class Rendered:
 def render(
     source: str | Path,
     out: str | Path,
-    job: RenderJob | None = None,
+    config: RenderConfig | None = None,
     progress: ProgressCallback = ignore_progress,
-    **options: Any,
-) -> Rendered:
+    **options: Unpack[RenderKeywords],
+) -> RenderResult:
     """Draw trained Gaussians, a trained grid or neural field.
 
     Args:
         source: an output folder of `splat` or `nerf`, or a file of Gaussians.
         out: a video (.mp4), or a new folder for PNG images; the video or folder of an earlier call is replaced.
-        job: from where, and how large; None for the defaults.
+        config: from where, and how large; None for the defaults.
         progress: called with the progress.
-        **options: single options by name, which override `job`.
+        **options: single options by name, which override `config`.
 
     Raises:
         ConfigError: an option is unknown or makes no sense, the images of a video would differ in size, or `out` ends
@@ -79,20 +80,19 @@ def render(
         WorkspaceError: the output exists and no earlier call wrote it, or it cannot be written.
     """
     source, out = as_path(source), as_path(out)
-    wanted = options_of(RenderJob, job, options, ["job", "progress"])
+    wanted = options_of(RenderConfig, config, options, ["config", "progress"])
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
     inputs = (source,) if wanted.cameras is None else (source, wanted.cameras)
     _check_target(out, inputs)
     colour = np.full(3, _background(source, wanted), np.float32)
     image_of, first_view = _drawer(source, wanted, colour)
-    views = (
-        orbit(*first_view, wanted)
-        if wanted.cameras is None
-        else render_views_of_model(wanted.cameras, wanted)
-    )
-    for loss in [] if wanted.cameras is None else losses_in(wanted.cameras):
-        progress(Progress("draw", 0, len(views), loss))
+    if wanted.cameras is None:
+        views = orbit(*first_view, wanted)
+    else:
+        views = render_views_of_model(wanted.cameras, wanted)
+        for loss in losses_in(wanted.cameras):
+            progress(Progress("draw", 0, len(views), loss))
     if wanted.output != "colour":
         image_of = _surface_drawer(source, wanted.output, views[0])
     spent = [0.0]
@@ -110,13 +110,12 @@ def render(
             write_video(aside, (image for _, image in images()), wanted.fps)
     else:
         settings = {**asdict(wanted), "cameras": None if wanted.cameras is None else str(wanted.cameras)}
-        task = Job(kind="render", inputs=(source,), settings=settings, progress=progress)
-        with open_run(task, out) as run:
+        with open_run(Job(kind="render", inputs=(source,), settings=settings, progress=progress), out) as run:
             with run.stage("draw"), run.folder.publish("images") as aside:
                 for render_view, image in images():
                     write_png(aside / f"{render_view.name}.png", image)
             run.finish()
-    return Rendered(out, len(views), len(views) / max(spent[0], 1e-9))
+    return RenderResult(out, len(views), len(views) / max(spent[0], 1e-9))
 
 
 def _check_target(out: Path, inputs: tuple[Path, ...]) -> None:
@@ -139,7 +138,7 @@ def _check_target(out: Path, inputs: tuple[Path, ...]) -> None:
 
 
 def _drawer(
-    source: Path, wanted: RenderJob, colour: np.ndarray
+    source: Path, wanted: RenderConfig, colour: np.ndarray
 ) -> tuple[Callable[[RenderView], np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """What draws a shot of Gaussians, or of a field that is marched through; and position, middle and up of its first view."""
     found = kind_in(source)
@@ -180,7 +179,7 @@ def _surface_drawer(source: Path, output: str, first: RenderView) -> Callable[[R
     return {"depth": depth, "normals": normals, "coverage": coverage}[output]
 
 
-def _background(source: Path, wanted: RenderJob) -> float:
+def _background(source: Path, wanted: RenderConfig) -> float:
     """As it was trained, where that is known."""
     if wanted.background != "auto":
         return BACKGROUNDS[wanted.background]

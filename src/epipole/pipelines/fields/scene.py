@@ -18,7 +18,7 @@ from epipole.io.gaussians.files import META, gaussians_file, is_unpacked_sog, re
 from epipole.io.gaussians.files import SPLAT as SPLAT
 from epipole.io.models.transforms import model_of_cameras, write_transforms
 from epipole.pipelines.fields.cameras import RenderView, render_views_of_model
-from epipole.pipelines.fields.config import RenderJob
+from epipole.pipelines.fields.config import RenderConfig
 from epipole.pipelines.fields.kinds import kind_in
 from epipole.report.gaussians import DEGREE_KEPT
 from epipole.report.markup import plural
@@ -64,7 +64,7 @@ def scene(path: Path) -> SpaceScene:
     is_result = path.is_dir() or path.name == SPLAT or kind_in(path) is not None
     views: list[RenderView] = []
     if is_result and (folder / CAMERAS).is_file():
-        views = render_views_of_model(folder / CAMERAS, RenderJob())
+        views = render_views_of_model(folder / CAMERAS, RenderConfig())
     is_field = kind_in(path) is not None and not (path / SPLAT).is_file()
     stands_for = " that stand for a radiance field, a coarse likeness of it" if is_field else ""
     return SpaceScene(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -13,11 +14,10 @@ from epipole._checks import as_path
 from epipole._jit import compile_seconds
 from epipole.config import options_of
 from epipole.errors import FileFormatError, WorkspaceError
-from epipole.fields.config import NerfConfig, SplatConfig
-from epipole.fields.training_view import TrainingView
+from epipole.fields.trainer import Trainer
 from epipole.io.models.losses import losses_in, losses_of
 from epipole.pipelines.fields.checkpoints import Checkpoint
-from epipole.pipelines.fields.config import FieldOptions
+from epipole.pipelines.fields.config import FieldOptions, NerfConfig, SplatConfig
 from epipole.pipelines.fields.held_out import probed
 from epipole.pipelines.fields.images import FieldImages, gather_field_images, is_model
 from epipole.pipelines.fields.page import FieldPage, render_page
@@ -30,77 +30,53 @@ METRICS, MODEL, REPORT = "metrics.json", "sfm", "report.html"
 C = TypeVar("C", SplatConfig, NerfConfig)
 MEANS = ("psnr", "ssim", "psnr_matched")
 CURVE_POINTS = 200
+WATCHING = ("view", "host", "port")
+"""Options of the live view, which change nothing in the result."""
 PROBES, PROBE_FRACTION = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85), 0.1
 """At these shares of the training some held-out views are drawn and compared; their time is not counted, but where it is more than
 this share of the training's the comparison is left out: fog is slow to draw."""
 
 
-@runtime_checkable
-class Trainer(Protocol):
-    """What is trained step by step."""
-
-    background: np.ndarray
-    num_steps: int
-
-    def step(self, progress: float) -> float:
-        """One step, at a share of the training; returns the loss."""
-
-    def render(self, view: TrainingView) -> np.ndarray:
-        """(h, w, 3) the image of a view."""
-
-    def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
-        """The image of a view, and how often the field was asked for it."""
-
-    def __len__(self) -> int:
-        """Gaussians, or voxels."""
-
-
 @dataclass(frozen=True, slots=True)
-class Called(Generic[C]):
-    """A job of training, as it was called."""
+class Training(Generic[C]):
+    """A training as it was asked for."""
 
     source: Path
     out: Path
-    images: FieldOptions
     config: C
     settings: dict[str, Any]
+    """For `config.json`; options of the live view are not among them."""
     task: Job
 
 
-def called(
+def training_of(
     kind: str,
     paths: tuple[str | Path, str | Path],
-    configs: tuple[type[C], C | None],
-    job: FieldOptions | None,
+    config: tuple[type[C], C | None],
     progress: ProgressCallback,
-    options: dict[str, Any],
-) -> Called[C]:
+    options: Mapping[str, Any],
+) -> Training[C]:
     """Put together what a job is called with.
 
     Args:
         kind: of the job.
         paths: source and output folder.
-        configs: the class of the training's options, and these.
-        job: which images, and for how long.
+        config: the class of the options, and the options given.
         progress: called with the progress of each stage.
-        options: single options of both by name.
+        options: single options by name.
 
     Raises:
         ConfigError: an option is unknown or makes no sense.
         FileFormatError: there is no source.
     """
-    names: list[str] = [field.name for field in fields(FieldOptions)]
-    own = {name: options.pop(name) for name in names if name in options}
-    images = options_of(FieldOptions, job, own)
-    config = options_of(*configs, options, [*names, "config", "job", "progress"])
+    found = options_of(*config, options, ["config", "progress"])
     source, out = (as_path(path) for path in paths)
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
-    watched = ("view", "host", "port")  # which change nothing of what comes out
-    kept = {name: value for name, value in asdict(images).items() if name not in watched}
-    settings = {"job": kept, "config": asdict(config)}
-    task = Job(kind=kind, inputs=(source,), settings=settings, progress=progress)
-    return Called(source, out, images, config, settings, task)
+    settings = {name: value for name, value in asdict(found).items() if name not in WATCHING}
+    return Training(
+        source, out, found, settings, Job(kind=kind, inputs=(source,), settings=settings, progress=progress)
+    )
 
 
 class Trained(NamedTuple):

@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from time import perf_counter
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
 from epipole._jit import compile_seconds
 from epipole.cameras import Camera
 from epipole.fields.splat.trainer import SplatTrainer
+from epipole.fields.trainer import Trainer
 from epipole.fields.training_view import TrainingView
 from epipole.geometry import Rigid3
 from epipole.pipelines.fields.config import FieldOptions
@@ -33,21 +34,10 @@ MOST_GAUSSIANS = 60_000
 """Of an update: 2.6 MB."""
 
 
-@runtime_checkable
-class Renderable(Protocol):
-    """What is learnt, and can be rendered."""
-
-    num_steps: int
-    background: np.ndarray
-
-    def render(self, view: TrainingView) -> np.ndarray:
-        """(h, w, 3) the image of a view."""
-
-
 class Watch:
     """Shows nothing: what a training without a viewer has."""
 
-    def show(self, trainer: Renderable, fraction: float) -> None:
+    def show(self, trainer: Trainer, fraction: float) -> None:
         """A step was taken, at a fraction of the training."""
 
 
@@ -66,7 +56,7 @@ class BrowserWatch(Watch):
             0.0,
         )
 
-    def show(self, trainer: Renderable, fraction: float) -> None:
+    def show(self, trainer: Trainer, fraction: float) -> None:
         """Update the page, if a tab is open and the budget allows it."""
         self.fraction = min(fraction, 1.0)
         if not self.page.is_watched:
@@ -76,7 +66,7 @@ class BrowserWatch(Watch):
         if self.words_budget.allows():
             self._spend(self.words_budget, lambda: self.page.publish(self._state(trainer)))
 
-    def show_field(self, trainer: Renderable) -> None:
+    def show_field(self, trainer: Trainer) -> None:
         """The Gaussians of now, or one of the views that tabs wait for."""
         if isinstance(trainer, SplatTrainer):
             cloud = trainer.cloud
@@ -84,7 +74,7 @@ class BrowserWatch(Watch):
         else:
             self.render_next(trainer)
 
-    def _state(self, trainer: Renderable) -> dict[str, Any]:
+    def _state(self, trainer: Trainer) -> dict[str, Any]:
         words = f"step {trainer.num_steps:,}, {round(100 * self.fraction)} % of the training"
         if isinstance(trainer, SplatTrainer):
             words += f", {len(trainer):,} Gaussians"
@@ -96,7 +86,7 @@ class BrowserWatch(Watch):
         act()
         budget.spend(perf_counter() - start - (compile_seconds() - compiling))
 
-    def render_next(self, trainer: Renderable) -> bool:
+    def render_next(self, trainer: Trainer) -> bool:
         """Render the view of a field that has waited longest, if there is one."""
 
         def render(camera: Camera, cam_from_world: Rigid3) -> np.ndarray:
@@ -107,7 +97,7 @@ class BrowserWatch(Watch):
 
 
 @contextmanager
-def open_watch(wanted: FieldOptions, images: FieldImages, trainer: Renderable, name: str) -> Iterator[Watch]:
+def open_watch(wanted: FieldOptions, images: FieldImages, trainer: Trainer, name: str) -> Iterator[Watch]:
     """What shows the training of that name: a page in the browser, whose address is printed, or nothing.
 
     Raises:
@@ -127,7 +117,7 @@ def open_watch(wanted: FieldOptions, images: FieldImages, trainer: Renderable, n
         watch.show_field(trainer)
 
 
-def _scene(images: FieldImages, trainer: Renderable, title: str) -> SpaceScene:
+def _scene(images: FieldImages, trainer: Trainer, title: str) -> SpaceScene:
     """Cameras, and the Gaussians of now if it trains some."""
     view = first_view_of(_centers_of(images), images.train)
     return SpaceScene(

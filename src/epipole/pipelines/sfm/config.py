@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -156,6 +156,8 @@ class ReconstructConfig:
     """What works on single images and pairs: threads, processes, or the calling thread (inline)."""
     threads: int | None = None
     """Number of threads; results do not depend on it. None: every processor."""
+    seed: int = 0
+    """Random seed of the job, added to those of verification and mapper."""
     features: FeatureConfig = field(default_factory=FeatureConfig)
     matching: MatchConfig = field(default_factory=MatchConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)
@@ -184,6 +186,14 @@ class ReconstructConfig:
             raise ConfigError(f"max_frames must be at least 2, got {self.max_frames}")
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, got {self.threads}")
+
+    def seeded(self) -> ReconstructConfig:
+        """The same with the job's seed in its parts."""
+        return replace(
+            self,
+            verification=replace(self.verification, seed=self.verification.seed + self.seed),
+            mapper=replace(self.mapper, seed=self.mapper.seed + self.seed),
+        )
 
     def named_files(self) -> list[Path]:
         """Files that options name."""

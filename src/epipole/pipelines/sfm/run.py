@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from epipole._checks import as_path
 from epipole._jit import compile_seconds
@@ -15,6 +15,7 @@ from epipole.pipelines.sfm.anchored import UP_TO_SCALE, with_scale
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.mapping_stage import reasons_in_words
 from epipole.pipelines.sfm.notes import absences_of, focal_source, notes_on_choice_and_cameras, warnings_of
+from epipole.pipelines.sfm.options import ReconstructKeywords
 from epipole.pipelines.sfm.page.content import page_content
 from epipole.pipelines.sfm.page.page import render_report
 from epipole.pipelines.sfm.pipeline import Solution, solve
@@ -55,7 +56,7 @@ def reconstruct(
     progress: ProgressCallback = ignore_progress,
     *,
     executor: ExecutorChoice | None = None,
-    **options: Any,
+    **options: Unpack[ReconstructKeywords],
 ) -> ReconstructionResult:
     """Make a 3D model from a folder of photographs or a video, with a report; a stopped run continues.
 
@@ -74,13 +75,13 @@ def reconstruct(
         ConfigError: an option is unknown, or does not fit the images.
         FileFormatError: a file that was named is missing or cannot be read.
     """
-    config = options_of(ReconstructConfig, config, options, ["config", "progress", "executor"])
+    config = options_of(ReconstructConfig, config, options, ["config", "progress", "executor"]).seeded()
     out, source = as_path(out), as_path(images)
     _check_inputs(source, config)
     job = Job(
         kind="reconstruct",
         inputs=(source,),
-        settings={"seed": config.mapper.seed, "config": asdict(config)},
+        settings={"seed": config.seed, "config": asdict(config)},
         threads=config.threads,
         executor=config.executor if executor is None else executor,
         progress=progress,

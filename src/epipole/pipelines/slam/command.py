@@ -12,12 +12,12 @@ import tyro
 
 from epipole._terminal import say
 from epipole.pipelines.sfm.command import STAGES
-from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
+from epipole.pipelines.slam.config import JobOptions, SlamConfig
 
 if TYPE_CHECKING:
     from epipole.pipelines.slam.output.results import SlamResult
 
-DEFAULTS, NO_CAMERA, ALL_FRAMES = SlamConfig(), CameraOptions(), JobOptions()
+DEFAULTS = SlamConfig()
 LEAST_SHIFT_REPORTED_PX = 0.1
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as of every command."""
@@ -26,8 +26,6 @@ INTERRUPTED = 130
 def slam(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
-    job: Annotated[JobOptions, tyro.conf.arg(name="")] = ALL_FRAMES,
-    camera: Annotated[CameraOptions, tyro.conf.arg(name="")] = NO_CAMERA,
     config: Annotated[SlamConfig, tyro.conf.arg(name="")] = DEFAULTS,
 ) -> None:
     """Follow a moving camera: its path, frame by frame, and the map that it sees. Ctrl-C ends it, and writes what there is.
@@ -36,8 +34,6 @@ def slam(
         source: A 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of images, a video, a recording of ROS
             (.bag, .db3, .mcap, or the folder of a ROS 2 bag), or the number of a camera, such as 0.
         out: Output folder.
-        job: What is taken of the source, what it is compared with, what is written and shown.
-        camera: What is known of the camera, for sources that do not tell.
         config: Options.
     """
     from epipole.screen import progress_on_screen
@@ -51,12 +47,12 @@ def slam(
     with progress_on_screen(words) as progress:
         from epipole.pipelines.slam.run import slam as run
 
-        result = run(source, out, config, job, camera, progress)
+        result = run(source, out, config, progress)
     show_slam(result)
     if result.summary["interrupted"] and not result.summary["is_live"]:
         sys.exit(INTERRUPTED)  # what was asked for is not done; a camera ends in no other way
-    if job.view:
-        _stay(result.out, job)
+    if config.view:
+        _stay(result.out, config)
 
 
 def show_slam(result: SlamResult) -> None:

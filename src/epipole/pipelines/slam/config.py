@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -20,10 +20,9 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SlamConfig:
+class OdometryConfig(FlowConfig):
     """Options of `Slam`. A new user needs none."""
 
-    flow: FlowConfig = field(default_factory=FlowConfig)
     num_features: int = 400
     """Points followed at a time."""
     min_distance_px: int = 12
@@ -75,7 +74,7 @@ class SlamConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_options(self)
+        FlowConfig.__post_init__(self)
         if self.num_features < 50 or self.min_distance_px < 2 or self.window < 2 or self.max_fixed < 1:
             raise ConfigError(
                 "num_features must be at least 50, min_distance_px and window at least 2, max_fixed at least 1"
@@ -243,3 +242,22 @@ class JobOptions:
     def topic_names(self) -> tuple[str, ...]:
         """The topics asked for; empty where they are to be found."""
         return tuple((self.topics or "").replace(",", " ").split())
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlamConfig(OdometryConfig, CameraOptions, JobOptions):
+    """Options of `slam`: frames, camera, tracking and mapping."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        for part in (JobOptions, CameraOptions, OdometryConfig):
+            part.__post_init__(self)
+
+    @property
+    def odometry(self) -> OdometryConfig:
+        """The part that tracking and mapping depend on."""
+        return OdometryConfig(**{each.name: getattr(self, each.name) for each in fields(OdometryConfig)})

@@ -9,7 +9,7 @@ from __future__ import annotations
 from epipole.geometry import Rigid3
 from epipole.inertial import MountedImu
 from epipole.mapping import RefinedPose
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.map.covariance import carry_covariance
 from epipole.pipelines.slam.map.local_mapping import LocalMapper
@@ -34,7 +34,7 @@ class Odometry:
         model: SlamMap,
         camera: SlamCamera,
         focal_baseline: float | None,
-        config: SlamConfig,
+        config: OdometryConfig,
         imu: MountedImu | None,
         cam_from_world: Rigid3,
     ) -> None:

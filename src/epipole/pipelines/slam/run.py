@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, Unpack
 
 from epipole._checks import as_path
 from epipole._declared import checked
@@ -22,6 +22,7 @@ from epipole.io.images.video import is_video
 from epipole.io.sequences.sequence import read_sequence
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.map.local_mapping import LAST_STEPS
+from epipole.pipelines.slam.options import SlamKeywords
 from epipole.pipelines.slam.output import autosave
 from epipole.pipelines.slam.output.live import LiveView, open_live
 from epipole.pipelines.slam.output.map_file import KnownMap, read_slam_map, require_map
@@ -53,7 +54,8 @@ from epipole.runs.earlier import refuse_poorer
 from epipole.runs.folder import check_output_path
 from epipole.scale import Anchoring, check_anchor_files, mounted_imu
 
-ARGUMENTS = ("config", "job", "camera", "progress")
+FILES = ("truth", "map", "masks", *ANCHOR_FILES)
+"""Options that name files."""
 
 
 @checked
@@ -61,10 +63,8 @@ def slam(
     source: str | Path,
     out: str | Path,
     config: SlamConfig | None = None,
-    job: JobOptions | None = None,
-    camera: CameraOptions | None = None,
     progress: ProgressCallback = ignore_progress,
-    **options: Any,
+    **options: Unpack[SlamKeywords],
 ) -> SlamResult:
     """Follow a camera through frames, and write its path and map.
 
@@ -75,10 +75,8 @@ def slam(
             (.bag, .db3, .mcap or the folder of a ROS 2 bag), or the number of a camera at this computer.
         out: output folder, made if missing.
         config: options; None for the defaults.
-        job: what is taken of the source (sensor, topics, max_frames), how (realtime), and what is written.
-        camera: intrinsics, for sources that do not tell them.
         progress: called after each frame.
-        **options: single options of `job`, its anchors or the config by name, which override them.
+        **options: single options by name, which override `config`: `sensor="mono"`.
 
     Raises:
         NoModelError: no frame got a place; the message says why.
@@ -86,20 +84,21 @@ def slam(
         FileFormatError: the source, or a file that is named, cannot be read.
         WorkspaceError: the output folder cannot be used, or holds an earlier result with more frames.
     """
-    wanted, given = _job_of(job, options), options_of(CameraOptions, camera)
-    config = options_of(SlamConfig, config, options, [*_names_of_job(), *ARGUMENTS])
+    wanted = _config_of(config, options)
     source, out = as_path(str(source)), as_path(out)
-    _check_source(source, wanted, given)
+    _check_source(source, wanted)
     _check_target(source, out, wanted)
     truth = None if wanted.truth is None else true_path_at(wanted.truth)
-    found = find_camera(source, wanted, given, progress)
-    frames = _open(source, wanted, given, found)
+    found = find_camera(source, wanted, wanted, progress)
+    frames = _open(source, wanted, wanted, found)
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
     model = None if known is None else known.model
-    system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize, imu=mounted_imu(wanted.anchors))
+    system = Slam(
+        frames.camera, wanted, model, is_map_fixed=wanted.localize, imu=mounted_imu(wanted.anchors)
+    )
     check_one_camera(wanted.anchors, measures_depth=frames.camera.measures_depth)
     check_known_map(wanted.anchors, known, is_map_fixed=wanted.localize)
-    settings = _settings(wanted, given, config)
+    settings = {name: value for name, value in asdict(wanted).items() if name != "resume"}
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     shown = open_live(system, FrameStream(frames, wanted).num_expected, wanted, out.name)
     with open_run(task, out) as run, shown as live, graceful_interrupt() as is_stopped:
@@ -117,13 +116,6 @@ def slam(
             return write_results(
                 stream, system, records, RunInputs(truth, known, anchoring, found), wanted, run
             )
-
-
-def _settings(job: JobOptions, camera: CameraOptions, config: SlamConfig) -> dict[str, Any]:
-    """For config.json; whether the run was resumed is not a part of it."""
-    settings = {"job": asdict(job), "camera": asdict(camera), "config": asdict(config)}
-    del settings["job"]["resume"]
-    return settings
 
 
 def _notes(found: FoundCamera | None, system: Slam) -> list[str]:
@@ -172,20 +164,16 @@ def _anchored(
     return found
 
 
-def _names_of_job() -> list[str]:
-    return [field.name for kind in (JobOptions, AnchorOptions) for field in fields(kind)]
+def _config_of(config: SlamConfig | None, options: Mapping[str, Any]) -> SlamConfig:
+    """The options with those given by name; files may be given as text."""
+    named = {
+        name: as_path(value) if name in FILES and value is not None else value
+        for name, value in options.items()
+    }
+    return options_of(SlamConfig, config, named, ["config", "progress"])
 
 
-def _job_of(job: JobOptions | None, options: dict[str, Any]) -> JobOptions:
-    """With the single options that are not the config's, taken out."""
-    own = {name: options.pop(name) for name in _names_of_job() if name in options}
-    for name in ("truth", "map", "masks", *ANCHOR_FILES):
-        if own.get(name) is not None:
-            own[name] = as_path(own[name])
-    return options_of(JobOptions, job, own)
-
-
-def _check_source(source: Path, job: JobOptions, given: CameraOptions) -> None:
+def _check_source(source: Path, job: SlamConfig) -> None:
     """Check that the options are of such a source.
 
     Raises:
@@ -204,7 +192,7 @@ def _check_source(source: Path, job: JobOptions, given: CameraOptions) -> None:
             raise ConfigError("fps is for folders of images without times: a video has its own")
         if job.sensor not in ("auto", "mono"):
             raise ConfigError("a video is of one camera")
-        if given.depth_scale is not None:
+        if job.depth_scale is not None:
             raise ConfigError("depth_scale is for sources with depth images: a video and a camera have none")
 
 

@@ -65,7 +65,7 @@ class SlamState:
         """
         if is_map_fixed and known is None:
             raise ConfigError("a map that is to stay as it is must be given")
-        self.config = SlamConfig() if config is None else config
+        self.config = (SlamConfig() if config is None else config).odometry
         self.camera, self.imu = camera, imu if known is None and not camera.measures_depth else None
         self.focal_baseline = focal_baseline_of(camera, self.config)
         self.state = TrackingState.STARTING if known is None else TrackingState.LOST

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from epipole.io.models.images import ModelImages
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.doctor import Diagnosis, examine
 from epipole.pipelines.stereo.files import write_stereo
+from epipole.pipelines.stereo.options import StereoKeywords
 from epipole.pipelines.stereo.page import render_page
 from epipole.pipelines.stereo.pair import StereoResult, measure_pair
 from epipole.pipelines.stereo.pair_files import PairFiles, files_of_pair
@@ -43,7 +44,7 @@ def stereo(
     out: str | Path,
     config: StereoConfig | None = None,
     rig: RectifiedRig | StereoRig | None = None,
-    **options: Any,
+    **options: Unpack[StereoKeywords],
 ) -> StereoResult:
     """Disparities of a pair with standard deviations, with a rig also depth and points, and a report.
 
@@ -98,7 +99,7 @@ def stereo_many(
     config: StereoConfig | None = None,
     rig: RectifiedRig | StereoRig | None = None,
     progress: ProgressCallback = ignore_progress,
-    **options: Any,
+    **options: Unpack[StereoKeywords],
 ) -> StereoBatch:
     """`stereo` for every pair of two folders or of stereo video.
 
@@ -136,7 +137,7 @@ def stereo_of_model(
     second: str,
     out: str | Path,
     config: StereoConfig | None = None,
-    **options: Any,
+    **options: Unpack[StereoKeywords],
 ) -> StereoResult:
     """`stereo` for two images of a finished reconstruction, rectified by their places; depth in the model's unit.
 

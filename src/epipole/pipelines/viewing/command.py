@@ -29,13 +29,13 @@ def view(
     """
     import threading
 
-    from epipole.pipelines.viewing.run import share as write_page
     from epipole.pipelines.viewing.run import view as run
+    from epipole.pipelines.viewing.run import write_page
     from epipole.screen import working
 
     if share is not None:
         with working():
-            page = write_page(out, share, share_max=share_max)
+            page = write_page(out, share, share_max)
         say(f"Written {page.file} ({page.num_bytes / 1e6:.1f} MB): {page.shown}")
         return
     with working():

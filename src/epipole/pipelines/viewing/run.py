@@ -39,7 +39,7 @@ KINDS: tuple[tuple[Callable[[Path], bool], Callable[[Path], SpaceScene]], ...] =
 
 @dataclass(frozen=True, slots=True)
 class SharedPage:
-    """What `share` has written."""
+    """A page that `share` wrote."""
 
     file: Path
     shown: str
@@ -69,7 +69,7 @@ def view(
 
 
 @checked
-def share(out: str | Path, file: str | Path, *, share_max: int = USUAL_SHARED) -> SharedPage:
+def share(out: str | Path, file: str | Path, *, share_max: int = USUAL_SHARED) -> Path:
     """Write one HTML page that shows a result or a file in any browser, without a server and with nothing loaded from elsewhere.
 
     Args:
@@ -82,6 +82,11 @@ def share(out: str | Path, file: str | Path, *, share_max: int = USUAL_SHARED) -
         ConfigError: the page's name does not end in .html.
         WorkspaceError: the page cannot be written, or exists and no earlier call wrote it.
     """
+    return write_page(out, file, share_max).file
+
+
+def write_page(out: str | Path, file: str | Path, share_max: int) -> SharedPage:
+    """`share`, and what the page shows."""
     path, page_file = as_path(out), as_path(file)
     if page_file.suffix.lower() not in PAGE_SUFFIXES:
         raise ConfigError(f"share writes a page: its name must end in .html, got {page_file.name!r}")

@@ -9,7 +9,7 @@ import numpy as np
 
 from epipole.cameras import Camera
 from epipole.geometry import Rotation3, Similarity3
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.loops.recognition import (
     Recognition,
     describe_keyframe,
@@ -70,7 +70,7 @@ class _Hypothesis:
 class LoopCloser:
     """Looks for places seen before, at every keyframe, in the map itself and in maps from before the camera was lost."""
 
-    def __init__(self, camera: Camera, config: SlamConfig, *, is_metric: bool) -> None:
+    def __init__(self, camera: Camera, config: OdometryConfig, *, is_metric: bool) -> None:
         self.camera, self.config, self.is_metric = camera, config, is_metric
         self.ledger: list[LoopCandidate] = []
         self._waiting: list[_Hypothesis] = []

@@ -14,7 +14,7 @@ from epipole.config import MatchConfig, RansacConfig
 from epipole.features import describe_image, describe_upright, match_descriptors
 from epipole.geometry import Rigid3
 from epipole.mapping import refine_pose
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
 from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
 from epipole.robust import estimate_absolute_pose
@@ -105,7 +105,7 @@ def recognize(
     model: SlamMap,
     number: int,
     camera: Camera,
-    config: SlamConfig,
+    config: OdometryConfig,
     unwanted: np.ndarray | None = None,
 ) -> Recognition:
     """Compare an image with a keyframe and its neighbours.
@@ -147,7 +147,9 @@ def recognize(
     )
 
 
-def _grown(view: View, model: SlamMap, found: Recognition, camera: Camera, config: SlamConfig) -> Recognition:
+def _grown(
+    view: View, model: SlamMap, found: Recognition, camera: Camera, config: OdometryConfig
+) -> Recognition:
     """All points that should be in sight at a pose and look so, and the pose that agrees with them."""
     position, points = found.cam_from_world, found.points
     in_cam = position.apply(model.xyz[points])

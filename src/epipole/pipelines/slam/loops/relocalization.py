@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from epipole.cameras import Camera
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.loops.recognition import Recognition, most_alike, recognize, rival_of, view_of
 from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.tracking.corners import new_corners
@@ -14,7 +14,9 @@ LATEST, ALIKE = 2, 4
 """Keyframes that are compared with each lost frame: the last ones, and those that look most alike."""
 
 
-def relocalize(grey: np.ndarray, model: SlamMap, camera: Camera, config: SlamConfig) -> Recognition | None:
+def relocalize(
+    grey: np.ndarray, model: SlamMap, camera: Camera, config: OdometryConfig
+) -> Recognition | None:
     """The place of an image in a map, by the keyframe with most points in agreement.
 
     None if none has enough, or if two places look like it.

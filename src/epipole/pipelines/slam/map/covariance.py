@@ -23,7 +23,7 @@ from epipole.optim import (
     bundle_covariance,
     with_result,
 )
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
 
@@ -39,7 +39,7 @@ class CalibrationSigma(NamedTuple):
     """Relative, of the baseline or of measured depth."""
 
     @staticmethod
-    def of(sensor: SlamCamera, config: SlamConfig) -> CalibrationSigma:
+    def of(sensor: SlamCamera, config: OdometryConfig) -> CalibrationSigma:
         """From the options; default values where they are None."""
         usual = OF_PAIR if sensor.depth is None else OF_SENSOR
         given = config.focal_sigma, config.center_sigma_px, config.depth_sigma

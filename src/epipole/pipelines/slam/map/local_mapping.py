@@ -22,7 +22,7 @@ from epipole.optim import (
     adjust_bundle,
     with_fixed_gauge,
 )
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.map.covariance import CalibrationSigma, add_calibration_error, learn_covariances
 from epipole.pipelines.slam.map.gauge import align_gauge
@@ -70,7 +70,7 @@ class LocalMapper:
         model: SlamMap,
         sensor: SlamCamera,
         focal_baseline: float | None,
-        config: SlamConfig,
+        config: OdometryConfig,
         imu: MountedImu | None = None,
     ) -> None:
         self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera, config
@@ -385,7 +385,7 @@ class LocalMapper:
                 own.keep(~off)
 
 
-def focal_baseline_of(sensor: SlamCamera, config: SlamConfig) -> float | None:
+def focal_baseline_of(sensor: SlamCamera, config: OdometryConfig) -> float | None:
     """Focal length times baseline, of a depth sensor that of a pair with errors like its own; None for one camera.
 
     Raises:

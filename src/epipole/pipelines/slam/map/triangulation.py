@@ -6,14 +6,14 @@ import numpy as np
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.tracking.points import Tracks
 from epipole.robust import triangulate_points
 
 
-def triangulate(model: SlamMap, camera: Camera, config: SlamConfig, newest: int) -> int:
+def triangulate(model: SlamMap, camera: Camera, config: OdometryConfig, newest: int) -> int:
     """Give places to points of the newest keyframe that have none yet; returns their number."""
     keyframe = model.keyframes[newest]
     points = keyframe.point[~model.is_triangulated(keyframe.point)]
@@ -44,7 +44,7 @@ def triangulate(model: SlamMap, camera: Camera, config: SlamConfig, newest: int)
 
 
 def triangulate_between_keyframes(
-    model: SlamMap, sensor: SlamCamera, config: SlamConfig, cam_from_world: Rigid3, tracks: Tracks
+    model: SlamMap, sensor: SlamCamera, config: OdometryConfig, cam_from_world: Rigid3, tracks: Tracks
 ) -> int:
     """Give places to points of one keyframe that a frame at a known place sees from another side; returns their number.
 

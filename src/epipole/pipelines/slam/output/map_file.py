@@ -168,6 +168,15 @@ def _file_of(path: Path) -> Path:
     return next((p for p in (path / MAP_FILE, path / MAP_FILE.name) if p.exists()), path)
 
 
+def load_slam_map(path: str | Path) -> SlamMap:
+    """Read a map without a camera that is to be localized in it.
+
+    Raises:
+        FileFormatError: it is no map, or damaged.
+    """
+    return _model_of(_arrays(_file_of(as_path(path))))
+
+
 def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
     """Read a map, and make its keyframes ready to be recognised.
 

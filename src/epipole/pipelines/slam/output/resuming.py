@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +17,7 @@ from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.io.atomic import atomic_write, reporting
 from epipole.io.files import read_json
 from epipole.io.json_files import json_text
-from epipole.pipelines.slam.config import JobOptions
+from epipole.pipelines.slam.config import CameraOptions, JobOptions
 from epipole.pipelines.slam.output.answer_log import ANSWERS, read_answers
 from epipole.pipelines.slam.output.autosave import KEY, SAVED_MAP, Autosave, remove_checkpoint
 from epipole.pipelines.slam.output.map_file import read_slam_map
@@ -79,7 +79,8 @@ def key_of(fingerprint: Sequence[str], source: FrameSource, system: Slam, job: J
         seen += [int(other.model), other.width, other.height, other.params, depth.scale]
         seen += [pose.rotation, pose.translation]
     known = system.maps[0]
-    own = {name: value for name, value in asdict(job).items() if name not in _FREE_OPTIONS}
+    free = {*_FREE_OPTIONS, *(each.name for each in fields(CameraOptions))}
+    own = {name: value for name, value in asdict(job).items() if name not in free}
     return {
         "the version of epipole": __version__,
         "the source's files": "" if source.is_live else digest(*fingerprint),

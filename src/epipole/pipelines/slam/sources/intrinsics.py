@@ -29,7 +29,7 @@ from epipole.io.sequences.sequence import read_sequence
 from epipole.mapping import bundle_problem_of
 from epipole.optim import BundleConfig, Loss, adjust_bundle, bundle_covariance, with_fixed_gauge
 from epipole.pipelines.sfm.run import ReconstructionResult, reconstruct
-from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
+from epipole.pipelines.slam.config import CameraOptions, JobOptions, OdometryConfig
 from epipole.pipelines.slam.output.map_file import camera_of_map
 from epipole.pipelines.slam.sources.streams import camera_index
 from epipole.pipelines.slam.tracking.corners import new_corners
@@ -222,7 +222,7 @@ class _View:
     """Points of the image that was taken last, followed."""
 
     def __init__(self) -> None:
-        self._config = SlamConfig()
+        self._config = OdometryConfig()
         self._before: np.ndarray | None = None
         self._initialize = self._now = np.zeros((0, 2))
 
@@ -234,7 +234,7 @@ class _View:
         """Whether the points have moved, or are gone; the next image in turn."""
         if self._before is None or self._before.shape != grey.shape:
             return self._before is None
-        there, found_mask = track_points(self._before, grey, self._now, None, self._config.flow)
+        there, found_mask = track_points(self._before, grey, self._now, None, self._config)
         self._before, self._now, self._initialize = grey, there[found_mask], self._initialize[found_mask]
         shift = np.linalg.norm(self._now - self._initialize, axis=1)
         return len(shift) < LEAST_TRACKED or float(np.median(shift)) > APART * grey.shape[1]

@@ -8,7 +8,7 @@ import numpy as np
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, skew
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.tracking.corners import new_corners
@@ -48,7 +48,7 @@ class RotationTracker:
     """
 
     def __init__(
-        self, frame: Frame, number: int, camera: Camera, config: SlamConfig, cam_from_world: Rigid3
+        self, frame: Frame, number: int, camera: Camera, config: OdometryConfig, cam_from_world: Rigid3
     ) -> None:
         self.camera, self.config, self.start = camera, config, cam_from_world
         self.keyframes: list[Keyframe] = []

@@ -12,7 +12,7 @@ from epipole.cameras import Camera
 from epipole.config import RansacConfig
 from epipole.geometry import Rigid3
 from epipole.mapping import RefinedPose
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.start.candidate_motions import (
@@ -34,7 +34,7 @@ LEAST_SHIFT = 0.015
 """Median shift of the points, as a share of the image's width, below which nothing is tried."""
 START_KEYFRAMES = 6
 CONFIRMING_ANGLE = 2.0
-"""Later frames confirm the initialization at this multiple of `SlamConfig.start_angle_deg`."""
+"""Later frames confirm the initialization at this multiple of `OdometryConfig.start_angle_deg`."""
 MAX_CONFIRMING_FRAMES = 24
 MIN_CONFIRMING = 30
 """Points of the first frame that are needed to confirm it."""
@@ -64,7 +64,7 @@ class Start:
     """(n, 3), NaN for points under too narrow an angle, or that do not fit."""
 
 
-def try_start(first_px: np.ndarray, pixels: np.ndarray, camera: Camera, config: SlamConfig) -> Start:
+def try_start(first_px: np.ndarray, pixels: np.ndarray, camera: Camera, config: OdometryConfig) -> Start:
     """Whether two frames make a begin.
 
     Epipolar geometry, a plane, a rotation and no motion compete (Torr's GRIC, in `verify_pair`); the rays must then meet
@@ -162,7 +162,7 @@ class Initialization:
         return one.pixels[rows >= 0], rows[rows >= 0]
 
     def locate_waiting(
-        self, model: SlamMap, camera: Camera, config: SlamConfig
+        self, model: SlamMap, camera: Camera, config: OdometryConfig
     ) -> list[tuple[WaitingFrame, Keyframe, Rigid3, np.ndarray]]:
         """Frames before the begin: each with the keyframe before it, cam_from_world, and its covariance.
 
@@ -187,7 +187,7 @@ class Initialization:
 class OneCameraStart:
     """Frames of one camera until a map can begin."""
 
-    def __init__(self, camera: Camera, config: SlamConfig) -> None:
+    def __init__(self, camera: Camera, config: OdometryConfig) -> None:
         self.camera, self.config = camera, config
         self.tracks = Tracks.none()
         self._waiting: list[WaitingFrame] = []
@@ -341,7 +341,7 @@ class OneCameraStart:
         return Initialization(model, tracks, started.cam_from_first, waiting, row_of_track)
 
 
-def _too_narrow(angle_deg: float, config: SlamConfig) -> Start:
+def _too_narrow(angle_deg: float, config: OdometryConfig) -> Start:
     return Start(f"the rays meet at {angle_deg:.2f} degrees, {config.start_angle_deg:g} are needed: move on")
 
 
@@ -351,7 +351,7 @@ def initialize_map(
     pixels: np.ndarray,
     start: Rigid3,
     camera: Camera,
-    config: SlamConfig,
+    config: OdometryConfig,
 ) -> RefinedPose | None:
     """The pose with which points of a map agree, by pixels alone; None if too few do."""
     kept = model.is_triangulated(rows)

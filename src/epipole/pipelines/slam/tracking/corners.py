@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.config import OdometryConfig
 
 BLOCK_PX = 5
 NOISE_FACTOR = 7.0
@@ -15,7 +15,7 @@ LEAST_NOISE = 0.5
 
 
 def new_corners(
-    grey: np.ndarray, present_px: np.ndarray, config: SlamConfig, ignored_mask: np.ndarray | None = None
+    grey: np.ndarray, present_px: np.ndarray, config: OdometryConfig, ignored_mask: np.ndarray | None = None
 ) -> np.ndarray:
     """(n, 2) corners (Shi and Tomasi, CVPR 1994) to a fraction of a pixel, strongest first, up to the number asked for."""
     wanted = config.num_features - len(present_px)
@@ -31,7 +31,7 @@ def new_corners(
     )
     if found is None:
         return np.zeros((0, 2))
-    side = config.flow.window_px // 2
+    side = config.window_px // 2
     corners, last = found[:, 0].astype(np.float64), np.array(grey.shape[::-1]) - side
     inside = (corners >= side).all(axis=1) & (corners < last).all(axis=1)
     return corners[inside & (strength.ravel() > NOISE_FACTOR * _strength_of_noise(noise_of(grey)))]

@@ -7,7 +7,7 @@ import numpy as np
 
 from epipole.cameras import Camera
 from epipole.features.patches import find_along_rows, find_patches
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
 
 ROWS_PX = 1.0
@@ -24,7 +24,7 @@ SMOOTH = 0.03
 
 
 def disparities_of(
-    frame: Frame, pixels: np.ndarray, guess_px: np.ndarray, camera: SlamCamera, config: SlamConfig
+    frame: Frame, pixels: np.ndarray, guess_px: np.ndarray, camera: SlamCamera, config: OdometryConfig
 ) -> np.ndarray:
     """(n,) disparity f B / Z of points; NaN where there is none.
 

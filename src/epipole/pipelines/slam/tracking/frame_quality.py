@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from epipole.mapping import RefinedPose
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.frames import Frame, TrackedFrame
 
 REMEMBERED = 15
@@ -45,7 +45,7 @@ class FrameQuality:
         return not self.problem
 
     def confirmed(
-        self, found: tuple[RefinedPose, int] | None, config: SlamConfig
+        self, found: tuple[RefinedPose, int] | None, config: OdometryConfig
     ) -> tuple[RefinedPose, int] | None:
         """A place and the number of points that agree; None where these are few for such an image.
 

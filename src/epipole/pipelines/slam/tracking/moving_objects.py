@@ -7,7 +7,7 @@ import numpy as np
 from epipole.cameras import Camera
 from epipole.config import RansacConfig
 from epipole.geometry import Rigid3
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.frames import MovingThing
 from epipole.robust import estimate_absolute_pose, estimate_homography
 
@@ -25,7 +25,7 @@ MOST_ROTATION_DEG, MOST_SHIFT = 20.0, 0.3
 
 
 def find_moving_object(
-    points_in_world: np.ndarray, pixels: np.ndarray, camera: Camera, position: Rigid3, config: SlamConfig
+    points_in_world: np.ndarray, pixels: np.ndarray, camera: Camera, position: Rigid3, config: OdometryConfig
 ) -> MovingThing | None:
     """What points show that were followed into a frame but are not where its place foretells them; None for nothing.
 

@@ -9,7 +9,7 @@ from epipole.config import RansacConfig
 from epipole.features.flow import track_points
 from epipole.geometry import Rigid3
 from epipole.mapping import Disparities, RefinedPose, refine_pose
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.config import OdometryConfig
 from epipole.robust import estimate_absolute_pose
 
 COARSE_PX = 15.0
@@ -58,10 +58,16 @@ class Tracks:
         self.keep(np.isin(np.arange(len(self.point)), first))
 
     def track(
-        self, before: np.ndarray, now: np.ndarray, guess: np.ndarray, config: SlamConfig, *, and_back: bool
+        self,
+        before: np.ndarray,
+        now: np.ndarray,
+        guess: np.ndarray,
+        config: OdometryConfig,
+        *,
+        and_back: bool,
     ) -> None:
         """Find the points in the next image; those that are not found are given up."""
-        pixels, found = track_points(before, now, self.pixels, guess, config.flow, and_back=and_back)
+        pixels, found = track_points(before, now, self.pixels, guess, config, and_back=and_back)
         self.pixels = pixels
         self.keep(found)
 
@@ -112,7 +118,7 @@ def locate(
     camera: Camera,
     predicted: Rigid3,
     disparities: Disparities | None,
-    config: SlamConfig,
+    config: OdometryConfig,
     is_proven: np.ndarray | None = None,
 ) -> tuple[RefinedPose, np.ndarray] | None:
     """The pose of a frame and the points that agree; None if too few do.
@@ -143,7 +149,7 @@ def _search(
     camera: Camera,
     predicted: Rigid3,
     disparities: Disparities | None,
-    config: SlamConfig,
+    config: OdometryConfig,
 ) -> tuple[RefinedPose, np.ndarray] | None:
     if len(pixels) < config.min_tracked:
         return None
@@ -165,7 +171,7 @@ def _search(
     return (found, agrees) if agrees.sum() >= config.min_tracked else None
 
 
-def is_certain(refined: RefinedPose, agrees: np.ndarray, config: SlamConfig) -> bool:
+def is_certain(refined: RefinedPose, agrees: np.ndarray, config: OdometryConfig) -> bool:
     """Whether points are many, or the few lie so that a pixel's error turns the camera little."""
     if agrees.sum() >= FEW * config.min_tracked:
         return True

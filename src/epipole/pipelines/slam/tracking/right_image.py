@@ -10,7 +10,7 @@ from epipole.cameras import Camera
 from epipole.features.flow import track_points
 from epipole.geometry import Rigid3
 from epipole.mapping import RefinedPose
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.tracking.points import Tracks, locate
@@ -22,7 +22,7 @@ def pose_from_right_image(
     frames: tuple[Frame, Frame],
     position: Rigid3,
     points: np.ndarray,
-    config: SlamConfig,
+    config: OdometryConfig,
 ) -> tuple[RefinedPose, Tracks] | None:
     """The pose of the left camera of a frame, and the points that agree where it would see them; None if too few do.
 
@@ -43,7 +43,7 @@ def pose_from_right_image(
     was = right.project((right_from_left @ position).apply(model.xyz[points]))
     inside = ((was >= 0) & (was < [right.width, right.height])).all(axis=1)
     points, was = points[inside], was[inside]
-    pixels, found = track_points(before.right_grey, frame.right_grey, was, was, config.flow)
+    pixels, found = track_points(before.right_grey, frame.right_grey, was, was, config)
     points, pixels = points[found], pixels[found]
     located = locate(model.xyz[points], pixels, right, right_from_left @ position, None, config)
     if located is None:

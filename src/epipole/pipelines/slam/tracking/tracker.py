@@ -8,7 +8,7 @@ import numpy as np
 
 from epipole.geometry import Rigid3
 from epipole.mapping import Disparities, RefinedPose
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.frames import Frame, MovingThing, SlamCamera
 from epipole.pipelines.slam.loops.recognition import Recognition
 from epipole.pipelines.slam.map.slam_map import Observations, SlamMap
@@ -55,7 +55,7 @@ class PointTracker:
     """
 
     def __init__(
-        self, model: SlamMap, sensor: SlamCamera, focal_baseline: float | None, config: SlamConfig
+        self, model: SlamMap, sensor: SlamCamera, focal_baseline: float | None, config: OdometryConfig
     ) -> None:
         self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera, config
         self.focal_baseline = focal_baseline

@@ -1,0 +1,156 @@
+"""What differs between training Gaussians and training a grid or hash field: the start, the files, the summary."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from epipole.errors import ConfigError
+from epipole.fields.splat.trainer import SplatTrainer
+from epipole.fields.trainer import Trainer
+from epipole.io.gaussians.ply import write_gaussian_ply
+from epipole.pipelines.fields.config import NerfConfig, SplatConfig
+from epipole.pipelines.fields.first_gaussians import LEAST_POINTS, first_gaussians
+from epipole.pipelines.fields.images import FieldImages
+from epipole.pipelines.fields.kinds import KINDS
+from epipole.pipelines.fields.scene import (
+    ANTIALIASED,
+    CAMERAS,
+    FIRST_VIEW,
+    SPLAT,
+    first_view_of,
+    write_cameras,
+)
+from epipole.runs import Run
+from epipole.scene.local_origin import ORIGIN
+
+BORNE, STEP_S = 3600.0, 0.02
+"""Gaussians that a second bears, which grow with the root of the time; and about how long a step takes."""
+PROGRAM_BYTES, WORK_BYTES, WORK_BYTES_OF_PIXEL = 230e6, 480, 200
+"""Memory of the program alone, and what a step, or writing the file, needs of each Gaussian, and a step of each pixel: measured."""
+PIXELS_OF_EACH = 80
+"""Pixels for each Gaussian, which has 59 numbers: with fewer, what few images show is learnt by heart."""
+
+
+class Recipe(Protocol):
+    """One way to train a field."""
+
+    def prepared(self, images: FieldImages) -> FieldImages:
+        """The images as the trainer takes them."""
+
+    def start(self, images: FieldImages, background: np.ndarray, run: Run) -> tuple[Trainer, str]:
+        """The trainer before its first step, and a note for the progress bar."""
+
+    def write(self, folder: Path, trainer: Any, images: FieldImages) -> Any:
+        """Write the field and its cameras; return the field."""
+
+    def facts(self, trainer: Trainer, field: Any, images: FieldImages) -> dict[str, Any]:
+        """What the summary says of the field."""
+
+
+@dataclass(frozen=True, slots=True)
+class GaussianRecipe:
+    """3D Gaussians: around a local origin, as many as the time, the pixels and the memory allow."""
+
+    config: SplatConfig
+
+    def prepared(self, images: FieldImages) -> FieldImages:
+        """With coordinates about a local origin: single precision is too coarse far from it."""
+        return images.about_origin()
+
+    def start(self, images: FieldImages, background: np.ndarray, run: Run) -> tuple[Trainer, str]:
+        """Gaussians at the model's points, at stereo points or at random."""
+        most = _fitting(self.config, images)
+        config = replace(self.config, max_gaussians=most)
+        start = first_gaussians(images, config, most, partial(run.report, "start"))
+        run.warnings += start.warnings
+        gigabytes = 1e-9 * _memory(images, most, config.sh_degree)
+        note = f"up to {most:,} Gaussians on {len(images.train)} images, about {gigabytes:.1f} GB"
+        return SplatTrainer(images.train, start.cloud, config, background), note
+
+    def write(self, folder: Path, trainer: Any, images: FieldImages) -> Any:
+        """`splat.ply` and `cameras.json`, in the world's coordinates."""
+        cloud = replace(trainer.cloud, origin_in_world=images.origin_in_world)
+        write_gaussian_ply(folder / SPLAT, cloud)
+        write_cameras(folder / CAMERAS, trainer.posed_views, images.origin_in_world)
+        return cloud
+
+    def facts(self, trainer: Trainer, field: Any, images: FieldImages) -> dict[str, Any]:
+        """Number of Gaussians, filter, first view, origin."""
+        view = first_view_of(field.means_in_world, images.train, images.origin_in_world)
+        found = {"num_gaussians": len(trainer), ANTIALIASED: self.config.antialiased, FIRST_VIEW: view}
+        return found | ({ORIGIN: images.origin_in_world.tolist()} if images.origin_in_world.any() else {})
+
+
+@dataclass(frozen=True, slots=True)
+class RayRecipe:
+    """A field that rays are marched through: an explicit grid, or hashed tables."""
+
+    config: NerfConfig
+
+    def prepared(self, images: FieldImages) -> FieldImages:
+        """As they are."""
+        return images
+
+    def start(self, images: FieldImages, background: np.ndarray, run: Run) -> tuple[Trainer, str]:
+        """An empty field around what the cameras see."""
+        run.report("start", 0, 1)
+        trainer = KINDS[self.config.kind].trainer(images.train, background, self.config.seed)
+        run.report("start", 1, 1)
+        return trainer, ""
+
+    def write(self, folder: Path, trainer: Trainer, images: FieldImages) -> Any:
+        """`hash.npz` or `grid.npz`, and `cameras.json`."""
+        kind = KINDS[self.config.kind]
+        kind.write(folder / kind.file, trainer.field)
+        write_cameras(folder / CAMERAS, images.train)
+        return trainer.field
+
+    def facts(self, trainer: Trainer, field: Any, images: FieldImages) -> dict[str, Any]:
+        """Kind, size, first view."""
+        kind = KINDS[self.config.kind]
+        view = first_view_of(kind.positions(field), images.train)
+        return {"kind": self.config.kind, kind.count: len(trainer), FIRST_VIEW: view}
+
+
+def _memory(images: FieldImages, count: int, sh_degree: int) -> float:
+    """Bytes that a training of so many Gaussians takes, with the images in three sizes and what their comparison needs."""
+    views = [*images.train, *images.test]
+    num_bytes = sum(view.image.nbytes for view in views) * 21 / 16
+    largest = max(view.camera.width * view.camera.height for view in views)
+    numbers = 3 * (11 + 3 * (1 + sh_degree) ** 2)
+    return PROGRAM_BYTES + num_bytes + WORK_BYTES_OF_PIXEL * largest + (4 * numbers + WORK_BYTES) * count
+
+
+def _fitting(config: SplatConfig, images: FieldImages) -> int:
+    """How many Gaussians there may be.
+
+    Raises:
+        ConfigError: the memory is too small for the images, or for as many as are asked for.
+    """
+    requested = config.max_gaussians
+    most = _borne(images, config) if requested is None else requested
+    if config.memory_gb is None:
+        return most
+    none = _memory(images, 0, config.sh_degree)
+    each = _memory(images, 1, config.sh_degree) - none
+    fits = int((1e9 * config.memory_gb - none) / each)
+    if fits < (LEAST_POINTS if requested is None else requested):
+        needs = _memory(images, LEAST_POINTS if requested is None else requested, config.sh_degree)
+        raise ConfigError(
+            f"memory_gb is {config.memory_gb:g}, and {needs / 1e9:.2f} are needed for these images and"
+            f" {LEAST_POINTS if requested is None else requested:,} Gaussians: smaller images (max_side_px) or"
+            " fewer Gaussians take less"
+        )
+    return min(most, fits)
+
+
+def _borne(images: FieldImages, config: SplatConfig) -> int:
+    """As many Gaussians as the time bears, and as the images tell apart."""
+    seconds = STEP_S * (config.steps or 0) if config.seconds is None else config.seconds
+    figures = sum(view.camera.width * view.camera.height for view in images.train) / PIXELS_OF_EACH
+    return max(LEAST_POINTS, int(min(BORNE * seconds**0.5, figures)))
