@@ -1,4 +1,4 @@
-"""The one interface of everything that is trained step by step: Gaussians, voxel grids, hash grids."""
+"""Interface of all trainers: Gaussians, voxel grids, hash grids."""
 
 from __future__ import annotations
 
