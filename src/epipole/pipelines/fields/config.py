@@ -55,7 +55,7 @@ class FieldOptions:
         if self.steps is not None and not 1 <= self.steps < 10**9:
             raise ConfigError(f"steps must be 1 or more, got {self.steps}")
         if self.test_every < 0 or self.test_every == 1:
-            raise ConfigError(f"test_every must be 0 (hold out none), or 2 or more, got {self.test_every}")
+            raise ConfigError("test_every must be 0 (hold out none), or 2 or more")
         if not 16 <= self.max_side_px <= 65536:
             raise ConfigError(f"max_side_px must be from 16 to 65536, got {self.max_side_px}")
         _ = self.seconds

@@ -1,4 +1,4 @@
-"""Held-out views of a trained field: rendered, as many as the time allows, written, and compared with their images."""
+"""Render the held-out views of a trained field within a time limit, and compare them with their images."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def in_time(
 def compared(
     renderer: Renderer, test: Sequence[TrainingView], wanted: FieldOptions, run: Run
 ) -> list[dict[str, Any]]:
-    """Render the held-out views into `test`, as many as the time allows, and compute their scores."""
+    """Render the held-out views into `test`, within the time limit, and compute their scores."""
     files = rendered_names(test)
     with run.stage("test"), run.folder.publish("test") as aside:
 

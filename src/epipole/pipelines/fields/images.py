@@ -92,8 +92,7 @@ def gather_field_images(
 
     Args:
         source: an output folder of `reconstruct`, a COLMAP model with `images` next to it, a transforms.json, or a
-        folder
-            with one or with LLFF's poses_bounds.npy.
+            folder with one or with LLFF's poses_bounds.npy.
         options: which images are held out, and their maximum size.
         photographs: folder of the images, if not next to the model.
         progress: called after each image.

@@ -131,8 +131,8 @@ def _check_target(out: Path, inputs: tuple[Path, ...]) -> None:
     is_file_name = bool(out.suffix) and not out.suffix[1:].isdecimal()  # views_0.5 is the name of a folder
     if is_file_name and not out.is_dir():
         raise ConfigError(
-            f"render cannot write {out}: give a video that ends in {VIDEO_SUFFIX}, or a folder for PNG images, not a name"
-            f" that ends in {out.suffix}"
+            f"render writes a video that ends in {VIDEO_SUFFIX}, or a folder of PNG images, but {out} ends in"
+            f" {out.suffix}"
         )
     check_output_path(out, "render", inputs[:1])
 

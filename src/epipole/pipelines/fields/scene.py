@@ -95,7 +95,7 @@ def colours_in_words(degree: int) -> str:
         return "colors do not depend on the direction"
     if degree <= DEGREE_KEPT:
         return "view-dependent colors, as trained"
-    return f"view-dependent colors, reduced from degree {degree} to {DEGREE_KEPT} harmonics"
+    return f"view-dependent colors with harmonics up to degree {DEGREE_KEPT}, of {degree} in training"
 
 
 def cameras_of(

@@ -44,7 +44,7 @@ class Watch:
 
 
 class BrowserWatch(Watch):
-    """Shows the field, as often as its share of the time allows.
+    """Shows the field, as often as its time budget allows.
 
     Gaussians are sent to the page, which renders them. Other fields are rendered here, for the viewpoint of each tab.
     """
