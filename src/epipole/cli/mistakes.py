@@ -1,4 +1,4 @@
-"""What is wrong with the words of a command line, in one sentence."""
+"""Explain a wrong command line in one sentence."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ _BOX = "╭╮╰╯─│ "
 
 
 def explain(words: Sequence[str], signatures: Mapping[str, Signature]) -> str | None:
-    """The first mistake among the words after the program's name; None where none is found.
+    """The first mistake in the words after the program's name; None if none is found.
 
     Args:
-        words: the command and what follows it.
-        signatures: of every command, by its name.
+        words: command and arguments.
+        signatures: signature of every command, by name.
     """
     if not words:
-        return f"which command? One of {', '.join(signatures)}; `epipole --help` explains them"
+        return f"no command given. One of {', '.join(signatures)}; see `epipole --help`"
     command, *rest = words
     if command not in signatures:
         kind = "option" if command.startswith("-") else "command"
@@ -52,14 +52,14 @@ def explain(words: Sequence[str], signatures: Mapping[str, Signature]) -> str | 
 
 
 def with_option_names(message: str, words: Sequence[str], signature: Signature, *, also_plain: bool) -> str:
-    """A config's message with its fields written as options, the way they were given.
+    """Replace config fields in a message by the options, spelled as the user gave them.
 
     Args:
-        message: the message.
-        words: the command line.
-        signature: of its command.
-        also_plain: replace fields whose names are English words, such as `rows`, too, if their option was given;
-            else only where the message begins with them.
+        message: message of a config.
+        words: command line.
+        signature: signature of the command.
+        also_plain: also replace fields whose names are English words, such as `rows`, if their option was given;
+            otherwise only at the start of the message.
     """
     given = {_named(word)[0] for word in words if _is_option(word)}
 
@@ -77,7 +77,7 @@ def with_option_names(message: str, words: Sequence[str], signature: Signature, 
 
 
 def _with_neighbours(message: str, signature: Signature) -> str:
-    """A field that stands in one list with an option is meant as one, too: `--include and exclude`."""
+    """Also replace fields listed together with an option, as in `--include and exclude`."""
 
     def option(found: re.Match[str]) -> str:
         named = signature.of_field(found["field"])
@@ -89,7 +89,7 @@ def _with_neighbours(message: str, signature: Signature) -> str:
 
 
 def unboxed(text: str) -> str:
-    """The parser's own words without the box that it draws around them."""
+    """The parser's message without the box around it."""
     lines = [line.strip(_BOX) for line in text.splitlines()]
     kept = [line for line in lines if line and not line.startswith("For full helptext")]
     return " ".join(kept) or "the arguments cannot be understood; see `epipole --help`"
@@ -98,7 +98,7 @@ def unboxed(text: str) -> str:
 def _option_at(
     rest: Sequence[str], mine: Signature, signatures: Mapping[str, Signature]
 ) -> tuple[str | None, int]:
-    """What is wrong with the option that comes first, and how many words belong to it."""
+    """What is wrong with the first option, and how many words belong to it."""
     name, value = _named(rest[0])
     option = mine.options.get(name) or _negated(name, mine)
     if option is None:
@@ -145,11 +145,11 @@ def _extra_path(paths: Sequence[str], mine: Signature) -> str | None:
     extra, wanted = paths[len(mine.paths)], _wanted(mine)
     if not wanted:
         return f"`epipole {mine.command}` takes no path, got {extra!r}"
-    return f"`epipole {mine.command}` takes {wanted} alone; {extra!r} is too much (a name with spaces needs quotes)"
+    return f"`epipole {mine.command}` takes only {wanted}; {extra!r} is unexpected (quote names with spaces)"
 
 
 def _missing_path(paths: Sequence[str], mine: Signature, taken: Sequence[str]) -> str | None:
-    """The paths that are not there, and the options that may have taken them for their values."""
+    """The missing paths, and an option that may have taken them as its values."""
     missing = [name for name, is_required in mine.paths[len(paths) :] if is_required]
     if not missing:
         return None
@@ -175,13 +175,13 @@ def _similar(word: str, known: Sequence[str] | Mapping[str, Signature]) -> str:
 
 
 def _named(word: str) -> tuple[str, str | None]:
-    """An option's name with dashes, as the parser reads it, and the value after `=`."""
+    """Name of an option with dashes, as the parser reads it, and the value after `=`."""
     name, _, value = word.partition("=")
     return name.replace("_", "-"), value if "=" in word else None
 
 
 def _negated(name: str, mine: Signature) -> Option | None:
-    """The flag that `--no-flag` switches off."""
+    """The flag that `--no-flag` turns off."""
     head, _, tail = name.rpartition("no-")
     flag = mine.options.get(head + tail)
     return flag if flag is not None and flag.kind is bool else None

@@ -1,4 +1,4 @@
-"""What a command accepts, read off its signature: paths by position, and options by name."""
+"""Paths and options that a command accepts, derived from its signature."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ class Option:
     """One option of a command, such as `--features.max-features`."""
 
     name: str
-    """As it is written, with both dashes."""
+    """Name with leading dashes."""
     field: str
-    """Name of the parameter or of the config's field behind it."""
+    """Name of the parameter or config field."""
     kind: Any
-    """Its type, without None."""
+    """Type without None."""
     takes_none: bool
     is_required: bool
 
     @property
     def num_values(self) -> int:
-        """How many words follow it."""
+        """Number of words after the option."""
         if self.kind is bool:
             return 0
         return len(get_args(self.kind)) if get_origin(self.kind) is tuple and not self.is_repeated else 1
@@ -42,7 +42,7 @@ class Option:
 
     @property
     def allowed(self) -> str:
-        """What it takes, in words."""
+        """Description of the allowed values."""
         if self.kind is bool:
             return "no value"
         if get_origin(self.kind) is Literal:
@@ -55,7 +55,7 @@ class Option:
         return f"{words}, or None" if self.takes_none and self.num_values == 1 else words
 
     def accepts(self, word: str) -> bool:
-        """Whether a word can be one of its values."""
+        """Whether a word is a valid value."""
         if self.takes_none and word == "None":
             return True
         if get_origin(self.kind) is Literal:
@@ -69,21 +69,21 @@ class Option:
 
 @dataclass(frozen=True, slots=True)
 class Signature:
-    """The paths and the options of one command."""
+    """Paths and options of one command."""
 
     command: str
     paths: tuple[tuple[str, bool], ...]
-    """Their names in the help, in order, and whether each is required."""
+    """Name in the help, and whether it is required, in order."""
     options: dict[str, Option]
-    """By their names."""
+    """Options by name."""
 
     def of_field(self, field: str) -> list[Option]:
-        """The options behind which a config's field stands, or a parameter."""
+        """Options that set this config field or parameter."""
         return [option for option in self.options.values() if option.field == field]
 
 
 def signature_of(command: str, function: Callable[..., Any]) -> Signature:
-    """The paths and options of a command's function."""
+    """Paths and options of a command's function."""
     hints = get_type_hints(function, include_extras=True)
     paths: list[tuple[str, bool]] = []
     options: dict[str, Option] = {}

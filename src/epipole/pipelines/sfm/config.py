@@ -21,7 +21,7 @@ class PairingConfig:
     """Options for choosing which pairs of images are matched."""
 
     method: Literal["auto", "exhaustive", "sequential", "spatial", "retrieval"] = "auto"
-    """auto: sequential for video; else exhaustive up to exhaustive_limit images; else spatial or, without GPS, retrieval."""
+    """auto: sequential for video; else exhaustive for few images; else spatial or, without GPS, retrieval."""
     exhaustive_limit: int = 120
     """auto: match all pairs for up to this many images."""
     neighbours: int = 30
@@ -125,7 +125,7 @@ class ReconstructConfig:
     """Options of `epipole reconstruct`; the defaults suit most images."""
 
     camera_model: str | None = None
-    """SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL (unless parameters are given), RADIAL, OPENCV, FULL_OPENCV, OPENCV_FISHEYE."""
+    """SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL (unless parameters are given), RADIAL, (FULL_)OPENCV, OPENCV_FISHEYE."""
     camera_params: str | None = None
     """Known intrinsics of the camera in COLMAP's order, comma separated; the first pixel's center is (0.5, 0.5)."""
     calibration: Path | None = None

@@ -32,7 +32,7 @@ class Ballot:
     second: int
     weight: float
     disagreement: np.ndarray
-    """(factors of first, factors of second), with one row or column for a trusted camera; (n, 1) for a single camera."""
+    """(factors of first, factors of second), one row or column for a trusted camera; (n, 1) for a single camera."""
 
 
 def estimate_focals(

@@ -1,4 +1,4 @@
-"""Check whether images that share a camera for lack of EXIF can share a focal length; if not, each gets its own camera."""
+"""Check whether images grouped into one camera for lack of EXIF fit one focal length; if not, split the camera."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from epipole.scene import Cameras, ViewGraph
 WIDTH = 0.05
 """Disagreement at which a pair's vote for a focal length has half its weight."""
 MAX_RATIO = 0.75
-"""Images contradict a shared focal length if its votes, divided by those for separate ones, are below this ratio. It was
-0.91 or more with one camera (photographs, video frames, noise of 1 px), and 0.7 or less with focal lengths that differ
-by 10 %."""
+"""Images contradict a shared focal length if its votes, divided by those for separate ones, are below this ratio. It
+was 0.91 or more with one camera (photographs, video frames, noise of 1 px), and 0.7 or less with focal lengths that
+differ by 10 %."""
 LEAST_PAIRS, LEAST_IMAGES, MAX_IMAGES = 3, 3, 20
 """Minimum pairs and images of a camera for the check; of more images, those with the most matches are used."""
 STARTS = (0.5, 0.7, 1.0, 1.4, 2.0)
