@@ -19,14 +19,12 @@ def vectors(size: int, reach: float) -> st.SearchStrategy[np.ndarray]:
 
 
 @st.composite
-def turns(render: st.DrawFn, largest_rad: float = 3.1) -> np.ndarray:
+def turns(draw: st.DrawFn, largest_rad: float = 3.1) -> np.ndarray:
     """A rotation vector whose angle is below `largest_rad`; none and tiny ones among them."""
-    phi = render(vectors(3, 1.0))
+    phi = draw(vectors(3, 1.0))
     size = float(np.linalg.norm(phi))
     return (
-        phi
-        * min(1.0, largest_rad / max(size, 1e-300))
-        * render(st.sampled_from([1.0, 1.0, 3.0 / 1.75, 1e-6]))
+        phi * min(1.0, largest_rad / max(size, 1e-300)) * draw(st.sampled_from([1.0, 1.0, 3.0 / 1.75, 1e-6]))
     )
 
 
@@ -35,13 +33,13 @@ def rotations() -> st.SearchStrategy[Rotation3]:
 
 
 @st.composite
-def twists(render: st.DrawFn) -> np.ndarray:
-    return np.concatenate([render(vectors(3, 10.0)), render(turns())])
+def twists(draw: st.DrawFn) -> np.ndarray:
+    return np.concatenate([draw(vectors(3, 10.0)), draw(turns())])
 
 
 @st.composite
-def similarity_tangents(render: st.DrawFn) -> np.ndarray:
-    return np.concatenate([render(twists()), [render(numbers(-2.0, 2.0))]])
+def similarity_tangents(draw: st.DrawFn) -> np.ndarray:
+    return np.concatenate([draw(twists()), [draw(numbers(-2.0, 2.0))]])
 
 
 def plane_twists() -> st.SearchStrategy[np.ndarray]:
@@ -64,34 +62,34 @@ def pixels() -> st.SearchStrategy[np.ndarray]:
 
 
 @st.composite
-def cameras(render: st.DrawFn, bend: float = 0.03, model: CameraModel | None = None) -> Camera:
+def cameras(draw: st.DrawFn, bend: float = 0.03, model: CameraModel | None = None) -> Camera:
     """A camera of any model; `bend` bounds its distortion (0.03 and less has an inverse in all of the image)."""
-    model = render(MODELS) if model is None else model
-    focal = [render(numbers(400.0, 2000.0)) for _ in model.focal_indices]
-    middle = [render(numbers(250.0, 390.0)), render(numbers(180.0, 300.0))]
-    camera = [round(render(numbers(-bend, bend)), 9) for _ in model.distortion_indices]
+    model = draw(MODELS) if model is None else model
+    focal = [draw(numbers(400.0, 2000.0)) for _ in model.focal_indices]
+    middle = [draw(numbers(250.0, 390.0)), draw(numbers(180.0, 300.0))]
+    camera = [round(draw(numbers(-bend, bend)), 9) for _ in model.distortion_indices]
     if model in (CameraModel.OPENCV, CameraModel.FULL_OPENCV):
         camera[2:4] = [0.05 * value for value in camera[2:4]]  # decentring is small
     return Camera(model, WIDTH, HEIGHT, np.array([*focal, *middle, *camera]))
 
 
 @st.composite
-def calibration_matrices(render: st.DrawFn) -> np.ndarray:
-    fx, fy = render(numbers(300, 2000)), render(numbers(300, 2000))
-    return np.array([[fx, 0, render(numbers(0, 700))], [0, fy, render(numbers(0, 500))], [0, 0, 1.0]])
+def calibration_matrices(draw: st.DrawFn) -> np.ndarray:
+    fx, fy = draw(numbers(300, 2000)), draw(numbers(300, 2000))
+    return np.array([[fx, 0, draw(numbers(0, 700))], [0, fy, draw(numbers(0, 500))], [0, 0, 1.0]])
 
 
 @st.composite
-def points_ahead(render: st.DrawFn, least: int = 1, most: int = 12) -> np.ndarray:
+def points_ahead(draw: st.DrawFn, least: int = 1, most: int = 12) -> np.ndarray:
     """Points (n, 3) that stand well before a camera at the origin, at depths 4 to 9."""
     one = st.tuples(numbers(-2, 2), numbers(-2, 2), numbers(4, 9))
-    return np.array(render(st.lists(one, min_size=least, max_size=most)))
+    return np.array(draw(st.lists(one, min_size=least, max_size=most)))
 
 
 @st.composite
-def steps_aside(render: st.DrawFn) -> Rigid3:
+def steps_aside(draw: st.DrawFn) -> Rigid3:
     """cam2_from_cam1 with a baseline of 0.3 to 2, after which points ahead are still ahead."""
-    direction = render(vectors(3, 1.0).filter(lambda v: np.linalg.norm(v) > 0.1))
-    length = render(numbers(0.3, 2.0))
-    turn = render(vectors(3, 0.15))
+    direction = draw(vectors(3, 1.0).filter(lambda v: np.linalg.norm(v) > 0.1))
+    length = draw(numbers(0.3, 2.0))
+    turn = draw(vectors(3, 0.15))
     return Rigid3(Rotation3.exp(turn).matrix, length * direction / np.linalg.norm(direction))

@@ -27,11 +27,11 @@ def rows(
 
 
 @st.composite
-def _tracks(render: st.DrawFn, keypoints_of: list[int]) -> tuple[int, Tracks]:
+def _tracks(draw: st.DrawFn, keypoints_of: list[int]) -> tuple[int, Tracks]:
     """Each keypoint sees one point or none, so that no image sees a point twice with one keypoint."""
-    num_points = render(st.integers(0, 4))
+    num_points = draw(st.integers(0, 4))
     seen = [
-        (render(st.integers(-1, num_points - 1)), image, keypoint)
+        (draw(st.integers(-1, num_points - 1)), image, keypoint)
         for image, count in enumerate(keypoints_of)
         for keypoint in range(count)
     ]
@@ -42,54 +42,52 @@ def _tracks(render: st.DrawFn, keypoints_of: list[int]) -> tuple[int, Tracks]:
 
 
 @st.composite
-def reconstructions(
-    render: st.DrawFn, models: tuple[CameraModel, ...] = tuple(CameraModel)
-) -> Reconstruction:
+def reconstructions(draw: st.DrawFn, models: tuple[CameraModel, ...] = tuple(CameraModel)) -> Reconstruction:
     """A rig of two cameras and a single camera, or either; frames with all of a rig's images or one of them."""
-    kinds = render(st.lists(st.sampled_from([1, 2]), min_size=1, max_size=2))
-    lenses = [render(cameras(model=render(st.sampled_from(models)))) for _ in range(sum(kinds))]
-    to_sensor = np.array([render(twists()) for _ in lenses])
+    kinds = draw(st.lists(st.sampled_from([1, 2]), min_size=1, max_size=2))
+    lenses = [draw(cameras(model=draw(st.sampled_from(models)))) for _ in range(sum(kinds))]
+    to_sensor = np.array([draw(twists()) for _ in lenses])
     first = np.concatenate([[0], np.cumsum(kinds)]).astype(np.int32)
     to_sensor[first[:-1]] = 0.0
     frames, images = [], []
-    for number in range(render(st.integers(1, 3))):
-        rig = render(st.integers(0, len(kinds) - 1))
-        sensors = sorted(render(st.sets(st.integers(first[rig], first[rig + 1] - 1), min_size=1)))
-        frames.append((rig, render(twists())))
+    for number in range(draw(st.integers(1, 3))):
+        rig = draw(st.integers(0, len(kinds) - 1))
+        sensors = sorted(draw(st.sets(st.integers(first[rig], first[rig + 1] - 1), min_size=1)))
+        frames.append((rig, draw(twists())))
         images += [(number, sensor) for sensor in sensors]
-    names = render(st.lists(FILE_NAME, min_size=len(images), max_size=len(images), unique=True))
-    counts = [render(st.integers(0, 4)) for _ in images]
+    names = draw(st.lists(FILE_NAME, min_size=len(images), max_size=len(images), unique=True))
+    counts = [draw(st.integers(0, 4)) for _ in images]
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    num_points, tracks = render(_tracks(counts))
+    num_points, tracks = draw(_tracks(counts))
     rigs = Rigs(first, np.arange(len(lenses), dtype=np.int32), Rigid3.exp(to_sensor))
     positions = Rigid3.exp(np.array([xi for _, xi in frames]))
     rig_rows = np.array([rig for rig, _ in frames], np.int32)
     frame, sensor = np.array(images, np.int32).T.copy()
-    colours = render(arrays_of.arrays(np.uint8, (num_points, 3)))
-    error = render(arrays_of.arrays(np.float64, num_points, elements=numbers(0, 50) | st.just(float("nan"))))
+    colours = draw(arrays_of.arrays(np.uint8, (num_points, 3)))
+    error = draw(arrays_of.arrays(np.float64, num_points, elements=numbers(0, 50) | st.just(float("nan"))))
     return Reconstruction(
         Cameras.from_list(lenses),
         rigs,
         Frames(rig_rows, positions, np.full(len(frames), np.nan)),
-        Images(tuple(names), frame, sensor, offsets, render(rows(int(offsets[-1]), 2, numbers(-1e4, 1e4)))),
-        Points(render(rows(num_points, 3)), colours, error),
+        Images(tuple(names), frame, sensor, offsets, draw(rows(int(offsets[-1]), 2, numbers(-1e4, 1e4)))),
+        Points(draw(rows(num_points, 3)), colours, error),
         tracks,
     )
 
 
 @st.composite
-def pose_graphs(render: st.DrawFn) -> PoseGraph:
+def pose_graphs(draw: st.DrawFn) -> PoseGraph:
     """A few places of one kind with edges among them."""
-    kind = render(st.sampled_from([Rigid2, Rigid3, Similarity3]))
+    kind = draw(st.sampled_from([Rigid2, Rigid3, Similarity3]))
     dimension = {Rigid2: 3, Rigid3: 6, Similarity3: 7}[kind]
-    n, m = render(st.integers(1, 4)), render(st.integers(0, 4))
-    positions = kind.exp(np.array([render(GROUPS[kind]) for _ in range(n)]))
-    measured = kind.exp(np.array([render(GROUPS[kind]) for _ in range(m)]).reshape(m, dimension))
-    ends = render(arrays_of.arrays(np.int64, (2, m), elements=st.integers(0, n - 1)))
-    root = render(arrays_of.arrays(np.float64, (m, dimension, dimension), elements=numbers(-5, 5)))
+    n, m = draw(st.integers(1, 4)), draw(st.integers(0, 4))
+    positions = kind.exp(np.array([draw(GROUPS[kind]) for _ in range(n)]))
+    measured = kind.exp(np.array([draw(GROUPS[kind]) for _ in range(m)]).reshape(m, dimension))
+    ends = draw(arrays_of.arrays(np.int64, (2, m), elements=st.integers(0, n - 1)))
+    root = draw(arrays_of.arrays(np.float64, (m, dimension, dimension), elements=numbers(-5, 5)))
     information = root @ np.swapaxes(root, 1, 2) + np.eye(dimension)
     information = 0.5 * (information + np.swapaxes(information, 1, 2))
-    fixed = np.array(sorted(render(st.sets(st.integers(0, n - 1)))), np.int64)
+    fixed = np.array(sorted(draw(st.sets(st.integers(0, n - 1)))), np.int64)
     return PoseGraph(positions, ends[0].copy(), ends[1].copy(), measured, information, fixed)
 
 

@@ -38,75 +38,75 @@ _LINE = re.compile(rb"[^\n]*\n?")
 
 
 @st.composite
-def _cut(render: st.DrawFn, data: bytes) -> bytes:
-    return data[: render(st.integers(0, len(data)))]
+def _cut(draw: st.DrawFn, data: bytes) -> bytes:
+    return data[: draw(st.integers(0, len(data)))]
 
 
 @st.composite
-def _flip(render: st.DrawFn, data: bytes) -> bytes:
+def _flip(draw: st.DrawFn, data: bytes) -> bytes:
     out = bytearray(data)
-    for _ in range(render(st.integers(1, 4)) if out else 0):
-        out[render(st.integers(0, len(out) - 1))] ^= render(st.integers(1, 255))
+    for _ in range(draw(st.integers(1, 4)) if out else 0):
+        out[draw(st.integers(0, len(out) - 1))] ^= draw(st.integers(1, 255))
     return bytes(out)
 
 
 @st.composite
-def _grow(render: st.DrawFn, data: bytes) -> bytes:
-    at = render(st.integers(0, len(data)))
-    return data[:at] + render(st.binary(min_size=1, max_size=20) | st.sampled_from(WORDS)) + data[at:]
+def _grow(draw: st.DrawFn, data: bytes) -> bytes:
+    at = draw(st.integers(0, len(data)))
+    return data[:at] + draw(st.binary(min_size=1, max_size=20) | st.sampled_from(WORDS)) + data[at:]
 
 
 @st.composite
-def _piece(render: st.DrawFn, data: bytes) -> tuple[int, int]:
-    first = render(st.integers(0, len(data)))
-    return first, min(len(data), first + render(st.integers(0, 200)))
+def _piece(draw: st.DrawFn, data: bytes) -> tuple[int, int]:
+    first = draw(st.integers(0, len(data)))
+    return first, min(len(data), first + draw(st.integers(0, 200)))
 
 
 @st.composite
-def _repeat(render: st.DrawFn, data: bytes) -> bytes:
-    first, last = render(_piece(data))
-    return data[:last] + data[first:last] * render(st.integers(1, 3)) + data[last:]
+def _repeat(draw: st.DrawFn, data: bytes) -> bytes:
+    first, last = draw(_piece(data))
+    return data[:last] + data[first:last] * draw(st.integers(1, 3)) + data[last:]
 
 
 @st.composite
-def _leave_out(render: st.DrawFn, data: bytes) -> bytes:
-    first, last = render(_piece(data))
+def _leave_out(draw: st.DrawFn, data: bytes) -> bytes:
+    first, last = draw(_piece(data))
     return data[:first] + data[last:]
 
 
 @st.composite
-def _other_word(render: st.DrawFn, data: bytes) -> bytes:
-    word = render(st.sampled_from(WORDS))
-    at = render(st.integers(0, max(0, len(data) - len(word))))
+def _other_word(draw: st.DrawFn, data: bytes) -> bytes:
+    word = draw(st.sampled_from(WORDS))
+    at = draw(st.integers(0, max(0, len(data) - len(word))))
     return data[:at] + word + data[at + len(word) :]
 
 
 @st.composite
-def _other_number(render: st.DrawFn, data: bytes) -> bytes:
+def _other_number(draw: st.DrawFn, data: bytes) -> bytes:
     found = list(_NUMBER.finditer(data))
     if not found:
         return data
-    position = render(st.sampled_from(found))
-    return data[: position.start()] + render(st.sampled_from(NUMBERS)).encode() + data[position.end() :]
+    position = draw(st.sampled_from(found))
+    return data[: position.start()] + draw(st.sampled_from(NUMBERS)).encode() + data[position.end() :]
 
 
 @st.composite
-def _other_line(render: st.DrawFn, data: bytes) -> bytes:
+def _other_line(draw: st.DrawFn, data: bytes) -> bytes:
     """A line once more, left out, or in the place of another."""
     lines = _LINE.findall(data)
-    taken, put = (render(st.integers(0, len(lines) - 1)) for _ in range(2))
-    keep = render(st.integers(0, 2))
+    taken, put = (draw(st.integers(0, len(lines) - 1)) for _ in range(2))
+    keep = draw(st.integers(0, 2))
     lines[put : put + 1] = [lines[put], lines[taken]][: keep + 1] if keep else []
     return b"".join(lines)
 
 
 @st.composite
-def spoilt(render: st.DrawFn, data: bytes, *, is_text: bool) -> bytes:
+def spoilt(draw: st.DrawFn, data: bytes, *, is_text: bool) -> bytes:
     """The bytes of a valid file after one to three kinds of damage."""
     common = [_cut, _flip, _grow, _repeat, _leave_out]
     own = [_other_number, _other_number, _other_number, _other_line] if is_text else [_other_word] * 4
-    for _ in range(render(st.integers(1, 3))):
-        data = render(render(st.sampled_from([*common, *own]))(data))
+    for _ in range(draw(st.integers(1, 3))):
+        data = draw(draw(st.sampled_from([*common, *own]))(data))
     return data
 
 

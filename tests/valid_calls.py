@@ -455,6 +455,7 @@ def _images() -> Iterator[Row]:
     yield _row(image.color_range, values=_some(5, 4))
     yield _row(image.color_map, values=_some(5, 4))
     yield _row(image.downscaled, image=_image(3), max_side_px=20)
+    yield _row(image.undistort_points, pixels=np.ones((2, 2)), camera=PINHOLE, pinhole=None)
     yield _row(image.undistorted_camera, camera=LENS)
     yield _row(image.undistort_image, rgb=_image(3), camera=LENS, pinhole=PINHOLE)
 

@@ -160,7 +160,7 @@ class FlowConfig:
     max_return_px: float = 0.7
     """Maximum distance between a point and its position after tracking forward and backward."""
     min_eigenvalue: float = 1e-4
-    """Minimum eigenvalue of a patch's gradient matrix per pixel (OpenCV's minEigThreshold); flatter patches are lost."""
+    """Minimum eigenvalue of a patch's gradient matrix per pixel (OpenCV's minEigThreshold); others are lost."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -280,7 +280,7 @@ class BoardConfig:
         if not 0 < self.square < float("inf"):
             raise ConfigError(f"square must be positive and finite, got {self.square}")
         if not (0 < self.marker_ratio < 1 and self.spacing >= 0):
-            raise ConfigError("marker_ratio must be between 0 and 1, and spacing must not be negative")
+            raise ConfigError("marker_ratio must lie between 0 and 1, spacing must not be negative")
         if self.dictionary:
             check_dictionary(self.dictionary)
 
@@ -299,7 +299,7 @@ class AnchorOptions:
     """Measurements besides the images that determine the scale: positions, lengths, known objects, odometry, an IMU."""
 
     positions: Path | None = None
-    """Measured camera positions, which determine scale and world frame: `SECONDS X Y Z` (video clock) or `IMAGE X Y Z` lines."""
+    """Measured camera positions, which fix scale and world: `SECONDS X Y Z` (video clock) or `IMAGE X Y Z` lines."""
     positions_sigma_m: float = 1.0
     """Standard deviation of their coordinates, in metres."""
     lengths: Path | None = None

@@ -90,7 +90,7 @@ def test_the_public_names_are_there_and_no_others(tmp_path: Path) -> None:
 def test_every_job_is_a_verb_also_after_its_folder_was_imported(tmp_path: Path) -> None:
     code = (
         "import epipole, epipole.api; from epipole.pipelines import stereo, calibration;"
-        "print(all(callable(getattr(epipole, n)) for n in ('reconstruct', 'stereo', 'calibrate', 'view', 'demo')))"
+        "print(all(callable(getattr(epipole, n)) for n in ('reconstruct', 'stereo', 'calibrate', 'view', 'splat')))"
     )
     assert run_python(code, tmp_path).split() == ["True"]
 

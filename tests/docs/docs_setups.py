@@ -145,12 +145,51 @@ def tracks(_: Path) -> dict[str, Any]:
     return {"cams_from_world": motions, "camera": truth.cameras[0], "pixels": np.stack(pixels)}
 
 
+def ten_tasks() -> dict[str, Any]:
+    """Arrays with known answers: a distorted camera, two views of points and of a plane, a rectified pair, tracks."""
+    K, size, rng = (
+        np.array([[500.0, 0, 319.5], [0, 500.0, 239.5], [0, 0, 1.0]]),
+        (640, 480),
+        np.random.default_rng(3),
+    )
+    dist = np.array([-0.1, 0.02, 0.0005, -0.0004])
+    camera = Camera.from_K(K, size, dist)
+    motion = Rigid3(Rotation3.exp(np.array([0.02, 0.1, -0.01])).matrix, np.array([-0.8, 0.02, 0.1]))
+    X = rng.uniform([-1.8, -1.2, 4.0], [1.8, 1.2, 8.0], (200, 3))
+    x1, x2 = camera.project(X), camera.project(motion.apply(X))
+    flat = X * (5.0 / X[:, 2:])
+    pinhole = Camera.from_K(K, size)
+    pair = stereo_room(8, SIZE)
+    image, point = (each.ravel() for each in np.meshgrid([0, 1], np.arange(len(X))))
+    return {
+        **{
+            "K": K,
+            "dist": dist,
+            "size": size,
+            "X": X,
+            "x1": x1,
+            "x2": x2,
+            "R": motion.rotation,
+            "t": motion.translation,
+        },
+        **{"p1": pinhole.project(X), "p2": pinhole.project(motion.apply(X))},
+        **{"flat1": pinhole.project(flat), "flat2": pinhole.project(motion.apply(flat))},
+        **{
+            "left": pair.left,
+            "right": pair.right,
+            "focal_px": pair.camera.focal_px,
+            "baseline": pair.baseline,
+        },
+        **{"image": image, "point": point, "pixels": np.stack([x1, x2], axis=1).reshape(-1, 2)},
+    }
+
+
 def usual(folder: Path, reconstructed: Path) -> dict[str, Any]:
     """For pages without a setup of their own: a reconstruction of IMAGES in OUT, and arrays of two views and of known points."""
     shutil.copytree(reconstructed, folder, dirs_exist_ok=True)
     calibration(folder)
     image = np.asarray(Image.open(sorted((folder / "IMAGES").iterdir())[0]))
-    return {"image": image, **known_points(folder), **two_views()}
+    return {"image": image, **known_points(folder), **two_views(), **ten_tasks()}
 
 
 PREPARED: dict[str, Callable[[Path], dict[str, Any]]] = {

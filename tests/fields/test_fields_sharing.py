@@ -62,7 +62,7 @@ class Blocks(HTMLParser):
     def __init__(self, page: str) -> None:
         super().__init__()
         self.scripts, self.attributes, self.inside = {}, [], None
-        self.stream(page)
+        self.feed(page)
 
     def handle_starttag(self, tag, attrs):
         self.attributes += [(tag, *pair) for pair in attrs]

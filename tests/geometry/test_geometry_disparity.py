@@ -59,3 +59,11 @@ def test_points_of_a_depth_map_project_to_their_pixels(rng):
     assert len(depth_map_to_point_cloud(np.full((3, 3), np.nan), K)) == 0
     with pytest.raises(ShapeError, match=r"\(h, w\)"):
         depth_map_to_point_cloud(np.ones(5), K)
+
+
+def test_a_number_gives_a_number() -> None:
+    depth = disparity_to_depth(40.0, 500.0, 0.1)
+    assert isinstance(depth, float) and depth == 1.25
+    assert isinstance(depth_to_disparity(1.25, 500.0, 0.1), float)
+    assert isinstance(depth_error(1.25, 500.0, 0.1, 0.5), float)
+    assert disparity_to_depth([[40.0]], 500.0, 0.1).shape == (1, 1)

@@ -87,16 +87,14 @@ def test_colmap_models(tmp_path: Path, text: bool, model: Reconstruction) -> Non
 @given(model=reconstructions(), data=st.data())
 def test_colmap_databases(tmp_path: Path, model: Reconstruction, data: st.DataObject) -> None:
     counts = np.diff(model.images.keypoint_offsets)
-    descriptors = [data.render(arrays_of.arrays(np.uint8, (int(n), 128))) for n in counts]
+    descriptors = [data.draw(arrays_of.arrays(np.uint8, (int(n), 128))) for n in counts]
     matches = {}
     for second in range(1, len(counts)):
         n, m = int(counts[0]), int(counts[second])
-        pairs = (
-            data.render(st.sets(st.tuples(st.integers(0, n - 1), st.integers(0, m - 1)))) if n and m else ()
-        )
+        pairs = data.draw(st.sets(st.tuples(st.integers(0, n - 1), st.integers(0, m - 1)))) if n and m else ()
         matches[0, second] = np.array(sorted(pairs), np.int32).reshape(-1, 2)
     position = st.tuples(numbers(-90, 90), numbers(-180, 180), numbers(-400, 9000))
-    gps = np.array([data.render(position) for _ in counts])
+    gps = np.array([data.draw(position) for _ in counts])
     contents = DatabaseContents(
         model.cameras, model.rigs, model.frames, model.images, descriptors, matches, None, gps
     )
@@ -142,26 +140,26 @@ def test_ply(tmp_path: Path, xyz: np.ndarray, rgb: np.ndarray, count: int) -> No
 
 
 @st.composite
-def bundle_problems(render: st.DrawFn) -> BundleProblem:
+def bundle_problems(draw: st.DrawFn) -> BundleProblem:
     """Every point is seen by one to all of the frames."""
-    num_frames, num_points = render(st.integers(1, 3)), render(st.integers(1, 4))
-    seen = [sorted(render(st.sets(st.integers(0, num_frames - 1), min_size=1))) for _ in range(num_points)]
+    num_frames, num_points = draw(st.integers(1, 3)), draw(st.integers(1, 4))
+    seen = [sorted(draw(st.sets(st.integers(0, num_frames - 1), min_size=1))) for _ in range(num_points)]
     frame = np.array([f for row in seen for f in row], np.int32)
     params = np.zeros((num_frames, MAX_PARAMS))
     for row in params:
-        row[[0, 3, 4]] = render(numbers(100, 3000)), render(numbers(-0.5, 0.5)), render(numbers(-0.5, 0.5))
+        row[[0, 3, 4]] = draw(numbers(100, 3000)), draw(numbers(-0.5, 0.5)), draw(numbers(-0.5, 0.5))
     models = np.full(num_frames, int(CameraModel.RADIAL), np.int32)
     return BundleProblem(
-        Rigid3.exp(np.array([render(twists()) for _ in range(num_frames)])),
+        Rigid3.exp(np.array([draw(twists()) for _ in range(num_frames)])),
         Rigid3.identity(1),
         models,
         params,
-        render(rows(num_points, 3)),
+        draw(rows(num_points, 3)),
         np.concatenate([[0], np.cumsum([len(row) for row in seen])]).astype(np.int64),
         frame,
         np.zeros(len(frame), np.int32),
         frame.copy(),
-        render(rows(len(frame), 2)),
+        draw(rows(len(frame), 2)),
         np.ones((num_frames, 6)),
         free_params_mask(models),
         np.ones(num_points),
@@ -180,7 +178,7 @@ def test_bundle_problems(tmp_path: Path, name: str, problem: BundleProblem) -> N
 
 @given(graph=pose_graphs(), data=st.data())
 def test_pose_graphs(tmp_path: Path, graph, data: st.DataObject) -> None:
-    ids = sorted(data.render(st.sets(st.integers(0, 2**62), min_size=len(graph), max_size=len(graph))))
+    ids = sorted(data.draw(st.sets(st.integers(0, 2**62), min_size=len(graph), max_size=len(graph))))
     write_g2o(tmp_path / "graph.g2o", graph, ids)
     found = read_g2o(tmp_path / "graph.g2o")
     assert found.ids.tolist() == ids
@@ -212,8 +210,8 @@ def test_png16(tmp_path: Path, values: np.ndarray, scale: float) -> None:
 @pytest.mark.parametrize("model", [pytest.param(m, id=m.name) for m in CameraModel])
 @given(data=st.data())
 def test_own_calibrations(tmp_path: Path, model: CameraModel, data: st.DataObject) -> None:
-    both = tuple(data.render(cameras(model=model, bend=0.5)) for _ in range(2))
-    motion = data.render(twists())
+    both = tuple(data.draw(cameras(model=model, bend=0.5)) for _ in range(2))
+    motion = data.draw(twists())
     wrote = CalibrationFile(both, Rigid3.exp(np.stack([np.zeros(6), motion])))
     write_calibration(tmp_path / "rig.json", wrote)
     found = read_calibration(tmp_path / "rig.json")

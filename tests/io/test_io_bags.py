@@ -47,7 +47,7 @@ def test_one_camera(recorded, tmp_path):
     for n, frame in enumerate(frames):
         assert np.array_equal(frame.grey(), grey(n))
     topics = {t.name: (t.kind, t.num_messages) for t in read_bag_topics(path)}
-    assert topics == {"/cam/image_raw": ("picture", 4), "/cam/camera_info": ("camera", 1)}
+    assert topics == {"/cam/image_raw": ("image", 4), "/cam/camera_info": ("camera", 1)}
 
 
 def test_a_raw_pair_is_told_by_its_projections(recorded, tmp_path):

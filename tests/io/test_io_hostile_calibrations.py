@@ -164,7 +164,7 @@ def test_the_files_are_sound(folder: Path, valid: dict[str, bytes], name: str) -
 @given(data=st.data())
 def test_calibrations(folder: Path, valid: dict[str, bytes], name: str, data: st.DataObject) -> None:
     path = folder / f"spoilt_{name}"
-    path.write_bytes(data.render(spoilt(valid[name], is_text=True)))
+    path.write_bytes(data.draw(spoilt(valid[name], is_text=True)))
 
     def read() -> CalibrationFile:
         return read_calibration(path, size=(1242, 375))

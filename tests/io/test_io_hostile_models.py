@@ -54,7 +54,7 @@ def colmap(request: pytest.FixtureRequest, folder: Path) -> dict[str, bytes]:
 def test_colmap_models(folder: Path, colmap: dict[str, bytes], stem: str, data: st.DataObject) -> None:
     name = next(n for n in colmap if n.startswith(stem))
     where = folder / f"colmap_{Path(name).suffix[1:]}"
-    spoil_one(where, colmap, name, data.render(spoilt(colmap[name], is_text=name.endswith("txt"))))
+    spoil_one(where, colmap, name, data.draw(spoilt(colmap[name], is_text=name.endswith("txt"))))
     found = read_or_refuse(read_colmap_model, where, names=where.name)
     if found is not None:
         assert_model(found)
@@ -69,7 +69,7 @@ def database(folder: Path) -> bytes:
 @given(data=st.data())
 def test_colmap_databases(folder: Path, database: bytes, data: st.DataObject) -> None:
     path = folder / "spoilt.db"
-    path.write_bytes(data.render(spoilt(database, is_text=False)))
+    path.write_bytes(data.draw(spoilt(database, is_text=False)))
     found = read_or_refuse(read_database, path, names=path.name)
     if found is not None:
         counts = np.diff(found.images.keypoint_offsets)
@@ -95,8 +95,8 @@ def test_transforms(folder: Path, data: st.DataObject) -> None:
     path = folder / "transforms.json"
     write_points_ply(folder / "points.ply", np.ones((3, 3)), np.zeros((3, 3), np.uint8))
     path.write_bytes(
-        data.render(
-            spoilt(transforms_text(data.render(st.sampled_from(["all", "size", "nothing"]))), is_text=True)
+        data.draw(
+            spoilt(transforms_text(data.draw(st.sampled_from(["all", "size", "nothing"]))), is_text=True)
         )
     )
     found = read_or_refuse(read_transforms, path, names=path.name)
@@ -134,7 +134,7 @@ def test_ply(folder: Path, is_text: bool, data: st.DataObject) -> None:
     write_points_ply(path, np.ones((6, 3)), np.zeros((6, 3), np.uint8))
     valid = TEXT_PLY if is_text else path.read_bytes()
     # A header is text in both.
-    path.write_bytes(data.render(spoilt(valid, is_text=is_text or data.render(st.booleans()))))
+    path.write_bytes(data.draw(spoilt(valid, is_text=is_text or data.draw(st.booleans()))))
     found = read_or_refuse(read_points_ply, path, names=path.name)
     assert found is None or found.rgb is None or found.rgb.shape == found.xyz.shape
 
@@ -150,8 +150,8 @@ BAL = b"""2 2 3
 @given(data=st.data())
 def test_bundle_problems(folder: Path, packed: bool, data: st.DataObject) -> None:
     path = folder / ("problem.txt.bz2" if packed else "problem.txt")
-    valid = bz2.compress(BAL) if packed and data.render(st.booleans()) else BAL
-    content = data.render(spoilt(valid, is_text=valid is BAL))
+    valid = bz2.compress(BAL) if packed and data.draw(st.booleans()) else BAL
+    content = data.draw(spoilt(valid, is_text=valid is BAL))
     path.write_bytes(bz2.compress(content) if packed and valid is BAL else content)
     found = read_or_refuse(read_bal, path, names=path.name)
     if found is not None:
@@ -175,7 +175,7 @@ GRAPHS = [(Rigid2, 3), (Rigid3, 6), (Similarity3, 7)]
 def test_pose_graphs(folder: Path, kind: Any, dimension: int, data: st.DataObject) -> None:
     path = folder / f"{kind.__name__}.g2o"
     write_g2o(path, graph_of(kind, dimension))
-    path.write_bytes(data.render(spoilt(path.read_bytes(), is_text=True)))
+    path.write_bytes(data.draw(spoilt(path.read_bytes(), is_text=True)))
     found = read_or_refuse(read_g2o, path, names=path.name)
     if found is not None and not isinstance(found.graph.world_from_body, Rigid2):
         for motions in (found.graph.world_from_body, found.graph.first_from_second):
@@ -210,7 +210,7 @@ b.png 1520.4 0 302.32 0 1525.9 246.87 0 0 1 1 0 0 0 1 0 0 0 1 -0.028 0.1 0.57
 @given(data=st.data())
 def test_known_cameras(folder: Path, name: str, valid: bytes, data: st.DataObject) -> None:
     where = folder / name.partition(".")[2]
-    spoil_one(where, {name: valid}, name, data.render(spoilt(valid, is_text=True)))
+    spoil_one(where, {name: valid}, name, data.draw(spoilt(valid, is_text=True)))
     found = read_or_refuse(read_truth, where, names=where.name)
     if found is not None:
         assert np.isfinite(found.cams_from_world.rotation).all()

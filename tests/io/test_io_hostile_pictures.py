@@ -36,7 +36,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_pfm(folder: Path, data: st.DataObject) -> None:
     path = folder / "map.pfm"
     write_pfm(path, np.arange(12.0).reshape(3, 4))
-    path.write_bytes(data.render(spoilt(path.read_bytes(), is_text=data.render(st.booleans()))))
+    path.write_bytes(data.draw(spoilt(path.read_bytes(), is_text=data.draw(st.booleans()))))
     found = read_or_refuse(read_pfm, path, names=path.name)
     assert found is None or found.size * 4 <= path.stat().st_size
 
@@ -45,7 +45,7 @@ def test_pfm(folder: Path, data: st.DataObject) -> None:
 def test_png16(folder: Path, data: st.DataObject) -> None:
     path = folder / "map.png"
     write_png16(path, np.arange(1.0, 13.0).reshape(3, 4))
-    path.write_bytes(data.render(spoilt(path.read_bytes(), is_text=False)))
+    path.write_bytes(data.draw(spoilt(path.read_bytes(), is_text=False)))
     found = read_or_refuse(read_png16, path, names=path.name)
     assert found is None or np.isfinite(found[~np.isnan(found)]).all()
 
@@ -64,7 +64,7 @@ KINDS = ["JPEG", "PNG", "TIFF", "WEBP", "BMP", "PPM"]
 @given(data=st.data())
 def test_photographs(folder: Path, kind: str, data: st.DataObject) -> None:
     path = folder / f"photograph.{kind.lower()}"
-    path.write_bytes(data.render(spoilt(encoded(kind), is_text=False)))
+    path.write_bytes(data.draw(spoilt(encoded(kind), is_text=False)))
     header = read_or_refuse(read_header, path, names=path.name)
     if header is not None:
         assert header.width > 0 and header.height > 0 and 1 <= header.orientation <= 8
@@ -88,7 +88,7 @@ def test_exif(folder: Path, data: st.DataObject) -> None:
     """A damaged block tells less, or nothing: the image itself is sound and stays readable."""
     path = folder / "exif.jpg"
     block = new_exif("Canon", "Canon EOS 5D", 35.0, GPS).tobytes().removeprefix(b"Exif\0\0")
-    path.write_bytes(spoilt_exif(encoded("JPEG"), data.render(spoilt(block, is_text=False))[:60000]))
+    path.write_bytes(spoilt_exif(encoded("JPEG"), data.draw(spoilt(block, is_text=False))[:60000]))
     header = read_header(path)
     assert {header.width, header.height} == {24, 32} and 1 <= header.orientation <= 8
     assert header.focal_px is None or 0.2 * 32 <= header.focal_px <= 20 * 32
@@ -129,7 +129,7 @@ def video(folder: Path) -> bytes:
 @given(data=st.data())
 def test_videos(folder: Path, video: bytes, data: st.DataObject) -> None:
     path, out = folder / "spoilt.avi", folder / "frames"
-    path.write_bytes(data.render(spoilt(video, is_text=False)))
+    path.write_bytes(data.draw(spoilt(video, is_text=False)))
 
     def read() -> object:
         size = frame_size(path)
@@ -144,7 +144,7 @@ def test_videos(folder: Path, video: bytes, data: st.DataObject) -> None:
 @given(data=st.data())
 def test_stereo_videos(folder: Path, video: bytes, data: st.DataObject) -> None:
     path, out = folder / "spoilt_pair.avi", folder / "pairs"
-    path.write_bytes(data.render(spoilt(video, is_text=False)))
+    path.write_bytes(data.draw(spoilt(video, is_text=False)))
     found = read_or_refuse(extract_pairs, path, path, out, 3, names=path.name)
     assert found is None or 1 <= len(found) <= 3
 
@@ -159,7 +159,7 @@ def manifest(folder: Path, video: bytes) -> bytes:
 def test_the_list_of_frames_of_an_earlier_call(folder: Path, manifest: bytes, data: st.DataObject) -> None:
     """A damaged list is read anew from the video, or its frames are there; never a file outside of the folder."""
     path, out = folder / "valid.avi", folder / "listed"
-    (out / "frames.json").write_bytes(data.render(spoilt(manifest, is_text=True)))
+    (out / "frames.json").write_bytes(data.draw(spoilt(manifest, is_text=True)))
     found = extract_frames(path, out, max_frames=2)
     assert all((out / name).is_file() and Path(name).name == name for name in found.name)
 

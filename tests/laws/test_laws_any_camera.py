@@ -18,8 +18,8 @@ MODELS = [pytest.param(model, id=model.name) for model in CameraModel]
 def test_every_pixel_of_a_mild_lens_has_a_ray_that_comes_back(
     model: CameraModel, data: st.DataObject
 ) -> None:
-    camera, positions = data.render(cameras(model=model)), data.render(pixels())
-    depth = data.render(numbers(1e-3, 1e3))
+    camera, positions = data.draw(cameras(model=model)), data.draw(pixels())
+    depth = data.draw(numbers(1e-3, 1e3))
     rays = camera.unproject(positions)
     np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1.0, atol=1e-14)
     np.testing.assert_allclose(camera.project(depth * rays), positions, atol=1e-7)
@@ -28,7 +28,7 @@ def test_every_pixel_of_a_mild_lens_has_a_ray_that_comes_back(
 @pytest.mark.parametrize("model", MODELS)
 @given(data=st.data())
 def test_what_a_mild_lens_sees_comes_back_as_its_direction(model: CameraModel, data: st.DataObject) -> None:
-    camera, points = data.render(cameras(model=model, bend=0.01)), data.render(points_ahead())
+    camera, points = data.draw(cameras(model=model, bend=0.01)), data.draw(points_ahead())
     rays = camera.unproject(camera.project(points))
     np.testing.assert_allclose(rays, points / np.linalg.norm(points, axis=1, keepdims=True), atol=1e-9)
 
@@ -37,7 +37,7 @@ def test_what_a_mild_lens_sees_comes_back_as_its_direction(model: CameraModel, d
 @given(data=st.data())
 def test_a_wild_lens_gives_a_ray_that_comes_back_or_none(model: CameraModel, data: st.DataObject) -> None:
     """Where the distortion folds there is no ray: NaN, in the whole row, and never a wrong one."""
-    camera, positions = data.render(cameras(bend=2.0, model=model)), data.render(pixels())
+    camera, positions = data.draw(cameras(bend=2.0, model=model)), data.draw(pixels())
     rays = camera.unproject(positions)
     known = np.isfinite(rays).all(axis=1)
     assert np.isnan(rays[~known]).all()
@@ -47,8 +47,8 @@ def test_a_wild_lens_gives_a_ray_that_comes_back_or_none(model: CameraModel, dat
 @pytest.mark.parametrize("model", MODELS)
 @given(data=st.data())
 def test_the_jacobian_is_the_slope(model: CameraModel, data: st.DataObject) -> None:
-    camera, points = data.render(cameras(model=model)), data.render(points_ahead(most=4))
-    trajectory = data.render(vectors(3, 1.0))
+    camera, points = data.draw(cameras(model=model)), data.draw(points_ahead(most=4))
+    trajectory = data.draw(vectors(3, 1.0))
     _, by_points, by_params = camera.project_with_jacobian(points)
     h = 1e-5
     slope = (camera.project(points + h * trajectory) - camera.project(points - h * trajectory)) / (2 * h)

@@ -31,13 +31,13 @@ def assert_same(a: Any, b: Any, tolerance: float = 1e-10) -> None:
 
 
 def point_for(kind: Any, data: st.DataObject) -> np.ndarray:
-    return data.render(vectors(2 if kind is Rigid2 else 3, 100.0))
+    return data.draw(vectors(2 if kind is Rigid2 else 3, 100.0))
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @given(data=st.data())
 def test_log_undoes_exp_and_exp_undoes_log(kind: Any, data: st.DataObject) -> None:
-    xi = data.render(GROUPS[kind])
+    xi = data.draw(GROUPS[kind])
     element = kind.exp(xi)
     np.testing.assert_allclose(element.log(), xi, atol=1e-7 * np.abs(xi).max() + 1e-15)
     assert_same(kind.exp(element.log()), element)
@@ -46,7 +46,7 @@ def test_log_undoes_exp_and_exp_undoes_log(kind: Any, data: st.DataObject) -> No
 @pytest.mark.parametrize("kind", KINDS)
 @given(data=st.data())
 def test_the_axioms_of_a_group(kind: Any, data: st.DataObject) -> None:
-    a, b, c = (kind.exp(data.render(GROUPS[kind])) for _ in range(3))
+    a, b, c = (kind.exp(data.draw(GROUPS[kind])) for _ in range(3))
     one = kind.identity()
     assert_same((a @ b) @ c, a @ (b @ c))
     assert_same(one @ a, a)
@@ -61,7 +61,7 @@ def test_the_axioms_of_a_group(kind: Any, data: st.DataObject) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 @given(data=st.data())
 def test_a_product_moves_points_one_after_the_other(kind: Any, data: st.DataObject) -> None:
-    a, b = (kind.exp(data.render(GROUPS[kind])) for _ in range(2))
+    a, b = (kind.exp(data.draw(GROUPS[kind])) for _ in range(2))
     point = point_for(kind, data)
     there = a.apply(b.apply(point))
     size = max(1.0, np.abs(there).max())
@@ -74,14 +74,14 @@ def test_a_product_moves_points_one_after_the_other(kind: Any, data: st.DataObje
 @given(data=st.data())
 def test_the_adjoint_carries_tangents(kind: Any, data: st.DataObject) -> None:
     """T exp(xi) T^-1 = exp(Ad xi)."""
-    moving, xi = kind.exp(data.render(GROUPS[kind])), 0.1 * data.render(GROUPS[kind])
+    moving, xi = kind.exp(data.draw(GROUPS[kind])), 0.1 * data.draw(GROUPS[kind])
     assert_same(moving @ kind.exp(xi) @ moving.inverse(), kind.exp(moving.adjoint() @ xi), 1e-9)
 
 
 @pytest.mark.parametrize("kind", [p for p in KINDS if p.id in ("Rotation3", "Rigid3", "Similarity3")])
 @given(data=st.data())
 def test_the_adjoint_of_a_product_is_the_product_of_adjoints(kind: Any, data: st.DataObject) -> None:
-    a, b = (kind.exp(data.render(GROUPS[kind])) for _ in range(2))
+    a, b = (kind.exp(data.draw(GROUPS[kind])) for _ in range(2))
     expected = a.adjoint() @ b.adjoint()
     np.testing.assert_allclose((a @ b).adjoint(), expected, atol=1e-11 * max(1.0, np.abs(expected).max()))
 

@@ -94,9 +94,9 @@ def test_a_point_seen_from_many_places_is_found(xis: list[np.ndarray], point: np
 
 
 @st.composite
-def planes(render: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
+def planes(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
     """A normal n and 12 points with n . X = 1 ahead of camera 1."""
-    depth, slope = render(numbers(4, 9)), render(vectors(2, 0.5))
+    depth, slope = draw(numbers(4, 9)), draw(vectors(2, 0.5))
     x, y = np.meshgrid(np.linspace(-1, 1, 4), np.linspace(-1, 1, 3))
     normal = np.array([-slope[0], -slope[1], 1.0]) / depth
     z = depth + slope[0] * x + slope[1] * y

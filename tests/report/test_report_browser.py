@@ -40,7 +40,7 @@ def test_script_runs_to_its_end(name: str, request: pytest.FixtureRequest, tmp_p
 WRAPPER = """<html><body><iframe style="border:0;width:390px;height:6000px" srcdoc="{page}"></iframe><script>
 const frame = document.querySelector("iframe");
 frame.onload = () => {{
-  const cells = [...frame.contentDocument.querySelectorAll(".pictures tbody td, .pictures tbody th")];
+  const cells = [...frame.contentDocument.querySelectorAll(".images tbody td, .images tbody th")];
   const right = Math.max(...cells.map((cell) => cell.getBoundingClientRect().right));
   document.body.dataset.cells = cells.length;
   document.body.dataset.right = Math.ceil(right);

@@ -58,7 +58,7 @@ def reports(
     (root / "photos" / "transforms.json").write_text(json.dumps(transforms))
     splat(root / "photos", root / "splat", steps=12, max_gaussians=200, sh_degree=0, test_every=3)
     (root / "workspace").mkdir()
-    api.fraction(workspace(root / "workspace"), root / "scene.html")
+    api.share(workspace(root / "workspace"), root / "scene.html")
     pages = {
         "reconstruction": render_report(content),
         "nothing-reconstructed": render_report(empty_content),

@@ -18,7 +18,7 @@ from epipole.report import frame
 
 FOLDER = Path(epipole.report.__file__).parent
 ROOT = FOLDER.parent
-PIPELINES = ("sfm", "stereo", "calibration")
+PIPELINES = ("sfm.page", "stereo", "calibration", "fields", "slam.output")
 NUMBERS = count()
 
 

@@ -43,7 +43,7 @@ class Reader(HTMLParser):
 
 def read(page: str) -> Reader:
     reader = Reader()
-    reader.stream(page)
+    reader.feed(page)
     reader.close()
     assert reader.stack == []
     return reader

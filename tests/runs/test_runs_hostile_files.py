@@ -42,7 +42,7 @@ def mark(folder: Path) -> bytes:
 def test_the_mark_of_a_folder(folder: Path, mark: bytes, data: st.DataObject) -> None:
     """Refused, or names and numbers of their kinds."""
     where = folder / "marked"
-    spoil_one(where, {MARK: mark}, MARK, data.render(spoilt(mark, is_text=True)))
+    spoil_one(where, {MARK: mark}, MARK, data.draw(spoilt(mark, is_text=True)))
     found = read_or_refuse(read_mark, where, names=where.name)
     if found is not None:
         assert all(isinstance(name, str) for names in found.files.values() for name in names)
@@ -69,7 +69,7 @@ def test_units(folder: Path, data: st.DataObject) -> None:
     """A damaged unit has another key or none, and is done again; never an error."""
     path = folder / "unit.npz"
     store(path, "0123456789abcdef", UNIT)
-    path.write_bytes(data.render(spoilt(path.read_bytes(), is_text=False)))
+    path.write_bytes(data.draw(spoilt(path.read_bytes(), is_text=False)))
     assert isinstance(read_or_refuse(stored_key, path), str)
 
 
@@ -99,7 +99,7 @@ def test_depth_read_back(folder: Path, name: str, data: st.DataObject) -> None:
         write_pfm(where / pfm, np.ones((6, 8)))
     write_jpeg_with_exif(where / "left.png", np.zeros((6, 8, 3), np.uint8))
     valid = stereo_files() | {p.name: p.read_bytes() for p in sorted(where.iterdir()) if p.name != "rig.json"}
-    spoil_one(where, valid, name, data.render(spoilt(valid[name], is_text=name == "rig.json")))
+    spoil_one(where, valid, name, data.draw(spoilt(valid[name], is_text=name == "rig.json")))
     found = read_or_refuse(read_stereo, where, names=where.name)
     if found is not None:
         assert found.K.shape == (3, 3) and np.isfinite(found.K).all()
@@ -109,7 +109,7 @@ def test_depth_read_back(folder: Path, name: str, data: st.DataObject) -> None:
 @given(data=st.data())
 def test_the_summary_of_many_pairs(folder: Path, data: st.DataObject) -> None:
     valid = json.dumps({"done": ["a"], "known": {"a": 0.9}, "warnings": {}, "problems": {}}).encode()
-    (folder / "summary.json").write_bytes(data.render(spoilt(valid, is_text=True)))
+    (folder / "summary.json").write_bytes(data.draw(spoilt(valid, is_text=True)))
     found = read_or_refuse(read_summary, folder)
     assert isinstance(found, dict) and isinstance(found.get("known", {}), dict)
 
@@ -117,7 +117,7 @@ def test_the_summary_of_many_pairs(folder: Path, data: st.DataObject) -> None:
 @given(data=st.data())
 def test_lists_of_pairs(folder: Path, data: st.DataObject) -> None:
     path = folder / "pairs.txt"
-    path.write_bytes(data.render(spoilt(b"# pairs\na.jpg b.jpg\nb.jpg c.jpg\n\nc.jpg a.jpg\n", is_text=True)))
+    path.write_bytes(data.draw(spoilt(b"# pairs\na.jpg b.jpg\nb.jpg c.jpg\n\nc.jpg a.jpg\n", is_text=True)))
     found = read_or_refuse(read_pairs, path, ["a.jpg", "b.jpg", "c.jpg"], names=path.name)
     assert found is None or ((found >= 0) & (found < 3)).all()
 

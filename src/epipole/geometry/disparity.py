@@ -1,4 +1,4 @@
-"""Disparity and depth of a rectified pair, and how the error of one becomes that of the other."""
+"""Disparity and depth of a rectified pair, and the error of one from that of the other; a number gives a number."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from epipole.errors import ConfigError
 @checked
 def disparity_to_depth(
     disparity_px: Any, focal_px: float, baseline: float, principal_offset_px: float = 0.0
-) -> Float64[np.ndarray, ...]:
+) -> Float64[np.ndarray, ...] | float:
     """Depth Z = f B / (d + o) of disparities d = x_left - x_right.
 
     Args:
@@ -31,30 +31,30 @@ def disparity_to_depth(
         ConfigError: focal length or baseline is not positive.
     """
     _check(focal_px, baseline)
-    shifted = as_float_array(disparity_px, "disparity_px") + principal_offset_px
+    shifted = _numbers(disparity_px, "disparity_px") + principal_offset_px
     with np.errstate(divide="ignore"):
-        return np.where(shifted >= 0, focal_px * baseline / np.abs(shifted), np.nan)
+        return np.where(shifted >= 0, focal_px * baseline / np.abs(shifted), np.nan)[()]
 
 
 @checked
 def depth_to_disparity(
     depth: Any, focal_px: float, baseline: float, principal_offset_px: float = 0.0
-) -> Float64[np.ndarray, ...]:
+) -> Float64[np.ndarray, ...] | float:
     """Disparity d = f B / Z - o; the inverse of `disparity_to_depth`. NaN where the depth is not positive.
 
     Raises:
         ConfigError: focal length or baseline is not positive.
     """
     _check(focal_px, baseline)
-    z = as_float_array(depth, "depth")
+    z = _numbers(depth, "depth")
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(z > 0, focal_px * baseline / z - principal_offset_px, np.nan)
+        return np.where(z > 0, focal_px * baseline / z - principal_offset_px, np.nan)[()]
 
 
 @checked
 def depth_error(
     depth: Any, focal_px: float, baseline: float, disparity_error_px: Any
-) -> Float64[np.ndarray, ...]:
+) -> Float64[np.ndarray, ...] | float:
     """|dZ| = (Z^2 / (f B)) |dd|: it grows with the square of the depth, and falls with focal length and baseline.
 
     Args:
@@ -67,9 +67,14 @@ def depth_error(
         ConfigError: focal length or baseline is not positive.
     """
     _check(focal_px, baseline)
-    z, error_px = as_float_array(depth, "depth"), as_float_array(disparity_error_px, "disparity_error_px")
+    z, error_px = _numbers(depth, "depth"), _numbers(disparity_error_px, "disparity_error_px")
     check_broadcast(depth=z.shape, disparity_error_px=error_px.shape)
-    return z * z / (focal_px * baseline) * np.abs(error_px)
+    return (z * z / (focal_px * baseline) * np.abs(error_px))[()]
+
+
+def _numbers(given: Any, name: str) -> np.ndarray:
+    """As an array of the same shape, also of no axis."""
+    return as_float_array(given, name).reshape(np.shape(given))
 
 
 def _check(focal_px: float, baseline: float) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from epipole._declared import Declared
+from epipole.scene.notebook import table_html
 
 
 class StereoReason(IntEnum):
@@ -49,6 +50,9 @@ class DisparityMap(Declared):
         height, width = self.reason.shape
         return f"DisparityMap({width} x {height}, {100 * self.density:.1f} % known)"
 
+    def _repr_html_(self) -> str:
+        return table_html("DisparityMap", {"known": f"{100 * self.density:.1f} %"}, self.disparity_px)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthMap(Declared):
@@ -69,3 +73,6 @@ class DepthMap(Declared):
             return f"DepthMap({width} x {height}, nothing known)"
         near, far = np.percentile(self.depth[known], [1, 99])
         return f"DepthMap({width} x {height}, {100 * known.mean():.1f} % known, {near:.3g} to {far:.3g})"
+
+    def _repr_html_(self) -> str:
+        return table_html("DepthMap", {"known": f"{100 * np.isfinite(self.depth).mean():.1f} %"}, self.depth)

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float32, Float64, Int64
 
 from epipole._declared import Declared, check_fields, checked
 from epipole.errors import ShapeError
+from epipole.scene.notebook import table_html
 
 NUM_SH = (1, 4, 9, 16)
 """Spherical harmonics up to degree 0, 1, 2 and 3."""
@@ -77,4 +78,9 @@ class GaussianCloud(Declared):
             self.opacity_logits[chosen],
             self.sh[chosen],
             self.origin_in_world,
+        )
+
+    def _repr_html_(self) -> str:
+        return table_html(
+            "GaussianCloud", {"Gaussians": f"{len(self):,}", "harmonics of degree": self.sh_degree}
         )

@@ -16,6 +16,7 @@ from epipole.geometry import Rigid3, Similarity3
 from epipole.scene.cameras import Cameras
 from epipole.scene.frames import Frames, Rigs
 from epipole.scene.images import Images
+from epipole.scene.notebook import table_html
 from epipole.scene.points import Points, Tracks
 
 
@@ -99,31 +100,24 @@ class Reconstruction:
             )
         check_indices(image, "image", n)
         check_indices(point, "point", len(points_in_world))
-        sensor = np.zeros(n, np.int32) if len(own) == 1 else np.arange(n, dtype=np.int32)
-        keypoints = np.argsort(image, kind="stable")
+        camera = np.zeros(n, np.int32) if len(own) == 1 else np.arange(n, dtype=np.int32)
+        frames = Frames(camera, cams_from_world, np.full(n, np.nan))
+        rows = np.lexsort((np.arange(len(image)), image))  # keypoints stand image by image
         first = np.concatenate([[0], np.cumsum(np.bincount(image, minlength=n))]).astype(np.int64)
-        keypoint = np.empty(len(image), np.int64)
-        keypoint[keypoints] = np.arange(len(image)) - first[image[keypoints]]
-        tracks = np.argsort(point, kind="stable")
+        images = Images(files, np.arange(n, dtype=np.int32), camera, first, pixels[rows])
+        keypoint = np.empty(len(image), np.int32)
+        keypoint[rows] = np.arange(len(image)) - first[image[rows]]
+        rows = np.argsort(point, kind="stable")
         seen = np.bincount(point, minlength=len(points_in_world))
-        model = Reconstruction(
-            Cameras.from_list(own),
-            Rigs.of_single_cameras(len(own)),
-            Frames(sensor, cams_from_world, np.full(n, np.nan)),
-            Images(files, np.arange(n, dtype=np.int32), sensor, first, pixels[keypoints]),
-            Points(
-                points_in_world,
-                np.full((len(points_in_world), 3), 128, np.uint8),
-                np.full(len(points_in_world), np.nan),
-            ),
-            Tracks(
-                np.concatenate([[0], np.cumsum(seen)]).astype(np.int64),
-                image[tracks].astype(np.int32),
-                keypoint[tracks].astype(np.int32),
-            ),
-        )
-        off = np.bincount(point[tracks], np.nan_to_num(model.reprojection_errors_px()), len(points_in_world))
-        return replace(model, points=replace(model.points, error_px=off / np.where(seen > 0, seen, np.nan)))
+        offsets = np.concatenate([[0], np.cumsum(seen)]).astype(np.int64)
+        tracks = Tracks(offsets, image[rows].astype(np.int32), keypoint[rows])
+        grey = np.full((len(seen), 3), 128, np.uint8)
+        points = Points(points_in_world, grey, np.full(len(seen), np.nan))
+        rigs = Rigs.of_single_cameras(len(own))
+        model = Reconstruction(Cameras.from_list(own), rigs, frames, images, points, tracks)
+        total = np.bincount(point[rows], np.nan_to_num(model.reprojection_errors_px()), len(seen))
+        error_px = total / np.where(seen > 0, seen, np.nan)
+        return replace(model, points=replace(points, error_px=error_px))
 
     @property
     def camera_of_image(self) -> Int32[np.ndarray, " n"]:
@@ -205,3 +199,12 @@ class Reconstruction:
             f"{len(self.points)} points, {len(self.tracks.image)} observations{error}, "
             f"{len(self.cameras)} cameras)"
         )
+
+    def _repr_html_(self) -> str:
+        rows = {
+            "images": f"{int(self.is_registered().sum())} of {len(self.images)} registered",
+            "points": f"{len(self.points):,}",
+            "observations": f"{len(self.tracks.image):,}",
+            "cameras": ", ".join(repr(self.cameras[k]) for k in range(min(3, len(self.cameras)))),
+        }
+        return table_html("Reconstruction", rows)

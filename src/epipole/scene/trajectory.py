@@ -10,6 +10,7 @@ from jaxtyping import Float64, Int64
 from epipole._declared import check_fields, checked
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3
+from epipole.scene.notebook import table_html
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,3 +60,8 @@ class Trajectory:
         seconds = float(self.timestamp_s[-1] - self.timestamp_s[0])
         known = ", with covariances" if self.covariance is not None else ""
         return f"Trajectory({len(self)} instants over {seconds:.1f} s, path {self.path_length():.3g}{known})"
+
+    def _repr_html_(self) -> str:
+        seconds = float(self.timestamp_s[-1] - self.timestamp_s[0]) if len(self) else 0.0
+        rows = {"poses": len(self), "duration": f"{seconds:.1f} s", "length": f"{self.path_length():.4g}"}
+        return table_html("Trajectory", rows)

@@ -128,7 +128,7 @@ def _photographed(
         _photograph(image.rgb, rng, contrast, noise, blur, exposure, quality)
         for image, exposure in ((left, 1.0), (right, gain))
     ]
-    disparity = depth_to_disparity(left.depth, focal, baseline)
+    disparity = np.asarray(depth_to_disparity(left.depth, focal, baseline))
     return StereoPair(images[0], images[1], disparity, camera, baseline)
 
 

@@ -67,7 +67,7 @@ def write_hash(path: str | Path, field: HashContents) -> None:
         data,
         shape=np.array(field.occupied.shape, np.int32),
         cells=np.packbits(field.occupied),
-        position=np.array([*field.low.tolist(), field.size]),
+        place=np.array([*field.low.tolist(), field.size]),
         levels=np.asarray(field.cells, np.int32),
         tables=_halved(field.tables),
         layer0=first,

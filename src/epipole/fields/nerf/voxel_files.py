@@ -57,7 +57,7 @@ def write_grid(path: str | Path, grid: GridContents) -> None:
         shape=np.array(grid.cells.shape, np.int32),
         cells=np.packbits(grid.cells),
         values=np.clip(grid.values, -LARGEST, LARGEST).astype(np.float16),
-        position=np.array([*grid.low.tolist(), grid.size, grid.unit]),
+        place=np.array([*grid.low.tolist(), grid.size, grid.unit]),
     )
     with atomic_write(Path(path)) as part:
         part.write_bytes(data.getvalue())

@@ -38,7 +38,6 @@ def train_splats(
     cameras: Camera | Sequence[Camera],
     cams_from_world: Rigid3,
     points_in_world: Float64[np.ndarray, "n 3"] | None = None,
-    rgb: UInt8[np.ndarray, "n 3"] | None = None,
     config: SplatConfig | None = None,
     progress: ProgressCallback = ignore_progress,
     **options: Unpack[SplatKeywords],
@@ -50,7 +49,6 @@ def train_splats(
         cameras: one that took all images, or one per image; images with distortion are undistorted first.
         cams_from_world: pose of each image.
         points_in_world: points to start from; None: random ones in what the cameras see.
-        rgb: their colors; None: grey.
         config: options of the training; images of any size are taken as they are.
         progress: called with the percentage that is done.
         **options: single options by name, which override `config`: `time="1m"` or `steps=2000`.
@@ -67,7 +65,7 @@ def train_splats(
             f"{n} images need as many poses and cameras, got {cams_from_world.batch_shape()} and {len(own)}"
         )
     views = [_view(k, images[k], own[k], cams_from_world[k]) for k in range(n)]
-    start = _start(views, points_in_world, rgb, wanted.seed)
+    start = _start(views, points_in_world, wanted.seed)
     background = np.full(3, float(wanted.background == "white"), np.float32)
     trainer, began, shown = SplatTrainer(views, start, wanted, background), perf_counter(), -1
     limit = wanted.seconds
@@ -95,14 +93,20 @@ def _view(number: int, image: np.ndarray, camera: Camera, cam_from_world: Rigid3
     return TrainingView(f"{number:05d}", undistort_image(image, camera, pinhole), pinhole, cam_from_world)
 
 
-def _start(
-    views: Sequence[TrainingView], points: np.ndarray | None, rgb: np.ndarray | None, seed: int
-) -> GaussianCloud:
-    if points is None:
-        sample = points_in_frusta if have_one_direction(views) else points_in_silhouettes
-        points, rgb = sample(views, NUM_RANDOM, seed)
-    if rgb is None:
-        rgb = np.full((len(points), 3), 128, np.uint8)
-    if len(rgb) != len(points):
-        raise ShapeError(f"{len(points)} points need as many colors, got {len(rgb)}")
-    return cloud_of_points(points, rgb)
+def _start(views: Sequence[TrainingView], points: np.ndarray | None, seed: int) -> GaussianCloud:
+    if points is not None:
+        return cloud_of_points(points, _colors(points, views))
+    sample = points_in_frusta if have_one_direction(views) else points_in_silhouettes
+    return cloud_of_points(*sample(views, NUM_RANDOM, seed))
+
+
+def _colors(points: np.ndarray, views: Sequence[TrainingView]) -> np.ndarray:
+    """Mean color of each point in the views whose image shows it; grey where none does."""
+    total, count = np.full((len(points), 3), 1e-3 * 128), np.full((len(points), 1), 1e-3)
+    for view in views:
+        with np.errstate(invalid="ignore"):
+            column, row = np.rint(view.camera.project(view.cam_from_world.apply(points))).T
+            seen = (column >= 0) & (row >= 0) & (column < view.camera.width) & (row < view.camera.height)
+        total[seen] += view.image[row[seen].astype(int), column[seen].astype(int), :3]
+        count[seen] += 1
+    return np.rint(total / count).astype(np.uint8)

@@ -16,6 +16,7 @@ from epipole.pipelines.fields.recipes import GaussianRecipe, RayRecipe
 from epipole.pipelines.fields.training import Training, background_of, finished, images_of, train, training_of
 from epipole.runs import ProgressCallback, ignore_progress, open_run
 from epipole.scene.gaussian_cloud import GaussianCloud
+from epipole.scene.notebook import table_html
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +42,10 @@ class FieldResult:
 
     def __repr__(self) -> str:
         return f"FieldResult({self.summary.get('kind', self.field)!s} in {self.out})"
+
+    def _repr_html_(self) -> str:
+        rows = {name: self.summary.get(name) for name in ("psnr", "ssim", "steps", "train_s")}
+        return table_html("FieldResult", rows | {"warnings": len(self.warnings), "folder": self.out})
 
 
 def splat(

@@ -24,6 +24,7 @@ from epipole.runs import ExecutorChoice, Job, ProgressCallback, ignore_progress,
 from epipole.runs.earlier import note_on_poorer
 from epipole.scale import check_anchor_files
 from epipole.scene import Reconstruction
+from epipole.scene.notebook import table_html
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +48,10 @@ class ReconstructionResult:
 
     def __repr__(self) -> str:
         return f"ReconstructionResult({self.model!r} in {self.out})"
+
+    def _repr_html_(self) -> str:
+        rows = {"models": len(self.models), "model": self.model, "warnings": len(self.warnings)}
+        return table_html("ReconstructionResult", rows | {"folder": self.out})
 
 
 def reconstruct(

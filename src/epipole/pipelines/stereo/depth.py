@@ -34,8 +34,8 @@ def depth_of(
     together = np.hypot(disparities.sigma_px, calibration_sigma_px)
     return DepthMap(
         depth,
-        depth_error(depth, rig.focal_px, rig.baseline, together),
-        depth_error(depth, rig.focal_px, rig.baseline, calibration_sigma_px),
+        np.asarray(depth_error(depth, rig.focal_px, rig.baseline, together)),
+        np.asarray(depth_error(depth, rig.focal_px, rig.baseline, calibration_sigma_px)),
     )
 
 

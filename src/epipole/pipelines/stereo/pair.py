@@ -20,6 +20,7 @@ from epipole.pipelines.stereo.rigs import rectified_rig_of
 from epipole.pipelines.stereo.rows import MatchedPair, quick_warnings
 from epipole.pipelines.stereo.uncalibrated import UncalibratedRectification, rectify_uncalibrated
 from epipole.scene import DepthMap, DisparityMap, RectifiedRig, StereoRig
+from epipole.scene.notebook import table_html
 
 _FITTED_WITH = (
     "window",
@@ -83,6 +84,15 @@ class StereoResult:
     def __repr__(self) -> str:
         depth = "no depth" if self.depths is None else f"{self.num_points} points"
         return f"StereoResult({self.disparities!r}, {depth}, in {self.out})"
+
+    def _repr_html_(self) -> str:
+        image = self.disparities.disparity_px if self.depths is None else self.depths.depth
+        rows = {
+            "known": f"{100 * self.disparities.density:.1f} %",
+            "depths in": self.unit,
+            "folder": self.out,
+        }
+        return table_html("StereoResult", rows, image)
 
 
 def measure_pair(

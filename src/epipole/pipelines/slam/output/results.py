@@ -40,6 +40,7 @@ from epipole.runs import Run
 from epipole.runs.earlier import note_on_poorer, refuse_poorer
 from epipole.scale import Anchoring
 from epipole.scene import Reconstruction, Trajectory
+from epipole.scene.notebook import table_html
 
 TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"
 CAMERA = "camera.json"
@@ -66,6 +67,11 @@ class SlamResult:
 
     def __repr__(self) -> str:
         return f"SlamResult({self.trajectory!r} in {self.out})"
+
+    def _repr_html_(self) -> str:
+        rows = {"frames": f"{self.summary['num_localized']} of {self.summary['num_frames']} localized"}
+        rows |= {"length": f"{self.trajectory.path_length():.4g}", "scale": self.summary["scale"]}
+        return table_html("SlamResult", rows | {"warnings": len(self.warnings), "folder": self.out})
 
 
 class RunInputs(NamedTuple):
