@@ -61,7 +61,7 @@ def refused(given: str, capsys: pytest.CaptureFixture, code: int = 2) -> str:
         ("stereo a b c --paths 5", ["--paths must be one of 4, 8; got '5'"]),
         ("evaluate a", ["needs --truth with a path"]),
         ("convert a b", ["b tells no format", "one of txt, bin, ply, transforms, bundler, splat"]),
-        ("convert a b txt", ["takes SOURCE TARGET alone", "'txt' is too much"]),
+        ("convert a b txt", ["takes only SOURCE TARGET", "'txt' is unexpected"]),
         ("convert a b --format obj", ["--format must be one of txt", "got 'obj'"]),
         ("calibrate a b --square", ["--square needs a number"]),
         ("view a --port 8x", ["--port must be a whole number, or None; got '8x'"]),
@@ -104,9 +104,9 @@ def test_a_config_of_a_run_names_options_too_but_leaves_words_alone(capsys):
 
 def test_a_field_beside_an_option_is_written_as_one():
     words, signature = ["reconstruct", "a", "b", "--include", "*"], SIGNATURES["reconstruct"]
-    message = "include and exclude choose images of a folder; x.mp4 is a video"
+    message = "include and exclude select images of a folder, but x.mp4 is a video"
     said = with_option_names(message, words, signature, also_plain=False)
-    assert said == "--include and --exclude choose images of a folder; x.mp4 is a video"
+    assert said == "--include and --exclude select images of a folder, but x.mp4 is a video"
 
 
 def test_an_option_that_took_a_path_for_its_value_is_shown(capsys):

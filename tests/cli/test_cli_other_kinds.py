@@ -78,7 +78,7 @@ def here(tmp_path, monkeypatch):
         ("evaluate slammed --truth images", "these are no known cameras; it holds images|holds no model"),
         ("splat images out --time 5", "--time needs a unit: 5s for seconds, 5m for minutes or 5h for hours"),
         ("nerf images out --time 2.5", r"--time needs a unit: 2\.5s"),
-        ("compare-fields images out --time 5min", "--time is a number with its unit, such as 30s"),
+        ("compare-fields images out --time 5min", "--time must be a number with a unit, such as 30s"),
     ],
 )
 def test_the_message_says_what_it_is(here, words, said, capsys):
@@ -103,7 +103,7 @@ def test_cameras_that_are_not_there(here, job, target):
             job(splats.parent, here / target, cameras=here / cameras)
     if job is epipole.mesh:
         with pytest.raises(
-            epipole.errors.NoModelError, match=r"no .*cameras\.json: give the cameras that look"
+            epipole.errors.NoModelError, match=r"cameras\.json does not exist: give cameras that look"
         ):
             job(splats, here / target)
 

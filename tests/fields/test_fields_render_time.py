@@ -51,7 +51,7 @@ def test_as_many_views_are_rendered_as_the_time_allows(monkeypatch):
 
     wanted = FieldOptions(time=f"{3.5 * each_s / held_out.RENDER_FRACTION:.3f}s")
     assert rendered(wanted) == ["00.png", "06.png", "13.png"]
-    assert said[0].startswith("3 of 14 views are rendered and compared: a view takes about 3.1 s")
+    assert said[0].startswith("only 3 of 14 views were rendered and compared: a view takes about 3.1 s")
     assert reports == [(0, 14), (1, 14), (2, 14), (3, 14), (3, 3)]
     assert rendered(FieldOptions(time="1s")) == ["00.png"]
     said.clear()

@@ -110,7 +110,7 @@ def test_cameras_that_look_the_same_way_start_in_what_they_see():
     assert len(started) == 200
     with pytest.raises(DegenerateGeometryError, match="at one place"):
         points_in_frusta([of[0], of[0]], 10)
-    with pytest.raises(DegenerateGeometryError, match="transparent, or masked"):
+    with pytest.raises(DegenerateGeometryError, match="transparent or masked"):
         points_in_frusta([replace(view, used_mask=np.zeros((48, 64), bool)) for view in of], 10)
 
 
