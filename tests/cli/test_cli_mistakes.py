@@ -30,13 +30,13 @@ def refused(given: str, capsys: pytest.CaptureFixture, code: int = 2) -> str:
 @pytest.mark.parametrize(
     ("given", "parts"),
     [
-        ("", ["which command", "reconstruct, slam, splat, nerf, render, mesh, compare-fields, stereo"]),
+        ("", ["no command given", "reconstruct, slam, splat, nerf, render, mesh, compare-fields, stereo"]),
         ("reconstrut a b", ["unknown command reconstrut", "did you mean reconstruct?"]),
         ("a b reconstruct", ["unknown command a"]),
         ("--nosuch", ["unknown option --nosuch"]),
         ("reconstruct", ["IMAGES and OUT are missing"]),
         ("reconstruct a", ["needs IMAGES OUT; OUT is missing"]),
-        ("reconstruct a b c", ["takes IMAGES OUT alone", "'c'"]),
+        ("reconstruct a b c", ["takes only IMAGES OUT", "'c'"]),
         ("version a", ["takes no path", "'a'"]),
         ("reconstruct a b --mapper.nosuch 1", ["no option --mapper.nosuch; see"]),
         ("reconstruct a b --pairing.mode x", ["--pairing.mode; did you mean --pairing.method?"]),

@@ -35,7 +35,7 @@ def test_components(content: ReportContent) -> None:
     assert "not connected" not in text_of(content)
     assert "two models" in text_of(replace(content, other_components=(3,)))
     assert "fell into 4 models" in text_of(replace(content, other_components=(5, 3, 2)))
-    assert "hold 5, 3 and 2 images" in text_of(replace(content, other_components=(5, 3, 2)))
+    assert "have 5, 3 and 2 images" in text_of(replace(content, other_components=(5, 3, 2)))
 
 
 def test_low_parallax_pairs(content: ReportContent) -> None:
