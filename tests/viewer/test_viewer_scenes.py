@@ -88,5 +88,5 @@ def test_pictures_without_a_place_and_other_models_are_told(tmp_path: Path) -> N
     assert (one.title, one.words.split(",")[0]) == ("out/sparse/1", "2 images")
     (tmp_path / "out" / "summary.json").write_text(json.dumps({"num_images": 7}))
     scene = scene_of(tmp_path / "out")
-    assert scene.words.startswith("2 of 7 images placed, 5 points; the first of 2 models: ")
+    assert scene.words.startswith("2 of 7 images placed, 5 points; the first of 2 models (see also ")
     assert scene.words.endswith("sparse/1)")
