@@ -232,7 +232,7 @@ def test_memory_is_told_first_and_kept(source, tmp_path):
     given = next(note for note in notes if note)
     assert "12 images, about 0.2 GB" in given
     assert found.summary["num_gaussians"] <= int(given.split()[2].replace(",", "")) <= 10_000
-    with pytest.raises(ConfigError, match=r"memory_gb is 0\.01, and 0\.23 are needed"):
+    with pytest.raises(ConfigError, match=r"memory_gb is 0\.01, but 0\.23 GB are needed"):
         splat(source, tmp_path / "small", steps=2, memory_gb=0.01)
     with pytest.raises(ConfigError, match="1,000,000 Gaussians"):
         splat(source, tmp_path / "small", steps=2, memory_gb=0.3, max_gaussians=1_000_000)
