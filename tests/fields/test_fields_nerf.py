@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fields_scenes import CAMERA, camera, frames_of, views
 
-from epipole import nerf, render, share
+from epipole import nerf, render
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.fields.nerf.hash_files import HashContents, write_hash
 from epipole.fields.nerf.voxel_field import gaussians_of
@@ -17,6 +17,7 @@ from epipole.fields.splat.rasterizer import render as draw
 from epipole.io.images.photographs import read_rgb
 from epipole.pipelines.fields.kinds import KINDS, kind_in, read_neural, read_voxels
 from epipole.pipelines.fields.scene import is_mine, seen_gaussians
+from epipole.pipelines.viewing.run import write_page
 
 STEPS = 120
 LEAST_PSNR = {"grid": 20, "hash": 18}
@@ -118,7 +119,7 @@ def test_so_many_gaussians_are_made_and_none_of_what_is_empty(result):
     "result", ["grid"], indirect=True
 )  # a neural field is first made a grid, which takes long
 def test_its_gaussians_are_shared_with_its_cameras(result, tmp_path):
-    done = share(result.out, tmp_path / "page.html")
+    done = write_page(result.out, tmp_path / "page.html", 500_000)
     count = f"{len(seen_gaussians(result.out)[0]):,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
     assert done.shown.startswith(f"{count} Gaussians that coarsely approximate a radiance field")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")

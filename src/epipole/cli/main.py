@@ -200,7 +200,7 @@ def _parsed(words: list[str]) -> Callable[[], None]:
         app.command(_noted(function, calls))
     said = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said):
+        with contextlib.redirect_stderr(said), _unwrapped():
             app.cli(
                 prog="epipole",
                 description=f"Turn photographs into 3D models. {EVERYWHERE_HELP}",
@@ -212,7 +212,7 @@ def _parsed(words: list[str]) -> Callable[[], None]:
     except SystemExit as stopped:
         if not stopped.code:
             raise
-        _refuse(_in_one_sentence(words, stopped, said.getvalue()), WRONG_USAGE)
+        _refuse(_why_stopped(words, stopped, said.getvalue()), WRONG_USAGE)
     return calls[0]
 
 
@@ -226,18 +226,16 @@ def _noted(function: Callable[..., None], calls: list[Callable[[], None]]) -> Ca
     return note
 
 
-def _in_one_sentence(words: list[str], stopped: SystemExit, said: str) -> str:
+def _why_stopped(words: list[str], stopped: SystemExit, said: str) -> str:
     """Reason why the parser stopped: a config rejected its values, or the words are wrong."""
-    from epipole.cli.mistakes import explain, unboxed
-    from epipole.cli.options import signature_of
+    from epipole.cli.mistakes import in_one_sentence
 
     cause: BaseException | None = stopped
     while cause is not None:
         if isinstance(cause, ConfigError):
             return _as_options(cause, words, while_parsing=True)
         cause = cause.__cause__ or cause.__context__
-    signatures = {name: signature_of(name, function) for name, function in _functions().items()}
-    return explain(words, signatures) or unboxed(said)
+    return in_one_sentence(said, words, list(_functions()))
 
 
 def _as_options(error: EpipoleError, words: list[str], *, while_parsing: bool) -> str:
@@ -245,10 +243,10 @@ def _as_options(error: EpipoleError, words: list[str], *, while_parsing: bool) -
     if not isinstance(error, ConfigError):
         return str(error)
     from epipole.cli.mistakes import with_option_names
-    from epipole.cli.options import signature_of
+    from epipole.cli.options import option_names
 
-    signature = signature_of(words[0], _functions()[words[0]])
-    return with_option_names(str(error), words, signature, also_plain=while_parsing)
+    options = option_names(_functions()[words[0]])
+    return with_option_names(str(error), words, options, also_plain=while_parsing)
 
 
 def _registry() -> tyro.constructors.ConstructorRegistry:

@@ -13,6 +13,7 @@ from epipole._declared.tables import Arrays
 from epipole.cameras import Camera
 from epipole.config import MatchConfig, RansacConfig
 from epipole.features import Features, match_along_epipolar_lines, match_descriptors
+from epipole.features.kinds import SIFT, kind_of
 from epipole.geometry import Rigid3
 from epipole.pipelines.sfm.matching.feature_stage import load_features
 from epipole.pipelines.sfm.matching.pair_blocks import PairBlock, PairResult, block_units, filled, result_of
@@ -135,7 +136,11 @@ def match_pair(first: Features, second: Features, i: int, j: int, seed: int, tas
     """
     config = task.matching
     preemptive = min(config.preemptive_features, max(MIN_PREEMPTIVE, max(len(first), len(second)) // 3))
-    if first.descriptors.shape[1] != 128 or preemptive == 0 or max(len(first), len(second)) <= preemptive:
+    if (
+        kind_of(first.descriptors) is not SIFT
+        or preemptive == 0
+        or max(len(first), len(second)) <= preemptive
+    ):
         return match_descriptors(first.descriptors, second.descriptors, config)
     matches = match_descriptors(first.descriptors[:preemptive], second.descriptors[:preemptive], config)
     if len(matches) < config.preemptive_min_matches:
