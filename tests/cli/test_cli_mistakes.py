@@ -93,9 +93,9 @@ def test_a_config_of_a_run_names_options_too_but_leaves_words_alone(capsys):
 
 def test_a_field_beside_an_option_is_written_as_one():
     words, options = ["reconstruct", "a", "b", "--include", "*"], OPTIONS["reconstruct"]
-    message = "include and exclude choose images of a folder; x.mp4 is a video"
+    message = "include and exclude select images of a folder, but x.mp4 is a video"
     said = with_option_names(message, words, options, also_plain=False)
-    assert said == "--include and --exclude choose images of a folder; x.mp4 is a video"
+    assert said == "--include and --exclude select images of a folder, but x.mp4 is a video"
 
 
 def test_the_options_of_a_command_are_those_of_its_help(capsys):

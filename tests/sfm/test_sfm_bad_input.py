@@ -143,7 +143,7 @@ def test_pure_rotation_gives_no_depth(tmp_path):
     rotations = Rotation3.exp(np.array([[0, 0.12 * k, 0.01 * k] for k in range(3)])).matrix
     views = Rigid3(rotations @ base.rotation, (rotations @ base.translation[..., None])[..., 0])
     render_to(tmp_path / "turn", views)
-    with pytest.raises(NoModelError, match="only turned"):
+    with pytest.raises(NoModelError, match="only rotated"):
         reconstruct(tmp_path / "turn", tmp_path / "out")
     assert (tmp_path / "out" / "database.db").is_file()
 
