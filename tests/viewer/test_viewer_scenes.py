@@ -56,7 +56,7 @@ def test_numbers_of_lines_are_no_times(tmp_path: Path) -> None:
     poses = Rigid3(np.broadcast_to(np.eye(3), (400, 3, 3)).copy(), np.linspace(0, [1, 2, 3], 400))
     write_trajectory(path_of(poses), tmp_path / "poses.txt", "kitti")
     scene = scene_of(tmp_path / "poses.txt")
-    assert scene.words.startswith("400 places, a way of") and not scene.curves[0].is_shown
+    assert scene.words.startswith("400 poses, trajectory length ") and not scene.curves[0].is_shown
     assert (scene.points[0].measures[0].name, scene.points[0].measures[0].unit) == ("number", "")
 
 

@@ -93,9 +93,7 @@ def slam(
     frames = _open(source, wanted, wanted, found)
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
     model = None if known is None else known.model
-    system = Slam(
-        frames.camera, wanted, model, is_map_fixed=wanted.localize, imu=mounted_imu(wanted.anchors)
-    )
+    system = Slam(frames.camera, wanted, model, is_map_fixed=wanted.localize, imu=mounted_imu(wanted.anchors))
     check_one_camera(wanted.anchors, measures_depth=frames.camera.measures_depth)
     check_known_map(wanted.anchors, known, is_map_fixed=wanted.localize)
     settings = {name: value for name, value in asdict(wanted).items() if name != "resume"}
