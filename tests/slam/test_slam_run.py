@@ -69,7 +69,7 @@ def test_one_camera_from_pictures_alone(stereo_folder, tmp_path):
     for wrong, words in (("1,2", "takes 4 parameters"), ("a,b,c,d", "must be numbers")):
         with pytest.raises(ConfigError, match=words):
             run_slam(left, tmp_path / "out", camera_params=wrong)
-    for sensor, words in (("stereo", "no second camera"), ("rgbd", "no depth images")):
+    for sensor, words in (("stereo", "no calibrated second camera"), ("rgbd", "no depth images")):
         with pytest.raises(ConfigError, match=words):
             run_slam(left, tmp_path / "out", sensor=sensor, camera_params=PARAMS)
 

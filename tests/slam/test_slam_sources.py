@@ -193,7 +193,7 @@ def test_where_there_is_no_camera(tmp_path, capfd):
 def test_a_camera_without_intrinsics_is_refused(tmp_path, monkeypatch):
     capture = FakeCapture(ride().left[:2])
     opened_by(monkeypatch, capture)
-    with pytest.raises(ConfigError, match="intrinsics of a camera"):
+    with pytest.raises(ConfigError, match="unknown intrinsics of the live camera"):
         run_slam("0", tmp_path / "out")
     assert capture.is_released
 

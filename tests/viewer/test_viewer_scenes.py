@@ -49,7 +49,7 @@ def test_a_path_keeps_the_places_of_its_file(tmp_path: Path) -> None:
         scene = scene_of(tmp_path / name)
         np.testing.assert_allclose(scene.points[0].xyz_in_world, centers, atol=1e-6)
         np.testing.assert_allclose(up_of(scene), up, atol=1e-6)
-        assert scene.words.startswith("20 places over 1.9 s")
+        assert scene.words.startswith("20 poses over 1.9 s")
 
 
 def test_numbers_of_lines_are_no_times(tmp_path: Path) -> None:
