@@ -54,7 +54,7 @@ def test_what_cannot_be_is_said_before_anything_is_sought(tmp_path):
     images = folder_of(tmp_path / "pictures", ride().left[:4])
     for options, words in (
         ({"sensor": "stereo"}, "no calibrated second camera"),
-        ({"topics": "/a"}, "recordings of ROS"),
+        ({"topics": "/a"}, "topics is for ROS bags"),
     ):
         with pytest.raises(ConfigError, match=words):
             run_slam(images, tmp_path / "out", **options)

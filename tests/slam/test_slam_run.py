@@ -87,7 +87,7 @@ def test_frames_of_nothing_end_with_the_reason(tmp_path):
 def test_the_command(stereo_folder, tmp_path, capsys):
     main(["slam", str(stereo_folder), str(tmp_path / "out"), "--num-features", "200"])
     said = capsys.readouterr().out
-    assert "12 of 12 (12 as they came)" in said and "metres, from the baseline of 0.12 m" in said
+    assert "12 of 12 (12 when they arrived)" in said and "metres, from the baseline of 0.12 m" in said
 
 
 @pytest.mark.parametrize(

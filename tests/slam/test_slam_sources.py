@@ -79,7 +79,7 @@ def test_topics_are_chosen_on_the_command_line(tmp_path, capsys):
         main(["slam", str(path), str(tmp_path / "out"), "--topics", "/wrong"])
     said = capsys.readouterr().err
     assert "/wrong holds no images" in said and "/cam/right/image_rect (12 of Image, image)" in said
-    with pytest.raises(ConfigError, match="topics are of recordings of ROS"):
+    with pytest.raises(ConfigError, match="topics is for ROS bags"):
         run_slam(tmp_path, tmp_path / "o", topics="/a", **KNOWN)
 
 
@@ -186,7 +186,7 @@ def test_where_there_is_no_camera(tmp_path, capfd):
     with pytest.raises(ConfigError, match="camera 97 cannot be opened"):
         run_slam("97", tmp_path / "out", **KNOWN)
     assert capfd.readouterr().err == ""
-    with pytest.raises(ConfigError, match="of one camera"):
+    with pytest.raises(ConfigError, match="a video has one camera"):
         run_slam("97", tmp_path / "out", **KNOWN, sensor="stereo")
 
 
