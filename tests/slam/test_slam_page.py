@@ -77,7 +77,9 @@ def test_loops_are_listed_and_accepted_ones_drawn(made):
     html = slam_page.render_page(replace(page, summary=summary))
     loops = table_after(html, "Loops")
     assert (
-        "2 loop candidates, 1 accepted" in loops and "3 of 40 &lt;matches&gt; agree" in loops and ">61<" in loops
+        "2 loop candidates, 1 accepted" in loops
+        and "3 of 40 &lt;matches&gt; agree" in loops
+        and ">61<" in loops
     )
     assert f'"name":"{LOOPS}"' in html and f'"name":"{LOOPS}"' not in slam_page.render_page(page)
     names = list(page.model.images.name)

@@ -371,4 +371,4 @@ def test_kitti_lines_that_are_no_frames_are_told(tmp_path):
     result = run_slam(
         path, tmp_path / "out", trajectory_format="kitti", topics="/cam/left/image_rect /cam/right/image_rect"
     )
-    assert any("1 frames have no pose: its line numbers do not match" in warning for warning in result.warnings)
+    assert any("1 frames have no pose: lines are not frame numbers" in warning for warning in result.warnings)

@@ -89,9 +89,7 @@ class OdometryConfig(FlowConfig):
                     f"{name} must be at least 0 and below 1 (center_sigma_px: below 100), got {value}"
                 )
         if not 0 < self.min_angle_deg <= self.start_angle_deg < 45:
-            raise ConfigError(
-                "min_angle_deg must be positive and at most start_angle_deg, which must be below 45"
-            )
+            raise ConfigError("min_angle_deg must be positive and at most start_angle_deg (below 45)")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +99,7 @@ class CameraOptions:
     camera_model: str | None = None
     """SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV or OPENCV_FISHEYE (None: PINHOLE)."""
     camera_params: str | None = None
-    """Comma-separated intrinsics in COLMAP's order, such as 525,525,320,240 (fx,fy,cx,cy); cx and cy count from the image corner: those of OpenCV and ROS plus 0.5."""
+    """Comma-separated intrinsics in COLMAP's order, such as 525,525,320,240 (fx,fy,cx,cy); cx,cy: OpenCV's plus 0.5."""
     calibration: Path | None = None
     """Calibration file of `epipole calibrate`, OpenCV, ROS or Kalibr."""
     readout_s: float = 0.0
@@ -151,9 +149,7 @@ class CameraOptions:
 
         if self.calibration is not None:
             if self.camera_params or self.camera_model:
-                raise ConfigError(
-                    "calibration contains model and parameters: omit camera_model and camera_params"
-                )
+                raise ConfigError("calibration is given: omit camera_model and camera_params")
             what = f"calibration {self.calibration}"
             found = camera_of_calibration(self.calibration, shape.size(ImagePixels.STORED))
         elif self.camera_params is not None:
@@ -231,9 +227,7 @@ class JobOptions:
         if self.max_frames is not None and self.max_frames < 1:
             raise ConfigError(f"max_frames must be at least 1, got {self.max_frames}")
         if self.start < 0 or self.stride < 1:
-            raise ConfigError(
-                f"start must be at least 0 and stride at least 1, got {self.start} and {self.stride}"
-            )
+            raise ConfigError(f"start must be >= 0 and stride >= 1, got {self.start} and {self.stride}")
         if self.fps is not None and not 0 < self.fps < 1e6:
             raise ConfigError(f"fps must be positive, got {self.fps}")
         if self.localize and self.map is None:

@@ -77,9 +77,7 @@ class SlamCamera:
             ConfigError: the frame is not later, or lacks the right image or depth.
         """
         if frame.timestamp_s <= after_s:
-            raise ConfigError(
-                f"timestamps must increase, got {frame.timestamp_s:.6f} s after {after_s:.6f} s"
-            )
+            raise ConfigError(f"timestamps must increase: {frame.timestamp_s:.6f} s after {after_s:.6f} s")
         camera = self.camera
         if frame.grey.shape != (camera.height, camera.width):
             size = f"{frame.grey.shape[1]} x {frame.grey.shape[0]}"

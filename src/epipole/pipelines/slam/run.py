@@ -187,15 +187,11 @@ def _check_source(source: Path, job: SlamConfig) -> None:
         raise ConfigError("masks is for folders of images")
     if not is_bag(source) and (camera_index(source) is not None or is_video(source)):
         if job.fps is not None:
-            raise ConfigError(
-                "fps is for folders of images without timestamps: omit it for videos and cameras"
-            )
+            raise ConfigError("fps is for folders of images without timestamps: a video has its own")
         if job.sensor not in ("auto", "mono"):
             raise ConfigError("a video has one camera: sensor must be auto or mono")
         if job.depth_scale is not None:
-            raise ConfigError(
-                "depth_scale is for depth images, which videos and cameras do not have: omit it"
-            )
+            raise ConfigError("depth_scale is for depth images, which videos and cameras do not have")
 
 
 def _open(source: Path, job: JobOptions, given: CameraOptions, found: FoundCamera | None) -> FrameSource:

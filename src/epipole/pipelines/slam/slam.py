@@ -33,10 +33,9 @@ LEAST_KEYFRAMES = 3
 class Slam(SlamState):
     """Tracks a camera frame by frame and builds a map; results do not depend on the machine's load.
 
-    The world is the first frame's camera (with one camera only approximately, since the map is not fixed to it). Its unit is the
-    metre if the camera measures depth, else the median depth of the first points. A lost camera is relocalized in the maps;
-    meanwhile a separate map is started, which a loop closure joins to the first. With one camera, the orientation is tracked in
-    pure rotation.
+    The world is the first frame's camera (only approximately with one camera, whose map is not fixed to it). Its unit is the
+    metre if the camera measures depth, else the median depth of the first points. A lost camera is relocalized; meanwhile a
+    separate map is started, which a loop closure joins to the first. With one camera, pure rotation yields only orientation.
     """
 
     @checked
@@ -204,9 +203,7 @@ class Slam(SlamState):
         self._num_lost += 1
         rotated = None if self.camera.measures_depth or self.is_map_fixed else self._track_rotation(frame)
         if rotated is not None:
-            return self._rotated(
-                frame, rotated, "the camera only rotates: its position is the last known one"
-            )
+            return self._rotated(frame, rotated, "the camera only rotates: last known position")
         self.state = TrackingState.LOST
         if self._num_lost <= self.config.lost_patience or self.is_map_fixed or not self._quality.is_usable:
             return self._no_pose(frame, reason)
@@ -343,9 +340,7 @@ class Slam(SlamState):
     # Final optimization.
 
     def finish(self, goes_on: Callable[[int, int], bool] = lambda *_: True) -> None:
-        """After the last frame: connect keyframes that see the same points and optimize all maps.
-
-        `goes_on(done, of)` is called before each step and may stop the optimization.
+        """After the last frame: connect keyframes that see the same and optimize all maps; `goes_on(done, of)` may stop it.
 
         The map with the most frames becomes the first one, unless a known map was given.
         """

@@ -35,6 +35,5 @@ def missing_rows(path: Trajectory, num_frames: int, format: TrajectoryFormat) ->
     if format != "kitti" or len(path) == num_frames:
         return []
     return [
-        f"the KITTI format has no timestamps, and {num_frames - len(path)} frames have no pose: its line numbers do not match"
-        " the frame numbers"
+        f"KITTI files have no timestamps, and {num_frames - len(path)} frames have no pose: lines are not frame numbers"
     ]

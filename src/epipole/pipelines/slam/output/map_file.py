@@ -197,11 +197,9 @@ def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
             f"the map {path} was made from images of {size[0]}x{size[1]}, but these are {camera.width}x{camera.height}"
         )
     if int(arrays["camera_model"]) != int(camera.model) or not np.allclose(params, camera.params, rtol=0.02):
-        raise ConfigError(f"the map {path} was made with another camera: {params} instead of {camera.params}")
+        raise ConfigError(f"{path} is the map of another camera: {params} instead of {camera.params}")
     if sensor.measures_depth and not arrays["is_metric"]:
-        raise ConfigError(
-            f"the map {path} was made with one camera and is up to scale: use it with one camera"
-        )
+        raise ConfigError(f"the map {path} is up to scale: use it with one camera")
     scale = arrays.get("scale")
     return KnownMap(
         _model_of(arrays),

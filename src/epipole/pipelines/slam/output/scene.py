@@ -50,9 +50,7 @@ def scene(path: Path) -> SpaceScene:
         FileFormatError: there is no map, or a file is damaged.
     """
     if not (path / "sparse" / "0").is_dir():
-        raise FileFormatError(
-            path, "contains a trajectory, but no map, as after a run with a single keyframe"
-        )
+        raise FileFormatError(path, "contains no map, as after a run with a single keyframe")
     model = read_model(path / "sparse" / "0")
     final, causal = read_trajectory(path / TRAJECTORY), read_trajectory(path / CAUSAL_TRAJECTORY)
     numbers = _frame_numbers(path)

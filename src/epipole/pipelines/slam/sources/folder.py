@@ -164,9 +164,7 @@ def open_sequence(
     notes = [] if camera is not None else _fit_to_folder(sequence, intrinsics)
     if kind == "stereo":
         if camera is not None:
-            raise ConfigError(
-                "stereo uses the folder's calibration of both cameras: pass no other calibration"
-            )
+            raise ConfigError("stereo uses the folder's calibration: pass no other")
         assert sequence.rig is not None
         made, read = of_pair(sequence.rig), _read_pair
     elif kind == "mono":

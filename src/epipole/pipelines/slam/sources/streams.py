@@ -259,9 +259,7 @@ def _depth_factor(bag: BagSequence, given: CameraOptions) -> float:
     if given.depth_scale is None:
         return 1.0
     if bag.depth_values_per_m is None:
-        raise ConfigError(
-            f"depth_scale is given, but no depth of {bag.path} is used: check sensor and topics"
-        )
+        raise ConfigError(f"depth_scale is given, but the depth of {bag.path} is not used: check sensor")
     return bag.depth_values_per_m / given.depth_scale
 
 
