@@ -71,7 +71,7 @@ def here(tmp_path, monkeypatch):
             "contains no SLAM map .*; it holds images .*; pass the output folder",
         ),
         ("slam images out --map nowhere", "contains no SLAM map .*; there is no such file or folder"),
-        ("slam images out --map images/0.png", "it is no map, or damaged; it is a PNG image"),
+        ("slam images out --map images/0.png", "not a map, or damaged; it is a PNG image"),
         ("undistort x.glb", "glTF scene"),
         ("view x.zip", "is no file that can be shown; it is a ZIP archive"),
         ("view clip.mp4", "it is a video"),

@@ -161,7 +161,7 @@ def test_pictures_of_the_map_are_not_taken_for_those_of_this_run(runs, tmp_path,
         (
             "scaleless",
             True,
-            "localize leaves the map as it is, and it is up to scale: odometry and imu would",
+            "localize does not change the known map, which is up to scale: odometry and imu would",
         ),
     ],
 )

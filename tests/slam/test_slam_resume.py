@@ -149,7 +149,7 @@ def test_what_does_not_fit_is_refused(source, monkeypatch):
     out = position / "out"
     with pytest.raises(CrashError):
         run_slam(position / "ride", out, progress=crash_at(6))
-    with pytest.raises(ConfigError, match=r"--num-features was 400, and is 300 now.*to start again"):
+    with pytest.raises(ConfigError, match=r"--num-features was 400 and is now 300.*to start again"):
         run_slam(position / "ride", out, resume=True, num_features=300)
     source("rgbd", is_live=True)
     with pytest.raises(ConfigError, match="the camera has changed"):
