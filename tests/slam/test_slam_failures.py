@@ -203,7 +203,7 @@ def test_start_stride_rate_and_masks_of_a_folder(tmp_path):
         run_slam(folder, tmp_path / "out3", masks=folder.parent / "image_1" / "none", **known)
     with pytest.raises(ConfigError, match="have their own"):
         run_slam(folder.parent, tmp_path / "out3", fps=5.0)
-    with pytest.raises(ConfigError, match="start must be at least 0"):
+    with pytest.raises(ConfigError, match="start must be >= 0"):
         run_slam(folder, tmp_path / "out3", stride=0, **known)
 
 

@@ -156,7 +156,7 @@ def test_what_does_not_fit_is_refused(source, monkeypatch):
         run_slam(position / "ride", out, resume=True)
     source("stereo", is_live=True)
     monkeypatch.setattr(resuming, "__version__", "99.0")
-    with pytest.raises(ConfigError, match=r"the version of epipole was .* and is 99\.0 now"):
+    with pytest.raises(ConfigError, match=r"the version of epipole was .* and is now 99\.0"):
         run_slam(position / "ride", out, resume=True)
     assert len(read_answers(out / "checkpoint" / ANSWERS)) == 6
 
