@@ -82,7 +82,7 @@ def test_a_truth_that_meets_few_of_the_frames_gives_no_error(tmp_path):
     path = Trajectory(np.concatenate([np.arange(36) * 1.0, np.arange(36, 40) + 0.2]), positions)
     write_trajectory(known, tmp_path / "truth.txt")
     out, said = truth_summary(true_path_at(tmp_path / "truth.txt"), known, (path, path), 40)
-    assert out["final"] is None and any("4 of 40 places have a true one" in words for words in said)
+    assert out["final"] is None and any("4 of 40 poses have a true pose" in words for words in said)
 
 
 def test_errors_bring_the_truth_into_the_path_and_the_scale_is_asked_for(rng):
@@ -108,7 +108,7 @@ def test_the_summary_tells_scores_and_doubts(kitti_truth):
     assert not warnings and given["final"]["rigid"]["ate_rmse"] < 1e-9 and given["causal"]["coverage"] == 0.5
     later = Trajectory(truth.timestamp_s + 0.4, truth.world_from_body)
     given, warnings = truth_summary(found, truth, (later, truth), 8)
-    assert given["final"] is None and "final path is not compared" in warnings[0]
+    assert given["final"] is None and "final trajectory is not compared" in warnings[0]
 
 
 def test_runs_with_a_truth(tmp_path, capsys):

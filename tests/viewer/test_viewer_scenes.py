@@ -49,14 +49,14 @@ def test_a_path_keeps_the_places_of_its_file(tmp_path: Path) -> None:
         scene = scene_of(tmp_path / name)
         np.testing.assert_allclose(scene.points[0].xyz_in_world, centers, atol=1e-6)
         np.testing.assert_allclose(up_of(scene), up, atol=1e-6)
-        assert scene.words.startswith("20 places over 1.9 s")
+        assert scene.words.startswith("20 poses over 1.9 s")
 
 
 def test_numbers_of_lines_are_no_times(tmp_path: Path) -> None:
     poses = Rigid3(np.broadcast_to(np.eye(3), (400, 3, 3)).copy(), np.linspace(0, [1, 2, 3], 400))
     write_trajectory(path_of(poses), tmp_path / "poses.txt", "kitti")
     scene = scene_of(tmp_path / "poses.txt")
-    assert scene.words.startswith("400 places, a way of") and not scene.curves[0].is_shown
+    assert scene.words.startswith("400 poses, trajectory length ") and not scene.curves[0].is_shown
     assert (scene.points[0].measures[0].name, scene.points[0].measures[0].unit) == ("number", "")
 
 
@@ -90,5 +90,5 @@ def test_pictures_without_a_place_and_other_models_are_told(tmp_path: Path) -> N
     assert (one.title, one.words.split(",")[0]) == ("out/sparse/1", "2 images")
     (tmp_path / "out" / "summary.json").write_text(json.dumps({"num_images": 7}))
     scene = scene_of(tmp_path / "out")
-    assert scene.words.startswith("2 of 7 images registered, 5 points; the first of 2 models: ")
-    assert scene.words.endswith("sparse/1 is another")
+    assert scene.words.startswith("2 of 7 images registered, 5 points; the first of 2 models (see also ")
+    assert scene.words.endswith("sparse/1)")
