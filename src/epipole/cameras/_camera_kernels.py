@@ -23,7 +23,7 @@ MIN_DEPTH = 1e-12
 def expand_params(model, params):
     """Any model's parameters as (fx, fy, cx, cy, d0, d1, d2, d3) of the OPENCV or OPENCV_FISHEYE form.
 
-    FULL_OPENCV has more parameters, and branches of its own.
+    FULL_OPENCV has more parameters, and separate branches.
     """
     if model == PINHOLE or model >= OPENCV:
         if model == PINHOLE:

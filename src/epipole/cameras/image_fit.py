@@ -160,7 +160,7 @@ def described_pixels(
     """The pixels that a camera of this size describes, for images of one sensor.
 
     The sizes decide. If both are possible, images with different orientations are assumed to share the stored pixels, and images
-    that share an orientation are assumed to be described upright.
+    with a common orientation are assumed to be described upright.
 
     Args:
         camera_size: width and height of the camera's images.

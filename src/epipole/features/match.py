@@ -200,7 +200,7 @@ def _match_bits(a: np.ndarray, b: np.ndarray, config: MatchConfig) -> np.ndarray
 
 
 def _one_to_one(rows1: np.ndarray, rows2: np.ndarray) -> np.ndarray:
-    """Drop later rows with a column that is already taken (only exact ties of distance have one)."""
+    """Drop later rows with a column that is already taken (possible only for equal distances)."""
     _, first = np.unique(rows2, return_index=True)
     first.sort()
     return np.stack([rows1[first], rows2[first]], axis=1).astype(np.int32)

@@ -75,7 +75,7 @@ def adjust_all(
 def adjust_around(
     model: ModelBuilder, image: int, num_images: int, config: BundleConfig, freedom: Freedom
 ) -> BundleResult:
-    """Adjust an image, the images that share most points with it, and their points; everything else is fixed.
+    """Adjust an image, those with most points in common, and their points; everything else is fixed.
 
     Observations of these points in other images are used with fixed poses. Intrinsics are also fixed if images outside
     the neighbourhood use them.

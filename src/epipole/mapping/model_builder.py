@@ -61,7 +61,7 @@ class Snapshot(NamedTuple):
 
 
 class ModelBuilder:
-    """A model under construction. Each image is one frame of its own rig."""
+    """A model under construction. Each image is a frame of a separate rig."""
 
     @checked
     def __init__(

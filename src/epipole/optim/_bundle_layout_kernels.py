@@ -1,4 +1,4 @@
-"""Sparsity of a bundle problem: nodes that observe each point, and pairs of nodes that share a point."""
+"""Sparsity of a bundle problem: nodes that observe each point, and pairs of nodes with a common point."""
 
 import numpy as np
 
@@ -59,7 +59,7 @@ def sort_by_node(start, node, point, by_node, node_start, fill):
 
 @kernel
 def find_pattern(start, node, point, by_node, node_start, mark, row_count, column):
-    """For each node, the nodes b <= a that share a point with it; only their number if `column` is empty."""
+    """For each node, the nodes b <= a with a common point; only their number if `column` is empty."""
     counting = len(column) == 0
     found = 0
     for a in range(len(row_count)):

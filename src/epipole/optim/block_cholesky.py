@@ -1,6 +1,6 @@
 """Sparse Cholesky of block matrices: analyzed once, factored at every step.
 
-For groups of unknowns that are coupled to few others: cameras that share points, poses connected by edges.
+For groups of unknowns that are coupled to few others: cameras with common points, poses connected by edges.
 """
 
 from __future__ import annotations

@@ -235,7 +235,7 @@ def _sensor_free(problem: BundleProblem) -> np.ndarray:
 
 
 def reduced_pattern(layout: BundleLayout, problem: BundleProblem, *, with_points: bool) -> BlockPattern:
-    """The pairs of nodes that share an image, a prior or, with_points, a point; sorted by row."""
+    """The pairs of nodes with a common image, prior or, with_points, point; sorted by row."""
     n, entries = layout.num_nodes, layout.entries
     keys = [np.arange(n) * (n + 1)]
     if with_points:

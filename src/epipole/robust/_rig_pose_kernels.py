@@ -44,7 +44,7 @@ class RigPoseProblem(RayPoseProblem, Items):
 
 
 class UprightPoseProblem(RayPoseProblem, Items):
-    """Rays of one camera, o = 0; camera and world share the y axis."""
+    """Rays of one camera, o = 0; camera and world have a common y axis."""
 
     __slots__ = ()
 

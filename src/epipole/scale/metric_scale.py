@@ -42,7 +42,7 @@ def fit_scale_to_positions(
 ) -> ScaleFit:
     """Least-squares similarity (Umeyama, PAMI 1991) over positions that agree, with its scale's standard deviation.
 
-    With centred model positions a, var(s) = sigma^2 / sum |a|^2, as the residuals' derivative by the scale is R a. Sigma
+    With centered model positions a, var(s) = sigma^2 / sum |a|^2, as the residuals' derivative by the scale is R a. Sigma
     is the stated one, or that of the residuals if larger.
 
     Args:

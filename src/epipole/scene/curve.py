@@ -1,4 +1,4 @@
-"""Lines to draw in the world: camera trajectories, and edges between positions."""
+"""Lines to display in the world: camera trajectories, and edges between positions."""
 
 from __future__ import annotations
 

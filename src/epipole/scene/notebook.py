@@ -16,7 +16,7 @@ WIDTH_PX = 480
 
 
 def table_html(title: str, rows: Mapping[str, Any], image: np.ndarray | None = None) -> str:
-    """A table of two columns with a title, followed by an image.
+    """A table of two columns with a title, above an image.
 
     Args:
         title: caption of the table.

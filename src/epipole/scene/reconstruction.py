@@ -195,7 +195,7 @@ class Reconstruction:
             mean = np.average(self.points.error_px[known], weights=seen[known])
             error = f", mean error {mean:.2f} px"
         return (
-            f"Reconstruction({int(self.is_registered().sum())} of {len(self.images)} images placed, "
+            f"Reconstruction({int(self.is_registered().sum())} of {len(self.images)} images registered, "
             f"{len(self.points)} points, {len(self.tracks.image)} observations{error}, "
             f"{len(self.cameras)} cameras)"
         )

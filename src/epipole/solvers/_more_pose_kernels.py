@@ -196,7 +196,7 @@ def _rotation_about_y(cos, sin, out):
 
 @kernel
 def upright_p2p(rays, points, motions):
-    """cam_from_world of a camera that shares the world's y axis, from two points: l_i d_i = R_y X_i + t, l_i > 0.
+    """cam_from_world of a camera with the world's y axis, from two points: l_i d_i = R_y X_i + t, l_i > 0.
 
     l2 d2 - l1 d1 = R_y (X2 - X1): the heights give one depth from the other, the horizontal length a quadratic (Kukelova,
     Bujnak and Pajdla, ACCV 2010). Assumes that at least one ray is not horizontal. Writes up to two motions.

@@ -20,7 +20,7 @@ def roots_workspace():
 def _sturm_chain(poly, degree, remainders, quotients):
     """Sturm sequence of poly (ascending): f_0 = poly, f_1 = poly', f_{i-1} = (a x + b) f_i - c f_{i+1}, c > 0.
 
-    Writes a, b, c of each step to quotients, followed by the sign of the last, constant member; returns the number of steps.
+    Writes a, b, c of each step to quotients, then the sign of the last, constant member; returns the number of steps.
     Members are divided by the magnitude of their leading coefficients.
     """
     above, f, below = remainders[0], remainders[1], remainders[2]

@@ -86,7 +86,7 @@ def solve_generalized_p3p(origins_in_rig: Any, rays_in_rig: Any, points_in_world
 
 
 def solve_upright_p2p(rays_in_cam: Any, points_in_world: Any) -> Rigid3:
-    """All cam_from_world for two points, for a camera that shares the world's y axis (Kukelova et al., ACCV 2010).
+    """All cam_from_world for two points, for a camera with the world's y axis (Kukelova et al., ACCV 2010).
 
     Args:
         rays_in_cam: directions, (2, 3), any length; at least one not horizontal.
