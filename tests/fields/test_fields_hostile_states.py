@@ -58,7 +58,7 @@ def test_every_array_is_checked(kind, tmp_path):
         ):
             with pytest.raises(WorkspaceError, match="is damaged"):
                 restored(kind, tmp_path, change)
-    with pytest.raises(WorkspaceError, match="not known"):
+    with pytest.raises(WorkspaceError, match="is unknown"):
         restored(kind, tmp_path, lambda arrays: arrays.update(other=np.zeros(3)))
 
 

@@ -151,7 +151,7 @@ def test_wrong_files(tmp_path, rng):
         cells=np.zeros(1, np.uint8),
         values=np.zeros((1, 13), np.float16),
     )
-    with pytest.raises(FileFormatError, match="shape must be within"):
+    with pytest.raises(FileFormatError, match="shape must be from"):
         read_grid(tmp_path / "c.npz")
 
 

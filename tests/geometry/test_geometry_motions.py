@@ -90,7 +90,7 @@ def test_few_digits_are_a_rotation_and_nan_is_not_known(rng: np.random.Generator
 def test_the_last_row_of_a_matrix_and_a_zero_quaternion_are_looked_at() -> None:
     with pytest.raises(ShapeError, match="must end in the row"):
         Rigid3.from_matrix(np.vstack([np.eye(3, 4), [0, 0, 1, 1]]))
-    with pytest.raises(ShapeError, match="length zero"):
+    with pytest.raises(ShapeError, match="zero quaternion"):
         Rotation3.from_quat_wxyz([[1.0, 0, 0, 0], [0, 0, 0, 0]])
 
 

@@ -110,5 +110,5 @@ def test_the_start_keeps_fixed_poses(kind) -> None:
 def test_fixed_poses_exist(fixed) -> None:
     one = Rigid2.exp(np.zeros((5, 3)))
     none = np.empty(0, np.int64)
-    with pytest.raises(ShapeError, match="fixed names a pose that does not exist"):
+    with pytest.raises(ShapeError, match="fixed refers to a pose that does not exist"):
         PoseGraph(one, none, none, one[:0], np.empty((0, 3, 3)), np.array(fixed))

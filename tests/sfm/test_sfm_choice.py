@@ -198,7 +198,7 @@ def test_masks_that_cover_everything_are_named_as_the_cause(rendered, tmp_path):
     [
         (240, 160, ""),
         (255, 150, ""),
-        (160, 240, "were cx and cy swapped"),
+        (160, 240, "are cx and cy swapped"),
         (100, 160, "cropped or rectified"),
     ],
 )

@@ -99,7 +99,7 @@ def test_the_job_states_what_fixed_the_scale(images, tmp_path, rng):
     options = {**LENS, "positions": tmp_path / "log.csv", "positions_sigma_m": SIGMA}
     result = run_slam(images, out, **options)
     summary = json.loads((out / "summary.json").read_text())
-    assert summary["is_metric"] and "measured places" in summary["scale"] and "1 sigma" in summary["scale"]
+    assert summary["is_metric"] and "measured positions" in summary["scale"] and "1 sigma" in summary["scale"]
     assert 0 < summary["anchor"]["relative_sigma"] < 0.03
     for name in ("trajectory.txt", "trajectory_causal.txt"):  # both in metres, in the log's world
         path = read_trajectory(out / name)

@@ -37,10 +37,10 @@ def at(name, where, value):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (at("point", 0, 10**6), "point must be within"),
-        (at("point", 0, -1), "point must be within"),
+        (at("point", 0, 10**6), "point must be from"),
+        (at("point", 0, -1), "point must be from"),
         (at("anchor", 0, 99), "anchor must be within"),
-        (at("offsets", 1, 10**9), "offsets must rise"),
+        (at("offsets", 1, 10**9), "offsets must increase"),
         (at("pixels", (0, 0), 1e9), "inside the image"),
         (at("rotation", (0, 0, 0), 2.0), "rotation matrices"),
         (at("camera_model", (), 99), "not those of a map"),

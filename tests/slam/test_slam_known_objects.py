@@ -87,8 +87,8 @@ def test_a_length_clicked_in_two_pictures(images, cams_from_world, tmp_path):
 @pytest.mark.parametrize(
     ("known", "words"),
     [
-        ({"tag_size_m": 0.5, "tag_family": "25h9"}, "no tag of 25h9 is seen in the "),
-        ({"board": "9x7", "square_m": 0.1}, "the board of 9x7: it is seen in none of the "),
+        ({"tag_size_m": 0.5, "tag_family": "25h9"}, "no 25h9 tag was detected in the "),
+        ({"board": "9x7", "square_m": 0.1}, "the board of 9x7: it was detected in none of the "),
     ],
 )
 def test_what_is_not_in_the_scene_leaves_the_path_up_to_scale(images, tmp_path, known, words):
