@@ -1,4 +1,4 @@
-"""Frame quality: blurred, dark, overexposed or uniform images are reported and do not become keyframes."""
+"""Frame quality: images that are blurred, dark, overexposed or of one shade are reported and do not become keyframes."""
 
 from __future__ import annotations
 
@@ -120,9 +120,7 @@ def _examined(grey: np.ndarray) -> tuple[str, np.ndarray]:
     elif mean < DARK:
         problem = f"the image is dark (mean {mean:.0f} of 255): no light, or the camera is covered"
     else:
-        problem = (
-            f"the image is uniform (mean {mean:.0f} of 255): the camera is covered, or faces a blank wall"
-        )
+        problem = f"the image is of one shade (mean {mean:.0f} of 255): the camera is covered, or faces a blank wall"
     return problem, np.sqrt(_edges(half) / np.maximum(_edges(small), 1e-3))
 
 
