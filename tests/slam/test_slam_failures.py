@@ -128,7 +128,7 @@ def test_with_one_lens_of_a_pair_covered_the_other_is_followed(side):
     slam, answers = tracked(frames, STEREO)
     assert all(a.state is TrackingState.TRACKING for a in answers)
     assert all(f"the {side} image is dark" in a.reason for a in answers[8:16])
-    assert [n for n, a in enumerate(answers) if "followed in the right image" in a.reason] == (
+    assert [n for n, a in enumerate(answers) if "tracked in the right image" in a.reason] == (
         list(range(8, 16)) if side == "left" else []
     )
     assert side == "right" or not any(a.is_keyframe for a in answers[8:16])

@@ -83,7 +83,7 @@ def test_the_covariance_is_of_the_size_of_the_error():
 def test_a_turning_camera_gets_no_depth_out_of_nothing():
     slam, answers = tracked(ride("turn", 16).frames("mono"), MONO)
     assert all(a.state is TrackingState.ROTATING for a in answers) and not slam.map.num_points
-    assert any("only turns" in a.reason for a in answers)
+    assert any("only rotates" in a.reason for a in answers)
     path = slam.trajectory()
     assert len(path) == 16 and not path.world_from_body.translation.any()
     assert np.isinf(path.covariance[1:, :3, :3]).all()  # of the place nothing is known, and that is said
