@@ -143,7 +143,7 @@ def test_a_path_of_one_camera_is_compared_by_the_table_of_its_frames(tmp_path):
     assert found.num_compared == len(result.causal) == given["num_compared"]
     assert found.similarity.ate_rmse == pytest.approx(given["similarity"]["ate_rmse"], rel=1e-4)
     (out / "frames.csv").unlink()
-    with pytest.raises(FileFormatError, match="holds no times"):
+    with pytest.raises(FileFormatError, match="it has no times"):
         evaluate_trajectory(causal, folder / "poses.txt")
 
 
