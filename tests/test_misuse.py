@@ -58,7 +58,7 @@ def test_seeds_are_not_negative(kind):
         ("points_in_world", np.zeros((20, 1)), r"points_in_world must be \(p, 3\)"),
         ("frame", np.zeros(60), "frame must be an array of whole numbers, got float64"),
         ("camera", np.zeros((60, 1), np.int32), r"camera must be \(k\)"),
-        ("sensor", np.full(60, 7, np.int32), "names a sensor that is not there"),
+        ("sensor", np.full(60, 7, np.int32), "refers to a sensor that does not exist"),
         ("camera_params", np.ones((1, 4)), r"camera_params must be \(c, 12\)"),
         ("camera_model", np.array([99], np.int32), "unknown camera model 99: models are numbered 0 to 6"),
         ("point_free", np.full(20, np.nan), "point_free must be 0 or 1"),
@@ -93,7 +93,7 @@ def test_matches_join_keypoints_that_are_there(keypoint):
     valid = call_named("connect_matches").arguments
     wrong = valid["view_graph"].keypoint1.copy()
     wrong[3] = keypoint
-    with pytest.raises(ShapeError, match="keypoint1 names a keypoint that is not there"):
+    with pytest.raises(ShapeError, match="keypoint1 refers to a keypoint that does not exist"):
         connect_matches(replace(valid["view_graph"], keypoint1=wrong), valid["keypoint_offsets"])
 
 

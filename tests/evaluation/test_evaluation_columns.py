@@ -162,7 +162,7 @@ def test_rows_without_times_pair_in_their_order_from_python(path, tmp_path):
         (rows[np.arange(30)], timed),
         (rows, rows[np.arange(30)]),
     ):
-        with pytest.raises(DegenerateGeometryError, match="holds no times"):
+        with pytest.raises(DegenerateGeometryError, match="has no times"):
             score_trajectory(one, other)
 
 

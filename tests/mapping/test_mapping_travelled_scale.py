@@ -48,9 +48,9 @@ def test_too_little_is_refused(rng):
     wheels, positions = travelled(rng), model(rng)
     with pytest.raises(DegenerateGeometryError, match="did not move while"):
         fit_scale_to_distances(TIMES, positions, TIMES, 0 * wheels, None, 0.01)
-    with pytest.raises(DegenerateGeometryError, match="0 images"):
+    with pytest.raises(DegenerateGeometryError, match="0 posed images"):
         fit_scale_to_distances(TIMES, positions, TIMES + 100, wheels, None, 0.01)
-    with pytest.raises(DegenerateGeometryError, match="0 images"):
+    with pytest.raises(DegenerateGeometryError, match="0 posed images"):
         fit_scale_to_distances(TIMES, positions, np.zeros(0), np.zeros(0), None, 0.01)
     spinning = np.cumsum(np.repeat(np.exp(1.5 * rng.standard_normal(43)), 7))
     lost = fit_scale_to_distances(TIMES, positions, TIMES, spinning, None, 0.01)

@@ -62,7 +62,7 @@ def kernel_mode() -> KernelMode:
         return KernelMode.LINKED
     warnings.warn(
         f"kernels cannot be linked on Numba {numba.__version__} ({reason}), so they are compiled individually,"
-        f"  which takes longer the first time (set ${VARIABLE}=plain to silence this warning)",
+        f" which takes longer the first time (set ${VARIABLE}=plain to silence this warning)",
         RuntimeWarning,
         stacklevel=2,
     )

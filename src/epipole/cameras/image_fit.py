@@ -224,12 +224,12 @@ def fit_notes(camera: Camera, shapes: Sequence[ImageShape], described: ImagePixe
     if described is ImagePixels.STORED and orientations != {1}:
         notes.append(
             f"{what} is assumed to describe the stored pixels, before their EXIF orientation or rotation"
-            "  (which is applied to the images and to the camera)"
+            " (which is applied to the images and to the camera)"
         )
     elif orientations & {2, 3, 4} and len(orientations) == 1 and _is_off_middle(camera):
         notes.append(
             f"{what} is assumed to describe the upright images: they all have the same EXIF orientation or rotation, so"
-            "  it could also describe the stored pixels"
+            " it could also describe the stored pixels"
         )
     return notes
 

@@ -15,7 +15,7 @@ from epipole.config import BoardConfig
 _opencv: Any = cv2  # its stubs lack parts of aruco
 _LEAST_CORNERS = 6
 _LEAST_LARGER = 2  # images
-_LEAST_SIDE = 64  #  pixels: smaller images are skipped
+_LEAST_SIDE = 64  # pixels: smaller images are skipped
 _WINDOW_FRACTION = 0.4  # half window over smallest corner distance: the best of 0.15 to 0.5 on real pairs
 _REFINE = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-4)
 

@@ -26,7 +26,7 @@ def no_ray_warning(camera: Camera) -> list[str]:
     if blind is None:
         return []
     return [
-        f"{blind.mean():.1%} of the image ({int(blind.sum())} pixels)  has no ray in the {camera.model.name} camera model, and "
+        f"{blind.mean():.1%} of the image ({int(blind.sum())} pixels) has no ray in the {camera.model.name} camera model, and "
         "features there are dropped: check the distortion coefficients"
     ]
 

@@ -82,8 +82,8 @@ def undistorted_camera(camera: Camera) -> Camera:
     width, height = _size_of(camera, view)
     if width < max(1.0, MIN_SIDE * camera.width) or height < max(1.0, MIN_SIDE * camera.height):
         raise DegenerateGeometryError(
-            f"{camera}  cannot be undistorted, as its distortion covers only {width}x{height} pixels of the image:"
-            "  calibrate the camera, or use a model with fewer coefficients"
+            f"{camera} cannot be undistorted, as its distortion covers only {width}x{height} pixels of the image:"
+            " calibrate the camera, or use a model with fewer coefficients"
         )
     params = np.array([fx, fy, -fx * view.left - 0.5, -fy * view.top - 0.5])
     return Camera(CameraModel.PINHOLE, width, height, params)
@@ -213,9 +213,7 @@ def _largest_view(camera: Camera) -> _View:
     rays = camera.unproject(np.stack([np.tile(u, GRID), np.repeat(v, GRID)], axis=1))
     rays = rays[rays[:, 2] > 0.05]  # neither behind nor NaN
     if not len(rays):
-        raise DegenerateGeometryError(
-            f"{camera}  cannot be undistorted, as no pixel has a ray in front of it"
-        )
+        raise DegenerateGeometryError(f"{camera} cannot be undistorted, as no pixel has a ray in front of it")
     plane = np.clip(rays[:, :2] / rays[:, 2:], -WIDEST, WIDEST)
     (left, top), (right, bottom) = plane.min(axis=0), plane.max(axis=0)
     x, y = np.linspace(left, right, GRID), np.linspace(top, bottom, GRID)

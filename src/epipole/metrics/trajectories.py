@@ -101,7 +101,7 @@ def associate(
         if len(estimate) != len(truth):
             raise DegenerateGeometryError(
                 f"cannot match trajectories of {len(estimate)} and {len(truth)} instants: one has no times (KITTI format), and rows"
-                "  match in order only if the lengths are equal"
+                " match in order only if the lengths are equal"
             )
         every = np.arange(len(estimate), dtype=np.int64)
         return every, every.copy()

@@ -122,7 +122,7 @@ class BundleResult:
             f"cost        {self.initial_cost:.9g} -> {self.final_cost:.9g}",
             f"error       {(2 * self.initial_cost / residuals) ** 0.5:.4g} -> "
             f"{(2 * self.final_cost / residuals) ** 0.5:.4g} px (RMS of a coordinate, after the loss)",
-            f"iterations  {self.num_iterations}, {self.seconds:.3f} s, {per_observation:.3f}  us per observation",
+            f"iterations  {self.num_iterations}, {self.seconds:.3f} s, {per_observation:.3f} us per observation",
             f"solver      {self.solver.value}",
             f"ended       {self.reason.value}",
         ]

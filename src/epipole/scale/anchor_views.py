@@ -40,7 +40,7 @@ class AnchorViews(Declared):
         """Check the rows.
 
         Raises:
-            ShapeError:  the columns differ in length.
+            ShapeError: the columns differ in length.
         """
         Declared.__post_init__(self)
         n = len(self.names)

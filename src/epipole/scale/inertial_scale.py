@@ -92,5 +92,5 @@ def _mean(found: list[InertialAlignment], count: int, shared: float) -> ScaleEst
     scatter = float((weight * (logs - mean) ** 2).sum()) / max(len(found) - 1, 1)
     sigma = float(np.sqrt(max(scatter, 1.0) / weight.sum()))
     scale = float(np.exp(mean))
-    words = "the IMU" + (f" ({len(found)} of {count}  segments)" if count > 1 else "")
+    words = "the IMU" + (f" ({len(found)} of {count} segments)" if count > 1 else "")
     return ScaleEstimate("imu", "the IMU", scale, scale * sigma, shared, words)

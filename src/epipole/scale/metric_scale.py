@@ -63,7 +63,7 @@ def fit_scale_to_positions(
     for _ in range(ROUNDS):
         if kept.sum() < LEAST_POSITIONS:
             raise DegenerateGeometryError(
-                f"{int(kept.sum())}  positions agree, {LEAST_POSITIONS} are needed to determine the scale"
+                f"{int(kept.sum())} positions agree, {LEAST_POSITIONS} are needed to determine the scale"
             )
         found = align_points(positions_in_model[kept], positions_in_world[kept])
         off = np.linalg.norm(found.apply(positions_in_model) - positions_in_world, axis=1)

@@ -144,7 +144,7 @@ def _of_length(views: AnchorViews, known: KnownLength, options: AnchorOptions) -
         )
     except DegenerateGeometryError as error:
         words = (
-            f"  ({joined_words(missing)} {'has' if len(missing) == 1 else 'have'} no pose)" if missing else ""
+            f" ({joined_words(missing)} {'has' if len(missing) == 1 else 'have'} no pose)" if missing else ""
         )
         raise DegenerateGeometryError(f"{error}{words}") from error
     sigma = fit.scale * float(np.hypot(fit.sigma / fit.scale, options.lengths_sigma_m / known.length_m))

@@ -115,9 +115,9 @@ def _trajectory(
 class _Trajectory(NamedTuple):
     """A trajectory in steps, and the measured lengths of its segments."""
 
-    moved: np.ndarray  # (k, 3)  steps of the camera, in the model's unit
-    swung: np.ndarray  # (k, 3)  changes of the lever, in metres
-    stretch: np.ndarray  # (k,)  segment of each step
+    moved: np.ndarray  # (k, 3) steps of the camera, in the model's unit
+    swung: np.ndarray  # (k, 3) changes of the lever, in metres
+    stretch: np.ndarray  # (k,) segment of each step
     measured: np.ndarray  # (c,) metres along each segment
 
     def lengths(self, scale: float) -> tuple[np.ndarray, np.ndarray]:
@@ -152,8 +152,8 @@ class _Fit(NamedTuple):
 
     scale: float
     logs: np.ndarray  # (c,) logarithms of measured over modelled lengths; NaN for segments that are too short
-    kept: np.ndarray  # (c,)  segments that agree
-    fraction: float  #  part of the modelled length that grows with the scale
+    kept: np.ndarray  # (c,) segments that agree
+    fraction: float  # part of the modelled length that grows with the scale
 
     @property
     def scatter(self) -> float:
@@ -190,7 +190,7 @@ def _estimate(trajectory: _Trajectory, sigma: float, total_m: float) -> ScaleEst
         )
     count = int(fit.kept.sum())
     deviation = max(fit.scatter / np.sqrt(count), 1e-6) / abs(fit.fraction)
-    words = f"{total_m:.3g} m of odometry ({count} of {len(trajectory.measured)}  segments agree)"
+    words = f"{total_m:.3g} m of odometry ({count} of {len(trajectory.measured)} segments agree)"
     return ScaleEstimate(
         "odometry", "odometry", fit.scale, fit.scale * deviation, sigma / abs(fit.fraction), words
     )

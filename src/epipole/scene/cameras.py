@@ -38,7 +38,7 @@ class Cameras:
             if not isinstance(column := getattr(self, name), np.ndarray):
                 raise ConfigError(
                     f"{name} of Cameras must be an array with one row per camera, got {type(column).__name__};"
-                    "  use Cameras.from_list([Camera(...)])"
+                    " use Cameras.from_list([Camera(...)])"
                 )
         check_fields(self)
         known = [int(model) for model in CameraModel]

@@ -29,7 +29,7 @@ class Curve(Declared):
         return Curve(self.name, moved, self.rgb, self.is_shown)
 
     def __repr__(self) -> str:
-        return f"Curve({self.name!r}, {len(self.segments_in_world)}  segments)"
+        return f"Curve({self.name!r}, {len(self.segments_in_world)} segments)"
 
 
 @checked

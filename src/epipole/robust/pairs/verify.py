@@ -88,7 +88,7 @@ class PairGeometry:
         if self.kind is PairKind.ROTATION and order[0] != selection_kernels.ROTATION:
             return "a plane fits best, and a rotation with the guessed focal length fits nearly all matches, so there is no depth"
         words = (
-            f"{_WORDS[order[0]]}  explains {int(self.inlier_mask.sum())} matches best, with {self.noise_px:.2f} px of noise "
+            f"{_WORDS[order[0]]} explains {int(self.inlier_mask.sum())} matches best, with {self.noise_px:.2f} px of noise "
             f"(by {margin:.0f} over {_WORDS[order[1]]})"
         )
         if np.isfinite(self.median_angle_rad):
