@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
 
-from epipole._declared import check_options, did_you_mean
+from epipole._checks import check_options, did_you_mean
 from epipole.errors import ConfigError
 
 Options = TypeVar("Options")
@@ -106,7 +106,7 @@ class FeatureConfig:
         Raises:
             ConfigError: a value is out of range.
         """
-        check_options(self, infinite=("max_error_px", "max_distance"))
+        check_options(self)
         if self.max_features < 1 or self.max_size_px < 16:
             raise ConfigError("max_features must be at least 1 and max_size_px at least 16")
         if not 0 <= self.contrast_threshold < math.inf:
@@ -140,7 +140,7 @@ class MatchConfig:
         Raises:
             ConfigError: a value is out of range.
         """
-        check_options(self, infinite=("max_error_px", "max_distance"))
+        check_options(self, infinite=("max_distance",))
         if not 0 < self.max_ratio <= 1:
             raise ConfigError(f"max_ratio must be in (0, 1], got {self.max_ratio}")
         if self.preemptive_features < 0 or not 0 < self.band_px < math.inf:
@@ -168,7 +168,7 @@ class FlowConfig:
         Raises:
             ConfigError: a value is out of range.
         """
-        check_options(self, infinite=("max_error_px", "max_distance"))
+        check_options(self)
         if self.window_px < 5 or self.window_px % 2 == 0 or not 1 <= self.levels <= 8:
             raise ConfigError("window_px must be odd and at least 5, levels from 1 to 8")
         if not 0 < self.max_return_px < 1e3 or not 0 <= self.min_eigenvalue < 1e3:
@@ -203,7 +203,7 @@ class RansacConfig:
         Raises:
             ConfigError: a value is out of range.
         """
-        check_options(self, infinite=("max_error_px", "max_distance"))
+        check_options(self, infinite=("max_error_px",))
         if not self.max_error_px > 0:
             raise ConfigError(f"max_error_px must be positive, got {self.max_error_px}")
         if _LARGEST < self.max_error_px < math.inf:
@@ -271,7 +271,7 @@ class BoardConfig:
         Raises:
             ConfigError: a value is out of range.
         """
-        check_options(self, infinite=("max_error_px", "max_distance"))
+        check_options(self)
         least = 1 if self.kind == "apriltag" else 3
         if min(self.columns, self.rows) < least:
             raise ConfigError(
@@ -335,7 +335,7 @@ class AnchorOptions:
         Raises:
             ConfigError: a value is out of range, or requires another option.
         """
-        check_options(self, infinite=("max_error_px", "max_distance"))
+        check_options(self)
         for name in ("positions_sigma_m", "lengths_sigma_m", "clicks_sigma_px", "tag_size_m", "square_m"):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:

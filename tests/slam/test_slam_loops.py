@@ -71,7 +71,10 @@ def test_the_ledger_says_what_came_of_every_place(closed_and_open):
     assert {loop.verdict for loop in slam.loops} <= {"accepted", "waiting", "rejected"}
     assert all(loop.reason for loop in slam.loops)
     waiting = [loop for loop in slam.loops if loop.verdict == "waiting"]
-    assert [w.reason for w in waiting[-2:]] == ["confirmed by 1 of 3 keyframes", "confirmed by 2 of 3 keyframes"]
+    assert [w.reason for w in waiting[-2:]] == [
+        "confirmed by 1 of 3 keyframes",
+        "confirmed by 2 of 3 keyframes",
+    ]
 
 
 def tiled():

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32
 
-from epipole._checks import check_pixels
-from epipole._declared import checked
+from epipole._checks import check_pixels, checked
 from epipole.errors import ShapeError
 
 TILE_PX = 384

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from epipole._declared import check_options
+from epipole._checks import check_options
 from epipole.errors import ConfigError
 
 

@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from epipole._checks import as_image, check_pixels
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, as_image, check_pixels, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.cameras.visibility import project_visible
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError

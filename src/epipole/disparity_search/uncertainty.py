@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float32, UInt16
 
 from epipole import _parallel
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.errors import ShapeError
 
 NUM_CUES = 6

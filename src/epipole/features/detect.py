@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.config import FeatureConfig, options_of
 from epipole.features.features import Features, in_order
 from epipole.features.kinds import KINDS, ORB, Detector

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64, Int32, UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.config import MatchConfig, options_of
 from epipole.errors import ConfigError, ShapeError
 from epipole.features import _byte_dot_kernels as byte_kernels

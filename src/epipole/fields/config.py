@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from epipole._declared import check_options
+from epipole._checks import check_options
 from epipole.errors import ConfigError
 
 

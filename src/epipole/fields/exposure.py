@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from epipole import _parallel
-from epipole._checks import check_count, check_fraction, check_index
-from epipole._declared import checked
-from epipole._declared.tables import Expected, Table
+from epipole._checks import check_count, check_fraction, check_index, checked
+from epipole._checks.tables import Expected, Table
 from epipole.errors import ConfigError, ShapeError
 from epipole.fields import _photometric_kernels as kernels
 from epipole.fields.rows_adam import RowsAdam

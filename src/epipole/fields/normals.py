@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Float64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.cameras import Camera
 from epipole.errors import ShapeError
 

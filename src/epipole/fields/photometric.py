@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from epipole import _parallel
-from epipole._checks import check_fraction
-from epipole._declared import checked
+from epipole._checks import check_fraction, checked
 from epipole.errors import ShapeError
 from epipole.fields import _photometric_kernels as kernels
 

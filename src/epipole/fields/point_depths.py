@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.fields.splat.rasterizer import Rendering
 from epipole.fields.training_view import TrainingView
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from epipole._declared.tables import Expected, Table
+from epipole._checks.tables import Expected, Table
 from epipole.fields.rows_adam import RowsAdam
 from epipole.geometry import Rigid3
 

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 
-from epipole._declared.tables import TEXT, Expected
+from epipole._checks.tables import TEXT, Expected
 from epipole.errors import ShapeError
 
 STATE = Expected(TEXT)

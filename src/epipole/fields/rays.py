@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from epipole._checks import MOST_RENDERED_PIXELS, check_pixels
-from epipole._declared import checked
+from epipole._checks import MOST_RENDERED_PIXELS, check_pixels, checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.fields.nerf._march_kernels import BLOCK

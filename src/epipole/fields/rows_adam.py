@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from epipole._declared.tables import Expected, Table
+from epipole._checks.tables import Expected, Table
 
 MOMENTUM, SQUARES, LEAST = 0.9, 0.99, 1e-15
 

@@ -6,7 +6,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from epipole._declared.tables import Table
+from epipole._checks.tables import Table
 from epipole.fields.training_view import TrainingView
 
 

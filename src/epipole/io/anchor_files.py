@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError
 from epipole.io.files import file_text
 from epipole.io.trajectories.files import PositionLog, read_positions, read_trajectory

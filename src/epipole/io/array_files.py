@@ -13,7 +13,7 @@ from tokenize import TokenError
 import numpy as np
 from numpy.lib import format as npy
 
-from epipole._declared.tables import Arrays, Table, check_arrays, check_names
+from epipole._checks.tables import Arrays, Table, check_arrays, check_names
 from epipole.errors import FileFormatError, ShapeError
 from epipole.io.files import most_unpacked_bytes, open_file
 

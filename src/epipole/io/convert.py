@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError
 from epipole.io.colmap.model import find_model, read_colmap_model, write_colmap_model
 from epipole.io.contents_in_words import what_it_is

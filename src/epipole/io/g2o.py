@@ -13,9 +13,8 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Int64
 
-from epipole._checks import as_path
-from epipole._declared import checked
-from epipole._declared.arrays import as_array
+from epipole._checks import as_path, checked
+from epipole._checks.arrays import as_array
 from epipole.errors import FileFormatError, ShapeError
 from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3
 from epipole.io.atomic import atomic_write

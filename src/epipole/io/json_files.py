@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError
 
 _MOST_VALUES = 1 << 23

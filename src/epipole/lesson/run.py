@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from epipole._checks import as_path
-from epipole._declared import checked
+from epipole._checks import as_path, checked
 from epipole.lesson.pages import lesson_pages
 from epipole.runs import refuse_existing, replacing_file
 from epipole.viewer.handle import ViewerHandle, serve

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared.tables import TEXT, Expected
+from epipole._checks.tables import TEXT, Expected
 from epipole.errors import WorkspaceError
 from epipole.io.files import open_file, require_file
 from epipole.runs.executors import opened

@@ -9,7 +9,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from epipole._declared import check_fields, checked
+from epipole._checks import check_fields, checked
 from epipole._version import __version__
 from epipole.errors import WorkspaceError
 from epipole.runs.executors import ExecutorChoice

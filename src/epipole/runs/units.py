@@ -20,7 +20,7 @@ from zipfile import ZipFile
 import numpy as np
 
 from epipole import _parallel
-from epipole._declared.tables import TEXT, Arrays, Expected, Table
+from epipole._checks.tables import TEXT, Arrays, Expected, Table
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io.array_files import checked_arrays, read_archive
 from epipole.io.atomic import atomic_write

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from epipole._checks import as_vector, check_count
-from epipole._declared import checked
+from epipole._checks import as_vector, check_count, checked
 from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.geometry import Rigid3
 from epipole.synthetic.scene import Box, HeightField, Plane, Sphere, SyntheticScene

@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.inertial import ImuLog, ImuNoise

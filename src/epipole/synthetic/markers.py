@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.config import check_dictionary
 from epipole.errors import ConfigError
 from epipole.synthetic.scene import Plane, Primitive, Texture, Vector

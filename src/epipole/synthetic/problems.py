@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float64, Int32
 
-from epipole._checks import check_count, check_seed
-from epipole._declared import checked
+from epipole._checks import check_count, check_seed, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3, Rotation3

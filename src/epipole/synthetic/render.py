@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from epipole import _parallel
-from epipole._checks import MOST_RENDERED_PIXELS, check_pixels
-from epipole._declared import checked
+from epipole._checks import MOST_RENDERED_PIXELS, check_pixels, checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3

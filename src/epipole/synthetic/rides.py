@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from epipole._checks import check_count
-from epipole._declared import checked
+from epipole._checks import check_count, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3

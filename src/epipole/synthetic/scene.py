@@ -10,7 +10,7 @@ from enum import IntEnum
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.errors import ConfigError, ShapeError
 from epipole.synthetic import _render_kernels as kernels
 

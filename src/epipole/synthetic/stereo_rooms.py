@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from epipole._checks import MOST_RENDERED_PIXELS, check_pixels, check_seed
-from epipole._declared import checked
+from epipole._checks import MOST_RENDERED_PIXELS, check_pixels, check_seed, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3, depth_to_disparity
 from epipole.synthetic.courtyard import look_at

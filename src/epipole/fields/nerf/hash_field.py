@@ -13,9 +13,8 @@ import numpy as np
 from jaxtyping import Float32
 
 from epipole import _parallel
-from epipole._checks import check_count
-from epipole._declared import checked
-from epipole._declared.tables import Expected, require_arrays
+from epipole._checks import check_count, checked
+from epipole._checks.tables import Expected, require_arrays
 from epipole.cameras import Camera
 from epipole.errors import ConfigError
 from epipole.fields.nerf import _hash_kernels as kernels

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
-from epipole._declared import Declared, check_fields, checked
-from epipole._declared.tables import Expected, Table
+from epipole._checks import Declared, check_fields, checked
+from epipole._checks.tables import Expected, Table
 from epipole.errors import FileFormatError, ShapeError
 from epipole.fields.nerf.voxel_files import CELLS, LARGEST, MOST_SIDE, unpacked_cells
 from epipole.io.array_files import read_packed_arrays

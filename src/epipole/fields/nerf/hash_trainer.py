@@ -9,9 +9,8 @@ import numpy as np
 from jaxtyping import Float32
 
 from epipole import _parallel
-from epipole._checks import check_fraction, check_seed
-from epipole._declared import checked
-from epipole._declared.tables import Expected, Table, check_arrays
+from epipole._checks import check_fraction, check_seed, checked
+from epipole._checks.tables import Expected, Table, check_arrays
 from epipole.errors import ShapeError
 from epipole.fields.nerf import _hash_kernels as kernels
 from epipole.fields.nerf.hash_field import (

@@ -9,8 +9,8 @@ from jaxtyping import Float32
 from scipy import ndimage
 
 from epipole import _parallel
-from epipole._declared import checked
-from epipole._declared.tables import Expected, require_arrays
+from epipole._checks import checked
+from epipole._checks.tables import Expected, require_arrays
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.fields.nerf import _voxel_kernels as kernels

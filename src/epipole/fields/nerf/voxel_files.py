@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from epipole._declared import Declared, checked
-from epipole._declared.tables import Arrays, Expected, Table
+from epipole._checks import Declared, checked
+from epipole._checks.tables import Arrays, Expected, Table
 from epipole.errors import FileFormatError
 from epipole.io.array_files import read_packed_arrays
 from epipole.io.atomic import atomic_write

@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from epipole import _parallel
-from epipole._checks import MOST_RENDERED_PIXELS, check_pixels
-from epipole._declared import Declared, check_fields, checked
+from epipole._checks import MOST_RENDERED_PIXELS, Declared, check_fields, check_pixels, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, ShapeError
 from epipole.fields.nerf._vector_kernels import LANES

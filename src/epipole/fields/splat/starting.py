@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 from scipy.spatial import cKDTree
 
-from epipole._checks import check_count, check_seed
-from epipole._declared import checked
+from epipole._checks import check_count, check_seed, checked
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.fields.training_view import TrainingView
 from epipole.scene.gaussian_cloud import DC, GaussianCloud

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float32
 
-from epipole._checks import check_fraction
-from epipole._declared import checked
-from epipole._declared.tables import Expected, Table, check_arrays
+from epipole._checks import check_fraction, checked
+from epipole._checks.tables import Expected, Table, check_arrays
 from epipole.errors import ConfigError, ShapeError
 from epipole.fields.config import SplatTraining
 from epipole.fields.exposure import Exposures

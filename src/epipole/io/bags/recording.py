@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, EpipoleError, FileFormatError
 from epipole.geometry import Rigid3

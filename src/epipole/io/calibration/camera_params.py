@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.cameras import Camera, CameraModel, camera_model_named
 from epipole.cameras.image_fit import ImageShape, likely_size
 from epipole.errors import ConfigError

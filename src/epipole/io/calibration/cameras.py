@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import Declared, check_fields
+from epipole._checks import Declared, check_fields
 from epipole.cameras import Camera
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3

@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 from jaxtyping import Float64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.cameras import Camera, CameraModel, camera_model_named
 from epipole.errors import EpipoleError, FileFormatError, ShapeError
 from epipole.geometry import Rigid3, Rotation3

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float64, Int32, UInt8
 from numpy.typing import DTypeLike
 
-from epipole._checks import check_indices
-from epipole._declared import Declared, check_fields
+from epipole._checks import Declared, check_fields, check_indices
 from epipole.errors import FileFormatError
 from epipole.io.colmap._tables import UNKNOWN_POSE
 from epipole.io.colmap.cameras import HALF_PIXEL

@@ -10,7 +10,7 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io.atomic import atomic_write
 from epipole.io.colmap._database_reading import read_contents

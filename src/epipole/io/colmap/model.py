@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.atomic import atomic_folder

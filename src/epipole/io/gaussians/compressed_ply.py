@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.atomic import atomic_write
 from epipole.io.contents_in_words import with_what_it_is

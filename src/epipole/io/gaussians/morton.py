@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, UInt64
 
-from epipole._declared import checked
+from epipole._checks import checked
 
 _BITS, _MOST = 16, 65535
 

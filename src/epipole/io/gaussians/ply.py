@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError
 from epipole.io.atomic import atomic_write
 from epipole.io.files import open_file

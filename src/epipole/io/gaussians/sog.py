@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io._named_numbers import numbers_of
 from epipole.io.gaussians._finite import MOST_LOGIT, finite_gaussians

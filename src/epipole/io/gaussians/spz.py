@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import zstandard
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes, most_unpacked_bytes

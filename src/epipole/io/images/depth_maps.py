@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float32
 
-from epipole._checks import as_float_array
-from epipole._declared import checked
+from epipole._checks import as_float_array, checked
 from epipole.errors import ConfigError, FileFormatError, ShapeError
 from epipole.image.encoding import encoded_image
 from epipole.io.atomic import atomic_write

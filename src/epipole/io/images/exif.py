@@ -23,8 +23,7 @@ from jaxtyping import Float64
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
-from epipole._checks import as_points
-from epipole._declared import checked
+from epipole._checks import as_points, checked
 from epipole.errors import ConfigError
 from epipole.io.images.sensor_widths import sensor_width_mm
 

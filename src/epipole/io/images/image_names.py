@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import PurePosixPath
 
-from epipole._declared import checked
+from epipole._checks import checked
 
 _BREAKS = frozenset({"Cc", "Zl", "Zp"})
 _DEPTH_WORD = re.compile(r"depth", re.IGNORECASE)

@@ -28,7 +28,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io._spherical import refuse_panorama
 from epipole.io.files import file_bytes, open_file

@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from epipole._checks import check_pixels
-from epipole._declared import checked
+from epipole._checks import check_pixels, checked
 from epipole.io._spherical import refuse_panorama
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes

@@ -5,7 +5,7 @@ The width is the longer side of the sensor according to the manufacturer's data 
 
 from types import MappingProxyType
 
-from epipole._declared import checked
+from epipole._checks import checked
 
 _WIDTH_MM_BY_MODELS: tuple[tuple[float, tuple[str, ...]], ...] = (
     # 36 x 24 mm

@@ -17,8 +17,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
-from epipole._checks import check_count
-from epipole._declared import checked
+from epipole._checks import check_count, checked
 from epipole.errors import ConfigError, FileFormatError, ShapeError
 from epipole.image.encoding import encoded_image
 from epipole.io._spherical import refuse_spherical_video

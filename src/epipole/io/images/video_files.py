@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from epipole._checks import check_pixels
-from epipole._declared import checked
+from epipole._checks import check_pixels, checked
 from epipole.errors import ConfigError, WorkspaceError
 from epipole.io.atomic import refuse_other_kinds
 

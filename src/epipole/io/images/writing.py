@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, FileFormatError, ShapeError
 from epipole.io.atomic import atomic_write
 from epipole.io.files import open_file, require_file

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError, ShapeError
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from epipole._checks import as_image, as_points, require_same_length
-from epipole._declared import checked
+from epipole._checks import as_image, as_points, checked, require_same_length
 from epipole.errors import FileFormatError, ShapeError
 from epipole.io._bytes import ByteReader
 from epipole.io.atomic import atomic_write

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.cameras import MAX_PARAMS, CameraModel
 from epipole.errors import FileFormatError, ShapeError
 from epipole.geometry import Rigid3, Rotation3

@@ -16,7 +16,7 @@ from tokenize import TokenError
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3, Rotation3

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
 from epipole.inertial import ImuLog, ImuNoise

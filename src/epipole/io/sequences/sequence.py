@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, EpipoleError, FileFormatError
 from epipole.io.calibration.beside import CalibrationBeside, calibration_beside, check_fits
 from epipole.io.calibration.files import read_calibration, read_stereo_rig

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError
 from epipole.io.images.photographs import list_photographs
 

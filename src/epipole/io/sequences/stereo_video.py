@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.image.encoding import encoded_image
 from epipole.io.atomic import atomic_write

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import check_fields, checked
+from epipole._checks import check_fields, checked
 from epipole.errors import FileFormatError
 from epipole.io.files import file_text
 

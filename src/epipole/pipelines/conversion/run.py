@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
-from epipole._checks import as_path
-from epipole._declared import checked
+from epipole._checks import as_path, checked
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io.convert import FOLDER_WRITERS, IMAGE_FOLDER, ModelFormat, read_model
 from epipole.io.gaussians.files import (

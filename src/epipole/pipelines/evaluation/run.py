@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._checks import as_path
-from epipole._declared import checked
+from epipole._checks import as_path, checked
 from epipole.errors import DegenerateGeometryError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io.colmap.model import find_model, read_colmap_model

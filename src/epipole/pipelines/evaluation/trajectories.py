@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._checks import as_path
-from epipole._declared import checked
+from epipole._checks import as_path, checked
 from epipole.errors import FileFormatError
 from epipole.io.trajectories.frame_tables import FRAME_TABLE, FrameTable, read_frame_table
 from epipole.io.trajectories.true_trajectories import has_true_path, true_path_at

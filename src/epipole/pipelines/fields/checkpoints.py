@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from epipole._declared.tables import Expected, Table
+from epipole._checks.tables import Expected, Table
 from epipole._version import __version__
 from epipole.errors import ShapeError, WorkspaceError
 from epipole.fields.trainer import Trainer

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from epipole._declared import check_options
+from epipole._checks import check_options
 from epipole.errors import ConfigError
 from epipole.fields.config import NerfTraining, SplatTraining
 
@@ -49,7 +49,7 @@ class FieldOptions:
         Raises:
             ConfigError: a value is out of range, or both time and steps are given.
         """
-        check_options(self, negative=("rotation_deg",))
+        check_options(self)
         if self.time is not None and self.steps is not None:
             raise ConfigError("time and steps exclude each other: give one of them")
         if self.steps is not None and not 1 <= self.steps < 10**9:
@@ -179,7 +179,7 @@ class MeshConfig:
         Raises:
             ConfigError: a value is out of range.
         """
-        check_options(self, negative=("rotation_deg",))
+        check_options(self)
         if not 8 <= self.voxels <= 1024:
             raise ConfigError(f"voxels must be from 8 to 1024, got {self.voxels}")
         if self.most_views < 1:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from epipole._declared import check_options
+from epipole._checks import check_options
 from epipole.config import ANCHOR_FILES, AnchorOptions, FeatureConfig, MatchConfig, RansacConfig
 from epipole.errors import ConfigError
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from epipole._declared import check_options
+from epipole._checks import check_options
 from epipole.config import AnchorOptions, FlowConfig
 from epipole.errors import ConfigError
 

@@ -8,7 +8,7 @@ from enum import StrEnum
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
-from epipole._declared import check_fields
+from epipole._checks import check_fields
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3

@@ -9,8 +9,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Unpack
 
-from epipole._checks import as_path
-from epipole._declared import checked
+from epipole._checks import as_path, checked
 from epipole._jit import compile_seconds
 from epipole.cameras import Camera
 from epipole.cameras.image_fit import ImageShape

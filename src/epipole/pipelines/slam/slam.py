@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.geometry import Rigid3, Similarity3
 from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.frames import Frame, TrackedFrame, TrackingState

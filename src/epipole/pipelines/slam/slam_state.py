@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
 from epipole.inertial import MountedImu

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from epipole._declared import check_options
+from epipole._checks import check_options
 from epipole.disparity_search.config import DisparityConfig
 
 

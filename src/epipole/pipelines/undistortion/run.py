@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._checks import as_path
-from epipole._declared import checked
+from epipole._checks import as_path, checked
 from epipole.cameras import Camera
 from epipole.errors import FileFormatError
 from epipole.image import undistort_image, undistorted_camera

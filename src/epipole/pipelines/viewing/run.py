@@ -6,8 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from epipole._checks import as_path
-from epipole._declared import checked
+from epipole._checks import as_path, checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.contents_in_words import with_what_it_is
 from epipole.pipelines.calibration import scene as calibration

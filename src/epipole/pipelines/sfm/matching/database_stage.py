@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared.tables import Arrays
+from epipole._checks.tables import Arrays
 from epipole.errors import ConfigError
 from epipole.io.colmap.database import DatabaseContents, read_database
 from epipole.io.images.photographs import read_header

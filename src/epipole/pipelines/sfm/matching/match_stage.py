@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int32
 
-from epipole._declared.tables import Arrays
+from epipole._checks.tables import Arrays
 from epipole.cameras import Camera
 from epipole.config import MatchConfig, RansacConfig
 from epipole.features import Features, match_along_epipolar_lines, match_descriptors

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from epipole._declared.tables import Arrays, Table
+from epipole._checks.tables import Arrays, Table
 from epipole.errors import WorkspaceError
 from epipole.runs import Unit, digest, is_done, load, stored_key
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared.tables import TEXT, Expected, Table
+from epipole._checks.tables import TEXT, Expected, Table
 from epipole.errors import WorkspaceError
 from epipole.robust import PairKind
 

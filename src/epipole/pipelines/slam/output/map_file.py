@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole._checks import as_path
-from epipole._declared.tables import TEXT, Arrays, Expected, Table
+from epipole._checks.tables import TEXT, Arrays, Expected, Table
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, EpipoleError, FileFormatError, ShapeError
 from epipole.geometry import Rigid3
