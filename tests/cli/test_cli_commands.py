@@ -217,7 +217,7 @@ def test_stereo_says_what_it_needs(tmp_path):
 def test_calibrate_names_what_is_wrong(tmp_path):
     saved_pair(tmp_path, (120, 90))
     printed = run("calibrate", tmp_path, tmp_path / "out", "--columns", "9", "--rows", "6", expect=1)
-    assert "the board is in none of the" in printed and "Traceback" not in printed
+    assert "no board found in the" in printed and "Traceback" not in printed
 
 
 @pytest.mark.parametrize(
