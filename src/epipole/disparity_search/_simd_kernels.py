@@ -209,7 +209,7 @@ class _Lowest:
 def least_two(typingctx, sums, at_sums, more, at_more, blocks):
     """(d, lowest, second, d1, d2) of the row sums += more: index and value of its minimum, and the minimum not adjacent to it.
 
-    d1 and d2: indices of the minima of sums before the addition, and of more. Ties go to the first index.
+    d1 and d2: indices of the minima of sums before the addition, and of more. Of equal values the first index is returned.
     """
     long = types.int64
     signature = types.UniTuple(long, 5)(sums, long, more, long, long)

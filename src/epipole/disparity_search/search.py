@@ -38,8 +38,6 @@ _SMOOTH_PX = 1.0  # largest difference between neighbors of a region
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Image:
-    """Data of an image that matching compares."""
-
     bits: UInt8[np.ndarray, "h w planes"]
     """Census. The Hamming distance is independent of the order of the bits, so that of a mirrored image is the mirrored one."""
     brightness: Int16[np.ndarray, "h w"]
@@ -143,7 +141,6 @@ def _grey_pair(left: Any, right: Any) -> tuple[UInt16[np.ndarray, "h w"], UInt16
 
 
 def _search_range(left: np.ndarray, right: np.ndarray, config: DisparityConfig) -> tuple[int, int]:
-    """Smallest and largest disparity to search."""
     low, high, width = config.min_disparity_px, config.max_disparity_px, left.shape[1]
     if low >= width or (high is not None and high <= -width):
         raise ConfigError(f"the disparity range from {low} lies outside images of {width} pixels width")
@@ -178,7 +175,6 @@ def _inspect(grey: UInt16[np.ndarray, "h w"], config: DisparityConfig) -> _Image
 def _winners(
     left: _Image, right: _Image, low: int, high: int, config: DisparityConfig, *, with_other: bool = True
 ) -> _Winners:
-    """Disparities of the left image, from sums along paths or over blocks."""
     height, width = left.brightness.shape
     count = high - low + 1
     depth = -(-count // LANES) * LANES

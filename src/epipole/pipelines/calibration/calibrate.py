@@ -226,7 +226,6 @@ def _agreeing(state: RigState, corners: Corners, board: np.ndarray, config: Cali
 
 
 def _only_seen(state: RigState, corners: Corners, used: np.ndarray) -> RigState:
-    """The state without the poses of unused views."""
     rotation, translation = state.rig_from_board.rotation.copy(), state.rig_from_board.translation.copy()
     unseen = np.bincount(corners.view[used], minlength=corners.num_views) == 0
     rotation[unseen], translation[unseen] = np.nan, np.nan

@@ -85,10 +85,7 @@ def show_calibration(run: CalibrationRun) -> None:
         )
     if found.config.refine_warp:
         bend = ", ".join(f"{w:.3g}" for w in found.state.warp)
-        console.print(
-            f"height of the board's center above its edges, horizontally and vertically: {bend}",
-            highlight=False,
-        )
+        console.print(f"board center above its edges, horizontally and vertically: {bend}", highlight=False)
     print_warnings(console, run.problems.values())
     for c, states in enumerate(found.view_states):
         left_out = [

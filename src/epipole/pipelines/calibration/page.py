@@ -38,8 +38,6 @@ class _Dot:
 
 @dataclass(frozen=True, slots=True)
 class _ViewLine:
-    """A row of the table of views."""
-
     name: str
     is_used: bool
     corners: str
@@ -70,7 +68,6 @@ def render_page(run: CalibrationRun) -> str:
 
 
 def _checks(run: CalibrationRun) -> list[tuple[str, str]]:
-    """Names and results of the checks."""
     found, check = run.calibration, run.check
     rows = [
         ("corners used", f"{int(found.used_mask.sum())} of {len(found.used_mask)}"),
@@ -107,7 +104,6 @@ def _of(found: Calibration, camera: int) -> str:
 
 
 def _camera(run: CalibrationRun, c: int) -> dict[str, object]:
-    """Template variables of one camera."""
     found = run.calibration
     camera, sigma = found.cameras[c], found.params_sigma(c)
     low, high, heat = _far_sigma(found, c)
@@ -175,14 +171,13 @@ def _against_range(found: Calibration, c: int) -> Markup:
 
 
 def _rig(found: Calibration) -> dict[str, str]:
-    """Pose of the right camera relative to the left one."""
     rig = found.rig()
     x, y, z = rig.right_from_left.inverse().translation
     angle = np.rad2deg(np.linalg.norm(rig.right_from_left.log()[3:]))
     return {
         "baseline": f"{rig.baseline:.6g}",
         "baseline_sigma": f"{found.baseline_sigma():.2g}",
-        "place": f"({x:.4g}, {y:.4g}, {z:.4g})",
+        "position": f"({x:.4g}, {y:.4g}, {z:.4g})",
         "angle_deg": f"{angle:.3f}",
     }
 

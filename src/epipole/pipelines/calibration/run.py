@@ -79,7 +79,6 @@ def calibrate(
 
 
 def _measure(images: list[list[Path]], run: Run, config: CalibrationConfig) -> CalibrationRun:
-    """Detect the board in every image, calibrate, and check."""
     views, sizes, problems = _inspect_all(images, run, config)
     run.report("calibrate", 0, 2)
     against = _against(images, config.board)

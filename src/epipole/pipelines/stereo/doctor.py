@@ -43,9 +43,7 @@ class Cause(StrEnum):
     NONE = "rows match"
     EXTRINSICS = "the rig's geometry (rotation, principal point, focal length or direction of the baseline)"
     DISTORTION = "lens distortion"
-    UNCLEAR = (
-        "blur, rolling shutter or moving objects, since neither the rig nor distortion explains the offsets"
-    )
+    UNCLEAR = "blur, rolling shutter or moving objects (neither rig nor distortion explains the offsets)"
     UNKNOWN = "too few feature matches"
 
 
@@ -267,9 +265,7 @@ def _steadiness(
     """Check that the row trend is the same in every pair, as with a rigid, synchronized rig."""
     good = [m for m in clean if len(m) >= LEAST_FOR_TREND]
     if len(good) < 2:
-        words = (
-            "synchronization of the cameras can only be checked with several pairs taken while the rig moves"
-        )
+        words = "checking the synchronization needs several pairs taken while the rig moves"
         return [_Finding(words, False)]
     trends = [fit_trend(m.vertical_px, row_basis(m, flat, size)[0][:, :3]) for m in good]
     offset = np.array([t.coefficients[0] for t in trends])

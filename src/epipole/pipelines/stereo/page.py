@@ -46,7 +46,6 @@ def render_page(result: StereoResult) -> str:
 
 
 def _images(result: StereoResult) -> list[tuple[str, str]]:
-    """(caption, data URI) of each image."""
     found = result.disparities
     images = [
         ("left", png_uri(result.left_rgb)),
@@ -62,7 +61,6 @@ def _images(result: StereoResult) -> list[tuple[str, str]]:
 
 
 def _reasons(result: StereoResult) -> list[tuple[str, str, str]]:
-    """(color, text, percentage) of each reason."""
     counts = np.bincount(result.disparities.reason.ravel(), minlength=len(StereoReason))
     return [
         (f"rgb({red},{green},{blue})", words, f"{100 * counts[reason] / counts.sum():.1f}")

@@ -168,7 +168,6 @@ def _rectified(
 
 
 def _limits(config: StereoConfig, rig: RectifiedRig | StereoRig | None) -> list[str]:
-    """Warnings about limitations of these settings."""
     out = []
     default = StereoConfig()
     matters = [name for name in _FITTED_WITH if name != "block_px" or config.method == "block"]

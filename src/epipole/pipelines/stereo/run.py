@@ -71,7 +71,6 @@ def stereo(
 
 
 def _measured(files: PairFiles, out: Path, config: StereoConfig, settings: dict[str, Any]) -> StereoResult:
-    """Run the job of one pair."""
     job = Job(kind="stereo", inputs=(files.left, files.right), settings=settings)
     with open_run(job, out) as run:
         measured = measure_pair(*files.read(), config, files.rig)

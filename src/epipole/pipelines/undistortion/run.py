@@ -103,7 +103,6 @@ def _pinholes(model: Reconstruction, registered: np.ndarray, images: Sequence[Mo
 
 
 def _model_numbered(workspace: Path, number: int) -> Path:
-    """The folder of one of several models."""
     folder = workspace / "sparse" / str(number)
     if not folder.is_dir():
         there = sorted(path.name for path in (workspace / "sparse").glob("*") if path.is_dir())
