@@ -85,7 +85,7 @@ class DisparityConfig:
             )
         if self.search == "coarse_to_fine" and self.left_right == "fast":
             raise ConfigError(
-                "search='coarse_to_fine' needs left_right='accurate': tiles do not give disparities of the right image"
+                "search coarse_to_fine needs left_right accurate: tiles do not give disparities of the right image"
             )
         if self.max_sigma_px is not None and not self.max_sigma_px > 0:
             raise ConfigError(f"max_sigma_px must be positive, got {self.max_sigma_px}")
