@@ -52,7 +52,7 @@ def test_demo_leaves_other_peoples_folders_alone(tmp_path):
     mine = tmp_path / "photographs" / "IMG_1.jpg"
     mine.parent.mkdir()
     mine.write_text("precious")
-    assert "was not made by epipole" in run("demo", tmp_path, expect=1)
+    assert "was not written by epipole" in run("demo", tmp_path, expect=1)
     assert mine.read_text() == "precious"
 
 
@@ -126,7 +126,7 @@ def test_evaluate_undistort_and_convert(workspace):
 def test_errors_are_one_line_and_a_code(tmp_path):
     printed = run("reconstruct", tmp_path / "nothing", tmp_path / "out", expect=1)
     assert printed.count("Traceback") == 0 and "does not exist" in printed
-    assert "holds no model" in run("view", tmp_path, expect=1)
+    assert "contains no model" in run("view", tmp_path, expect=1)
     assert "epipole" in run("version")
 
 
@@ -171,7 +171,7 @@ def test_help_is_quick_and_loads_nothing_heavy():
 
 def test_undistort_says_what_it_cannot_write(tmp_path):
     rgb = np.zeros((8, 8, 3), np.uint8)
-    with pytest.raises(FileFormatError, match="convert yours"):
+    with pytest.raises(FileFormatError, match="convert the image"):
         write_photograph(tmp_path / "a.heic", rgb)
     write_photograph(tmp_path / "a.png", rgb)
     assert (tmp_path / "a.png").is_file()

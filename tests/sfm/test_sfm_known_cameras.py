@@ -91,6 +91,6 @@ def test_a_database_may_be_of_stored_pixels(tmp_path, orientation, is_refused):
         _refuse_rotated(tmp_path / "given.db", images)
         return
     with pytest.raises(
-        ConfigError, match=r"a.png has EXIF orientation 3, and the keypoints in .*given.db may be"
+        ConfigError, match=r"a.png has EXIF orientation 3, so the keypoints in .*given.db may refer"
     ):
         _refuse_rotated(tmp_path / "given.db", images)

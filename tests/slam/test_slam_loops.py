@@ -55,7 +55,7 @@ def test_a_loop_takes_the_drift_with_it(closed_and_open):
     assert len(accepted) == 1
     assert accepted[0].frame > FORK and accepted[0].keyframe <= 10 and accepted[0].num_agreeing >= 30
     at = answers[accepted[0].frame - FORK]
-    assert at.is_keyframe and at.reason == "a place seen before"
+    assert at.is_keyframe and at.reason == "a loop was closed"
     assert not any(loop.verdict == "accepted" for loop in without.loops)
     truth, last = room().truth(), len(room().images) - 1
     # Ninety frames are a whole turn.
@@ -139,7 +139,7 @@ def test_carried_off_and_back_then_walking_there_the_maps_become_one(kind):
     assert max(num_maps) == 2 and num_maps[-1] == 1
     assert sum(loop.verdict == "accepted" for loop in slam.loops) == 1
     joined = num_maps.index(1, back)
-    assert answers[joined].reason == "a place seen before"
+    assert answers[joined].reason == "a loop was closed"
     truth = room().truth(numbers)
     path = slam.trajectory()
     assert len(path) >= len(numbers) - 4  # the sub-map's frames have got their places in the first map

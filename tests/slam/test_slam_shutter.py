@@ -115,7 +115,7 @@ def test_the_readout_is_found_and_the_path_straight_with_it():
     bent, straight = bent_and_straight(ride, "rgbd")
     found = find_readout(bent.odometry.mapper, bent.trajectory())
     assert found is not None and found.readout_s == pytest.approx(BY_THE_FRAMES, rel=0.1)
-    assert "read one after another" in found.warning()
+    assert "rolling shutter with a readout of" in found.warning()
     before, after = (errors(one, ride.truth(), "none").position.rmse for one in (bent, straight))
     assert after < 0.1 * before
     with pytest.raises(ConfigError, match="readout_s"):

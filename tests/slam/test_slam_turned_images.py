@@ -44,7 +44,7 @@ def test_a_calibration_beside_turned_images_is_taken_as_of_the_upright_ones_and_
     folder = folder_of(tmp_path / "frames", (first, first), rng)
     (folder / "intrinsics.txt").write_text(f"60 60 {W / 2 + 4} {H / 2}")
     source = open_sequence(read_sequence(folder, 10.0), "mono", None)
-    words = "the camera (intrinsics.txt) is taken to describe the upright images"
+    words = "the camera (intrinsics.txt) is assumed to describe the upright images"
     assert any(note.startswith(words) for note in source.notes()) == is_said
     assert source.about["camera_source"] == "intrinsics.txt"
 

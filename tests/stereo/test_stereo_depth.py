@@ -215,7 +215,7 @@ def test_nothing_of_the_users_is_lost(pair_files, tmp_path):
     out = tmp_path / "own"
     out.mkdir()
     (out / "notes.txt").write_text("mine")
-    with pytest.raises(WorkspaceError, match="not made by epipole"):
+    with pytest.raises(WorkspaceError, match="not written by epipole"):
         api.stereo(left, right, out, config)
     assert [path.name for path in out.iterdir()] == ["notes.txt"] and left.is_file()
     (out / "notes.txt").rename(tmp_path / "notes.txt")

@@ -1,9 +1,9 @@
-"""What converters of values are."""
+"""Types of converters."""
 
 from collections.abc import Callable
 from typing import Any
 
 Sizes = dict[str, tuple[int, str]]
-"""Of each named axis the length, and the argument that has it."""
+"""Length of each named axis, and the argument that has it."""
 Convert = Callable[[Any, str, Sizes], Any]
-"""(value, name, sizes) -> the value to go on with."""
+"""(value, name, sizes) -> the checked and converted value."""

@@ -1,4 +1,4 @@
-"""Rigs and frames: cameras that move together, and the instants at which they took images."""
+"""Rigs of cameras that move together, and frames: instants at which they took images."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Rigs(Declared):
     @staticmethod
     @checked
     def of_single_cameras(num_cameras: int) -> Rigs:
-        """One rig for each camera, which is its only sensor."""
+        """One rig per camera, with that camera as its only sensor."""
         check_count(num_cameras, "num_cameras")
         ids = np.arange(num_cameras + 1, dtype=np.int32)
         return Rigs(ids, ids[:-1].copy(), Rigid3.identity(num_cameras))
@@ -35,7 +35,7 @@ class Rigs(Declared):
         return len(self.sensor_offsets) - 1
 
     def rig_of_sensor(self) -> Int32[np.ndarray, " s"]:
-        """The rig to which each sensor belongs."""
+        """The rig of each sensor."""
         return np.repeat(np.arange(len(self), dtype=np.int32), np.diff(self.sensor_offsets))
 
     def __repr__(self) -> str:
@@ -53,7 +53,7 @@ class Frames(Declared):
     """Seconds; NaN where unknown."""
 
     def is_registered(self) -> Bool[np.ndarray, " n"]:
-        """Mask of frames whose place is known."""
+        """Mask of frames with a known pose."""
         return np.isfinite(self.rig_from_world.translation).all(axis=1)
 
     def __len__(self) -> int:
@@ -65,6 +65,6 @@ class Frames(Declared):
 
 @checked
 def unregistered(count: int) -> Rigid3:
-    """Rigid3 rows of NaN: places not known."""
+    """Rigid3 rows of NaN: unknown poses."""
     check_count(count, "count")
     return Rigid3(np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan))
