@@ -149,7 +149,7 @@ def _rectified(
 ) -> _RectifiedPair:
     if config.uncalibrated:
         if rig is not None:
-            raise ConfigError("uncalibrated=True cannot be combined with a calibration: remove one of them")
+            raise ConfigError("uncalibrated cannot be combined with a calibration: remove one of them")
         unknown = rectify_uncalibrated(left, right)
         return _RectifiedPair(*unknown.apply(left, right), None, unknown)
     if isinstance(rig, StereoRig):
