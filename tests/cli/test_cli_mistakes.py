@@ -80,7 +80,7 @@ def test_wrong_words(given, parts, capsys):
             "reconstruct a b --mapper.max-error-px nan",
             "--mapper.max-error-px must be a number, got NaN",
         ),
-        ("stereo a b c --window 4 5", "--window must have odd sides and at most 121 pixels, is (4, 5)"),
+        ("stereo a b c --window 4 5", "--window must have odd sides and 3 to 121 pixels, got (4, 5)"),
     ],
 )
 def test_values_that_a_config_refuses_name_the_option_as_it_was_given(given, said, capsys):

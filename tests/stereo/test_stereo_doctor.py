@@ -166,7 +166,7 @@ def test_a_run_warns_of_what_spoils_it(cones, data_dir):
         ((left, right), None),
         ((right, left), "swapped"),
         ((left, np.roll(right, 5, axis=0)), "4.9 px off their rows"),
-        ((left, teddy), "the same thing"),
+        ((left, teddy), "the same scene"),
         ((blank, blank), "blank, dark or blurred"),
         ((left, left), "the same image"),
     ):
@@ -192,8 +192,8 @@ def test_what_tells_nothing_is_not_healthy(cones, data_dir):
     left, _ = cones
     teddy = read_rgb(data_dir / "stereo" / "middlebury_2003" / "teddy" / "im6.png")
     for pair, words in (
-        ((left, teddy), "too few to say anything"),
-        ((np.zeros_like(left),) * 2, "too few to say anything"),
+        ((left, teddy), "too few for a diagnosis"),
+        ((np.zeros_like(left),) * 2, "too few for a diagnosis"),
         ((left, left), "the same image"),
     ):
         found = examine([pair])
@@ -219,7 +219,7 @@ def test_a_blank_right_picture_gives_nothing(cones):
 
 
 def test_every_cause_makes_a_sentence():
-    """Offsets in waves are no rotation, no distortion; each cause's words follow upon "likely cause"."""
+    """Offsets in waves are no rotation, no distortion; each cause's text comes after "likely cause"."""
     pair = stereo_room(3, (640, 480))
     height, width = pair.right.shape[:2]
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
@@ -227,13 +227,13 @@ def test_every_cause_makes_a_sentence():
     found = examine([(pair.left, wavy)])
     assert found.cause is Cause.UNCLEAR
     assert found.problems[0].endswith(
-        "likely cause: blur, rolling shutter or moving things, for neither the rig nor its lenses explain the offsets"
+        "likely cause: blur, rolling shutter or moving objects (neither rig nor distortion explains the offsets)"
     )
     tilted = examine([(pair.left, cv2.remap(pair.right, x, y + 3, cv2.INTER_LINEAR))])
-    assert "; likely cause: how the cameras stand to each other (" in tilted.problems[0]
+    assert "; likely cause: the rig's geometry (" in tilted.problems[0]
     blank = np.zeros((480, 640), np.uint8)
     assert (
         examine([(blank, blank)])
         .problems[0]
-        .startswith("0 features match, too few to say anything: the images")
+        .startswith("0 features match, too few for a diagnosis: the images")
     )

@@ -56,7 +56,7 @@ def test_a_turned_pair_to_disparities(tmp_path):
     assert (out / "left.png").is_file() and not (out / "depth.pfm").exists()
     assert any("projective" in words for words in found.warnings)
     rig = RectifiedRig(500.0, 240.0, 180.0, 0.1)
-    with pytest.raises(ConfigError, match="nothing is known"):
+    with pytest.raises(ConfigError, match="cannot be combined with a calibration"):
         api.stereo(*files, out, StereoConfig(uncalibrated=True), rig)
     found = api.stereo(*files, out, StereoConfig(max_disparity_px=60))
     assert not (out / "homographies.json").exists() and not (out / "left.png").exists()

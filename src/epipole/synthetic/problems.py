@@ -249,7 +249,7 @@ def _direction(rng: np.random.Generator) -> Float64[np.ndarray, " 3"]:
 
 
 def _slanted_normal(rng: np.random.Generator) -> Float64[np.ndarray, " 3"]:
-    """Unit normal, 11 to 29 degrees from the optical axis."""
+    """11 to 29 degrees from the optical axis."""
     angle = rng.uniform(0.0, 2 * np.pi)
     tilt = rng.uniform(0.2, 0.5)
     return np.array([np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), np.cos(tilt)])

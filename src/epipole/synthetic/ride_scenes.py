@@ -117,7 +117,6 @@ def _wall(
     seed: int = 0,
     texture: Texture = Texture.RICH,
 ) -> Plane:
-    """A vertical wall between two floor points."""
     offset = np.subtract(stop, start)
     length = float(np.linalg.norm(offset))
     return Plane(
@@ -130,7 +129,6 @@ def _wall(
 def _slab(
     low: tuple[float, float], high: tuple[float, float], z: float, color: Vector, texture: Texture
 ) -> Plane:
-    """A floor or ceiling between two corners."""
     return Plane(
         center=(0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), z),
         direction_u=(1, 0, 0), direction_v=(0, 1, 0),

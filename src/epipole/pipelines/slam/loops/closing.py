@@ -26,7 +26,7 @@ CONFIRMATIONS = 3
 PATIENCE = 4
 """Keyframes without confirmation after which a candidate is dropped."""
 LOCAL_POINTS = 10
-"""Keyframes that share this many points are neighbors, which are no loop candidates."""
+"""Keyframes with this many points in common are neighbors, which are no loop candidates."""
 MIN_APART = 10
 """Fewest keyframes between the two visits."""
 LARGEST_SCALE = 3.0

@@ -14,7 +14,7 @@ from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
 from epipole.pipelines.slam.tracking.redetection import redetect
 
 EDGES_EACH = 5
-"""Edges of a keyframe, to those that share most points with it."""
+"""Edges of a keyframe, to those with most points in common."""
 EDGE_POINTS = 30
 """Fewest shared points of an edge."""
 # Standard deviations of the edges. Drift is systematic and overlapping edges are redundant, so with the actual precision of single
@@ -30,7 +30,7 @@ LOOP_DEPTH_FRACTION, LOOP_ROTATION_RAD, LOOP_SCALE = 0.002, 0.002, 0.01
 def correct_drift(model: SlamMap, constraint: LoopConstraint, *, is_metric: bool) -> bool:
     """Correct keyframes and points so that the newest keyframe satisfies the loop constraint.
 
-    Pose graph whose edges are the present motions between keyframes that share points, and the loop, which graduated
+    Pose graph whose edges are the present motions between keyframes with points in common, and the loop, which graduated
     non-convexity may reject. Without metric scale the edges are similarities (Strasdat, Montiel and Davison, RSS 2010).
 
     Returns:

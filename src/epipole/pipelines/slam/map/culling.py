@@ -9,7 +9,7 @@ from epipole.pipelines.slam.map.trajectory import Path
 from epipole.pipelines.slam.tracking.tracker import PointTracker
 
 MOST_IN_SIGHT = 40
-"""Keyframes that share points with the newest; beyond that number, redundant ones are culled."""
+"""Keyframes with points in common with the newest; beyond that number, redundant ones are culled."""
 MOST_TAKEN = 2
 """Keyframes culled at a time: with one per new keyframe their number would never fall."""
 SHARED_POINTS = 15
@@ -42,7 +42,7 @@ def cull_redundant_keyframe(model: SlamMap) -> tuple[Keyframe, Keyframe] | None:
     one, and it would drift (37 mm after 50 rounds of the rendered room).
 
     Returns:
-        the removed keyframe, and the one that shares most points with it; None if nothing was removed.
+        the removed keyframe, and the one with most points in common with it; None if nothing was removed.
     """
     count = len(model.keyframes)
     shared = model.num_shared([count - 1])

@@ -27,7 +27,7 @@ LONGEST_S = 2.0
 SHORTEST_S = 0.02
 """Shortest interval between keyframes: shorter ones contain hardly any samples."""
 LEAST = 10
-"""Fewest consecutive keyframes of a factor."""
+"""Fewest consecutive keyframes of a factor or an alignment."""
 MOST_ALIGNED = 60
 """Most consecutive keyframes of an alignment."""
 MOST_CONSTRAINED = 80
@@ -162,7 +162,6 @@ def pixel_variance(problem: BundleProblem, camera: Camera) -> float:
 
 
 def _path(keyframes: Sequence[Keyframe]) -> tuple[np.ndarray, Rigid3]:
-    """Times and world_from_camera."""
     positions = [k.cam_from_world for k in keyframes]
     there = Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))
     return np.array([k.timestamp_s for k in keyframes]), there.inverse()

@@ -61,7 +61,6 @@ class Adjusted(NamedTuple):
     result: BundleResult
     config: BundleConfig
     views: list[int]
-    """Indices of the keyframes."""
 
 
 class LocalMapper:
@@ -142,7 +141,7 @@ class LocalMapper:
         return position.inverse().apply(in_cam)
 
     def window_of(self, newest: int) -> tuple[list[int], list[int]]:
-        """Keyframes that share most points with the newest, and the fixed ones that share points with these."""
+        """Keyframes with most points in common with the newest, and the fixed ones with points in common with these."""
         # The scale of a single camera drifts in a narrow window.
         width = self.config.window * (2 if self.focal_baseline is None else 1)
         shared = self.map.num_shared([newest])
@@ -295,7 +294,7 @@ class LocalMapper:
         return adjust_pair(problem, config)
 
     def learn_inertial(self) -> None:
-        """Align the map with the IMU, if there is one."""
+        """Align the map with the IMU, if any."""
         if self.inertial is not None:
             self.inertial.learn([k for k in self.map.keyframes if self.map.is_triangulated(k.point).any()])
 

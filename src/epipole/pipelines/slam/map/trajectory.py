@@ -26,7 +26,6 @@ class Path:
     """
 
     def __init__(self, first: int = 0) -> None:
-        """Create an empty trajectory whose first frame has this number."""
         self.first = first
         self._keyframes: list[Keyframe | None] = []
         self._full: list[np.ndarray] = []

@@ -77,9 +77,7 @@ def try_start(first_px: np.ndarray, pixels: np.ndarray, camera: Camera, config: 
         config: the smallest median angle.
     """
     if len(pixels) < MIN_POINTS:
-        return Start(
-            f"{len(pixels)} points are tracked, {MIN_POINTS} are needed: blank, dark or blurred image"
-        )
+        return Start(f"{len(pixels)} points are tracked, {MIN_POINTS} are needed: blank, dark or blurred")
     shift = float(np.median(np.linalg.norm(pixels - first_px, axis=1)))
     if shift < LEAST_SHIFT * camera.width:
         return Start(f"the points have moved by {shift:.1f} px: the camera hardly moves")
@@ -315,7 +313,7 @@ class OneCameraStart:
         return start_by(best.cam_from_first, self.tracks.start_px, self.tracks.pixels, self.camera)
 
     def _judged(self, motions: list[Rigid3]) -> list[Judged]:
-        """These motions, followed by those that a plane allows, optimized with the frames since the first."""
+        """These motions and those that a plane allows, in this order, optimized with the frames since the first."""
         now, camera, waiting = self.tracks, self.camera, self._waiting
         of_plane = motions_of_plane(now.start_px, now.pixels, camera, self.config.seed)
         used = np.unique(np.linspace(0, len(waiting) - 1, START_KEYFRAMES).astype(int))
@@ -347,7 +345,7 @@ class OneCameraStart:
 
 def _too_narrow(angle_deg: float, config: OdometryConfig) -> Start:
     return Start(
-        f"the triangulation angle is {angle_deg:.2f} degrees, {config.start_angle_deg:g} are needed: keep moving"
+        f"triangulation angle {angle_deg:.2f} degrees, {config.start_angle_deg:g} are needed: keep moving"
     )
 
 
