@@ -42,7 +42,7 @@ TEXTS = {
     r"\b(the|its|a|each|their) begin\b": "start, initialization",
     r"\bsettle[sd]?\b": "optimize, converge",
     r"\bunsure\b|\bsurely\b|\bhow sure\b": "uncertain, standard deviation",
-    r"\b(the|a|this|that|its|their|which|what|largest|least|smallest) shares?\b|\bshares? of\b": "fraction, ratio",
+    r"\b(the|a|this|its|their|largest|least|smallest) shares?\b|\b(Shares?|a share) of\b": "fraction, ratio",
     r"\binertial units?\b": "IMU",
     r"\bso many\b|\bas many as\b": "the number itself",
     r"\bthe eye\b": "the viewpoint",
