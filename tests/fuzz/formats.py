@@ -93,7 +93,7 @@ from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.output.answer_log import ANSWERS, line_of, read_answers
 from epipole.pipelines.slam.output.map_file import read_slam_map, write_slam_map
 from epipole.pipelines.slam.output.record import FrameRecord
-from epipole.pipelines.stereo.files import read_stereo, write_picture
+from epipole.pipelines.stereo.files import read_stereo, write_image
 from epipole.pipelines.stereo.pairs import read_summary
 from epipole.runs.folder import OutputFolder, read_mark
 from epipole.runs.source import Source

@@ -57,7 +57,7 @@ SIDE = 128
 """Cells along the longest side of the occupancy grid."""
 CHECK_EVERY = 16
 """Steps between two updates of the occupancy."""
-CHECKED_FRACTION = 16
+NUM_PARTS = 16
 """One in this number of cells is checked per update."""
 WARM_UP = 256
 """Steps before the first cell is marked empty."""
@@ -262,8 +262,8 @@ class HashTrainer:
 
     def _update_occupancy(self) -> None:
         """Query the density in some cells, and mark cells empty whose alpha has been low for long."""
-        rotation = self.num_steps // CHECK_EVERY % CHECKED_FRACTION
-        chosen = np.arange(rotation, len(self._may_be), CHECKED_FRACTION)
+        part = self.num_steps // CHECK_EVERY % NUM_PARTS
+        chosen = np.arange(part, len(self._may_be), NUM_PARTS)
         room = self.field.room
         positions = np.zeros((len(chosen), 4), np.float32)
         positions[:, :3] = self._may_be[chosen] + self._rng.random((len(chosen), 3), np.float32)
@@ -276,7 +276,7 @@ class HashTrainer:
 
         alpha = np.concatenate(_parallel.map_chunks(check, len(chosen), -(-len(chosen) // SAMPLES)))
         self._alpha[chosen] = np.maximum(FADE * self._alpha[chosen], alpha)
-        if self.num_steps < WARM_UP or rotation:
+        if self.num_steps < WARM_UP or part:
             return
         least = min(LEAST_ALPHA, float(self._alpha.mean()))
         occupied = np.zeros(room.occupied.shape, bool)

@@ -151,7 +151,7 @@ class SplatTrainer:
         }
         return {
             **parts,
-            "pull": Expected("float32", "n", least=0),
+            "grad2d": Expected("float32", "n", least=0),
             "views": Expected("float32", "n", least=0),
             "order": Expected("int64", "_", least=0, most=len(self.views) - 1),
             "counts": Expected("int64", "3", least=0),
@@ -168,7 +168,7 @@ class SplatTrainer:
             **{
                 f"{kind}_{name}": part for kind, one in clouds.items() for name, part in one._asdict().items()
             },
-            "pull": self._growth.grad2d,
+            "grad2d": self._growth.grad2d,
             "views": self._growth.views,
             "order": np.array(self._order, np.int64),
             "counts": np.array(counts, np.int64),
@@ -200,7 +200,7 @@ class SplatTrainer:
         names = ("value", "mean", "square")
         self._set_arrays(*(Cloud(*(state[f"{name}_{part}"] for part in Cloud._fields)) for name in names))
         self._growth = Growth(len(self))
-        self._growth.grad2d, self._growth.views = state["pull"], state["views"]
+        self._growth.grad2d, self._growth.views = state["grad2d"], state["views"]
         self._order = state["order"].tolist()
         self.num_steps, self._num_changes, self._num_first = state["counts"].tolist()
         self._size = float(state["size"])

@@ -278,12 +278,12 @@ class IncrementalMapper:
         """
         model, config = self.model, self.config
         everything = np.arange(len(model.components))
-        for rotation in range(max(rounds, 1)):
+        for round_ in range(max(rounds, 1)):
             adjust_all(model, self._global_bundle(), self._freedom(), self.priors)
             dropped = model.filter(config.max_error_px, self._angle)
             self._drop_lost_images()
-            done(min(rotation + 1, rounds))
-            if rotation == rounds - 1 or rounds == 0:
+            done(min(round_ + 1, rounds))
+            if round_ == rounds - 1 or rounds == 0:
                 break
             added = model.extend(everything, config.max_error_px)
             added += model.triangulate(everything, config.max_error_px, self._angle)

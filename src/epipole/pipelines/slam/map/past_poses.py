@@ -27,9 +27,9 @@ def refine_past_poses(path: Path, tracker: PointTracker, *, is_last: bool = Fals
     if not tracker.waiting:
         return
     numbers = [keyframe.number for keyframe in tracker.map.keyframes]
-    converged = numbers[-min(KEYFRAMES_LATER, len(numbers))]
-    done = [seen for seen in tracker.waiting if is_last or seen.number < converged]
-    tracker.waiting = [seen for seen in tracker.waiting if not (is_last or seen.number < converged)]
+    newest_done = numbers[-min(KEYFRAMES_LATER, len(numbers))]
+    done = [seen for seen in tracker.waiting if is_last or seen.number < newest_done]
+    tracker.waiting = [seen for seen in tracker.waiting if not (is_last or seen.number < newest_done)]
     for seen in done:
         stored = path.stored(seen.number)
         if stored is not None and stored[0].number != seen.number:

@@ -127,7 +127,7 @@ def straighten(
 
 def straighten_recent(model: SlamMap, camera: Camera, readout_s: float) -> None:
     """Update the motions and shifts of the last keyframes from the frames around them."""
-    motions = model.recent.converged()
+    motions = model.recent.final_motions()
     for keyframe in model.keyframes[-AROUND:]:
         motion = motions.get(keyframe.timestamp_s)
         if motion is not None and motion.any():

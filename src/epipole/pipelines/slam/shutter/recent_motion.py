@@ -66,7 +66,7 @@ class RecentMotion:
         """(12,) motion of the last frame."""
         return self.motion(len(self.times) - 1, max(len(self.times) - BEFORE, 0))
 
-    def converged(self) -> dict[float, np.ndarray]:
+    def final_motions(self) -> dict[float, np.ndarray]:
         """Final motions (12,) by timestamp: of the middle frame, or of all frames while none was dropped."""
         frames = [AROUND // 2] if self.has_dropped else range(len(self.times))
         return {self.times[frame]: self.motion(frame) for frame in frames}

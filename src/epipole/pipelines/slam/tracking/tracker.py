@@ -221,7 +221,7 @@ class PointTracker:
             return refined, agreed
         self.map.recent = self._recent_at(frame, position, self.map.xyz[points])
         straighten_recent(self.map, self.camera, readout)
-        motions = self.map.recent.converged()
+        motions = self.map.recent.final_motions()
         for one in self.waiting:
             one.motion = motions.get(one.timestamp_s, one.motion)
         self.map.motion = motion
@@ -229,7 +229,7 @@ class PointTracker:
 
     def _straighten_start(self, recent: RecentMotion) -> None:
         """Triangulate the first keyframe's points again, now that its motion is known."""
-        first, motions = self.map.keyframes[0], recent.converged()
+        first, motions = self.map.keyframes[0], recent.final_motions()
         if len(self.map.keyframes) > 1 or self.focal_baseline is None or first.timestamp_s not in motions:
             return
         camera = self.camera, self.sensor.readout_s
