@@ -122,7 +122,7 @@ def test_the_table_is_the_lessons_formula():
 
 
 def test_odd_units_and_unusable_input(cones):
-    assert any("millimetres" in n for n in examine([cones], RectifiedRig(400.0, 225, 187, 160.0)).notes)
+    assert any("millimeters" in n for n in examine([cones], RectifiedRig(400.0, 225, 187, 160.0)).notes)
     assert any("too short" in p for p in examine([cones], RectifiedRig(400.0, 225, 187, 1e-4)).problems)
     with pytest.raises(ShapeError, match="no pair"):
         examine([])
