@@ -122,11 +122,11 @@ def test_the_table_is_the_lessons_formula():
 
 
 def test_odd_units_and_unusable_input(cones):
-    assert any("millimetres" in n for n in examine([cones], RectifiedRig(400.0, 225, 187, 160.0)).notes)
+    assert any("millimeters" in n for n in examine([cones], RectifiedRig(400.0, 225, 187, 160.0)).notes)
     assert any("too short" in p for p in examine([cones], RectifiedRig(400.0, 225, 187, 1e-4)).problems)
     with pytest.raises(ShapeError, match="no pair"):
         examine([])
-    with pytest.raises(ShapeError, match="one size"):
+    with pytest.raises(ShapeError, match="the same size"):
         examine([(cones[0], cones[1][:100])])
 
 
@@ -208,7 +208,8 @@ def test_a_turned_picture_and_a_range_too_small_are_noticed(cones):
     assert any("off their rows" in w for w in tilted.warnings)
     for options in ({"max_disparity_px": 12}, {"min_disparity_px": 100, "max_disparity_px": 140}):
         assert any(
-            "beyond the range" in w for w in measure_pair(left, right, StereoConfig(**options)).warnings
+            "outside the search range" in w
+            for w in measure_pair(left, right, StereoConfig(**options)).warnings
         )
 
 

@@ -31,9 +31,9 @@ def test_pictures_that_are_no_pair(rng):
     blank = np.zeros((120, 160), np.uint8)
     with pytest.raises(DegenerateGeometryError):
         rectify_uncalibrated(blank, blank)
-    with pytest.raises(ShapeError, match="one size"):
+    with pytest.raises(ShapeError, match="the same size"):
         rectify_uncalibrated(blank, blank[:100])
-    with pytest.raises(ShapeError, match="8 bits"):
+    with pytest.raises(ShapeError, match="8-bit image"):
         rectify_uncalibrated(blank.astype(np.float64), blank)
     one, two = (rng.integers(0, 256, (200, 300)).astype(np.uint8) for _ in range(2))
     with pytest.raises(DegenerateGeometryError):

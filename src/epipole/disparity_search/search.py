@@ -143,7 +143,7 @@ def _grey_pair(left: Any, right: Any) -> tuple[UInt16[np.ndarray, "h w"], UInt16
 def _search_range(left: np.ndarray, right: np.ndarray, config: DisparityConfig) -> tuple[int, int]:
     low, high, width = config.min_disparity_px, config.max_disparity_px, left.shape[1]
     if low >= width or (high is not None and high <= -width):
-        raise ConfigError(f"the disparity range from {low} lies outside images of {width} pixels width")
+        raise ConfigError(f"the disparity range from {low} does not fit images {width} pixels wide")
     if high is None:
         high = max(_largest_disparity(left, right, config), low + 1)
     high = min(high, width - 1)
