@@ -136,7 +136,7 @@ def test_calibrations_that_do_not_fit(rendered, tmp_path):
     with pytest.raises(ConfigError, match="has 2 cameras"):
         chosen(rendered, calibration=path)
     write_calibration(path, CalibrationFile((replace(CAMERA, width=100),), Rigid3.identity(1)))
-    with pytest.raises(ConfigError, match="of images of 100x320, but these are 480x320"):
+    with pytest.raises(ConfigError, match="for images of 100x320, but these are 480x320"):
         chosen(rendered, calibration=path)
     with pytest.raises(ConfigError, match="calibration already has model and parameters"):
         ReconstructConfig(calibration=path, camera_params="1,2,3")
