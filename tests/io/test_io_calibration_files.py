@@ -214,7 +214,7 @@ def test_euroc_sensors_are_read(data_dir):
 
 def test_kitti_matrices_are_read(data_dir, tmp_path):
     path = data_dir / "slam" / "kitti06_stereo" / "calib.txt"
-    with pytest.raises(FileFormatError, match="size of the images"):
+    with pytest.raises(FileFormatError, match="image size is unknown"):
         read_stereo_rig(path)
     rig = read_stereo_rig(path, size=(1226, 370))
     np.testing.assert_allclose(rig.left.params, [707.0912, 707.0912, 601.8873, 183.1104])
