@@ -11,7 +11,7 @@ from epipole.pipelines.fields.comparison import compare_fields
 from epipole.pipelines.stereo.run import examine_stereo
 
 URL = "https://x.org/photos.zip"
-SAID = r"https://x\.org/photos\.zip, an address on a network.*: download it and give the path"
+SAID = r"is the URL https://x\.org/photos\.zip, but only local files .*: download it and pass its path"
 
 
 @pytest.mark.parametrize("kind", [str, Path])

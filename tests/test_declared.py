@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64, UInt8
 
-from epipole._declared import Declared, checked
-from epipole._declared.arrays import as_array
-from epipole._declared.values import converter_of
+from epipole._checks import Declared, checked
+from epipole._checks.arrays import as_array
+from epipole._checks.values import converter_of
 from epipole.errors import ConfigError, EpipoleError, ShapeError
 
 
@@ -120,9 +120,7 @@ def test_axes_of_one_name_have_one_length():
         return float(first.sum() + second.sum()) * scale
 
     assert paired(np.ones((2, 3)), second=[[1, 1], [1, 1]], scale=2) == 20.0
-    with pytest.raises(
-        ShapeError, match=r"second must be \(n, 2\) with n = 2, as first has it; got \(3, 2\)"
-    ):
+    with pytest.raises(ShapeError, match=r"second must be \(n, 2\) with n = 2 \(as in first\), got \(3, 2\)"):
         paired(np.ones((2, 3)), np.ones((3, 2)))
     with pytest.raises(TypeError, match="scales"):
         paired(np.ones((2, 3)), np.ones((2, 2)), scales=1.0)

@@ -1,4 +1,4 @@
-"""The one thread pool, and the fixed chunks that keep results independent of the number of threads."""
+"""The shared thread pool, and fixed chunks that make results independent of the number of threads."""
 
 import os
 import threading
@@ -25,14 +25,14 @@ _blas_limit: Any = None
 
 
 def available_cpus() -> int:
-    """The processors this process may use."""
+    """Number of processors this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return max(1, len(os.sched_getaffinity(0)))
     return max(1, os.cpu_count() or 1)
 
 
 def num_threads() -> int:
-    """Threads used for parallel work: `set_num_threads`, else `$EPIPOLE_NUM_THREADS`, else every processor."""
+    """Threads used for parallel work: `set_num_threads`, else `$EPIPOLE_NUM_THREADS`, else one per processor."""
     if _num_threads is not None:
         return _num_threads
     requested = os.environ.get("EPIPOLE_NUM_THREADS", "")
@@ -72,25 +72,24 @@ if hasattr(os, "register_at_fork"):
 
 
 def chunk_bounds(num_items: int, num_chunks: int) -> list[tuple[int, int]]:
-    """Cut range(num_items) into at most num_chunks (start, stop) pieces of nearly equal length."""
+    """Split range(num_items) into at most num_chunks (start, stop) intervals of nearly equal length."""
     num_chunks = max(1, min(num_chunks, num_items))
     edges = [num_items * c // num_chunks for c in range(num_chunks + 1)]
     return [(a, b) for a, b in pairwise(edges) if b > a]
 
 
 def map_chunks(work: Callable[[int, int, int], Result], num_items: int, num_chunks: int = 16) -> list[Result]:
-    """Call work(start, stop, chunk) for fixed chunks of range(num_items); results come in chunk order.
+    """Call work(start, stop, chunk) for fixed chunks of range(num_items); results are in chunk order.
 
-    The chunks depend on num_items and num_chunks alone, so that sums reduced in this order are the same for
-    any number of threads. The calling thread takes part: handing every chunk to another thread took longer
-    than many of the chunks. Called from inside a worker it runs inline. After an error the chunks not yet
-    begun are left out.
+    The chunks depend only on num_items and num_chunks, so sums reduced in this order do not depend on the number of threads. The
+    calling thread takes part, as handing every chunk to another thread took longer than many of the chunks. Inside a worker, work
+    runs inline. After an error, chunks that have not started are skipped.
     """
     bounds = chunk_bounds(num_items, num_chunks)
     if len(bounds) <= 1 or num_threads() == 1 or getattr(_inside, "worker", False):
         return [work(start, stop, c) for c, (start, stop) in enumerate(bounds)]
     results: dict[int, Result] = {}
-    waiting = deque(range(len(bounds)))  # its popleft is safe to call from several threads
+    waiting = deque(range(len(bounds)))  # popleft is thread-safe
 
     def take_part() -> None:
         _inside.worker = True
@@ -120,13 +119,13 @@ def map_chunks(work: Callable[[int, int, int], Result], num_items: int, num_chun
 
 
 def map_items(work: Callable[[int], Result], num_items: int) -> list[Result]:
-    """Call work(i) for each i of range(num_items) on the shared pool; results come in order."""
+    """Call work(i) for each i of range(num_items) on the shared pool; results are in order."""
     return map_chunks(lambda start, _stop, _chunk: work(start), num_items, num_items)
 
 
 @contextmanager
 def inline_here() -> Iterator[None]:
-    """Parallel work that this thread calls inside runs inline, as in a worker."""
+    """Run parallel work of this thread inline inside the block, as in a worker."""
     before = getattr(_inside, "worker", False)
     _inside.worker = True
     try:
@@ -137,11 +136,11 @@ def inline_here() -> Iterator[None]:
 
 @contextmanager
 def single_threaded_blas() -> Iterator[None]:
-    """Hold BLAS to one thread: its results change with the thread count, and our own threads are faster.
+    """Limit BLAS to one thread: its results depend on the thread count, and our own threads are faster.
 
-    The setting is global: of overlapping threads the first to enter sets it, the last to leave restores it.
+    The setting is global: with overlapping threads, the first to enter sets it, and the last to leave restores it.
     """
-    global _blas_depth, _blas_limit  # noqa: PLW0603 - BLAS's setting is global, too
+    global _blas_depth, _blas_limit  # noqa: PLW0603 - the BLAS setting is global, too
     with _blas_lock:
         if _blas_depth == 0:
             _blas_limit = _blas_libraries().limit(limits=1, user_api="blas")
@@ -157,6 +156,6 @@ def single_threaded_blas() -> Iterator[None]:
 
 @cache
 def _blas_libraries() -> ThreadpoolController:
-    """The BLAS libraries of NumPy and SciPy, searched once, which takes two milliseconds."""
+    """The BLAS libraries of NumPy and SciPy, searched only once, as that takes two milliseconds."""
     import_module("scipy.linalg")
     return ThreadpoolController()

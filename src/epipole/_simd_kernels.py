@@ -1,9 +1,9 @@
-"""Short rows of numbers as one vector of the processor.
+"""Short rows of numbers as single SIMD vectors.
 
-A row of 8 to 20 numbers is too short for the compiler to turn a loop over it into vector instructions: it unrolls it into single
-ones, four times as slow (measured on 8 lanes, AVX-512). These functions say it outright, with multiplications and additions fused by
-name: the compiler would fuse as it likes, and differently where it inlines. `lanes` is a tuple whose length is the row's;
-arithmetic is in double precision whatever the rows hold.
+A row of 8 to 20 numbers is too short for the compiler to vectorize a loop over it: it unrolls the loop to scalar instructions,
+four times as slow (measured on 8 lanes, AVX-512). These functions use vectors explicitly, with explicit fused multiply-add, as
+the compiler would fuse differently wherever it inlines. `lanes` is a tuple with the length of the row; arithmetic is in double
+precision, whatever the type of the rows.
 """
 
 from inspect import unwrap
@@ -21,7 +21,7 @@ _DOUBLE = ir.DoubleType()
 
 
 def row_intrinsic(as_python: Any) -> Any:
-    """Numba's `intrinsic`; where kernels run as Python, the given function in its place.
+    """Numba's `intrinsic`, or the given function if kernels run as Python.
 
     Functions may be wrapped by the type checks of a test run.
     """
@@ -31,7 +31,7 @@ def row_intrinsic(as_python: Any) -> Any:
 
 
 def _pointer(context: Any, builder: Any, array_type: Any, array: Any, width: int) -> Any:
-    """The row's numbers as a pointer to a vector."""
+    """Pointer to the row as a vector."""
     data = context.make_array(array_type)(context, builder, array).data
     element = context.get_value_type(array_type.dtype)
     return builder.bitcast(data, ir.VectorType(element, width).as_pointer())
@@ -70,7 +70,7 @@ def _fused(builder: Any, a: Any, b: Any, c: Any, width: int) -> Any:
 
 
 def _combination(num_terms: int, *, adds: bool) -> Any:
-    """Code for target (+)= sum of factor row, the arguments being target, factor, row, factor, row, ..., lanes."""
+    """Code for target (+)= sum of factor row, with the arguments target, factor, row, factor, row, ..., lanes."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         kinds, width = signature.args, len(signature.args[-1])

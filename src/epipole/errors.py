@@ -1,6 +1,6 @@
-"""The exceptions that epipole raises on purpose.
+"""The exceptions that epipole raises deliberately.
 
-Misuse and bad files raise. A failure to *estimate* is data: estimators return a result with a reason.
+Misuse and bad files raise. A failed *estimation* does not: estimators return a result with a reason.
 """
 
 from pathlib import Path
@@ -9,19 +9,19 @@ _LONGEST_PROBLEM = 2000
 
 
 class EpipoleError(Exception):
-    """Base of every error raised on purpose; the command line prints it as one line."""
+    """Base of all errors raised deliberately; the command line prints them as one line."""
 
 
 class ShapeError(EpipoleError, ValueError):
-    """An array has the wrong shape, type or contents (NaN where numbers are needed)."""
+    """An array has the wrong shape, type or contents (such as NaN where numbers are needed)."""
 
 
 class ConfigError(EpipoleError, ValueError):
-    """An option has a value that cannot be used."""
+    """An option has an unusable value."""
 
 
 class ArgumentError(EpipoleError, TypeError):
-    """A function has no argument of this name; also a `TypeError`, which Python raises for it."""
+    """A function has no argument of this name; also a `TypeError`, as raised by Python."""
 
 
 class DegenerateGeometryError(EpipoleError, ValueError):
@@ -29,10 +29,10 @@ class DegenerateGeometryError(EpipoleError, ValueError):
 
 
 class FileFormatError(EpipoleError, ValueError):
-    """A file is missing, damaged or of another format; the message names the file and the place."""
+    """A file is missing, damaged or in another format; the message names the file and the location."""
 
     def __init__(self, path: Path | str, problem: str) -> None:
-        # What is quoted comes from the file: it may be endless, or unfit for a terminal's encoding.
+        # Quotes from the file may be endless, or unsuitable for a terminal's encoding.
         if len(problem) > _LONGEST_PROBLEM:
             problem = f"{problem[:_LONGEST_PROBLEM]} ..."
         problem = problem.encode(errors="backslashreplace").decode()
@@ -41,17 +41,17 @@ class FileFormatError(EpipoleError, ValueError):
         self._problem = problem
 
     def __reduce__(self) -> tuple[type["FileFormatError"], tuple[Path, str]]:
-        """Both arguments, so that the error comes whole out of another process."""
+        """Both arguments, so that the error can be pickled between processes."""
         return type(self), (self.path, self._problem)
 
 
 class WorkspaceError(EpipoleError, OSError):
-    """The output folder cannot be used (not writable, full, or it holds something else)."""
+    """The output folder cannot be used (not writable, full, or in use for something else)."""
 
 
 class NoModelError(EpipoleError, RuntimeError):
-    """The images give no 3D model; the message says why."""
+    """The images give no 3D model; the message gives the reason."""
 
 
 class MissingDependencyError(EpipoleError, ImportError):
-    """An optional package is not installed; the message names what to install."""
+    """An optional package is not installed; the message names it."""

@@ -52,7 +52,7 @@ def refused(given: str, capsys: pytest.CaptureFixture, code: int = 2) -> str:
         ("stereo a b c --window 5", ["'--window'", "Expected 2 values"]),
         ("stereo a b c --window 5 x", ["--window", "['5', 'x']"]),
         ("evaluate a", ["Missing from epipole evaluate: --truth"]),
-        ("convert a b", ["b tells no format", "one of txt, bin, ply, transforms, bundler, splat"]),
+        ("convert a b", ["unknown output format of ", "one of txt, bin, ply, transforms, bundler, splat"]),
         ("convert a b --format obj", ["'obj'", "'--format'", "'txt'"]),
         ("--quiet --verbose version", ["exclude each other"]),
     ],
@@ -80,7 +80,7 @@ def test_wrong_words(given, parts, capsys):
             "reconstruct a b --mapper.max-error-px nan",
             "--mapper.max-error-px must be a number, got NaN",
         ),
-        ("stereo a b c --window 4 5", "--window must have odd sides and at most 121 pixels, is (4, 5)"),
+        ("stereo a b c --window 4 5", "--window must have odd sides and 3 to 121 pixels, got (4, 5)"),
     ],
 )
 def test_values_that_a_config_refuses_name_the_option_as_it_was_given(given, said, capsys):
@@ -93,9 +93,9 @@ def test_a_config_of_a_run_names_options_too_but_leaves_words_alone(capsys):
 
 def test_a_field_beside_an_option_is_written_as_one():
     words, options = ["reconstruct", "a", "b", "--include", "*"], OPTIONS["reconstruct"]
-    message = "include and exclude choose images of a folder; x.mp4 is a video"
+    message = "include and exclude select images of a folder, but x.mp4 is a video"
     said = with_option_names(message, words, options, also_plain=False)
-    assert said == "--include and --exclude choose images of a folder; x.mp4 is a video"
+    assert said == "--include and --exclude select images of a folder, but x.mp4 is a video"
 
 
 def test_the_options_of_a_command_are_those_of_its_help(capsys):
@@ -156,7 +156,7 @@ def test_quiet_and_verbose_before_and_after_the_command(flag, position, capsys, 
         assert said.out == "" and said.err == ""
         return
     assert said.out == "said x True\n"
-    assert "Doing: begins, 2 to do" in said.err and "Doing: 2 of 2 after" in said.err
+    assert "Doing: started, 2 to do" in said.err and "Doing: 2 of 2 after" in said.err
     assert ("Doing: 1 of 2, 50 %" in said.err) == bool(flag)
     assert ("DEBUG epipole.anything: thought" in said.err) == bool(flag)
     assert not logging.getLogger("epipole").handlers

@@ -114,7 +114,7 @@ def test_gaussians_are_merged(result: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("num_sh", "said"), [(1, "same from all"), (4, "as trained"), (16, "degree 1, of 3")]
+    ("num_sh", "said"), [(1, "do not depend on"), (4, "as trained"), (16, "degree 1, of 3")]
 )
 def test_the_page_says_what_its_colours_are(num_sh: int, said: str, tmp_path: Path) -> None:
     write_gaussians(tmp_path / "a.ply", seen_from_all_sides(num_sh) if num_sh > 1 else scene())

@@ -43,7 +43,7 @@ from sealed_formats import SEALED
 from spz_writing import write_packed_whole, write_streams
 from test_io_colmap_database import PAIRS, make_contents
 
-from epipole._declared.tables import TEXT, Expected
+from epipole._checks.tables import TEXT, Expected
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
 from epipole.fields.nerf.hash_field import query_density

@@ -87,7 +87,7 @@ def test_wide_lenses_keep_a_sensible_area(camera, least, most):
 
 
 def test_a_distortion_that_describes_nearly_nothing_is_refused():
-    with pytest.raises(DegenerateGeometryError, match=r"describes only \d+x\d+ pixels"):
+    with pytest.raises(DegenerateGeometryError, match=r"covers only \d+x\d+ pixels"):
         undistorted_camera(Camera("SIMPLE_RADIAL", 1920, 1080, [960, 959.5, 539.5, -500.0]))
 
 

@@ -51,7 +51,7 @@ def test_another_units_log_is_refused():
     with pytest.raises(DegenerateGeometryError):
         align_path_to_imu(path.timestamp_s, path.world_from_camera, other.log, path.camera_from_imu)
     still = Rigid3(path.world_from_camera.rotation, np.zeros_like(path.world_from_camera.translation))
-    with pytest.raises(DegenerateGeometryError, match="rests"):
+    with pytest.raises(DegenerateGeometryError, match="does not move"):
         align_path_to_imu(path.timestamp_s, still, path.log, path.camera_from_imu)
     with pytest.raises(DegenerateGeometryError, match="8 are needed"):
         align_path_to_imu(path.timestamp_s[:5], path.world_from_camera[:5], path.log, path.camera_from_imu)
@@ -88,7 +88,7 @@ def test_derivatives_are_those_of_the_terms(rng):
 def test_stretches_give_one_scale_and_what_drifts_is_told_by_the_deviation():
     path = inertial_path(4, seconds=65.0)
     found = fit_scale_to_imu(path.timestamp_s, path.world_from_camera, path.log, path.camera_from_imu)
-    assert found.note == "the IMU (5 of 5 stretches)" and found.shared_sigma == 0.01
+    assert found.note == "the IMU (5 of 5 segments)" and found.shared_sigma == 0.01
     assert abs(found.scale / path.scale - 1) < 2 * found.fraction < 0.03
     with pytest.raises(DegenerateGeometryError, match="no 12 poses"):
         fit_scale_to_imu(path.timestamp_s + 900.0, path.world_from_camera, path.log, path.camera_from_imu)

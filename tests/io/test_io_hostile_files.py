@@ -140,7 +140,7 @@ def test_a_list_of_no_frames_or_of_one_twice_is_made_anew(folder: Path, video: P
 def test_a_list_of_videos_is_no_video(folder: Path, text: str) -> None:
     """FFmpeg would follow the addresses and names in it."""
     (folder / "list.mp4").write_text(text)
-    with pytest.raises(FileFormatError, match="not a video: it is text"):
+    with pytest.raises(FileFormatError, match="not a video: the file is text"):
         extract_frames(folder / "list.mp4", folder / "none", max_frames=2)
 
 
@@ -245,7 +245,7 @@ def test_a_place_that_is_no_rotation_is_refused(folder: Path) -> None:
     (folder / "bent.yaml").write_text(
         yaml.safe_dump(KALIBR | {"cam1": KALIBR["cam1"] | {"T_cn_cnm1": matrix.tolist()}})
     )
-    with pytest.raises(FileFormatError, match=r"bent\.yaml: T_cn_cnm1 is no motion"):
+    with pytest.raises(FileFormatError, match=r"bent\.yaml: T_cn_cnm1 is not a motion"):
         read_calibration(folder / "bent.yaml")
 
 

@@ -44,7 +44,7 @@ def test_noise_that_is_larger_than_stated_is_seen(rng):
 
 def test_too_little_is_refused(rng):
     model = path(rng)
-    with pytest.raises(DegenerateGeometryError, match="tell no scale"):
+    with pytest.raises(DegenerateGeometryError, match="too little to determine the scale"):
         fit_scale_to_positions(model, 0.01 * model + rng.standard_normal(model.shape), 1.0)
     with pytest.raises(DegenerateGeometryError, match="5 are needed"):
         fit_scale_to_positions(model[:4], model[:4], 0.1)

@@ -89,5 +89,5 @@ def test_a_chain_stays_a_chain():
 def test_blocks_above_the_diagonal_or_of_no_node_raise():
     with pytest.raises(ShapeError, match="below the diagonal"):
         BlockPattern(np.array([2, 2]), np.array([0]), np.array([1]))
-    with pytest.raises(ShapeError, match="not there"):
+    with pytest.raises(ShapeError, match="does not exist"):
         BlockPattern(np.array([2, 2]), np.array([2]), np.array([1]))

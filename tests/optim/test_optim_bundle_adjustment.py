@@ -175,9 +175,9 @@ def test_no_points_is_no_work(rng):
     ("change", "message"),
     [
         (lambda p: {"offsets": p.offsets[:-1]}, "offsets must have 151 rows, got 150"),
-        (lambda p: {"offsets": p.offsets[::-1].copy()}, "offsets must rise from 0"),
-        (lambda p: {"frame": p.frame + np.int32(1)}, "names a frame that is not there"),
-        (lambda p: {"camera": p.camera - np.int32(1)}, "names a camera that is not there"),
+        (lambda p: {"offsets": p.offsets[::-1].copy()}, "offsets must increase from 0"),
+        (lambda p: {"frame": p.frame + np.int32(1)}, "refers to a frame that does not exist"),
+        (lambda p: {"camera": p.camera - np.int32(1)}, "refers to a camera that does not exist"),
     ],
 )
 def test_misfits_raise(rng, change, message):
@@ -224,5 +224,5 @@ def test_a_problem_of_tracks_in_any_order_reaches_the_truth(num_cameras, rng):
             BundleProblem.from_tracks(*wrong)
     with pytest.raises(ShapeError, match="point must be"):
         BundleProblem.from_tracks(poses, cameras, start[:5], image, point, pixels)
-    with pytest.raises(ShapeError, match="frame that is not there"):
+    with pytest.raises(ShapeError, match="frame that does not exist"):
         BundleProblem.from_tracks(poses[:2], camera, start, image, point, pixels)

@@ -182,7 +182,7 @@ def test_a_point_seen_once_is_not_known(rng):
     result = adjust_bundle(problem, EXACT)
     found = bundle_covariance(problem, result)
     assert np.isinf(found.points_in_world[0]).all() and np.isfinite(found.points_in_world[1:]).all()
-    assert "1 points seen once" in str(result)
+    assert "1 points observed once" in str(result)
 
 
 def test_known_distances_make_the_scale_known(rng):

@@ -38,7 +38,7 @@ def test_pixels_that_are_no_pixels_are_left_out_and_counted(rng, value):
     pixels[[3, 70]] = value
     result = adjust_bundle(replace(start, pixels=pixels))
     assert result.converged and np.flatnonzero(~result.used_mask).tolist() == [3, 70]
-    assert "2 observations left out" in str(result)
+    assert "2 observations ignored" in str(result)
     clean = adjust_bundle(without(start, np.isin(np.arange(len(pixels)), [3, 70])))
     assert result.final_cost == pytest.approx(clean.final_cost, rel=1e-6)
 
@@ -135,7 +135,7 @@ def test_a_camera_with_two_observations_and_a_point_with_one(rng):
     result = adjust_bundle(with_fixed_gauge(without(start, drop)))
     assert result.converged and result.final_cost < result.initial_cost
     assert "1 frames with fewer than three observations" in str(result)
-    assert "1 points seen once" in str(result)
+    assert "1 points observed once" in str(result)
     assert np.isfinite(result.rig_from_world.translation).all() and np.isfinite(result.points_in_world).all()
 
 
@@ -236,8 +236,8 @@ def test_the_report_says_what_happened(rng):
         ({"offsets": np.arange(10)}, "offsets"),
         ({"frame_free": np.ones((3, 6))}, "frame_free"),
         ({"sensor_free": np.ones((4, 6))}, "sensor_free"),
-        ({"camera": np.full(750, 3, np.int32)}, "a camera that is not there"),
-        ({"frame": np.full(750, -1, np.int32)}, "a frame that is not there"),
+        ({"camera": np.full(750, 3, np.int32)}, "a camera that does not exist"),
+        ({"frame": np.full(750, -1, np.int32)}, "a frame that does not exist"),
     ],
 )
 def test_arrays_that_do_not_fit_raise(rng, changes, message):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from epipole._declared.tables import Expected
+from epipole._checks.tables import Expected
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.pipelines.stereo.files import read_stereo
 from epipole.pipelines.stereo.pairs import read_summary

@@ -131,7 +131,7 @@ def test_single_cameras_are_no_columns() -> None:
     camera = Camera("PINHOLE", 64, 48, [50, 50, 31.5, 23.5])
     assert repr(Cameras.from_list([camera])[0]) == repr(camera)
     for wrong in ("PINHOLE", [camera], camera):
-        with pytest.raises(ConfigError, match=r"Cameras\.from_list\(\[Camera\(\.\.\.\)\]\) makes one"):
+        with pytest.raises(ConfigError, match=r"use Cameras\.from_list\(\[Camera\(\.\.\.\)\]\)"):
             Cameras(wrong, 64, 48, camera.params, True, False)
     with pytest.raises(ConfigError, match=r"cameras\[0\] must be a Camera, got 'PINHOLE'"):
         Cameras.from_list(["PINHOLE"])

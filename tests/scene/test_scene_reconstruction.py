@@ -109,7 +109,7 @@ def test_nothing_is_a_model_too() -> None:
     assert model.observed_pixels().shape == (0, 2) and model.reprojection_errors_px().shape == (0,)
     assert np.isnan(model.mean_reprojection_error_px())
     assert len(model.transformed(Similarity3.identity()).points) == 0
-    assert repr(model) == "Reconstruction(0 of 0 images placed, 0 points, 0 observations, 0 cameras)"
+    assert repr(model) == "Reconstruction(0 of 0 images registered, 0 points, 0 observations, 0 cameras)"
 
 
 def test_one_point(rng: np.random.Generator) -> None:
@@ -119,7 +119,7 @@ def test_one_point(rng: np.random.Generator) -> None:
 
 
 def test_text(model: Reconstruction) -> None:
-    start, end = "Reconstruction(7 of 8 images placed, 12 points, 79 observations", ", 3 cameras)"
+    start, end = "Reconstruction(7 of 8 images registered, 12 points, 79 observations", ", 3 cameras)"
     known = replace(model.points, error_px=np.r_[[0.5] * 6, [1.5] * 6])
     weights = np.diff(model.tracks.offsets)
     mean = (0.5 * weights[:6].sum() + 1.5 * weights[6:].sum()) / weights.sum()

@@ -24,7 +24,7 @@ def test_the_job_states_what_fixed_the_scale(rendered, tmp_path, rng):
             lines.append(f"wall {np.linalg.norm(ends[0] - ends[1])} {end} {names[n]} {x} {y}\n")
     (tmp_path / "lengths.txt").write_text("".join(lines))
     plain = reconstruct(rendered, tmp_path / "out")
-    assert plain.summary["scale"] == "up to scale: images alone cannot tell lengths"
+    assert plain.summary["scale"] == "up to scale: images alone do not determine lengths"
     assert not plain.summary["is_metric"] and plain.summary["anchor"] is None
     options = {
         "positions": tmp_path / "places.txt",
@@ -34,7 +34,9 @@ def test_the_job_states_what_fixed_the_scale(rendered, tmp_path, rng):
     reconstruct(rendered, tmp_path / "out", **options)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert (
-        summary["is_metric"] and "measured places" in summary["scale"] and "length wall" in summary["scale"]
+        summary["is_metric"]
+        and "measured positions" in summary["scale"]
+        and "length wall" in summary["scale"]
     )
     model = read_colmap_model(tmp_path / "out" / "sparse" / "0")
     true = views.centers()[[names.index(n) for n in model.images.name]]
@@ -48,4 +50,4 @@ def test_the_job_states_what_fixed_the_scale(rendered, tmp_path, rng):
     (tmp_path / "lengths.txt").write_text("".join(line for line in lines if names[0] in line))
     none = reconstruct(rendered, tmp_path / "out", lengths=tmp_path / "lengths.txt")
     assert not none.summary["is_metric"]
-    assert any("stays up to scale: wall: seen in 1 image with a place" in w for w in none.warnings)
+    assert any("stays up to scale: wall: seen in 1 posed image" in w for w in none.warnings)

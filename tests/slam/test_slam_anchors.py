@@ -99,7 +99,7 @@ def test_the_job_states_what_fixed_the_scale(images, tmp_path, rng):
     options = {**LENS, "positions": tmp_path / "log.csv", "positions_sigma_m": SIGMA}
     result = run_slam(images, out, **options)
     summary = json.loads((out / "summary.json").read_text())
-    assert summary["is_metric"] and "measured places" in summary["scale"] and "1 sigma" in summary["scale"]
+    assert summary["is_metric"] and "measured positions" in summary["scale"] and "1 sigma" in summary["scale"]
     assert 0 < summary["anchor"]["relative_sigma"] < 0.03
     for name in ("trajectory.txt", "trajectory_causal.txt"):  # both in metres, in the log's world
         path = read_trajectory(out / name)
@@ -113,7 +113,7 @@ def test_places_that_tell_nothing_leave_the_path_up_to_scale(images, tmp_path):
     (tmp_path / "log.txt").write_text("".join(f"{n / 30} 1 2 3\n" for n in range(30)))
     result = run_slam(images, tmp_path / "out", **LENS, positions=tmp_path / "log.txt")
     assert not result.summary["is_metric"] and "up to scale" in result.summary["scale"]
-    assert any("stays up to scale" in w for w in result.warnings)
+    assert any("remains up to scale" in w for w in result.warnings)
 
 
 @pytest.mark.parametrize("kind", ["distances", "places"])

@@ -87,13 +87,13 @@ def test_a_length_clicked_in_two_pictures(images, cams_from_world, tmp_path):
 @pytest.mark.parametrize(
     ("known", "words"),
     [
-        ({"tag_size_m": 0.5, "tag_family": "25h9"}, "no tag of 25h9 is seen in the "),
-        ({"board": "9x7", "square_m": 0.1}, "the board of 9x7: it is seen in none of the "),
+        ({"tag_size_m": 0.5, "tag_family": "25h9"}, "no 25h9 tag was detected in the "),
+        ({"board": "9x7", "square_m": 0.1}, "the board of 9x7: it was detected in none of the "),
     ],
 )
 def test_what_is_not_in_the_scene_leaves_the_path_up_to_scale(images, tmp_path, known, words):
     result = run_slam(images, tmp_path, **known, **GIVEN)
     assert not result.summary["is_metric"] and result.summary["scale"].startswith("up to scale")
     assert "anchor" not in result.summary
-    assert [w for w in result.warnings if words in w and w.startswith("the path stays up to scale: ")]
+    assert [w for w in result.warnings if words in w and w.startswith("the trajectory remains up to scale: ")]
     assert any(words in w for w in json.loads((tmp_path / "summary.json").read_text())["warnings"])

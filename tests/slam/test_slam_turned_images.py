@@ -44,7 +44,7 @@ def test_a_calibration_beside_turned_images_is_taken_as_of_the_upright_ones_and_
     folder = folder_of(tmp_path / "frames", (first, first), rng)
     (folder / "intrinsics.txt").write_text(f"60 60 {W / 2 + 4} {H / 2}")
     source = open_sequence(read_sequence(folder, 10.0), "mono", None)
-    words = "the camera (intrinsics.txt) is taken to describe the upright images"
+    words = "the camera (intrinsics.txt) is assumed to describe the upright images"
     assert any(note.startswith(words) for note in source.notes()) == is_said
     assert source.about["camera_source"] == "intrinsics.txt"
 
@@ -57,11 +57,11 @@ def test_a_calibration_is_turned_and_scaled_and_said(tmp_path):
     options = CameraOptions(calibration=path)
     camera, notes = options.fitted_camera(ImageShape(W, H))
     np.testing.assert_allclose(camera.params, [60.0, 61.0, 34.75, 19.75])
-    assert notes == [f"calibration {path} is of images of {2 * W}x{2 * H}: it is scaled to {W}x{H}"]
+    assert notes == [f"calibration {path} is for images of {2 * W}x{2 * H} and was scaled to {W}x{H}"]
     camera, notes = options.fitted_camera(ImageShape(2 * H, 2 * W, 8))
     np.testing.assert_allclose(camera.params, [122.0, 120.0, 40.0, 2 * W - 1 - 70])
     assert "as they are stored" in notes[0]
-    with pytest.raises(ConfigError, match=f"is of images of {2 * W}x{2 * H}, but these are {H}x{W}"):
+    with pytest.raises(ConfigError, match=f"is for images of {2 * W}x{2 * H}, but these are {H}x{W}"):
         options.camera((H, W))
 
 

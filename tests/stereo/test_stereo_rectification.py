@@ -116,7 +116,7 @@ def test_what_cannot_be_rectified():
         rectify(rig((-0.2, 0, 0), (0, np.pi, 0)))
     with pytest.raises(ConfigError, match="baseline is zero"):
         rig((0, 0, 0))
-    with pytest.raises(ConfigError, match="no rotation"):
+    with pytest.raises(ConfigError, match="not a rotation matrix"):
         StereoRig(camera, camera, Rigid3(1.0002 * np.eye(3), np.array([-0.2, 0.0, 0.0])))
     with pytest.raises(ShapeError, match="single motion"):
         StereoRig(camera, camera, Rigid3.identity(2))

@@ -244,7 +244,7 @@ def test_what_is_nothing_to_see_is_told(tmp_path: Path) -> None:
 
 def test_a_file_of_another_kind_is_told_as_such(tmp_path: Path) -> None:
     (tmp_path / "script.py").write_text("1")
-    with pytest.raises(FileFormatError, match="no file that can be shown"):
+    with pytest.raises(FileFormatError, match="not a file that can be shown"):
         api.view(tmp_path / "script.py", port=free_port(), block=False)
 
 

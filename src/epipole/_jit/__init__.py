@@ -1,7 +1,7 @@
 """The only Numba configuration of the package.
 
-Kernels are serial and release the GIL; `_parallel` spreads them over threads. They are compiled lazily and kept on disk
-(`storage`). How they are compiled is chosen once in a process (`mode`).
+Kernels are serial and release the GIL; `_parallel` spreads them over threads. They are compiled lazily and cached on disk
+(`storage`). The compilation mode is chosen once per process (`mode`).
 """
 
 import gc
@@ -22,9 +22,8 @@ from epipole._jit.mode import KernelMode, kernel_mode
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-# No nnan or ninf: `fastmath=True` makes isfinite() and isnan() lie. No contract or arcp either: they round
-# differently where a callee was inlined, so that a cold and a warm cache disagreed in the last digits; leaving
-# them out cost no measurable time.
+# No nnan or ninf: `fastmath=True` breaks isfinite() and isnan(). No contract or arcp either: they round differently where a
+# callee was inlined, so that a cold and a warm cache differed in the last digits; leaving them out has no measurable cost.
 SAFE_FASTMATH = {"nsz"}
 _COMPILED = "compiled"
 
@@ -32,7 +31,7 @@ _COMPILED = "compiled"
 def overload_options(
     *, allocates: bool = True, fuse: bool = False, extra_fastmath: frozenset[str] = frozenset()
 ) -> dict[str, Any]:
-    """Options for Numba's `overload`, whose functions only kernels call; see `kernel`."""
+    """Options for Numba's `overload`, for functions called only by kernels; see `kernel`."""
     fastmath = SAFE_FASTMATH | extra_fastmath
     if kernel_mode() is KernelMode.LINKED:
         from epipole._jit.linking import linked_overload_options
@@ -43,25 +42,25 @@ def overload_options(
 
 @cache
 def cache_folder() -> Path:
-    """The folder of the kernels that this process compiles."""
+    """The cache folder of the kernels that this process compiles."""
     folder = storage.cache_folder(kernel_mode())
-    if kernel_mode() is KernelMode.PLAIN:  # linked kernels are checked one by one, by digests
+    if kernel_mode() is KernelMode.PLAIN:  # linked kernels are checked individually, by digest
         storage.remove_damaged(folder)
     return folder
 
 
 def is_compiled() -> bool:
-    """Whether this machine holds compiled kernels of this version, or needs none."""
+    """Whether compiled kernels of this version exist on this machine, or are not needed."""
     return kernel_mode() is KernelMode.PYTHON or storage.read_note(cache_folder(), _COMPILED) is not None
 
 
 def compiles_on_all_threads() -> bool:
-    """Whether several processes may compile at once: only linked kernels are kept under a lock."""
+    """Whether several processes may compile at once: only linked kernels are saved under a lock."""
     return kernel_mode() is KernelMode.LINKED
 
 
 def mark_compiled() -> None:
-    """Note that all kernels have been compiled and kept."""
+    """Record that all kernels have been compiled and cached."""
     storage.write_note(cache_folder(), _COMPILED)
 
 
@@ -75,17 +74,16 @@ def kernel(
 ) -> Any:
     """Compile a function lazily as a serial, GIL-free, disk-cached kernel.
 
-    A linked kernel borrows its arrays: their references are not counted. Counting is an atomic operation for every
-    array that is looked at, row view or tuple field: it took half the time of bundle adjustment, and more where
-    two threads counted the same arrays.
+    A linked kernel borrows its arrays, without reference counting. Counting is an atomic operation for every array accessed,
+    row view or tuple field: it took half the time of bundle adjustment, and more when two threads counted the same arrays.
 
     Args:
         function: the Python function (annotations are for readers; a type-checking wrapper is removed).
-        allocates: it makes or returns arrays, and has to count.
-        inline: always inline into the calling kernel (small helpers that are called per item).
-        fuse: the same, but left to LLVM: for large helpers that are called per item with many arrays. Where LLVM does
-            not inline by itself, every field of every array goes over the stack at each call.
-        extra_fastmath: flags beyond the safe set, for a measured reason (e.g. `reassoc` for a long dot product).
+        allocates: whether it creates or returns arrays, which needs reference counting.
+        inline: always inline into the calling kernel (for small helpers called per item).
+        fuse: the same, but inlined by LLVM: for large helpers called per item with many arrays. Without it every field of every
+            array may be passed on the stack at each call.
+        extra_fastmath: flags beyond the safe set, for a measured reason (such as `reassoc` for a long dot product).
     """
     if function is None:
         return lambda f: kernel(
@@ -108,7 +106,7 @@ def kernel(
 
 @contextmanager
 def _kept_in(folder: Path) -> Iterator[None]:
-    """Kernels declared in this block are cached in the folder."""
+    """Cache kernels declared in this block in the folder."""
     config = cast(Any, numba.config)
     previous = config.CACHE_DIR
     config.CACHE_DIR = str(folder)
@@ -121,8 +119,7 @@ def _kept_in(folder: Path) -> Iterator[None]:
 class _CompileClock(numba_event.Listener):
     """Measures the seconds spent compiling; compiling a callee counts as part of its caller.
 
-    Garbage is not collected meanwhile: the compiler keeps most of what it makes, and looking through it again and again
-    took a tenth of the time.
+    Garbage collection is off meanwhile: the compiler keeps most of its objects, and scanning them took a tenth of the time.
     """
 
     def __init__(self) -> None:
@@ -131,7 +128,7 @@ class _CompileClock(numba_event.Listener):
         self._collects = False
 
     def on_start(self, event: Any) -> None:  # noqa: ARG002 - the listener's interface
-        """Note the time when the outermost compilation of this thread begins."""
+        """Record the time when the outermost compilation of this thread starts."""
         depth = getattr(self._own, "depth", 0)
         if depth == 0:
             self._own.start = perf_counter()
@@ -140,7 +137,7 @@ class _CompileClock(numba_event.Listener):
         self._own.depth = depth + 1
 
     def on_end(self, event: Any) -> None:  # noqa: ARG002 - the listener's interface
-        """Add the time when it ends."""
+        """Add the elapsed time when it ends."""
         self._own.depth -= 1
         if self._own.depth == 0:
             self.seconds += perf_counter() - self._own.start
@@ -153,5 +150,5 @@ cast(Any, numba_event).register("numba:compile", _clock)
 
 
 def compile_seconds() -> float:
-    """Seconds this process has spent compiling kernels; zero when all came from the disk."""
+    """Seconds this process has spent compiling kernels; zero if all were cached."""
     return _clock.seconds

@@ -1,9 +1,8 @@
-"""Kernels as Python, for a debugger: what the compiled ones do where Python would stop.
+"""Kernels as Python, for a debugger, with the behaviour of compiled code where Python would raise.
 
-Compiled code divides by zero as NumPy does, and its square root of a negative number is NaN. In Python, numbers of NumPy
-do so too, but `math` raises. What stays different: sums and products of whole numbers and of float32 with a plain Python
-number are computed in the type of the array, not in 64 bits, and rows are combined without fused multiplications, so that
-last digits differ.
+Compiled code divides by zero like NumPy, and its square root of a negative number is NaN. In Python NumPy scalars do the same,
+but `math` raises. Remaining differences: sums and products of integers and of float32 with a Python number are computed in the
+type of the array, not in 64 bits, and rows are combined without fused multiply-add, so last digits differ.
 """
 
 import math
@@ -20,7 +19,7 @@ _LOWEST = -(2**63)
 
 
 def _number_of_numpy(name: str) -> Callable[..., Any]:
-    """A function of `math` whose result is NumPy's where Python raises, and a number of NumPy everywhere."""
+    """A function of `math` that returns NumPy scalars, and NumPy's result where Python raises."""
     exact, other = getattr(math, name), getattr(np, _IN_NUMPY.get(name, name))
 
     def function(*values: Any) -> Any:
@@ -34,7 +33,7 @@ def _number_of_numpy(name: str) -> Callable[..., Any]:
 
 
 def _whole_number(rounded: Callable[..., int]) -> Callable[..., int]:
-    """`floor` or `ceil`, whose result of NaN and infinity is the lowest whole number, as the processor has it."""
+    """`floor` or `ceil` that maps NaN and infinity to the lowest integer, like the processor."""
     return lambda value: rounded(value) if math.isfinite(value) else _LOWEST
 
 
@@ -47,11 +46,11 @@ MATH = SimpleNamespace(
     nan=math.nan,
     pi=math.pi,
 )
-"""What kernels use of `math`."""
+"""Replacement for `math` in kernels."""
 
 
 def run_as_python(function: Callable[..., Any]) -> Any:
-    """The function, silent about overflow and division by zero, and its module's `math` in the form above."""
+    """The function, silent about overflow and division by zero, with `math` replaced in its module."""
     if function.__globals__.get("math") is math:
         function.__globals__["math"] = MATH
 

@@ -1,10 +1,9 @@
-"""How kernels are compiled that other kernels call.
+"""Compilation of kernels that other kernels call.
 
-Numba optimises every function and makes machine code of it, together with all that it calls. With six levels of calls
-the innermost function goes through LLVM six times. Here a callee stays what Numba's lowering has made of it and is
-linked so into its callers; what Python calls is optimised and translated once, with everything below it.
-
-All that stands on the inside of Numba is in this file; `mode` says what happens where it has changed.
+Numba optimizes every function to machine code, together with everything it calls. With six levels of calls the innermost
+function goes through LLVM six times. Here a callee is only lowered to LLVM IR and linked into its callers; a function called
+from Python is optimized and compiled once, with everything below it. All uses of Numba internals are in this file; `mode`
+handles versions in which they have changed.
 """
 
 import io
@@ -37,28 +36,28 @@ _SEAL_BYTES = 16
 
 
 class Kernel(CPUDispatcher):
-    """A compiled function; to kernels that call it, it shows its other side, the callee."""
+    """A compiled function; kernels that call it see its callee form instead."""
 
     def __init__(self, py_func: Any, targetoptions: dict[str, Any]) -> None:
         super().__init__(py_func, {}, targetoptions, _KernelCompiler)
         self.callee = _Callee(py_func, {}, {**targetoptions, "no_cpython_wrapper": True}, CalleeCompiler)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """What typing a call of this function asks for."""
+        """Used by Numba to type a call of this function."""
         return self.callee.get_call_template(args, kws)
 
     def get_overload(self, sig: Any) -> Any:
-        """What lowering a call of this function asks for."""
+        """Used by Numba to lower a call of this function."""
         return self.callee.get_overload(sig)
 
 
 class _Callee(CPUDispatcher):
-    """The function as kernels see it: compiled while one of them is, without the clocks and locks of Numba's own."""
+    """The function as seen by kernels: compiled during their compilation, without Numba's timers and locks."""
 
     _compiler: Any
 
     def compile(self, sig: Any) -> Any:
-        """The key of the library for these types of arguments."""
+        """The key of the library for these argument types."""
         arguments = tuple(sig)
         compiled: Any = self.overloads.get(arguments)
         if compiled is None:
@@ -68,7 +67,7 @@ class _Callee(CPUDispatcher):
 
 
 class _Flags(Flags):
-    """Compiler options that are compared as they stand; Numba's look all their defaults up, 100,000 times a minute."""
+    """Compiler options compared by stored values; Numba's own look up all defaults, 100,000 times a minute."""
 
     __slots__ = ()
 
@@ -88,10 +87,10 @@ class _KernelCompiler(Compiler):
 
 
 class CalleeCompiler(_KernelCompiler):
-    """Numba's passes but for the lowering."""
+    """Numba's passes, with another lowering."""
 
     def define_pipelines(self) -> list[Any]:
-        """Passes that end with a library to be linked."""
+        """Passes that end with a library for linking."""
         (pipeline,) = super().define_pipelines()
         pipeline.passes = [
             (_CalleeLowering if step is NativeLowering else step, what) for step, what in pipeline.passes
@@ -102,30 +101,30 @@ class CalleeCompiler(_KernelCompiler):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _CalleeLowering(NativeLowering):
-    """Lowers a typed function into a library that is only linked."""
+    """Lowers a typed function to a library that is only linked."""
 
     _name = "callee_lowering"
 
     def run_pass(self, state: Any) -> bool:
-        """Lower without an address to call; what stands in its place is the key by which callers find the library."""
+        """Lower without a callable address; instead, callers find the library by a unique key."""
         state.library = _LinkedLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.flags.no_compile = True
         super().run_pass(state)
         state.library.finalize()
-        key = object().__sizeof__  # any builtin method will do that is like no other
+        key = object().__sizeof__  # any unique builtin method will do
         state.targetctx.insert_user_function(key, state.cr.fndesc, [state.library])
         state.cr = state.cr._replace(cfunc=key)
         return True
 
 
 class _LinkedLibrary(JITCodeLibrary):
-    """The code of a callee and of all it calls, neither optimised nor translated."""
+    """The code of a callee and everything it calls, neither optimized nor compiled."""
 
     def _optimize_final_module(self) -> None:
-        """Leave it to the library that this one is linked into."""
+        """Leave optimization to the library that this one is linked into."""
 
     def _finalize_final_module(self) -> None:
-        """Make no machine code."""
+        """Generate no machine code."""
         self._finalize_dynamic_globals()
         self._finalized = True
 
@@ -139,7 +138,7 @@ def linked_kernel(
     fuse: bool,
     folder: Path,
 ) -> Kernel:
-    """A kernel, kept in the folder; the other arguments are those of `epipole._jit.kernel`."""
+    """A kernel cached in the folder; for the other arguments see `epipole._jit.kernel`."""
     compiled = Kernel(
         function,
         targetoptions={
@@ -150,7 +149,7 @@ def linked_kernel(
             "inline": "always" if inline else "never",
             "forceinline": fuse,
             "_nrt": allocates,
-            "no_cfunc_wrapper": True,  # for use as a value, which nothing here is; it took 4 % of compiling
+            "no_cfunc_wrapper": True,  # only needed to pass kernels as values; it took 4 % of the compile time
         },
     )
     compiled.enable_caching()
@@ -159,7 +158,7 @@ def linked_kernel(
 
 
 def linked_overload_options(*, fastmath: set[str], allocates: bool, fuse: bool) -> dict[str, Any]:
-    """Options for Numba's `overload`, whose functions only kernels call."""
+    """Options for Numba's `overload`, for functions called only by kernels."""
     return {
         "error_model": "numpy",
         "fastmath": fastmath,
@@ -173,7 +172,7 @@ def linked_overload_options(*, fastmath: set[str], allocates: bool, fuse: bool) 
 
 @contextmanager
 def _alone_in(folder: Path) -> Iterator[None]:
-    """Hold off other processes: Numba names a new file after those it has read of, and two could choose one name."""
+    """Lock out other processes: Numba derives new file names from those it has read, so two could choose the same one."""
     with (folder / "lock").open("w") as stream:
         if fcntl is not None:
             fcntl.flock(stream, fcntl.LOCK_EX)
@@ -181,18 +180,18 @@ def _alone_in(folder: Path) -> Iterator[None]:
 
 
 class _SealedFile(IndexDataCacheFile):
-    """Numba's files of one kernel, each with a digest of itself: one that is damaged is taken for missing."""
+    """Numba's files of one kernel, each with its digest: damaged files are treated as missing."""
 
     folder: Path
 
     def save(self, key: Any, data: Any) -> None:
-        """Keep a kernel; where the disk is full, it is compiled again by the next process."""
+        """Save a kernel; if the disk is full, the next process compiles it again."""
         try:
             with _alone_in(self.folder):
                 super().save(key, data)
         except OSError as error:
             warnings.warn(
-                f"a compiled kernel cannot be kept in {self.folder}: {error.strerror}",
+                f"a compiled kernel cannot be saved in {self.folder}: {error.strerror}",
                 RuntimeWarning,
                 stacklevel=2,
             )
@@ -202,7 +201,7 @@ class _SealedFile(IndexDataCacheFile):
 
     def _load_data(self, name: str) -> Any:
         if not _is_whole(self._data_path(name)):
-            raise FileNotFoundError(name)  # which Numba compiles again
+            raise FileNotFoundError(name)  # makes Numba compile it again
         return super()._load_data(name)
 
     @contextmanager
@@ -210,7 +209,9 @@ class _SealedFile(IndexDataCacheFile):
         content = io.BytesIO()
         yield content
         with super()._open_for_write(filepath) as file:
-            file.write(content.getvalue() + _seal(content.getvalue()))  # a pickle ends before it does
+            file.write(
+                content.getvalue() + _seal(content.getvalue())
+            )  # unpickling ignores what comes after the pickle
 
 
 def _seal(content: bytes) -> bytes:
@@ -234,7 +235,7 @@ def _seal_files(compiled: Any, folder: Path) -> None:
 
 
 class _Row(NamedTuple):
-    """What the trial passes around: a named tuple with a method, as the robust problems are."""
+    """Argument of the trial: a named tuple with a method, like the robust problems."""
 
     values: np.ndarray
 
@@ -247,7 +248,7 @@ class _Row(NamedTuple):
 
 
 def try_linking() -> None:
-    """Compile two kernels of which one calls the other, and a method, and keep them; whatever fails raises or crashes."""
+    """Compile two kernels, one of which calls the other and a method, and save them; raises or crashes on failure."""
     with tempfile.TemporaryDirectory() as name:
         cast(Any, numba.config).CACHE_DIR = name
         borrowing: dict[str, Any] = {"fastmath": {"nsz"}, "allocates": False, "fuse": True}

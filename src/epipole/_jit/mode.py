@@ -1,14 +1,14 @@
-"""The three ways kernels run: linked, plain, or as Python.
+"""The three ways to run kernels: linked, plain, or as Python.
 
-- LINKED: callees are linked into the kernels that call them and compiled once (`linking`). This uses
-  internals of Numba's compiler, which every release may change.
-- PLAIN: kernels are compiled by `numba.njit`. Methods of problems and rows of numbers go through `numba.extending`, Numba's
-  interface for extensions, and LLVM's builder. The same results, but a function is compiled again for every kernel that
-  calls it: the first run on a machine takes longer. Sums under `reassoc` may differ in last digits.
+- LINKED: callees are linked into the kernels that call them and compiled once (`linking`). This uses internals of Numba's
+  compiler, which any release may change.
+- PLAIN: kernels are compiled by `numba.njit`. Methods of problems and vector rows use `numba.extending`, Numba's extension
+  interface, and LLVM's builder. The results are the same, but a function is compiled again for every kernel that calls it,
+  so the first run on a machine takes longer. Sums under `reassoc` may differ in the last digits.
 - PYTHON: nothing is compiled; for a debugger, and hundreds of times slower.
 
-`$EPIPOLE_KERNELS` asks for linked or plain. Without it kernels are linked where that works on this Numba, and plain, with
-a warning, where it does not. `NUMBA_DISABLE_JIT=1`, Numba's own switch, runs them as Python.
+`$EPIPOLE_KERNELS` requests linked or plain. Without it kernels are linked if that works on this Numba, and otherwise plain, with
+a warning. `NUMBA_DISABLE_JIT=1`, Numba's own switch, runs them as Python.
 """
 
 import os
@@ -26,7 +26,7 @@ from epipole.errors import ConfigError
 
 VARIABLE = "EPIPOLE_KERNELS"
 _TESTED = ((0, 61), (0, 68))
-"""The oldest and the newest Numba whose internals are known to be as `linking` expects."""
+"""The oldest and the newest Numba for which `linking` is known to work."""
 _WORKS = "works"
 _NOTE = "linking"
 _TRIAL = "from epipole._jit.linking import try_linking; try_linking()"
@@ -61,8 +61,8 @@ def kernel_mode() -> KernelMode:
     if not reason:
         return KernelMode.LINKED
     warnings.warn(
-        f"kernels cannot be linked on Numba {numba.__version__} ({reason}); they are compiled one by one,"
-        f" which takes longer the first time (${VARIABLE}=plain says so without this warning)",
+        f"kernels cannot be linked on Numba {numba.__version__} ({reason}), so they are compiled individually,"
+        f" which takes longer the first time (set ${VARIABLE}=plain to silence this warning)",
         RuntimeWarning,
         stacklevel=2,
     )
@@ -70,7 +70,7 @@ def kernel_mode() -> KernelMode:
 
 
 def why_not_linked() -> str:
-    """Why kernels cannot be linked on this Numba (tried once, in a process of its own); empty if they can."""
+    """Why kernels cannot be linked on this Numba (tried once, in a separate process); empty if they can."""
     folder = cache_folder(KernelMode.LINKED)
     answer = read_note(folder, _NOTE)
     if answer is None:
@@ -81,7 +81,7 @@ def why_not_linked() -> str:
 
 def _try_linking() -> str:
     if not sys.executable:
-        return "no Python to try it with"
+        return "no Python executable for a trial"
     try:
         trial = subprocess.run(
             [sys.executable, "-c", _TRIAL],
@@ -93,7 +93,7 @@ def _try_linking() -> str:
             env={**os.environ, VARIABLE: KernelMode.PLAIN},
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        return f"it could not be tried: {type(error).__name__}"
+        return f"the trial did not run: {type(error).__name__}"
     if trial.returncode == 0:
         return _WORKS
     lines = trial.stderr.strip().splitlines()
@@ -101,6 +101,6 @@ def _try_linking() -> str:
 
 
 def _version(text: str) -> tuple[int, int]:
-    """(0, 61) of 0.61.2; a version that cannot be parsed counts as the newest."""
+    """(0, 61) for 0.61.2; a version that cannot be parsed counts as the newest."""
     major, minor, *_ = [*text.split("."), "", ""]
     return (int(major), int(minor)) if major.isdigit() and minor.isdigit() else (sys.maxsize, 0)

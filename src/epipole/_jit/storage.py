@@ -1,7 +1,6 @@
-"""Where compiled kernels are kept.
+"""Storage of compiled kernels.
 
-The folder is named by a digest of all kernel sources, because Numba does not notice that a callee in another file has
-changed.
+The folder name is a digest of all kernel sources, because Numba does not detect changes of callees in other files.
 """
 
 import atexit
@@ -28,8 +27,8 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 def cache_folder(mode: str) -> Path:
     """The folder of kernels compiled in this mode: in `$EPIPOLE_CACHE_DIR` or the user's cache.
 
-    Its name is a digest of all they depend on: the sources with their paths and times, Python, Numba and the
-    processor; also of callees in other files, which Numba's own cache ignores.
+    Its name is a digest of everything they depend on: sources with their paths and times (including callees in other files, which
+    Numba's own cache ignores), Python, Numba and the processor.
     """
     digest = hashlib.sha256(
         f"{mode} {numba.__version__} {sys.version_info[:2]} {_PACKAGE} {get_host_cpu_name()}".encode()
@@ -49,13 +48,13 @@ def cache_folder(mode: str) -> Path:
                 refused = refused or why
             elif os.access(folder, os.W_OK):
                 if refused and "EPIPOLE_CACHE_DIR" in os.environ:
-                    _warn(f"compiled kernels are kept in {folder}, for {refused}")
+                    _warn(f"compiled kernels are saved in {folder}, because {refused}")
                 return folder
         except OSError as error:
             refused = refused or f"{folder}: {error.strerror}"
     _warn(
-        f"compiled kernels are not kept, for {refused}: every run compiles them again. "
-        "$EPIPOLE_CACHE_DIR names another folder"
+        f"compiled kernels cannot be saved, because {refused}: every run compiles them again. "
+        "Set $EPIPOLE_CACHE_DIR to another folder"
     )
     private = tempfile.mkdtemp(prefix="epipole-kernels-")
     atexit.register(shutil.rmtree, private, ignore_errors=True)
@@ -67,10 +66,10 @@ def _warn(text: str) -> None:
 
 
 def why_not_trusted(folder: Path) -> str:
-    """Why compiled code in a folder cannot be run: who may write to it, or to one above it; empty where nobody else.
+    """Why compiled code in a folder cannot be trusted: who else may write to it or to a parent; empty if nobody can.
 
-    Whoever can rename a folder on the way can put another in its place. Only in one with the sticky bit, such as
-    `/tmp`, can nobody touch what is another's.
+    Anyone who can rename a parent folder can replace this one. Only in a folder with the sticky bit, such as `/tmp`, are files of
+    other users protected.
     """
     if not hasattr(os, "getuid"):
         return ""
@@ -87,7 +86,7 @@ def why_not_trusted(folder: Path) -> str:
 
 
 def _is_own_group(group: int) -> bool:
-    """Whether a group is this user's alone, as many systems give to each user."""
+    """Whether a group contains only this user, as on many systems."""
     import grp
     import pwd
 
@@ -99,13 +98,13 @@ def _is_own_group(group: int) -> bool:
 
 
 def _make_private(folder: Path) -> None:
-    """Make the folder and its parents, each for this user alone."""
+    """Create the folder and its parents, accessible to this user only."""
     for part in reversed([folder, *folder.parents]):
         with suppress(FileExistsError):
             part.mkdir(mode=0o700)
     if not folder.stat().st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        with suppress(PermissionError):  # it is another's, and will be refused
-            folder.chmod(0o700)  # what is made in it may have any mode
+        with suppress(PermissionError):  # belongs to another user, and will be rejected
+            folder.chmod(0o700)  # files in it may then have any mode
 
 
 def _users_cache() -> Path | None:
@@ -115,7 +114,7 @@ def _users_cache() -> Path | None:
         return Path(requested) / "epipole"
     try:
         return Path.home() / ".cache" / "epipole"
-    except RuntimeError:  # a user without a home folder
+    except RuntimeError:  # no home folder
         return None
 
 
@@ -124,7 +123,7 @@ def _user() -> int:
 
 
 def remove_damaged(folder: Path) -> None:
-    """Remove files of kernels that were cut short: Numba would stop at each of them, in every run."""
+    """Remove truncated kernel files: Numba would fail on them in every run."""
     for path in folder.rglob("*.nb[ic]"):
         with suppress(OSError):
             if not _is_pickled(path.read_bytes()):
@@ -132,7 +131,7 @@ def remove_damaged(folder: Path) -> None:
 
 
 def _is_pickled(content: bytes) -> bool:
-    """Whether bytes are pickles from end to end; nothing is unpickled."""
+    """Whether the content is a sequence of complete pickles; nothing is unpickled."""
     stream = io.BytesIO(content)
     try:
         while stream.tell() < len(content):
@@ -144,7 +143,7 @@ def _is_pickled(content: bytes) -> bool:
 
 
 def read_note(folder: Path, name: str) -> str | None:
-    """A note left by an earlier process in a folder of kernels; None: there is none."""
+    """A note left by an earlier process in a cache folder; None if there is none."""
     try:
         return (folder / name).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
@@ -152,6 +151,6 @@ def read_note(folder: Path, name: str) -> str | None:
 
 
 def write_note(folder: Path, name: str, text: str = "") -> None:
-    """Leave a note for later processes; one that cannot be written is computed again."""
+    """Leave a note for later processes; if it cannot be written, it is computed again."""
     with suppress(OSError):
         (folder / name).write_text(text, encoding="utf-8")

@@ -1,11 +1,11 @@
-"""Projection and unprojection of one point, with Jacobians, for every model.
+"""Projection and unprojection of single points, with Jacobians, for every model.
 
 Perspective family (Brown 1971; OpenCV's order of coefficients): a = x/z, b = y/z, r2 = a^2 + b^2,
     u = fx (a (1 + k1 r2 + k2 r2^2) + 2 p1 a b + p2 (r2 + 2 a^2)) + cx        v likewise.
-FULL_OPENCV has (1 + k1 r2 + k2 r2^2 + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3) for the bracket.
-Fisheye (Kannala and Brandt 2006): theta = angle from the axis, rho = |(x, y)|,
+FULL_OPENCV replaces the bracket by (1 + k1 r2 + k2 r2^2 + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3).
+Fisheye (Kannala and Brandt 2006): theta = angle to the optical axis, rho = |(x, y)|,
     u = fx theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) x / rho + cx.
-Assumption: the point is in front of the camera (perspective); anything but the centre (fisheye).
+Points must be in front of the camera (perspective) or differ from its center (fisheye).
 """
 
 import math
@@ -23,7 +23,7 @@ MIN_DEPTH = 1e-12
 def expand_params(model, params):
     """Any model's parameters as (fx, fy, cx, cy, d0, d1, d2, d3) of the OPENCV or OPENCV_FISHEYE form.
 
-    FULL_OPENCV has more than these, and branches of its own.
+    FULL_OPENCV has more parameters, and separate branches.
     """
     if model == PINHOLE or model >= OPENCV:
         if model == PINHOLE:
@@ -80,9 +80,9 @@ def full_params_jacobian(params, a, b, jac_params):
 
 @kernel
 def undistort_full(params, p, q):
-    """(a, b) whose distortion by FULL_OPENCV is (p, q), before the image folds; NaN where there is none.
+    """(a, b) whose FULL_OPENCV distortion is (p, q), before the distortion folds; NaN if there is none.
 
-    Along the radius in steps until the image passes the target, then Newton's method in two dimensions.
+    Steps along the radius until the target is passed, then Newton's method in two dimensions.
     """
     target, r, reached = math.sqrt(p * p + q * q), 0.0, 0.0
     while reached < target:
@@ -111,7 +111,7 @@ def undistort_full(params, p, q):
 
 @kernel
 def project_one(model, params, x, y, z):
-    """Pixel (u, v) of a point in camera coordinates; NaN where the model cannot see it."""
+    """Pixel (u, v) of a point in camera coordinates; NaN if the camera cannot see it."""
     fx, fy, cx, cy, d0, d1, d2, d3 = expand_params(model, params)
     if model == OPENCV_FISHEYE:
         rho = math.sqrt(x * x + y * y)
@@ -154,7 +154,7 @@ def distort_with_jacobian(d0, d1, d2, d3, a, b):
 def project_with_jacobian_one(model, params, x, y, z, jac_point, jac_params):
     """Pixel (u, v), d(u, v)/d(x, y, z) into jac_point (2, 3) and d(u, v)/d(params) into jac_params (2, 12)."""
     fx, fy, cx, cy, d0, d1, d2, d3 = expand_params(model, params)
-    for c in range(NUM_PARAMS):  # a slice is set by slower code
+    for c in range(NUM_PARAMS):  # faster than setting a slice
         jac_params[0, c] = jac_params[1, c] = 0.0
     if model == OPENCV_FISHEYE:
         rho2 = x * x + y * y
@@ -223,7 +223,7 @@ def project_with_jacobian_one(model, params, x, y, z, jac_point, jac_params):
 
 @kernel
 def fold_radius(d0, d1):
-    """The first r > 0 with d(r (1 + d0 r^2 + d1 r^4))/dr = 0, where the image folds back; infinity for none."""
+    """The first r > 0 with d(r (1 + d0 r^2 + d1 r^4))/dr = 0, where the distortion folds; infinity if there is none."""
     root = 9.0 * d0 * d0 - 20.0 * d1
     inverse_sq = 0.5 * (math.sqrt(root) - 3.0 * d0) if root >= 0.0 else 0.0
     return 1.0 / math.sqrt(inverse_sq) if inverse_sq > 0.0 else math.inf
@@ -231,9 +231,9 @@ def fold_radius(d0, d1):
 
 @kernel
 def undistorted_radius(d0, d1, fold, target):
-    """The r before the fold with r (1 + d0 r^2 + d1 r^4) = target > 0; nearly the fold where there is none.
+    """The r before the fold with r (1 + d0 r^2 + d1 r^4) = target > 0; close to the fold if there is none.
 
-    Newton's method, with bisection where it would leave the bracket.
+    Newton's method, with bisection if it would leave the bracket.
     """
     low, high = 0.0, fold
     if not high < math.inf:
@@ -260,7 +260,7 @@ def undistorted_radius(d0, d1, fold, target):
 
 @kernel
 def unproject_one(model, params, u, v):
-    """Unit direction (x, y, z) that projects to (u, v); NaN where Newton's method finds none."""
+    """Unit direction (x, y, z) that projects to (u, v); NaN if Newton's method finds none."""
     fx, fy, cx, cy, d0, d1, d2, d3 = expand_params(model, params)
     p, q = (u - cx) / fx, (v - cy) / fy
     if model == OPENCV_FISHEYE:
@@ -288,7 +288,7 @@ def unproject_one(model, params, u, v):
     if model == FULL_OPENCV:
         a, b = undistort_full(params, p, q)
     elif d0 != 0.0 or d1 != 0.0 or d2 != 0.0 or d3 != 0.0:
-        # Beyond the fold lie other roots, which are not the ray's: start before it, and stay there.
+        # There are wrong roots beyond the fold: start before it, and stay there.
         fold = fold_radius(d0, d1)
         target = math.sqrt(p * p + q * q)
         if target > 0.0:
@@ -298,7 +298,7 @@ def unproject_one(model, params, u, v):
             du, dv, ua, ub, vb = distort_with_jacobian(d0, d1, d2, d3, a, b)
             eu, ev = du - p, dv - q
             det = ua * vb - ub * ub
-            # A vanishing or negative determinant: the image folds over here.
+            # A zero or negative determinant means that the distortion folds here.
             if det < 1e-6:
                 return math.nan, math.nan, math.nan
             a -= (vb * eu - ub * ev) / det
@@ -321,7 +321,7 @@ def project_all(model, params, points, out):
 
 @kernel
 def project_with_jacobian_all(model, params, points, out, jac_points, jac_params):
-    """As project_all, with jac_points (n, 2, 3) and jac_params (n, 2, 12)."""
+    """Like project_all, with jac_points (n, 2, 3) and jac_params (n, 2, 12)."""
     for k in range(len(points)):
         out[k, 0], out[k, 1] = project_with_jacobian_one(
             model, params, points[k, 0], points[k, 1], points[k, 2], jac_points[k], jac_params[k]

@@ -1,4 +1,4 @@
-"""One camera: a model, an image size and parameters; projection both ways."""
+"""A camera: model, image size and parameters, with projection and unprojection."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_float_array, as_points
-from epipole._declared import check_fields, checked
+from epipole._checks import as_float_array, as_points, check_fields, checked
 from epipole.cameras import _camera_kernels as kernels
 from epipole.cameras.models import MAX_PARAMS, CameraModel, as_camera_model
 from epipole.errors import ConfigError, ShapeError
@@ -20,7 +19,7 @@ _ZEROS_OF_K = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]])
 
 @dataclass(frozen=True, slots=True, eq=False, init=False)
 class Camera:
-    """A camera's intrinsics. Axes: x right, y down, z forward; pixel (0, 0) is the top-left pixel's centre."""
+    """A camera's intrinsics. Axes: x right, y down, z forward; pixel (0, 0) is the center of the top-left pixel."""
 
     model: CameraModel
     width: int
@@ -28,17 +27,17 @@ class Camera:
     params: Float64[np.ndarray, " p"]
 
     def __init__(self, model: CameraModel | str | int, width: int, height: int, params: Any) -> None:
-        """Make a camera, as `Camera("PINHOLE", 640, 480, [500, 500, 319.5, 239.5])`.
+        """Create a camera, such as `Camera("PINHOLE", 640, 480, [500, 500, 319.5, 239.5])`.
 
         Args:
-            model: the model, or its name or number.
-            width: of the image, in pixels.
-            height: the same.
-            params: the model's parameters in their order, `model.param_names`.
+            model: the model, its name or its number.
+            width: image width in pixels.
+            height: image height in pixels.
+            params: the parameters in the order of `model.param_names`.
 
         Raises:
-            ConfigError: there is no such model, the parameters do not fit it, or no camera can have these values.
-            ShapeError: the parameters are no numbers.
+            ConfigError: the model is unknown, or the parameters do not fit it or are out of range.
+            ShapeError: the parameters are not numbers.
         """
         put = object.__setattr__
         put(self, "model", as_camera_model(model))
@@ -50,17 +49,17 @@ class Camera:
     @staticmethod
     @checked
     def from_K(K: Any, size: tuple[int, int], distortion: Any = (), *, is_fisheye: bool = False) -> Camera:
-        """A camera from OpenCV's calibration matrix and distortion coefficients, whose pixel convention is the same.
+        """A camera from OpenCV's calibration matrix and distortion coefficients, with the same pixel convention.
 
         Args:
             K: calibration matrix (3, 3), without skew.
-            size: width and height of the images, in pixels.
-            distortion: none; k1, k2, p1, p2 and, optionally, k3 to k6; of a fisheye k1 to k4. Trailing zeros are ignored.
+            size: width and height of the images in pixels.
+            distortion: none; k1, k2, p1, p2 and, optionally, k3 to k6; k1 to k4 for fisheye. Trailing zeros are ignored.
             is_fisheye: whether the coefficients are those of `cv2.fisheye`.
 
         Raises:
-            ConfigError: the matrix has skew or is none, or the coefficients belong to no model that is supported.
-            ShapeError: the arrays have other shapes.
+            ConfigError: the matrix is invalid or has skew, or no supported model has these coefficients.
+            ShapeError: an array has the wrong shape.
         """
         matrix, found = as_float_array(K, "K"), as_float_array(distortion, "distortion").ravel()
         if matrix.shape != (3, 3):
@@ -71,8 +70,8 @@ class Camera:
             raise ConfigError(f"distortion must be finite numbers, got {found.tolist()}")
         used = len(np.trim_zeros(found, "b"))
         if used > (4 if is_fisheye else 8):
-            kind = "a fisheye has k1 to k4" if is_fisheye else "thin prism and tilt are not supported"
-            raise ConfigError(f"distortion has {used} coefficients that are not zero: {kind}")
+            kind = "a fisheye camera has k1 to k4" if is_fisheye else "thin prism and tilt are not supported"
+            raise ConfigError(f"distortion has {used} nonzero coefficients: {kind}")
         model, count = CameraModel.FULL_OPENCV, 8
         if is_fisheye or used <= 4:
             model, count = (CameraModel.OPENCV_FISHEYE if is_fisheye else CameraModel.OPENCV), 4
@@ -85,10 +84,10 @@ class Camera:
         return Camera(model, width, height, params)
 
     def __post_init__(self) -> None:
-        """Check the number and the values of the parameters, and the size.
+        """Check the parameters and the size.
 
         Raises:
-            ConfigError: the parameters do not fit the model, or no camera can have these values.
+            ConfigError: the parameters do not fit the model, or a value is out of range.
         """
         check_fields(self)
         names = self.model.param_names
@@ -98,7 +97,7 @@ class Camera:
             )
         bad = [n for n, value in zip(names, self.params) if not np.isfinite(value)]
         if bad:
-            raise ConfigError(f"camera parameter {', '.join(bad)} is not a finite number")
+            raise ConfigError(f"camera parameter {', '.join(bad)} must be finite")
         shortest = min(self.params[i] for i in self.model.focal_indices)
         if shortest <= 0:
             raise ConfigError(f"the focal length must be positive, got {shortest:g}")
@@ -118,7 +117,7 @@ class Camera:
         return np.array([[focal[0], 0.0, cx], [0.0, focal[-1], cy], [0.0, 0.0, 1.0]])
 
     def padded_params(self) -> Float64[np.ndarray, 12]:
-        """Parameters padded with zeros to the longest model, as camera columns hold them."""
+        """Parameters padded with zeros to the longest model, as in camera columns."""
         return np.concatenate([self.params, np.zeros(MAX_PARAMS - len(self.params))])
 
     def project(self, points_in_cam: Any) -> Float64[np.ndarray, "n 2"]:
@@ -152,8 +151,8 @@ class Camera:
     ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3 2"]]:
         """Unit directions d, and d direction / d pixels.
 
-        With P = d(pixel)/d(point) at d (2x3), which kills d itself, the inverse on the tangent plane is the
-        pseudo-inverse P^T (P P^T)^-1.
+        With P = d(pixel)/d(point) at d (2x3), where P d = 0, the inverse on the tangent plane is the pseudo-inverse
+        P^T (P P^T)^-1.
         """
         rays = self.unproject(pixels)
         _, jac, _ = self.project_with_jacobian(rays)
@@ -169,7 +168,7 @@ class Camera:
 
     @checked
     def scaled_to(self, width: int, height: int) -> Camera:
-        """The camera of the same image resampled to another size (pixel edges are aligned, not centres)."""
+        """The camera for the same images resampled to another size (aligning pixel edges, not centers)."""
         sx, sy = width / self.width, height / self.height
         params = as_float_array(self.params, "params").copy()
         focal = self.model.focal_indices

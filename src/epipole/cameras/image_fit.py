@@ -1,9 +1,9 @@
-"""Which pixels of an image a camera describes, and the camera of the pixels that are worked on.
+"""Relation between a camera's pixels and those of an image: EXIF orientation and scale.
 
-A file stores pixels as the sensor has read them, and EXIF says how to turn them upright. A camera describes the stored pixels or
-the upright ones, at the size of the file or at another scale: `camera_of_image` is the camera of the upright pixels at
-the image's own size. Sizes tell both apart where an image is turned by 90 degrees, and nothing does where it is turned by
-180: images of one sensor that are turned differently can share stored pixels alone.
+A file stores pixels as read from the sensor, and EXIF gives the rotation that makes them upright. A camera describes the
+stored pixels or the upright ones, at the file's size or at another scale; `camera_of_image` returns the camera of the upright
+pixels at the image's own size. Sizes distinguish stored and upright pixels for rotations by 90 degrees, but not by 180. Images
+of one sensor with different orientations can share only a camera of the stored pixels.
 """
 
 from __future__ import annotations
@@ -15,20 +15,19 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_points
-from epipole._declared import checked
+from epipole._checks import as_points, checked
 from epipole.cameras.camera import Camera
 from epipole.cameras.models import CameraModel
 from epipole.errors import ConfigError
 
 ROUNDING_PX = 1.0
-"""Sides of a resized image are rounded: they differ by less than this from those of one factor."""
+"""Sides of a resized image are rounded: they differ by less than this from an exact common scale."""
 CLEAR = 0.25
-"""A principal point is that of another size where it is nearer to its middle by this factor."""
+"""A principal point belongs to another size if it is closer to that size's center by this factor."""
 FAR_OFF_MIDDLE = 0.2
-"""A known principal point further from the middle, in units of the image's side, is remarked on."""
+"""Largest distance of a known principal point from the center without a note, as a fraction of the image's side."""
 SWAPPED = 0.05
-"""... and one that is off by more in both directions, and near the middle once swapped, is taken as swapped."""
+"""Distance in both directions above which a principal point is swapped, if it is near the center once swapped."""
 _UPRIGHT_FROM_STORED = {
     1: [[1, 0], [0, 1]],
     2: [[-1, 0], [0, 1]],
@@ -45,7 +44,7 @@ class ImagePixels(StrEnum):
     """The pixels of an image file that a camera describes."""
 
     STORED = "stored"
-    """As the file holds them, without its EXIF orientation: COLMAP's and a sensor's."""
+    """As stored in the file, before its EXIF orientation, as in COLMAP."""
     UPRIGHT = "upright"
     """With its EXIF orientation applied."""
 
@@ -54,7 +53,7 @@ class ImageShape(NamedTuple):
     """Size and EXIF orientation of an image file."""
 
     width: int
-    """Of the upright image, in pixels."""
+    """Width of the upright image, in pixels."""
     height: int
     orientation: int = 1
     """EXIF orientation of the stored pixels, 1 to 8."""
@@ -67,13 +66,14 @@ class ImageShape(NamedTuple):
 
 @checked
 def rotated_camera(camera: Camera, orientation: int) -> Camera:
-    """The camera of an image after an EXIF orientation is applied to its pixels.
+    """The camera of an image after applying an EXIF orientation to its pixels.
 
-    The rays turn with the image, about the axis: x and y of the new ray are Q (x, y) with the Q that turns the image. Of a
+    Rays rotate with the image about the optical axis: x and y of the new ray are Q (x, y), where Q rotates the image. Mirroring
+    orientations (2, 4, 5, 7) mirror them.
     mirrored orientation (2, 4, 5, 7) they are mirrored.
 
     Raises:
-        ConfigError: it is none of 1 to 8.
+        ConfigError: the orientation is not from 1 to 8.
     """
     rotation = _rotate(orientation)
     size = np.array([camera.width, camera.height])
@@ -95,10 +95,10 @@ def rotated_camera(camera: Camera, orientation: int) -> Camera:
 def rotated_pixels(
     pixels: Float64[np.ndarray, "n 2"], size: tuple[int, int], orientation: int
 ) -> Float64[np.ndarray, "n 2"]:
-    """Upright pixel coordinates of stored ones, of an image whose stored pixels have this size.
+    """Upright coordinates of stored pixels, for an image with this stored size.
 
     Raises:
-        ConfigError: the orientation is none of 1 to 8.
+        ConfigError: the orientation is not from 1 to 8.
     """
     stored = np.array(size, np.float64)
     upright = stored if orientation < 5 else stored[::-1]
@@ -106,20 +106,20 @@ def rotated_pixels(
 
 
 def inverse_orientation(orientation: int) -> int:
-    """The orientation that turns upright pixels back to the stored ones."""
+    """The orientation that maps upright pixels back to the stored ones."""
     return {6: 8, 8: 6}.get(orientation, orientation)
 
 
 def _rotate(orientation: int) -> np.ndarray:
     if orientation not in _UPRIGHT_FROM_STORED:
-        raise ConfigError(f"an EXIF orientation is 1 to 8, got {orientation}")
+        raise ConfigError(f"EXIF orientation must be from 1 to 8, got {orientation}")
     return np.array(_UPRIGHT_FROM_STORED[orientation], np.float64)
 
 
 def is_same_view(camera_size: tuple[int, int], size: tuple[int, int]) -> bool:
-    """Whether images of these sizes can show the same at two scales: both sides by one factor, within rounding.
+    """Whether two sizes can be those of one image at two scales, within rounding.
 
-    Sizes that differ by a pixel alone do not: the image may have been cropped.
+    Sizes that differ by a single pixel are excluded: the image may have been cropped.
     """
     if camera_size == size:
         return True
@@ -134,20 +134,20 @@ def fitted_camera(camera: Camera, width: int, height: int) -> Camera:
     """The camera at the scale of an image.
 
     Raises:
-        ConfigError: the image does not show what the camera's does at one scale.
+        ConfigError: the aspect ratio of the image does not match the camera.
     """
     if not is_same_view((camera.width, camera.height), (width, height)):
         raise ConfigError(
-            f"the camera is of images of {camera.width}x{camera.height}, but the image is {width}x{height}"
+            f"the camera is for images of {camera.width}x{camera.height}, but the image is {width}x{height}"
         )
     return camera if (camera.width, camera.height) == (width, height) else camera.scaled_to(width, height)
 
 
 def camera_of_image(camera: Camera, shape: ImageShape, described: ImagePixels) -> Camera:
-    """The camera of an image's upright pixels, from one that describes its stored or its upright pixels at any scale.
+    """The camera of an image's upright pixels, from one of its stored or upright pixels at any scale.
 
     Raises:
-        ConfigError: the image does not show what the camera's does at one scale.
+        ConfigError: the aspect ratio of the image does not match the camera.
     """
     fitted = fitted_camera(camera, *shape.size(described))
     return rotated_camera(fitted, shape.orientation) if described is ImagePixels.STORED else fitted
@@ -156,18 +156,18 @@ def camera_of_image(camera: Camera, shape: ImageShape, described: ImagePixels) -
 def described_pixels(
     camera_size: tuple[int, int], shapes: Sequence[ImageShape], what: str = "the camera"
 ) -> ImagePixels:
-    """Which pixels of images a camera of this size describes, if one sensor took all of them.
+    """The pixels that a camera of this size describes, for images of one sensor.
 
-    The sizes decide. Where they fit both ways, images that are turned differently share the stored pixels; those that are
-    all turned alike are taken to be described upright.
+    The sizes decide. If both are possible, images with different orientations are assumed to share the stored pixels, and images
+    with a common orientation are assumed to be described upright.
 
     Args:
         camera_size: width and height of the camera's images.
         shapes: of the images.
-        what: holds the camera, for messages.
+        what: source of the camera, for messages.
 
     Raises:
-        ConfigError: the images fit neither way; the message names the sizes.
+        ConfigError: neither fits the image sizes.
     """
     fits = {
         pixels: all(is_same_view(camera_size, shape.size(pixels)) for shape in shapes)
@@ -177,7 +177,9 @@ def described_pixels(
         sizes = sorted({shape.size(ImagePixels.UPRIGHT) for shape in shapes})
         others = [size for size in sizes if not is_same_view(camera_size, size)] or sizes
         listed = ", ".join(f"{w}x{h}" for w, h in others)
-        raise ConfigError(f"{what} is of images of {camera_size[0]}x{camera_size[1]}, but these are {listed}")
+        raise ConfigError(
+            f"{what} is for images of {camera_size[0]}x{camera_size[1]}, but these are {listed}"
+        )
     is_mixed = len({shape.orientation for shape in shapes}) > 1
     if all(fits.values()):
         return ImagePixels.STORED if is_mixed else ImagePixels.UPRIGHT
@@ -185,14 +187,14 @@ def described_pixels(
 
 
 def likely_size(principal_point: tuple[float, float] | None, shapes: Sequence[ImageShape]) -> tuple[int, int]:
-    """The size of the images that parameters without a size describe: of all stored or all upright pixels.
+    """The image size of parameters given without a size: that of all stored or all upright pixels.
 
     Args:
-        principal_point: of the parameters, from the image's corner: where both sizes are possible it decides. None for none.
+        principal_point: principal point relative to the image's corner, to decide if both sizes are possible; None if unknown.
         shapes: of the images.
 
     Raises:
-        ConfigError: the images have several sizes, stored and upright.
+        ConfigError: both stored and upright images have several sizes.
     """
     stored = {shape.size(ImagePixels.STORED) for shape in shapes}
     upright = {shape.size(ImagePixels.UPRIGHT) for shape in shapes}
@@ -211,36 +213,36 @@ def likely_size(principal_point: tuple[float, float] | None, shapes: Sequence[Im
 
 
 def fit_notes(camera: Camera, shapes: Sequence[ImageShape], described: ImagePixels, what: str) -> list[str]:
-    """What a user should know of how a known camera was fitted to images; empty where they are its own size, not turned."""
+    """Notes for the user on how a known camera was fitted to images; empty if nothing was changed."""
     notes = []
     scaled = {shape.size(described) for shape in shapes} - {(camera.width, camera.height)}
     if scaled:
         listed = ", ".join(f"{w}x{h}" for w, h in sorted(scaled))
-        notes.append(f"{what} is of images of {camera.width}x{camera.height}: it is scaled to {listed}")
+        notes.append(f"{what} is for images of {camera.width}x{camera.height} and was scaled to {listed}")
     orientations = {shape.orientation for shape in shapes}
     if described is ImagePixels.STORED and orientations != {1}:
         notes.append(
-            f"{what} is taken to describe the pixels as they are stored, before their EXIF orientation or rotation"
-            " (the images are turned by it, and the camera with them)"
+            f"{what} is assumed to describe the stored pixels, before their EXIF orientation or rotation"
+            " (which is applied to the images and to the camera)"
         )
     elif orientations & {2, 3, 4} and len(orientations) == 1 and _is_off_middle(camera):
         notes.append(
-            f"{what} is taken to describe the upright images: their EXIF orientation or rotation turns all of them alike, and"
-            " it may be of the stored pixels"
+            f"{what} is assumed to describe the upright images: they all have the same EXIF orientation or rotation, so"
+            " it could also describe the stored pixels"
         )
     return notes
 
 
 def _is_off_middle(camera: Camera) -> bool:
-    """Whether a camera and the same one turned by 180 degrees differ by more than a pixel."""
+    """Whether a camera changes by more than a pixel when rotated by 180 degrees."""
     off = camera.K[:2, 2] - (np.array([camera.width, camera.height]) - 1) / 2
     return bool((np.abs(2.0 * off) > 1.0).any())
 
 
 def with_likely_principal_point(camera: Camera) -> tuple[Camera, str]:
-    """A known camera, and what is odd about its principal point (empty: nothing); swapped where it is of turned images.
+    """A known camera and a note on its principal point (empty if plausible); swapped if it belongs to rotated images.
 
-    A lens stands over the middle of its sensor to within a few per cent; crops and rectified images may differ.
+    The principal point is usually within a few per cent of the image center, except for cropped and rectified images.
     """
     size = np.array([camera.width, camera.height])
     middle, point = (size - 1) / 2, camera.K[:2, 2]
@@ -250,13 +252,13 @@ def with_likely_principal_point(camera: Camera) -> tuple[Camera, str]:
         return camera, ""
     cx, cy = point + 0.5
     odd = (
-        f"the known principal point, cx = {cx:g} and cy = {cy:g}, is far from the middle of the images "
+        f"the known principal point, cx = {cx:g} and cy = {cy:g}, is far from the center of the images "
         f"({camera.width / 2:g}, {camera.height / 2:g})"
     )
     if not is_swapped:
-        return camera, f"{odd}: right only for a cropped or rectified image"
+        return camera, f"{odd}, which is plausible only for cropped or rectified images"
     ask = (
-        f"{odd}: were cx and cy swapped, or are the parameters of images of {camera.height}x{camera.width} and these"
+        f"{odd}: are cx and cy swapped, or are the parameters for images of {camera.height}x{camera.width} and these"
         f" of {camera.width}x{camera.height}?"
     )
     if not (off > SWAPPED * size).all():
@@ -265,4 +267,4 @@ def with_likely_principal_point(camera: Camera) -> tuple[Camera, str]:
     for pair in (list(camera.model.focal_indices), list(camera.model.principal_point_indices)):
         params[pair] = params[pair[::-1]]
     swapped = Camera(CameraModel(camera.model), camera.width, camera.height, params)
-    return swapped, f"{ask} They are used swapped, with cx = {cy:g} and cy = {cx:g}"
+    return swapped, f"{ask} They were swapped, to cx = {cy:g} and cy = {cx:g}"

@@ -1,6 +1,6 @@
-"""The camera models: their names, parameters and what each parameter is.
+"""The camera models: their names and parameters.
 
-Pixel (0, 0) is the centre of the top-left pixel. COLMAP's half-pixel shift lives in `io.colmap` alone.
+Pixel (0, 0) is the center of the top-left pixel. COLMAP's half-pixel shift is handled only in `io.colmap`.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from enum import IntEnum
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError
 
 MAX_PARAMS = 12
-"""The longest parameter vector of any model; camera columns are padded to it with zeros."""
+"""Length of the longest parameter vector; camera columns are padded to it with zeros."""
 
 
 class CameraModel(IntEnum):
@@ -40,23 +40,23 @@ class CameraModel(IntEnum):
 
     @property
     def focal_indices(self) -> tuple[int, ...]:
-        """Positions of the focal lengths (one or two)."""
+        """Indices of the focal lengths (one or two)."""
         return _SPECS[self].focal
 
     @property
     def principal_point_indices(self) -> tuple[int, int]:
-        """Positions of cx and cy."""
+        """Indices of cx and cy."""
         first = len(_SPECS[self].focal)
         return first, first + 1
 
     @property
     def distortion_indices(self) -> tuple[int, ...]:
-        """Positions of the distortion coefficients (may be empty)."""
+        """Indices of the distortion coefficients (may be empty)."""
         return tuple(range(len(_SPECS[self].focal) + 2, self.num_params))
 
     @checked
     def initial_params(self, focal_px: float, width: int, height: int) -> np.ndarray:
-        """Parameters of an undistorted camera that looks through the middle of its image."""
+        """Parameters of an undistorted camera with its principal point at the image center."""
         focal = [focal_px] * len(_SPECS[self].focal)
         zeros = [0.0] * len(self.distortion_indices)
         return np.array([*focal, 0.5 * (width - 1), 0.5 * (height - 1), *zeros])
@@ -83,23 +83,23 @@ _SPECS = {
 
 @checked
 def camera_model_named(name: str) -> CameraModel:
-    """The model of this name (any case).
+    """The model with this name (case-insensitive).
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: the name is unknown.
     """
     try:
         return CameraModel[name.strip().upper()]
     except KeyError:
         known = ", ".join(m.name for m in CameraModel)
-        raise ConfigError(f"unknown camera model {name!r}; one of {known}") from None
+        raise ConfigError(f"unknown camera model {name!r}: use one of {known}") from None
 
 
 def as_camera_model(given: CameraModel | str | int) -> CameraModel:
-    """The model given, or the one of this name or number.
+    """The model itself, or the one with this name or number.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: the model is unknown.
     """
     if isinstance(given, CameraModel):
         return given
@@ -109,4 +109,4 @@ def as_camera_model(given: CameraModel | str | int) -> CameraModel:
         return CameraModel(given)
     except (ValueError, TypeError):
         known = ", ".join(m.name for m in CameraModel)
-        raise ConfigError(f"a camera's model must be one of {known}; got {given!r}") from None
+        raise ConfigError(f"camera model must be one of {known}, got {given!r}") from None

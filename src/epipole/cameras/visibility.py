@@ -1,4 +1,4 @@
-"""Which rays a camera sees: those that it projects into its image, and that its image leads back to."""
+"""Visibility of rays: a camera sees a ray if it projects into the image and unprojects back to the same ray."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from epipole._checks import as_points
-from epipole._declared import checked
+from epipole._checks import as_points, checked
 from epipole.cameras.camera import Camera
 
 MAX_DEVIATION = 1e-3
-"""Between a unit ray and the one that its pixel leads back to: beyond, the pixel shows another ray."""
+"""Largest distance between a unit ray and the unprojection of its pixel."""
 
 
 @checked
@@ -21,8 +20,8 @@ def project_visible(
 ) -> tuple[Float64[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
     """Pixels of rays (n, 3) of any length, and whether the camera sees each of them.
 
-    Beyond its fold a polynomial distortion comes back into the image: a pixel that unprojects to another ray does not
-    show this one. Pixels that are not visible have the value of the formula, or NaN.
+    Beyond its fold, polynomial distortion maps rays back into the image: such pixels unproject to other rays. Pixels that are not
+    visible have the value of the formula, or NaN.
     """
     rays = as_points(rays_in_cam, "rays_in_cam", 3)
     pixels = camera.project(rays)

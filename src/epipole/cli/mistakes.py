@@ -1,4 +1,4 @@
-"""What is wrong with a command line, in one sentence: the parser's message without its box, and option names in config errors."""
+"""Explain a wrong command line in one sentence: the parser's message without its box, with option names."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ _BOX = "╭╮╰╯─│- "
 
 
 def in_one_sentence(said: str, words: Sequence[str], commands: Sequence[str]) -> str:
-    """The parser's message, and where the command's help is.
+    """The parser's message, with similar options or a pointer to the command's help.
 
     Args:
-        said: what the parser printed: a title, the message, and sections with similar options, between rules.
-        words: the command line.
+        said: output of the parser: a title, the message, and sections with similar options.
+        words: command line.
         commands: names of all commands.
     """
     command = words[0] if words else ""
@@ -36,7 +36,7 @@ def in_one_sentence(said: str, words: Sequence[str], commands: Sequence[str]) ->
 
 
 def _similar(sections: Sequence[Sequence[str]], command: str) -> list[str]:
-    """Options of this command among those that the parser found to be similar."""
+    """Similar options of this command, as found by the parser."""
     found, option = [], ""
     for line in (line for part in sections for line in part):
         if line.startswith("--"):
@@ -49,14 +49,14 @@ def _similar(sections: Sequence[Sequence[str]], command: str) -> list[str]:
 def with_option_names(
     message: str, words: Sequence[str], options: Mapping[str, str], *, also_plain: bool
 ) -> str:
-    """A config's message with its fields written as options, the way they were given.
+    """Replace config fields in a message by the options, spelled as the user gave them.
 
     Args:
-        message: the message.
-        words: the command line.
-        options: of its command, each with its field.
-        also_plain: replace fields whose names are English words, such as `rows`, too, if their option was given;
-            else only where the message begins with them.
+        message: message of a config.
+        words: command line.
+        options: options of the command, each with its field.
+        also_plain: also replace fields whose names are English words, such as `rows`, if their option was given;
+            otherwise only at the start of the message.
     """
     given = {word.partition("=")[0].replace("_", "-") for word in words if word.startswith("-")}
 
@@ -74,7 +74,7 @@ def with_option_names(
 
 
 def _with_neighbours(message: str, options: Mapping[str, str]) -> str:
-    """A field that stands in one list with an option is meant as one, too: `--include and exclude`."""
+    """Also replace fields listed together with an option, as in `--include and exclude`."""
 
     def option(found: re.Match[str]) -> str:
         named = [name for name, field in options.items() if field == found["field"]]

@@ -1,4 +1,4 @@
-"""The options of a command, and the fields behind them."""
+"""Options of a command, and the config fields that they set."""
 
 from __future__ import annotations
 

@@ -1,20 +1,21 @@
-"""Depth images fused into a volume of truncated signed distances (Curless and Levoy, SIGGRAPH 1996)."""
+"""TSDF fusion of depth images (Curless and Levoy, SIGGRAPH 1996)."""
 
 import numpy as np
 
 from epipole._jit import kernel
 
 LEAST_COVERAGE = np.float32(0.5)
-"""Of a pixel that something is seen in; through others one sees beyond the volume."""
+"""Coverage above which a pixel shows a surface; with less, the ray passes through the volume."""
 
 
 @kernel
 def fuse(view, depth, coverage, rgb, low, size, band, start, stop, distance, weight, colour):
-    """Add an image to the planes start..stop of constant x.
+    """Integrate an image into planes start..stop of constant x.
 
-    view: rotation (9), translation (3), focal (2), middle (2). depth (h, w) along the optical axis times coverage (h, w); rgb (h, w, 3) times
-    coverage. distance (x, y, z) gets means, in shares of `band` and at most 1, of depth less the voxel's own, weight (x, y, z) their number,
-    colour (x, y, z, 3) means of what is within the band. A voxel further behind what is seen than the band is left as it is.
+    view: rotation (9), translation (3), focal lengths (2), principal point (2). depth (h, w) along the optical axis, times
+    coverage (h, w); rgb (h, w, 3) times coverage. distance (x, y, z) receives means of depth minus that of the voxel, in units of
+    `band` and at most 1; weight (x, y, z) their number; colour (x, y, z, 3) means within the band. Voxels farther behind the
+    surface than the band are not changed.
     """
     height, width = depth.shape
     r, t = view[:9], view[9:12]

@@ -1,4 +1,4 @@
-"""A surface from depth images: signed distances in a volume (Curless and Levoy 1996), cut at 0 by marching cubes (Lewiner et al. 2003)."""
+"""Surface reconstruction from depth images: TSDF (Curless and Levoy 1996) and marching cubes (Lewiner et al. 2003)."""
 
 from __future__ import annotations
 
@@ -6,48 +6,47 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from epipole import _parallel
-from epipole._checks import check_count
-from epipole._declared import checked
+from epipole._checks import check_count, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.dense import _tsdf_kernels as kernels
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.scene import Mesh
 
-MOST_SIDE, MOST_VOXELS = 1024, 1 << 28
-"""Voxels along the longest side, and of a box: each takes 20 bytes."""
+MOST_SIDE = 1024  # voxels along the longest side
+MOST_VOXELS = 1 << 28  # voxels of a volume, 20 bytes each
 LARGEST = 1e150
-"""Coordinate: sums of larger ones are no numbers, and the kernel would take them for pixels."""
+"""Largest coordinate: sums of larger ones overflow, and the kernel would use them as pixels."""
 BAND = 3.0
-"""Voxels before and behind a surface within which distances are told."""
+"""Truncation distance in front of and behind a surface, in voxels."""
 PLANES_TOGETHER = 8
 
 
 class DistanceVolume:
-    """Distances to what depth images show, voxel by voxel; the same for any number of threads.
+    """Truncated signed distances to the surfaces of depth images; independent of the number of threads.
 
     Attributes:
-        distance: (x, y, z) in shares of the band, above 0 before a surface.
-        weight: (x, y, z) images that each voxel is seen in.
+        distance: (x, y, z) in units of the band, positive in front of a surface.
+        weight: (x, y, z) number of images that see each voxel.
     """
 
     @checked
     def __init__(self, low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"], voxels: int) -> None:
-        """Begin with nothing seen.
+        """Create an empty volume.
 
         Args:
-            low: (3,) a corner of the box in the world.
-            high: (3,) the opposite one.
-            voxels: along its longest side.
+            low: (3,) minimum corner of the box in the world.
+            high: (3,) maximum corner.
+            voxels: number along the longest side.
 
         Raises:
             DegenerateGeometryError: the box is empty or not finite.
-            ConfigError: the number of voxels is not from 2 to 1024, or all are too many.
+            ConfigError: voxels is not from 2 to 1024, or the volume has too many voxels.
         """
         if not 2 <= voxels <= MOST_SIDE:
             raise ConfigError(f"voxels must be from 2 to {MOST_SIDE}, got {voxels}")
         if not (low.min() >= -LARGEST and high.max() <= LARGEST and (high - low > 1.0 / LARGEST).all()):
-            raise DegenerateGeometryError("the box of the mesh is empty, or too large to be calculated with")
+            raise DegenerateGeometryError("the box of the mesh is empty or too large")
         side = float(np.max(high - low))
         self.low, self.size = low.copy(), side / voxels
         x, y, z = np.maximum(np.ceil((high - low) / self.size - 1e-9), 2).astype(int).tolist()
@@ -64,23 +63,25 @@ class DistanceVolume:
         coverage: Float32[np.ndarray, "h w"],
         rgb: Float32[np.ndarray, "h w 3"],
     ) -> None:
-        """Fuse an image of a pinhole.
+        """Integrate a depth image of a pinhole camera.
 
         Args:
-            camera: without distortion.
-            cam_from_world: where it is.
+            camera: intrinsics without distortion.
+            cam_from_world: pose of the camera.
             depth: along the optical axis, times coverage.
-            coverage: how much of a pixel is not background.
+            coverage: opacity of each pixel.
             rgb: from 0 to 1, times coverage.
 
         Raises:
-            ShapeError: the images are not of the camera's size, or the pose is not a single finite motion.
+            ShapeError: depth does not have the camera's size, or the pose is not a single finite motion.
             ConfigError: the camera has distortion.
         """
         if camera.model not in (CameraModel.PINHOLE, CameraModel.SIMPLE_PINHOLE):
-            raise ConfigError("depth is fused from a PINHOLE camera: undistort the images")
+            raise ConfigError("camera must be PINHOLE or SIMPLE_PINHOLE: undistort the images")
         if depth.shape != (camera.height, camera.width):
-            raise ShapeError(f"depth is {depth.shape[::-1]}, its camera {camera.width} x {camera.height}")
+            raise ShapeError(
+                f"depth has size {depth.shape[::-1]}, but its camera {camera.width} x {camera.height}"
+            )
         if cam_from_world.batch_shape() != () or not (np.abs(cam_from_world.translation) <= LARGEST).all():
             raise ShapeError("cam_from_world must be a single finite motion")
         matrix = camera.K
@@ -95,18 +96,18 @@ class DistanceVolume:
         )
 
     def mesh(self) -> Mesh:
-        """The surface between what was seen before and behind it.
+        """Extract the surface as a mesh.
 
         Raises:
             DegenerateGeometryError: no surface was seen.
         """
         from skimage.measure import marching_cubes
 
-        seen, message = self.weight > 0, "no surface is seen within the box of the mesh"
+        seen, message = self.weight > 0, "no surface was seen within the box of the mesh"
         if not (seen & (self.distance < 0)).any():
             raise DegenerateGeometryError(message)
         vertices, faces, _, _ = marching_cubes(self.distance, 0.0, gradient_direction="descent")
-        # What is nowhere seen has no distance: a vertex between it and what is seen is none.
+        # Unseen voxels have no distance: drop vertices between them and seen ones.
         ends = (seen[tuple(end(vertices).astype(np.int64).T)] for end in (np.floor, np.ceil))
         faces = faces[np.logical_and(*ends)[faces].all(axis=1)]
         if not len(faces):

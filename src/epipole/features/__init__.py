@@ -1,4 +1,4 @@
-"""Features: detect, describe, match, follow, retrieve."""
+"""Features: detection, description, matching, tracking, retrieval."""
 
 from epipole.config import FeatureConfig as FeatureConfig
 from epipole.config import FlowConfig as FlowConfig

@@ -1,14 +1,14 @@
-"""Top two similarities of byte descriptors with the processor's own byte dot product, where it has one.
+"""Top two similarities of byte descriptors, with the processor's byte dot product (VNNI).
 
-x86 processors with VNNI multiply 4 x 16 (or 4 x 8) bytes and add them to whole numbers in one instruction: four
-times the work of a float32 product, and exact. `tile_top_two` is the micro-kernel: ROWS descriptors of image 1
-against VECTORS * LANES of image 2, in registers; the best and the second of each row and the best of each column
-are kept on the way, so that no similarity is ever written to memory.
+x86 processors with VNNI multiply 4 x 16 (or 4 x 8) bytes and accumulate them as integers in one instruction: four
+times the throughput of a float32 product, and exact. `tile_top_two` is the micro-kernel: ROWS descriptors of image 1
+against VECTORS * LANES of image 2, in registers. The best and second best of each row and the best of each column
+are updated on the fly, so similarities are never written to memory.
 
-    a . b = (a - 128) . b + 128 * sum(b)      the instruction takes signed times unsigned bytes
-    key   = similarity << GROUP_BITS | rank   the larger key is the larger similarity, then the earlier column
+    a . b = (a - 128) . b + 128 * sum(b)      the instruction multiplies signed by unsigned bytes
+    key   = similarity << GROUP_BITS | rank   larger key: larger similarity, then earlier column
 
-The same numbers come out of `_matching_kernels.top_two` on any processor, from a float32 product.
+`_matching_kernels.top_two` gives the same numbers on any processor, from a float32 product.
 """
 
 from contextlib import suppress
@@ -30,7 +30,7 @@ MOST_SIMILARITY = 1 << (32 - GROUP_BITS)
 
 
 def _lanes():
-    """Whole numbers in one register of the byte dot product; 0 where the processor has none, and in Python."""
+    """Integers per register of the byte dot product; 0 in Python or if the processor has none."""
     if kernel_mode() is KernelMode.PYTHON:
         return 0
     try:
@@ -43,14 +43,14 @@ def _lanes():
 
 
 def _dot_in(module, lanes, factors):
-    """The instruction, declared in a module for vectors of these factors."""
+    """The VNNI instruction, declared in a module for vectors of these factors."""
     words = ir.VectorType(ir.IntType(32), lanes)
     name = f"llvm.x86.avx512.vpdpbusd.{32 * lanes}"
     return module.declare_intrinsic(name, fnty=ir.FunctionType(words, [words, factors, factors]))
 
 
 def _factors(lanes):
-    """How this LLVM declares the factors, as bytes or, up to version 21, as words; None if it does not know them."""
+    """Type of the factors in this LLVM: bytes or, up to version 21, words; None if unsupported."""
     for kind in (ir.VectorType(ir.IntType(8), 4 * lanes), ir.VectorType(ir.IntType(32), lanes)):
         module = ir.Module()
         dot = _dot_in(module, lanes, kind)
@@ -71,7 +71,7 @@ MOST_COLUMNS = LANES << GROUP_BITS
 
 
 def _emit_tile(builder, address, tile):
-    """LLVM code of the micro-kernel; `address` maps a name to the pointer of that array."""
+    """Emit the LLVM code of the micro-kernel; `address` maps a name to the pointer of that array."""
     word, long = ir.IntType(32), ir.IntType(64)
     words = ir.VectorType(word, LANES)
     size = 4 * LANES
@@ -150,10 +150,10 @@ def _emit_tile(builder, address, tile):
 
 @intrinsic
 def tile_top_two(_context, rows, columns, bias, best, second, column_best, tile):
-    """One tile, all arrays given by address.
+    """Process one tile; all arrays are given by address.
 
     rows (ROWS, 128) signed bytes, columns (STEPS, COLUMNS, 4) bytes, bias (COLUMNS,): 128 * sum(b);
-    best, second (ROWS, LANES): running keys; column_best (COLUMNS,): running similarities; tile: its number.
+    best, second (ROWS, LANES): running keys; column_best (COLUMNS,): running similarities; tile: its index.
     """
     names = ("rows", "columns", "bias", "best", "second", "column_best")
 
@@ -169,7 +169,7 @@ def tile_top_two(_context, rows, columns, bias, best, second, column_best, tile)
 
 @kernel
 def most_squared_length(descriptors):
-    """The largest sum of squares of a row of bytes."""
+    """Largest sum of squares of a row of bytes."""
     most = np.int32(0)
     for i in range(len(descriptors)):
         row, total = descriptors[i], np.int32(0)
@@ -181,7 +181,7 @@ def most_squared_length(descriptors):
 
 @kernel
 def pack_rows(descriptors, rows):
-    """Descriptors (n, 128) less 128, as `byte_top_two` takes them; the rows beyond n are those of zeros."""
+    """Descriptors (n, 128) minus 128, in the layout of `byte_top_two`; rows beyond n are padded as zero descriptors."""
     for i in range(rows.shape[0] * ROWS):
         out = rows[i // ROWS, i % ROWS]
         for k in range(WIDTH):
@@ -194,7 +194,7 @@ def pack_rows(descriptors, rows):
 
 @kernel
 def pack_columns(descriptors, columns, bias):
-    """Descriptors (m, 128) by fours of bytes, as `byte_top_two` takes them, and 128 times their sums; zeros beyond m."""
+    """Descriptors (m, 128) in groups of four bytes, as for `byte_top_two`, and 128 times their sums; zeros beyond m."""
     for j in range(columns.shape[0] * COLUMNS):
         tile, lane, total = columns[j // COLUMNS], j % COLUMNS, np.uint32(0)
         for step in range(STEPS):
@@ -207,7 +207,7 @@ def pack_columns(descriptors, columns, bias):
 
 @kernel(allocates=True)
 def byte_top_two(rows, columns, bias, best, second, best_column, column_best):
-    """Best, second best and the best's column of every row; the best of every column.
+    """Best, second best and the best's column for every row; the best for every column.
 
     rows (n / ROWS, ROWS, 128) int8, columns (tiles, STEPS, COLUMNS, 4) uint8, bias and column_best (tiles, COLUMNS)
     uint32, best and second (n,) uint32, best_column (n,) int32.

@@ -1,7 +1,7 @@
-"""Best and second best of every row, best of every column, of a block of a similarity matrix.
+"""Best and second best of every row, and best of every column, of a block of a similarity matrix.
 
-Similarities are whole numbers below 2^24 held in float32, so that they are exact and may be compared for
-equality. The running top two are kept in lanes: max and min vectorise where a search for an index would not.
+Similarities are integers below 2^24 in float32, so they are exact and can be compared for equality. The running top
+two are kept per lane: max and min vectorize, unlike a search for an index.
 """
 
 import numpy as np
@@ -48,7 +48,7 @@ def top_two(block, rows, best, second, column_best):
 
 @kernel
 def find_best_column(block, rows, best, wanted, out):
-    """The first column of each wanted row at which its best stands."""
+    """The first column of each wanted row that contains the row's best."""
     for i in range(rows):
         if wanted[i]:
             row = block[i]
@@ -105,9 +105,9 @@ def guided_top_two(
 ):
     """Nearest and second nearest feature of image 2 within `band` pixels of each feature's epipolar line F x.
 
-    along_x and along_y hold image 2's features cell by cell: (order, pixels, descriptors, first), where first[s, c]
-    is the place of the first feature of cell c (of length `cell`) in strip s (of width `strip`); strips follow one
-    another along x, or y. A line is followed strip by strip along the axis to which it is nearer.
+    along_x and along_y hold image 2's features cell by cell: (order, pixels, descriptors, first), where first[s, c] is the
+    index of the first feature of cell c (of length `cell`) in strip s (of width `strip`); strips are consecutive along x,
+    or y. A line is traversed strip by strip along the axis to which it is closer.
     """
     for i in range(len(pixels1)):
         best[i], second[i], best_column[i] = -1, -1, -1

@@ -1,4 +1,4 @@
-"""Alignment of small patches to a fraction of a pixel, the look of each foretold by an affine warp."""
+"""Subpixel alignment of small patches, each predicted by an affine warp."""
 
 import math
 
@@ -7,15 +7,15 @@ import numpy as np
 from epipole._jit import kernel
 
 REASSOC = frozenset({"reassoc"})
-"""Sums over a patch may be taken in any order: in the order written they cannot be taken eight at a time."""
+"""Allow reassociation of sums over a patch, so that they vectorize."""
 MOST_STEPS = 12
 CONVERGED_SQ = 0.01 * 0.01
-"""Squared step, in pixels, at which a patch has settled."""
+"""Squared step, in pixels, at which a patch has converged."""
 
 
 @kernel(fuse=True)
 def _value_at(image, x, y):
-    """Bilinear value of an image of bytes; (x, y) is inside by a pixel."""
+    """Bilinear value of a byte image; (x, y) must be at least one pixel inside."""
     column, row = int(x), int(y)
     a, b = x - column, y - row
     upper = (1.0 - a) * image[row, column] + a * image[row, column + 1]
@@ -25,7 +25,7 @@ def _value_at(image, x, y):
 
 @kernel
 def _warped_patch(image, x, y, warp, half, patch):
-    """The patch as the other image should show it; False where it leaves its own image.
+    """The patch as predicted for the other image; False if it leaves its own image.
 
     patch[i, j] is the value at (x, y) + warp^-1 (j - half - 1, i - half - 1), with a border of one for gradients.
     """
@@ -71,7 +71,7 @@ def _compare(other, x, y, half, patch, gx, gy, sums):
 
 @kernel(fuse=True)
 def _template(bordered, side, patch, gx, gy):
-    """A patch without its border and its mean, and its gradients without theirs."""
+    """A patch without its border, and its gradients, both with zero mean."""
     mean, mean_x, mean_y = 0.0, 0.0, 0.0
     for i in range(side):
         for j in range(side):
@@ -91,12 +91,11 @@ def _template(bordered, side, patch, gx, gy):
 
 @kernel(allocates=True, extra_fastmath=REASSOC)
 def align_patches(image, other, pixels, warps, half, start, stop, found, score):
-    """Place each patch of `image` in `other`; found holds guesses and becomes the places.
+    """Locate each patch of `image` in `other`; `found` holds guesses and receives the positions.
 
-    Inverse compositional Gauss-Newton over the shift, a gain and an offset of brightness (Baker and Matthews, IJCV 2004;
-    the warp of the template as Forster et al., SVO, ICRA 2014). Patch and gradients have no mean, so that the offset drops
-    out of every sum. score becomes the correlation of the patches, from -1 to 1, and NaN where a patch left its image or
-    is flat.
+    Inverse compositional Gauss-Newton over a shift, a gain and a brightness offset (Baker and Matthews, IJCV 2004; warped
+    template as in Forster et al., SVO, ICRA 2014). Patch and gradients have zero mean, so the offset drops out of every
+    sum. score receives the correlation of the patches, from -1 to 1, or NaN if a patch left its image or is flat.
     """
     side = 2 * half + 1
     bordered, patch = np.empty((side + 2, side + 2)), np.empty((side, side))
@@ -147,7 +146,7 @@ def align_patches(image, other, pixels, warps, half, start, stop, found, score):
 
 @kernel(allocates=True)
 def find_along_rows(image, other, pixels, max_shift, half, start, stop, out):
-    """Best whole shift to the left of each patch, its correlation, and the best at two or more pixels from there."""
+    """Best integer shift to the left for each patch, its correlation, and the best one two or more pixels away."""
     height, width = image.shape
     count = (2 * half + 1) * (2 * half + 1)
     scores = np.empty(max_shift + 1)

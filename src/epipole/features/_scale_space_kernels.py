@@ -1,7 +1,7 @@
-"""Gaussian scale space and the extrema of its differences (Lowe, IJCV 2004, sections 3 and 4).
+"""Gaussian scale space and extrema of its differences (Lowe, IJCV 2004, sections 3 and 4).
 
-Rows are worked on whole, so that every inner loop runs over neighbouring columns and vectorises; the
-differences of Gaussians are made row by row where they are looked at, and are stored nowhere.
+Full rows are processed at a time, so every inner loop runs over adjacent columns and vectorizes. Differences of
+Gaussians are computed row by row as needed and never stored.
 """
 
 import numpy as np
@@ -11,13 +11,13 @@ from epipole._jit import kernel
 SCALES = 3
 """Scales per octave; an octave has SCALES + 3 levels, and extrema in levels 1 to SCALES of the differences."""
 BORDER = 5
-"""Pixels at the rim of every level where nothing is looked for."""
+"""Width of the border in which no extrema are searched, in pixels of each level."""
 _REFINEMENTS = 5
 
 
 @kernel(allocates=True)
 def upsample(grey, out):
-    """Twice the size: pixel (2 x, 2 y) of `out` is pixel (x, y) of `grey` / 255, the others lie halfway."""
+    """Double the size: pixel (2 x, 2 y) of `out` is pixel (x, y) of `grey` / 255, the others are interpolated."""
     height, width = grey.shape
     unit, half = np.float32(1.0 / 255.0), np.float32(0.5)
     row, below = np.empty(width + 1, np.float32), np.empty(width + 1, np.float32)
@@ -36,7 +36,7 @@ def upsample(grey, out):
 
 @kernel
 def halve(level, out):
-    """Every second pixel of every second row."""
+    """Keep every second pixel of every second row."""
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):
             out[y, x] = level[2 * y, 2 * x]
@@ -44,12 +44,12 @@ def halve(level, out):
 
 @kernel(allocates=True)
 def blur(level, weights, out):
-    """Gaussian blur, columns then rows; beyond the rim the image is mirrored.
+    """Gaussian blur, columns then rows; the image is mirrored at the border.
 
     Args:
         level: (height, width), float32.
-        weights: of the offsets 0, 1, ..., float32; an odd number of them, for offsets are taken in pairs (the last
-            weight may be zero).
+        weights: of the offsets 0, 1, ..., float32; their number must be odd, as offsets are processed in pairs (the
+            last weight may be zero).
         out: (height, width).
     """
     height, width = level.shape
@@ -89,17 +89,17 @@ def _mirrored(i, n):
 
 @kernel(allocates=True)
 def find_extrema(levels, threshold, least_contrast, most_edge, found):
-    """Extrema of the differences of Gaussians among their 26 neighbours, refined to a fraction of a pixel.
+    """Extrema of the differences of Gaussians among 26 neighbours, refined to subpixel position.
 
     Args:
         levels: one octave, a tuple of SCALES + 3 images (height, width).
-        threshold: fainter pixels are not looked at.
-        least_contrast: smallest |difference| at the refined place.
+        threshold: pixels with smaller |difference| are skipped.
+        least_contrast: smallest |difference| at the refined position.
         most_edge: largest ratio of principal curvatures.
         found: (capacity, 4) for x, y, scale (level 1 + fraction ...) and level, float32.
 
     Returns:
-        how many there are; more than the capacity if some did not fit.
+        number of extrema; larger than the capacity if some did not fit.
     """
     height, width = levels[0].shape
     differences = np.empty((3, SCALES + 2, width), np.float32)
@@ -141,7 +141,7 @@ def find_extrema(levels, threshold, least_contrast, most_edge, found):
 
 @kernel
 def _difference_row(lower, upper, out, high, low):
-    """The difference upper - lower; and of every three neighbours along the row the highest and the lowest."""
+    """The difference upper - lower, and the maximum and minimum of every three neighbours along the row."""
     width = len(lower)
     for x in range(width):
         out[x] = upper[x] - lower[x]
@@ -164,7 +164,7 @@ def _of_three(high0, high1, high2, highest, low0, low1, low2, lowest):
 
 @kernel
 def _mark_extremes(here, high0, high1, high2, low0, low1, low2, threshold, is_extreme):
-    """Whether a pixel is the highest or lowest of its 27, and beyond the threshold; the rim is not to be asked."""
+    """Mark pixels that are the maximum or minimum of their 27 and exceed the threshold; ignore the border."""
     for x in range(len(here)):
         high = high0[x] if high0[x] > high1[x] else high1[x]
         high = high2[x] if high2[x] > high else high
@@ -177,7 +177,7 @@ def _mark_extremes(here, high0, high1, high2, low0, low1, low2, threshold, is_ex
 
 @kernel
 def _refine(levels, s, y, x, least_contrast, most_edge, found, count):
-    """Newton steps on the quadratic through the neighbours (Brown and Lowe, BMVC 2002); 1 if it holds, else 0."""
+    """Newton steps on the quadratic through the neighbours (Brown and Lowe, BMVC 2002); 1 if accepted, else 0."""
     height, width = levels[0].shape
     for _ in range(_REFINEMENTS):
         here = _difference(levels, s, y, x)

@@ -6,17 +6,17 @@ from epipole._jit import kernel
 
 ORIENTATION_BINS = 36
 _ORIENTATION_SIGMA = 1.5
-"""Width of the window in which gradients vote for the orientation, in scales of the feature."""
+"""Standard deviation of the window in which gradients vote for the orientation, in feature scales."""
 _SECOND_PEAK = 0.8
 CELLS, ANGLES = 4, 8
-"""A descriptor is CELLS x CELLS histograms of ANGLES directions."""
+"""A descriptor has CELLS x CELLS histograms of ANGLES directions."""
 _CELL_SCALES = 3.0
-"""Side of a cell in scales of the feature."""
+"""Side of a cell, in feature scales."""
 SAMPLES = 4
 """Samples along the side of a cell; the window reaches half a cell beyond the outermost cells."""
 MOST_ORIENTATIONS = 4
 _LARGEST = 0.2
-"""Entries of the descriptor of unit length are cut here: less weight to single strong gradients."""
+"""Entries of the unit-length descriptor are clipped here to limit the influence of single strong gradients."""
 _UNIT = 512.0
 
 # atan(t) / t as a polynomial of t^2 on [0, 1], least squares at Chebyshev nodes; error below 2e-5 rad.
@@ -47,13 +47,13 @@ def describe_all(levels, extrema, sigma, pixel, columns, descriptors):
     Args:
         levels: the inner levels of the octave, a tuple of images.
         extrema: (n, 4) of x, y, scale, level (from 1), as found.
-        sigma: (n,) scales in pixels of the octave.
-        pixel: side of these pixels in pixels of the image.
-        columns: (MOST_ORIENTATIONS n, 4), written: x, y, diameter in pixels of the image; radians, x towards y.
-        descriptors: (MOST_ORIENTATIONS n, 128) uint8, written.
+        sigma: (n,) scales, in pixels of the octave.
+        pixel: side of a pixel of the octave, in pixels of the image.
+        columns: (MOST_ORIENTATIONS n, 4), output: x, y, diameter in pixels of the image; radians, x towards y.
+        descriptors: (MOST_ORIENTATIONS n, 128) uint8, output.
 
     Returns:
-        how many rows were written.
+        number of rows written.
     """
     tables, angles, count = window_tables(), np.empty(MOST_ORIENTATIONS), 0
     for i in range(len(extrema)):
@@ -68,13 +68,13 @@ def describe_all(levels, extrema, sigma, pixel, columns, descriptors):
 
 @kernel(allocates=True)
 def describe_upright(level, pixels, sigma, descriptors):
-    """Describe windows of one size that are not turned.
+    """Describe unrotated windows of one size.
 
     Args:
         level: the blurred image.
-        pixels: (n, 2) their middles.
-        sigma: scale in pixels, of all of them.
-        descriptors: (n, 128) uint8, written.
+        pixels: (n, 2) window centers.
+        sigma: scale in pixels, the same for all.
+        descriptors: (n, 128) uint8, output.
     """
     tables = window_tables()
     for i in range(len(pixels)):
@@ -86,14 +86,14 @@ def find_orientations(level, x, y, sigma, angles):
     """Peaks of the histogram of gradient directions around (x, y); up to len(angles), strongest first.
 
     Args:
-        level: the blurred image nearest in scale, (height, width).
+        level: the blurred image closest in scale, (height, width).
         x: column in pixels of the level.
         y: row.
         sigma: scale in pixels of the level.
         angles: filled with directions in radians, x towards y.
 
     Returns:
-        how many peaks reach 0.8 of the highest.
+        number of peaks that reach 0.8 of the highest.
     """
     height, width = level.shape
     window = _ORIENTATION_SIGMA * sigma
@@ -132,7 +132,7 @@ def _smoothed(histogram):
 
 @kernel(allocates=True)
 def _peaks(histogram, angles):
-    """Local maxima by parabola through three bins, strongest first."""
+    """Local maxima, refined by a parabola through three bins, strongest first."""
     n, count = len(histogram), 0
     heights = np.empty(len(angles), np.float32)
     least = _SECOND_PEAK * histogram.max()
@@ -171,19 +171,19 @@ def window_tables():
 
 @kernel(allocates=True)
 def describe(level, x, y, sigma, angle, tables, descriptor):
-    """Root-SIFT descriptor of the turned window around (x, y), as bytes of length 512.
+    """Root-SIFT descriptor of the rotated window around (x, y), as bytes of length 512.
 
-    The window is sampled on its own turned grid, SAMPLES to a cell, so that the place and the weight of every
-    sample in the histograms are the same for all features: only its direction is left to find.
+    The window is sampled on its own rotated grid, SAMPLES per cell, so that the cell and the weight of every sample are
+    the same for all features; only the gradient direction has to be computed.
 
     Args:
-        level: the blurred image nearest in scale.
+        level: the blurred image closest in scale.
         x: column in pixels of the level.
         y: row.
         sigma: scale in pixels of the level.
         angle: orientation in radians, x towards y.
-        tables: of `window_tables`.
-        descriptor: (128,) uint8, written.
+        tables: output of `window_tables`.
+        descriptor: (128,) uint8, output.
     """
     gauss, cell, lower, upper = tables
     n = len(gauss)
@@ -220,13 +220,13 @@ def describe(level, x, y, sigma, angle, tables, descriptor):
 
 @kernel(allocates=True)
 def _sample(level, x, y, step, angle, patch):
-    """Bilinear samples on a grid turned by `angle` and centred at (x, y); the rim of the image goes on beyond."""
+    """Bilinear samples on a grid rotated by `angle` and centered at (x, y); the border is replicated."""
     height, width = level.shape
     ux, uy = np.float32(step * np.cos(angle)), np.float32(step * np.sin(angle))
     n = len(patch)
     middle = np.float32(0.5 * (n - 1))
     most_x, most_y = np.float32(width - 1.001), np.float32(height - 1.001)
-    # Whole numbers too: in a very wide level a float32 rounds to the last column.
+    # Clamp the integers too: in a very wide level a float32 rounds to the last column.
     last_x, last_y = np.int32(width - 2), np.int32(height - 2)
     zero = np.float32(0.0)
     flat = level.ravel()
@@ -250,7 +250,7 @@ def _sample(level, x, y, step, angle, patch):
 
 @kernel
 def _root(histogram, descriptor):
-    """Unit length, cut at 0.2, then root-SIFT (Arandjelovic and Zisserman, CVPR 2012)."""
+    """Normalize, clip at 0.2, then convert to root-SIFT (Arandjelovic and Zisserman, CVPR 2012)."""
     total = np.float32(0.0)
     for r in range(1, CELLS + 1):
         for c in range(1, CELLS + 1):

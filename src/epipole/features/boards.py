@@ -1,4 +1,4 @@
-"""Calibration boards: where their corners are, and which of them an image shows."""
+"""Calibration boards: corner positions and detection."""
 
 from __future__ import annotations
 
@@ -15,16 +15,14 @@ from epipole.config import BoardConfig
 _opencv: Any = cv2  # its stubs lack parts of aruco
 _LEAST_CORNERS = 6
 _LEAST_LARGER = 2  # images
-_LEAST_SIDE = 64  # pixels: a smaller image shows no board
-_WINDOW_FRACTION = (
-    0.4  # half window over the least distance between corners: the best of 0.15 to 0.5 on real pairs
-)
+_LEAST_SIDE = 64  # pixels: smaller images are skipped
+_WINDOW_FRACTION = 0.4  # half window over smallest corner distance: the best of 0.15 to 0.5 on real pairs
 _REFINE = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardView:
-    """Corners of the board found in one image."""
+    """Corners of the board detected in one image."""
 
     corner: Int64[np.ndarray, " n"]
     """Rows in `corners_on_board`."""
@@ -38,10 +36,10 @@ class BoardView:
 
 
 def corners_on_board(board: BoardConfig) -> Float64[np.ndarray, "n 3"]:
-    """All corners on the plane z = 0, x along the rows, y down, in the unit of `square`.
+    """All corners on the plane z = 0, x along the rows, y down, in units of `square`.
 
-    Chessboards and ChArUco: the inner corners row by row. AprilTag grids: four corners a tag, tag by tag, clockwise
-    from the tag's top left as it is printed upright, row by row from the top.
+    Chessboards and ChArUco: the inner corners row by row. AprilTag grids: four corners per tag, tag by tag, clockwise
+    from the tag's top left in its printed orientation, row by row from the top.
     """
     plane: np.ndarray
     if board.kind == "apriltag":
@@ -60,10 +58,10 @@ def corners_on_board(board: BoardConfig) -> Float64[np.ndarray, "n 3"]:
 
 
 def find_board(grey: UInt8[np.ndarray, "h w"], board: BoardConfig) -> BoardView:
-    """The corners that OpenCV's detectors find; empty where there is no board."""
+    """The corners that OpenCV detects; empty if there is no board."""
     if min(grey.shape) < _LEAST_SIDE:
         return _nothing()
-    cv2.setRNGSeed(0)  # OpenCV's detectors guess; what they find must not depend on the images before
+    cv2.setRNGSeed(0)  # OpenCV's detectors are randomized: results must not depend on earlier images
     find = {"chessboard": _find_chessboard, "charuco": _find_charuco, "apriltag": _find_tags}
     found = find[board.kind](np.ascontiguousarray(grey), board)
     return found if len(found) >= _LEAST_CORNERS else _nothing()
@@ -74,10 +72,9 @@ def _nothing() -> BoardView:
 
 
 def _find_chessboard(grey: np.ndarray, board: BoardConfig) -> BoardView:
-    """All corners or none: in a part of a chessboard one cannot tell which corners they are.
+    """All corners or none, as the corners of a partially visible chessboard cannot be identified.
 
-    Corners are refined in windows: a larger one averages more noise, but one that reaches the next corner is
-    biased towards it.
+    Corners are refined in windows: larger ones average more noise, but are biased if they reach the next corner.
     """
     size = (board.columns, board.rows)
     found, pixels = cv2.findChessboardCorners(
@@ -101,9 +98,9 @@ def whole_chessboard(
 ) -> tuple[int, int] | None:
     """Columns and rows of inner corners that the images show, if the board is larger than stated.
 
-    OpenCV's detector of larger boards sometimes finds a row too many and sometimes nothing: one image of a
-    board of the stated size settles it; else at least two must show more. The most frequent size wins, the
-    smallest of equally frequent ones.
+    OpenCV's detector of larger boards sometimes finds an extra row or nothing at all. One image with the stated size is
+    enough to confirm it; otherwise at least two images must show a larger one. The most frequent size wins, the smallest
+    of equally frequent ones.
     """
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     seen: list[tuple[int, int]] = []
@@ -124,7 +121,7 @@ def whole_chessboard(
 def _find_charuco(grey: np.ndarray, board: BoardConfig) -> BoardView:
     dictionary = _dictionary(board.dictionary_name)
     best = _nothing()
-    for legacy in (False, True):  # boards of OpenCV before 4.6 begin with the other colour
+    for legacy in (False, True):  # boards made by OpenCV before 4.6 start with the other color
         printed = _opencv.aruco.CharucoBoard((board.columns, board.rows), 1.0, board.marker_ratio, dictionary)
         printed.setLegacyPattern(legacy)
         pixels, ids, _, _ = _opencv.aruco.CharucoDetector(printed).detectBoard(grey)
@@ -159,7 +156,7 @@ def _find_tags(grey: np.ndarray, board: BoardConfig) -> BoardView:
 
 
 def _plane_error(plane: np.ndarray, pixels: np.ndarray) -> float:
-    """Median distance from the best homography: large if the grid's layout is another."""
+    """Median distance to the best homography: large for a wrong grid layout."""
     matrix, _ = cv2.findHomography(plane, pixels)
     if matrix is None:
         return np.inf

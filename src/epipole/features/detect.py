@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.config import FeatureConfig, options_of
 from epipole.features.features import Features, in_order
 from epipole.features.kinds import KINDS, ORB, Detector
@@ -20,10 +20,10 @@ _opencv: Any = cv2  # its stubs lack ORB
 
 @checked
 def detect_features(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig | None = None) -> Features:
-    """Find and describe features of a grey image; none in a blank or tiny one.
+    """Detect and describe features of a grey image; none in a blank or tiny image.
 
     Returns:
-        Features in pixels of the given image, also when it was reduced for detection.
+        Features in pixels of the given image, even if it was downscaled for detection.
     """
     config = options_of(FeatureConfig, config)
     height, width = grey.shape
@@ -36,7 +36,7 @@ def detect_features(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig | None
     found = DETECTORS[config.kind](grey, config)
     if factor == 1.0:
         return found
-    # Resampling aligns pixel edges, not centres.
+    # Resampling aligns pixel edges, not centers.
     stretch = np.array([width / grey.shape[1], height / grey.shape[0]])
     pixels = ((found.pixels + 0.5) * stretch - 0.5).astype(np.float32)
     return Features(

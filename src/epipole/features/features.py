@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from epipole._declared import Declared
+from epipole._checks import Declared
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -15,12 +15,12 @@ class Features(Declared):
     """One row per feature, strongest scale first."""
 
     pixels: Float32[np.ndarray, "n 2"]
-    """In pixels of the full image, (0, 0) the centre of its top-left pixel."""
+    """In pixels of the full image; (0, 0) is the center of the top-left pixel."""
     scale_px: Float32[np.ndarray, " n"]
     """Diameter of the described region."""
     angle_rad: Float32[np.ndarray, " n"]
     descriptors: UInt8[np.ndarray, "n d"]
-    """Root-SIFT times 512 (d = 128), or ORB's bits (d = 32)."""
+    """Root-SIFT times 512 (d = 128), or ORB bits (d = 32)."""
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -32,7 +32,7 @@ class Features(Declared):
 def in_order(
     columns: Float32[np.ndarray, "n 4"], descriptors: UInt8[np.ndarray, "n d"], limit: int
 ) -> Features:
-    """Features from columns x, y, diameter and angle: by falling size, then place; at most `limit`."""
+    """Features from columns x, y, diameter and angle, sorted by decreasing size, then position; at most `limit`."""
     order = np.lexsort((columns[:, 3], columns[:, 0], columns[:, 1], -columns[:, 2]))[:limit]
     columns = columns[order]
     return Features(

@@ -1,4 +1,4 @@
-"""Points followed from one image to the next: pyramidal Lucas-Kanade, with OpenCV."""
+"""Point tracking from one image to the next: pyramidal Lucas-Kanade, with OpenCV."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.config import FlowConfig, options_of
 from epipole.errors import ShapeError
 
 LARGEST_GAIN = 1.2
-"""Between images as they are; one that is darker by more is first made as bright as the other."""
+"""Largest brightness ratio between images without correction; above it, the darker image is brightened first."""
 AROUND_PX = 15
-"""Side of the square whose mean tells how bright a point is."""
+"""Side of the square over which the brightness of a point is averaged."""
 
 
 @checked
@@ -26,34 +26,36 @@ def track_points(
     *,
     and_back: bool = True,
 ) -> tuple[Float64[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
-    """Find points of one image in another (Lucas and Kanade 1981; Bouguet 2001), and back again.
+    """Track points from one image to another and back (Lucas and Kanade 1981; Bouguet 2001).
 
-    The method takes a point to be as bright in both. Where exposure differs, so that the points are darker in one of the images
-    by a sixth or more (median), that one is brightened first.
+    The method assumes constant brightness. If the points are darker in one of the images by a sixth or more (median),
+    that image is brightened first.
 
     Args:
-        first: grey image that the points are in.
-        second: another of its size.
-        pixels: where they are in the first.
-        guess: where they are thought to be in the second; None: at the same place.
+        first: grey image with the points.
+        second: grey image of the same size.
+        pixels: positions in the first image.
+        guess: predicted positions in the second image; None: unchanged.
         config: options.
-        and_back: points count as found only if the way back ends where it began.
+        and_back: reject points whose backward track does not return to the start.
 
     Returns:
-        Pixels in the second image, and which of them were found.
+        Pixels in the second image, and a mask of the points that were tracked.
 
     Raises:
-        ShapeError: the images are smaller than a patch.
+        ShapeError: the images are smaller than the tracking window.
     """
     config = options_of(FlowConfig, config)
     if min(first.shape) <= config.window_px:
-        raise ShapeError(f"an image of {first.shape[1]} x {first.shape[0]} is too small for the patches")
+        raise ShapeError(
+            f"image size {first.shape[1]} x {first.shape[0]} is too small for the tracking window"
+        )
     if not len(pixels):
         return np.zeros((0, 2)), np.zeros(0, bool)
     height, width = first.shape
     at = np.ascontiguousarray(pixels, np.float32)
     start = at if guess is None else np.ascontiguousarray(guess, np.float32)
-    # A guess outside the image, or none at all, is no place to begin at.
+    # Ignore guesses that are missing or outside the image.
     usable = np.asarray(np.isfinite(start) & (start >= 0) & (start < (width, height))).all(
         axis=1, keepdims=True
     )
@@ -80,7 +82,7 @@ def track_points(
 def _equally_bright(
     first: np.ndarray, second: np.ndarray, at: np.ndarray, there: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The images, the darker one multiplied if points at these places differ by more than the method bears."""
+    """The images, the darker one brightened if the gain at these points is too large for the method."""
     one, other = _brightness(first, at), _brightness(second, there)
     gain = float(np.median((other + 1.0) / (one + 1.0)))
     if gain > LARGEST_GAIN:
@@ -91,7 +93,7 @@ def _equally_bright(
 
 
 def _brightness(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """(n,) mean grey around pixels; what lies outside counts as the rim."""
+    """(n,) mean grey value around pixels; the border is replicated."""
     last = np.array(image.shape[::-1]) - 1
     column, row = np.rint(np.clip(np.nan_to_num(pixels), 0, last)).astype(np.int64).T
     return cv2.blur(image, (AROUND_PX, AROUND_PX))[row, column].astype(np.float64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64, Int32, UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.config import MatchConfig, options_of
 from epipole.errors import ConfigError, ShapeError
 from epipole.features import _byte_dot_kernels as byte_kernels
@@ -14,8 +14,8 @@ from epipole.features.features import Features
 from epipole.features.kinds import SIFT, Matcher, Metric, kind_of
 
 _BLOCK_ROWS = 256
-_STRIP_PX, _CELL_PX = 32.0, 8.0
-"""Width of the strips in which features along a line are looked up, and length of their cells."""
+_STRIP_PX = 32.0  # width of the strips in which features along a line are looked up
+_CELL_PX = 8.0  # length of the cells of a strip
 _MOST_CELLS = 1 << 26
 _UNIT = 512.0
 """Length of a root-SIFT descriptor."""
@@ -29,10 +29,10 @@ def match_descriptors(
 ) -> Int32[np.ndarray, "k 2"]:
     """Index pairs of mutual nearest neighbours that pass the ratio test (Lowe, IJCV 2004, section 7.1).
 
-    The width says which kind they are (root-SIFT, ORB), and the kind how they are compared.
+    The width determines the kind of descriptor (root-SIFT, ORB), and the kind how they are compared.
 
     Raises:
-        ShapeError: descriptors of different or unknown width.
+        ShapeError: descriptors have different or unknown widths.
     """
     config = options_of(MatchConfig, config)
     width, other = descriptors1.shape[1], descriptors2.shape[1]
@@ -52,11 +52,11 @@ def match_by_angle(first: np.ndarray, second: np.ndarray, config: MatchConfig) -
 
 
 TopTwo = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""Of every row the best column, the best and the second best similarity; of every column the best."""
+"""For every row the best column, the best and the second best similarity; for every column the best."""
 
 
 def _fits_byte_dot(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether the processor multiplies bytes and no similarity is too large for the keys (root-SIFT's never is)."""
+    """Whether the processor has byte products and no similarity overflows the keys (root-SIFT never does)."""
     if byte_kernels.LANES == 0 or len(b) > byte_kernels.MOST_COLUMNS:
         return False
     longest = [float(byte_kernels.most_squared_length(d)) for d in (a, b)]
@@ -64,7 +64,7 @@ def _fits_byte_dot(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def _top_two_bytes(a: np.ndarray, b: np.ndarray, _config: MatchConfig) -> TopTwo:
-    """Work: 128 * n * m byte products, 64 (or 32) an instruction; the similarities stay in registers."""
+    """Work: 128 * n * m byte products, 64 (or 32) per instruction; the similarities stay in registers."""
     n, m = len(a), len(b)
     rows = np.empty((-(-n // byte_kernels.ROWS), byte_kernels.ROWS, byte_kernels.WIDTH), np.int8)
     columns = np.empty((-(-m // byte_kernels.COLUMNS), byte_kernels.STEPS, byte_kernels.COLUMNS, 4), np.uint8)
@@ -86,9 +86,9 @@ def _top_two_bytes(a: np.ndarray, b: np.ndarray, _config: MatchConfig) -> TopTwo
 
 
 def _top_two_floats(a: np.ndarray, b: np.ndarray, config: MatchConfig) -> TopTwo:
-    """The same by float32 products, in blocks of rows that stay in the cache; whole numbers below 2^24 are exact.
+    """The same with float32 products, in blocks of rows that fit the cache; integers below 2^24 are exact.
 
-    Columns are looked up only for rows that pass the ratio test; -1 for the others.
+    Columns are computed only for rows that pass the ratio test; -1 for the others.
     """
     a, b = a.astype(np.float32), b.astype(np.float32)
     n, m = len(a), len(b)
@@ -130,26 +130,28 @@ def match_along_epipolar_lines(
 ) -> Int32[np.ndarray, "k 2"]:
     """Mutual nearest SIFT neighbours among the features within `band_px` of each other's epipolar line.
 
-    A line crosses about one hundredth of an image's features, so that this costs a small fraction of
-    comparing all with all; the ratio test is among the candidates of the line.
+    A line passes about one hundredth of an image's features, so this costs a fraction of exhaustive matching. The ratio
+    test compares candidates near the line only.
 
     Args:
-        features1: of image 1.
-        features2: of image 2.
+        features1: features of image 1.
+        features2: features of image 2.
         fundamental: x2^T F x1 = 0, pixels.
         band_px: half width of the band around a line.
         config: ratio and distance bounds.
 
     Raises:
-        ShapeError: features are not SIFT's, or have pixels that no image has.
-        ConfigError: the band has no width.
+        ShapeError: features are not SIFT, or have pixels outside any image.
+        ConfigError: band_px is not positive and finite.
     """
     config = options_of(MatchConfig, config)
     if not 0 < band_px < np.inf:
         raise ConfigError(f"band_px must be positive and finite, got {band_px}")
     for name, features in (("features1", features1), ("features2", features2)):
         if kind_of(features.descriptors) is not SIFT:
-            raise ShapeError(f"{name} must be SIFT's of 128 columns, got {features.descriptors.shape[1]}")
+            raise ShapeError(
+                f"{name} must be SIFT features with 128 columns, got {features.descriptors.shape[1]}"
+            )
         if not np.isfinite(features.pixels).all():
             raise ShapeError(f"{name} must have finite pixels")
     n, m = len(features1), len(features2)
@@ -175,13 +177,13 @@ def match_along_epipolar_lines(
 
 
 def _cells(features: Features, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Features in the order of the cells of the strips along `axis`; and the first of each cell."""
+    """Features in the order of the cells of the strips along `axis`, and the first of each cell."""
     pixels = features.pixels.astype(np.float64)
     strip = np.maximum(pixels[:, axis] // _STRIP_PX, 0).astype(np.int64)
     cell = np.maximum(pixels[:, 1 - axis] // _CELL_PX, 0).astype(np.int64)
     strips, cells = int(strip.max()) + 1, int(cell.max()) + 1
     if strips * cells > _MOST_CELLS:
-        raise ShapeError(f"features have pixels as large as {pixels.max():.3g}: no image is so large")
+        raise ShapeError(f"features have pixels up to {pixels.max():.3g}, which no image has")
     key = strip * cells + cell
     order = np.argsort(key, kind="stable")
     starts = np.concatenate([[0], np.cumsum(np.bincount(key, minlength=strips * cells))])
@@ -205,7 +207,7 @@ def match_by_bits(first: np.ndarray, second: np.ndarray, config: MatchConfig) ->
 
 
 def _one_to_one(rows1: np.ndarray, rows2: np.ndarray) -> np.ndarray:
-    """Drop later rows with a column that is already taken (only exact ties of distance have one)."""
+    """Drop later rows with a column that is already taken (possible only for equal distances)."""
     _, first = np.unique(rows2, return_index=True)
     first.sort()
     return np.stack([rows1[first], rows2[first]], axis=1).astype(np.int32)

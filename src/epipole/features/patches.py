@@ -1,4 +1,4 @@
-"""Points of one image placed in another by their patches, each warped as the geometry foretells."""
+"""Subpixel matching of patches between images, each warped as the geometry predicts."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from epipole import _parallel
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, ShapeError
 from epipole.features import _patch_kernels as kernels
 
 SIMILAR = 0.5
-"""Correlation in a halved image at which the place there is a better guess than the one before."""
+"""Correlation in a downscaled image above which its position replaces the guess."""
 COARSE_HALF_PX = 6
-"""Larger patches of a halved image reach over several surfaces."""
+"""Half width at coarse levels, where larger patches would span several surfaces."""
 FEWEST_OF_CHUNK = 50
-"""Fewer patches take less time than handing them to another thread."""
+"""Smallest chunk for a thread: fewer patches cost less than the hand-over."""
 
 
 @checked
@@ -28,22 +28,22 @@ def align_patches(
     guess: Float64[np.ndarray, "n 2"],
     half_px: int = 6,
 ) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, " n"]]:
-    """Place points by least squares of their patches, free of the drift of following from image to image.
+    """Locate points by least squares over their patches, without the drift of frame-to-frame tracking.
 
     Args:
-        first: grey image that the patches are of.
-        second: image to find them in.
-        pixels: where the points are in the first.
+        first: grey image with the patches.
+        second: image to search.
+        pixels: positions in the first image.
         warps: d(pixel in second) / d(pixel in first) around each point.
-        guess: where they are thought to be in the second, to a pixel or three.
-        half_px: the patches are of 2 half_px + 1 pixels a side.
+        guess: predicted positions in the second image, within about three pixels.
+        half_px: patches have 2 half_px + 1 pixels per side.
 
     Returns:
-        Pixels in the second image, and the correlation of the patches there: 1 for the same look, NaN where a patch is
+        Pixels in the second image, and the correlation of the patches there: 1 for identical appearance, NaN if a patch is
         flat or leaves its image.
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: array sizes do not match.
         ConfigError: half_px is not from 2 to 20.
     """
     if not 2 <= half_px <= 20:
@@ -71,24 +71,24 @@ def find_patches(
     levels: int = 3,
     half_px: int = 6,
 ) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, " n"]]:
-    """The same from guesses that are further off: from halved images to the images themselves.
+    """Like `align_patches`, but coarse to fine, from worse guesses.
 
-    Each level doubles the distance, some 2 pixels for one, from which a patch is found.
+    Each level doubles the distance from which a patch is found, about 2 pixels for a single level.
 
     Args:
-        first: grey image that the patches are of.
-        second: image to find them in.
-        pixels: where the points are in the first.
+        first: grey image with the patches.
+        second: image to search.
+        pixels: positions in the first image.
         warps: d(pixel in second) / d(pixel in first) around each point.
-        guess: where they are thought to be in the second.
-        levels: times that the images are halved, and one more.
-        half_px: the patches are of 2 half_px + 1 pixels a side, in halved images of 13 at most.
+        guess: predicted positions in the second image.
+        levels: number of pyramid levels, each half the size of the one before.
+        half_px: patches have 2 half_px + 1 pixels per side, at most 13 in downscaled images.
 
     Returns:
-        Pixels in the second image, and the correlation of the patches there, as `align_patches`.
+        Pixels in the second image, and the correlation of the patches there, as in `align_patches`.
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: array sizes do not match, or an image is empty.
         ConfigError: levels is not from 1 to 8, half_px not from 2 to 20.
     """
     if not 1 <= levels <= 8:
@@ -116,28 +116,27 @@ def find_along_rows(
     max_shift: int,
     half_px: int = 5,
 ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Whole shifts to the left after which patches look most alike (zero-mean normalised correlation), each tried in turn.
+    """Integer shifts to the left with the highest patch correlation (zero-mean normalized), by exhaustive search.
 
     Args:
         first: grey image, rectified.
-        second: its partner.
-        pixels: points in the first.
-        max_shift: the largest, in pixels.
-        half_px: the patches are of 2 half_px + 1 pixels a side.
+        second: its rectified partner.
+        pixels: points in the first image.
+        max_shift: largest shift, in pixels.
+        half_px: patches have 2 half_px + 1 pixels per side.
 
     Returns:
-        Shifts; correlations; the largest correlation two or more pixels from there. NaN where a patch is flat, or leaves
-        the image.
+        Shifts; correlations; the largest correlation two or more pixels away. NaN if a patch is flat or leaves the image.
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: array sizes do not match.
         ConfigError: max_shift is negative, or half_px not from 2 to 20.
     """
     if max_shift < 0 or not 2 <= half_px <= 20:
         raise ConfigError(
-            f"max_shift must not be negative and half_px from 2 to 20, got {max_shift} and {half_px}"
+            f"max_shift must not be negative and half_px must be from 2 to 20, got {max_shift} and {half_px}"
         )
-    max_shift = min(max_shift, first.shape[1])  # farther left there is no image
+    max_shift = min(max_shift, first.shape[1])  # larger shifts leave the image
     out = np.full((len(pixels), 3), np.nan)
     at = np.where(np.isfinite(pixels).all(axis=1, keepdims=True), pixels, -1.0)
     _parallel.map_chunks(

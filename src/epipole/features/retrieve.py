@@ -1,4 +1,4 @@
-"""Retrieval: which images look alike, from the descriptors of the set itself."""
+"""Retrieval: similar images, by a vocabulary of their own descriptors."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float32, Int32, UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, ShapeError
 
 _BLOCK_ROWS = 2048
-"""Images that are compared with all others at a time: memory grows with their number, not with its square."""
+"""Images compared with all others at a time, so that memory grows linearly with their number."""
 
 
 @checked
 def train_vocabulary(
     descriptors: Sequence[UInt8[np.ndarray, "_ d"]], num_words: int = 64, seed: int = 0, rounds: int = 10
 ) -> Float32[np.ndarray, "w d"]:
-    """Lloyd's k-means over a sample of all images' descriptors (Lloyd 1982); the words' centres."""
+    """Visual words: Lloyd's k-means over a sample of all images' descriptors (Lloyd 1982)."""
     if num_words < 1 or seed < 0 or rounds < 0:
         raise ConfigError("num_words must be positive, seed and rounds not negative")
     if len({d.shape[1] for d in descriptors}) > 1:
@@ -60,7 +60,7 @@ def describe_image(
 
 @checked
 def most_similar(vectors: Float32[np.ndarray, "n v"], count: int) -> Int32[np.ndarray, "n c"]:
-    """For each image the `count` others of greatest cosine, best first."""
+    """For each image, the `count` other images with the largest cosine, best first."""
     n = len(vectors)
     kept = max(0, min(count, n - 1))
     out = np.empty((n, kept), np.int32)

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.config import FeatureConfig
 from epipole.errors import ConfigError, ShapeError
 from epipole.features import _scale_space_kernels as space
@@ -17,23 +17,23 @@ from epipole.features import _sift_kernels as kernels
 from epipole.features.features import Features, in_order
 
 _SIGMA = 1.6
-"""Blur of the first level of every octave, in its pixels."""
+"""Blur of the first level of every octave, in pixels of the octave."""
 _CAMERA_SIGMA = 0.5
-"""Blur taken to be in the image itself."""
+"""Assumed blur of the input image."""
 _LEAST_SIDE = 2 * space.BORDER + 2
 _MOST_EDGE = 10.0
-"""Largest ratio of principal curvatures: along edges a position is not determined."""
+"""Largest ratio of principal curvatures: along edges the position is undetermined."""
 
 
 def detect_sift(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig) -> Features:
-    """The largest SIFT features of a grey image, as root-SIFT.
+    """The largest-scale SIFT features of a grey image, as root-SIFT.
 
-    The first octave is of twice the image's size. A pixel (x, y) of the image is pixel (2 x, 2 y) there, so
-    that keypoints are not shifted. Work per pixel of an octave: five blurs of 11 to 27 taps along rows and
-    columns, then 27 comparisons for each of three levels.
+    The first octave has twice the image's size. Pixel (x, y) of the image is pixel (2 x, 2 y) there, so keypoints are
+    not shifted. Work per pixel of an octave: five blurs of 11 to 27 taps along rows and columns, then 27 comparisons for
+    each of three levels.
 
     Args:
-        grey: at least 16 pixels a side.
+        grey: at least 16 pixels per side.
         config: `max_features` and `contrast_threshold`.
     """
     octaves, limit = [], config.max_features
@@ -53,13 +53,13 @@ def detect_sift(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig) -> Featur
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Octave:
-    """The inner levels of an octave, and the extrema in them."""
+    """The inner levels of an octave, and their extrema."""
 
     levels: tuple[Float32[np.ndarray, "h w"], ...]
     extrema: Float32[np.ndarray, "n 4"]
     """x, y and scale in the octave's units, and level."""
     pixel: float
-    """Side of its pixels, in pixels of the image."""
+    """Side of a pixel of the octave, in pixels of the image."""
 
     def sigma(self) -> np.ndarray:
         """Scale of each extremum, in pixels of the octave."""
@@ -67,7 +67,7 @@ class _Octave:
 
 
 def _octaves(grey: np.ndarray) -> Iterator[tuple[np.ndarray, ...]]:
-    """Levels of octave after octave, each half the size of the one before."""
+    """Levels of each octave; every octave is half the size of the previous one."""
     height, width = grey.shape
     base = np.empty((2 * height, 2 * width), np.float32)
     space.upsample(grey, base)
@@ -89,7 +89,7 @@ def _blurred(image: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def _gaussian(sigma: float) -> Float32[np.ndarray, " r"]:
-    """Weights of the offsets 0, 1, ..., to four sigma; their number is odd."""
+    """Weights of the offsets 0, 1, ..., up to four sigma; their number is odd."""
     radius = int(np.ceil(4.0 * sigma))
     offsets = np.arange(radius + radius % 2 + 1)
     weights = np.exp(-0.5 * (offsets / sigma) ** 2) * (offsets <= radius)
@@ -119,14 +119,14 @@ def _describe(octave: _Octave, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def describe_upright(
     grey: UInt8[np.ndarray, "h w"], pixels: Float64[np.ndarray, "n 2"], sigma_px: float = 5.0
 ) -> UInt8[np.ndarray, "n 128"]:
-    """Root-SIFT of windows of one size that are not turned: for corners of a camera that stays upright.
+    """Root-SIFT of unrotated windows of one size, for corners of a camera that stays upright.
 
-    Work: one blur of the image, and 0.9 k samples for each window.
+    Work: one blur of the image, and 900 samples per window.
 
     Args:
         grey: the image.
-        pixels: middles of the windows; what of a window lies outside is the image's rim.
-        sigma_px: scale; a window's side is 12 times as long.
+        pixels: window centers; parts of a window outside the image replicate its border.
+        sigma_px: scale; a window's side is 12 times this.
 
     Raises:
         ConfigError: sigma_px is not positive.
@@ -138,7 +138,7 @@ def describe_upright(
         raise ShapeError("pixels must be finite")
     descriptors = np.zeros((len(pixels), 128), np.uint8)
     if len(pixels) and min(grey.shape) >= 2:
-        # The samples are 0.75 sigma apart: blurred by half of that they skip nothing.
+        # The samples are 0.75 sigma apart: blurred by about half of that, they do not alias.
         level = _blurred(grey.astype(np.float32), 0.4 * sigma_px)
         kernels.describe_upright(level, np.ascontiguousarray(pixels), float(sigma_px), descriptors)
     return descriptors
@@ -146,9 +146,9 @@ def describe_upright(
 
 @checked
 def root_sift(descriptors: Float32[np.ndarray, "n 128"]) -> UInt8[np.ndarray, "n 128"]:
-    """Square roots of L1-normalised SIFT, times 512, as bytes (Arandjelovic and Zisserman, CVPR 2012).
+    """L1-normalized SIFT to root-SIFT: 512 times the square root, as bytes (Arandjelovic and Zisserman, CVPR 2012).
 
-    For descriptors computed elsewhere; `detect_sift` already returns them so.
+    For descriptors computed elsewhere; `detect_sift` already returns root-SIFT.
     """
     values = descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12)
     return np.minimum(np.rint(512.0 * np.sqrt(values)), 255).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Square markers with a number: AprilTags and ArUco markers in an image."""
+"""Square fiducial markers: AprilTags and ArUco."""
 
 from __future__ import annotations
 
@@ -13,22 +13,25 @@ from epipole.config import check_dictionary
 
 _opencv: Any = cv2  # its stubs lack parts of aruco
 _LEAST_SIDE_PX = 14.0
-"""Of a smaller marker the edges cannot be told from each other."""
+"""Smallest side of a marker: below it the edges cannot be separated."""
 _LEAST_IMAGE = 32
-_ROUNDS, _STEP_PX, _MARGIN = 3, 0.25, 0.15
-"""Edges are placed so many times, sampled so finely across, and not nearer to a corner than this share of their length."""
-_CELL_FRACTION, _HALF_PX = 0.65, (1.0, 4.0)
-"""Half the width over which an edge is looked for, in cells, and its limits: the white rim ends after a cell."""
+_ROUNDS = 3  # of edge fitting
+_STEP_PX = 0.25  # sampling distance across an edge
+_MARGIN = 0.15  # fraction of an edge's length left out at each corner
+_CELL_FRACTION = (
+    0.65  # half width of the search across an edge, in cells: the white margin ends after one cell
+)
+_HALF_PX = (1.0, 4.0)  # limits of that half width
 _FURTHEST_PX = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TagView:
-    """Markers found in one image."""
+    """Markers detected in one image."""
 
     number: Int64[np.ndarray, " n"]
     corners: Float64[np.ndarray, "n 4 2"]
-    """Corners of the black square, clockwise from the top left of the marker as it is printed upright."""
+    """Corners of the black square, clockwise from the marker's top left in its printed orientation."""
 
     def __len__(self) -> int:
         return len(self.number)
@@ -38,14 +41,14 @@ class TagView:
 
 
 def find_tags(grey: UInt8[np.ndarray, "h w"], dictionary: str) -> TagView:
-    """The markers that OpenCV's detector finds, each number once; those seen twice in an image are left out.
+    """The markers that OpenCV detects; numbers that occur twice in the image are dropped.
 
     Args:
         grey: the image.
         dictionary: OpenCV's name without DICT_, such as APRILTAG_36h11 or 4X4_50.
 
     Raises:
-        ConfigError: there is no such dictionary.
+        ConfigError: the dictionary is unknown.
     """
     check_dictionary(dictionary)
     none = TagView(np.zeros(0, np.int64), np.zeros((0, 4, 2)))
@@ -76,7 +79,7 @@ def find_tags(grey: UInt8[np.ndarray, "h w"], dictionary: str) -> TagView:
 
 
 def _narrowest(corners: np.ndarray) -> float:
-    """The least distance of two opposite corners from an edge, in pixels."""
+    """The smallest distance of an opposite corner from an edge, in pixels."""
     along = np.roll(corners, -1, axis=0) - corners
     normal = (
         np.stack([along[:, 1], -along[:, 0]], axis=1)
@@ -87,10 +90,10 @@ def _narrowest(corners: np.ndarray) -> float:
 
 
 def _by_edges(grey: np.ndarray, corners: np.ndarray, cell_px: float) -> np.ndarray | None:
-    """(4, 2) corners where lines through the four edges meet; None where these are not there.
+    """(4, 2) corners from the intersection of lines fitted to the four edges; None if an edge is missing.
 
-    An edge is where the grey changes most: the middle of the derivative across it. Blur that is the same on both sides
-    does not move it, while it draws a corner that is looked for as a corner into the marker.
+    An edge is where the grey value changes most: the mean of the derivative across it. Symmetric blur does not move it,
+    whereas it shifts a directly detected corner into the marker.
     """
     found, half = corners, float(np.clip(_CELL_FRACTION * cell_px, *_HALF_PX))
     for _ in range(_ROUNDS):
@@ -106,12 +109,12 @@ def _by_edges(grey: np.ndarray, corners: np.ndarray, cell_px: float) -> np.ndarr
 
 
 def _edge(grey: np.ndarray, start: np.ndarray, stop: np.ndarray, half: float) -> np.ndarray | None:
-    """The line a x + b y + c = 0 through an edge from dark to bright, sampled across in many places."""
+    """The line a x + b y + c = 0 through a dark-to-bright edge, sampled across at many positions."""
     length = float(np.linalg.norm(stop - start))
     if length < 4.0:
         return None
     along = (stop - start) / length
-    across = np.array([along[1], -along[0]])  # clockwise corners: outward
+    across = np.array([along[1], -along[0]])  # outward, as corners are clockwise
     t = np.linspace(_MARGIN, 1.0 - _MARGIN, max(8, int(2 * length)))[:, None]
     steps = np.arange(-half, half + 1e-9, _STEP_PX)
     at = (start + t * (stop - start))[:, None] + steps[:, None] * across

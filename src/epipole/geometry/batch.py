@@ -1,4 +1,4 @@
-"""What rotations, motions and similarities share: a batch of them is arrays with common first axes."""
+"""Base of batched rotations, motions and similarities: arrays with common leading axes."""
 
 from __future__ import annotations
 
@@ -7,32 +7,32 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from epipole._declared.arrays import as_array
+from epipole._checks.arrays import as_array
 from epipole.errors import ShapeError
 
 Own = TypeVar("Own", bound="Batch")
 _DOUBLE = np.dtype(np.float64)
 MOST_OFF = 1e-3
-"""Of R R^T from the identity: four digits of a matrix that was copied by hand, or single precision, will do."""
+"""Largest accepted deviation of R R^T from the identity: enough for single precision, or four copied digits."""
 
 
 class NotABatchError(ShapeError, TypeError):
-    """A single one stands where many are needed; also what Python asks for of things without a length."""
+    """A single item was given where a batch is needed; also a `TypeError`, as Python's `len` raises."""
 
 
 class Batch:
-    """A data class of arrays whose first axes, the batch, are the same; `_items` are each field's others."""
+    """A data class of arrays with common leading axes, the batch; `_items` are each field's other axes."""
 
     __slots__: ClassVar[tuple[str, ...]] = ()
     _items: ClassVar[tuple[tuple[int, ...], ...]] = ()
     _rotations: ClassVar[str | None] = None
-    """The field of rotation matrices, if there is one."""
+    """The field of rotation matrices, if any."""
 
     def __post_init__(self) -> None:
-        """Check the fields; numbers of other types become double.
+        """Check the fields, and convert numbers of other types to double precision.
 
         Raises:
-            ShapeError: a field has other axes than its items', the batches differ, or a matrix is no rotation.
+            ShapeError: a field has the wrong trailing axes, the batch shapes differ, or a matrix is not a rotation.
         """
         self._check_shapes()
         if self._rotations is not None:
@@ -40,23 +40,25 @@ class Batch:
 
     @classmethod
     def stack(cls: type[Own], items: Iterable[Own]) -> Own:
-        """A batch of single ones, or of batches of one shape, along a new first axis.
+        """Stack single items, or batches of one shape, along a new first axis.
 
         Raises:
-            ShapeError: there is none, one is of another kind, or their shapes differ.
+            ShapeError: there are no items, an item has the wrong type, or their shapes differ.
         """
         each = list(items)
         wrong = [type(item).__name__ for item in each if not isinstance(item, cls)]
         if not each or wrong:
-            raise ShapeError(f"items must be one {cls.__name__} or more, got {wrong[0] if wrong else 'none'}")
+            raise ShapeError(
+                f"items must be at least one {cls.__name__}, got {wrong[0] if wrong else 'none'}"
+            )
         shapes = {item.batch_shape() for item in each}
         if len(shapes) > 1:
-            raise ShapeError(f"items must have one batch shape, got {sorted(shapes)}")
+            raise ShapeError(f"items must have the same batch shape, got {sorted(shapes)}")
         return cls._of(*(np.stack([getattr(item, name) for item in each]) for name in cls.__slots__))
 
     @classmethod
     def _of(cls: type[Own], *fields: np.ndarray) -> Own:
-        """Made of fields that were computed from valid ones: matrices are not looked into again."""
+        """Create from fields computed from valid ones, without checking the matrices again."""
         out: Own = object.__new__(cls)
         for name, value in zip(cls.__slots__, fields):
             object.__setattr__(out, name, value)
@@ -76,12 +78,12 @@ class Batch:
                 raise ShapeError(f"{name} must have shape ({wanted}), got {value.shape}")
             if batch is not None and value.shape[:axes] != batch:
                 raise ShapeError(
-                    f"{name} must have the batch shape {batch} of the others, got {value.shape[:axes]}"
+                    f"{name} must have the same batch shape {batch} as the other fields, got {value.shape[:axes]}"
                 )
             batch = value.shape[:axes]
 
     def batch_shape(self) -> tuple[int, ...]:
-        """The common first axes; () for a single one."""
+        """The common leading axes; () for a single item."""
         last = getattr(self, self.__slots__[-1])
         return tuple(last.shape[: last.ndim - len(self._items[-1])])
 
@@ -89,7 +91,7 @@ class Batch:
         """Check that another batch can be broadcast with this one.
 
         Raises:
-            ShapeError: it cannot.
+            ShapeError: it cannot be broadcast.
         """
         own = self.batch_shape()
         if own == shape or not own or not shape:
@@ -97,12 +99,14 @@ class Batch:
         try:
             np.broadcast_shapes(own, shape)
         except ValueError as error:
-            raise ShapeError(f"{name} of batch shape {shape} do not fit a batch of {own}") from error
+            raise ShapeError(
+                f"{name} with batch shape {shape} cannot be broadcast with batch shape {own}"
+            ) from error
 
     def __getitem__(self: Own, index: Any) -> Own:
         """Select from the batch."""
         if not self.batch_shape():
-            np.empty(())[index]  # an array without axes knows which indices it has: None and ... alone
+            np.empty(())[index]  # raises for all indices but None and ...
         return type(self)._of(*(np.asarray(getattr(self, name)[index]) for name in self.__slots__))
 
     def __len__(self) -> int:
@@ -124,21 +128,21 @@ class Batch:
         elif all(np.isfinite(getattr(self, name)).all() for name in self.__slots__):
             words = self._in_words()
         else:
-            words = "not known"
+            words = "unknown"
         return f"{type(self).__name__}({words})"
 
     def _in_words(self) -> str:
-        """A single one's values, for people."""
+        """The values of a single item, for printing."""
         return ", ".join(f"{name} {in_words(getattr(self, name))}" for name in self.__slots__)
 
 
 def check_rotations(matrices: np.ndarray, name: str) -> None:
-    """Check (..., 3, 3) matrices: rows of length one at right angles, right-handed. What is NaN is not known, and stays.
+    """Check that (..., 3, 3) matrices are orthonormal and right-handed; NaN matrices (unknown) are accepted.
 
     Raises:
-        ShapeError: one is no rotation.
+        ShapeError: a matrix is not a rotation.
     """
-    if matrices.ndim == 2:  # single ones are made often: plain numbers are quicker here than arrays
+    if matrices.ndim == 2:  # single items are common, and plain numbers are faster than arrays here
         (a, b, c), (d, e, f), (g, h, i) = matrices.tolist()
         sizes = a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0
         angles = a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i
@@ -150,12 +154,12 @@ def check_rotations(matrices: np.ndarray, name: str) -> None:
             along = np.sum(np.cross(matrices[..., 0, :], matrices[..., 1, :]) * matrices[..., 2, :], axis=-1)
         off, is_mirror = float(np.max(gram, initial=0.0, where=~np.isnan(gram))), bool(np.any(along < 0.0))
     if off > MOST_OFF or is_mirror:
-        reason = f"R R^T is off the identity by {off:.2g}" if off > MOST_OFF else "one mirrors"
+        reason = f"R R^T differs from the identity by {off:.2g}" if off > MOST_OFF else "one is a reflection"
         hint = "Rotation3.nearest(matrix) gives the nearest one"
-        raise ShapeError(f"{name} must hold rotation matrices: {reason} ({hint})")
+        raise ShapeError(f"{name} must be rotation matrices: {reason} ({hint})")
 
 
 def in_words(values: Any) -> str:
-    """A number or a vector in a few digits."""
+    """A number or a vector with four digits."""
     numbers = [f"{value + 0.0:.4g}" for value in np.atleast_1d(values).ravel()]
     return f"({', '.join(numbers)})" if np.ndim(values) else numbers[0]

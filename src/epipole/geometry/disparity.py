@@ -1,4 +1,4 @@
-"""Disparity and depth of a rectified pair, and the error of one from that of the other; a number gives a number."""
+"""Disparity and depth of a rectified pair, and their errors; scalars in, scalars out."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_float_array, check_broadcast
-from epipole._declared import checked
+from epipole._checks import as_float_array, check_broadcast, checked
 from epipole.errors import ConfigError
 
 
@@ -21,11 +20,11 @@ def disparity_to_depth(
     Args:
         disparity_px: any shape; NaN stays NaN.
         focal_px: f of both rectified cameras.
-        baseline: B, in the unit the depth is wanted in.
-        principal_offset_px: o = cx_right - cx_left, where the principal points differ (Middlebury's `doffs`).
+        baseline: B, in the unit of the depth.
+        principal_offset_px: o = cx_right - cx_left, if the principal points differ (Middlebury's `doffs`).
 
     Returns:
-        Infinite where d + o is zero; NaN where it is negative: no point in front of the cameras.
+        Infinite where d + o is zero; NaN where it is negative, as no point in front of the cameras has it.
 
     Raises:
         ConfigError: focal length or baseline is not positive.
@@ -55,13 +54,13 @@ def depth_to_disparity(
 def depth_error(
     depth: Any, focal_px: float, baseline: float, disparity_error_px: Any
 ) -> Float64[np.ndarray, ...] | float:
-    """|dZ| = (Z^2 / (f B)) |dd|: it grows with the square of the depth, and falls with focal length and baseline.
+    """|dZ| = (Z^2 / (f B)) |dd|: it grows with the square of the depth, and decreases with focal length and baseline.
 
     Args:
         depth: Z, any shape, in the unit of the baseline.
         focal_px: f.
         baseline: B.
-        disparity_error_px: the standard deviation, or any small error, of the disparity.
+        disparity_error_px: standard deviation, or any small error, of the disparity.
 
     Raises:
         ConfigError: focal length or baseline is not positive.
@@ -73,7 +72,7 @@ def depth_error(
 
 
 def _numbers(given: Any, name: str) -> np.ndarray:
-    """As an array of the same shape, also of no axis."""
+    """The values as an array of the same shape, including 0-dimensional ones."""
     return as_float_array(given, name).reshape(np.shape(given))
 
 

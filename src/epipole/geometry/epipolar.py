@@ -1,4 +1,4 @@
-"""Two-view algebra: the essential and fundamental matrices, their lines, epipoles and decomposition.
+"""Two-view algebra: essential and fundamental matrices, epipolar lines, epipoles and decomposition.
 
 Convention: x2^T F x1 = 0 for pixels, y2^T E y1 = 0 for rays, E = [t]x R with cam2_from_cam1 = (R, t).
 """
@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from epipole._checks import as_float_array, as_points, check_broadcast, require_same_length
-from epipole._declared import checked
+from epipole._checks import as_float_array, as_points, check_broadcast, checked, require_same_length
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry.homogeneous import normalize_lines, to_homogeneous
 from epipole.geometry.rigid3 import Rigid3
@@ -21,7 +20,7 @@ from epipole.geometry.triangulation import triangulate_two_view
 
 @checked
 def essential_from_cam2_from_cam1(cam2_from_cam1: Rigid3) -> Float64[np.ndarray, "*batch 3 3"]:
-    """E = [t]x R (Longuet-Higgins 1981). No translation gives the zero matrix: there is no epipolar geometry."""
+    """E = [t]x R (Longuet-Higgins 1981). Zero translation gives the zero matrix: there is no epipolar geometry."""
     return skew(cam2_from_cam1.translation) @ cam2_from_cam1.rotation
 
 
@@ -30,7 +29,7 @@ def fundamental_from_essential(essential: Any, K1: Any, K2: Any) -> Float64[np.n
 
     Raises:
         DegenerateGeometryError: a calibration matrix is singular.
-        ShapeError: the arrays do not fit.
+        ShapeError: array sizes do not match.
     """
     K1, K2 = as_float_array(K1, "K1", 3, 3), as_float_array(K2, "K2", 3, 3)
     essential = as_float_array(essential, "essential", 3, 3)
@@ -47,13 +46,13 @@ def essential_from_fundamental(fundamental: Any, K1: Any, K2: Any) -> Float64[np
 
 
 def epipolar_lines(fundamental: Any, pixels1: Any) -> Float64[np.ndarray, "n 3"]:
-    """The lines F x1 in image 2 on which the matches of image-1 pixels (n, 2) lie, scaled to unit normals."""
+    """The epipolar lines F x1 in image 2 of pixels (n, 2) in image 1, scaled to unit normals."""
     points = to_homogeneous(as_points(pixels1, "pixels1", 2))
     return normalize_lines(points @ _single_matrix(fundamental, "fundamental").T)
 
 
 def epipoles(fundamental: Any) -> tuple[Float64[np.ndarray, 3], Float64[np.ndarray, 3]]:
-    """(e1, e2) with F e1 = 0 and F^T e2 = 0, as unit homogeneous vectors: images of the other camera's centre."""
+    """(e1, e2) with F e1 = 0 and F^T e2 = 0, as unit homogeneous vectors: images of the other camera's center."""
     u, _, vt = np.linalg.svd(_single_matrix(fundamental, "fundamental", finite=True))
     return vt[2], u[:, 2]
 
@@ -74,7 +73,7 @@ def decompose_essential_matrix(essential: Any) -> Rigid3:
     """The four candidates cam2_from_cam1, |t| = 1: two rotations times two signs of t (HZ result 9.19).
 
     Returns:
-        Rigid3 with batch shape (4,). The length of t cannot be known from E.
+        Rigid3 with batch shape (4,). The length of t cannot be determined from E.
     """
     u, _, vt = np.linalg.svd(_single_matrix(essential, "essential", finite=True))
     u, vt = u * np.sign(np.linalg.det(u)), vt * np.sign(np.linalg.det(vt))
@@ -87,7 +86,7 @@ def decompose_essential_matrix(essential: Any) -> Rigid3:
 def choose_by_cheirality(
     candidates: Rigid3, rays1: Any, rays2: Any
 ) -> tuple[int, Bool[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
-    """Choose the candidate that puts most points before both cameras.
+    """Choose the candidate that puts most points in front of both cameras.
 
     Args:
         candidates: cam2_from_cam1, batch shape (m,).
@@ -118,7 +117,7 @@ def _inverse(matrix: np.ndarray, name: str) -> np.ndarray:
 
 
 def _single_matrix(matrix: Any, name: str, *, finite: bool = False) -> np.ndarray:
-    """A 3x3 matrix; a batch would be read as something else without a word."""
+    """A single 3x3 matrix; batches are rejected, as they would be misinterpreted."""
     out = as_float_array(matrix, name, 3, 3, finite=finite)
     if out.ndim != 2:
         raise ShapeError(f"{name} must be one (3, 3) matrix, got {out.shape}")

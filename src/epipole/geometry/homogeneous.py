@@ -1,4 +1,4 @@
-"""Homogeneous points and lines: a point x lies on a line l exactly when l . x = 0."""
+"""Homogeneous points and lines: a point x lies on a line l if and only if l . x = 0."""
 
 from typing import Any
 
@@ -25,7 +25,7 @@ def from_homogeneous(points: Any) -> Float64[np.ndarray, "*batch m"]:
 def line_through(points_a: Any, points_b: Any) -> Float64[np.ndarray, "*batch 3"]:
     """The line a x b through two image points (..., 2), scaled so that |(a, b)| = 1 (distances in pixels).
 
-    The same point twice has no line: NaN.
+    Coinciding points have no line: NaN.
     """
     a, b = as_float_array(points_a, "points_a", 2), as_float_array(points_b, "points_b", 2)
     check_broadcast(points_a=a.shape[:-1], points_b=b.shape[:-1])
@@ -40,14 +40,14 @@ def normalize_lines(lines: Any) -> Float64[np.ndarray, "*batch 3"]:
 
 
 def intersection_of(lines_a: Any, lines_b: Any) -> Float64[np.ndarray, "*batch 2"]:
-    """The common point of two lines; parallel lines give non-finite coordinates."""
+    """The intersection of two lines; parallel lines give non-finite coordinates."""
     a, b = as_float_array(lines_a, "lines_a", 3), as_float_array(lines_b, "lines_b", 3)
     check_broadcast(lines_a=a.shape[:-1], lines_b=b.shape[:-1])
     return from_homogeneous(np.cross(a, b))
 
 
 def point_line_distance(points: Any, lines: Any) -> Float64[np.ndarray, "*batch"]:
-    """Distance of image points (..., 2) from lines (..., 3), in the points' unit."""
+    """Distance of image points (..., 2) from lines (..., 3), in the unit of the points."""
     points, lines = as_float_array(points, "points", 2), as_float_array(lines, "lines", 3)
     check_broadcast(points=points.shape[:-1], lines=lines.shape[:-1])
     return np.asarray(np.abs((to_homogeneous(points) * normalize_lines(lines)).sum(axis=-1)))

@@ -1,4 +1,4 @@
-"""What a homography between two calibrated images of a plane says: motion and normal."""
+"""Camera motion and plane normal from a homography between two calibrated images."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ROTATION_SPREAD = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaneMotions:
-    """Motions and normals with K2 (R + t n^T) K1^-1 ~ H: the plane is n . X = 1 in camera 1."""
+    """Motions and normals with K2 (R + t n^T) K1^-1 ~ H; the plane is n . X = 1 in camera 1."""
 
     cam2_from_cam1: Rigid3
     """Batch (k,); translations in units of the plane's distance from camera 1; 0 for a pure rotation."""
@@ -34,20 +34,20 @@ class PlaneMotions:
 
 
 def decompose_homography(homography: Any, K1: Any, K2: Any, pixels1: Any = None) -> PlaneMotions:
-    """The motions that a homography x2 ~ H x1 allows: up to four, or two where points on the plane are known.
+    """The motions that are consistent with a homography x2 ~ H x1: up to four, or two if points on the plane are known.
 
     The singular value decomposition of H = R + t n^T, scaled to a middle singular value of one (Faugeras and Lustman
     1988; Ma, Soatto, Kosecka and Sastry 2004, section 5.3).
 
     Args:
-        homography: (3, 3), any scale.
-        K1: calibration of image 1, (3, 3).
-        K2: calibration of image 2.
-        pixels1: (n, 2) on the plane; solutions that put one of them behind camera 1 are left out.
+        homography: (3, 3), at any scale.
+        K1: intrinsics of image 1, (3, 3).
+        K2: intrinsics of image 2, (3, 3).
+        pixels1: (n, 2) on the plane; solutions with one of them behind camera 1 are dropped.
 
     Raises:
-        DegenerateGeometryError: H is singular: the plane is seen edge-on.
-        ShapeError: H is not one finite matrix.
+        DegenerateGeometryError: H is singular (the plane is seen edge-on), or K1 or K2 is.
+        ShapeError: H, K1 or K2 is not one finite matrix.
     """
     H = as_float_array(homography, "homography", 3, 3, finite=True)
     if H.ndim != 2:
@@ -59,12 +59,12 @@ def decompose_homography(homography: Any, K1: Any, K2: Any, pixels1: Any = None)
         raise DegenerateGeometryError("K1 or K2 is singular")
     G = np.linalg.solve(K2, H @ K1)
     if not np.isfinite(G).all():
-        raise ShapeError("homography, K1 or K2 has numbers too large to be calculated with")
+        raise ShapeError("homography, K1 or K2 has values that are too large")
     singular = np.linalg.svd(G, compute_uv=False)
     if not singular[2] > 1e-12 * singular[0]:
         raise DegenerateGeometryError("the homography is singular")
     G = G / singular[1]
-    if np.linalg.det(G) < 0:  # a plane before both cameras is not turned over
+    if np.linalg.det(G) < 0:  # a plane in front of both cameras keeps its orientation
         G = -G
     values, vectors = np.linalg.eigh(G.T @ G)
     low, high = values[0], values[2]

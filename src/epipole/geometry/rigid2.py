@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_float_array
-from epipole._declared import checked
+from epipole._checks import as_float_array, checked
 from epipole.geometry.batch import Batch, in_words
 from epipole.geometry.rigid3 import Rigid3
 from epipole.geometry.rotation3 import Rotation3
@@ -20,19 +19,19 @@ class Rigid2(Batch):
     """A batch of rigid motions of the plane, `x_in_target = rotation @ x_in_source + translation`."""
 
     angle_rad: Float64[np.ndarray, "*batch"]
-    """Counter-clockwise, kept within (-pi, pi]."""
+    """Counterclockwise, within (-pi, pi]."""
     translation: Float64[np.ndarray, "*batch 2"]
     _items = ((), (2,))
 
     def __post_init__(self) -> None:
-        """Bring the angle into (-pi, pi]."""
+        """Wrap the angle to (-pi, pi]."""
         Batch.__post_init__(self)
-        # Arithmetic on an array without axes gives a plain number: make it an array again.
+        # Arithmetic on 0-dimensional arrays gives scalars: convert back to an array.
         object.__setattr__(self, "angle_rad", np.asarray(np.pi - np.mod(np.pi - self.angle_rad, 2 * np.pi)))
 
     @staticmethod
     def identity(*batch: int) -> Rigid2:
-        """The motion that changes nothing, repeated over the batch shape."""
+        """The identity, repeated over the batch shape."""
         return Rigid2(np.zeros(batch), np.zeros((*batch, 2)))
 
     @staticmethod
@@ -79,7 +78,7 @@ class Rigid2(Batch):
     @checked
     def __matmul__(self, other: Rigid2) -> Rigid2:
         """Composition: c_from_b @ b_from_a = c_from_a."""
-        self.check_fits(other.batch_shape(), "the other's motions")
+        self.check_fits(other.batch_shape(), "other")
         return Rigid2(np.asarray(self.angle_rad + other.angle_rad), self.apply(other.translation))
 
     def apply(self, points: Any) -> Float64[np.ndarray, "*batch 2"]:
@@ -89,7 +88,7 @@ class Rigid2(Batch):
         return (self.rotation() @ points[..., None])[..., 0] + self.translation
 
     def as_rigid3(self) -> Rigid3:
-        """The same motion of the plane z = 0 in space."""
+        """The same motion, of the plane z = 0 in space."""
         rotation = np.zeros((*self.angle_rad.shape, 3))
         rotation[..., 2] = self.angle_rad
         shift = np.zeros((*self.angle_rad.shape, 3))
@@ -99,7 +98,7 @@ class Rigid2(Batch):
     @staticmethod
     @checked
     def from_rigid3(motion: Rigid3) -> Rigid2:
-        """The part of a motion in space that lies in the plane z = 0."""
+        """The part of a motion in space within the plane z = 0."""
         angle = np.arctan2(
             motion.rotation[..., 1, 0] - motion.rotation[..., 0, 1],
             motion.rotation[..., 0, 0] + motion.rotation[..., 1, 1],

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_float_array
-from epipole._declared import checked
+from epipole._checks import as_float_array, checked
 from epipole.errors import ShapeError
 from epipole.geometry.batch import Batch, in_words
 from epipole.geometry.rotation3 import Rotation3, skew
@@ -30,7 +29,7 @@ class Rigid3(Batch):
 
     @staticmethod
     def identity(*batch: int) -> Rigid3:
-        """The motion that changes nothing, repeated over the batch shape."""
+        """The identity, repeated over the batch shape."""
         return Rigid3._of(Rotation3.identity(*batch).matrix, np.zeros((*batch, 3)))
 
     @staticmethod
@@ -38,7 +37,7 @@ class Rigid3(Batch):
         """From (..., 4, 4) or (..., 3, 4) matrices [R t].
 
         Raises:
-            ShapeError: they are neither, the last row of one is not (0, 0, 0, 1), or its R is no rotation.
+            ShapeError: wrong shape, a last row is not (0, 0, 0, 1), or an R is not a rotation.
         """
         m = as_float_array(matrix, "matrix")
         if m.shape[-2:] not in ((4, 4), (3, 4)):
@@ -82,7 +81,7 @@ class Rigid3(Batch):
     @checked
     def __matmul__(self, other: Rigid3) -> Rigid3:
         """Composition: c_from_b @ b_from_a = c_from_a."""
-        self.check_fits(other.batch_shape(), "the other's motions")
+        self.check_fits(other.batch_shape(), "other")
         return Rigid3._of(self.rotation @ other.rotation, self.apply(other.translation))
 
     def apply(self, points: Any) -> Float64[np.ndarray, "*batch 3"]:
@@ -90,7 +89,7 @@ class Rigid3(Batch):
         return Rotation3._of(self.rotation).apply(points) + self.translation
 
     def or_identity(self) -> Rigid3:
-        """The same motions, and the identity for those that are not known (NaN)."""
+        """The same motions, with the identity for unknown ones (NaN)."""
         is_known = np.isfinite(self.rotation).all(axis=(-2, -1)) & np.isfinite(self.translation).all(axis=-1)
         return Rigid3._of(
             np.where(is_known[..., None, None], self.rotation, np.eye(3)),
@@ -108,7 +107,7 @@ class Rigid3(Batch):
         return f"{Rotation3._of(self.rotation)._in_words()}, translation {in_words(self.translation)}"
 
     def centers(self) -> Float64[np.ndarray, "*batch 3"]:
-        """The target's origin in source coordinates: the camera centres, for cam_from_world."""
+        """The target's origin in source coordinates: the camera centers, for cam_from_world."""
         return self.inverse().translation
 
 

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_float_array
-from epipole._declared import checked
+from epipole._checks import as_float_array, checked
 from epipole.errors import ShapeError
 from epipole.geometry.batch import Batch, in_words
 
@@ -32,7 +31,7 @@ class Rotation3(Batch):
 
     @staticmethod
     def identity(*batch: int) -> Rotation3:
-        """The rotation that changes nothing, repeated over the batch shape."""
+        """The identity, repeated over the batch shape."""
         return Rotation3._of(np.broadcast_to(np.eye(3), (*batch, 3, 3)).copy())
 
     @staticmethod
@@ -40,14 +39,14 @@ class Rotation3(Batch):
         """Rotation about axis phi by |phi| radians (Rodrigues 1840)."""
         phi = as_float_array(phi_rad, "phi_rad", 3)
         angle = np.linalg.norm(phi, axis=-1)[..., None, None]
-        # np.sinc(x) = sin(pi x) / (pi x) is exact at zero, so that no small-angle branch is needed.
+        # np.sinc(x) = sin(pi x) / (pi x) is exact at zero, so no small-angle branch is needed.
         first = np.sinc(angle / np.pi)
         second = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
         cross = skew(phi)
         return Rotation3._of(np.eye(3) + first * cross + second * (cross @ cross))
 
     def log(self) -> Float64[np.ndarray, "*batch 3"]:
-        """The rotation vector in radians, |phi| <= pi; through the quaternion, which is stable near 0 and pi."""
+        """The rotation vector in radians, |phi| <= pi, computed from the quaternion, which is stable near 0 and pi."""
         quat = self.as_quat_wxyz()
         norm = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
         angle = 2 * np.arctan2(norm, quat[..., :1])
@@ -56,15 +55,15 @@ class Rotation3(Batch):
 
     @staticmethod
     def from_quat_wxyz(quat_wxyz: Any) -> Rotation3:
-        """From quaternions (w, x, y, z) of any non-zero length.
+        """From quaternions (w, x, y, z) of any nonzero length.
 
         Raises:
-            ShapeError: they are not four numbers each, or one is zero.
+            ShapeError: wrong shape, or a quaternion is zero.
         """
         q = as_float_array(quat_wxyz, "quat_wxyz", 4)
         size = np.linalg.norm(q, axis=-1, keepdims=True)
         if (size == 0.0).any():
-            raise ShapeError("quat_wxyz must not be zero: a quaternion of length zero is no rotation")
+            raise ShapeError("quat_wxyz must not be zero, as a zero quaternion is not a rotation")
         w, x, y, z = np.moveaxis(q / size, -1, 0)
         rows = [
             1 - 2 * (y * y + z * z),
@@ -82,8 +81,8 @@ class Rotation3(Batch):
     def as_quat_wxyz(self) -> Float64[np.ndarray, "*batch 4"]:
         """Unit quaternions (w, x, y, z), w >= 0.
 
-        The symmetric 4x4 matrix of Bar-Itzhack (2000) holds 4 q q^T - I for a rotation matrix; its row of
-        greatest diagonal is the quaternion up to scale, without cancellation.
+        The symmetric 4x4 matrix of Bar-Itzhack (2000) is 4 q q^T - I for a rotation matrix; its row with the largest diagonal
+        entry is the quaternion up to scale, without cancellation.
         """
         m = self.matrix
         trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
@@ -101,7 +100,7 @@ class Rotation3(Batch):
 
     @staticmethod
     def nearest(matrix: Any) -> Rotation3:
-        """The rotation nearest to a 3x3 matrix in the Frobenius norm (Schoenemann 1966, with det = +1).
+        """The nearest rotation to a 3x3 matrix in the Frobenius norm (Schoenemann 1966, with det = +1).
 
         Raises:
             ShapeError: it is not a finite 3x3 matrix.
@@ -113,7 +112,7 @@ class Rotation3(Batch):
 
     @staticmethod
     def from_two_vectors(source: Any, target: Any) -> Rotation3:
-        """The smallest rotation that turns one direction (3,) into another; of opposite ones, by half a turn about any axis.
+        """The smallest rotation from one direction (3,) to another; about any orthogonal axis if they are opposite.
 
         Raises:
             ShapeError: a vector is not three finite numbers, or is zero.
@@ -133,7 +132,7 @@ class Rotation3(Batch):
     @checked
     def __matmul__(self, other: Rotation3) -> Rotation3:
         """Composition: c_from_b @ b_from_a = c_from_a."""
-        self.check_fits(other.batch_shape(), "the other's rotations")
+        self.check_fits(other.batch_shape(), "other")
         return Rotation3._of(self.matrix @ other.matrix)
 
     def apply(self, points: Any) -> Float64[np.ndarray, "*batch 3"]:
@@ -153,7 +152,7 @@ class Rotation3(Batch):
         return f"{in_words(np.rad2deg(angle))} degrees{around}"
 
     def angle_rad(self) -> Float64[np.ndarray, "*batch"]:
-        """The rotation angle in [0, pi], accurate for small angles too."""
+        """The rotation angle in [0, pi], also accurate for small angles."""
         return np.asarray(np.linalg.norm(self.log(), axis=-1))
 
 
@@ -161,5 +160,5 @@ def _unit(vector: Any, name: str) -> Float64[np.ndarray, 3]:
     out = as_float_array(vector, name, 3, finite=True)
     length = np.linalg.norm(out)
     if out.ndim != 1 or not length > 0:
-        raise ShapeError(f"{name} must be one direction (3,) of some length, got {out}")
+        raise ShapeError(f"{name} must be one nonzero direction (3,), got {out}")
     return out / length

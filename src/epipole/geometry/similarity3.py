@@ -1,4 +1,4 @@
-"""Similarities of space, Sim(3), in batches: what a reconstruction from images alone is known up to."""
+"""Similarities of space, Sim(3), in batches: the gauge freedom of a reconstruction from images alone."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_float_array
-from epipole._declared import checked
+from epipole._checks import as_float_array, checked
 from epipole.geometry.batch import Batch, in_words
 from epipole.geometry.rigid3 import Rigid3
 from epipole.geometry.rotation3 import Rotation3, skew
@@ -25,7 +24,7 @@ class Similarity3(Batch):
     Tangents are (translation, rotation, log of scale).
     """
 
-    scale: Float64[Any, "*batch"]  # an array, where a number comes in, too
+    scale: Float64[Any, "*batch"]  # stored as an array; numbers are accepted
     rotation: Float64[np.ndarray, "*batch 3 3"]
     translation: Float64[np.ndarray, "*batch 3"]
     _items = ((), (3, 3), (3,))
@@ -33,7 +32,7 @@ class Similarity3(Batch):
 
     @staticmethod
     def identity(*batch: int) -> Similarity3:
-        """The similarity that changes nothing, repeated over the batch shape."""
+        """The identity, repeated over the batch shape."""
         return Similarity3(np.ones(batch), Rotation3.identity(*batch).matrix, np.zeros((*batch, 3)))
 
     @staticmethod
@@ -59,7 +58,7 @@ class Similarity3(Batch):
     @checked
     def __matmul__(self, other: Similarity3) -> Similarity3:
         """Composition: c_from_b @ b_from_a = c_from_a."""
-        self.check_fits(other.batch_shape(), "the other's similarities")
+        self.check_fits(other.batch_shape(), "other")
         return Similarity3(
             self.scale * other.scale, self.rotation @ other.rotation, self.apply(other.translation)
         )
@@ -83,9 +82,9 @@ class Similarity3(Batch):
 
     @checked
     def move_cam_from_source(self, cam_from_source: Rigid3) -> Rigid3:
-        """cam_from_target for cameras given in source coordinates; the camera's unit of length follows.
+        """cam_from_target for cameras given in source coordinates; the camera's unit of length scales, too.
 
-        A camera sees the same pixels: x_cam' = s (R_cs x_source + t_cs) with x_target = S x_source.
+        The pixels do not change: x_cam' = s (R_cs x_source + t_cs) with x_target = S x_source.
         """
         self.check_fits(cam_from_source.batch_shape(), "cam_from_source")
         rotation = cam_from_source.rotation @ np.swapaxes(self.rotation, -1, -2)
@@ -96,8 +95,8 @@ class Similarity3(Batch):
 def _translation_jacobian(phi: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """W = integral over u in [0, 1] of e^(sigma u) exp(u phi), by Gauss quadrature.
 
-    24 nodes give full double precision for |phi| <= pi and |sigma| <= 5, without the closed form's four
-    small-argument branches.
+    24 nodes give full double precision for |phi| <= pi and |sigma| <= 5, without the four small-argument branches of the
+    closed form.
     """
     angle = np.linalg.norm(phi, axis=-1)[..., None]
     grown = _WEIGHTS * np.exp(sigma[..., None] * _NODES)

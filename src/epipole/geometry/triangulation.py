@@ -1,4 +1,4 @@
-"""Triangulation: where back-projected rays meet."""
+"""Triangulation: intersection of back-projected rays."""
 
 from __future__ import annotations
 
@@ -7,18 +7,24 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_directions, as_float_array, as_points, check_broadcast, require_same_length
-from epipole._declared import checked
+from epipole._checks import (
+    as_directions,
+    as_float_array,
+    as_points,
+    check_broadcast,
+    checked,
+    require_same_length,
+)
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry.rigid3 import Rigid3
 
 
 @checked
 def triangulate_linear(cams_from_world: Rigid3, rays: Any) -> Float64[np.ndarray, 3]:
-    """The point nearest to n >= 2 rays in the DLT sense (HZ section 12.2, on unit rays).
+    """The point closest to n >= 2 rays in the DLT sense (HZ section 12.2, with unit rays).
 
-    Each view contributes [d]x (R X + t) = 0; the homogeneous system is solved by SVD. A point at infinity
-    and rays that leave more than one point (no baseline) give NaN.
+    Each view contributes [d]x (R X + t) = 0; the homogeneous system is solved by SVD. A point at infinity, or rays without a
+    unique point (no baseline), give NaN.
 
     Args:
         cams_from_world: batch shape (n,).
@@ -26,12 +32,12 @@ def triangulate_linear(cams_from_world: Rigid3, rays: Any) -> Float64[np.ndarray
 
     Raises:
         DegenerateGeometryError: fewer than two rays.
-        ShapeError: the arrays do not fit.
+        ShapeError: array sizes do not match, or a value is not finite.
     """
     rays = as_points(rays, "rays", 3, finite=True)
     if len(cams_from_world.batch_shape()) != 1:
         raise ShapeError(
-            f"cams_from_world must be one per ray, got the batch {cams_from_world.batch_shape()}"
+            f"cams_from_world must have a batch of one axis, got {cams_from_world.batch_shape()}"
         )
     if not np.isfinite(cams_from_world.as_matrix()).all():
         raise ShapeError("cams_from_world must be finite")
@@ -58,7 +64,7 @@ def triangulate_two_view(
     """Midpoints of the shortest segments between matched rays, with the depths along both.
 
     Solves min |a R d1 + t - b d2| for each match: with n = R d1 x d2, a = (d2 x t) . n / |n|^2 and
-    b = (R d1 x t) . n / |n|^2, which stays exact for narrow angles. Parallel rays give NaN.
+    b = (R d1 x t) . n / |n|^2, which remains accurate for small angles. Parallel rays give NaN.
 
     Args:
         cam2_from_cam1: a single motion.
@@ -69,13 +75,13 @@ def triangulate_two_view(
         Points in camera 1; distance along ray 1; distance along ray 2 (negative: behind).
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: array sizes do not match.
     """
     if cam2_from_cam1.batch_shape() != ():
         raise ShapeError(f"cam2_from_cam1 must be a single motion, got {cam2_from_cam1.batch_shape()}")
     rays1, rays2 = as_points(rays1, "rays1", 3), as_points(rays2, "rays2", 3)
     require_same_length(rays1=rays1, rays2=rays2)
-    with np.errstate(invalid="ignore"):  # a ray of no length gives NaN too
+    with np.errstate(invalid="ignore"):  # a zero ray gives NaN, too
         d1 = rays1 / np.linalg.norm(rays1, axis=-1, keepdims=True) @ cam2_from_cam1.rotation.T
         d2 = rays2 / np.linalg.norm(rays2, axis=-1, keepdims=True)
     t = cam2_from_cam1.translation
@@ -89,7 +95,7 @@ def triangulate_two_view(
 
 
 def ray_angles_rad(points: Any, centers_a: Any, centers_b: Any) -> Float64[np.ndarray, "*batch"]:
-    """Angle at each point between the rays to two camera centres: the triangulation (parallax) angle."""
+    """Angle at each point between the rays to two camera centers: the triangulation (parallax) angle."""
     points = as_float_array(points, "points", 3)
     a, b = as_float_array(centers_a, "centers_a", 3), as_float_array(centers_b, "centers_b", 3)
     check_broadcast(points=points.shape, centers_a=a.shape, centers_b=b.shape)

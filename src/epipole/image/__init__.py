@@ -1,4 +1,4 @@
-"""Images as arrays: resampling without distortion, smaller ones, numbers as colours, census."""
+"""Images as arrays: undistortion, downscaling, color maps, census."""
 
 from epipole.image.census import census as census
 from epipole.image.color_map import color_map as color_map

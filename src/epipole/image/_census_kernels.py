@@ -1,4 +1,4 @@
-"""The census transform: what is darker than the pixel in the middle."""
+"""The census transform: a comparison of each pixel with its neighbours."""
 
 import numpy as np
 
@@ -14,10 +14,10 @@ def _mark_darker(others, centers, bit, bits):
 
 @kernel(allocates=True)
 def census_rows(image, half_width, half_height, start, stop, out):
-    """Rows start..stop of the census (Zabih and Woodfill 1994): a bit for each other pixel of the window, set where darker.
+    """Rows start..stop of the census (Zabih and Woodfill 1994): a bit per other pixel of the window, set if it is darker.
 
-    image (h, w); out (h, w, planes) bytes, eight bits each. Beyond the border the nearest pixel counts. One offset after the
-    other along a whole row: that is what the compiler makes vectors of.
+    image (h, w); out (h, w, planes) bytes, eight bits each. The border is replicated. Each offset is processed along a full row,
+    which vectorizes.
     """
     height, width = image.shape
     planes = out.shape[2]

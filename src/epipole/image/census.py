@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import UInt8, UInt16
 
 from epipole import _parallel
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError
 from epipole.image._census_kernels import census_rows
 
@@ -15,23 +15,23 @@ _MOST_PIXELS = 1 << 12
 
 @checked
 def census(image: UInt16[np.ndarray, "h w"], window: tuple[int, int]) -> UInt8[np.ndarray, "h w planes"]:
-    """Which pixels of a window are darker than its middle, a bit each (Zabih and Woodfill, ECCV 1994).
+    """One bit per pixel of a window, set if it is darker than the center (Zabih and Woodfill, ECCV 1994).
 
-    Unchanged by whatever keeps the order of brightness: exposure, gain, gamma.
+    Invariant to any monotonic change of brightness, such as exposure, gain or gamma.
 
     Args:
         image: one channel.
         window: width and height, odd.
 
     Returns:
-        Eight bits a byte, row by row of the window; beyond the border the nearest pixel counts.
+        Eight bits per byte, row by row of the window; the border is replicated.
 
     Raises:
-        ConfigError: the window has no middle, or too many pixels.
+        ConfigError: a side of the window is even, or it has too many pixels.
     """
     width, height = window
     if min(window) < 1 or width % 2 == 0 or height % 2 == 0 or width * height > _MOST_PIXELS:
-        raise ConfigError(f"window must have odd sides and at most {_MOST_PIXELS} pixels, is {window}")
+        raise ConfigError(f"window must have odd sides and at most {_MOST_PIXELS} pixels, got {window}")
     out = np.empty((*image.shape, -(-(width * height - 1) // 8)), np.uint8)
     _parallel.map_chunks(
         lambda a, b, _: census_rows(image, width // 2, height // 2, a, b, out), image.shape[0]

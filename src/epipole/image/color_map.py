@@ -1,4 +1,4 @@
-"""Numbers as colours."""
+"""Scalar values as colors."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 
 
 @checked
 def color_range(values: Float[np.ndarray, "*shape"]) -> tuple[float, float]:
-    """The values of the first and the last colour: 1st and 99th percentile of the finite ones; 0, 1 of none."""
+    """Values of the first and the last color: 1st and 99th percentile of the finite values; 0, 1 if there are none."""
     known = values[np.isfinite(values)]
     if not known.size:
         return 0.0, 1.0
@@ -23,7 +23,7 @@ def color_range(values: Float[np.ndarray, "*shape"]) -> tuple[float, float]:
 def color_map(
     values: Float[np.ndarray, "*shape"], limits: tuple[float, float] | None = None
 ) -> UInt8[np.ndarray, "*shape 3"]:
-    """Turbo colours (RGB) over `limits`, else over `color_range`, blue to red; black where a value is not finite."""
+    """Turbo colors (RGB) from blue to red over `limits`, by default `color_range`; black for non-finite values."""
     known = np.isfinite(values)
     low, high = color_range(values) if limits is None else limits
     scaled = np.where(known, (values - low) / max(high - low, 1e-12), 0.0)

@@ -1,4 +1,4 @@
-"""Smaller images."""
+"""Downscaling of images."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError
 
 
@@ -14,13 +14,13 @@ from epipole.errors import ConfigError
 def downscaled(
     image: UInt8[np.ndarray, "h w *channels"], max_side_px: int
 ) -> UInt8[np.ndarray, "h2 w2 *channels"]:
-    """The image by area averages, its longer side at most so long; the same array if it is already.
+    """The image downscaled by area averaging to this longer side; the same array if it is not larger.
 
     Raises:
-        ConfigError: the image is empty, or the side not positive.
+        ConfigError: the image is empty or has too many axes or channels, or max_side_px is not positive.
     """
     if image.ndim > 3 or (image.ndim == 3 and image.shape[2] > 4) or image.size == 0 or max_side_px < 1:
-        raise ConfigError(f"an image of {image.shape} has no form of {max_side_px} pixels")
+        raise ConfigError(f"an image of shape {image.shape} cannot be downscaled to {max_side_px} pixels")
     height, width = image.shape[:2]
     factor = max_side_px / max(height, width)
     if factor >= 1.0:

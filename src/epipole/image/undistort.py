@@ -1,4 +1,4 @@
-"""Images without lens distortion."""
+"""Undistortion of images and points."""
 
 from __future__ import annotations
 
@@ -8,24 +8,23 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
-from epipole._checks import check_pixels
-from epipole._declared import checked
+from epipole._checks import check_pixels, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.cameras.visibility import project_visible
 from epipole.errors import DegenerateGeometryError
 
 WIDEST = 3.0
-"""Tangent of the widest angle from the axis: a plane cannot show 90 degrees to the side."""
+"""Tangent of the largest angle from the optical axis: a plane cannot show 90 degrees."""
 MAX_GROWTH = 4.0
-"""Pixels of the undistorted image per pixel of the distorted one, at most: a wider view is cropped."""
+"""Largest ratio of pixels in the undistorted to the distorted image: wider views are cropped."""
 MIN_SIDE = 0.05
-"""Sides of the undistorted image in units of the distorted one's: a smaller crop is refused."""
+"""Smallest side of the undistorted image, relative to the distorted one: smaller crops are rejected."""
 ENOUGH = 0.8
-"""Of the area of the largest view: the one within the border is taken from there on, where corners have no ray."""
+"""If corners have no ray: area, relative to the largest view, at which the view within the border is accepted."""
 GRID = 129
-"""Rays along each side of the view in which the largest rectangle is searched."""
-BORDER, COARSE = 65, 33
-"""Rays along each side of a view that is checked, and of one while its sides are moved."""
+"""Rays along each side of the view in the search for the largest rectangle."""
+BORDER = 65  # rays along each side when checking a view
+COARSE = 33  # rays along each side while moving the sides of a view
 BISECTIONS = 12
 
 
@@ -46,15 +45,15 @@ class _View(NamedTuple):
 def undistort_points(
     pixels: Float64[np.ndarray, "n 2"], camera: Camera, pinhole: Camera | None = None
 ) -> Float64[np.ndarray, "n 2"]:
-    """Pixels of a camera as a pinhole camera without distortion would see them.
+    """Undistort pixels to those of a pinhole camera.
 
     Args:
         pixels: (n, 2) in the camera's image.
         camera: the camera, of any model.
-        pinhole: the camera without distortion; None: focal lengths, principal point and size of `camera`.
+        pinhole: the pinhole camera; None: focal lengths, principal point and size of `camera`.
 
     Returns:
-        (n, 2) pixels; NaN where the camera has no ray, or one that the pinhole camera cannot see.
+        (n, 2) pixels; NaN where the camera has no ray, or the pinhole camera cannot see it.
     """
     if pinhole is None:
         K = camera.K
@@ -66,14 +65,14 @@ def undistort_points(
 
 @checked
 def undistorted_camera(camera: Camera) -> Camera:
-    """The PINHOLE camera whose image shows nothing beyond this camera's border.
+    """The largest PINHOLE camera whose image shows nothing beyond this camera's border.
 
-    The focal length stays; the image is cropped to a rectangle whose rays the camera all sees. Where the distortion
-    does not reach the border of the image (it folds over before, or the ray is more than 90 degrees from the axis), that is
-    the largest such rectangle within 71 degrees of the axis to each side.
+    The focal length is kept; the image is cropped to a rectangle whose rays are all visible to the camera. If the distortion does
+    not reach the border of the image (it folds earlier, or rays are more than 90 degrees off the axis), that is the largest such
+    rectangle within 71 degrees of the axis to each side.
 
     Raises:
-        DegenerateGeometryError: the distortion describes less than a twentieth of the image's width or height.
+        DegenerateGeometryError: the distortion covers less than a twentieth of the image's width or height.
     """
     fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
     if camera.model in (CameraModel.SIMPLE_PINHOLE, CameraModel.PINHOLE):
@@ -82,8 +81,8 @@ def undistorted_camera(camera: Camera) -> Camera:
     width, height = _size_of(camera, view)
     if width < max(1.0, MIN_SIDE * camera.width) or height < max(1.0, MIN_SIDE * camera.height):
         raise DegenerateGeometryError(
-            f"{camera} cannot be undistorted: its distortion describes only {width}x{height} pixels of the image;"
-            " calibrate the camera, or choose a model with fewer coefficients"
+            f"{camera} cannot be undistorted, as its distortion covers only {width}x{height} pixels of the image:"
+            " calibrate the camera, or use a model with fewer coefficients"
         )
     params = np.array([fx, fy, -fx * view.left - 0.5, -fy * view.top - 0.5])
     return Camera(CameraModel.PINHOLE, width, height, params)
@@ -93,7 +92,7 @@ def undistorted_camera(camera: Camera) -> Camera:
 def undistort_image(
     rgb: UInt8[np.ndarray, "h w 3"], camera: Camera, pinhole: Camera
 ) -> UInt8[np.ndarray, "h2 w2 3"]:
-    """Resample an image of `camera` as `pinhole` sees it (bilinear); black where the camera saw nothing.
+    """Resample an image of `camera` to that of `pinhole` (bilinear); black outside its view.
 
     Raises:
         ConfigError: the new image is too large.
@@ -105,7 +104,7 @@ def undistort_image(
 
 
 def undistortion_map_px(camera: Camera, pinhole: Camera) -> Float32[np.ndarray, "h w 2"]:
-    """Position of each pixel of `pinhole` in the image of `camera`; far outside where that saw nothing.
+    """Position in the image of `camera` of each pixel of `pinhole`; far outside if it is not visible.
 
     Raises:
         ConfigError: the new image is too large.
@@ -126,7 +125,7 @@ def undistortion_map_px(camera: Camera, pinhole: Camera) -> Float32[np.ndarray, 
 
 
 def _view_of_camera(camera: Camera) -> _View:
-    """The view between the sides of the image; the largest one where the distortion does not reach all of them."""
+    """The view within the border of the image, or the largest visible one if the distortion does not reach the border."""
     within, is_whole = _view_within_border(camera)
     is_visible = within is not None and _is_visible(camera, _in_pixels(camera, within))
     if within is not None and is_visible and is_whole:
@@ -136,7 +135,7 @@ def _view_of_camera(camera: Camera) -> _View:
 
 
 def _view_within_border(camera: Camera) -> tuple[_View | None, bool]:
-    """The view between the rays of the four sides of the image (None where a side has none), and whether all have one."""
+    """The view within the rays of the four sides of the image (None if a side has none), and whether all rays exist."""
     w, h = camera.width, camera.height
     x, y = np.linspace(-0.5, w - 0.5, BORDER), np.linspace(-0.5, h - 0.5, BORDER)
     sides, is_whole = [], True
@@ -162,12 +161,12 @@ def _view_within_border(camera: Camera) -> tuple[_View | None, bool]:
 
 
 def _size_of(camera: Camera, view: _View) -> tuple[int, int]:
-    """Width and height of a view's image."""
+    """Width and height of the image of a view."""
     return int(camera.K[0, 0] * (view.right - view.left)), int(camera.K[1, 1] * (view.bottom - view.top))
 
 
 def _in_pixels(camera: Camera, view: _View) -> _View:
-    """The part of a view that its image of whole pixels shows."""
+    """The part of a view covered by an integer number of pixels."""
     width, height = _size_of(camera, view)
     return view._replace(right=view.left + width / camera.K[0, 0], bottom=view.top + height / camera.K[1, 1])
 
@@ -179,7 +178,7 @@ def _view_of(pinhole: Camera) -> _View:
 
 
 def _is_visible(camera: Camera, view: _View, num_rays: int = BORDER) -> bool:
-    """Whether the camera sees the centres of all pixels of a view, by a grid from border to border."""
+    """Whether the camera sees the pixel centers of a view, checked on a grid that includes the border."""
     if view.area <= 0.0:
         return False
     half_x, half_y = 0.5 / camera.K[0, 0], 0.5 / camera.K[1, 1]
@@ -203,17 +202,17 @@ def _visible_mask(camera: Camera, x: np.ndarray, y: np.ndarray) -> Bool[np.ndarr
 
 
 def _largest_view(camera: Camera) -> _View:
-    """The largest rectangle of rays that the camera sees, to a pixel.
+    """The largest rectangle of visible rays, to within a pixel.
 
     Raises:
-        DegenerateGeometryError: it sees none.
+        DegenerateGeometryError: no ray is visible.
     """
     u = np.linspace(0.0, camera.width - 1.0, GRID)
     v = np.linspace(0.0, camera.height - 1.0, GRID)
     rays = camera.unproject(np.stack([np.tile(u, GRID), np.repeat(v, GRID)], axis=1))
     rays = rays[rays[:, 2] > 0.05]  # neither behind nor NaN
     if not len(rays):
-        raise DegenerateGeometryError(f"{camera} cannot be undistorted: no pixel has a ray in front of it")
+        raise DegenerateGeometryError(f"{camera} cannot be undistorted, as no pixel has a ray in front of it")
     plane = np.clip(rays[:, :2] / rays[:, 2:], -WIDEST, WIDEST)
     (left, top), (right, bottom) = plane.min(axis=0), plane.max(axis=0)
     x, y = np.linspace(left, right, GRID), np.linspace(top, bottom, GRID)
@@ -226,10 +225,10 @@ def _largest_view(camera: Camera) -> _View:
 
 
 def largest_rectangle(mask: Bool[np.ndarray, "h w"]) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First and last column, and first and last row, of the largest rectangle in which a mask is true.
+    """Columns (first, last) and rows (first, last) of the largest rectangle in which a mask is true.
 
-    Row by row, with a stack of the columns whose run of true values upwards rises. The sizes are those between the middles
-    of the first and the last: a single row or column is no rectangle.
+    Row by row, with a stack of columns of increasing height. Sizes are measured between the centers of the first and the last
+    pixel, so a single row or column has no area.
     """
     best, found = -1, ((0, 0), (0, 0))
     heights = np.zeros(mask.shape[1], np.int64)
@@ -248,7 +247,7 @@ def largest_rectangle(mask: Bool[np.ndarray, "h w"]) -> tuple[tuple[int, int], t
 
 
 def _extended(camera: Camera, view: _View, side: str, step: float) -> _View:
-    """A view with a side moved outwards, by less than a step of the grid, to where the camera's view ends."""
+    """Move a side of a view outwards, by less than a grid step, up to the limit of visibility."""
     low, high = 0.0, 1.0
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
@@ -258,7 +257,7 @@ def _extended(camera: Camera, view: _View, side: str, step: float) -> _View:
 
 
 def _limited(view: _View, max_area: float) -> _View:
-    """A view, or where it is larger than that, the part of it about the axis."""
+    """The view, shrunk about the optical axis if its area exceeds max_area."""
     shrink = np.sqrt(max_area / view.area) if view.area > max_area else 1.0
     if shrink == 1.0:
         return view

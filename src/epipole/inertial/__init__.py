@@ -1,4 +1,4 @@
-"""Inertial measurement units: pre-integration, and what a path and an IMU together tell of scale and gravity."""
+"""IMUs: preintegration, and the scale and gravity of a trajectory from an IMU."""
 
 from epipole.inertial.alignment import InertialAlignment as InertialAlignment
 from epipole.inertial.alignment import align_path_to_imu as align_path_to_imu

@@ -1,4 +1,4 @@
-"""Least squares of poses, velocities, biases, gravity and one scale: terms, their derivatives, and the normal equations."""
+"""Least squares over poses, velocities, biases, gravity and one scale: terms, derivatives, normal equations."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from epipole.inertial.log import ImuNoise
 from epipole.inertial.preintegration import Preintegrated
 
 LANES = 15
-"""Of a pose: rotation, velocity, place, and the biases of gyroscope and accelerometer."""
+"""Unknowns per pose: rotation, velocity, position, gyroscope bias, accelerometer bias."""
 
 
 class States(NamedTuple):
-    """Of the unit, in the world's axes and metres."""
+    """States of the IMU, in world axes and metres."""
 
     rotation: np.ndarray  # (n, 3, 3) world_from_imu
     velocity: np.ndarray  # (n, 3)
     position: np.ndarray  # (n, 3)
     bias: np.ndarray  # (n, 6)
     log_scale: float
-    gravity: np.ndarray  # (3,), its length stays
+    gravity: np.ndarray  # (3,), of fixed length
 
 
 class Terms(NamedTuple):
-    """Whitened residuals (m, r), and blocks (m, r, c) with the first column of each."""
+    """Whitened residuals (m, r), and Jacobian blocks (m, r, c) with the first column of each."""
 
     residual: np.ndarray
     blocks: list[tuple[np.ndarray, np.ndarray]]
@@ -37,20 +37,20 @@ class Terms(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InertialProblem:
-    """The terms. Rotations change on the right, R exp(phi); gravity turns about two axes across it."""
+    """The terms. Rotations are perturbed on the right, R exp(phi); gravity rotates about two axes perpendicular to it."""
 
     measured: Preintegrated
     world_from_camera: Rigid3
     camera_from_imu: Rigid3
     noise: ImuNoise
     path_sigma: tuple[float, float]
-    """Of a place, in the path's unit, and of a rotation."""
+    """Standard deviation of a position, in the trajectory's unit, and of a rotation in radians."""
     integrated_at: np.ndarray
-    """(3,) the gyroscope's bias at which was integrated."""
+    """(3,) gyroscope bias used in the preintegration."""
 
     @property
     def scale_column(self) -> int:
-        """Of the scale's logarithm; gravity's two follow."""
+        """Column of the log scale; the two columns of gravity come next."""
         return LANES * len(self.world_from_camera.translation)
 
     def cost(self, states: States) -> float:
@@ -58,7 +58,7 @@ class InertialProblem:
         return 0.5 * sum(float((terms.residual**2).sum()) for terms in self._terms(states))
 
     def misfit(self, states: States) -> float:
-        """Root of chi^2 over the degrees of freedom."""
+        """Square root of chi^2 per degree of freedom."""
         count = sum(terms.residual.size for terms in self._terms(states))
         return float(np.sqrt(2.0 * self.cost(states) / max(count - self.scale_column - 3, 1)))
 
@@ -83,7 +83,7 @@ class InertialProblem:
         return (jacobian.T @ jacobian).tocsc(), jacobian.T @ residual
 
     def variance_factors(self, states: States) -> tuple[float, float, float, float]:
-        """By how much the variances of gyroscope, accelerometer, places and turns should be larger than was assumed.
+        """Factors by which to scale the assumed variances of gyroscope, accelerometer, positions and rotations.
 
         Variance components (Koch, Parameter estimation and hypothesis testing in linear models, 1999, section 3.6): the
         sum of squares of each kind over its redundancy, m - trace(J N^-1 J^T).
@@ -123,7 +123,7 @@ class InertialProblem:
         return [imu, walk, self._of_poses(states), self._of_rotations(states), first]
 
     def imu_terms(self, states: States) -> list[Terms]:
-        """Those of the unit alone: measurements, walk of the biases, and what is known of the first."""
+        """Terms of the IMU alone: measurements, bias random walk, and the prior of the first bias."""
         return [self._of_imu(states), self._of_walk(states), self._of_first_bias(states)]
 
     def _of_imu(self, states: States) -> Terms:
@@ -153,7 +153,7 @@ class InertialProblem:
         here[:, 3:6, 3:6], here[:, 6:, 3:6] = -back, -back * dt[..., None]
         here[:, 6:, 6:9] = -back
         here[:, 3:, 9:] = -data.by_bias[:, 3:]
-        # The correction of the turn, exp(c), comes first: -J_r^-1(r) exp(r)^T J_r(c) dc/db.
+        # The rotation correction exp(c) comes first: -J_r^-1(r) exp(r)^T J_r(c) dc/db.
         corrected = (data.by_bias[:, :3] @ change[..., None])[..., 0]
         by_bias = np.linalg.solve(_of_rotation(corrected), data.by_bias[:, :3])
         here[:, :3, 9:] = -right @ np.swapaxes(Rotation3.exp(off).matrix, 1, 2) @ by_bias
@@ -176,7 +176,7 @@ class InertialProblem:
         return Terms(np.diff(states.bias, axis=0) / sigma, [(first, -weight), (first + LANES, weight)])
 
     def _of_poses(self, states: States) -> Terms:
-        """Where the camera was by the unit's state, in the path's unit, less where the path says."""
+        """Camera position by the IMU state, in the trajectory's unit, minus that of the trajectory."""
         shrunk, sigma = np.exp(-states.log_scale), self.path_sigma[0]
         mount = self.camera_from_imu.inverse().translation
         metric = states.position + states.rotation @ mount
@@ -200,13 +200,13 @@ class InertialProblem:
 
 
 def _of_rotation(rotation: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) inverse right Jacobian of SO(3): that of a motion without translation."""
+    """(n, 3, 3) inverse right Jacobian of SO(3), from that of SE(3) without translation."""
     motion = np.concatenate([np.zeros_like(rotation), rotation], axis=1)
     return inverse_right_jacobian(motion)[:, 3:, 3:]
 
 
 def _across(gravity: np.ndarray) -> np.ndarray:
-    """(3, 2) two unit axes across gravity."""
+    """(3, 2) two unit axes perpendicular to gravity."""
     unit = gravity / np.linalg.norm(gravity)
     first = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
     first /= np.linalg.norm(first)

@@ -1,4 +1,4 @@
-"""A path up to scale and an IMU: scale, gravity, biases and velocities, or why they cannot be told."""
+"""Scale, gravity, biases and velocities from an up-to-scale trajectory and an IMU."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse.linalg
 from jaxtyping import Float64
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.inertial._inertial_problem import InertialProblem, States
@@ -16,39 +16,39 @@ from epipole.inertial.log import ImuLog, ImuNoise
 from epipole.inertial.preintegration import Preintegrated, preintegrate
 
 GRAVITY = 9.81
-LEAST_POSES, MOST_POSES = 8, 200
-"""The second: variances are found with a dense inverse of 15 numbers a pose."""
+LEAST_POSES = 8
+MOST_POSES = 200  # the variances need a dense inverse with 15 rows per pose
 MOST_STEPS, CONVERGED = 30, 1e-6
 LARGEST_SIGMA = 0.05
-"""Of the scale's logarithm: known worse than this it is not named."""
+"""Largest accepted standard deviation of the log scale."""
 OPEN = 0.5
-"""The same: no better knowledge of the path's deviation would bring it below that."""
+"""Standard deviation of the log scale above which re-estimating the variances cannot help."""
 LEAST_SIGMA = 1e-5
-"""Of places, as a share of the path's extent, and of rotations in radians."""
+"""Lower bound for positions, as a fraction of the trajectory's extent, and for rotations in radians."""
 ROUNDS = 6
-"""In which the deviations of path and unit are found from what is left over."""
+"""Rounds of estimating variances from the residuals."""
 LARGEST_MISFIT = 30.0
-"""Times that stated: the IMU then belongs to another path, clock or mounting."""
+"""Largest accepted misfit: above it, the IMU has another trajectory, clock or mounting."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InertialAlignment(Declared):
-    """What a path and an IMU tell together."""
+    """Scale, gravity, biases and velocities of a trajectory with an IMU."""
 
     scale: float
-    """Metres for the path's unit."""
+    """Metres per unit of the trajectory."""
     sigma: float
-    """Standard deviation of the scale, the accelerometer's sensitivity included."""
+    """Standard deviation of the scale, including the accelerometer's gain error."""
     gravity_in_world: Float64[np.ndarray, " 3"]
-    """m / s^2, in the path's axes."""
+    """m / s^2, in the trajectory's axes."""
     gyro_bias: Float64[np.ndarray, " 3"]
-    """rad / s, mean over the path."""
+    """rad / s, mean over the trajectory."""
     accel_bias: Float64[np.ndarray, " 3"]
-    """m / s^2, mean over the path."""
+    """m / s^2, mean over the trajectory."""
     velocity_in_world: Float64[np.ndarray, "n 3"]
-    """m / s, in the path's axes, at each pose."""
+    """m / s, in the trajectory's axes, at each pose."""
     misfit: float
-    """Root of chi^2 over its degrees of freedom, with the deviations stated (before they are found anew)."""
+    """Square root of chi^2 per degree of freedom, with the stated sigmas (before they are re-estimated)."""
 
     def __repr__(self) -> str:
         return f"InertialAlignment(scale {self.scale:.6g} +- {self.sigma:.2g})"
@@ -64,35 +64,36 @@ def align_path_to_imu(
     position_sigma: float | None = None,
     rotation_sigma_rad: float = 2e-3,
 ) -> InertialAlignment:
-    """Scale, gravity, biases and velocities by least squares of all (maximum a posteriori).
+    """Scale, gravity, biases and velocities by maximum a posteriori estimation.
 
     A linear start (Qin and Shen, Robust initialization of monocular visual-inertial estimation, IROS 2017), then
-    Gauss-Newton over every state with the pre-integrated measurements, the walk of the biases and the path's poses as
-    terms (Campos, Montiel and Tardos, Inertial-only optimization for visual-inertial initialization, ICRA 2020, with poses
-    that may err). The densities stated are those of a unit at rest, and motors shake it: gyroscope, accelerometer, places and
-    turns get the variances that their residuals show (variance components), the unit no less than stated. The scale's deviation is that of the inverse normal matrix: a camera that moves at constant velocity
-    leaves it open, whatever the scene, and is refused.
+    Gauss-Newton over all states with the preintegrated measurements, the bias random walk and the trajectory's poses as
+    terms (Campos, Montiel and Tardos, Inertial-only optimization for visual-inertial initialization, ICRA 2020, here with
+    uncertain poses). Stated densities are those of an IMU at rest, but motors shake it: gyroscope, accelerometer, positions
+    and rotations get the variances that their residuals show (variance components), never less than stated for the IMU.
+    The scale's standard deviation comes from the inverse normal matrix. Motion at constant velocity leaves the scale
+    undetermined, whatever the scene, and is rejected.
 
     Args:
-        timestamp_s: rising times of the poses, by the IMU's clock; some tenths of a second apart.
+        timestamp_s: increasing times of the poses by the IMU's clock, some tenths of a second apart.
         world_from_camera: the poses, up to scale.
         log: measurements that cover them.
-        camera_from_imu: how the unit is mounted, in metres.
+        camera_from_imu: extrinsics of the IMU, in metres.
         noise: densities; None: the defaults.
-        position_sigma: deviation of a coordinate of the path's places, in its unit; None: found from what is left over.
-        rotation_sigma_rad: deviation of its rotations.
+        position_sigma: standard deviation of a position coordinate, in the trajectory's unit; None: estimated.
+        rotation_sigma_rad: standard deviation of the rotations.
 
     Raises:
-        DegenerateGeometryError: scale and gravity cannot be told; the message says why.
-        ShapeError: the arrays do not fit, a pose is not finite, or the times do not rise.
-        ConfigError: a deviation is not positive, or there are more than 200 poses.
+        DegenerateGeometryError: scale and gravity cannot be determined.
+        ShapeError: array sizes do not match, a pose is not finite, or times do not increase.
+        ConfigError: a sigma is not positive, or there are more than 200 poses.
     """
     noise = ImuNoise() if noise is None else noise
     _check(timestamp_s, world_from_camera, position_sigma, rotation_sigma_rad)
     _check_mounting(camera_from_imu)
     extent = float(np.ptp(world_from_camera.translation, axis=0).max())
     if not extent > 0:
-        raise DegenerateGeometryError("the camera rests: an IMU tells no scale then")
+        raise DegenerateGeometryError("the camera does not move, so the IMU cannot determine the scale")
     given = position_sigma if position_sigma is not None else 1e-3 * extent
     gyro_bias = _gyro_bias(timestamp_s, world_from_camera, log, camera_from_imu, noise)
     measured = preintegrate(log, timestamp_s, gyro_bias, np.zeros(3), noise)
@@ -107,13 +108,13 @@ def align_path_to_imu(
             problem, states = _with_found_deviations(problem, states, log, timestamp_s)
         return _judged(problem, states, extent, stated)
     except np.linalg.LinAlgError as error:
-        raise DegenerateGeometryError(f"no motion agrees with both the path and the IMU ({error})") from error
+        raise DegenerateGeometryError(f"no motion fits both the trajectory and the IMU ({error})") from error
 
 
 def _with_found_deviations(
     problem: InertialProblem, states: States, log: ImuLog, times: np.ndarray
 ) -> tuple[InertialProblem, States]:
-    """With the deviations that the residuals show, found in a few rounds, and the minimum with them."""
+    """Re-estimate the sigmas from the residuals in a few rounds; returns the problem and its minimum."""
     stated, noise = problem.noise, problem.noise
     extent = float(np.ptp(problem.world_from_camera.translation, axis=0).max())
     for _ in range(ROUNDS):
@@ -139,19 +140,21 @@ def _with_found_deviations(
 
 def _check(times: np.ndarray, poses: Rigid3, position_sigma: float | None, rotation_sigma: float) -> None:
     if poses.batch_shape() != times.shape:
-        raise ShapeError(f"{len(times)} times are given for {poses.batch_shape()} poses")
+        raise ShapeError(f"timestamp_s has {len(times)} rows for {poses.batch_shape()} poses")
     if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
-        raise ShapeError("times of poses must be finite and rise")
+        raise ShapeError("timestamp_s must be finite and increase")
     if not (np.isfinite(poses.rotation).all() and np.isfinite(poses.translation).all()):
         raise ShapeError("poses must be finite")
     if (position_sigma is not None and not 0 < position_sigma < np.inf) or not 0 < rotation_sigma < np.inf:
-        raise ConfigError("place_sigma and turn_sigma_rad must be positive and finite")
+        raise ConfigError("position_sigma and rotation_sigma_rad must be positive and finite")
     if len(times) > MOST_POSES:
         raise ConfigError(
-            f"{len(times)} poses are given, at most {MOST_POSES} are aligned together: fit_scale_to_imu cuts a longer path"
+            f"{len(times)} poses are too many to align together (at most {MOST_POSES}): use fit_scale_to_imu, which splits longer trajectories"
         )
     if len(times) < LEAST_POSES:
-        raise DegenerateGeometryError(f"{len(times)} poses have a place, {LEAST_POSES} are needed for an IMU")
+        raise DegenerateGeometryError(
+            f"{len(times)} poses are too few to align with an IMU, {LEAST_POSES} are needed"
+        )
 
 
 def _check_mounting(camera_from_imu: Rigid3) -> None:
@@ -162,7 +165,7 @@ def _check_mounting(camera_from_imu: Rigid3) -> None:
 def _gyro_bias(
     times: np.ndarray, poses: Rigid3, log: ImuLog, mounting: Rigid3, noise: ImuNoise
 ) -> np.ndarray:
-    """By least squares of the turns between poses, to first order, twice."""
+    """Least squares over the rotations between poses, to first order, twice."""
     rotated = Rotation3(poses.rotation @ mounting.rotation)
     seen, bias = rotated[:-1].inverse() @ rotated[1:], np.zeros(3)
     for _ in range(2):
@@ -176,10 +179,10 @@ def _gyro_bias(
 def _linear_start(
     measured: Preintegrated, poses: Rigid3, mounting: Rigid3, gyro_bias: np.ndarray, noise: ImuNoise
 ) -> States:
-    """Velocities, scale, gravity and the accelerometer's bias: what is integrated is linear in them."""
+    """Linear least squares for velocities, scale, gravity and accelerometer bias."""
     n = len(poses.translation)
     rotated = poses.rotation @ mounting.rotation
-    lever = (poses.rotation @ mounting.translation[:, None])[..., 0]  # from camera to unit, in the world
+    lever = (poses.rotation @ mounting.translation[:, None])[..., 0]  # from camera to IMU, in the world
     dt = measured.seconds
     columns = 3 * n + 7
     by_position, by_speed = np.zeros((n - 1, 3, columns)), np.zeros((n - 1, 3, columns))
@@ -210,7 +213,7 @@ def _linear_start(
 
 
 def _minimum(problem: InertialProblem, states: States) -> States:
-    """Gauss-Newton with Levenberg's damping."""
+    """Gauss-Newton with Levenberg damping."""
     cost, damping = problem.cost(states), 1e-6
     for _ in range(MOST_STEPS):
         normal, gradient = problem.normal_equations(states)
@@ -241,7 +244,7 @@ def _sigma_of_log_scale(problem: InertialProblem, states: States) -> float:
 
 
 def _solved(matrix: scipy.sparse.csc_matrix, rhs: np.ndarray) -> np.ndarray | None:
-    """None where the matrix is singular."""
+    """Solution of a sparse linear system; None if the matrix is singular."""
     try:
         return scipy.sparse.linalg.splu(matrix).solve(rhs)
     except RuntimeError:
@@ -249,20 +252,20 @@ def _solved(matrix: scipy.sparse.csc_matrix, rhs: np.ndarray) -> np.ndarray | No
 
 
 def _judged(problem: InertialProblem, states: States, extent: float, stated: float) -> InertialAlignment:
-    """The result, or why none is believed."""
+    """The result, or an error if it is not credible."""
     scale = float(np.exp(states.log_scale))
     misfit = problem.misfit(states)
     sigma = _sigma_of_log_scale(problem, states) * max(misfit, 1.0)
     if not (np.isfinite(sigma) and sigma <= LARGEST_SIGMA):
-        given = f"{100 * sigma:.0f} %" if np.isfinite(sigma) and sigma < 10 else "nothing at all"
+        given = f"{100 * sigma:.0f} %" if np.isfinite(sigma) and sigma < 10 else "no accuracy at all"
         raise DegenerateGeometryError(
-            f"the IMU tells the scale to {given} only ({100 * LARGEST_SIGMA:g} % are needed): a camera that moves at "
-            "constant velocity, or hardly, looks the same at every scale; move it to and fro"
+            f"the IMU determines the scale only to {given} ({100 * LARGEST_SIGMA:g} % is needed): motion at or near "
+            "constant velocity looks the same at every scale, so move the camera back and forth"
         )
     position_sigma = problem.path_sigma[0]
     if position_sigma > 0.05 * extent or misfit > LARGEST_MISFIT:
         raise DegenerateGeometryError(
-            "the IMU and the path contradict each other: is it the same clock, mounting and camera?"
+            "the IMU and the trajectory contradict each other: check clock, mounting and camera"
         )
     return InertialAlignment(
         scale=scale,

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float64, Int64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, skew
 from epipole.inertial._inertial_problem import LANES, InertialProblem, States
@@ -16,32 +16,34 @@ from epipole.inertial.alignment import InertialAlignment
 from epipole.inertial.log import MountedImu
 from epipole.inertial.preintegration import preintegrate
 
-MOST_INNER_STEPS, CONVERGED = 10, 1e-9
-"""Of velocities, biases, scale and gravity, in which the residuals are almost linear."""
+MOST_INNER_STEPS = (
+    10  # the residuals are almost linear in the inner unknowns: velocities, biases, scale, gravity
+)
+CONVERGED = 1e-9
 RIDGE = 1e-9
-"""Share of its diagonal that is added to the inner matrix: what a path leaves open stays where it is."""
-OUTER, INNER = 6, 9
-"""Numbers of a pose, and those of a frame besides: velocity and biases. The scale and gravity's two come last."""
+"""Fraction of its diagonal added to the inner matrix: unobservable unknowns keep their values."""
+OUTER = 6  # unknowns of a pose
+INNER = 9  # further unknowns of a frame: velocity and biases; the scale and two of gravity come last
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuFactors:
-    """What an IMU says of the frames of a path: half a sum of squares of their poses, at the best of all else.
+    """IMU cost of the frames of a trajectory, as a function of their poses alone.
 
-    Velocities, biases, gravity and the metres of the path's unit are unknown, too. They are minimised over for any poses
-    (variable projection: Golub and Pereyra, SIAM J. Numer. Anal. 1973), so that an adjuster sees poses alone: cost
-    min_y F(x, y), gradient dF/dx there, and the Schur complement of the inner unknowns for a matrix.
+    Velocities, biases, gravity and scale are minimized out for given poses (variable projection: Golub and Pereyra,
+    SIAM J. Numer. Anal. 1973). An adjuster sees the cost min_y F(x, y), its gradient dF/dx, and the Schur complement of
+    the inner unknowns as matrix.
     """
 
     frames: Int64[np.ndarray, " n"]
-    """Rows of the adjusted frames, by their times."""
+    """Rows of the adjusted frames, in order of time."""
     problem: InertialProblem
     start: States
-    """From which the inner unknowns are sought."""
+    """Start of the search for the inner unknowns."""
     weight: float
-    """Of the squares: the variance of a pixel, where an adjustment counts pixels as one."""
+    """Weight of the squares: the variance of a pixel, in an adjustment that assumes unit pixel variance."""
     _last: dict[bytes, tuple[float, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
-    """What was told last: an adjuster asks for a cost, and then for derivatives at the same poses."""
+    """Last result: an adjuster asks for a cost, and then for derivatives at the same poses."""
 
     def __repr__(self) -> str:
         return f"ImuFactors({len(self.frames)} frames)"
@@ -49,7 +51,7 @@ class ImuFactors:
     def linearized(
         self, rig_from_world: Rigid3
     ) -> tuple[float, Float64[np.ndarray, "n 6"], Float64[np.ndarray, "n 6 n 6"]]:
-        """Half the weighed sum of squares at poses of `frames`, its gradient and matrix by xi of exp(xi) @ rig_from_world.
+        """Half the weighted sum of squares at poses of `frames`, gradient and matrix by xi of exp(xi) @ rig_from_world.
 
         Raises:
             DegenerateGeometryError: the poses are not finite.
@@ -71,10 +73,10 @@ class ImuFactors:
         return self.weight * cost, self.weight * gradient[: OUTER * n].reshape(n, OUTER), out
 
     def scale(self, rig_from_world: Rigid3) -> tuple[float, float, Float64[np.ndarray, "n 6"]]:
-        """Metres for the path's unit, at their best for the poses.
+        """Metres per unit of the trajectory, at the optimum for the given poses.
 
         Returns:
-            their logarithm; its variance where the poses are true; its derivative by xi of exp(xi) @ rig_from_world.
+            the log scale; its variance if the poses are exact; its derivative by xi of exp(xi) @ rig_from_world.
         """
         poses = rig_from_world.inverse()
         states, _ = self._at_best(poses)
@@ -87,10 +89,10 @@ class ImuFactors:
         return states.log_scale, float(unit @ row), -(row @ across).reshape(n, OUTER)
 
     def variance_factors(self, rig_from_world: Rigid3) -> tuple[float, float]:
-        """By how much the variances of gyroscope and accelerometer should be larger than stated, seen from adjusted poses.
+        """Factors by which to scale the stated variances of gyroscope and accelerometer, from adjusted poses.
 
-        An interval's nine numbers leave three to each: three turns, and six less the three of a velocity. Poses that images
-        hold weakly follow the unit, and show less.
+        Of an interval's nine numbers each sensor has three degrees of freedom: three rotations, and six minus the three of a
+        velocity. Poses that images constrain weakly adapt to the IMU, and show less.
         """
         states, _ = self._at_best(rig_from_world.inverse())
         squares = (self.problem.imu_terms(states)[0].residual ** 2).sum(axis=0)
@@ -98,7 +100,7 @@ class ImuFactors:
         return float(squares[:3].sum()) / freedom, float(squares[3:].sum()) / freedom
 
     def _at_best(self, poses: Rigid3) -> tuple[States, float]:
-        """The inner unknowns that suit the poses best, by Gauss and Newton, and half the sum of squares."""
+        """The inner unknowns that fit the poses best, by Gauss-Newton, and half the sum of squares."""
         n, states = len(self.frames), self._localized(self.start, poses)
         cost = self._cost(states)
         for _ in range(MOST_INNER_STEPS):
@@ -120,12 +122,12 @@ class ImuFactors:
         return 0.5 * sum(float((one.residual**2).sum()) for one in self.problem.imu_terms(states))
 
     def _localized(self, states: States, poses: Rigid3) -> States:
-        """With rotations and places of the unit as the poses of the camera have them."""
+        """The states with IMU rotations and positions from the camera poses."""
         rotation, position = _of_unit(poses, self.problem.camera_from_imu, float(np.exp(states.log_scale)))
         return states._replace(rotation=rotation, position=position)
 
     def _equations(self, states: States, poses: Rigid3) -> tuple[np.ndarray, np.ndarray]:
-        """Normal matrix and gradient of all poses, then velocities and biases, scale and gravity."""
+        """Normal matrix and gradient over all poses, then velocities and biases, scale and gravity."""
         n = len(self.frames)
         imu, walk, first = self.problem.imu_terms(states)
         by_all = self._by_unknowns(imu.blocks, walk.blocks, states, poses)
@@ -151,9 +153,9 @@ class ImuFactors:
         states: States,
         poses: Rigid3,
     ) -> np.ndarray:
-        """(m, 15, 33) derivatives of an interval by both frames' xi, velocity and biases, by the scale and gravity.
+        """(m, 15, 33) derivatives of an interval by both frames' xi, velocity and biases, by scale and gravity.
 
-        Under xi = (rho, theta) the unit turns by -R_ci^T theta, and goes by -s R_wc rho + R_wc [t_ci] theta.
+        Under xi = (rho, theta) the IMU rotates by -R_ci^T theta and moves by -s R_wc rho + R_wc [t_ci] theta.
         """
         m, imu = len(self.frames) - 1, self.problem.camera_from_imu
         scale = np.exp(states.log_scale)
@@ -175,7 +177,7 @@ class ImuFactors:
         return out
 
     def _inner_solve(self, matrix: np.ndarray, rhs: np.ndarray) -> np.ndarray:
-        """By Cholesky's factors of the inner matrix, its columns scaled alike."""
+        """Solve with the Cholesky factor of the inner matrix, after scaling its columns."""
         inner = matrix[OUTER * len(self.frames) :, OUTER * len(self.frames) :]
         size = 1.0 / np.sqrt(np.maximum(inner.diagonal(), 1e-300))
         scaled = inner * size * size[:, None]
@@ -184,7 +186,7 @@ class ImuFactors:
         try:
             factor = scipy.linalg.cho_factor(scaled, lower=True, overwrite_a=True, check_finite=False)
         except np.linalg.LinAlgError:
-            raise DegenerateGeometryError("the poses leave the inertial unit's motion open") from None
+            raise DegenerateGeometryError("the poses do not determine the motion of the IMU") from None
         return by_column * scipy.linalg.cho_solve(factor, by_column * rhs, check_finite=False)
 
 
@@ -197,23 +199,23 @@ def imu_factors(
     aligned: InertialAlignment,
     weight: float = 1.0,
 ) -> ImuFactors:
-    """Factors between frames that follow each other.
+    """Factors between consecutive frames.
 
     Args:
-        frames: their rows among all that are adjusted.
-        timestamp_s: rising, by the unit's clock.
-        world_from_camera: about where they are.
+        frames: their rows among all adjusted frames.
+        timestamp_s: increasing, by the IMU's clock.
+        world_from_camera: approximate poses.
         imu: measurements that cover them.
-        aligned: about what scale, gravity and biases are; the search begins there.
-        weight: of the squares; the variance of a pixel, where an adjustment counts pixels as one.
+        aligned: initial scale, gravity and biases.
+        weight: of the squares; the variance of a pixel, in an adjustment that assumes unit pixel variance.
 
     Raises:
-        ShapeError: the arrays do not fit, or times do not rise.
+        ShapeError: array sizes do not match, or times do not increase.
         DegenerateGeometryError: the log does not cover the times, or has a gap.
     """
     n = len(frames)
     if len(timestamp_s) != n or world_from_camera.batch_shape() != (n,):
-        raise ShapeError(f"{n} frames need as many times and poses")
+        raise ShapeError(f"timestamp_s and world_from_camera must have {n} rows, as frames has")
     measured = preintegrate(imu.log, timestamp_s, aligned.gyro_bias, np.zeros(3), imu.noise)
     problem = InertialProblem(
         measured, world_from_camera, imu.camera_from_imu, imu.noise, (1.0, 1.0), aligned.gyro_bias
@@ -226,6 +228,6 @@ def imu_factors(
 
 
 def _of_unit(poses: Rigid3, mounting: Rigid3, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations and places of the unit in metres, of those of the camera."""
+    """Rotations and positions of the IMU, in metres, from camera poses."""
     lever = (poses.rotation @ mounting.translation[:, None])[..., 0]
     return poses.rotation @ mounting.rotation, scale * poses.translation + lever

@@ -1,4 +1,4 @@
-"""What an inertial measurement unit reports, and how well."""
+"""IMU measurements and noise parameters."""
 
 from __future__ import annotations
 
@@ -7,33 +7,33 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import Declared, check_fields
+from epipole._checks import Declared, check_fields
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuLog(Declared):
-    """Angular velocities and specific forces (acceleration less gravity), in the unit's own axes."""
+    """Angular velocities and specific forces (acceleration minus gravity), in the IMU's own axes."""
 
     timestamp_s: Float64[np.ndarray, " n"]
     gyro_rad_s: Float64[np.ndarray, "n 3"]
     accel_m_s2: Float64[np.ndarray, "n 3"]
     notes: tuple[str, ...] = ()
-    """What was done to the file's rows to make it, in words."""
+    """Corrections made to the file's rows, in words."""
 
     def __post_init__(self) -> None:
         """Check the values.
 
         Raises:
-            ShapeError: a value is not finite, or the times do not rise.
+            ShapeError: a value is not finite, or the times do not increase.
         """
         check_fields(self)
         values = (self.timestamp_s, self.gyro_rad_s, self.accel_m_s2)
         if not all(np.isfinite(value).all() for value in values):
-            raise ShapeError("an IMU's times and measurements must be finite")
+            raise ShapeError("IMU times and measurements must be finite")
         if (np.diff(self.timestamp_s) <= 0).any():
-            raise ShapeError("an IMU's times must rise")
+            raise ShapeError("IMU times must increase")
 
     def __len__(self) -> int:
         return len(self.timestamp_s)
@@ -47,9 +47,9 @@ class ImuLog(Declared):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImuNoise:
-    """Noise densities and random walks of the biases (continuous time, as Kalibr and EuRoC state them).
+    """Noise densities and bias random walks (continuous time, as in Kalibr and EuRoC).
 
-    The defaults are those of a common MEMS unit (ADIS16448, as EuRoC's).
+    The defaults are those of a common MEMS IMU (ADIS16448, as in EuRoC).
     """
 
     gyro_density: float = 1.7e-4
@@ -61,11 +61,11 @@ class ImuNoise:
     accel_walk: float = 3.0e-3
     """m / s^3 / sqrt(Hz)."""
     gyro_bias_sigma: float = 0.1
-    """rad / s, of the bias before anything is known."""
+    """rad / s, prior standard deviation of the bias."""
     accel_bias_sigma: float = 0.3
-    """m / s^2."""
+    """m / s^2, prior standard deviation of the bias."""
     accel_gain_sigma: float = 0.01
-    """Share by which the accelerometer's sensitivity is not known: it is the scale's, and no motion shows it."""
+    """Relative uncertainty of the accelerometer's gain: it scales the result, and no motion reveals it."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -81,7 +81,7 @@ class ImuNoise:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MountedImu(Declared):
-    """What a unit beside a camera measured."""
+    """Measurements of an IMU mounted on a camera."""
 
     log: ImuLog
     camera_from_imu: Rigid3

@@ -1,4 +1,4 @@
-"""Inertial measurements between two instants as one: Forster, Carlone, Dellaert and Scaramuzza, T-RO 2017."""
+"""IMU preintegration: Forster, Carlone, Dellaert and Scaramuzza, T-RO 2017."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry import Rotation3, skew
 from epipole.inertial.log import ImuLog, ImuNoise
 
 LARGEST_GAP_S = 0.1
-"""Between two samples: over a longer gap nothing is integrated."""
+"""Largest gap between two samples over which to integrate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Preintegrated(Declared):
-    """What was integrated from one instant to the next, in the unit's axes at the first, without gravity.
+    """Measurements integrated between consecutive instants, in the IMU's axes at the first, without gravity.
 
-    A state's error is (rotation, velocity, position): R exp(phi), v + dv, p + dp.
+    The error state is (rotation, velocity, position): R exp(phi), v + dv, p + dp.
     """
 
     seconds: Float64[np.ndarray, " m"]
@@ -35,7 +35,7 @@ class Preintegrated(Declared):
         return f"Preintegrated({len(self.seconds)} intervals)"
 
     def at_biases(self, change: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(rotation, velocity, position) at biases that differ by (m, 6), to first order (equation 44)."""
+        """(rotation, velocity, position) for biases changed by (m, 6), to first order (equation 44)."""
         moved = (self.by_bias @ change[..., None])[..., 0]
         rotated = self.rotation @ Rotation3.exp(moved[:, :3]).matrix
         return rotated, self.velocity + moved[:, 3:6], self.position + moved[:, 6:]
@@ -49,23 +49,23 @@ def preintegrate(
     accel_bias: Float64[np.ndarray, " 3"] | None = None,
     noise: ImuNoise | None = None,
 ) -> Preintegrated:
-    """Integrate the measurements between each instant and the next (equations 33, 37 and A.9 to A.20).
+    """Integrate the measurements between consecutive instants (equations 33, 37 and A.9 to A.20).
 
-    Samples are taken to change linearly between their times (midpoint rule). Covariance and derivatives go with them.
+    Samples are interpolated linearly (midpoint rule); covariance and derivatives are propagated along.
 
     Args:
         log: measurements.
-        instants_s: n >= 2 rising times, by the unit's clock.
+        instants_s: n >= 2 increasing times, by the IMU's clock.
         gyro_bias: rad / s, subtracted; None: zero.
         accel_bias: m / s^2, subtracted; None: zero.
         noise: densities; None: the defaults.
 
     Raises:
-        ShapeError: there are fewer than two instants, or they do not rise.
+        ShapeError: there are fewer than two instants, or they do not increase.
         DegenerateGeometryError: the log does not cover them, or has a gap.
     """
     if len(instants_s) < 2 or not (np.diff(instants_s) > 0).all():
-        raise ShapeError("pre-integration is between two or more rising instants")
+        raise ShapeError("instants_s must have two or more increasing times")
     noise = ImuNoise() if noise is None else noise
     dt, gyro, accel = _steps(log, instants_s)
     zero = np.zeros(3)
@@ -75,15 +75,15 @@ def preintegrate(
 
 
 def _steps(log: ImuLog, instants_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (m, s) between samples, and samples (m, s + 1, 3), the instants' own among them; padded with steps of no time."""
+    """Steps (m, s) and samples (m, s + 1, 3) of each interval, interpolated at its ends; padded with zero-length steps."""
     times = log.timestamp_s
     if not len(times) or instants_s[0] < times[0] or instants_s[-1] > times[-1]:
-        raise DegenerateGeometryError("the IMU's log does not cover the time of the path")
+        raise DegenerateGeometryError("the IMU log does not cover the time of the trajectory")
     within = (times[1:] > instants_s[0]) & (times[:-1] < instants_s[-1])
     gap = float(np.diff(times)[within].max(initial=0.0))
     if gap > LARGEST_GAP_S:
         raise DegenerateGeometryError(
-            f"the IMU's log has a gap of {gap:.3g} s; at most {LARGEST_GAP_S:g} s are bridged"
+            f"the IMU log has a gap of {gap:.3g} s (at most {LARGEST_GAP_S:g} s is allowed)"
         )
     first = np.searchsorted(times, instants_s[:-1], side="right")
     last = np.searchsorted(times, instants_s[1:], side="left")
@@ -91,7 +91,7 @@ def _steps(log: ImuLog, instants_s: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     own = first[:, None] + np.arange(count - 1)
     inner = np.where(
         own < last[:, None], times[np.minimum(own, len(times) - 1)], instants_s[1:, None]
-    )  # past the last sample: the end, again and again
+    )  # past the last sample: repeat the end
     at = np.concatenate([instants_s[:-1, None], inner], axis=1)
     values = np.concatenate([log.gyro_rad_s, log.accel_m_s2], axis=1)
     sampled = np.stack([np.interp(at, times, values[:, k]) for k in range(6)], axis=-1)
@@ -99,7 +99,7 @@ def _steps(log: ImuLog, instants_s: np.ndarray) -> tuple[np.ndarray, np.ndarray,
 
 
 def _integrated(dt: np.ndarray, gyro: np.ndarray, accel: np.ndarray, noise: ImuNoise) -> Preintegrated:
-    """All intervals together, step by step."""
+    """Integrate all intervals in parallel, step by step."""
     m = len(dt)
     rotation, velocity, position = np.tile(np.eye(3), (m, 1, 1)), np.zeros((m, 3)), np.zeros((m, 3))
     covariance, by_bias = np.zeros((m, 9, 9)), np.zeros((m, 9, 6))
@@ -123,7 +123,7 @@ def _integrated(dt: np.ndarray, gyro: np.ndarray, accel: np.ndarray, noise: ImuN
 def _linearized(
     rotation: np.ndarray, force: np.ndarray, step_rotation: np.ndarray, h: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How the state's error goes on over a step, (m, 9, 9), and what the measurements' errors add, (m, 9, 6)."""
+    """Transition of the error state over a step, (m, 9, 9), and its derivative by the measurements' errors, (m, 9, 6)."""
     m, one = len(rotation), np.eye(3)
     lever = -skew(force) @ rotation
     change, by_noise = np.tile(np.eye(9), (m, 1, 1)), np.zeros((m, 9, 6))
@@ -131,7 +131,7 @@ def _linearized(
     change[:, 3:6, :3], change[:, 6:, :3] = lever * h, 0.5 * lever * h**2
     change[:, 6:, 3:6] = one * h
     by_noise[:, :3, :3] = (one - 0.5 * skew(step_rotation)) * h
-    # Half of a step's turn comes before its mean force.
+    # Half of a step's rotation comes before its mean force.
     by_noise[:, 3:6, :3], by_noise[:, 6:, :3] = 0.5 * lever * h**2, 0.25 * lever * h**3
     by_noise[:, 3:6, 3:], by_noise[:, 6:, 3:] = rotation * h, 0.5 * rotation * h**2
     return change, by_noise

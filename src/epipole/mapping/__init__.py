@@ -1,4 +1,4 @@
-"""What mappers share: match components, the growing model, resection, refined poses, triangulation of tracks, adjustment."""
+"""Building blocks of the mappers: components, the growing model, resection, pose refinement, adjustment."""
 
 from epipole.mapping.adjustment import Freedom as Freedom
 from epipole.mapping.adjustment import PositionPriors as PositionPriors

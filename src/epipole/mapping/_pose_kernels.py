@@ -1,4 +1,4 @@
-"""One camera before known points: the pose of least robust error (motion-only bundle adjustment)."""
+"""Motion-only bundle adjustment: the pose of one camera with the least robust error to known points."""
 
 import math
 
@@ -9,7 +9,7 @@ from epipole.cameras._camera_kernels import NUM_PARAMS, project_with_jacobian_on
 from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers, solve_spd
 
 LEAST_STEP_SQ = 1e-20
-"""Squared length of a tangent step that ends the iteration."""
+"""Squared length of the tangent step at which the iteration stops."""
 STRONGEST = 1e9
 
 
@@ -45,7 +45,7 @@ def _move(motion, xi, out):
 
 @kernel(fuse=True)
 def _add_term(residual, row, weight, normal, gradient):
-    """One scalar residual with its row of the Jacobian."""
+    """Add one scalar residual with its Jacobian row."""
     for i in range(6):
         gradient[i] += weight * row[i] * residual
         for j in range(i + 1):
@@ -54,16 +54,16 @@ def _add_term(residual, row, weight, normal, gradient):
 
 @kernel(fuse=True)
 def _twist_row(a, b, c, x, y, z, row):
-    """Derivative by xi of g . p for p moved by exp(xi): g and p x g."""
+    """Derivative of g . p by xi, for p moved by exp(xi): g and p x g."""
     row[0], row[1], row[2] = a, b, c
     row[3], row[4], row[5] = y * c - z * b, z * a - x * c, x * b - y * a
 
 
 @kernel
 def _linearize(view, motion, scale_sq, normal, gradient, error_sq, work):
-    """Cost of a pose, its normal equations, and the squared error of every point, in squared deviations.
+    """Cost of a pose, its normal equations, and the squared error of every point, in units of sigma^2.
 
-    Cauchy's loss of the error in pixels, and of the error of the disparity f B / Z where one was measured.
+    Cauchy loss of the pixel error, and of the error of the disparity f B / Z if one was measured.
     """
     jac_point, jac_params, row = work
     clear_rows(normal)
@@ -78,7 +78,7 @@ def _linearize(view, motion, scale_sq, normal, gradient, error_sq, work):
         u, v = u - view.pixels[k, 0], v - view.pixels[k, 1]
         inverse_sq = 1.0 / (view.sigma_px[k] * view.sigma_px[k])
         s = (u * u + v * v) * inverse_sq
-        if not s < STRONGEST:  # behind the camera, or beyond what its lens can see
+        if not s < STRONGEST:  # behind the camera, or outside its field of view
             error_sq[k] = math.inf
             cost += scale_sq * math.log1p(STRONGEST / scale_sq)
             continue
@@ -106,7 +106,7 @@ def _linearize(view, motion, scale_sq, normal, gradient, error_sq, work):
 
 @kernel
 def _sum_scores(view, motion, scale_sq, scores, own, work):
-    """Scores = sum of g g^T over the points, g (`own`) the part of the gradient that is a point's."""
+    """Scores = sum of g g^T over the points, where g (`own`) is a point's part of the gradient."""
     jac_point, jac_params, row = work
     clear_rows(scores)
     for k in range(len(view.points)):
@@ -140,10 +140,10 @@ def _sum_scores(view, motion, scale_sq, scores, own, work):
 
 @kernel(allocates=True)
 def refine_pose(view, scale_sq, max_steps, motion, information, scores, error_sq):
-    """Gauss-Newton with damping; `motion` is the start and becomes the result. Returns cost and steps.
+    """Damped Gauss-Newton; `motion` is the start and receives the result. Returns cost and number of steps.
 
-    `information` becomes the normal matrix at the result: the inverse of the covariance where deviations are right;
-    `scores` that of the points' gradients.
+    `information` receives the normal matrix at the result, the inverse covariance if the sigmas are right; `scores`
+    receives the sum of g g^T over the points' gradients.
     """
     work = np.empty((2, 3)), np.empty((2, NUM_PARAMS)), np.empty(6)
     normal, gradient = np.empty((6, 6)), np.empty(6)

@@ -1,7 +1,7 @@
-"""Tracks: merging of matches, triangulation, extension and filtering, one component of matches at a time.
+"""Tracks: merge matches, triangulate, extend and filter, one component of matches at a time.
 
-A component is a set of keypoints connected by verified matches, one of an image; its rows are consecutive. It may
-give several points, for a false match can join two.
+A component is a set of keypoints connected by verified matches, at most one per image; its rows are consecutive. It
+may yield several points, as a false match can join two.
 """
 
 import math
@@ -19,7 +19,7 @@ from epipole.robust._triangulation_kernels import (
     polish_point,
 )
 
-NEAREST_SQ = 1e-12  # squared share of the farthest view's distance
+NEAREST_SQ = 1e-12  # squared fraction of the farthest view's distance
 
 
 @kernel
@@ -34,9 +34,9 @@ def _root(parent, i):
 def connect_without_conflict(row1, row2, image, parent, following, stamp):
     """Union-find over matches in the given order; parent[i] becomes the smallest keypoint row of i's component.
 
-    A match that would put two keypoints of one image into a component is refused: one of the matches behind it
-    is wrong, and the earlier ones are the stronger. following links each component's members in a ring; stamp
-    (one per image, zero) tells which images a component has.
+    A match that would put two keypoints of one image into a component is rejected: one of the matches in it is wrong,
+    and the earlier ones are stronger. `following` links each component's members in a ring; `stamp` (one per image,
+    zero) marks the images of a component.
     """
     for k in range(len(row1)):
         a, b = _root(parent, row1[k]), _root(parent, row2[k])
@@ -81,9 +81,9 @@ def triangulate_components(
     new_points,
     new_point_of_row,
 ):
-    """Make points from the rows without a point of components[start:stop].
+    """Triangulate points from the rows of components[start:stop] that have none.
 
-    new_points (m, 3) receives the points, new_point_of_row the index there (or -1 untouched); returns m.
+    new_points (m, 3) receives the points, new_point_of_row their index there (-1 for none); returns m.
     """
     free, chosen, best_x = np.empty(longest, np.int64), np.empty(longest, np.int64), np.empty(3)
     work = (np.empty(3), np.empty(3), np.empty(3), np.empty(longest, np.int64))
@@ -115,7 +115,7 @@ def triangulate_components(
 
 @kernel
 def extend_components(rows, cams, offsets, components, start, stop, points, max_error_sq, new_point_of_row):
-    """Give rows without a point to the nearest point of their own component; returns how many."""
+    """Assign rows without a point to the nearest point of their component; returns the number of assigned rows."""
     given = 0
     for n in range(start, stop):
         t = components[n]
@@ -153,12 +153,11 @@ def _distance_sq(cams, i, x):
 def filter_points(
     rows, cams, row_offsets, row_order, start, stop, points, max_error_sq, max_cosine, keep_row, errors
 ):
-    """Mark rows of the points start..stop that stay; a point left with one row or a narrow angle loses all.
+    """Mark the rows to keep for points start..stop; a point with one row or too narrow an angle loses all of them.
 
-    A camera in whose centre the point lies does not see it: adjustment can make any of its pixels fit there, and
-    rounding alone then decides depth and angle.
-
-    row_order lists rows grouped by point. errors receives the mean error of what stays, NaN for a lost point.
+    A row is dropped if the point coincides with its camera center: adjustment can fit any pixel there, and depth and
+    angle are rounding noise. row_order lists rows grouped by point. errors receives the mean error of the kept rows,
+    NaN for a removed point.
     """
     for j in range(start, stop):
         first, last = row_offsets[j], row_offsets[j + 1]

@@ -1,4 +1,4 @@
-"""Bundle adjustment of a growing model: all of it, or the neighbourhood of one image."""
+"""Bundle adjustment of a growing model: the full model, or the neighbourhood of one image."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import check_index
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, check_index, checked
 from epipole.cameras import CameraModel
 from epipole.geometry import Rigid3
 from epipole.mapping.model_builder import ModelBuilder
@@ -23,14 +22,16 @@ from epipole.optim import (
 )
 from epipole.scene import Cameras
 
-TRUSTED_FOCAL_SIGMA, GUESSED_FOCAL_SIGMA = 0.3, 0.6
-"""Standard deviations of first focal lengths, as a share of themselves (EXIF is 40 % wrong at times)."""
+TRUSTED_FOCAL_SIGMA = (
+    0.3  # relative standard deviation of an initial focal length from EXIF, which can be 40 % wrong
+)
+GUESSED_FOCAL_SIGMA = 0.6  # relative standard deviation of a guessed initial focal length
 DISTORTION_SIGMA = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionPriors(Declared):
-    """Prior positions of images (GPS), in the model's world coordinates; NaN rows for none."""
+    """Prior positions of images (GPS), in the model's world coordinates; NaN rows if unknown."""
 
     positions_in_world: Float64[np.ndarray, "n 3"]
     sigma: Float64[np.ndarray, "n 3"]
@@ -39,7 +40,7 @@ class PositionPriors(Declared):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Freedom(Declared):
-    """Which intrinsics an adjustment may change, for cameras that are not constant."""
+    """Which intrinsics an adjustment may change, of cameras that are not constant."""
 
     focal: bool = True
     principal_point: bool = False
@@ -63,7 +64,7 @@ def free_params_of(cameras: Cameras, freedom: Freedom) -> Float64[np.ndarray, "c
 def adjust_all(
     model: ModelBuilder, config: BundleConfig, freedom: Freedom, priors: PositionPriors | None = None
 ) -> BundleResult:
-    """Adjust every registered image, every point and the intrinsics that are not constant."""
+    """Adjust every registered image, all points, and the intrinsics that are not constant."""
     order, _ = model.rows_by_point()
     images = np.flatnonzero(model.registered)
     return _adjust(model, order, images, np.arange(model.num_points), config, freedom, priors)
@@ -73,10 +74,10 @@ def adjust_all(
 def adjust_around(
     model: ModelBuilder, image: int, num_images: int, config: BundleConfig, freedom: Freedom
 ) -> BundleResult:
-    """Adjust an image, the images that share most points with it, and their points; the rest is fixed.
+    """Adjust an image, those with most points in common, and their points; everything else is fixed.
 
-    Other images' observations of these points take part, with fixed poses. Intrinsics of cameras that also
-    took images outside the neighbourhood are fixed, too.
+    Observations of these points in other images are used with fixed poses. Intrinsics are also fixed if images outside
+    the neighbourhood use them.
     """
     check_index(image, "image", len(model.rows_of_image))
     order, offsets = model.rows_by_point()
@@ -146,9 +147,9 @@ def _adjust(
 
 @checked
 def expected_params(model: ModelBuilder) -> tuple[np.ndarray, np.ndarray]:
-    """Prior of the intrinsics: focal length near the initial guess, little distortion; with sigmas.
+    """Prior of the intrinsics, with sigmas: focal length near the initial guess, little distortion.
 
-    It matters where a camera sees few points, and is negligible where it sees hundreds.
+    It matters only for cameras that see few points.
     """
     cameras = model.cameras
     expected, sigma = cameras.params.copy(), np.full(cameras.params.shape, np.inf)

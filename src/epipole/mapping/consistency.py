@@ -1,22 +1,22 @@
-"""How far a model agrees with the matches it was made from."""
+"""How well a model agrees with the matches it was built from."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.mapping.match_components import check_matches
 from epipole.mapping.model_builder import ModelBuilder
 from epipole.scene import ViewGraph
 
 
 class MatchConsistency:
-    """Measures, for each pair, the share of its verified matches that both images see as one point.
+    """Fraction of each pair's verified matches that both images observe as one point.
 
-    Matches of which neither keypoint has a point (too narrow an angle) carry no information and do not count.
-    In a correct model the share is high for every pair (0.9 is usual). A mirrored initial pair, a wrong pose,
-    or two sides of a symmetric object folded onto each other leave pairs with hardly any.
+    Matches without a point at either keypoint (too narrow an angle) carry no information and are ignored. In a correct
+    model the fraction is high for every pair (typically 0.9). A mirrored initial pair, a wrong pose, or two sides of a
+    symmetric object folded onto each other leave pairs with a fraction near zero.
     """
 
     @checked
@@ -33,7 +33,7 @@ class MatchConsistency:
 
     @checked
     def fractions(self, model: ModelBuilder) -> tuple[Float64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
-        """Per pair the share of its matches that became one point, NaN unless both are registered; and how many tell."""
+        """Per pair: fraction of its matches that became one point (NaN unless both are registered), and number of matches."""
         point1, point2 = model.row_point[self._row1], model.row_point[self._row2]
         has_point = (point1 >= 0) | (point2 >= 0)
         count = np.bincount(self._pair, has_point, len(self._view_graph)).astype(np.int64)
@@ -42,20 +42,20 @@ class MatchConsistency:
         return np.where(both, same / np.maximum(count, 1), np.nan), count
 
     def overall(self, model: ModelBuilder) -> float:
-        """The share over all matches between registered images; 0 for an empty model."""
+        """The fraction over all matches between registered images; 0 for an empty model."""
         fractions, count = self.fractions(model)
         known = np.isfinite(fractions)
         return float((fractions[known] * count[known]).sum() / max(count[known].sum(), 1))
 
     @checked
     def num_explained(self, model: ModelBuilder) -> int:
-        """Number of matches that both images see as one point."""
+        """Number of matches that both images observe as one point."""
         point1, point2 = model.row_point[self._row1], model.row_point[self._row2]
         return int(((point1 == point2) & (point1 >= 0)).sum())
 
     @checked
     def of_image(self, model: ModelBuilder, image: int) -> float:
-        """The share over the matches of one image with the other registered ones; 1 where there are none."""
+        """The fraction over the matches of one image with registered images; 1 without such matches."""
         fractions, count = self.fractions(model)
         own = ((self._view_graph.image1 == image) | (self._view_graph.image2 == image)) & np.isfinite(
             fractions

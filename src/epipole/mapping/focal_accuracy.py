@@ -1,8 +1,8 @@
-"""How well a model determines the focal lengths of its cameras: it is adjusted again with more of each lens free.
+"""Uncertainty of the focal lengths of a model, from adjustments with more intrinsics free.
 
-The covariance of an adjustment knows nothing of what its lenses lack: a principal point off the middle, a further distortion
-term, rows that are read one after another. Where these matter, the focal length moves once they are free. Its standard deviation
-is taken as GROWTH times both together: the formal one (Triggs et al. 2000, section 9, clustered by points) and that move.
+The covariance of an adjustment ignores what its camera model lacks: an off-center principal point, further distortion,
+rolling shutter. Where these matter, the focal length moves once they are free. Its standard deviation is taken as GROWTH
+times the root sum of squares of the formal one (Triggs et al. 2000, section 9, clustered by points) and that move.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import DegenerateGeometryError
 from epipole.mapping.readjustment import bundle_problem_of
@@ -27,18 +27,18 @@ from epipole.optim import (
 from epipole.scene import Cameras, Points, Reconstruction, Tracks
 
 GROWTH = 3.0
-"""On two facades, and a kitchen with a rolling shutter, whose focal lengths are known (0.04, 0.06, and 3 to 4 % off), errors were 0.5 to 5
-times the formal deviation and the move together."""
+"""Tuned on two facades and a rolling-shutter kitchen with known focal lengths (0.04, 0.06, and 3 to 4 % off): errors were
+0.5 to 5 times the formal deviation and the move together."""
 MAX_SIGMA = 0.02
-"""Of a focal length that counts as determined, in units of itself."""
+"""Largest relative standard deviation of a focal length that counts as determined."""
 MAX_SHIFT_SIGMAS = 3.0
-"""Between a known focal length and the one that the images agree with."""
+"""Largest accepted difference between a known focal length and the estimated one."""
 MIN_SIGMA = 0.005
-"""Assumed at least for that comparison, in units of the focal length."""
-MAX_IMAGES, MIN_VIEWS, MIN_OBSERVATIONS = 100, 2, 100
-"""Images looked at (evenly, of each camera), images that see a point, and observations of a camera."""
-MAX_OBSERVATIONS = 12_000
-"""Looked at: of more, every so-many-th point."""
+"""Lower bound of the relative standard deviation in that comparison."""
+MAX_IMAGES = 100  # images used, evenly spread over each camera
+MIN_VIEWS = 2  # images that must see a point
+MIN_OBSERVATIONS = 100  # per camera
+MAX_OBSERVATIONS = 12_000  # used; points are subsampled above this number
 ITERATIONS = 60
 _OPENCV_LIKE = (
     CameraModel.SIMPLE_PINHOLE,
@@ -50,32 +50,32 @@ _OPENCV_LIKE = (
 
 @dataclass(frozen=True, slots=True)
 class FocalAccuracy:
-    """The focal length that a model's images agree with best, and how well they determine it."""
+    """The focal length that fits a model's images best, and its uncertainty."""
 
     model_px: float
-    """Of the model."""
+    """Of the model, in pixels."""
     focal_px: float
-    """Once it is free; near the model's, unless that was known and is wrong."""
+    """Estimated with a free focal length; close to the model's, unless that was given and is wrong."""
     sigma_px: float
-    """Standard deviation; infinite where it is not determined at all."""
+    """Standard deviation; infinite if undetermined."""
 
     @property
     def is_determined(self) -> bool:
-        """Whether the images determine the focal length, to MAX_SIGMA."""
+        """Whether the images determine the focal length, to within MAX_SIGMA."""
         return self.sigma_px <= MAX_SIGMA * self.focal_px
 
     @property
     def contradicts_model(self) -> bool:
-        """Whether the images agree with another focal length than the model's."""
+        """Whether the images contradict the model's focal length."""
         sigma_px = max(self.sigma_px, MIN_SIGMA * self.focal_px)
         return abs(self.focal_px - self.model_px) > MAX_SHIFT_SIGMAS * sigma_px
 
 
 @checked
 def focal_accuracies(model: Reconstruction) -> dict[int, FocalAccuracy]:
-    """How well a model determines the focal length of each camera that took some of its images.
+    """Focal length uncertainty of each camera of a model that took some of its images.
 
-    Cameras with fewer than MIN_OBSERVATIONS observations in the images that are looked at are left out.
+    Cameras with fewer than MIN_OBSERVATIONS observations in the subsampled model are omitted.
     """
     thin = _thinned(model)
     seen = np.bincount(thin.camera_of_image[thin.tracks.image], minlength=len(model.cameras))
@@ -102,9 +102,9 @@ def focal_accuracies(model: Reconstruction) -> dict[int, FocalAccuracy]:
 def _adjusted(
     problem: BundleProblem, all_extended: list[Camera], *, is_wide: bool
 ) -> tuple[list[tuple[float, float]], BundleProblem]:
-    """Focal length and formal deviation of each camera (NaN, infinite where it fails), adjusted with its distortion.
+    """Adjust with distortion free; focal length and formal deviation of each camera (NaN and infinite on failure).
 
-    With `is_wide` the principal point and a second distortion term are free, too. The problem at its minimum comes with it.
+    With `is_wide` the principal point and a second distortion term are free, too. Also returns the problem at its minimum.
     """
     free = np.zeros_like(problem.params_free)
     for c, extended in enumerate(all_extended):
@@ -135,7 +135,7 @@ def _extended_problem(model: Reconstruction) -> BundleProblem:
 
 
 def _extended(camera: Camera) -> Camera:
-    """The same camera with at least two terms of distortion."""
+    """The same camera with at least two distortion terms."""
     if camera.model not in _OPENCV_LIKE:
         return camera
     center = camera.params[list(camera.model.principal_point_indices)]
@@ -149,7 +149,7 @@ def _extended(camera: Camera) -> Camera:
 
 
 def _thinned(model: Reconstruction) -> Reconstruction:
-    """The model with at most MAX_IMAGES of its images, as many of each camera in turn, and an even part of their points."""
+    """The model with at most MAX_IMAGES images, spread evenly over the cameras, and subsampled points."""
     registered = np.flatnonzero(model.is_registered())
     if len(registered) <= MAX_IMAGES and len(model.tracks.image) <= MAX_OBSERVATIONS:
         return model
@@ -168,11 +168,11 @@ def _thinned(model: Reconstruction) -> Reconstruction:
 
 
 def _even_images(camera: np.ndarray, images: np.ndarray) -> np.ndarray:
-    """Images in turn of each camera, evenly spread within it, until there are MAX_IMAGES."""
+    """Images of each camera in turn, evenly spread within the camera, up to MAX_IMAGES."""
     order = []
     for c in np.unique(camera):
         own = images[camera == c]
-        # Halves, quarters and so on: the first few are spread as evenly as all.
+        # Bit-reversed order: any first few images are spread evenly.
         spread = np.argsort([int(f"{k:020b}"[::-1], 2) for k in range(len(own))], kind="stable")
         order += [
             (rotation, int(c), int(own[k])) for rotation, k in enumerate(np.argsort(spread, kind="stable"))

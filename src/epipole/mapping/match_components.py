@@ -1,4 +1,4 @@
-"""Components of keypoints that verified matches join: tracks before they have points."""
+"""Components of keypoints joined by verified matches: tracks without points."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Int32, Int64
 
-from epipole._checks import check_indices, check_offsets
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, check_indices, check_offsets, checked
 from epipole.errors import ShapeError
 from epipole.mapping import _track_kernels as kernels
 from epipole.scene import ViewGraph
@@ -29,7 +28,7 @@ class MatchComponents(Declared):
 
 @checked
 def connect_matches(view_graph: ViewGraph, keypoint_offsets: Int64[np.ndarray, " n1"]) -> MatchComponents:
-    """Merge the verified matches of all pairs, strongest pair first, into components with one keypoint an image."""
+    """Merge the verified matches of all pairs, strongest pair first, into components with at most one keypoint per image."""
     check_offsets(keypoint_offsets, "keypoint_offsets")
     check_matches(view_graph, np.diff(keypoint_offsets))
     pair = np.repeat(np.arange(len(view_graph)), view_graph.num_inliers())
@@ -59,14 +58,14 @@ def connect_matches(view_graph: ViewGraph, keypoint_offsets: Int64[np.ndarray, "
 
 
 def check_matches(view_graph: ViewGraph, num_keypoints: Int64[np.ndarray, " n"]) -> None:
-    """Check that matches join keypoints that are there.
+    """Check that matches refer to existing keypoints.
 
     Args:
         view_graph: pairs of images and their matches.
-        num_keypoints: of each image.
+        num_keypoints: one per image.
 
     Raises:
-        ShapeError: a match does not.
+        ShapeError: a match refers to a missing keypoint.
     """
     check_offsets(view_graph.match_offsets, "match_offsets", len(view_graph.keypoint1))
     if len(view_graph.match_offsets) != len(view_graph) + 1:
@@ -76,17 +75,17 @@ def check_matches(view_graph: ViewGraph, num_keypoints: Int64[np.ndarray, " n"])
         check_indices(image, f"image{side}", len(num_keypoints))
         most = np.repeat(num_keypoints[image], view_graph.num_inliers())
         if not ((keypoint >= 0) & (keypoint < most)).all():
-            raise ShapeError(f"keypoint{side} names a keypoint that is not there")
+            raise ShapeError(f"keypoint{side} refers to a keypoint that does not exist")
 
 
 def check_components(components: MatchComponents, num_keypoints: Sequence[int]) -> None:
-    """Check that components hold keypoints that are there.
+    """Check that components refer to existing keypoints.
 
     Raises:
-        ShapeError: one does not.
+        ShapeError: a component refers to a missing keypoint.
     """
     check_offsets(components.offsets, "components.offsets", len(components.image))
     check_indices(components.image, "components.image", len(num_keypoints))
     most = np.array(num_keypoints, np.int64)[components.image]
     if not ((components.keypoint >= 0) & (components.keypoint < most)).all():
-        raise ShapeError("components.keypoint names a keypoint that is not there")
+        raise ShapeError("components.keypoint refers to a keypoint that does not exist")

@@ -1,4 +1,4 @@
-"""The growing model inside a mapper: mutable columns over fixed tracks; it freezes into a Reconstruction."""
+"""The growing model of a mapper: mutable columns over fixed tracks, which freeze into a Reconstruction."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64, UInt8
 
 from epipole import _parallel
-from epipole._checks import check_different, check_index, check_indices, check_squarable
-from epipole._declared import checked
+from epipole._checks import check_different, check_index, check_indices, check_squarable, checked
 from epipole.cameras import Camera
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3, Similarity3
@@ -31,7 +30,7 @@ from epipole.scene import (
 
 
 class _Rows(NamedTuple):
-    """Keypoints that have matches, grouped by component, as the kernels take them."""
+    """Keypoints that have matches, grouped by component, in kernel layout."""
 
     image: np.ndarray  # (r,) int32
     pixel: np.ndarray  # (r, 2)
@@ -40,7 +39,7 @@ class _Rows(NamedTuple):
 
 
 class _Cams(NamedTuple):
-    """Images' places and cameras, as the kernels take them."""
+    """Poses and cameras of the images, in kernel layout."""
 
     motion: np.ndarray  # (n, 12) cam_from_world: R row by row, t
     center: np.ndarray  # (n, 3)
@@ -61,7 +60,7 @@ class Snapshot(NamedTuple):
 
 
 class ModelBuilder:
-    """Images, points and rows under construction. One image is one frame of its own rig."""
+    """A model under construction. Each image is a frame of a separate rig."""
 
     @checked
     def __init__(
@@ -109,7 +108,7 @@ class ModelBuilder:
             self.set_params(self.cameras.params.copy())
 
     def snapshot(self) -> Snapshot:
-        """Save the present state."""
+        """Save the current state."""
         return Snapshot(
             self.registered.copy(),
             self.motion.copy(),
@@ -127,7 +126,7 @@ class ModelBuilder:
         self.set_params(state.params.copy())
 
     def set_params(self, params: np.ndarray) -> None:
-        """Change the cameras' parameters, and the rays of those that change."""
+        """Set the camera parameters, and update the rays of the cameras that changed."""
         changed = np.flatnonzero((params != self.params).any(axis=1))
         self.params = params
         for camera in changed:
@@ -135,12 +134,12 @@ class ModelBuilder:
 
     @property
     def points(self) -> Float64[np.ndarray, "p 3"]:
-        """Points in world coordinates; those without observations are not used."""
+        """Points in world coordinates; points without observations are unused."""
         return self._points[: self.num_points]
 
     @checked
     def update_rays(self, camera: int) -> None:
-        """Unproject the rows of one camera again, after its parameters changed."""
+        """Unproject the rows of a camera again after its parameters changed."""
         model = self.camera(camera)
         images = np.flatnonzero(self.camera_of_image == camera)
         if len(images):
@@ -149,7 +148,7 @@ class ModelBuilder:
 
     @checked
     def camera(self, index: int) -> Camera:
-        """The camera of this row with its present parameters."""
+        """The camera with its current parameters."""
         check_index(index, "index", len(self.cameras))
         return replace(self.cameras, params=self.params)[index]
 
@@ -192,11 +191,11 @@ class ModelBuilder:
         return Rigid3(rows[:, :9].reshape(-1, 3, 3).copy(), rows[:, 9:].copy())
 
     def living_points(self) -> Float64[np.ndarray, "p 3"]:
-        """Points that some row sees."""
+        """Points that have observations."""
         return self.points[np.unique(self.row_point[self.row_point >= 0])]
 
     def move(self, target_from_world: Similarity3) -> None:
-        """Put the whole model into other coordinates."""
+        """Transform the model into other coordinates."""
         images = np.flatnonzero(self.registered)
         self.set_poses(images, target_from_world.move_cam_from_source(self.registered_poses()))
         self._points[: self.num_points] = target_from_world.apply(self.points)
@@ -213,7 +212,7 @@ class ModelBuilder:
     def triangulate(
         self, components: Int64[np.ndarray, " k"], max_error_px: float, min_angle_rad: float
     ) -> int:
-        """Make new points from rows without one; returns the number of new observations."""
+        """Triangulate new points from rows without one; returns the number of new observations."""
         check_squarable(max_error_px, "max_error_px")
         check_different(components, "components", len(self.components))
         limit = np.cos(min_angle_rad)
@@ -243,7 +242,7 @@ class ModelBuilder:
 
     @checked
     def extend(self, components: Int64[np.ndarray, " k"], max_error_px: float) -> int:
-        """Give rows without a point to points of their component; returns the number of new observations."""
+        """Assign rows without a point to points of their component; returns the number of new observations."""
         check_squarable(max_error_px, "max_error_px")
         check_different(components, "components", len(self.components))
         given = np.full(len(self.row_image), -1, np.int32)
@@ -267,7 +266,7 @@ class ModelBuilder:
 
     @checked
     def filter(self, max_error_px: float, min_angle_rad: float) -> int:
-        """Drop rows with large errors and points seen under a narrow angle; returns the number of dropped rows."""
+        """Drop rows with large errors, and points with too narrow an angle; returns the number of dropped rows."""
         check_squarable(max_error_px, "max_error_px")
         order, offsets = self.rows_by_point()
         keep, errors = np.zeros(len(self.row_image), bool), np.empty(self.num_points)
@@ -300,14 +299,14 @@ class ModelBuilder:
         return order, np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
     def has_point(self) -> Bool[np.ndarray, " t"]:
-        """Mask of components that hold a point."""
+        """Mask of components with at least one point."""
         out = np.zeros(len(self.components), bool)
         out[self.row_component[self.row_point >= 0]] = True
         return out
 
     @checked
     def points_in_sight(self, image: int) -> tuple[Int64[np.ndarray, " k"], Int32[np.ndarray, " k"]]:
-        """(rows, points) that an image sees if its matches are right: points of its rows' components."""
+        """(rows, points) that an image sees if its matches are right: the points of its rows' components."""
         check_index(image, "image", len(self.rows_of_image))
         rows = self.rows_of_image[image]
         component = self.row_component[rows]
@@ -332,21 +331,21 @@ class ModelBuilder:
         colors: Sequence[UInt8[np.ndarray, "_ 3"]] | None = None,
         timestamps_s: Float64[np.ndarray, " n"] | None = None,
     ) -> Reconstruction:
-        """The model as frozen columns: living points only, in order of their index.
+        """The model as an immutable Reconstruction, with only the points that have two or more observations.
 
         Args:
-            names: of all images.
-            colors: RGB of every keypoint of every image, (k, 3) uint8; grey 128 where absent.
+            names: one per image.
+            colors: RGB of every keypoint of every image, (k, 3) uint8; grey 128 if not given.
             timestamps_s: one per image.
 
         Raises:
-            ShapeError: there are not as many as images, or keypoints.
+            ShapeError: an argument does not have one row per image, or per keypoint.
         """
         for name, given in (("names", names), ("timestamps_s", timestamps_s)):
             if given is not None and len(given) != len(self.keypoints):
                 raise ShapeError(f"{name} must have {len(self.keypoints)} rows, got {len(given)}")
         if colors is not None and [len(c) for c in colors] != [len(k) for k in self.keypoints]:
-            raise ShapeError("colors must have a row for each keypoint")
+            raise ShapeError("colors must have one row per keypoint")
         order, offsets = self.rows_by_point()
         alive = np.diff(offsets) >= 2
         order = order[alive[self.row_point[order]]]
@@ -387,7 +386,7 @@ class ModelBuilder:
 
 
 def _rows_of(offsets: np.ndarray, components: np.ndarray) -> np.ndarray:
-    """All rows of the given components, in their order."""
+    """All rows of the given components, in order."""
     counts = offsets[components + 1] - offsets[components]
     starts = np.repeat(offsets[components] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
     return starts + np.arange(counts.sum())

@@ -1,4 +1,4 @@
-"""Motion-only bundle adjustment: one camera before known points."""
+"""Motion-only bundle adjustment: the pose of one camera from known points."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
@@ -18,7 +18,7 @@ MAX_STEPS = 15
 
 
 class _View(NamedTuple):
-    """What the kernel looks at."""
+    """Kernel input."""
 
     model: int
     params: np.ndarray
@@ -32,44 +32,44 @@ class _View(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Disparities(Declared):
-    """Depth of the points as a second camera beside the first sees it, or as a depth sensor tells it: d = f B / Z."""
+    """Disparities d = f B / Z of the points, from a second camera beside the first or a depth sensor."""
 
     disparity_px: Float64[np.ndarray, " n"]
-    """NaN where there is none."""
+    """NaN where unknown."""
     focal_baseline: float
-    """Focal length times baseline, in pixels and the world's unit."""
+    """Focal length times baseline, in pixels times the world's unit."""
     sigma_px: float = 1.0
 
     def rows(self, mask: Bool[np.ndarray, " n"]) -> Disparities:
-        """Those of some of the points."""
+        """The disparities of some of the points."""
         return Disparities(self.disparity_px[mask], self.focal_baseline, self.sigma_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RefinedPose:
-    """A pose before known points."""
+    """A camera pose refined against known points."""
 
     cam_from_world: Rigid3
     information: Float64[np.ndarray, "6 6"]
-    """Inverse covariance of xi = (translation, rotation) in exp(xi) @ cam_from_world, where the deviations are right."""
+    """Inverse covariance of xi = (translation, rotation) in exp(xi) @ cam_from_world, if the sigmas are right."""
     scores: Float64[np.ndarray, "6 6"]
-    """Sum of g g^T, with g a point's part of the gradient."""
+    """Sum of g g^T over the points, where g is a point's part of the gradient."""
     error_sq: Float64[np.ndarray, " n"]
-    """Squared error of each pixel over its deviation; infinite behind the camera."""
+    """Squared error of each pixel in units of sigma^2; infinite behind the camera."""
     cost: float
     num_steps: int
 
     def covariance(self) -> Float64[np.ndarray, "6 6"]:
-        """Inverse of the information; infinite where a direction is not seen at all."""
+        """Inverse of the information; infinite if a direction is unconstrained."""
         if not np.isfinite(self.information).all() or np.linalg.cond(self.information) > 1e14:
             return np.full((6, 6), np.inf)
         return np.linalg.inv(self.information)
 
     def covariance_by_errors(self) -> Float64[np.ndarray, "6 6"]:
-        """The covariance for errors such as are left, whatever deviations were told: H^-1 (sum g g^T) H^-1.
+        """Covariance from the actual residuals, whatever the stated sigmas: H^-1 (sum g g^T) H^-1.
 
-        H. White, A heteroskedasticity-consistent covariance matrix estimator, Econometrica 1980; made larger for what the fit
-        takes of the errors, six of two numbers for each of the n points: (n / (n - 3))^2, as if each were left out in turn.
+        H. White, A heteroskedasticity-consistent covariance matrix estimator, Econometrica 1980; scaled by (n / (n - 3))^2 for
+        the 6 degrees of freedom that the fit takes from 2n residuals, like leaving out each point in turn.
         """
         bread, count = self.covariance(), int(np.isfinite(self.error_sq).sum())
         if count <= 3 or not np.isfinite(bread).all():
@@ -91,20 +91,20 @@ def refine_pose(
     *,
     loss_scale: float = 2.0,
 ) -> RefinedPose:
-    """Pose of least sum of Cauchy(|project - pixel| / sigma) (Triggs et al. 2000, sections 3 and 4), from a start.
+    """Pose with the least sum of Cauchy(|project - pixel| / sigma) (Triggs et al. 2000, sections 3 and 4).
 
     Args:
-        points_in_world: where the points are.
-        pixels: where the camera saw them.
-        camera: any model.
-        start: cam_from_world to begin from.
-        sigma_px: standard deviation of every pixel; None: 1.
+        points_in_world: the known points.
+        pixels: their observations in the camera.
+        camera: intrinsics, of any model.
+        start: initial cam_from_world.
+        sigma_px: standard deviation of each pixel; None: 1.
         disparities: measured disparities of the points.
-        loss_scale: of Cauchy's loss, in standard deviations.
+        loss_scale: of the Cauchy loss, in standard deviations.
 
     Raises:
-        ShapeError: the arrays do not fit, or the start is not a single motion.
-        ConfigError: the scale, or a deviation, is not positive.
+        ShapeError: array sizes do not match, or the start is not a single motion.
+        ConfigError: the loss scale or a sigma is not positive.
     """
     n = len(points_in_world)
     if not 0 < loss_scale < 1e6:

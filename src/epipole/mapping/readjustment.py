@@ -1,4 +1,4 @@
-"""Bundle adjustment of a whole existing model: one from a file, or with other parameters free."""
+"""Bundle adjustment of an existing model, such as one from a file."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.geometry import Rigid3
 from epipole.mapping.adjustment import Freedom, free_params_of
 from epipole.optim import (
@@ -25,12 +25,12 @@ from epipole.scene import Reconstruction
 def bundle_problem_of(
     model: Reconstruction, freedom: Freedom | None = None, priors: BundlePriors | None = None
 ) -> BundleProblem:
-    """A model as a bundle problem: frames and points free, intrinsics as said, rigs held.
+    """A model as a bundle problem: frames and points are free, intrinsics as specified, rigs fixed.
 
     Args:
-        model: places, lenses, points and tracks; images without a place must have no part in tracks.
-        freedom: which intrinsics may change, of cameras that are not constant; None: focal length and distortion.
-        priors: what else is known; rows are those of the model's frames, cameras and points.
+        model: poses, cameras, points and tracks; tracks must not include unregistered images.
+        freedom: intrinsics to adjust, for cameras that are not constant; None: focal length and distortion.
+        priors: further knowledge; rows are those of the model's frames, cameras and points.
     """
     image = model.tracks.image
     positions = model.frames.rig_from_world
@@ -60,10 +60,9 @@ def adjust_reconstruction(
     priors: BundlePriors | None = None,
     progress: Callable[[BundleIteration], bool] | None = None,
 ) -> tuple[Reconstruction, BundleResult]:
-    """Adjust a model; returns the new one and the adjustment's result. The given model is not changed.
+    """Adjust a model; returns a new model and the adjustment's result.
 
-    Position, orientation and scale are free unless priors fix them: align the model afterwards if they
-    matter.
+    Position, orientation and scale are free unless priors fix them: align the model afterwards if they matter.
     """
     problem = bundle_problem_of(model, freedom, priors)
     result = adjust_bundle(problem, config, progress)

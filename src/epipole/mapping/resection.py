@@ -1,4 +1,4 @@
-"""Resection: the place of an image from the points it should see."""
+"""Resection: the pose of an image from known points."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.cameras import Camera
 from epipole.config import RansacConfig
 from epipole.errors import ConfigError, ShapeError
@@ -16,24 +16,24 @@ from epipole.mapping.model_builder import ModelBuilder
 from epipole.optim import BundleConfig, BundleProblem, Loss, adjust_bundle, free_params_mask
 from epipole.robust import Estimate, estimate_absolute_pose, estimate_pose_and_focal
 
-MIN_FOCAL_FACTOR, MAX_FOCAL_FACTOR = 0.3, 3.3
-"""Of the guess for a camera of unknown focal length: beyond, what was found is no lens."""
+MIN_FOCAL_FACTOR = 0.3  # estimated focal lengths below this multiple of the guess are implausible
+MAX_FOCAL_FACTOR = 3.3  # likewise, above this multiple
 
 
 @checked
 def resect_image(
     model: ModelBuilder, image: int, config: RansacConfig, *, search_focal: bool
 ) -> tuple[Estimate, Camera, np.ndarray]:
-    """Estimate cam_from_world of an image from the points in its sight.
+    """Estimate cam_from_world of an image from the points of its tracks.
 
     Args:
-        model: the growing model; it is not changed.
-        image: which image.
-        config: threshold in pixels and inliers needed.
-        search_focal: the camera's focal length is a guess that no registered image supports yet: it is sought, too.
+        model: the growing model; not modified.
+        image: index of the image.
+        config: threshold in pixels and minimum number of inliers.
+        search_focal: estimate the focal length, too: it is a guess that no registered image supports yet.
 
     Returns:
-        The estimate, the camera (with the focal length found) and the rows of the correspondences.
+        The estimate, the camera (with the estimated focal length) and the rows of the correspondences.
     """
     rows, points = model.points_in_sight(image)
     camera = model.camera(int(model.camera_of_image[image]))
@@ -64,16 +64,16 @@ def refine_resection(
     *,
     focal: bool,
 ) -> tuple[Rigid3, Camera] | None:
-    """Refine a resection (and its focal length) over its inliers with a Cauchy loss; None if it diverges.
+    """Refine a resection (and its focal length) on its inliers with a Cauchy loss; None if it diverges.
 
     Raises:
-        ShapeError: the arrays are not of the same points.
-        ConfigError: it is no estimate of a pose.
+        ShapeError: the arrays differ in length.
+        ConfigError: the estimate is not one of a pose.
     """
     if not (len(pixels),) == (len(points_in_world),) == np.shape(estimate.inlier_mask):
-        raise ShapeError("points_in_world, pixels and estimate must be of the same points")
+        raise ShapeError("points_in_world, pixels and estimate.inlier_mask must have the same length")
     if not isinstance(estimate.model, Rigid3):
-        raise ConfigError(f"estimate must be that of a pose, not of a {type(estimate.model).__name__}")
+        raise ConfigError(f"estimate.model must be a Rigid3, got a {type(estimate.model).__name__}")
     inliers = np.flatnonzero(estimate.inlier_mask)
     n = len(inliers)
     start = Rigid3(estimate.model.rotation[None], estimate.model.translation[None])

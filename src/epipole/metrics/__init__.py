@@ -1,4 +1,4 @@
-"""How far an estimate is from the truth: cameras after alignment, relative poses, areas under recall curves."""
+"""Errors against ground truth: cameras after alignment, relative poses, trajectories, areas under recall curves."""
 
 from epipole.metrics.cameras import CameraAlignment as CameraAlignment
 from epipole.metrics.cameras import CameraErrors as CameraErrors

@@ -1,4 +1,4 @@
-"""Errors of estimated cameras against true ones, after the similarity that a reconstruction is free up to."""
+"""Errors of estimated cameras, after alignment by the similarity that a reconstruction leaves free."""
 
 from __future__ import annotations
 
@@ -7,53 +7,53 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, Rotation3, Similarity3, align_points
 
-# Centres whose spread across their main direction is below this part of the spread along it stand on a line:
-# they tell nothing certain about the rotation around that line.
+# Camera centers are collinear if their spread across the main direction is below this fraction of the spread along it:
+# they then do not determine the rotation about that line.
 LINE_SPREAD = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraAlignment(Declared):
-    """The similarity that brings estimated cameras into the truth's coordinates."""
+    """The similarity from estimated to true coordinates."""
 
     truth_from_estimated: Similarity3
     used_mask: Bool[np.ndarray, " n"]
-    """Cameras known on both sides."""
+    """Cameras that are known in both."""
     is_on_line: bool
-    """The centres stand on a line; the rotation around it came from the cameras' rotations."""
+    """Whether the centers are collinear; the rotation about the line then comes from the cameras' rotations."""
 
     def __repr__(self) -> str:
-        how = "centres on a line, with rotations" if self.is_on_line else "centres"
+        how = "centers on a line, with rotations" if self.is_on_line else "centers"
         scale = float(self.truth_from_estimated.scale)
         return f"CameraAlignment({int(self.used_mask.sum())} cameras, {how}, scale {scale:.6g})"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraErrors:
-    """Errors of each camera after alignment; NaN for cameras that are not known on both sides."""
+    """Errors of each camera after alignment; NaN for cameras that are not known in both."""
 
     position: Float64[np.ndarray, " n"]
-    """Distance between the centres, in the truth's unit of length."""
+    """Distance between the centers, in the truth's unit of length."""
     rotation_deg: Float64[np.ndarray, " n"]
     alignment: CameraAlignment
 
     @property
     def mean_position(self) -> float:
-        """Mean distance of the centres, in the truth's unit."""
+        """Mean distance of the centers, in the truth's unit."""
         return float(np.nanmean(self.position))
 
     @property
     def median_position(self) -> float:
-        """Median distance of the centres, in the truth's unit."""
+        """Median distance of the centers, in the truth's unit."""
         return float(np.nanmedian(self.position))
 
     @property
     def max_position(self) -> float:
-        """Greatest distance of the centres, in the truth's unit."""
+        """Largest distance of the centers, in the truth's unit."""
         return float(np.nanmax(self.position))
 
     @property
@@ -68,7 +68,7 @@ class CameraErrors:
 
     @property
     def max_rotation_deg(self) -> float:
-        """Greatest angle between the rotations."""
+        """Largest angle between the rotations."""
         return float(np.nanmax(self.rotation_deg))
 
     def __repr__(self) -> str:
@@ -80,25 +80,25 @@ class CameraErrors:
 
 @checked
 def align_cameras(estimated: Rigid3, truth: Rigid3) -> CameraAlignment:
-    """truth_from_estimated that minimises the squared distances of the camera centres (Umeyama, PAMI 1991).
+    """truth_from_estimated with the least squared distances of the camera centers (Umeyama, PAMI 1991).
 
-    Two centres, or centres on a line, leave the rotation around the line free; it is then the one that agrees
-    best with the cameras' own rotations.
+    If the centers are collinear, they leave the rotation about their line free; it is then the one that best agrees with the
+    cameras' own rotations.
 
     Args:
-        estimated: cams_from_world of the estimate, NaN rows where a camera is not registered.
-        truth: cams_from_world of the truth, same order; NaN rows where it is unknown.
+        estimated: cams_from_world of the estimate, NaN rows for cameras that are not registered.
+        truth: cams_from_world of the truth, in the same order; NaN rows if unknown.
 
     Raises:
-        DegenerateGeometryError: fewer than two cameras are known on both sides, or all stand in one place.
+        DegenerateGeometryError: fewer than two cameras are known in both, or all are at one position.
         ShapeError: the batches differ.
     """
     used = _known_on_both_sides(estimated, truth)
     if used.sum() < 2:
-        raise DegenerateGeometryError(f"aligning needs at least 2 registered cameras, got {int(used.sum())}")
+        raise DegenerateGeometryError(f"alignment needs at least 2 registered cameras, got {int(used.sum())}")
     source, target = estimated[used].centers(), truth[used].centers()
     if min(_spread(source), _spread(target)) < 1e-12:
-        raise DegenerateGeometryError("the cameras stand in one place: the scale is not determined")
+        raise DegenerateGeometryError("all cameras are at the same position, so the scale is undetermined")
     is_on_line = len(source) < 3 or min(_spread_across(source), _spread_across(target)) < LINE_SPREAD
     if is_on_line:
         similarity = _align_on_line(estimated[used], truth[used])
@@ -112,9 +112,9 @@ def camera_errors(estimated: Rigid3, truth: Rigid3, alignment: CameraAlignment |
     """Position and rotation errors of each camera, after `align_cameras` or a given alignment.
 
     Args:
-        estimated: cams_from_world of the estimate, NaN rows where a camera is not registered.
-        truth: cams_from_world of the truth, same order.
-        alignment: None aligns the cameras themselves.
+        estimated: cams_from_world of the estimate, NaN rows for cameras that are not registered.
+        truth: cams_from_world of the truth, in the same order.
+        alignment: None: align the cameras themselves.
 
     Raises:
         DegenerateGeometryError: the cameras cannot be aligned.
@@ -142,7 +142,7 @@ def _known_on_both_sides(estimated: Rigid3, truth: Rigid3) -> np.ndarray:
 
 
 def _spread(points: np.ndarray) -> float:
-    """Greatest distance from the mean, as a part of the greatest coordinate (rounding grows with that one)."""
+    """Largest distance from the mean, relative to the largest coordinate (which determines rounding errors)."""
     return float(np.abs(points - points.mean(axis=0)).max() / max(np.abs(points).max(), 1e-300))
 
 
@@ -153,10 +153,10 @@ def _spread_across(points: np.ndarray) -> float:
 
 
 def _align_on_line(estimated: Rigid3, truth: Rigid3) -> Similarity3:
-    """The similarity that maps the line of centres onto the true line, turned around it as the cameras are.
+    """The similarity that maps the line of centers onto the true line, rotated about it to fit the cameras.
 
-    The mean rotation of the cameras (nearest in the Frobenius norm) is corrected by the smallest turn that
-    makes the two lines parallel; the scale is the ratio of the spreads.
+    The mean rotation of the cameras (nearest in the Frobenius norm) is corrected by the smallest rotation that makes the lines
+    parallel; the scale is the ratio of the spreads.
     """
     source, target = estimated.centers(), truth.centers()
     a, b = source - source.mean(axis=0), target - target.mean(axis=0)

@@ -1,4 +1,4 @@
-"""A known path whose rows are told by the numbers of images, not by times."""
+"""Ground truth whose rows are identified by image numbers instead of times."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from epipole.scene import Trajectory
 
 MOST_NAMED = 0.9
-"""Share of the images with times whose numbers the truth's first column holds, where it is no time."""
+"""Minimum fraction of timed images whose number is in the truth's first column, if that is not a time."""
 
 
 def at_image_numbers(
@@ -21,16 +21,16 @@ def at_image_numbers(
     timestamp_s: Float64[np.ndarray, " n"],
     max_difference_s: float,
 ) -> Trajectory | None:
-    """The truth with the images' times, where its own are the last numbers in the images' names (7-Scenes).
+    """The truth with the images' times, if its own "times" are the last numbers in the image names (7-Scenes).
 
     Args:
-        truth: what a file's first column calls times may be numbers.
+        truth: a trajectory whose times may be image numbers.
         images: file names.
-        timestamp_s: of each; NaN where it has no time.
-        max_difference_s: instants nearer than that to most images' are times indeed.
+        timestamp_s: time of each image; NaN if unknown.
+        max_difference_s: if most images have a time of the truth within this, its times are real.
 
     Returns:
-        None where its times are times.
+        None if the truth's times are real.
     """
     given = truth.timestamp_s
     num_timed = int(np.isfinite(timestamp_s).sum())

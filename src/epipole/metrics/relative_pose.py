@@ -1,4 +1,4 @@
-"""Relative rotations and directions between all pairs of images, and areas under recall curves."""
+"""Relative rotations and translation directions of all image pairs, and areas under recall curves."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from epipole._checks import as_float_array
-from epipole._declared import checked
+from epipole._checks import as_float_array, checked
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 
@@ -23,15 +22,14 @@ def relative_pose_auc(
 ) -> Float64[np.ndarray, " t"]:
     """Area under the recall curve of the relative pose error over all pairs of images, one value per threshold.
 
-    A pair's error is the greater of its rotation error and its translation direction error; a pair with an
-    unregistered image has an infinite error, so that missing images cost as much as wrong ones. No alignment
-    is involved.
+    A pair's error is the larger of its rotation error and its translation direction error. A pair with an unregistered image has
+    an infinite error, so missing images cost as much as wrong ones. There is no alignment.
 
     Args:
-        estimated: cams_from_world of the estimate; rows not in the mask are not looked at.
-        truth: cams_from_world of the truth, same order, all known.
-        registered_mask: images that the estimate holds.
-        thresholds_deg: upper ends of the recall curves.
+        estimated: cams_from_world of the estimate; rows outside the mask are ignored.
+        truth: cams_from_world of the truth, in the same order, all known.
+        registered_mask: images that the estimate contains.
+        thresholds_deg: upper limits of the recall curves.
 
     Raises:
         ShapeError: the batches differ, or there are fewer than two images.
@@ -43,10 +41,10 @@ def relative_pose_auc(
 def relative_pose_errors_deg(
     estimated: Rigid3, truth: Rigid3, registered_mask: Bool[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " p"]:
-    """max(rotation error, translation direction error) of every pair i < j; infinite where one is missing.
+    """max(rotation error, translation direction error) of every pair i < j; infinite if an image is missing.
 
-    Pairs that truly stand in one place have no direction; only their rotation counts. An estimate that puts
-    two distinct places into one gets 180 degrees.
+    Pairs whose true positions coincide have no direction, so only their rotation counts. An estimate that merges two distinct
+    positions gets 180 degrees.
 
     Raises:
         ShapeError: the batches differ, or there are fewer than two images.
@@ -54,7 +52,7 @@ def relative_pose_errors_deg(
     n = len(registered_mask)
     if estimated.translation.shape != (n, 3) or truth.translation.shape != (n, 3) or n < 2:
         raise ShapeError(
-            f"estimated, truth and registered_mask must hold the same n >= 2 images, got "
+            f"estimated, truth and registered_mask must have the same n >= 2 images, got "
             f"{estimated.translation.shape[:-1]}, {truth.translation.shape[:-1]} and ({n},)"
         )
     first, second = np.triu_indices(n, k=1)
@@ -70,18 +68,18 @@ def relative_pose_errors_deg(
 
 @checked
 def area_under_recall(errors: Any, thresholds: Sequence[float]) -> Float64[np.ndarray, " t"]:
-    """Area under recall(error) from 0 to each threshold, divided by the threshold, by the trapezoid rule.
+    """Area under recall(error) from 0 to each threshold, divided by the threshold, by the trapezoidal rule.
 
-    The curve runs through (0, 0) and (k-th smallest error, k / n) and is level from the last error below the
-    threshold to the threshold, as relative pose benchmarks have it (Sarlin et al., SuperGlue, CVPR 2020).
+    The curve passes through (0, 0) and (k-th smallest error, k / n), and is constant from the last error below the threshold to the
+    threshold, as in relative pose benchmarks (Sarlin et al., SuperGlue, CVPR 2020).
 
     Args:
-        errors: (n,) non-negative; infinite for what failed.
-        thresholds: positive, in the errors' unit.
+        errors: (n,) non-negative; infinite for failures.
+        thresholds: positive, in the unit of the errors.
 
     Raises:
-        ConfigError: a threshold is not positive, or infinite.
-        ShapeError: there is no error, or one is NaN.
+        ConfigError: a threshold is not positive and finite.
+        ShapeError: there are no errors, or one is NaN.
     """
     errors = np.sort(as_float_array(errors, "errors").ravel())
     if len(errors) == 0 or np.isnan(errors).any():

@@ -1,4 +1,4 @@
-"""Errors of an estimated trajectory: absolute, after an alignment, and relative, over steps of the path.
+"""Errors of an estimated trajectory: absolute, after alignment, and relative, over steps of the trajectory.
 
 Absolute and relative errors as defined by Sturm et al. (A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012,
 equations 1 to 5); KITTI's by Geiger, Lenz and Urtasun (Are we ready for autonomous driving?, CVPR 2012, section 3.1).
@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.geometry import Rigid3, Rotation3, Similarity3, align_points
 from epipole.scene import Trajectory
@@ -20,18 +20,18 @@ from epipole.scene import Trajectory
 Alignment = Literal["none", "rigid", "similarity"]
 KITTI_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
 KITTI_STEP = 10
-"""Every tenth instant begins a segment of each length."""
+"""Interval, in instants, between starts of segments."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorStatistics(Declared):
-    """Errors and what they come to."""
+    """Errors and their statistics."""
 
     values: Float64[np.ndarray, " n"]
 
     @property
     def rmse(self) -> float:
-        """Root of the mean of the squares."""
+        """Root mean square error."""
         return float(np.sqrt(np.mean(self.values**2)))
 
     @property
@@ -46,7 +46,7 @@ class ErrorStatistics(Declared):
 
     @property
     def max(self) -> float:
-        """The largest."""
+        """Maximum."""
         return float(self.values.max())
 
     def __repr__(self) -> str:
@@ -61,7 +61,7 @@ class TrajectoryError:
     """Distances, in the truth's unit."""
     rotation_deg: ErrorStatistics
     truth_from_estimate: Similarity3
-    """The alignment; identity for none."""
+    """The alignment; identity if there is none."""
 
     def __repr__(self) -> str:
         return (
@@ -72,10 +72,10 @@ class TrajectoryError:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftPerLength:
-    """Error over segments of given lengths, for each length driven."""
+    """Mean error over segments of given lengths, per length."""
 
     translation_percent: float
-    """Mean over all segments; NaN where the path is shorter than the shortest."""
+    """Mean over all segments; NaN if the trajectory is shorter than the shortest length."""
     rotation_deg_per_m: float
     num_segments: int
 
@@ -90,18 +90,18 @@ class DriftPerLength:
 def associate(
     estimate: Trajectory, truth: Trajectory, max_difference_s: float = 0.01
 ) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
-    """Rows of both that belong together: each instant of the one with fewer, and the nearest in time of the other.
+    """Matching rows: each instant of the shorter trajectory, and the nearest in time of the other.
 
-    Where one of them has no times (`is_timed` is False), rows belong together in their order.
+    If one of them has no times (`is_timed` is False), rows are matched in order.
 
     Raises:
-        DegenerateGeometryError: none do, or one has no times and they differ in length.
+        DegenerateGeometryError: no instants match, or one has no times and the lengths differ.
     """
     if not (estimate.is_timed and truth.is_timed):
         if len(estimate) != len(truth):
             raise DegenerateGeometryError(
-                f"trajectories of {len(estimate)} and {len(truth)} instants of which one holds no times (KITTI's form): which rows"
-                " belong together is unknown"
+                f"cannot match trajectories of {len(estimate)} and {len(truth)} instants: one has no times (KITTI format), and rows"
+                " match in order only if the lengths are equal"
             )
         every = np.arange(len(estimate), dtype=np.int64)
         return every, every.copy()
@@ -116,24 +116,23 @@ def associate(
     kept = np.flatnonzero(np.abs(second[nearest] - first) <= max_difference_s)
     if not len(kept):
         raise DegenerateGeometryError(
-            f"no instant of one trajectory is within {max_difference_s:g} s of one of the other: are the clocks the same?"
+            f"no instants of the trajectories are within {max_difference_s:g} s of each other: are the clocks the same?"
         )
     return kept.astype(np.int64), nearest[kept].astype(np.int64)
 
 
 @checked
 def absolute_error(estimate: Rigid3, truth: Rigid3, alignment: Alignment = "rigid") -> TrajectoryError:
-    """Absolute trajectory error (ATE) of places that belong together.
+    """Absolute trajectory error (ATE) of matching poses.
 
     Args:
         estimate: world_from_body, (n,).
-        truth: the same instants.
-        alignment: what the estimate is free up to: nothing, six degrees of freedom (known scale: stereo, depth), or a
-            similarity (one camera).
+        truth: poses at the same instants.
+        alignment: "none", "rigid" (known scale: stereo, depth) or "similarity" (one camera).
 
     Raises:
         ShapeError: the batches differ.
-        DegenerateGeometryError: fewer than three places, or all on a line, and an alignment is asked for.
+        DegenerateGeometryError: fewer than three positions, or collinear ones, with an alignment.
     """
     moved = Similarity3(np.asarray(1.0), np.eye(3), np.zeros(3))
     if alignment != "none":
@@ -149,26 +148,26 @@ def absolute_error(estimate: Rigid3, truth: Rigid3, alignment: Alignment = "rigi
 def relative_error(
     estimate: Rigid3, truth: Rigid3, step: int = 1, *, all_pairs: bool = False
 ) -> tuple[ErrorStatistics, ErrorStatistics]:
-    """Relative pose error (RPE) over steps of the path, without any alignment.
+    """Relative pose error (RPE) over steps of the trajectory, without alignment.
 
     Args:
         estimate: world_from_body, (n,).
-        truth: the same instants.
-        step: instants from the begin of a step to its end.
-        all_pairs: steps begin at every instant, not where the one before ends.
+        truth: poses at the same instants.
+        step: instants from the start of a step to its end.
+        all_pairs: start a step at every instant, not only at the end of the previous one.
 
     Returns:
         Errors of translation (in the truth's unit, scale included) and of rotation in degrees.
 
     Raises:
         ConfigError: the step is not positive.
-        DegenerateGeometryError: the path is shorter than a step.
+        DegenerateGeometryError: the trajectory is shorter than a step.
     """
     if step < 1:
         raise ConfigError(f"step must be at least 1, got {step}")
     first = np.arange(0, len(truth.translation) - step, 1 if all_pairs else step)
     if not len(first):
-        raise DegenerateGeometryError(f"{len(truth.translation)} instants hold no step of {step}")
+        raise DegenerateGeometryError(f"{len(truth.translation)} instants are too few for a step of {step}")
     error = _step_error(estimate, truth, first, first + step)
     return ErrorStatistics(np.linalg.norm(error.translation, axis=1)), ErrorStatistics(
         np.degrees(Rotation3(error.rotation).angle_rad())
@@ -179,13 +178,13 @@ def relative_error(
 def drift_per_length(
     estimate: Rigid3, truth: Rigid3, lengths_m: tuple[float, ...] = KITTI_LENGTHS_M, every: int = KITTI_STEP
 ) -> DriftPerLength:
-    """KITTI's t_rel and r_rel: error over segments of the true path, divided by their length.
+    """KITTI's t_rel and r_rel: error over segments of the true trajectory, divided by their length.
 
     Args:
         estimate: world_from_body, (n,), in metres.
-        truth: the same instants.
-        lengths_m: of the segments.
-        every: instants from the begin of one segment to the next.
+        truth: poses at the same instants.
+        lengths_m: lengths of the segments.
+        every: instants from the start of one segment to the next.
 
     Raises:
         ConfigError: a length or `every` is not positive.

@@ -1,10 +1,10 @@
-"""A trajectory against a known one, in the numbers that papers and other programs give."""
+"""Scores of a trajectory against ground truth, as in papers and other programs."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Rigid3
 from epipole.metrics.trajectories import (
@@ -17,12 +17,12 @@ from epipole.metrics.trajectories import (
 from epipole.scene import Trajectory
 
 MIN_COMPARED = 3
-"""Instants: an alignment needs as many."""
+"""Minimum number of instants for an alignment."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrajectoryScore:
-    """How far a trajectory is from a known one, with one kind of alignment."""
+    """Scores of a trajectory with one kind of alignment."""
 
     ate_rmse: float
     """Absolute trajectory error, in the truth's unit."""
@@ -32,33 +32,33 @@ class TrajectoryScore:
     scale: float
     """Of truth over estimate, as aligned."""
     step_rmse: float
-    """Relative error (RPE) of translation from one compared instant to the next, with this scale."""
+    """Relative error (RPE) of translation between consecutive instants, with this scale."""
     kitti_percent: float | None
-    """KITTI's t_rel, with this scale; None for a path of less than 100."""
+    """KITTI's t_rel, with this scale; None if the trajectory is shorter than 100."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrajectoryEvaluation:
-    """A trajectory against a known one."""
+    """Evaluation of a trajectory against ground truth."""
 
     num_instants: int
     num_truth: int
     num_compared: int
     path_length: float
-    """Of the truth over the instants compared, in its unit."""
+    """Of the truth over the compared instants, in its unit."""
     rigid: TrajectoryScore
-    """With rotation and translation aligned, SE(3): what counts where the scale is known."""
+    """With rotation and translation aligned, SE(3): for estimates with known scale."""
     similarity: TrajectoryScore
-    """With scale aligned, too, Sim(3): what one camera alone can be asked for."""
+    """With scale aligned, too, Sim(3): for a single camera."""
     step_rotation_rmse_deg: float
     kitti_deg_per_100m: float | None
-    """KITTI's r_rel; None for a path of less than 100."""
+    """KITTI's r_rel; None if the trajectory is shorter than 100."""
     assumptions: tuple[str, ...] = ()
-    """How the files were read and paired, where another way is possible, in words."""
+    """Assumptions about how to read and match the files, in words."""
 
     @property
     def coverage(self) -> float:
-        """Share of the instants that could be compared at most, those of the trajectory with fewer."""
+        """Fraction of the instants of the shorter trajectory that were compared."""
         return self.num_compared / min(self.num_instants, self.num_truth)
 
     def __repr__(self) -> str:
@@ -72,20 +72,20 @@ class TrajectoryEvaluation:
 def score_trajectory(
     estimate: Trajectory, truth: Trajectory, max_difference_s: float = 0.01
 ) -> TrajectoryEvaluation:
-    """Compare a trajectory with a known one.
+    """Evaluate a trajectory against ground truth.
 
     Args:
-        estimate: any world, any scale.
+        estimate: in any world, at any scale.
         truth: of the same body.
-        max_difference_s: instants further apart are not compared.
+        max_difference_s: largest time difference of matching instants.
 
     Raises:
-        DegenerateGeometryError: too few instants belong together, or the path is a line.
+        DegenerateGeometryError: too few instants match, or the trajectory is a line.
     """
     rows, rows_of_truth = associate(estimate, truth, max_difference_s)
     if len(rows) < MIN_COMPARED:
         raise DegenerateGeometryError(
-            f"{len(rows)} of {len(estimate)} instants have one of the truth within {max_difference_s:g} s,"
+            f"{len(rows)} of {len(estimate)} instants match one of the truth within {max_difference_s:g} s,"
             f" {MIN_COMPARED} are needed: are the clocks and their units the same?"
         )
     ours, theirs = estimate.world_from_body[rows], truth.world_from_body[rows_of_truth]

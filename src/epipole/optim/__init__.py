@@ -1,4 +1,4 @@
-"""Optimisation: robust losses, bundle adjustment and pose graphs."""
+"""Optimization: robust losses, bundle adjustment and pose graphs."""
 
 from epipole.optim.bundle_adjustment import BundleConfig as BundleConfig
 from epipole.optim.bundle_adjustment import BundleIteration as BundleIteration

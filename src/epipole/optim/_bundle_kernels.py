@@ -1,16 +1,19 @@
-"""Bundle adjustment's inner loops: linearise, eliminate the points, sum the reduced system, substitute back.
+"""Bundle adjustment kernels: linearize, eliminate the points, sum the reduced system, substitute back.
 
-Observation k of the point X by image i, that is by sensor s of frame f with camera c:
+Observation k of point X in image i, taken by sensor s of frame f with camera c:
     x_cam = cam_from_rig_s (rig_from_world_f X),   r_k = project(c, x_cam) - pixel_k,
-linearised under exp(xi) @ rig_from_world with xi = (translation, rotation), so that
+is linearized under exp(xi) @ rig_from_world with xi = (translation, rotation), so that
     d x_rig / d xi = [I, -[x_rig]x],   d x_cam / d X = R_cam_from_world,
-and likewise for cam_from_rig. Unknowns other than points come in nodes: a frame (with its camera where no other
-frame has that one), a shared camera, a sensor. With V = J_p^T J_p + damping = L L^T and W_a = J_a^T J_p of the nodes
-a that a point meets, its elimination (the Schur complement; Triggs et al. 2000, section 6.1) takes the square root form
+and likewise for cam_from_rig. Unknowns other than points are grouped into nodes: a frame (with its camera if no other
+frame uses it), a shared camera, a sensor. With V = J_p^T J_p + damping = L L^T and W_a = J_a^T J_p for the nodes a that
+observe a point, its elimination (the Schur complement; Triggs et al. 2000, section 6.1) takes the square root form
+
     Z_a = W_a L^-T,   h = L^-1 g_p,   S_ab -= Z_a Z_b^T,   rhs_a -= Z_a h,   step_p = -L^-T (h + sum Z_a^T step_a).
-One Z for each pair of a point and a node, an entry, is all that is kept. Rows of S are summed node by node, each by
-one thread: nothing is added twice, whatever the number of threads. Arrays are padded to `lanes` columns, a tuple whose length the compiler knows: loops over it become vector
-instructions. `wide` is the same for all columns of an observation: frame, camera, sensor.
+
+Only one Z per pair of a point and a node (an entry) is stored. Rows of S are summed node by node, each by one thread,
+so the result does not depend on the number of threads. Arrays are padded to `lanes` columns, a tuple whose length the
+compiler knows, so that loops over it vectorize. `wide` is the same for all columns of an observation: frame, camera,
+sensor.
 """
 
 import math
@@ -31,7 +34,7 @@ from epipole.optim._loss_kernels import allow_for_curvature, robust_loss
 
 
 def make_scratch(wide: int) -> Scratch:
-    """Working arrays of one thread: made here, as a kernel that makes arrays counts references to all."""
+    """Working arrays of one thread, allocated outside the kernels to avoid reference counting inside."""
     return Scratch(
         np.empty((2, 3)),
         np.empty((2, NUM_PARAMS)),
@@ -59,7 +62,7 @@ def _residual(obs, k, scene, x, y, z):
 
 @kernel
 def find_visible(obs, start, stop, scene):
-    """Fill `used`: whether each observation of the points start..stop has a finite residual."""
+    """Fill `used`: whether each observation of points start..stop has a finite residual."""
     points = scene.points
     for j in range(start, stop):
         for k in range(obs.offsets[j], obs.offsets[j + 1]):
@@ -69,7 +72,7 @@ def find_visible(obs, start, stop, scene):
 
 @kernel(fuse=True)
 def _point_cost(obs, j, scene, x, y, z, loss, scale_sq):
-    """Sum of rho over the observations of point j, were it at (x, y, z); infinite if it is behind a camera."""
+    """Sum of rho over the observations of point j if it were at (x, y, z); infinite if it is behind a camera."""
     total = 0.0
     for k in range(obs.offsets[j], obs.offsets[j + 1]):
         if obs.used[k]:
@@ -81,7 +84,7 @@ def _point_cost(obs, j, scene, x, y, z, loss, scale_sq):
 
 @kernel
 def total_cost(obs, start, stop, scene, loss, scale_sq):
-    """Half the sum of rho(|r|^2) over the points start..stop; infinite when a point is behind a camera."""
+    """Half the sum of rho(|r|^2) over points start..stop; infinite if a point is behind a camera."""
     total, points = 0.0, scene.points
     for j in range(start, stop):
         total += _point_cost(obs, j, scene, points[j, 0], points[j, 1], points[j, 2], loss, scale_sq)
@@ -90,12 +93,12 @@ def total_cost(obs, start, stop, scene, loss, scale_sq):
 
 @kernel
 def damp_points(obs, start, stop, scene, role, loss, scale_sq, before, scratch):
-    """Move the points start..stop to where the moved cameras want them, if that is better; half the sum of rho.
+    """Refine points start..stop with the moved cameras fixed, if that lowers the cost; returns half the sum of rho.
 
-    One Gauss-Newton step of each point alone (the inner iteration of Ruhe and Wedin, SIAM Review 1980). A joint step
-    goes straight where a bend of the whole model goes in an arc: the points then disagree with the cameras by the
-    square of the angle, and without this the step would be refused. A point that its step took behind a camera
-    starts from where it was `before`: one such point must not stop the other millions.
+    This is one Gauss-Newton step of each point alone (the inner iteration of Ruhe and Wedin, SIAM Review 1980). A joint
+    step is straight, but bending a long model moves points along arcs: they then disagree with the cameras by the square
+    of the angle, and without the refinement the step would be rejected. A point that its step moved behind a camera
+    restarts from `before`, so that single points do not block the adjustment.
     """
     total, points = 0.0, scene.points
     for j in range(start, stop):
@@ -105,17 +108,17 @@ def damp_points(obs, start, stop, scene, role, loss, scale_sq, before, scratch):
                 points[j, c] = before[j, c]
             cost, x, y, z = _newton_point(obs, j, scene, loss, scale_sq, scratch)
         if role[j] == ELIMINATED and cost < math.inf:
-            converged = _point_cost(obs, j, scene, x, y, z, loss, scale_sq)
-            if converged < cost:
+            moved_cost = _point_cost(obs, j, scene, x, y, z, loss, scale_sq)
+            if moved_cost < cost:
                 points[j, 0], points[j, 1], points[j, 2] = x, y, z
-                cost = converged
+                cost = moved_cost
         total += cost
     return 0.5 * total
 
 
 @kernel(fuse=True)
 def _newton_point(obs, j, scene, loss, scale_sq, scratch):
-    """The cost of point j, infinite if it is behind a camera, and where a Gauss-Newton step takes it, all else held."""
+    """Cost of point j (infinite if behind a camera), and its position after a Gauss-Newton step with fixed cameras."""
     by_cam, by_params, factor = scratch.by_point_in_cam, scratch.by_params, scratch.factor
     x, y, z = scene.points[j, 0], scene.points[j, 1], scene.points[j, 2]
     cost = v0 = v1 = v2 = v3 = v4 = v5 = g0 = g1 = g2 = 0.0
@@ -161,7 +164,7 @@ def _newton_point(obs, j, scene, loss, scale_sq, scratch):
 
 @kernel(fuse=True)
 def _jacobians(obs, k, x, y, z, scene, unknowns, scratch):
-    """Residual of observation k of the point (x, y, z); its derivatives go to j (2, wide) and j_point (2, 3)."""
+    """Residual of observation k of the point (x, y, z); writes derivatives to j (2, wide) and j_point (2, 3)."""
     by_cam, j, j_point = scratch.by_point_in_cam, scratch.j, scratch.j_point
     i = obs.image[k]
     r, q = scene.cam_from_world[i], scene.cam_from_rig[i]
@@ -221,7 +224,7 @@ def _add_to_entries(k, first, entries, unknowns, i, z, j, j_point, weight, lanes
     at = 6 + unknowns.num_free[i]
     for c in range(3):
         a, b = weight * j_point[0, c], weight * j_point[1, c]
-        if slot[0] >= 0:  # columns beyond the node's own are set to zero later
+        if slot[0] >= 0:  # columns beyond the node's width are zeroed later
             add_two_rows(z[first + slot[0], c], a, j[0], b, j[1], lanes)
         if slot[1] >= 0:
             w = z[first + slot[1], c]
@@ -235,7 +238,7 @@ def _add_to_entries(k, first, entries, unknowns, i, z, j, j_point, weight, lanes
 
 @kernel(fuse=True)
 def _factor_point(v0, v1, v2, v3, v4, v5, damping, factor):
-    """L of the damped [[v0, ., .], [v1, v3, .], [v2, v4, v5]]; zeros, so that the point stays, if it has none."""
+    """L of the damped [[v0, ., .], [v1, v3, .], [v2, v4, v5]]; zeros if it is singular, so that the point stays fixed."""
     grown = 1.0 + damping
     l00 = math.sqrt(v0 * grown)
     i0 = 1.0 / l00
@@ -276,11 +279,10 @@ def _eliminate_point(j, entries, kept, g0, g1, g2, reduced, lanes):
 def linearize(
     obs, start, stop, scene, unknowns, entries, loss, scale_sq, damping, kept, sums, lanes, wide, scratch
 ):
-    """Linearise the points start..stop and eliminate them.
+    """Linearize points start..stop and eliminate them.
 
-    `sums` are added to: the images' normal matrices (images, wide, wide) and gradients (images, wide), and
-    sum Z h (nodes, lanes). Of KEPT points W stays in z, V in factor and g_p in h. The damping is Marquardt's, a
-    share of V's diagonal.
+    `sums` are accumulated: the images' normal matrices (images, wide, wide) and gradients (images, wide), and sum Z h
+    (nodes, lanes). For KEPT points, z holds W, factor V and h g_p. The damping is Marquardt's, a fraction of V's diagonal.
     """
     normal, gradient, reduced = sums
     jac, jp, points = scratch.j, scratch.j_point, scene.points

@@ -1,4 +1,4 @@
-"""Which unknowns meet in a bundle problem: entries of points, and pairs of nodes that share a point."""
+"""Sparsity of a bundle problem: nodes that observe each point, and pairs of nodes with a common point."""
 
 import numpy as np
 
@@ -7,11 +7,11 @@ from epipole._jit import kernel
 
 @kernel
 def find_entries(offsets, image, nodes, role, start, stop, entry_start, node, slot):
-    """The distinct nodes that each of the points start..stop meets.
+    """The distinct nodes that observe each of points start..stop.
 
-    With `node` empty, entry_start[j + 1] becomes their number; else they go to node[entry_start[j] :], and `slot`
-    (observations, 3) says which is the frame's, the camera's and the sensor's of an observation. Points that stay (role 0)
-    have none.
+    With an empty `node`, entry_start[j + 1] receives their number; otherwise they go to node[entry_start[j] :], and `slot`
+    (observations, 3) receives those of the frame, the camera and the sensor of each observation. Fixed points (role 0) have
+    none.
     """
     counting = len(node) == 0
     for j in range(start, stop):
@@ -24,7 +24,7 @@ def find_entries(offsets, image, nodes, role, start, stop, entry_start, node, sl
                         slot[k, part] = -1
                     continue
                 if counting:
-                    # Is it new among the earlier observations' nodes?
+                    # Is it new among the nodes of earlier observations?
                     known = False
                     for other in range(offsets[j], k):
                         if nodes[image[other], part] == wanted:
@@ -47,7 +47,7 @@ def find_entries(offsets, image, nodes, role, start, stop, entry_start, node, sl
 
 @kernel
 def sort_by_node(start, node, point, by_node, node_start, fill):
-    """Entries by node (a counting sort), and the point of each entry; node_start holds the counts' running sums."""
+    """Sort entries by node (counting sort) and set the point of each entry; node_start holds cumulative counts."""
     for n in range(len(fill)):
         fill[n] = node_start[n]
     for j in range(len(start) - 1):
@@ -59,7 +59,7 @@ def sort_by_node(start, node, point, by_node, node_start, fill):
 
 @kernel
 def find_pattern(start, node, point, by_node, node_start, mark, row_count, column):
-    """For each node the nodes b <= a that share a point with it; with `column` empty only their number."""
+    """For each node, the nodes b <= a with a common point; only their number if `column` is empty."""
     counting = len(column) == 0
     found = 0
     for a in range(len(row_count)):
@@ -81,7 +81,7 @@ def find_pattern(start, node, point, by_node, node_start, mark, row_count, colum
 
 @kernel
 def count_pairs(start, node, row_work):
-    """Add to row_work[a] how many pairs of entries its row of the reduced system takes."""
+    """Add to row_work[a] the number of entry pairs in row a of the reduced system; returns the total."""
     total = np.int64(0)
     for j in range(len(start) - 1):
         many = start[j + 1] - start[j]

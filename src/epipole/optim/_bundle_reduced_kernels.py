@@ -1,4 +1,4 @@
-"""Bundle adjustment's reduced system: its sums, products with it, and the way back to the points; equations in `_bundle_kernels`."""
+"""The reduced system of bundle adjustment: assembly, products, back-substitution; equations in `_bundle_kernels`."""
 
 from epipole._jit import kernel
 from epipole._simd_kernels import (
@@ -9,7 +9,7 @@ from epipole._simd_kernels import (
 
 @kernel
 def reduce_rows(start, stop, entries, z, row_start, column, blocks, slot, lanes):
-    """Subtract Z Z^T from the rows start..stop of the lower triangle, where they have blocks; slot (nodes,) holds -1."""
+    """Subtract Z Z^T from the blocks of rows start..stop of the lower triangle; slot (nodes,) must be filled with -1."""
     for a in range(start, stop):
         for b in range(row_start[a], row_start[a + 1]):
             slot[column[b]] = b
@@ -38,7 +38,7 @@ def _reduce_row(a, entries, z, slot, blocks, lanes):
 def add_images(unknowns, normal, gradient, positions, blocks, out, wide):
     """Sum the images' normal matrices into the blocks, and their gradients into out (nodes, lanes).
 
-    `positions` (images, 3, 3) says which block holds the nodes' products (frame, camera, sensor), -1 for none.
+    `positions` (images, 3, 3) gives the block of each pair of nodes (frame, camera, sensor), -1 for none.
     """
     for i in range(len(normal)):
         count = unknowns.num_free[i]
@@ -61,7 +61,7 @@ def add_images(unknowns, normal, gradient, positions, blocks, out, wide):
 
 @kernel(fuse=True)
 def _gather(entries, j, z, x, lane_sums, lanes):
-    """Sum Z_a^T x_a of point j, lane by lane first: so that the lanes are independent."""
+    """Sum Z_a^T x_a of point j, accumulated per lane first to keep the lanes independent."""
     for c in range(3):
         for q in range(len(lanes)):
             lane_sums[c, q] = 0.0
@@ -79,9 +79,9 @@ def _gather(entries, j, z, x, lane_sums, lanes):
 
 @kernel
 def substitute_back(entries, start, stop, points, kept, step, damping, moved, sums, lanes):
-    """Steps of the points start..stop for the step (nodes, lanes); moved = points + steps; sums (3, lanes) is scratch.
+    """Steps of points start..stop for the step (nodes, lanes); moved = points + steps; sums (3, lanes) is scratch.
 
-    Returns the points' part of the decrease that the linear model predicts, step^T (D step - g) / 2.
+    Returns the points' part of the predicted decrease, step^T (D step - g) / 2.
     """
     predicted, fraction = 0.0, damping / (1.0 + damping)
     for j in range(start, stop):
@@ -103,7 +103,7 @@ def substitute_back(entries, start, stop, points, kept, step, damping, moved, su
 
 @kernel
 def multiply_eliminated(entries, start, stop, z, x, out, sums, lanes):
-    """Out += Z (Z^T x) over the points start..stop, x and out (nodes, lanes): S is never formed. sums is scratch."""
+    """Out += Z (Z^T x) over points start..stop, x and out (nodes, lanes), without forming S; sums is scratch."""
     for j in range(start, stop):
         t0, t1, t2 = _gather(entries, j, z, x, sums, lanes)
         for e in range(entries.start[j], entries.start[j + 1]):
@@ -112,9 +112,9 @@ def multiply_eliminated(entries, start, stop, z, x, out, sums, lanes):
 
 @kernel
 def point_covariances(entries, start, stop, kept, row_start, column, inverse, width, out):
-    """Covariances L^-T (I + sum Z_a^T (S^-1)_ab Z_b) L^-1 of the points start..stop, for unit noise.
+    """Covariances L^-T (I + sum Z_a^T (S^-1)_ab Z_b) L^-1 of points start..stop, for unit noise.
 
-    `inverse` holds the blocks of S^-1 where S has blocks, its lower triangle by rows. Points that stay get zeros.
+    `inverse` holds the blocks of S^-1 at the nonzero blocks of S, its lower triangle by rows. Fixed points get zeros.
     """
     for j in range(start, stop):
         first, last, f, m = entries.start[j], entries.start[j + 1], kept.factor[j], out[j]

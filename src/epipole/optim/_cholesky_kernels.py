@@ -1,9 +1,9 @@
-"""Sparse Cholesky factorisation by blocks: the multifrontal method (Duff and Reid 1983; Liu, SIAM Review 1992).
+"""Sparse block Cholesky factorization: the multifrontal method (Duff and Reid 1983; Liu, SIAM Review 1992).
 
-Nodes (places, cameras, ...) are eliminated in a given order. Neighbouring columns of one structure form a supernode s
-with k pivots and m >= k rows. Its front is assembled from the matrix and from what its children left, then
+Nodes (poses, cameras, ...) are eliminated in a given order. Adjacent columns of equal structure form a supernode s with
+k pivots and m >= k rows. Its front is assembled from the matrix and from the updates of its children, then
     F = [A11 .; A21 A22],   L11 = chol(A11),   L21 = A21 L11^-T,   U = A22 - L21 L21^T,
-where U goes to the parent. Panels [L11; L21] are (m, k), updates U (m - k, m - k), both column by column, lower.
+where U is passed to the parent. Panels [L11; L21] are (m, k), updates U (m - k, m - k), both column-major, lower.
 """
 
 import ctypes
@@ -19,7 +19,7 @@ from epipole._jit.mode import KernelMode, kernel_mode
 
 
 def _linked(module: str, name: str, *arguments: types.Type) -> Any:
-    """A routine that SciPy ships, by name, so that kernels that call it can be kept on disk."""
+    """A SciPy BLAS or LAPACK routine, linked by name, so that kernels that call it can be cached on disk."""
     symbol, address = f"epipole_{name}", get_cython_function_address(f"scipy.linalg.{module}", name)
     if kernel_mode() is KernelMode.PYTHON:
         return ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * len(arguments))(address)
@@ -43,33 +43,33 @@ _ONE, _MINUS_ONE, _STEP = np.array([1.0]), np.array([-1.0]), np.array([1], np.in
 
 
 class Supernodes(NamedTuple):
-    """The symbolic factorisation. Places are positions in the order of elimination."""
+    """The symbolic factorization. Slots are positions in the elimination order."""
 
     first: np.ndarray
-    """(supernodes + 1,), the first place of each; its pivots run to the next one's."""
+    """(supernodes + 1,), first slot of each; its pivots extend to the first slot of the next."""
     row_start: np.ndarray
-    """(supernodes + 1,), where its rows beyond the pivots start."""
+    """(supernodes + 1,), start of its rows beyond the pivots."""
     row: np.ndarray
-    """Places of these rows."""
+    """Slots of these rows."""
     row_offset: np.ndarray
-    """For each of them, its first scalar row in the own front."""
+    """For each row, its first scalar row in its own front."""
     row_in_parent: np.ndarray
-    """For each of them, its first scalar row in the parent's front."""
+    """For each row, its first scalar row in the parent's front."""
     parent: np.ndarray
     first_child: np.ndarray
     next_child: np.ndarray
     num_pivots: np.ndarray
-    """Scalars."""
+    """Number of scalars."""
     num_rows: np.ndarray
-    """Scalars, pivots included."""
+    """Number of scalars, including pivots."""
     panel_start: np.ndarray
     update_start: np.ndarray
     scalar_of_slot: np.ndarray
-    """(places + 1,), the first scalar of each place."""
+    """(slots + 1,), first scalar of each slot."""
     block_start: np.ndarray
-    """(supernodes + 1,), where the matrix blocks of each start."""
+    """(supernodes + 1,), start of each supernode's matrix blocks."""
     block: np.ndarray
-    """Which block of the matrix."""
+    """Index of the matrix block."""
     block_row: np.ndarray
     """Its first scalar row in the front."""
     block_column: np.ndarray
@@ -77,12 +77,12 @@ class Supernodes(NamedTuple):
     block_height: np.ndarray
     block_width: np.ndarray
     block_transposed: np.ndarray
-    """Whether the matrix holds its transpose."""
+    """Whether the matrix stores its transpose."""
 
 
 @kernel
 def elimination_tree(start, neighbour, parent, ancestor):
-    """Parent of each column (Liu 1986); `neighbour` are places, of which smaller ones count."""
+    """Parent of each column (Liu 1986); `neighbour` lists slots, of which only smaller ones count."""
     for i in range(len(parent)):
         parent[i] = ancestor[i] = -1
         for e in range(start[i], start[i + 1]):
@@ -97,7 +97,7 @@ def elimination_tree(start, neighbour, parent, ancestor):
 
 @kernel
 def postorder(parent, first_child, next_child, order):
-    """Columns so that each comes right after its subtree; first_child and next_child are scratch."""
+    """Postorder of the columns, each right after its subtree; first_child and next_child are scratch."""
     n = len(parent)
     for i in range(n):
         first_child[i] = next_child[i] = -1
@@ -111,7 +111,7 @@ def postorder(parent, first_child, next_child, order):
             continue
         node = root
         while True:
-            while first_child[node] >= 0:  # down to a leaf; a child is taken off its parent's list
+            while first_child[node] >= 0:  # descend to a leaf, removing each child from its parent's list
                 child = first_child[node]
                 first_child[node] = next_child[child]
                 node = child
@@ -124,7 +124,7 @@ def postorder(parent, first_child, next_child, order):
 
 @kernel
 def column_structure(start, neighbour, parent, mark, column_start, fill, row):
-    """Row counts (`fill` of a first pass, with `row` empty) or the rows below each column's diagonal, ascending."""
+    """Row counts (`fill`, if `row` is empty) or the rows below each column's diagonal, ascending."""
     counting = len(row) == 0
     n = len(parent)
     for j in range(n):
@@ -144,10 +144,10 @@ def column_structure(start, neighbour, parent, mark, column_start, fill, row):
 
 @kernel
 def merge_columns(parent, count, size, first, pivots, entries):
-    """Supernodes from columns: first places into `first`; returns their number.
+    """Merge columns into supernodes: first slots into `first`; returns their number.
 
-    A supernode joins the one that follows and is its parent where this stores few zeros (Ashcraft and Grimes
-    1989; the shares are CHOLMOD's). `pivots` and `entries` are scratch: scalar columns and true entries.
+    A supernode is merged into its parent, if that is the next one, unless this stores many zeros (Ashcraft and Grimes 1989;
+    thresholds from CHOLMOD). `pivots` and `entries` are scratch: scalar columns and true entries.
     """
     top = 0
     for j in range(len(parent)):
@@ -172,7 +172,7 @@ def merge_columns(parent, count, size, first, pivots, entries):
 
 @kernel
 def rows_in_parents(nodes, where):
-    """Fill row_in_parent; `where` is scratch, one entry a place."""
+    """Fill row_in_parent; `where` is scratch, one entry per slot."""
     for p in range(len(nodes.parent)):
         offset = 0
         for slot in range(nodes.first[p], nodes.first[p + 1]):
@@ -189,7 +189,7 @@ def rows_in_parents(nodes, where):
 
 @kernel
 def assign_blocks(nodes, supernode_of_slot, later, earlier, row_of_block):
-    """The first scalar row of each matrix block in its front, from its later and earlier place."""
+    """The first scalar row of each matrix block in its front, from its later and earlier slot."""
     for b in range(len(later)):
         s, slot = supernode_of_slot[earlier[b]], later[b]
         if slot < nodes.first[s + 1]:
@@ -259,9 +259,9 @@ def _extend_add(nodes, child, m, k, panel, update, panels, updates):
 
 @kernel
 def factor_supernodes(nodes, chosen, blocks, panels, updates, dims):
-    """Factor the chosen supernodes, children before parents; False where the matrix is not definite.
+    """Factor the chosen supernodes, children before parents; False if the matrix is not positive definite.
 
-    `dims` is scratch, four 32-bit integers: BLAS takes numbers by address.
+    `dims` is scratch, four 32-bit integers, as BLAS takes numbers by address.
     """
     for s in chosen:
         _assemble(nodes, s, blocks, panels, updates)
@@ -305,7 +305,7 @@ def factor_supernodes(nodes, chosen, blocks, panels, updates, dims):
 
 @kernel
 def solve_supernodes(nodes, panels, x, dims, work):
-    """x, in the order of elimination, becomes (L L^T)^-1 x; dims as in `factor_supernodes`, work for one front's rows."""
+    """Replace x, in elimination order, by (L L^T)^-1 x; dims as in `factor_supernodes`, work for one front's rows."""
     count = len(nodes.parent)
     for step in range(2 * count):
         forward = step < count

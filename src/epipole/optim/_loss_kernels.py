@@ -1,4 +1,4 @@
-"""Robust losses of a squared residual, and what their curvature does to a step."""
+"""Robust losses of a squared residual, and their second-order correction."""
 
 import math
 
@@ -35,10 +35,10 @@ def robust_loss(kind, s, scale_sq):
 def allow_for_curvature(kind, scale_sq, ru, rv, j, j_point):
     """Triggs' second-order correction of a robust term (Triggs et al. 2000, section 4.3): J, r -> J', r'.
 
-    Along r the loss curves by rho' + 2 s rho'' < rho' only. With k = 1 + 2 s rho'' / rho' and the unit vector d
-    along r, J' = (I - (1 - sqrt(k)) d d^T) J and r' = r / sqrt(k) give that curvature and the same gradient.
-    Weighting alone (k = 1) converges linearly and takes about a third more steps; smaller k than LEAST_CURVATURE
-    overshoots where residuals are large (measured: it takes more steps again).
+    Along r the curvature of the loss is only rho' + 2 s rho'' < rho'. With k = 1 + 2 s rho'' / rho' and the unit vector d
+    along r, J' = (I - (1 - sqrt(k)) d d^T) J and r' = r / sqrt(k) reproduce that curvature and the gradient. Weighting alone
+    (k = 1) converges linearly and takes about a third more steps; k below LEAST_CURVATURE overshoots for large residuals
+    and takes more steps again (measured).
     """
     s = ru * ru + rv * rv
     if kind == HUBER:

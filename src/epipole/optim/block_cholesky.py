@@ -1,6 +1,6 @@
-"""Sparse Cholesky of matrices made of small blocks: analysed once, factored at every step.
+"""Sparse Cholesky of block matrices: analyzed once, factored at every step.
 
-For unknowns in groups that are coupled to few others: cameras that share points, poses joined by edges.
+For groups of unknowns that are coupled to few others: cameras with common points, poses connected by edges.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from scipy.linalg import solve_triangular
 from scipy.sparse.linalg import splu
 
 from epipole import _parallel
-from epipole._declared import check_fields, checked
+from epipole._checks import check_fields, checked
 from epipole.errors import ShapeError
 from epipole.optim import _cholesky_kernels as kernels
 
@@ -22,15 +22,15 @@ _MIN_PARALLEL_FLOPS = 5e6
 _TASKS = 8
 _MOST_SCALARS = 1 << 20
 _DENSE_FRACTION = 0.6
-"""With a larger share of nonzero blocks no ordering helps."""
+"""Fraction of nonzero blocks above which no ordering helps."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockPattern:
-    """The blocks of the lower triangle of a symmetric matrix, row >= column, each once, diagonal ones included."""
+    """Blocks of the lower triangle of a symmetric matrix, row >= column, each once, including the diagonal ones."""
 
     size: Int64[np.ndarray, " n"]
-    """Scalars of each node."""
+    """Number of scalars of each node."""
     row: Int64[np.ndarray, " b"]
     column: Int64[np.ndarray, " b"]
 
@@ -38,41 +38,41 @@ class BlockPattern:
         """Check the blocks.
 
         Raises:
-            ShapeError: a block is above the diagonal or names no node.
+            ShapeError: a block is above the diagonal or refers to a missing node.
         """
         check_fields(self)
         if len(self.row) != len(self.column) or (self.row < self.column).any():
             raise ShapeError("blocks must be on or below the diagonal")
         if not ((self.size > 0) & (self.size <= _MOST_SCALARS)).all():
-            raise ShapeError(f"the size of a node must be within 1 and {_MOST_SCALARS}")
+            raise ShapeError(f"the size of a node must be from 1 to {_MOST_SCALARS}")
         if len(self.row) and (self.column.min() < 0 or self.row.max() >= len(self.size)):
-            raise ShapeError(f"a block names a node that is not there (there are {len(self.size)})")
+            raise ShapeError(f"a block refers to a node that does not exist (there are {len(self.size)})")
         if np.count_nonzero(self.row == self.column) != len(self.size):
             raise ShapeError("every node must have one diagonal block")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CholeskyPlan:
-    """Order of elimination and all that follows from the pattern alone."""
+    """Elimination order and symbolic factorization of a pattern."""
 
     pattern: BlockPattern
     order: Int64[np.ndarray, " n"]
-    """The node eliminated at each place."""
+    """The node eliminated at each step."""
     supernodes: kernels.Supernodes
     groups: tuple[np.ndarray, ...]
-    """Supernodes of subtrees that do not depend on each other; last, those above all of them."""
+    """Supernodes of independent subtrees; the last group is all supernodes above them."""
     panel_size: int
     update_size: int
     flops: float
 
     @checked
     def factorize(self, blocks: Float64[np.ndarray, "b w w"]) -> BlockFactor | None:
-        """The factor of the matrix with these blocks (padded to one size); None where it is not definite.
+        """The factor of the matrix with these blocks (padded to one size); None if it is not positive definite.
 
-        Callers hold BLAS to one thread (`_parallel.single_threaded_blas`): subtrees are factored side by side.
+        Callers must limit BLAS to one thread (`_parallel.single_threaded_blas`), as subtrees are factored in parallel.
 
         Raises:
-            ShapeError: they are not those of the pattern.
+            ShapeError: the blocks do not match the pattern.
         """
         wanted = (len(self.pattern.row), int(self.pattern.size.max(initial=0)))
         if blocks.shape[0] != wanted[0] or blocks.shape[1] < wanted[1]:
@@ -91,14 +91,14 @@ class CholeskyPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockFactor:
-    """L of A = L L^T, in the order of a plan."""
+    """L of A = L L^T, in the elimination order of a plan."""
 
     plan: CholeskyPlan
     panels: Float64[np.ndarray, " e"]
 
     @checked
     def solve(self, rhs: Float64[np.ndarray, " s"]) -> Float64[np.ndarray, " s"]:
-        """A^-1 rhs, scalars in the order of the nodes."""
+        """A^-1 rhs, with scalars in the order of the nodes."""
         scalars = _scalars(self.plan.pattern.size, self.plan.order)
         if len(rhs) != len(scalars):
             raise ShapeError(f"rhs must have {len(scalars)} rows, got {len(rhs)}")
@@ -110,10 +110,10 @@ class BlockFactor:
         return out
 
     def selected_inverse(self) -> Float64[np.ndarray, "b w w"]:
-        """The blocks of A^-1 where A has blocks (Takahashi, Fagan and Chin 1973), padded with zeros.
+        """The blocks of A^-1 at the nonzero blocks of A (Takahashi, Fagan and Chin 1973), padded with zeros.
 
-        From the last supernode to the first: with Y = L21 L11^-1 and Z the inverse over the rows of a front,
-        known from its parent, the inverse is -Z Y beside the pivots and L11^-T L11^-1 + Y^T Z Y on them.
+        From the last supernode to the first: with Y = L21 L11^-1 and Z the inverse over the rows of a front, known from its
+        parent, the inverse is -Z Y beside the pivots and L11^-T L11^-1 + Y^T Z Y on them.
         """
         nodes, pattern = self.plan.supernodes, self.plan.pattern
         width = int(pattern.size.max(initial=1))
@@ -159,11 +159,11 @@ class BlockFactor:
 
 @checked
 def plan_cholesky(pattern: BlockPattern, last_mask: Bool[np.ndarray, " n"] | None = None) -> CholeskyPlan:
-    """Choose an order of elimination that keeps the factor sparse, and lay the factor out.
+    """Choose a fill-reducing elimination order, and lay out the factor.
 
     Args:
-        pattern: where the matrix has blocks.
-        last_mask: nodes that meet most others and are eliminated last.
+        pattern: nonzero blocks of the matrix.
+        last_mask: nodes coupled to most others, to be eliminated last.
     """
     n = len(pattern.size)
     if last_mask is not None and len(last_mask) != n:
@@ -191,7 +191,7 @@ def plan_cholesky(pattern: BlockPattern, last_mask: Bool[np.ndarray, " n"] | Non
 
 
 def _fill_reducing_order(pattern: BlockPattern, last: np.ndarray) -> np.ndarray:
-    """Multiple minimum degree (Liu 1985), as SuperLU computes it for the graph of the nodes."""
+    """Multiple minimum degree (Liu 1985) on the graph of the nodes, as computed by SuperLU."""
     free = np.flatnonzero(~last)
     off = (pattern.row != pattern.column) & ~last[pattern.row] & ~last[pattern.column]
     count = int(off.sum())
@@ -211,7 +211,7 @@ def _fill_reducing_order(pattern: BlockPattern, last: np.ndarray) -> np.ndarray:
 
 
 def _neighbours(pattern: BlockPattern, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """For each place the earlier places it meets, as CSR."""
+    """For each slot the earlier slots coupled to it, as CSR."""
     slot = np.empty(len(order), np.int64)
     slot[order] = np.arange(len(order))
     off = pattern.row != pattern.column
@@ -251,7 +251,7 @@ def _lay_out(
 ) -> kernels.Supernodes:
     num, size = len(first) - 1, np.diff(scalar_of_slot)
     supernode_of_slot = np.repeat(np.arange(num), np.diff(first))
-    ends = first[1:] - 1  # the last pivot's rows are those of the supernode
+    ends = first[1:] - 1  # the last pivot has the rows of the supernode
     counts = column_start[ends + 1] - column_start[ends]
     row_start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     rows = row[_ranges(column_start[ends], counts)]
@@ -291,7 +291,7 @@ def _lay_out(
 
 
 def _with_blocks(nodes: kernels.Supernodes, pattern: BlockPattern, order: np.ndarray) -> kernels.Supernodes:
-    """Say where in which front each block of the matrix goes."""
+    """Add the position in its front of each block of the matrix."""
     slot = np.empty(len(order), np.int64)
     slot[order] = np.arange(len(order))
     a, b = slot[pattern.row], slot[pattern.column]
@@ -315,7 +315,7 @@ def _with_blocks(nodes: kernels.Supernodes, pattern: BlockPattern, order: np.nda
 
 
 def _independent_subtrees(parent: np.ndarray, work: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Supernodes in groups: subtrees of like work, which do not depend on each other; last, all above them."""
+    """Groups of supernodes: independent subtrees of similar work; the last group is all supernodes above them."""
     num = len(parent)
     if work.sum() < _MIN_PARALLEL_FLOPS:
         return (np.arange(num),)
@@ -330,7 +330,7 @@ def _independent_subtrees(parent: np.ndarray, work: np.ndarray) -> tuple[np.ndar
     while heavy := [s for s in roots if total[s] > work.sum() / _TASKS and s in children]:
         above[heavy] = True
         roots = [s for s in roots if not above[s]] + [c for s in heavy for c in children[s]]
-    # Light subtrees of one parent go together: each group costs a call.
+    # Light subtrees of one parent are grouped, as each group costs a call.
     groups: list[np.ndarray] = []
     weight = np.inf
     for s in sorted(roots):
@@ -346,10 +346,10 @@ def _independent_subtrees(parent: np.ndarray, work: np.ndarray) -> tuple[np.ndar
 def _stack_updates(
     parent: np.ndarray, sizes: np.ndarray, groups: tuple[np.ndarray, ...]
 ) -> tuple[np.ndarray, int]:
-    """Where each update stands while its parent waits for it, and the length of all.
+    """Offset of each update while it waits for its parent, and the total length.
 
-    A front reads its children while it writes its own, so generations take turns on two stacks; each group has
-    its own two, as groups run at the same time. The last group, all above the others, shares nothing.
+    A front reads its children's updates while it writes its own, so generations alternate between two stacks. Each group
+    has its own two, as groups run in parallel. The last group, above all others, shares nothing.
     """
     depth = np.zeros(len(parent), np.int64)
     for s in range(len(parent) - 1, -1, -1):
@@ -382,6 +382,6 @@ def _scalars(size: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 
 def _ranges(starts: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """starts[i], starts[i] + 1, ... counts[i] of them, for all i in turn."""
+    """Concatenation of starts[i], starts[i] + 1, ... (counts[i] values) for all i."""
     ends = np.cumsum(counts)
     return np.repeat(starts - ends + counts, counts) + np.arange(ends[-1] if len(ends) else 0)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from epipole import _parallel
-from epipole._declared import check_options, checked
+from epipole._checks import check_options, checked
 from epipole.config import options_of
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
@@ -23,7 +23,7 @@ from epipole.optim.losses import Loss
 
 _LEAST_DAMPING, _FREE_DAMPING, _MOST_DAMPING = 1e-10, 1e-6, 1e12
 _WEAK_GAUGE = 1e-5
-"""Factor of the first two where priors alone say where the model is: a GPS fix weighs little against pixels."""
+"""Factor of the first two if only priors fix the gauge: a GPS fix has little weight against pixels."""
 _LEAST_FACTOR = 0.01
 
 
@@ -46,7 +46,7 @@ class BundleConfig:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
         check_options(self)
         if self.max_iterations < 0 or not self.function_tolerance >= 0:
@@ -56,7 +56,7 @@ class BundleConfig:
 
 
 class StopReason(StrEnum):
-    """Why an adjustment ended."""
+    """Why an adjustment stopped."""
 
     CONVERGED = "the cost no longer falls"
     NO_STEP = "no step lowers the cost"
@@ -72,18 +72,18 @@ class BundleIteration:
 
     iteration: int
     cost: float
-    """Cost after the step: the lowest so far."""
+    """Lowest cost so far, after the step."""
     damping: float
     is_accepted: bool
     num_products: int
-    """Products with the reduced matrix, where it is not formed."""
+    """Products with the reduced matrix; 0 if it was formed."""
     seconds: float
     """Since the start."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleResult:
-    """The adjusted quantities, and how the adjustment went."""
+    """The adjusted quantities, and a record of the adjustment."""
 
     rig_from_world: Rigid3
     cam_from_rig: Rigid3
@@ -95,13 +95,13 @@ class BundleResult:
     seconds: float
     reason: StopReason
     damping: float
-    """The last; a resumed adjustment starts from it."""
+    """Final damping, from which a resumed adjustment starts."""
     used_mask: Bool[np.ndarray, " k"]
-    """False for observations that were not used: behind their camera at the start, or not finite."""
+    """False for unused observations: behind their camera at the start, or not finite."""
     history: tuple[BundleIteration, ...]
     solver: LinearSolver
     summary: str
-    """Counts, and what the images do not determine; `str` of the result is the whole report."""
+    """Counts, and what the images do not determine; `str` of the result is the full report."""
 
     @property
     def converged(self) -> bool:
@@ -121,8 +121,8 @@ class BundleResult:
             self.summary,
             f"cost        {self.initial_cost:.9g} -> {self.final_cost:.9g}",
             f"error       {(2 * self.initial_cost / residuals) ** 0.5:.4g} -> "
-            f"{(2 * self.final_cost / residuals) ** 0.5:.4g} px (root mean square of a coordinate, after the loss)",
-            f"iterations  {self.num_iterations}, {self.seconds:.3f} s, {per_observation:.3f} us for each observation",
+            f"{(2 * self.final_cost / residuals) ** 0.5:.4g} px (RMS of a coordinate, after the loss)",
+            f"iterations  {self.num_iterations}, {self.seconds:.3f} s, {per_observation:.3f} us per observation",
             f"solver      {self.solver.value}",
             f"ended       {self.reason.value}",
         ]
@@ -142,20 +142,20 @@ def adjust_bundle(
     config: BundleConfig | None = None,
     progress: Callable[[BundleIteration], bool] | None = None,
 ) -> BundleResult:
-    """Minimise half the sum of rho(|project - pixel|^2) (Triggs et al. 2000), plus the terms of the priors.
+    """Minimize half the sum of rho(|project - pixel|^2) (Triggs et al. 2000), plus the terms of the priors.
 
-    The damping follows Nielsen (1999): it falls by the gain ratio of actual to predicted decrease and doubles
-    its growth on each rejected step. After each step every point is refined with the moved cameras fixed,
-    which helps long chains of cameras. The cost never rises. Only what the problem holds constant is held:
-    see `with_fixed_gauge`. The result is the same for any number of threads.
+    Damping as in Nielsen (1999): it decreases by the gain ratio of actual to predicted decrease, and grows twice as fast
+    with each rejected step. After each step every point is refined with the moved cameras fixed, which helps long chains of
+    cameras. The cost never rises. Only what the problem holds constant is constant: see `with_fixed_gauge`. The result does
+    not depend on the number of threads.
 
     Args:
-        problem: what is adjusted; it is not changed.
+        problem: the problem to solve; not modified.
         config: options.
-        progress: called after every step; returning False stops the adjustment there.
+        progress: called after every step; the adjustment stops if it returns False.
 
     Raises:
-        ShapeError: the arrays of the problem do not fit together.
+        ShapeError: the arrays of the problem do not match.
     """
     with _parallel.single_threaded_blas():
         return _adjust(problem, options_of(BundleConfig, config), progress)
@@ -188,7 +188,7 @@ def _adjust(
             state, cost = candidate, after
             damping *= max(_LEAST_FACTOR, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
             growth = 2.0
-            # A step that is small because of the damping is no sign of convergence.
+            # A step that is small because of the damping does not indicate convergence.
             if max(predicted, before - after) <= config.function_tolerance * before:
                 if damping <= constraint * _FREE_DAMPING:
                     reason = StopReason.CONVERGED
@@ -223,7 +223,7 @@ def _adjust(
 
 @checked
 def with_result(problem: BundleProblem, result: BundleResult) -> BundleProblem:
-    """The problem with the adjusted quantities, to continue from with `initial_damping=result.damping`."""
+    """The problem with the adjusted quantities, to continue with `initial_damping=result.damping`."""
     return replace(
         problem,
         rig_from_world=result.rig_from_world,
@@ -236,7 +236,7 @@ def with_result(problem: BundleProblem, result: BundleResult) -> BundleProblem:
 def _try_step(
     system: BundleSystem, state: BundleState, damping: float
 ) -> tuple[BundleState, float, float, int]:
-    """The state after one damped Gauss-Newton step, its cost, the decrease predicted, and products it took."""
+    """The state after one damped Gauss-Newton step, its cost, the predicted decrease, and the number of products."""
     equations = system.linearize(state, damping)
     step, products = system.solve(equations)
     if step is None:
@@ -250,7 +250,7 @@ def _motions(rows: np.ndarray) -> Rigid3:
 
 
 def _summary(problem: BundleProblem, used: np.ndarray) -> str:
-    """Counts of what took part, and of what too little was seen of."""
+    """Counts of observations used, and of weakly observed points and frames."""
     owner = np.repeat(np.arange(len(problem.point_free)), np.diff(problem.offsets))[used]
     by_point = np.bincount(owner, minlength=len(problem.point_free))
     by_frame = np.bincount(problem.frame[used], minlength=len(problem.frame_free))
@@ -260,13 +260,13 @@ def _summary(problem: BundleProblem, used: np.ndarray) -> str:
         f"{int((by_point > 0).sum())} points, {int(used.sum())} observations"
     ]
     weak = {
-        "observations left out: behind their camera, or not finite": int((~used).sum()),
-        "points seen once: nothing fixes their depth": int((free_point & (by_point == 1)).sum()),
-        "free points that nothing sees": int((free_point & (by_point == 0)).sum()),
-        "frames with fewer than three observations: they are not fixed": int(
+        "observations ignored: behind their camera, or not finite": int((~used).sum()),
+        "points observed once: their depth is undetermined": int((free_point & (by_point == 1)).sum()),
+        "free points without observations": int((free_point & (by_point == 0)).sum()),
+        "frames with fewer than three observations: their pose is undetermined": int(
             (free_frame & (by_frame > 0) & (by_frame < 3)).sum()
         ),
-        "free frames that see nothing": int((free_frame & (by_frame == 0)).sum()),
+        "free frames without observations": int((free_frame & (by_frame == 0)).sum()),
     }
     lines += [f"{count} {what}" for what, count in weak.items() if count]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""First-order covariances of the poses, intrinsics and points that an adjustment found."""
+"""First-order covariances of adjusted poses, intrinsics and points."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole import _parallel
-from epipole._declared import checked
-from epipole._declared.arrays import as_array
+from epipole._checks import checked
+from epipole._checks.arrays import as_array
 from epipole.config import options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.optim import _bundle_arrays as arrays
@@ -22,16 +22,16 @@ from epipole.optim.cluster_robust import error_growth
 
 _NO_DAMPING = 1e-12
 _UNKNOWN = 1e9
-"""An uncertainty so many times (in variance) that with all other unknowns held is no knowledge: rounding decides it."""
+"""Ratio of variances, with and without the other unknowns free, above which an unknown is undetermined: rounding rules."""
 
 
 _NOTHING = 1e-250
-"""Curvature of what no observation touches: what keeps the matrix definite, and no more."""
+"""Smallest curvature of an observed unknown: below it, only the damping keeps the matrix definite."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleCovariance:
-    """Covariances; zero for what was held constant, infinite for what the images do not determine."""
+    """Covariances; zero for constants, infinite for what the images do not determine."""
 
     rig_from_world: Float64[np.ndarray, "f 6 6"]
     """Of xi in exp(xi) @ rig_from_world, (translation, rotation)."""
@@ -39,7 +39,7 @@ class BundleCovariance:
     camera_params: Float64[np.ndarray, "c 12 12"]
     points_in_world: Float64[np.ndarray, "p 3 3"]
     noise_px: float
-    """Standard deviation of a pixel coordinate for which they hold."""
+    """Standard deviation of a pixel coordinate assumed for them."""
 
     def __repr__(self) -> str:
         return (
@@ -57,28 +57,29 @@ def bundle_covariance(
     noise_px: float | None = None,
     clustered: bool = False,
 ) -> BundleCovariance:
-    """Covariances at a minimum: the inverse of J^T J, its wanted blocks alone (Takahashi et al. 1973), times the noise.
+    """Covariances at a minimum: selected blocks of the inverse of J^T J (Takahashi et al. 1973), times the noise.
 
-    They hold for errors of pixels that are independent, small, and of one size, and relative to what the problem
-    holds; priors count as if their deviations grew with the noise, being weighed against pixels of deviation one: where the gauge is free they are infinite (see `with_fixed_gauge`).
+    They assume independent, small pixel errors of equal size, and are relative to what the problem holds constant; where
+    the gauge is free they are infinite (see `with_fixed_gauge`). Priors count as if their standard deviations scaled with
+    the noise, as they are weighted against pixels of unit standard deviation.
 
     Args:
-        problem: what was adjusted.
+        problem: the problem that was adjusted.
         result: its minimum.
-        config: the loss that was minimised.
-        noise_px: standard deviation of the pixels' errors; None: the residuals' own, after the loss.
-        clustered: errors of a point go together from image to image, and those of neighbours in the list of points: the
-            covariances, but for those of points, are made as large as the points' scores say (see `cluster_robust`).
+        config: options of the adjustment, for the loss.
+        noise_px: standard deviation of the pixel errors; None: that of the residuals, after the loss.
+        clustered: allow for errors of a point that are correlated between images and with neighbours in the list of points:
+            scale the covariances, except those of points, by the points' scores (see `cluster_robust`).
 
     Raises:
-        DegenerateGeometryError: there are no more residuals than unknowns, and no noise is given.
-        ShapeError: the result is that of another problem.
-        ConfigError: the noise is negative.
+        DegenerateGeometryError: there are no more residuals than unknowns, and noise_px is not given.
+        ShapeError: the result belongs to another problem.
+        ConfigError: noise_px is negative.
     """
     config = options_of(BundleConfig, config)
     found = with_result(problem, result)
     if noise_px is not None and not 0 <= noise_px < 1e150:
-        raise ConfigError(f"noise_px must be within 0 and 1e150, got {noise_px}")
+        raise ConfigError(f"noise_px must be from 0 to 1e150, got {noise_px}")
     with _parallel.single_threaded_blas():
         system, state, equations = _at_minimum(found, result.used_mask, config)
         layout = system.layout
@@ -107,17 +108,17 @@ def bundle_variance(
     derivative: Float64[np.ndarray, "f 6"],
     config: BundleConfig | None = None,
 ) -> float:
-    """Variance, for pixels of unit noise, of a quantity that depends on many frames: g^T C g, at a minimum.
+    """Variance, for unit pixel noise, of a quantity that depends on many frames: g^T C g, at a minimum.
 
     Args:
-        problem: what was adjusted.
+        problem: the problem that was adjusted.
         result: its minimum.
         derivative: of the quantity by xi of exp(xi) @ rig_from_world.
-        config: the loss that was minimised.
+        config: options of the adjustment, for the loss.
 
     Raises:
-        DegenerateGeometryError: something is not determined.
-        ShapeError: the arrays do not fit.
+        DegenerateGeometryError: the problem is underdetermined.
+        ShapeError: array sizes do not match.
     """
     if derivative.shape != problem.frame_free.shape:
         raise ShapeError(f"derivative must be {problem.frame_free.shape}, got {derivative.shape}")
@@ -130,7 +131,7 @@ def bundle_variance(
         step, _ = system.solve(replace(equations, rhs=rhs))
         if step is None:
             raise DegenerateGeometryError(
-                "the normal equations are not positive definite: something is not determined"
+                "the normal equations are not positive definite, so the problem is underdetermined"
             )
     return float((rhs * step).sum())
 
@@ -138,14 +139,14 @@ def bundle_variance(
 def _at_minimum(
     found: BundleProblem, used: np.ndarray, config: BundleConfig
 ) -> tuple[BundleSystem, BundleState, Linearization]:
-    """The undamped normal equations of what was adjusted, not of what is visible now.
+    """The undamped normal equations over the observations that were used, even if visibility has changed since.
 
     Raises:
-        ShapeError: the mask is not that of the problem's observations.
+        ShapeError: the mask does not match the problem's observations.
     """
     used = as_array(used, "result.used_mask", np.dtype(bool))
     if used.shape != (len(found.pixels),):
-        raise ShapeError("the result is not one of this problem")
+        raise ShapeError("result.used_mask does not match the observations of this problem")
     system = BundleSystem(
         found, config.loss, config.loss_scale_px, LinearSolver.DIRECT, single_precision=False
     )
@@ -155,11 +156,11 @@ def _at_minimum(
 
 
 def _residual_noise(layout: BundleLayout, result: BundleResult) -> float:
-    """Standard deviation of the pixels that the residuals show."""
+    """Standard deviation of the pixels according to the residuals."""
     freedom = 2 * int(result.used_mask.sum()) - _num_unknowns(layout)
     if freedom <= 0:
         raise DegenerateGeometryError(
-            "no more residuals than unknowns: the noise cannot be estimated from them"
+            "there are no more residuals than unknowns, so the noise cannot be estimated: pass noise_px"
         )
     return float(np.sqrt(2.0 * result.final_cost / freedom))
 
@@ -167,7 +168,7 @@ def _residual_noise(layout: BundleLayout, result: BundleResult) -> float:
 def _covariances_of_nodes_and_points(
     system: BundleSystem, blocks: np.ndarray, inverse: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The wanted blocks of the inverse for unit noise: of the nodes (n, lanes, lanes), of the points (p, 3, 3)."""
+    """Blocks of the inverse for unit noise: of the nodes (n, lanes, lanes), and of the points (p, 3, 3)."""
     layout = system.layout
     diagonal = np.flatnonzero(system.pattern.row == system.pattern.column)
     alone = np.einsum("nii->ni", blocks[diagonal])
@@ -208,10 +209,10 @@ def _num_unknowns(layout: BundleLayout) -> int:
 def _unknown_points(
     layout: BundleLayout, lost: np.ndarray, factor: np.ndarray, covariance: np.ndarray
 ) -> np.ndarray:
-    """Free points that a single direction sees, or frames of unknown place alone, or that all else leaves open."""
+    """Mask of free points without parallax, observed only by undetermined frames, or undetermined for other reasons."""
     i0, l10, i1, l20, l21, i2 = factor.T
     with np.errstate(divide="ignore", invalid="ignore"):
-        # Variance of each coordinate before it was tied to the others: 1 / V_aa, against that after, 1 / d_a.
+        # Variance of each coordinate before it was coupled to the others, 1 / V_aa, against that after, 1 / d_a.
         weak = (i2**2 * (1.0 / i2**2 + l20**2 + l21**2) > _UNKNOWN) | (
             i1**2 * (1.0 / i1**2 + l10**2) > _UNKNOWN
         )

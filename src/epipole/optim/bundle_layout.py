@@ -1,4 +1,4 @@
-"""How a bundle problem becomes arrays: images, the nodes of the reduced system, and who meets whom."""
+"""Array layout of a bundle problem: images, nodes of the reduced system, and their couplings."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _MAX_OBSERVATIONS_OF_A_POINT = np.iinfo(np.int16).max // 3
 
 
 class BundleState(NamedTuple):
-    """What changes."""
+    """The quantities being adjusted."""
 
     rig_from_world: np.ndarray
-    """(frames, 12): R row by row, t"""
+    """(frames, 12): R row by row, t."""
     cam_from_rig: np.ndarray
     """(sensors, 12)"""
     params: np.ndarray
@@ -35,7 +35,7 @@ class BundleState(NamedTuple):
 
 
 class Images(NamedTuple):
-    """The (frame, sensor, camera) that took each image."""
+    """The (frame, sensor, camera) of each image."""
 
     frame: np.ndarray
     sensor: np.ndarray
@@ -43,32 +43,32 @@ class Images(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """The node of each thing; -1 for what is held. They are numbered in this order: those that most others meet first."""
+    """The node of each quantity; -1 if constant. Numbered in this order: those with most couplings first."""
 
     sensor: np.ndarray
     camera: np.ndarray
-    """A camera's own, or its frame's where no other image shares either: its columns then come after the frame's six."""
+    """The camera's own node, or its frame's if no other image uses either: its columns then come after the frame's six."""
     point: np.ndarray
-    """Of points that are not eliminated."""
+    """Nodes of points that are not eliminated."""
     frame: np.ndarray
     camera_column: np.ndarray
     """The first column of each camera in its node."""
     width: np.ndarray
-    """(nodes,), columns of each."""
+    """(nodes,), columns of each node."""
 
     @property
     def shared_camera(self) -> np.ndarray:
-        """The node of each camera that has its own."""
+        """The node of each camera that has its own node."""
         return np.where(self.camera_column == 0, self.camera, -1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleLayout:
-    """Constant while a problem is solved."""
+    """The constant structure of a problem."""
 
     images: Images
     models: np.ndarray
-    """(images,), of their cameras."""
+    """(images,), model of each image's camera."""
     observations: arrays.Observations
     unknowns: arrays.Unknowns
     entries: arrays.Entries
@@ -76,24 +76,24 @@ class BundleLayout:
     free_params: np.ndarray
     num_free: np.ndarray
     fixed_mask: np.ndarray
-    """(nodes, lanes): columns of nodes that may not change."""
+    """(nodes, lanes): columns of nodes that are constant."""
     lanes: tuple[int, ...]
     wide: tuple[int, ...]
     num_chunks: int
-    """Pieces that points are handled in."""
+    """Number of chunks into which the points are divided."""
 
     @property
     def num_nodes(self) -> int:
-        """Nodes of the reduced system."""
+        """Number of nodes of the reduced system."""
         return len(self.entries.width)
 
     @property
     def num_border(self) -> int:
-        """Nodes before the first frame: those that most others meet."""
+        """Number of nodes before the first frame: those with most couplings."""
         return self.num_nodes - int((self.nodes.frame >= 0).sum())
 
     def scene(self, state: BundleState) -> arrays.Scene:
-        """A state, image by image."""
+        """A state, expanded per image."""
         frames, sensors = state.rig_from_world[self.images.frame], state.cam_from_rig[self.images.sensor]
         together = Rigid3(sensors[:, :9].reshape(-1, 3, 3), sensors[:, 9:]) @ Rigid3(
             frames[:, :9].reshape(-1, 3, 3), frames[:, 9:]
@@ -107,7 +107,7 @@ class BundleLayout:
         )
 
     def moved(self, state: BundleState, step: np.ndarray) -> BundleState:
-        """The state after a step (nodes, lanes) of all but the points, which are left to be filled."""
+        """The state after a step (nodes, lanes) of everything but the points, which the caller must fill."""
         frames, sensors = state.rig_from_world.copy(), state.cam_from_rig.copy()
         for rows, node in ((frames, self.nodes.frame), (sensors, self.nodes.sensor)):
             free = np.flatnonzero(node >= 0)
@@ -129,7 +129,7 @@ def motion_rows(motion: Rigid3) -> np.ndarray:
 
 
 def initial_state(problem: BundleProblem) -> BundleState:
-    """The problem's own values."""
+    """The problem's initial values."""
     return BundleState(
         motion_rows(problem.rig_from_world),
         motion_rows(problem.cam_from_rig),
@@ -142,7 +142,7 @@ def lay_out(problem: BundleProblem) -> BundleLayout:
     """Find images, nodes and entries.
 
     Raises:
-        ShapeError: a point has more observations than can be counted (10,922).
+        ShapeError: a point has more than 10,922 observations.
     """
     if len(problem.points_in_world) and np.diff(problem.offsets).max() > _MAX_OBSERVATIONS_OF_A_POINT:
         raise ShapeError(f"a point has more than {_MAX_OBSERVATIONS_OF_A_POINT} observations")
@@ -167,7 +167,7 @@ def lay_out(problem: BundleProblem) -> BundleLayout:
         np.empty(len(image), bool),
     )
     sums = 8 * len(images.frame) * len(wide) * (len(wide) + 1) + 8 * len(nodes.width) * len(lanes)
-    # Small problems stay in one piece: handing out a chunk costs as much as a few hundred observations.
+    # Small problems stay in one chunk: dispatching one costs as much as a few hundred observations.
     chunks = np.clip(len(image) // _CHUNK_OBSERVATIONS, 1, min(16, max(2, _MAX_SUMS_BYTES // max(sums, 1))))
     return BundleLayout(
         images=images,
@@ -235,13 +235,13 @@ def _sensor_free(problem: BundleProblem) -> np.ndarray:
 
 
 def reduced_pattern(layout: BundleLayout, problem: BundleProblem, *, with_points: bool) -> BlockPattern:
-    """The pairs of nodes that meet in an image, a prior or, with_points, in a point; sorted by row."""
+    """The pairs of nodes with a common image, prior or, with_points, point; sorted by row."""
     n, entries = layout.num_nodes, layout.entries
     keys = [np.arange(n) * (n + 1)]
     if with_points:
         mark, count = np.empty((2, n), np.int64)
         arguments = (entries.start, entries.node, entries.point, entries.by_node, entries.node_start, mark)
-        # Of few nodes all pairs fit; else the pairs are counted first.
+        # With few nodes there is room for all pairs; otherwise count the pairs first.
         space = n * (n + 1) // 2 if n < _FEW_NODES else 0
         column = np.empty(space, np.int64)
         total = layout_kernels.find_pattern(*arguments, count, column)
@@ -272,7 +272,7 @@ def reduced_pattern(layout: BundleLayout, problem: BundleProblem, *, with_points
 
 
 def _images(problem: BundleProblem) -> tuple[Images, np.ndarray]:
-    """The images, sorted by frame, and which each observation is of."""
+    """The images, sorted by frame, and the image of each observation."""
     frame, sensor, camera = problem.frame, problem.sensor, problem.camera
     num_sensors, num_cameras = len(problem.cam_from_rig.translation), max(len(problem.camera_params), 1)
     key = (frame.astype(np.int64) * num_sensors + sensor) * num_cameras + camera
@@ -293,7 +293,7 @@ def _images(problem: BundleProblem) -> tuple[Images, np.ndarray]:
 
 
 def _roles(problem: BundleProblem) -> np.ndarray:
-    """Free points are eliminated, unless a known distance ties them to others: then they cannot be, one by one."""
+    """Free points are eliminated, unless a known distance couples them: then they cannot be eliminated one by one."""
     role = np.where(problem.point_free > 0, arrays.ELIMINATED, arrays.FIXED).astype(np.int8)
     if problem.priors is not None and problem.priors.distances is not None:
         ends = np.concatenate([problem.priors.distances.first, problem.priors.distances.second])

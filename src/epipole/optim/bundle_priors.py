@@ -1,4 +1,4 @@
-"""Bundle adjustment's terms that do not come from pixels: expected places, directions, lenses and distances."""
+"""Terms of bundle adjustment that do not come from pixels: priors of poses, gravity, intrinsics and distances."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class PriorTerms:
     diagonal: np.ndarray
     """(nodes, lanes, lanes)"""
     pairs: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
-    """Blocks (d, 3, 3) or (d, 6, 6) of pairs of nodes, rows and columns of the lower triangle."""
+    """Blocks (d, 3, 3) or (d, 6, 6) of pairs of nodes: rows and columns in the lower triangle, values."""
 
 
 class _Sums:
-    """What the terms add up to."""
+    """Accumulated terms."""
 
     def __init__(self, num_nodes: int, num_lanes: int) -> None:
         self.cost = 0.0
@@ -35,7 +35,7 @@ class _Sums:
         self.pairs: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
     def add(self, node: np.ndarray, jacobian: np.ndarray, residual: np.ndarray, first: int = 0) -> None:
-        """Add terms with Jacobians (d, r, c) and residuals (d, r) on the columns of nodes from `first` on."""
+        """Add terms with Jacobians (d, r, c) and residuals (d, r) to the columns of nodes, starting at `first`."""
         mine = node >= 0
         node, jacobian, residual = node[mine], jacobian[mine], residual[mine]
         columns = slice(first, first + jacobian.shape[2])
@@ -63,7 +63,7 @@ def prior_terms(priors: BundlePriors | None, layout: BundleLayout, state: Bundle
 
 
 def _add_positions(priors: BundlePriors, layout: BundleLayout, positions: Rigid3, terms: _Sums) -> None:
-    """Cauchy's loss of (centre - expected) / sigma; d centre / d translation tangent = -R^T."""
+    """Cauchy loss of (center - expected) / sigma; d center / d translation tangent = -R^T."""
     if priors.position_in_world is None:
         return
     known = np.flatnonzero(np.isfinite(priors.position_in_world).all(axis=1) & (layout.nodes.frame >= 0))
@@ -134,7 +134,7 @@ def _add_distances(priors: BundlePriors, layout: BundleLayout, points: np.ndarra
 
 
 def _add_path(path: PathFactors, layout: BundleLayout, positions: Rigid3, terms: _Sums) -> None:
-    """Every pair of its frames that may move."""
+    """All pairs of the path's free frames."""
     cost, gradient, matrix = path.linearized(positions[path.frames])
     terms.cost += cost
     node = layout.nodes.frame[path.frames]

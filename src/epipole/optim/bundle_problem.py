@@ -1,4 +1,4 @@
-"""What bundle adjustment adjusts: poses, intrinsics and points; with observations and priors."""
+"""The input of bundle adjustment: poses, intrinsics, points, observations and priors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
-from epipole._declared import Declared, check_fields, checked
+from epipole._checks import Declared, check_fields, checked
 from epipole.cameras import MAX_PARAMS, Camera, CameraModel
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
@@ -30,7 +30,7 @@ class PointDistances(Declared):
 
 @runtime_checkable
 class PathFactors(Protocol):
-    """What ties many frames together, and has unknowns of its own that it sets to their best: an inertial unit's measurements."""
+    """A term over many frames that optimizes its own inner unknowns, such as the measurements of an IMU."""
 
     @property
     def frames(self) -> Int64[np.ndarray, " n"]:
@@ -46,15 +46,15 @@ class PathFactors(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class BundlePriors(Declared):
-    """What is known besides the images; each part may be missing. Each adds half its squared, weighed error.
+    """Prior knowledge besides the images; each part is optional and adds half its squared, weighted error.
 
     Standard deviations are relative to pixels with a standard deviation of one.
     """
 
     position_in_world: Float64[np.ndarray, "f 3"] | None = None
-    """Expected frame centres (GPS); NaN rows for none. Cauchy's loss at one standard deviation."""
+    """Expected frame centers (GPS); NaN rows for none. Cauchy loss with a scale of one standard deviation."""
     position_sigma: float | Float64[np.ndarray, "f 3"] = 1.0
-    """Standard deviations of these, in world units: one number, or one per axis."""
+    """Standard deviations of the expected centers, in world units: one number, or one per axis."""
     rig_from_world: Rigid3 | None = None
     """Expected motions of the frames (odometry, an earlier adjustment)."""
     rig_information: Float64[np.ndarray, "f 6 6"] | None = None
@@ -66,17 +66,17 @@ class BundlePriors(Declared):
     params_expected: Float64[np.ndarray, "c 12"] | None = None
     """Expected camera parameters."""
     params_sigma: Float64[np.ndarray, "c 12"] | None = None
-    """Standard deviations of the camera parameters about these; infinite for no expectation."""
+    """Standard deviations of the camera parameters; infinite for no prior."""
     distances: PointDistances | None = None
     paths: tuple[PathFactors, ...] = ()
 
     @checked
     def check(self, num_frames: int, num_cameras: int, num_points: int) -> None:
-        """Check that all fits a problem of this size.
+        """Check that the priors match a problem of this size.
 
         Raises:
-            ShapeError: an array has another shape, or a distance names a point that is not there.
-            ConfigError: a standard deviation is not positive, or an information matrix not positive definite.
+            ShapeError: an array has the wrong shape, or an index refers to a missing point or frame.
+            ConfigError: a standard deviation is not positive, or an information matrix is not positive definite.
         """
         frames, cameras = (num_frames, 3), (num_cameras, NUM_PARAMS)
         shapes = {"position_in_world": frames, "down_in_rig": frames, "rig_information": (num_frames, 6, 6)}
@@ -95,12 +95,12 @@ class BundlePriors(Declared):
             sigmas["the distances' sigma"] = self.distances.sigma
             ends = np.concatenate([self.distances.first, self.distances.second])
             if len(ends) and not (ends.min() >= 0 and ends.max() < num_points):
-                raise ShapeError(f"a distance names a point that is not there (there are {num_points})")
+                raise ShapeError(f"a distance refers to a point that does not exist (there are {num_points})")
             if (self.distances.first == self.distances.second).any():
-                raise ShapeError("a distance joins a point to itself")
+                raise ShapeError("a distance connects a point to itself")
         for path in self.paths:
             if len(path.frames) and not (path.frames.min() >= 0 and path.frames.max() < num_frames):
-                raise ShapeError(f"a path names a frame that is not there (there are {num_frames})")
+                raise ShapeError(f"a path refers to a frame that does not exist (there are {num_frames})")
         if not (np.isfinite(self.down_in_world).all() and np.any(self.down_in_world)):
             raise ConfigError(f"down_in_world must be a direction, got {self.down_in_world}")
         for name, sigma in sigmas.items():
@@ -113,12 +113,12 @@ class BundlePriors(Declared):
 
     @property
     def fixes_gauge(self) -> bool:
-        """Whether a prior fixes position, orientation or scale of the model, which images do not."""
+        """Whether a prior constrains position, orientation or scale of the model, which images leave free."""
         return self.fixes_position or self.down_in_rig is not None or self.distances is not None
 
     @property
     def fixes_position(self) -> bool:
-        """Whether a prior fixes positions of frames."""
+        """Whether a prior constrains frame positions."""
         at = self.position_in_world is not None and bool(
             np.isfinite(self.position_in_world).all(axis=1).any()
         )
@@ -127,10 +127,10 @@ class BundlePriors(Declared):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleProblem:
-    """What is adjusted: f frames, s sensors of their rig, c cameras, p points, k observations.
+    """A problem with f frames, s sensors of their rig, c cameras, p points and k observations.
 
-    Observations are grouped by point: those of point j are rows offsets[j] to offsets[j + 1]. Each names its frame (the
-    instant, which has a place), its sensor (where on the rig) and its camera (which lens); without rigs there is one sensor.
+    Observations are grouped by point: those of point j are rows offsets[j] to offsets[j + 1]. Each refers to its frame (an
+    instant with a rig pose), its sensor (a mounting on the rig) and its camera (intrinsics). Without rigs there is one sensor.
     """
 
     rig_from_world: Rigid3
@@ -139,10 +139,10 @@ class BundleProblem:
     """One row per sensor; identity for a single camera."""
     camera_model: Int32[np.ndarray, " c"]
     camera_params: Float64[np.ndarray, "c 12"]
-    """Zeros after the model's own: `Camera.padded_params`."""
+    """Zeros after the parameters of the model: `Camera.padded_params`."""
     points_in_world: Float64[np.ndarray, "p 3"]
     offsets: Int64[np.ndarray, " p1"]
-    """p + 1 numbers that rise from 0 to k."""
+    """p + 1 numbers, increasing from 0 to k."""
     frame: Int32[np.ndarray, " k"]
     sensor: Int32[np.ndarray, " k"]
     camera: Int32[np.ndarray, " k"]
@@ -154,7 +154,7 @@ class BundleProblem:
     point_free: Float64[np.ndarray, " p"]
     """1 where a point may move, else 0."""
     sensor_free: Float64[np.ndarray, "s 6"] | None = None
-    """1 where a tangent component of cam_from_rig may change, else 0; None: none may."""
+    """1 where a tangent component of cam_from_rig may change, else 0; None: all constant."""
     priors: BundlePriors | None = None
 
     @staticmethod
@@ -167,19 +167,19 @@ class BundleProblem:
         point: Int64[np.ndarray, " k"],
         pixels: Float64[np.ndarray, "k 2"],
     ) -> BundleProblem:
-        """A problem of single images, in which poses and points are free and intrinsics are constant.
+        """A problem of single images with free poses and points, and constant intrinsics.
 
         Args:
             cams_from_world: pose of each image.
-            cameras: one that took all images, or one per image.
+            cameras: one for all images, or one per image.
             points_in_world: initial positions.
-            image: row of the image of each observation, in any order.
-            point: row of its point.
-            pixels: where the image shows the point.
+            image: image index of each observation, in any order.
+            point: point index of each observation.
+            pixels: pixel coordinates of each observation.
 
         Raises:
-            ShapeError: the arrays do not fit each other, or an observation names an image or a point that is not there.
-            ConfigError: there are neither one nor as many cameras as images.
+            ShapeError: array sizes do not match, or an observation refers to a missing image or point.
+            ConfigError: the number of cameras is neither one nor the number of images.
         """
         if len(cams_from_world.batch_shape()) != 1:
             raise ShapeError(
@@ -212,11 +212,11 @@ class BundleProblem:
         )
 
     def __post_init__(self) -> None:
-        """Check that everything fits.
+        """Check the arrays.
 
         Raises:
-            ShapeError: it does not; the message says what.
-            ConfigError: a prior's deviation makes no sense.
+            ShapeError: array sizes do not match, or an index or mask is invalid.
+            ConfigError: a prior's standard deviation is not positive.
         """
         check_fields(self)
         for name in ("rig_from_world", "cam_from_rig"):
@@ -243,11 +243,11 @@ class BundleProblem:
             if found != wanted:
                 raise ShapeError(f"{name} must have {wanted} rows, got {found}")
         if self.offsets[0] != 0 or self.offsets[-1] != num_seen or (np.diff(self.offsets) < 0).any():
-            raise ShapeError(f"offsets must rise from 0 to the number of observations, {num_seen}")
+            raise ShapeError(f"offsets must increase from 0 to the number of observations, {num_seen}")
         for name, size in (("frame", num_frames), ("sensor", num_sensors), ("camera", num_cameras)):
             index = getattr(self, name)
             if len(index) and not (index.min() >= 0 and index.max() < size):
-                raise ShapeError(f"an observation names a {name} that is not there (there are {size})")
+                raise ShapeError(f"an observation refers to a {name} that does not exist (there are {size})")
         for name in ("frame_free", "params_free", "point_free", "sensor_free"):
             free = getattr(self, name)
             if free is not None and not ((free == 0) | (free == 1)).all():
@@ -264,15 +264,15 @@ class BundleProblem:
 
 
 def check_models(models: Int32[np.ndarray, " c"]) -> None:
-    """Check that all are camera models.
+    """Check that all numbers are camera models.
 
     Raises:
-        ConfigError: a number is that of none.
+        ConfigError: a number is not a camera model.
     """
     known = [int(model) for model in CameraModel]
     if not np.isin(models, known).all():
         wrong = int(models[~np.isin(models, known)][0])
-        raise ConfigError(f"there is no camera model {wrong}; they are {known[0]} to {known[-1]}")
+        raise ConfigError(f"unknown camera model {wrong}: models are numbered {known[0]} to {known[-1]}")
 
 
 @checked
@@ -286,7 +286,7 @@ def free_params_mask(
     """Mask of free intrinsics, by kind of parameter.
 
     Raises:
-        ConfigError: there is no such camera model.
+        ConfigError: a number is not a camera model.
     """
     check_models(models)
     mask = np.zeros((len(models), NUM_PARAMS))
@@ -300,12 +300,12 @@ def free_params_mask(
 
 @checked
 def with_fixed_gauge(problem: BundleProblem) -> BundleProblem:
-    """Hold the seven degrees of freedom that images leave open: one frame, and one coordinate of a second.
+    """Fix the seven degrees of freedom that images leave open: one frame, and one coordinate of a second.
 
-    The frame with most observations stays; of the frame farthest from it, the component of its translation
-    tangent along the line between both (the largest, in its own axes) stays, which holds the scale. Holding
-    components, rather than undoing a solved step, keeps the predicted decrease true. Nothing is held where
-    prior positions or two constant frames fix the gauge already.
+    The frame with most observations is fixed. Of the frame farthest from it, the component of its translation tangent along
+    the line between both (the largest, in its own axes) is fixed, which fixes the scale. Fixing components, rather than
+    correcting a solved step, keeps the predicted decrease valid. Nothing is fixed if prior positions or two constant frames
+    constrain the gauge already.
     """
     free = problem.frame_free.copy()
     counts = np.bincount(problem.frame, minlength=len(free))

@@ -1,7 +1,7 @@
-"""The normal equations of bundle adjustment, points eliminated: formed and factored, or never formed and iterated on.
+"""The normal equations of bundle adjustment without the points: formed and factored, or solved iteratively.
 
-Damping is Marquardt's: a share of V's diagonal for points, of the Schur complement's for all else. Both scale as the
-problem does, whatever its units, so that a focal length of 1e10 and an angle go together.
+Damping is Marquardt's: a fraction of V's diagonal for points, of the Schur complement's diagonal otherwise. Both scale
+with the problem, whatever its units, so a focal length of 1e10 and an angle can be mixed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from epipole.optim.bundle_problem import BundleProblem
 from epipole.optim.losses import Loss
 
 _LEAST_CURVATURE = 1e-9
-"""A node's column is damped at least as if this share of its curvature were left after elimination."""
+"""A column is damped as if at least this fraction of its curvature were left after elimination."""
 _ROW_PIECES = 32
 _FLOPS_PER_S, _BYTES_PER_S, _PAIR_S = 2e10, 6e9, 1.5e-8
 _USUAL_PRODUCTS = 40
@@ -33,26 +33,26 @@ _MAX_DIRECT_BYTES = 6 << 30
 
 
 class LinearSolver(StrEnum):
-    """How each step is solved for."""
+    """Linear solver of each step."""
 
     AUTO = "auto"
     """Whichever is expected to be faster and fits into memory."""
     DIRECT = "direct"
-    """Sparse Cholesky factorisation of the Schur complement; dense where all cameras meet."""
+    """Sparse Cholesky factorization of the Schur complement; dense if all cameras are coupled."""
     ITERATIVE = "iterative"
-    """Conjugate gradients on the Schur complement, which is never formed; its block diagonal is the preconditioner."""
+    """Conjugate gradients on the Schur complement, without forming it; block-diagonal preconditioner."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Linearization:
-    """The normal equations at a state and a damping, the points eliminated."""
+    """The normal equations at a state and a damping, with the points eliminated."""
 
     gradient: np.ndarray
     """J^T r of the nodes (nodes, lanes)."""
     rhs: np.ndarray
-    """What the step of the nodes solves for: S step = rhs."""
+    """Right-hand side for the step of the nodes: S step = rhs."""
     blocks: np.ndarray
-    """The lower triangle of S by blocks where it was formed; else of its part that does not come from points."""
+    """The lower triangle of S by blocks if it was formed; otherwise only its part that does not come from points."""
     corner: np.ndarray
     """The diagonal blocks of S (nodes, lanes, lanes), without damping."""
     damping: np.ndarray
@@ -98,12 +98,12 @@ class BundleSystem:
 
     @property
     def has_unknowns(self) -> bool:
-        """Whether anything may move."""
+        """Whether anything is free."""
         return self.layout.num_nodes > 0 or bool((self.layout.unknowns.role != arrays.FIXED).any())
 
     @property
     def solver(self) -> LinearSolver:
-        """The way that was chosen."""
+        """The chosen solver."""
         return LinearSolver.ITERATIVE if self.plan is None else LinearSolver.DIRECT
 
     def _choose_solver(self, requested: LinearSolver) -> None:
@@ -128,7 +128,7 @@ class BundleSystem:
         self.pattern = reduced_pattern(self.layout, self.problem, with_points=False)
 
     def _poses_of_images(self) -> np.ndarray:
-        """(images, 3, 3): the block of the products of the nodes of each image, where it is in the lower triangle."""
+        """(images, 3, 3): block index for each pair of an image's nodes in the lower triangle, else -1."""
         n, nodes = max(self.layout.num_nodes, 1), self.layout.unknowns.nodes
         key = self.pattern.row * n + self.pattern.column
         a, b = nodes[:, :, None], nodes[:, None, :]
@@ -138,7 +138,7 @@ class BundleSystem:
         return np.where(found, at, -1).astype(np.int64)
 
     def cost(self, state: BundleState) -> float:
-        """Half the robust sum of squares, priors included."""
+        """Half the robust sum of squares, including priors."""
         layout, scene = self.layout, self.layout.scene(state)
         parts = _parallel.map_chunks(
             lambda a, b, _: kernels.total_cost(layout.observations, a, b, scene, *self._loss),
@@ -148,7 +148,7 @@ class BundleSystem:
         return float(sum(parts)) + prior_terms(self.problem.priors, layout, state).cost
 
     def improve(self, state: BundleState, before: BundleState) -> float:
-        """The cost, after each point went where the cameras of the state want it."""
+        """Refine each point with the cameras of the state fixed; returns the cost."""
         layout, scene = self.layout, self.layout.scene(state)
         role = layout.unknowns.role
         parts = _parallel.map_chunks(
@@ -161,7 +161,7 @@ class BundleSystem:
         return float(sum(parts)) + prior_terms(self.problem.priors, layout, state).cost
 
     def find_visible(self, state: BundleState) -> np.ndarray:
-        """Leave out for good what has no finite residual at this state; returns the mask of what is used."""
+        """Exclude observations without a finite residual at this state; returns the mask of used ones."""
         layout, scene = self.layout, self.layout.scene(state)
         _parallel.map_chunks(
             lambda a, b, _: kernels.find_visible(layout.observations, a, b, scene),
@@ -225,7 +225,7 @@ class BundleSystem:
         return parts[0]
 
     def _subtract_eliminated(self, row_start: np.ndarray, column: np.ndarray, blocks: np.ndarray) -> None:
-        """Subtract Z Z^T from the blocks, in pieces of rows of like work."""
+        """Subtract Z Z^T from the blocks, in chunks of rows with similar work."""
         edges = [0, *self._pieces.tolist(), self.layout.num_nodes]
         if self.layout.num_chunks == 1:
             edges = [0, self.layout.num_nodes]
@@ -247,7 +247,7 @@ class BundleSystem:
             np.add.at(blocks, (at[:, None, None], lanes[:, None], lanes), block)
 
     def _move_kept_points(self, blocks: np.ndarray, gradient: np.ndarray) -> None:
-        """Points that are not eliminated: their V, W and g_p, left by `linearize`, become blocks of the system."""
+        """Turn V, W and g_p of points that are not eliminated, left by `linearize`, into blocks of the system."""
         layout, entries = self.layout, self.layout.entries
         n = layout.num_nodes
         key = self.pattern.row * n + self.pattern.column
@@ -270,7 +270,7 @@ class BundleSystem:
             self.kept.h[j] = 0.0
 
     def solve(self, system: Linearization) -> tuple[np.ndarray | None, int]:
-        """The step of the nodes (nodes, lanes), None where the matrix is not definite; products it took."""
+        """Step of the nodes (nodes, lanes), None if the matrix is not positive definite; number of products."""
         layout = self.layout
         if layout.num_nodes == 0:
             return np.zeros((0, len(layout.lanes))), 0
@@ -287,7 +287,7 @@ class BundleSystem:
         return (step if np.isfinite(step).all() else None), products
 
     def inverse_blocks(self, system: Linearization) -> np.ndarray:
-        """The blocks of S^-1 where S has blocks.
+        """The blocks of S^-1 at the nonzero blocks of S.
 
         Raises:
             DegenerateGeometryError: S is not positive definite.
@@ -298,7 +298,7 @@ class BundleSystem:
         factor = self.plan.factorize(system.blocks)
         if factor is None:
             raise DegenerateGeometryError(
-                "the normal equations are not positive definite: something is not determined"
+                "the normal equations are not positive definite, so the problem is underdetermined"
             )
         out = np.zeros((len(self.pattern.row), lanes, lanes))
         found = factor.selected_inverse()
@@ -338,7 +338,7 @@ class BundleSystem:
     def substitute_back(
         self, state: BundleState, system: Linearization, step: np.ndarray, damping: float
     ) -> tuple[BundleState, float]:
-        """The state after the step of the nodes, points included, and the decrease that the linear model predicts."""
+        """The state after the step of the nodes, including points, and the predicted decrease."""
         layout = self.layout
         moved = layout.moved(state, step)
         parts = _parallel.map_chunks(
@@ -371,10 +371,10 @@ def conjugate_gradients(
     forcing: float = 0.1,
     max_products: int = 300,
 ) -> tuple[np.ndarray, int]:
-    """Preconditioned conjugate gradients (Hestenes and Stiefel 1952), stopped when it pays no more.
+    """Preconditioned conjugate gradients (Hestenes and Stiefel 1952), stopped when progress slows.
 
-    The quadratic model falls by r^T z alpha / 2 in each iteration; they end when the last one brought less than
-    `forcing` of the mean so far (Nash and Sofer 1990).
+    Each iteration decreases the quadratic model by r^T z alpha / 2; it stops when this is less than `forcing` times the mean
+    decrease so far (Nash and Sofer 1990).
     """
     x, r = np.zeros_like(rhs), rhs.copy()
     z = precondition(r)

@@ -1,11 +1,12 @@
-"""How much larger the errors of places are than independent errors of pixels would make them.
+"""Growth of pose errors over those that independent pixel errors would cause.
 
-A point that is followed from image to image keeps its error, and its neighbours have like ones. The scores of points, their
-parts of the gradient, hold all of that: with H the normal matrix, and g_c the score of a cluster of points, both after the
+A tracked point keeps its error from image to image, and its neighbours have similar ones. The scores of points, their
+parts of the gradient, contain all of that: with H the normal matrix and g_c the score of a cluster of points, both after
 elimination of the points, the covariance is H^-1 (sum g_c g_c^T) H^-1 (Liang and Zeger, Longitudinal data analysis using
-generalized linear models, 1986; as a covariance of clusters: Cameron and Miller, A practitioner's guide to cluster-robust
-inference, 2015). From a few dozen clusters its size is known well, its shape is not: the size alone is used. A cluster draws the minimum to itself by
-its share of what is seen: what it loses is given back as leaving out one after another would (the jackknife, their CR3).
+generalized linear models, 1986; for clusters: Cameron and Miller, A practitioner's guide to cluster-robust inference,
+2015). A few dozen clusters determine its size well, but not its shape, so only the size is used. A cluster pulls the
+minimum towards itself by its fraction of the weight; this loss is corrected as by leaving out one cluster after another
+(the jackknife, their CR3).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from epipole.optim.bundle_system import BundleSystem, Linearization
 from epipole.optim.losses import Loss
 
 MOST_CLUSTERS = 64
-"""Of points that follow each other in the problem: those that were first seen together, and are near each other."""
+"""Clusters are runs of consecutive points: first observed together, and close to each other."""
 
 
 def error_growth(
@@ -31,14 +32,14 @@ def error_growth(
     covariance: np.ndarray,
     loss: tuple[Loss, float],
 ) -> np.ndarray:
-    """(nodes,) by what the variances of nodes are to be multiplied; 1 where nothing tells.
+    """(nodes,) factors for the variances of nodes; 1 if unknown.
 
     Args:
-        system: at a minimum.
+        system: the system at a minimum.
         state: the minimum.
-        linearized: the normal matrix there, without damping.
+        linearized: the normal equations there, without damping.
         covariance: (nodes, lanes, lanes) for independent errors.
-        loss: which, and its scale in pixels.
+        loss: the loss, and its scale in pixels.
     """
     out = np.ones(len(covariance))
     factor = None if system.plan is None else system.plan.factorize(linearized.blocks)
@@ -63,10 +64,10 @@ def error_growth(
 
 
 def _mean_of_samples(parts: np.ndarray) -> float:
-    """The sum of the clusters' parts, and more where few of them make it up.
+    """The sum over clusters, enlarged if few clusters dominate it.
 
-    With nu = 2 sum^2 / var degrees of freedom (Satterthwaite 1946) errors over what is told are those of Student's
-    distribution, whose variance is nu / (nu - 2).
+    With nu = 2 sum^2 / var degrees of freedom (Satterthwaite 1946), errors relative to their stated deviation have Student's
+    distribution, with variance nu / (nu - 2).
     """
     total, count = float(parts.sum()), len(parts)
     variance = count * float(parts.var(ddof=1))
@@ -77,7 +78,7 @@ def _mean_of_samples(parts: np.ndarray) -> float:
 def _scores(
     system: BundleSystem, state: BundleState, edges: np.ndarray, loss: tuple[int, float]
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """For each cluster of points its part of the gradient (nodes, lanes), the points eliminated; its weight in nodes (nodes,)."""
+    """For each cluster of points its reduced gradient (nodes, lanes), points eliminated, and its weight in nodes (nodes,)."""
     layout, scene = system.layout, system.layout.scene(state)
     kept = arrays.Eliminated(*(arrays.rows_of_zeros(part.shape) for part in system.kept))
     nowhere = np.full((len(layout.images.frame), 3, 3), -1, np.int64)

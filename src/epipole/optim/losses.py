@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_float_array
-from epipole._declared import checked
+from epipole._checks import as_float_array, checked
 from epipole.errors import ConfigError
 
 
@@ -27,10 +26,10 @@ class Loss(IntEnum):
 
 @checked
 def evaluate_loss(loss: Loss, squared: Any, scale: float) -> Float64[np.ndarray, "*batch"]:
-    """rho(s) for residuals of squared size s; beyond `scale` the loss flattens (Triggs et al. 2000, section 3).
+    """rho(s) for residuals of squared size s; the loss flattens beyond `scale` (Triggs et al. 2000, section 3).
 
     Raises:
-        ConfigError: the loss is none, or the scale not positive.
+        ConfigError: scale is not positive and finite.
     """
     if not 0 < scale < np.inf:
         raise ConfigError(f"scale must be positive and finite, got {scale}")

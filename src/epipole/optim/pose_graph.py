@@ -1,7 +1,8 @@
-"""Pose graphs: poses from redundant measurements of the motions between them.
+"""Pose graph optimization from redundant relative motions.
 
-Residual of edge k from i to j with the measured z = i_from_j: r = log(z^-1 (x_i^-1 x_j)), x = world_from_body; steps move bodies
-from the right, x exp(delta). The cost is half the sum of r^T Omega r (Grisetti, Kuemmerle, Stachniss and Burgard, IEEE ITS Magazine 2010).
+Residual of edge k from i to j with the measurement z = i_from_j: r = log(z^-1 (x_i^-1 x_j)), x = world_from_body. Steps are
+applied from the right, x exp(delta). The cost is half the sum of r^T Omega r (Grisetti, Kuemmerle, Stachniss and Burgard,
+IEEE ITS Magazine 2010).
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.sparse.linalg import splu
 
 from epipole import _parallel
-from epipole._declared import check_fields, check_options, checked
+from epipole._checks import check_fields, check_options, checked
 from epipole.config import options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3
@@ -28,10 +29,10 @@ Motion = Rigid2 | Rigid3 | Similarity3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseGraph:
-    """Poses and measured motions between them, all of one kind: Rigid2, Rigid3 or Similarity3."""
+    """Poses and measured relative motions, all of one type: Rigid2, Rigid3 or Similarity3."""
 
     world_from_body: Motion
-    """Batch (n,), a first guess."""
+    """Batch (n,), initial poses."""
     first: Int64[np.ndarray, " m"]
     second: Int64[np.ndarray, " m"]
     first_from_second: Motion
@@ -39,32 +40,32 @@ class PoseGraph:
     information: Float64[np.ndarray, "m d d"]
     """Inverse covariances in the tangent (translation, rotation[, log scale])."""
     fixed: Int64[np.ndarray, " f"] = field(default_factory=lambda: np.empty(0, np.int64))
-    """Poses that stay as they are. In a connected component without one it is the first pose."""
+    """Constant poses. A connected component without one fixes its first pose."""
 
     def __post_init__(self) -> None:
-        """Check that everything fits.
+        """Check the arrays.
 
         Raises:
-            ShapeError: an index has no place, or shapes differ.
+            ShapeError: an index is out of range, or shapes differ.
         """
         check_fields(self)
         self._check_numbers()
         n, m, d = len(self.world_from_body.translation), len(self.first), self.dimension
         if type(self.world_from_body) is not type(self.first_from_second):
-            raise ShapeError("places and measured motions must be of one kind")
+            raise ShapeError("world_from_body and first_from_second must be of one type")
         if not len(self.second) == len(self.first_from_second.translation) == m:
-            raise ShapeError("first, second and first_from_second must have one length")
+            raise ShapeError("first, second and first_from_second must have the same length")
         if self.information.shape != (m, d, d):
             raise ShapeError(f"information must be ({m}, {d}, {d}), got {self.information.shape}")
         if m and not (
             min(self.first.min(), self.second.min()) >= 0 and max(self.first.max(), self.second.max()) < n
         ):
-            raise ShapeError(f"an edge names a place that is not there (there are {n})")
+            raise ShapeError(f"an edge refers to a pose that does not exist (there are {n})")
         if len(self.fixed) and not 0 <= self.fixed.min() <= self.fixed.max() < n:
-            raise ShapeError(f"fixed names a pose that does not exist (there are {n})")
+            raise ShapeError(f"fixed refers to a pose that does not exist (there are {n})")
 
     def _check_numbers(self) -> None:
-        """Check that all numbers can be calculated with: what is not finite would spread over the whole graph."""
+        """Check that all numbers are finite, as others would spread over the graph."""
         for owner in ("world_from_body", "first_from_second"):
             motions = getattr(self, owner)
             if len(motions.batch_shape()) != 1:
@@ -79,7 +80,7 @@ class PoseGraph:
 
     @property
     def dimension(self) -> int:
-        """Numbers in a step: 3, 6 or 7."""
+        """Size of a step per pose: 3, 6 or 7."""
         return {Rigid2: 3, Rigid3: 6, Similarity3: 7}[type(self.world_from_body)]
 
     def __len__(self) -> int:
@@ -91,31 +92,30 @@ class PoseGraph:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseGraphConfig:
-    """Options of pose graph optimisation."""
+    """Options of pose graph optimization."""
 
     max_iterations: int = 100
     relative_tolerance: float = 1e-7
-    """Stop when a step lowers the cost by a smaller share."""
+    """Stop when a step lowers the cost by a smaller fraction."""
     confidence: float = 0.99
-    """Robust only: an edge is an inlier if its residual lies within this quantile of the chi-square
-    distribution."""
+    """Robust only: an edge is an inlier if its residual lies within this quantile of the chi-square distribution."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
         check_options(self)
         if self.max_iterations < 1 or not self.relative_tolerance >= 0:
             raise ConfigError("max_iterations must be at least 1 and relative_tolerance not negative")
-        if not 1e-9 < self.confidence < 1:  # below, no residual would lie within
+        if not 1e-9 < self.confidence < 1:  # any lower, and no residual would be an inlier
             raise ConfigError(f"confidence must be between 0 and 1, got {self.confidence}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseGraphResult:
-    """The optimised poses, and the residual of each edge."""
+    """The optimized poses, and the residual of each edge."""
 
     world_from_body: Motion
     initial_cost: float
@@ -124,9 +124,9 @@ class PoseGraphResult:
     num_iterations: int
     converged: bool
     kept_mask: Bool[np.ndarray, " m"]
-    """False: robust optimisation rejected the edge."""
+    """False for edges rejected by robust optimization."""
     squared_residuals: Float64[np.ndarray, " m"]
-    """r^T Omega r of every edge, rejected ones included."""
+    """r^T Omega r of every edge, including rejected ones."""
 
     def __repr__(self) -> str:
         kept = f"{int(self.kept_mask.sum())} of {len(self.kept_mask)} edges"
@@ -145,13 +145,12 @@ def optimize_pose_graph(
     config: PoseGraphConfig | None = None,
     progress: Callable[[int, float], bool] | None = None,
 ) -> PoseGraphResult:
-    """Levenberg-Marquardt with a sparse factorisation; the fixed poses stay, or the first one of a connected component.
+    """Levenberg-Marquardt with sparse factorization; fixes the given poses, or the first one of a connected component.
 
     Args:
-        graph: places and edges.
+        graph: poses and edges.
         config: options.
-        progress: called with (iteration, cost) after every step; returning False stops the optimisation
-            there.
+        progress: called with (iteration, cost) after every step; the optimization stops if it returns False.
 
     Raises:
         DegenerateGeometryError: an information matrix is not positive definite.
@@ -166,14 +165,14 @@ def optimize_pose_graph(
 def initialize_pose_graph(graph: PoseGraph) -> PoseGraph:
     """Initial poses from the edges alone: chordal relaxation of the rotations, then linear translations.
 
-    Rotations minimise sum |R_i Z - R_j|^2 as free matrices, then go to the nearest rotations (Martinec and Pajdla, CVPR 2007;
-    Carlone et al., ICRA 2015). The fixed poses stay, or the first one of a connected component.
+    Rotations minimize sum |R_i Z - R_j|^2 over free matrices, then become the nearest rotations (Martinec and Pajdla, CVPR
+    2007; Carlone et al., ICRA 2015). Fixes the given poses, or the first one of a connected component.
 
     Raises:
-        ShapeError: the graph is one of similarities.
+        ShapeError: the poses are similarities.
     """
     if isinstance(graph.world_from_body, Similarity3):
-        raise ShapeError("chordal initialisation is for motions without scale")
+        raise ShapeError("chordal initialization does not support Similarity3")
     if isinstance(graph.world_from_body, Rigid2):
         start, measured = graph.world_from_body.as_rigid3(), graph.first_from_second.as_rigid3()  # type: ignore[union-attr]
     else:
@@ -212,7 +211,7 @@ def optimize_weighted(
     weights: np.ndarray,
     progress: Callable[[int, float], bool] | None = None,
 ) -> PoseGraphResult:
-    """Levenberg-Marquardt with a weight for every edge (m,); arguments and errors as of `optimize_pose_graph`."""
+    """Levenberg-Marquardt with a weight per edge (m,); arguments and errors as for `optimize_pose_graph`."""
     try:
         root = np.swapaxes(np.linalg.cholesky(graph.information), 1, 2) * np.sqrt(weights)[:, None, None]
     except np.linalg.LinAlgError as error:
@@ -243,7 +242,7 @@ def optimize_weighted(
                     break
             damping = max(10.0 * damping, 1e-8)
         if not lowered:
-            converged = True  # no step lowers the cost: as low as rounding allows
+            converged = True  # no step lowers the cost: the limit of rounding
             break
         gain, cost, positions = cost - after, after, moved
         between, residual, squared = between_after, residual_after, squared_after
@@ -257,7 +256,7 @@ def optimize_weighted(
 
 
 def not_definite(information: Float64[np.ndarray, "m d d"]) -> Int64[np.ndarray, " e"]:
-    """The edges whose matrices have no Cholesky factor."""
+    """Edges whose matrices are not positive definite."""
     try:
         np.linalg.cholesky(information)
     except np.linalg.LinAlgError:
@@ -328,13 +327,13 @@ class _NormalEquations:
         return blocks, gradient[self.free].ravel()
 
     def solve(self, blocks: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray | None:
-        """The damped Gauss-Newton step of every place (n, d); None where the system is singular."""
+        """The damped Gauss-Newton step of every pose (n, d); None if the system is singular."""
         step = np.zeros((self.n, self.d))
         if len(self.free) == 0:
             return step
         damped, entry = blocks.copy(), np.arange(self.d)
         kept = damped[self.diagonal[:, None], entry, entry]
-        # The floor holds places whose edges all have weight zero.
+        # The floor keeps poses in place whose edges all have zero weight.
         damped[self.diagonal[:, None], entry, entry] += damping * kept + 1e-15 * kept.max()
         factor = self.plan.factorize(damped)
         if factor is None:
@@ -347,14 +346,14 @@ class _NormalEquations:
 
 
 def _summed(row: np.ndarray, values: np.ndarray, num_rows: int) -> np.ndarray:
-    """Sums of the values that share a row."""
+    """Sums of the values of each row."""
     which = sparse.csr_matrix((np.ones(len(row)), (row, np.arange(len(row)))), shape=(num_rows, len(row)))
     flat = values.reshape(len(row), int(np.prod(values.shape[1:])))
     return (which @ flat).reshape(num_rows, *values.shape[1:])
 
 
 def _anchors(graph: PoseGraph) -> np.ndarray:
-    """The fixed poses, and the first one of every connected component that has none: its pose is otherwise unknown."""
+    """The fixed poses, and the first pose of every connected component without one, as its gauge is free."""
     n, m = len(graph), len(graph.first)
     edges = sparse.coo_matrix((np.ones(m), (graph.first, graph.second)), shape=(n, n))
     _, component = sparse.csgraph.connected_components(edges, directed=False)

@@ -9,7 +9,7 @@ from jaxtyping import Bool
 from scipy.special import chdtri
 
 from epipole import _parallel
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.config import options_of
 from epipole.errors import ShapeError
 from epipole.optim.pose_graph import (
@@ -33,13 +33,13 @@ def optimize_pose_graph_robustly(
     The loss starts nearly quadratic and hardens until each edge counts fully or not at all.
 
     Args:
-        graph: places and edges.
-        may_be_wrong_mask: edges that may be false loop closures; None: all that do not join consecutive places.
+        graph: poses and edges.
+        may_be_wrong_mask: edges that may be false loop closures; None: all that do not connect consecutive poses.
         config: options; `confidence` sets the largest residual of an inlier edge.
 
     Raises:
         DegenerateGeometryError: an information matrix is not positive definite.
-        ShapeError: the mask has not one row per edge.
+        ShapeError: the mask does not have one row per edge.
     """
     if may_be_wrong_mask is not None and len(may_be_wrong_mask) != len(graph.first):
         raise ShapeError(f"may_be_wrong_mask must have {len(graph.first)} rows, got {len(may_be_wrong_mask)}")
@@ -90,9 +90,9 @@ def _converged(
 def _tightened(
     graph: PoseGraph, config: PoseGraphConfig, found: PoseGraphResult, doubtful: np.ndarray, bound: float
 ) -> PoseGraphResult:
-    """The same or a better choice of edges: cut at the noise that the edges show, then at the noise they claim.
+    """The same or a better selection of edges: thresholded at the observed noise, then at the stated noise.
 
-    Where information matrices claim far more noise than there is, a false loop may bend the graph within their bounds. Against
+    If information matrices state far more noise than there is, a false loop may bend the graph within their bounds. Against
     the median of all residuals it stands out.
     """
     claimed = float(chdtri(graph.dimension, 0.5))

@@ -1,4 +1,4 @@
-"""Robust estimation: the LO-RANSAC loop, its estimators, and the verification of pairs."""
+"""Robust estimation: the LO-RANSAC loop, its estimators, and pair verification."""
 
 from epipole.config import RansacConfig as RansacConfig
 from epipole.robust.absolute_pose import FocalPose as FocalPose

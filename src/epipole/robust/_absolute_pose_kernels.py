@@ -1,10 +1,12 @@
-"""Absolute pose of a calibrated camera, or of a rig of them, for the robust loop.
+"""Absolute pose of a calibrated camera or camera rig, for the robust loop.
 
 Model: motion (R row by row, t) = rig_from_world. Item k: a point X, and a ray from o in the direction d (unit) with
 the derivative J (2 x 3) of its pixel by its direction, all in rig coordinates. To first order in the error
+
     r = J x / (d . x),   x = R X + t - o,
-in pixels of the true camera model, whichever it is: J d = 0, and x / (d . x) meets the plane that touches the unit
-sphere in d. Points behind are as far as can be.
+
+in pixels of the actual camera model: J d = 0, and x / (d . x) lies on the plane tangent to the unit sphere at d. Points
+behind the camera have infinite error.
 """
 
 import math
@@ -25,7 +27,7 @@ ROWS = 15
 def pack_rays(model, params, cam_from_rig, points, pixels, order, items):
     """Columns of `items` (15, m) for the points `order` (m,) and their pixels in one camera of a rig.
 
-    A pixel that has no ray gives NaN.
+    Pixels without a ray give NaN.
     """
     jac, jac_params, r = np.empty((2, 3)), np.empty((2, NUM_PARAMS)), cam_from_rig
     for column in range(len(order)):
@@ -87,7 +89,7 @@ def _rows_of_block(p, m, threshold_sq, soft_sq, start, stop, rows):
 
 @kernel
 def retract_motion(motion, delta, out):
-    """exp(xi) @ motion for xi = (rho, phi), the twist's translation and rotation."""
+    """exp(xi) @ motion for the twist xi = (rho, phi), translation and rotation."""
     rotate_left(delta[3:6], motion, out)
     x, y, z = delta[3], delta[4], delta[5]
     angle = math.sqrt(x * x + y * y + z * z)
@@ -101,7 +103,7 @@ def retract_motion(motion, delta, out):
 
 
 class RayPoseProblem(RobustProblem):
-    """Residuals and refinement of a pose from rays, whichever the minimal solver; items (15, n): X, d, J0, J1, o."""
+    """Residuals and refinement of a pose from rays, for any minimal solver; items (15, n): X, d, J0, J1, o."""
 
     __slots__ = ()
 
@@ -131,7 +133,7 @@ class RayPoseProblem(RobustProblem):
 
 
 class AbsolutePoseProblem(RayPoseProblem, Items):
-    """One camera: all rays start in one place."""
+    """One camera: all rays share their origin."""
 
     __slots__ = ()
 

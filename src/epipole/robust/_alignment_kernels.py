@@ -1,4 +1,4 @@
-"""Rigid motions and similarities between two sets of points for the robust loop.
+"""Rigid motions and similarities between two point sets, for the robust loop.
 
 Model: R row by row, t, s. Residual: s R x + t - y, three numbers.
 """
@@ -27,7 +27,7 @@ class MatchedPoints(NamedTuple):
 
 @kernel(allocates=True)
 def alignment_normal_equations(p, m, threshold_sq, soft_sq, freedom, a, b):
-    """Gauss-Newton terms in (t, rotation from the left, log s) over the items within the threshold; the score."""
+    """Gauss-Newton terms in (t, rotation from the left, log s) over items within the threshold; returns the score."""
     n, total = m.shape[1], 0.0
     clear_rows(a)
     clear(b)
@@ -74,7 +74,7 @@ def _retract_alignment(model, delta, freedom, out):
 
 
 class PointsProblem(RobustProblem):
-    """A similarity whose residuals are the three numbers of s R x + t - y."""
+    """A similarity with the residual s R x + t - y, three numbers."""
 
     __slots__ = ()
 
@@ -91,7 +91,7 @@ class PointsProblem(RobustProblem):
 
 
 class AlignmentProblem(PointsProblem, MatchedPoints):
-    """The motion, or similarity, that takes x to y."""
+    """The motion, or similarity, that maps x to y."""
 
     __slots__ = ()
 
@@ -124,14 +124,14 @@ class AlignmentProblem(PointsProblem, MatchedPoints):
 
 @kernel
 def _step_in_space(delta, full):
-    """A step (t, heading, log s) as one of (t, rotation, log s)."""
+    """Expand a step (t, heading, log s) to (t, rotation, log s)."""
     full[0], full[1], full[2], full[3], full[4] = delta[0], delta[1], delta[2], 0.0, 0.0
     full[5], full[6] = delta[3], delta[4]
 
 
 @kernel
 def _rotation_about_z(x, y, model):
-    """The similarity about the z axis that takes the points x (2, 3) to y; False where they coincide from above.
+    """The similarity about the z axis that maps the points x (2, 3) to y; False if they coincide seen from above.
 
     With horizontal coordinates as complex numbers, s e^(i heading) = (y1 - y0) / (x1 - x0).
     """
@@ -152,7 +152,7 @@ def _rotation_about_z(x, y, model):
 
 
 class UprightAlignmentProblem(PointsProblem, Items):
-    """The similarity that keeps the z axis and takes x to y; rows x (3), y (3). Steps are (t, heading, log s)."""
+    """The similarity that keeps the z axis and maps x to y; rows x (3), y (3). Steps are (t, heading, log s)."""
 
     __slots__ = ()
 

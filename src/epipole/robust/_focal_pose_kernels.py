@@ -1,6 +1,6 @@
-"""Absolute pose and focal length of an undistorted camera for the robust loop.
+"""Absolute pose and focal length of an undistorted camera, for the robust loop.
 
-Model: R row by row, t, f. Residual: f (x / z, y / z) - (u, v), pixels counted from the principal point.
+Model: R row by row, t, f. Residual: f (x / z, y / z) - (u, v), pixels relative to the principal point.
 """
 
 import math
@@ -48,7 +48,7 @@ def _rows_of_block(p, m, threshold_sq, soft_sq, start, stop, rows):
 
 
 class FocalPoseProblem(RobustProblem, Items):
-    """Points of order one, rows X (3), u, v; pixels in units of the image."""
+    """Normalized points, rows X (3), u, v; pixels in units of the image spread."""
 
     __slots__ = ()
 

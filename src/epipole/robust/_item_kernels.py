@@ -1,4 +1,4 @@
-"""What the problems of the robust loop share: sums over blocks of items, Sampson's distance, the chain rule, a turn."""
+"""Shared by the robust problems: sums over blocks of items, Sampson distance, chain rule, rotation."""
 
 import math
 
@@ -7,13 +7,13 @@ import numpy as np
 from epipole._jit import kernel
 
 BLOCK, MOST_NEAR = 128, 512
-# `reassoc` lets sums over a block vectorise (measured 4 times faster); the order of summation stays fixed.
+# `reassoc` lets sums over a block vectorize (4 times faster, measured); the summation order stays fixed.
 REASSOC = frozenset({"reassoc"})
 
 
 @kernel(extra_fastmath=REASSOC)
 def dot_rows(a, b, count):
-    """Sum of products of the first `count` numbers."""
+    """Dot product of the first `count` numbers."""
     total = 0.0
     for k in range(count):
         total += a[k] * b[k]
@@ -40,7 +40,7 @@ def _combine(d, rows, count, out):
 
 @kernel
 def add_normal_equations(d, rows, jac, count, a, b):
-    """A += J^T J (lower), b += J^T r of a block whose derivatives by matrix entries stand in rows[1:10]."""
+    """A += J^T J (lower), b += J^T r of a block whose derivatives by matrix entries are in rows[1:10]."""
     size = len(d)
     for i in range(size):
         _combine(d[i], rows, count, jac[i])
@@ -75,9 +75,9 @@ def gather(matches, sample, x1, x2):
 
 @kernel(allocates=True)
 def columns_within(items, residuals, threshold_sq):
-    """The columns of `items` whose residuals lie within the threshold, the first MOST_NEAR of them.
+    """The columns of `items` with residuals within the threshold, at most the first MOST_NEAR.
 
-    Items come in random order: so many are as good a sample for local optimisation as all.
+    Items come in random order, so this sample is as good for local optimization as all of them.
     """
     count, last = 0, len(residuals)
     for k in range(len(residuals)):
@@ -98,14 +98,14 @@ def columns_within(items, residuals, threshold_sq):
 
 @kernel(fuse=True)
 def nine(model, start):
-    """Nine numbers of a model as a tuple, which loops keep in registers."""
+    """Nine numbers of a model as a tuple, which loops can keep in registers."""
     f = model[start : start + 9]
     return f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8]
 
 
 @kernel(fuse=True, extra_fastmath=REASSOC)
 def sampson(f, m, k):
-    """(e, s, F x1, F^T x2) of match k: Sampson's distance is r^2 = e^2 / s (Sampson 1982; HZ eq. 11.9).
+    """(e, s, F x1, F^T x2) of match k: the squared Sampson distance is r^2 = e^2 / s (Sampson 1982; HZ eq. 11.9).
 
     e = x2^T F x1, s = |(F x1)_12|^2 + |(F^T x2)_12|^2; f is a tuple, F row by row.
     """
@@ -120,9 +120,9 @@ def sampson(f, m, k):
 def sampson_row(m, k, e, inverse, root, line, back):
     """The residual of match k times `root`, and its derivatives by the entries of F: a tuple for ten rows.
 
-    dr / dF_ij = (x2_i x1_j - (e / s) ([i < 2] (F x1)_i x1_j + [j < 2] (F^T x2)_j x2_i)) / sqrt(s); inverse = 1 / s,
-    `root` holds 1 / sqrt(s) and the root of the weight, zero for an item that does not count. The caller writes the rows:
-    a loop that calls a function which writes into an array is not turned into vectors (2.6 times slower).
+    dr / dF_ij = (x2_i x1_j - (e / s) ([i < 2] (F x1)_i x1_j + [j < 2] (F^T x2)_j x2_i)) / sqrt(s); inverse = 1 / s. `root`
+    is sqrt(weight / s), zero for ignored items. The caller writes the rows: a loop that calls a function which writes to an
+    array does not vectorize (2.6 times slower).
     """
     a, b, c, d = m[0, k], m[1, k], m[2, k], m[3, k]
     ratio = e * inverse
@@ -145,7 +145,7 @@ def sampson_agreeing(matrix, m, threshold_sq, start, stop):
 
 @kernel
 def median(values, count):
-    """The median of the first `count` numbers, which are put in another order (Hoare's selection, 1961)."""
+    """The median of the first `count` numbers, which are reordered (Hoare's selection, 1961)."""
     low, high, middle = 0, count - 1, count // 2
     while low < high:
         pivot = values[(low + high) // 2]

@@ -1,9 +1,9 @@
-"""The one robust loop: hypothesise, test, verify, optimise locally; for whatever problem it is given.
+"""The robust loop: sample hypotheses, test, score and optimize locally, for any problem.
 
-Samples are uniform, or PROSAC's (Chum and Matas, CVPR 2005) where items are ranked. A model must first pass
-Wald's sequential test on a few items (Matas and Chum, ICCV 2005); survivors get an MSAC score (Torr and
-Zisserman, CVIU 2000). Good ones are optimised on the truncated loss (Chum, Matas, Kittler, DAGM 2003; Lebeda,
-Matas, Chum, BMVC 2012), from a wide threshold to the asked one.
+Samples are uniform, or PROSAC's (Chum and Matas, CVPR 2005) if items are ranked. A model must first pass Wald's
+sequential test on a few items (Matas and Chum, ICCV 2005); survivors get an MSAC score (Torr and Zisserman, CVIU 2000).
+Good ones are optimized on the truncated loss (Chum, Matas, Kittler, DAGM 2003; Lebeda, Matas, Chum, BMVC 2012), from a
+wide threshold to the requested one.
 """
 
 import math
@@ -15,29 +15,30 @@ from epipole.robust._item_kernels import median
 from epipole.robust._problem_kernels import MODEL_SIZE, MOST_FREEDOM, MOST_MODELS
 from epipole.solvers._linear_kernels import copy_numbers, solve_spd
 
-# Whole numbers are passed as np.int64: Numba compiles a function anew for every literal one.
+# Integers are passed as np.int64: Numba compiles a function again for every literal one.
 WIDE_STEPS, LOCAL_STEPS, FINAL_STEPS = 4, 8, 30
-WIDE = 2.0  # the threshold's factor at the start of local optimisation
-NEAR = 3.0  # items beyond this many thresholds take no part in it
-PROMISING, MOST_SECONDS = 0.8, 10  # of the best sample's gain: worth a local optimisation too, so many times
+WIDE = 2.0  # threshold factor at the start of local optimization
+NEAR = 3.0  # items beyond this many thresholds are ignored in it
+PROMISING = 0.8  # fraction of the best sample's gain above which a model is also optimized locally
+MOST_SECONDS = 10  # number of such additional optimizations
 TEST_BLOCK, MOST_TESTED = 32, 512
 SOFT, REACH = (
     3.0,
     1.5,
-)  # Cauchy's scale in deviations of the noise; the farthest item of the polish in thresholds
+)  # Cauchy scale in standard deviations of the noise; largest residual in polishing, in thresholds
 POLISH_STEPS = 10
-ROUNDING = 1e-9  # of the worst score: a smaller gain may be no item's
-BEYOND = (
-    3.64  # thresholds that the polish of an approximate model looks: 99 % of two Gaussian numbers (MAGSAC)
+ROUNDING = 1e-9  # of the worst score: smaller gains are rounding errors
+BEYOND = 3.64  # reach of polishing an approximate model, in thresholds: 99 % of two Gaussian numbers (MAGSAC)
+BROAD_SLACK = 1.3  # allowed score increase if polishing reaches beyond the scored items
+POLISH_SLACK = (
+    1.1  # allowed score increase: polishing minimizes another cost, but larger increases are failures
 )
-BROAD_SLACK = 1.3  # where the polish looks beyond what the score counts
-POLISH_SLACK = 1.1  # polishing minimises another cost; a score that rises more was a step astray
 LOG_REJECT = 7.0  # a good model is rejected with a probability of about exp(-7)
 
 
 @kernel(allocates=True)
 def refine(problem, model, threshold_sq, max_steps):
-    """Levenberg-Marquardt on the truncated loss, from `model`, in place; returns the score reached."""
+    """Levenberg-Marquardt on the truncated loss, starting from `model`, in place; returns the final score."""
     size = problem.degrees_of_freedom()
     a, b = np.empty((MOST_FREEDOM, MOST_FREEDOM)), np.empty(MOST_FREEDOM)
     damped, step = np.empty((MOST_FREEDOM, MOST_FREEDOM)), np.empty(MOST_FREEDOM)
@@ -76,7 +77,7 @@ def refine(problem, model, threshold_sq, max_steps):
 def noise_variance(residuals, threshold_sq, size):
     """Variance of one coordinate of the noise, from the median residual of the inliers (Rousseeuw and Leroy 1987).
 
-    The median of r^2 is 0.455 variances for residuals of one number, 1.386 for two, 2.366 for three.
+    The median of r^2 is 0.455 variances for residuals of dimension one, 1.386 for two, 2.366 for three.
     """
     inliers, count = np.empty(len(residuals)), 0
     for k in range(len(residuals)):
@@ -91,9 +92,9 @@ def noise_variance(residuals, threshold_sq, size):
 def polish(problem, model, threshold_sq, residuals):
     """Iteratively reweighted least squares at the scale of the noise, in place; returns the score.
 
-    Truncation at the threshold weighs every inlier alike and drops good items where the noise is wide (at two
-    deviations: a tenth of the accuracy). Here items count up to three deviations of the noise, with Cauchy's
-    weights, which hardly touch Gaussian noise and listen less to the tail where most items are better than that.
+    Truncation at the threshold weights all inliers equally, and drops good items if the noise is wide (at two standard
+    deviations this costs a tenth of the accuracy). Here items count up to three standard deviations of the noise, with
+    Cauchy weights, which hardly change Gaussian noise but suppress heavy tails.
     """
     size, breadth = problem.degrees_of_freedom(), problem.breadth()
     a, b = np.empty((MOST_FREEDOM, MOST_FREEDOM)), np.empty(MOST_FREEDOM)
@@ -102,7 +103,7 @@ def polish(problem, model, threshold_sq, residuals):
     score_before = problem.score(model, threshold_sq, math.inf)
     noise_sq = max(noise_variance(residuals, threshold_sq, problem.residual_size()), 1e-6 * threshold_sq)
     reach_sq = min(max(9.0 * noise_sq, threshold_sq), REACH * REACH * threshold_sq)
-    if breadth > 1.0:  # the threshold is the greatest deviation there may be
+    if breadth > 1.0:  # the threshold is the largest possible deviation
         noise_sq = threshold_sq / (breadth * breadth)
         reach_sq = BEYOND * BEYOND * noise_sq
     for _ in range(POLISH_STEPS):
@@ -128,7 +129,7 @@ def polish(problem, model, threshold_sq, residuals):
 
 @kernel(allocates=True)
 def optimize_locally(problem, model, threshold_sq):
-    """Refine with a wide threshold, then with the asked one, on the items near the model; returns its score."""
+    """Refine on the items near the model, first with a wide threshold, then with the requested one; returns the score."""
     items = problem.near(model, NEAR * NEAR * threshold_sq)
     refine(items, model, WIDE * WIDE * threshold_sq, np.int64(WIDE_STEPS))
     refine(items, model, threshold_sq, np.int64(LOCAL_STEPS))
@@ -147,7 +148,7 @@ def next_random(state):
 
 @kernel
 def sample_items(state, n, size, sample):
-    """`size` different numbers below n."""
+    """Sample `size` different numbers below n."""
     for k in range(size):
         fresh = False
         while not fresh:
@@ -160,7 +161,7 @@ def sample_items(state, n, size, sample):
 
 @kernel
 def _passes(problem, model, threshold_sq, fraction, test):
-    """Wald's test of `fraction` of inliers against the chance agreement seen so far.
+    """Wald's test of an inlier ratio of `fraction` against the chance agreement seen so far.
 
     test = (agreements, items) of the models rejected so far.
     """
@@ -193,7 +194,7 @@ def _fraction_within(problem, model, threshold_sq, residuals):
 
 @kernel
 def _iterations_needed(fraction, size, confidence, least, most):
-    """log(1 - confidence) / log(1 - share^size) samples hold one of inliers alone (Fischler and Bolles 1981)."""
+    """Samples needed until one is all inliers: log(1 - confidence) / log(1 - ratio^size) (Fischler and Bolles 1981)."""
     miss = 1.0 - fraction**size
     if miss <= 0.0:
         return least
@@ -205,9 +206,9 @@ def _iterations_needed(fraction, size, confidence, least, most):
 
 @kernel
 def _iterations_needed_ranked(ranking, residuals, threshold_sq, size, confidence, least, most):
-    """The fewest samples that any number of the best items asks for (PROSAC's maximality, section 2.2).
+    """The fewest samples required by any number of the best items (PROSAC's maximality, section 2.2).
 
-    Among the n best, inliers must be more than chance gives a wrong model (5 % of the items, plus three deviations).
+    Among the n best, there must be more inliers than a wrong model gets by chance (5 % of the items, plus three sigma).
     """
     fewest, inliers = most, 0
     for n in range(len(ranking)):
@@ -221,7 +222,7 @@ def _iterations_needed_ranked(ranking, residuals, threshold_sq, size, confidence
 
 @kernel
 def _sample_ranked(state, ranking, progress, iteration, size, sample):
-    """PROSAC's sample: from a set of the best items that grows until it holds all (Chum and Matas 2005, section 2.1).
+    """PROSAC's sample: from a set of the best items that grows to all items (Chum and Matas 2005, section 2.1).
 
     progress = (size of the set, T_n, T'_n).
     """
@@ -266,10 +267,10 @@ def ransac(
 ):
     """Write the best model, the squared residuals (n) and J^T J of its inliers (MOST_FREEDOM, MOST_FREEDOM).
 
-    Samples are uniform, or PROSAC's if `ranking` holds the items, best first (None: not even compiled). Models that are
-    only nearly true, as planes of the world are nearly plane, are searched for at their breadth times the threshold and
-    polished far beyond it: there the threshold takes the part of MAGSAC's greatest deviation (Barath et al., CVPR 2020).
-    Returns (score, iterations); the score is infinite if no model was found.
+    Samples are uniform, or PROSAC's if `ranking` holds the items, best first (with None, PROSAC is not even compiled).
+    Approximate models (real planes are never exactly plane) are searched at their breadth times the threshold and polished
+    far beyond it: there the threshold acts as MAGSAC's largest noise level (Barath et al., CVPR 2020). Returns (score,
+    iterations); the score is infinite if no model was found.
     """
     breadth = problem.breadth()
     threshold_sq = breadth * breadth * required_sq
@@ -282,7 +283,7 @@ def ransac(
     models, refined = np.empty((MOST_MODELS, MODEL_SIZE)), np.empty((4, MODEL_SIZE))
     worst = n * threshold_sq
     best_score, best_gain, fraction, iteration, seconds = math.inf, ROUNDING * worst, 0.0, 0, 0
-    # A smaller share of inliers than this would count as failure: no need to search for it.
+    # An inlier ratio below this counts as failure, so there is no need to search for it.
     needed = _iterations_needed(min_fraction, size, confidence, min_iterations, max_iterations)
     while iteration < needed:
         iteration += 1

@@ -1,9 +1,9 @@
-"""What an estimation problem tells the robust loop.
+"""The interface between an estimation problem and the robust loop.
 
 A problem is a named tuple of arrays whose items (matches, points) come in random order, with the methods of
-`RobustProblem`: a file for each kind of model writes those that it must, and inherits the rest. They are plain Python
-methods; inside kernels Numba compiles the same ones, chosen by the class. The loop (`_loop_kernels`) knows nothing else.
-The form is PoseLib's.
+`RobustProblem`: there is a file per kind of model, which implements the required methods and inherits the rest. They are
+plain Python methods; inside kernels Numba compiles the same ones, chosen by the class. The loop (`_loop_kernels`) depends
+on nothing else. The design is PoseLib's.
 """
 
 from inspect import signature, unwrap
@@ -18,71 +18,71 @@ from epipole._jit.mode import KernelMode, kernel_mode
 from epipole.robust._item_kernels import BLOCK, REASSOC, add_normal_equations, columns_within, dot_rows
 from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers
 
-MODEL_SIZE = 32  # space for the largest model
-MOST_MODELS = 40  # that one sample can give
+MODEL_SIZE = 32  # size of the largest model
+MOST_MODELS = 40  # per sample
 MOST_FREEDOM = 9
 
 
 class Items(NamedTuple):
-    """The items of most problems, one a column."""
+    """The items of most problems, one per column."""
 
     items: np.ndarray
     """(rows, n)."""
 
 
 class RobustProblem:
-    """The robust loop's questions; a class of problems derives from this and from its named tuple.
+    """Interface of the robust loop; a problem class derives from this and from its named tuple.
 
-    Whole numbers are returned as np.int64: Numba compiles a function anew for every literal one.
+    Integers are returned as np.int64: Numba compiles a function again for every literal one.
     """
 
     __slots__ = ()
 
-    # Every problem writes these.
+    # Required.
 
     def sample_size(self):
-        """Items in a minimal sample."""
+        """Number of items in a minimal sample."""
 
     def degrees_of_freedom(self):
-        """Parameters of a step of local optimisation."""
+        """Number of parameters of a step of local optimization."""
 
     def workspace(self):
-        """Arrays that `solve_sample` and `refine` write into."""
+        """Working arrays of `solve_sample` and `refine`."""
 
     def solve_sample(self, sample, models, work):
         """Minimal solver: writes models, returns their number."""
 
     def error_sq(self, model, threshold_sq, k):
-        """Squared residual of item k; infinite where the model cannot explain it at all, to within the threshold."""
+        """Squared residual of item k; infinite if the model cannot explain it (within the threshold)."""
 
     def rows_of_block(self, model, threshold_sq, soft_sq, start, stop, rows):
-        """Residuals and their derivatives of the items start..stop, one item a column; returns the MSAC score.
+        """Residuals and their derivatives for items start..stop, one item per column; returns the MSAC score.
 
-        For each number of a residual one row, then one row for each parameter; zero where truncated; multiplied by the
-        root of Cauchy's weight 1 / (1 + r^2 / soft_sq), which an infinite soft_sq makes 1.
+        Per number of a residual there is one row, then one row per parameter; zero where truncated, and multiplied by the square
+        root of the Cauchy weight 1 / (1 + r^2 / soft_sq), which is 1 for an infinite soft_sq.
         """
 
     def retract(self, model, delta, out):
-        """The model moved by a step."""
+        """Apply a step to the model."""
 
     def with_items(self, items):
-        """The same problem of other items."""
+        """The same problem with other items."""
 
-    # Most problems keep these.
+    # Optional.
 
     has_unit_steps = False
-    """Python only: steps are of one unit, so that one which moves nothing can be told by its size."""
+    """Python only: step parameters have one unit, so a step without effect can be recognized by its size."""
 
     def breadth(self):
-        """Above 1 if a model is only nearly true: thresholds to search at, before looking farther still."""
+        """Factor above 1 for approximate models: search at this multiple of the threshold, and polish beyond it."""
         return 1.0
 
     def num_items(self):
-        """All items."""
+        """Number of items."""
         return self.items.shape[1]
 
     def residual_size(self):
-        """Numbers in one item's residual, one to three."""
+        """Dimension of the residual of one item, one to three."""
         return np.int64(1)
 
     def refine(self, sample, model, refined, work):
@@ -91,14 +91,14 @@ class RobustProblem:
         return np.int64(1)
 
     def agreeing(self, model, threshold_sq, start, stop):
-        """How many of the items start..stop lie within the threshold of an unsettled model (the sequential test)."""
+        """Number of items start..stop within the threshold of an unfinished model (for the sequential test)."""
         count = 0
         for k in range(start, stop):
             count += 1 if self.error_sq(model, threshold_sq, k) < threshold_sq else 0
         return count
 
     def score_block(self, model, threshold_sq, start, stop):
-        """MSAC's sum of min(r^2, threshold^2) over the items start..stop."""
+        """MSAC score of items start..stop: the sum of min(r^2, threshold^2)."""
         total = 0.0
         for k in range(start, stop):
             r = self.error_sq(model, threshold_sq, k)
@@ -106,7 +106,7 @@ class RobustProblem:
         return total
 
     def score(self, model, threshold_sq, bail_out):
-        """MSAC's sum over all items, lower is better; stops once it exceeds bail_out."""
+        """MSAC score of all items, lower is better; stops once it exceeds bail_out."""
         total, n = 0.0, self.num_items()
         for start in range(0, n, BLOCK):
             total += self.score_block(model, threshold_sq, start, min(start + BLOCK, n))
@@ -120,13 +120,13 @@ class RobustProblem:
             out[k] = self.error_sq(model, threshold_sq, k)
 
     def near(self, model, threshold_sq):
-        """The problem of the items within the threshold."""
+        """The problem restricted to items within the threshold."""
         residuals = np.empty(self.num_items())
         self.residuals_sq(model, threshold_sq, residuals)
         return self.with_items(columns_within(self.items, residuals, threshold_sq))
 
     def linearize(self, model, threshold_sq, soft_sq, a, b):
-        """Gauss-Newton terms J^T W J, J^T W r over the items within the threshold; returns the MSAC score."""
+        """Gauss-Newton terms J^T W J, J^T W r over items within the threshold; returns the MSAC score."""
         freedom = self.degrees_of_freedom()
         height = 1 + freedom
         rows = np.empty((self.residual_size() * height, BLOCK))
@@ -148,17 +148,17 @@ class RobustProblem:
         return total
 
     def fix_gauge(self, model, a):
-        """Fill what a model with more parameters than freedom leaves empty in J^T J (lower triangle)."""
+        """Make J^T J (lower triangle) regular for a model with more parameters than degrees of freedom."""
 
     def escape(self, model, residuals, threshold_sq, state):
-        """Leave the best model, in place, where the items that agree with it are degenerate and others ask for another.
+        """Replace the best model, in place, if its inliers are degenerate and the other items support another one.
 
-        `residuals` are the model's, `state` the random generator's.
+        `residuals` are the model's, `state` is that of the random generator.
         """
 
 
 class MatrixProblem(RobustProblem):
-    """Problems whose residuals are functions of a 3 x 3 matrix that has fewer parameters than entries.
+    """Problems whose residuals depend on a 3 x 3 matrix with fewer degrees of freedom than entries.
 
     `rows_of_block` differentiates by the entries (ten rows); the chain rule does the rest.
     """
@@ -167,7 +167,7 @@ class MatrixProblem(RobustProblem):
     has_unit_steps = True
 
     def derivatives(self, model, d):
-        """Fill d (freedom, 9): the entries of the matrix by the parameters of a step."""
+        """Fill d (freedom, 9): derivatives of the matrix entries by the step parameters."""
 
     def linearize(self, model, threshold_sq, soft_sq, a, b):
         """As `RobustProblem.linearize`."""
@@ -193,16 +193,16 @@ _SUMS = {"error_sq", "agreeing", "score_block"}
 
 
 def compile_inside_kernels(declared_by, name):
-    """Let kernels call the method `name` of the classes of problems that derive from `declared_by`.
+    """Make the method `name` of problem classes derived from `declared_by` callable inside kernels.
 
-    Numba then takes the name for a method of all named tuples: none that kernels see may have a field of that name.
+    Numba then treats the name as a method of all named tuples: no named tuple used in kernels may have a field of that name.
     """
 
     def choose(self, *_arguments):
         kind = self.instance_class
         return unwrap(getattr(kind, name)) if issubclass(kind, declared_by) else None
 
-    # Numba compares the parameters with those of what is chosen.
+    # Numba compares the parameters with those of the chosen method.
     choose.__signature__ = signature(unwrap(getattr(declared_by, name)))
     options = overload_options(
         allocates=name not in _BORROW,

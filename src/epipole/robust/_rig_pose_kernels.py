@@ -1,4 +1,4 @@
-"""Absolute pose from the rays of several cameras, and from rays with a known vertical, for the robust loop.
+"""Absolute pose from the rays of several cameras, or with a known vertical, for the robust loop.
 
 Model, residual and refinement are those of `_absolute_pose_kernels`; only the minimal solver differs.
 """
@@ -44,7 +44,7 @@ class RigPoseProblem(RayPoseProblem, Items):
 
 
 class UprightPoseProblem(RayPoseProblem, Items):
-    """Rays of one camera, o = 0; the y axes of camera and world are one."""
+    """Rays of one camera, o = 0; camera and world have a common y axis."""
 
     __slots__ = ()
 

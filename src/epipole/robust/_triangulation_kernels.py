@@ -1,7 +1,7 @@
-"""Triangulation of points from calibrated views: two of them in closed form, many of them by trial and refinement.
+"""Triangulation of calibrated views: two in closed form, more by hypotheses and refinement.
 
-`rows` are the observations: image, pixel (k, 2) and ray (k, 3, unit, in camera coordinates) of each. `cams` are the
-images: motion = cam_from_world (R row by row, t), center, camera, and the cameras' model and params.
+`rows` are the observations: image, pixel (k, 2) and ray (k, 3, unit, in camera coordinates). `cams` are the images:
+motion = cam_from_world (R row by row, t), center, camera, and the cameras' model and params.
 """
 
 import math
@@ -19,9 +19,9 @@ from epipole.cameras._camera_kernels import (
     unproject_one,
 )
 
-MAX_ROWS_TRIED = 10  # pairs of rows are tried among so many of a point's, spread evenly
+MAX_ROWS_TRIED = 10  # rows per point, evenly spread, from which pairs are tried
 OK, TOO_FEW_VIEWS, PARALLEL, BEHIND, LARGE_ERROR = 0, 1, 2, 3, 4
-FARTHEST = 1e3  # focal lengths from the principal point
+FARTHEST = 1e3  # largest distance from the principal point, in focal lengths
 
 
 class Rows(NamedTuple):
@@ -33,7 +33,7 @@ class Rows(NamedTuple):
 
 
 class Cams(NamedTuple):
-    """Where the views are."""
+    """Poses and cameras of the views."""
 
     motion: np.ndarray
     center: np.ndarray
@@ -61,7 +61,7 @@ def error_sq(rows, cams, k, x, y, z):
 
 @kernel
 def cosine_at(cams, i, j, x):
-    """Cosine of the angle at x between the centres of images i and j."""
+    """Cosine of the angle at x between the centers of images i and j."""
     a, b = cams.center[i], cams.center[j]
     dot, na, nb = 0.0, 0.0, 0.0
     for c in range(3):
@@ -82,7 +82,7 @@ def world_ray(rows, cams, k, out):
 
 @kernel
 def midpoint(rows, cams, k, l, a, b, x):
-    """The midpoint between the rays of two rows into x; False if parallel or behind."""
+    """Write the midpoint between the rays of two rows to x; False if they are parallel or it is behind a camera."""
     world_ray(rows, cams, k, a)
     world_ray(rows, cams, l, b)
     p, q = cams.center[rows.image[k]], cams.center[rows.image[l]]
@@ -180,7 +180,7 @@ def polish_point(rows, cams, chosen, count, x, jac, jac_params):
 
 @kernel
 def min_cosine(rows, cams, chosen, count, x):
-    """Cosine of the widest angle under which the chosen rows see x."""
+    """Cosine of the largest angle between chosen rows at x."""
     least = 1.0
     for n in range(count):
         for m in range(n):
@@ -213,7 +213,7 @@ def best_hypothesis(rows, cams, free, count, max_error_sq, max_cosine, work, bes
 
 @kernel
 def plain_camera(model, params, f):
-    """Whether the lens does not distort, its principal point, and what takes its pixels to a focal length f."""
+    """Whether a camera has no distortion, its principal point, and the factors from its pixels to a focal length f."""
     fx, fy, cx, cy, d0, d1, d2, d3 = expand_params(model, params)
     is_plain = model < OPENCV_FISHEYE and d0 == 0.0 and d1 == 0.0 and d2 == 0.0 and d3 == 0.0
     return is_plain, cx, cy, f / fx, f / fy
@@ -221,7 +221,7 @@ def plain_camera(model, params, f):
 
 @kernel(inline=True)
 def without_distortion(camera, model, params, f, u, v):
-    """The pixel of a pinhole of focal length f, from its principal point; NaN where it has no ray before the camera."""
+    """The pixel in a pinhole camera of focal length f, relative to its principal point; NaN if behind the camera."""
     is_plain, cx, cy, sx, sy = camera
     if is_plain:
         a, b = sx * (u - cx), sy * (v - cy)
@@ -236,11 +236,11 @@ def without_distortion(camera, model, params, f, u, v):
 def triangulate_two_views(
     models, params, motion, essential, focal, max_cosine, pixels1, pixels2, start, stop, out
 ):
-    """Points start..stop that minimise the sum of squared reprojection errors in both images.
+    """Triangulate points start..stop with the least sum of squared reprojection errors in both images.
 
-    Lindstrom (CVPR 2010), the iteration of table 3 (niter2): with x2^T E x1 = 0, both points move to the epipolar
-    lines of each other by lambda n, twice, and then meet. Coordinates are pixels from the principal point, lenses
-    undistorted, so that both images weigh alike. `out` = (points in camera 1, errors, cosines, reasons).
+    Lindstrom (CVPR 2010), table 3 (niter2): with x2^T E x1 = 0, both points move to each other's epipolar line by lambda n,
+    twice, and then meet. Coordinates are undistorted pixels relative to the principal point, so both images have equal weight.
+    `out` = (points in camera 1, errors, cosines, reasons).
     """
     points, errors, cosines, reasons = out
     f1, f2 = focal[0], focal[1]
@@ -259,7 +259,7 @@ def triangulate_two_views(
         if not (a0 * a0 + a1 * a1 < (FARTHEST * f1) ** 2 and b0 * b0 + b1 * b1 < (FARTHEST * f2) ** 2):
             reasons[k] = TOO_FEW_VIEWS
             continue
-        # n2: normal of x1's line in image 2; n1: of x2's line in image 1.
+        # n2: normal of x1's line in image 2; n1: normal of x2's line in image 1.
         n20, n21 = e00 * a0 + e01 * a1 + e02, e10 * a0 + e11 * a1 + e12
         n10, n11 = e00 * b0 + e10 * b1 + e20, e01 * b0 + e11 * b1 + e21
         a = n20 * (e00 * n10 + e01 * n11) + n21 * (e10 * n10 + e11 * n11)
@@ -294,9 +294,9 @@ def triangulate_two_views(
 
 @kernel(allocates=True)
 def triangulate_many_views(rows, cams, offsets, start, stop, max_error_sq, max_cosine, longest, out, keep):
-    """Points start..stop: the pair of views that most others agree with, then Gauss-Newton over those that agree.
+    """Triangulate points start..stop: the pair of views that most others agree with, then Gauss-Newton over its inliers.
 
-    `out` = (points in the world, errors, cosines, reasons); `keep` marks the rows that agree.
+    `out` = (points in the world, errors, cosines, reasons); `keep` marks the inlier rows.
     """
     points, errors, cosines, reasons = out
     free, chosen, x = np.empty(longest, np.int64), np.empty(longest, np.int64), np.empty(3)
@@ -315,7 +315,7 @@ def triangulate_many_views(rows, cams, offsets, start, stop, max_error_sq, max_c
             reasons[j] = TOO_FEW_VIEWS
             continue
         if best_hypothesis(rows, cams, free, count, max_error_sq, max_cosine, work, x) < 2:
-            # Without the bounds on error and angle: which of them is to blame?
+            # Find the reason by relaxing the bounds on error and angle.
             if best_hypothesis(rows, cams, free, count, math.inf, 2.0, work, x) < 2:
                 reasons[j] = BEHIND
             elif best_hypothesis(rows, cams, free, count, max_error_sq, 2.0, work, x) < 2:

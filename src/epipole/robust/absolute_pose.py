@@ -1,4 +1,4 @@
-"""Robust estimators of where a camera, or a rig of cameras, stands before known points."""
+"""Robust absolute pose of a camera or a camera rig from known points."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_float_array, as_points, check_indices, require_same_length
-from epipole._declared import checked
-from epipole._declared.arrays import as_array
+from epipole._checks import as_float_array, as_points, check_indices, checked, require_same_length
+from epipole._checks.arrays import as_array
 from epipole.cameras import Camera
 from epipole.config import RansacConfig, options_of
 from epipole.errors import ShapeError
@@ -31,23 +30,22 @@ def estimate_absolute_pose(
     *,
     quality: Any = None,
 ) -> Estimate[Rigid3]:
-    """Pose of a calibrated camera: P3P (Ding et al., CVPR 2023), then the truncated reprojection error.
+    """Pose of a calibrated camera: P3P (Ding et al., CVPR 2023), then truncated reprojection error.
 
-    Errors are those of the true camera model, fisheye too, to first order in the error. Points behind the camera
-    are outliers.
+    The error is that of the actual camera model, including fisheye, to first order. Points behind the camera are outliers.
 
     Args:
-        points_in_world: (n, 3); NaN and infinite ones are outliers.
-        pixels: where the camera saw them, (n, 2).
-        camera: any model.
+        points_in_world: (n, 3); rows with NaN or infinity are outliers.
+        pixels: their observations in the camera, (n, 2).
+        camera: intrinsics, of any model.
         config: threshold in pixels.
-        quality: (n,), higher is better; good matches are then tried first (PROSAC).
+        quality: (n,), higher is better; good matches are then sampled first (PROSAC).
 
     Returns:
         `model` = cam_from_world; `covariance` (6, 6) of xi in exp(xi) @ cam_from_world, xi = (translation, rotation).
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: array sizes do not match.
     """
     config = options_of(RansacConfig, config)
     points, pixels = as_points(points_in_world, "points_in_world", 3), as_points(pixels, "pixels", 2)
@@ -66,13 +64,13 @@ def estimate_rig_pose(
     cams_from_rig: Rigid3,
     config: RansacConfig | None = None,
 ) -> Estimate[Rigid3]:
-    """Pose of a rig of calibrated cameras: three rays of any of them (gP3P), then the truncated reprojection error.
+    """Pose of a rig of calibrated cameras: three rays of any cameras (gP3P), then truncated reprojection error.
 
     Args:
-        points_in_world: (n, 3); NaN and infinite ones are outliers.
-        pixels: where a camera of the rig saw them, (n, 2).
-        camera_index: (n,), which camera.
-        cameras: of any models.
+        points_in_world: (n, 3); rows with NaN or infinity are outliers.
+        pixels: their observations in a camera of the rig, (n, 2).
+        camera_index: (n,), camera of each observation.
+        cameras: intrinsics, of any models.
         cams_from_rig: batch shape (len(cameras),).
         config: threshold in pixels.
 
@@ -80,7 +78,7 @@ def estimate_rig_pose(
         `model` = rig_from_world; `covariance` (6, 6) of xi in exp(xi) @ rig_from_world.
 
     Raises:
-        ShapeError: the arrays do not fit, or an index has no camera.
+        ShapeError: array sizes do not match, or an index refers to a missing camera.
     """
     config = options_of(RansacConfig, config)
     points, pixels = as_points(points_in_world, "points_in_world", 3), as_points(pixels, "pixels", 2)
@@ -91,7 +89,9 @@ def estimate_rig_pose(
         raise ShapeError(f"camera_index must be (n,), got {index.shape}")
     n = require_same_length(points_in_world=points, pixels=pixels, camera_index=index)
     if len(cameras) != len(cams_from_rig):
-        raise ShapeError(f"{len(cameras)} cameras need as many cams_from_rig, got {len(cams_from_rig)}")
+        raise ShapeError(
+            f"cams_from_rig must have one row per camera ({len(cameras)}), got {len(cams_from_rig)}"
+        )
     check_indices(index, "camera_index", len(cameras))
     order, items = _pack(cameras, cams_from_rig, index, points, pixels, config)
     found = run_loop(RigPoseProblem(items), order, n, 1.0, config, None)
@@ -107,15 +107,15 @@ def estimate_upright_pose(
     down_in_world: Any = (0.0, 0.0, -1.0),
     config: RansacConfig | None = None,
 ) -> Estimate[Rigid3]:
-    """Pose of a calibrated camera that knows where down is: two points (uP2P), then the truncated reprojection error.
+    """Pose of a calibrated camera with a known vertical: two points (uP2P), then truncated reprojection error.
 
-    The vertical (an accelerometer's) serves the samples; the refined pose is free of it, so that one off by a degree
+    The vertical (from an accelerometer) is used for sampling only; the refined pose is free of it, so an error of a degree
     costs no accuracy.
 
     Args:
-        points_in_world: (n, 3); NaN and infinite ones are outliers.
-        pixels: where the camera saw them, (n, 2).
-        camera: any model.
+        points_in_world: (n, 3); rows with NaN or infinity are outliers.
+        pixels: their observations in the camera, (n, 2).
+        camera: intrinsics, of any model.
         down_in_cam: (3,), gravity in camera coordinates.
         down_in_world: (3,), gravity in world coordinates.
         config: threshold in pixels.
@@ -124,7 +124,7 @@ def estimate_upright_pose(
         `model` = cam_from_world; `covariance` (6, 6) of xi in exp(xi) @ cam_from_world.
 
     Raises:
-        ShapeError: the arrays do not fit, or a direction is zero.
+        ShapeError: array sizes do not match, or a direction is zero.
     """
     config = options_of(RansacConfig, config)
     points, pixels = as_points(points_in_world, "points_in_world", 3), as_points(pixels, "pixels", 2)
@@ -147,7 +147,7 @@ def estimate_upright_pose(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FocalPose:
-    """Where a camera stands, and its focal length."""
+    """Pose and focal length of a camera."""
 
     cam_from_world: Rigid3
     focal_px: float
@@ -156,23 +156,23 @@ class FocalPose:
 def estimate_pose_and_focal(
     points_in_world: Any, pixels: Any, principal_point: Any, config: RansacConfig | None = None
 ) -> Estimate[FocalPose]:
-    """Pose and focal length of a camera without distortion: four points (P4Pf), then the reprojection error.
+    """Pose and focal length of a camera without distortion: four points (P4Pf), then reprojection error.
 
-    Four points of one plane seldom give a solution, so that a plane alone may end in `Reason.NO_MODEL`; one that is parallel
-    to the image leaves the focal length open and always does.
+    Four coplanar points seldom give a solution, so a planar scene may fail with `Reason.NO_MODEL`; a plane parallel to the
+    image does not determine the focal length and always fails.
 
     Args:
-        points_in_world: (n, 3); NaN and infinite ones are outliers.
-        pixels: where the camera saw them, (n, 2).
-        principal_point: (2,), the image's centre where nothing better is known.
+        points_in_world: (n, 3); rows with NaN or infinity are outliers.
+        pixels: their observations in the camera, (n, 2).
+        principal_point: (2,), the image center if nothing better is known.
         config: threshold in pixels.
 
     Returns:
-        `model` = cam_from_world and focal length; `covariance` (7, 7) of xi in exp(xi) @ cam_from_world, then of the
-        logarithm of the focal length.
+        `model` = cam_from_world and focal length; `covariance` (7, 7) of xi in exp(xi) @ cam_from_world and the log of the
+        focal length.
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: array sizes do not match.
     """
     config = options_of(RansacConfig, config)
     points, pixels = as_points(points_in_world, "points_in_world", 3), as_points(pixels, "pixels", 2)
@@ -188,7 +188,7 @@ def estimate_pose_and_focal(
     problem = FocalPoseProblem(np.ascontiguousarray(rows.T))
     found = run_loop(problem, order, n, spread, config, None)
     inner = _motion(found)
-    # Points were (X - middle) / size: x = R (X - middle) / size + t, times size.
+    # The loop used (X - middle) / size, so x = R (X - middle) / size + t: multiply by size.
     motion = Rigid3(inner.rotation, size * inner.translation - inner.rotation @ middle)
     # exp(xi) from the left moves camera coordinates, which were divided by size.
     units = np.array([size, size, size, 1.0, 1.0, 1.0, 1.0])
@@ -197,14 +197,14 @@ def estimate_pose_and_focal(
 
 
 def rotate_upright(down: Any, name: str) -> Float64[np.ndarray, "3 3"]:
-    """The smallest rotation that brings `down` onto the y axis.
+    """The smallest rotation that maps `down` to the y axis.
 
     Raises:
-        ShapeError: it is not one direction.
+        ShapeError: it is not a single nonzero direction.
     """
     down = as_float_array(down, name, 3, finite=True)
     if down.ndim != 1 or not np.linalg.norm(down) > 0:
-        raise ShapeError(f"{name} must be one direction (3,) of some length, got {down}")
+        raise ShapeError(f"{name} must be one nonzero direction (3,), got {down}")
     return Rotation3.from_two_vectors(down, np.array([0.0, 1.0, 0.0])).matrix
 
 
@@ -220,7 +220,7 @@ def _pack(
     pixels: np.ndarray,
     config: RansacConfig,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(order, items): the usable points in random order, as the kernels take them."""
+    """(order, items): the usable points in random order, in kernel layout."""
     usable = usable_rows(points, pixels)
     order = random_order(usable, config)
     items = np.empty((ROWS, len(order)))

@@ -1,4 +1,4 @@
-"""Robust alignment of two sets of points: rigid motion, similarity, upright similarity."""
+"""Robust alignment of two point sets: rigid motion, similarity, upright similarity."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from epipole.robust.estimate import Estimate, Found, checked_quality, random_ord
 def estimate_rigid(
     source: Any, target: Any, config: RansacConfig | None = None, *, quality: Any = None
 ) -> Estimate[Rigid3]:
-    """The rigid motion that moves points onto their partners: three points (Horn 1987), then truncated distances.
+    """The rigid motion that maps points to their partners: three points (Horn 1987), then truncated distances.
 
     Args:
-        source: (n, 3); NaN and infinite ones are outliers.
-        target: (n, 3), same order.
+        source: (n, 3); rows with NaN or infinity are outliers.
+        target: (n, 3), in the same order.
         config: `max_error_px` is the largest distance, in the unit of the target.
         quality: (n,), higher is better (PROSAC).
 
@@ -28,7 +28,7 @@ def estimate_rigid(
         `model` = target_from_source; `covariance` (6, 6) of xi in exp(xi) @ target_from_source.
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: array sizes do not match.
     """
     found = _fit(source, target, 6, options_of(RansacConfig, config), quality)
     motion = Rigid3(found.raw[:9].reshape(3, 3).copy(), found.raw[9:12].copy())
@@ -38,11 +38,11 @@ def estimate_rigid(
 def estimate_similarity(
     source: Any, target: Any, config: RansacConfig | None = None, *, quality: Any = None
 ) -> Estimate[Similarity3]:
-    """The similarity that moves points onto their partners; as `estimate_rigid`, with scale.
+    """The similarity that maps points to their partners; like `estimate_rigid`, with scale.
 
     Args:
-        source: (n, 3); NaN and infinite ones are outliers.
-        target: (n, 3), same order.
+        source: (n, 3); rows with NaN or infinity are outliers.
+        target: (n, 3), in the same order.
         config: `max_error_px` is the largest distance, in the unit of the target.
         quality: (n,), higher is better (PROSAC).
 
@@ -50,7 +50,7 @@ def estimate_similarity(
         `model` = target_from_source; `covariance` (7, 7) of xi in exp(xi) @ target_from_source, with log scale last.
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: array sizes do not match.
     """
     found = _fit(source, target, 7, options_of(RansacConfig, config), quality)
     return found.estimate(_similarity(found), _tangent_covariance(found))
@@ -59,20 +59,20 @@ def estimate_similarity(
 def estimate_upright_similarity(
     source: Any, target: Any, config: RansacConfig | None = None
 ) -> Estimate[Similarity3]:
-    """The similarity that keeps the z axis and moves points onto their partners: two points, then truncated distances.
+    """The similarity that keeps the z axis and maps points to their partners: two points, then truncated distances.
 
-    For models that stand upright already: scale, heading and translation, which a straight path tells, too.
+    For upright models: scale, heading and translation, which even a straight trajectory determines.
 
     Args:
-        source: (n, 3); NaN and infinite ones are outliers.
-        target: (n, 3), same order.
+        source: (n, 3); rows with NaN or infinity are outliers.
+        target: (n, 3), in the same order.
         config: `max_error_px` is the largest distance, in the unit of the target.
 
     Returns:
-        `model` = target_from_source; `covariance` (7, 7) of xi in exp(xi) @ target_from_source, of rank five: nothing tilts.
+        `model` = target_from_source; `covariance` (7, 7) of xi in exp(xi) @ target_from_source, of rank five, as there is no tilt.
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: array sizes do not match.
     """
     config = options_of(RansacConfig, config)
     items, order, n = _matched(source, target, config)
@@ -90,7 +90,7 @@ def _fit(source: Any, target: Any, freedom: int, config: RansacConfig, quality: 
 
 
 def _matched(source: Any, target: Any, config: RansacConfig) -> tuple[np.ndarray, np.ndarray, int]:
-    """Usable pairs of points as columns (6, m), their rows (m,) and the number of all."""
+    """Usable pairs of points as columns (6, m), their rows (m,) and the total number."""
     x, y = as_points(source, "source", 3), as_points(target, "target", 3)
     n = require_same_length(source=x, target=y)
     order = random_order(usable_rows(x, y), config)
@@ -106,7 +106,7 @@ def _tangent_covariance(found: Found) -> np.ndarray:
 
 
 def _lifted(covariance: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """From (dt, phi, sigma) to xi of exp(xi) @ model: t + dt = t + rho + phi x t + sigma t, to first order."""
+    """Covariance of (dt, phi, sigma) to that of xi in exp(xi) @ model: t + dt = t + rho + phi x t + sigma t."""
     freedom = len(covariance)
     if not (np.isfinite(covariance).all() and np.isfinite(t).all()):
         return np.full((freedom, freedom), np.inf)

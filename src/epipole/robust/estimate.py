@@ -1,4 +1,4 @@
-"""What every robust estimator returns, and the way from arrays through the robust loop to it."""
+"""The result type of all robust estimators, and the steps from arrays through the robust loop to it."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from epipole.robust._problem_kernels import MODEL_SIZE, MOST_FREEDOM
 Model = TypeVar("Model")
 
 SINGULAR = 1e-11
-"""Eigenvalue of the scaled information matrix below which the items leave the model undetermined."""
+"""Eigenvalue of the scaled information matrix below which the model is undetermined."""
 
 
 LARGEST = 1e150
-"""Greater numbers have squares beyond what floating point holds, and count as infinite."""
+"""Larger numbers count as infinite, as their squares may overflow."""
 
 
 class Reason(StrEnum):
-    """Why an estimate failed, or that it did not."""
+    """Why an estimate failed, or OK."""
 
     OK = "ok"
     TOO_FEW = "fewer items than the model needs"
@@ -39,21 +39,21 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate(Generic[Model]):
-    """What every robust estimator returns; a failure is data."""
+    """Result of a robust estimator; failures are reported in it, not raised."""
 
     model: Model
-    """NaN where nothing was found; of a degenerate estimate, one of those that fit."""
+    """NaN if nothing was found; for a degenerate estimate, one of the models that fit."""
     reason: Reason
     inlier_mask: Bool[np.ndarray, " n"]
     residuals_px: Float64[np.ndarray, " n"]
-    """Sampson distance, transfer error or reprojection error, in the unit of the threshold; infinite where not defined."""
+    """Sampson distance, transfer error or reprojection error, in the unit of the threshold; infinite if undefined."""
     num_iterations: int
     score: float
-    """MSAC: the sum of squared residuals, each at most the threshold squared; infinite where nothing was found."""
+    """MSAC: the sum of squared residuals, each truncated at the threshold squared; infinite if nothing was found."""
     noise_px: float
-    """Standard deviation of one coordinate of the inliers' noise, corrected for the cut at the threshold."""
+    """Standard deviation of one coordinate of the inliers' noise, corrected for truncation at the threshold."""
     covariance: Float64[np.ndarray, "d d"]
-    """First-order covariance of the model's parameters (each estimator says which); infinite where undetermined."""
+    """First-order covariance of the model's parameters (see each estimator); infinite where undetermined."""
 
     @property
     def success(self) -> bool:
@@ -62,7 +62,7 @@ class Estimate(Generic[Model]):
 
     @property
     def num_inliers(self) -> int:
-        """Items that agree with the model."""
+        """Number of items that agree with the model."""
         return int(self.inlier_mask.sum())
 
     def __repr__(self) -> str:
@@ -71,11 +71,11 @@ class Estimate(Generic[Model]):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """What the loop found, before the public model is made of it."""
+    """Result of the loop, before conversion to the public model."""
 
     reason: Reason
     raw: np.ndarray
-    """(MODEL_SIZE,), as the problem's kernels keep it."""
+    """(MODEL_SIZE,), in kernel layout."""
     residuals: np.ndarray
     """In the caller's order and unit."""
     inlier_mask: np.ndarray
@@ -86,7 +86,7 @@ class Found:
     """Of the kernels' own step parameters."""
 
     def estimate(self, model: Model, covariance: np.ndarray | None = None) -> Estimate[Model]:
-        """The public result with this model, and this covariance in place of the kernels'."""
+        """The public result with this model, and this covariance instead of the kernels'."""
         return Estimate(
             model,
             self.reason,
@@ -100,13 +100,13 @@ class Found:
 
 
 def usable_rows(*columns: np.ndarray) -> np.ndarray:
-    """Items all of whose numbers are finite, and small enough to be squared."""
+    """Items with finite numbers that can be squared without overflow."""
     with np.errstate(invalid="ignore"):
         return np.logical_and.reduce([(np.abs(c) < LARGEST).all(axis=1) for c in columns])
 
 
 def random_order(usable: np.ndarray, config: RansacConfig) -> np.ndarray:
-    """Indices of the usable items in the order that the loop tests them."""
+    """Indices of the usable items, in the order in which the loop tests them."""
     indices = np.flatnonzero(usable)
     return np.random.default_rng(config.seed).permutation(indices)
 
@@ -115,7 +115,7 @@ def checked_quality(quality: Any, n: int) -> np.ndarray | None:
     """One finite number per item, or None.
 
     Raises:
-        ShapeError: another shape, or NaN.
+        ShapeError: wrong shape, or NaN.
     """
     if quality is None:
         return None
@@ -126,7 +126,7 @@ def checked_quality(quality: Any, n: int) -> np.ndarray | None:
 
 
 def failed(reason: Reason, n: int, freedom: int, num_iterations: int = 0) -> Found:
-    """Nothing was found."""
+    """The result if nothing was found."""
     return Found(
         reason,
         np.full(MODEL_SIZE, np.nan),
@@ -145,8 +145,8 @@ def run_loop(
     """Robustly fit a problem whose column k is the caller's item order[k].
 
     Args:
-        problem: of a class of problems.
-        order: (m,), the items in the problem.
+        problem: an instance of a problem class.
+        order: (m,), the caller's index of each item in the problem.
         n: number of the caller's items.
         scale_px: the unit of the problem's residuals in the caller's unit.
         config: threshold in the caller's unit.
@@ -179,12 +179,12 @@ def run_loop(
 
 
 class LoopAnswer(NamedTuple):
-    """What the loop gives, in the problem's coordinates but for the residuals."""
+    """Output of the loop; in the problem's coordinates, except for the residuals."""
 
     score: float
     num_iterations: int
     raw: np.ndarray
-    """(MODEL_SIZE,), the model as the problem's kernels keep it."""
+    """(MODEL_SIZE,), in kernel layout."""
     residuals: np.ndarray
     """(n,), in the caller's order and unit."""
     information: np.ndarray
@@ -192,13 +192,13 @@ class LoopAnswer(NamedTuple):
 
 
 def found_by_loop(problem: Any, answer: LoopAnswer, scale_px: float, config: RansacConfig) -> Found:
-    """What the answer says: who agrees, how wide the noise is, and how well the model is determined.
+    """Inliers, noise and covariance from the output of the loop.
 
     Args:
-        problem: of the class that was fitted; its items do not matter.
-        answer: the loop's.
+        problem: an instance of the class that was fitted; its items are not used.
+        answer: output of the loop.
         scale_px: the unit of the problem's residuals in the caller's unit.
-        config: threshold in the caller's unit, inliers needed.
+        config: threshold in the caller's unit, and inliers needed.
     """
     score, num_iterations, raw, residuals, information = answer
     freedom = int(problem.degrees_of_freedom())
@@ -222,9 +222,9 @@ def found_by_loop(problem: Any, answer: LoopAnswer, scale_px: float, config: Ran
 
 
 def untruncated_noise(residuals: np.ndarray, threshold: float, size: int, freedom: int) -> float:
-    """Standard deviation of a coordinate from the residuals, of `size` numbers each, below a threshold.
+    """Standard deviation of a coordinate, from residuals of dimension `size` below a threshold.
 
-    The mean of r^2 below k sigma is size sigma^2 P(size / 2 + 1, k^2 / 2) / P(size / 2, k^2 / 2) with the regularised
+    The mean of r^2 below k sigma is size sigma^2 P(size / 2 + 1, k^2 / 2) / P(size / 2, k^2 / 2) with the regularized
     incomplete gamma function P.
     """
     unknowns = size * len(residuals) - freedom
@@ -237,7 +237,7 @@ def untruncated_noise(residuals: np.ndarray, threshold: float, size: int, freedo
         if half > 50.0:
             break
         kept = gammainc(0.5 * size + 1.0, half) / gammainc(0.5 * size, half)
-        # Noise as wide as the threshold cannot be told from no model at all: at most the threshold itself.
+        # Noise as wide as the threshold is indistinguishable from no model at all: limit it to the threshold.
         sigma = min(np.sqrt(mean_square / max(kept, 1e-3)), threshold)
     return float(sigma)
 

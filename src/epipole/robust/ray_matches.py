@@ -1,8 +1,8 @@
-"""Matches as rays of two cameras, and how their Sampson residuals and parallax change with the motion.
+"""Matches as rays of two cameras, and the derivatives of their Sampson residuals and parallax by the motion.
 
 Matches are unit rays r with their derivatives by pixels, D = d r / d x (3 x 2), so that residuals of any camera model are in
-pixels: s = r2^T E r1 / sqrt(|D1^T E^T r2|^2 + |D2^T E r1|^2), E = [t]x R (the tangent Sampson error: Terekhov and
-Larsson, ICCV 2023). All functions take batches of motions (..., 3, 3), (..., 3).
+pixels: s = r2^T E r1 / sqrt(|D1^T E^T r2|^2 + |D2^T E r1|^2), E = [t]x R (the tangent Sampson error: Terekhov and Larsson,
+ICCV 2023). All functions take batches of motions (..., 3, 3), (..., 3).
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Matches:
         return (self.ray2 * line2).sum(-1) / size, size, a, b
 
     def parallax(self, rotation: np.ndarray, translation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(..., n) displacement along the epipolar line in image 2 in pixels, positive in front, and pixels per inverse distance."""
+        """(..., n) displacement along the epipolar line in image 2 in pixels, positive in front, and pixels per inverse depth."""
         far = self.ray1 @ np.swapaxes(rotation, -1, -2)
         t = translation[..., None, :]
         across = t - far * (far * t).sum(-1, keepdims=True)
@@ -95,7 +95,7 @@ def moved_motion(
 
 
 def tangents_of(translation: np.ndarray) -> np.ndarray:
-    """(..., 2, 3) unit vectors orthogonal to t and to each other, as the robust loop's kernels choose them."""
+    """(..., 2, 3) unit vectors orthogonal to t and to each other, as in the kernels of the robust loop."""
     axis = np.eye(3)[np.argmin(np.abs(translation), axis=-1)]
     first = axis - translation * (axis * translation).sum(-1, keepdims=True)
     first = first / np.linalg.norm(first, axis=-1, keepdims=True)
@@ -103,7 +103,7 @@ def tangents_of(translation: np.ndarray) -> np.ndarray:
 
 
 def _essential_derivatives(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    """(..., 5, 3, 3): d([t]x R) by a rotation from the left and a step of t."""
+    """(..., 5, 3, 3): derivatives of [t]x R by a rotation from the left and a step of t."""
     by_rotation = skew(translation)[..., None, :, :] @ skew(np.eye(3)) @ rotation[..., None, :, :]
     by_step = skew(tangents_of(translation)) @ rotation[..., None, :, :]
     return np.concatenate([by_rotation, by_step], axis=-3)

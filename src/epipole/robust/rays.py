@@ -1,4 +1,4 @@
-"""What matches are to the estimators of motion: points on the plane z = 1, or rays with their slopes."""
+"""Matches in the form used by motion estimators: points on the plane z = 1, or rays with derivatives."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from epipole._checks import as_points
 from epipole.cameras import Camera
 
 _UNEVEN = 1.25
-"""Sizes of a pixel on the plane z = 1, over that in the middle, from which on the plane is no image."""
+"""Ratio of pixel sizes on the plane z = 1, relative to the center, above which a camera is wide-angle."""
 
 
 def rays_on_plane(camera: Camera, pixels: Any, name: str = "pixels") -> Float64[np.ndarray, "n 2"]:
-    """Where the rays of pixels (n, 2) cross the plane z = 1 before the camera; NaN where they do not."""
+    """Intersections of the rays of pixels (n, 2) with the plane z = 1; NaN if there is none."""
     rays = camera.unproject(as_points(pixels, name, 2))
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(rays[:, 2:] > 1e-3, rays[:, :2] / rays[:, 2:], np.nan)
 
 
 def is_wide(camera: Camera) -> bool:
-    """Whether pixels of the image are of different sizes on the plane z = 1, or some never meet it."""
+    """Whether pixel sizes differ strongly on the plane z = 1, or some rays never intersect it."""
     if not camera.model.distortion_indices:
         return False
     grid = np.meshgrid(np.linspace(0.0, camera.width - 1.0, 9), np.linspace(0.0, camera.height - 1.0, 9))

@@ -1,4 +1,4 @@
-"""Points from calibrated views: two of them optimally, many of them robustly."""
+"""Triangulation of calibrated views: optimal for two, robust for more."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from epipole import _parallel
-from epipole._checks import as_float_array, as_points, check_squarable
-from epipole._declared import checked
+from epipole._checks import as_float_array, as_points, check_squarable, checked
 from epipole.cameras import MAX_PARAMS, Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1
@@ -22,37 +21,37 @@ _CHUNKS = 16
 
 
 class PointReason(IntEnum):
-    """Why a point could not be triangulated, or that it could."""
+    """Why a point could not be triangulated, or OK."""
 
     OK = kernels.OK
     TOO_FEW_VIEWS = kernels.TOO_FEW_VIEWS
     """Fewer than two pixels with a ray."""
     PARALLEL = kernels.PARALLEL
-    """Its rays meet under a smaller angle than asked: the depth is not known."""
+    """Its rays intersect at a smaller angle than required: the depth is unknown."""
     BEHIND = kernels.BEHIND
-    """Its rays meet behind a camera."""
+    """Its rays intersect behind a camera."""
     LARGE_ERROR = kernels.LARGE_ERROR
-    """No two views agree on a point to within the threshold."""
+    """No two views agree on a point within the threshold."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Triangulation:
-    """Points and how far each can be trusted."""
+    """Triangulated points and their quality."""
 
     points_in_world: Float64[np.ndarray, "n 3"]
-    """NaN where there is none; those behind a camera or of too narrow an angle are given where they exist."""
+    """NaN if there is none; points behind a camera or with too small an angle are included."""
     reason: Int64[np.ndarray, " n"]
     """Values of `PointReason`."""
     errors_px: Float64[np.ndarray, " n"]
-    """Root mean square of the residuals' coordinates over the views that agree."""
+    """RMS of a residual coordinate over the inlier views."""
     cosines: Float64[np.ndarray, " n"]
-    """Of the widest angle between two of its rays."""
+    """Cosine of the largest angle between two of its rays."""
     inlier_mask: Bool[np.ndarray, "v n"]
-    """Which views agree."""
+    """Views that agree with the point."""
 
     @property
     def angles_rad(self) -> Float64[np.ndarray, " n"]:
-        """The widest angle between two of its rays."""
+        """The largest angle between two of its rays."""
         return np.arccos(np.clip(self.cosines, -1.0, 1.0))
 
     @property
@@ -73,21 +72,21 @@ def triangulate_points(
     max_error_px: float | None = None,
     min_angle_rad: float = 0.0,
 ) -> Triangulation:
-    """Points whose projections are nearest to the pixels, in the least squares of all images.
+    """Points with the least sum of squared reprojection errors.
 
-    Two views: the optimal correction of Lindstrom (CVPR 2010). More: the pair of views that most others agree with,
-    then Gauss-Newton on the true camera models; with a threshold, over the views that agree.
+    Two views: the optimal correction of Lindstrom (CVPR 2010). More: the pair of views that most others agree with, then
+    Gauss-Newton on the actual camera models, over the views within the threshold.
 
     Args:
         cams_from_world: batch shape (v,).
-        cameras: one for all views, or one for each.
+        cameras: one for all views, or one per view.
         pixels: (v, n, 2), NaN where a view does not see the point.
-        max_error_px: views farther off are left out; None: all count.
-        min_angle_rad: points whose rays meet under less are `PointReason.PARALLEL`.
+        max_error_px: views with larger errors are outliers; None: all views are used.
+        min_angle_rad: points with a smaller ray angle are `PointReason.PARALLEL`.
 
     Raises:
-        ShapeError: the arrays do not fit.
-        ConfigError: a bound makes no sense.
+        ShapeError: array sizes do not match.
+        ConfigError: a bound is out of range.
     """
     pixels = as_float_array(pixels, "pixels")
     num_views = len(cams_from_world)
@@ -116,18 +115,18 @@ def point_covariances(
     """First-order covariances of triangulated points: sigma^2 (sum over views of J^T J)^-1 (HZ section 5.2).
 
     Args:
-        cams_from_world: batch shape (v,), taken as exact.
-        cameras: one for all views, or one for each.
+        cams_from_world: batch shape (v,), assumed exact.
+        cameras: one for all views, or one per view.
         points_in_world: (n, 3).
-        seen_mask: (v, n), which views took part.
-        noise_px: standard deviation of a pixel's coordinate.
+        seen_mask: (v, n), the views that were used.
+        noise_px: standard deviation of a pixel coordinate.
 
     Returns:
-        Infinite where the views leave the point undetermined.
+        Infinite if the views do not determine the point.
 
     Raises:
-        ShapeError: the arrays do not fit.
-        ConfigError: the noise is negative.
+        ShapeError: array sizes do not match.
+        ConfigError: noise_px is negative.
     """
     points = as_points(points_in_world, "points_in_world", 3)
     each = _camera_of_each(cams_from_world, cameras)
@@ -147,7 +146,7 @@ def point_covariances(
 def covariances_of_information(
     information: Float64[np.ndarray, "n 3 3"], noise_px: float
 ) -> Float64[np.ndarray, "n 3 3"]:
-    """sigma^2 (sum of J^T J)^-1 of each point; infinite where the sum leaves a direction undetermined."""
+    """sigma^2 (sum of J^T J)^-1 of each point; infinite if a direction is undetermined."""
     out = np.full(information.shape, np.inf)
     usable = np.flatnonzero(np.isfinite(information).all(axis=(1, 2)))
     values = np.linalg.eigvalsh(information[usable])
@@ -164,7 +163,7 @@ def _camera_of_each(cams_from_world: Rigid3, cameras: Camera | Sequence[Camera])
     num_views = len(cams_from_world)
     each = [cameras] * num_views if isinstance(cameras, Camera) else list(cameras)
     if len(each) != num_views:
-        raise ShapeError(f"{num_views} views need as many cameras, got {len(each)}")
+        raise ShapeError(f"cameras must be one, or one per view ({num_views}), got {len(each)}")
     return each
 
 
@@ -192,7 +191,7 @@ def _two_views(
     )
     points, errors, cosines, reason = out
     if max_error_px is not None:
-        # Both views share the error: the distance in each is sqrt(2) times the root mean square of a coordinate.
+        # Both views share the error: the distance in each is sqrt(2) times the RMS of a coordinate.
         reason[(np.sqrt(2.0) * errors > max_error_px) & (reason == PointReason.OK)] = PointReason.LARGE_ERROR
     identity = (
         np.array_equal(cams_from_world.rotation[0], np.eye(3)) and not cams_from_world.translation[0].any()

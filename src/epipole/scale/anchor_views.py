@@ -1,4 +1,4 @@
-"""The images of a model as anchors of its scale see them: names, times, places with their covariance, pixels."""
+"""Images of a model as input for scale estimation: names, times, poses with covariance, pixels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import PurePath
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.cameras import Camera
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3
@@ -18,34 +18,34 @@ from epipole.scene import Reconstruction
 
 LEAST_POINTS = 6
 RAYLEIGH_MEDIAN = 1.1774
-"""Median length of a plane vector of normal errors, in deviations of a coordinate."""
+"""Median norm of a 2D vector with standard normal coordinates."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AnchorViews(Declared):
-    """Images with a place in one model; a row each."""
+    """Posed images of one model, one row each."""
 
     names: tuple[str, ...]
     timestamp_s: Float64[np.ndarray, " n"]
-    """NaN where it is not known."""
+    """NaN where unknown."""
     cams_from_world: Rigid3
     """Batch shape (n,)."""
     cameras: tuple[Camera, ...]
     covariance_of: Callable[[int], np.ndarray]
-    """Of a row: (6, 6) of xi = (translation, rotation) in exp(xi) @ cam_from_world."""
+    """(6, 6) covariance for a row, of xi = (translation, rotation) in exp(xi) @ cam_from_world."""
     image_of: Callable[[int], UInt8[np.ndarray, "h w"] | None]
-    """Grey image of a row, as the camera's pixels count; None where it cannot be had."""
+    """Grey image of a row, at the camera's resolution; None if unavailable."""
 
     def __post_init__(self) -> None:
         """Check the rows.
 
         Raises:
-            ShapeError: the columns are not of one length.
+            ShapeError: the columns differ in length.
         """
         Declared.__post_init__(self)
         n = len(self.names)
         if {len(self.timestamp_s), len(self.cameras), len(self.cams_from_world.translation)} != {n}:
-            raise ShapeError(f"{n} names need as many times, cameras and places")
+            raise ShapeError(f"timestamp_s, cameras and cams_from_world must have {n} rows, one per name")
 
     def __len__(self) -> int:
         return len(self.names)
@@ -54,7 +54,7 @@ class AnchorViews(Declared):
         return f"AnchorViews({len(self)} images)"
 
     def row_of(self, name: str) -> int | None:
-        """The row of an image by its name, or by the last part of it where that is unique; None where there is none."""
+        """Row of the image with this name, or with this file name if that is unique; None if there is none."""
         if name in self.names:
             return self.names.index(name)
         last = [n for n, own in enumerate(self.names) if PurePath(own).name == PurePath(name).name]
@@ -65,11 +65,11 @@ class AnchorViews(Declared):
 def views_of_model(
     model: Reconstruction, image_of: Callable[[int], UInt8[np.ndarray, "h w"] | None]
 ) -> AnchorViews:
-    """The registered images of a model; the covariance of a place is that before the points that it sees.
+    """The registered images of a model; pose covariances treat the points as exact.
 
     Args:
-        model: places, lenses, points and tracks.
-        image_of: the grey image of a row of the model's images; None where it cannot be had.
+        model: poses, cameras, points and tracks.
+        image_of: the grey image of a row of the model's images; None if unavailable.
     """
     rows = np.flatnonzero(model.is_registered())
     camera = model.camera_of_image
@@ -88,9 +88,9 @@ def views_of_model(
 
 @checked
 def position_covariance(model: Reconstruction, image: int) -> Float64[np.ndarray, "6 6"]:
-    """Covariance of an image's place before its points, with the noise of its own residuals; infinite for too few points.
+    """Covariance of an image's pose with its points fixed, scaled to its own residuals; infinite with too few points.
 
-    Of xi = (translation, rotation) in exp(xi) @ cam_from_world. Errors of the points are not in it.
+    It is the covariance of xi = (translation, rotation) in exp(xi) @ cam_from_world, without the points' uncertainty.
     """
     own = np.flatnonzero(model.tracks.image == image)
     if len(own) < LEAST_POINTS:
@@ -110,7 +110,7 @@ def positions_at(
     wanted_s: Float64[np.ndarray, " m"],
     longest_gap: float = 3.0,
 ) -> Float64[np.ndarray, "m 3"]:
-    """Places at instants, interpolated; NaN outside, and in gaps of more than so many median gaps."""
+    """Positions interpolated at given times; NaN outside, and in gaps longer than `longest_gap` median gaps."""
     if not len(known_s):
         return np.full((len(wanted_s), 3), np.nan)
     out = np.stack([np.interp(wanted_s, known_s, positions[:, axis]) for axis in range(3)], axis=1)
@@ -124,6 +124,6 @@ def positions_at(
 
 
 def joined_words(words: Sequence[str], most: int = 3) -> str:
-    """A list in a sentence, cut after some."""
+    """A comma-separated list, truncated after `most` entries."""
     more = len(words) - most
     return ", ".join(words[:most]) + (f" and {more} more" if more > 0 else "")

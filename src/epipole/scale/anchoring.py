@@ -1,4 +1,4 @@
-"""What fixes a model's scale and world, from options and files to one similarity; for photographs and SLAM alike."""
+"""From scale references (files and options) to one similarity that makes a model metric; for SfM and SLAM."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.config import AnchorOptions
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Similarity3, align_points
@@ -22,32 +22,32 @@ from epipole.scale.scale_evidence import scale_evidence
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPositions(Declared):
-    """Measured places of the cameras of a model, fitted to it."""
+    """Measured camera positions, fitted to a model."""
 
     fit: ScaleFit
     positions: Float64[np.ndarray, "n 3"]
-    """Of each of the model's images, in the world; NaN for none."""
+    """One per image of the model, in the world; NaN if not measured."""
     sigma: float
-    """Standard deviation of a coordinate with which they enter an adjustment."""
+    """Standard deviation of a coordinate, as used in the adjustment."""
     num_measured: int
 
     def estimate(self) -> ScaleEstimate:
-        """What they say of the scale."""
+        """The scale that the positions determine."""
         kept = int(self.fit.kept_mask.sum())
-        words = f"{kept} measured places of {len(self.fit.kept_mask)}"
+        words = f"{kept} measured positions of {len(self.fit.kept_mask)}"
         scale = float(self.fit.world_from_model.scale)
-        return ScaleEstimate("positions", "measured places", scale, self.fit.sigma, 0.0, words)
+        return ScaleEstimate("positions", "measured positions", scale, self.fit.sigma, 0.0, words)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Anchoring(Declared):
-    """How a model becomes metric."""
+    """The similarity that makes a model metric, and its evidence."""
 
     world_from_model: Similarity3
-    """To metres; and to the world of the measured places, where they count."""
+    """Scales to metres; with used measured positions it also aligns to their world."""
     scale: MetricScale
     positions: MeasuredPositions | None
-    """Measured places that count: factors of one more adjustment."""
+    """Measured positions that are used, as factors of one more adjustment."""
 
     def __repr__(self) -> str:
         return f"Anchoring({self.scale!r})"
@@ -60,17 +60,17 @@ def anchor_model(
     path: AnchorViews | None = None,
     others: Sequence[ScaleEstimate] = (),
 ) -> Anchoring:
-    """The similarity to metres on which all that is known agrees.
+    """The similarity to metres that agrees with all scale references.
 
     Args:
         views: images of the model.
-        options: what is known.
-        path: all images with a place, of which `views` are some; None: the same.
-        others: what else is known of the scale.
+        options: the scale references.
+        path: all posed images, a superset of `views`; None: the same.
+        others: further estimates of the scale.
 
     Raises:
-        DegenerateGeometryError: nothing tells the scale, or what tells it contradicts itself; the message says why.
-        FileFormatError: a file that was named cannot be read.
+        DegenerateGeometryError: the scale is unknown, or the references contradict each other.
+        FileFormatError: a given file cannot be read.
     """
     everywhere = views if path is None else path
     found, positions, refusals, measured = scale_evidence(views, options, everywhere), None, [], []
@@ -80,7 +80,7 @@ def anchor_model(
             positions = positions_of_views(views, everywhere, log, options.positions_sigma_m)
             measured.append(positions.estimate())
         except DegenerateGeometryError as error:
-            refusals.append(f"measured places: {error}")
+            refusals.append(f"measured positions: {error}")
     scale = agreed_scale([*others, *measured, *found.estimates], [*refusals, *found.refusals])
     if positions is not None and not scale.kept_mask[len(others)]:
         positions = None
@@ -88,7 +88,7 @@ def anchor_model(
 
 
 def _similarity(scale: float, positions: MeasuredPositions | None, views: AnchorViews) -> Similarity3:
-    """With the measured places' rotation, about their middle."""
+    """With the rotation of the measured positions, about the centroid of the cameras."""
     if positions is None:
         return Similarity3(np.asarray(scale), np.eye(3), np.zeros(3))
     fitted = positions.fit.world_from_model
@@ -101,16 +101,16 @@ def _similarity(scale: float, positions: MeasuredPositions | None, views: Anchor
 def positions_of_views(
     views: AnchorViews, path: AnchorViews, log: PositionLog | NamedPositions, sigma: float
 ) -> MeasuredPositions:
-    """Fit measured places to a model, by the images' times or by their names.
+    """Fit measured positions to a model, matched by image time or by image name.
 
     Args:
         views: images of the model.
-        path: all images with a place; the places between them are interpolated where they have times.
-        log: what was measured.
+        path: all posed images; positions between them are interpolated if they have times.
+        log: the measured positions.
         sigma: standard deviation of a coordinate, in metres.
 
     Raises:
-        DegenerateGeometryError: the places do not tell a scale; the message says why.
+        DegenerateGeometryError: the positions do not determine the scale.
     """
     if isinstance(log, NamedPositions):
         rows = [path.row_of(name) for name in log.names]
@@ -130,7 +130,7 @@ def positions_of_views(
         known = np.isfinite(there[:, 0])
         fit = fit_scale_to_positions(there[known], log.positions[known], sigma)
         positions = positions_at(log.timestamp_s, log.positions, views.timestamp_s)
-    # Interpolated places repeat each other: together they weigh no more than the measured ones.
+    # Interpolated positions are correlated: all of them together weigh no more than the measured ones.
     repeats = int(np.isfinite(positions[:, 0]).sum()) / max(int(known.sum()), 1)
     each = max(sigma, fit.residual_m / np.sqrt(3.0)) * float(np.sqrt(max(repeats, 1.0)))
     return MeasuredPositions(fit, positions, each, int(known.sum()))
@@ -140,12 +140,12 @@ def positions_of_views(
 def after_adjustment(
     anchoring: Anchoring, before: Float64[np.ndarray, "n 3"], after: Float64[np.ndarray, "n 3"]
 ) -> Similarity3:
-    """What undoes the change of scale that an adjustment with places alone brought, where other things fix the scale, too.
+    """Undo the scale change of an adjustment with positions, if other references determine the scale, too.
 
     Args:
-        anchoring: what fixed the scale.
-        before: places of the cameras before the adjustment, in metres.
-        after: after it.
+        anchoring: how the scale was determined.
+        before: camera positions before the adjustment, in metres.
+        after: camera positions after it.
     """
     kinds = {e.kind for e, kept in zip(anchoring.scale.estimates, anchoring.scale.kept_mask) if kept}
     if kinds <= {"positions"}:

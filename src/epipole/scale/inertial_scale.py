@@ -1,22 +1,22 @@
-"""The scale of a path from an inertial measurement unit, stretch by stretch."""
+"""The scale of a trajectory from an IMU, segment by segment."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.inertial import ImuLog, ImuNoise, InertialAlignment, align_path_to_imu
 from epipole.scale.scale_agreement import ScaleEstimate
 
 APART_S = 0.25
-"""Between poses that are used: nearer ones tell the same."""
+"""Minimum time between poses: closer poses add no information."""
 LONGEST_S = 1.0
-"""Between poses: over a longer gap the biases carry the unit too far."""
-POSES, LEAST = 60, 12
-"""In a stretch, at most and at least; the path's own scale may drift from one to the next."""
+"""Maximum time between poses: over longer gaps the IMU's biases integrate to too large an error."""
+POSES = 60  # maximum per segment: the trajectory's own scale may drift between segments
+LEAST = 12  # minimum per segment
 
 
 @checked
@@ -27,29 +27,31 @@ def fit_scale_to_imu(
     camera_from_imu: Rigid3,
     noise: ImuNoise | None = None,
 ) -> ScaleEstimate:
-    """The mean of the scales of stretches of some 15 s (`align_path_to_imu`), weighted by what each tells.
+    """Weighted mean of the scales of segments of about 15 s (`align_path_to_imu`).
 
-    Its deviation is the formal one, or that of the stretches' scatter where this is larger.
+    Its standard deviation is the formal one, or that of the segments' scatter if larger.
 
     Args:
-        timestamp_s: of the path, rising, by the unit's clock.
-        world_from_camera: the path, up to scale.
+        timestamp_s: times of the poses, increasing, by the IMU's clock.
+        world_from_camera: the trajectory, up to scale.
         log: measurements.
-        camera_from_imu: how the unit is mounted, in metres.
+        camera_from_imu: extrinsics of the IMU, in metres.
         noise: densities; None: the defaults.
 
     Raises:
-        DegenerateGeometryError: no stretch tells a scale; the message says why.
-        ShapeError: the arrays do not fit, or times do not rise.
+        DegenerateGeometryError: no segment determines the scale.
+        ShapeError: array sizes do not match, or times do not increase.
     """
     if world_from_camera.batch_shape() != timestamp_s.shape:
-        raise ShapeError(f"{len(timestamp_s)} times are given for {world_from_camera.batch_shape()} poses")
+        raise ShapeError(
+            f"timestamp_s has {len(timestamp_s)} rows for {world_from_camera.batch_shape()} poses"
+        )
     if (np.diff(timestamp_s) <= 0).any():
-        raise ShapeError("times of poses must rise")
+        raise ShapeError("timestamp_s must increase")
     stretches = _stretches(timestamp_s, log)
     if not stretches:
         raise DegenerateGeometryError(
-            f"IMU: no {LEAST} poses in a row, at most {LONGEST_S:g} s apart, fall within its log"
+            f"IMU: its log covers no {LEAST} consecutive poses at most {LONGEST_S:g} s apart"
         )
     found: list[InertialAlignment] = []
     problem = ""
@@ -66,7 +68,7 @@ def fit_scale_to_imu(
 
 
 def _stretches(times: np.ndarray, log: ImuLog) -> list[np.ndarray]:
-    """Rows of poses, some tenths of a second apart, within the log; none across a gap."""
+    """Rows of poses per segment: within the log, spaced by APART_S, without long gaps."""
     if not len(log):
         return []
     kept: list[int] = []
@@ -76,7 +78,7 @@ def _stretches(times: np.ndarray, log: ImuLog) -> list[np.ndarray]:
         if kept and since < APART_S * 0.999:
             continue
         if kept and (since > LONGEST_S or len(kept) == POSES):
-            # Stretches share a pose where nothing parts them.
+            # Consecutive segments share a pose unless a gap separates them.
             kept = [kept[-1]] if since <= LONGEST_S else []
             out.append(kept)
         kept.append(int(row))
@@ -90,5 +92,5 @@ def _mean(found: list[InertialAlignment], count: int, shared: float) -> ScaleEst
     scatter = float((weight * (logs - mean) ** 2).sum()) / max(len(found) - 1, 1)
     sigma = float(np.sqrt(max(scatter, 1.0) / weight.sum()))
     scale = float(np.exp(mean))
-    words = "the IMU" + (f" ({len(found)} of {count} stretches)" if count > 1 else "")
+    words = "the IMU" + (f" ({len(found)} of {count} segments)" if count > 1 else "")
     return ScaleEstimate("imu", "the IMU", scale, scale * sigma, shared, words)

@@ -1,4 +1,4 @@
-"""An object of known size in the images of a model: where it is, and what it says of the model's scale."""
+"""An object of known size in the images of a model: its pose, and the model's scale."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, Rotation3, Similarity3, align_points
@@ -18,33 +18,35 @@ from epipole.robust import triangulate_points
 from epipole.robust.triangulate import PointReason
 
 MIN_ANGLE_DEG = 1.0
-OUTLIER, LARGEST_ERROR = 4.0, 8.0
-"""Views whose pixels are off by more, in deviations or in those of the median view; and what no object's may be off by."""
+OUTLIER = (
+    4.0  # views with a larger rms error, in standard deviations or relative to the median view, are dropped
+)
+LARGEST_ERROR = 8.0  # largest accepted rms error of the fit, in standard deviations
 MAX_STEPS, DAMPING = 50, 1e-3
 LARGEST = 1e12
-"""Of lengths and pixels: larger ones cannot be calculated with."""
+"""Upper bound of lengths and pixels, to keep the arithmetic finite."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectFit(Declared):
-    """A known object among the cameras of a model."""
+    """A known object fitted to the cameras of a model."""
 
     model_from_object: Similarity3
     scale: float
-    """Metres of the model's unit."""
+    """Metres per model unit."""
     sigma: float
-    """Standard deviation of the scale, by the pixels and the cameras' places."""
+    """Standard deviation of the scale, from pixel noise and pose covariance."""
     residual: float
-    """Root mean square of the pixels' errors over their deviations."""
+    """RMS of the pixel errors, in standard deviations."""
     kept_mask: Bool[np.ndarray, " v"]
-    """Views that agree."""
+    """Views that agree with the fit."""
 
     def __repr__(self) -> str:
         return f"ObjectFit(scale {self.scale:.6g} +- {self.sigma:.2g}, {int(self.kept_mask.sum())} of {len(self.kept_mask)} views)"
 
 
 class _Seen(NamedTuple):
-    """The views of an object."""
+    """The views that see the object."""
 
     cams_from_world: Rigid3
     cameras: list[Camera]
@@ -69,24 +71,24 @@ def fit_scale_to_object(
     sigma_px: float,
     cam_covariance: Float64[np.ndarray, "v 6 6"] | None = None,
 ) -> ObjectFit:
-    """The similarity from an object to the model whose projections are nearest to the pixels, and the deviation of its scale.
+    """The similarity from an object to the model with the least reprojection error, and its scale's standard deviation.
 
-    X = c + s R P is found by Gauss-Newton over (c, R, log s) from the triangulated points. The pixels of one view share the
-    error of its camera's place: with J_xi = d pixel / d xi the covariance of a view's pixels is sigma^2 I + J_xi C J_xi^T. Of
-    two points the turn about their line stays open, which the scale does not feel. Views whose pixels do not fit are left
-    out where at least two others agree.
+    X = c + s R P is found by Gauss-Newton over (c, R, log s), starting from the triangulated points. The pixels of one
+    view share its pose error: with J_xi = d pixel / d xi, the covariance of a view's pixels is
+    sigma^2 I + J_xi C J_xi^T. With two points the rotation about their line is undetermined, which does not affect the
+    scale. Views whose pixels do not fit are dropped as long as two others agree.
 
     Args:
-        points_in_object: corners of a board or a tag, or the ends of a length; in metres.
+        points_in_object: corners of a board or tag, or the ends of a length, in metres.
         cams_from_world: the model's cameras that see it, batch shape (v,).
-        cameras: of each.
-        pixels: where they see it; NaN for a point that a view does not see.
-        sigma_px: standard deviation of a pixel's coordinate.
-        cam_covariance: of xi = (translation, rotation) in exp(xi) @ cam_from_world; None: the places are exact.
+        cameras: intrinsics of each view.
+        pixels: observations of the points; NaN where a view does not see a point.
+        sigma_px: standard deviation of a pixel coordinate.
+        cam_covariance: of xi = (translation, rotation) in exp(xi) @ cam_from_world; None: poses are exact.
 
     Raises:
-        DegenerateGeometryError: seen from one place, or pixels that no such object has; the message says which.
-        ShapeError: the arrays do not fit.
+        DegenerateGeometryError: too little parallax, or pixels that do not fit such an object.
+        ShapeError: array sizes do not match.
         ConfigError: sigma_px is not positive.
     """
     num_views = len(cameras)
@@ -105,7 +107,7 @@ def fit_scale_to_object(
         try:
             found, sigma_log, errors = _fit(shape, seen.rows(kept))
         except np.linalg.LinAlgError as error:
-            raise DegenerateGeometryError("its pixels do not determine where it is") from error
+            raise DegenerateGeometryError("its pixels do not determine its pose") from error
         size = np.full(num_views, np.nan)
         size[kept] = errors
         limit = OUTLIER * max(1.0, float(np.nanmedian(size)))
@@ -115,7 +117,7 @@ def fit_scale_to_object(
     residual = float(np.sqrt(np.mean(size[kept] ** 2)))
     if residual > LARGEST_ERROR:
         raise DegenerateGeometryError(
-            f"its pixels are off by {residual * sigma_px:.1f} px from where such an object would be seen"
+            f"its pixels do not fit an object of this shape: the rms error is {residual * sigma_px:.1f} px"
         )
     scale = 1.0 / float(found.scale)
     moved = Similarity3(found.scale, found.rotation, found.apply(-middle[None])[0])
@@ -129,9 +131,11 @@ def _check(
     if not 0 < sigma_px < LARGEST:
         raise ConfigError(f"sigma_px must be positive and below {LARGEST:g}, got {sigma_px}")
     if cams_from_world.batch_shape() != (num_views,) or len(pixels) != num_views:
-        raise ShapeError(f"{num_views} cameras need as many places, covariances and rows of pixels")
+        raise ShapeError(
+            f"cams_from_world, cam_covariance and pixels must have {num_views} rows, as cameras has"
+        )
     if len(points) < 2 or pixels.shape[1] != len(points):
-        raise ShapeError("an object has at least two points, and a pixel for each in every view")
+        raise ShapeError("points_in_object must have at least two rows, and pixels one column per point")
     for name, values in (("points_in_object", points), ("pixels", pixels), ("cam_covariance", covariance)):
         if (np.abs(values[np.isfinite(values)]) > LARGEST).any():
             raise ShapeError(f"{name} must be below {LARGEST:g}")
@@ -140,11 +144,11 @@ def _check(
 
 
 def _start(shape: np.ndarray, seen: _Seen) -> Similarity3:
-    """From the triangulated points that are good."""
+    """From the triangulated points."""
     if len(seen.cameras) < 2:
         raise DegenerateGeometryError(
-            f"seen in {len(seen.cameras) or 'no'} image{'' if len(seen.cameras) == 1 else 's'} with a place: two from "
-            "different places are needed"
+            f"seen in {len(seen.cameras) or 'no'} posed image{'' if len(seen.cameras) == 1 else 's'}: two from "
+            "different positions are needed"
         )
     found = triangulate_points(
         seen.cams_from_world, seen.cameras, seen.pixels, min_angle_rad=np.deg2rad(MIN_ANGLE_DEG)
@@ -161,26 +165,26 @@ def _start(shape: np.ndarray, seen: _Seen) -> Similarity3:
     here, there = shape[rows[last]] - shape[rows[0]], points[last] - points[0]
     scale = np.linalg.norm(there) / np.linalg.norm(here)
     if not scale > 0:
-        raise DegenerateGeometryError("its two ends are seen as one point")
+        raise DegenerateGeometryError("its two ends coincide in the images")
     rotation = Rotation3.from_two_vectors(here, there).matrix
     return Similarity3(np.asarray(scale), rotation, points[0] - scale * rotation @ shape[rows[0]])
 
 
 def _why_no_points(reason: np.ndarray, seen: _Seen) -> str:
-    """In words: of the points' reasons, and of the widest angle between two rays to one point."""
+    """The reason in words, from the status of the points and the largest angle between two rays to one point."""
     if (reason == PointReason.TOO_FEW_VIEWS).any():
-        return "one of its ends is seen in one image only: two from different places are needed"
+        return "one of its ends is seen in one image only: two from different positions are needed"
     rays = np.stack(
         [c.unproject(p) @ r for c, p, r in zip(seen.cameras, seen.pixels, seen.cams_from_world.rotation)]
     )
     cosine = np.einsum("vnk,wnk->nvw", rays, rays)
     if np.nanmin(cosine, initial=1.0) > np.cos(np.deg2rad(MIN_ANGLE_DEG)):
-        return f"seen from one place only: its rays meet under less than {MIN_ANGLE_DEG:g} degree"
-    return "its pixels in two images belong to no point before both cameras"
+        return f"too little parallax: its rays intersect at less than {MIN_ANGLE_DEG:g} degree"
+    return "its pixels in two images intersect behind a camera"
 
 
 def _fit(shape: np.ndarray, seen: _Seen) -> tuple[Similarity3, float, np.ndarray]:
-    """The similarity, the deviation of the logarithm of its scale, and each view's rms error in deviations."""
+    """The similarity, the standard deviation of its log scale, and each view's rms error in standard deviations."""
     found, damping = _start(shape, seen), DAMPING
     residual, jacobian, sizes = _equations(found, shape, seen)
     for _ in range(MAX_STEPS):
@@ -214,7 +218,7 @@ def _fit(shape: np.ndarray, seen: _Seen) -> tuple[Similarity3, float, np.ndarray
 def _equations(
     found: Similarity3, shape: np.ndarray, seen: _Seen
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Whitened residuals, their Jacobian by (centre, turn, log scale), and each view's rms error in deviations of a pixel."""
+    """Whitened residuals, their Jacobian by (center, rotation, log scale), and each view's rms error in sigma_px."""
     points, scale, rotation = found.apply(shape), float(found.scale), found.rotation
     by_object = np.empty((len(shape), 3, 7))
     by_object[:, :, :3] = np.eye(3)

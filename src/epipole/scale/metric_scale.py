@@ -1,4 +1,4 @@
-"""What makes a model metric: its scale from measured places, with the deviation that they leave."""
+"""The scale of a model from measured positions, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Similarity3, align_points
 
 LEAST_POSITIONS = 5
 LEAST_SPREAD = 5.0
-"""Places that are spread by less than so many deviations tell no scale."""
+"""Minimum spread of the positions, in standard deviations of one of them."""
 OUTLIER, ROUNDS = 3.0, 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScaleFit(Declared):
-    """A similarity from the model to the world, and how well its scale is known."""
+    """A similarity from the model to the world, with the uncertainty of its scale."""
 
     world_from_model: Similarity3
     sigma: float
     """Standard deviation of the scale."""
     kept_mask: Bool[np.ndarray, " n"]
-    """Places that agree."""
+    """Positions that agree."""
     residual_m: float
-    """Root mean square distance of these."""
+    """RMS distance of the positions that agree."""
 
     def __repr__(self) -> str:
         scale = float(self.world_from_model.scale)
@@ -40,18 +40,18 @@ def fit_scale_to_positions(
     positions_in_world: Float64[np.ndarray, "n 3"],
     sigma: float,
 ) -> ScaleFit:
-    """The similarity of least squares (Umeyama, PAMI 1991) over places that agree, and the deviation of its scale.
+    """Least-squares similarity (Umeyama, PAMI 1991) over positions that agree, with its scale's standard deviation.
 
-    With centred model places a, var(s) = sigma^2 / sum |a|^2: the residuals' derivative by the scale is R a. The deviation
-    is that which was stated, or that of the residuals where they are larger.
+    With centered model positions a, var(s) = sigma^2 / sum |a|^2, as the residuals' derivative by the scale is R a. Sigma
+    is the stated one, or that of the residuals if larger.
 
     Args:
-        positions_in_model: where the camera was, in the model's unit.
-        positions_in_world: where it was measured, in metres.
+        positions_in_model: camera positions, in the model's unit.
+        positions_in_world: the same positions as measured, in metres.
         sigma: standard deviation of a measured coordinate, in metres.
 
     Raises:
-        DegenerateGeometryError: too few places, on a line, or too near to each other for their deviation.
+        DegenerateGeometryError: too few positions, collinear, or too close together for their uncertainty.
         ConfigError: sigma is not positive.
         ShapeError: a coordinate is not finite.
     """
@@ -63,7 +63,7 @@ def fit_scale_to_positions(
     for _ in range(ROUNDS):
         if kept.sum() < LEAST_POSITIONS:
             raise DegenerateGeometryError(
-                f"{int(kept.sum())} places agree, {LEAST_POSITIONS} are needed for a scale"
+                f"{int(kept.sum())} positions agree, {LEAST_POSITIONS} are needed to determine the scale"
             )
         found = align_points(positions_in_model[kept], positions_in_world[kept])
         off = np.linalg.norm(found.apply(positions_in_model) - positions_in_world, axis=1)
@@ -83,6 +83,6 @@ def _judged(
     spread = float(np.sqrt((b**2).sum(axis=1).mean()))
     if spread < LEAST_SPREAD * each:
         raise DegenerateGeometryError(
-            f"the places are spread by {spread:.3g} m, and wrong by {each:.3g} m each: they tell no scale"
+            f"the positions spread over {spread:.3g} m with errors of {each:.3g} m: too little to determine the scale"
         )
     return ScaleFit(found, each / float(np.sqrt((a**2).sum())), kept, residual)

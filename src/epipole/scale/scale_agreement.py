@@ -1,4 +1,4 @@
-"""One scale from several estimates of it: which agree, what they give together, and how well that is known."""
+"""One scale from several estimates: which of them agree, their combined value and its uncertainty."""
 
 from __future__ import annotations
 
@@ -8,34 +8,34 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.errors import ConfigError, DegenerateGeometryError
 
-AGREE, TOLERANCE = 3.0, 0.02
-"""Estimates agree that differ by no more than so many deviations, or by this share: a model's own scale drifts, too."""
+AGREE = 3.0  # estimates agree if they differ by at most this many standard deviations
+TOLERANCE = 0.02  # or by this fraction, as a model's own scale drifts
 LARGEST_FRACTION = 0.1
-"""A scale that is known worse is none."""
+"""Largest accepted relative standard deviation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScaleEstimate(Declared):
-    """What one known thing says of a model's scale."""
+    """The scale according to one reference."""
 
     kind: str
-    """What it is one of: GPS, positions, length, tag, board, odometry, imu."""
+    """GPS, positions, length, tag, board, odometry or imu."""
     name: str
     scale: float
-    """Metres of the model's unit."""
+    """Metres per model unit."""
     sigma: float
-    """Standard deviation of the scale, but for what all of a kind share."""
+    """Standard deviation of the scale, without `shared_sigma`."""
     shared_sigma: float = 0.0
-    """Relative deviation that all estimates of this kind have in common: that of the stated size."""
+    """Relative standard deviation common to all estimates of this kind, such as that of the stated size."""
     note: str = ""
-    """From what it was found, in words."""
+    """Source of the estimate, in words."""
 
     @property
     def fraction(self) -> float:
-        """Relative deviation, what is shared included."""
+        """Relative standard deviation, including the shared part."""
         return float(np.hypot(self.sigma / self.scale, self.shared_sigma))
 
     def __repr__(self) -> str:
@@ -44,25 +44,25 @@ class ScaleEstimate(Declared):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MetricScale(Declared):
-    """A model's scale, and what fixed it."""
+    """A model's scale and the estimates that determine it."""
 
     scale: float
-    """Metres of the model's unit."""
+    """Metres per model unit."""
     sigma: float
     """Standard deviation of the scale."""
     estimates: tuple[ScaleEstimate, ...]
     kept_mask: Bool[np.ndarray, " n"]
     """Estimates that agree."""
     refusals: tuple[str, ...] = field(default=())
-    """What was given and tells nothing, in words."""
+    """References that give no scale, and why."""
 
     @property
     def relative_sigma(self) -> float:
-        """Deviation as a share of the scale."""
+        """Standard deviation relative to the scale."""
         return self.sigma / self.scale
 
     def in_words(self) -> str:
-        """What fixed the scale, and how well it is known."""
+        """The source of the scale and its uncertainty, as a sentence."""
         kept = [e for e, k in zip(self.estimates, self.kept_mask) if k]
         parts = [
             _counted(kind, [e for e in kept if e.kind == kind])
@@ -71,19 +71,19 @@ class MetricScale(Declared):
         return f"metres, from {' and '.join(parts)}: known to {100 * self.relative_sigma:.2g} % (1 sigma)"
 
     def warnings(self) -> list[str]:
-        """What was given and does not count, in words."""
+        """References that are ignored, and why."""
         out = list(self.refusals)
         for estimate, kept in zip(self.estimates, self.kept_mask):
             if not kept:
                 off = 100.0 * (estimate.scale / self.scale - 1.0)
                 out.append(
-                    f"{estimate.name} does not count: by it the scale would be {off:+.2g} %, and it was thought to be known to "
+                    f"{estimate.name} is ignored: it would change the scale by {off:+.2g} %, with a stated uncertainty of "
                     f"{100 * estimate.fraction:.2g} %"
                 )
         return out
 
     def summary(self) -> dict[str, object]:
-        """The same as numbers and words, for a job's summary."""
+        """Numbers and words for a job's summary."""
         return {
             "scale": self.scale,
             "relative_sigma": self.relative_sigma,
@@ -106,25 +106,26 @@ class MetricScale(Declared):
 
 @checked
 def agreed_scale(estimates: Sequence[ScaleEstimate], refusals: Sequence[str] = ()) -> MetricScale:
-    """The scale on which most estimates agree, by the mean of least variance of its logarithm.
+    """The scale on which most estimates agree: the minimum-variance mean of its logarithm.
 
-    Estimates of one kind come first, with what they share added once; then the kinds. Where estimates scatter by more than
-    their deviations say, the result's deviation grows with the scatter.
+    Estimates of one kind are combined first, adding their shared part once; then the kinds. If estimates scatter by more
+    than their standard deviations allow, the result's standard deviation grows with the scatter.
 
     Args:
-        estimates: of one model's scale, independent but for what those of a kind share.
-        refusals: what else was given, and why it tells nothing.
+        estimates: of one model's scale; independent, except for the shared part of each kind.
+        refusals: references that give no scale, and why.
 
     Raises:
-        DegenerateGeometryError: there is none, they contradict each other, or the scale is known too badly; the message says
-            which.
-        ConfigError: a scale or a deviation is not positive.
+        DegenerateGeometryError: there is no estimate, they contradict each other, or the result is too uncertain.
+        ConfigError: a scale or standard deviation is not positive.
     """
     given = tuple(estimates)
     if not all(e.scale > 0 and np.isfinite(e.scale) and 0 < e.sigma < np.inf for e in given):
-        raise ConfigError("scales and their deviations must be positive and finite")
+        raise ConfigError("scales and their standard deviations must be positive and finite")
     if not given:
-        raise DegenerateGeometryError("; ".join(refusals) or "nothing tells the scale")
+        raise DegenerateGeometryError(
+            "; ".join(refusals) or "the scale is unknown, as no reference was given"
+        )
     logs = np.log([e.scale for e in given])
     kept = _agreeing(given, logs)
     rows = [
@@ -133,7 +134,7 @@ def agreed_scale(estimates: Sequence[ScaleEstimate], refusals: Sequence[str] = (
     mean, sigma = _weighed(np.array([r[0] for r in rows]), np.array([r[1] for r in rows]))
     if sigma > LARGEST_FRACTION:
         names = ", ".join(e.name for e, k in zip(given, kept) if k)
-        raise DegenerateGeometryError(f"{names}: the scale would be known to {100 * sigma:.0f} % only")
+        raise DegenerateGeometryError(f"{names}: the scale is too uncertain ({100 * sigma:.0f} %)")
     scale = float(np.exp(mean))
     return MetricScale(scale, scale * sigma, given, kept, tuple(refusals))
 
@@ -143,7 +144,7 @@ def _kinds(estimates: Sequence[ScaleEstimate], kept: np.ndarray) -> list[str]:
 
 
 def _agreeing(estimates: Sequence[ScaleEstimate], logs: np.ndarray) -> np.ndarray:
-    """The largest set that agrees with one of them; more than half, or it is a contradiction."""
+    """The largest set that agrees with one estimate; an error unless it is the majority."""
     fraction = np.array([e.fraction for e in estimates])
     apart = np.abs(logs[:, None] - logs)
     near = apart <= np.maximum(AGREE * np.hypot(fraction[:, None], fraction), TOLERANCE)
@@ -152,7 +153,7 @@ def _agreeing(estimates: Sequence[ScaleEstimate], logs: np.ndarray) -> np.ndarra
     if 2 * counts[best] <= len(estimates):
         words = "; ".join(f"{e.name} {e.scale:.4g} +- {100 * e.fraction:.2g} %" for e in estimates[:6])
         raise DegenerateGeometryError(
-            f"what is known contradicts itself (metres of the model's unit: {words})"
+            f"the scale references contradict each other (metres per model unit: {words})"
         )
     return near[best]
 

@@ -1,4 +1,4 @@
-"""What known lengths, tags, boards, odometry and an IMU say of a model's scale: from options and files to estimates."""
+"""Scale estimates from known lengths, tags, boards, odometry and an IMU."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.config import ANCHOR_FILES, AnchorOptions, BoardConfig
 from epipole.errors import DegenerateGeometryError, FileFormatError
 from epipole.features.boards import corners_on_board, find_board
@@ -26,15 +26,15 @@ from epipole.scale.scale_agreement import ScaleEstimate
 from epipole.scale.travelled_scale import fit_scale_to_distances
 
 CORNERS_SIGMA_PX = 0.15
-"""Standard deviation of a corner that a detector found; larger residuals enlarge it."""
+"""Standard deviation of a detected corner; larger residuals enlarge it."""
 BOARD_SIGMA_PX = 0.1
 MOST_VIEWS = 60
-"""Of one object: more tell little more."""
+"""Maximum number of views per object: more add little."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScaleEvidence(Declared):
-    """Estimates of a scale, why other things that were given tell nothing, and what is odd about their files."""
+    """Scale estimates, and the reasons why other references give none."""
 
     estimates: tuple[ScaleEstimate, ...]
     refusals: tuple[str, ...]
@@ -44,7 +44,7 @@ class ScaleEvidence(Declared):
 
 
 class _Gathered:
-    """Evidence that grows."""
+    """Collects estimates and refusals."""
 
     def __init__(self) -> None:
         self.estimates: list[ScaleEstimate] = []
@@ -61,10 +61,10 @@ class _Gathered:
 
 @checked
 def check_anchor_files(options: AnchorOptions) -> None:
-    """Read every file that is named: one that cannot be is told before any work, not after it.
+    """Read every given file, so that errors show before any work starts.
 
     Raises:
-        FileFormatError: a file is not there, or is not of its kind.
+        FileFormatError: a file is missing or malformed.
     """
     readers: dict[str, Callable[[Path], object]] = {
         "positions": read_anchor_positions,
@@ -86,15 +86,15 @@ def check_anchor_files(options: AnchorOptions) -> None:
 def scale_evidence(
     views: AnchorViews, options: AnchorOptions, path: AnchorViews | None = None
 ) -> ScaleEvidence:
-    """What lengths, tags, boards, odometry and an IMU say of a model's scale; measured places are `fit_scale_to_positions`'.
+    """Scale estimates from lengths, tags, boards, odometry and an IMU; for positions see `fit_scale_to_positions`.
 
     Args:
-        views: images with a place, in which tags and boards are looked for.
-        options: what is known.
-        path: all images with a place, for lengths and odometry; None: the same.
+        views: posed images in which to detect tags and boards.
+        options: the scale references.
+        path: all posed images, for lengths and odometry; None: the same.
 
     Raises:
-        FileFormatError: a file that was named cannot be read.
+        FileFormatError: a given file cannot be read.
     """
     found = _Gathered()
     everywhere = views if path is None else path
@@ -117,10 +117,10 @@ def scale_evidence(
 
 @checked
 def mounted_imu(options: AnchorOptions) -> MountedImu | None:
-    """The inertial unit of the options; None without one.
+    """The IMU given in the options; None without one.
 
     Raises:
-        FileFormatError: a file that was named cannot be read.
+        FileFormatError: a given file cannot be read.
     """
     if options.imu is None or options.imu_mounting is None:
         return None
@@ -144,7 +144,7 @@ def _of_length(views: AnchorViews, known: KnownLength, options: AnchorOptions) -
         )
     except DegenerateGeometryError as error:
         words = (
-            f" ({joined_words(missing)} {'has' if len(missing) == 1 else 'have'} no place)" if missing else ""
+            f" ({joined_words(missing)} {'has' if len(missing) == 1 else 'have'} no pose)" if missing else ""
         )
         raise DegenerateGeometryError(f"{error}{words}") from error
     sigma = fit.scale * float(np.hypot(fit.sigma / fit.scale, options.lengths_sigma_m / known.length_m))
@@ -163,9 +163,7 @@ def _add_tags(views: AnchorViews, options: AnchorOptions, found: _Gathered) -> N
             for number, corners in zip(tags.number, tags.corners):
                 seen.setdefault(int(number), []).append((row, corners))
     if not seen:
-        found.refusals.append(
-            f"no tag of {options.tag_family} is seen in the {len(views)} images with a place"
-        )
+        found.refusals.append(f"no {options.tag_family} tag was detected in the {len(views)} posed images")
     square = 0.5 * size * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
     for number, own in sorted(seen.items()):
         rows, corners = [row for row, _ in own], np.stack([c for _, c in own])
@@ -190,7 +188,7 @@ def _of_board(views: AnchorViews, board: BoardConfig, options: AnchorOptions) ->
             rows.append(row)
             pixels.append(view.pixels)
     if not rows:
-        raise DegenerateGeometryError(f"it is seen in none of the {len(views)} images with a place")
+        raise DegenerateGeometryError(f"it was detected in none of the {len(views)} posed images")
     fit = _fit_object(shape, views, rows, _in_one_order(views, rows, np.stack(pixels), board), BOARD_SIGMA_PX)
     words = f"{int(fit.kept_mask.sum())} images"
     return ScaleEstimate(
@@ -201,7 +199,7 @@ def _of_board(views: AnchorViews, board: BoardConfig, options: AnchorOptions) ->
 def _in_one_order(
     views: AnchorViews, rows: Sequence[int], pixels: np.ndarray, board: BoardConfig
 ) -> np.ndarray:
-    """Corners of a chessboard begin at either end of it: in each image the order that meets the first image's rays."""
+    """Chessboard corners may start at either end: in each image, pick the order whose rays meet the first image's."""
     grid = np.arange(board.columns * board.rows).reshape(board.rows, board.columns)
     rotations = (0, 1, 2, 3) if board.columns == board.rows else (0, 2)
     orders = [np.rot90(grid, rotation).ravel() for rotation in rotations]
@@ -255,7 +253,7 @@ def _of_imu(views: AnchorViews, imu: MountedImu) -> ScaleEstimate:
 
 
 def _timed(views: AnchorViews) -> tuple[np.ndarray, Rigid3]:
-    """Times and world_from_camera of the images that have a time, in their order."""
+    """Times and world_from_camera of the images that have a time, sorted by time."""
     timed = np.flatnonzero(np.isfinite(views.timestamp_s))
     if not len(timed):
         raise DegenerateGeometryError("the images have no times")

@@ -1,4 +1,4 @@
-"""Frozen data: cameras, rigs, frames, images, points, tracks, reconstructions, view graphs; maps, clouds, extents and curves."""
+"""Immutable data: cameras, rigs, frames, images, points, tracks, reconstructions, view graphs, depth maps, clouds, curves."""
 
 from epipole.scene.cameras import Cameras as Cameras
 from epipole.scene.curve import Curve as Curve

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int32
 
-from epipole._declared import check_fields, checked
+from epipole._checks import check_fields, checked
 from epipole.cameras import MAX_PARAMS, Camera, CameraModel
 from epipole.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cameras:
-    """One row per camera; the row is its id inside epipole. `Cameras.from_list` makes them of single cameras."""
+    """One row per camera; the row is its id inside epipole. `Cameras.from_list` builds them from single cameras."""
 
     model: Int32[np.ndarray, " n"]
     width: Int32[np.ndarray, " n"]
@@ -23,27 +23,27 @@ class Cameras:
     params: Float64[np.ndarray, "n 12"]
     """Padded with zeros to the longest model."""
     is_focal_trusted: Bool[np.ndarray, " n"]
-    """The focal length was given or read from EXIF, not guessed."""
+    """Whether the focal length was given or read from EXIF, not guessed."""
     is_constant: Bool[np.ndarray, " n"]
-    """The intrinsics are known and stay as they are."""
+    """Whether the intrinsics are known and stay fixed."""
 
     def __post_init__(self) -> None:
         """Check the columns.
 
         Raises:
-            ShapeError: an array is of another kind or shape.
-            ConfigError: there is no such camera model, or they are single values or a list of cameras.
+            ShapeError: a column has the wrong type or shape.
+            ConfigError: the camera model is unknown, or a column is not an array.
         """
         for name in self.__slots__:
             if not isinstance(column := getattr(self, name), np.ndarray):
                 raise ConfigError(
-                    f"{name} of Cameras must be an array with a row per camera, got {type(column).__name__};"
-                    " Cameras.from_list([Camera(...)]) makes one"
+                    f"{name} of Cameras must be an array with one row per camera, got {type(column).__name__};"
+                    " use Cameras.from_list([Camera(...)])"
                 )
         check_fields(self)
         known = [int(model) for model in CameraModel]
         if not np.isin(self.model, known).all():
-            raise ConfigError(f"model must be within {known[0]} and {known[-1]}, got {self.model}")
+            raise ConfigError(f"model must be from {known[0]} to {known[-1]}, got {self.model}")
 
     @staticmethod
     @checked
@@ -55,7 +55,7 @@ class Cameras:
         """Collect single cameras into columns (flags default to True and False).
 
         Raises:
-            ConfigError: one is no camera.
+            ConfigError: an item is not a Camera.
         """
         rows = list(cameras)
         wrong = next((row for row in rows if not isinstance(row, Camera)), None)

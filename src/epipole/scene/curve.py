@@ -1,4 +1,4 @@
-"""Lines to be drawn in the world: paths of cameras, and edges between places."""
+"""Lines to display in the world: camera trajectories, and edges between positions."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.geometry import Similarity3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curve(Declared):
-    """Straight pieces under one name and in one colour."""
+    """Line segments with one name and one color."""
 
     name: str
     segments_in_world: Float64[np.ndarray, "n 2 3"]
-    """Begin and end of each piece."""
+    """Start and end of each segment."""
     rgb: tuple[int, int, int]
     is_shown: bool = True
-    """At first, where the user can choose."""
+    """Initial visibility, where the user can choose."""
 
     @checked
     def transformed(self, target_from_world: Similarity3) -> Curve:
@@ -29,18 +29,18 @@ class Curve(Declared):
         return Curve(self.name, moved, self.rgb, self.is_shown)
 
     def __repr__(self) -> str:
-        return f"Curve({self.name!r}, {len(self.segments_in_world)} pieces)"
+        return f"Curve({self.name!r}, {len(self.segments_in_world)} segments)"
 
 
 @checked
 def path_segments(
     points_in_world: Float64[np.ndarray, "n 3"], is_joined: Bool[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "k 2 3"]:
-    """Pieces from each point to the next.
+    """Segments from each point to the next.
 
     Args:
-        points_in_world: in order.
-        is_joined: whether a point is joined to the one before it; the first row does not count.
+        points_in_world: the points in order.
+        is_joined: whether a point is connected to the previous one; the first row is ignored.
     """
     ends = np.flatnonzero(is_joined[1:]) + 1
     return np.stack([points_in_world[ends - 1], points_in_world[ends]], axis=1)

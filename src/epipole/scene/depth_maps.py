@@ -1,4 +1,4 @@
-"""Maps of one image: disparities and depths, each with its standard deviation."""
+"""Disparity and depth maps of one image, with standard deviations."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from enum import IntEnum
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from epipole._declared import Declared
+from epipole._checks import Declared
 from epipole.scene.notebook import table_html
 
 
 class StereoReason(IntEnum):
-    """Why a pixel has no disparity, or that it has one."""
+    """Why a pixel has no disparity, or OK."""
 
     OK = 0
     OCCLUDED = 1
-    """The other image's disparity differs: hidden there, or wrongly matched."""
+    """The other image's disparity differs: occluded there, or wrongly matched."""
     OUT_OF_VIEW = 2
-    """Its match would lie beyond the other image."""
+    """Its match would lie outside the other image."""
     AMBIGUOUS = 3
     """Another disparity fits nearly as well: repeated texture."""
     SPECKLE = 4
     """It belongs to a small isolated region."""
     TEXTURELESS = 5
-    """There is no texture along the row, so that only smoothness would determine the disparity."""
+    """There is no texture along the row, so only smoothness would determine the disparity."""
     UNCERTAIN = 6
     """Its standard deviation is larger than `max_sigma_px`."""
 
@@ -37,13 +37,13 @@ class DisparityMap(Declared):
     disparity_px: Float32[np.ndarray, "h w"]
     """NaN where unknown."""
     sigma_px: Float32[np.ndarray, "h w"]
-    """Standard deviation of the disparity: 68 in 100 errors are smaller. NaN where unknown."""
+    """Standard deviation of the disparity; NaN where unknown."""
     reason: UInt8[np.ndarray, "h w"]
     """Values of `StereoReason`."""
 
     @property
     def density(self) -> float:
-        """Share of pixels with a disparity."""
+        """Fraction of pixels with a disparity."""
         return float((self.reason == StereoReason.OK).mean())
 
     def __repr__(self) -> str:
@@ -61,16 +61,16 @@ class DepthMap(Declared):
     depth: Float64[np.ndarray, "h w"]
     """z in the left camera; NaN where unknown."""
     sigma: Float64[np.ndarray, "h w"]
-    """Standard deviation of the depth, from disparity and calibration together; NaN where unknown."""
+    """Standard deviation of the depth, from disparity and calibration; NaN where unknown."""
     calibration_sigma: Float64[np.ndarray, "h w"]
-    """The calibration's part of it, which neighbours share: averaging does not reduce it. Zero where nothing
-    is known of the calibration's errors."""
+    """The part of it due to calibration, which neighbours share, so averaging does not reduce it. Zero if the calibration has no
+    stated uncertainty."""
 
     def __repr__(self) -> str:
         height, width = self.depth.shape
         known = np.isfinite(self.depth)
         if not known.any():
-            return f"DepthMap({width} x {height}, nothing known)"
+            return f"DepthMap({width} x {height}, no depth)"
         near, far = np.percentile(self.depth[known], [1, 99])
         return f"DepthMap({width} x {height}, {100 * known.mean():.1f} % known, {near:.3g} to {far:.3g})"
 

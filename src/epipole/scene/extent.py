@@ -7,23 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.errors import ConfigError
 
 WIDEST_HALF_ANGLE_RAD = float(np.deg2rad(65.0))
-"""A drawn frustum reaches no farther than this from the optical axis to each side."""
+"""Largest angle between a displayed frustum's side and the optical axis."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Extent(Declared):
-    """The part of the world that holds all cameras and nearly all points."""
+    """The part of the world that contains all cameras and nearly all points."""
 
     low: Float64[np.ndarray, " 3"]
     high: Float64[np.ndarray, " 3"]
     focus: Float64[np.ndarray, " 3"]
-    """Where to look."""
+    """Point to look at."""
     radius: float
-    """Of a ball around the focus that holds most of the points and most of the cameras."""
+    """Radius of a ball around the focus that contains most points and most cameras."""
 
     @checked
     def contains(self, points_in_world: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
@@ -42,15 +42,15 @@ def extent_of(
     """A box around all cameras and the middle 98 % of the points, with a margin; the cube of +-1 if empty.
 
     Args:
-        points_in_world: rows that are not finite do not count.
-        centers_in_world: of cameras; rows that are not finite do not count.
-        percent: of the points, and of the cameras, that the radius reaches.
+        points_in_world: non-finite rows are ignored.
+        centers_in_world: camera centers; non-finite rows are ignored.
+        percent: percentage of points, and of cameras, within the radius.
 
     Raises:
-        ConfigError: it is no percentage.
+        ConfigError: percent is outside 0 to 100.
     """
     if not 0 <= percent <= 100:
-        raise ConfigError(f"percent must be within 0 and 100, got {percent}")
+        raise ConfigError(f"percent must be from 0 to 100, got {percent}")
     points, centers = _finite_rows(points_in_world), _finite_rows(centers_in_world)
     if not len(centers) and not len(points):
         return Extent(-np.ones(3), np.ones(3), np.zeros(3), 1.0)
@@ -73,7 +73,7 @@ def _finite_rows(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "m 3
 
 @checked
 def frustum_size(centers_in_world: Float64[np.ndarray, "n 3"], least: float, most: float) -> float:
-    """How large to draw frusta: half the usual gap between neighbours, within bounds; `most` for fewer than two."""
+    """Size at which to display frusta: half the median gap between neighbours, within bounds; `most` for fewer than two."""
     if len(centers_in_world) < 2:
         return most
     sample = centers_in_world[:: max(1, len(centers_in_world) // 500)]

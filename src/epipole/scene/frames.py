@@ -1,4 +1,4 @@
-"""Rigs and frames: cameras that move together, and the instants at which they took images."""
+"""Rigs of cameras that move together, and frames: instants at which they took images."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int32
 
-from epipole._checks import check_count
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, check_count, checked
 from epipole.geometry import Rigid3
 
 
@@ -26,7 +25,7 @@ class Rigs(Declared):
     @staticmethod
     @checked
     def of_single_cameras(num_cameras: int) -> Rigs:
-        """One rig for each camera, which is its only sensor."""
+        """One rig per camera, with that camera as its only sensor."""
         check_count(num_cameras, "num_cameras")
         ids = np.arange(num_cameras + 1, dtype=np.int32)
         return Rigs(ids, ids[:-1].copy(), Rigid3.identity(num_cameras))
@@ -35,7 +34,7 @@ class Rigs(Declared):
         return len(self.sensor_offsets) - 1
 
     def rig_of_sensor(self) -> Int32[np.ndarray, " s"]:
-        """The rig to which each sensor belongs."""
+        """The rig of each sensor."""
         return np.repeat(np.arange(len(self), dtype=np.int32), np.diff(self.sensor_offsets))
 
     def __repr__(self) -> str:
@@ -53,7 +52,7 @@ class Frames(Declared):
     """Seconds; NaN where unknown."""
 
     def is_registered(self) -> Bool[np.ndarray, " n"]:
-        """Mask of frames whose place is known."""
+        """Mask of frames with a known pose."""
         return np.isfinite(self.rig_from_world.translation).all(axis=1)
 
     def __len__(self) -> int:
@@ -65,6 +64,6 @@ class Frames(Declared):
 
 @checked
 def unregistered(count: int) -> Rigid3:
-    """Rigid3 rows of NaN: places not known."""
+    """Rigid3 rows of NaN: unknown poses."""
     check_count(count, "count")
     return Rigid3(np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan))

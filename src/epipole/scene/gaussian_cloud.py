@@ -1,4 +1,4 @@
-"""Gaussians in space, with colours that depend on where they are seen from: the model of 3D Gaussian Splatting."""
+"""Gaussians with view-dependent color: the model of 3D Gaussian Splatting."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
-from epipole._declared import Declared, check_fields, checked
+from epipole._checks import Declared, check_fields, checked
 from epipole.errors import ShapeError
 from epipole.scene.notebook import table_html
 
 NUM_SH = (1, 4, 9, 16)
-"""Spherical harmonics up to degree 0, 1, 2 and 3."""
+"""Number of spherical harmonics up to degree 0, 1, 2 and 3."""
 DC = 0.28209479177387814
-"""The harmonic of degree 0: colour = 0.5 + DC sh_0 + ..."""
+"""The harmonic of degree 0: color = 0.5 + DC sh_0 + ..."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,21 +24,21 @@ class GaussianCloud(Declared):
     means_in_world: Float32[np.ndarray, "n 3"]
     """Relative to `origin_in_world`."""
     log_scales: Float32[np.ndarray, "n 3"]
-    """Logarithms of the deviations along the Gaussian's own axes."""
+    """Logarithms of the standard deviations along the Gaussian's own axes."""
     quats_wxyz: Float32[np.ndarray, "n 4"]
-    """world_from_own, of any length but zero."""
+    """world_from_own, of any nonzero length."""
     opacity_logits: Float32[np.ndarray, " n"]
     """Opacity is 1 / (1 + exp(-logit))."""
     sh: Float32[np.ndarray, "n k 3"]
     """Coefficients of red, green and blue, in the order of 3DGS; k is 1, 4, 9 or 16."""
     origin_in_world: Float64[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
-    """Added to the means; not zero where these are far from the world's origin (in UTM, for one), for which single precision is too coarse."""
+    """Added to the means; nonzero if they are too far from the world's origin (such as UTM) for single precision."""
 
     def __post_init__(self) -> None:
         """Check the shapes.
 
         Raises:
-            ShapeError: the arrays do not fit each other, or the origin is not finite.
+            ShapeError: array sizes do not match, or the origin is not finite.
         """
         check_fields(self)
         if not np.isfinite(self.origin_in_world).all():
@@ -54,7 +54,7 @@ class GaussianCloud(Declared):
 
     @property
     def sh_degree(self) -> int:
-        """0 to 3."""
+        """Degree of the spherical harmonics, 0 to 3."""
         return NUM_SH.index(self.sh.shape[1])
 
     @property
@@ -64,13 +64,13 @@ class GaussianCloud(Declared):
 
     @checked
     def relative_to(self, origin_in_world: Float64[np.ndarray, " 3"]) -> GaussianCloud:
-        """The same Gaussians with their means relative to another origin."""
+        """The same Gaussians, with means relative to another origin."""
         means = (self.centers_in_world - origin_in_world).astype(np.float32)
         return replace(self, means_in_world=means, origin_in_world=origin_in_world)
 
     @checked
     def rows(self, chosen: Int64[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> GaussianCloud:
-        """Some of them."""
+        """A subset of the Gaussians."""
         return GaussianCloud(
             self.means_in_world[chosen],
             self.log_scales[chosen],

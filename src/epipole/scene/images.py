@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
-from epipole._checks import check_index
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, check_index, checked
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,10 +18,10 @@ class Images(Declared):
     """Path relative to the image folder, with forward slashes."""
     frame: Int32[np.ndarray, " n"]
     sensor: Int32[np.ndarray, " n"]
-    """Row in Rigs' sensor columns."""
+    """Row in the sensor columns of Rigs."""
     keypoint_offsets: Int64[np.ndarray, " n1"]
     keypoints_px: Float64[np.ndarray, "m 2"]
-    """Pixel (0, 0) is the centre of the top-left pixel."""
+    """Pixel (0, 0) is the center of the top-left pixel."""
 
     def __len__(self) -> int:
         return len(self.name)

@@ -1,26 +1,26 @@
-"""An origin near the points, for what is computed or stored in single precision."""
+"""An origin near the points, for computation or storage in single precision."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import checked
+from epipole._checks import checked
 
 ORIGIN = "origin_in_world"
-"""In a file's header or list of names and values: what is to be added to its coordinates."""
+"""Name of the offset in a file's header or metadata; add it to the file's coordinates."""
 FAR = 30.0
-"""Distance from the origin, in the spread of the points, beyond which single precision is coarser than 2e-6 of the spread."""
+"""Distance from the origin, in units of the points' spread, above which float32 resolves only 2e-6 of the spread."""
 
 _FAR_OF_ONE = 1e4
-"""Distance beyond which a single point is far."""
+"""Distance from the origin above which a single point counts as far."""
 
 
 @checked
 def local_origin(points_in_world: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3"]:
-    """An origin near points that are far from zero (UTM, for one): their median, rounded to a tenth of their spread or finer.
+    """An origin near points far from zero (such as UTM): their median, rounded to at most a tenth of their spread.
 
-    Zero where they are near it, so that most scenes stay as they are. Points that are not finite have no part in it.
+    Zero if they are near the origin, so most scenes are unchanged. Non-finite points are ignored.
     """
     points = points_in_world[np.isfinite(points_in_world).all(axis=1)]
     if not len(points):

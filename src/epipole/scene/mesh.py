@@ -7,27 +7,26 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
-from epipole._checks import check_indices
-from epipole._declared import Declared, check_fields
+from epipole._checks import Declared, check_fields, check_indices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh(Declared):
-    """Triangles, whose corners go round against the clock seen from outside."""
+    """Triangles with corners in counterclockwise order, seen from outside."""
 
     vertices_in_world: Float64[np.ndarray, "n 3"]
     faces: Int64[np.ndarray, "m 3"]
     rgb: UInt8[np.ndarray, "n 3"]
     num_components: int = 0
-    """Connected parts that were found; 0 where nobody counted."""
+    """Number of connected components found; 0 if not counted."""
     num_removed: int = 0
-    """Of these, the small ones that were removed."""
+    """Number of small components that were removed."""
 
     def __post_init__(self) -> None:
         """Check the corners.
 
         Raises:
-            ShapeError: an array is of another kind or shape, or a corner is not there.
+            ShapeError: a column has the wrong type or shape, or a corner refers to a missing vertex.
         """
         check_fields(self)
         check_indices(self.faces, "faces", len(self.vertices_in_world))
@@ -39,10 +38,10 @@ class Mesh(Declared):
         return f"Mesh({len(self.vertices_in_world):,} vertices, {len(self.faces):,} triangles)"
 
     def without_small_components(self, least: float) -> Mesh:
-        """Without the connected parts that have fewer triangles than a fraction of the largest one's.
+        """Remove connected components with fewer triangles than a fraction of the largest one.
 
         Args:
-            least: the fraction; 0 keeps all.
+            least: the fraction; 0 keeps all components.
         """
         from scipy.sparse import coo_matrix
         from scipy.sparse.csgraph import connected_components

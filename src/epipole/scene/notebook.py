@@ -1,4 +1,4 @@
-"""Small tables and images that a notebook shows instead of a line of text (`_repr_html_`)."""
+"""Small HTML tables and images for notebooks (`_repr_html_`)."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ WIDTH_PX = 480
 
 
 def table_html(title: str, rows: Mapping[str, Any], image: np.ndarray | None = None) -> str:
-    """A table of two columns under a title; below it an image.
+    """A table of two columns with a title, above an image.
 
     Args:
-        title: what it is.
-        rows: label and value; a value of None is left out.
-        image: (h, w) of any range, shown in colors, or (h, w, 3) RGB of 8 bits.
+        title: caption of the table.
+        rows: labels and values; None values are skipped.
+        image: (h, w) of any range, shown with a color map, or (h, w, 3) 8-bit RGB.
     """
     lines = [
         f"<tr><td>{escape(label)}</td><td>{escape(str(value))}</td></tr>"

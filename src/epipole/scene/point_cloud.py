@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from epipole._checks import as_float_array, as_table
-from epipole._declared import Declared
+from epipole._checks import Declared, as_float_array, as_table
 from epipole.errors import ShapeError
 
 
@@ -19,7 +18,7 @@ class PointCloud(Declared):
 
     points_in_cam: Float64[np.ndarray, "n 3"]
     mask: Bool[np.ndarray, "h w"]
-    """The pixels they belong to, row by row."""
+    """The pixels of the points, in row-major order."""
 
     def __len__(self) -> int:
         return len(self.points_in_cam)
@@ -33,11 +32,11 @@ def depth_map_to_point_cloud(depth: Any, K: Any) -> PointCloud:
     """The points (Z (x - cx) / fx, Z (y - cy) / fy, Z) of a depth map.
 
     Args:
-        depth: (h, w); pixels that are NaN, infinite or not positive give no point.
-        K: (3, 3) of the camera, without skew.
+        depth: (h, w); NaN, infinite or non-positive pixels give no point.
+        K: (3, 3) intrinsics without skew.
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: an array has the wrong shape.
     """
     z = as_float_array(depth, "depth")
     matrix = as_table(K, "K", 3, 3)

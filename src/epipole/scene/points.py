@@ -1,4 +1,4 @@
-"""Points as columns, and the tracks that tell where each was seen."""
+"""Points as columns, and their tracks."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int32, Int64, UInt8
 
-from epipole._declared import Declared
+from epipole._checks import Declared
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,18 +28,18 @@ class Points(Declared):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracks(Declared):
-    """Track of point j in compressed rows: observations offsets[j] to offsets[j + 1]."""
+    """Tracks in compressed rows: observations offsets[j] to offsets[j + 1] are those of point j."""
 
     offsets: Int64[np.ndarray, " n1"]
     image: Int32[np.ndarray, " k"]
     keypoint: Int32[np.ndarray, " k"]
-    """Index inside the image's own keypoints."""
+    """Index among the image's own keypoints."""
 
     def __len__(self) -> int:
         return len(self.offsets) - 1
 
     def point_of_observation(self) -> Int32[np.ndarray, " k"]:
-        """The point that each observation sees."""
+        """The point of each observation."""
         return np.repeat(np.arange(len(self), dtype=np.int32), np.diff(self.offsets))
 
     def __repr__(self) -> str:

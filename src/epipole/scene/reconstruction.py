@@ -1,4 +1,4 @@
-"""A reconstruction: cameras, rigs, frames, images, points and their tracks, as frozen columns."""
+"""A reconstruction: cameras, rigs, frames, images, points and their tracks, as immutable columns."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64
 
-from epipole._checks import check_indices, check_offsets
-from epipole._declared import check_fields, checked
+from epipole._checks import check_fields, check_indices, check_offsets, checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, Similarity3
@@ -22,7 +21,7 @@ from epipole.scene.points import Points, Tracks
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reconstruction:
-    """Everything known about a scene. Rows refer to each other by position; -1 means none."""
+    """A model of a scene. Rows refer to each other by index; -1 means none."""
 
     cameras: Cameras
     rigs: Rigs
@@ -32,10 +31,10 @@ class Reconstruction:
     tracks: Tracks
 
     def __post_init__(self) -> None:
-        """Check that rows refer to rows that are there.
+        """Check the references between rows.
 
         Raises:
-            ShapeError: one does not.
+            ShapeError: an index is out of range, or columns differ in length.
         """
         check_fields(self)
         images, tracks = self.images, self.tracks
@@ -49,7 +48,7 @@ class Reconstruction:
         check_indices(tracks.image, "tracks.image", len(images))
         counts = np.diff(images.keypoint_offsets)[tracks.image]
         if not ((tracks.keypoint >= 0) & (tracks.keypoint < counts)).all():
-            raise ShapeError("tracks.keypoint names a keypoint that is not there")
+            raise ShapeError("tracks.keypoint refers to a keypoint that does not exist")
         for name, found, wanted in (
             ("points", len(self.points), len(tracks)),
             ("rigs.cam_from_rig", len(self.rigs.cam_from_rig), len(self.rigs.sensor_camera)),
@@ -71,20 +70,20 @@ class Reconstruction:
         pixels: Float64[np.ndarray, "k 2"],
         names: Sequence[str] | None = None,
     ) -> Reconstruction:
-        """Put together a model of single images, such as one for `write_colmap_model`.
+        """Build a model of single images, such as one for `write_colmap_model`.
 
         Args:
             cams_from_world: pose of each image.
-            cameras: one that took all images, or one per image.
+            cameras: one for all images, or one per image.
             points_in_world: points.
-            image: row of the image of each observation, in any order.
-            point: row of its point.
-            pixels: where the image shows the point.
-            names: of the images' files; None: 00000.png, 00001.png and so on.
+            image: image index of each observation, in any order.
+            point: point index of each observation.
+            pixels: pixel coordinates of each observation.
+            names: file names of the images; None: 00000.png, 00001.png and so on.
 
         Raises:
-            ShapeError: the arrays do not fit each other, or an observation names an image or a point that is not there.
-            ConfigError: there are neither one nor as many cameras or names as images.
+            ShapeError: array sizes do not match, or an observation refers to a missing image or point.
+            ConfigError: the number of cameras is neither one nor that of images, or the number of names differs.
         """
         shape, own = (
             cams_from_world.batch_shape(),
@@ -102,7 +101,7 @@ class Reconstruction:
         check_indices(point, "point", len(points_in_world))
         camera = np.zeros(n, np.int32) if len(own) == 1 else np.arange(n, dtype=np.int32)
         frames = Frames(camera, cams_from_world, np.full(n, np.nan))
-        rows = np.lexsort((np.arange(len(image)), image))  # keypoints stand image by image
+        rows = np.lexsort((np.arange(len(image)), image))  # keypoints are sorted by image
         first = np.concatenate([[0], np.cumsum(np.bincount(image, minlength=n))]).astype(np.int64)
         images = Images(files, np.arange(n, dtype=np.int32), camera, first, pixels[rows])
         keypoint = np.empty(len(image), np.int32)
@@ -125,7 +124,7 @@ class Reconstruction:
         return self.rigs.sensor_camera[self.images.sensor]
 
     def is_registered(self) -> Bool[np.ndarray, " n"]:
-        """Mask of images whose place is known."""
+        """Mask of images with a known pose."""
         return self.frames.is_registered()[self.images.frame]
 
     def cams_from_world(self) -> Rigid3:
@@ -133,7 +132,7 @@ class Reconstruction:
         return self.rigs.cam_from_rig[self.images.sensor] @ self.frames.rig_from_world[self.images.frame]
 
     def camera_centers_in_world(self) -> Float64[np.ndarray, "n 3"]:
-        """Centre of each image's camera; NaN where not registered."""
+        """Center of each image's camera; NaN where not registered."""
         return self.cams_from_world().centers()
 
     def observed_pixels(self) -> Float64[np.ndarray, "k 2"]:
@@ -145,7 +144,7 @@ class Reconstruction:
         return self.images.keypoint_offsets[self.tracks.image] + self.tracks.keypoint
 
     def point_of_keypoint(self) -> Int32[np.ndarray, " m"]:
-        """The point that each keypoint row sees, -1 for none."""
+        """The point of each keypoint row, -1 for none."""
         out = np.full(len(self.images.keypoints_px), -1, np.int32)
         out[self.keypoint_rows()] = self.tracks.point_of_observation()
         return out
@@ -153,7 +152,7 @@ class Reconstruction:
     def reprojection_errors_px(self) -> Float64[np.ndarray, " k"]:
         """Distance between keypoint and projected point for every observation, in track order.
 
-        NaN where the camera cannot see the point, for one behind it.
+        NaN where the camera cannot see the point, such as behind it.
         """
         cams_from_world, camera_of_image = self.cams_from_world(), self.camera_of_image
         points, pixels = self.points.xyz_in_world[self.tracks.point_of_observation()], self.observed_pixels()
@@ -166,14 +165,14 @@ class Reconstruction:
         return out
 
     def mean_reprojection_error_px(self) -> float:
-        """Mean over all observations but those that the camera cannot see; NaN for a model without points."""
+        """Mean over all observations except invisible ones; NaN for a model without points."""
         errors = self.reprojection_errors_px()
         errors = errors[np.isfinite(errors)]
         return float(errors.mean()) if len(errors) else float("nan")
 
     @checked
     def transformed(self, target_from_world: Similarity3) -> Reconstruction:
-        """The same model in other coordinates. Rigs scale with it."""
+        """The same model in other coordinates, including the scale of its rigs."""
         rig_from_target = target_from_world.move_cam_from_source(self.frames.rig_from_world)
         cam_from_rig = Rigid3(
             self.rigs.cam_from_rig.rotation,
@@ -187,7 +186,7 @@ class Reconstruction:
         )
 
     def __repr__(self) -> str:
-        # The points' own errors, which are there already: projecting all of them would make printing slow.
+        # Use the stored errors of the points: projecting all of them would make printing slow.
         seen = np.diff(self.tracks.offsets)
         known = np.isfinite(self.points.error_px) & (seen > 0)
         error = ""
@@ -195,7 +194,7 @@ class Reconstruction:
             mean = np.average(self.points.error_px[known], weights=seen[known])
             error = f", mean error {mean:.2f} px"
         return (
-            f"Reconstruction({int(self.is_registered().sum())} of {len(self.images)} images placed, "
+            f"Reconstruction({int(self.is_registered().sum())} of {len(self.images)} images registered, "
             f"{len(self.points)} points, {len(self.tracks.image)} observations{error}, "
             f"{len(self.cameras)} cameras)"
         )

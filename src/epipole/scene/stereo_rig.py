@@ -1,4 +1,4 @@
-"""Two calibrated cameras, rigidly mounted."""
+"""Two calibrated, rigidly mounted cameras."""
 
 from __future__ import annotations
 
@@ -7,33 +7,33 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import check_fields, checked
+from epipole._checks import check_fields, checked
 from epipole.cameras import MAX_PARAMS, Camera
 from epipole.cameras.image_fit import fitted_camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 
 RIG_UNKNOWNS = 2 * MAX_PARAMS + 6
-_LEAST_BASELINE = 1e-12  # what rounding leaves of none
+_LEAST_BASELINE = 1e-12  # rounding errors of a zero baseline
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StereoRig:
-    """A left and a right camera, of any models and in any relative pose."""
+    """A left and a right camera, of any models and relative pose."""
 
     left: Camera
     right: Camera
     right_from_left: Rigid3
-    """A single motion; its length unit is that of all depths."""
+    """A single motion; its unit of length is that of all depths."""
     covariance: Float64[np.ndarray, "30 30"] | None = None
-    """Of (left parameters, right parameters, both padded to 12; xi in exp(xi) @ right_from_left); None: not known."""
+    """Of (left parameters, right parameters, both padded to 12; xi in exp(xi) @ right_from_left); None: unknown."""
 
     def __post_init__(self) -> None:
-        """Check shapes and that there is a baseline.
+        """Check the shapes, the motion and the baseline.
 
         Raises:
-            ShapeError: the motion is not a single one, or the covariance has another shape.
-            ConfigError: the motion is not finite, no rotation, or its baseline is zero.
+            ShapeError: the motion is not a single one, or the covariance has the wrong shape.
+            ConfigError: the motion is not finite, its rotation is invalid, or the baseline is zero.
         """
         check_fields(self)
         if self.right_from_left.translation.shape != (3,):
@@ -46,31 +46,31 @@ class StereoRig:
             )
         rotation, translation = self.right_from_left.rotation, self.right_from_left.translation
         if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
-            raise ConfigError("right_from_left has values that are not finite")
+            raise ConfigError("right_from_left must be finite")
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
-            raise ConfigError("right_from_left holds no rotation: R R^T is not 1")
+            raise ConfigError("right_from_left.rotation is not a rotation matrix: R R^T is not the identity")
         if not self.baseline > _LEAST_BASELINE:
-            raise ConfigError("the baseline is zero: both cameras stand at the same place")
+            raise ConfigError("the baseline is zero: both cameras are at the same position")
 
     @property
     def baseline(self) -> float:
-        """Distance between both centres."""
+        """Distance between the camera centers."""
         return float(np.linalg.norm(self.right_from_left.translation))
 
     @checked
     def check_image_sizes(self, left: np.ndarray, right: np.ndarray) -> None:
-        """Compare the sizes of two images, (h, w) or (h, w, c), with those the cameras were calibrated for.
+        """Check the sizes of two images, (h, w) or (h, w, c), against the calibration.
 
         Raises:
-            ShapeError: one differs.
+            ShapeError: a size differs.
         """
         for name, image, camera in (("left", left, self.left), ("right", right, self.right)):
             if image.ndim < 2:
-                raise ShapeError(f"{name} must be an image, has shape {image.shape}")
+                raise ShapeError(f"{name} must be an image (h, w) or (h, w, c), got shape {image.shape}")
             height, width = image.shape[:2]
             if (width, height) != (camera.width, camera.height):
                 raise ShapeError(
-                    f"{name} is {width} x {height} pixels; its calibration is for {camera.width} x {camera.height}"
+                    f"{name} is {width} x {height} pixels, but its calibration is for {camera.width} x {camera.height}"
                 )
 
     @checked
@@ -88,10 +88,10 @@ class StereoRig:
 
     @checked
     def scaled_to(self, left_size: tuple[int, int], right_size: tuple[int, int]) -> StereoRig:
-        """The rig for images resampled to these sizes, with its covariance; the same one where these are its own.
+        """The rig for images resampled to these sizes, with its covariance; itself if they are its own.
 
         Raises:
-            ConfigError: an image does not show what its camera's images show at one scale.
+            ConfigError: the aspect ratio of an image does not match its camera.
         """
         left, right = fitted_camera(self.left, *left_size), fitted_camera(self.right, *right_size)
         if left is self.left and right is self.right:
@@ -111,7 +111,7 @@ class StereoRig:
 
 
 def _factors(camera: Camera, scaled: Camera) -> np.ndarray:
-    """Of each parameter, padded: what its changes are multiplied by where images are scaled."""
+    """Scale factor of each parameter's changes when images are scaled, padded."""
     out = np.ones(MAX_PARAMS)
     for index in camera.model.focal_indices:
         out[index] = scaled.params[index] / camera.params[index]

@@ -1,4 +1,4 @@
-"""The path of a moving body: places at instants, with their covariances where they are known."""
+"""The trajectory of a moving body: poses over time, optionally with covariances."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from epipole._declared import check_fields, checked
+from epipole._checks import check_fields, checked
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3
 from epipole.scene.notebook import table_html
@@ -18,33 +18,33 @@ class Trajectory:
     """One row per instant, in order of time."""
 
     timestamp_s: Float64[np.ndarray, " n"]
-    """Seconds, from any origin; they never fall."""
+    """Seconds, from any origin; non-decreasing."""
     world_from_body: Rigid3
     covariance: Float64[np.ndarray, "n 6 6"] | None = None
-    """Of xi = (translation, rotation) in the body's axes: body_from_world = exp(xi) @ what is stated."""
+    """Of xi = (translation, rotation) in the body's axes: body_from_world = exp(xi) @ the stated one."""
     is_timed: bool = True
-    """False where `timestamp_s` holds the numbers of the rows, 0, 1, 2, ..., for want of times (KITTI's files)."""
+    """False if `timestamp_s` holds row numbers 0, 1, 2, ..., for lack of times (KITTI's files)."""
 
     def __post_init__(self) -> None:
         """Check the rows.
 
         Raises:
-            ShapeError: the columns are not of one length, times fall, or a number is not finite.
+            ShapeError: columns differ in length, times decrease, or a number is not finite.
         """
         check_fields(self)
         n, positions = len(self.timestamp_s), self.world_from_body
         if positions.batch_shape() != (n,) or (self.covariance is not None and len(self.covariance) != n):
-            raise ShapeError(f"a trajectory of {n} instants needs as many places and covariances")
+            raise ShapeError(f"world_from_body and covariance must have {n} rows, as timestamp_s has")
         if not (np.isfinite(positions.translation).all() and np.isfinite(positions.rotation).all()):
-            raise ShapeError("places of a trajectory must be finite: leave out instants without a place")
+            raise ShapeError("world_from_body must be finite: leave out instants without a pose")
         if not np.isfinite(self.timestamp_s).all() or (np.diff(self.timestamp_s) < 0).any():
-            raise ShapeError("timestamp_s must be finite and never fall")
+            raise ShapeError("timestamp_s must be finite and never decrease")
 
     def __len__(self) -> int:
         return len(self.timestamp_s)
 
     def path_length(self) -> float:
-        """Sum of the distances between one instant and the next."""
+        """Sum of the distances between consecutive positions."""
         steps = np.diff(self.world_from_body.translation, axis=0)
         return float(np.linalg.norm(steps, axis=1).sum())
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
-from epipole._declared import Declared
+from epipole._checks import Declared
 from epipole.geometry import Rigid3
 
 
@@ -20,24 +20,24 @@ class ViewGraph(Declared):
     kind: Int32[np.ndarray, " n"]
     """`robust.PairKind` of each pair."""
     num_putative: Int32[np.ndarray, " n"]
-    """Matches before verification."""
+    """Number of matches before verification."""
     match_offsets: Int64[np.ndarray, " n1"]
     keypoint1: Int32[np.ndarray, " m"]
     keypoint2: Int32[np.ndarray, " m"]
     cam2_from_cam1: Rigid3
-    """|t| = 1; NaN where the pair gives no motion."""
+    """|t| = 1; NaN if the pair determines no motion."""
     essential: Float64[np.ndarray, "n 3 3"]
     fundamental: Float64[np.ndarray, "n 3 3"]
-    """In pixels, (0, 0) the centre of the top-left pixel."""
+    """In pixels; (0, 0) is the center of the top-left pixel."""
     homography: Float64[np.ndarray, "n 3 3"]
     median_angle_rad: Float64[np.ndarray, " n"]
-    """Median triangulation angle of the inliers; NaN where there is none."""
+    """Median triangulation angle of the inliers; NaN if there is none."""
 
     def __len__(self) -> int:
         return len(self.image1)
 
     def num_inliers(self) -> Int64[np.ndarray, " n"]:
-        """Inlier matches of each pair."""
+        """Number of inlier matches of each pair."""
         return np.diff(self.match_offsets)
 
     def __repr__(self) -> str:

@@ -1,4 +1,4 @@
-"""Minimal and linear solvers: one geometric problem each, on plain arrays."""
+"""Minimal and linear solvers for single geometric problems, on plain arrays."""
 
 from epipole.solvers.absolute_pose import FocalPoses as FocalPoses
 from epipole.solvers.absolute_pose import solve_generalized_p3p as solve_generalized_p3p

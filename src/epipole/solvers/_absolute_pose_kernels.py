@@ -85,9 +85,9 @@ def p3p(rays, points, motions, w):
     """cam_from_world from three rays and points: d_i y_i = R X_i + t, d_i > 0.
 
     Ding, Yang, Larsson, Olsson and Astrom (CVPR 2023): the law of cosines d_i^2 + d_j^2 - 2 d_i d_j m_ij = a_ij gives
-    two conics in (d1 : d2 : d3); a root of the cubic det(D1 + s D2) = 0 makes a pair of lines of their pencil,
-    which meet a conic in the solutions. Then Newton steps on the three equations, then R from the two
-    triangles. Assumption: unit rays, points not collinear.
+    two conics in (d1 : d2 : d3); a root of the cubic det(D1 + s D2) = 0 gives a degenerate conic of their pencil, a pair of
+    lines, which intersect a conic in the solutions. Then Newton steps on the three equations, and R from the two triangles.
+    Assumes unit rays and non-collinear points.
     Writes up to four motions (R row by row, t); returns their number.
     """
     m, first, second, conic, lines, roots, triangles = w
@@ -96,7 +96,7 @@ def p3p(rays, points, motions, w):
     size = max(m[3], m[4], m[5])
     if not min(m[3], m[4], m[5]) > 1e-20 * size:
         return 0
-    # Distances in units of the largest: the coefficients of the cubic are then of order one.
+    # Distances in units of the largest, so that the coefficients of the cubic are of order one.
     for k in range(3, 6):
         m[k] /= size
     _difference_of_conics(m, 0, first)
@@ -113,11 +113,11 @@ def p3p(rays, points, motions, w):
 
 @kernel
 def _meet_lines(rays, points, m, unit, conic, lines, triangles, motions):
-    """Where the lines l . (d1, d2, d3) = 0 meet the conic, as motions."""
+    """Intersections of the lines l . (d1, d2, d3) = 0 with the conic, as motions."""
     found = 0
     for l in range(2):
         p, q, r = lines[l, 0], lines[l, 1], lines[l, 2]
-        # d3 = 1; the one of d1 and d2 with the larger coefficient is a linear function of the other.
+        # d3 = 1; whichever of d1 and d2 has the larger coefficient is a linear function of the other.
         swap = abs(p) > abs(q)
         if swap:
             slope, start = -q / p, -r / p
@@ -166,7 +166,7 @@ def _meet_lines(rays, points, m, unit, conic, lines, triangles, motions):
 
 @kernel(allocates=True)
 def p3p_workspace():
-    """Arrays that `p3p` writes into."""
+    """Working arrays of `p3p`."""
     return (
         np.empty(6),
         np.empty(6),
@@ -190,7 +190,7 @@ def _dot(p, i, j):
 
 @kernel
 def _motion_from_depths(rays, points, s1, s2, s3, ca, cb, cg, a2, b2, c2, triangles, out):
-    """Polish the depths on |s_i y_i - s_j y_j|^2 = |X_i - X_j|^2, then R, t from the two triangles."""
+    """Refine the depths on |s_i y_i - s_j y_j|^2 = |X_i - X_j|^2, then compute R, t from the two triangles."""
     for _ in range(3):
         e1 = s2 * s2 + s3 * s3 - 2.0 * s2 * s3 * ca - a2
         e2 = s1 * s1 + s3 * s3 - 2.0 * s1 * s3 * cb - b2
@@ -225,7 +225,7 @@ def _motion_from_depths(rays, points, s1, s2, s3, ca, cb, cg, a2, b2, c2, triang
 
 @kernel
 def _orthonormalize(m):
-    """Columns 0 and 1 become orthonormal, column 2 their cross product; False if they are parallel."""
+    """Orthonormalize columns 0 and 1 and set column 2 to their cross product; False if they are parallel."""
     norm = math.sqrt(m[0, 0] ** 2 + m[1, 0] ** 2 + m[2, 0] ** 2)
     if not norm > 1e-12:
         return False

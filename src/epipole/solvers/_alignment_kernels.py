@@ -1,15 +1,15 @@
-"""The motion that lays one triangle on another."""
+"""The motion or similarity between two triangles."""
 
 import math
 
 from epipole._jit import kernel
 
-SCALE = 12  # where a model keeps its scale, behind R and t
+SCALE = 12  # index of the scale in a model, after R and t
 
 
 @kernel
 def _frame(p, out):
-    """Orthonormal axes (columns) of a triangle (3, 3) of points; False if it is flat."""
+    """Orthonormal axes (columns) of a triangle (3, 3) of points; False if it is degenerate."""
     for i in range(3):
         out[i, 0], out[i, 1] = p[1, i] - p[0, i], p[2, i] - p[0, i]
     for c in range(2):
@@ -31,7 +31,7 @@ def _frame(p, out):
 
 @kernel
 def align_three_points(x, y, has_scale, a, b, model):
-    """The motion that lays the triangle x on the triangle y (Horn, JOSA A 1987, section 2); False if one is flat.
+    """The motion from triangle x to triangle y (Horn, JOSA A 1987, section 2); False if one is degenerate.
 
     The scale is the ratio of the triangles' sizes about their centroids.
     """

@@ -1,4 +1,4 @@
-"""The essential matrix from five correspondences (Nister 2004), and the constraints that all its solvers use."""
+"""The essential matrix from five correspondences (Nister 2004), and the constraints shared by its solvers."""
 
 import math
 
@@ -36,7 +36,7 @@ _QUADRATICS = [m for m in _CUBICS if sum(m) <= 2]
 
 
 def _product_table(left, right, out):
-    """Where the product of two monomials stands."""
+    """Index of the product of two monomials."""
     add = [[out.index(tuple(a + b for a, b in zip(m, n))) for n in right] for m in left]
     return np.array(add, dtype=np.int64)
 
@@ -95,7 +95,7 @@ def essential_constraints(e, work, out):
 
 @kernel
 def _multiply_add(a, na, b, nb, out, sign):
-    """The product of the first coefficients of two polynomials."""
+    """Add the product of two polynomials, given by their first coefficients."""
     for i in range(na):
         for j in range(nb):
             out[i + j] += sign * a[i] * b[j]
@@ -105,8 +105,8 @@ def _multiply_add(a, na, b, nb, out, sign):
 def essential_five_point(y1, y2, essentials, w):
     """E from five matches: y2^T E y1 = 0 (Nister, PAMI 2004).
 
-    Assumption: calibrated rays, (5, 3). Writes up to ten unit-norm matrices (k, 9); returns k. w: workspace
-    of `five_point_workspace()`.
+    Assumes calibrated rays, (5, 3). Writes up to ten unit-norm matrices (k, 9); returns k. w: workspace of
+    `five_point_workspace()`.
     """
     a, basis, e, quadratics, system, b, minor, poly, roots, root_work = w
     for k in range(5):
@@ -182,7 +182,7 @@ def _essential_at_root(b, z, basis, out):
 
 @kernel(allocates=True)
 def five_point_workspace():
-    """Arrays that `essential_five_point` writes into."""
+    """Working arrays of `essential_five_point`."""
     return (
         np.empty((5, 9)),
         np.empty((4, 9)),

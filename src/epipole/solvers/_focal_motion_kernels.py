@@ -11,12 +11,12 @@ from epipole.solvers._linear_kernels import null_space
 from epipole.solvers._polynomial_kernels import roots_within, roots_workspace
 
 MOST_SHARED = 8
-"""Solutions of six matches that are kept; hardly ever are there more in the range of focal lengths."""
+"""Maximum number of solutions that are kept; more within the range of focal lengths are extremely rare."""
 DEGREE = 15
 LEAST_FOCAL, MOST_FOCAL = 0.25, 8.0
-FAR = 100.0  # f^-2 where the polynomial is all but its leading term
-# Chebyshev's nodes, and what makes coefficients of the values there: by way of Chebyshev's polynomials, for the inverse
-# of the powers' own matrix is exact to six digits less.
+FAR = 100.0  # f^-2 at which the leading term of the polynomial dominates
+# Chebyshev nodes, and the map from values there to coefficients, by way of Chebyshev polynomials: inverting the
+# Vandermonde matrix would lose six digits.
 ANGLES = np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1)
 NODES = np.cos(ANGLES)
 TO_COEFFICIENTS = sum(
@@ -26,20 +26,20 @@ TO_COEFFICIENTS = sum(
     )
     for n in range(DEGREE + 1)
 )
-# Columns of the 20 monomials of the essential constraints that hold no z: x3 y3 x2y xy2 x2 y2 xy x y 1.
+# Columns of the 20 monomials of the essential constraints without z: x3 y3 x2y xy2 x2 y2 xy x y 1.
 WITHOUT_Z = np.array([0, 1, 2, 3, 5, 7, 9, 12, 15, 19])
-X, Y = 7, 8  # where x and y stand among them
+X, Y = 7, 8  # indices of x and y among them
 
 
 @kernel
 def shared_focal_six_point(x1, x2, essentials, focals, w):
-    """E (k, 9) and f (k,) of two cameras with one focal length, from six matches (rows (u, v, 1), pixels of order one).
+    """E (k, 9) and f (k,) of two cameras with one focal length, from six matches (rows (u, v, 1), normalized pixels).
 
-    x2^T F x1 = 0 leaves F = x F1 + y F2 + F3. For a focal length the constraints of the essential matrix are ten
-    equations in the ten monomials of x and y; their determinant is a polynomial of degree 15 in f^-2 that vanishes at
-    the true one (Stewenius et al. 2005; Kukelova, Bujnak and Pajdla, BMVC 2008). It is interpolated from 16 focal
-    lengths; its roots between a quarter and eight units, for no other is a lens, are polished on the determinant.
-    Assumption: square pixels, no distortion, principal points at zero. Returns k, at most 8.
+    x2^T F x1 = 0 leaves F = x F1 + y F2 + F3. For a given focal length the constraints of the essential matrix are ten
+    equations in the ten monomials of x and y; their determinant is a polynomial of degree 15 in f^-2 that vanishes at the true
+    one (Stewenius et al. 2005; Kukelova, Bujnak and Pajdla, BMVC 2008). It is interpolated from 16 focal lengths; its roots
+    between a quarter and eight units, the plausible range, are polished on the determinant. Assumes square pixels, no
+    distortion, and principal points at zero. Returns k, at most 8.
     """
     a, basis, constraints, lu, values, poly, roots, root_work, v, work = w
     for k in range(6):
@@ -102,17 +102,17 @@ def _constraint_polynomial(basis, constraints, w):
 
 @kernel
 def _determinant_polynomial(constraints, lu, values, poly):
-    """The determinant's polynomial in u, f^-2 = m (1 + u) / (1 - u), times (1 - u)^15; returns m.
+    """The determinant as a polynomial in u, where f^-2 = m (1 + u) / (1 - u), times (1 - u)^15; returns m.
 
-    All focal lengths are -1 < u < 1. With m the geometric mean of the roots' sizes the polynomial is as large at one end
-    as at the other; else it would vary by twenty orders of magnitude.
+    All focal lengths have -1 < u < 1. With m the geometric mean of the roots' magnitudes, the polynomial is equally large at both
+    ends; otherwise it would vary by twenty orders of magnitude.
     """
     far = _determinant(constraints, 1.0, FAR, lu)
     if far == 0.0:
         far = math.inf
     mean = (abs(_determinant(constraints, 1.0, 0.0, lu) / far) * FAR**DEGREE) ** (1.0 / DEGREE)
     for k in range(DEGREE + 1):
-        # The ten equations are of degree two in f^-2: of the 20 factors 1 - u, 15 are the polynomial's.
+        # The ten equations are of degree two in f^-2: of the 20 factors 1 - u, 15 belong to the polynomial.
         below = 1.0 - NODES[k]
         values[k] = _determinant(constraints, below, mean * (1.0 + NODES[k]), lu) / below**5
     for k in range(DEGREE + 1):
@@ -124,7 +124,7 @@ def _determinant_polynomial(constraints, lu, values, poly):
 
 @kernel
 def _determinant(constraints, p, q, lu):
-    """Det (p^2 C0 + p q C1 + q^2 C2); `lu` holds the triangular factors, q / p is f^-2."""
+    """Det (p^2 C0 + p q C1 + q^2 C2); `lu` receives the triangular factors, q / p is f^-2."""
     a, b, c = p * p, p * q, q * q
     for i in range(10):
         for j in range(10):
@@ -153,7 +153,7 @@ def _determinant(constraints, p, q, lu):
 
 @kernel
 def _polish_root(constraints, q, lu):
-    """The root of the determinant next to q, by the secant method."""
+    """The root of the determinant close to q, by the secant method."""
     step = 1e-8 * q
     at = _determinant(constraints, 1.0, q, lu)
     for _ in range(6):
@@ -168,7 +168,7 @@ def _polish_root(constraints, q, lu):
 
 @kernel
 def _null_vector(lu, v):
-    """The vector that the (nearly singular) upper triangle of `lu` sends to zero, with v[9] = 1."""
+    """The null vector of the (nearly singular) upper triangle of `lu`, with v[9] = 1."""
     v[9] = 1.0
     for k in range(8, -1, -1):
         total = 0.0
@@ -179,7 +179,7 @@ def _null_vector(lu, v):
 
 @kernel
 def _essential_of(basis, x, y, focal, out):
-    """E = K F K, of length one."""
+    """E = K F K, of unit length."""
     norm = 0.0
     for i in range(3):
         for j in range(3):
@@ -197,7 +197,7 @@ def _essential_of(basis, x, y, focal, out):
 
 @kernel(allocates=True)
 def shared_focal_workspace():
-    """Arrays that `shared_focal_six_point` writes into."""
+    """Working arrays of `shared_focal_six_point`."""
     return (
         np.empty((6, 9)),
         np.empty((3, 9)),
@@ -214,7 +214,7 @@ def shared_focal_workspace():
 
 @kernel
 def focals_from_fundamental(f):
-    """(f1, f2) of cameras with principal points at zero; NaN where none exist (Bougnoux, ICCV 1998).
+    """(f1, f2) of cameras with principal points at zero; NaN if there are none (Bougnoux, ICCV 1998).
 
     f1^2 = -(p^T [e2]x I F p)(p^T F^T p) / (p^T [e2]x I F I F^T p) with p = (0, 0, 1), I = diag(1, 1, 0); f2 from F^T.
     """

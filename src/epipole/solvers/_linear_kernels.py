@@ -7,7 +7,7 @@ from epipole._jit import kernel
 
 @kernel
 def copy_numbers(source, target):
-    """The numbers of source to the front of target; `target[:] = source` takes Numba half a second to compile."""
+    """Copy source to the front of target; `target[:] = source` takes Numba half a second to compile."""
     for k in range(len(source)):
         target[k] = source[k]
 
@@ -21,7 +21,7 @@ def clear(numbers):
 
 @kernel
 def clear_rows(matrix):
-    """Set to zero."""
+    """Set a matrix to zero."""
     for i in range(matrix.shape[0]):
         for j in range(matrix.shape[1]):
             matrix[i, j] = 0.0
@@ -29,7 +29,7 @@ def clear_rows(matrix):
 
 @kernel
 def solve_spd(a, b, n):
-    """Solve a x = b for symmetric positive definite a (n x n) by Cholesky, in place; False if not definite."""
+    """Solve a x = b for symmetric positive definite a (n x n) by Cholesky, in place; False if it is not definite."""
     for j in range(n):
         for k in range(j):
             a[j, j] -= a[j, k] * a[j, k]
@@ -53,7 +53,7 @@ def solve_spd(a, b, n):
 
 @kernel
 def reduce_rows(a):
-    """Gauss-Jordan with row pivoting: a -> [I | B], in place; False where a pivot vanishes."""
+    """Gauss-Jordan with row pivoting: a -> [I | B], in place; False if a pivot vanishes."""
     rows, cols = a.shape
     for j in range(rows):
         best = j
@@ -100,7 +100,7 @@ def null_space(a, basis):
             continue
         size = math.sqrt(2.0 / size)
         for c in range(j, cols):
-            a[j, c] *= size  # now I - v v^T reflects
+            a[j, c] *= size  # now I - v v^T is the reflection
         for i in range(j + 1, rows):
             dot = 0.0
             for c in range(j, cols):

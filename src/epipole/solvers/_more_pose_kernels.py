@@ -1,4 +1,4 @@
-"""Poses beyond P3P: unknown focal length (P4Pf), rays of several cameras (gP3P), a known vertical (uP2P, 3-point)."""
+"""Pose solvers beyond P3P: unknown focal length (P4Pf), camera rigs (gP3P), known vertical (uP2P, 3-point)."""
 
 import math
 
@@ -10,16 +10,16 @@ from epipole.solvers._linear_kernels import clear, clear_rows, null_space, reduc
 from epipole.solvers._polynomial_kernels import real_roots, roots_workspace
 from epipole.solvers._quadrics_kernels import intersect_quadrics, quadrics_workspace
 
-FOCAL = 12  # where a model keeps its focal length, behind R and t
+FOCAL = 12  # index of the focal length in a model, after R and t
 
 
 @kernel
 def generalized_p3p(origins, rays, points, motions, w):
     """rig_from_world from three rays o_i + l_i d_i and points: o_i + l_i d_i = R X_i + t, l_i > 0.
 
-    The three distances |X_i - X_j| are quadrics in the depths l (Nister and Stewenius, J. Math. Imaging Vis. 2007;
-    solved by E3Q3); then the triangles are laid on each other. Assumption: unit rays, points not collinear, no
-    two of the rays orthogonal. Rays of one origin are allowed. Writes up to eight motions (k, 13); returns k.
+    The three distances |X_i - X_j| are quadrics in the depths l (Nister and Stewenius, J. Math. Imaging Vis. 2007; solved by
+    E3Q3); then the triangles are aligned. Assumes unit rays, non-collinear points, and no two orthogonal rays. Rays may share
+    an origin. Writes up to eight motions (k, 13); returns k.
     """
     quadrics, solutions, seen, a, b, solver = w
     clear_rows(quadrics)
@@ -55,7 +55,7 @@ def generalized_p3p(origins, rays, points, motions, w):
 
 @kernel(allocates=True)
 def generalized_p3p_workspace():
-    """Arrays that `generalized_p3p` writes into."""
+    """Working arrays of `generalized_p3p`."""
     return (
         np.empty((3, 10)),
         np.empty((8, 3)),
@@ -80,13 +80,12 @@ def _product(x, y, first, out, sign):
 
 @kernel
 def p4pf(pixels, points, models, w):
-    """Pose and focal length from four points seen at pixels from the principal point.
+    """Pose and focal length from four points at pixels relative to the principal point.
 
-    P ~ diag(f, f, 1) [R t]. The lines through the principal point, v (p1 . X) = u (p2 . X), leave the first two rows
-    of P in a space of four dimensions; the third follows linearly; r1 . r2 = 0, |r1| = |r2| and r3 . (r1 + r2) = 0 are
-    three quadrics (Bujnak, Kukelova and Pajdla, CVPR 2008; in this form Larsson, Kukelova and Zheng, ICCV 2017).
-    Assumption: square pixels, no distortion; points not in a plane, of order one. Writes up to eight models
-    (R, t, f); returns their number.
+    P ~ diag(f, f, 1) [R t]. The lines through the principal point, v (p1 . X) = u (p2 . X), leave a four-dimensional space for
+    the first two rows of P; the third follows linearly; r1 . r2 = 0, |r1| = |r2| and r3 . (r1 + r2) = 0 are three quadrics
+    (Bujnak, Kukelova and Pajdla, CVPR 2008; in this form Larsson, Kukelova and Zheng, ICCV 2017). Assumes square pixels, no
+    distortion, and normalized, non-coplanar points. Writes up to eight models (R, t, f); returns their number.
     """
     lines, basis, third, inverse, quadrics, solutions, rows, solver = w
     for k in range(4):
@@ -99,7 +98,7 @@ def p4pf(pixels, points, models, w):
     null_space(lines, basis)
     if not reduce_rows(inverse):
         return 0
-    # (u^2 + v^2) (p3 . X) = u (p1 . X) + v (p2 . X) for each point: the third row of every basis vector.
+    # (u^2 + v^2) (p3 . X) = u (p1 . X) + v (p2 . X) for each point gives the third row of every basis vector.
     for m in range(4):
         for c in range(4):
             third[m, c] = 0.0
@@ -150,7 +149,7 @@ def _model_of_rows(rows, points, out):
     for c in range(3):
         out[6 + c] = sign * rows[2, c] / size3
         out[c] = sign * rows[0, c]
-    # Gram and Schmidt from the third row, then the first; the second is their product.
+    # Gram-Schmidt from the third row, then the first; the second is their cross product.
     dot = out[0] * out[6] + out[1] * out[7] + out[2] * out[8]
     norm = 0.0
     for c in range(3):
@@ -164,7 +163,7 @@ def _model_of_rows(rows, points, out):
     for c in range(3):
         i, j = (c + 1) % 3, (c + 2) % 3
         out[3 + c] = out[6 + i] * out[j] - out[6 + j] * out[i]
-    # A second row on the other side belongs to a mirrored camera.
+    # A second row with the opposite sign belongs to a mirrored camera.
     if sign * (out[3] * rows[1, 0] + out[4] * rows[1, 1] + out[5] * rows[1, 2]) <= 0.0:
         return False
     out[9], out[10] = sign * rows[0, 3] / (focal * size3), sign * rows[1, 3] / (focal * size3)
@@ -175,7 +174,7 @@ def _model_of_rows(rows, points, out):
 
 @kernel(allocates=True)
 def p4pf_workspace():
-    """Arrays that `p4pf` writes into."""
+    """Working arrays of `p4pf`."""
     return (
         np.empty((4, 8)),
         np.empty((4, 8)),
@@ -197,13 +196,13 @@ def _rotation_about_y(cos, sin, out):
 
 @kernel
 def upright_p2p(rays, points, motions):
-    """cam_from_world of a camera whose y axis is the world's, from two points: l_i d_i = R_y X_i + t, l_i > 0.
+    """cam_from_world of a camera with the world's y axis, from two points: l_i d_i = R_y X_i + t, l_i > 0.
 
-    l2 d2 - l1 d1 = R_y (X2 - X1): the heights give one depth from the other, the length across a quadratic
-    (Kukelova, Bujnak and Pajdla, ACCV 2010). Assumption: at least one ray leaves the horizon. Up to two motions.
+    l2 d2 - l1 d1 = R_y (X2 - X1): the heights give one depth from the other, the horizontal length a quadratic (Kukelova,
+    Bujnak and Pajdla, ACCV 2010). Assumes that at least one ray is not horizontal. Writes up to two motions.
     """
     dx, dy, dz = points[1, 0] - points[0, 0], points[1, 1] - points[0, 1], points[1, 2] - points[0, 2]
-    # l_q = start + slope l_p, with q the steeper ray.
+    # l_q = start + slope l_p, where q is the steeper ray.
     steep = 1 if abs(rays[1, 1]) >= abs(rays[0, 1]) else 0
     flat = 1 - steep
     if not abs(rays[steep, 1]) > 1e-9:
@@ -239,11 +238,11 @@ def upright_p2p(rays, points, motions):
 
 @kernel
 def upright_relative_three_point(y1, y2, motions, w):
-    """cam2_from_cam1, |t| = 1, of two cameras with one vertical y axis, from three matches.
+    """cam2_from_cam1, |t| = 1, of two cameras with a common vertical y axis, from three matches.
 
-    t . (R_y y1 x y2) = 0 for each; with q = tan(angle / 2), (1 + q^2) R_y is quadratic in q, and the determinant of the
-    three rows, of degree six, vanishes (Fraundorfer, Tanskanen and Pollefeys, ECCV 2010; Sweeney, Flynn and Turk,
-    3DV 2014). Up to twelve motions (both signs of t); returns their number.
+    t . (R_y y1 x y2) = 0 for each; with q = tan(angle / 2), (1 + q^2) R_y is quadratic in q, and the determinant of the three
+    rows, of degree six, vanishes (Fraundorfer, Tanskanen and Pollefeys, ECCV 2010; Sweeney, Flynn and Turk, 3DV 2014). Writes up
+    to twelve motions (both signs of t); returns their number.
     """
     rows, poly, minor, roots, root_work = w
     for k in range(3):
@@ -300,5 +299,5 @@ def _directions_at(rows, q, motions, found):
 
 @kernel(allocates=True)
 def upright_relative_workspace():
-    """Arrays that `upright_relative_three_point` writes into."""
+    """Working arrays of `upright_relative_three_point`."""
     return np.empty((3, 3, 3)), np.empty(7), np.empty(5), np.empty(7), roots_workspace()

@@ -7,21 +7,21 @@ import numpy as np
 from epipole._jit import kernel
 
 MOST_DEGREE = 15
-UNEVEN = 0.4871  # where intervals are cut: halves would meet roots that are whole numbers, zero first
+UNEVEN = 0.4871  # where intervals are split: halving them would hit integer roots, zero first
 
 
 @kernel(allocates=True)
 def roots_workspace():
-    """Arrays that `real_roots` writes into."""
+    """Working arrays of `real_roots`."""
     return np.empty((4, MOST_DEGREE + 2)), np.empty((MOST_DEGREE + 1, 3)), np.empty((MOST_DEGREE + 2, 4))
 
 
 @kernel
 def _sturm_chain(poly, degree, remainders, quotients):
-    """Sturm's sequence of poly (ascending): f_0 = poly, f_1 = poly', f_{i-1} = (a x + b) f_i - c f_{i+1}, c > 0.
+    """Sturm sequence of poly (ascending): f_0 = poly, f_1 = poly', f_{i-1} = (a x + b) f_i - c f_{i+1}, c > 0.
 
-    Writes a, b, c of each step into quotients and the sign of the last, constant member behind them; returns
-    the number of steps. Members are divided by the size of their leading coefficients.
+    Writes a, b, c of each step to quotients, then the sign of the last, constant member; returns the number of steps.
+    Members are divided by the magnitude of their leading coefficients.
     """
     above, f, below = remainders[0], remainders[1], remainders[2]
     scale = 1.0 / abs(poly[degree])
@@ -43,7 +43,7 @@ def _sturm_chain(poly, degree, remainders, quotients):
         largest = 0.0
         for k in range(size):
             largest = max(largest, abs(below[k]))
-        # Later members may lose leading coefficients only where roots coincide: the chain ends there.
+        # Later members lose leading coefficients only if roots coincide: the chain ends there.
         if not abs(below[size - 1]) > 1e-13 * largest:
             break
         c = abs(below[size - 1])
@@ -58,7 +58,7 @@ def _sturm_chain(poly, degree, remainders, quotients):
 
 @kernel
 def _sign_changes(quotients, steps, x):
-    """Sign changes along Sturm's sequence at x, evaluated from its last member upward."""
+    """Sign changes of the Sturm sequence at x, evaluated from its last member upward."""
     later, value = 0.0, quotients[steps - 1, 2]
     later, value = value, (quotients[steps - 1, 0] * x + quotients[steps - 1, 1]) * value
     changes = 1 if (value < 0.0) != (later < 0.0) else 0
@@ -73,7 +73,7 @@ def _sign_changes(quotients, steps, x):
 def _polish(poly, degree, low, high):
     """The root of poly between stretch(low) and stretch(high), where it changes sign.
 
-    Newton's method; bisection of the bracket where it leaves it or does not halve its step.
+    Newton's method, with bisection if it leaves the bracket or does not halve its step.
     """
     is_low_positive = _horner(poly, degree, _stretch(low)) > 0.0
     t, last = 0.5 * (low + high), math.inf
@@ -110,7 +110,7 @@ def _horner(poly, degree, x):
 
 @kernel
 def _stretch(t):
-    """(-1, 1) onto the real line, so that large roots are as few bisections away as small ones."""
+    """Map (-1, 1) to the real line, so that large roots take as few bisections as small ones."""
     return t / (1.0 - abs(t))
 
 
@@ -118,15 +118,15 @@ def _stretch(t):
 def real_roots(poly, work, roots):
     """All real roots of poly (ascending coefficients), ascending; returns their number.
 
-    Sturm's theorem (1829): between x and y lie as many different roots as its sequence loses sign changes.
-    Bisection isolates each, Newton's method finishes. Roots that coincide to rounding count once.
+    Sturm's theorem (1829): the number of distinct roots between x and y is the number of sign changes that the sequence loses.
+    Bisection isolates each root, Newton's method refines it. Roots that coincide within rounding count once.
     """
     return roots_within(poly, math.inf, work, roots)
 
 
 @kernel
 def roots_within(poly, radius, work, roots):
-    """Those of the real roots that are no larger than the radius."""
+    """Real roots with magnitude up to the radius."""
     remainders, quotients, stack = work
     degree, biggest, scaled = len(poly) - 1, 0.0, remainders[3]
     for k in range(len(poly)):
@@ -137,7 +137,7 @@ def roots_within(poly, radius, work, roots):
         degree -= 1
     if degree == 0:
         return 0
-    # x = unit * y, where the sizes of the roots y multiply to one: the sequence is far better conditioned.
+    # x = unit * y, such that the magnitudes of the roots y multiply to one: the sequence is far better conditioned.
     unit = abs(poly[0] / poly[degree]) ** (1.0 / degree) if poly[0] != 0.0 else 1.0
     factor, biggest = 1.0, 0.0
     for k in range(degree + 1):
@@ -157,7 +157,7 @@ def roots_within(poly, radius, work, roots):
 
 @kernel
 def _isolated_roots(poly, degree, quotients, steps, bound, stack, roots):
-    """Roots between stretch(-bound) and stretch(bound), ascending: halves with roots in them wait on the stack."""
+    """Roots between stretch(-bound) and stretch(bound), ascending, by bisection with a stack of intervals."""
     stack[0, 0], stack[0, 1] = -bound, bound
     stack[0, 2] = _sign_changes(quotients, steps, _stretch(-bound))
     stack[0, 3] = _sign_changes(quotients, steps, _stretch(bound))
@@ -184,10 +184,10 @@ def _isolated_roots(poly, degree, quotients, steps, bound, stack, roots):
 
 @kernel
 def cubic_roots(c3, c2, c1, c0, roots):
-    """All real roots of c3 x^3 + c2 x^2 + c1 x + c0 (unsorted, a double one twice); returns their number.
+    """All real roots of c3 x^3 + c2 x^2 + c1 x + c0 (unsorted, double roots twice); returns their number.
 
-    Viete's trigonometric form for three, Cardano's for one, then Newton's method (Press et al. 2007, section 5.6).
-    Where c3 vanishes against the others the roots are those of the quadratic.
+    Viete's trigonometric form for three roots, Cardano's for one, then Newton's method (Press et al. 2007, section 5.6). If c3
+    is negligible, the roots are those of the quadratic.
     """
     biggest = max(abs(c3), abs(c2), abs(c1), abs(c0))
     if not (biggest > 0.0 and biggest < np.inf):

@@ -1,4 +1,4 @@
-"""Where three quadrics in three unknowns meet (E3Q3), and the poses that come down to it."""
+"""Intersection of three quadrics in three unknowns (E3Q3)."""
 
 import math
 
@@ -9,7 +9,7 @@ from epipole.solvers._linear_kernels import clear, clear_rows, reduce_rows
 from epipole.solvers._polynomial_kernels import real_roots, roots_workspace
 
 # Coefficients of a quadric: x2 xy xz y2 yz z2 x y z 1.
-FLAT = 1e-7  # a smaller determinant of the leading coefficients asks for another hidden variable
+FLAT = 1e-7  # determinant of the leading coefficients below which another variable is hidden
 
 
 @kernel
@@ -28,7 +28,7 @@ def _add(a, na, sign, out):
 
 @kernel
 def _permuted(c, rotation, out):
-    """The same quadrics with (x, y, z) renamed cyclically, so that another variable is the hidden one."""
+    """The same quadrics with (x, y, z) permuted cyclically, to hide another variable."""
     for r in range(3):
         if rotation == 0:
             for k in range(10):
@@ -67,7 +67,7 @@ def _permuted(c, rotation, out):
 
 @kernel
 def _leading_determinant(c):
-    """Of the coefficients of x2, xy, y2, for rows of length one."""
+    """Determinant of the coefficients of x2, xy, y2, for unit rows."""
     product = 1.0
     for r in range(3):
         norm = 0.0
@@ -86,7 +86,7 @@ def _leading_determinant(c):
 
 @kernel(allocates=True)
 def quadrics_workspace():
-    """Arrays that `intersect_quadrics` writes into."""
+    """Working arrays of `intersect_quadrics`."""
     return (
         np.empty((3, 10)),
         np.empty((3, 10)),
@@ -102,11 +102,11 @@ def quadrics_workspace():
 
 @kernel
 def intersect_quadrics(c, solutions, w):
-    """Real common points (k, 3) of three quadrics (3, 10); returns k, at most 8.
+    """Real intersections (k, 3) of three quadrics (3, 10); returns k, at most 8.
 
     Kukelova, Heller and Fitzgibbon (CVPR 2016): with z hidden, x2, xy and y2 are linear in (x, y, 1); the identities
     x (xy) = y (x2), y (xy) = x (y2) and (xy)^2 = x2 y2 then give M(z) (x, y, 1)^T = 0, whose determinant has degree 8.
-    Assumption: some variable can be hidden (the leading coefficients of the other two are independent).
+    Assumes that some variable can be hidden (the leading coefficients of the other two are independent).
     """
     q, system, p, m, t, poly, minor, roots, root_work = w
     rotation, best = 0, -1.0

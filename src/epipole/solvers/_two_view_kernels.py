@@ -1,4 +1,4 @@
-"""Minimal solvers between two views: fundamental (7), homography (4), and the motion from E."""
+"""Minimal two-view solvers: fundamental matrix (7), homography (4), and motions from E."""
 
 import math
 
@@ -13,7 +13,7 @@ from epipole.solvers._polynomial_kernels import cubic_roots
 def fundamental_seven_point(x1, x2, fundamentals, w):
     """F from seven matches: x2^T F x1 = 0, det F = 0 (Hartley and Zisserman, section 11.1.2).
 
-    Assumption: coordinates of order one. Writes up to three matrices (k, 9); returns k.
+    Assumes normalized coordinates. Writes up to three matrices (k, 9); returns k.
     """
     a, basis, roots = w
     for k in range(7):
@@ -48,7 +48,7 @@ def _det_rows(a, b, c):
 
 @kernel(allocates=True)
 def seven_point_workspace():
-    """Arrays that `fundamental_seven_point` writes into."""
+    """Working arrays of `fundamental_seven_point`."""
     return np.empty((7, 9)), np.empty((2, 9)), np.empty(3)
 
 
@@ -75,7 +75,7 @@ def _projective_basis(x, out):
 def homography_four_point(x1, x2, out):
     """H from four matches, x2 ~ H x1, through the projective bases of both quadrangles (HZ section 2.3).
 
-    Assumption: no three points collinear, coordinates of order one. Returns whether one was found.
+    Assumes that no three points are collinear, and normalized coordinates. Returns whether one was found.
     """
     a, b, inverse = np.empty(9), np.empty(9), np.empty(9)
     if not (_projective_basis(x1, a) and _projective_basis(x2, b)):
@@ -96,7 +96,7 @@ def homography_four_point(x1, x2, out):
     norm = 1.0 / math.sqrt(norm)
     for i in range(9):
         out[i] *= norm
-    # A quadrangle seen from in front keeps its sense of rotation: the weights of all four points agree.
+    # A quadrangle seen from in front keeps its orientation: the weights of all four points have the same sign.
     weight = out[6] * x1[0, 0] + out[7] * x1[0, 1] + out[8] * x1[0, 2]
     for k in range(1, 4):
         if weight * (out[6] * x1[k, 0] + out[7] * x1[k, 1] + out[8] * x1[k, 2]) <= 0.0:
@@ -161,7 +161,7 @@ def essential_from_motion(motion, out):
 
 @kernel
 def is_in_front(motion, a, b):
-    """Whether the rays a (camera 1) and b (camera 2) meet before both cameras; lengths do not matter."""
+    """Whether the rays a (camera 1) and b (camera 2) meet in front of both cameras; their lengths do not matter."""
     ax = motion[0] * a[0] + motion[1] * a[1] + motion[2] * a[2]
     ay = motion[3] * a[0] + motion[4] * a[1] + motion[5] * a[2]
     az = motion[6] * a[0] + motion[7] * a[1] + motion[8] * a[2]
@@ -177,10 +177,10 @@ def is_in_front(motion, a, b):
 
 @kernel(allocates=True)
 def motions_from_essential(e, y1, y2, motions):
-    """Those of the four motions (R, t), |t| = 1, of E that put all matches in front (HZ result 9.19).
+    """The motions (R, t), |t| = 1, of the four of E that put all matches in front (HZ result 9.19).
 
     E = [b]x R gives b b^T = tr(E E^T) I / 2 - E E^T and (b . b) R = cof(E) - [b]x E; -b gives the other rotation
-    (Horn, JOSA A 1991). Assumption: E is essential to rounding, as a minimal solver's is.
+    (Horn, JOSA A 1991). Assumes that E is essential to rounding, as from a minimal solver.
     """
     norms, t, moved = np.empty(3), np.empty(3), np.empty(9)
     trace = 0.0
@@ -232,7 +232,7 @@ def motions_from_essential(e, y1, y2, motions):
 
 @kernel
 def orthonormalize_rows(r):
-    """Gram and Schmidt on the first two rows of r (9 numbers, row by row); the third is their cross product."""
+    """Gram-Schmidt on the first two rows of r (9 numbers, row by row); the third is their cross product."""
     for i in range(2):
         if i == 1:
             dot = r[0] * r[3] + r[1] * r[4] + r[2] * r[5]

@@ -1,4 +1,4 @@
-"""Pose of a camera from the fewest points that fix it, and from many, for callers with arrays."""
+"""Camera pose from minimal and larger sets of points, for callers with arrays."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from epipole.solvers import _more_pose_kernels as more
 
 
 def solve_p3p(rays_in_cam: Any, points_in_world: Any) -> Rigid3:
-    """All cam_from_world of three points, s_i y_i = R X_i + t with s_i > 0 (Ding et al., CVPR 2023).
+    """All cam_from_world for three points, s_i y_i = R X_i + t with s_i > 0 (Ding et al., CVPR 2023).
 
     Args:
         rays_in_cam: directions, (3, 3), any length.
@@ -41,16 +41,16 @@ class FocalPoses:
 
 
 def solve_p4pf(pixels: Any, points_in_world: Any) -> FocalPoses:
-    """All poses and focal lengths of four points (P4Pf: Bujnak, Kukelova and Pajdla, CVPR 2008; by three quadrics).
+    """All poses and focal lengths for four points (P4Pf: Bujnak, Kukelova and Pajdla, CVPR 2008; by three quadrics).
 
-    Assumption: square pixels, no distortion, points not in one plane.
+    Assumes square pixels, no distortion, and non-coplanar points.
 
     Args:
-        pixels: counted from the principal point, (4, 2).
+        pixels: relative to the principal point, (4, 2).
         points_in_world: (4, 3).
 
     Returns:
-        Between 0 and 8 solutions; four points fix one number more than there are unknowns, which is left free.
+        Between 0 and 8 solutions; four points give one constraint more than there are unknowns, which is not used.
     """
     p = as_table(pixels, "pixels", 4, 2)
     points = as_table(points_in_world, "points_in_world", 4, 3)
@@ -63,10 +63,10 @@ def solve_p4pf(pixels: Any, points_in_world: Any) -> FocalPoses:
 
 
 def solve_generalized_p3p(origins_in_rig: Any, rays_in_rig: Any, points_in_world: Any) -> Rigid3:
-    """All rig_from_world of three rays of one or several cameras (gP3P), o_i + s_i y_i = R X_i + t with s_i > 0.
+    """All rig_from_world for three rays of one or several cameras (gP3P), o_i + s_i y_i = R X_i + t with s_i > 0.
 
     Args:
-        origins_in_rig: where the rays start, (3, 3).
+        origins_in_rig: origins of the rays, (3, 3).
         rays_in_rig: directions, (3, 3), any length; no two orthogonal.
         points_in_world: (3, 3), not collinear.
 
@@ -86,11 +86,11 @@ def solve_generalized_p3p(origins_in_rig: Any, rays_in_rig: Any, points_in_world
 
 
 def solve_upright_p2p(rays_in_cam: Any, points_in_world: Any) -> Rigid3:
-    """All cam_from_world of two points, for a camera whose y axis is the world's (Kukelova et al., ACCV 2010).
+    """All cam_from_world for two points, for a camera with the world's y axis (Kukelova et al., ACCV 2010).
 
     Args:
-        rays_in_cam: directions, (2, 3), any length; at least one off the horizon.
-        points_in_world: (2, 3), not above each other.
+        rays_in_cam: directions, (2, 3), any length; at least one not horizontal.
+        points_in_world: (2, 3), not vertically aligned.
 
     Returns:
         Rigid3 of batch shape (k,), k between 0 and 2.
@@ -103,11 +103,11 @@ def solve_upright_p2p(rays_in_cam: Any, points_in_world: Any) -> Rigid3:
 
 
 def solve_pnp(rays_in_cam: Any, points_in_world: Any) -> Rigid3:
-    """The pose of n >= 4 points without outliers, least squares in the distances of the points from their rays.
+    """The pose from n >= 4 points without outliers, by least squares in the distances of the points from their rays.
 
-    With Q = I - y y^T the translation follows from the rotation, and the cost is r^T Omega r in the nine entries r of R
-    (Terzakis and Lourakis, ECCV 2020). Its lowest eigenvectors, brought to the nearest rotations, are the starts of
-    Gauss-Newton on SO(3); the best end wins.
+    With Q = I - y y^T the translation follows from the rotation, and the cost is r^T Omega r in the nine entries r of R (Terzakis
+    and Lourakis, ECCV 2020). Its lowest eigenvectors, projected to the nearest rotations, are the starts of Gauss-Newton on
+    SO(3); the best result wins.
 
     Args:
         rays_in_cam: directions, (n, 3), any length.
@@ -117,8 +117,8 @@ def solve_pnp(rays_in_cam: Any, points_in_world: Any) -> Rigid3:
         cam_from_world.
 
     Raises:
-        DegenerateGeometryError: the points do not determine a pose (collinear, coinciding).
-        ShapeError: fewer than four points, or arrays that do not fit.
+        DegenerateGeometryError: the points do not determine a pose (collinear, coincident).
+        ShapeError: fewer than four points, or array sizes do not match.
     """
     rays = as_points(rays_in_cam, "rays_in_cam", 3, finite=True)
     points = as_points(points_in_world, "points_in_world", 3, finite=True)
@@ -127,9 +127,9 @@ def solve_pnp(rays_in_cam: Any, points_in_world: Any) -> Rigid3:
     middle = points.mean(axis=0)
     size = float(np.linalg.norm(points - middle, axis=1).max())
     if not size < np.inf:
-        raise ShapeError("points_in_world are too far apart to be calculated with")
+        raise ShapeError("points_in_world has values that are too large")
     if not size > 0 or np.linalg.svd(points - middle, compute_uv=False)[1] < 1e-9 * size:
-        raise DegenerateGeometryError("the points lie on a line (or coincide)")
+        raise DegenerateGeometryError("the points are collinear (or coincide)")
     x = (points - middle) / size
     y = as_directions(rays, "rays_in_cam")
     across = np.eye(3) - y[:, :, None] * y[:, None, :]

@@ -1,4 +1,4 @@
-"""Solvers between two views, for callers with arrays; the kernels serve the robust loop."""
+"""Two-view solvers for callers with arrays; the robust loop uses the kernels directly."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from epipole.solvers import _two_view_kernels as kernels
 
 
 def solve_essential_five_point(rays1: Any, rays2: Any) -> Float64[np.ndarray, "k 3 3"]:
-    """All essential matrices of five matches, y2^T E y1 = 0, |E| = 1 (Nister, PAMI 2004).
+    """All essential matrices for five matches, y2^T E y1 = 0, |E| = 1 (Nister, PAMI 2004).
 
     Args:
         rays1: directions in camera 1, (5, 3), any length.
@@ -38,7 +38,7 @@ def solve_essential_five_point(rays1: Any, rays2: Any) -> Float64[np.ndarray, "k
 
 
 def solve_upright_relative_three_point(rays1: Any, rays2: Any) -> Rigid3:
-    """All cam2_from_cam1, |t| = 1, of three matches between cameras with one vertical y axis (Fraundorfer et al. 2010).
+    """All cam2_from_cam1, |t| = 1, for three matches between cameras with a common vertical y axis (Fraundorfer et al. 2010).
 
     Args:
         rays1: directions in camera 1, (3, 3), any length.
@@ -56,23 +56,23 @@ def solve_upright_relative_three_point(rays1: Any, rays2: Any) -> Rigid3:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedFocals:
-    """Fundamental matrices, |F| = 1, with the focal length of both cameras, in pixels."""
+    """Fundamental matrices, |F| = 1, with the shared focal length of both cameras, in pixels."""
 
     fundamental: Float64[np.ndarray, "k 3 3"]
     focal_px: Float64[np.ndarray, " k"]
 
 
 def solve_shared_focal_six_point(pixels1: Any, pixels2: Any) -> SharedFocals:
-    """All fundamental matrices of six matches between two cameras of one focal length (Stewenius et al. 2005).
+    """All fundamental matrices for six matches between two cameras with one focal length (Stewenius et al. 2005).
 
-    Assumption: square pixels, no distortion; focal lengths from a quarter of the images' extent to eight times that.
+    Assumes square pixels, no distortion, and a focal length from a quarter to eight times the extent of the images.
 
     Args:
-        pixels1: counted from the principal point, (6, 2).
+        pixels1: relative to the principal point, (6, 2).
         pixels2: the same in image 2.
 
     Returns:
-        Between 0 and 8 solutions; none where optical axes meet, which leaves the focal length open.
+        Between 0 and 8 solutions; none if the optical axes intersect, as the focal length is then undetermined.
     """
     p1 = as_table(pixels1, "pixels1", 6, 2)
     p2 = as_table(pixels2, "pixels2", 6, 2)
@@ -90,7 +90,7 @@ def solve_shared_focal_six_point(pixels1: Any, pixels2: Any) -> SharedFocals:
 
 
 def solve_fundamental_seven_point(pixels1: Any, pixels2: Any) -> Float64[np.ndarray, "k 3 3"]:
-    """The one to three fundamental matrices of seven matches (HZ section 11.1.2), |F| = 1.
+    """The one to three fundamental matrices for seven matches (HZ section 11.1.2), |F| = 1.
 
     Args:
         pixels1: (7, 2).
@@ -107,10 +107,10 @@ def solve_fundamental_seven_point(pixels1: Any, pixels2: Any) -> Float64[np.ndar
 
 
 def solve_fundamental_eight_point(pixels1: Any, pixels2: Any) -> Float64[np.ndarray, "3 3"]:
-    """The least-squares fundamental matrix of n >= 8 matches, normalised (Hartley, PAMI 1997), |F| = 1, rank 2.
+    """The least-squares fundamental matrix of n >= 8 matches, normalized (Hartley, PAMI 1997), |F| = 1, rank 2.
 
     Raises:
-        DegenerateGeometryError: more than one solution (a plane, a rotation, coinciding points).
+        DegenerateGeometryError: the solution is not unique (a plane, a rotation, coincident points).
     """
     p1, p2 = _matched(pixels1, pixels2, 8)
     t1, t2 = hartley_normalization(p1), hartley_normalization(p2)
@@ -122,7 +122,7 @@ def solve_fundamental_eight_point(pixels1: Any, pixels2: Any) -> Float64[np.ndar
 
 
 def solve_homography_four_point(pixels1: Any, pixels2: Any) -> Float64[np.ndarray, "k 3 3"]:
-    """The homography of four matches, x2 ~ H x1, |H| = 1: one, or none if three points are collinear."""
+    """The homography for four matches, x2 ~ H x1, |H| = 1: one, or none if three points are collinear."""
     p1 = as_table(pixels1, "pixels1", 4, 2)
     p2 = as_table(pixels2, "pixels2", 4, 2)
     t1, t2 = hartley_normalization(p1), hartley_normalization(p2)
@@ -134,7 +134,7 @@ def solve_homography_four_point(pixels1: Any, pixels2: Any) -> Float64[np.ndarra
 
 
 def solve_homography_dlt(pixels1: Any, pixels2: Any) -> Float64[np.ndarray, "3 3"]:
-    """The direct linear transform of n >= 4 matches, x2 ~ H x1, normalised (HZ algorithm 4.2), |H| = 1.
+    """The direct linear transform of n >= 4 matches, x2 ~ H x1, normalized (HZ algorithm 4.2), |H| = 1.
 
     Raises:
         DegenerateGeometryError: the points do not determine a homography.
@@ -151,7 +151,7 @@ def solve_homography_dlt(pixels1: Any, pixels2: Any) -> Float64[np.ndarray, "3 3
 
 
 def hartley_normalization(pixels: Any) -> Float64[np.ndarray, "3 3"]:
-    """T with T x of mean zero and mean distance sqrt(2) (Hartley, PAMI 1997).
+    """T such that T x has mean zero and mean distance sqrt(2) (Hartley, PAMI 1997).
 
     Raises:
         DegenerateGeometryError: all points coincide.
@@ -175,11 +175,11 @@ def _matched(pixels1: Any, pixels2: Any, least: int) -> tuple[np.ndarray, np.nda
 def _null_vector(system: np.ndarray) -> np.ndarray:
     """The right singular vector of the smallest singular value.
 
-    Fewer rows than columns leave it out of the economical form; more would make the full one's left vectors n x n.
+    With fewer rows than columns, the economy-size SVD omits it; with more, the full SVD would compute n x n left vectors.
     """
     if not np.isfinite(system).all():
-        raise ShapeError("the pixels are too large to be calculated with")
+        raise ShapeError("the pixels have values that are too large")
     _, s, vt = np.linalg.svd(system, full_matrices=len(system) < system.shape[1])
     if len(s) >= 8 and s[7] <= 1e-9 * s[0]:
-        raise DegenerateGeometryError("the matches admit more than one solution")
+        raise DegenerateGeometryError("the matches do not determine a unique solution")
     return vt[-1]

@@ -1,7 +1,8 @@
-"""Fundamental matrices that no plane of the scene holds (Chum, Werner and Matas, CVPR 2005: DEGENSAC).
+"""Fundamental matrices for scenes with a dominant plane (Chum, Werner and Matas, CVPR 2005: DEGENSAC).
 
-Every F = [e2]x H fits the matches of a plane, H its homography. Where most matches lie on one, samples give an F that is
-right for the plane and wrong elsewhere. Such an F still knows H; two matches off the plane then fix the epipole e2.
+Every F = [e2]x H fits the matches of a plane with homography H. If most matches lie on one plane, samples give an F that
+is right for the plane and wrong elsewhere. Such an F still determines H; two matches off the plane then fix the
+epipole e2.
 """
 
 import math
@@ -14,16 +15,16 @@ from epipole.robust._loop_kernels import sample_items
 from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers, solve_spd
 
 PLANE_SAMPLES, PLANE_TESTED = 40, 128
-DOMINANT = 0.6  # share of the inliers above which a plane may hold F
-OFF_PLANE = 2.0  # thresholds from the plane beyond which a match has parallax
-OFF_NOISE = 3.5  # deviations of the plane's own noise, likewise
+DOMINANT = 0.6  # inlier fraction on a plane above which F may be degenerate
+OFF_PLANE = 2.0  # distance from the plane, in thresholds, beyond which a match has parallax
+OFF_NOISE = 3.5  # the same, in standard deviations of the plane's noise
 PARALLAX_SAMPLES, CONFIDENCE = 2000, 0.999
-SHIFTS = 5  # wrong pairings of each match that tell how often chance agrees
+SHIFTS = 5  # wrong pairings per match, to measure chance agreement
 
 
 @kernel
 def _add_plane_terms(f, e2, m, k, a, b):
-    """Normal equations of v in H = [e2]x F - e2 v^T: x2 x H x1 = 0 is (x2 x [e2]x F x1) = (x2 x e2) (v . x1)."""
+    """Normal equations for v in H = [e2]x F - e2 v^T: x2 x H x1 = 0 is (x2 x [e2]x F x1) = (x2 x e2) (v . x1)."""
     x, y, u, w = m[0, k], m[1, k], m[2, k], m[3, k]
     l0, l1, l2 = f[0] * x + f[1] * y + f[2], f[3] * x + f[4] * y + f[5], f[6] * x + f[7] * y + f[8]
     q0, q1, q2 = e2[1] * l2 - e2[2] * l1, e2[2] * l0 - e2[0] * l2, e2[0] * l1 - e2[1] * l0
@@ -43,7 +44,7 @@ def _add_plane_terms(f, e2, m, k, a, b):
 
 @kernel
 def _solve_plane(f, e2, a, b, h):
-    """H from the normal equations; False where they leave it open."""
+    """H from the normal equations; False if they are singular."""
     if not solve_spd(a, b, 3):
         return False
     for i in range(3):
@@ -55,7 +56,7 @@ def _solve_plane(f, e2, a, b, h):
 
 @kernel
 def _transfer_sq(h, m, k):
-    """Squared distance of H x1 from x2."""
+    """Squared distance between H x1 and x2."""
     x, y = m[0, k], m[1, k]
     w = h[6] * x + h[7] * y + h[8]
     u, v = (h[0] * x + h[1] * y + h[2]) / w - m[2, k], (h[3] * x + h[4] * y + h[5]) / w - m[3, k]
@@ -65,9 +66,9 @@ def _transfer_sq(h, m, k):
 
 @kernel(allocates=True)
 def find_plane(f, e2, m, residuals, threshold_sq, state, h):
-    """H of the plane that most of the matches with small residuals lie on.
+    """H of the plane that contains most of the matches with small residuals.
 
-    Returns (share of those matches, squared distance beyond which a match is off the plane).
+    Returns (fraction of those matches, squared distance beyond which a match is off the plane).
     """
     n = m.shape[1]
     inliers, count = np.empty(n, np.int64), 0
@@ -116,7 +117,7 @@ def find_plane(f, e2, m, residuals, threshold_sq, state, h):
 
 @kernel(allocates=True)
 def off_plane(h, m, reach_sq):
-    """The matches farther than that from where H puts them."""
+    """The matches with a transfer error above the given distance."""
     count = 0
     for k in range(m.shape[1]):
         count += 1 if _transfer_sq(h, m, k) > reach_sq else 0
@@ -139,7 +140,7 @@ def _parallax_line(h, m, k, line):
 
 @kernel(allocates=True)
 def plane_and_parallax(h, off, threshold_sq, state, f):
-    """F = [e2]x H with the epipole on which most parallax lines of the matches `off` the plane meet; how many do."""
+    """F = [e2]x H with the epipole on most parallax lines of the matches `off` the plane; returns their number."""
     n = off.shape[1]
     if n < 2:
         return 0
@@ -180,7 +181,7 @@ def plane_and_parallax(h, off, threshold_sq, state, f):
 
 @kernel(allocates=True)
 def chance_of_agreement(f, m, threshold_sq):
-    """How often points that do not belong together agree with F: each with the partners of the next few."""
+    """Probability that unrelated points agree with F, measured by pairing each point with the next few partners."""
     n, agreed = m.shape[1], 0
     wrong = np.empty((4, n))
     for shift in range(1, SHIFTS + 1):

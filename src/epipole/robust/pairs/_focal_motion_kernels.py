@@ -1,8 +1,8 @@
-"""Relative pose with unknown focal lengths for the robust loop.
+"""Relative pose with unknown focal lengths, for the robust loop.
 
-Model: F (9), of any length; R row by row (9:18), t (18:21), f1, f2 (21, 22); then the sense of the lines and the
-epipole, as for fundamental matrices, whose score serves. F = D2 [t]x R D1 with D = diag(1, 1, f): pixels are counted
-from the principal points, in units of the image.
+Model: F (9), of any length; R row by row (9:18), t (18:21), f1, f2 (21, 22); then the sign of the lines and the epipole, as
+for fundamental matrices, whose score is used. F = D2 [t]x R D1 with D = diag(1, 1, f), for pixels relative to the principal
+points, in units of the image spread.
 """
 
 import math
@@ -38,7 +38,7 @@ LEAST_FOCAL, MOST_FOCAL = 0.1, 20.0
 
 @kernel(allocates=True)
 def _compose(model):
-    """F, its epipole (on the side it was) from the motion and the focal lengths."""
+    """F, and its epipole with the previous sign, from the motion and the focal lengths."""
     e, before = np.empty(9), np.empty(3)
     essential_from_motion(model[MOTION : MOTION + 12], e)
     for i in range(3):
@@ -59,7 +59,7 @@ def _compose(model):
 
 @kernel(allocates=True)
 def _derivatives(model, shared, d):
-    """D (6 or 7, 9): the entries of F by rotation, direction and logarithms of the focal lengths."""
+    """D (6 or 7, 9): derivatives of the entries of F by rotation, direction and log focal lengths."""
     motion = model[MOTION : MOTION + 12]
     derivatives_of_essential(motion, d)
     for c in range(5):
@@ -97,7 +97,7 @@ def _retract_focal_motion(model, delta, shared, out):
 
 @kernel(allocates=True)
 def _add_motions(x1, x2, essential, f1, f2, models, count):
-    """Append the motions of E that put the sample in front and see its lines from one side."""
+    """Append the motions of E that put the sample in front and have consistent line orientations."""
     y1, y2, motions = x1.copy(), x2.copy(), np.empty((4, 12))
     for k in range(len(x1)):
         for c in range(2):
@@ -155,7 +155,7 @@ class SharedFocalProblem(EpipolarProblem, Items):
 
 
 class TwoFocalsProblem(EpipolarProblem, Items):
-    """A focal length for each camera: seven points, and what the fundamental matrix says of them."""
+    """A focal length for each camera: seven points, and the focal lengths of the fundamental matrix."""
 
     __slots__ = ()
 

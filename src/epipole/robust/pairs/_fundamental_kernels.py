@@ -1,10 +1,9 @@
-"""Fundamental matrices for the robust loop.
+"""Fundamental matrices, for the robust loop.
 
-Model: F row by row, |F| = 1; then, once decomposed, U, V and s1 / s0 of its singular value decomposition; then the
-sense of its lines and the epipole e2. Residual: Sampson's distance, as for relative poses. The oriented epipolar
-constraint (Chum, Werner and Matas, ICPR 2004) stands for "in front": e2 x x2 and F x1 are the same line, and seen
-from two sides it must be turned the same way for all matches; others are as far as can be, unless they lie at the
-epipole to within the threshold.
+Model: F row by row, |F| = 1; then, once decomposed, U, V and s1 / s0 of its singular value decomposition; then the sign of
+its lines and the epipole e2. Residual: the Sampson distance, as for relative poses. Instead of "in front" there is the
+oriented epipolar constraint (Chum, Werner and Matas, ICPR 2004): e2 x x2 and F x1 are the same line up to sign, and the sign
+must be the same for all matches. Others have infinite error, unless they lie at the epipole within the threshold.
 """
 
 import math
@@ -38,7 +37,7 @@ RATIO, SENSE, EPIPOLE = 27, 28, 29
 
 @kernel
 def find_epipole(model):
-    """The left null vector of F, e2^T F = 0, as the longest cross product of two of its columns, of length one."""
+    """The left null vector of F, e2^T F = 0: the longest cross product of two columns, normalized."""
     best = 0.0
     for j in range(3):
         p, q = j, (j + 1) % 3
@@ -69,16 +68,16 @@ def line_sense(model, x1, x2):
 
 @kernel(fuse=True)
 def signed_epipole(model):
-    """The epipole e2 times the sense of the lines, as a tuple."""
+    """The epipole e2 times the sign of the lines, as a tuple."""
     sense = model[SENSE]
     return sense * model[EPIPOLE], sense * model[EPIPOLE + 1], sense * model[EPIPOLE + 2]
 
 
 @kernel(fuse=True, extra_fastmath=REASSOC)
 def is_behind(epipole, m, k, line, threshold_sq):
-    """Whether match k sees its epipolar line from the other side than the sample did, farther from e2 than the threshold.
+    """Whether match k has the opposite line orientation to the sample, and is farther from e2 than the threshold.
 
-    `epipole` is e2 times the sample's sense, a tuple.
+    `epipole` is e2 times the sample's sign, a tuple.
     """
     s0, s1, s2 = epipole
     c, d = m[2, k], m[3, k]
@@ -89,7 +88,7 @@ def is_behind(epipole, m, k, line, threshold_sq):
 
 @kernel(extra_fastmath=REASSOC)
 def _score_block(model, m, threshold_sq, start, stop):
-    """MSAC's sum over matches start..stop, what all of them share being read once (a third faster)."""
+    """MSAC score of matches start..stop, with shared values loaded once (a third faster)."""
     f, epipole, total = nine(model, 0), signed_epipole(model), 0.0
     for k in range(start, stop):
         e, s, line, _ = sampson(f, m, k)
@@ -121,7 +120,7 @@ def _rows_of_block(model, m, threshold_sq, soft_sq, start, stop, rows):
 def derivatives_of_fundamental(model, d):
     """D (7, 9): F = U diag(1, s, 0) V^T by U exp(u), V exp(v), s + d (Bartoli and Sturm, PAMI 2004).
 
-    Of F as it is kept, of length one: the part along F itself moves no residual and is left in.
+    For F of unit length; the component along F itself changes no residual and is kept.
     """
     u, v, ratio = model[9:18], model[18:27], model[RATIO]
     scale = 1.0 / math.sqrt(1.0 + ratio * ratio)
@@ -144,7 +143,7 @@ def derivatives_of_fundamental(model, d):
 
 @kernel
 def _compose(model):
-    """F, of length one, and e2 from U, V and the ratio."""
+    """F, of unit length, and e2 from U, V and the ratio."""
     norm = 1.0 / math.sqrt(1.0 + model[RATIO] * model[RATIO])
     for i in range(3):
         for j in range(3):
@@ -174,7 +173,7 @@ def decompose(model):
 
 
 class EpipolarProblem(MatrixProblem):
-    """Residuals of a fundamental matrix, whatever its parameters: of matches of order one, rows u1, v1, u2, v2."""
+    """Residuals of a fundamental matrix, for any parameters; normalized matches, rows u1, v1, u2, v2."""
 
     __slots__ = ()
 
@@ -207,7 +206,7 @@ class FundamentalProblem(EpipolarProblem, Items):
         return np.empty((7, 3)), np.empty((7, 3)), np.empty((3, 9)), seven_point_workspace()
 
     def solve_sample(self, sample, models, work):
-        # Solutions whose lines are turned one way for the whole sample.
+        # Keep solutions with the same line orientation for the full sample.
         x1, x2, found, solver = work
         gather(self.items, sample, x1, x2)
         count = 0
@@ -254,9 +253,9 @@ class FundamentalProblem(EpipolarProblem, Items):
         return FundamentalProblem(items)
 
     def escape(self, model, residuals, threshold_sq, state):
-        """From a plane that most matches lie on: to the F that the others ask for (see `_dominant_plane_kernels`).
+        """If a plane contains most matches, switch to the F that the others support (see `_dominant_plane_kernels`).
 
-        They alone judge: the plane's matches fit some wrong F better than the right one, whose epipole is not theirs.
+        Only the others are scored: the plane's matches may fit a wrong F better, as they do not determine the epipole.
         """
         h, other = np.empty(9), np.empty(MODEL_SIZE)
         m = self.items
@@ -280,14 +279,14 @@ class FundamentalProblem(EpipolarProblem, Items):
         optimize_locally(self, other, threshold_sq)
         others = FundamentalProblem(off)
         before = others.score(model, threshold_sq, math.inf)
-        # Two matches fit whatever epipole they fix, and another joins them by chance.
+        # Two matches fit the epipole that they define, and a third may agree by chance.
         if others.score(other, threshold_sq, math.inf) + 3.0 * threshold_sq < before:
             copy_numbers(other, model)
 
 
 @kernel(allocates=True)
 def parallax_support(model, m, threshold_sq, seed):
-    """(share of the inliers on a plane, matches off it, those of them that agree with F, chance that one does)."""
+    """(fraction of inliers on a plane, matches off it, those that agree with F, probability of chance agreement)."""
     residuals, h, state = np.empty(m.shape[1]), np.empty(9), np.empty(1, np.uint64)
     state[0] = seed
     FundamentalProblem(m).residuals_sq(model, threshold_sq, residuals)

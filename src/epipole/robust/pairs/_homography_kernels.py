@@ -1,9 +1,9 @@
-"""Homographies for the robust loop.
+"""Homographies, for the robust loop.
 
-Model: H row by row, |H| = 1, with positive third coordinates for the points in front. Residual: with e = H x1 - x2 in
-image 2 and its derivative J by x1, noise of one size in both images gives e the covariance I + J J^T. Sampson's distance
-(HZ section 4.2.6) is e^T (I + J J^T)^-1 e; twice that is used, which is |e|^2 where H keeps lengths, so that a threshold
-means pixels of transfer. Points that H moves through infinity are as far as can be.
+Model: H row by row, |H| = 1, with positive third coordinates for points in front. Residual: with e = H x1 - x2 in image 2
+and its derivative J by x1, equal noise in both images gives e the covariance I + J J^T. The squared Sampson distance (HZ
+section 4.2.6) is e^T (I + J J^T)^-1 e; twice that is used, which is |e|^2 if H preserves lengths, so that a threshold is in
+pixels of transfer error. Points that H maps through infinity have infinite error.
 """
 
 import math
@@ -64,7 +64,7 @@ def _rows_of_block(model, m, threshold_sq, soft_sq, start, stop, rows):
 
 @kernel
 def retract_matrix(model, delta, out):
-    """Model + delta, of length one."""
+    """Model + delta, of unit length."""
     norm = 0.0
     for i in range(9):
         out[i] = model[i] + delta[i]
@@ -75,12 +75,12 @@ def retract_matrix(model, delta, out):
 
 
 class HomographyProblem(RobustProblem, Items):
-    """Matches of order one, rows u1, v1, u2, v2."""
+    """Normalized matches, rows u1, v1, u2, v2."""
 
     has_unit_steps = True
 
     def breadth(self):
-        """Planes of the world are not quite plane, and the matches that show it lie beyond any threshold for pixels."""
+        """Real planes are not exactly plane, and deviations are larger than any pixel threshold."""
         return 1.5
 
     __slots__ = ()
@@ -117,7 +117,7 @@ class HomographyProblem(RobustProblem, Items):
         return _rows_of_block(model, self.items, threshold_sq, soft_sq, start, stop, rows)
 
     def fix_gauge(self, model, a):
-        # One parameter too many: the scale of H changes nothing; a penalty on it leaves the other steps as they are.
+        # One parameter too many: the scale of H has no effect; a penalty on it leaves the other steps unchanged.
         weight = (a[0, 0] + a[4, 4] + a[8, 8]) / 3.0
         for i in range(9):
             for j in range(i + 1):

@@ -1,10 +1,12 @@
-"""Which model explains the matches of a pair best: epipolar geometry, a plane, a rotation, or no motion at all.
+"""Model selection for the matches of a pair: epipolar geometry, a plane, a rotation, or no motion.
 
-Torr's geometric robust information criterion (PhilTrans A 1998, eq. 12), for n matches in r = 4 dimensions and a model
-of k parameters whose matches lie on a manifold of d dimensions:
+Torr's geometric robust information criterion (PhilTrans A 1998, eq. 12), for n matches in r = 4 dimensions and a model of k
+parameters whose matches lie on a manifold of d dimensions:
+
     GRIC = sum_i min(e_i^2 / sigma^2, 2 (r - d)) + n d log r + k log(r n);
-the lowest wins. Epipolar geometry has d = 3 and k = 5 (calibrated) or 7, a homography d = 2 and k = 8, a rotation d = 2
-and k = 3 (4 with the focal length), the resting camera d = 2 and k = 0.
+
+the lowest wins. Epipolar geometry has d = 3 and k = 5 (calibrated) or 7, a homography d = 2 and k = 8, a rotation d = 2 and
+and k = 3 (4 with the focal length), no motion d = 2 and k = 0.
 """
 
 import math
@@ -20,36 +22,37 @@ from epipole.solvers._linear_kernels import clear, clear_rows, solve_spd
 from epipole.solvers._two_view_kernels import svd3
 
 EPIPOLAR, PLANE, ROTATION, NO_MOTION, NONE = 0, 1, 2, 3, -1
-"""The models, in the order of the costs; NONE: too few matches agree with any."""
+"""The models, in the order of the costs; NONE if too few matches agree with any."""
 ROTATING_FRACTION = 0.9
-TRUSTED_FOCAL, GUESSED_FOCAL = 0.4, 1.2  # a rotation may correct the logarithm of a focal length by so much
+TRUSTED_FOCAL = 0.4  # largest correction of a trusted log focal length by a rotation
+GUESSED_FOCAL = 1.2  # the same, for a guessed focal length
 ROTATION_STEPS = 8
-LEAST_NOISE_PX = 0.25  # pixels are not known better than this, whatever the residuals say
+LEAST_NOISE_PX = 0.25  # lower bound of the pixel noise, whatever the residuals
 
 
 class Selection(NamedTuple):
     """The best model of every pair."""
 
     model: np.ndarray
-    """(pairs,), EPIPOLAR ... NONE."""
+    """(pairs,), one of EPIPOLAR ... NONE."""
     cost: np.ndarray
     """(pairs, 4): GRIC of epipolar geometry, homography, rotation, no motion; lower is better."""
     noise_px: np.ndarray
     rotation: np.ndarray
     """(pairs, 9), the best pure rotation."""
     median_angle_rad: np.ndarray
-    """Between the rays of inliers in front of both cameras; NaN where there is no motion."""
+    """Between the rays of inliers in front of both cameras; NaN without motion."""
 
 
 @kernel
 def _gric(total, count, dimension, parameters):
-    """The criterion for `total`, its first term."""
+    """GRIC for `total`, its first term."""
     return total + count * dimension * math.log(4.0) + parameters * math.log(4.0 * count)
 
 
 @kernel(fuse=True)
 def _rotation_error_sq(pairs, p, k, r, ray):
-    """Squared distance of a turned ray's pixel from its match in image 2."""
+    """Squared distance between the pixel of a rotated ray and its match in image 2."""
     camera = pairs.camera2[p]
     u, v = project_one(
         np.int64(pairs.models[camera]),
@@ -64,7 +67,7 @@ def _rotation_error_sq(pairs, p, k, r, ray):
 
 @kernel(allocates=True)
 def _fit_rotation(pairs, p, chosen, rays1, rays2, scale_px, rotation):
-    """The rotation that turns rays 1 into rays 2 (Kabsch 1976), reweighted by Cauchy's weights."""
+    """The rotation from rays 1 to rays 2 (Kabsch 1976), iteratively reweighted with Cauchy weights."""
     m, u, s, v = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     for i in range(9):
         rotation[i] = 1.0 if i % 4 == 0 else 0.0
@@ -90,8 +93,8 @@ def _fit_rotation(pairs, p, chosen, rays1, rays2, scale_px, rotation):
 def _fit_rotating_camera(rays1, rays2, focal_px, variance, rotation):
     """Refine a rotation together with a factor g of the focal lengths, on the planes z = 1; returns g and the fit.
 
-    x2 = g h(R (x1 / g)), h the division by the third coordinate; Gauss-Newton in (phi, log g) with Cauchy's weights. The
-    fit is the sum of squared transfer errors over two variances, each cut at 4.
+    x2 = g h(R (x1 / g)), where h divides by the third coordinate; Gauss-Newton in (phi, log g) with Cauchy weights. The fit is
+    the sum of squared transfer errors over two variances, each truncated at 4.
     """
     a, b, step = np.empty((4, 4)), np.empty(4), np.empty((2, 4))
     rotated, r, g = np.empty(9), rotation.copy(), 1.0
@@ -137,7 +140,7 @@ def _fit_rotating_camera(rays1, rays2, focal_px, variance, rotation):
 
 @kernel(allocates=True)
 def _parallax(motion, rays1, rays2):
-    """Median angle between matched rays that meet in front of both cameras."""
+    """Median angle between matched rays that intersect in front of both cameras."""
     angles, count = np.empty(len(rays1)), 0
     for c in range(len(rays1)):
         a, b = rays1[c], rays2[c]
@@ -156,13 +159,13 @@ def _parallax(motion, rays1, rays2):
 
 @kernel(allocates=True)
 def select_models(pairs, calibrated, search, epipolar, planes, motions, selection):
-    """Compare epipolar geometry, homography, rotation and no motion over the epipolar inliers.
+    """Compare epipolar geometry, homography, rotation and no motion on the epipolar inliers.
 
-    Distances are orthogonal ones in the four dimensions of a match, to first order: Sampson's for the epipolar
-    geometry; half the squared transfer error for the others, whose noise comes from both images. Each is cut at
-    2 (4 - d) variances, the noise being estimated from the epipolar residuals.
-    Focal lengths are never known so well that a rotation fits to the noise: it may correct them. Where they are guesses
-    it also takes over from the homography if it explains nearly all matches to within the threshold.
+    Distances are orthogonal ones in the four dimensions of a match, to first order: the Sampson distance for epipolar geometry,
+    half the squared transfer error for the others, whose noise comes from both images. Each is truncated at 2 (4 - d)
+    variances, where the noise is estimated from the epipolar residuals. Focal lengths are never known well enough for a
+    rotation to fit within the noise, so it may correct them. With guessed focal lengths it also replaces the homography if it
+    explains nearly all matches within the threshold.
     """
     for p in range(len(pairs.seed)):
         first, last = pairs.offsets[p], pairs.offsets[p + 1]
@@ -221,7 +224,7 @@ def select_models(pairs, calibrated, search, epipolar, planes, motions, selectio
         for i in range(1, 4):
             if cost[i] < cost[best]:
                 best = i
-        # A rotation under a guessed focal length is never exact; it need only explain nearly all to the threshold.
+        # A rotation with a guessed focal length is never exact: it need only explain nearly all matches within the threshold.
         if best == PLANE and not calibrated[p] and rotating >= ROTATING_FRACTION * count:
             best = ROTATION
         selection.model[p] = best

@@ -34,13 +34,13 @@ class Pairs(NamedTuple):
     focal_px: np.ndarray
     """(cameras,), mean focal lengths."""
     wide: np.ndarray
-    """(cameras,), whether the plane z = 1 is no image of theirs."""
+    """(cameras,), whether the plane z = 1 is unsuitable as an image (wide-angle)."""
     seed: np.ndarray
     """(pairs,), uint64."""
 
 
 class Search(NamedTuple):
-    """How long to search, and for what."""
+    """Search parameters."""
 
     max_error_px: float
     confidence: float
@@ -51,27 +51,26 @@ class Search(NamedTuple):
 
 
 class Fits(NamedTuple):
-    """What one model makes of all pairs."""
+    """Fits of one model to all pairs."""
 
     raw: np.ndarray
-    """(pairs, MODEL_SIZE), as the problem keeps it, in the coordinates below."""
+    """(pairs, MODEL_SIZE), in kernel layout, in the coordinates below."""
     residuals_px: np.ndarray
-    """(matches,), infinite for what was left out."""
+    """(matches,), infinite if ignored."""
     frame: np.ndarray
-    """(pairs, 5): coordinates are (pixel - centre) / spread; u1, v1, u2, v2 of the centres, the spread.
-
-    Of relative poses, whose coordinates are rays, the spread alone: the focal length."""
+    """(pairs, 5): coordinates are (pixel - center) / spread; u1, v1, u2, v2 of the centers, and the spread.
+    For relative poses, whose coordinates are rays, only the spread is used: the focal length."""
     iterations: np.ndarray
     """(pairs,)"""
     best_score: np.ndarray
-    """(pairs,), MSAC's in these coordinates; infinite for a pair that gave no model."""
+    """(pairs,), MSAC score in these coordinates; infinite without a model."""
     information: np.ndarray
     """(pairs, MOST_FREEDOM, MOST_FREEDOM), J^T J of the inliers."""
 
 
 @kernel
 def longest(pairs):
-    """Most matches of a pair."""
+    """Largest number of matches of a pair."""
     most = 0
     for p in range(len(pairs.seed)):
         most = max(most, pairs.offsets[p + 1] - pairs.offsets[p])
@@ -80,7 +79,7 @@ def longest(pairs):
 
 @kernel
 def choose(pairs, p, use, chosen):
-    """The matches of pair p to be used, in random order; returns their number."""
+    """Write the indices of the usable matches of pair p to `chosen`; returns their number."""
     count = 0
     for k in range(pairs.offsets[p], pairs.offsets[p + 1]):
         if use[k]:
@@ -91,7 +90,7 @@ def choose(pairs, p, use, chosen):
 
 @kernel(allocates=True)
 def shuffle(chosen, count, seed):
-    """Bring the first numbers into random order."""
+    """Shuffle the first `count` numbers."""
     state = np.empty(1, np.uint64)
     state[0] = seed
     for k in range(count - 1, 0, -1):
@@ -101,13 +100,13 @@ def shuffle(chosen, count, seed):
 
 @kernel
 def mean_focal(pairs, p):
-    """Harmonic mean of both focal lengths: what turns an error of rays into pixels."""
+    """Harmonic mean of both focal lengths, which converts errors of rays to pixels."""
     return 2.0 / (1.0 / pairs.focal_px[pairs.camera1[p]] + 1.0 / pairs.focal_px[pairs.camera2[p]])
 
 
 @kernel(fuse=True)
 def _onto_plane(pairs, p, k, which, out, column):
-    """Where the ray of match k crosses the plane z = 1 of camera `which`; whether it does."""
+    """Intersect the ray of match k with the plane z = 1 of camera `which`; returns whether it does."""
     camera = pairs.camera1[p] if which == 0 else pairs.camera2[p]
     x, y, z = unproject_one(
         np.int64(pairs.models[camera]),
@@ -123,7 +122,7 @@ def _onto_plane(pairs, p, k, which, out, column):
 
 @kernel
 def keep(pairs, p, chosen, count, residuals, scale, fits):
-    """Residuals back to the caller's order, in pixels."""
+    """Residuals in the caller's order, in pixels."""
     for k in range(pairs.offsets[p], pairs.offsets[p + 1]):
         fits.residuals_px[k] = math.inf
     for c in range(count):
@@ -132,13 +131,13 @@ def keep(pairs, p, chosen, count, residuals, scale, fits):
 
 @kernel
 def least_fraction(search, count):
-    """Share of inliers that is still of use."""
+    """Smallest useful inlier ratio."""
     return min(1.0, max(search.min_fraction, search.min_inliers / count))
 
 
 @kernel(allocates=True)
 def _ranking(quality, chosen, count):
-    """The chosen matches, best first; None where nobody knows (and PROSAC is not even compiled)."""
+    """The chosen matches, best first; None without quality (PROSAC is then not even compiled)."""
     if quality is None:
         return None
     return np.argsort(-quality[chosen[:count]], kind="mergesort")
@@ -146,7 +145,7 @@ def _ranking(quality, chosen, count):
 
 @kernel(allocates=True)
 def search_pair(pairs, p, problem, chosen, quality, search, fits):
-    """The best model of pair p, whose items are its chosen matches in the coordinates of `fits.frame`; and who agrees."""
+    """Fit pair p; the problem's items are its chosen matches in the coordinates of `fits.frame`."""
     count, scale = problem.num_items(), fits.frame[p, 4]
     residuals = np.full(count, math.inf)
     fits.best_score[p], fits.iterations[p] = math.inf, 0
@@ -170,7 +169,7 @@ def search_pair(pairs, p, problem, chosen, quality, search, fits):
 
 @kernel(allocates=True)
 def fit_motions(pairs, wanted, use, quality, search, fits):
-    """Relative poses of the wanted pairs over the matches marked in `use`; quality (matches,) or None."""
+    """Relative poses of the wanted pairs on the matches marked in `use`; quality (matches,) or None."""
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((4, most))
     for p in range(len(pairs.seed)):
@@ -192,7 +191,7 @@ def fit_motions(pairs, wanted, use, quality, search, fits):
 
 @kernel
 def _normalize(pairs, chosen, count, frame, items):
-    """Centre both images' matches and divide by one length; returns their number, or 0 where they coincide."""
+    """Center the matches of both images and divide by a common length; returns their number, or 0 if they coincide."""
     frame[4] = 1.0
     for r in range(4):
         total = 0.0
@@ -217,7 +216,7 @@ def _normalize(pairs, chosen, count, frame, items):
 
 @kernel
 def _normalized(pairs, p, use, chosen, frame, items):
-    """The matches of pair p to be used, in random order and normalized; returns their number."""
+    """The usable matches of pair p, shuffled and normalized; returns their number."""
     count = choose(pairs, p, use, chosen)
     shuffle(chosen, count, pairs.seed[p])
     return _normalize(pairs, chosen, count, frame, items)
@@ -225,7 +224,7 @@ def _normalized(pairs, p, use, chosen, frame, items):
 
 @kernel(allocates=True)
 def fit_fundamentals(pairs, wanted, use, quality, search, fits):
-    """Fundamental matrices of the wanted pairs over the matches marked in `use`."""
+    """Fundamental matrices of the wanted pairs on the matches marked in `use`."""
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((4, most))
     for p in range(len(pairs.seed)):
@@ -238,7 +237,7 @@ def fit_fundamentals(pairs, wanted, use, quality, search, fits):
 
 @kernel(allocates=True)
 def fit_homographies(pairs, use, quality, search, fits):
-    """Homographies of all pairs over the matches marked in `use`."""
+    """Homographies of all pairs on the matches marked in `use`."""
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((4, most))
     for p in range(len(pairs.seed)):

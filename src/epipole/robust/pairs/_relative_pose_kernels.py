@@ -1,9 +1,11 @@
-"""Relative pose of calibrated cameras for the robust loop.
+"""Relative pose of calibrated cameras, for the robust loop.
 
 Model: motion (R row by row, t), |t| = 1, then E. Residual: Sampson's first-order distance (1982; HZ eq. 11.9),
+
     r = e / sqrt(m), e = x2^T E x1, m = |(E x1)_12|^2 + |(E^T x2)_12|^2, E = [t]x R,
-for matches that both cameras see in front of them; others are as far as can be. Rays that are parallel to
-within the threshold count as in front: far points have depths of either sign.
+
+for matches in front of both cameras; infinite for others. Rays that are parallel within the threshold count as in front, as
+far points have depths of either sign.
 """
 
 import math
@@ -25,14 +27,14 @@ from epipole.solvers._five_point_kernels import essential_five_point, five_point
 from epipole.solvers._linear_kernels import copy_numbers
 from epipole.solvers._two_view_kernels import essential_from_motion, motions_from_essential
 
-MATRIX = 12  # where E begins in a model
+MATRIX = 12  # start of E in a model
 
 
 @kernel(fuse=True, extra_fastmath=REASSOC)
 def diverge(r, t, one, two, slack):
-    """Whether the rays of a match diverge by more than `slack`: then no point in front of both cameras has them.
+    """Whether the rays of a match diverge by more than `slack`: then they have no point in front of both cameras.
 
-    Their depths, times a positive determinant (see `is_in_front`), are compared with the lengths of the rays.
+    Compares their depths, times a positive determinant (see `is_in_front`), with the lengths of the rays.
     """
     x = r[0] * one[0] + r[1] * one[1] + r[2] * one[2]
     y = r[3] * one[0] + r[4] * one[1] + r[5] * one[2]
@@ -46,7 +48,7 @@ def diverge(r, t, one, two, slack):
 
 @kernel(extra_fastmath=REASSOC)
 def _score_block(model, m, threshold_sq, start, stop):
-    """MSAC's sum over matches start..stop, what all of them share being read once (a third faster)."""
+    """MSAC score of matches start..stop, with shared values loaded once (a third faster)."""
     r, t, f = nine(model, 0), (model[9], model[10], model[11]), nine(model, 12)
     slack, total = math.sqrt(threshold_sq), 0.0
     for k in range(start, stop):
@@ -120,12 +122,12 @@ def derivatives_of_essential(model, d):
 
 
 class MotionProblem(MatrixProblem):
-    """What relative poses of calibrated cameras have in common, however their matches are kept."""
+    """Relative pose of calibrated cameras, for any layout of the matches."""
 
     __slots__ = ()
 
     def gather_rays(self, sample, y1, y2):
-        """Rays of the sampled matches, one a row."""
+        """Rays of the sampled matches, one per row."""
 
     def sample_size(self):
         return np.int64(5)
@@ -152,7 +154,7 @@ class MotionProblem(MatrixProblem):
         return count
 
     def refine(self, sample, model, refined, work):
-        # Those of the four motions of E that put the sample in front.
+        # Of the four motions of E, keep those that put the sample in front.
         y1, y2, _, motions, _ = work
         self.gather_rays(sample, y1, y2)
         count = motions_from_essential(model[MATRIX : MATRIX + 9], y1, y2, motions)

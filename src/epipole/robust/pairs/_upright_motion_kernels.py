@@ -1,7 +1,7 @@
-"""Relative pose of two cameras with a known vertical for the robust loop.
+"""Relative pose of two cameras with a known vertical, for the robust loop.
 
-Model, residual and refinement are those of `_relative_pose_kernels`: the vertical serves the minimal solver alone,
-so that a vertical off by a degree costs samples and no accuracy.
+Model, residual and refinement are those of `_relative_pose_kernels`: only the minimal solver uses the vertical, so an error
+of a degree costs samples but no accuracy.
 """
 
 from typing import NamedTuple
@@ -21,12 +21,12 @@ class UprightItems(NamedTuple):
     items: np.ndarray
     """(4, n), matches on the planes z = 1."""
     upright1: np.ndarray
-    """(3, 3), upright_from_cam1: the rotation that turns its rays upright."""
+    """(3, 3), upright_from_cam1: rotates rays to an upright frame."""
     upright2: np.ndarray
 
 
 class UprightMotionProblem(PlaneMotionProblem, UprightItems):
-    """Matches on the planes z = 1, and the rotations that turn rays upright."""
+    """Matches on the planes z = 1, and the rotations to upright frames."""
 
     __slots__ = ()
 

@@ -1,8 +1,9 @@
-"""Relative pose of wide lenses for the robust loop.
+"""Relative pose of wide-angle cameras, for the robust loop.
 
-Model as in `_relative_pose_kernels`. On the plane z = 1 a pixel at the rim of a fisheye is many pixels long: here matches
-are unit rays with their derivatives by the pixels, and the residual is Sampson's distance in the images themselves
-(the tangent Sampson error of Terekhov and Larsson, ICCV 2023),
+Model as in `_relative_pose_kernels`. On the plane z = 1, pixels near the border of a fisheye image are strongly stretched.
+Here matches are unit rays with their derivatives by the pixels, and the residual is the Sampson distance in the images
+themselves (the tangent Sampson error of Terekhov and Larsson, ICCV 2023),
+
     r = e / sqrt(m), e = y2^T E y1, m = |J2^T E y1|^2 + |J1^T E^T y2|^2, J = dy / du.
 """
 
@@ -18,7 +19,7 @@ SECOND, FIRST_SLOPE, SECOND_SLOPE = 3, 6, 12
 
 @kernel(fuse=True, extra_fastmath=REASSOC)
 def tangent_sampson(f, m, k):
-    """(e, m, J1^T E^T y2, J2^T E y1): the algebraic error, its squared slope, and the slopes by both pixels; f is a tuple."""
+    """(e, m, J1^T E^T y2, J2^T E y1): algebraic error, its squared slope, and the slopes by both pixels; f is a tuple."""
     x, y, z, u, v, w = m[0, k], m[1, k], m[2, k], m[3, k], m[4, k], m[5, k]
     l0, l1, l2 = (
         f[0] * x + f[1] * y + f[2] * z,
@@ -76,7 +77,7 @@ def _rows_of_block(model, m, threshold_sq, soft_sq, start, stop, rows):
 
 
 class WideMotionProblem(MotionProblem, Items):
-    """Matched rays and their derivatives, (18, n): y1, y2 (of length one), then J1 and J2 (3 x 2, row by row)."""
+    """Matched rays and their derivatives, (18, n): unit y1, y2, then J1 and J2 (3 x 2, row by row)."""
 
     __slots__ = ()
 

@@ -1,4 +1,4 @@
-"""Relative poses of many pairs of wide lenses; apart, so that who has none does not wait for the compiler."""
+"""Relative poses of many pairs of wide-angle cameras; a separate module, so that others need not compile it."""
 
 import math
 
@@ -12,7 +12,7 @@ from epipole.robust.pairs._wide_motion_kernels import WideMotionProblem
 
 @kernel(fuse=True)
 def _ray(pairs, p, k, which, scale, by_point, by_params, out, column):
-    """The ray of match k in camera `which`, and its slope times `scale`; whether there is one."""
+    """The ray of match k in camera `which`, and its slope times `scale`; returns whether it exists."""
     camera = pairs.camera1[p] if which == 0 else pairs.camera2[p]
     model, params = np.int64(pairs.models[camera]), pairs.params[camera]
     x, y, z = unproject_one(model, params, pairs.pixels[2 * which, k], pairs.pixels[2 * which + 1, k])
@@ -33,7 +33,7 @@ def _ray(pairs, p, k, which, scale, by_point, by_params, out, column):
 
 @kernel(allocates=True)
 def fit_wide_motions(pairs, wanted, use, quality, search, fits):
-    """Relative poses of the wanted pairs over the matches marked in `use`."""
+    """Relative poses of the wanted pairs on the matches marked in `use`."""
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((18, most))
     by_point, by_params = np.empty((2, 3)), np.empty((2, NUM_PARAMS))

@@ -1,4 +1,4 @@
-"""Lists of pairs of images as the kernels take them; an estimate of one pair is that of a list of one."""
+"""Lists of image pairs in kernel layout; the estimate of one pair is that of a list of one."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _NO_CAMERA = Camera(CameraModel.SIMPLE_PINHOLE, 1, 1, np.array([1.0, 0.0, 0.0]))
 def pack_pairs(
     pixels: Sequence[tuple[Any, Any]], cameras: Sequence[tuple[Camera, Camera]] | None, seeds: Sequence[int]
 ) -> kernels.Pairs:
-    """Pairs of matched pixels, (n, 2) each; without cameras for models of pixels alone.
+    """Pack matched pixels, (n, 2) each; without cameras for models of pixels alone.
 
     Raises:
-        ShapeError: the pixels of a pair do not fit.
+        ShapeError: the two pixel arrays of a pair do not match.
     """
     points = [
         (as_points(pixels1, "pixels1", 2), as_points(pixels2, "pixels2", 2)) for pixels1, pixels2 in pixels
@@ -48,13 +48,13 @@ def pack_pairs(
 
 
 def usable_matches(pairs: kernels.Pairs) -> np.ndarray:
-    """Matches (m,) whose numbers are finite, and small enough to be squared."""
+    """Mask (m,) of matches with finite numbers that can be squared without overflow."""
     with np.errstate(invalid="ignore"):
         return (np.abs(pairs.pixels) < LARGEST).all(axis=0)
 
 
 def no_fits(pairs: kernels.Pairs) -> kernels.Fits:
-    """Space for what a model makes of the pairs: so far, nothing."""
+    """Empty fits, to be filled."""
     n = len(pairs.seed)
     return kernels.Fits(
         np.full((n, MODEL_SIZE), np.nan),
@@ -69,13 +69,13 @@ def no_fits(pairs: kernels.Pairs) -> kernels.Fits:
 def search_for(
     config: RansacConfig, factor: float = 1.0, most: int | None = None, fraction: float | None = None
 ) -> kernels.Search:
-    """The configuration as kernels take it.
+    """The configuration in kernel layout.
 
     Args:
         config: options of the robust loop.
-        factor: of the threshold.
-        most: samples at most.
-        fraction: of inliers, below which a model is of no use.
+        factor: multiple of the threshold.
+        most: maximum number of samples.
+        fraction: smallest useful inlier ratio.
     """
     most = config.max_iterations if most is None else min(most, config.max_iterations)
     return kernels.Search(
@@ -96,7 +96,7 @@ def fit_motions(
     search: kernels.Search,
     motions: kernels.Fits,
 ) -> None:
-    """Relative poses of the wanted pairs (p,) over the matches in use (m,); of wide lenses on their rays."""
+    """Relative poses of the wanted pairs (p,) on the usable matches (m,); on rays for wide-angle cameras."""
     wide = wanted & (pairs.wide[pairs.camera1] | pairs.wide[pairs.camera2])
     if (wanted & ~wide).any():
         kernels.fit_motions(pairs, wanted & ~wide, use, quality, search, motions)
@@ -105,14 +105,14 @@ def fit_motions(
 
 
 def to_coordinates(fits: kernels.Fits, p: int) -> tuple[np.ndarray, np.ndarray]:
-    """The maps (3, 3) of both images' pixels to the coordinates that the model of pair p was fitted in."""
+    """The maps (3, 3) from both images' pixels to the coordinates in which the model of pair p was fitted."""
     u1, v1, u2, v2, s = fits.frame[p]
     t1, t2 = (np.array([[1 / s, 0, -u / s], [0, 1 / s, -v / s], [0, 0, 1]]) for u, v in ((u1, v1), (u2, v2)))
     return t1, t2
 
 
 def found_of_one(problem: Any, use: np.ndarray, fits: kernels.Fits, config: RansacConfig) -> Found:
-    """What was found of a list of one pair; `problem` is one of the class that was fitted."""
+    """The result for a list of one pair; `problem` is an instance of the class that was fitted."""
     n, usable = len(use), int(use.sum())
     if usable < problem.sample_size():
         return failed(Reason.TOO_FEW, n, int(problem.degrees_of_freedom()))

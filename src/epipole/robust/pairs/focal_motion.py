@@ -1,4 +1,4 @@
-"""Robust relative pose of two cameras whose focal lengths are not known."""
+"""Robust relative pose of two cameras with unknown focal lengths."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from epipole.robust.pairs._focal_motion_kernels import FOCAL1, FOCAL2, SharedFoc
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FocalMotion:
-    """How two cameras stand to each other, and their focal lengths."""
+    """Relative pose of two cameras, and their focal lengths."""
 
     cam2_from_cam1: Rigid3
     """|t| = 1."""
@@ -27,24 +27,24 @@ class FocalMotion:
 def estimate_motion_and_shared_focal(
     pixels1: Any, pixels2: Any, principal_point: Any, config: RansacConfig | None = None
 ) -> Estimate[FocalMotion]:
-    """Relative pose and the one focal length of both cameras: six points, then truncated Sampson error.
+    """Relative pose and a shared focal length of two cameras: six points, then truncated Sampson error.
 
-    Optical axes that meet (a turntable, a camera that circles an object) leave the focal length undetermined or
-    nearly so: look at the covariance. Focal lengths from a quarter to eight times the typical distance of the
-    matches from the principal point are found.
+    If the optical axes intersect (a turntable, a camera circling an object), the focal length is undetermined or nearly so:
+    check the covariance. The search covers focal lengths from a quarter to eight times the typical distance of the matches
+    from the principal point.
 
     Args:
-        pixels1: matches in image 1, (n, 2); NaN and infinite ones are outliers.
+        pixels1: matches in image 1, (n, 2); rows with NaN or infinity are outliers.
         pixels2: the same in image 2.
-        principal_point: (2,), of both images; their centre where nothing better is known.
+        principal_point: (2,), of both images; their center if nothing better is known.
         config: threshold in pixels.
 
     Returns:
-        `covariance` (6, 6) of the rotation from the left (3), the step of t in its tangent plane (2) and the logarithm of
-        the focal length.
+        `covariance` (6, 6) of the rotation from the left (3), the step of t in its tangent plane (2) and the log focal
+        length.
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: array sizes do not match.
     """
     return _fit(
         SharedFocalProblem,
@@ -63,24 +63,24 @@ def estimate_motion_and_focals(
     principal_point2: Any,
     config: RansacConfig | None = None,
 ) -> Estimate[FocalMotion]:
-    """Relative pose and the focal length of each camera: seven points, F and Bougnoux' formula, then Sampson error.
+    """Relative pose and focal length of each camera: seven points, F and Bougnoux' formula, then Sampson error.
 
-    Where the optical axes meet, or the baseline lies in one plane with both, the focal lengths are not determined; near it
-    they are very uncertain. One shared focal length is known far better.
+    If the optical axes intersect, or are coplanar with the baseline, the focal lengths are undetermined; close to that they are
+    very uncertain. A shared focal length is far better determined.
 
     Args:
-        pixels1: matches in image 1, (n, 2); NaN and infinite ones are outliers.
+        pixels1: matches in image 1, (n, 2); rows with NaN or infinity are outliers.
         pixels2: the same in image 2.
         principal_point1: (2,).
         principal_point2: (2,).
         config: threshold in pixels.
 
     Returns:
-        `covariance` (7, 7) of the rotation from the left (3), the step of t in its tangent plane (2) and the logarithms of
-        the focal lengths.
+        `covariance` (7, 7) of the rotation from the left (3), the step of t in its tangent plane (2) and the log focal
+        lengths.
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: array sizes do not match.
     """
     return _fit(
         TwoFocalsProblem,

@@ -1,4 +1,4 @@
-"""What two images tell about each other."""
+"""Kinds of image pairs."""
 
 from enum import IntEnum
 
@@ -7,14 +7,14 @@ class PairKind(IntEnum):
     """The kind of a verified pair of images."""
 
     DEGENERATE = 0
-    """Too few consistent matches: the pair tells nothing."""
+    """Too few consistent matches."""
     GENERAL = 1
     """Calibrated, with parallax: an essential matrix explains it."""
     UNCALIBRATED = 2
-    """Focal lengths not known: a fundamental matrix explains it."""
+    """Focal lengths unknown: a fundamental matrix explains it."""
     PLANAR = 3
-    """A homography explains it and there is parallax: a plane."""
+    """A plane with parallax: a homography explains it."""
     ROTATION = 4
-    """The camera only turned: no depth can be had."""
+    """Pure rotation: depth cannot be determined."""
     NO_MOTION = 5
     """The same image twice."""

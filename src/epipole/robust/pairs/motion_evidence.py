@@ -1,18 +1,18 @@
-"""What matches say of a relative pose at the noise that they show: its sign, its uncertainty, and whether it is determined.
+"""Maximum-likelihood refinement of a relative pose: sign, uncertainty, and whether the matches determine it.
 
-The robust loop truncates residuals at a threshold that is usually several times the noise. Here its motion becomes the start
-of a maximum-likelihood fit. A match is right with probability p: its Sampson residual is then normal, and its inverse
-depth rho follows a Student distribution over the scene; a wrong match lies anywhere in the image,
+The robust loop truncates residuals at a threshold that is usually several times the noise. Its motion is the start of a
+maximum-likelihood fit. A match is correct with probability p: then its Sampson residual is normal, and its inverse depth rho
+has a Student distribution over the scene. A wrong match can lie anywhere in the image,
 
     L(R, t) = sum_k log( p N(s_k; 0, sigma) T(rho_k) |drho/dx| [rho_k > 0] + (1 - p) / area ),
 
-fitted by expectation maximisation (Dempster, Laird and Rubin, 1977). Wrong matches that lie on their epipolar line by
-chance mostly have an implausible depth, and lose their weight. Then
+fitted by expectation maximization (Dempster, Laird and Rubin, 1977). Wrong matches that lie on their epipolar line by chance
+mostly have an implausible depth, and lose their weight. Then
 
-- the sign of t is the one of larger likelihood: depths must be positive, at the noise found;
-- a motion needs parallax: displacements that a rotation leaves along the epipolar lines exceed the noise;
-- other motions that explain the matches as well are searched for over the sphere of directions;
-- where the likelihood is not Gaussian, the covariance is that of its samples (adaptive importance sampling: Cappe et al.,
+- the sign of t is the more likely one: depths must be positive, within the estimated noise;
+- there must be parallax: displacements along the epipolar lines, after the best rotation, must exceed the noise;
+- the sphere of directions is searched for other motions that explain the matches equally well;
+- if the likelihood is not Gaussian, the covariance is that of samples (adaptive importance sampling: Cappe et al.,
   Population Monte Carlo, 2004).
 """
 
@@ -28,28 +28,28 @@ from epipole.geometry import Rotation3, skew
 from epipole.robust.ray_matches import Matches, moved_motion
 
 MAX_BEHIND = 10.0
-"""Deviations by which a match may count as behind the cameras."""
-MAX_STEPS, MAX_MATCHES = 30, 600
-"""Steps of the fit; matches that take part in the searches beyond it (a random choice)."""
+"""Upper bound of the deviation of a match behind the cameras, in standard deviations."""
+MAX_STEPS = 30  # of the fit
+MAX_MATCHES = 600  # used in the searches after the fit (a random choice)
 STUDENT = 3.0
 """Degrees of freedom of the inverse depths: most of a scene within a factor of two, some of it anywhere."""
 MIN_SIGN_EVIDENCE = 3.0
 """Difference of log likelihoods below which the sign of t is unknown: odds of twenty to one."""
 MAX_PARALLAX_SQ = 9.0
-"""Squared parallax of one match, in variances, counts at most this much: a few wrong matches make no motion."""
-MEAN_PARALLAX_SQ, VAR_PARALLAX_SQ = 0.98, 1.7
-"""Of a squared standard normal number that is cut at MAX_PARALLAX_SQ."""
+"""Upper bound of the squared parallax of one match, in variances, so that a few wrong matches cannot fake motion."""
+MEAN_PARALLAX_SQ = 0.98  # mean of a squared standard normal number, truncated at MAX_PARALLAX_SQ
+VAR_PARALLAX_SQ = 1.7  # its variance
 SIGNIFICANT = 5.0
 """Standard deviations by which the parallax must exceed chance."""
 WELL_DETERMINED = 25.0
-"""Information of the matches over that of their noise: above, the likelihood is Gaussian (measured)."""
+"""Ratio of the information of the matches to that of their noise above which the likelihood is Gaussian (measured)."""
 MIN_SPREAD_SIGMAS = 3.0
-"""Across the line that fits them best, matches must spread this much wider than their noise."""
+"""Minimum spread of the matches across their best-fitting line, in standard deviations of the noise."""
 NUM_DIRECTIONS, SEARCH_STEPS = 48, 12
 RIVAL_EVIDENCE = 4.0
-"""Another motion whose log likelihood is within this of the best explains the matches as well."""
-RIVAL_ANGLE_RAD, RIVAL_SIGMAS = np.deg2rad(15.0), 5.0
-"""Directions nearer than both belong to the same motion."""
+"""Difference of log likelihoods within which another motion explains the matches equally well."""
+RIVAL_ANGLE_RAD = np.deg2rad(15.0)  # directions closer than this, and than RIVAL_SIGMAS, are the same motion
+RIVAL_SIGMAS = 5.0
 NUM_SAMPLES, NUM_ROUNDS = 600, 5
 STUDENT_CONSTANT = float(
     gammaln((STUDENT + 1.0) / 2.0) - gammaln(STUDENT / 2.0) - 0.5 * np.log(STUDENT * np.pi)
@@ -57,7 +57,7 @@ STUDENT_CONSTANT = float(
 
 
 class Verdict(Enum):
-    """What the matches say of a motion."""
+    """What the matches show about a motion."""
 
     DETERMINED = 0
     NO_PARALLAX = 1
@@ -68,7 +68,7 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionEvidence:
-    """A motion at the noise of its matches."""
+    """A motion estimated at the noise of its matches."""
 
     rotation: np.ndarray
     translation: np.ndarray
@@ -77,14 +77,14 @@ class MotionEvidence:
     residuals_px: np.ndarray
     """(n,) signed Sampson residuals."""
     is_in_front: np.ndarray
-    """(n,) whether the depth is positive or, within the noise, infinite."""
+    """(n,) whether the depth is positive, or infinite within the noise."""
     noise_px: float
     verdict: Verdict
 
 
 @dataclass(frozen=True, slots=True)
 class _Model:
-    """Noise in pixels, share of right matches, and the inverse depths' location and scale."""
+    """Noise in pixels, fraction of correct matches, and location and scale of the inverse depths."""
 
     sigma: float
     fraction: float
@@ -95,14 +95,14 @@ class _Model:
 def weigh_motion(
     matches: Matches, rotation: np.ndarray, translation: np.ndarray, noise_px: float, seed: int
 ) -> MotionEvidence | None:
-    """Fit the motion to the matches at their own noise and judge it; None where the fit fails.
+    """Fit the motion to the matches at their own noise and judge it; None if the fit fails.
 
     Args:
-        matches: all that can be used, right and wrong ones.
-        rotation: a start, (3, 3).
-        translation: a start, a unit vector.
-        noise_px: a first estimate of the standard deviation of a pixel coordinate.
-        seed: of the choice of matches and of the samples.
+        matches: all usable matches, right and wrong.
+        rotation: initial, (3, 3).
+        translation: initial, a unit vector.
+        noise_px: initial standard deviation of a pixel coordinate.
+        seed: for the choice of matches and the samples.
     """
     random = np.random.default_rng(seed)
     fitted = _fit(matches, rotation, translation, noise_px)
@@ -148,7 +148,7 @@ def weigh_motion(
 
 
 def lie_on_a_line(pixels: np.ndarray, sigma_px: float, weight: np.ndarray | None = None) -> bool:
-    """Whether pixels (n, 2) spread across the line that fits them best no wider than their noise allows to measure."""
+    """Whether the spread of pixels (n, 2) across their best-fitting line is within the noise."""
     off = pixels - np.average(pixels, axis=0, weights=weight)
     least = np.linalg.eigvalsh(np.cov(off.T, aweights=weight, ddof=0))[0]
     return bool(least < (1.0 + MIN_SPREAD_SIGMAS**2) * sigma_px**2)
@@ -157,7 +157,7 @@ def lie_on_a_line(pixels: np.ndarray, sigma_px: float, weight: np.ndarray | None
 def _fit(
     matches: Matches, rotation: np.ndarray, translation: np.ndarray, noise_px: float
 ) -> tuple[np.ndarray, np.ndarray, _Model, np.ndarray] | None:
-    """Expectation maximisation: (R, t, model, (n,) probability that a match is right)."""
+    """Expectation maximization: (R, t, model, (n,) probability that a match is correct)."""
     near = np.abs(matches.sampson(rotation, translation)) < 3.0 * noise_px
     if near.sum() < 6:
         return None
@@ -208,7 +208,7 @@ def _depths(
 
 
 def _right(matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model) -> np.ndarray:
-    """(n,) log density of a right match: of its residual, the sign of its depth, and its inverse depth."""
+    """(n,) log density of a correct match: of its residual, the sign of its depth, and its inverse depth."""
     residual, behind = _residuals(matches, rotation, translation, model)
     depth = _log_depth(matches, rotation, translation, model)
     return np.log(model.fraction) - 0.5 * (residual**2 + behind**2) + depth
@@ -217,14 +217,14 @@ def _right(matches: Matches, rotation: np.ndarray, translation: np.ndarray, mode
 def _residuals(
     matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(..., n) Sampson residuals and displacements behind infinity, in deviations of the noise."""
+    """(..., n) Sampson residuals and displacements behind infinity, in standard deviations of the noise."""
     shift, _ = matches.parallax(rotation, translation)
     behind = np.clip(-shift / (np.sqrt(2.0) * model.sigma), 0.0, MAX_BEHIND)
     return matches.sampson(rotation, translation) / model.sigma, behind
 
 
 def _log_depth(matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model) -> np.ndarray:
-    """(n,) log density of a right match's inverse depth, per square pixel at residual zero."""
+    """(n,) log density of a correct match's inverse depth, per square pixel at zero residual."""
     shift, speed = matches.parallax(rotation, translation)
     spread = np.sqrt(model.scale**2 + 2.0 * (model.sigma / speed) ** 2)
     off = (shift / speed - model.location) / spread
@@ -233,7 +233,7 @@ def _log_depth(matches: Matches, rotation: np.ndarray, translation: np.ndarray, 
 
 
 def _weights(matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model) -> np.ndarray:
-    """(n,) probability that a match is right."""
+    """(n,) probability that a match is correct."""
     right = _right(matches, rotation, translation, model)
     return np.exp(right - np.logaddexp(right, np.log1p(-model.fraction) - matches.log_area))
 
@@ -241,14 +241,14 @@ def _weights(matches: Matches, rotation: np.ndarray, translation: np.ndarray, mo
 def _likelihood(
     matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model, depth: np.ndarray
 ) -> np.ndarray:
-    """(...) log likelihood of motions near the fitted one; the scene's depths keep their density there, `depth` (n,)."""
+    """(...) log likelihood of motions near the fitted one; the log density of depths, `depth` (n,), is kept constant."""
     residual, behind = _residuals(matches, rotation, translation, model)
     right = np.log(model.fraction) - 0.5 * (residual**2 + behind**2) + depth
     return np.asarray(np.logaddexp(right, np.log1p(-model.fraction) - matches.log_area).sum(axis=-1))
 
 
 def _sign_evidence(matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model) -> float:
-    """Log likelihood of t less that of -t; the inverse depths change their sign with it."""
+    """Log likelihood of t minus that of -t; the inverse depths change sign with it."""
     depth = _log_depth(matches, rotation, translation, model)
     here, there = (_likelihood(matches, rotation, t, model, depth) for t in (translation, -translation))
     return float(here - there)
@@ -257,7 +257,7 @@ def _sign_evidence(matches: Matches, rotation: np.ndarray, translation: np.ndarr
 def _has_parallax(
     matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model, weight: np.ndarray
 ) -> bool:
-    """Whether displacements along the epipolar lines, after the rotation that leaves least of them, exceed the noise."""
+    """Whether displacements along the epipolar lines, after the best rotation, exceed the noise."""
     for _ in range(5):
         far = matches.ray1 @ rotation.T
         shift = np.einsum("ncj,nj->nc", matches.jacobian2, matches.ray2 - far)
@@ -278,7 +278,7 @@ def _has_parallax(
 def _noise_information(
     matches: Matches, rotation: np.ndarray, translation: np.ndarray, weight: np.ndarray, sigma: float
 ) -> np.ndarray:
-    """What the noise of the pixels adds to J^T J by itself.
+    """The part of J^T J that is due to pixel noise.
 
     The rows of J depend on noisy pixels, so that J^T J is full even where the true one is singular:
     E[J^T J] = J0^T J0 + sum E[dJ^T dJ] (Kanatani, Statistical Optimization for Geometric Computation, 1996).
@@ -295,7 +295,7 @@ def _noise_information(
 
 
 def _weakest(information: np.ndarray, noise: np.ndarray) -> float:
-    """Least ratio, over all directions, of the information to that of the noise."""
+    """Smallest ratio, over all directions, of the information to that of the noise."""
     root = np.linalg.cholesky(information)
     fraction = np.linalg.solve(root, np.linalg.solve(root, noise).T)
     return float(1.0 / max(np.linalg.eigvalsh(fraction)[-1], 1e-300))
@@ -304,12 +304,12 @@ def _weakest(information: np.ndarray, noise: np.ndarray) -> float:
 def _has_rival(
     matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model, covariance: np.ndarray
 ) -> bool:
-    """Whether a motion in another direction explains the matches as well; found from directions all over the sphere."""
+    """Whether a motion in another direction explains the matches equally well, searching the full sphere."""
     index = np.arange(NUM_DIRECTIONS) + 0.5
     height, step_rotation = (
         1.0 - 2.0 * index / NUM_DIRECTIONS,
         np.pi * (1.0 + np.sqrt(5.0)) * index,
-    )  # Fibonacci's sphere
+    )  # Fibonacci sphere
     flat = np.sqrt(1.0 - height**2)
     t = np.stack([flat * np.cos(step_rotation), flat * np.sin(step_rotation), height], axis=1)
     r = np.broadcast_to(rotation, (NUM_DIRECTIONS, 3, 3))
@@ -340,7 +340,7 @@ def _sampled(
     covariance: np.ndarray,
     random: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean step from the fitted motion and covariance of the likelihood, by importance samples of Student distributions."""
+    """Mean step from the fitted motion, and covariance of the likelihood, by importance sampling with Student proposals."""
     spread, mean, moment = 2.0 * covariance, np.zeros(5), covariance
     depth = _log_depth(matches, rotation, translation, model)
     for _ in range(NUM_ROUNDS):

@@ -1,4 +1,4 @@
-"""Robust estimators between two images: homography, fundamental and essential matrix, relative pose."""
+"""Robust two-view estimators: homography, fundamental and essential matrix, relative pose."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.special import bdtrc
 
-from epipole._checks import as_points, require_same_length
-from epipole._declared import checked
+from epipole._checks import as_points, checked, require_same_length
 from epipole.cameras import Camera
 from epipole.config import RansacConfig, options_of
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1
@@ -61,26 +60,25 @@ def estimate_relative_pose(
 ) -> Estimate[Rigid3]:
     """Relative pose of two calibrated cameras: five points (Nister, PAMI 2004), truncated Sampson error, maximum likelihood.
 
-    The motion of the robust loop is refined at the noise that the matches show (`motion_evidence`), which also decides
-    the sign of t. Where a rotation, a line or another motion explains the matches as well, the result is
-    `Reason.DEGENERATE`; where all points are too far away for the sign of t, `Reason.UNKNOWN_SIGN`.
+    The motion of the robust loop is refined at the noise of the matches (`motion_evidence`), which also determines the sign of
+    t. If a rotation, a line or another motion explains the matches equally well, the result is `Reason.DEGENERATE`; if all
+    points are too far away for the sign of t, `Reason.UNKNOWN_SIGN`.
 
     Args:
-        pixels1: matches in image 1, (n, 2); NaN and infinite ones are outliers.
+        pixels1: matches in image 1, (n, 2); rows with NaN or infinity are outliers.
         pixels2: the same in image 2.
-        camera1: any model. Where a lens is wide the error is that in the images (tangent Sampson: Terekhov and Larsson,
-            ICCV 2023), behind the plane of the pupil too.
+        camera1: any model. For wide-angle cameras the error is that in the images (tangent Sampson: Terekhov and Larsson,
+            ICCV 2023), including rays beyond 90 degrees.
         camera2: any model.
         config: `max_error_px` is divided by the mean focal length.
-        quality: (n,), higher is better; good matches are then tried first (PROSAC).
+        quality: (n,), higher is better; good matches are then sampled first (PROSAC).
 
     Returns:
-        `model` = cam2_from_cam1 with |t| = 1 (the length cannot be known); `covariance` (6, 6) of xi in
-        exp(xi) @ cam2_from_cam1, xi = (translation, rotation), of rank five. Wrong matches are in it; calibration
-        errors are not.
+        `model` = cam2_from_cam1 with |t| = 1 (the scale is unknown); `covariance` (6, 6) of xi in exp(xi) @ cam2_from_cam1,
+        xi = (translation, rotation), of rank five. It accounts for wrong matches, but not for calibration errors.
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: array sizes do not match.
     """
     options = options_of(RansacConfig, config)
     found = _fit_motion(pixels1, pixels2, camera1, camera2, options, quality)
@@ -98,10 +96,10 @@ def estimate_upright_motion(
     down_in_cams: tuple[Any, Any],
     config: RansacConfig | None = None,
 ) -> Estimate[Rigid3]:
-    """Relative pose of two calibrated cameras that know where down is: three points, then as `estimate_relative_pose`.
+    """Relative pose of two calibrated cameras with known verticals: three points, then as `estimate_relative_pose`.
 
-    The verticals (an accelerometer's) serve the samples, of which far fewer are needed; the refined motion is free of
-    them, so that one off by a degree costs no accuracy.
+    The verticals (from an accelerometer) are used for sampling only, which needs far fewer samples; the refined motion is free of
+    them, so an error of a degree costs no accuracy.
 
     Args:
         pixels1: matches in image 1, (n, 2).
@@ -115,7 +113,7 @@ def estimate_upright_motion(
         As `estimate_relative_pose`.
 
     Raises:
-        ShapeError: the arrays do not fit, or a direction is zero.
+        ShapeError: array sizes do not match, or a direction is zero.
     """
     up1, up2 = (rotate_upright(down, f"down_in_cams[{k}]") for k, down in enumerate(down_in_cams))
     cameras, options = (camera1, camera2), options_of(RansacConfig, config)
@@ -148,7 +146,7 @@ def estimate_essential_matrix(
         `model` = E; `covariance` (6, 6) as for the relative pose.
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: array sizes do not match.
     """
     found = estimate_relative_pose(pixels1, pixels2, camera1, camera2, config, quality=quality)
     essential = essential_from_cam2_from_cam1(found.model) / np.sqrt(2.0)  # |[t]x R| = sqrt(2) |t|
@@ -165,7 +163,7 @@ def estimate_essential_matrix(
 
 
 MIN_MATCHES_TO_WEIGH = 12
-"""Fewer matches do not show their noise."""
+"""Minimum number of matches to estimate their noise."""
 REASON_OF_VERDICT = {
     Verdict.DETERMINED: Reason.OK,
     Verdict.NO_PARALLAX: Reason.DEGENERATE,
@@ -175,7 +173,7 @@ REASON_OF_VERDICT = {
 }
 _NO_ITEMS = np.empty((4, 0))
 _ALL_BUT_CHANCE = 0.8
-"""Share of the inliers on one plane above which those off it may agree by chance alone."""
+"""Fraction of inliers on one plane above which agreement off the plane is tested against chance."""
 
 
 def estimate_fundamental_matrix(
@@ -183,12 +181,12 @@ def estimate_fundamental_matrix(
 ) -> Estimate[Matrix3]:
     """Fundamental matrix, x2^T F x1 = 0, |F| = 1: seven points, then truncated Sampson error.
 
-    Matches must be seen from the same side of the epipolar lines (the oriented constraint of Chum, Werner and
-    Matas, ICPR 2004). Where a plane holds most matches, those off it decide (Chum, Werner and Matas, CVPR 2005); where
-    too few of them agree for that to be no chance, F is undetermined: `Reason.DEGENERATE`.
+    Matches must satisfy the oriented epipolar constraint (Chum, Werner and Matas, ICPR 2004). If a plane contains most matches,
+    those off it decide (Chum, Werner and Matas, CVPR 2005); if no more of them agree than by chance, F is undetermined:
+    `Reason.DEGENERATE`.
 
     Args:
-        pixels1: matches in image 1, (n, 2); NaN and infinite ones are outliers.
+        pixels1: matches in image 1, (n, 2); rows with NaN or infinity are outliers.
         pixels2: the same in image 2.
         config: threshold in pixels.
         quality: (n,), higher is better (PROSAC).
@@ -197,7 +195,7 @@ def estimate_fundamental_matrix(
         `model` = F; `covariance` (9, 9) of its entries, row by row, of rank seven.
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: array sizes do not match.
     """
     config = options_of(RansacConfig, config)
     one = _one_pair(pixels1, pixels2, None, config, quality)
@@ -217,13 +215,13 @@ def estimate_fundamental_matrix(
 def estimate_homography(
     pixels1: Any, pixels2: Any, config: RansacConfig | None = None, *, quality: Any = None
 ) -> Estimate[Matrix3]:
-    """Homography, x2 ~ H x1, |H| = 1: four points, then a truncated transfer error that weighs both images alike.
+    """Homography, x2 ~ H x1, |H| = 1: four points, then a truncated symmetric transfer error.
 
-    Planes of the world are not quite plane, and the matches that show it lie beyond any threshold for pixels: models are
-    searched for at one and a half thresholds, and the best is fitted to all matches within 3.64, the nearer the more.
+    Real planes are not exactly plane, and deviations exceed any pixel threshold: models are searched at 1.5 times the threshold,
+    and the best is fitted to all matches within 3.64 times the threshold, with more weight on closer ones.
 
     Args:
-        pixels1: matches in image 1, (n, 2); NaN and infinite ones are outliers.
+        pixels1: matches in image 1, (n, 2); rows with NaN or infinity are outliers.
         pixels2: the same in image 2.
         config: threshold in pixels.
         quality: (n,), higher is better (PROSAC).
@@ -232,7 +230,7 @@ def estimate_homography(
         `model` = H; `covariance` (9, 9) of its entries, row by row, of rank eight.
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: array sizes do not match.
     """
     config = options_of(RansacConfig, config)
     one = _one_pair(pixels1, pixels2, None, config, quality)
@@ -246,7 +244,7 @@ def estimate_homography(
 
 
 class _OnePair(NamedTuple):
-    """A list of one pair, the matches that can be used, their quality, and space for what is found."""
+    """A list of one pair, its usable matches, their quality, and space for the result."""
 
     pairs: kernels.Pairs
     use: np.ndarray
@@ -278,7 +276,7 @@ def _fit_motion(
 def _at_its_noise(
     found: Found, pixels1: Any, pixels2: Any, cameras: tuple[Camera, Camera], config: RansacConfig
 ) -> Found:
-    """The motion of maximum likelihood, or the reason why the matches do not determine one."""
+    """The maximum-likelihood motion, or the reason why the matches do not determine one."""
     first, second = as_points(pixels1, "pixels1", 2), as_points(pixels2, "pixels2", 2)
     use = np.flatnonzero(usable_rows(first, second))
     if found.reason is not Reason.OK or len(use) < MIN_MATCHES_TO_WEIGH:
@@ -328,7 +326,7 @@ def _fit_upright_motion(
 
 
 def _off_a_line(found: Found, one: _OnePair) -> Found:
-    """Degenerate where the inliers lie within their noise of one line, in either image."""
+    """Degenerate if the inliers lie within their noise of one line, in either image."""
     if found.reason is not Reason.OK:
         return found
     inliers = one.pairs.pixels[:, found.inlier_mask]
@@ -338,11 +336,11 @@ def _off_a_line(found: Found, one: _OnePair) -> Found:
 
 
 def _is_explained_by_a_plane(one: _OnePair, config: RansacConfig) -> bool:
-    """Whether F stands on a plane and on no more matches off it than chance gives.
+    """Whether F is supported by a plane, and by no more matches off it than by chance.
 
-    Any two matches off the plane fix an epipole: that of the pair with most company must have more than chance is
-    expected to give to a tenth of one pair (a contrario: Moisan and Stival, IJCV 2004). Of 800 noisy planes none
-    passed for a scene with depth; few points off the plane may pass for none.
+    Any two matches off the plane define an epipole: the pair with most support must exceed the support of which chance is
+    expected to give a tenth of one pair (a contrario: Moisan and Stival, IJCV 2004). None of 800 noisy planes passed as a scene
+    with depth; scenes with few points off the plane may pass as planes.
     """
     center, spread = one.fits.frame[0, :4, None], one.fits.frame[0, 4]
     items = np.ascontiguousarray((one.pairs.pixels[:, one.use] - center) / spread)
@@ -355,7 +353,7 @@ def _is_explained_by_a_plane(one: _OnePair, config: RansacConfig) -> bool:
 
 
 def _twist_covariance(found: Found) -> np.ndarray:
-    """From (rotation, step of t in its tangent plane) to xi of exp(xi) @ motion: t + dt = t + rho + phi x t."""
+    """Covariance of (rotation, step of t in its tangent plane) to that of xi in exp(xi) @ motion: dt = rho + phi x t."""
     t = found.raw[9:12]
     if not (np.isfinite(found.covariance).all() and np.isfinite(t).all()):
         return np.full((6, 6), np.inf)

@@ -1,4 +1,4 @@
-"""Verification of pairs of images: which model explains their matches, and what that says about depth."""
+"""Verification of image pairs: the model that explains their matches, and whether it has depth."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from epipole import _parallel
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.cameras import Camera
 from epipole.config import RansacConfig, options_of
 from epipole.geometry import Rigid3
@@ -31,14 +31,14 @@ from epipole.robust.pairs.batch import (
 from epipole.robust.pairs.kind import PairKind
 
 PLANE_FRACTION = 0.7
-"""A plane that explains less of the epipolar inliers than this could not win, and is not searched for."""
+"""Smallest useful fraction of epipolar inliers on a plane: with fewer, it could not win."""
 PLANE_ITERATIONS = 500
-GUESS_FACTOR, GUESS_ITERATIONS = 3.0, 200
-"""A guessed focal length is forgiven a threshold this many times as wide."""
+GUESS_FACTOR = 3.0  # multiple of the threshold for guessed focal lengths
+GUESS_ITERATIONS = 200
 STILL_PX = 0.75
-"""A median shift of matches below this leaves no epipolar line worth following."""
+"""Median shift of matches below which guided matching along epipolar lines is useless."""
 _KINDS = (PairKind.GENERAL, PairKind.PLANAR, PairKind.ROTATION, PairKind.NO_MOTION)
-"""Of the models, in the order of their costs."""
+"""Kinds of the models, in the order of their costs."""
 _CHUNKS = 64
 _WORDS = ("epipolar geometry", "a plane", "a rotation", "no motion")
 
@@ -52,9 +52,9 @@ class PairMatches(Declared):
     camera1: Camera
     camera2: Camera
     is_calibrated: bool = True
-    """Both focal lengths can be trusted; else they are guesses, and a fundamental matrix is fitted."""
+    """Whether both focal lengths can be trusted; otherwise they are guesses, and a fundamental matrix is fitted."""
     seed: int = 0
-    """Added to the configuration's: a pair keeps its answer in whatever list it stands."""
+    """Added to the configuration's seed, so that the result of a pair does not depend on the list."""
 
     def __repr__(self) -> str:
         return f"PairMatches({len(self.pixels1)} matches, {self.camera1!r}, {self.camera2!r})"
@@ -62,7 +62,7 @@ class PairMatches(Declared):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairGeometry:
-    """What the matches of one pair of images say."""
+    """Geometry of one pair of images, from its matches."""
 
     kind: PairKind
     inlier_mask: Bool[np.ndarray, " n"]
@@ -72,28 +72,28 @@ class PairGeometry:
     fundamental: Float64[np.ndarray, "3 3"]
     homography: Float64[np.ndarray, "3 3"]
     median_angle_rad: float
-    """Median angle between the rays of inliers in front of both cameras; NaN where there is no motion."""
+    """Median angle between the rays of inliers in front of both cameras; NaN without motion."""
     noise_px: float
     """Standard deviation of the matches, from the epipolar residuals."""
     costs: Float64[np.ndarray, 4]
-    """Torr's GRIC of epipolar geometry, plane, rotation and no motion, lower is better; NaN where nothing was found."""
+    """Torr's GRIC of epipolar geometry, plane, rotation and no motion, lower is better; NaN if nothing was found."""
 
     @property
     def explanation(self) -> str:
-        """In words, why the pair is of this kind."""
+        """Why the pair is of this kind, in words."""
         if self.kind is PairKind.DEGENERATE:
             return f"too few of {len(self.inlier_mask)} matches agree with any geometry"
         order = np.argsort(self.costs)
         margin = float(self.costs[order[1]] - self.costs[order[0]])
         if self.kind is PairKind.ROTATION and order[0] != selection_kernels.ROTATION:
-            return "a plane fits best, and a rotation under the guessed focal length fits nearly all: no depth in it"
+            return "a plane fits best, and a rotation with the guessed focal length fits nearly all matches, so there is no depth"
         words = (
-            f"{_WORDS[order[0]]} explains {int(self.inlier_mask.sum())} matches with {self.noise_px:.2f} px of noise best "
+            f"{_WORDS[order[0]]} explains {int(self.inlier_mask.sum())} matches best, with {self.noise_px:.2f} px of noise "
             f"(by {margin:.0f} over {_WORDS[order[1]]})"
         )
         if np.isfinite(self.median_angle_rad):
-            return f"{words}; rays meet at {np.degrees(self.median_angle_rad):.1f} degrees"
-        return f"{words}; there is no depth in it"
+            return f"{words}; rays intersect at {np.degrees(self.median_angle_rad):.1f} degrees"
+        return f"{words}; there is no depth"
 
     def __repr__(self) -> str:
         return f"PairGeometry({self.kind.name}: {self.explanation})"
@@ -101,18 +101,18 @@ class PairGeometry:
 
 @checked
 def verify_pairs(pairs: Sequence[PairMatches], config: RansacConfig | None = None) -> list[PairGeometry]:
-    """Name what each pair is: general, planar, rotation only, no motion, or degenerate.
+    """Classify pairs: general, planar, rotation only, no motion, or degenerate.
 
-    An essential (or fundamental) matrix is fitted robustly; a homography, a rotation and the resting camera compete
-    with it over its inliers by the geometric robust information criterion (Torr, PhilTrans A 1998), with the noise
-    estimated from the matches. Pairs are spread over the threads; the answers do not depend on their number.
+    An essential (or fundamental) matrix is fitted robustly; a homography, a rotation and no motion compete with it on its
+    inliers by the geometric robust information criterion (Torr, PhilTrans A 1998), with the noise estimated from the matches.
+    Pairs are processed in parallel; the results do not depend on the number of threads.
 
     Args:
         pairs: matches and cameras.
-        config: threshold in pixels, inliers needed, and seed.
+        config: threshold in pixels, minimum number of inliers, and seed.
 
     Raises:
-        ShapeError: the pixels of a pair do not fit.
+        ShapeError: the two pixel arrays of a pair do not match.
     """
     config = options_of(RansacConfig, config)
     parts = _parallel.map_chunks(lambda a, b, _: _verify(pairs[a:b], config), len(pairs), _CHUNKS)
@@ -143,7 +143,7 @@ def fundamental_for_guided_matching(
     is_calibrated: bool,
     config: RansacConfig,
 ) -> Float64[np.ndarray, "3 3"] | None:
-    """The fundamental matrix along whose lines more matches may be sought; None where too few agree or none move."""
+    """The fundamental matrix for guided matching; None if too few matches agree or none move."""
     pair = PairMatches(pixels1, pixels2, camera1, camera2, is_calibrated)
     packed = _packed([pair], config)
     epipolar, motions = _fit_epipolar(packed, np.array([is_calibrated]), config)
@@ -183,7 +183,7 @@ def _verify(pairs: Sequence[PairMatches], config: RansacConfig) -> list[PairGeom
 def _fit_epipolar(
     packed: kernels.Pairs, calibrated: np.ndarray, config: RansacConfig
 ) -> tuple[kernels.Fits, kernels.Fits]:
-    """What explains each pair, E where calibrated and F elsewhere; and the motions of calibrated pairs."""
+    """Epipolar fits, E if calibrated and F otherwise, and the motions of calibrated pairs."""
     use = usable_matches(packed)
     epipolar, motions, search = no_fits(packed), no_fits(packed), search_for(config)
     if not calibrated.all():
@@ -207,7 +207,7 @@ def _packed(pairs: Sequence[PairMatches], config: RansacConfig) -> kernels.Pairs
 def _matrices(
     pair: PairMatches, p: int, epipolar: kernels.Fits, motions: kernels.Fits
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(E, F), of length one."""
+    """(E, F), of unit length."""
     if pair.is_calibrated:
         essential = motions.raw[p, 12:21].reshape(3, 3)
         fundamental = fundamental_from_essential(essential, pair.camera1.K, pair.camera2.K)
@@ -246,7 +246,7 @@ def _geometry(
     if kind is PairKind.ROTATION:
         motion = Rigid3(selection.rotation[p].reshape(3, 3).copy(), np.zeros(3))
     if not pair.is_calibrated and kind in (PairKind.GENERAL, PairKind.PLANAR):
-        # A plane seen by unknown lenses still has the F that was found; nothing says what its motion is.
+        # A plane with unknown intrinsics still has F, but its motion is unknown.
         kind = PairKind.UNCALIBRATED
     return PairGeometry(
         kind,

@@ -1,4 +1,4 @@
-"""Checks at the public border: shapes, finiteness, kernels' memory layout, with messages that name the argument."""
+"""Checks at the public API (shapes, finiteness, memory layout), with messages that name the argument."""
 
 import errno
 import os
@@ -8,23 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from epipole._declared.values import refuse_address
+from epipole._checks.values import refuse_address
 from epipole.errors import ConfigError, ShapeError
 
 MOST_PIXELS = 1 << 28
-"""Of an image that is made, which takes some 16 bytes for each."""
+"""Limit of new images, which take about 16 bytes per pixel."""
 MOST_RENDERED_PIXELS = 1 << 27
-"""Of one that is rendered, which takes twice as many."""
+"""Limit of rendered images, which take twice as much."""
 _NO_PATH = (errno.ELOOP, errno.ENAMETOOLONG, errno.EINVAL)
 
 
 def as_float_array(array: Any, name: str, *tail: int, finite: bool = False) -> np.ndarray:
     """Return `array` as a C-contiguous float64 array whose last axes are `tail` (batch axes are free).
 
-    What is read-only is copied: kernels are compiled for writeable arrays alone.
+    Read-only arrays are copied, as kernels are compiled for writeable arrays only.
 
     Raises:
-        ShapeError: the trailing axes differ, the values are not numbers, or `finite` and some are not.
+        ShapeError: the trailing axes differ, the values are not numbers, or `finite` is set and some are not.
     """
     try:
         given = np.asarray(array)
@@ -48,7 +48,7 @@ def as_points(array: Any, name: str, dim: int, *, finite: bool = False) -> np.nd
     """Return `array` as a C-contiguous (n, dim) float64 array.
 
     Raises:
-        ShapeError: it is not (n, dim), or `finite` and some value is not.
+        ShapeError: it is not (n, dim), or `finite` is set and a value is not.
     """
     out = as_float_array(array, name, finite=finite)
     if out.ndim != 2 or out.shape[1] != dim:
@@ -63,7 +63,7 @@ def as_table(array: Any, name: str, rows: int, columns: int) -> np.ndarray:
     """Return `array` as a C-contiguous (rows, columns) float64 array of finite numbers.
 
     Raises:
-        ShapeError: it has other axes, or some value is not finite.
+        ShapeError: it has other axes, or a value is not finite.
     """
     out = as_float_array(array, name, rows, columns, finite=True)
     if out.ndim != 2:
@@ -72,10 +72,10 @@ def as_table(array: Any, name: str, rows: int, columns: int) -> np.ndarray:
 
 
 def as_image(image: Any, name: str) -> np.ndarray:
-    """Return an image as a C-contiguous array of whatever type it has.
+    """Return an image as a C-contiguous array of unchanged type.
 
     Raises:
-        ShapeError: it is no array.
+        ShapeError: it is not an array.
     """
     try:
         return np.ascontiguousarray(image)
@@ -84,10 +84,10 @@ def as_image(image: Any, name: str) -> np.ndarray:
 
 
 def as_vector(vector: Any, name: str) -> np.ndarray:
-    """Return one vector (3,) of finite numbers.
+    """Return a single vector (3,) of finite numbers.
 
     Raises:
-        ShapeError: it is not one, or not finite.
+        ShapeError: it is not a single vector, or not finite.
     """
     out = as_float_array(vector, name, 3, finite=True)
     if out.ndim != 1:
@@ -99,11 +99,11 @@ def as_directions(rays: np.ndarray, name: str) -> np.ndarray:
     """Rays (n, 3) scaled to unit length.
 
     Raises:
-        ShapeError: one has no length, or one that cannot be calculated with.
+        ShapeError: a ray is zero, or not finite.
     """
     length = np.linalg.norm(rays, axis=1, keepdims=True)
     if not ((length > 0) & (length < np.inf)).all():
-        raise ShapeError(f"{name} must be directions of some length")
+        raise ShapeError(f"{name} must be finite, nonzero directions")
     return rays / length
 
 
@@ -115,7 +115,7 @@ def require_same_length(**arrays: np.ndarray) -> int:
     """
     lengths = {name: len(a) for name, a in arrays.items()}
     if len(set(lengths.values())) > 1:
-        raise ShapeError("lengths differ: " + ", ".join(f"{k} has {v}" for k, v in lengths.items()))
+        raise ShapeError("array lengths differ: " + ", ".join(f"{k} has {v}" for k, v in lengths.items()))
     return next(iter(lengths.values()))
 
 
@@ -123,50 +123,50 @@ def check_broadcast(**shapes: tuple[int, ...]) -> None:
     """Check that the named shapes can be broadcast.
 
     Raises:
-        ShapeError: they cannot.
+        ShapeError: they cannot be broadcast.
     """
     if len(set(shapes.values())) > 1:
         try:
             np.broadcast_shapes(*shapes.values())
         except ValueError as error:
             raise ShapeError(
-                "shapes do not fit: " + ", ".join(f"{k} {v}" for k, v in shapes.items())
+                "shapes cannot be broadcast: " + ", ".join(f"{k} {v}" for k, v in shapes.items())
             ) from error
 
 
 def check_indices(index: np.ndarray, name: str, size: int) -> None:
-    """Check that every index names one of `size` things.
+    """Check that every index is in range(size).
 
     Raises:
-        ShapeError: one does not.
+        ShapeError: an index is out of range.
     """
     if index.size and not (index.min() >= 0 and index.max() < size):
-        raise ShapeError(f"{name} must be within 0 and {size - 1}, got {index.min()} to {index.max()}")
+        raise ShapeError(f"{name} must be from 0 to {size - 1}, got {index.min()} to {index.max()}")
 
 
 def check_different(index: np.ndarray, name: str, size: int) -> None:
-    """Check that indices name each of `size` things at most once.
+    """Check that all indices are in range(size) and distinct.
 
     Raises:
-        ShapeError: one names none, or two the same.
+        ShapeError: an index is out of range, or repeated.
     """
     check_indices(index, name, size)
     if len(index) and np.bincount(index).max() > 1:
-        raise ShapeError(f"{name} must be different, got {np.bincount(index).argmax()} twice")
+        raise ShapeError(f"{name} must be distinct, got {np.bincount(index).argmax()} twice")
 
 
 def check_index(index: int, name: str, size: int) -> None:
-    """Check that an index names one of `size` things; negative ones do not.
+    """Check that an index is in range(size); negative ones are not.
 
     Raises:
-        ConfigError: it does not.
+        ConfigError: the index is out of range.
     """
     if not 0 <= index < size:
-        raise ConfigError(f"{name} must be within 0 and {size - 1}, got {index}")
+        raise ConfigError(f"{name} must be from 0 to {size - 1}, got {index}")
 
 
 def check_count(count: int, name: str, most: int = 1 << 24) -> None:
-    """Check a number of things that arrays are made for.
+    """Check a count for which arrays will be allocated.
 
     Raises:
         ConfigError: it is negative, or more than `most`.
@@ -178,23 +178,23 @@ def check_count(count: int, name: str, most: int = 1 << 24) -> None:
 
 
 def check_pixels(width: int, height: int, most: int = MOST_PIXELS) -> None:
-    """Check the size of an image that is to be made: a file's camera says any.
+    """Check the size of a new image, as cameras from files may have any size.
 
     Raises:
-        ConfigError: it has no pixel, or too many.
+        ConfigError: it has no pixels, or too many.
     """
     if min(width, height) < 1 or width * height > most:
-        raise ConfigError(f"an image must have between 1 and {most} pixels, not {width} x {height}")
+        raise ConfigError(f"an image must have between 1 and {most} pixels, got {width} x {height}")
 
 
 def check_squarable(value: float, name: str) -> None:
-    """Check that a number has a square; an infinite one has.
+    """Check that the square of a number does not overflow; infinity is accepted.
 
     Raises:
         ConfigError: it is too large.
     """
     if 1e150 < abs(value) < np.inf:
-        raise ConfigError(f"{name} is too large to be calculated with: {value:g}")
+        raise ConfigError(f"{name} is too large: {value:g}")
 
 
 def check_fraction(fraction: float, name: str) -> None:
@@ -208,7 +208,7 @@ def check_fraction(fraction: float, name: str) -> None:
 
 
 def check_seed(seed: int) -> None:
-    """Check a seed of random numbers.
+    """Check a random seed.
 
     Raises:
         ConfigError: it is negative.
@@ -218,31 +218,31 @@ def check_seed(seed: int) -> None:
 
 
 def check_offsets(offsets: np.ndarray, name: str, total: int | None = None) -> None:
-    """Check that offsets of compressed rows rise from zero (to the number of all rows).
+    """Check that offsets of compressed rows increase from zero (to the total number of rows).
 
     Raises:
         ShapeError: they do not.
     """
     if not len(offsets) or offsets[0] != 0 or (offsets[1:] < offsets[:-1]).any():
-        raise ShapeError(f"{name} must rise from 0")
+        raise ShapeError(f"{name} must increase from 0")
     if total is not None and offsets[-1] != total:
         raise ShapeError(f"{name} must end at {total}, got {offsets[-1]}")
 
 
 def as_path(given: str | Path) -> Path:
-    """The path given, a leading ~ read as the home folder; an empty string, which would mean the current one, is refused.
+    """The given path, with a leading ~ expanded; an empty string, which would mean the current folder, is rejected.
 
     Raises:
-        ConfigError: it is empty, cannot be a path, or is an address on a network.
+        ConfigError: it is empty, invalid, or a URL.
     """
     if not isinstance(given, str | PathLike) or not isinstance(os.fspath(given), str):
         raise ConfigError(f"a path must be text or a Path, got {given!r:.60}")
     if "\0" in str(given):
-        raise ConfigError("a path holds a null character")
+        raise ConfigError("a path contains a null character")
     if str(given) == "":
         raise ConfigError("a path is empty")
     refuse_address(given, "the path")
-    path = Path(os.path.expanduser(given))  # noqa: PTH111 - Path.expanduser fails for users that it does not know
+    path = Path(os.path.expanduser(given))  # noqa: PTH111 - Path.expanduser fails for unknown users
     try:
         path.stat()
     except (OSError, ValueError) as error:

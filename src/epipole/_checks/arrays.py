@@ -1,4 +1,4 @@
-"""Arrays as kernels take them: of one type, C-contiguous, aligned, writeable and of the machine's byte order."""
+"""Arrays for kernels: of one type, C-contiguous, aligned, writeable and in native byte order."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from epipole._declared.kinds import Convert, Sizes
+from epipole._checks.kinds import Convert, Sizes
 from epipole.errors import ShapeError
 
 _WORDS = {"f": "numbers", "i": "whole numbers", "u": "whole numbers", "b": "True or False"}
@@ -15,12 +15,12 @@ _ALLOWED = {"f": "biuf", "i": "iu", "u": "iu", "b": "b"}
 
 
 def as_array(value: Any, name: str, dtype: np.dtype[Any]) -> np.ndarray:
-    """The value as an array of this type, in the layout above; itself where it is one.
+    """The value as an array of this type, in the layout above; itself if it already is one.
 
-    Kernels are compiled for writeable arrays alone: what is read-only is copied.
+    Read-only arrays are copied, as kernels are compiled for writeable arrays only.
 
     Raises:
-        ShapeError: it holds other than such numbers, or numbers beyond the type's range.
+        ShapeError: it has values of another kind, or beyond the type's range.
     """
     if type(value) is np.ndarray and value.dtype == dtype and value.flags.carray:
         return value
@@ -35,20 +35,20 @@ def as_array(value: Any, name: str, dtype: np.dtype[Any]) -> np.ndarray:
         low, high = int(given.min()), int(given.max())
         limits = np.iinfo(dtype)
         if low < limits.min or high > limits.max:
-            raise ShapeError(f"{name} must be within {limits.min} and {limits.max}, got {low} to {high}")
-    with np.errstate(over="ignore"):  # a double beyond single precision is infinite there
+            raise ShapeError(f"{name} must be from {limits.min} to {limits.max}, got {low} to {high}")
+    with np.errstate(over="ignore"):  # a double beyond the range of single precision becomes infinite
         return np.require(given, dtype, ["C", "A", "W"])
 
 
 def _one_thing(value: Any, name: str) -> str:
-    """What was given instead of an array; where it has one of the argument's name, that one is meant."""
+    """Description of a non-array argument; if it has an attribute with the argument's name, suggest that."""
     own = name.rstrip("0123456789")
     kind = type(value).__name__
-    return f"{kind}: give its .{own}" if hasattr(value, own) else kind
+    return f"{kind}: pass its .{own}" if hasattr(value, own) else kind
 
 
 def array_converter(annotation: Any) -> Convert:
-    """What checks a value against jaxtyping's annotation: kind of numbers, axes, and lengths that axes share."""
+    """The converter for a jaxtyping annotation: kind of numbers, axes, and lengths shared between axes."""
     kinds = {np.dtype(name) for name in annotation.dtypes if name in ("bool", *_NUMBERS)}
     only = kinds.pop() if len(kinds) == 1 else None
     axes = annotation.dim_str.split()
@@ -62,10 +62,10 @@ def array_converter(annotation: Any) -> Convert:
 
 
 def check_axes(array: np.ndarray, name: str, axes: list[str], sizes: Sizes) -> None:
-    """Check the shape of an array, and keep the lengths of its named axes.
+    """Check the shape of an array, and record the lengths of its named axes.
 
     Raises:
-        ShapeError: it has other axes, or one has another length than an array before has given its name.
+        ShapeError: it has other axes, or an axis differs in length from one of the same name.
     """
     shape, named = array.shape, axes
     variadic = next((k for k, axis in enumerate(axes) if axis.startswith(("*", "..."))), None)
@@ -78,9 +78,9 @@ def check_axes(array: np.ndarray, name: str, axes: list[str], sizes: Sizes) -> N
 
 
 def _hint(axes: list[str], shape: tuple[int, ...]) -> str:
-    """What is usually meant by one axis too many: a colour image, or OpenCV's points."""
+    """Hint for the usual causes of an extra axis: a color image, or OpenCV's points."""
     if axes == ["h", "w"] and len(shape) == 3:
-        return "; a colour image? cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) makes it grey"
+        return "; a color image? Convert it with cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)"
     if len(axes) == 2 and len(shape) == 3 and 1 in shape[:2]:
         return f"; OpenCV's points? .reshape(-1, {shape[2]})"
     return ""
@@ -96,11 +96,11 @@ def _check_axis(
         known, other = sizes.setdefault(axis, (length, name))
         if known != length:
             raise ShapeError(
-                f"{name} must be ({', '.join(axes)}) with {axis} = {known}, as {other} has it; got {shape}"
+                f"{name} must be ({', '.join(axes)}) with {axis} = {known} (as in {other}), got {shape}"
             )
 
 
 def _kept_type(value: Any) -> np.dtype[Any]:
-    """Of annotations for any floating-point numbers: single precision stays, all else becomes double."""
+    """For annotations of any floating-point type: single precision is kept, everything else becomes double."""
     given = getattr(value, "dtype", None)
     return np.dtype(np.float32 if given == np.float32 else np.float64)

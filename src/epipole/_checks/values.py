@@ -1,4 +1,4 @@
-"""What single annotations declare: numbers, choices, objects, and sequences of them."""
+"""Converters for single annotations: numbers, choices, objects, and sequences of them."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from inspect import get_annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
-from epipole._declared.kinds import Convert, Sizes
+from epipole._checks.kinds import Convert, Sizes
 from epipole.errors import ConfigError, EpipoleError
 
 _LARGEST = 2**63 - 1
-_ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+")  # of two letters at least: C:/ is a drive
+_ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+")  # at least two letters, as C:/ is a drive
 _LONGEST_PATH, _LONGEST_NAME = 4095, 255
-"""Bytes that Linux takes, and others hardly more."""
+"""Limits of Linux in bytes; those of other systems are similar."""
 
 
 def converter_of(annotation: Any) -> Convert | None:
-    """What checks a value against an annotation and converts it; None where anything goes."""
+    """The converter for an annotation; None if anything is accepted."""
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return converter_of(parts[0])
@@ -32,8 +32,8 @@ def converter_of(annotation: Any) -> Convert | None:
         return _none
     if annotation is Any or annotation is object or isinstance(annotation, TypeVar):
         return None
-    if hasattr(annotation, "dim_str"):  # jaxtyping's: NumPy is loaded where such an annotation is
-        from epipole._declared.arrays import array_converter
+    if hasattr(annotation, "dim_str"):  # jaxtyping: NumPy is loaded only for such annotations
+        from epipole._checks.arrays import array_converter
 
         return array_converter(annotation)
     if origin in (Union, types.UnionType):
@@ -90,7 +90,7 @@ def _int(value: Any, name: str, _sizes: Sizes) -> int:
         except TypeError:
             raise _wrong(name, "a whole number", value) from None
     if abs(value) > _LARGEST:
-        raise ConfigError(f"{name} must be a number of 64 bits, got {str(value)[:60]}")
+        raise ConfigError(f"{name} must be a 64-bit number, got {str(value)[:60]}")
     return int(value)
 
 
@@ -99,7 +99,7 @@ def _float(value: Any, name: str, _sizes: Sizes) -> float:
         try:
             if isinstance(value, (bool, str, bytes)) or getattr(value, "ndim", 0) != 0:
                 raise TypeError
-            # A complex number, which NumPy would cut, has no way to a float.
+            # float() rejects complex numbers, whereas NumPy would drop the imaginary part.
             value = float(value) if not hasattr(value, "imag") or value.imag == 0 else None
             value = float(value)
         except (TypeError, ValueError, OverflowError):
@@ -118,27 +118,27 @@ def _path(value: Any, name: str, _sizes: Sizes) -> Path:
 
 
 def _text_or_path(value: Any, name: str, _sizes: Sizes) -> Any:
-    """What people give as a path; it stays what it is."""
+    """A path given as text or `Path`, unchanged."""
     if not isinstance(value, str | Path):
         raise _wrong(name, "a path", value)
     try:
         data = os.fsencode(value)
     except UnicodeEncodeError as error:
-        raise ConfigError(f"{name} must be a path, and holds what is no character") from error
+        raise ConfigError(f"{name} must be a path, but contains invalid characters") from error
     if not data:
-        raise ConfigError(f"{name} must be a path, and is empty")
+        raise ConfigError(f"{name} must be a path, but is empty")
     if b"\0" in data:
-        raise ConfigError(f"{name} must be a path, and holds a null character")
+        raise ConfigError(f"{name} must be a path, but contains a null character")
     if len(data) > _LONGEST_PATH or max(map(len, data.split(b"/"))) > _LONGEST_NAME:
         raise ConfigError(f"{name} must be a path: {str(value)[:60]}... is too long")
     return value
 
 
 def refuse_address(given: str | os.PathLike[str], name: str) -> None:
-    """Refuse `https://...` and the like, which a path that is joined or printed shortens to `https:/...`.
+    """Reject URLs such as `https://...`, which become `https:/...` when a path is joined or printed.
 
     Raises:
-        ConfigError: it is an address.
+        ConfigError: it is a URL.
     """
     text = os.fspath(given)
     found = _ADDRESS.match(text) if isinstance(text, str) else None
@@ -150,8 +150,7 @@ def refuse_address(given: str | os.PathLike[str], name: str) -> None:
     is_stream = scheme in ("rtsp", "rtmp", "udp", "tcp")
     advice = "record the stream to a video file" if is_stream else "download it"
     raise ConfigError(
-        f"{name} is {found[1]}://{rest}, an address on a network, and only files on this machine are read: {advice} and give "
-        "the path"
+        f"{name} is the URL {found[1]}://{rest}, but only local files can be read: {advice} and pass its path"
     )
 
 
@@ -168,7 +167,7 @@ def _instance(kind: type) -> Convert:
 
     def convert(value: Any, name: str, _sizes: Sizes) -> Any:
         if not isinstance(value, kind):
-            # Of rotations and motions a list will do: it is a batch.
+            # A list of rotations or motions is accepted: it is stacked to a batch.
             if isinstance(value, list) and hasattr(kind, "stack") and any(isinstance(v, kind) for v in value):
                 return kind.stack(value)
             raise _wrong(name, f"{article} {kind.__name__}", value)
@@ -178,7 +177,7 @@ def _instance(kind: type) -> Convert:
 
 
 def _named_tuple(kind: Any, article: str) -> Convert:
-    """A named tuple, which checks nothing itself: of its fields the kinds."""
+    """Converter for a named tuple, which does not check its fields itself."""
     plan: dict[str, Convert | None] = {}
 
     def convert(value: Any, name: str, _sizes: Sizes) -> Any:
@@ -187,7 +186,9 @@ def _named_tuple(kind: Any, article: str) -> Convert:
         if not plan:
             names = vars(sys.modules[kind.__module__])
             for field, annotation in get_annotations(kind).items():
-                text = getattr(annotation, "__forward_arg__", annotation)  # as `NamedTuple` keeps text
+                text = getattr(
+                    annotation, "__forward_arg__", annotation
+                )  # `NamedTuple` stores strings like this
                 plan[field] = converter_of(eval(text, names) if isinstance(text, str) else text)
         changed = {}
         for field, one in plan.items():
@@ -208,7 +209,7 @@ def _member(kind: type[Enum]) -> Convert:
             if not isinstance(value, str):
                 value = _int(value, name, {})
             return kind(value)
-        except ValueError:  # of an enumeration, and ConfigError
+        except ValueError:  # from the enum, or a ConfigError
             raise _wrong(name, "one of " + ", ".join(map(str, kind)), value) from None
 
     return convert
@@ -244,7 +245,7 @@ def _one_of(converters: list[Convert | None]) -> Convert | None:
             except EpipoleError as error:
                 is_path = part is _path and isinstance(
                     value, os.PathLike
-                )  # it says more than that it is no text
+                )  # more specific than the error for text
                 first = error if is_path else first or error
         raise first or _wrong(name, "None", value)
 
@@ -277,7 +278,7 @@ def _items(kind: type, part: Any) -> Convert:
         rows = _listed(value, name)
         if one is None:
             return value if isinstance(value, kind) and issubclass(kind, Sequence) else rows
-        # Axes of one length over all items share a name: that of the first counts for all.
+        # Axes with the same name must have the same length in all items.
         out = [one(row, f"{name}[{k}]", sizes) for k, row in enumerate(rows)]
         return kind(out) if kind in (set, frozenset) else out
 
@@ -285,7 +286,7 @@ def _items(kind: type, part: Any) -> Convert:
 
 
 def _mapping(parts: tuple[Any, ...]) -> Convert:
-    """Keys and values, each by its annotation."""
+    """Converter for keys and values, each by its annotation."""
     of_key, of_value = (converter_of(part) for part in parts)
 
     def convert(value: Any, name: str, _sizes: Sizes) -> Any:

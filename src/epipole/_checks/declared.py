@@ -1,7 +1,7 @@
-"""What annotations declare, kept at the public border: arguments and fields are checked, and converted where that loses nothing.
+"""Runtime checks of annotations at the public API: arguments and fields are checked, and converted if lossless.
 
-`@checked` does so for the arguments of a function, `check_fields` and `Declared` for the fields of a data class. Wrong arrays raise
-`ShapeError`, all else `ConfigError`. Kernels behind the border see one type and one layout, so that none is compiled twice.
+`@checked` checks the arguments of a function, `check_fields` and `Declared` the fields of a data class. Wrong arrays raise
+`ShapeError`, everything else `ConfigError`. Kernels then see a single type and layout, so none is compiled twice.
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ from functools import wraps
 from inspect import CO_VARKEYWORDS, Parameter, get_annotations, signature, unwrap
 from typing import Any, NamedTuple, TypeVar, cast
 
-from epipole._declared.kinds import Convert, Sizes
-from epipole._declared.values import converter_of
+from epipole._checks.kinds import Convert, Sizes
+from epipole._checks.values import converter_of
 from epipole.errors import ArgumentError, ConfigError
 
 _LARGEST_COUNT, _SMALLEST_NUMBER, _LARGEST_NUMBER = 2**31 - 1, 1e-30, 1e30
-"""Of options: counts go into arrays of 32 bits, and numbers are squared in single precision or multiplied."""
+"""Limits of options: counts go into 32-bit arrays, and numbers are multiplied or squared in single precision."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 _plans: dict[type, tuple[tuple[str, Convert], ...]] = {}
-"""Of each data class the fields that are checked."""
+"""The checked fields of each data class."""
 
 
 def checked(function: Function) -> Function:
-    """Check and convert the arguments of a function as its annotations say; what is annotated `Any` stays as it is.
+    """Check and convert the arguments of a function according to its annotations; `Any` is not checked.
 
-    An argument of a name that the function does not have is refused, with the names that are like it.
+    Unknown argument names are rejected, with suggestions of similar names.
     """
     own = unwrap(function)
     plan: list[_Parameter] = []
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        if not plan:  # annotations are looked at on first use: imports stay quick
+        if not plan:  # annotations are evaluated on first use, to keep imports fast
             plan.extend(_parameters(own))
         if kwargs:
             _refuse_unknown_names(own, kwargs, [each.name for each in plan])
@@ -55,7 +55,7 @@ def checked(function: Function) -> Function:
 
 
 def check_fields(data: Any) -> None:
-    """Check and convert the fields of a data class's instance as their annotations say; for `__post_init__`."""
+    """Check and convert the fields of a data class instance according to their annotations; for `__post_init__`."""
     sizes: Sizes = {}
     kind = type(data)
     if kind not in _plans:
@@ -75,22 +75,22 @@ def _refuse_unknown_names(function: Callable[..., Any], given: Iterable[str], kn
 
 
 def did_you_mean(name: str, known: Sequence[str], more: Sequence[str] = ()) -> str:
-    """What follows "there is no NAME": names that are like it, among more than those that are listed where none is."""
+    """Ending for "there is no NAME": similar names from `known` and `more`, or the list of known names."""
     near = get_close_matches(name, list(dict.fromkeys([*known, *more])), 3, 0.6)
     return f"; did you mean {' or '.join(near)}?" if near else f"; it has {', '.join(known)}"
 
 
 class _Parameter(NamedTuple):
-    """Of a function."""
+    """A checked parameter of a function."""
 
     name: str
     convert: Convert | None
-    """None where there is nothing to check."""
+    """None if there is nothing to check."""
     kind: Any
 
 
 def check_options(data: Any, *, negative: tuple[str, ...] = (), infinite: tuple[str, ...] = ()) -> None:
-    """Check the fields of a config, and that its numbers can be calculated with; for `__post_init__`.
+    """Check the fields of a config, including the range of its numbers; for `__post_init__`.
 
     Args:
         data: the instance.
@@ -98,8 +98,8 @@ def check_options(data: Any, *, negative: tuple[str, ...] = (), infinite: tuple[
         infinite: fields that may be infinite.
 
     Raises:
-        ConfigError: a number is negative, infinite, too large or so small that it vanishes, or a field is of another kind.
-        ShapeError: an array is of another kind or shape than declared.
+        ConfigError: a number is negative, infinite, too large or too small, or a field has the wrong type.
+        ShapeError: an array has the wrong type or shape.
     """
     check_fields(data)
     for name in data.__dataclass_fields__:
@@ -117,11 +117,11 @@ def check_options(data: Any, *, negative: tuple[str, ...] = (), infinite: tuple[
                 raise ConfigError(f"{name} must be finite, got {value}")
         elif size > _LARGEST_NUMBER or 0 < size < _SMALLEST_NUMBER:
             bounds = f"0, or from {_SMALLEST_NUMBER:g} to {_LARGEST_NUMBER:g}"
-            raise ConfigError(f"{name} must be {bounds} to be calculated with, got {value:g}")
+            raise ConfigError(f"{name} must be {bounds}, got {value:g}")
 
 
 def _parameters(function: Callable[..., Any]) -> list[_Parameter]:
-    """What checks every parameter."""
+    """The converter of every parameter."""
     out: list[_Parameter] = []
     for parameter in signature(function).parameters.values():
         is_named = parameter.kind is Parameter.VAR_KEYWORD
@@ -131,7 +131,7 @@ def _parameters(function: Callable[..., Any]) -> list[_Parameter]:
 
 
 class Declared:
-    """Base of data classes of arrays whose fields are checked, and need no other check."""
+    """Base of array data classes that need no checks besides those of their fields."""
 
     __slots__ = ()
 
@@ -139,8 +139,8 @@ class Declared:
         """Check the fields.
 
         Raises:
-            ShapeError: an array is of another kind or shape than declared.
-            ConfigError: something else is.
+            ShapeError: an array has the wrong type or shape.
+            ConfigError: another field has the wrong type.
         """
         check_fields(self)
 

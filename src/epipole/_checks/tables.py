@@ -1,7 +1,7 @@
-"""Arrays that others have made: what each must be stands in a table, and is checked before anything uses it.
+"""Validation of arrays from untrusted files, against a table that describes each array.
 
-Whoever writes a file can compute its digest, too: a digest shows that bytes were not damaged by accident, not that the arrays fit
-each other. So every array has an entry in the table of its file: its numbers, its shape with named axes, and its bounds.
+Whoever writes a file can also compute its digest: a digest detects accidental damage, not inconsistent arrays. So every array has
+an entry in the table of its file: its type, its shape with named axes, and its bounds.
 """
 
 from __future__ import annotations
@@ -12,53 +12,53 @@ from typing import Any
 
 import numpy as np
 
-from epipole._declared.arrays import as_array, check_axes
-from epipole._declared.kinds import Sizes
+from epipole._checks.arrays import as_array, check_axes
+from epipole._checks.kinds import Sizes
 from epipole.errors import ShapeError
 
 TEXT = "str"
 _ROTATION_TOLERANCE = 1e-6
 _LAST_CODE, _SURROGATES = 0x10FFFF, (0xD800, 0xDFFF)
-"""The last character of Unicode, and codes that stand for none."""
+"""The last code point of Unicode, and the surrogates, which are not characters."""
 
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """An array that a file must hold."""
+    """Description of an array in a file."""
 
     numbers: str
-    """The name of a NumPy type, or `TEXT`; whole numbers of another width are converted if they fit."""
+    """Name of a NumPy type, or `TEXT`; integers of another width are converted if they fit."""
     axes: str = ""
-    """Lengths, names that arrays of the file share, one more than such a name (n+1), or _ for any; empty for a single value."""
+    """Lengths, names shared by arrays of the file, one more than such a name (n+1), or _ for any; empty for a scalar."""
     least: float | None = None
     most: float | None = None
     below: str | None = None
-    """The axis that the numbers are indices of."""
+    """The axis that the numbers index."""
     rises_to: str | None = None
-    """The numbers rise from 0 to the length of this axis: offsets of compressed rows."""
+    """The numbers are offsets of compressed rows: they increase from 0 to the length of this axis."""
     may_be_nan: bool = False
     """Whether numbers may be NaN or infinite."""
     is_optional: bool = False
-    """Whether the file may lack it."""
+    """Whether the file may omit it."""
     is_rotation: bool = False
     """Whether the last two axes are rotation matrices."""
 
 
 Table = Mapping[str, Expected]
-"""By the names of arrays; what a file holds besides is refused."""
+"""By array name; other arrays in a file are rejected."""
 Arrays = dict[str, np.ndarray]
 
 
 def check_arrays(arrays: Mapping[str, np.ndarray], table: Table, **sizes: int) -> Arrays:
-    """The arrays, each of the type and in the layout that kernels take.
+    """The arrays, converted to the type and layout for kernels.
 
     Args:
         arrays: by name.
-        table: what is expected; an axis keeps its length through all arrays.
-        sizes: lengths of axes that are known.
+        table: expected arrays; an axis has the same length in all arrays.
+        sizes: known lengths of axes.
 
     Raises:
-        ShapeError: one is missing, unknown, or not as expected.
+        ShapeError: an array is missing, unknown, or not as expected.
     """
     check_names(arrays, table, table)
     known: Sizes = {axis: (length, "the input") for axis, length in sizes.items()}
@@ -69,10 +69,10 @@ def check_arrays(arrays: Mapping[str, np.ndarray], table: Table, **sizes: int) -
 
 
 def require_arrays(arrays: Mapping[str, Any], table: Table, **sizes: int) -> None:
-    """As `check_arrays`, of arrays that kernels will get as they are: none is converted.
+    """Like `check_arrays`, for arrays that are passed to kernels unchanged: none is converted.
 
     Raises:
-        ShapeError: one is missing, unknown, not a NumPy array, or not as expected.
+        ShapeError: an array is missing, unknown, not a NumPy array, or not as expected.
     """
     found = {name: np.asarray(array) for name, array in arrays.items()}
     for name, array in check_arrays(found, table, **sizes).items():
@@ -82,10 +82,10 @@ def require_arrays(arrays: Mapping[str, Any], table: Table, **sizes: int) -> Non
 
 
 def check_names(names: Iterable[str], table: Table, wanted: Iterable[str]) -> None:
-    """Check that the wanted arrays of a table are there, and none that the table does not know.
+    """Check that the wanted arrays of a table are present, and that there are no unknown ones.
 
     Raises:
-        ShapeError: one is missing or unknown.
+        ShapeError: an array is missing or unknown.
     """
     names = list(names)
     missing = [name for name in wanted if name not in names and not table[name].is_optional]
@@ -93,7 +93,7 @@ def check_names(names: Iterable[str], table: Table, wanted: Iterable[str]) -> No
         raise ShapeError(f"the array {missing[0]!a} is missing")
     unknown = [name for name in names if name not in table]
     if unknown:
-        raise ShapeError(f"the array {unknown[0]!a:.60} is not known")
+        raise ShapeError(f"the array {unknown[0]!a:.60} is unknown")
 
 
 def _of_kind(array: np.ndarray, name: str, expected: Expected, sizes: Sizes) -> np.ndarray:
@@ -102,7 +102,7 @@ def _of_kind(array: np.ndarray, name: str, expected: Expected, sizes: Sizes) -> 
             raise ShapeError(f"{name} must be text, got {array.dtype}")
         codes = np.frombuffer(array.tobytes(), np.uint32)
         if ((codes > _LAST_CODE) | ((codes >= _SURROGATES[0]) & (codes <= _SURROGATES[1]))).any():
-            raise ShapeError(f"{name} must be text, and holds what is no character")
+            raise ShapeError(f"{name} must be text, but contains invalid characters")
     else:
         dtype = np.dtype(expected.numbers)
         if dtype.kind == "f" and array.dtype.newbyteorder("=") != dtype:
@@ -117,7 +117,7 @@ def _of_kind(array: np.ndarray, name: str, expected: Expected, sizes: Sizes) -> 
 
 
 def _check_rotations(array: np.ndarray, name: str) -> None:
-    """Of those that are not NaN throughout: R R^T is the identity, and no axis is mirrored."""
+    """Check that matrices that are not all NaN are rotations: R R^T is the identity, and the determinant is positive."""
     own = array[~np.isnan(array).all(axis=(-2, -1))]
     with np.errstate(over="ignore", invalid="ignore"):
         off = np.abs(own @ np.swapaxes(own, -2, -1) - np.eye(3))
@@ -134,10 +134,10 @@ def _check_bounds(array: np.ndarray, name: str, expected: Expected, sizes: Sizes
     if array.size and (
         (least is not None and array.min() < least) or (most is not None and array.max() > most)
     ):
-        raise ShapeError(f"{name} must be within {least} and {most}, got {array.min()} to {array.max()}")
+        raise ShapeError(f"{name} must be from {least} to {most}, got {array.min()} to {array.max()}")
     if expected.is_rotation:
         _check_rotations(array, name)
     if expected.rises_to is not None:
         total = sizes[expected.rises_to][0]
         if not len(array) or array[0] != 0 or array[-1] != total or (array[1:] < array[:-1]).any():
-            raise ShapeError(f"{name} must rise from 0 to {total}")
+            raise ShapeError(f"{name} must increase from 0 to {total}")
