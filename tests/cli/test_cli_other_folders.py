@@ -10,6 +10,7 @@ from epipole import api
 from epipole.config import BoardConfig
 from epipole.errors import WorkspaceError
 from epipole.pipelines.calibration.config import CalibrationConfig
+from epipole.pipelines.stereo.run import stereo_many
 from epipole.runs import Job, open_run
 
 BOARD = CalibrationConfig(board=BoardConfig(columns=9, rows=6, square=1.0))
@@ -42,7 +43,7 @@ def root(tmp_path: Path) -> Path:
 def test_pairs_and_boards_leave_pictures_and_models_alone(root: Path, out: str) -> None:
     before = contents(root)
     with pytest.raises(WorkspaceError, match="choose another"):
-        api.stereo_many(root / "left", root / "right", root / out)
+        stereo_many(root / "left", root / "right", root / out)
     with pytest.raises(WorkspaceError, match="choose another"):
         api.calibrate(root / "left", root / out, BOARD, right=root / "right")
     with pytest.raises(WorkspaceError, match="choose another"):

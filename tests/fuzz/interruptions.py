@@ -34,6 +34,7 @@ from epipole import api
 from epipole.errors import EpipoleError
 from epipole.io.images.photographs import write_jpeg_with_exif
 from epipole.pipelines.stereo.config import StereoConfig
+from epipole.pipelines.stereo.run import stereo_many
 from epipole.runs import thread_scope
 from epipole.scene import RectifiedRig
 from epipole.synthetic import courtyard, courtyard_views, render
@@ -90,7 +91,7 @@ def _pairs(folder: Path) -> None:
 def _stereo(folder: Path) -> object:
     rig = RectifiedRig(200.0, 80.0, 60.0, 0.1)
     config = StereoConfig(max_disparity_px=32)
-    return api.stereo_many(folder / "left", folder / "right", folder / "out", config, rig)
+    return stereo_many(folder / "left", folder / "right", folder / "out", config, rig)
 
 
 def _calibrate(folder: Path) -> object:

@@ -16,6 +16,7 @@ from epipole.io.colmap.model import write_colmap_model
 from epipole.io.images.depth_maps import read_pfm
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.pairs import list_pairs
+from epipole.pipelines.stereo.run import stereo_many, stereo_of_model
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, RectifiedRig, Rigs, Tracks
 from epipole.synthetic.stereo_rooms import stereo_room
 
@@ -41,32 +42,30 @@ def test_a_folder_with_a_corrupt_picture_goes_on(tmp_path, pair):
     rig = RectifiedRig(pair.camera.K[0, 0], pair.camera.K[0, 2], pair.camera.K[1, 2], pair.baseline)
     seen = []
     out = tmp_path / "out"
-    batch = api.stereo_many(tmp_path / "left", tmp_path / "right", out, CONFIG, rig, seen.append)
+    batch = stereo_many(tmp_path / "left", tmp_path / "right", out, CONFIG, rig, seen.append)
     assert batch.done == ("a", "c") and list(batch.problems) == ["b"] and "b.png" in batch.problems["b"]
     assert [p.done for p in seen] == [1, 2, 3]
     np.testing.assert_array_equal(read_pfm(out / "a" / "depth.pfm"), read_pfm(out / "c" / "depth.pfm"))
     assert json.loads((out / "summary.json").read_text())["done"] == ["a", "c"]
     # Again: nothing is measured twice, and the mended image is.
     (tmp_path / "right" / "b.png").write_bytes(data)
-    again = api.stereo_many(tmp_path / "left", tmp_path / "right", out, CONFIG, rig)
+    again = stereo_many(tmp_path / "left", tmp_path / "right", out, CONFIG, rig)
     assert again.done == ("b",) and again.earlier == ("a", "c") and not again.problems
     saved(tmp_path / "right" / "c.png", np.roll(pair.right, 1, axis=1))
-    changed = api.stereo_many(tmp_path / "left", tmp_path / "right", out, CONFIG, rig)
+    changed = stereo_many(tmp_path / "left", tmp_path / "right", out, CONFIG, rig)
     assert changed.done == ("c",) and changed.earlier == ("a", "b")
     given = json.loads((out / "summary.json").read_text())
-    assert set(given["known"]) == {"a", "b", "c"} and given["pictures"]["a"][1].endswith("right/a.png")
+    assert set(given["known"]) == {"a", "b", "c"} and given["images"]["a"][1].endswith("right/a.png")
     with pytest.raises(FileFormatError, match="several pairs"):
         api.view(out, block=False)
-    other = api.stereo_many(
-        tmp_path / "left", tmp_path / "right", out, StereoConfig(max_disparity_px=41), rig
-    )
+    other = stereo_many(tmp_path / "left", tmp_path / "right", out, StereoConfig(max_disparity_px=41), rig)
     assert len(other.done) == 3
 
 
 def test_pictures_without_a_partner_are_named(tmp_path, pair):
     for name in ("left/a.png", "right/a.png", "left/b.png", "right/c.png"):
         saved(tmp_path / name, pair.left)
-    batch = api.stereo_many(tmp_path / "left", tmp_path / "right", tmp_path / "out", CONFIG)
+    batch = stereo_many(tmp_path / "left", tmp_path / "right", tmp_path / "out", CONFIG)
     assert batch.done == ("a",) and set(batch.problems) == {"b", "c"}
     assert "right/b.png" in batch.problems["b"] and "left/c.png" in batch.problems["c"]
 
@@ -105,8 +104,8 @@ def test_stereo_video_in_two_files_and_in_one(tmp_path, pair):
     written_video(tmp_path / "l.avi", [pair.left] * 7)
     written_video(tmp_path / "r.avi", [pair.right] * 7)
     written_video(tmp_path / "both.avi", [np.hstack([pair.left, pair.right])] * 7)
-    two = api.stereo_many(tmp_path / "l.avi", tmp_path / "r.avi", tmp_path / "two", CONFIG)
-    one = api.stereo_many(tmp_path / "both.avi", tmp_path / "both.avi", tmp_path / "one", CONFIG)
+    two = stereo_many(tmp_path / "l.avi", tmp_path / "r.avi", tmp_path / "two", CONFIG)
+    one = stereo_many(tmp_path / "both.avi", tmp_path / "both.avi", tmp_path / "one", CONFIG)
     assert two.done == one.done == ("frame_000000", "frame_000003", "frame_000006")
     found = read_pfm(tmp_path / "one" / "frame_000003" / "disparity.pfm")
     assert found.shape == pair.left.shape
@@ -114,16 +113,16 @@ def test_stereo_video_in_two_files_and_in_one(tmp_path, pair):
     assert known.mean() > 0.5 and np.median(np.abs(found - pair.disparity_px)[known]) < 0.5
     (tmp_path / "broken.avi").write_bytes(b"nothing")
     with pytest.raises(FileFormatError, match=r"broken\.avi"):
-        api.stereo_many(tmp_path / "broken.avi", tmp_path / "r.avi", tmp_path / "x", CONFIG)
+        stereo_many(tmp_path / "broken.avi", tmp_path / "r.avi", tmp_path / "x", CONFIG)
 
 
 def test_another_video_of_the_same_name_is_measured_again(tmp_path, pair):
     both = tmp_path / "both.avi"
     written_video(both, [np.hstack([pair.left, pair.right])] * 3)
-    first = api.stereo_many(both, both, tmp_path / "out", CONFIG)
-    assert len(first.done) == 3 and len(api.stereo_many(both, both, tmp_path / "out", CONFIG).earlier) == 3
+    first = stereo_many(both, both, tmp_path / "out", CONFIG)
+    assert len(first.done) == 3 and len(stereo_many(both, both, tmp_path / "out", CONFIG).earlier) == 3
     written_video(both, [np.hstack([255 - pair.left, 255 - pair.right])] * 3)
-    again = api.stereo_many(both, both, tmp_path / "out", CONFIG)
+    again = stereo_many(both, both, tmp_path / "out", CONFIG)
     assert again.done == first.done
     image = pair.left if pair.left.ndim == 3 else pair.left[..., None]
     frame = np.asarray(Image.open(next((tmp_path / "out" / "frames" / "left").iterdir())))
@@ -156,7 +155,7 @@ def written_model(folder, pair, camera: Camera):
 
 def test_two_pictures_of_a_model(tmp_path, pair):
     written_model(tmp_path / "w", pair, pair.camera)
-    found = api.stereo_of_model(tmp_path / "w", "a.png", "b.png", tmp_path / "out", CONFIG)
+    found = stereo_of_model(tmp_path / "w", "a.png", "b.png", tmp_path / "out", CONFIG)
     direct = match_stereo(pair.left, pair.right, CONFIG)
     np.testing.assert_allclose(found.disparities.disparity_px, direct.disparity_px, atol=1e-3)
     # The model's baseline is 2 where the room's is some other number: depth comes in the model's unit.
@@ -167,6 +166,6 @@ def test_two_pictures_of_a_model(tmp_path, pair):
     assert found.unit == "the model's unit"
     for second, words in (("c.png", r"c\.png has no place .*/w$"), ("b", r"b has no place .*mean b\.png\?")):
         with pytest.raises(ConfigError, match=words):
-            api.stereo_of_model(tmp_path / "w", "a.png", second, tmp_path / "out", CONFIG)
+            stereo_of_model(tmp_path / "w", "a.png", second, tmp_path / "out", CONFIG)
     with pytest.raises(DegenerateGeometryError, match="must differ"):
-        api.stereo_of_model(tmp_path / "w", "a.png", "a.png", tmp_path / "out", CONFIG)
+        stereo_of_model(tmp_path / "w", "a.png", "a.png", tmp_path / "out", CONFIG)
