@@ -170,7 +170,7 @@ def test_wrong_neural_files(tmp_path, rng):
     for change, words in (
         ({"size": 0.0}, "not positive"),
         ({"cells": np.array([4]), "tables": good["tables"][:1]}, "layers of the network do not fit"),
-        ({"cells": np.array([4, 0])}, "levels must be within"),
+        ({"cells": np.array([4, 0])}, "levels must be from"),
         ({"tables": rng.normal(size=(2, 63, 4)).astype(np.float32)}, "no power of two"),
         ({"weights": good["weights"][:1] * 5}, "layers of the network do not fit"),
         ({"tables": np.full((2, 64, 4), np.nan, np.float32)}, "tables must be finite"),

@@ -39,7 +39,7 @@ def at(name, where, value):
     [
         (at("point", 0, 10**6), "point must be from"),
         (at("point", 0, -1), "point must be from"),
-        (at("anchor", 0, 99), "anchor must be within"),
+        (at("anchor", 0, 99), "anchor must be from"),
         (at("offsets", 1, 10**9), "offsets must increase"),
         (at("pixels", (0, 0), 1e9), "within the image"),
         (at("rotation", (0, 0, 0), 2.0), "rotation matrices"),
