@@ -153,7 +153,7 @@ def _in_a_line(run: Run) -> str:
     if run["exit_code"] != 0:
         return f"failed (exit {run['exit_code']}): {run['error'].strip().splitlines()[-1:]}"
     score = run["score"]
-    return f"{score['registered']} of {score['images']} registered, {run['wall_s']:.1f} s"
+    return f"{score['registered']} of {score['pictures']} registered, {run['wall_s']:.1f} s"
 
 
 def value_of(run: Run, metric: str) -> float | None:

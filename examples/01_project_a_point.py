@@ -66,7 +66,7 @@ assert params.tolist() == [500.0, 500.0, 319.5, 239.5]
 
 pinhole = undistorted_camera(camera)
 line = np.stack([np.linspace(-1.0, 1.0, 21), np.full(21, 0.5), np.full(21, 2.0)], axis=1)
-bend_px = [np.ptp(camera.project(line)[:, 1]) for camera in (camera, pinhole)]
+bend_px = [np.ptp(each.project(line)[:, 1]) for each in (camera, pinhole)]
 print(f"a horizontal edge is bent by {bend_px[0]:.1f} px in the lens, by {bend_px[1]:.0e} px in the pinhole")
 assert bend_px[0] > 1.0 and bend_px[1] < 1e-6
 

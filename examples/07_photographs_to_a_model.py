@@ -56,10 +56,10 @@ assert errors.mean_position < 2e-3 * size_m and errors.mean_rotation_deg < 0.1
 # The lens was refined with everything else: EXIF tells the focal length in whole millimetres of a 35 mm
 # camera, and nothing of the distortion.
 
-camera = model.cameras[0]
-print(camera)
-assert abs(camera.focal_px / focal_px - 1.0) < 0.01
-assert abs(camera.params[-1] - -0.05) < 0.02
+estimated = model.cameras[0]
+print(estimated)
+assert abs(estimated.focal_px / focal_px - 1.0) < 0.01
+assert abs(estimated.params[-1] - -0.05) < 0.02
 
 # The points lie on the surfaces. Those that the first image sees, moved into the world of the truth, have
 # the depth that was rendered there (the sky has none: NaN).

@@ -75,7 +75,7 @@ close, distant = (np.median(depths.sigma[known & (np.abs(true_depth - z) < 0.25 
 assert distant > 20 * close
 
 # Look at it: near is red. `epipole.stereo("left.png", "right.png", "OUT", rig=rig)` writes all of this, a
-# cloud of points and a page, and `epipole.examine_stereo` tells what is wrong with a pair.
+# cloud of points and a page, and `epipole stereo doctor` says what is wrong with a pair.
 
 Image.fromarray(color_map(found.disparity_px)).save(out / "disparity.png")
 Image.fromarray(left).save(out / "left.png")

@@ -83,4 +83,4 @@ print(f"scale against the truth: {scale:.4f}")
 assert abs(scale - 1.0) < 0.02
 
 # `epipole.slam("FOLDER", "OUT")` runs the same over a recording (TUM, EuRoC, KITTI, 7-Scenes, a video) and
-# writes path, map, covariances and a page; `epipole.write_slam_map` keeps a map for the next day.
+# writes trajectory, map, covariances and a page; a later run continues in the map with `--map OUT`.

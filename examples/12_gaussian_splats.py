@@ -15,7 +15,7 @@ from PIL import Image
 
 import epipole
 from epipole.fields.photometric import psnr
-from epipole.fields.splat.rasterizer import render as draw
+from epipole.fields.splat.rasterizer import render as render_splats
 from epipole.io import write_points_ply
 from epipole.scene import depth_map_to_point_cloud
 from epipole.synthetic import courtyard, courtyard_views, render
@@ -54,8 +54,8 @@ frames = [
     }
     for n, view in enumerate(cams_from_world)
 ]
-camera = {"w": 192, "h": 128, "fl_x": fx, "fl_y": fy, "cx": cx + 0.5, "cy": cy + 0.5}
-content = {**camera, "ply_file_path": "points.ply", "frames": frames}
+intrinsics = {"w": 192, "h": 128, "fl_x": fx, "fl_y": fy, "cx": cx + 0.5, "cy": cy + 0.5}
+content = {**intrinsics, "ply_file_path": "points.ply", "frames": frames}
 (scene / "transforms.json").write_text(json.dumps(content))
 
 # Train for 250 steps, an image each, and hold out every sixth image. `time="5m"` trains as long as told;
@@ -71,7 +71,7 @@ assert len(result.cloud) <= 6000 and result.summary["psnr"] > 20
 
 black = np.zeros(3, np.float32)
 held_out, truth = 6, images[6].rgb.astype(np.float32) / 255
-rendered = draw(result.cloud, camera, cams_from_world[held_out]).over(black)
+rendered = render_splats(result.cloud, camera, cams_from_world[held_out]).over(black)
 own = psnr(rendered, truth)
 gray = psnr(np.broadcast_to(truth.mean(axis=(0, 1)), truth.shape).astype(np.float32), truth)
 print(f"view {held_out}: {own:.1f} dB; one colour everywhere: {gray:.1f} dB")
@@ -82,7 +82,7 @@ assert own > gray + 4
 
 # Depth comes with it: along the optical axis, weighed by what each Gaussian adds to the pixel.
 
-seen = draw(result.cloud, camera, cams_from_world[held_out])
+seen = render_splats(result.cloud, camera, cams_from_world[held_out])
 depth = seen.depth / np.maximum(seen.coverage, 1e-6)
 true_depth = images[held_out].depth
 solid = np.isfinite(true_depth) & (seen.coverage > 0.9)

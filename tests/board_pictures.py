@@ -29,4 +29,4 @@ def board_pictures(folder: Path, count: int = 12, moved_m: float = 0.0) -> dict[
         grey = cv2.warpPerspective(board, plane, (640, 480), flags=cv2.INTER_AREA, borderValue=200)
         images.append(np.ascontiguousarray(grey))
         Image.fromarray(grey).save(folder / "IMAGES" / f"{number:02d}.png")
-    return {"pictures": images}
+    return {"images": images}

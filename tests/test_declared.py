@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64, UInt8
 
-from epipole._declared import Declared, checked
-from epipole._declared.arrays import as_array
-from epipole._declared.values import converter_of
+from epipole._checks import Declared, checked
+from epipole._checks.arrays import as_array
+from epipole._checks.values import converter_of
 from epipole.errors import ConfigError, EpipoleError, ShapeError
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from jaxtyping import Float64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, ShapeError
 
 

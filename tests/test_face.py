@@ -153,7 +153,7 @@ def test_a_whole_config_and_one_of_its_parts_in_any_order(order: int) -> None:
         ),
         ({"max_features": 0}, "max_features must be at least 1"),
         ({"threads": "4"}, "wrong type, threads='4'"),
-        ({"features": {"max_features": 3}}, r"FeatureConfig\(\*\*it\) makes one"),
+        ({"features": {"max_features": 3}}, r"make one with FeatureConfig\(\*\*it\)"),
     ],
 )
 def test_options_that_cannot_be(options: dict, words: str, tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def test_the_name_that_was_meant_is_suggested(job, wrong, meant, tmp_path):
 def test_a_name_like_no_other_lists_what_there_is(tmp_path):
     with pytest.raises(
         EpipoleError,
-        match=r"SplatConfig has no option xyzzy; it has time, .*; the job takes config, progress",
+        match=r"SplatConfig has no option xyzzy; it has time, .*; the job also takes config, progress",
     ):
         epipole.splat(tmp_path, tmp_path / "out", xyzzy=1)
     with pytest.raises(EpipoleError, match=r"convert has no argument xyzzy; it has source, target, format"):

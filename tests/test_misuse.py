@@ -140,7 +140,7 @@ def test_minimal_solvers_take_one_sample():
 
 
 def test_problems_that_no_pictures_pose_end():
-    with pytest.raises(ConfigError, match="hardly show a point in common"):
+    with pytest.raises(ConfigError, match="too few points in common"):
         two_view_problem(20, size=(640, 1))
 
 

@@ -36,7 +36,7 @@ def lines_of(reports, capsys, seconds_each, monkeypatch, **options):
 def test_a_log_gets_a_line_at_the_begin_at_the_end_and_every_ten_seconds(capsys, monkeypatch):
     reports = [("a", k, 100) for k in range(101)]
     assert lines_of(reports, capsys, 0.24, monkeypatch) == [
-        "Doing [x]: begins, 100 to do",
+        "Doing [x]: started, 100 to do",
         "Doing [x]: 42 of 100, 42 %, about 14 s left",
         "Doing [x]: 84 of 100, 84 %, about 4 s left",
         "Doing [x]: 100 of 100 after 24.0 s",
@@ -46,10 +46,10 @@ def test_a_log_gets_a_line_at_the_begin_at_the_end_and_every_ten_seconds(capsys,
 def test_stages_that_overlap_end_once_and_one_that_stops_early_ends_too(capsys, monkeypatch):
     reports = [("a", 0, 2), ("b", 0, 9), ("a", 2, 2), ("a", 2, 2), ("b", 4, 9), ("c", 0, 0)]
     assert lines_of(reports, capsys, 1.0, monkeypatch) == [
-        "Doing [x]: begins, 2 to do",
-        "b: begins, 9 to do",
+        "Doing [x]: started, 2 to do",
+        "b: started, 9 to do",
         "Doing [x]: 2 of 2 after 2.0 s",
-        "c: begins, 0 to do",
+        "c: started, 0 to do",
         "b: 4 of 9 after 5.0 s",
     ]
 
@@ -58,29 +58,29 @@ def test_a_stage_that_runs_again_prints_all_its_lines_again(capsys, monkeypatch)
     once = [("a", k, 60) for k in range(61)]
     lines = lines_of([*once, ("b", 1, 1), *once], capsys, 0.25, monkeypatch)
     half = [
-        "Doing [x]: begins, 60 to do",
+        "Doing [x]: started, 60 to do",
         "Doing [x]: 40 of 60, 66 %, about 5 s left",
         "Doing [x]: 60 of 60 after 15.0 s",
     ]
-    assert lines == [*half, "b: 1 of 1 are done", *half]
+    assert lines == [*half, "b: 1 of 1 already done", *half]
     # in a row; stopped in its middle; done before, by another run; reported twice
     reports = [("a", 0, 2), ("a", 2, 2), ("a", 0, 3), ("a", 2, 3), ("a", 0, 3), ("a", 3, 3), ("b", 3, 3)]
     assert lines_of([*reports, ("a", 3, 3), ("a", 3, 3)], capsys, 1.0, monkeypatch) == [
-        "Doing [x]: begins, 2 to do",
+        "Doing [x]: started, 2 to do",
         "Doing [x]: 2 of 2 after 1.0 s",
-        "Doing [x]: begins, 3 to do",
+        "Doing [x]: started, 3 to do",
         "Doing [x]: 2 of 3 after 2.0 s",
-        "Doing [x]: begins, 3 to do",
+        "Doing [x]: started, 3 to do",
         "Doing [x]: 3 of 3 after 1.0 s",
-        "b: 3 of 3 are done",
-        "Doing [x]: 3 of 3 are done",
+        "b: 3 of 3 already done",
+        "Doing [x]: 3 of 3 already done",
     ]
 
 
 def test_the_time_left_is_not_that_of_work_that_was_done_before(capsys, monkeypatch):
     lines = lines_of([("a", k, 100) for k in range(80, 95)], capsys, 1.0, monkeypatch)
     assert lines == [
-        "Doing [x]: 80 of 100 are done",
+        "Doing [x]: 80 of 100 already done",
         "Doing [x]: 90 of 100, 90 %, about 10 s left",
         "Doing [x]: 94 of 100 after 15.0 s",
     ]
@@ -88,13 +88,13 @@ def test_the_time_left_is_not_that_of_work_that_was_done_before(capsys, monkeypa
 
 def test_a_camera_that_has_no_end_is_still_told_of(capsys, monkeypatch):
     lines = lines_of([("a", k, k) for k in range(1, 24)], capsys, 1.0, monkeypatch)
-    assert lines == ["Doing [x]: 1 of 1 are done", "Doing [x]: 11 so far", "Doing [x]: 21 so far"]
+    assert lines == ["Doing [x]: 1 of 1 already done", "Doing [x]: 11 so far", "Doing [x]: 21 so far"]
 
 
 def test_notes_are_printed_whenever_they_come(capsys, monkeypatch):
     reports = [("a", 0, 9, "one"), ("a", 0, 9, "two [y]"), ("a", 9, 9, "three")]
     assert lines_of(reports, capsys, 1.0, monkeypatch) == [
-        "Doing [x]: begins, 9 to do; one",
+        "Doing [x]: started, 9 to do; one",
         "Doing [x]: two [y]",
         "Doing [x]: three",
         "Doing [x]: 9 of 9 after 2.0 s",
@@ -136,7 +136,7 @@ def test_that_kernels_compile_is_said_once_something_works(capsys, monkeypatch):
 
 def test_quiet_and_verbose(capsys, monkeypatch):
     reports = [("a", k, 3) for k in range(4)]
-    assert lines_of([("a", 3, 3)], capsys, 0.1, monkeypatch) == ["Doing [x]: 3 of 3 are done"]
+    assert lines_of([("a", 3, 3)], capsys, 0.1, monkeypatch) == ["Doing [x]: 3 of 3 already done"]
     with screen.loudness("quiet"):
         assert lines_of(reports, capsys, 0.1, monkeypatch) == []
     with screen.loudness("verbose"):
@@ -154,7 +154,7 @@ def test_lines_are_written_at_once_and_bars_only_on_a_terminal():
     os.close(theirs)
     rendered = os.read(ours, 100_000).decode()
     os.close(ours)
-    assert "━" in rendered and "3/3" in rendered and "begins" not in rendered
+    assert "━" in rendered and "3/3" in rendered and "started" not in rendered
 
 
 @pytest.mark.parametrize("loudness", ["quiet", "normal"])

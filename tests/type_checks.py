@@ -67,10 +67,10 @@ def sampled(thing: Any = None, *, typechecker: Any) -> Any:
 class _Count:
     """Of a function's calls in this test: one for all functions that are made of the same code."""
 
-    __slots__ = ("code", "left", "rotation")
+    __slots__ = ("code", "left", "turn")
 
     def __init__(self, code: CodeType) -> None:
-        self.code, self.left, self.rotation = code, FIRST, 0
+        self.code, self.left, self.turn = code, FIRST, 0
 
 
 _counts: dict[int, _Count] = {}
@@ -86,8 +86,8 @@ def _sampled_function(function: Callable[..., Any], typechecker: Any) -> Callabl
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         nonlocal full
-        if count.rotation != Turn.number:
-            count.rotation = Turn.number
+        if count.turn != Turn.number:
+            count.turn = Turn.number
             count.left = FIRST if Turn.number > 0 else -1
         count.left -= 1
         if count.left < 0 and (count.left % EVERY or Turn.number < 0):

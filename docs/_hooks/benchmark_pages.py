@@ -50,7 +50,7 @@ def sfm(content: Any) -> str:
         for name, row in content["summary"].items()
         if name != "pycolmap-best"
     }
-    given = f"{content['images']} images; the programs are told: {content['told']}."
+    given = f"{content['pictures']} images; the programs are told: {content['told']}."
     return "\n\n".join([given, table(rows, SFM_COLUMNS), standing(rows, SFM_MEASURES)])
 
 

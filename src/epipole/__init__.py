@@ -1,6 +1,6 @@
 """3D vision from images: cameras, features, two-view geometry, structure-from-motion, stereo, SLAM, radiance fields.
 
-`epipole.reconstruct(images, out)` turns a folder of photographs into a 3D model; every other job is one call, too.
+`epipole.reconstruct(images, out)` makes a 3D model of a folder of photographs; every other job is one call, too.
 Everything is imported on first use: `import epipole` loads and compiles nothing. `api.py` lists the names.
 """
 

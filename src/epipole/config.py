@@ -1,7 +1,6 @@
-"""Options that several parts of the package share; the command line is generated from such classes.
+"""Options shared by several parts of the package, from which the command line is generated.
 
-The options of a pipeline are in its own `config.py`. These modules import no kernels, so that the command
-line's help does not wait for them.
+The options of a pipeline are in its own `config.py`. These modules import no kernels, to keep `--help` fast.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
 
-from epipole._declared import check_options, did_you_mean
+from epipole._checks import check_options, did_you_mean
 from epipole.errors import ConfigError
 
 Options = TypeVar("Options")
@@ -26,21 +25,21 @@ def options_of(
     named: Mapping[str, Any] | None = None,
     others: Sequence[str] = (),
 ) -> Options:
-    """The options given, or the defaults for None; single ones that are named override them.
+    """Options with single ones overridden by name; None: the defaults.
 
-    A name is that of a field, or of a field of the configs inside it where only one has it.
+    A name is that of a field, or of a field of a nested config if it is unique.
 
     Args:
         kind: class of the options.
-        given: the options.
-        named: single ones.
-        others: further names that the job knows, one of which may be meant by a name that is unknown.
+        given: options; None for the defaults.
+        named: single options by name.
+        others: further argument names of the job, suggested for unknown names.
 
     Raises:
-        ConfigError: something else was given, such as a dict, or a name is unknown or has a value that cannot be.
+        ConfigError: `given` is of another class, such as dict, a name is unknown, or a value is invalid.
     """
     if given is not None and not isinstance(given, kind):
-        hint = f"; {kind.__name__}(**it) makes one" if isinstance(given, dict) else ""
+        hint = f"; make one with {kind.__name__}(**it)" if isinstance(given, dict) else ""
         raise ConfigError(f"options must be a {kind.__name__}, not a {type(given).__name__}{hint}")
     options = kind() if given is None else given
     if not named:
@@ -53,7 +52,7 @@ def options_of(
             changes[name] = options_of(type(present), value) if is_dataclass(present) else value
         else:
             parts.setdefault(_holder_of(name, options, others), {})[name] = value
-    for holder, own in parts.items():  # together: one may need another
+    for holder, own in parts.items():  # at once, because their checks may depend on each other
         changes[holder] = _changed(changes.get(holder, getattr(options, holder)), own)
     return _changed(options, changes)
 
@@ -61,13 +60,13 @@ def options_of(
 def _changed(options: Options, changes: Mapping[str, Any]) -> Options:
     try:
         return replace(cast(Any, options), **changes)
-    except TypeError as error:  # its checks compared text with numbers
+    except TypeError as error:  # a range check compared text with numbers
         given = ", ".join(f"{name}={value!r}" for name, value in changes.items())
         raise ConfigError(f"an option has a value of the wrong type, {given}: {error}") from error
 
 
 def _holder_of(name: str, options: object, others: Sequence[str]) -> str:
-    """The field whose config has a field of this name."""
+    """Field whose config has a field of this name."""
     parts = {field: getattr(options, field) for field in _names(options)}
     parts = {field: part for field, part in parts.items() if is_dataclass(part)}
     fitting = [field for field, part in parts.items() if name in _names(part)]
@@ -76,11 +75,11 @@ def _holder_of(name: str, options: object, others: Sequence[str]) -> str:
     if fitting:
         of = " and of ".join(fitting)
         example = f"{fitting[-1]}={type(parts[fitting[-1]]).__name__}({name}=...)"
-        raise ConfigError(f"{name} is an option of {of}: say which, as in {example}")
+        raise ConfigError(f"{name} is an option of {of}: specify which, as in {example}")
     inner = [each for part in parts.values() for each in _names(part)]
     hint = did_you_mean(name, _names(options), [*inner, *others])
     if others and not hint.endswith("?"):
-        hint += f"; the job takes {', '.join(others)}, too"
+        hint += f"; the job also takes {', '.join(others)}"
     raise ConfigError(f"{type(options).__name__} has no option {name}{hint}")
 
 
@@ -93,21 +92,21 @@ class FeatureConfig:
     """Options of feature detection."""
 
     kind: Literal["sift", "orb"] = "sift"
-    """SIFT, or ORB: faster, but matches over smaller changes of viewpoint and scale."""
+    """SIFT, or ORB, which is faster but tolerates smaller changes of viewpoint and scale."""
     max_features: int = 8192
-    """Features kept per image, the largest first."""
+    """Maximum number of features per image, largest first."""
     max_size_px: int = 3200
-    """Images are reduced for detection until their longer side has at most this many pixels."""
+    """Downscale images for detection to this longest side."""
     contrast_threshold: float = 0.02
-    """SIFT: blobs with less contrast are ignored (in the unit of OpenCV's contrastThreshold)."""
+    """SIFT: blobs with less contrast are ignored (OpenCV's contrastThreshold)."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
-        check_options(self, infinite=("max_error_px", "max_distance"))
+        check_options(self)
         if self.max_features < 1 or self.max_size_px < 16:
             raise ConfigError("max_features must be at least 1 and max_size_px at least 16")
         if not 0 <= self.contrast_threshold < math.inf:
@@ -118,32 +117,30 @@ class FeatureConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class MatchConfig:
-    """Options of matching."""
+    """Options of feature matching."""
 
     max_ratio: float = 0.8
-    """Lowe's ratio: the nearest descriptor must be nearer than this times the second nearest."""
+    """Lowe's ratio: maximum distance to the nearest descriptor, relative to the second nearest."""
     max_distance: float = 0.7
-    """SIFT: largest angle between matching descriptors, in radians."""
+    """SIFT: maximum angle between matching descriptors, in radians."""
     max_bits: int = 64
-    """ORB: largest Hamming distance of a match."""
+    """ORB: maximum Hamming distance of a match."""
     preemptive_features: int = 2048
-    """SIFT: the largest third of both images' features, at most this many, are matched first (preemptive
-    matching); the others then along their epipolar lines. 0: all features are matched with all."""
+    """SIFT: largest features (at most a third) that are matched first, to guide the rest; 0: match all exhaustively."""
     preemptive_min_matches: int = 12
-    """With fewer preemptive matches the images count as not overlapping."""
+    """Images with fewer preemptive matches count as not overlapping."""
     preemptive_min_inliers: int = 30
-    """With fewer preemptive inliers there is no epipolar geometry to guide: all features are matched with
-    all."""
+    """With fewer preemptive inliers, all features are matched exhaustively instead of guided."""
     band_px: float = 3.0
-    """Guided matches lie at most this many pixels from their epipolar line."""
+    """Maximum distance of guided matches from their epipolar line."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
-        check_options(self, infinite=("max_error_px", "max_distance"))
+        check_options(self, infinite=("max_distance",))
         if not 0 < self.max_ratio <= 1:
             raise ConfigError(f"max_ratio must be in (0, 1], got {self.max_ratio}")
         if self.preemptive_features < 0 or not 0 < self.band_px < math.inf:
@@ -154,24 +151,24 @@ class MatchConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class FlowConfig:
-    """Options of following points."""
+    """Options of point tracking by optical flow."""
 
     window_px: int = 21
-    """Side of the patch that is compared."""
+    """Side of the tracked patch."""
     levels: int = 4
-    """Times that the image is halved, and one more."""
+    """Number of pyramid levels, including full resolution."""
     max_return_px: float = 0.7
-    """A point followed there and back again ends at most so far from where it began."""
+    """Maximum distance between a point and its position after tracking forward and backward."""
     min_eigenvalue: float = 1e-4
-    """Of the patch's gradient matrix per pixel (in units of OpenCV's minEigThreshold): flatter patches are lost."""
+    """Minimum eigenvalue of a patch's gradient matrix per pixel (OpenCV's minEigThreshold); others are lost."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
-        check_options(self, infinite=("max_error_px", "max_distance"))
+        check_options(self)
         if self.window_px < 5 or self.window_px % 2 == 0 or not 1 <= self.levels <= 8:
             raise ConfigError("window_px must be odd and at least 5, levels from 1 to 8")
         if not 0 < self.max_return_px < 1e3 or not 0 <= self.min_eigenvalue < 1e3:
@@ -188,30 +185,29 @@ class RansacConfig:
     max_error_px: float = 4.0
     """Matches with a larger residual are outliers."""
     confidence: float = 0.9999
-    """Stop when a sample of inliers alone has been drawn with this probability."""
+    """Stop when an all-inlier sample has been found with this probability."""
     min_iterations: int = 50
-    """Samples drawn at least."""
+    """Minimum number of samples."""
     max_iterations: int = 10_000
-    """Samples drawn at most."""
+    """Maximum number of samples."""
     min_inliers: int | None = None
-    """Fewer inliers count as failure. None: as many as chance hardly gives, see `needed_inliers`."""
+    """Minimum number of inliers of a valid estimate. None: more than chance gives, see `needed_inliers`."""
     min_inlier_ratio: float = 0.0
-    """Stop once this share of inliers would have been found; a smaller share may be missed, which saves time
-    where it would be a failure anyway."""
+    """Stop when this fraction of inliers would have been found; smaller fractions may be missed."""
     seed: int = 0
-    """Seed of random sampling."""
+    """Random seed."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
-        check_options(self, infinite=("max_error_px", "max_distance"))
+        check_options(self, infinite=("max_error_px",))
         if not self.max_error_px > 0:
             raise ConfigError(f"max_error_px must be positive, got {self.max_error_px}")
         if _LARGEST < self.max_error_px < math.inf:
-            raise ConfigError(f"max_error_px is too large to be calculated with: {self.max_error_px:g}")
+            raise ConfigError(f"max_error_px is too large: {self.max_error_px:g}")
         if not 0 < self.confidence < 1:
             raise ConfigError(f"confidence must be between 0 and 1, got {self.confidence}")
         if not 0 <= self.min_inlier_ratio <= 1:
@@ -222,14 +218,15 @@ class RansacConfig:
             raise ConfigError(f"seed must not be negative, got {self.seed}")
 
     def needed_inliers(self, sample_size: int, residual_size: int) -> int:
-        """Inliers without which an estimate fails.
+        """Minimum number of inliers of a valid estimate.
 
-        A wrong match lies within 4 px of an epipolar line once in a hundred times, and within 4 px of a point once in ten
-        thousand. By default a model that predicts lines needs 15, one that predicts points its sample and 4 more.
+        A wrong match is within 4 px of an epipolar line once in a hundred times, and within 4 px of a point once in ten
+        thousand. By default, a model that predicts lines needs 15 inliers, and one that predicts points its sample and
+        4 more.
 
         Args:
-            sample_size: items that determine the model.
-            residual_size: numbers that an item's residual has: 1 for a distance from a line.
+            sample_size: number of items that determine the model.
+            residual_size: dimension of an item's residual, such as 1 for the distance from a line.
         """
         if self.min_inliers is not None:
             return self.min_inliers
@@ -237,10 +234,10 @@ class RansacConfig:
 
 
 def check_dictionary(name: str) -> None:
-    """Check that there is a dictionary of markers of this name.
+    """Check that a dictionary of markers exists.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: it does not.
     """
     side, _, count = name.partition("_")
     is_sized = side in ("4X4", "5X5", "6X6", "7X7") and count in ("50", "100", "250", "1000")
@@ -252,30 +249,29 @@ def check_dictionary(name: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class BoardConfig:
-    """What the calibration board looks like."""
+    """Layout of a calibration board."""
 
     kind: Literal["chessboard", "charuco", "apriltag"] = "chessboard"
     columns: int = 9
-    """Inner corners in a row of a chessboard; squares of a ChArUco board; tags of an AprilTag grid."""
+    """Inner corners per row of a chessboard, squares of a ChArUco board, or tags of an AprilTag grid."""
     rows: int = 6
-    """The same in a column."""
+    """The same per column."""
     square: float = 1.0
-    """Side of a square (or tag); its unit is that of the translations and depths. 1: they are in squares."""
+    """Side of a square or tag, in the unit of translations and depths; 1: the unit is the square."""
     marker_ratio: float = 0.75
-    """ChArUco: side of a marker divided by that of a square."""
+    """ChArUco: side of a marker, relative to that of a square."""
     spacing: float = 0.3
-    """AprilTag grid: gap between tags divided by the side of a tag (Kalibr's tagSpacing)."""
+    """AprilTag grid: gap between tags, relative to the side of a tag (Kalibr's tagSpacing)."""
     dictionary: str = ""
-    """Dictionary of the markers, OpenCV's name without DICT_; empty: 4X4_50 for ChArUco, APRILTAG_36h11 for
-    AprilTags."""
+    """Marker dictionary, OpenCV's name without DICT_; default: 4X4_50 for ChArUco, APRILTAG_36h11 for AprilTags."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
-        check_options(self, infinite=("max_error_px", "max_distance"))
+        check_options(self)
         least = 1 if self.kind == "apriltag" else 3
         if min(self.columns, self.rows) < least:
             raise ConfigError(
@@ -290,7 +286,7 @@ class BoardConfig:
 
     @property
     def dictionary_name(self) -> str:
-        """The dictionary, or the default of the kind of board."""
+        """Name of the dictionary, or the default for the kind of board."""
         return self.dictionary or ("APRILTAG_36h11" if self.kind == "apriltag" else "4X4_50")
 
 
@@ -300,93 +296,94 @@ ANCHOR_FILES = ("positions", "lengths", "odometry", "odometry_mounting", "imu", 
 
 @dataclass(frozen=True, kw_only=True)
 class AnchorOptions:
-    """What is known besides the images and fixes the scale: places, lengths, objects of known size, odometry, an IMU."""
+    """Measurements besides the images that determine the scale: positions, lengths, known objects, odometry, an IMU."""
 
     positions: Path | None = None
-    """Measured places of the camera, which fix the scale and the world: `SECONDS X Y Z` a line by the frames' clock (GPS
-    in local metres, or any log), or `PICTURE X Y Z`."""
+    """Measured camera positions, which fix scale and world: `SECONDS X Y Z` (video clock) or `IMAGE X Y Z` lines."""
     positions_sigma_m: float = 1.0
-    """Standard deviation of a coordinate of these."""
+    """Standard deviation of their coordinates, in metres."""
     lengths: Path | None = None
-    """Known lengths, a line for each end in each image: `NAME METRES END PICTURE X Y`. END is a or b; (0, 0) is the centre
-    of the first pixel of the image as it is looked at."""
+    """Known lengths, a line per end (a or b) and image: `NAME METRES END IMAGE X Y`; first pixel center at (0, 0)."""
     lengths_sigma_m: float = 0.002
-    """Standard deviation of a length."""
+    """Standard deviation of a length, in metres."""
     clicks_sigma_px: float = 1.0
-    """Standard deviation of a pixel's coordinate in that file."""
+    """Standard deviation of the pixel coordinates in that file."""
     tag_size_m: float | None = None
-    """Side of the black squares of AprilTags or ArUco markers in the scene."""
+    """Side of the black squares of AprilTags or ArUco markers in the scene, in metres."""
     tag_family: str = "36h11"
     """AprilTags: 16h5, 25h9, 36h10 or 36h11; ArUco: 4X4_50 to 7X7_1000, or ARUCO_ORIGINAL."""
     board: str | None = None
-    """A chessboard in the scene: inner corners in a row and in a column, such as 9x6."""
+    """Chessboard in the scene: inner corners per row and per column, such as 9x6."""
     square_m: float | None = None
-    """Side of its squares."""
+    """Side of its squares, in metres."""
     size_sigma: float = 0.003
-    """Standard deviation of the stated size of tags and squares, as a share of it; all of them err alike."""
+    """Relative standard deviation of the size of tags and squares, which is common to all of them."""
     odometry: Path | None = None
-    """How far the camera went: `SECONDS METRES` a line, counted from any begin, or a trajectory (TUM's form)."""
+    """Distance travelled, `SECONDS METRES` per line from any start, or a trajectory (TUM format)."""
     odometry_sigma: float = 0.01
-    """Standard deviation of the wheels' unit, as a share; their slip is seen in the scatter."""
+    """Relative standard deviation of the odometry's unit; wheel slip is estimated from the residuals."""
     odometry_mounting: Path | None = None
-    """Where the point is that odometry tells of, such as the middle of the wheels: a file like that of `imu_mounting`. Without it
-    that point is taken to be the camera."""
+    """Pose of the odometry's reference point, in a file like `imu_mounting`; default: the camera."""
     imu: Path | None = None
-    """What an inertial unit measured: EuRoC's imu0 folder, `SECONDS wx wy wz ax ay az` a line, or a recording of ROS."""
+    """IMU measurements: EuRoC's imu0 folder, `SECONDS wx wy wz ax ay az` per line, or a ROS recording."""
     imu_mounting: Path | None = None
-    """How it is mounted: EuRoC's sensor.yaml of the camera (T_BS), or Kalibr's file with T_cam_imu."""
+    """Mounting of the IMU: EuRoC's sensor.yaml of the camera (T_BS), or Kalibr's file with T_cam_imu."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense, or lacks another.
+            ConfigError: a value is out of range, or requires another option.
         """
-        check_options(self, infinite=("max_error_px", "max_distance"))
+        check_options(self)
         for name in ("positions_sigma_m", "lengths_sigma_m", "clicks_sigma_px", "tag_size_m", "square_m"):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise ConfigError(f"{name} must be positive and finite, got {value}")
         for name in ("size_sigma", "odometry_sigma"):
             if not 0 <= getattr(self, name) < 1:
-                raise ConfigError(f"{name} is a share, from 0 to below 1, got {getattr(self, name)}")
+                raise ConfigError(
+                    f"{name} is a fraction and must be at least 0 and below 1, got {getattr(self, name)}"
+                )
         if (self.board is None) != (self.square_m is None):
-            raise ConfigError("a board of known size needs both: board (such as 9x6) and square_m")
+            raise ConfigError("a board of known size needs both board (such as 9x6) and square_m")
         if (self.imu is None) != (self.imu_mounting is None):
-            raise ConfigError("an IMU tells the scale where its mounting is known: give imu and imu_mounting")
+            raise ConfigError(
+                "an IMU determines the scale only if its mounting is known: give both imu and imu_mounting"
+            )
         if self.odometry_mounting is not None and self.odometry is None:
-            raise ConfigError("odometry_mounting says which point odometry tells of: give odometry, too")
+            raise ConfigError("odometry_mounting belongs to odometry: give odometry, too")
         check_dictionary(self.dictionary_name)
         self.board_config()
 
     @property
     def is_empty(self) -> bool:
-        """Nothing is known besides the images."""
+        """Whether no measurement is given."""
         return not self.given
 
     @property
     def given(self) -> tuple[str, ...]:
-        """Names of the options that say what is known."""
+        """Names of the options with measurements that are given."""
         names = ("positions", "lengths", "tag_size_m", "board", "odometry", "imu")
         return tuple(name for name in names if getattr(self, name) is not None)
 
     @property
     def dictionary_name(self) -> str:
-        """The tags' dictionary by OpenCV's name, without DICT_."""
+        """OpenCV's name of the tags' dictionary, without DICT_."""
         april = f"APRILTAG_{self.tag_family.lower()}"
         return april if april in _DICTIONARIES else self.tag_family.upper()
 
     def board_config(self) -> BoardConfig | None:
-        """The board as the detector takes it; None where none is given.
+        """The board in the form that the detector needs; None if none is given.
 
         Raises:
-            ConfigError: it is not two numbers.
+            ConfigError: `board` is not two numbers.
         """
         if self.board is None or self.square_m is None:
             return None
         columns, _, rows = self.board.lower().partition("x")
         if not (columns.isdecimal() and rows.isdecimal()):
             raise ConfigError(
-                f"board is inner corners in a row and in a column, such as 9x6, got {self.board!r}"
+                f"board must be inner corners per row and per column, such as 9x6, got {self.board!r}"
             )
         return BoardConfig(columns=int(columns), rows=int(rows), square=self.square_m)

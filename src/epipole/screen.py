@@ -1,4 +1,4 @@
-"""What all commands print: progress with the time left, and warnings; on a terminal, in a log file, or not at all."""
+"""Console output of all commands: progress with the remaining time, and warnings."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ if TYPE_CHECKING:
     from epipole.runs import Progress, ProgressCallback
 
 ANSWER_IS_NO = 3
-"""Exit code of a check that ran and did not pass; errors have 1, options that cannot be used 2."""
-COMPILE_NOTE = "Compiling kernels, once on this machine (half a minute to a minute; later runs start at once)"
+"""Exit code of a check that did not pass; errors have 1, invalid options 2."""
+COMPILE_NOTE = "Compiling kernels, once on this machine (30 to 60 s; later runs start immediately)"
 LINE_EVERY_S = 10.0
-"""Where there is no terminal to draw bars on, a stage prints a line at most this often between begin and end."""
+"""Without a terminal, a stage prints at most one line in this time (seconds) between its start and its end."""
 SHORT_S = 1.0
-"""Work that is over sooner needs no announcement."""
+"""Work shorter than this (seconds) is not announced."""
 MOST_PRINTED = 10
-"""Warnings on the screen, where a file holds them all."""
+"""Largest number of warnings on the screen if a file has all of them."""
 Loudness = Literal["quiet", "normal", "verbose"]
 _LOUDNESS: ContextVar[Loudness] = ContextVar("loudness", default="normal")
 
 
 class _Readable:
-    """Something printed, whose text has nothing that a terminal acts on; styles and moves of the cursor are Rich's."""
+    """Printed text without terminal control sequences, except Rich's styles and cursor movements."""
 
     def __init__(self, inner: ConsoleRenderable) -> None:
         self.inner = inner
@@ -59,7 +59,7 @@ class _ReadableTexts(RenderHook):
 
 
 def open_console(*, stderr: bool = False, quiet: bool = False) -> Console:
-    """Where all commands print: names are never taken for markup or for commands to the terminal."""
+    """The console of all commands, in which names are never interpreted as markup or terminal commands."""
     console = Console(stderr=stderr, quiet=quiet, markup=False)
     console.push_render_hook(_ReadableTexts())
     return console
@@ -72,7 +72,7 @@ class _Formatter(logging.Formatter):
 
 @contextmanager
 def loudness(requested: Loudness) -> Iterator[None]:
-    """How much is printed in the block; verbose also shows what the package writes to Python's `logging`."""
+    """Set the amount of output in the block; verbose also shows the package's Python `logging`."""
     token, package = _LOUDNESS.set(requested), logging.getLogger("epipole")
     handler, level = logging.StreamHandler(), package.level
     handler.setFormatter(_Formatter("%(levelname)s %(name)s: %(message)s"))
@@ -91,10 +91,10 @@ def loudness(requested: Loudness) -> Iterator[None]:
 def progress_on_screen(
     words: Mapping[str, str] | None = None, *, compiles_much: bool = False
 ) -> Iterator[ProgressCallback]:
-    """A progress callback that draws one bar per stage, with the time left; without a terminal, it prints lines.
+    """A progress callback that shows one bar per stage, with the remaining time; without a terminal, it prints lines.
 
     Args:
-        words: labels of the stages; others are shown by their names.
+        words: labels of stages; others are shown by name.
         compiles_much: announce that kernels compile for half a minute or more.
     """
     from epipole import _jit
@@ -105,7 +105,7 @@ def progress_on_screen(
 
         def announce_and_show(report: Progress) -> None:
             nonlocal will_compile
-            if will_compile:  # not before anything works: a wrong path should be all that is said
+            if will_compile:  # not earlier, so that a wrong path prints only its error
                 console.print(COMPILE_NOTE, soft_wrap=True)
                 will_compile = False
             show(report)
@@ -145,19 +145,19 @@ def _bars(console: Console, words: Mapping[str, str]) -> Iterator[ProgressCallba
 
 
 class _Rounds:
-    """Which reports begin a stage: its first, and the first of each time that it runs again."""
+    """Detects reports that start a stage, the first time or again."""
 
     def __init__(self) -> None:
         self._last: dict[str, Progress] = {}
         self._latest_stage = ""
 
     def starts(self, report: Progress) -> bool:
-        """Whether this report, the next one, begins its stage, or begins it again."""
+        """Whether this report, the next one in order, starts its stage, for the first time or again."""
         last, was_other = self._last.get(report.stage), self._latest_stage != report.stage
         self._last[report.stage], self._latest_stage = report, report.stage
         if last is None:
             return True
-        if last.done >= last.total:  # over, unless the total grows, as that of a camera's frames
+        if last.done >= last.total:  # finished, unless the total grows, as with frames of a live camera
             return was_other or report.done < min(last.done, report.total)
         return report.done < last.done and (report.done == 0 or report.total != last.total)
 
@@ -167,13 +167,13 @@ class _Stage:
     start_s: float
     printed_s: float
     first_done: int
-    """Work that was done before."""
+    """Work that was done earlier."""
     last: Progress
     is_over: bool = False
 
 
 class _Lines:
-    """What is printed where there is no terminal: lines for each stage, and one where nothing is reported for long."""
+    """Output without a terminal: lines for each stage, and one if nothing is reported for long."""
 
     def __init__(self, console: Console, words: Mapping[str, str]) -> None:
         self._console, self._words = console, words
@@ -184,10 +184,10 @@ class _Lines:
         self._latest: _Stage | None = None
         self._start_s = perf_counter()
         self.printed_at = monotonic()
-        """By the system's clock."""
+        """Time by `monotonic`."""
 
     def show(self, report: Progress) -> None:
-        """Print what is to be said of a report."""
+        """Print a report."""
         with self._lock:
             self._show(report)
 
@@ -200,9 +200,9 @@ class _Lines:
             stage = self._stages[report.stage] = _Stage(now, now, report.done, report)
             stage.is_over = report.done >= report.total
             started = (
-                f"{report.done} of {report.total} are done"
+                f"{report.done} of {report.total} already done"
                 if report.done
-                else f"begins, {report.total} to do"
+                else f"started, {report.total} to do"
             )
             self._say(stage, f"{started}; {report.note}" if report.note else started)
         else:
@@ -243,7 +243,7 @@ class _Lines:
         self._console.print(one_line(text), soft_wrap=True, markup=False, highlight=False)
 
     def beat(self) -> None:
-        """Print how far the latest stage is although it has not reported it."""
+        """Print the progress of the latest stage although it has not reported any."""
         with self._lock:
             stage, now = self._latest, perf_counter()
             if stage is None or stage.is_over:
@@ -255,7 +255,7 @@ class _Lines:
             self._say(stage, f"{self._how_far(stage, now)}, {now - stage.start_s:.0f} s so far")
 
     def close(self) -> None:
-        """Say where stages have ended that did not come to their end."""
+        """Print the last progress of stages that did not finish."""
         with self._lock:
             for stage in self._stages.values():
                 if not stage.is_over:
@@ -264,7 +264,7 @@ class _Lines:
 
 @contextmanager
 def _lines(console: Console, words: Mapping[str, str]) -> Iterator[ProgressCallback]:
-    """A line where a stage begins, each time, one where it ends, and one every ten seconds, or, if verbose, for each report."""
+    """Print a line when a stage starts and ends, and every ten seconds in between (if verbose, for each report)."""
     lines = _Lines(console, words)
     with _beating(lines.beat, lambda: lines.printed_at):
         try:
@@ -275,7 +275,7 @@ def _lines(console: Console, words: Mapping[str, str]) -> Iterator[ProgressCallb
 
 @contextmanager
 def _beating(beat: Callable[[], None], printed_at: Callable[[], float]) -> Iterator[None]:
-    """Call `beat` from another thread whenever nothing was printed for `LINE_EVERY_S`, so that no work is silent."""
+    """Call `beat` in another thread whenever nothing was printed for `LINE_EVERY_S`, so that long work is never silent."""
     is_over = threading.Event()
 
     def watch() -> None:
@@ -296,7 +296,7 @@ def _beating(beat: Callable[[], None], printed_at: Callable[[], float]) -> Itera
 
 @contextmanager
 def working() -> Iterator[None]:
-    """A spinner while a short command works, which says so if kernels have to be compiled first."""
+    """Show a spinner during a short command; mentions that kernels may have to be compiled first."""
     console = open_console(stderr=True, quiet=_LOUDNESS.get() == "quiet")
     from epipole import _jit
 
@@ -326,7 +326,8 @@ def working() -> Iterator[None]:
 def _say_compiling(console: Console, seconds: float) -> None:
     if seconds > 1.0:
         console.print(
-            f"{seconds:.0f} s of this went into compiling kernels; later runs start at once", soft_wrap=True
+            f"{seconds:.0f} s of this were spent compiling kernels; later runs start immediately",
+            soft_wrap=True,
         )
 
 
@@ -334,11 +335,11 @@ def print_warnings(console: Console, warnings: Iterable[str], word: str = "note"
     """Print one yellow line per warning.
 
     Args:
-        console: where to.
+        console: where to print.
         warnings: the warnings.
-        word: before each.
-        rest_in: the file that holds all of them, where only the first ten are printed and the others counted; empty: all
-            are printed.
+        word: prefix of each line.
+        rest_in: the file that has all warnings, if only the first ten are to be printed and the others counted; empty:
+            print all.
     """
     listed = list(warnings)
     shown = listed[:MOST_PRINTED] if rest_in and len(listed) > MOST_PRINTED + 1 else listed

@@ -17,7 +17,7 @@ def tagged(path, pixels, orientation):
 
 
 def test_the_principal_point_is_that_of_the_sensor(tmp_path):
-    images = board_pictures(tmp_path / "made", count=6)["pictures"]
+    images = board_pictures(tmp_path / "made", count=6)["images"]
     (tmp_path / "tagged").mkdir()
     for n, grey in enumerate(images):  # cropped, so that the principal point is off the middle
         cropped = np.ascontiguousarray(grey[:, CROPPED_PX:])

@@ -35,7 +35,7 @@ def page() -> str:
 def test_the_page_tells_of_both_cameras_and_of_every_view(page: str) -> None:
     assert "<h1>Calibration of 2 cameras</h1>" in page
     titles = re.findall(r"<h2>([^<]*)</h2>", page)
-    assert titles == ["Checks", "Left camera", "Right camera", "How the cameras stand", "Views"]
+    assert titles == ["Checks", "Left camera", "Right camera", "Relative pose", "Views"]
     for name in LENS.model.param_names:
         assert page.count(f"<td>{name}</td>") == 2
     assert page.count('<td class="name">') == 16

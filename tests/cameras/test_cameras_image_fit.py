@@ -71,7 +71,7 @@ def test_a_turned_camera_projects_turned_rays_to_turned_pixels(camera, orientati
 def test_an_image_is_a_camera_s_at_one_factor(size, expected):
     camera = LENSES[4]
     if not expected:
-        with pytest.raises(ConfigError, match=f"of images of 40x30, but the image is {size[0]}x{size[1]}"):
+        with pytest.raises(ConfigError, match=f"for images of 40x30, but the image is {size[0]}x{size[1]}"):
             fitted_camera(camera, *size)
         return
     fitted = fitted_camera(camera, *size)
@@ -102,7 +102,7 @@ def test_sizes_tell_which_pixels_are_described(shapes, expected):
 
 
 def test_images_that_fit_neither_way_are_refused():
-    with pytest.raises(ConfigError, match="file is of images of 40x30, but these are 30x40"):
+    with pytest.raises(ConfigError, match="file is for images of 40x30, but these are 30x40"):
         described_pixels((40, 30), [ImageShape(40, 30, 1), ImageShape(30, 40, 1)], "file")
     with pytest.raises(ConfigError, match="these are 30x30"):
         described_pixels((40, 30), [ImageShape(30, 30, 6)])
@@ -122,11 +122,11 @@ def test_what_was_done_with_a_camera_is_said():
     mixed = [ImageShape(40, 30, 1), ImageShape(40, 30, 3)]
     assert fit_notes(LENSES[1], mixed[:1], ImagePixels.UPRIGHT, "file") == []
     (note,) = fit_notes(LENSES[1], mixed, ImagePixels.STORED, "file")
-    assert "as they are stored" in note
+    assert "stored pixels" in note
     (note,) = fit_notes(LENSES[1], mixed[1:], ImagePixels.UPRIGHT, "file")
     assert "describe the upright images" in note
     (note,) = fit_notes(LENSES[1], [ImageShape(20, 15, 1)], ImagePixels.UPRIGHT, "file")
-    assert note == "file is of images of 40x30: it is scaled to 20x15"
+    assert note == "file is for images of 40x30 and was scaled to 20x15"
 
 
 def test_landscape_parameters_of_portrait_images_are_swapped_and_said():

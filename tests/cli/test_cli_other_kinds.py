@@ -47,38 +47,41 @@ def here(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("mesh slammed m.ply", "holds no trained Gaussians .*; it holds the results of `epipole slam`"),
+        ("mesh slammed m.ply", "contains no trained Gaussians .*; it holds the results of `epipole slam`"),
         ("mesh images m.ply", "it holds images"),
         ("render slammed out", "it holds the results of `epipole slam`"),
-        ("render x.glb out", r"it is a glTF scene \(\.glb\), which is not read: export .* PLY"),
+        ("render x.glb out", r"it is a glTF scene \(\.glb\), which is not supported: export .* PLY"),
         ("convert x.glb y.ply", "glTF scene"),
-        ("convert x.obj y.ply", "Wavefront OBJ mesh, which is not read"),
-        ("convert x.glb y --format txt", "is no model: it is a glTF scene"),
-        ("convert images/0.png y --format txt", "is no model: it is a PNG image"),
+        ("convert x.obj y.ply", "Wavefront OBJ mesh, which is not supported"),
+        ("convert x.glb y --format txt", "not a model: it is a glTF scene"),
+        ("convert images/0.png y --format txt", "not a model: it is a PNG image"),
         ("convert nowhere y --format txt", "there is no such file or folder"),
-        ("convert slammed x.glb", r"x\.glb tells no format that is written: end it in \.ply or .*\.spz"),
-        ("convert slammed y --format txt", "holds no model .*it holds the results of `epipole slam`"),
-        ("reconstruct x.zip out", "it is a ZIP archive: unpack it, and give the folder"),
+        ("convert slammed x.glb", r"unknown output format of .*x\.glb: use the suffix \.ply or .*\.spz"),
+        ("convert slammed y --format txt", "contains no model .*it holds the results of `epipole slam`"),
+        ("reconstruct x.zip out", "it is a ZIP archive: unpack it and pass the folder"),
         ("reconstruct images/0.png out", "it is a PNG image"),
-        ("reconstruct x.insv out", "360 degree camera .*export a flat video"),
-        ("slam x.insv out", "360 degree camera .*export a flat video"),
-        ("stereo x.insv x.insv out", "360 degree camera .*export a flat video"),
-        ("splat x.insv out", "360 degree camera .*export a flat video"),
+        ("reconstruct x.insv out", "360-degree camera .*export a flat perspective video"),
+        ("slam x.insv out", "360-degree camera .*export a flat perspective video"),
+        ("stereo x.insv x.insv out", "360-degree camera .*export a flat perspective video"),
+        ("splat x.insv out", "360-degree camera .*export a flat perspective video"),
         ("slam x.zip out", "it is a ZIP archive"),
-        ("slam images out --map slammed", r"holds no map of SLAM \(map/map\.npz\); it holds the results of"),
+        ("slam images out --map slammed", r"contains no SLAM map \(map/map\.npz\); it holds the results of"),
         (
             "slam images out --map images",
-            "holds no map of SLAM .*; it holds images .*; give the output folder",
+            "contains no SLAM map .*; it holds images .*; pass the output folder",
         ),
-        ("slam images out --map nowhere", "holds no map of SLAM .*; there is no such file or folder"),
-        ("slam images out --map images/0.png", "it is no map, or damaged; it is a PNG image"),
+        ("slam images out --map nowhere", "contains no SLAM map .*; there is no such file or folder"),
+        ("slam images out --map images/0.png", "not a map, or damaged; it is a PNG image"),
         ("undistort x.glb", "glTF scene"),
-        ("view x.zip", "is no file that can be shown; it is a ZIP archive"),
+        ("view x.zip", "not a file that can be shown; it is a ZIP archive"),
         ("view clip.mp4", "it is a video"),
-        ("evaluate slammed --truth images", "these are no known cameras; it holds images|holds no model"),
+        (
+            "evaluate slammed --truth images",
+            "not cameras in a supported format; it holds images|contains no model",
+        ),
         ("splat images out --time 5", "--time needs a unit: 5s for seconds, 5m for minutes or 5h for hours"),
         ("nerf images out --time 2.5", r"--time needs a unit: 2\.5s"),
-        ("compare-fields images out --time 5min", "--time is a number with its unit, such as 30s"),
+        ("compare-fields images out --time 5min", "--time must be a number with a unit, such as 30s"),
     ],
 )
 def test_the_message_says_what_it_is(here, words, said, capsys):
@@ -103,7 +106,7 @@ def test_cameras_that_are_not_there(here, job, target):
             job(splats.parent, here / target, cameras=here / cameras)
     if job is epipole.mesh:
         with pytest.raises(
-            epipole.errors.NoModelError, match=r"no .*cameras\.json: give the cameras that look"
+            epipole.errors.NoModelError, match=r"cameras\.json does not exist: give cameras that look"
         ):
             job(splats, here / target)
 
@@ -113,7 +116,7 @@ def test_a_calibration_of_two_cameras_is_not_one_camera(here):
     other = Camera("PINHOLE", 60, 40, [70.0, 71.0, 30.0, 20.0])
     write_calibration(here / "pair.json", CalibrationFile((one, other), Rigid3.identity(2)))
     said = (
-        r"holds 2 cameras, .*camera_params 50,51,30\.5,20\.5 or camera_model PINHOLE and camera_params 70,71,"
+        r"has 2 cameras, .*camera_params 50,51,30\.5,20\.5 or camera_model PINHOLE and camera_params 70,71,"
     )
     with pytest.raises(ConfigError, match=said):
         CameraOptions(calibration=here / "pair.json").camera((60, 40))
@@ -141,7 +144,7 @@ def test_gps_that_is_not_used_does_not_make_a_known_scale_unknown():
 def test_distances_below_a_metre_are_not_none():
     said = GpsEvidence(12, 0.042, 3.25, 0.5).in_words()
     assert "0.042 m or more" in said and "spread over 3.2 m" in said
-    assert "lie 41 m or more" in GpsEvidence(12, 41.2, 300.0, 0.5).in_words()
+    assert "are 41 m or more" in GpsEvidence(12, 41.2, 300.0, 0.5).in_words()
 
 
 def test_what_paths_hold(here):

@@ -144,4 +144,4 @@ def test_a_render_is_a_video_or_a_folder(name: str, work: Path, capsys) -> None:
 def test_overwrite_is_refused_where_nothing_is_written(name: str, capsys) -> None:
     with pytest.raises(SystemExit) as stopped:
         main([name, "--overwrite"])
-    assert stopped.value.code == 2 and "writes nothing" in capsys.readouterr().err
+    assert stopped.value.code == 2 and "writes no files" in capsys.readouterr().err

@@ -77,7 +77,7 @@ def test_two_models_do_not_mix(tmp_path: Path) -> None:
     target = tmp_path / "target"
     convert(one, target, "transforms")
     before = names_in(target)
-    with pytest.raises(WorkspaceError, match=r"holds the results of `epipole convert` of .*one"):
+    with pytest.raises(WorkspaceError, match=r"contains the results of `epipole convert` for .*one"):
         convert(two, target, "transforms")
     assert names_in(target) == before
     convert(one, target, "txt")
@@ -111,20 +111,20 @@ def test_names_that_lead_out_are_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "secret.jpg").write_text("mine")
     names = (name, *model.images.name[1:])
     write_colmap_model(replace(model, images=replace(model.images, name=names)), tmp_path / "bin")
-    with pytest.raises(FileFormatError, match="no name of a file inside"):
+    with pytest.raises(FileFormatError, match="does not name a file inside"):
         convert(tmp_path / "bin", tmp_path / "nerf", "transforms")
     assert not (tmp_path / "nerf").exists()
 
 
 def test_misuse_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="one of txt, bin, ply, transforms, bundler"):
+    with pytest.raises(ConfigError, match="supported are txt, bin, ply, transforms, bundler"):
         convert(tmp_path, tmp_path / "out", "obj")
     with pytest.raises(FileFormatError, match="no such file or folder"):
         convert(tmp_path / "nothing", tmp_path / "out", "ply")
-    with pytest.raises(FileFormatError, match="holds no model"):
+    with pytest.raises(FileFormatError, match="contains no model"):
         convert(tmp_path, tmp_path / "out", "ply")
     write_colmap_model(mappable_model(), tmp_path / "bin")
-    with pytest.raises(WorkspaceError, match="several files; give the name of a folder"):
+    with pytest.raises(WorkspaceError, match="several files; pass the name of a folder"):
         convert(tmp_path / "bin", tmp_path / "nerf.json", "transforms")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bin"]
 
@@ -148,7 +148,7 @@ def test_what_convert_wrote_can_be_read_and_a_ply_is_no_model(tmp_path: Path) ->
     again = convert(tmp_path / "nerf", tmp_path / "text", "txt")
     assert (again.out / "cameras.txt").is_file()
     convert(one, tmp_path / "scene.ply", "ply")
-    with pytest.raises(FileFormatError, match="points without cameras"):
+    with pytest.raises(FileFormatError, match="points but no cameras"):
         convert(tmp_path / "scene.ply", tmp_path / "x", "txt")
 
 
@@ -162,7 +162,7 @@ def test_gaussians_are_written_in_the_format_of_the_name(tmp_path: Path, rng) ->
         found = read_gaussians(tmp_path / name)
         order = np.argsort(found.means_in_world[:, 0]), np.argsort(cloud.means_in_world[:, 0])
         assert found.means_in_world[order[0]] == pytest.approx(cloud.means_in_world[order[1]], abs=3e-3)
-    with pytest.raises(WorkspaceError, match="give another name"):
+    with pytest.raises(WorkspaceError, match="choose another name"):
         convert(tmp_path / "a.ply", tmp_path / "a.splat", "splat")
     with pytest.raises(ConfigError, match="are written to"):
         convert(tmp_path / "a.ply", tmp_path / "b.txt", "splat")

@@ -198,7 +198,7 @@ def mounting(path: Path) -> None:
 
 
 def positions(path: Path, names: list[str] | None = None, numbers: slice = slice(None)) -> None:
-    """SECONDS X Y Z, or PICTURE X Y Z."""
+    """SECONDS X Y Z, or IMAGE X Y Z."""
     centers = ride().cams_from_world.centers()[numbers]
     first = [f"{n / HZ:.6f}" for n in range(len(centers))] if names is None else names
     path.write_text("".join(f"{name} {x} {y} {z}\n" for name, (x, y, z) in zip(first, centers)))

@@ -100,9 +100,9 @@ def boards(folder: Path) -> None:
 
 
 def known_ride(folder: Path) -> None:
-    """SOURCE, a pair's ride; PICTURES and TUESDAY of one camera, FILE, its calibration; WHEELS and TRUTH.txt."""
+    """SOURCE, a pair's ride; FRAMES and TUESDAY of one camera, FILE, its calibration; WHEELS and TRUTH.txt."""
     docs_ride.kitti(folder / "SOURCE")
-    for name in ("PICTURES", "TUESDAY"):
+    for name in ("FRAMES", "TUESDAY"):
         docs_ride.images(folder / name)
     write_calibration(folder / "FILE", calibration_of(LENS))
     docs_ride.wheels(folder / "WHEELS")
@@ -115,7 +115,7 @@ def sources_of_slam(folder: Path) -> None:
     docs_ride.kitti(folder / "ride")
     docs_ride.video(folder / "ride.mp4")
     write_opencv_yaml(folder / "camera.yaml", calibration_of(LENS))
-    names = docs_ride.many_pictures(folder / "pictures", 100)
+    names = docs_ride.many_pictures(folder / "frames", 100)
     (folder / "masks").mkdir()
     for name in names:
         cv2.imwrite(str(folder / "masks" / f"{name}.png"), np.full((LENS.height, LENS.width), 255, np.uint8))
@@ -156,7 +156,7 @@ def maps(folder: Path) -> None:
 def from_orb_slam(folder: Path) -> None:
     for name in ("rgbd_dataset_freiburg1_xyz", "rgbd_dataset_freiburg1_desk"):
         docs_ride.tum(folder / name)
-    docs_ride.images(folder / "pictures")
+    docs_ride.images(folder / "frames")
 
 
 def field_sources(*names: str, model: str | None = None) -> Callable[[Path], None]:

@@ -8,7 +8,7 @@ import pytest
 from docs_pages import DOCS
 
 from epipole.cli import main as command_line
-from epipole.cli.options import signature_of
+from epipole.cli.options import option_names
 
 sys.path.insert(0, str(DOCS / "_hooks"))
 from api_pages import api_pages
@@ -66,7 +66,7 @@ def test_every_command_and_option_has_its_row() -> None:
     for name, function in command_line._functions().items():
         page = pages[f"commands/{name}.md"]
         assert f"({name}.md)" in pages["commands/index.md"]
-        assert not [option for option in signature_of(name, function).options if f"`{option}`" not in page]
+        assert not [option for option in option_names(function) if f"`{option}`" not in page]
         rows = [line for line in page.splitlines() if line.startswith("|")]
         assert all(row.replace("\\|", "").count("|") in (3, 5) for row in rows)
 

@@ -60,7 +60,7 @@ def test_the_suffix_decides_nothing(path, tmp_path):
             file = tmp_path / f"path.{suffix}"
             file.write_text(rows_of(path, order=order, unit=unit, sep=sep, whole=whole))
             if form is None:
-                with pytest.raises(FileFormatError, match="the order of the quaternion is unknown"):
+                with pytest.raises(FileFormatError, match="Unknown quaternion order"):
                     read_trajectory(file)
                 continue
             found = read_trajectory(file)
@@ -112,7 +112,7 @@ def test_an_order_that_neither_file_decides_is_refused(path, tmp_path):
     straight = Trajectory(path.timestamp_s, Rigid3(path.world_from_body.rotation, along))
     write_trajectory(straight, tmp_path / "truth.txt")
     (tmp_path / "path.csv").write_text(rows_of(straight, unit=1e9, sep=",", whole=True))
-    with pytest.raises(FileFormatError, match="the order of the quaternion is unknown"):
+    with pytest.raises(FileFormatError, match="Unknown quaternion order"):
         evaluate_trajectory(tmp_path / "path.csv", tmp_path / "truth.txt")
 
 
@@ -193,14 +193,14 @@ def test_evaluate_takes_folders_of_frames(path, tmp_path, kind, capsys):
     main(["evaluate", str(tmp_path / "path.txt"), "--truth", str(folder), "--json"])
     found = json.loads(capsys.readouterr().out)["path.txt"]
     assert found["num_compared"] == 40 and found["rigid"]["ate_rmse"] < 1e-6
-    left_out = [words for words in found["assumptions"] if "1 of 41 files of poses" in words]
+    left_out = [words for words in found["assumptions"] if "1 of 41 pose files" in words]
     assert len(left_out) == (kind == "ScanNet")
 
 
 def test_a_folder_without_a_path_is_refused(path, tmp_path):
     write_trajectory(path, tmp_path / "path.txt")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(FileFormatError, match="holds no true path"):
+    with pytest.raises(FileFormatError, match="no ground-truth trajectory"):
         main_or_raise(tmp_path)
 
 

@@ -29,7 +29,7 @@ def test_both_are_trained_and_drawn(source, tmp_path):
         own = json.loads((result.out / name / "metrics.json").read_text())
         assert given[name]["psnr"] == pytest.approx(own["psnr"], abs=1e-6)
     assert given["splat"]["evaluated"] > given["splat"]["useful"] > 0.5 and given["nerf"]["queries"] > 0.5
-    beside = read_rgb(result.out / "pictures" / "images_00.png")
+    beside = read_rgb(result.out / "images" / "images_00.png")
     truth = np.rint(255 * views()[0].over(np.ones(3, np.float32))).astype(int)
     height, width, _ = truth.shape
     assert beside.shape == (height, 3 * width, 3)

@@ -208,5 +208,5 @@ def test_what_cannot_be_trained_is_refused():
     with pytest.raises(ConfigError, match="no image"):
         HashTrainer([], WHITE)
     away = [TrainingView(v.name, np.zeros_like(v.image), v.camera, v.cam_from_world) for v in views()]
-    with pytest.raises(DegenerateGeometryError, match="no place in common"):
+    with pytest.raises(DegenerateGeometryError, match="no common volume"):
         HashTrainer(away, WHITE)

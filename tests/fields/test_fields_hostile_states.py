@@ -119,5 +119,5 @@ def test_arrays_that_do_not_fit_each_other_are_refused(kind, change, tmp_path):
     ],
 )
 def test_a_state_of_random_numbers_is_refused(text, tmp_path):
-    with pytest.raises(EpipoleError, match="random numbers"):
+    with pytest.raises(EpipoleError, match="random generator"):
         restored("hash", tmp_path, lambda arrays: arrays.update(rng=np.array(text)))

@@ -18,7 +18,7 @@ SUMMARY = {
     "models": [{"num_registered": 14}, {"num_registered": 2}],
     "not_registered": {"cut.jpg": "is truncated", "x<b>.jpg": "no overlap", "z.jpg": "no overlap"},
 }
-LOST = ("3 of 17 images", "2 models that do not connect", "cut.jpg is in no model: is truncated")
+LOST = ("3 of 17 images", "2 disconnected models", "cut.jpg is not registered: is truncated")
 
 
 def reconstructed(folder):
@@ -81,7 +81,7 @@ def test_a_workspace_without_a_summary_of_ours_still_tells_its_models(workspace,
     (tmp_path / "sparse" / "0").mkdir(parents=True)
     assert losses_in(tmp_path) == [] == losses_in(tmp_path / "nowhere")
     (tmp_path / "sparse" / "1").mkdir()
-    assert "2 models that do not connect" in losses_in(tmp_path)[0]
+    assert "2 disconnected models" in losses_in(tmp_path)[0]
     for damaged in ("[]", '{"not_registered": 3}', "{"):
         (tmp_path / "summary.json").write_text(damaged)
         assert len(losses_in(tmp_path)) == 1

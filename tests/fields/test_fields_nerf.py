@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fields_scenes import CAMERA, camera, frames_of, views
 
-from epipole import nerf, render, share
+from epipole import nerf, render
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.fields.nerf.hash_files import HashContents, write_hash
 from epipole.fields.nerf.voxel_field import gaussians_of
@@ -17,6 +17,7 @@ from epipole.fields.splat.rasterizer import render as draw
 from epipole.io.images.photographs import read_rgb
 from epipole.pipelines.fields.kinds import KINDS, kind_in, read_neural, read_voxels
 from epipole.pipelines.fields.scene import is_mine, seen_gaussians
+from epipole.pipelines.viewing.run import write_page
 
 STEPS = 120
 LEAST_PSNR = {"grid": 20, "hash": 18}
@@ -70,7 +71,7 @@ def test_what_was_interrupted_goes_on_with_the_same_bits(source, tmp_path, kind)
     assert first.summary["interrupted"] and (tmp_path / "out" / "checkpoint.npz").is_file()
     assert 12 < first.summary["steps"] < 24
     found = nerf(source, tmp_path / "out", **options)
-    assert f"ended at step {first.summary['steps']}, and goes on" in found.warnings[0]
+    assert f"continued an earlier training from step {first.summary['steps']}" in found.warnings[0]
     file = KINDS[kind].file
     assert (found.out / file).read_bytes() == (whole.out / file).read_bytes()
     assert not (tmp_path / "out" / "checkpoint.npz").exists()
@@ -118,9 +119,9 @@ def test_so_many_gaussians_are_made_and_none_of_what_is_empty(result):
     "result", ["grid"], indirect=True
 )  # a neural field is first made a grid, which takes long
 def test_its_gaussians_are_shared_with_its_cameras(result, tmp_path):
-    done = share(result.out, tmp_path / "page.html")
+    done = write_page(result.out, tmp_path / "page.html", 500_000)
     count = f"{len(seen_gaussians(result.out)[0]):,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
-    assert done.shown.startswith(f"{count} Gaussians that stand for a radiance field")
+    assert done.shown.startswith(f"{count} Gaussians that coarsely approximate a radiance field")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "as trained" in page and "next-camera" in page
     given = json.loads(re.search(r'id="space-data">(.*?)</script>', page)[1])
@@ -141,7 +142,7 @@ def test_wrong_files(tmp_path, rng):
     with pytest.raises(FileFormatError, match="7 rows of values"):
         read_voxels(tmp_path / "a.npz")
     (tmp_path / "b.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:-30])
-    with pytest.raises(FileFormatError, match="a damaged one"):
+    with pytest.raises(FileFormatError, match="or damaged"):
         read_grid(tmp_path / "b.npz")
     np.savez(
         tmp_path / "c.npz",
@@ -169,10 +170,13 @@ def test_wrong_neural_files(tmp_path, rng):
     np.testing.assert_allclose(field.tables, good["tables"], atol=3e-3)
     for change, words in (
         ({"size": 0.0}, "not positive"),
-        ({"cells": np.array([4]), "tables": good["tables"][:1]}, "layers of the network do not fit"),
+        (
+            {"cells": np.array([4]), "tables": good["tables"][:1]},
+            "shapes of the network's layers do not match",
+        ),
         ({"cells": np.array([4, 0])}, "levels must be from"),
-        ({"tables": rng.normal(size=(2, 63, 4)).astype(np.float32)}, "no power of two"),
-        ({"weights": good["weights"][:1] * 5}, "layers of the network do not fit"),
+        ({"tables": rng.normal(size=(2, 63, 4)).astype(np.float32)}, "not a power of two"),
+        ({"weights": good["weights"][:1] * 5}, "shapes of the network's layers do not match"),
         ({"tables": np.full((2, 64, 4), np.nan, np.float32)}, "tables must be finite"),
     ):
         write_hash(tmp_path / "bad.npz", HashContents(**(good | change)))
@@ -191,5 +195,5 @@ def test_what_cannot_be_trained(source, tmp_path):
     for frame in frames:
         frame["transform_matrix"] = np.eye(4).tolist()
     (same / "transforms.json").write_text(json.dumps(camera() | {"frames": frames}))
-    with pytest.raises(DegenerateGeometryError, match="look the same way"):
+    with pytest.raises(DegenerateGeometryError, match="look in the same direction"):
         nerf(same, tmp_path / "out2", steps=5)

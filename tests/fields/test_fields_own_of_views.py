@@ -191,7 +191,7 @@ def test_what_is_masked_is_neither_learnt_nor_compared(rng):
 def test_masks_must_fit_and_leave_something():
     view = views()[0]
     nothing = np.zeros(view.image.shape[:2], bool)
-    with pytest.raises(ConfigError, match="leave no pixel"):
+    with pytest.raises(ConfigError, match="exclude all pixels"):
         rays_of([replace(view, used_mask=nothing)])
     assert np.isnan(scores_of(view.over(WHITE), replace(view, used_mask=nothing), WHITE)["psnr"])
     mask = np.ones(view.image.shape[:2], bool)

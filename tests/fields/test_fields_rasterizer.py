@@ -177,7 +177,7 @@ def test_what_does_not_fit_is_refused(rng):
     cloud = cloud_of(rng, 3)
     with pytest.raises(ConfigError, match="undistort"):
         render(cloud, Camera("RADIAL", 40, 30, [30.0, 20.0, 15.0, 0.1, 0.0]), SEEN)
-    with pytest.raises(ShapeError, match="single motion"):
+    with pytest.raises(ShapeError, match="single pose"):
         render(cloud, CAMERA, Rigid3.identity(2))
     with pytest.raises(ShapeError, match="1, 4, 9 or 16"):
         GaussianCloud(

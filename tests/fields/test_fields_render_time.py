@@ -51,7 +51,7 @@ def test_as_many_views_are_rendered_as_the_time_allows(monkeypatch):
 
     wanted = FieldOptions(time=f"{3.5 * each_s / held_out.RENDER_FRACTION:.3f}s")
     assert rendered(wanted) == ["00.png", "06.png", "13.png"]
-    assert said[0].startswith("3 of 14 views are rendered and compared: a view takes about 3.1 s")
+    assert said[0].startswith("only 3 of 14 views were rendered and compared: a view takes about 3.1 s")
     assert reports == [(0, 14), (1, 14), (2, 14), (3, 14), (3, 3)]
     assert rendered(FieldOptions(time="1s")) == ["00.png"]
     said.clear()
@@ -96,7 +96,7 @@ def test_fewer_views_are_compared_in_little_time(source, tmp_path, monkeypatch):
     monkeypatch.setattr(held_out, "RENDER_FRACTION", 0.0)
     found = nerf(source, tmp_path / "out", time="0.2s", test_every=4, kind="grid")
     assert found.summary["num_test"] == 4 and found.summary["num_compared"] == 1
-    assert "1 of 4 views are rendered" in found.summary["warnings"][0]
+    assert "1 of 4 views were rendered" in found.summary["warnings"][0]
     assert [path.name for path in (found.out / "test").iterdir()] == ["images_00.png"]
     assert "images/00.png" in (found.out / "report.html").read_text()
     whole = splat(source, tmp_path / "whole", steps=1, test_every=4, max_gaussians=50)
@@ -132,5 +132,5 @@ def test_files_of_like_names_are_the_same_where_few_views_are_rendered(source, t
     (tmp_path / "scene" / "transforms.json").write_text(json.dumps(camera() | {"frames": frames}))
     out = tmp_path / "out"
     compare_fields(tmp_path / "scene", out, time="0.2s", test="x/y.png,x_y.png", kind="grid")
-    for folder in (out / "pictures", out / "nerf" / "test", out / "splat" / "test"):
+    for folder in (out / "images", out / "nerf" / "test", out / "splat" / "test"):
         assert [path.name for path in folder.iterdir()] == ["x_y.png.png"], folder

@@ -66,7 +66,7 @@ def test_the_report_shows_what_was_held_out(result):
         metrics["psnr"], abs=3.0
     )
     page = (result.out / "report.html").read_text()
-    assert f"{metrics['psnr']:.2f} dB on images that were held out" in page
+    assert f"{metrics['psnr']:.2f} dB on held-out images" in page
     assert page.count("data:image/png") == 3 * 2 and "images/07.png" in page and "PSNR, dB" in page
 
 
@@ -155,13 +155,13 @@ def test_masks_lie_beside_by_name(source, tmp_path):
     fixed = json.loads((found.out / "metrics.json").read_text())["views"][0]
     assert fixed["name"] == "images/00.png" and np.isfinite([fixed["psnr"], fixed["psnr_matched"]]).all()
     (tmp_path / "other").mkdir()
-    with pytest.raises(ConfigError, match="no image has a mask"):
+    with pytest.raises(ConfigError, match="has no mask for any image"):
         gather_field_images(source, replace(options, masks=tmp_path / "other"))
     cv2.imwrite(str(tmp_path / "masks" / "images" / "05.png.png"), mask[:5])
     assert any("mask is" in problem for problem in gather_field_images(source, options).problems)
     cv2.imwrite(str(tmp_path / "masks" / "images" / "06.png.png"), np.zeros_like(mask))
     problems = gather_field_images(source, options).problems
-    assert any(problem.startswith("images/06.png") and "leaves nothing" in problem for problem in problems)
+    assert any(problem.startswith("images/06.png") and "covers all of it" in problem for problem in problems)
 
 
 def test_cameras_that_moved_are_written(source, tmp_path):
@@ -192,7 +192,10 @@ def test_what_was_interrupted_goes_on_with_the_same_bits(source, tmp_path):
     steps = first.summary["steps"]
     assert first.summary["interrupted"] and (tmp_path / "out" / "checkpoint.npz").is_file()
     found = splat(source, tmp_path / "out", **OPTIONS)
-    assert f"ended at step {steps}, and goes on" in found.warnings[0] and found.summary["steps"] == 80
+    assert (
+        f"continued an earlier training from step {steps}" in found.warnings[0]
+        and found.summary["steps"] == 80
+    )
     for name in ("means_in_world", "log_scales", "quats_wxyz", "opacity_logits", "sh"):
         np.testing.assert_array_equal(getattr(found.cloud, name), getattr(whole.cloud, name))
     curve = json.loads((tmp_path / "out" / "metrics.json").read_text())["curve"]["rows"]
@@ -223,7 +226,7 @@ def test_a_full_disk_ends_no_training(source, tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoints, "EVERY_S", -1.0)
     found = splat(source, tmp_path / "out", **OPTIONS | {"steps": 3})
     assert found.summary["steps"] == 3 and len(found.warnings) == 1
-    assert "cannot be gone on with later: the disk is full" in found.warnings[0]
+    assert "cannot be continued later: the disk is full" in found.warnings[0]
 
 
 def test_memory_is_told_first_and_kept(source, tmp_path):
@@ -232,7 +235,7 @@ def test_memory_is_told_first_and_kept(source, tmp_path):
     given = next(note for note in notes if note)
     assert "12 images, about 0.2 GB" in given
     assert found.summary["num_gaussians"] <= int(given.split()[2].replace(",", "")) <= 10_000
-    with pytest.raises(ConfigError, match=r"memory_gb is 0\.01, and 0\.23 are needed"):
+    with pytest.raises(ConfigError, match=r"memory_gb is 0\.01, but 0\.23 GB are needed"):
         splat(source, tmp_path / "small", steps=2, memory_gb=0.01)
     with pytest.raises(ConfigError, match="1,000,000 Gaussians"):
         splat(source, tmp_path / "small", steps=2, memory_gb=0.3, max_gaussians=1_000_000)

@@ -23,6 +23,7 @@ from epipole.fields.splat.rasterizer import render
 from epipole.io.gaussians.files import write_gaussians
 from epipole.io.gaussians.ply import read_gaussian_ply
 from epipole.pipelines.fields.scene import first_view_of, write_cameras
+from epipole.pipelines.viewing.run import write_page
 from epipole.report.frame import content_hash
 from epipole.report.gaussians import ROW
 from epipole.scene.gaussian_cloud import GaussianCloud
@@ -77,7 +78,7 @@ class Blocks(HTMLParser):
 
 
 def test_a_page_holds_the_cloud_and_nothing_from_elsewhere(result: Path, tmp_path: Path) -> None:
-    done = share(result, tmp_path / "page.html")
+    done = write_page(result, tmp_path / "page.html", 500_000)
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert done.num_bytes == len(text.encode()) and done.shown.startswith("80 Gaussians; colours")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["page.html", "result"]
@@ -106,14 +107,14 @@ def test_names_are_text(tmp_path: Path) -> None:
 
 
 def test_gaussians_are_merged(result: Path, tmp_path: Path) -> None:
-    done = share(result, tmp_path / "page.html", share_max=30)
+    done = write_page(result, tmp_path / "page.html", 30)
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert done.shown.endswith("; here 80 Gaussians merged into 30") and done.shown in text
     assert len(base64.b64decode(Blocks(text).scripts["space-gaussians"])) == 30 * 32
 
 
 @pytest.mark.parametrize(
-    ("num_sh", "said"), [(1, "same from all"), (4, "as trained"), (16, "degree 1, of 3")]
+    ("num_sh", "said"), [(1, "do not depend on"), (4, "as trained"), (16, "degree 1, of 3")]
 )
 def test_the_page_says_what_its_colours_are(num_sh: int, said: str, tmp_path: Path) -> None:
     write_gaussians(tmp_path / "a.ply", seen_from_all_sides(num_sh) if num_sh > 1 else scene())

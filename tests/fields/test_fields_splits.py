@@ -46,10 +46,10 @@ def split(found: FieldImages) -> tuple[list[str], list[str]]:
         ({"train_filenames": names(0, 1, 2, 3), "val_filenames": names(4, 5)}, (0, 1, 2, 3), (4, 5), None),
         (
             {key: names(*k) for key, k in (("train_filenames", (0, 1, 2)), ("val_filenames", (3,)), ("test_filenames", (4,)))},
-            (0, 1, 2), (4,), "2 images are in no split that is used (images/3.png)",
+            (0, 1, 2), (4,), "2 images are in neither the training nor the test split (images/3.png)",
         ),
-        ({"train_filenames": names(0, 1, 2), "test_filenames": names(2, 3, 4, 5)}, (0, 1, 2), (2, 3, 4, 5), "1 images are both trained on and held out"),
-        ({"train_filenames": names(0, 2)}, (0, 2), (), "4 images are in no split"),
+        ({"train_filenames": names(0, 1, 2), "test_filenames": names(2, 3, 4, 5)}, (0, 1, 2), (2, 3, 4, 5), "1 images are both in the training and the test split"),
+        ({"train_filenames": names(0, 2)}, (0, 2), (), "4 images are in neither the training nor the test split"),
     ],
 )  # fmt: skip
 def test_splits_of_the_file_are_used(tmp_path, own, train, test, problem) -> None:
@@ -62,7 +62,7 @@ def test_images_asked_for_go_before_the_splits_of_the_file(tmp_path) -> None:
     folder = scene(tmp_path, {"train_filenames": names(0, 1, 2), "test_filenames": names(3)})
     found = gather_field_images(folder, replace(OPTIONS, test="images/0.png"))
     assert split(found) == (names(1, 2, 3, 4, 5), names(0))
-    assert ["splits of the file are not used" in text for text in found.problems] == [True]
+    assert ["splits of the file are ignored" in text for text in found.problems] == [True]
     with pytest.raises(ConfigError, match="nowhere"):
         gather_field_images(folder, replace(OPTIONS, test="nowhere.png"))
     assert split(gather_field_images(scene(tmp_path), OPTIONS))[1] == names(0, 2, 4)
@@ -89,9 +89,9 @@ def test_a_folder_of_masks_goes_before_those_of_the_file(tmp_path) -> None:
     Image.new("L", (32, 24), 255).save(tmp_path / "mine" / "images" / "1.png")
     found = gather_field_images(folder, replace(OPTIONS, masks=tmp_path / "mine"))
     assert [view.name for view in [*found.train, *found.test] if view.used_mask is not None] == names(1)
-    assert ["masks that the file names are not used" in text for text in found.problems] == [True]
+    assert ["masks in the file are ignored" in text for text in found.problems] == [True]
     scene(tmp_path, {"mask_path": "../all.png"})
-    with pytest.raises(FileFormatError, match="no name of a file inside"):
+    with pytest.raises(FileFormatError, match="does not name a file inside"):
         gather_field_images(folder, OPTIONS)
 
 
@@ -101,4 +101,4 @@ def test_what_the_file_holds_besides_is_a_warning_of_the_job(tmp_path) -> None:
     found = gather_field_images(folder, OPTIONS)
     assert len(found.train) + len(found.test) == 5
     words = "\n".join(found.problems)
-    assert "unknown keys are not used: weather" in words and "frame 4 (images/4.png) is left out" in words
+    assert "unknown keys are ignored: weather" in words and "skipped frame 4 (images/4.png)" in words

@@ -193,12 +193,12 @@ def test_what_cannot_be_trained_is_refused():
     with pytest.raises(ConfigError, match="no image"):
         VoxelTrainer([], WHITE)
     away = [TrainingView(v.name, np.zeros_like(v.image), v.camera, v.cam_from_world) for v in views()]
-    with pytest.raises(DegenerateGeometryError, match="no place in common"):
+    with pytest.raises(DegenerateGeometryError, match="no common volume"):
         VoxelTrainer(away, WHITE)
     side = Rigid3.identity()
     alone = [
         TrainingView("a", views()[0].image, CAMERA, side),
         TrainingView("b", views()[0].image, CAMERA, side),
     ]
-    with pytest.raises(DegenerateGeometryError, match="look the same way"):
+    with pytest.raises(DegenerateGeometryError, match="look in the same direction"):
         VoxelTrainer(alone, WHITE)

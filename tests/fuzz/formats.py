@@ -36,7 +36,7 @@ from test_io_hostile_models import BAL, GRAPHS, STRECHA, TEXT_MESH, TEXT_PLY, gr
 from test_io_hostile_models import MIDDLEBURY as MIDDLEBURY_PAR
 from test_io_hostile_pictures import GPS, RGB
 
-from epipole._declared.tables import TEXT, Expected
+from epipole._checks.tables import TEXT, Expected
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
 from epipole.fields.nerf.hash_field import query_density
@@ -93,7 +93,7 @@ from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.output.answer_log import ANSWERS, line_of, read_answers
 from epipole.pipelines.slam.output.map_file import read_slam_map, write_slam_map
 from epipole.pipelines.slam.output.record import FrameRecord
-from epipole.pipelines.stereo.files import read_stereo, write_picture
+from epipole.pipelines.stereo.files import read_stereo, write_image
 from epipole.pipelines.stereo.pairs import read_summary
 from epipole.runs.folder import OutputFolder, read_mark
 from epipole.runs.source import Source
@@ -571,7 +571,7 @@ def _pairs_of_video(folder: Path) -> None:
 
 
 def _stereo(folder: Path) -> None:
-    write_picture(folder / "left.png", RGB)
+    write_image(folder / "left.png", RGB)
     for name in ("depth.pfm", "sigma_depth.pfm"):
         write_pfm(folder / name, np.ones(RGB.shape[:2]))
     content = {"K": LENS.K.tolist(), "baseline": 0.12, "principal_offset_px": 0.0}

@@ -32,15 +32,15 @@ def test_lengths(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "no length"),
+        ("", "contains no lengths"),
         ("L 1 a p.jpg 3\n", "NAME METRES END"),
         ("L 1 c p.jpg 3 4\n", "a or b"),
         ("L 0 a p.jpg 3 4\n", "positive"),
-        ("L x a p.jpg 3 4\n", "no number"),
-        ("L 1 a p.jpg nan 4\n", "no number to calculate"),
+        ("L x a p.jpg 3 4\n", "is not a number"),
+        ("L 1 a p.jpg nan 4\n", "is not finite, or exceeds"),
         ("L 1 a p.jpg 3 4\n", "end b of L is seen in no image"),
         ("L 1 a p.jpg 3 4\nL 2 b p.jpg 3 4\n", "1 above"),
-        ("L 1 a p.jpg 3 4\nL 1 a p.jpg 3 4\n", "stands above already"),
+        ("L 1 a p.jpg 3 4\nL 1 a p.jpg 3 4\n", "is given twice"),
     ],
 )
 def test_lengths_that_are_none(tmp_path, text, words):
@@ -55,7 +55,7 @@ def test_places_by_time_or_by_name(tmp_path):
     assert isinstance(by_name, NamedPositions) and by_name.names == ("my photo 1.jpg", "b.png")
     np.testing.assert_array_equal(by_name.positions, [[1, 2, 3], [4, 5, 6]])
     for text, words in (
-        ("", "no place"),
+        ("", "contains no positions"),
         ("a.png 1 2\n", "X Y Z"),
         ("a 1 2 3\na 1 2 3\n", "twice"),
         ("a 1 2 z\n", "z"),
@@ -71,8 +71,8 @@ def test_odometry_as_distances_or_places(tmp_path):
     assert positions.travelled_m is None and positions.timestamp_s.tolist() == [0, 1]
     for text, words in (
         ("", "no odometry"),
-        ("0 1\n1 0\n", "may not fall"),
-        ("0 1\n0 2\n", "rise"),
+        ("0 1\n1 0\n", "must not decrease"),
+        ("0 1\n0 2\n", "must increase"),
         ("0 1\n1\n", "METRES"),
     ):
         with pytest.raises(FileFormatError, match=words):

@@ -45,7 +45,7 @@ def test_system_errors_become_one_clear_line(tmp_path: Path) -> None:
         pass
     with pytest.raises(WorkspaceError, match="No space left"), atomic_write(tmp_path / "x.txt"):
         raise OSError(28, "No space left on device")
-    with pytest.raises(WorkspaceError, match="file of this name"), atomic_folder(tmp_path / "file"):
+    with pytest.raises(WorkspaceError, match="file with this name"), atomic_folder(tmp_path / "file"):
         pass
     with pytest.raises(ConfigError, match="as it was"), atomic_write(tmp_path / "x.txt"):
         raise ConfigError("as it was")

@@ -49,7 +49,7 @@ def test_known_words(own, model) -> None:
 @pytest.mark.parametrize(
     ("own", "message"),
     [
-        ({"distortion_model": "fov"}, "distortion_model fov is not known"),
+        ({"distortion_model": "fov"}, "unknown distortion_model fov"),
         ({"distortion_model": "none"}, "none, but distortion coefficients are not zero"),
         ({"binning_x": 2}, "binning_x = 2 is not supported"),
         ({"binning_y": 4}, "binning_y = 4 is not supported"),

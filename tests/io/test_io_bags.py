@@ -164,9 +164,9 @@ def test_topics_that_could_be_meant_are_listed(recorded, tmp_path):
     assert read_bag(path, topics=("/rear/image_raw",)).topics == ("/rear/image_raw",)
     assert read_bag(path, topics=("/rear/image_raw", "/front/image_raw")).sensor == "stereo"
     for requested, sensor, words in (
-        (("/imu",), "auto", "/imu holds no images"),
-        (("/none",), "auto", "/none holds no images"),
-        (("/rear/image_raw",) * 2, "auto", "one name, or two"),
+        (("/imu",), "auto", "/imu has no images"),
+        (("/none",), "auto", "/none has no images"),
+        (("/rear/image_raw",) * 2, "auto", "one or two different names"),
         (("/rear/image_raw",), "stereo", "are mono, not stereo"),
         ((), "rgbd", "no topics for rgbd"),
         ((), "stereo", "no topics for stereo"),
@@ -190,7 +190,7 @@ def test_depth_of_another_place_and_wrong_sizes_are_told(recorded, tmp_path):
     recorded.camera_info("/depth/camera_info", BEGIN, SIZE, K, frame_id="depth")
     bag = read_bag(recorded.write(tmp_path))
     assert bag.camera is None and bag.depth_camera is not None
-    assert any("64 x 48 pixels, its images are of 32 x 24" in warning for warning in bag.warnings)
+    assert any("64 x 48 pixels, but its images have 32 x 24" in warning for warning in bag.warnings)
 
 
 def test_unregistered_depth_is_told(recorded, tmp_path):
@@ -238,7 +238,7 @@ def test_what_an_imu_measured(recorded, tmp_path):
     assert np.array_equal(found.gyro_rad_s, rotation)
     assert np.array_equal(found.accel_m_s2, gradient) and len(found) == 4
     assert np.allclose(found.timestamp_s, BEGIN / SECOND + 0.1 * np.arange(4), atol=1e-6)
-    with pytest.raises(ConfigError, match="no topic of an IMU"):
+    with pytest.raises(ConfigError, match="no IMU topic"):
         read_bag_imu(path, "/other")
     with pytest.raises(ConfigError, match="no topics for mono"):
         read_bag(path)
@@ -250,7 +250,7 @@ def test_what_an_imu_measured(recorded, tmp_path):
 
 
 def test_an_empty_recording(recorded, tmp_path):
-    with pytest.raises(FileFormatError, match=r"ride.*no message"):
+    with pytest.raises(FileFormatError, match=r"ride.*no messages"):
         read_bag(recorded.write(tmp_path))
 
 
@@ -271,7 +271,7 @@ def test_what_stands_before_a_cut_is_read(kind, tmp_path):
     for fraction in (0.95, 0.6):
         storage(path).write_bytes(data[: int(fraction * len(data))])
         bag = read_bag(path)
-        assert any("before the file is cut off" in warning for warning in bag.warnings)
+        assert any("before the damage or truncation" in warning for warning in bag.warnings)
         found = [frame.grey() for frame in bag_frames(bag)]
         assert 5 < len(found) <= fraction * 40
         assert all(np.array_equal(a, b) for a, b in zip(found, whole))
@@ -295,7 +295,7 @@ def test_damage_in_the_middle_keeps_the_frames_before(tmp_path):
     bag = read_bag(path)
     found = [frame.grey() for frame in bag_frames(bag)]
     assert 10 < len(found) < 60 and any(
-        "malformed; what stands before" in warning for warning in bag.warnings
+        "malformed; only the part before" in warning for warning in bag.warnings
     )
     assert all((image == n).all() for n, image in enumerate(found))
 
@@ -309,7 +309,7 @@ def test_pictures_that_make_no_sense(recorded, tmp_path):
     path = recorded.write(tmp_path)
     first, *rest = bag_frames(read_bag(path, topics=("/bad/image",)))
     assert np.array_equal(first.grey(), grey(0))
-    for frame, words in zip(rest, ("no image of 32 x 1000", "'purple' are not read")):
+    for frame, words in zip(rest, ("do not match an image of 32 x 1000", "'purple' is not supported")):
         with pytest.raises(FileFormatError, match=words):
             frame.grey()
 
@@ -322,7 +322,7 @@ def test_cameras_that_make_no_sense(recorded, tmp_path):
     recorded.image("/c/image", BEGIN, grey(1), "mono8")
     recorded.camera_info("/c/camera_info", BEGIN, SIZE, K * np.nan)
     path = recorded.write(tmp_path)
-    with pytest.raises(FileFormatError, match="rubber is not known"):
+    with pytest.raises(FileFormatError, match="unknown distortion_model rubber"):
         read_bag(path, topics=("/a/image",))
     assert read_bag(path, topics=("/b/image",)).camera is None
     with pytest.raises(FileFormatError, match="not finite"):

@@ -76,10 +76,10 @@ def test_the_origin_is_the_middle_of_the_picture_and_y_is_up(tmp_path: Path) -> 
 
 
 def test_what_the_format_cannot_hold_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot hold the distortion of OPENCV"):
+    with pytest.raises(ConfigError, match="cannot represent the distortion of OPENCV"):
         write_bundler(small_model(), tmp_path / "bundle.out")
     stretched = Camera(CameraModel.PINHOLE, 640, 480, np.array([500.0, 550.0, 320.0, 240.0]))
-    with pytest.raises(ConfigError, match="one focal length"):
+    with pytest.raises(ConfigError, match="single focal length"):
         write_bundler(
             replace(mappable_model(), cameras=Cameras.from_list([stretched])), tmp_path / "bundle.out"
         )

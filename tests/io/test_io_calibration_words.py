@@ -128,22 +128,22 @@ def test_no_distortion(tmp_path, words) -> None:
 @pytest.mark.parametrize(
     ("own", "message"),
     [
-        ({"distortion_model": "foo"}, "distortion_model foo is not known"),
-        ({"camera_model": "omni"}, "camera_model omni is not known"),
-        ({"camera_model": "pinhole-fov"}, "camera_model pinhole-fov is not known"),
-        ({"distortion_model": "thin_prism"}, "thin_prism is not known"),
-        ({"distortion_model": "inverse_brown_conrady"}, "is not known"),
-        ({"distortion_model": 3}, "distortion_model 3 is not known"),
-        ({"lens_type": "anamorphic"}, "lens_type anamorphic is not known"),
+        ({"distortion_model": "foo"}, "unknown distortion_model foo"),
+        ({"camera_model": "omni"}, "unknown camera_model omni"),
+        ({"camera_model": "pinhole-fov"}, "unknown camera_model pinhole-fov"),
+        ({"distortion_model": "thin_prism"}, "unknown distortion_model thin_prism"),
+        ({"distortion_model": "inverse_brown_conrady"}, "unknown distortion_model"),
+        ({"distortion_model": 3}, "unknown distortion_model 3"),
+        ({"lens_type": "anamorphic"}, "unknown lens_type anamorphic"),
         ({"camera_model": "equirectangular"}, r"spherical \(equirectangular\)"),
         ({"camera_model": "fisheye", "distortion_model": "plumb_bob"}, "contradicts distortion_model plumb_bob"),
         ({"fisheye_model": 1, "distortion_model": "plumb_bob"}, "contradicts"),
         ({"fisheye_model": 0, "distortion_model": "fisheye"}, "contradicts"),
-        ({"model": "omni"}, "the model omni is not known"),
-        ({"camera_type": "ds"}, "the camera_type ds is not known"),
-        ({"distortion_model_left": "fov"}, "the distortion_model_left fov is not known"),
+        ({"model": "omni"}, "unknown model omni"),
+        ({"camera_type": "ds"}, "unknown camera_type ds"),
+        ({"distortion_model_left": "fov"}, "unknown distortion_model_left fov"),
         ({"projection": "equirectangular"}, "spherical"),
-        ({"xi": 1.2}, "xi is of an omnidirectional camera"),
+        ({"xi": 1.2}, "xi belongs to an omnidirectional camera"),
         ({"binning_x": 2}, "binning_x = 2 is not supported"),
         ({"roi": {"x_offset": 0, "y_offset": 4, "height": 10, "width": 10}}, "y_offset = 4"),
         ({"distortion_coefficients": matrix([[0.1] * 12])}, "thin prism"),
@@ -204,16 +204,16 @@ def test_opencvs_xml_with_words(tmp_path) -> None:
     )
     camera = read_calibration(written(tmp_path, text.format("fisheye"), "c.xml")).cameras[0]
     assert camera.model is CameraModel.OPENCV_FISHEYE
-    with pytest.raises(FileFormatError, match="fov is not known"):
+    with pytest.raises(FileFormatError, match="unknown distortion_model fov"):
         read_calibration(written(tmp_path, text.format("fov"), "c.xml"))
 
 
 def test_a_key_that_is_there_twice_is_refused(tmp_path) -> None:
     text = yaml.safe_dump(ros()) + "distortion_model: plumb_bob\ndistortion_model: fisheye\n"
-    with pytest.raises(FileFormatError, match="the key distortion_model is there twice"):
+    with pytest.raises(FileFormatError, match="duplicate key distortion_model"):
         read_calibration(written(tmp_path, text))
     text = "<?xml version='1.0'?><opencv_storage><a>1</a><a>2</a></opencv_storage>"
-    with pytest.raises(FileFormatError, match="the key a is there twice"):
+    with pytest.raises(FileFormatError, match="duplicate key a"):
         read_calibration(written(tmp_path, text, "c.xml"))
     merged = "base: &base {k: 1}\nboth:\n  <<: *base\n  m: 2\n" + yaml.safe_dump(ros())
     assert read_calibration(written(tmp_path, merged)).cameras[0].width == 640
@@ -292,11 +292,11 @@ def test_camera_models_of_chains(tmp_path, words, project, is_alone) -> None:
 @pytest.mark.parametrize(
     ("own", "message"),
     [
-        ({"camera_model": "omni", "intrinsics": [0.8, 833.0, 830.3, 373.8, 253.7]}, "camera_model omni is not known"),
+        ({"camera_model": "omni", "intrinsics": [0.8, 833.0, 830.3, 373.8, 253.7]}, "unknown camera_model omni"),
         ({"camera_model": "ds", "intrinsics": [0.1] * 6, "distortion_model": "none", "distortion_coeffs": []}, "camera_model ds"),
         ({"camera_model": "eucm", "intrinsics": [0.1] * 6}, "camera_model eucm"),
         ({"camera_model": "omni-radtan"}, "camera_model omni-radtan"),
-        ({"distortion_model": "fov", "distortion_coeffs": [0.96]}, "distortion_model fov is not known"),
+        ({"distortion_model": "fov", "distortion_coeffs": [0.96]}, "unknown distortion_model fov"),
         ({"distortion_model": None}, "distortion_coeffs are given, but the key distortion_model is missing"),
         ({"distortion_model": "none"}, "none, but distortion coefficients are not zero"),
         ({"intrinsics": [404.0, 320.0, 240.0]}, "intrinsics is not 4 numbers"),
@@ -316,8 +316,8 @@ def test_cameras_of_chains_that_are_refused(tmp_path, own, message) -> None:
         ({"cam1": LINK}, "the key cam0 is missing"),
         (chain(T_cn_cnm1=rows(MOTION), T_cam_imu=rows(CAM0_FROM_IMU @ MOTION)), "contradicts"),
         (chain(T_cam_imu=rows(MOTION), T_imu_cam=rows(MOTION)), "not the inverse"),
-        (chain(T_cn_cnm1=(2 * np.eye(4)).tolist()), "T_cn_cnm1 is no motion"),
-        (chain(T_cn_cnm1=MOTION.as_matrix().T.tolist()), "T_cn_cnm1 is no motion"),
+        (chain(T_cn_cnm1=(2 * np.eye(4)).tolist()), "T_cn_cnm1 is not a motion"),
+        (chain(T_cn_cnm1=MOTION.as_matrix().T.tolist()), "T_cn_cnm1 is not a motion"),
     ],
 )
 def test_poses_of_chains_that_are_refused(tmp_path, content, message) -> None:
@@ -377,9 +377,9 @@ def test_camera_files_of_vins(tmp_path) -> None:
     for bad, message in (
         (
             {"model_type": "MEI", "mirror_parameters": {"xi": 1.5}},
-            "model_type MEI is not known|omnidirectional",
+            "unknown model_type MEI|omnidirectional",
         ),
-        ({"model_type": "SCARAMUZZA"}, "model_type SCARAMUZZA is not known"),
+        ({"model_type": "SCARAMUZZA"}, "unknown model_type SCARAMUZZA"),
         ({"distortion_parameters": {"k1": 0.1}}, "k2, p1, p2 are missing"),
         ({"distortion_parameters": None}, "distortion_parameters is missing"),
     ):
@@ -444,20 +444,20 @@ def test_a_pair_of_mrcals(tmp_path) -> None:
     np.testing.assert_allclose(motion.as_matrix(), MOTION.as_matrix(), atol=1e-9)
     back = read_stereo_rig(right, left).right_from_left
     np.testing.assert_allclose(back.as_matrix(), MOTION.inverse().as_matrix(), atol=1e-9)
-    with pytest.raises(FileFormatError, match=r"no \.cameramodel"):
+    with pytest.raises(FileFormatError, match=r"not a \.cameramodel"):
         read_stereo_rig(left, written(tmp_path, ros()))
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (mrcal("LENSMODEL_CAHVOR", [0.1] * 5), "LENSMODEL_CAHVOR is not supported; known are LENSMODEL_PINHOLE"),
+        (mrcal("LENSMODEL_CAHVOR", [0.1] * 5), "LENSMODEL_CAHVOR is not supported; supported are LENSMODEL_PINHOLE"),
         (mrcal("LENSMODEL_SPLINED_STEREOGRAPHIC_order=3_Nx=30_Ny=18_fov_x_deg=150", [0.1] * 9), "SPLINED_STEREOGRAPHIC"),
         (mrcal("LENSMODEL_LATLON", []), "LENSMODEL_LATLON is not supported"),
         (mrcal("LENSMODEL_OPENCV12", [0.1] * 12), "thin prism"),
         (mrcal("LENSMODEL_OPENCV8", [0.1] * 5), "has 12 intrinsics, got 9"),
         (mrcal("LENSMODEL_PINHOLE", []).replace("imagersize", "size"), "imagersize is missing"),
-        (mrcal("LENSMODEL_PINHOLE", []).replace("'imagersize': [ 640", "'imagersize': [ __import__('os')"), "no dictionary of literals|neither"),
+        (mrcal("LENSMODEL_PINHOLE", []).replace("'imagersize': [ 640", "'imagersize': [ __import__('os')"), "not a dictionary of literals|neither"),
         (mrcal("LENSMODEL_PINHOLE", []).replace("[ 640", "[" * 5000), "neither JSON nor YAML"),
         (mrcal("LENSMODEL_PINHOLE", [], "1e9, 0, 0, 0, 0, 0"), "rotation vector"),
     ],

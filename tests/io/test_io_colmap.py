@@ -240,7 +240,7 @@ def test_every_truncation_of_a_binary_file_is_reported(folder: Path) -> None:
             with pytest.raises(FileFormatError, match=rf"{name}.bin: byte \d+"):
                 read_colmap_model(folder)
         file.write_bytes(whole + b"\0")
-        with pytest.raises(FileFormatError, match="1 bytes follow after the end"):
+        with pytest.raises(FileFormatError, match="1 unexpected bytes after the end"):
             read_colmap_model(folder)
         file.write_bytes(whole)
     assert len(read_colmap_model(folder).images) == 8
@@ -252,13 +252,13 @@ def test_counts_that_cannot_be_are_refused_at_once(folder: Path) -> None:
         whole = file.read_bytes()
         for count in (2**63, 2**64 - 1, 10**9):
             file.write_bytes(struct.pack("<Q", count) + whole[8:])
-            with pytest.raises(FileFormatError, match=f"{count} .* cannot be in the"):
+            with pytest.raises(FileFormatError, match=f"{count} .* do not fit into the"):
                 read_colmap_model(folder)
         file.write_bytes(whole)
     points = bytearray((folder / "points3D.bin").read_bytes())
     points[8 + 43 : 8 + 51] = struct.pack("<Q", 2**62)
     (folder / "points3D.bin").write_bytes(bytes(points))
-    with pytest.raises(FileFormatError, match="observations of a point cannot be"):
+    with pytest.raises(FileFormatError, match="observations of a point do not fit"):
         read_colmap_model(folder)
 
 
@@ -307,15 +307,18 @@ def _replace_line(name: str, old: str, new: str) -> Callable[[Path], None]:
             r"camera 1: the focal length must be positive",
         ),
         (_replace_line("cameras", "640 480 500.0", "640 480 nan"), r"camera 1: .*not a finite number"),
-        (_replace_line("cameras", "640 480", "0 480"), r"camera 1: impossible image size"),
-        (_replace_line("cameras", "2 OPENCV", "1 OPENCV"), r"cameras.txt: camera 1 is there twice"),
-        (_replace_line("cameras", "3 PINHOLE", "9 PINHOLE"), r"images.txt: image 7: there is no camera 3"),
-        (_replace_line("rigs", "CAMERA 3", "CAMERA 2"), r"frame 4: image 7 is not of camera 3 of its rig"),
+        (_replace_line("cameras", "640 480", "0 480"), r"camera 1: invalid image size"),
+        (_replace_line("cameras", "2 OPENCV", "1 OPENCV"), r"cameras.txt: camera 1 is defined twice"),
+        (_replace_line("cameras", "3 PINHOLE", "9 PINHOLE"), r"images.txt: image 7: camera 3 is not defined"),
+        (
+            _replace_line("rigs", "CAMERA 3", "CAMERA 2"),
+            r"frame 4: image 7 does not belong to camera 3 of its rig",
+        ),
         (_replace_line("rigs", "CAMERA 3", "SONAR 3"), r"rigs.txt: line \d+: not a rig"),
         (_replace_line("frames", "1 CAMERA 3 7", "1 CAMERA 3 8"), r"image 8 is in two frames"),
-        (_replace_line("frames", "1 CAMERA 3 7", "0"), r"frames.txt: image 7 is in no frame"),
+        (_replace_line("frames", "1 CAMERA 3 7", "0"), r"frames.txt: image 7 belongs to no frame"),
         (_replace_line("images", "b1.jpg\n", "b1.jpg\n1 "), r"images.txt: line \d+: not a list of keypoints"),
-        (_replace_line("points3D", "\n5 ", "\n6 "), r"points3D.txt: point 6 is there twice"),
+        (_replace_line("points3D", "\n5 ", "\n6 "), r"points3D.txt: point 6 is defined twice"),
         (_replace_line("points3D", "\n5 ", "\nfive "), r"points3D.txt: line \d+: not a point"),
     ],
 )

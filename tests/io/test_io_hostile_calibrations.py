@@ -256,7 +256,7 @@ def test_a_place_that_is_no_rotation_is_refused(folder: Path) -> None:
     (folder / "bent.yaml").write_text(
         yaml.safe_dump(KALIBR | {"cam1": KALIBR["cam1"] | {"T_cn_cnm1": matrix.tolist()}})
     )
-    with pytest.raises(FileFormatError, match=r"bent\.yaml: T_cn_cnm1 is no motion"):
+    with pytest.raises(FileFormatError, match=r"bent\.yaml: T_cn_cnm1 is not a motion"):
         read_calibration(folder / "bent.yaml")
 
 

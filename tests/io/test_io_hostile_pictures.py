@@ -192,7 +192,7 @@ def test_a_list_of_no_frames_or_of_one_twice_is_made_anew(folder: Path, video: b
 def test_a_list_of_videos_is_no_video(folder: Path, text: str) -> None:
     """FFmpeg would follow the addresses and names in it."""
     (folder / "list.mp4").write_text(text)
-    with pytest.raises(FileFormatError, match="not a video: it is text"):
+    with pytest.raises(FileFormatError, match="not a video: the file is text"):
         extract_frames(folder / "list.mp4", folder / "none", max_frames=2)
 
 

@@ -12,7 +12,7 @@ RATE_S = 0.005
 
 
 def carried(**options):
-    """Rows of a unit that is carried by hand: it tilts by some tens of degrees a second."""
+    """Rows of a unit that is carried by hand: it tilts by some tens of degrees per second."""
     seconds = np.arange(0.0, 6.0, 0.1)
     swing = np.stack([0.3 * np.sin(1.1 * seconds), 0.2 * np.cos(0.7 * seconds), 0.1 * seconds], axis=1)
     tilt = np.stack([0.5 * np.sin(0.9 * seconds), 0.4 * np.cos(1.3 * seconds), 0.2 * seconds], axis=1)
@@ -44,8 +44,8 @@ def test_a_sound_log_is_read_without_a_word(table, tmp_path):
         (lambda t: t[:, 4:].__itruediv__(9.80665), "probably in g .*9.80665"),
         (lambda t: t[:, 4:].__itruediv__(0.00980665), "thousandths of g"),
         (lambda t: t[:, 4:].__imul__(1670.0), "raw counts"),
-        (lambda t: t[:, 4:].__imul__(0.0), "gravity has been taken out"),
-        (lambda t: t[:, 1:4].__imul__(180 / np.pi), "degrees a second"),
+        (lambda t: t[:, 4:].__imul__(0.0), "gravity was removed"),
+        (lambda t: t[:, 1:4].__imul__(180 / np.pi), "degrees per second"),
         (
             lambda t: t.__setitem__((slice(None), slice(1, None)), t[:, [4, 5, 6, 1, 2, 3]]),
             "wx wy wz, ax ay az",
@@ -64,12 +64,12 @@ def test_gravity_that_was_taken_out_is_named(tmp_path):
     for factor in (0.02, 0.1, 0.3):  # slow and fast motions
         table = carried(gravity_in_world=(0.0, 0.0, 0.0))
         table[:, 4:] *= factor
-        with pytest.raises(FileFormatError, match="gravity has been taken out"):
+        with pytest.raises(FileFormatError, match="gravity was removed"):
             read_imu(written(tmp_path / "imu.txt", table))
 
 
 def test_slow_turns_in_degrees_are_known_by_gravity(table, tmp_path):
-    """At 2 to 5 degrees a second the size alone shows nothing."""
+    """At 2 to 5 degrees per second the size alone shows nothing."""
     seconds = np.arange(0.0, 20.0, 0.1)
     tilt = np.stack([0.3 * np.sin(0.2 * seconds), 0.2 * np.cos(0.15 * seconds), 0 * seconds], axis=1)
     still = np.zeros((len(seconds), 3))
@@ -78,7 +78,7 @@ def test_slow_turns_in_degrees_are_known_by_gravity(table, tmp_path):
     )
     slow = np.column_stack([log.timestamp_s, np.degrees(log.gyro_rad_s), log.accel_m_s2])
     assert np.median(np.linalg.norm(slow[:, 1:4], axis=1)) < 5.0
-    with pytest.raises(FileFormatError, match="degrees a second they would agree"):
+    with pytest.raises(FileFormatError, match="agree with them if read as degrees per second"):
         read_imu(written(tmp_path / "imu.txt", slow))
 
 
@@ -105,7 +105,7 @@ def test_rows_out_of_order_are_sorted_and_doubled_ones_dropped(table, tmp_path, 
     log, _ = read_imu(written(tmp_path / "imu.txt", np.concatenate([shuffled, shuffled[:3]])))
     np.testing.assert_allclose(log.timestamp_s, table[:, 0], atol=1e-9)
     np.testing.assert_allclose(log.gyro_rad_s, table[:, 1:4], rtol=1e-9)
-    assert "are sorted by time" in log.notes[0] and "3 samples repeat a time" in log.notes[1]
+    assert "were sorted by time" in log.notes[0] and "3 samples repeat a time" in log.notes[1]
     swapped = np.concatenate([table[600:], table[:600]])  # two parts in the wrong order
     log, _ = read_imu(written(tmp_path / "imu.txt", swapped))
     assert "1 samples are earlier" in log.notes[0] and len(log) == len(table)

@@ -67,17 +67,17 @@ def test_wrong_files(tmp_path):
         with pytest.raises(FileFormatError, match=words):
             read_llff(tmp_path / "a")
 
-    refused(rows[:2], "tells 2 cameras")
+    refused(rows[:2], "it has 2 cameras")
     refused(rows[:, :15], "17 numbers")
     refused(np.where(np.arange(17) == 3, np.nan, rows), "not finite")
     refused(np.where(np.arange(17) == 15, -1.0, rows), "in order")
-    refused(np.where(np.arange(17) == 14, 0.0, rows), "impossible camera")
+    refused(np.where(np.arange(17) == 14, 0.0, rows), "invalid camera")
     narrow = rows.copy()
     narrow[:, 9], narrow[:, 14] = (
         1e300,
         1e-100,
     )  # width and focal length: their ratio is 0 in double precision
-    refused(narrow, "impossible camera")
+    refused(narrow, "invalid camera")
     refused(2 * rows, "rotation")
     (tmp_path / "a" / LLFF).write_bytes(b"\x93NUMPY\x01\x00 nothing")
     with pytest.raises(FileFormatError, match="not an array"):

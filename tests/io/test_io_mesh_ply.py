@@ -62,9 +62,9 @@ def test_text_and_points_are_read(tmp_path: Path) -> None:
         ([[0, 1, 2]], b"uchar int", 2, "ends within"),
         ([[0, 1, 2]], b"uchar int", 10**12, "ends within"),
         ([], b"uchar int", 1, "before its faces"),
-        ([[0, 1, 4]], b"uchar int", 1, "not there"),
-        ([[0, 1, -1]], b"uchar int", 1, "not there"),
-        ([[0, 1, 2]], b"uchar float", 1, "not whole"),
+        ([[0, 1, 4]], b"uchar int", 1, "missing vertex"),
+        ([[0, 1, -1]], b"uchar int", 1, "missing vertex"),
+        ([[0, 1, 2]], b"uchar float", 1, "not integers"),
         ([[0, 1, 2]], b"uint int", 1, "ends within"),
     ],
 )

@@ -103,7 +103,7 @@ def test_an_image_of_another_shape_is_refused(tmp_path):
     model = model_of(1, of_stored=True)
     write(tmp_path / "photo0.png", np.zeros((H, H, 3), np.uint8), 1)
     images = ModelImages(model, tmp_path, is_own=False)
-    with pytest.raises(FileFormatError, match="is 48 x 48, its camera 64 x 48"):
+    with pytest.raises(FileFormatError, match="is 48 x 48, but its camera 64 x 48"):
         images.find("photo0.png")
     assert images.loader(100)("photo0.png") is None
 

@@ -40,8 +40,8 @@ def folder(tmp_path):
     return path
 
 
-FILES = "5 files are passed over"
-FOLDER = "the folder day with 3 files, 2 of them images, is passed over, because its config.json"
+FILES = "Skipped 5 files without a supported image suffix"
+FOLDER = "Skipped the folder day (3 files, 2 of them images): its config.json"
 
 
 def test_they_are_counted_and_named(folder):
@@ -51,10 +51,13 @@ def test_they_are_counted_and_named(folder):
     assert files.startswith(FILES) and results.startswith(FOLDER)
     for words in ("2 .xyz (a.xyz, a JPEG image)", "1 .thm (c.thm, a GIF image)", "1 .txt (notes.txt)"):
         assert words in files
-    assert "1 without a suffix (nosuffix)" in files and "convert or rename the images" in files
+    assert (
+        "1 without a suffix (nosuffix)" in files
+        and "to use the images among them, convert or rename them" in files
+    )
     assert not list_photographs(folder / "day").passed_over[1:]
     fewer = list_photographs(folder, ignore=[folder / "day", folder / "notes.txt"])
-    assert len(fewer.passed_over) == 1 and fewer.passed_over[0].startswith("4 files are")
+    assert len(fewer.passed_over) == 1 and fewer.passed_over[0].startswith("Skipped 4 files")
 
 
 def test_a_folder_of_them_alone_says_what_is_in_it(folder, tmp_path):
@@ -62,7 +65,7 @@ def test_a_folder_of_them_alone_says_what_is_in_it(folder, tmp_path):
     gifs.mkdir()
     for n in range(3):
         Image.new("RGB", (64, 48)).save(gifs / f"{n}.gifx", "GIF")
-    said = r"3 files are passed over, .*3 \.gifx \(0\.gifx, a GIF image\); convert or rename"
+    said = r"Skipped 3 files .*3 \.gifx \(0\.gifx, a GIF image\); to use .*convert or rename"
     for job in (
         lambda: epipole.reconstruct(gifs, tmp_path / "a"),
         lambda: epipole.slam(gifs, tmp_path / "b"),
@@ -81,7 +84,9 @@ def test_every_job_reports_them(folder, tmp_path):
         tmp_path / "memory.npz",
         progress=lambda _: None,
     )
-    assert any(note.startswith("4 files") for note in images.notes) and FOLDER in " ".join(images.notes)
+    assert any(note.startswith("Skipped 4 files") for note in images.notes) and FOLDER in " ".join(
+        images.notes
+    )
     assert FILES in " ".join(read_sequence(folder, 10.0).warnings)
 
 

@@ -89,7 +89,7 @@ def test_fractions_with_an_overshoot_and_without_a_value(tmp_path: Path) -> None
 
 @pytest.mark.parametrize(("kind", "value"), [("uint", 1_000_000), ("int", -3), ("float", 1e9)])
 def test_unknown_ranges_are_refused(tmp_path: Path, kind: str, value: float) -> None:
-    with pytest.raises(FileFormatError, match="no known range"):
+    with pytest.raises(FileFormatError, match="not a known range"):
         read_points_ply(written(tmp_path / "x.ply", kind, [[value, 0, 0]]))
 
 

@@ -73,7 +73,7 @@ def test_times_by_a_computers_clock(tmp_path, unit, name):
     times(folder, [str(round(second * unit)) for second in seconds])
     found = read_sequence(folder)
     np.testing.assert_allclose([frame.timestamp_s for frame in found.frames], seconds, atol=6e-4)
-    assert found.warnings == (f"times.txt: its numbers are {name}",)
+    assert found.warnings == (f"times.txt: its times are in {name}",)
 
 
 def test_numbered_images_come_in_the_order_of_their_numbers(tmp_path):
@@ -97,5 +97,5 @@ def test_microseconds_in_the_layout_of_euroc_are_refused(tmp_path):
     images(tmp_path / "cam0" / "data", ["a.png", "b.png", "c.png"])
     rows = (f"{1400000000000000 + 50000 * n},{name}.png\n" for n, name in enumerate("abc"))
     (tmp_path / "cam0" / "data.csv").write_text("".join(rows))
-    with pytest.raises(FileFormatError, match="5e-05 s apart if its times are nanoseconds"):
+    with pytest.raises(FileFormatError, match="5e-05 s apart if its times were nanoseconds"):
         read_sequence(tmp_path)

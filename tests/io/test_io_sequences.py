@@ -53,11 +53,11 @@ def test_tum_frames_get_the_nearest_depth(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "names no image"),
-        ("1.0\n", "line 1: a time and a file's name"),
-        ("x rgb/1.png\n", "line 1: a time"),
+        ("", "lists no images"),
+        ("1.0\n", "line 1: expected a time and a file name"),
+        ("x rgb/1.png\n", "line 1: expected a time"),
         ("1.0 rgb/1.png\nnan rgb/1.png\n", "line 2: the time is not finite"),
-        ("1.0 ../../etc/passwd\n", "no name of a file inside"),
+        ("1.0 ../../etc/passwd\n", "does not name a file inside"),
     ],
 )
 def test_lists_that_are_damaged(tmp_path, text, words):
@@ -89,7 +89,7 @@ def test_folders_that_are_none(tmp_path, data_dir):
             read_sequence(wrong)
     shutil.copytree(data_dir / "slam" / "euroc_static" / "mav0" / "cam0", tmp_path / "cam0")
     shutil.rmtree(tmp_path / "cam0" / "data")
-    with pytest.raises(FileFormatError, match="none of its images is there"):
+    with pytest.raises(FileFormatError, match="none of its images exists"):
         read_sequence(tmp_path)
 
 
@@ -99,7 +99,7 @@ def test_sequences_beside_each_other_are_not_one(tmp_path):
         for n in range(2):
             cv2.imwrite(str(tmp_path / name / f"frame-{n:06d}.color.png"), np.zeros((48, 64), np.uint8))
     with pytest.raises(
-        FileFormatError, match=r"holds 2 sequences \(seq-01, seq-02\): choose one, .*seq-01 for one"
+        FileFormatError, match=r"contains 2 sequences \(seq-01, seq-02\): choose one, for example .*seq-01"
     ):
         read_sequence(tmp_path)
     assert len(read_sequence(tmp_path / "seq-01").frames) == 2

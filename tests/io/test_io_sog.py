@@ -306,35 +306,35 @@ def grey():
 
 
 BAD = {
-    "another version": (changed("version", value=3), "is of version 3"),
-    "no version": (changed("version", value=[]), "is of version"),
+    "another version": (changed("version", value=3), "unsupported SOG version 3"),
+    "no version": (changed("version", value=[]), "unsupported SOG version"),
     "no means": (without("means"), "images of means"),
     "means are words": (changed("means", value="a"), "images of means"),
     "one image of two": (changed("means", "files", value=["low"]), "images of means"),
-    "a name is a number": (changed("quats", "files", value=[3]), "a name is text"),
+    "a name is a number": (changed("quats", "files", value=[3]), "a name must be text"),
     "no such image": (changed("quats", "files", value=["../../etc/passwd"]), "no item named"),
-    "no count": (without("count"), "how many Gaussians"),
-    "half a Gaussian": (changed("count", value=2.5), "how many Gaussians"),
-    "none": (changed("count", value=0), "how many Gaussians"),
-    "very many": (changed("count", value=10**12), "promises 1000000000000 Gaussians"),
+    "no count": (without("count"), "no number of Gaussians"),
+    "half a Gaussian": (changed("count", value=2.5), "no number of Gaussians"),
+    "none": (changed("count", value=0), "no number of Gaussians"),
+    "very many": (changed("count", value=10**12), "1000000000000 Gaussians cannot fit"),
     "more than the images hold": (changed("count", value=7), "has 6 pixels for 7"),
     "no range": (without("means", "mins"), "mins is missing"),
     "a range of two": (changed("means", "maxs", value=[1, 2]), "maxs is not 3 numbers"),
-    "no codebook": (without("sh0", "codebook"), "codebook of sh0"),
-    "a short codebook": (changed("scales", "codebook", value=[0.0] * 255), "codebook of scales"),
+    "no codebook": (without("sh0", "codebook"), "codebook numbers of sh0"),
+    "a short codebook": (changed("scales", "codebook", value=[0.0] * 255), "codebook numbers of scales"),
     "words in a codebook": (changed("scales", "codebook", value=["a"] * 256), "codebook of scales"),
     "a null in a codebook": (changed("scales", "codebook", value=[0.0, None] * 128), "codebook of scales"),
     "a label too large": (changed("shN", "count", value=69), "points to row 69 of a palette of 69"),
-    "an empty palette": (changed("shN", "count", value=0), "size of the palette"),
+    "an empty palette": (changed("shN", "count", value=0), "palette size"),
     "other bands": (changed("shN", "bands", value=2), "those of 2 bands"),
     "a palette of no width": (other_picture("palette", webp("RGB", (100, 2))), "100 x 2"),
     "a palette too high": (other_picture("palette", webp("RGB", (192, 1025))), "192 x 1025"),
     "an image too large": (other_picture("scales", webp("RGB", (2000, 2000))), "too large: 2000 x 2000"),
     "a rotation without its largest": (other_picture("quats", webp("RGBA", (3, 2))), "the alpha 0"),
-    "no image": (other_picture("sh0", b"nothing"), "no WebP or PNG"),
+    "no image": (other_picture("sh0", b"nothing"), "not a WebP or PNG"),
     "a cut image": (other_picture("sh0", webp("RGB", (3, 2))[:-9]), "'sh0' is damaged"),
-    "an empty image": (other_picture("sh0", b""), "no WebP or PNG"),
-    "a grey image": (other_picture("sh0", grey()), "three colours"),
+    "an empty image": (other_picture("sh0", b""), "not a WebP or PNG"),
+    "a grey image": (other_picture("sh0", grey()), "three 8-bit colors"),
     "nothing is finite": (changed("means", "maxs", value=[1e300] * 3), "none of its 5 Gaussians is finite"),
 }
 
@@ -353,10 +353,15 @@ def test_damaged_zips_and_texts_are_told(tmp_path):
     whole = put(tmp_path / "a.sog", meta, images).read_bytes()
     for data in (b"", b"PK", whole[:-30], whole[: len(whole) // 2], whole[: len(whole) // 2] + bytes(99)):
         (tmp_path / "a.sog").write_bytes(data)
-        with pytest.raises(FileFormatError, match="a damaged SOG file, or none"):
+        with pytest.raises(FileFormatError, match="not a SOG file, or damaged"):
             read_sog(tmp_path / "a.sog")
         assert not is_sog(tmp_path / "a.sog")
-    for text, said in (("{", "not JSON"), ("[1]", "no list"), (b"\xff\xfe", "not UTF-8"), (None, "no item")):
+    for text, said in (
+        ("{", "not JSON"),
+        ("[1]", "not a JSON object"),
+        (b"\xff\xfe", "not UTF-8"),
+        (None, "no item"),
+    ):
         with pytest.raises(FileFormatError, match=said):
             read_sog(put(tmp_path / "b.sog", text, images))
     with pytest.raises(FileFormatError, match="NaN is not a finite number"):
@@ -385,5 +390,5 @@ def test_a_name_in_a_folder_stays_inside(tmp_path):
     for name in ("../scales", str(tmp_path / "scales")):
         meta["scales"]["files"] = [name]
         (tmp_path / "in" / "meta.json").write_text(json.dumps(meta))
-        with pytest.raises(FileFormatError, match="no name of a file inside"):
+        with pytest.raises(FileFormatError, match="does not name a file inside"):
             read_sog(tmp_path / "in" / "meta.json")

@@ -39,7 +39,7 @@ def test_covariances_in_29_columns(trajectory, tmp_path):
         read_trajectory(tmp_path / "a.txt").covariance, trajectory.covariance, rtol=1e-7
     )
     for wrong in ({"format": "kitti"}, {"format": "euroc"}):
-        with pytest.raises(ConfigError, match="TUM"):
+        with pytest.raises(ConfigError, match="needs the format 'tum'"):
             write_trajectory(trajectory, tmp_path / "b.txt", with_covariance=True, **wrong)
     assert not (tmp_path / "b.txt").exists()
 
@@ -47,15 +47,15 @@ def test_covariances_in_29_columns(trajectory, tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "no instant"),
-        ("# only a comment\n", "no instant"),
-        (f"{LINE}\n1 2 3\n", "line 2: 3 columns, 8 expected"),
-        ("1 2 3\n", "3 columns are no trajectory's"),
+        ("", "contains no poses"),
+        ("# only a comment\n", "contains no poses"),
+        (f"{LINE}\n1 2 3\n", "line 2: got 3 columns, expected 8"),
+        ("1 2 3\n", "3 columns do not match a trajectory"),
         (f"{LINE}\n0.5 1 2 x 0 0 0 1\n", "line 2: could not convert"),
         (f"{LINE}\n0.5 1 2 nan 0 0 0 1\n", "line 2: a number is not finite"),
-        (f"{LINE}\n0.5 1 2 3 0 0 0 2\n", "line 2: no unit quaternion"),
-        (f"{LINE}\n# no\n-1 1 2 3 0 0 0 1\n", "line 3: its time is before"),
-        ("1 0 0 0 0 1 0 0 0 0 -1 0\n", "line 1: no rotation matrix"),
+        (f"{LINE}\n0.5 1 2 3 0 0 0 2\n", "line 2: not a unit quaternion"),
+        (f"{LINE}\n# no\n-1 1 2 3 0 0 0 1\n", "line 3: its time is earlier"),
+        ("1 0 0 0 0 1 0 0 0 0 -1 0\n", "line 1: not a rotation matrix"),
     ],
 )
 def test_what_is_wrong_is_named_with_its_line(text, words, tmp_path):

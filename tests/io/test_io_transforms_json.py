@@ -108,19 +108,19 @@ def valid() -> dict:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"frames": None}, "no list of frames"),
-        ({"frames": [1]}, "no list of frames"),
-        ({"frames": [{}]}, "frame 0: there is no 'file_path'"),
-        ({"frames": [{"file_path": "a.png"}]}, "frame 0: there is no 'transform_matrix'"),
+        ({"frames": None}, "the list of frames is missing"),
+        ({"frames": [1]}, "the list of frames is missing"),
+        ({"frames": [{}]}, "frame 0: the key 'file_path' is missing"),
+        ({"frames": [{"file_path": "a.png"}]}, "frame 0: the key 'transform_matrix' is missing"),
         ({"frames": [{"file_path": "a", "transform_matrix": [[1]]}]}, "frame 0: transform_matrix is not 4x4"),
         (
             {"frames": [{"file_path": "a", "transform_matrix": (2 * np.eye(4)).tolist()}]},
-            "does not hold a rotation",
+            "does not contain a rotation",
         ),
         ({"fl_x": "wide"}, "frame 0: could not convert"),
         ({"fl_x": -3}, "focal length must be positive"),
         ({"fl_x": float("nan")}, "not a finite number"),
-        ({"w": 0}, "impossible image size"),
+        ({"w": 0}, "invalid image size"),
         ({"w": None}, "frame 0"),
         ({"k4": 0.1}, "k4 of"),
     ],
@@ -143,7 +143,7 @@ def test_what_is_no_transforms_file(tmp_path: Path) -> None:
             read_transforms(tmp_path / "t.json")
     without_size = {k: v for k, v in valid().items() if k != "w"}
     (tmp_path / "t.json").write_text(json.dumps(without_size))
-    with pytest.raises(FileFormatError, match="w and h are not given"):
+    with pytest.raises(FileFormatError, match="w and h are missing"):
         read_transforms(tmp_path / "t.json")
     without_focal = {k: v for k, v in valid().items() if k != "fl_x"}
     (tmp_path / "t.json").write_text(json.dumps(without_focal))

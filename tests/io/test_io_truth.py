@@ -91,7 +91,7 @@ def test_temple() -> None:
         ("a_par.txt", "", "number of cameras"),
         ("a_par.txt", "2\nx " + "1 " * 12 + "1 0 0 0 1 0 0 0 1", "line 2: not a rotation|number of cameras"),
         ("a_par.txt", "1\nx 1 2 3\n", "line 2: 21 finite numbers expected, got 3"),
-        ("a.txt", "hello", "no known cameras"),
+        ("a.txt", "hello", "not cameras in a supported format"),
     ],
 )
 def test_broken_files_are_refused(tmp_path: Path, name: str, content: str, message: str) -> None:
@@ -104,6 +104,7 @@ def test_nothing_there(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="no such file or folder"):
         read_truth(tmp_path / "nothing")
     with pytest.raises(
-        FileFormatError, match="no known cameras; it is empty; readable are a folder with a COLMAP model"
+        FileFormatError,
+        match="not cameras in a supported format; it is empty; supported are a folder with a COLMAP model",
     ):
         read_truth(tmp_path)

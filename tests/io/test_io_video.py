@@ -117,7 +117,7 @@ def test_damaged_videos(tmp_path):
     mp4 = write_video(tmp_path / "whole.mp4", fourcc="mp4v").read_bytes()
     (tmp_path / "cut.mp4").write_bytes(mp4[: len(mp4) // 2])
     for name in ("text.mp4", "empty.mp4", "cut.mp4"):
-        with pytest.raises(FileFormatError, match=rf"{name}.*not a video"):
+        with pytest.raises(FileFormatError, match=rf"{name}.*not a (readable )?video"):
             extract_frames(tmp_path / name, tmp_path / "out")
     with pytest.raises(FileFormatError, match="no such file"):
         extract_frames(tmp_path / "missing.mp4", tmp_path / "out")

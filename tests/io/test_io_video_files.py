@@ -82,5 +82,5 @@ def test_sizes(size: tuple[int, int], tmp_path: Path) -> None:
     read, frame = cv2.VideoCapture(str(tmp_path / "a.mp4")).read()
     assert read and lengths(tmp_path / "a.mp4") == 1
     assert frame.shape == (size[1] & ~1, size[0] & ~1, 3)
-    with pytest.raises(ConfigError, match="needs an image"):
+    with pytest.raises(ConfigError, match="needs at least one image"):
         write_video(tmp_path / "b.mp4", [], 25.0)

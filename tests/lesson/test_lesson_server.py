@@ -48,7 +48,7 @@ def test_files_are_written_whole(tmp_path):
 def test_wrong_ports_are_told():
     with pytest.raises(ConfigError, match="between 1 and 65535"):
         open_lesson(port=0)
-    with pytest.raises(ConfigError, match="no address of this machine"):
+    with pytest.raises(ConfigError, match="not an address of this machine"):
         open_lesson("192.0.2.1", 8099)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

@@ -157,7 +157,7 @@ def test_table_lists_absent_pictures_first_with_their_reason(content: ReportCont
     table = table_of(content)
     names = re.findall(r'<th scope="row" class="name">([^<]*)</th>', table)
     assert names == [*content.reconstruction.images.name[10:], *content.reconstruction.images.name[:10]]
-    assert table.count("not placed: too few matches with any placed image (7, needed 15)") == 2
+    assert table.count("not registered: too few matches with any placed image (7, needed 15)") == 2
     assert "Model" not in table
     assert "Model" in table_of(replace(content, other_components=(3,)))
 

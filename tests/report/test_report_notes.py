@@ -22,20 +22,20 @@ def test_warnings_come_first(content: ReportContent) -> None:
 
 
 def test_pictures_without_a_place_are_counted(content: ReportContent) -> None:
-    assert "2 of 12 images have no place" in text_of(content)
-    assert "no place" not in text_of(content_of(ring_model(6, num_points=80, num_absent=0)))
+    assert "2 of 12 images are not registered" in text_of(content)
+    assert "not registered" not in text_of(content_of(ring_model(6, num_points=80, num_absent=0)))
 
 
 def test_scale(content: ReportContent) -> None:
-    assert "Up to scale: images alone cannot tell lengths." in text_of(content)
+    assert "Up to scale: images alone do not determine lengths." in text_of(content)
     assert "Scale: metres from GPS." in text_of(replace(content, scale_note="metres from GPS"))
 
 
 def test_components(content: ReportContent) -> None:
-    assert "tied to each other" not in text_of(content)
+    assert "not connected" not in text_of(content)
     assert "two models" in text_of(replace(content, other_components=(3,)))
     assert "fell into 4 models" in text_of(replace(content, other_components=(5, 3, 2)))
-    assert "hold 5, 3 and 2 images" in text_of(replace(content, other_components=(5, 3, 2)))
+    assert "have 5, 3 and 2 images" in text_of(replace(content, other_components=(5, 3, 2)))
 
 
 def test_low_parallax_pairs(content: ReportContent) -> None:

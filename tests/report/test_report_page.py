@@ -77,7 +77,7 @@ def test_page_is_well_formed_and_loads_nothing(page: str) -> None:
 def test_header_numbers(page: str, content: ReportContent) -> None:
     tiles = dict(re.findall(r"<div><dt>([^<]*)</dt><dd>(.*?)</dd></div>", page))
     model = content.reconstruction
-    assert tiles["Images placed"] == "10 <small>of 12</small>"
+    assert tiles["Images registered"] == "10 <small>of 12</small>"
     assert tiles["Points"] == "400"
     assert tiles["Observations"].replace("\u202f", "") == str(len(model.tracks.image))
     assert tiles["Mean reprojection error"] == f"{model.mean_reprojection_error_px():.2f} <small>px</small>"

@@ -31,4 +31,4 @@ def test_less_is_refused_or_noted(tmp_path: Path) -> None:
     with overwriting():
         refuse_poorer(tmp_path, "n", 6, "frames")
     assert note_on_poorer(tmp_path, "n", 7, "frames") == []
-    assert "had 7 frames; this one has 6" in note_on_poorer(tmp_path, "n", 6, "frames")[0]
+    assert "had 7 frames; the new one that replaces it has 6" in note_on_poorer(tmp_path, "n", 6, "frames")[0]

@@ -39,7 +39,7 @@ def test_the_same_run_comes_back_and_others_do_not(folder: OutputFolder) -> None
     again = claim(folder.root, "made", [IMAGES])
     assert again.files == {"model": ["a.bin"]}
     for kind, source in (("other", IMAGES), ("made", Path("/elsewhere"))):
-        with pytest.raises(WorkspaceError, match="holds the results of `epipole made` of /pictures"):
+        with pytest.raises(WorkspaceError, match="contains the results of `epipole made` for /pictures"):
             claim(folder.root, kind, [source])
 
 
@@ -50,7 +50,7 @@ def test_a_marked_folder_without_results_may_be_taken(folder: OutputFolder) -> N
 
 def test_folders_of_others_are_refused(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(WorkspaceError, match="not made by epipole"):
+    with pytest.raises(WorkspaceError, match="not written by epipole"):
         claim(tmp_path, "made", [IMAGES])
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
     with pytest.raises(WorkspaceError, match="is a file"):
@@ -61,7 +61,7 @@ def test_results_do_not_go_among_the_inputs(tmp_path: Path) -> None:
     image = tmp_path / "left.png"
     image.write_bytes(b"")
     for given in (image, tmp_path):
-        with pytest.raises(WorkspaceError, match="choose another for the results"):
+        with pytest.raises(WorkspaceError, match="choose another output folder"):
             claim(tmp_path, "made", [given])
     claim(tmp_path / "out", "made", [image, tmp_path])
 
@@ -87,7 +87,7 @@ def test_a_block_that_fails_changes_nothing(folder: OutputFolder) -> None:
 def test_a_file_that_no_run_has_written_is_kept(folder: OutputFolder) -> None:
     publish(folder, "model", {"a.bin": "1"})
     (folder.root / "b.bin").write_text("mine")
-    with pytest.raises(WorkspaceError, match=r"holds b\.bin, which no earlier run has written"):
+    with pytest.raises(WorkspaceError, match=r"contains b\.bin, which was not written by an earlier run"):
         publish(folder, "model", {"a.bin": "2", "b.bin": "2"})
     assert (folder.root / "b.bin").read_text() == "mine" and (folder.root / "a.bin").read_text() == "1"
     publish(folder, "model", {"a.bin": "3"})
@@ -130,7 +130,8 @@ def test_the_work_of_a_stopped_run_is_not_free(folder: OutputFolder) -> None:
     folder.give_up(has_failed=False)
     folder.save()
     with pytest.raises(
-        WorkspaceError, match=r"holds the work of `epipole made` of /pictures; .* rename them back"
+        WorkspaceError,
+        match=r"contains the intermediate files of `epipole made` for /pictures; .* rename them back",
     ):
         claim(folder.root, "made", [Path("/elsewhere")])
     claim(folder.root, "made", [IMAGES])
@@ -144,7 +145,7 @@ def test_a_renamed_source_is_known_by_its_files(tmp_path: Path) -> None:
     publish(claim(out, "made", [before]), "model", {"a.bin": "1"})
     after.mkdir()
     (after / "a.jpg").write_text("1")
-    with pytest.raises(WorkspaceError, match="holds the results"):  # both are there: which is it?
+    with pytest.raises(WorkspaceError, match="contains the results"):  # both are there: which is it?
         claim(out, "made", [after])
     (after / "a.jpg").unlink()
     after.rmdir()
@@ -166,7 +167,7 @@ def test_what_is_no_file_any_more_is_not_replaced(folder: OutputFolder, tmp_path
     (folder.root / "b.bin").unlink()
     (folder.root / "b.bin").symlink_to(mine)
     for name in ("a.bin", "b.bin"):
-        with pytest.raises(WorkspaceError, match=rf"{name[0]}\.bin is no file any more: remove it"):
+        with pytest.raises(WorkspaceError, match=rf"{name[0]}\.bin is no longer a file: remove it"):
             publish(folder, "model", {name: "2"})
     publish(folder, "model", {"c.bin": "1"})  # stale now, and left alone
     assert (folder.root / "a.bin").is_dir() and (folder.root / "b.bin").is_symlink()
@@ -181,7 +182,7 @@ def test_nothing_is_written_or_removed_through_a_linked_folder(folder: OutputFol
     (folder.root / "images" / "a.jpg").unlink()
     (folder.root / "images").rmdir()
     (folder.root / "images").symlink_to(photos)
-    with pytest.raises(WorkspaceError, match="no name of a file inside"):
+    with pytest.raises(WorkspaceError, match="does not name a file inside"):
         publish(folder, "images", {"images/a.jpg": "2"})
     publish(folder, "images", {"c.bin": "1"})
     assert (photos / "a.jpg").read_text() == "mine"
@@ -255,7 +256,7 @@ def test_what_stands_in_a_results_place_is_found_before_the_work(folder: OutputF
     publish(folder, "model", {"points.ply": "1"})
     (folder.root / "points.ply").unlink()
     (folder.root / "points.ply").mkdir()
-    with pytest.raises(WorkspaceError, match=r"points\.ply is no file any more: remove it"):
+    with pytest.raises(WorkspaceError, match=r"points\.ply is no longer a file: remove it"):
         claim(folder.root, "made", [IMAGES])
     (folder.root / "points.ply").rmdir()
     claim(folder.root, "made", [IMAGES])

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from epipole._declared.tables import Expected
+from epipole._checks.tables import Expected
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io.images.depth_maps import write_pfm
 from epipole.io.images.photographs import write_jpeg_with_exif

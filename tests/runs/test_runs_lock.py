@@ -30,7 +30,7 @@ with open_run(Job(kind="made", inputs=(), settings={}), root) as run:
 def test_the_second_is_told_and_the_next_may_enter(tmp_path: Path) -> None:
     root = tmp_path / "out"
     with alone_in(root):
-        given = pytest.raises(WorkspaceError, match=r"another run of epipole \(process \d+\) works in .*out")
+        given = pytest.raises(WorkspaceError, match=r"another run of epipole \(process \d+\) uses .*out")
         with given, alone_in(root):
             pytest.fail("two at once")
         (root / "a.txt").write_text("1")

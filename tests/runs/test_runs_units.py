@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from epipole._declared.tables import Expected
+from epipole._checks.tables import Expected
 from epipole.errors import WorkspaceError
 from epipole.runs import Unit, digest, load, run_units, store, stored_key
 

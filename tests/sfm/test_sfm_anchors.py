@@ -24,7 +24,7 @@ def test_the_job_states_what_fixed_the_scale(rendered, tmp_path, rng):
             lines.append(f"wall {np.linalg.norm(ends[0] - ends[1])} {end} {names[n]} {x} {y}\n")
     (tmp_path / "lengths.txt").write_text("".join(lines))
     plain = reconstruct(rendered, tmp_path / "out")
-    assert plain.summary["scale"] == "up to scale: images alone cannot tell lengths"
+    assert plain.summary["scale"] == "up to scale: images alone do not determine lengths"
     assert not plain.summary["is_metric"] and plain.summary["anchor"] is None
     options = {
         "positions": tmp_path / "places.txt",

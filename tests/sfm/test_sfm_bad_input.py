@@ -143,7 +143,7 @@ def test_pure_rotation_gives_no_depth(tmp_path):
     rotations = Rotation3.exp(np.array([[0, 0.12 * k, 0.01 * k] for k in range(3)])).matrix
     views = Rigid3(rotations @ base.rotation, (rotations @ base.translation[..., None])[..., 0])
     render_to(tmp_path / "turn", views)
-    with pytest.raises(NoModelError, match="only turned"):
+    with pytest.raises(NoModelError, match="only rotated"):
         reconstruct(tmp_path / "turn", tmp_path / "out")
     assert (tmp_path / "out" / "database.db").is_file()
 
@@ -168,7 +168,7 @@ def test_outputs_that_cannot_be_used(rendered, tmp_path):
         reconstruct(rendered, tmp_path / "file")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "precious.txt").write_text("mine")
-    with pytest.raises(WorkspaceError, match="not made by epipole"):
+    with pytest.raises(WorkspaceError, match="not written by epipole"):
         reconstruct(rendered, tmp_path / "other")
     assert [p.name for p in (tmp_path / "other").iterdir()] == ["precious.txt"]
     (tmp_path / "held").mkdir()
@@ -181,7 +181,7 @@ def test_outputs_that_cannot_be_used(rendered, tmp_path):
         "files": {"model": ["a.bin"]},
     }
     (tmp_path / "held" / "epipole.json").write_text(json.dumps(mark))
-    with pytest.raises(WorkspaceError, match="holds the results of `epipole reconstruct` of /elsewhere"):
+    with pytest.raises(WorkspaceError, match="contains the results of `epipole reconstruct` for /elsewhere"):
         reconstruct(rendered, tmp_path / "held")
 
 
@@ -193,10 +193,10 @@ def test_outputs_that_cannot_be_used(rendered, tmp_path):
         ("nan,240,160,0", "finite"),
         ("1e999,240,160,0", "finite"),
         ("-5,240,160,0", "must be positive"),
-        ("1e308,240,160,0", "f = 1e.308 cannot be of a camera of 480x320"),
-        ("1e-3,240,160,0", "f = 0.001 cannot"),
-        ("400,1e300,160,0", "cx = 1e.300 cannot"),
-        ("400,240,160,1e300", "k = 1e.300 cannot"),
+        ("1e308,240,160,0", "f = 1e.308 is not plausible for a camera of 480x320"),
+        ("1e-3,240,160,0", "f = 0.001 is not plausible"),
+        ("400,1e300,160,0", "cx = 1e.300 is not plausible"),
+        ("400,240,160,1e300", "k = 1e.300 is not plausible"),
     ],
 )
 def test_wrong_camera_params(rendered, tmp_path, params, word):

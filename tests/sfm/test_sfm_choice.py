@@ -45,7 +45,7 @@ def test_no_folder_of_masks_is_an_error_before_any_work(rendered, tmp_path):
         with pytest.raises(ConfigError, match=f"masks must be a folder of masks: .*{wrong} {word}"):
             reconstruct(rendered, tmp_path / "out", ReconstructConfig(masks=tmp_path / wrong))
     assert not (tmp_path / "out").exists()
-    with pytest.raises(ConfigError, match="masks have no say over the features of a database"):
+    with pytest.raises(ConfigError, match="masks cannot be combined with database"):
         ReconstructConfig(masks=tmp_path, database=tmp_path / "database.db")
 
 
@@ -88,7 +88,7 @@ def test_patterns_choose_pictures(rgbd):
 
 def test_patterns_that_fit_nothing_name_what_is_there(rgbd, tmp_path):
     with pytest.raises(
-        ConfigError, match=r"include '\*.tif' fits none .* frame-000000.color.jpg, frame-000000.depth"
+        ConfigError, match=r"include '\*.tif' matches none .* frame-000000.color.jpg, frame-000000.depth"
     ):
         reconstruct(rgbd, tmp_path / "out", ReconstructConfig(include=("*.jpg", "*.tif")))
     with pytest.raises(
@@ -96,13 +96,13 @@ def test_patterns_that_fit_nothing_name_what_is_there(rgbd, tmp_path):
     ):
         reconstruct(rgbd, tmp_path / "out", ReconstructConfig(exclude=("frame*",)))
     assert not (tmp_path / "out").exists()
-    assert "exclude '*.tif' fits none" in chosen(rgbd, exclude=("*.tif",)).notes[0]
+    assert "exclude '*.tif' matches none" in chosen(rgbd, exclude=("*.tif",)).notes[0]
 
 
 def test_depth_beside_colour_is_left_out_and_said(rgbd):
     found = chosen(rgbd)
     assert [name for name in found.names if "depth" in name] == [] and len(found) == 6
-    assert "6 of 12 images are 16-bit grey PNGs" in found.notes[0] and "--include '*'" in found.notes[0]
+    assert "6 of 12 images are 16-bit gray PNGs" in found.notes[0] and "--include '*'" in found.notes[0]
     for path in rgbd.glob("*.color.jpg"):
         path.unlink()
     alone = chosen(rgbd)  # a camera may well give 16 bits
@@ -133,12 +133,12 @@ def test_a_calibration_makes_the_camera_known(rendered, tmp_path):
 def test_calibrations_that_do_not_fit(rendered, tmp_path):
     path = tmp_path / "calibration.json"
     write_calibration(path, CalibrationFile((CAMERA, CAMERA), Rigid3.identity(2)))
-    with pytest.raises(ConfigError, match="holds 2 cameras"):
+    with pytest.raises(ConfigError, match="has 2 cameras"):
         chosen(rendered, calibration=path)
     write_calibration(path, CalibrationFile((replace(CAMERA, width=100),), Rigid3.identity(1)))
-    with pytest.raises(ConfigError, match="of images of 100x320, but these are 480x320"):
+    with pytest.raises(ConfigError, match="for images of 100x320, but these are 480x320"):
         chosen(rendered, calibration=path)
-    with pytest.raises(ConfigError, match="calibration tells model and parameters"):
+    with pytest.raises(ConfigError, match="calibration already has model and parameters"):
         ReconstructConfig(calibration=path, camera_params="1,2,3")
 
 

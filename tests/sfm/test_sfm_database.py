@@ -78,7 +78,7 @@ def test_a_picture_that_the_database_lacks_is_left_out_with_the_reason(rendered,
 
 def test_a_database_of_other_pictures_is_refused(rendered, database, tmp_path):
     run("UPDATE images SET name = 'other' || name", database)
-    with pytest.raises(ConfigError, match="knows none of the images"):
+    with pytest.raises(ConfigError, match="has none of the images"):
         reconstruct(rendered, tmp_path / "out", ReconstructConfig(database=database))
 
 

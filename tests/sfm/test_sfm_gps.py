@@ -128,7 +128,7 @@ def test_what_speaks_against_the_fixes_is_said() -> None:
     up = [np.array([0.0, 0.0, 1.0])]
     found = gps_evidence(centers, rng.uniform(0, 111, (12, 3)), up)
     assert not found.is_convincing and found.num_positions == 12
-    assert "half of the 12 images lie" in found.in_words() and "shuffled among the images" in found.in_words()
+    assert "half of the 12 images are" in found.in_words() and "shuffled among the images" in found.in_words()
     same_position = gps_evidence(0 * centers, rng.uniform(0, 111, (12, 3)), up)
     assert not same_position.is_convincing
     few = gps_evidence(centers[:2], centers[:2], up)
@@ -279,7 +279,7 @@ def test_without_enough_fixes_the_scale_is_unknown_and_said_to_be(photographs, t
     result = reconstruct(folder, tmp_path / "out")
     assert not result.summary["is_metric"]
     assert result.summary["median_gps_residual_m"] is None
-    assert any("2 of the model's images carry GPS, at least 3 are needed" in w for w in result.warnings)
+    assert any("2 of the model's images carry GPS, but at least 3 are needed" in w for w in result.warnings)
     # Fixes within their own error of each other: as many as it takes, but of a courtyard.
     vague = ReconstructConfig(mapper=MapperConfig(gps_sigma_m=1000.0))
     again = reconstruct(photographs, tmp_path / "vague", vague)

@@ -14,5 +14,5 @@ def test_a_model_that_disagrees_is_kept_with_a_warning(rendered, tmp_path):
     strict = MapperConfig(min_final_agreement=0.9999, restarts=0)
     result = reconstruct(rendered, tmp_path / "out", ReconstructConfig(mapper=strict))
     assert result.model.is_registered().all()
-    assert any("of its own matches" in warning for warning in result.warnings)
-    assert "of its own matches" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert any("of its matches" in warning for warning in result.warnings)
+    assert "of its matches" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")

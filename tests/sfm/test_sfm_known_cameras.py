@@ -62,13 +62,13 @@ def test_the_same_of_numbers(rotated):
 def test_half_size_images(calibration):
     found = grouped([header(size=(240, 160))] * 2, calibration=calibration)
     np.testing.assert_allclose(found.cameras[0].params, LENS.scaled_to(240, 160).params)
-    assert found.notes == (f"calibration {calibration} is of images of 480x320: it is scaled to 240x160",)
+    assert found.notes == (f"calibration {calibration} is for images of 480x320 and was scaled to 240x160",)
 
 
 def test_what_does_not_fit_is_refused_with_both_sizes(calibration):
-    with pytest.raises(ConfigError, match="of images of 480x320, but these are 320x480"):
+    with pytest.raises(ConfigError, match="for images of 480x320, but these are 320x480"):
         grouped([header(size=(320, 480))], calibration=calibration)
-    with pytest.raises(ConfigError, match="of images of 480x320, but these are 480x300"):
+    with pytest.raises(ConfigError, match="for images of 480x320, but these are 480x300"):
         grouped([header(), header(size=(480, 300))], calibration=calibration)
 
 
@@ -91,6 +91,6 @@ def test_a_database_may_be_of_stored_pixels(tmp_path, orientation, is_refused):
         _refuse_rotated(tmp_path / "given.db", images)
         return
     with pytest.raises(
-        ConfigError, match=r"a.png has EXIF orientation 3, and the keypoints in .*given.db may be"
+        ConfigError, match=r"a.png has EXIF orientation 3, so the keypoints in .*given.db may refer"
     ):
         _refuse_rotated(tmp_path / "given.db", images)

@@ -122,7 +122,7 @@ def test_what_is_contradicted_is_said(tmp_path, rng):
     found = _without_contradictions(images_of(tmp_path, 5), graph, ReconstructConfig())
     assert len(found.cameras) == 5 == len(found.focal_sources)
     assert found.notes == (
-        "5 images of 800x600 without a known focal length contradict a shared one: each has a camera of its own",
+        "5 images of 800x600 without a known focal length contradict a shared one: each gets its own camera",
     )
     for images, config in (
         (images_of(tmp_path, 5), ReconstructConfig(single_camera=True)),

@@ -47,7 +47,7 @@ def test_focal_lengths_are_said_of_pictures_with_their_final_values(given):
     result, _, _ = given
     (note,) = [w for w in result.warnings if "focal length" in w]
     final_px = result.model.cameras[0].focal_px
-    assert note.startswith("focal length found from the images themselves: view_00.jpg and 4 others: ")
+    assert note.startswith("focal length estimated from the images: view_00.jpg and 4 others: ")
     assert f": {final_px:.0f} px" in note
     assert abs(final_px - CAMERA.focal_px) < 0.1 * CAMERA.focal_px
 
@@ -55,15 +55,15 @@ def test_focal_lengths_are_said_of_pictures_with_their_final_values(given):
 def test_where_focal_lengths_come_from(given, tmp_path, rendered):
     result, _, folder = given
     (source,) = result.summary["focal_sources"][:1]
-    assert source == "found from the images (assumed 1.2 x the longer side at first)"
+    assert source == "estimated from the images (assumed 1.2 x the longer side at first)"
     for path in sorted(folder.iterdir())[:2]:  # two images: nothing can be found from their pair alone
         (tmp_path / "two").mkdir(exist_ok=True)
         (tmp_path / "two" / path.name).write_bytes(path.read_bytes())
     two = reconstruct(tmp_path / "two", tmp_path / "out")
-    is_found = "found from the images" in two.summary["focal_sources"][0]
-    assert is_found != any("nothing tells the focal length" in w for w in two.warnings)
+    is_found = "estimated from the images" in two.summary["focal_sources"][0]
+    assert is_found != any("the focal length is unknown" in w for w in two.warnings)
     known = reconstruct(rendered, tmp_path / "known")
-    assert known.summary["focal_sources"] == ["EXIF, 35 mm equivalent, then adjusted with the model"]
+    assert known.summary["focal_sources"] == ["EXIF, 35 mm equivalent, then refined with the model"]
     assert not any("focal" in w for w in known.warnings)
 
 

@@ -76,7 +76,7 @@ def test_the_file_says_where_its_metres_come_from(runs):
     plain = read_slam_map(runs / "scaleless", MONO)
     assert not plain.is_metric and not plain.scale
     assert read_slam_map(runs / "metric", RGBD).is_metric  # metres are metres, whatever camera goes on
-    with pytest.raises(ConfigError, match="no metre"):
+    with pytest.raises(ConfigError, match="is up to scale"):
         read_slam_map(runs / "scaleless", RGBD)
 
 
@@ -155,13 +155,13 @@ def test_pictures_of_the_map_are_not_taken_for_those_of_this_run(runs, tmp_path,
         (
             "metric",
             False,
-            r"in metres already \(metres, from 18 measured positions .*\): odometry and imu would",
+            r"metric already \(metres, from 18 measured positions .*\): odometry and imu would",
         ),
-        ("metric", True, "in metres already"),
+        ("metric", True, "metric already"),
         (
             "scaleless",
             True,
-            "localize leaves the map as it is, and it is up to scale: odometry and imu would",
+            "localize does not change the known map, which is up to scale: odometry and imu would",
         ),
     ],
 )

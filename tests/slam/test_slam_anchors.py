@@ -113,7 +113,7 @@ def test_places_that_tell_nothing_leave_the_path_up_to_scale(images, tmp_path):
     (tmp_path / "log.txt").write_text("".join(f"{n / 30} 1 2 3\n" for n in range(30)))
     result = run_slam(images, tmp_path / "out", **LENS, positions=tmp_path / "log.txt")
     assert not result.summary["is_metric"] and "up to scale" in result.summary["scale"]
-    assert any("stays up to scale" in w for w in result.warnings)
+    assert any("remains up to scale" in w for w in result.warnings)
 
 
 @pytest.mark.parametrize("kind", ["distances", "places"])

@@ -44,8 +44,8 @@ def test_a_list_out_of_order_and_with_doubled_times(tmp_path):
     result = run_slam(folder, tmp_path / "out", **KNOWN)
     assert result.summary["num_localized"] == COUNT
     assert set(result.warnings) == {
-        "rgb.txt: 2 lines are earlier than those before them, and are sorted",
-        "rgb.txt: 1 lines repeat a time; of each the first is taken",
+        "rgb.txt: 2 lines are earlier than the previous line, and were sorted",
+        "rgb.txt: 1 lines repeat a time; only the first of each is used",
     }
 
 
@@ -99,8 +99,8 @@ def test_depth_pictures_of_another_size(tmp_path):
     result = run_slam(folder, tmp_path / "out", **KNOWN)
     assert result.summary["num_localized"] == COUNT - 1
     (warning,) = result.warnings
-    assert warning.startswith("frame 4 is left out: the depth is 80 x 60, the depth camera's 320 x 240")
-    assert "depth that is registered to the image has its size" in warning
+    assert warning.startswith("frame 4 is left out: the depth is 80 x 60, but the depth camera is 320 x 240")
+    assert "registered depth has the size of the image" in warning
     for n in range(COUNT):
         cv2.imwrite(str(folder / "depth" / f"{n}.png"), np.full((60, 80), 5000, np.uint16))
     with pytest.raises(NoModelError, match="the depth is 80 x 60"):
@@ -168,7 +168,7 @@ def test_a_pair_whose_second_camera_ends_first(tmp_path):
 @pytest.mark.parametrize(
     ("odd", "words"),
     [
-        (lambda: Frame(0.25, ride().left[4]), "comes after"),
+        (lambda: Frame(0.25, ride().left[4]), "timestamps must increase"),
         (lambda: Frame(0.4, ride().left[4][::2, ::2].copy()), "160 x 120"),
         (lambda: raised(FileFormatError("4.png", "is damaged")), "is damaged"),
     ],

@@ -41,12 +41,12 @@ def test_millimetres_in_the_layout_of_tum(tmp_path, true_length, capsys):
     folder, known = tum_folder(tmp_path / "room", 1000.0), {"camera_params": PARAMS}
     result = run_slam(folder, tmp_path / "out", **known)
     (warning,) = (words for words in result.warnings if "--depth-scale" in words)
-    assert "5000 values for a metre" in warning and "1000 would give usual distances, too" in warning
+    assert "5000 values per metre" in warning and "1000 would also give plausible distances" in warning
     source = result.summary["source"]
-    assert source["depth_scale"] == 5000.0 and "1000 is possible" in source["depth_scale_source"]
+    assert source["depth_scale"] == 5000.0 and "1000 is also possible" in source["depth_scale_source"]
     main(["slam", str(folder), str(tmp_path / "mm"), "--camera-params", PARAMS, "--depth-scale", "1000"])
     said = " ".join(capsys.readouterr().out.split())
-    assert "1000 values for a metre, from given" in said and "camera from given" in said
+    assert "1000 values per metre, from given" in said and "camera source given" in said
     result = run_slam(folder, tmp_path / "again", camera_params=PARAMS, depth_scale=1000.0)
     assert not result.warnings
     assert result.trajectory.path_length() == pytest.approx(true_length, rel=0.1)
@@ -59,7 +59,7 @@ def test_a_depth_scale_without_depth_is_refused(tmp_path):
         run_slam(folder, tmp_path / "out", **known, sensor="mono")
     with pytest.raises(ConfigError, match="has no depth images"):
         run_slam(folder / "rgb", tmp_path / "out", **known)
-    with pytest.raises(ConfigError, match="a video and a camera have none"):
+    with pytest.raises(ConfigError, match="which videos and cameras do not have"):
         run_slam("0", tmp_path / "out", **known)
     with pytest.raises(ConfigError, match="depth_scale must be positive"):
         CameraOptions(depth_scale=0.0)

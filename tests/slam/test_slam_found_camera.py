@@ -24,10 +24,10 @@ def test_it_is_found_from_the_pictures_and_written(tmp_path):
     images = folder_of(tmp_path / "pictures", ride().left)
     out = tmp_path / "out"
     result = run_slam(images, out, fps=10.0)
-    assert any("nothing tells the camera: it was found from" in w for w in result.warnings)
+    assert any("the camera intrinsics are unknown: they were estimated from" in w for w in result.warnings)
     found = read_calibration(out / "camera.json").cameras[0]
     assert found.focal_px == pytest.approx(CAMERA.focal_px, rel=0.01)
-    assert result.summary["camera_found"]["pictures"] >= 8
+    assert result.summary["camera_found"]["images"] >= 8
     assert result.summary["num_localized"] == 30
     assert (
         absolute_error(result.trajectory.world_from_body, ride().truth(), "similarity").position.rmse < 0.03
@@ -41,11 +41,11 @@ def test_it_is_found_from_the_pictures_and_written(tmp_path):
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("kind", "count", "words"),
-    [("arc", 4, "4 images are too few"), ("rest", 12, "nothing tells the camera")],
+    [("arc", 4, "4 images are too few"), ("rest", 12, "the camera intrinsics are unknown")],
 )
 def test_frames_that_do_not_tell_it_are_refused(kind, count, words, tmp_path):
     images = folder_of(tmp_path / "pictures", ride(kind, count).left[:count])
-    with pytest.raises(ConfigError, match=rf"{words}.* give camera_params"):
+    with pytest.raises(ConfigError, match=rf"{words}.* pass camera_params"):
         run_slam(images, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -53,8 +53,8 @@ def test_frames_that_do_not_tell_it_are_refused(kind, count, words, tmp_path):
 def test_what_cannot_be_is_said_before_anything_is_sought(tmp_path):
     images = folder_of(tmp_path / "pictures", ride().left[:4])
     for options, words in (
-        ({"sensor": "stereo"}, "no second camera"),
-        ({"topics": "/a"}, "recordings of ROS"),
+        ({"sensor": "stereo"}, "no calibrated second camera"),
+        ({"topics": "/a"}, "topics is for ROS bags"),
     ):
         with pytest.raises(ConfigError, match=words):
             run_slam(images, tmp_path / "out", **options)
@@ -69,5 +69,5 @@ def test_a_map_tells_the_camera(tmp_path):
     assert camera_of_map(tmp_path / "map.npz").model == CAMERA.model
     images = folder_of(tmp_path / "pictures", ride().left[:6])
     result = run_slam(images, tmp_path / "out", map=tmp_path / "map.npz", localize=True)
-    assert any("that which made the map" in w for w in result.warnings)
+    assert any("those of the known map are used" in w for w in result.warnings)
     assert result.summary["num_localized"] >= 5

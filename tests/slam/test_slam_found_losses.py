@@ -32,7 +32,10 @@ def test_losses_have_the_names_of_the_source(tmp_path, monkeypatch):
     )
     found = found_camera.find_camera(tmp_path, JobOptions(), CameraOptions(), ignore_progress)
     said = "\n".join(found.notes())
-    for words in ("shot_007.png is in no model: no overlap", "shot_028.png is in no model: is truncated"):
+    for words in (
+        "shot_007.png is not registered: no overlap",
+        "shot_028.png is not registered: is truncated",
+    ):
         assert words in said
     assert "focal length of shot_000.png" in said and "2 models that do not connect" in said
     assert "/tmp" not in said and "00000" not in said

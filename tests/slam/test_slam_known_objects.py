@@ -95,5 +95,5 @@ def test_what_is_not_in_the_scene_leaves_the_path_up_to_scale(images, tmp_path, 
     result = run_slam(images, tmp_path, **known, **GIVEN)
     assert not result.summary["is_metric"] and result.summary["scale"].startswith("up to scale")
     assert "anchor" not in result.summary
-    assert [w for w in result.warnings if words in w and w.startswith("the path stays up to scale: ")]
+    assert [w for w in result.warnings if words in w and w.startswith("the trajectory remains up to scale: ")]
     assert any(words in w for w in json.loads((tmp_path / "summary.json").read_text())["warnings"])

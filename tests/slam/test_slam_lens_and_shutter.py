@@ -60,7 +60,7 @@ def test_both_are_said(mapper, monkeypatch, has_shutter, given_px, is_wrong):
     facts = results._checked(system, [], None, run)
     assert readouts == [0.02 if has_shutter else 0.0]
     assert any("20.0 ms" in words for words in run.warnings) == has_shutter
-    wrong = [words for words in run.warnings if "focal length given" in words]
+    wrong = [words for words in run.warnings if "given focal length" in words]
     assert len(wrong) == is_wrong
     if is_wrong:
         assert "420 px" in wrong[0] and "507 +- 8 px" in wrong[0]

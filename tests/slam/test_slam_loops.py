@@ -55,7 +55,7 @@ def test_a_loop_takes_the_drift_with_it(closed_and_open):
     assert len(accepted) == 1
     assert accepted[0].frame > FORK and accepted[0].keyframe <= 10 and accepted[0].num_agreeing >= 30
     at = answers[accepted[0].frame - FORK]
-    assert at.is_keyframe and at.reason == "a place seen before"
+    assert at.is_keyframe and at.reason == "a loop was closed"
     assert not any(loop.verdict == "accepted" for loop in without.loops)
     truth, last = room().truth(), len(room().images) - 1
     # Ninety frames are a whole turn.
@@ -71,7 +71,10 @@ def test_the_ledger_says_what_came_of_every_place(closed_and_open):
     assert {loop.verdict for loop in slam.loops} <= {"accepted", "waiting", "rejected"}
     assert all(loop.reason for loop in slam.loops)
     waiting = [loop for loop in slam.loops if loop.verdict == "waiting"]
-    assert [w.reason for w in waiting[-2:]] == ["told by 1 keyframes of 3", "told by 2 keyframes of 3"]
+    assert [w.reason for w in waiting[-2:]] == [
+        "confirmed by 1 of 3 keyframes",
+        "confirmed by 2 of 3 keyframes",
+    ]
 
 
 def tiled():
@@ -88,7 +91,7 @@ def test_places_that_only_look_the_same_are_never_tied(kind):
     tempting = [loop for loop in slam.loops if loop.num_agreeing >= 30]
     assert len(tempting) >= 20  # the images are the same
     assert all(loop.verdict == "rejected" for loop in slam.loops)
-    assert all("since would be wrong by" in loop.reason for loop in tempting)
+    assert all("since then would have an error of" in loop.reason for loop in tempting)
     alignment = "similarity" if kind == "mono" else "none"
     assert errors(slam, tiled().truth(), alignment).position.rmse < 0.01
 
@@ -139,7 +142,7 @@ def test_carried_off_and_back_then_walking_there_the_maps_become_one(kind):
     assert max(num_maps) == 2 and num_maps[-1] == 1
     assert sum(loop.verdict == "accepted" for loop in slam.loops) == 1
     joined = num_maps.index(1, back)
-    assert answers[joined].reason == "a place seen before"
+    assert answers[joined].reason == "a loop was closed"
     truth = room().truth(numbers)
     path = slam.trajectory()
     assert len(path) >= len(numbers) - 4  # the sub-map's frames have got their places in the first map

@@ -290,7 +290,7 @@ def test_what_is_told_differently_each_time_or_too_seldom_is_not_believed(rng, m
         is_alike.poses = {id(there): [newest.cam_from_world]} if number % 6 == 0 else {}
         assert sought.consider(here, there) is None
     assert not any(loop.verdict == "accepted" for loop in sought.ledger)
-    assert sum(loop.reason == "told by 1 keyframes of 3" for loop in sought.ledger) == 9 + 5
+    assert sum(loop.reason == "confirmed by 1 of 3 keyframes" for loop in sought.ledger) == 9 + 5
 
 
 def test_two_places_that_look_like_one_are_doubtful(rng, monkeypatch):
@@ -300,7 +300,7 @@ def test_two_places_that_look_like_one_are_doubtful(rng, monkeypatch):
         newest = add_keyframe(rng, here, number).cam_from_world
         is_alike.poses = {id(there): [newest, Rigid3(np.eye(3), np.array([1.0, 0, 0])) @ newest]}
         assert sought.consider(here, there) is None
-    assert {loop.reason for loop in sought.ledger} == {"two places look like this one"}
+    assert {loop.reason for loop in sought.ledger} == {"two different poses match this image"}
 
 
 def test_a_way_that_would_have_to_be_wrong_by_metres_is_not_believed(rng, monkeypatch):
@@ -314,8 +314,8 @@ def test_a_way_that_would_have_to_be_wrong_by_metres_is_not_believed(rng, monkey
         is_alike.poses = {id(model): [rotated @ newest]}
         assert sought.consider(model, model) is None
     assert {loop.verdict for loop in sought.ledger} == {"rejected"}
-    assert any(loop.reason.startswith("the way of") for loop in sought.ledger)
-    assert any(loop.reason.startswith("the turns of") for loop in sought.ledger)
+    assert any(loop.reason.startswith("the trajectory of length") for loop in sought.ledger)
+    assert any(loop.reason.startswith("the rotation of") for loop in sought.ledger)
 
 
 @pytest.mark.parametrize(("camera", "kind"), [(RGBD, "rgbd"), (MONO, "mono")])

@@ -58,14 +58,14 @@ def table_after(html: str, title: str) -> str:
 def test_the_report_tells_what_came_out(made):
     _, result, page = made
     html = (result.out / "report.html").read_text(encoding="utf-8")
-    assert "12 of 12 frames have a place" in html and "metres, from the baseline of 0.12 m" in html
+    assert "12 of 12 frames localized" in html and "metres, from the baseline of 0.12 m" in html
     assert "up to scale" not in html
-    assert "No place was seen again" in table_after(html, "Loops")
-    truth = table_after(html, "Against the truth")
+    assert "No loop was closed" in table_after(html, "Loops")
+    truth = table_after(html, "Errors")
     assert truth.count("<tr") == 5 and f"{result.summary['truth']['final']['rigid']['ate_rmse']:.3g}" in truth
-    frames = table_after(html, "Frame by frame")
+    frames = table_after(html, "Frames")
     titles = re.findall(r"<h3>(.*?)</h3>", frames)
-    assert titles == ["Error", "Points in agreement", "How sure the place is", "Time for a frame"]
+    assert titles == ["Error", "Inliers", "Position uncertainty", "Time per frame"]
     assert frames.count('class="series') == 5
     assert table_after(html, "States").count('class="band-tracking"') == 1
     assert page.final.path_length() == pytest.approx(result.trajectory.path_length())
@@ -77,7 +77,9 @@ def test_loops_are_listed_and_accepted_ones_drawn(made):
     html = slam_page.render_page(replace(page, summary=summary))
     loops = table_after(html, "Loops")
     assert (
-        "2 candidates, 1 accepted" in loops and "3 of 40 &lt;matches&gt; agree" in loops and ">61<" in loops
+        "2 loop candidates, 1 accepted" in loops
+        and "3 of 40 &lt;matches&gt; agree" in loops
+        and ">61<" in loops
     )
     assert f'"name":"{LOOPS}"' in html and f'"name":"{LOOPS}"' not in slam_page.render_page(page)
     names = list(page.model.images.name)
@@ -93,9 +95,9 @@ def test_lengths_without_a_unit_are_said_to_have_none(made, tmp_path):
     slam_run.slam(folder / "image_0", tmp_path / "out", **given, truth=folder / "poses.txt")
     html = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert (
-        "The path is up to scale" in html
+        "The trajectory is up to scale" in html
         and "map units, up to scale" in html
-        and "read the rows of Sim(3)" in html
+        and "use the Sim(3) rows" in html
     )
     states = table_after(html, "States")
     assert 'class="band-starting"' in states and "the camera hardly moves" in states

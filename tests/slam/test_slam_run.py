@@ -69,7 +69,7 @@ def test_one_camera_from_pictures_alone(stereo_folder, tmp_path):
     for wrong, words in (("1,2", "takes 4 parameters"), ("a,b,c,d", "must be numbers")):
         with pytest.raises(ConfigError, match=words):
             run_slam(left, tmp_path / "out", camera_params=wrong)
-    for sensor, words in (("stereo", "no second camera"), ("rgbd", "no depth images")):
+    for sensor, words in (("stereo", "no calibrated second camera"), ("rgbd", "no depth images")):
         with pytest.raises(ConfigError, match=words):
             run_slam(left, tmp_path / "out", sensor=sensor, camera_params=PARAMS)
 
@@ -78,7 +78,7 @@ def test_frames_of_nothing_end_with_the_reason(tmp_path):
     (tmp_path / "dark").mkdir()
     for n in range(3):
         cv2.imwrite(str(tmp_path / "dark" / f"{n}.png"), np.zeros((240, 320), np.uint8))
-    with pytest.raises(NoModelError, match=r"no frame got a place: .*blank"):
+    with pytest.raises(NoModelError, match=r"no frame was localized: .*blank"):
         run_slam(tmp_path / "dark", tmp_path / "out", camera_params=PARAMS)
     with pytest.raises(FileFormatError, match="does not exist"):
         run_slam(tmp_path / "nothing", tmp_path / "out")
@@ -87,7 +87,7 @@ def test_frames_of_nothing_end_with_the_reason(tmp_path):
 def test_the_command(stereo_folder, tmp_path, capsys):
     main(["slam", str(stereo_folder), str(tmp_path / "out"), "--num-features", "200"])
     said = capsys.readouterr().out
-    assert "12 of 12 (12 as they came)" in said and "metres, from the baseline of 0.12 m" in said
+    assert "12 of 12 (12 when they arrived)" in said and "metres, from the baseline of 0.12 m" in said
 
 
 @pytest.mark.parametrize(
@@ -118,5 +118,5 @@ def test_a_resting_drone_rests(data_dir, tmp_path):
     drone = data_dir / "slam" / "euroc_static"
     result = run_slam(drone, tmp_path / "out", truth=drone)
     assert result.summary["num_localized"] == 6 and result.trajectory.path_length() < 2e-3
-    assert any(w.startswith("the camera rests: ") for w in result.warnings)
+    assert any(w.startswith("the camera is at rest: ") for w in result.warnings)
     assert result.summary["truth"]["final"]["rigid"]["ate_rmse"] < 5e-4

@@ -89,10 +89,10 @@ def test_the_motion_is_told_by_the_frames_around():
     recent = RecentMotion().start_at(0.0)
     for time, before, now in zip(times[1:], positions, positions[1:]):
         recent = recent.with_step(float(time), now @ before.inverse(), 1.0)
-    np.testing.assert_allclose(recent.converged()[times[2]], motion_among(times, cams, 2), atol=1e-9)
-    assert len(recent.converged()) == 5  # at first of all of them
+    np.testing.assert_allclose(recent.final_motions()[times[2]], motion_among(times, cams, 2), atol=1e-9)
+    assert len(recent.final_motions()) == 5  # at first of all of them
     step = shaken(times[4] + 1 / 30) @ positions[4].inverse()
-    assert list(recent.with_step(times[4] + 1 / 30, step, 1.0).converged()) == [times[3]]
+    assert list(recent.with_step(times[4] + 1 / 30, step, 1.0).final_motions()) == [times[3]]
     assert not recent.with_step(times[4] + 2.0, step, 1.0).times  # too long ago
     jump = Rigid3.exp(np.full(6, 1.0))  # of the map
     assert not recent.with_step(times[4] + 1 / 30, jump, 1.0).times
@@ -115,7 +115,7 @@ def test_the_readout_is_found_and_the_path_straight_with_it():
     bent, straight = bent_and_straight(ride, "rgbd")
     found = find_readout(bent.odometry.mapper, bent.trajectory())
     assert found is not None and found.readout_s == pytest.approx(BY_THE_FRAMES, rel=0.1)
-    assert "read one after another" in found.warning()
+    assert "rolling shutter with a readout of" in found.warning()
     before, after = (errors(one, ride.truth(), "none").position.rmse for one in (bent, straight))
     assert after < 0.1 * before
     with pytest.raises(ConfigError, match="readout_s"):

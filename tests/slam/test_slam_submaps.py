@@ -48,7 +48,7 @@ def test_meanwhile_places_are_those_of_a_map_of_its_own(whole):
     assert all(a.world_from_body is None and a.submap_from_body is not None for a in away)
     known = [a for a in answers if a.state is TrackingState.TRACKING]
     assert all(a.world_from_body is not None and a.submap_from_body is None for a in known)
-    started = [a for a in away if a.reason.startswith("a new map begins")]
+    started = [a for a in away if a.reason.startswith("a separate map was initialized")]
     assert 1 <= len(started) <= 2 and started[0].is_keyframe
     np.testing.assert_array_equal(
         started[0].submap_from_body.log(), np.zeros(6)
@@ -60,7 +60,7 @@ def test_seeing_the_begin_again_joins_it(whole):
     assert len(slam.maps) == 1 and answers[-1].state is TrackingState.TRACKING
     accepted = [loop for loop in slam.loops if loop.verdict == "accepted"]
     assert len(accepted) == 1 and accepted[0].frame * STEP > 560 and accepted[0].keyframe * STEP < 60
-    assert answers[accepted[0].frame].reason == "a place seen before"
+    assert answers[accepted[0].frame].reason == "a loop was closed"
     truth = corridor().truth()
     # In the first frame's world, along a corridor of 25 m there and back.
     found = errors(slam, truth, "none")

@@ -82,7 +82,7 @@ def test_a_truth_that_meets_few_of_the_frames_gives_no_error(tmp_path):
     path = Trajectory(np.concatenate([np.arange(36) * 1.0, np.arange(36, 40) + 0.2]), positions)
     write_trajectory(known, tmp_path / "truth.txt")
     out, said = truth_summary(true_path_at(tmp_path / "truth.txt"), known, (path, path), 40)
-    assert out["final"] is None and any("4 of 40 places have a true one" in words for words in said)
+    assert out["final"] is None and any("4 of 40 poses have a true pose" in words for words in said)
 
 
 def test_errors_bring_the_truth_into_the_path_and_the_scale_is_asked_for(rng):
@@ -108,7 +108,7 @@ def test_the_summary_tells_scores_and_doubts(kitti_truth):
     assert not warnings and given["final"]["rigid"]["ate_rmse"] < 1e-9 and given["causal"]["coverage"] == 0.5
     later = Trajectory(truth.timestamp_s + 0.4, truth.world_from_body)
     given, warnings = truth_summary(found, truth, (later, truth), 8)
-    assert given["final"] is None and "final path is not compared" in warnings[0]
+    assert given["final"] is None and "final trajectory is not compared" in warnings[0]
 
 
 def test_runs_with_a_truth(tmp_path, capsys):
@@ -127,7 +127,7 @@ def test_runs_with_a_truth(tmp_path, capsys):
     assert table.image[3] == "000003.png" and table.timestamp_s[3] == pytest.approx(0.3)
     with pytest.raises(FileFormatError, match="no such file"):
         run_slam(folder, out, truth=tmp_path / "nothing.txt")
-    with pytest.raises(FileFormatError, match="no true path"):
+    with pytest.raises(FileFormatError, match="no ground-truth trajectory"):
         run_slam(folder, out, truth=folder / "image_0")
 
 
@@ -143,7 +143,7 @@ def test_a_path_of_one_camera_is_compared_by_the_table_of_its_frames(tmp_path):
     assert found.num_compared == len(result.causal) == given["num_compared"]
     assert found.similarity.ate_rmse == pytest.approx(given["similarity"]["ate_rmse"], rel=1e-4)
     (out / "frames.csv").unlink()
-    with pytest.raises(FileFormatError, match="holds no times"):
+    with pytest.raises(FileFormatError, match="it has no times"):
         evaluate_trajectory(causal, folder / "poses.txt")
 
 
@@ -157,7 +157,7 @@ def test_the_truth_of_seven_scenes_lies_beside_its_pictures(tmp_path):
     assert found.has_times and found.trajectory.timestamp_s.tolist() == [0.0, 2 / 30]
     assert found.trajectory.world_from_body.translation.tolist() == [[0, 5, 6], [2, 5, 6]]
     (tmp_path / "frame-000002.pose.txt").write_text("1 0 0 0\n0 2 0 0\n0 0 1 0\n")
-    with pytest.raises(FileFormatError, match="no rotation matrix"):
+    with pytest.raises(FileFormatError, match="not a rotation matrix"):
         read_pose_matrix(tmp_path / "frame-000002.pose.txt")
 
 
@@ -178,5 +178,5 @@ def test_records_become_a_table_and_stretches(tmp_path):
     np.testing.assert_array_equal(table.timestamp_s, [np.nan, 0.0, np.nan, 0.2])
     for row in ("1,0.0,a.png\n1,0.1,b.png", "1,0.0,a.png\n0,0.1,b.png", "99999999,0,a", "-1,0,a", "x,0,a"):
         (tmp_path / "frames.csv").write_text(f"frame,timestamp_s,image\n{row}\n")
-        with pytest.raises(FileFormatError, match="its number, timestamp_s and image expected"):
+        with pytest.raises(FileFormatError, match="expected columns frame, timestamp_s and image"):
             read_frame_table(tmp_path / "frames.csv")

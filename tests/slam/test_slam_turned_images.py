@@ -57,11 +57,11 @@ def test_a_calibration_is_turned_and_scaled_and_said(tmp_path):
     options = CameraOptions(calibration=path)
     camera, notes = options.fitted_camera(ImageShape(W, H))
     np.testing.assert_allclose(camera.params, [60.0, 61.0, 34.75, 19.75])
-    assert notes == [f"calibration {path} is of images of {2 * W}x{2 * H}: it is scaled to {W}x{H}"]
+    assert notes == [f"calibration {path} is for images of {2 * W}x{2 * H} and was scaled to {W}x{H}"]
     camera, notes = options.fitted_camera(ImageShape(2 * H, 2 * W, 8))
     np.testing.assert_allclose(camera.params, [122.0, 120.0, 40.0, 2 * W - 1 - 70])
     assert "as they are stored" in notes[0]
-    with pytest.raises(ConfigError, match=f"is of images of {2 * W}x{2 * H}, but these are {H}x{W}"):
+    with pytest.raises(ConfigError, match=f"is for images of {2 * W}x{2 * H}, but these are {H}x{W}"):
         options.camera((H, W))
 
 

@@ -169,7 +169,7 @@ def test_a_calibration_of_rectified_cameras_resamples_nothing(pair_files, tmp_pa
     found = api.stereo(left, right, tmp_path / "out", StereoConfig(max_disparity_px=40), flat_rig(pair))
     assert found.rectification is None and found.left_rgb.shape[:2] == (height, width)
     assert found.rig.principal_offset_px == pytest.approx(3.0)
-    assert any("places are not known" in words for words in found.warnings)
+    assert any("the calibration has no covariance" in words for words in found.warnings)
     for other in ({"turn": 1e-4}, {"k1": 1e-3}, {"covariance": np.zeros((30, 30))}):
         assert rectified_rig_of(flat_rig(pair, **other)) is None
 
@@ -215,7 +215,7 @@ def test_nothing_of_the_users_is_lost(pair_files, tmp_path):
     out = tmp_path / "own"
     out.mkdir()
     (out / "notes.txt").write_text("mine")
-    with pytest.raises(WorkspaceError, match="not made by epipole"):
+    with pytest.raises(WorkspaceError, match="not written by epipole"):
         api.stereo(left, right, out, config)
     assert [path.name for path in out.iterdir()] == ["notes.txt"] and left.is_file()
     (out / "notes.txt").rename(tmp_path / "notes.txt")

@@ -122,11 +122,11 @@ def test_the_table_is_the_lessons_formula():
 
 
 def test_odd_units_and_unusable_input(cones):
-    assert any("millimetres" in n for n in examine([cones], RectifiedRig(400.0, 225, 187, 160.0)).notes)
+    assert any("millimeters" in n for n in examine([cones], RectifiedRig(400.0, 225, 187, 160.0)).notes)
     assert any("too short" in p for p in examine([cones], RectifiedRig(400.0, 225, 187, 1e-4)).problems)
     with pytest.raises(ShapeError, match="no pair"):
         examine([])
-    with pytest.raises(ShapeError, match="one size"):
+    with pytest.raises(ShapeError, match="the same size"):
         examine([(cones[0], cones[1][:100])])
 
 
@@ -166,7 +166,7 @@ def test_a_run_warns_of_what_spoils_it(cones, data_dir):
         ((left, right), None),
         ((right, left), "swapped"),
         ((left, np.roll(right, 5, axis=0)), "4.9 px off their rows"),
-        ((left, teddy), "the same thing"),
+        ((left, teddy), "the same scene"),
         ((blank, blank), "blank, dark or blurred"),
         ((left, left), "the same image"),
     ):
@@ -192,8 +192,8 @@ def test_what_tells_nothing_is_not_healthy(cones, data_dir):
     left, _ = cones
     teddy = read_rgb(data_dir / "stereo" / "middlebury_2003" / "teddy" / "im6.png")
     for pair, words in (
-        ((left, teddy), "too few to say anything"),
-        ((np.zeros_like(left),) * 2, "too few to say anything"),
+        ((left, teddy), "too few for a diagnosis"),
+        ((np.zeros_like(left),) * 2, "too few for a diagnosis"),
         ((left, left), "the same image"),
     ):
         found = examine([pair])
@@ -208,7 +208,8 @@ def test_a_turned_picture_and_a_range_too_small_are_noticed(cones):
     assert any("off their rows" in w for w in tilted.warnings)
     for options in ({"max_disparity_px": 12}, {"min_disparity_px": 100, "max_disparity_px": 140}):
         assert any(
-            "beyond the range" in w for w in measure_pair(left, right, StereoConfig(**options)).warnings
+            "outside the search range" in w
+            for w in measure_pair(left, right, StereoConfig(**options)).warnings
         )
 
 
@@ -219,7 +220,7 @@ def test_a_blank_right_picture_gives_nothing(cones):
 
 
 def test_every_cause_makes_a_sentence():
-    """Offsets in waves are no rotation, no distortion; each cause's words follow upon "likely cause"."""
+    """Offsets in waves are no rotation, no distortion; each cause's text comes after "likely cause"."""
     pair = stereo_room(3, (640, 480))
     height, width = pair.right.shape[:2]
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
@@ -227,13 +228,13 @@ def test_every_cause_makes_a_sentence():
     found = examine([(pair.left, wavy)])
     assert found.cause is Cause.UNCLEAR
     assert found.problems[0].endswith(
-        "likely cause: blur, rolling shutter or moving things, for neither the rig nor its lenses explain the offsets"
+        "likely cause: blur, rolling shutter or moving objects (neither rig nor distortion explains the offsets)"
     )
     tilted = examine([(pair.left, cv2.remap(pair.right, x, y + 3, cv2.INTER_LINEAR))])
-    assert "; likely cause: how the cameras stand to each other (" in tilted.problems[0]
+    assert "; likely cause: the rig's geometry (" in tilted.problems[0]
     blank = np.zeros((480, 640), np.uint8)
     assert (
         examine([(blank, blank)])
         .problems[0]
-        .startswith("0 features match, too few to say anything: the images")
+        .startswith("0 features match, too few for a diagnosis: the images")
     )

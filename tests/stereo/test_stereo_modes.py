@@ -153,7 +153,7 @@ def test_nothing_to_fill_from_and_bad_input(pair):
     blank = np.full((40, 60), 90, np.uint8)
     nothing = match_stereo(blank, blank, StereoConfig(max_disparity_px=16))
     assert not np.isfinite(fill_disparities(nothing, blank).disparity_px).any()
-    with pytest.raises(ShapeError, match="of 8 bits"):
+    with pytest.raises(ShapeError, match="8-bit image"):
         fill_disparities(nothing, blank[:10])
     with pytest.raises(ConfigError, match="strength"):
         fill_disparities(nothing, blank, 0.0)

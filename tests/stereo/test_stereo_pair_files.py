@@ -64,5 +64,5 @@ def test_half_size_files(tmp_path, rng):
 
 def test_rigs_are_scaled_by_one_factor():
     assert rig().scaled_to((W, H), (W, H)).left.width == W
-    with pytest.raises(ConfigError, match="of images of 240x180, but the image is 240x100"):
+    with pytest.raises(ConfigError, match="for images of 240x180, but the image is 240x100"):
         rig().scaled_to((W, H), (240, 100))

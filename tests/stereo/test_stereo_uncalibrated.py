@@ -31,9 +31,9 @@ def test_pictures_that_are_no_pair(rng):
     blank = np.zeros((120, 160), np.uint8)
     with pytest.raises(DegenerateGeometryError):
         rectify_uncalibrated(blank, blank)
-    with pytest.raises(ShapeError, match="one size"):
+    with pytest.raises(ShapeError, match="the same size"):
         rectify_uncalibrated(blank, blank[:100])
-    with pytest.raises(ShapeError, match="8 bits"):
+    with pytest.raises(ShapeError, match="8-bit image"):
         rectify_uncalibrated(blank.astype(np.float64), blank)
     one, two = (rng.integers(0, 256, (200, 300)).astype(np.uint8) for _ in range(2))
     with pytest.raises(DegenerateGeometryError):
@@ -56,7 +56,7 @@ def test_a_turned_pair_to_disparities(tmp_path):
     assert (out / "left.png").is_file() and not (out / "depth.pfm").exists()
     assert any("projective" in words for words in found.warnings)
     rig = RectifiedRig(500.0, 240.0, 180.0, 0.1)
-    with pytest.raises(ConfigError, match="nothing is known"):
+    with pytest.raises(ConfigError, match="cannot be combined with a calibration"):
         api.stereo(*files, out, StereoConfig(uncalibrated=True), rig)
     found = api.stereo(*files, out, StereoConfig(max_disparity_px=60))
     assert not (out / "homographies.json").exists() and not (out / "left.png").exists()

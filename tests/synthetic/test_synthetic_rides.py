@@ -210,7 +210,7 @@ def test_misuse_is_refused() -> None:
         Shutter(num_exposures=0)
     with pytest.raises(ConfigError, match="baseline"):
         replace(ride, baseline=0.0)
-    with pytest.raises(ShapeError, match="rise"):
+    with pytest.raises(ShapeError, match="increase"):
         replace(ride, timestamp_s=np.zeros(3))
 
 

@@ -44,7 +44,7 @@ def workspace(tmp_path: Path, name: str) -> Path:
 
 def test_undistort_writes_inside_its_folder(tmp_path: Path, workspace: Path) -> None:
     before = image(tmp_path / "photo.png")
-    with pytest.raises(FileFormatError, match="no name of a file inside"):
+    with pytest.raises(FileFormatError, match="does not name a file inside"):
         undistort(workspace)
     assert (tmp_path / "photo.png").read_bytes() == before
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "photo.png"]
@@ -54,7 +54,7 @@ def test_undistort_writes_inside_its_folder(tmp_path: Path, workspace: Path) -> 
 def test_view_and_stereo_read_inside_the_folder(tmp_path: Path, workspace: Path, name: str) -> None:
     image(tmp_path / "photo.png")
     assert image_loader(workspace / "images")(name) is None
-    with pytest.raises(FileFormatError, match="no name of a file inside"):
+    with pytest.raises(FileFormatError, match="does not name a file inside"):
         stereo_of_model(workspace, name, mappable_model().images.name[1], tmp_path / "pair")
 
 
@@ -68,7 +68,7 @@ def test_links_among_the_results_are_not_followed(tmp_path: Path) -> None:
     done = undistort(tmp_path / "out") / "images" / model.images.name[0]
     done.unlink()
     done.symlink_to(tmp_path / "photo.png")
-    with pytest.raises(WorkspaceError, match="is no file any more"):
+    with pytest.raises(WorkspaceError, match="is no longer a file"):
         undistort(tmp_path / "out")
     assert (tmp_path / "photo.png").read_bytes() == mine
 
@@ -92,5 +92,5 @@ def test_names_inside(tmp_path: Path) -> None:
         "x" * 256,
         "circle/a.jpg",
     ):
-        with pytest.raises(FileFormatError, match="no name of a file inside"):
+        with pytest.raises(FileFormatError, match="does not name a file inside"):
             path_inside(tmp_path, bad)

@@ -196,7 +196,7 @@ def test_the_picture_is_saved_under_a_safe_name(browser: Any, tmp_path: Path) ->
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_no_barrier_is_known_to_axe(scheme: str, browser: Any, tmp_path: Path) -> None:
     page = api.share(workspace(tmp_path), tmp_path / "page.html")
-    tab = Opened(browser, page.file.as_uri())
+    tab = Opened(browser, page.as_uri())
     tab.page.emulate_media(color_scheme=scheme)
     tab.page.click("summary:has-text('Layers')")
     tab.page.click("#measure")

@@ -217,9 +217,9 @@ def test_every_kind_is_shown_and_shared(make: Any, browser: Any, tmp_path: Path)
     finally:
         handle.stop()
     page = api.share(shown, tmp_path / "page.html")
-    tab = Opened(browser, page.file.as_uri())
+    tab = Opened(browser, page.as_uri())
     alone = tab.rendered()
-    assert all(url.startswith((page.file.as_uri(), "blob:", "data:")) for url in tab.requested)
+    assert all(url.startswith((page.as_uri(), "blob:", "data:")) for url in tab.requested)
     tab.close()
     # The same but for the height of the page's words.
     assert not is_blank(alone) and abs(alone.mean() - served.mean()) < 6
@@ -244,7 +244,7 @@ def test_what_is_nothing_to_see_is_told(tmp_path: Path) -> None:
 
 def test_a_file_of_another_kind_is_told_as_such(tmp_path: Path) -> None:
     (tmp_path / "script.py").write_text("1")
-    with pytest.raises(FileFormatError, match="no file that can be shown"):
+    with pytest.raises(FileFormatError, match="not a file that can be shown"):
         api.view(tmp_path / "script.py", port=free_port(), block=False)
 
 
@@ -284,11 +284,11 @@ def test_a_name_that_leaves_the_folder_of_pictures_is_not_read(name: str, tmp_pa
 
 def test_hostile_names_are_text(browser: Any, tmp_path: Path) -> None:
     page = api.share(workspace(tmp_path / HOSTILE), tmp_path / "page.html")
-    text = page.file.read_text(encoding="utf-8")
+    text = page.read_text(encoding="utf-8")
     assert "<img src" not in text and "alert(1)</script>" not in text
     given = json.loads(text.partition('id="space-data">')[2].partition("</script>")[0])
     assert given["cameras"]["names"] == ["a.jpg", HOSTILE] and given["title"] == HOSTILE
-    tab = Opened(browser, page.file.as_uri())
+    tab = Opened(browser, page.as_uri())
     tab.page.click("#next-camera")
     tab.page.click("#next-camera")
     assert tab.page.inner_text("#camera-name") == f"2 of 2: {HOSTILE}"

@@ -265,7 +265,7 @@ def test_a_page_follows_the_job_to_its_end(browser: object) -> None:
 
         page.meanwhile = lambda: None if closing.is_set() else descriptor()
     for one in (tab, late):
-        assert one.page.inner_text("#live-state") == "The run has ended. This is its final state."
+        assert one.page.inner_text("#live-state") == "The run has ended. This is the final state."
         assert one.page.evaluate("space.then(s => s.data.points[0].count)") == 1000
         assert np.ptp(one.rendered()) > 100
         one.close()

@@ -49,14 +49,14 @@ def test_a_path_keeps_the_places_of_its_file(tmp_path: Path) -> None:
         scene = scene_of(tmp_path / name)
         np.testing.assert_allclose(scene.points[0].xyz_in_world, centers, atol=1e-6)
         np.testing.assert_allclose(up_of(scene), up, atol=1e-6)
-        assert scene.words.startswith("20 places over 1.9 s")
+        assert scene.words.startswith("20 poses over 1.9 s")
 
 
 def test_numbers_of_lines_are_no_times(tmp_path: Path) -> None:
     poses = Rigid3(np.broadcast_to(np.eye(3), (400, 3, 3)).copy(), np.linspace(0, [1, 2, 3], 400))
     write_trajectory(path_of(poses), tmp_path / "poses.txt", "kitti")
     scene = scene_of(tmp_path / "poses.txt")
-    assert scene.words.startswith("400 places, a way of") and not scene.curves[0].is_shown
+    assert scene.words.startswith("400 poses, trajectory length ") and not scene.curves[0].is_shown
     assert (scene.points[0].measures[0].name, scene.points[0].measures[0].unit) == ("number", "")
 
 
@@ -65,10 +65,10 @@ def test_disparities_are_no_depths_and_scaled_numbers_are_told(tmp_path: Path) -
     write_pfm(tmp_path / "disparity.pfm", values)
     write_png16(tmp_path / "left_disparity.png", values)
     for name in ("disparity.pfm", "left_disparity.png"):
-        with pytest.raises(FileFormatError, match=f"{name}: holds disparities"):
+        with pytest.raises(FileFormatError, match=f"{name}: by its name, it has disparities"):
             scene_of(tmp_path / name)
     write_png16(tmp_path / "depth.png", values)
-    assert "divided by 256, as KITTI stores them, taken as depths" in scene_of(tmp_path / "depth.png").words
+    assert "divided by 256, as in KITTI, interpreted as depths" in scene_of(tmp_path / "depth.png").words
 
 
 def test_points_too_far_to_be_drawn_are_left_out(tmp_path: Path) -> None:
@@ -76,7 +76,9 @@ def test_points_too_far_to_be_drawn_are_left_out(tmp_path: Path) -> None:
     (tmp_path / "far.ply").write_text(head + "0 0 0\n1e300 0 0\n")
     assert np.isfinite(space_data(scene_of(tmp_path / "far.ply")).numbers["radius"])
     (tmp_path / "farther.ply").write_text(head + "1e300 0 0\n0 1e300 0\n")
-    with pytest.raises(FileFormatError, match=r"farther\.ply: holds no point that can be drawn"):
+    with pytest.raises(
+        FileFormatError, match=r"farther\.ply: it has no finite points with coordinates below 1e30"
+    ):
         scene_of(tmp_path / "farther.ply")
 
 
@@ -88,5 +90,5 @@ def test_pictures_without_a_place_and_other_models_are_told(tmp_path: Path) -> N
     assert (one.title, one.words.split(",")[0]) == ("out/sparse/1", "2 images")
     (tmp_path / "out" / "summary.json").write_text(json.dumps({"num_images": 7}))
     scene = scene_of(tmp_path / "out")
-    assert scene.words.startswith("2 of 7 images placed, 5 points; the first of 2 models: ")
-    assert scene.words.endswith("sparse/1 is another")
+    assert scene.words.startswith("2 of 7 images registered, 5 points; the first of 2 models (see also ")
+    assert scene.words.endswith("sparse/1)")

@@ -104,7 +104,7 @@ def test_a_port_that_cannot_be(port):
 
 
 @pytest.mark.parametrize(
-    ("host", "words"), [("no.such.host.invalid", "not known"), ("192.0.2.1", "no address")]
+    ("host", "words"), [("no.such.host.invalid", "not known"), ("192.0.2.1", "not an address")]
 )
 def test_a_host_that_cannot_be(host, words):
     with pytest.raises(ConfigError, match=words):
@@ -118,7 +118,7 @@ def test_the_usual_port_may_be_stepped_over_and_that_is_said(monkeypatch):
             assert handle.url != f"http://127.0.0.1:{port}"
             with OPEN(handle.url, timeout=10) as answer:
                 assert answer.status == 200
-            assert handle.note == f"port {port} is in use; showing on {handle.url.rsplit(':', 1)[1]}"
+            assert handle.note == f"port {port} is in use; using {handle.url.rsplit(':', 1)[1]}"
     with shown() as handle:
         assert handle.url == f"http://127.0.0.1:{port}" and handle.note == ""
 

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_float_array, as_points
-from epipole._declared import check_fields, checked
+from epipole._checks import as_float_array, as_points, check_fields, checked
 from epipole.cameras import _camera_kernels as kernels
 from epipole.cameras.models import MAX_PARAMS, CameraModel, as_camera_model
 from epipole.errors import ConfigError, ShapeError

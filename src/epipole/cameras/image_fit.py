@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_points
-from epipole._declared import checked
+from epipole._checks import as_points, checked
 from epipole.cameras.camera import Camera
 from epipole.cameras.models import CameraModel
 from epipole.errors import ConfigError

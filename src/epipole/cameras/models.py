@@ -10,7 +10,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError
 
 MAX_PARAMS = 12

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from epipole._checks import as_points
-from epipole._declared import checked
+from epipole._checks import as_points, checked
 from epipole.cameras.camera import Camera
 
 MAX_DEVIATION = 1e-3

@@ -1,4 +1,4 @@
-"""The command line: the list of commands, each generated from a typed function; heavy imports wait until one runs."""
+"""The command line: commands generated from typed functions, with heavy imports deferred until one runs."""
 
 from __future__ import annotations
 
@@ -42,20 +42,20 @@ COMMANDS = (
 )
 """Module and function of every command."""
 ANSWERING = ("stereo-doctor", "lesson", "view", "evaluate", "version")
-"""Commands that are run for what they print, which --quiet leaves."""
+"""Commands whose output is their result, which --quiet keeps."""
 WRITING_NOTHING = ("stereo-doctor", "evaluate", "version")
-"""Commands that have nothing to overwrite."""
+"""Commands that never write files."""
 EVERYWHERE = {
     **{"-q": "quiet", "--quiet": "quiet"},
     **{"-v": "verbose", "--verbose": "verbose"},
     **{"-V": "version", "--version": "version"},
     "--overwrite": "overwrite",
 }
-"""Options of all commands, before the command's name or after it."""
+"""Options of all commands, before or after the command's name."""
 EVERYWHERE_HELP = (
-    "Every command takes -q, --quiet (print errors alone, and the answer of commands that give one) and"
-    " -v, --verbose (print each unit of work with its time, and where an error comes from)."
-    " --overwrite replaces your files."
+    "All commands accept -q, --quiet (print only errors, and the results of commands such as evaluate),"
+    " -v, --verbose (print each unit of work with its time, and tracebacks),"
+    " and --overwrite (replace your own files)."
 )
 WRONG_USAGE = 2
 
@@ -70,12 +70,12 @@ def version() -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run a command; errors meant for the user become one line and exit code 1; wrong words and options 2."""
+    """Run a command; errors meant for the user are printed as one line, with exit code 1, or 2 for wrong usage."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     requested = {EVERYWHERE[word] for word in words if word in EVERYWHERE}
     words = [word for word in words if word not in EVERYWHERE]
     if "" in words:
-        _refuse("an argument is empty (an unset variable?)", WRONG_USAGE)
+        _refuse("an argument is empty (is a shell variable unset?)", WRONG_USAGE)
     if {"quiet", "verbose"} <= requested:
         _refuse("--quiet and --verbose exclude each other", WRONG_USAGE)
     if "version" in requested:
@@ -85,11 +85,11 @@ def main(arguments: list[str] | None = None) -> None:
     if words[:2] == ["stereo", "doctor"]:
         words = ["stereo-doctor", *words[2:]]
     if "overwrite" in requested and words[:1] and words[0] in WRITING_NOTHING:
-        _refuse(f"`epipole {words[0]}` writes nothing: leave out --overwrite", WRONG_USAGE)
-    # Modules and kernels are many small objects that stay alive: searching them for cycles again and again
-    # took an eighth of a short run.
+        _refuse(f"`epipole {words[0]}` writes no files: remove --overwrite", WRONG_USAGE)
+    # Modules and kernels are many small objects that stay alive; repeated garbage collection of them took an eighth
+    # of a short run.
     gc.set_threshold(200_000, 20, 100)
-    if "verbose" not in requested:  # FFmpeg's own lines about damaged video; ours names the file
+    if "verbose" not in requested:  # silence FFmpeg's messages about damaged video; ours name the file
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     with _loudness(requested, words), _warnings_in_one_line(), _overwriting(requested):
         _run(words)
@@ -104,23 +104,25 @@ def _run(words: list[str]) -> None:
         logger.debug("where it was raised", exc_info=True)
         code = WRONG_USAGE if isinstance(error, ConfigError) else 1
         _refuse(one_line(_as_options(error, words, while_parsing=False)), code)
-    except BrokenPipeError:  # whoever reads the output has closed it (`| head`)
+    except BrokenPipeError:  # the reader of the output has closed it (`| head`)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except OSError as error:
         if error.errno != errno.ENOSPC and error.filename is None:
             raise
         logger.debug("where it was raised", exc_info=True)
-        _refuse(f"{error.strerror}: {error.filename or 'see where EPIPOLE_CACHE_DIR points'}", 1)
+        _refuse(f"{error.strerror}: {error.filename or 'check EPIPOLE_CACHE_DIR'}", 1)
     except KeyboardInterrupt:
-        note = "epipole: stopped. What was finished is kept; the same command goes on from there or begins again."
+        note = (
+            "epipole: interrupted. Finished work is kept; run the same command again to continue or restart."
+        )
         say("" if words[:1] in (["lesson"], ["view"]) else f"\n{note}", to_stderr=True)
         sys.exit(130)
 
 
 @contextlib.contextmanager
 def _unwrapped() -> Iterator[None]:
-    """Lines in a file are as long as they are: a path that was broken in two could not be copied."""
+    """Do not wrap lines if the output is not a terminal, so that paths can be copied."""
     if sys.stdout.isatty() or "COLUMNS" in os.environ:
         yield
         return
@@ -133,7 +135,7 @@ def _unwrapped() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _warnings_in_one_line() -> Iterator[None]:
-    """What the package warns of is a note for the user, not a place in its code."""
+    """Print warnings of the package as notes for the user, without a source location."""
     with warnings.catch_warnings():
         plain = warnings.showwarning
 
@@ -154,7 +156,7 @@ def _refuse(message: str, code: int) -> NoReturn:
 
 @contextlib.contextmanager
 def _loudness(requested: set[str], words: list[str]) -> Iterator[None]:
-    """What is printed beside errors: nothing but answers, the usual, or all."""
+    """Set what is printed besides errors: results only, the default, or everything."""
     if not requested & {"quiet", "verbose"}:
         yield
         return
@@ -183,14 +185,14 @@ def _overwriting(requested: set[str]) -> Iterator[None]:
 
 
 def _functions() -> dict[str, Callable[..., None]]:
-    """The function of every command by the command's name."""
+    """Function of every command, by the command's name."""
     positions = [position.split(":") for position in COMMANDS]
     found = [getattr(import_module(module), name) for module, name in positions]
     return {function.__name__.replace("_", "-"): function for function in found}
 
 
 def _parsed(words: list[str]) -> Callable[[], None]:
-    """The call that the words ask for. Help is printed here, and wrong usage explained."""
+    """Parse the words into a call; prints help, and explains wrong usage."""
     functions = _functions()
     calls: list[Callable[[], None]] = []
     app: Any = tyro.extras.SubcommandApp()
@@ -198,10 +200,10 @@ def _parsed(words: list[str]) -> Callable[[], None]:
         app.command(_noted(function, calls))
     said = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said):
+        with contextlib.redirect_stderr(said), _unwrapped():
             app.cli(
                 prog="epipole",
-                description=f"Photographs to space. {EVERYWHERE_HELP}",
+                description=f"Turn photographs into 3D models. {EVERYWHERE_HELP}",
                 args=words,
                 registry=_registry(),
             )
@@ -210,12 +212,12 @@ def _parsed(words: list[str]) -> Callable[[], None]:
     except SystemExit as stopped:
         if not stopped.code:
             raise
-        _refuse(_in_one_sentence(words, stopped, said.getvalue()), WRONG_USAGE)
+        _refuse(_why_stopped(words, stopped, said.getvalue()), WRONG_USAGE)
     return calls[0]
 
 
 def _noted(function: Callable[..., None], calls: list[Callable[[], None]]) -> Callable[..., None]:
-    """The same command, which only notes that it was called: parsing is over before anything runs."""
+    """The same command, which only records its call, so that parsing ends before anything runs."""
 
     @functools.wraps(function)
     def note(*arguments: Any, **options: Any) -> None:
@@ -224,36 +226,34 @@ def _noted(function: Callable[..., None], calls: list[Callable[[], None]]) -> Ca
     return note
 
 
-def _in_one_sentence(words: list[str], stopped: SystemExit, said: str) -> str:
-    """Why the parser stopped: a config refused its values, or the words are wrong."""
-    from epipole.cli.mistakes import explain, unboxed
-    from epipole.cli.options import signature_of
+def _why_stopped(words: list[str], stopped: SystemExit, said: str) -> str:
+    """Reason why the parser stopped: a config rejected its values, or the words are wrong."""
+    from epipole.cli.mistakes import in_one_sentence
 
     cause: BaseException | None = stopped
     while cause is not None:
         if isinstance(cause, ConfigError):
             return _as_options(cause, words, while_parsing=True)
         cause = cause.__cause__ or cause.__context__
-    signatures = {name: signature_of(name, function) for name, function in _functions().items()}
-    return explain(words, signatures) or unboxed(said)
+    return in_one_sentence(said, words, list(_functions()))
 
 
 def _as_options(error: EpipoleError, words: list[str], *, while_parsing: bool) -> str:
-    """The error's message, with fields of configs written as the command's options."""
+    """Message of an error, with config fields replaced by the command's options."""
     if not isinstance(error, ConfigError):
         return str(error)
     from epipole.cli.mistakes import with_option_names
-    from epipole.cli.options import signature_of
+    from epipole.cli.options import option_names
 
-    signature = signature_of(words[0], _functions()[words[0]])
-    return with_option_names(str(error), words, signature, also_plain=while_parsing)
+    options = option_names(_functions()[words[0]])
+    return with_option_names(str(error), words, options, also_plain=while_parsing)
 
 
 def _registry() -> tyro.constructors.ConstructorRegistry:
-    """Tyro's parsing of types, except that an option of several values always takes exactly as many words.
+    """Tyro's parsing of types, except that an option with several values always takes exactly that many words.
 
-    Tyro reads `tuple[int, int] | None` as two words or the word None, and gives it all words up to the next
-    option, paths included.
+    Tyro would parse `tuple[int, int] | None` as two words or the word None, and give it all words up to the next
+    option, including paths.
     """
     registry = tyro.constructors.ConstructorRegistry()
     registry.primitive_rule(_values_or_none)

@@ -1,128 +1,37 @@
-"""What a command accepts, read off its signature: paths by position, and options by name."""
+"""Options of a command, and the config fields that they set."""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
-from pathlib import Path
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from dataclasses import fields, is_dataclass
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import tyro
 
-_NUMBERS = {int: "a whole number", float: "a number"}
-_WORDS = {**_NUMBERS, Path: "a path"}
 
-
-@dataclass(frozen=True, slots=True)
-class Option:
-    """One option of a command, such as `--features.max-features`."""
-
-    name: str
-    """As it is written, with both dashes."""
-    field: str
-    """Name of the parameter or of the config's field behind it."""
-    kind: Any
-    """Its type, without None."""
-    takes_none: bool
-    is_required: bool
-
-    @property
-    def num_values(self) -> int:
-        """How many words follow it."""
-        if self.kind is bool:
-            return 0
-        return len(get_args(self.kind)) if get_origin(self.kind) is tuple and not self.is_repeated else 1
-
-    @property
-    def is_repeated(self) -> bool:
-        """Whether it may be given several times, with one word each."""
-        return get_origin(self.kind) is tuple and get_args(self.kind)[-1] is Ellipsis
-
-    @property
-    def allowed(self) -> str:
-        """What it takes, in words."""
-        if self.kind is bool:
-            return "no value"
-        if get_origin(self.kind) is Literal:
-            words = "one of " + ", ".join(map(str, get_args(self.kind)))
-        elif self.num_values > 1:
-            numbers = {int: "whole numbers", float: "numbers"}.get(get_args(self.kind)[0], "words")
-            words = f"{self.num_values} {numbers}"
-        else:
-            words = _WORDS.get(get_args(self.kind)[0] if self.is_repeated else self.kind, "a word")
-        return f"{words}, or None" if self.takes_none and self.num_values == 1 else words
-
-    def accepts(self, word: str) -> bool:
-        """Whether a word can be one of its values."""
-        if self.takes_none and word == "None":
-            return True
-        if get_origin(self.kind) is Literal:
-            return word in map(str, get_args(self.kind))
-        kind = get_args(self.kind)[0] if get_origin(self.kind) is tuple else self.kind
-        try:
-            return kind not in _NUMBERS or kind(word) is not None
-        except ValueError:
-            return False
-
-
-@dataclass(frozen=True, slots=True)
-class Signature:
-    """The paths and the options of one command."""
-
-    command: str
-    paths: tuple[tuple[str, bool], ...]
-    """Their names in the help, in order, and whether each is required."""
-    options: dict[str, Option]
-    """By their names."""
-
-    def of_field(self, field: str) -> list[Option]:
-        """The options behind which a config's field stands, or a parameter."""
-        return [option for option in self.options.values() if option.field == field]
-
-
-def signature_of(command: str, function: Callable[..., Any]) -> Signature:
-    """The paths and options of a command's function."""
-    hints = get_type_hints(function, include_extras=True)
-    paths: list[tuple[str, bool]] = []
-    options: dict[str, Option] = {}
-    for name, parameter in inspect.signature(function).parameters.items():
+def option_names(function: Callable[..., Any]) -> dict[str, str]:
+    """Names such as `--features.max-features` of a command's options, each with the name of its field or parameter."""
+    hints, found = get_type_hints(function, include_extras=True), dict[str, str]()
+    for name in inspect.signature(function).parameters:
         kind, marks = _without_marks(hints[name])
-        is_required = parameter.default is inspect.Parameter.empty
-        if tyro.conf.Positional in marks:
-            paths.append((next(m.metavar for m in marks if hasattr(m, "metavar")), is_required))
-        elif is_dataclass(kind):
-            is_flat = tyro.conf.OmitArgPrefixes in marks
-            options |= {option.name: option for option in _options_of(kind, "", is_flat=is_flat)}
-        else:
-            option = _option("--" + _dashed(name), name, kind, is_required=is_required)
-            options[option.name] = option
-    return Signature(command, tuple(paths), options)
+        if is_dataclass(kind):
+            found |= _names_in(kind, "", is_flat=tyro.conf.OmitArgPrefixes in marks)
+        elif tyro.conf.Positional not in marks:
+            found[f"--{_dashed(name)}"] = name
+    return found
 
 
-def _options_of(config: Any, prefix: str, *, is_flat: bool) -> Iterator[Option]:
+def _names_in(config: Any, prefix: str, *, is_flat: bool) -> Iterator[tuple[str, str]]:
     hints = get_type_hints(config, include_extras=True)
     for field in fields(config):
         kind, marks = _without_marks(hints[field.name])
         if is_dataclass(kind):
-            is_nameless = any(getattr(mark, "name", None) == "" for mark in marks)
-            below = prefix if is_flat or is_nameless else f"{prefix}{_dashed(field.name)}."
-            yield from _options_of(kind, below, is_flat=is_flat)
+            is_nameless = is_flat or any(getattr(mark, "name", None) == "" for mark in marks)
+            below = prefix if is_nameless else f"{prefix}{_dashed(field.name)}."
+            yield from _names_in(kind, below, is_flat=is_flat)
         else:
-            yield _option(
-                f"--{prefix}{_dashed(field.name)}", field.name, kind, is_required=_is_required(field)
-            )
-
-
-def _option(name: str, field: str, kind: Any, *, is_required: bool) -> Option:
-    members = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
-    named = [member for member in members if member is not NoneType]
-    return Option(name, field, named[0], len(named) < len(members), is_required)
-
-
-def _is_required(field: Field[Any]) -> bool:
-    return field.default is MISSING and field.default_factory is MISSING
+            yield f"--{prefix}{_dashed(field.name)}", field.name
 
 
 def _without_marks(hint: Any) -> tuple[Any, tuple[Any, ...]]:

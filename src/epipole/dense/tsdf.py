@@ -6,8 +6,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from epipole import _parallel
-from epipole._checks import check_count
-from epipole._declared import checked
+from epipole._checks import check_count, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.dense import _tsdf_kernels as kernels
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError

@@ -1,1 +1,1 @@
-"""Dense disparity search: matching costs, semi-global paths and blocks, and how sure each disparity is."""
+"""Dense disparity search: matching costs, semi-global and block matching, and uncertainty of disparities."""

@@ -1,7 +1,7 @@
-"""Block matching of a strip of rows: costs summed over a square window, the lowest sum wins.
+"""Block matching of a strip of rows: the disparity with the lowest sum of costs over a square window.
 
-Column sums over the window's rows are carried from row to row, their sums over its columns from pixel to pixel: two additions and two
-subtractions for each pixel and disparity, whatever the window's size.
+Column sums are updated from row to row, and window sums from pixel to pixel: two additions and two subtractions per pixel and
+disparity, independent of the window size.
 """
 
 import numpy as np
@@ -26,7 +26,7 @@ def take_row(columns, row):
 
 @kernel
 def sum_across(columns, half, width, depth, sums):
-    """Sums (width, depth) of the columns x - half ... x + half of each pixel, those inside the image."""
+    """Sums (width, depth) over the columns x - half ... x + half of each pixel x, clipped to the image."""
     running = sums[:depth]
     running[:] = 0
     for c in range(min(half, width - 1) + 1):
@@ -51,7 +51,7 @@ def sum_across(columns, half, width, depth, sums):
 
 @kernel(allocates=True)
 def match_blocks(images, size, search, half, start, stop, out):
-    """Disparities of rows start..stop. Windows are cut off at the image's borders. out as of `choose_row`."""
+    """Disparities of rows start..stop. Windows are clipped at the image borders; out as in `choose_row`."""
     height, width = size[0], size[1]
     first, _, depth = search
     positions = width + depth + abs(first) if out[5].size else 0

@@ -1,6 +1,6 @@
-"""What is known of each pixel once its sums have been looked at: where between the whole disparities it lies, and whether it holds.
+"""Subpixel refinement and consistency checks of disparities.
 
-Values are compared as arrays of NumPy would be: tests hold the same statements in that form beside these loops.
+Comparisons use the same types as NumPy arrays: tests compare these loops with equivalent array code.
 """
 
 import numpy as np
@@ -13,11 +13,11 @@ OK, OCCLUDED, OUT_OF_VIEW, AMBIGUOUS, TEXTURELESS = 0, 1, 2, 3, 5
 
 @kernel
 def bottom_of_v(winner, lowest, beside, other, first, start, stop, out):
-    """Disparities of rows start..stop, with the steepness of their sums, and the other image's, from whole ones.
+    """Subpixel disparities of rows start..stop with the steepness of their sums, and integer ones of the other image.
 
-    Where a V of two equal slopes through the lowest sum and those beside it has its bottom, -1/2 ... 1/2 from the whole disparity: sums
-    of census costs grow linearly from their minimum; a parabola would draw it to the whole numbers. At the ends of the range
-    there is one slope, and the disparity stays whole. out = (disparity, steepness, other's disparity); the other's may be empty.
+    The minimum of a V with two equal slopes through the lowest sum and its neighbors, within 1/2 of the integer disparity: sums of
+    census costs grow linearly from their minimum, and a parabola would be biased towards integers. At the ends of the range the
+    disparity stays an integer. out = (disparity, steepness, disparity of the other image, which may be empty).
     """
     disparity, steepness, others = out
     half, one, low = np.float32(0.5), np.float32(1.0), np.float32(first)
@@ -39,11 +39,11 @@ def bottom_of_v(winner, lowest, beside, other, first, start, stop, out):
 
 @kernel
 def check_rows(mine, theirs, blank, first, limits, start, stop, out):
-    """Difference from the other image's disparity and reason of each pixel of rows start..stop.
+    """Difference from the other image's disparity, and reason, of each pixel of rows start..stop.
 
-    mine = (disparity, lowest sum, second), theirs = the other image's disparities, blank = (of this image, of the other): where
-    nothing changes along the row. limits = (margin, largest difference). out = (difference, reason); where the other image
-    has nothing the difference is infinite.
+    mine = (disparity, lowest sum, second), theirs = the other image's disparities, blank = masks of textureless pixels (of this image,
+    of the other), limits = (margin, largest difference), out = (difference, reason). The difference is infinite if the other image
+    has no disparity.
     """
     disparity, lowest, second = mine
     here_blank, there_blank = blank
@@ -70,6 +70,6 @@ def check_rows(mine, theirs, blank, first, limits, start, stop, out):
                 found = TEXTURELESS
             else:
                 found = OK
-            # Before the first known pixel of a row surfaces begin that reach beyond the other image's border.
+            # Surfaces at the start of a row, before its first known pixel, extend beyond the border of the other image.
             starts = starts and found == OCCLUDED
             reason[y, x] = OUT_OF_VIEW if starts else found

@@ -1,11 +1,11 @@
 """Semi-global matching of a strip of rows (Hirschmueller, PAMI 2008).
 
-Of every pixel and disparity the costs are summed along eight or four straight paths that end there. Two sweeps do it:
-downward with the paths from the left and from above, upward with those from the right and from below. Costs are made
-anew in each sweep, which is cheaper than to read them back; between the sweeps only the first one's sums are kept.
+For every pixel and disparity, costs are summed along eight or four straight paths that end there, in two sweeps: downward with the
+paths from the left and from above, upward with those from the right and from below. Costs are recomputed in each sweep, which is
+cheaper than reading them back; between the sweeps only the sums of the first one are stored.
 
-A disparity's number k stands for `first + k`. The state of the paths is (2 rows, MOST paths, width + 2, EDGE + depth) bytes, flat:
-the row before and the present one in turn, with a column at either end in which every path begins.
+Index k is the disparity `first + k`. The state of the paths is (2 rows, MOST paths, width + 2, EDGE + depth) bytes, flat: the previous
+and the present row alternate, with a column at either end in which every path starts.
 """
 
 import numpy as np
@@ -14,18 +14,18 @@ from epipole._jit import kernel
 from epipole.disparity_search._simd_kernels import LANES, count_bits, extend_paths, keep_lower, least_two
 
 MOST = 4  # paths of one sweep
-EDGE = LANES  # bytes between neighbours' disparities: 255, which no step takes
-NEVER = 255  # the cost of a disparity that leads out of the image
+EDGE = LANES  # bytes between the disparities of neighbors: 255, which no path passes
+NEVER = 255  # the cost of a disparity outside the image
 NOBODY = 65535
 
 
 @kernel
 def cost_row(images, y, size, search, out):
-    """Costs (width, depth) of row y: the bits in which two windows differ, and half the difference of brightness up to `most`.
+    """Costs (width, depth) of row y: Hamming distance of the census, plus half the brightness difference up to `most`.
 
-    images = (left, right, left's brightness, right's, most). left (h, width, planes) and right (h, planes, padded width) hold the
-    census, flat; the rows of right and of its brightness (h, padded width) run from right to left, so that disparities ascend.
-    size = (height, width, planes, padding), search = (first, count, depth). most = 0: the bits alone.
+    images = (left, right, left brightness, right brightness, most). left (h, width, planes) and right (h, planes, padded width) are
+    the flat census; rows of right and of its brightness (h, padded width) are mirrored, so that disparities ascend.
+    size = (height, width, planes, padding), search = (first, count, depth). most = 0: census only.
     """
     left, right, bright, other_bright, most = images
     _, width, planes, padding = size
@@ -40,7 +40,7 @@ def cost_row(images, y, size, search, out):
             for k in range(depth):
                 apart = abs(np.int16(other_bright[there + k]) - here) >> 1
                 out[at + k] += min(apart, most)
-        # x - first - k lies in the other image for lowest <= k < highest.
+        # x - first - k is inside the other image for lowest <= k < highest.
         lowest, highest = max(x - first - width + 1, 0), min(x - first + 1, count)
         for k in range(min(lowest, depth)):
             out[at + k] = NEVER
@@ -50,7 +50,7 @@ def cost_row(images, y, size, search, out):
 
 @kernel
 def start_paths(paths, least, width, depth):
-    """A state in which every path begins: no cost so far."""
+    """Initialize the state of the paths with zero costs."""
     for n in range(2 * MOST * (width + 2)):
         at = EDGE + n * (EDGE + depth)
         for k in range(depth):
@@ -63,9 +63,9 @@ def start_paths(paths, least, width, depth):
 
 @kernel
 def sweep_row(costs, grey, y, y_before, step, size, depth, penalties, state, sums, at_sums):
-    """Carry the paths from beside (step = 1: from the left) and from the row before through row y; write their sums.
+    """Advance the paths from the side (step = 1: from the left) and from the previous row through row y; write their sums.
 
-    penalties = (paths of both sweeps, P1, P2 by difference of brightness), state = (paths, least value of each).
+    penalties = (number of paths of both sweeps, P1, P2 by brightness difference), state = (paths, minimum of each).
     """
     num_paths, small, jumps = penalties
     paths, least = state
@@ -118,11 +118,11 @@ def sweep_row(costs, grey, y, y_before, step, size, depth, penalties, state, sum
 
 @kernel
 def choose_row(sums, at_row, more, y, width, search, out, best, winners):
-    """Add the second sweep's sums of row y to the first's; the disparities of the lowest, of both images.
+    """Add the second sweep's sums of row y to those of the first, and find the lowest ones of both images.
 
-    out = (winner, lowest, second, beside, spread, other's winner), spread being how far the two sweeps' own winners lie
-    apart; best and winners are scratch, one place for each pixel of the
-    other image from right to left; all three are empty where its winners are not asked for.
+    out = (winner, lowest, second, beside, spread, winner of the other image), where spread is the difference between the winners of
+    the two sweeps. best and winners are scratch, one element for each pixel of the other image from right to left; these and the
+    other's winner are empty if not requested.
     """
     winner, lowest, second, beside, spread, other = out
     first, _, depth = search
@@ -144,7 +144,7 @@ def choose_row(sums, at_row, more, y, width, search, out, best, winners):
 
 @kernel(allocates=True)
 def match_strip(images, grey, size, search, penalties, start, stop, margin, sums, out):
-    """Disparities of rows start..stop; the paths begin up to `margin` rows beyond them. sums: room for (stop - start) rows."""
+    """Disparities of rows start..stop; paths start up to `margin` rows beyond them. sums: buffer for (stop - start) rows."""
     height, width = size[0], size[1]
     first, _, depth = search
     positions = width + depth + abs(first) if out[5].size else 0

@@ -1,8 +1,7 @@
-"""Rows of disparities as vectors of the processor.
+"""Explicit SIMD kernels over rows of disparities.
 
-Costs are bytes, sums of paths 16-bit numbers, and all loops run over disparities, 32 at a time; the compiler widens
-whole numbers as Python would and then finds no vectors in such loops, so they are said outright. Rows are stretches
-of flat arrays, given by the array and the place of their first number.
+Costs are bytes, path sums are 16-bit integers, and loops process 32 disparities at a time. Numba promotes integers as Python does, so
+the compiler would not vectorize such loops. A row is a range of a flat array, given by the array and the index of its first element.
 """
 
 from typing import Any
@@ -28,12 +27,12 @@ class _Code:
         self.kinds, self.values = signature.args, values
 
     def data(self, argument: int) -> Any:
-        """The address of an array's first number."""
+        """Pointer to the first element of an array."""
         kind = self.kinds[argument]
         return self.context.make_array(kind)(self.context, self.builder, self.values[argument]).data
 
     def items(self, argument: int) -> list[Any]:
-        """The numbers of a tuple."""
+        """The elements of a tuple."""
         return [
             self.builder.extract_value(self.values[argument], k) for k in range(len(self.kinds[argument]))
         ]
@@ -47,7 +46,7 @@ class _Code:
         self.builder.store(value, pointer, align=1)
 
     def spread(self, value: Any, element: Any = _BYTE) -> Any:
-        """A whole number in all lanes."""
+        """Broadcast an integer to all lanes."""
         if value.type.width > element.width:
             value = self.builder.trunc(value, element)
         vector = ir.VectorType(element, LANES)
@@ -56,7 +55,7 @@ class _Code:
         return self.builder.shuffle_vector(one, one, zeros)
 
     def call(self, name: str, *values: Any) -> Any:
-        """One of LLVM's functions of vectors."""
+        """Call an LLVM vector intrinsic."""
         vector = values[0].type
         suffix = f"v{LANES}i{vector.element.width}"
         kind = ir.FunctionType(vector, [vector] * len(values))
@@ -116,7 +115,7 @@ def _keep_lower(sums, at_sums, best, winners, at_best, blocks):
 
 @row_intrinsic(_count_bits)
 def count_bits(typingctx, left, at_left, right, at_right, width, planes, out, at_out, blocks):
-    """Row of costs: out[at_out + d] = bits in which left[at_left + p] and right[at_right + p width + d] differ, p < planes."""
+    """Row of costs: out[at_out + d] = Hamming distance of left[at_left + p] and right[at_right + p width + d] over p < planes."""
     long = types.int64
     signature = types.void(left, long, right, long, long, long, out, long, long)
 
@@ -143,11 +142,11 @@ def count_bits(typingctx, left, at_left, right, at_right, width, planes, out, at
 def extend_paths(
     typingctx, paths, at_before, least, jump, step, costs, at_cost, at_now, sums, at_sums, blocks
 ):
-    """One pixel's step of several paths: L(d) = C(d) + min(L'(d), L'(d +- 1) + P1, min L' + P2) - min L'.
+    """Advance several paths by one pixel: L(d) = C(d) + min(L'(d), L'(d +- 1) + P1, min L' + P2) - min L'.
 
-    Hirschmueller (PAMI 2008, eq. 13). paths: bytes that hold L' at at_before[k] and take L at at_now[k]; a byte 255 stands
-    before the first disparity of each and behind its last. least: min L' of each; jump: its P2; step: P1. The sum over the
-    paths goes to sums. Returns the least L of each. No sum exceeds a byte while C + P2 < 256.
+    Hirschmueller (PAMI 2008, eq. 13). paths: bytes with L' at at_before[k], to which L is written at at_now[k]; each row is enclosed
+    by bytes of 255. least: min L' of each path; jump: its P2; step: P1. The sum over the paths is written to sums. Returns the
+    minimum of each L. Values fit into a byte as long as C + P2 < 256.
     """
     long, count = types.int64, len(at_before)
     several = types.UniTuple(long, count)
@@ -184,7 +183,7 @@ def extend_paths(
 
 
 class _Lowest:
-    """The lowest number of a row and its place, the first of them, as blocks of the row come by."""
+    """Running minimum of a row and its first index, block by block."""
 
     def __init__(self, code: _Code) -> None:
         self.code, self.builder = code, code.builder
@@ -199,7 +198,7 @@ class _Lowest:
         builder.store(builder.select(is_lower, positions, builder.load(self.slot)), self.slot)
 
     def found(self) -> tuple[Any, Any]:
-        """(place, value)."""
+        """(index, value)."""
         values, builder = self.builder.load(self.value), self.builder
         lowest = self.code.least(values)
         is_lowest = builder.icmp_unsigned("==", values, self.code.spread(lowest, _SHORT))
@@ -208,9 +207,9 @@ class _Lowest:
 
 @row_intrinsic(_least_two)
 def least_two(typingctx, sums, at_sums, more, at_more, blocks):
-    """(d, lowest, second, d1, d2) of the row sums += more: where it is lowest, the lowest number, and the lowest not beside it.
+    """(d, lowest, second, d1, d2) of the row sums += more: index and value of its minimum, and the minimum not adjacent to it.
 
-    d1 and d2: where sums was lowest before, and where more is. Of equal numbers the first counts.
+    d1 and d2: indices of the minima of sums before the addition, and of more. Of equal values the first index is returned.
     """
     long = types.int64
     signature = types.UniTuple(long, 5)(sums, long, more, long, long)
@@ -241,7 +240,7 @@ def least_two(typingctx, sums, at_sums, more, at_more, blocks):
             row = code.load(sums, builder.add(values[1], step), _SHORTS)
             away = builder.sub(
                 builder.add(code.spread(step, _SHORT), lanes), near
-            )  # 0, 1, 2: beside the lowest
+            )  # 0, 1, 2: the minimum and its neighbors
             is_far = builder.icmp_unsigned(">", away, ir.Constant(_SHORTS, [2] * LANES))
             row = builder.select(is_far, row, both.full)
             builder.store(code.call("umin", builder.load(best), row), best)
@@ -253,7 +252,7 @@ def least_two(typingctx, sums, at_sums, more, at_more, blocks):
 
 @row_intrinsic(_keep_lower)
 def keep_lower(typingctx, sums, at_sums, best, winners, at_best, blocks):
-    """Where sums[d] < best[at_best + d]: keep it there, and d in winners[at_best + d]."""
+    """Where sums[d] < best[at_best + d], store it there, and d in winners[at_best + d]."""
     long = types.int64
     signature = types.void(sums, long, best, winners, long, long)
 

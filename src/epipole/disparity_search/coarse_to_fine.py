@@ -1,4 +1,4 @@
-"""Where in the range of disparities each tile of an image needs to be searched: what an image of half the size shows there."""
+"""Search ranges of image tiles from the disparities at half resolution."""
 
 from __future__ import annotations
 
@@ -8,43 +8,42 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32
 
-from epipole._checks import check_pixels
-from epipole._declared import checked
+from epipole._checks import check_pixels, checked
 from epipole.errors import ShapeError
 
 TILE_PX = 384
 MARGIN_PX = 24
-"""Beyond a tile on every side, in which its paths begin."""
+"""Margin of a tile on every side, in which its paths start."""
 _SPARE_PX = 6
-"""Disparities searched beyond those of the coarse image, at full size."""
+"""Margin of the search range beyond the coarse disparities, at full resolution."""
 _BESIDE = 1
-"""Tiles whose coarse disparities count too: things reach over borders."""
+"""Neighboring tiles in each direction whose coarse disparities are included, since objects cross borders."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """A rectangle of the image and its disparities."""
+    """A rectangle of the image and its search range."""
 
     rows: tuple[int, int]
     columns: tuple[int, int]
     disparities: tuple[int, int]
-    """First and last."""
+    """Smallest and largest."""
 
 
 @checked
 def tiles_of(
     coarse_px: Float32[np.ndarray, "h2 w2"], shape: tuple[int, int], search: tuple[int, int]
 ) -> Iterator[Tile]:
-    """The tiles of an image, each with the range in which its own and its neighbours' coarse disparities lie.
+    """The tiles of an image, each with the range of the coarse disparities in it and its neighbors.
 
     Args:
-        coarse_px: disparities of the image of half the size, in its own pixels; NaN where unknown.
+        coarse_px: disparities at half resolution, in pixels of that resolution; NaN where unknown.
         shape: height and width of the image.
-        search: first and last disparity of the whole image.
+        search: smallest and largest disparity of the entire image.
 
     Raises:
         ShapeError: an image is empty.
-        ConfigError: it is too large.
+        ConfigError: the image is too large.
     """
     height, width = shape
     if coarse_px.size == 0 or min(shape) < 1:

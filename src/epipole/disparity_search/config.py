@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from epipole._declared import check_options
+from epipole._checks import check_options
 from epipole.errors import ConfigError
 
 
@@ -14,43 +14,37 @@ class DisparityConfig:
     """Options of dense stereo matching."""
 
     min_disparity_px: int = 0
-    """Smallest disparity searched; 0 becomes the disparity of infinity where the rig's principal points
-    differ."""
+    """Smallest disparity searched; 0 becomes the disparity of infinity if the principal points differ."""
     max_disparity_px: int | None = None
     """Largest disparity searched; None: estimated from the images."""
     search: Literal["full", "coarse_to_fine"] = "full"
-    """full: every disparity at every pixel; coarse_to_fine: in each tile only disparities near those found at
-    half the resolution."""
+    """full: every disparity at every pixel; coarse_to_fine: only near the disparities found at half resolution."""
     method: Literal["sgm", "block"] = "sgm"
-    """sgm: semi-global matching along paths; block: block matching, without a smoothness term, with more
-    errors where there is little texture."""
+    """sgm: semi-global matching; block: block matching without a smoothness term."""
     block_px: int = 9
     """block: side of the blocks, odd, at most 15."""
     paths: Literal[4, 8] = 8
-    """sgm: number of directions along which costs are summed; four take a fifth less time."""
+    """sgm: number of directions along which costs are summed; 4 is a fifth faster."""
     window: tuple[int, int] = (5, 5)
     """Width and height of the census window, odd."""
     brightness_cost: int = 0
-    """Largest cost, in bits, added for a difference of brightness (one bit for every two grey levels): for
-    pairs of equal exposure."""
+    """Largest cost, in bits, of brightness differences (one bit per two grey levels); needs equal exposure."""
     small_penalty: int = 20
-    """P1: penalty for a change of disparity by one between neighbours, in bits of the census."""
+    """P1: penalty for a disparity change of one between neighbors, in bits of the census."""
     edge_penalty: float = 6.0
-    """P2 = P1 (1 + edge_penalty exp(-difference of brightness / edge_fade)): penalty for larger changes."""
+    """P2 = P1 (1 + edge_penalty exp(-brightness difference / edge_fade)): penalty for larger changes."""
     edge_fade: float = 10.0
-    """Difference of brightness, in grey levels, at which the extra penalty has fallen to 37 %."""
+    """Brightness difference, in grey levels, at which the extra penalty falls to 37 %."""
     left_right: Literal["accurate", "fast"] = "accurate"
-    """Left-right check: accurate matches the right image on its own; fast (half the time) reads its
-    disparities off the same sums."""
+    """Left-right check: accurate matches the right image separately; fast (half the time) reuses the sums."""
     max_left_right_px: float = 1.25
-    """Pixels whose left and right disparities differ by more count as occluded."""
+    """Pixels whose left and right disparities differ by more are marked as occluded."""
     min_margin: float = 0.0
-    """Uniqueness: the second lowest sum must exceed the lowest by this share of it, else the pixel is
-    ambiguous."""
+    """Pixels are ambiguous unless the second lowest sum exceeds the lowest by this fraction."""
     max_sigma_px: float | None = None
-    """Disparities with a larger standard deviation are left out; None: all are kept."""
+    """Remove disparities with a larger standard deviation; None: keep all."""
     min_region_px: int = 40
-    """Connected regions of similar disparity with fewer pixels are removed as speckles."""
+    """Remove connected regions of similar disparity with fewer pixels as speckles."""
     median_px: Literal[0, 3, 5] = 5
     """Side of the median filter; 0: none."""
 
@@ -58,7 +52,7 @@ class DisparityConfig:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
         check_options(
             self,
@@ -73,9 +67,9 @@ class DisparityConfig:
             any(side < 1 or side % 2 == 0 for side in self.window)
             or not 2 < self.window[0] * self.window[1] <= 121
         ):
-            raise ConfigError(f"window must have odd sides and at most 121 pixels, is {self.window}")
+            raise ConfigError(f"window must have odd sides and 3 to 121 pixels, got {self.window}")
         if self.block_px < 1 or self.block_px % 2 == 0 or self.block_px > 15:
-            raise ConfigError(f"block_px must be odd and at most 15, is {self.block_px}")
+            raise ConfigError(f"block_px must be odd and at most 15, got {self.block_px}")
         if self.brightness_cost < 0:
             raise ConfigError("brightness_cost must not be negative")
         bits = self.window[0] * self.window[1] - 1 + self.brightness_cost
@@ -87,13 +81,13 @@ class DisparityConfig:
             )
         if bits + largest > 254:
             raise ConfigError(
-                f"the cost's {bits} bits and the largest penalty {largest:g} must be at most 254 together"
+                f"the sum of the cost's {bits} bits and the largest penalty {largest:g} must be at most 254"
             )
         if self.search == "coarse_to_fine" and self.left_right == "fast":
             raise ConfigError(
-                "coarse_to_fine needs left_right accurate: tiles do not hold the right image's disparities"
+                "search coarse_to_fine needs left_right accurate: tiles do not give disparities of the right image"
             )
         if self.max_sigma_px is not None and not self.max_sigma_px > 0:
-            raise ConfigError(f"max_sigma_px must be positive, is {self.max_sigma_px}")
+            raise ConfigError(f"max_sigma_px must be positive, got {self.max_sigma_px}")
         if not self.max_left_right_px > 0 or not self.min_margin >= 0 or self.min_region_px < 0:
             raise ConfigError("max_left_right_px must be positive, min_margin and min_region_px not negative")

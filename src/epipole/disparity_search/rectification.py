@@ -1,4 +1,4 @@
-"""Rectification: what two cameras would see if they stood side by side with parallel axes and common rows."""
+"""Rectification of two cameras to side-by-side pinholes with parallel axes and common rows."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from epipole._checks import as_image, check_pixels
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, as_image, check_pixels, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.cameras.visibility import project_visible
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.scene import DisparityMap, RectifiedRig, StereoReason, StereoRig
 
-_WIDEST = 2.0  # tangent of the widest angle from the axis that is drawn: a plane cannot show 90 degrees
+_WIDEST = 2.0  # tangent of the largest rectified angle from the axis: a plane cannot show 90 degrees
 _BORDER = 65  # rays along each side of an image
-_MOST_GROWTH = 4.0  # a rectified image has at most so many times the pixels of the larger one given
-_SWAPPED_DEG = 135.0  # a baseline that points so far to the left belongs to a swapped pair
+_MOST_GROWTH = 4.0  # largest ratio of pixels of a rectified image to those of the larger input image
+_SWAPPED_DEG = 135.0  # a baseline at a larger angle to the x axis indicates a swapped pair
 _VERTICAL_DEG = 45.0
 _IMAGES = (np.uint8, np.uint16, np.int16, np.float32, np.float64)
 
@@ -28,20 +27,20 @@ Matrix3 = Float64[np.ndarray, "3 3"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rectification(Declared):
-    """Tables that resample both images, and the rig that would have taken the results."""
+    """Lookup tables that resample both images, and the rectified rig."""
 
     rig: RectifiedRig
     rectified_from_left: Matrix3
-    """Rotation from the left camera's axes to the rectified ones, which both images share."""
+    """Rotation from the left camera's axes to the rectified ones, which are common to both cameras."""
     rectified_from_right: Matrix3
     left_map_px: Float32[np.ndarray, "h w 2"]
-    """Where in the left image each rectified pixel lies."""
+    """Pixel in the left image of each rectified pixel."""
     right_map_px: Float32[np.ndarray, "h w 2"]
     left_valid: Bool[np.ndarray, "h w"]
-    """Pixels that the left camera sees."""
+    """Rectified pixels inside the left image."""
     right_valid: Bool[np.ndarray, "h w"]
     is_rotated: bool
-    """The cameras stand one above the other: the rectified images lie on their side."""
+    """Whether one camera is above the other, so that the rectified images are rotated by 90 degrees."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -51,7 +50,7 @@ class Rectification(Declared):
 
     @property
     def Q(self) -> Float64[np.ndarray, "4 4"]:
-        """(X, Y, Z, W)^T = Q (x, y, disparity, 1)^T, in the rectified left camera's axes, as OpenCV has it."""
+        """(X, Y, Z, W)^T = Q (x, y, disparity, 1)^T, in the rectified left camera's frame, as in OpenCV."""
         rig = self.rig
         out = np.zeros((4, 4))
         out[0, 0] = out[1, 1] = 1.0
@@ -60,10 +59,10 @@ class Rectification(Declared):
         return out
 
     def apply(self, left: Any, right: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Both images, resampled (bilinear); where a camera saw nothing its border goes on.
+        """Both images, resampled (bilinear); the border is replicated outside the original images.
 
         Raises:
-            ShapeError: one of them is no image.
+            ShapeError: an argument is not an image.
         """
         images = []
         for name, image, table in (
@@ -73,28 +72,29 @@ class Rectification(Declared):
             array = as_image(image, name)
             is_image = array.ndim in (2, 3) and array.size > 0 and array.dtype in _IMAGES
             if not is_image or (array.ndim == 3 and array.shape[2] > 4):
-                raise ShapeError(f"{name} must be an image, is {array.shape} of {array.dtype}")
+                raise ShapeError(f"{name} must be an image, got {array.shape} of {array.dtype}")
             images.append(
                 cv2.remap(array, table[..., 0], table[..., 1], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
             )
         return images[0], images[1]
 
     def __repr__(self) -> str:
-        rotated = ", turned on its side" if self.is_rotated else ""
+        rotated = ", rotated by 90 degrees" if self.is_rotated else ""
         return f"Rectification({self.size[0]} x {self.size[1]}{rotated}, {self.rig!r})"
 
 
 @checked
 def rectify(rig: StereoRig) -> Rectification:
-    """Rectify two calibrated cameras of any kind (Fusiello, Trucco and Verri 2000, with the axes' mean direction).
+    """Rectify two calibrated cameras of any model (Fusiello, Trucco and Verri 2000, with the mean of both optical axes).
 
-    The common x axis lies along the baseline; z is as near to both optical axes as that allows. The rectified pinhole has the
-    smaller of both focal lengths and shows all that either camera sees, up to 63 degrees from the axis, in the rows
-    that both see. Cameras one above the other give images that lie on their side.
+    The common x axis is along the baseline; z is as close as possible to both optical axes. The rectified pinholes have the smaller
+    focal length, and show everything that either camera sees, up to 63 degrees from the axis, in the rows that both see. If one
+    camera is above the other, the rectified images are rotated by 90 degrees.
 
     Raises:
         ConfigError: left and right are swapped.
-        DegenerateGeometryError: the baseline lies along the viewing direction, or no row is seen by both.
+        DegenerateGeometryError: the baseline is along the viewing direction, the cameras look in opposite directions, or they have no
+            row in common.
     """
     toward_right = rig.right_from_left.inverse().translation
     right_rotation = rig.right_from_left.rotation
@@ -102,11 +102,11 @@ def rectify(rig: StereoRig) -> Rectification:
     x = toward_right / np.linalg.norm(toward_right)
     if np.hypot(x[0], x[1]) < 0.2:
         raise DegenerateGeometryError(
-            "the baseline lies along the viewing direction: such a pair cannot be rectified to planes"
+            "the baseline is along the viewing direction: such a pair cannot be rectified to planes"
         )
     if is_right_of_left(rig):
         raise ConfigError(
-            "left and right are swapped: the calibration's right camera stands left of its left one"
+            "left and right are swapped: the calibration's right camera is to the left of its left one"
         )
     z = axes.sum(axis=0)
     z = z - (z @ x) * x
@@ -147,13 +147,13 @@ def rectify(rig: StereoRig) -> Rectification:
 
 @checked
 def is_right_of_left(rig: StereoRig) -> bool:
-    """Whether left and right are swapped: the right camera's centre lies to the left of the left one's axis."""
+    """Whether left and right are swapped: the right camera's center is to the left of the left camera."""
     x, y, _ = rig.right_from_left.inverse().translation
     return bool(abs(np.rad2deg(np.arctan2(y, x))) > _SWAPPED_DEG)
 
 
 def _seen(camera: Camera, rectified_from_cam: np.ndarray) -> tuple[float, float, float, float]:
-    """(least x, largest x, least y, largest y) on the plane z = 1 of what the image's border and middle see."""
+    """(smallest x, largest x, smallest y, largest y) of a grid of the image's rays on the plane z = 1."""
     x, y = np.linspace(-0.5, camera.width - 0.5, _BORDER), np.linspace(-0.5, camera.height - 0.5, _BORDER)
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     rays = camera.unproject(grid) @ rectified_from_cam.T
@@ -168,7 +168,7 @@ def _seen(camera: Camera, rectified_from_cam: np.ndarray) -> tuple[float, float,
 
 
 def _table(pinhole: Camera, camera: Camera, rectified_from_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where each pixel of the pinhole lies in the camera's image, and whether it does."""
+    """Pixel in the camera's image of each pinhole pixel, and the mask of those inside."""
     shape = (pinhole.height, pinhole.width)
     v, u = np.mgrid[: pinhole.height, : pinhole.width]
     fx, fy, cx, cy = pinhole.params
@@ -183,9 +183,9 @@ def _table(pinhole: Camera, camera: Camera, rectified_from_cam: np.ndarray) -> t
 def within_both(
     disparities: DisparityMap, left_valid: Bool[np.ndarray, "h w"], right_valid: Bool[np.ndarray, "h w"]
 ) -> DisparityMap:
-    """The disparities of pixels that the left camera sees and whose matches the right one sees; others are OUT_OF_VIEW."""
+    """Mark pixels outside the left image, or with matches outside the right image, as OUT_OF_VIEW."""
     if not disparities.reason.shape == left_valid.shape == right_valid.shape:
-        raise ShapeError("disparities, left_valid and right_valid must have one size")
+        raise ShapeError("disparities, left_valid and right_valid must have the same size")
     height, width = disparities.reason.shape
     matched = np.rint(np.arange(width) - np.nan_to_num(disparities.disparity_px)).astype(np.int64)
     rows = np.arange(height)[:, None]

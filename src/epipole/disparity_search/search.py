@@ -25,28 +25,26 @@ from epipole.errors import ConfigError, ShapeError
 from epipole.image import census
 from epipole.scene import DisparityMap, StereoReason
 
-_MARGIN = 32  # rows beyond a strip in which its paths begin: later ones do not change the result (measured)
+_MARGIN = 32  # rows beyond a strip in which its paths start; more do not change the result (measured)
 _MOST_STRIP_BYTES = 1 << 27
 _LEAST_ROWS, _MOST_ROWS = 16, 192
-_ROWS = 64  # at a time, of what is done pixel by pixel
+_ROWS = 64  # at a time, in pixelwise operations
 _MOST_DISPARITIES = 4096
-_COARSE = 4  # times smaller are the images from which the range is found
+_COARSE = 4  # downscaling factor of the images for estimating the range
 _LEAST_CHANGE, _TEXTURE_WINDOW = 3, 25  # of 255 grey levels; pixels
-_FEW_DISPARITIES = 48  # are searched in full
-_SMOOTH_PX = 1.0  # neighbours of one region differ by no more
+_FEW_DISPARITIES = 48  # fewer are always searched in full
+_SMOOTH_PX = 1.0  # largest difference between neighbors of a region
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Image:
-    """What matching compares."""
-
     bits: UInt8[np.ndarray, "h w planes"]
-    """Census. Windows differ in as many bits whatever the bits' order: that of a mirrored image is the mirrored one."""
+    """Census. The Hamming distance is independent of the order of the bits, so that of a mirrored image is the mirrored one."""
     brightness: Int16[np.ndarray, "h w"]
     """0 to 255."""
 
     def mirrored(self) -> _Image:
-        """With left and right exchanged."""
+        """Mirrored horizontally."""
         return _Image(
             np.ascontiguousarray(self.bits[:, ::-1]), np.ascontiguousarray(self.brightness[:, ::-1])
         )
@@ -54,26 +52,26 @@ class _Image:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Winners:
-    """What the sums of one image say."""
+    """Best disparities of one image, and their cues."""
 
     disparity: Float32[np.ndarray, "h w"]
     lowest: UInt16[np.ndarray, "h w"]
     second: UInt16[np.ndarray, "h w"]
-    """The lowest but for the lowest and its neighbours."""
+    """The lowest sum that is neither the lowest nor adjacent to it."""
     steepness: Float32[np.ndarray, "h w"]
-    """Of the V."""
+    """Slope of the fitted V."""
     spread: UInt16[np.ndarray, "h w"]
-    """How far apart the winners of the downward and the upward sweep lie."""
+    """Difference between the winners of the downward and the upward sweep."""
     other: Float32[np.ndarray, "h2 w2"]
-    """Disparities of the other image read off the same sums, whole; NaN where there is none. Empty if not asked for."""
+    """Integer disparities of the other image from the same sums; NaN for none. Empty if not requested."""
 
 
 def match_stereo(left: Any, right: Any, config: DisparityConfig | None = None) -> DisparityMap:
     """Disparities of a rectified pair by semi-global matching of census windows (Hirschmueller, PAMI 2008).
 
-    Every step is a line of `match_with_evidence`. A disparity is whole where the costs, summed along straight paths, are lowest, plus the
-    V through its neighbours' sums (Haller and Nedevschi, TIP 2012); what the other image does not confirm is
-    unknown. Memory beside the images' own: 128 MB or 16 rows of sums (2 bytes for each pixel and disparity) per thread.
+    Costs are summed along straight paths; the disparity with the lowest sum is refined by fitting a V to its neighbors' sums
+    (Haller and Nedevschi, TIP 2012). Pixels that the other image does not confirm are unknown. Extra memory: 128 MB or 16 rows of sums
+    (2 bytes per pixel and disparity) per thread.
 
     Args:
         left: (h, w) or (h, w, 3), 8 or 16 bits; rows are epipolar lines.
@@ -81,8 +79,8 @@ def match_stereo(left: Any, right: Any, config: DisparityConfig | None = None) -
         config: options; None for the defaults.
 
     Raises:
-        ShapeError: the images are no pair.
-        ConfigError: the range of disparities does not fit the images.
+        ShapeError: the images have different sizes or unsupported types.
+        ConfigError: the disparity range does not fit the images.
     """
     return match_with_evidence(left, right, config)[0]
 
@@ -90,7 +88,7 @@ def match_stereo(left: Any, right: Any, config: DisparityConfig | None = None) -
 def match_with_evidence(
     left: Any, right: Any, config: DisparityConfig | None = None
 ) -> tuple[DisparityMap, MatchEvidence]:
-    """`match_stereo`, and what its standard deviations were read from."""
+    """`match_stereo`, and the cues behind its standard deviations."""
     config = options_of(DisparityConfig, config)
     one, two = _grey_pair(left, right)
     low, high = _search_range(one, two, config)
@@ -105,7 +103,7 @@ def match_with_evidence(
     disparity = cv2.medianBlur(mine.disparity, config.median_px) if config.median_px else mine.disparity
     reason[_speckles(disparity, reason, config.min_region_px)] = StereoReason.SPECKLE
     smoothing = np.abs(disparity - mine.disparity)
-    per_path = np.float32(8.0 / config.paths)  # half as many paths make sums half as large
+    per_path = np.float32(8.0 / config.paths)  # sums are proportional to the number of paths
     margin = per_path * (mine.second.astype(np.float32) - mine.lowest)
     evidence = MatchEvidence(
         per_path * mine.steepness, margin, apart, smoothing, mine.spread, roughness(disparity)
@@ -119,7 +117,7 @@ def match_with_evidence(
 
 
 def _grey_pair(left: Any, right: Any) -> tuple[UInt16[np.ndarray, "h w"], UInt16[np.ndarray, "h w"]]:
-    """Both images with one channel; a grey one may go with a coloured one."""
+    """Both images as grey; a grey image can be paired with a color one."""
     greys = []
     for name, image in (("left", left), ("right", right)):
         array = as_image(image, name)
@@ -129,34 +127,35 @@ def _grey_pair(left: Any, right: Any) -> tuple[UInt16[np.ndarray, "h w"], UInt16
             array = cv2.cvtColor(array, cv2.COLOR_RGB2GRAY)
         if array.ndim != 2 or array.dtype not in (np.uint8, np.uint16):
             raise ShapeError(
-                f"{name} must be (h, w) or (h, w, 3) of 8 or 16 bits, is {array.shape} of {array.dtype}"
+                f"{name} must be (h, w) or (h, w, 3) with 8 or 16 bits, got {array.shape} of {array.dtype}"
             )
         greys.append(array.astype(np.uint16))
     if greys[0].shape != greys[1].shape:
         (h1, w1), (h2, w2) = greys[0].shape, greys[1].shape
-        raise ShapeError(f"left is {w1} x {h1} pixels and right {w2} x {h2}: a rectified pair has one size")
+        raise ShapeError(
+            f"left is {w1} x {h1} pixels and right {w2} x {h2}: the images of a rectified pair must have the same size"
+        )
     if min(greys[0].shape) < 1:
         raise ShapeError("the images are empty")
     return greys[0], greys[1]
 
 
 def _search_range(left: np.ndarray, right: np.ndarray, config: DisparityConfig) -> tuple[int, int]:
-    """First and last disparity to look for."""
     low, high, width = config.min_disparity_px, config.max_disparity_px, left.shape[1]
     if low >= width or (high is not None and high <= -width):
-        raise ConfigError(f"no disparity from {low} on exists in images {width} pixels wide")
+        raise ConfigError(f"the disparity range from {low} does not fit images {width} pixels wide")
     if high is None:
         high = max(_largest_disparity(left, right, config), low + 1)
     high = min(high, width - 1)
     if high - low >= _MOST_DISPARITIES:
         raise ConfigError(
-            f"{high - low + 1} disparities are more than the {_MOST_DISPARITIES} that can be told apart"
+            f"{high - low + 1} disparities exceed the maximum of {_MOST_DISPARITIES}: reduce the range"
         )
     return low, high
 
 
 def _largest_disparity(left: np.ndarray, right: np.ndarray, config: DisparityConfig) -> int:
-    """What all but the nearest two in a thousand pixels have, from images a quarter as large."""
+    """The 99.8th percentile of the disparities at a quarter of the resolution, with a margin."""
     size = (max(1, left.shape[1] // _COARSE), max(1, left.shape[0] // _COARSE))
     small = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (left, right)]
     low, high = config.min_disparity_px // _COARSE, max(size[0] // 2, config.min_disparity_px // _COARSE + 1)
@@ -176,7 +175,6 @@ def _inspect(grey: UInt16[np.ndarray, "h w"], config: DisparityConfig) -> _Image
 def _winners(
     left: _Image, right: _Image, low: int, high: int, config: DisparityConfig, *, with_other: bool = True
 ) -> _Winners:
-    """Disparities of the left image, from sums along the paths or over blocks."""
     height, width = left.brightness.shape
     count = high - low + 1
     depth = -(-count // LANES) * LANES
@@ -220,9 +218,9 @@ def _winners(
 def _both_winners(
     left: np.ndarray, right: np.ndarray, low: int, high: int, config: DisparityConfig
 ) -> tuple[_Winners, _Winners]:
-    """Of the left image, and of the mirrored right one whose left is the mirrored left one.
+    """Winners of the left image, and of the mirrored right image matched to the mirrored left one.
 
-    Coarse to fine, what agrees in images of half the size tells each tile where to search.
+    Coarse to fine, the consistent disparities at half resolution determine the search range of each tile.
     """
     height, width = left.shape
     is_small = high - low < _FEW_DISPARITIES or min(height, width) < 2 * TILE_PX
@@ -248,7 +246,7 @@ def _winners_by_tiles(
 ) -> _Winners:
     """`_winners` of every tile in its own range.
 
-    A tile is cut out with a margin and, to the left, as many columns as its range is long, so that its matches are inside.
+    A tile is cropped with a margin, extended to the left by the length of its range so that its matches are inside.
     """
     height, width = left.shape
     out = _Winners(
@@ -263,7 +261,7 @@ def _winners_by_tiles(
         (top, bottom), (start, end), (first, last) = tile.rows, tile.columns, tile.disparities
         y0, y1 = max(top - MARGIN_PX, 0), min(bottom + MARGIN_PX, height)
         x0, x1 = max(start - MARGIN_PX - (last - first), 0), min(end + MARGIN_PX, width)
-        # x - first of the right image beside x of the left one: the range begins at zero.
+        # Column x - first of the right image corresponds to x of the left one: the range starts at zero.
         shifted = np.clip(np.arange(x0, x1) - first, 0, width - 1)
         here, there = _inspect(left[y0:y1, x0:x1], config), _inspect(right[y0:y1][:, shifted], config)
         found = _winners(here, there, 0, last - first, config, with_other=False)
@@ -288,7 +286,7 @@ def _match_paths(
     steps = np.arange(256)
     jumps = np.rint(config.small_penalty * (1.0 + config.edge_penalty * np.exp(-steps / config.edge_fade)))
     penalties = (config.paths, config.small_penalty, jumps.astype(np.int64))
-    mine = threading.local()  # fresh memory for every strip would cost a fifth of the time
+    mine = threading.local()  # allocating memory for every strip would take a fifth of the time
 
     def match(start: int, stop: int, _: int) -> None:
         if not hasattr(mine, "sums"):
@@ -301,7 +299,7 @@ def _match_paths(
 def _blended(
     left: np.ndarray, right: np.ndarray, padding: int, most: int
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Brightness as bytes, that of the right image from right to left; nothing where it is not asked for."""
+    """Brightness as bytes, mirrored for the right image; dummies if `most` is 0."""
     if not most:
         return np.zeros(1, np.uint8), np.zeros(1, np.uint8), 0
     height, width = right.shape
@@ -311,7 +309,7 @@ def _blended(
 
 
 def _brightness(grey: UInt16[np.ndarray, "h w"]) -> np.ndarray:
-    """0 ... 255 from the darkest to the brightest, whatever the depth of the image."""
+    """Brightness from 0 to 255; 16-bit images are scaled from their 0.5th to 99.5th percentile."""
     if grey.max(initial=0) <= 255:
         return grey.astype(np.int16)
     low, high = np.percentile(grey, (0.5, 99.5))
@@ -325,9 +323,9 @@ def _checked(
     config: DisparityConfig,
     blank: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> tuple[Float32[np.ndarray, "h w"], UInt8[np.ndarray, "h w"]]:
-    """How far each disparity is from that of the matched pixel in the other image, and reasons before speckles are looked at.
+    """Difference of each disparity from that of the matched pixel in the other image, and reasons before the speckle filter.
 
-    blank: where nothing changes along the row, of both images; None: not looked at.
+    blank: textureless pixels of both images; None: not checked.
     """
     shape = mine.disparity.shape
     nowhere = np.zeros(shape, bool)
@@ -348,7 +346,7 @@ def _by_rows(height: int, work: Callable[[int, int, int], None]) -> None:
 
 
 def _is_textureless(grey: UInt16[np.ndarray, "h w"]) -> np.ndarray:
-    """Where no pixel of a window differs from its neighbours in the row by more than what noise does."""
+    """Pixels in whose window no pixel differs from its row neighbors by more than noise."""
     bright = _brightness(grey)
     changes = np.zeros(bright.shape, np.uint8)
     changes[:, 1:-1] = np.abs(bright[:, 2:] - bright[:, :-2]) >= _LEAST_CHANGE
@@ -356,7 +354,7 @@ def _is_textureless(grey: UInt16[np.ndarray, "h w"]) -> np.ndarray:
 
 
 def _speckles(disparity: np.ndarray, reason: np.ndarray, least: int) -> np.ndarray:
-    """Pixels of regions that are smaller than `least`, whose neighbours differ by no more than a pixel."""
+    """Pixels of connected regions of similar disparity smaller than `least`."""
     if least <= 1:
         return np.zeros(disparity.shape, bool)
     known = reason == StereoReason.OK

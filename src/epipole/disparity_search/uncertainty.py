@@ -1,9 +1,9 @@
-"""How far a disparity may be wrong.
+"""Standard deviations of disparities.
 
-Six things are seen at every pixel: how steep the sums rise from their minimum, by how much the second best loses, how well the
-other image's disparity agrees, what the median filter changed, how much the neighbours differ, and how far apart the paths from above and from below
-find it. Their logarithms and squares make a score; the score's table of standard deviations was fitted so that 68 % of
-the errors lie within, on rendered rooms alone (`python -m benchmarks.stereo_sigma --fit`).
+Six cues per pixel: steepness of the sums at their minimum, margin to the second best, difference from the other image's disparity,
+change by the median filter, roughness of the neighborhood, and difference between the winners of the two sweeps. Their logarithms
+and squares form a score; the table from scores to standard deviations was fitted on rendered rooms such that 68 % of the errors are
+within one standard deviation (`python -m benchmarks.stereo_sigma --fit`).
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ import numpy as np
 from jaxtyping import Float32, UInt16
 
 from epipole import _parallel
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.errors import ShapeError
 
 NUM_CUES = 6
-_ROWS = 64  # at a time: the cues take 24 bytes a pixel
+_ROWS = 64  # at a time: the cues take 24 bytes per pixel
 _MOST_APART_PX = np.float32(
     1e4
-)  # what no other image confirms differs by an infinity, of which no score can be made
+)  # keeps the score finite for pixels without a match in the other image, whose difference is infinite
 _TABLE = 4096  # entries, evenly spaced in the score
 WEIGHTS = np.array(
     [-0.2448, 0.0088, 0.201, 0.0679, 0.096, -0.0324, 0.0281, -0.0087, -0.0445, 0.0119, 0.0412, 0.0435, -0.162]
 )
-"""Of the score: constant, cues, squares of the cues."""
+"""Weights of the score: constant, cues, squares of the cues."""
 SCORES = np.array(
     [
         -2.2693,
@@ -68,30 +68,30 @@ LOG_SIGMAS = np.array(
         0.0137,
     ]
 )
-"""Natural logarithm of the standard deviation in pixels at each score; in between they are interpolated."""
+"""Natural logarithm of the standard deviation in pixels at each score, linearly interpolated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchEvidence(Declared):
-    """What matching knows of each pixel beside its disparity."""
+    """Cues for the uncertainty of each disparity."""
 
     steepness: Float32[np.ndarray, "h w"]
-    """Of the sums at their minimum."""
+    """Slope of the sums at their minimum."""
     margin: Float32[np.ndarray, "h w"]
-    """By how much the lowest sum beats the next that is not beside it."""
+    """Second lowest sum, not adjacent to the lowest, minus the lowest."""
     left_right_px: Float32[np.ndarray, "h w"]
     """Difference from the other image's disparity."""
     smoothing_px: Float32[np.ndarray, "h w"]
-    """What the median filter changed."""
+    """Change by the median filter."""
     spread: UInt16[np.ndarray, "h w"]
-    """How far apart the winners of the downward and the upward sweep lie."""
+    """Difference between the winners of the downward and the upward sweep."""
     roughness_px: Float32[np.ndarray, "h w"]
-    """How far its neighbours' disparities differ from each other."""
+    """Local variation of the disparities."""
 
 
 @checked
 def cues(evidence: MatchEvidence, start: int = 0, stop: int | None = None) -> Float32[np.ndarray, "cues h w"]:
-    """Of rows start..stop: logarithms of what is seen, the small constants being where it no longer says anything."""
+    """Logarithms of the cues of rows start..stop; small added constants limit their range."""
     rows = slice(start, stop)
     parts = (
         evidence.steepness[rows] + np.float32(4.0),
@@ -109,7 +109,7 @@ def cues(evidence: MatchEvidence, start: int = 0, stop: int | None = None) -> Fl
 
 @checked
 def roughness(disparity_px: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """How far the disparities about a pixel differ from their means over 5 x 5."""
+    """Mean absolute deviation, over 5 x 5 pixels, of disparities from their 5 x 5 means."""
     if disparity_px.size == 0:
         raise ShapeError(f"disparity_px is empty: {disparity_px.shape}")
     return np.asarray(cv2.blur(np.abs(disparity_px - cv2.blur(disparity_px, (5, 5))), (5, 5)))
@@ -117,7 +117,7 @@ def roughness(disparity_px: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "
 
 @checked
 def score(of: Float32[np.ndarray, "cues h w"]) -> Float32[np.ndarray, "h w"]:
-    """The cues' weighted sum with their squares; larger is worse."""
+    """Weighted sum of the cues and their squares; larger is worse."""
     weights = WEIGHTS.astype(np.float32)
     out = np.full(of.shape[1:], weights[0])
     for cue, first, second in zip(of, weights[1 : 1 + NUM_CUES], weights[1 + NUM_CUES :]):

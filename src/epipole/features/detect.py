@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.config import FeatureConfig, options_of
 from epipole.features.features import Features, in_order
+from epipole.features.kinds import KINDS, ORB, Detector
 from epipole.features.sift import detect_sift
 
 _MANY = 1 << 20
@@ -27,12 +28,12 @@ def detect_features(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig | None
     config = options_of(FeatureConfig, config)
     height, width = grey.shape
     if min(height, width) < 16:
-        return _none(128 if config.kind == "sift" else 32)
+        return _none(KINDS[config.kind].width)
     factor = min(1.0, config.max_size_px / max(height, width))
     if factor < 1.0:
         size = (max(16, round(width * factor)), max(16, round(height * factor)))
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    found = detect_sift(grey, config) if config.kind == "sift" else _orb(grey, config)
+    found = DETECTORS[config.kind](grey, config)
     if factor == 1.0:
         return found
     # Resampling aligns pixel edges, not centers.
@@ -43,12 +44,13 @@ def detect_features(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig | None
     )
 
 
-def _orb(grey: np.ndarray, config: FeatureConfig) -> Features:
+def detect_orb(grey: np.ndarray, config: FeatureConfig) -> Features:
+    """ORB by OpenCV (Rublee et al., ICCV 2011)."""
     keypoints, descriptors = _opencv.ORB_create(
         nfeatures=min(config.max_features, max(grey.size, _MANY))
     ).detectAndCompute(grey, None)
     if not keypoints:
-        return _none(32)
+        return _none(ORB.width)
     columns = np.array([(*k.pt, k.size, np.deg2rad(k.angle)) for k in keypoints], np.float32)
     return in_order(columns, descriptors, config.max_features)  # OpenCV's own order depends on its threads
 
@@ -56,3 +58,7 @@ def _orb(grey: np.ndarray, config: FeatureConfig) -> Features:
 def _none(width: int) -> Features:
     empty = np.zeros(0, np.float32)
     return Features(np.zeros((0, 2), np.float32), empty, empty.copy(), np.zeros((0, width), np.uint8))
+
+
+DETECTORS: dict[str, Detector] = {"sift": detect_sift, "orb": detect_orb}
+"""By `FeatureConfig.kind`."""

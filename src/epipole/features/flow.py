@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.config import FlowConfig, options_of
 from epipole.errors import ShapeError
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64, Int32, UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.config import MatchConfig, options_of
 from epipole.errors import ConfigError, ShapeError
 from epipole.features import _byte_dot_kernels as byte_kernels
 from epipole.features import _matching_kernels as kernels
 from epipole.features.features import Features
+from epipole.features.kinds import SIFT, Matcher, Metric, kind_of
 
 _BLOCK_ROWS = 256
 _STRIP_PX = 32.0  # width of the strips in which features along a line are looked up
@@ -28,21 +29,26 @@ def match_descriptors(
 ) -> Int32[np.ndarray, "k 2"]:
     """Index pairs of mutual nearest neighbours that pass the ratio test (Lowe, IJCV 2004, section 7.1).
 
-    Descriptors with 128 columns are root-SIFT, compared by angle; with 32, ORB bits.
+    The width determines the kind of descriptor (root-SIFT, ORB), and the kind how they are compared.
 
     Raises:
         ShapeError: descriptors have different or unknown widths.
     """
     config = options_of(MatchConfig, config)
-    width = descriptors1.shape[1]
-    if width != descriptors2.shape[1] or width not in (32, 128):
-        raise ShapeError(f"cannot match descriptors of widths {width} and {descriptors2.shape[1]}")
+    width, other = descriptors1.shape[1], descriptors2.shape[1]
+    if width != other:
+        raise ShapeError(f"cannot match descriptors of widths {width} and {other}")
+    matcher = MATCHERS[kind_of(descriptors1).metric]
     if min(len(descriptors1), len(descriptors2)) == 0:
         return np.empty((0, 2), np.int32)
-    if width == 32:
-        return _match_bits(descriptors1, descriptors2, config)
-    top_two = _top_two_bytes if _fits_byte_dot(descriptors1, descriptors2) else _top_two_floats
-    return _accept(*top_two(descriptors1, descriptors2, config), config)
+    return matcher(descriptors1, descriptors2, config)
+
+
+def match_by_angle(first: np.ndarray, second: np.ndarray, config: MatchConfig) -> np.ndarray:
+    """Mutual nearest neighbours by angle, by whole-number products of bytes where the processor has them."""
+    top_two = _top_two_bytes if _fits_byte_dot(first, second) else _top_two_floats
+    best = top_two(first, second, config)
+    return _accept(best[0], best[1], best[2], best[3], config)
 
 
 TopTwo = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -142,7 +148,7 @@ def match_along_epipolar_lines(
     if not 0 < band_px < np.inf:
         raise ConfigError(f"band_px must be positive and finite, got {band_px}")
     for name, features in (("features1", features1), ("features2", features2)):
-        if features.descriptors.shape[1] != 128:
+        if kind_of(features.descriptors) is not SIFT:
             raise ShapeError(
                 f"{name} must be SIFT features with 128 columns, got {features.descriptors.shape[1]}"
             )
@@ -189,12 +195,13 @@ def _angle(similarity: np.ndarray) -> np.ndarray:
     return np.arccos(np.clip(similarity / (_UNIT * _UNIT), 0.0, 1.0))
 
 
-def _match_bits(a: np.ndarray, b: np.ndarray, config: MatchConfig) -> np.ndarray:
-    wide_a, wide_b = np.ascontiguousarray(a).view(np.uint64), np.ascontiguousarray(b).view(np.uint64)
-    column, best, second = (np.empty(len(a), np.int64) for _ in range(3))
-    column_best = np.full(len(b), 1 << 30, np.int64)
-    kernels.hamming_top_two(wide_a, wide_b, column, best, second, column_best)
-    passes = (best <= config.max_bits) & (best < config.max_ratio * second)
+def match_by_bits(first: np.ndarray, second: np.ndarray, config: MatchConfig) -> np.ndarray:
+    """Mutual nearest neighbours by the number of bits that differ."""
+    wide_a, wide_b = np.ascontiguousarray(first).view(np.uint64), np.ascontiguousarray(second).view(np.uint64)
+    column, best, next_best = (np.empty(len(first), np.int64) for _ in range(3))
+    column_best = np.full(len(second), 1 << 30, np.int64)
+    kernels.hamming_top_two(wide_a, wide_b, column, best, next_best, column_best)
+    passes = (best <= config.max_bits) & (best < config.max_ratio * next_best)
     rows1 = np.flatnonzero(passes & (best == column_best[column]))
     return _one_to_one(rows1, column[rows1])
 
@@ -204,3 +211,7 @@ def _one_to_one(rows1: np.ndarray, rows2: np.ndarray) -> np.ndarray:
     _, first = np.unique(rows2, return_index=True)
     first.sort()
     return np.stack([rows1[first], rows2[first]], axis=1).astype(np.int32)
+
+
+MATCHERS: dict[Metric, Matcher] = {Metric.ANGLE: match_by_angle, Metric.HAMMING: match_by_bits}
+"""By the metric of the descriptors."""

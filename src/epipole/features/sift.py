@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.config import FeatureConfig
 from epipole.errors import ConfigError, ShapeError
 from epipole.features import _scale_space_kernels as space

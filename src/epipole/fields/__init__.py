@@ -1,1 +1,1 @@
-"""Radiance fields: scenes that are drawn, and learnt from images, by their colour and density in space."""
+"""Radiance fields: scene representations that are optimized on images and rendered from any viewpoint."""

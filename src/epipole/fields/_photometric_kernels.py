@@ -1,20 +1,20 @@
-"""The likeness of two images and its derivative, number by number, between the blurs that SSIM is made of."""
+"""SSIM and L1 of two images and their derivatives, element by element, between the blurs of SSIM."""
 
 import numpy as np
 
 from epipole._jit import kernel
 
 C1, C2 = np.float32(0.01**2), np.float32(0.03**2)
-"""Wang, Bovik, Sheikh and Simoncelli, IEEE TIP 2004, of values from 0 to 1."""
+"""SSIM constants for values from 0 to 1 (Wang, Bovik, Sheikh and Simoncelli, IEEE TIP 2004)."""
 BLOCK = 4096
-"""Numbers that are summed in single precision."""
+"""Elements summed in single precision before they are added to a double."""
 
 
 @kernel(fuse=True)
 def ssim_terms(mean_x, mean_y, xx, yy, xy, start, stop, scale):
-    """SSIM of the numbers start..stop of blurred x, y, x x, y y and x y, flat, which are overwritten.
+    """SSIM of elements start..stop of the flat blurred images x, y, x x, y y and x y.
 
-    mean_x, xx and xy get `scale` times d SSIM / d of the blurred x, x x and x y; returns the sum of SSIM.
+    Overwrites mean_x, xx and xy with `scale` times d SSIM / d(blurred x, x x, x y). Returns the sum of SSIM.
     """
     one, two = np.float32(1.0), np.float32(2.0)
     total = 0.0
@@ -36,7 +36,7 @@ def ssim_terms(mean_x, mean_y, xx, yy, xy, start, stop, scale):
 
 @kernel(fuse=True)
 def add_up(x, y, by_mean, by_xx, by_xy, start, stop, absolute, out):
-    """Out = by_mean + 2 x by_xx + y by_xy + absolute sign(x - y), of the numbers start..stop; returns the sum of |x - y|."""
+    """Write by_mean + 2 x by_xx + y by_xy + absolute sign(x - y) to out[start:stop]; returns the sum of |x - y|."""
     two, zero = np.float32(2.0), np.float32(0.0)
     total = 0.0
     for first_item in range(start, stop, BLOCK):
@@ -52,7 +52,10 @@ def add_up(x, y, by_mean, by_xx, by_xy, start, stop, absolute, out):
 
 @kernel(fuse=True)
 def map_colours(colour, coverage, colours, background, start, stop, out):
-    """Pixels start..stop of `out` (n, 3) get A C + b K + (1 - K) background, with colours (3, 4) = A and b, and C times coverage K."""
+    """Apply the color transform colours (3, 4) = [A b] to pixels start..stop and put them over the background.
+
+    out (n, 3) = A C + b K + (1 - K) background, where C is the color times coverage and K the coverage.
+    """
     for n in range(start, stop):
         x, y, z, shown = colour[n, 0], colour[n, 1], colour[n, 2], coverage[n]
         left = np.float32(1.0) - shown
@@ -65,7 +68,7 @@ def map_colours(colour, coverage, colours, background, start, stop, out):
 def map_colours_back(
     colour, coverage, colours, background, by_mapped, start, stop, by_colour, by_coverage, part, total
 ):
-    """Derivatives by C and K of the pixels start..stop; total (12,) += that by A and b, row by row; part (12,) is work."""
+    """Derivatives w.r.t. C and K of pixels start..stop; adds those w.r.t. [A b] to total (12,); part (12,): scratch."""
     for first_item in range(start, stop, BLOCK):
         part[:] = 0.0
         for n in range(first_item, min(first_item + BLOCK, stop)):

@@ -1,4 +1,4 @@
-"""Options of training fields."""
+"""Options for training radiance fields."""
 
 from __future__ import annotations
 
@@ -7,43 +7,42 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from epipole._declared import check_options
+from epipole._checks import check_options
 from epipole.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
 class SplatTraining:
-    """How Gaussians are trained."""
+    """Options for training Gaussians."""
 
     max_gaussians: int | None = None
-    """Gaussians at the end: time and memory grow with them; None: as many as the time bears."""
+    """Maximum number of Gaussians; None: derived from the training time and the images."""
     memory_gb: float | None = None
-    """Memory that the training may take: there are no more Gaussians than fit in it; None: no limit."""
+    """Memory limit for training, in gigabytes, which limits the number of Gaussians; None: no limit."""
     sh_degree: int = 3
     """Degree of the spherical harmonics, 0 to 3."""
     ssim_weight: float = 0.2
-    """Share of SSIM in the loss; the rest is L1."""
+    """Weight of SSIM in the loss; L1 gets the rest."""
     antialiased: bool = False
-    """Train with Mip-Splatting's filter: for images of many sizes."""
+    """Train with Mip-Splatting's filter, for images of very different resolutions."""
     start: Literal["points", "dense", "random"] = "points"
-    """Where the first Gaussians are: at the model's points (points), also at those that stereo of neighbouring views finds where
-    the model has few (dense), or where the cameras look (random, and where there are no points)."""
+    """Initial Gaussians: at the model's points, also at stereo points (dense), or at random positions (random)."""
     start_from: Path | None = None
-    """Begin with these Gaussians: a PLY file of some, or an output folder of `splat` or `nerf`."""
+    """Initialize with the Gaussians of a PLY file or of an output folder of `splat` or `nerf`."""
     exposure: bool = False
-    """Learn a map of colours for each image: where cameras chose exposure and white balance anew."""
+    """Learn a color transform for each image, for cameras with automatic exposure or white balance."""
     refine_poses: bool = False
-    """Move the cameras, too: where they are less sure than to a pixel."""
+    """Also optimize the camera poses, if they are less accurate than a pixel."""
     depth_weight: float = 0.2
-    """Weight of the depths of the model's points in the loss, against the images' 1."""
+    """Weight of the depths of the model's points in the loss, relative to the image loss."""
     seed: int = 0
-    """Of all that is drawn."""
+    """Random seed."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
         check_options(self)
         if self.max_gaussians is not None and not 1 <= self.max_gaussians <= 100_000_000:
@@ -62,18 +61,18 @@ class SplatTraining:
 
 @dataclass(frozen=True, kw_only=True)
 class NerfTraining:
-    """How a field that is marched through is trained."""
+    """Options for training a field that is rendered by ray marching."""
 
     kind: Literal["grid", "hash"] = "hash"
-    """hash: a small network that reads hashed tables (as Instant-NGP); grid: densities and harmonics in voxels (as DVGO and Plenoxels)."""
+    """hash: a small network on hashed feature tables (Instant-NGP); grid: values in voxels (DVGO, Plenoxels)."""
     seed: int = 0
-    """Of all that is drawn."""
+    """Random seed."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
         check_options(self)
         if self.seed < 0:

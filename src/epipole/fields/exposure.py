@@ -1,7 +1,7 @@
-"""Colours of each image: cameras choose exposure and white balance anew, which a scene's colours cannot explain.
+"""Color transform of each image, which compensates for automatic exposure and white balance.
 
-Beside the field an affine map of colours is learnt for each image, x' = A x + b, which what is drawn goes through before it is
-compared (Kerbl et al., "A hierarchical 3D Gaussian representation", ACM TOG 2024).
+An affine transform x' = A x + b is learned for each image and applied to the render before the comparison
+(Kerbl et al., "A hierarchical 3D Gaussian representation", ACM TOG 2024).
 """
 
 from __future__ import annotations
@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from epipole import _parallel
-from epipole._checks import check_count, check_fraction, check_index
-from epipole._declared import checked
-from epipole._declared.tables import Expected, Table
+from epipole._checks import check_count, check_fraction, check_index, checked
+from epipole._checks.tables import Expected, Table
 from epipole.errors import ConfigError, ShapeError
 from epipole.fields import _photometric_kernels as kernels
 from epipole.fields.rows_adam import RowsAdam
@@ -20,26 +19,26 @@ from epipole.fields.splat.rasterizer import Rendering
 
 IDENTITY = np.eye(3, 4, dtype=np.float32)
 TOGETHER = 16_384
-"""Pixels in one piece of work."""
+"""Pixels processed as one task."""
 MOST_CONDITION = 1e6
-"""Of the mean of maps that are restored: those of a training stay near the identity."""
+"""Largest condition number of the mean of restored transforms; in training they stay near the identity."""
 RATES = 1e-2, 1e-3
-"""A step at the begin and at the end."""
+"""Learning rate at the start and at the end of training."""
 
 
 class Exposures:
-    """A map of colours for each image.
+    """A color transform for each image.
 
     Attributes:
-        maps: (views, 3, 4) A and b.
+        maps: (views, 3, 4), [A b] of each view.
     """
 
     @checked
     def __init__(self, num_views: int) -> None:
-        """One for each view, which changes nothing.
+        """Start with the identity for each view.
 
         Raises:
-            ConfigError: there is no view, or too many.
+            ConfigError: num_views is not positive, or too large.
         """
         if num_views < 1:
             raise ConfigError(f"num_views must be positive, got {num_views}")
@@ -51,7 +50,7 @@ class Exposures:
     def applied(
         self, view: int, rendered: Rendering, background: Float32[np.ndarray, " 3"]
     ) -> Float32[np.ndarray, "h w 3"]:
-        """A drawing in the colours of a view, before a background, which has no part in them.
+        """Apply the transform of a view to a render; the background is not transformed.
 
         Raises:
             ConfigError: there is no such view.
@@ -77,18 +76,21 @@ class Exposures:
         by_applied: Float32[np.ndarray, "h w 3"],
         progress: float,
     ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"]]:
-        """Move a view's map; returns the derivatives by the drawing's colour and coverage.
+        """Update the transform of a view.
 
         Args:
-            view: whose.
-            rendered: what was drawn.
-            background: (3,) colour behind it.
-            by_applied: derivative of the loss by `applied`.
-            progress: share of the training that is done.
+                view: index of the view.
+                rendered: render before the transform.
+                background: (3,) background color.
+                by_applied: (h, w, 3) derivative of the loss w.r.t. the result of `applied`.
+                progress: fraction of the training that is done.
+
+        Returns:
+                Derivatives of the loss w.r.t. color (h, w, 3) and coverage (h, w) of the render.
 
         Raises:
-            ConfigError: there is no such view, or the share is not from 0 to 1.
-            ShapeError: the derivative is not of the drawing's size.
+                ConfigError: there is no such view, or progress is not from 0 to 1.
+                ShapeError: by_applied has another size than the render.
         """
         check_index(view, "view", len(self.maps))
         check_fraction(progress, "progress")
@@ -109,7 +111,7 @@ class Exposures:
         return by_colour, by_coverage
 
     def taken_mean(self) -> Float32[np.ndarray, "3 4"]:
-        """The mean of all maps, taken out of them: the scene's colours alone cannot be told from it, and should have it."""
+        """Remove the mean transform from all maps and return it: it cannot be separated from the scene's own colors."""
         mean = self.maps.astype(np.float64).mean(axis=0)
         rotation = self.maps[:, :, :3] @ np.linalg.inv(mean[:, :3])
         self.maps[:, :, 3] -= (rotation @ mean[:, 3]).astype(np.float32)
@@ -118,23 +120,23 @@ class Exposures:
 
     @property
     def table(self) -> Table:
-        """What a `state` holds."""
+        """Arrays of `state`."""
         maps = Expected("float32", f"{len(self.maps)} 3 4")
         return {"exposure_maps": maps, **self._adam.table("exposure")}
 
     def state(self) -> dict[str, np.ndarray]:
-        """All that the next steps depend on."""
+        """All state that the next steps depend on."""
         return {"exposure_maps": self.maps, **self._adam.state("exposure")}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from a `state`.
+        """Continue from a `state`.
 
         Raises:
-            ShapeError: the mean of the maps mixes colors beyond recovery: it cannot be taken out of them.
+            ShapeError: the mean of the transforms cannot be inverted.
         """
         mean = state["exposure_maps"].astype(np.float64).mean(axis=0)[:, :3]
         if not np.linalg.cond(mean) < MOST_CONDITION:
-            raise ShapeError("exposure_maps must have a mean that can be inverted")
+            raise ShapeError("the mean of exposure_maps cannot be inverted")
         self.maps = state["exposure_maps"]
         self._adam.restore("exposure", state)
 
@@ -143,15 +145,15 @@ class Exposures:
 def colour_match(
     image: Float32[np.ndarray, "h w 3"], truth: Float32[np.ndarray, "h w 3"]
 ) -> Float64[np.ndarray, "3 4"]:
-    """The map of colours, A and b, that brings an image nearest to another: linear least squares.
+    """Least-squares color transform [A b] from an image to a reference.
 
-    Held-out images have an exposure, too, that nobody knows: compared in its colours, they tell of the scene alone.
+    Held-out images have an unknown exposure; after this transform their scores depend on the scene alone.
 
     Raises:
-        ShapeError: the images are empty, or not finite.
+        ShapeError: the images are empty or not finite.
     """
     flat, wanted = (part.reshape(-1, 3).astype(np.float64) for part in (image, truth))
     if not flat.size or not (np.isfinite(flat).all() and np.isfinite(wanted).all()):
-        raise ShapeError("image and truth must have pixels, and be finite")
+        raise ShapeError("image and truth must not be empty and must be finite")
     known = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
     return np.linalg.lstsq(known, wanted, rcond=None)[0].T

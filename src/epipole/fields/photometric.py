@@ -1,4 +1,4 @@
-"""How like an image is to another: L1 and SSIM with their derivative, and PSNR."""
+"""Image similarity: L1 and SSIM with their derivative, and PSNR."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ import numpy as np
 from jaxtyping import Float32
 
 from epipole import _parallel
-from epipole._checks import check_fraction
-from epipole._declared import checked
+from epipole._checks import check_fraction, checked
 from epipole.errors import ShapeError
 from epipole.fields import _photometric_kernels as kernels
 
 WINDOW_PX, SIGMA_PX = 11, 1.5
 TOGETHER = 32_768
-"""Numbers in one piece of work."""
+"""Elements processed as one task."""
 _WINDOW = cv2.getGaussianKernel(WINDOW_PX, SIGMA_PX).astype(np.float32)
 
 
@@ -28,17 +27,17 @@ class PhotometricLoss(NamedTuple):
     l1: float
     ssim: float
     by_image: np.ndarray
-    """(h, w, 3)"""
+    """(h, w, 3) derivative of the loss w.r.t. the image."""
 
 
 @checked
 def photometric_loss(
     image: Float32[np.ndarray, "h w 3"], truth: Float32[np.ndarray, "h w 3"], ssim_weight: float = 0.2
 ) -> PhotometricLoss:
-    """L1 and SSIM (Wang et al., IEEE TIP 2004) of images from 0 to 1, and the derivative of the loss by the first.
+    """L1 and SSIM (Wang et al., IEEE TIP 2004) of images from 0 to 1, with the derivative w.r.t. the first one.
 
-    Windows are Gaussian, 11 pixels wide, with zeros beyond the edges, as in 3D Gaussian Splatting. A blur is its own
-    transpose: dL/dx = B(dL/dB(x)) + 2 x B(dL/dB(x x)) + y B(dL/dB(x y)).
+    The SSIM window is Gaussian, 11 pixels wide, with zero padding, as in 3D Gaussian Splatting. The blur B is its own
+    transpose, so dL/dx = B(dL/dB(x)) + 2 x B(dL/dB(x x)) + y B(dL/dB(x y)).
 
     Args:
         image: x.
@@ -47,11 +46,11 @@ def photometric_loss(
 
     Raises:
         ShapeError: the images are empty.
-        ConfigError: the weight is not from 0 to 1.
+        ConfigError: ssim_weight is not from 0 to 1.
     """
     check_fraction(ssim_weight, "ssim_weight")
     if not image.size:
-        raise ShapeError("an image without pixels is like nothing")
+        raise ShapeError("image and truth must not be empty")
     n = image.size
     pairs = ((image, None), (truth, None), (image, image), (truth, truth), (image, truth))
     blurred = _parallel.map_items(lambda k: _blurred(*pairs[k]), 5)
@@ -73,18 +72,18 @@ def photometric_loss(
 
 @checked
 def psnr(image: Float32[np.ndarray, "h w 3"], truth: Float32[np.ndarray, "h w 3"]) -> float:
-    """Peak signal to noise, in dB, of images from 0 to 1; infinite for the same.
+    """Peak signal-to-noise ratio in dB of images from 0 to 1; infinite if they are equal.
 
     Raises:
-        ShapeError: the images are empty, or not finite.
+        ShapeError: the images are empty or not finite.
     """
     if not image.size or not (np.isfinite(image).all() and np.isfinite(truth).all()):
-        raise ShapeError("image and truth must have pixels, and be finite")
+        raise ShapeError("image and truth must not be empty and must be finite")
     error = float(np.mean((np.clip(image, 0.0, 1.0) - truth) ** 2, dtype=np.float64))
     return float(-10.0 * np.log10(error)) if error > 0 else float("inf")
 
 
 def _blurred(image: np.ndarray, other: np.ndarray | None = None) -> np.ndarray:
-    """Of an image, or of its product with another."""
+    """Blurred image, or blurred product of two images."""
     source = image if other is None else image * other
     return cv2.sepFilter2D(source, -1, _WINDOW, _WINDOW, borderType=cv2.BORDER_CONSTANT)

@@ -1,4 +1,4 @@
-"""Depths of points that are known, held against those that are drawn (Deng et al., "Depth-supervised NeRF", CVPR 2022)."""
+"""Depth loss at known points (Deng et al., "Depth-supervised NeRF", CVPR 2022)."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.fields.splat.rasterizer import Rendering
 from epipole.fields.training_view import TrainingView
 
 LEAST_COVERAGE = np.float32(0.1)
-"""Of a pixel: where less is drawn there is no depth to speak of."""
+"""Smallest coverage of a pixel whose rendered depth is compared."""
 
 
 class PointDepths(NamedTuple):
-    """Pixels of an image that show known points."""
+    """Pixels of an image at which known points are visible."""
 
     row: np.ndarray
     column: np.ndarray
@@ -24,19 +24,19 @@ class PointDepths(NamedTuple):
 
 
 class DepthLoss(NamedTuple):
-    """A loss and its derivatives."""
+    """Depth loss and its derivatives."""
 
     loss: float
-    """The weight times mean |log(drawn / known)|: the same in any unit."""
+    """Weight times mean |log(rendered / known)|, independent of the unit."""
     by_depth: np.ndarray
-    """(h, w) by the drawing's depth."""
+    """(h, w) derivative w.r.t. the rendered depth."""
     by_coverage: np.ndarray
-    """(h, w) by its coverage."""
+    """(h, w) derivative w.r.t. the rendered coverage."""
 
 
 @checked
 def point_depths(view: TrainingView) -> PointDepths:
-    """Of the points that a view shows; of two in one pixel, the nearer."""
+    """Depths of the points of a view; the nearest one of each pixel."""
     points = np.zeros((0, 3)) if view.points_in_world is None else view.points_in_world
     positions = view.cam_from_world.apply(points)
     pixels = view.camera.project(positions)
@@ -50,7 +50,7 @@ def point_depths(view: TrainingView) -> PointDepths:
 
 
 def depth_loss(rendered: Rendering, known: PointDepths, weight: float) -> DepthLoss:
-    """With D the depth times coverage C, the depth of a pixel is D / C."""
+    """Depth loss; the depth of a pixel is D / C, with D the depth times coverage C."""
     by_depth, by_coverage = np.zeros_like(rendered.depth), np.zeros_like(rendered.coverage)
     at = known.row, known.column
     shown = rendered.coverage[at] > LEAST_COVERAGE

@@ -1,4 +1,4 @@
-"""Images and cameras as rays, and cells that rays step over."""
+"""Rays of images and cameras, and blocks of cells that rays can skip."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from epipole._checks import MOST_RENDERED_PIXELS, check_pixels
-from epipole._declared import checked
+from epipole._checks import MOST_RENDERED_PIXELS, check_pixels, checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.fields.nerf._march_kernels import BLOCK
@@ -19,26 +18,26 @@ FULL = 255
 
 
 class Rays(NamedTuple):
-    """Images and cameras, as kernels read them."""
+    """Images and cameras, as the kernels read them."""
 
     pixels: np.ndarray
-    """(total, 4) uint8, of all images."""
+    """(total, 4) uint8, RGBA of all images."""
     offset: np.ndarray
     width: np.ndarray
     intrinsics: np.ndarray
-    """(views, 4) focal lengths and middle."""
+    """(views, 4) fx, fy, cx, cy."""
     rotation: np.ndarray
     center: np.ndarray
     used: np.ndarray
-    """(n,) pixels that are learnt from; empty: all."""
+    """(n,) indices of pixels to train on; empty: all."""
 
 
 @checked
 def rays_of(views: Sequence[TrainingView]) -> Rays:
-    """All pixels of all views.
+    """Rays of all pixels of all views.
 
     Raises:
-        ConfigError: there is no view, or masks leave no pixel of any.
+        ConfigError: there is no view, or the masks leave no pixel.
     """
     if not views:
         raise ConfigError("there is no image to train on")
@@ -59,38 +58,38 @@ def rays_of(views: Sequence[TrainingView]) -> Rays:
 
 
 def pixels_to_render(rays: Rays, count: int, rng: np.random.Generator) -> np.ndarray:
-    """So many pixels of all that are learnt from."""
+    """`count` random pixels among those to train on."""
     if not len(rays.used):
         return rng.integers(0, len(rays.pixels), count)
     return np.asarray(rays.used[rng.integers(0, len(rays.used), count)])
 
 
 def _used(views: Sequence[TrainingView], offset: list[int]) -> np.ndarray:
-    """Pixels that no mask takes out.
+    """Indices of pixels that no mask excludes; empty if there are no masks.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: the masks exclude all pixels.
     """
     if all(view.used_mask is None for view in views):
         return np.empty(0, np.int64)
     masks = [np.ones(v.image.shape[:2], bool) if v.used_mask is None else v.used_mask for v in views]
     used = np.concatenate([start + np.flatnonzero(mask) for start, mask in zip(offset, masks)])
     if not len(used):
-        raise ConfigError("the masks leave no pixel of any image")
+        raise ConfigError("the masks exclude all pixels of all images")
     return used
 
 
 @checked
 def rays_of_camera(camera: Camera, cam_from_world: Rigid3) -> Rays:
-    """Rays without images.
+    """Rays of a camera without an image.
 
     Raises:
-        ConfigError: the camera has more pixels than are rendered.
-        ShapeError: the pose is not a single, finite motion.
+        ConfigError: the camera has too many pixels to render.
+        ShapeError: the pose is not a single finite pose.
     """
     check_pixels(camera.width, camera.height, MOST_RENDERED_PIXELS)
     if cam_from_world.batch_shape() != ():
-        raise ShapeError(f"cam_from_world must be a single motion, got {cam_from_world.batch_shape()}")
+        raise ShapeError(f"cam_from_world must be a single pose, got {cam_from_world.batch_shape()}")
     if not np.isfinite(cam_from_world.as_matrix()).all():
         raise ShapeError("cam_from_world is not finite")
     none = np.zeros((0, 4), np.uint8)
@@ -113,7 +112,7 @@ def _positions(
 
 
 def blocks_of(cells: np.ndarray) -> np.ndarray:
-    """Whether a block of 8 x 8 x 8 of these cells (x, y, z) holds one that is set; uint8."""
+    """uint8, whether each block of 8 x 8 x 8 cells (x, y, z) has an occupied cell."""
     padded = np.zeros([-(-side // BLOCK) * BLOCK for side in cells.shape], bool)
     padded[tuple(slice(side) for side in cells.shape)] = cells
     shape = [part for side in padded.shape for part in (side // BLOCK, BLOCK)]

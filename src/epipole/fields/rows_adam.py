@@ -1,30 +1,30 @@
-"""Adam for what each view has of its own: a few numbers, moved when that view is drawn (Kingma and Ba, ICLR 2015)."""
+"""Adam for a few parameters per view, each updated only when its view is rendered (Kingma and Ba, ICLR 2015)."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from epipole._declared.tables import Expected, Table
+from epipole._checks.tables import Expected, Table
 
 MOMENTUM, SQUARES, LEAST = 0.9, 0.99, 1e-15
 
 
 class RowsAdam:
-    """Means of derivatives and of their squares, by rows that take their steps at different times.
+    """Adam state of rows that take steps at different times.
 
     Attributes:
-        mean: (n, k).
-        square: (n, k).
-        count: (n,) steps.
+        mean: (n, k) first moments.
+        square: (n, k) second moments.
+        count: (n,) steps taken.
     """
 
     def __init__(self, count: int, width: int, rates: tuple[float, float]) -> None:
-        """Of `count` rows of `width` numbers; rates at the begin and at the end of the training."""
+        """State of `count` rows of `width` parameters; rates: learning rate at the start and at the end."""
         self.mean, self.square = np.zeros((count, width)), np.zeros((count, width))
         self.count, self._rates = np.zeros(count, np.int64), rates
 
     def step(self, row: int, gradient: np.ndarray, progress: float) -> np.ndarray:
-        """What a row changes by, for its derivative (k,) at a share of the training."""
+        """Change of a row, given its gradient (k,) and the fraction of the training that is done."""
         self.count[row] += 1
         self.mean[row] += (1 - MOMENTUM) * (gradient - self.mean[row])
         self.square[row] += (1 - SQUARES) * (gradient**2 - self.square[row])
@@ -34,7 +34,7 @@ class RowsAdam:
         return -rate * mean / (np.sqrt(square) + LEAST)
 
     def table(self, name: str) -> Table:
-        """What a `state` of that name holds."""
+        """Arrays of `state` with this name."""
         count, width = self.mean.shape
         return {
             f"{name}_mean": Expected("float64", f"{count} {width}"),
@@ -43,9 +43,9 @@ class RowsAdam:
         }
 
     def state(self, name: str) -> dict[str, np.ndarray]:
-        """All of it, by names that begin with this one."""
+        """State, with array names that start with `name`."""
         return {f"{name}_mean": self.mean, f"{name}_square": self.square, f"{name}_count": self.count}
 
     def restore(self, name: str, state: dict[str, np.ndarray]) -> None:
-        """Go on from a `state`."""
+        """Continue from a `state`."""
         self.mean, self.square, self.count = (state[f"{name}_{part}"] for part in ("mean", "square", "count"))

@@ -1,4 +1,4 @@
-"""The one interface of everything that is trained step by step: Gaussians, voxel grids, hash grids."""
+"""Interface of all trainers: Gaussians, voxel grids, hash grids."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from epipole._declared.tables import Table
+from epipole._checks.tables import Table
 from epipole.fields.training_view import TrainingView
 
 
@@ -20,7 +20,7 @@ class Trainer(Protocol):
 
     @property
     def field(self) -> Any:
-        """The field as it is now: a GaussianCloud, Voxels or a HashField."""
+        """The current field: a GaussianCloud, Voxels or a HashField."""
 
     def step(self, progress: float) -> float:
         """Take one step at a fraction of the training, from 0 to 1; return the loss."""

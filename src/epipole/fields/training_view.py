@@ -1,4 +1,4 @@
-"""An image that a field is trained on, in the sizes that training asks for."""
+"""An image to train on, at the resolutions that the training needs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
-from epipole._declared import Declared, check_fields, checked
+from epipole._checks import Declared, check_fields, checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
@@ -16,7 +16,7 @@ from epipole.geometry import Rigid3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingView(Declared):
-    """An image without distortion, and its camera."""
+    """An undistorted image and its camera."""
 
     name: str
     image: UInt8[np.ndarray, "h w c"]
@@ -24,39 +24,39 @@ class TrainingView(Declared):
     camera: Camera
     cam_from_world: Rigid3
     used_mask: Bool[np.ndarray, "h w"] | None = None
-    """Where the image is learnt from and compared; None: everywhere."""
+    """Pixels to train on and to compare; None: all."""
     points_in_world: Float64[np.ndarray, "n 3"] | None = None
-    """Points of the model that the image shows."""
+    """Points of the model that are visible in the image."""
 
     def __post_init__(self) -> None:
-        """Check that image and camera fit.
+        """Check that image and camera match.
 
         Raises:
             ShapeError: they do not.
         """
         check_fields(self)
         if self.image.shape != (self.camera.height, self.camera.width, self.image.shape[2]):
-            raise ShapeError(f"{self.name}: the image is not of its camera's size")
+            raise ShapeError(f"{self.name}: image and camera have different sizes")
         if self.cam_from_world.batch_shape() != ():
-            raise ShapeError(f"{self.name}: cam_from_world must be a single motion")
+            raise ShapeError(f"{self.name}: cam_from_world must be a single pose")
         if not np.isfinite(self.cam_from_world.as_matrix()).all():
             raise ShapeError(f"{self.name}: cam_from_world is not finite")
         if self.image.shape[2] not in (3, 4):
-            raise ShapeError(f"{self.name}: an image has 3 or 4 channels, got {self.image.shape[2]}")
+            raise ShapeError(f"{self.name}: an image must have 3 or 4 channels, got {self.image.shape[2]}")
 
     def __repr__(self) -> str:
         return f"TrainingView({self.name!r}, {self.camera.width} x {self.camera.height})"
 
     @checked
     def smaller(self, factor: int) -> TrainingView:
-        """With images `factor` times smaller, by the mean of pixels (of colours times alpha).
+        """Downscale image, camera and mask by an integer factor, averaging pixels (premultiplied by alpha).
 
         Raises:
             ConfigError: the factor is not positive, or leaves no pixel.
         """
         if not 1 <= factor <= min(self.camera.width, self.camera.height):
             raise ConfigError(
-                f"factor must leave a pixel of {self.camera.width} x {self.camera.height}, got {factor}"
+                f"factor must be from 1 to the shorter side of {self.camera.width} x {self.camera.height}, got {factor}"
             )
         if factor == 1:
             return self
@@ -73,7 +73,7 @@ class TrainingView(Declared):
 
     @checked
     def over(self, background: Float32[np.ndarray, " 3"]) -> Float32[np.ndarray, "h w 3"]:
-        """The image from 0 to 1, before a background of one colour."""
+        """The image, from 0 to 1, over a background color."""
         rgb = self.image[..., :3].astype(np.float32) / np.float32(255.0)
         if self.image.shape[2] == 3:
             return rgb
@@ -82,13 +82,13 @@ class TrainingView(Declared):
 
 
 def shrunk_mask(used_mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """A mask in another, smaller size: a pixel is used if all that it is made of is."""
+    """Downscale a mask; a pixel is used if all pixels it covers are."""
     full = np.where(used_mask, np.uint8(255), np.uint8(0))
     return np.asarray(cv2.resize(full, size, interpolation=cv2.INTER_AREA) == 255)
 
 
 def shrunk(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """An image in another, smaller size: the mean of pixels, of colours weighed by alpha."""
+    """Downscale an image by averaging pixels, with colors weighted by alpha."""
     if image.shape[2] == 3:
         return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     alpha = image[..., 3:].astype(np.float32)

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from epipole._checks import as_points, require_same_length
-from epipole._declared import checked
+from epipole._checks import as_points, checked, require_same_length
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry.similarity3 import Similarity3
 

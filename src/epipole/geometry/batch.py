@@ -7,7 +7,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from epipole._declared.arrays import as_array
+from epipole._checks.arrays import as_array
 from epipole.errors import ShapeError
 
 Own = TypeVar("Own", bound="Batch")

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_float_array, check_broadcast
-from epipole._declared import checked
+from epipole._checks import as_float_array, check_broadcast, checked
 from epipole.errors import ConfigError
 
 

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from epipole._checks import as_float_array, as_points, check_broadcast, require_same_length
-from epipole._declared import checked
+from epipole._checks import as_float_array, as_points, check_broadcast, checked, require_same_length
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry.homogeneous import normalize_lines, to_homogeneous
 from epipole.geometry.rigid3 import Rigid3

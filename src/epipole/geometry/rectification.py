@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_float_array, as_points, require_same_length
-from epipole._declared import checked
+from epipole._checks import as_float_array, as_points, checked, require_same_length
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry.epipolar import epipoles
 from epipole.geometry.homogeneous import from_homogeneous, to_homogeneous

@@ -7,8 +7,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_directions, as_float_array, as_points, check_broadcast, require_same_length
-from epipole._declared import checked
+from epipole._checks import (
+    as_directions,
+    as_float_array,
+    as_points,
+    check_broadcast,
+    checked,
+    require_same_length,
+)
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry.rigid3 import Rigid3
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import UInt8, UInt16
 
 from epipole import _parallel
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError
 from epipole.image._census_kernels import census_rows
 

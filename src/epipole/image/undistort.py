@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
-from epipole._checks import check_pixels
-from epipole._declared import checked
+from epipole._checks import check_pixels, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.cameras.visibility import project_visible
 from epipole.errors import DegenerateGeometryError

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse.linalg
 from jaxtyping import Float64
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.inertial._inertial_problem import InertialProblem, States

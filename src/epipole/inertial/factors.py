@@ -8,7 +8,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float64, Int64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, skew
 from epipole.inertial._inertial_problem import LANES, InertialProblem, States

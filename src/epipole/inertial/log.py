@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import Declared, check_fields
+from epipole._checks import Declared, check_fields
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 

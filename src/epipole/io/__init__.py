@@ -1,4 +1,4 @@
-"""Files that people already use (COLMAP, nerfstudio, Bundler, PLY), known cameras, and atomic writing."""
+"""Readers and writers for common files (COLMAP, nerfstudio, Bundler, PLY), known cameras, and atomic writing."""
 
 from epipole.io.atomic import atomic_folder as atomic_folder
 from epipole.io.atomic import atomic_write as atomic_write

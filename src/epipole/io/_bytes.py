@@ -1,4 +1,4 @@
-"""Reading files that may be cut short or lie about their contents."""
+"""Bounds-checked reading of binary files that may be truncated or contain wrong sizes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _COUNT = struct.Struct("<Q")
 
 
 class ByteReader:
-    """A cursor over a file's bytes that never reads past the end, and rejects impossible counts."""
+    """A cursor over a file's bytes that never reads past the end and rejects impossible counts."""
 
     def __init__(self, path: Path, data: bytes) -> None:
         self.path = path
@@ -29,11 +29,11 @@ class ByteReader:
         return len(self.data) - self.position
 
     def fail(self, problem: str) -> FileFormatError:
-        """The error to raise about the current place."""
+        """The error to raise for a problem at the current position."""
         return FileFormatError(self.path, f"byte {self.position}: {problem}")
 
     def advance(self, size: int, what: str) -> int:
-        """Step over `size` bytes and return where they begin."""
+        """Skip `size` bytes and return the offset of the first of them."""
         if size > self.remaining:
             raise self.fail(f"the file ends inside {what} ({self.remaining} of {size} bytes)")
         start = self.position
@@ -51,9 +51,9 @@ class ByteReader:
         return number
 
     def require_room(self, number: int, min_item_size: int, what: str) -> None:
-        """Check that so many items can follow at all."""
+        """Check that `number` items fit into the remaining bytes."""
         if number * min_item_size > self.remaining:
-            raise self.fail(f"{number} {what} cannot be in the {self.remaining} bytes that follow")
+            raise self.fail(f"{number} {what} do not fit into the remaining {self.remaining} bytes")
 
     def array(self, dtype: DTypeLike, number: int, what: str) -> np.ndarray:
         """The next `number` values, as a read-only view."""
@@ -61,7 +61,7 @@ class ByteReader:
         return np.frombuffer(self.data, dtype, number, start)
 
     def string(self, what: str) -> str:
-        """The next zero-terminated UTF-8 text."""
+        """The next null-terminated UTF-8 text."""
         end = self.data.find(b"\0", self.position)
         if end < 0:
             raise self.fail(f"the file ends inside {what}")
@@ -73,6 +73,6 @@ class ByteReader:
         return text
 
     def finish(self) -> None:
-        """Check that nothing is left."""
+        """Check that all bytes have been read."""
         if self.remaining:
-            raise self.fail(f"{self.remaining} bytes follow after the end")
+            raise self.fail(f"{self.remaining} unexpected bytes after the end")

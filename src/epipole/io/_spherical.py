@@ -1,4 +1,4 @@
-"""Spherical images and cameras, which are refused: no camera model here describes them."""
+"""Rejection of spherical images and cameras, for which there is no camera model."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SPHERICAL_REFUSAL = (
 )
 
 _WORDS = ("equirect", "spherical", "latlong", "lonlat", "latlon", "panoram", "omnidirectionalstereo", "vr180")
-# Google's spherical video: version 1 is XML in a box, version 2 the box sv3d that begins with svhd.
+# Google's spherical video: version 1 is XML in a box, version 2 the box sv3d that starts with svhd.
 _SPHERICAL_VIDEO = re.compile(rb"Spherical>\s*true\s*<|sv3d....svhd", re.DOTALL)
 _MOST_BOXES, _MOST_INDEX_BYTES = 1000, 1 << 25
 _TIFF_XMP = 700
@@ -25,15 +25,15 @@ _PLANE = (b"perspective", b"rectilinear")
 
 
 def is_spherical_word(word: str) -> bool:
-    """Whether the name of a camera model or a key is that of a spherical image."""
+    """Whether a camera model name or a key denotes a spherical image."""
     return any(known in word.lower() for known in _WORDS)
 
 
 def refuse_panorama(path: Path, image: ImageFile) -> None:
-    """Refuse an image whose XMP block names another projection than that of a plane (Google's GPano:ProjectionType).
+    """Reject an image whose XMP block names a non-planar projection (Google's GPano:ProjectionType).
 
     Raises:
-        FileFormatError: it is a panorama.
+        FileFormatError: the image is a panorama.
     """
     xmp = image.tag_v2.get(_TIFF_XMP) if isinstance(image, TiffImageFile) else image.info.get("xmp")
     data = xmp.encode(errors="replace") if isinstance(xmp, str) else xmp
@@ -44,17 +44,17 @@ def refuse_panorama(path: Path, image: ImageFile) -> None:
 
 
 def refuse_spherical_video(path: Path, stream: IO[bytes]) -> None:
-    """Refuse an MP4 or MOV file whose index says that its frames are spherical.
+    """Reject an MP4 or MOV file whose index marks its frames as spherical.
 
     Raises:
-        FileFormatError: they are.
+        FileFormatError: the video is spherical.
     """
     if _SPHERICAL_VIDEO.search(_index_of(stream)):
         raise FileFormatError(path, f"its metadata say that the video is spherical: {SPHERICAL_REFUSAL}")
 
 
 def _index_of(stream: IO[bytes]) -> bytes:
-    """The box moov (ISO 14496-12), or the beginning of a long one; empty for files of other formats."""
+    """The moov box (ISO 14496-12), truncated if long; empty for files of other formats."""
     position = 0
     for _ in range(_MOST_BOXES):
         stream.seek(position)

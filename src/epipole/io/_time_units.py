@@ -1,18 +1,18 @@
-"""Times that are not in seconds: clocks of computers count far, and their numbers and steps show the unit."""
+"""Detection of timestamps in milliseconds, microseconds or nanoseconds from their size and spacing."""
 
 from __future__ import annotations
 
 import numpy as np
 
 _UNITS = ((1e17, 1e-9, "nanoseconds"), (1e14, 1e-6, "microseconds"), (1e11, 1e-3, "milliseconds"))
-"""Numbers from here on, in the named unit, are instants after 1973; in seconds, years after 5000."""
+"""(threshold, factor to seconds, unit): larger numbers are dates after 1973 in this unit (in seconds, after 5000)."""
 _STEP_S = 1e-4, 2.0
-"""Usual times between one row and the next. Nanoseconds since a computer was started count less far than those since 1970:
-these tell them from microseconds and milliseconds."""
+"""Usual time between rows, seconds. Nanoseconds since boot are smaller than nanoseconds since 1970; the spacing
+distinguishes them from microseconds and milliseconds."""
 
 
 def unit_of_clock(values: np.ndarray) -> tuple[float, str] | None:
-    """Seconds for a unit, and its name, of times by a clock that is not in seconds; None for seconds, or small numbers."""
+    """Factor to seconds and name of the unit of clock times; None if they are seconds, or too small to decide."""
     largest = float(np.abs(values).max()) if len(values) else 0.0
     by_size = next(((factor, name) for least, factor, name in _UNITS if largest >= least), None)
     steps = np.abs(np.diff(values))
@@ -24,6 +24,6 @@ def unit_of_clock(values: np.ndarray) -> tuple[float, str] | None:
 
 
 def seconds_of(values: np.ndarray) -> tuple[np.ndarray, str | None]:
-    """Times in seconds, and the name of their unit where it was another."""
+    """Times in seconds, and the name of their original unit if it was not seconds."""
     unit = unit_of_clock(values)
     return (values, None) if unit is None else (values * unit[0], unit[1])

@@ -1,4 +1,4 @@
-"""Files that say what is known besides the images: lengths, measured places of images, distances travelled."""
+"""Files with measurements other than images: known lengths, camera positions and distances travelled."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError
 from epipole.io.files import file_text
 from epipole.io.trajectories.files import PositionLog, read_positions, read_trajectory
@@ -20,17 +20,17 @@ _LARGEST = 1e12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownLength:
-    """A length, and where its two ends are seen."""
+    """A known length and the image observations of its two ends."""
 
     name: str
     length_m: float
     ends: tuple[dict[str, tuple[float, float]], dict[str, tuple[float, float]]]
-    """Of each end: names of images, and the pixel there."""
+    """For each end: pixel (x, y) by image name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NamedPositions:
-    """Measured places of images."""
+    """Measured camera positions by image name."""
 
     names: tuple[str, ...]
     positions: Float64[np.ndarray, "n 3"]
@@ -38,32 +38,30 @@ class NamedPositions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OdometryLog:
-    """How far something went by its wheels."""
+    """Wheel odometry: distances or positions over time."""
 
     timestamp_s: Float64[np.ndarray, " n"]
-    """Rising."""
+    """Strictly increasing."""
     travelled_m: Float64[np.ndarray, " n"] | None
-    """Distance since the begin, along the way; None where places are known."""
+    """Distance along the trajectory since the start; None if positions are known."""
     positions: Float64[np.ndarray, "n 3"] | None
-    """Places by odometry."""
+    """Positions from odometry."""
 
 
 @checked
 def read_lengths(path: str | Path) -> tuple[KnownLength, ...]:
-    """Read known lengths: a line for each end in each image, `NAME METRES END PICTURE X Y`.
+    """Read known lengths: one line for each end in each image, `NAME METRES END IMAGE X Y`.
 
-    END is a or b. Names of images may have blanks. Lines that start with # are skipped.
+    END is a or b. Image names may contain spaces. Lines that start with # are skipped.
 
     Raises:
-        FileFormatError: no such file, a line that is none, or an end that is seen in no image.
+        FileFormatError: the file is missing, a line is malformed, or an end is seen in no image.
     """
     path = Path(path)
     found: dict[str, KnownLength] = {}
     for number, words in _lines(path):
         if len(words) < _LENGTH or words[2] not in ("a", "b"):
-            raise FileFormatError(
-                path, f"line {number}: NAME METRES END PICTURE X Y expected, and END a or b"
-            )
+            raise FileFormatError(path, f"line {number}: expected NAME METRES END IMAGE X Y with END a or b")
         metres, x, y = (_number(path, number, word) for word in (words[1], *words[-2:]))
         if not metres > 0:
             raise FileFormatError(path, f"line {number}: a length must be positive, got {metres:g}")
@@ -74,23 +72,23 @@ def read_lengths(path: str | Path) -> tuple[KnownLength, ...]:
             )
         end, image = known.ends[int(words[2] == "b")], " ".join(words[3:-2])
         if image in end:
-            raise FileFormatError(path, f"line {number}: end {words[2]} in {image} stands above already")
+            raise FileFormatError(path, f"line {number}: end {words[2]} in {image} is given twice")
         end[image] = (x, y)
     for known in found.values():
         for name, end in zip("ab", known.ends):
             if not end:
                 raise FileFormatError(path, f"end {name} of {known.name} is seen in no image")
     if not found:
-        raise FileFormatError(path, "holds no length")
+        raise FileFormatError(path, "it contains no lengths")
     return tuple(found.values())
 
 
 @checked
 def read_anchor_positions(path: str | Path) -> PositionLog | NamedPositions:
-    """Read measured places: `SECONDS X Y Z` a line, or `PICTURE X Y Z` (the names may have blanks).
+    """Read measured positions: one `SECONDS X Y Z` or `IMAGE X Y Z` per line (image names may contain spaces).
 
     Raises:
-        FileFormatError: no such file, a line that is none, or an image that stands there twice.
+        FileFormatError: the file is missing, a line is malformed, or an image is listed twice.
     """
     path = Path(path)
     lines = _lines(path)
@@ -99,28 +97,28 @@ def read_anchor_positions(path: str | Path) -> PositionLog | NamedPositions:
     names, positions = [], []
     for number, words in lines:
         if len(words) <= _POSITION:
-            raise FileFormatError(path, f"line {number}: PICTURE X Y Z expected, or SECONDS X Y Z")
+            raise FileFormatError(path, f"line {number}: expected IMAGE X Y Z or SECONDS X Y Z")
         names.append(" ".join(words[:-_POSITION]))
         positions.append([_number(path, number, word) for word in words[-_POSITION:]])
     if not names:
-        raise FileFormatError(path, "holds no place")
+        raise FileFormatError(path, "it contains no positions")
     if len(set(names)) < len(names):
         double = next(name for n, name in enumerate(names) if name in names[:n])
-        raise FileFormatError(path, f"{double} stands there twice")
+        raise FileFormatError(path, f"{double} is listed twice")
     return NamedPositions(tuple(names), np.array(positions))
 
 
 @checked
 def read_odometry(path: str | Path) -> OdometryLog:
-    """Read odometry: `SECONDS METRES` a line, the distance since any begin; or a trajectory in TUM's form.
+    """Read odometry: one `SECONDS METRES` per line, the distance since any start; or a trajectory in TUM format.
 
     Raises:
-        FileFormatError: no such file, a line that is none, times that do not rise, or a distance that falls.
+        FileFormatError: the file is missing, a line is malformed, times do not increase, or a distance decreases.
     """
     path = Path(path)
     lines = _lines(path)
     if not lines:
-        raise FileFormatError(path, "holds no odometry")
+        raise FileFormatError(path, "it contains no odometry")
     if len(lines[0][1]) != _DISTANCE:
         known = read_trajectory(path, "tum")
         rises = np.diff(known.timestamp_s, prepend=-np.inf) > 0
@@ -129,10 +127,10 @@ def read_odometry(path: str | Path) -> OdometryLog:
     values = np.empty((len(lines), 2))
     for n, (number, words) in enumerate(lines):
         if len(words) != _DISTANCE:
-            raise FileFormatError(path, f"line {number}: SECONDS METRES expected")
+            raise FileFormatError(path, f"line {number}: expected SECONDS METRES")
         values[n] = [_number(path, number, word) for word in words]
         if n and not (values[n, 0] > values[n - 1, 0] and values[n, 1] >= values[n - 1, 1]):
-            raise FileFormatError(path, f"line {number}: times must rise, and distances may not fall")
+            raise FileFormatError(path, f"line {number}: times must increase and distances must not decrease")
     return OdometryLog(values[:, 0].copy(), values[:, 1].copy(), None)
 
 
@@ -155,8 +153,8 @@ def _is_number(word: str) -> bool:
 
 def _number(path: Path, line: int, word: str) -> float:
     if not _is_number(word):
-        raise FileFormatError(path, f"line {line}: {word!r} is no number")
+        raise FileFormatError(path, f"line {line}: {word!r} is not a number")
     value = float(word)
     if not math.isfinite(value) or abs(value) > _LARGEST:
-        raise FileFormatError(path, f"line {line}: {word} is no number to calculate with")
+        raise FileFormatError(path, f"line {line}: {word} is not finite, or exceeds 1e12")
     return value

@@ -1,4 +1,4 @@
-"""Archives of arrays (.npz): sizes are held against the bytes of the file before anything is unpacked, arrays against the table of the file."""
+"""Archives of arrays (.npz), with sizes and array types checked before anything is unpacked."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tokenize import TokenError
 import numpy as np
 from numpy.lib import format as npy
 
-from epipole._declared.tables import Arrays, Table, check_arrays, check_names
+from epipole._checks.tables import Arrays, Table, check_arrays, check_names
 from epipole.errors import FileFormatError, ShapeError
 from epipole.io.files import most_unpacked_bytes, open_file
 
@@ -31,18 +31,18 @@ _DAMAGE = (
     TokenError,
     zlib.error,
 )
-"""What zipfile and NumPy may raise on a damaged file."""
+"""Exceptions that zipfile and NumPy raise on damaged files."""
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 _one_header_at_a_time = threading.Lock()
-"""NumPy reads the header of an array with Python's parser, which up to Python 3.12 counts its depth for all threads
-together and now and then takes that for an error (CPython issue 106905)."""
+"""NumPy parses array headers with Python's parser, whose depth counter is shared by all threads up to Python 3.12 and
+sporadically raises a false error (CPython issue 106905)."""
 
 
 def read_packed_arrays(path: Path, table: Table, **sizes: int) -> Arrays:
-    """The arrays of an archive that may be packed, within the budget of its size.
+    """Read an archive that may be compressed, with a limit on its unpacked size.
 
     Raises:
-        FileFormatError: it is no archive, unpacks to more than its budget, or an array is not as expected.
+        FileFormatError: it is not an archive, unpacks to more than the limit, or an array is not as expected.
     """
     with open_file(path) as stream:
         num_bytes = stream.seek(0, io.SEEK_END)
@@ -52,10 +52,10 @@ def read_packed_arrays(path: Path, table: Table, **sizes: int) -> Arrays:
 
 
 def checked_arrays(path: Path, arrays: Arrays, table: Table, **sizes: int) -> Arrays:
-    """The arrays of a file, each of the type and in the layout that kernels take.
+    """Check arrays against a table and return them with the dtype and layout that kernels need.
 
     Raises:
-        FileFormatError: one is missing, unknown, or not as expected.
+        FileFormatError: an array is missing, unknown, or not as expected.
     """
     try:
         return check_arrays(arrays, table, **sizes)
@@ -70,29 +70,29 @@ def read_archive(
     most_bytes: int,
     names: Iterable[str] | None = None,
 ) -> Arrays:
-    """The arrays as they are stored; sizes are held against the budget before anything is unpacked.
+    """Read arrays as stored; their sizes are checked against the limit before anything is unpacked.
 
     Args:
-        path: the file, for the message.
+        path: the file, for error messages.
         stream: its bytes.
-        table: what it holds; None: anything.
-        most_bytes: to which it may unpack.
-        names: of the arrays that are read; None: all that it has.
+        table: the expected arrays; None: any.
+        most_bytes: the largest unpacked size.
+        names: the arrays to read; None: all.
 
     Raises:
-        FileFormatError: it is no archive, unpacks to more than `most_bytes`, or holds other arrays than the table.
+        FileFormatError: not an archive, unpacks to more than `most_bytes`, or has other arrays than `table`.
     """
     try:
         with zipfile.ZipFile(stream) as archive:
             members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
             if len(members) != len(archive.infolist()):
-                raise ShapeError("two arrays have one name")
+                raise ShapeError("two arrays have the same name")
             wanted = list(members if names is None else names)
             if table is not None:
                 check_names(members, table, table if names is None else wanted)
             total = sum(member.file_size for member in members.values())
             if total > most_bytes:
-                problem = f"unpacks to {total} bytes, more than the {most_bytes} that fit its size"
+                problem = f"unpacks to {total} bytes, more than the {most_bytes} allowed for its size"
                 raise FileFormatError(path, problem)
             return {name: _unpacked(archive, members[name]) for name in wanted if name in members}
     except FileFormatError:
@@ -100,25 +100,25 @@ def read_archive(
     except ShapeError as error:
         raise FileFormatError(path, f"its arrays cannot be used: {error}") from error
     except _DAMAGE as error:
-        raise FileFormatError(path, f"is no archive of arrays, or a damaged one: {error}") from error
+        raise FileFormatError(path, f"not an archive of arrays, or damaged: {error}") from error
 
 
 def _unpacked(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
-    """An array whose header tells as many bytes as there are.
+    """Unpack an array whose header matches its length.
 
     Raises:
-        ValueError: it does not, or is packed in a way that may unpack to more.
+        ValueError: it does not match, or the compression method is unknown.
     """
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise ValueError(f"{member.filename!a} is packed in an unknown way")
+        raise ValueError(f"{member.filename!a} uses an unknown compression method")
     with archive.open(member) as stream:
         version = npy.read_magic(stream)
         if version not in _HEADERS:
-            raise ValueError(f"{member.filename!a} is of an unknown version, {version}")
+            raise ValueError(f"{member.filename!a} has the unknown format version {version}")
         with _one_header_at_a_time:
             shape, is_fortran, dtype = _HEADERS[version](stream)
         if dtype.kind not in "biufU" or any(side < 0 for side in shape):
-            raise ValueError(f"{member.filename!a} holds {dtype}, neither numbers nor text")
+            raise ValueError(f"{member.filename!a} has dtype {dtype}, neither numbers nor text")
         count = 1
         for side in shape:
             count *= int(side)
@@ -126,9 +126,9 @@ def _unpacked(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
         if count * dtype.itemsize != member.file_size - stream.tell() or (
             dtype.itemsize == 0 and not is_empty_text
         ):
-            raise ValueError(f"{member.filename!a} is not as long as its header says")
+            raise ValueError(f"{member.filename!a} does not have the length given in its header")
         data = bytearray(stream.read())
         if len(data) != count * dtype.itemsize:
-            raise ValueError(f"{member.filename!a} is cut short")
+            raise ValueError(f"{member.filename!a} is truncated")
     flat = np.frombuffer(data, dtype, count) if data else np.zeros(count, dtype)
     return flat.reshape(shape, order="F" if is_fortran else "C")

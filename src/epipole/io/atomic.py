@@ -1,4 +1,4 @@
-"""Files and folders that are either there whole or not at all."""
+"""Atomic writing: a file or folder is either complete or absent."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ _PART = re.compile(
     re.DOTALL,
 )
 _LIFE = secrets.token_hex(4)
-"""Of this process: another may have had its number."""
+"""Identifies this process: process numbers are reused."""
 _LONGEST_SUFFIX = 32
 
 
 @contextmanager
 def atomic_write(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; what is written there replaces `path` when the block ends.
+    """Yield a temporary path beside `path`; its content replaces `path` when the block ends.
 
-    The temporary name keeps the suffix, since some writers choose the format by it. If the block raises,
-    `path` is as it was. Missing parent folders are made; a link is followed, not replaced. Only a regular file is
-    replaced: to a device or a pipe (`/dev/null`, `/dev/stdout`) the content is written.
+    The temporary name keeps the suffix, since some writers choose the format by it. If the block raises, `path` stays
+    unchanged. Missing parent folders are created; a symbolic link is resolved, not replaced. Only regular files are
+    replaced; devices and pipes (`/dev/null`, `/dev/stdout`) are written to.
 
     Raises:
-        WorkspaceError: the place is not writable, or full, or a folder or a socket.
+        WorkspaceError: the path is not writable, the disk is full, or the path is a folder or a socket.
     """
     with reporting(path):
         if is_stream(Path(path)):
@@ -55,20 +55,20 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def atomic_folder(path: str | Path, stale: Sequence[str] = ()) -> Iterator[Path]:
-    """Yield a temporary empty folder; what is written there becomes the folder `path` when the block ends.
+    """Yield a temporary empty folder; its files move into the folder `path` when the block ends.
 
-    A new folder appears in one step. In a folder that exists each file is replaced in one step, one after the
-    other, and other files stay, for they may be the user's; only those named in `stale` are removed.
+    A new folder appears in one step. In an existing folder, files are replaced one at a time, each atomically. Other
+    files stay, since they may be the user's; only those named in `stale` are removed.
 
     Raises:
-        WorkspaceError: the place is not writable, or full, `path` is a file, or something in it that is no file
-            has the name of a new one.
+        WorkspaceError: the path is not writable, the disk is full, `path` is a file, or a new file has the name of
+            an existing folder, device, pipe or socket.
     """
     target = Path(path).resolve()
     if target.exists() and not target.is_dir():
-        raise WorkspaceError(f"cannot write the folder {path}: there is a file of this name")
+        raise WorkspaceError(f"cannot write the folder {path}: a file with this name exists")
     exists = target.is_dir()
-    # Inside a folder that exists: its parent may be read-only, or another disk.
+    # Inside an existing folder: its parent may be read-only, or on another disk.
     part = part_beside(target / "folder" if exists else target)
     with reporting(path):
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -84,26 +84,26 @@ def atomic_folder(path: str | Path, stale: Sequence[str] = ()) -> Iterator[Path]
 
 
 def part_beside(target: Path) -> Path:
-    """A new temporary name in the target's folder: it tells whose it is, keeps the suffix, and is never long."""
+    """A new temporary path in the target's folder; its name identifies the process and keeps a short suffix."""
     endings = (
         "".join(target.suffixes[-2:]),
         target.suffix,
         "",
-    )  # .compressed.ply is another format than .ply
+    )  # .compressed.ply is not the same format as .ply
     suffix = next(ending for ending in endings if len(os.fsencode(ending)) <= _LONGEST_SUFFIX)
     own = f".epipole-{_machine()}-{os.getpid()}-{_LIFE}{secrets.token_hex(4)}.part"
     return target.with_name(own + suffix)
 
 
 def remove_abandoned_parts(folder: Path) -> None:
-    """Remove what processes of this machine that are gone (killed) have left half written in a folder."""
+    """Remove partial files in a folder left by killed processes of this machine."""
     with suppress(OSError):
         for path in [path for path in folder.iterdir() if _is_abandoned(path.name)]:
             _remove(path)
 
 
 def remove_abandoned_parts_below(root: Path) -> None:
-    """The same for a folder and all below it."""
+    """Remove partial files in a folder and all folders below it."""
     for here, folders, files in os.walk(root):
         for name in filter(_is_abandoned, [*folders, *files]):
             _remove(Path(here) / name)
@@ -132,10 +132,10 @@ def _machine() -> str:
 
 
 def _is_alive(process: str, life: str) -> bool:
-    """Whether the process that had this number, and this token, may still run."""
+    """Whether the process with this number and token may still run."""
     if int(process) == os.getpid():
         return life == _LIFE
-    if os.name == "nt":  # there os.kill ends the process
+    if os.name == "nt":  # os.kill would end the process
         return True
     try:
         os.kill(int(process), 0)
@@ -147,11 +147,11 @@ def _is_alive(process: str, life: str) -> bool:
 
 
 def is_stream(path: Path) -> bool:
-    """Whether something stands there that is written to and not replaced.
+    """Whether the path is a device or a pipe, which is written to instead of being replaced.
 
     Raises:
-        WorkspaceError: it is a folder, a socket or a disk.
-        OSError: the system does not tell.
+        WorkspaceError: the path is a folder, a socket or a disk.
+        OSError: the path cannot be examined.
     """
     try:
         mode = path.stat().st_mode
@@ -167,7 +167,7 @@ def is_stream(path: Path) -> bool:
 
 
 def _pour(source: Path, stream: Path) -> None:
-    """Write a file into a device or a pipe; a pipe that nobody reads is an error, where it would wait for ever."""
+    """Copy a file into a device or a pipe; a pipe without a reader raises an error instead of blocking."""
     opened = os.open(stream, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
     with source.open("rb") as content, os.fdopen(opened, "wb") as out:
         os.set_blocking(opened, True)
@@ -190,10 +190,10 @@ def _move_files(source: Path, target: Path, stale: Sequence[str]) -> None:
 
 
 def refuse_other_kinds(path: Path) -> None:
-    """Refuse to replace what is neither a file nor a link to one.
+    """Check that a path may be replaced: it is a file, a link to one, or does not exist.
 
     Raises:
-        WorkspaceError: a folder, a device, a pipe or a socket stands there.
+        WorkspaceError: the path is a folder, a device, a pipe or a socket.
     """
     if os.path.lexists(path) and path.exists() and not path.is_file():
         raise WorkspaceError(f"cannot write {path}: it is {'a folder' if path.is_dir() else 'not a file'}")
@@ -201,7 +201,7 @@ def refuse_other_kinds(path: Path) -> None:
 
 @contextmanager
 def reporting(path: str | Path, what: str = "write") -> Iterator[None]:
-    """Turn the system's errors into one clear line: cannot write PATH, and why.
+    """Convert an OSError into a one-line `cannot write PATH: reason`.
 
     Raises:
         WorkspaceError: an OSError was raised inside.

@@ -1,4 +1,4 @@
-"""What a path holds, in words: for messages that refuse it where something else was expected."""
+"""Descriptions of what a path contains, for error messages about unexpected input."""
 
 from __future__ import annotations
 
@@ -9,38 +9,38 @@ from epipole.errors import FileFormatError
 from epipole.io.files import read_json
 
 MARK = "epipole.json"
-"""In every output folder: which command made it."""
+"""Marker file in every output folder that names the command that wrote it."""
 _MOST_LISTED = 1000
 _HEADS = (
-    (b"PK\x03\x04", "a ZIP archive: unpack it, and give the folder"),
-    (b"\x1f\x8b", "a gzip archive: unpack it, and give what is in it"),
-    (b"7z\xbc\xaf\x27\x1c", "a 7-Zip archive: unpack it, and give the folder"),
-    (b"Rar!", "a RAR archive: unpack it, and give the folder"),
-    (b"BZh", "a bzip2 archive: unpack it, and give what is in it"),
-    (b"\xfd7zXZ", "an xz archive: unpack it, and give what is in it"),
+    (b"PK\x03\x04", "a ZIP archive: unpack it and pass the folder"),
+    (b"\x1f\x8b", "a gzip archive: unpack it and pass its content"),
+    (b"7z\xbc\xaf\x27\x1c", "a 7-Zip archive: unpack it and pass the folder"),
+    (b"Rar!", "a RAR archive: unpack it and pass the folder"),
+    (b"BZh", "a bzip2 archive: unpack it and pass its content"),
+    (b"\xfd7zXZ", "an xz archive: unpack it and pass its content"),
     (b"\xff\xd8\xff", "a JPEG image"),
     (b"\x89PNG", "a PNG image"),
     (b"GIF8", "a GIF image"),
     (b"II*\x00", "a TIFF or RAW image"),
     (b"MM\x00*", "a TIFF or RAW image"),
     (b"%PDF", "a PDF document"),
-    (b"glTF", "a glTF scene (.glb), which is not read: export points or triangles as PLY"),
-    (b"LASF", "a LAS point cloud, which is not read: export it as PLY"),
+    (b"glTF", "a glTF scene (.glb), which is not supported: export points or triangles as PLY"),
+    (b"LASF", "a LAS point cloud, which is not supported: export it as PLY"),
     (b"ply", "a PLY file of points or triangles"),
     (b"SQLite format 3", "an SQLite database"),
 )
 _SUFFIXES = {
-    ".gltf": "a glTF scene, which is not read: export points or triangles as PLY",
-    ".obj": "a Wavefront OBJ mesh, which is not read: export it as PLY",
-    ".stl": "an STL mesh, which is not read: export it as PLY",
-    ".fbx": "an FBX scene, which is not read: export points or triangles as PLY",
-    ".tar": "a tar archive: unpack it, and give the folder",
+    ".gltf": "a glTF scene, which is not supported: export points or triangles as PLY",
+    ".obj": "a Wavefront OBJ mesh, which is not supported: export it as PLY",
+    ".stl": "an STL mesh, which is not supported: export it as PLY",
+    ".fbx": "an FBX scene, which is not supported: export points or triangles as PLY",
+    ".tar": "a tar archive: unpack it and pass the folder",
 }
 _IMAGES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".gif", ".bmp")
 
 
 def what_it_is(path: Path) -> str:
-    """What a path holds, as `it is ...` or `it holds ...`; empty where that is not known."""
+    """A description `it is ...` or `it holds ...` of a path; empty if unknown."""
     try:
         if path.is_dir():
             return _of_folder(path)
@@ -62,12 +62,12 @@ def what_it_is(path: Path) -> str:
 
 
 def with_what_it_is(problem: str, path: Path, advice: str = "") -> str:
-    """A problem with a path, followed by what the path holds where that is known, and by what to do."""
+    """Join a problem with a path, a description of its content if known, and advice."""
     return "; ".join(part for part in (problem, what_it_is(path), advice) if part)
 
 
 def results_of(folder: Path) -> str:
-    """The command that made an output folder; empty for another folder."""
+    """The command that wrote an output folder; empty for other folders."""
     try:
         content = read_json(folder / MARK)
     except FileFormatError:
@@ -83,4 +83,4 @@ def _of_folder(folder: Path) -> str:
     if not names:
         return "it is empty"
     images = [path for path in names if path.suffix.lower() in _IMAGES]
-    return f"it holds images ({images[0].name} for one)" if images else ""
+    return f"it holds images (such as {images[0].name})" if images else ""

@@ -1,4 +1,4 @@
-"""A model in any of the formats that are read and written."""
+"""Conversion of models between all supported formats."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError
 from epipole.io.colmap.model import find_model, read_colmap_model, write_colmap_model
 from epipole.io.contents_in_words import what_it_is
@@ -16,7 +16,7 @@ from epipole.scene import Reconstruction
 
 ModelFormat = Literal["txt", "bin", "ply", "transforms", "bundler", "splat"]
 IMAGE_FOLDER = "images"
-"""Where the images are beside a transforms.json or a bundle.out."""
+"""Folder of the images beside a transforms.json or a bundle.out."""
 
 TRANSFORMS = "transforms.json"
 
@@ -26,7 +26,7 @@ FOLDER_WRITERS: dict[str, Callable[[Reconstruction, Path], None]] = {
     "transforms": lambda model, folder: write_transforms(model, folder / TRANSFORMS, IMAGE_FOLDER),
     "bundler": lambda model, folder: write_bundler(model, folder / "bundle.out", IMAGE_FOLDER),
 }
-"""Writers of the formats of several files."""
+"""Writers of the formats that consist of several files."""
 
 
 MODELS = "models are read from an output folder of `epipole reconstruct`, a COLMAP model or a transforms.json"
@@ -34,19 +34,19 @@ MODELS = "models are read from an output folder of `epipole reconstruct`, a COLM
 
 @checked
 def read_model(source: str | Path) -> Reconstruction:
-    """Read the model of an output folder, a COLMAP model, or a transforms.json or the folder that holds one.
+    """Read the model in an output folder, a COLMAP model, or a transforms.json (or its folder).
 
     Raises:
-        FileFormatError: there is none that can be read.
+        FileFormatError: there is no readable model.
     """
     source = Path(source)
     if source.suffix.lower() == ".ply" and source.is_file():
-        raise FileFormatError(source, "holds points without cameras: no model")
+        raise FileFormatError(source, "it has points but no cameras, so it is not a model")
     if not source.exists():
         raise FileFormatError(source, f"there is no such file or folder; {MODELS}")
     if source.is_file():
         if what := what_it_is(source):
-            raise FileFormatError(source, f"is no model: {what}; {MODELS}")
+            raise FileFormatError(source, f"not a model: {what}; {MODELS}")
         return read_transforms(source)
     try:
         folder = find_model(source)

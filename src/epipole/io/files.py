@@ -1,4 +1,4 @@
-"""Opening files that may be none, may never end, or may hold more than fits: one place for all readers."""
+"""Opening files safely: rejects missing files, endless ones (pipes, devices), and ones larger than memory."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from epipole.errors import EpipoleError, FileFormatError
 from epipole.io.json_files import json_values
 
 MOST_JSON_BYTES = 1 << 28
-"""Largest JSON file that is read."""
+"""Size limit of JSON files."""
 
 SMALL_BYTES, MOST_RATIO = 1 << 26, 32
-"""The budget of what is packed: it may unpack to 64 MiB, or to 32 times its own size where that is more."""
+"""Limit of decompressed data: 64 MiB, or 32 times the compressed size if that is more."""
 _MOST_NAME_BYTES = 4096
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -28,20 +28,20 @@ _KINDS = (
 
 
 def most_unpacked_bytes(num_packed: int, small_bytes: int = SMALL_BYTES) -> int:
-    """To how many bytes so many packed ones may unpack; to `small_bytes` always."""
+    """Number of bytes that `num_packed` compressed bytes may unpack to; at least `small_bytes`."""
     return max(small_bytes, MOST_RATIO * num_packed)
 
 
 MAX_ERROR_LENGTH = 300
-"""Characters of a library's error message that are repeated: it may quote the file."""
+"""A library's error message is cut to this length: it may quote the file."""
 
 
 @contextmanager
 def read_by_others(path: Path, problem: str) -> Iterator[None]:
-    """Make one kind of error of whatever a library raises on damaged bytes: no list of its errors is ever complete.
+    """Convert any exception that a library raises on damaged bytes: no list of its exceptions would be complete.
 
     Raises:
-        FileFormatError: reading the file in the block has failed.
+        FileFormatError: reading the file in the block failed.
     """
     try:
         yield
@@ -53,10 +53,10 @@ def read_by_others(path: Path, problem: str) -> Iterator[None]:
 
 
 def require_file(path: Path) -> int:
-    """The size in bytes of a file; a pipe or a device, which may never end, is none.
+    """The size of a regular file in bytes; pipes and devices, which may never end, are rejected.
 
     Raises:
-        FileFormatError: there is no such file, or the path is of something else.
+        FileFormatError: there is no such file, or the path is not a regular file.
     """
     try:
         status = path.stat()
@@ -64,8 +64,8 @@ def require_file(path: Path) -> int:
         raise FileFormatError(path, "there is no such file") from error
     except OSError as error:
         raise FileFormatError(path, f"cannot be opened: {error.strerror or error}") from error
-    except ValueError as error:  # a zero, or what no file system can name
-        raise FileFormatError(path, f"is no name of a file: {error}") from error
+    except ValueError as error:  # a null character, or a name that no file system can encode
+        raise FileFormatError(path, f"not a valid file name: {error}") from error
     if not stat.S_ISREG(status.st_mode):
         kind = next((name for is_it, name in _KINDS if is_it(status.st_mode)), "something else")
         raise FileFormatError(path, f"cannot be opened: it is {kind}, not a file")
@@ -76,7 +76,7 @@ def open_file(path: Path) -> io.BufferedReader:
     """Open a file for reading.
 
     Raises:
-        FileFormatError: it is none, or cannot be opened.
+        FileFormatError: the path is not a regular file, or cannot be opened.
     """
     require_file(path)
     try:
@@ -86,27 +86,27 @@ def open_file(path: Path) -> io.BufferedReader:
 
 
 def file_bytes(path: Path, most_bytes: int | None = None) -> bytes:
-    """The whole file.
+    """The content of a file.
 
     Raises:
-        FileFormatError: there is none, it cannot be read, or it is larger than `most_bytes`.
+        FileFormatError: the file is missing, cannot be read, or is larger than `most_bytes`.
     """
     with open_file(path) as stream:
         try:
             if most_bytes is not None and stream.seek(0, io.SEEK_END) > most_bytes:
-                raise FileFormatError(path, f"is larger than {most_bytes} bytes")
+                raise FileFormatError(path, f"larger than {most_bytes} bytes")
             stream.seek(0)
             return stream.read()
         except (OSError, MemoryError) as error:
-            problem = getattr(error, "strerror", None) or str(error) or "it does not fit into the memory"
+            problem = getattr(error, "strerror", None) or str(error) or "it does not fit into memory"
             raise FileFormatError(path, f"cannot be read: {problem}") from error
 
 
 def file_text(path: Path, most_bytes: int | None = None) -> str:
-    """The whole file as UTF-8 text.
+    """The content of a file as UTF-8 text.
 
     Raises:
-        FileFormatError: there is none, it cannot be read, it is too large, or it is not text.
+        FileFormatError: the file is missing, unreadable, larger than `most_bytes`, or not text.
     """
     try:
         return file_bytes(path, most_bytes).decode("utf-8-sig")
@@ -115,27 +115,27 @@ def file_text(path: Path, most_bytes: int | None = None) -> str:
 
 
 def read_json(path: Path, most_bytes: int = MOST_JSON_BYTES, *, allow_nan: bool = False) -> Any:
-    """What a JSON file holds.
+    """Parse a JSON file.
 
     Args:
         path: the file.
-        most_bytes: its largest size.
-        allow_nan: whether NaN and Infinity, which JSON does not have, are read as numbers.
+        most_bytes: the largest file size.
+        allow_nan: whether to accept NaN and Infinity, which JSON does not have.
 
     Raises:
-        FileFormatError: there is none, it is too large, nested too deeply, or not JSON.
+        FileFormatError: the file is missing, too large, nested too deeply, or not JSON.
     """
     return json_values(path, file_text(path, most_bytes), allow_nan=allow_nan)
 
 
 def problem_of_name(name: object) -> str | None:
-    """Why what a file gives as an image's name cannot be one; None where it can."""
+    """Why a file's image name is invalid; None if it is valid."""
     if not isinstance(name, str):
-        return f"a name is text, not {type(name).__name__}"
+        return f"a name must be text, got {type(name).__name__}"
     if not name:
         return "a name is empty"
     if any(mark in name for mark in "\0\r\n"):
-        return f"the name {name[:60]!r} holds a zero or a line break"
+        return f"the name {name[:60]!r} contains a null character or a line break"
     try:
         size = len(name.encode())
     except UnicodeEncodeError:

@@ -1,7 +1,7 @@
-"""Pose graphs in g2o's text format: the plane, space, and space with scale.
+"""Pose graphs in g2o's text format: SE(2), SE(3) and Sim(3).
 
-Information matrices of edges in space are read as those of (translation, rotation vector), as GTSAM does; g2o itself means
-the imaginary part of a quaternion, half a rotation vector.
+Information matrices of 3D edges refer to (translation, rotation vector), as in GTSAM; g2o itself uses the imaginary
+part of a quaternion, which is half the rotation vector.
 """
 
 from __future__ import annotations
@@ -13,9 +13,8 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Int64
 
-from epipole._checks import as_path
-from epipole._declared import checked
-from epipole._declared.arrays import as_array
+from epipole._checks import as_path, checked
+from epipole._checks.arrays import as_array
 from epipole.errors import FileFormatError, ShapeError
 from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3
 from epipole.io.atomic import atomic_write
@@ -24,22 +23,22 @@ from epipole.optim import PoseGraph
 from epipole.optim.pose_graph import not_definite
 
 _KINDS = {"SE2": (3, 3), "SE3:QUAT": (7, 6), "SIM3:QUAT": (8, 7)}
-"""Numbers of a motion, and size of its tangent."""
+"""Length of a motion's row in the file, and dimension of its tangent space."""
 _IGNORED = ("PARAMS_", "#")
-"""Parameters are used by edges of other kinds, which are refused."""
+"""Parameters belong to edges of unsupported kinds, which are rejected."""
 _FEW = 5
 _LEAST_FRACTION = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class G2oFile:
-    """A pose graph and the names of its places in the file."""
+    """A pose graph and its vertex names in the file."""
 
     graph: PoseGraph
     ids: Int64[np.ndarray, " n"]
     """Ascending."""
     mended_edges: Int64[np.ndarray, " e"]
-    """Edges of the graph whose information matrices were not positive definite, and were replaced."""
+    """Edges whose information matrices were not positive definite and were replaced."""
 
     def __repr__(self) -> str:
         return f"G2oFile({self.graph!r})"
@@ -47,17 +46,17 @@ class G2oFile:
 
 @checked
 def read_g2o(path: str | Path, *, indefinite: Literal["refuse", "nearest"] = "refuse") -> G2oFile:
-    """Read vertices and edges of one kind, and which vertices are fixed; parameters and comments are passed over.
+    """Read vertices and edges of one kind, and which vertices are fixed; parameters and comments are ignored.
 
     Args:
         path: the file.
-        indefinite: what becomes of edges whose information matrices are not positive definite. "refuse": the message
-            names them. "nearest": the nearest matrix takes the place, with the eigenvalues below a billionth of the
-            largest raised to that (Higham, Linear Algebra Appl. 1988); `mended_edges` names them.
+        indefinite: how to treat edges whose information matrices are not positive definite. "refuse": raise an error
+            that lists them. "nearest": replace the matrix with the nearest one whose eigenvalues are at least 1e-9 of
+            the largest (Higham, Linear Algebra Appl. 1988); `mended_edges` lists them.
 
     Raises:
-        FileFormatError: the file cannot be read, mixes kinds, names a vertex that is not there, has a broken line, or an
-            information matrix that no measurement has; the message names the line, or the edges.
+        FileFormatError: the file is unreadable, mixes kinds, refers to a missing vertex, or has a malformed line or an
+            invalid information matrix; the message names the line or the edges.
     """
     path = as_path(path)
     lines = file_bytes(path).decode("utf-8", "replace").splitlines()
@@ -75,7 +74,7 @@ def read_g2o(path: str | Path, *, indefinite: Literal["refuse", "nearest"] = "re
             continue
         what, _, this = words[0].partition("_")
         if what not in ("VERTEX", "EDGE") or this not in _KINDS:
-            raise FileFormatError(path, f"line {number}: {words[0]} is none of the known kinds")
+            raise FileFormatError(path, f"line {number}: {words[0]} is not a supported kind")
         if kind not in (None, this):
             raise FileFormatError(path, f"line {number}: {this} in a graph of {kind}")
         kind = this
@@ -87,36 +86,34 @@ def read_g2o(path: str | Path, *, indefinite: Literal["refuse", "nearest"] = "re
         except ValueError as error:
             raise FileFormatError(path, f"line {number}: {error}") from error
         if len(numbers) != wanted or len(index) != names or not np.isfinite(numbers).all():
-            raise FileFormatError(path, f"line {number}: {wanted} finite numbers are needed after the names")
+            raise FileFormatError(path, f"line {number}: expected {wanted} finite numbers after the names")
         _require_names(path, number, index)
         if not _is_motion(numbers[:size]):
             raise FileFormatError(
-                path, f"line {number}: {words[0]} holds no unit quaternion or no positive scale"
+                path, f"line {number}: {words[0]} has no valid quaternion or no positive scale"
             )
         if what == "VERTEX":
             if index[0] in vertices:
-                raise FileFormatError(path, f"line {number}: vertex {index[0]} stands there twice")
+                raise FileFormatError(path, f"line {number}: vertex {index[0]} is defined twice")
             vertices[index[0]] = numbers
         else:
             edges.append((index[0], index[1]))
             values.append(numbers)
     if kind is None or not vertices:
-        raise FileFormatError(path, "no vertices: this is no pose graph")
+        raise FileFormatError(path, "no vertices: not a pose graph")
     return _with_fixed(path, _assemble(path, kind, vertices, edges, values, indefinite), fixed)
 
 
 def _with_fixed(path: Path, found: G2oFile, fixed: dict[int, int]) -> G2oFile:
-    """The graph with the vertices that are fixed, by the lines that name them."""
     known = set(found.ids.tolist())
     for name, number in fixed.items():
         if name not in known:
-            raise FileFormatError(path, f"line {number}: FIX names vertex {name}, which is not there")
+            raise FileFormatError(path, f"line {number}: FIX names vertex {name}, which is not defined")
     rows = np.searchsorted(found.ids, np.array(sorted(fixed), np.int64)).astype(np.int64)
     return replace(found, graph=replace(found.graph, fixed=rows))
 
 
 def _fixed_names(path: Path, number: int, words: list[str]) -> list[int]:
-    """Of a line FIX, which holds one vertex or more."""
     try:
         names = [int(word) for word in words]
     except ValueError as error:
@@ -129,15 +126,15 @@ def _fixed_names(path: Path, number: int, words: list[str]) -> list[int]:
 
 def _require_names(path: Path, number: int, names: list[int]) -> None:
     if not all(-(2**63) <= name < 2**63 for name in names):
-        raise FileFormatError(path, f"line {number}: a name must be a number of 64 bits")
+        raise FileFormatError(path, f"line {number}: a vertex name must fit in 64 bits")
 
 
 @checked
 def write_g2o(path: str | Path, graph: PoseGraph, ids: Any = None) -> None:
-    """Write a pose graph; places are numbered from zero unless `ids` names them.
+    """Write a pose graph; vertices are numbered from zero unless `ids` names them.
 
     Raises:
-        ShapeError: the names are not one whole number per place.
+        ShapeError: `ids` is not one integer per vertex.
         WorkspaceError: the file cannot be written.
     """
     name = {Rigid2: "SE2", Rigid3: "SE3:QUAT", Similarity3: "SIM3:QUAT"}[type(graph.world_from_body)]
@@ -168,7 +165,7 @@ def _assemble(
     row = {int(name): k for k, name in enumerate(ids)}
     missing = [name for edge in edges for name in edge if name not in row]
     if missing:
-        raise FileFormatError(path, f"an edge names vertex {missing[0]}, which is not there")
+        raise FileFormatError(path, f"an edge names vertex {missing[0]}, which is not defined")
     positions = np.array([vertices[int(name)] for name in ids])
     numbers = np.array(values).reshape(len(edges), size + tangent * (tangent + 1) // 2)
     information = np.zeros((len(edges), tangent, tangent))
@@ -195,24 +192,22 @@ def _refusal(mended: np.ndarray, edges: list[tuple[int, int]]) -> str:
     more = f" and {len(mended) - _FEW} more" if len(mended) > _FEW else ""
     return (
         f"the information matrices of {len(mended)} of {len(edges)} edges are not positive definite: {few}{more}; "
-        'read_g2o(..., indefinite="nearest") takes the nearest that are'
+        'read_g2o(..., indefinite="nearest") replaces them with the nearest ones that are'
     )
 
 
 def _nearest_definite(path: Path, information: np.ndarray) -> np.ndarray:
-    """The symmetric matrices (n, d, d) with eigenvalues of at least a billionth of the largest."""
+    """The nearest symmetric matrices (n, d, d) with eigenvalues of at least 1e-9 of the largest."""
     values, vectors = np.linalg.eigh(information)
     if not (values[:, -1:] > 0).all():
-        raise FileFormatError(
-            path, "an edge's information matrix has no positive eigenvalue: it measures nothing"
-        )
+        raise FileFormatError(path, "an edge's information matrix has no positive eigenvalue")
     raised = np.maximum(values, _LEAST_FRACTION * values[:, -1:])
     out = (vectors * raised[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     return 0.5 * (out + np.swapaxes(out, 1, 2))
 
 
 def _is_motion(numbers: list[float]) -> bool:
-    """Whether a row can be a motion: a quaternion near unit length, a scale above zero."""
+    """Whether a row is a valid motion: a quaternion of reasonable length, a positive scale."""
     longest = max((abs(part) for part in numbers[3:7]), default=1.0)
     return 1e-6 < longest < 1e6 and all(scale > 0 for scale in numbers[7:])
 

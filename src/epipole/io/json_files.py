@@ -1,6 +1,6 @@
-"""JSON: what is read may be nested without end, or hold more than fits; what is written every reader takes.
+"""JSON with limits on nesting and size when reading, and strictly valid JSON when writing.
 
-NaN and infinity, which JSON does not have, are refused, and written as null.
+NaN and infinity, which JSON does not have, are rejected when reading and written as null.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError
 
 _MOST_VALUES = 1 << 23
@@ -23,19 +23,19 @@ _MOST_VALUES = 1 << 23
 
 @checked
 def json_values(path: Path, text: str, *, allow_nan: bool = False) -> Any:
-    """What the JSON text of a file holds.
+    """Parse the JSON text of a file.
 
     Args:
-        path: the file, for the message.
+        path: the file, for error messages.
         text: its text.
-        allow_nan: whether NaN and Infinity are read as numbers.
+        allow_nan: whether to accept NaN and Infinity.
 
     Raises:
-        FileFormatError: it is none, is nested too deeply, has a key twice, or holds more values than any file of ours.
+        FileFormatError: not JSON, nested too deeply, has a duplicate key, or has too many values.
     """
-    # Three bytes of text may become a hundred of memory.
+    # Three bytes of text can take a hundred bytes of memory.
     if sum(text.count(mark) for mark in ",[{") > _MOST_VALUES:
-        raise FileFormatError(path, f"not JSON of ours: more than {_MOST_VALUES} values")
+        raise FileFormatError(path, f"too large: more than {_MOST_VALUES} values")
     try:
         constant = None if allow_nan else _no_constant
         return json.loads(text, parse_constant=constant, object_pairs_hook=_without_repeats)
@@ -46,11 +46,11 @@ def json_values(path: Path, text: str, *, allow_nan: bool = False) -> Any:
 
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object; of a key that is there twice, one value would be skipped."""
+    """Build an object; rejects duplicate keys, of which json would silently keep the last."""
     out = dict(pairs)
     if len(out) < len(pairs):
         twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
-        raise ValueError(f"the key {twice[:80]!r} is there twice")
+        raise ValueError(f"duplicate key {twice[:80]!r}")
     return out
 
 
@@ -60,7 +60,7 @@ def _no_constant(word: str) -> float:
 
 @checked
 def json_text(content: Any, indent: int = 2) -> str:
-    """The text of a file. Paths and other objects are written as their words."""
+    """JSON text of a value; paths and other objects are written as strings."""
     return json.dumps(_plain(content), indent=indent, allow_nan=False, default=str) + "\n"
 
 

@@ -1,7 +1,7 @@
-"""Names that stand in files, as paths inside one folder.
+"""Safe relative paths from file names in untrusted files.
 
-A model, a database or a manifest may come from anyone. What such a file calls an image is a path below the folder of
-the images, or it is refused: read or written outside of it nothing is.
+A model, a database or a manifest may come from anyone. Image names in such files must be paths below the image folder;
+others are rejected, so that nothing outside that folder is read or written.
 """
 
 from __future__ import annotations
@@ -13,48 +13,48 @@ from pathlib import Path, PurePath, PurePosixPath
 from epipole.errors import FileFormatError
 
 LONGEST_NAME = 255
-"""Bytes of a file's name, without its folders, on the usual file systems."""
+"""Longest file name in bytes, without folders, on common file systems."""
 
 
 def is_inside_name(name: str) -> bool:
-    """Whether a name is a relative path that stays below its folder, whatever the folder is."""
+    """Whether a name is a relative path that stays below any folder it is joined to."""
     path = PurePath(name)
     if not path.parts or path.anchor or ".." in path.parts or "\0" in name:
         return False
     try:
         return all(len(os.fsencode(part)) <= LONGEST_NAME for part in path.parts)
-    except UnicodeEncodeError:  # half a character, as JSON may hold
+    except UnicodeEncodeError:  # a lone surrogate, which JSON can contain
         return False
 
 
 def path_inside(root: Path, name: str) -> Path:
-    """The path of a name below a folder.
+    """Join a name from a file to a folder.
 
     Args:
         root: the folder; need not exist.
-        name: as it stands in a file, with slashes.
+        name: as written in the file, with slashes.
 
     Raises:
-        FileFormatError: it is empty, absolute, too long or climbs out (`..`), or leads out through a linked folder.
+        FileFormatError: the name is empty, absolute, too long, contains `..`, or leaves the folder through a symlink.
     """
     if not is_inside_name(name):
-        raise FileFormatError(root, f"{name!a} is no name of a file inside this folder")
-    # The last part may be a link, for photographs often are; a writer has to look at that itself.
+        raise FileFormatError(root, f"{name!a} does not name a file inside this folder")
+    # The file itself may be a link, as photographs often are; writers check that themselves.
     if not _is_below(root, (root / name).parent):
         raise FileFormatError(
             root,
-            f"{name!a} is no name of a file inside this folder, for a symbolic link leads out of it"
-            " (copy the linked folder here, or give the folder that it points to)",
+            f"{name!a} does not name a file inside this folder: a symbolic link leads out of it"
+            " (copy the linked folder here, or pass the folder that it points to)",
         )
     return root / name
 
 
 def flat_names(names: Sequence[str]) -> list[str]:
-    """One name for each image's file in a single folder, without its ending; no two are the same.
+    """Unique file names without suffix for images in a single flat folder.
 
-    The name is the image's without folders and ending, `b_c` of `b/c.png`. Images that would have the same (`a.png` and
-    `a.jpg`; `b/c.png` and `b_c.png`; `A.png` and `a.png`, which some file systems take for one) keep their ending and
-    are numbered where that is not enough.
+    The name is the image's path without suffix, with `_` for slashes: `b_c` for `b/c.png`. Images whose names would
+    collide (`a.png` and `a.jpg`; `b/c.png` and `b_c.png`; `A.png` and `a.png`, which are the same on some file systems)
+    keep their suffix, and get a number if that is not enough.
     """
     short = [str(PurePosixPath(name).with_suffix("")).replace("/", "_") for name in names]
     count: dict[str, int] = {}
@@ -80,5 +80,5 @@ def _free_name(wanted: str, taken: set[str]) -> str:
 def _is_below(root: Path, folder: Path) -> bool:
     try:
         return folder.resolve().is_relative_to(root.resolve())
-    except (OSError, RuntimeError):  # links in a circle
+    except (OSError, RuntimeError):  # circular links
         return False

@@ -1,4 +1,4 @@
-"""What a list of photographs does not hold although it lies in the folder: counted, and said in words."""
+"""Descriptions of files in an image folder that are skipped."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ _OUTPUT_MARKERS = ("config.json", "database.db")
 
 
 def passed_over_in_words(folder: Path, others: Sequence[str], results: Sequence[Path]) -> list[str]:
-    """A sentence for files whose names are of no image format, and one for each folder of results.
+    """One sentence for files that are not of a supported image format, and one for each skipped folder of results.
 
     Args:
-        folder: of the photographs.
-        others: files in it, relative to it.
-        results: folders in it that are not entered.
+        folder: the image folder.
+        others: skipped files, relative to it.
+        results: skipped folders of results in it.
     """
     return [*_other_files(folder, others), *(_folder_of_results(path, folder) for path in results)]
 
 
 def _refuse_folder(error: OSError) -> None:
-    """A folder that cannot be listed may hold half of the images: not to be passed over."""
+    """Raise for a folder that cannot be listed: it may contain half of the images."""
     raise FileFormatError(Path(error.filename), f"the folder cannot be listed: {error.strerror}")
 
 
 def files_below(folder: Path, ignored: set[Path], results: list[Path]) -> Iterator[str]:
-    """Names of all files below a folder; each real folder is entered once (links may form circles).
+    """Names of all files below a folder; each folder is entered once (links may form circles).
 
-    Folders of results are not entered, and added to `results`.
+    Folders of results are not entered; they are added to `results`.
     """
     entered: set[Path] = set()
     for here, sub_folders, files in os.walk(folder, followlinks=True, onerror=_refuse_folder):
@@ -66,9 +66,9 @@ def _other_files(folder: Path, names: Sequence[str]) -> list[str]:
         words.append(f"{len(own)} {suffix or 'without a suffix'} ({own[0]}{content})")
     if len(kinds) > KINDS_SHOWN:
         words.append(f"{sum(len(own) for _, own in kinds[KINDS_SHOWN:])} of other kinds")
-    files = "1 file is" if len(names) == 1 else f"{len(names)} files are"
-    advice = "; convert or rename the images among them to .jpg or .png to use them" if are_images else ""
-    return [f"{files} passed over, whose names are of no image format read here: {', '.join(words)}{advice}"]
+    files = "1 file" if len(names) == 1 else f"{len(names)} files"
+    advice = "; to use the images among them, convert or rename them to .jpg or .png" if are_images else ""
+    return [f"Skipped {files} without a supported image suffix: {', '.join(words)}{advice}"]
 
 
 def _folder_of_results(path: Path, folder: Path) -> str:
@@ -77,6 +77,6 @@ def _folder_of_results(path: Path, folder: Path) -> str:
     images = sum(suffixes[suffix] for suffix in (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic"))
     marker = next((name for name in _OUTPUT_MARKERS if (path / name).is_file()), "results")
     return (
-        f"the folder {path.relative_to(folder).as_posix()} with {count} {'file' if count == 1 else 'files'}, {images} of them "
-        f"images, is passed over, because its {marker} marks results of an earlier run: move that file away to use the images"
+        f"Skipped the folder {path.relative_to(folder).as_posix()} ({count} {'file' if count == 1 else 'files'}, "
+        f"{images} of them images): its {marker} marks it as results of an earlier run. To use the images, move that file away"
     )

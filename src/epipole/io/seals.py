@@ -1,7 +1,7 @@
-"""A seal inside a file: which command of epipole wrote it, and that nobody has changed it since.
+"""A seal inside a file that records which epipole command wrote it and detects later changes.
 
-The seal is a line of text where the file's format keeps remarks: `epipole-seal COMMAND DIGEST`. The digest is BLAKE2b of the
-whole file with zeros in the digest's own place. Formats without room for a remark (.splat) get none.
+The seal is a line of text in a comment of the file's format: `epipole-seal COMMAND DIGEST`. The digest is BLAKE2b of
+the file with zeros instead of the digest. Formats without comments (.splat) are not sealed.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from epipole.errors import WorkspaceError
 _DIGITS = 64
 _SEAL = re.compile(rb"epipole-seal ([a-z-]{1,40}) ([0-9a-f]{%d})" % _DIGITS)
 _SEARCHED_BYTES = 1 << 16
-"""Seals are looked for in this much of the file's start and end."""
+"""Seals are searched in this many bytes at the start and end of the file."""
 _CHUNK_BYTES = 1 << 20
 
 
 def add_seal(path: Path, command: str) -> None:
-    """Seal a file that was just written; formats without room for remarks stay as they are.
+    """Seal a file that was just written; formats without comments stay unchanged.
 
     Args:
         path: the file.
-        command: what wrote it, in lower case.
+        command: the command that wrote it, in lower case.
 
     Raises:
-        WorkspaceError: the seal does not read back.
+        WorkspaceError: the seal cannot be read back.
         OSError: the file cannot be written.
     """
     with path.open("rb") as stream:
@@ -50,7 +50,7 @@ def add_seal(path: Path, command: str) -> None:
 
 
 def sealed_by(path: Path) -> str | None:
-    """The command whose seal a file has; None without a seal, or if the file has changed since.
+    """The command that sealed a file; None if it has no seal or has changed since.
 
     Raises:
         OSError: the file cannot be read.
@@ -63,7 +63,7 @@ def sealed_by(path: Path) -> str | None:
 
 
 def _found(path: Path) -> tuple[str, int, str] | None:
-    """Command, position of the digest and digest of the last seal."""
+    """Command, offset of the digest, and digest of the last seal."""
     with path.open("rb") as stream:
         size = stream.seek(0, 2)
         for start in (max(0, size - _SEARCHED_BYTES), 0):
@@ -75,7 +75,7 @@ def _found(path: Path) -> tuple[str, int, str] | None:
 
 
 def _digest(path: Path, start: int) -> str:
-    """Of the file with zeros from `start` on, for as many bytes as a digest has."""
+    """Digest of the file with zeros in place of the digest at `start`."""
     state = hashlib.blake2b(digest_size=_DIGITS // 2)
     with path.open("rb") as stream:
         left = start
@@ -95,13 +95,12 @@ def _append_to_html(path: Path, seal: bytes) -> None:
 
 
 def _append_to_mp4(path: Path, seal: bytes) -> None:
-    """A box of type `free`, which players skip (ISO/IEC 14496-12, section 8.1.2)."""
+    """Append a box of type `free`, which players skip (ISO/IEC 14496-12, section 8.1.2)."""
     with path.open("ab") as stream:
         stream.write((8 + len(seal)).to_bytes(4, "big") + b"free" + seal)
 
 
 def _insert_into_ply(path: Path, seal: bytes) -> None:
-    """A comment in the last line before `end_header`."""
     with path.open("rb") as stream:
         head = stream.read(_SEARCHED_BYTES)
     end = head.find(b"end_header")
@@ -115,14 +114,14 @@ def _comment_on_zip(path: Path, seal: bytes) -> None:
 
 
 def _comment_on_gzip(path: Path, seal: bytes) -> None:
-    """The header's comment (RFC 1952, section 2.3); headers with other fields are left as they are."""
+    """Set the header comment (RFC 1952, section 2.3); headers with other fields stay unchanged."""
     with path.open("rb") as stream:
         head = stream.read(10)
     _replace_head(path, 10, head[:3] + b"\x10" + head[4:10] + seal + b"\0")
 
 
 def _replace_head(path: Path, size: int, head: bytes) -> None:
-    """Write other bytes instead of the first ones of a file, which may be larger than the memory."""
+    """Replace the first `size` bytes of a file, which may be larger than memory."""
     longer = path.with_name(path.name + ".sealed")
     try:
         with path.open("rb") as source, longer.open("wb") as out:

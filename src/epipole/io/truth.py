@@ -1,4 +1,4 @@
-"""Ground-truth cameras of benchmarks, in the formats in which they are published."""
+"""Ground-truth cameras of benchmarks, in their published formats."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.colmap.model import read_colmap_model
@@ -25,10 +25,10 @@ _FORMS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TruthCameras:
-    """Where the images of a benchmark were taken."""
+    """Ground-truth poses of a benchmark's images."""
 
     names: tuple[str, ...]
-    """Of the images, as the source gives them."""
+    """Image names as given by the source."""
     cams_from_world: Rigid3
 
     def __len__(self) -> int:
@@ -43,7 +43,7 @@ def read_truth(path: str | Path) -> TruthCameras:
     """Read ground-truth cameras; the format is detected.
 
     Raises:
-        FileFormatError: the path holds none of the known formats, or a damaged one.
+        FileFormatError: the path is in none of the supported formats, or damaged.
     """
     path = Path(path)
     if path.is_file():
@@ -62,14 +62,14 @@ def read_truth(path: str | Path) -> TruthCameras:
         lists = sorted(path.glob("*_par.txt"))
         if len(lists) == 1:
             return _middlebury(lists[0])
-    problem = "these are no known cameras" if path.exists() else "there is no such file or folder"
+    problem = "not cameras in a supported format" if path.exists() else "there is no such file or folder"
     inside = path / "sparse" / "0"
-    what = f"its model is in {inside}" if inside.is_dir() else what_it_is(path) if path.exists() else ""
-    raise FileFormatError(path, "; ".join(filter(None, [problem, what, f"readable are {_FORMS}"])))
+    what = f"the model is in {inside}" if inside.is_dir() else what_it_is(path) if path.exists() else ""
+    raise FileFormatError(path, "; ".join(filter(None, [problem, what, f"supported are {_FORMS}"])))
 
 
 def is_truth_of_images(folder: Path) -> bool:
-    """Whether a folder holds cameras of images by name, which `read_truth` reads, rather than a path."""
+    """Whether a folder has cameras by image name, which `read_truth` reads, rather than a trajectory."""
     names = [f"cameras.{suffix}" for suffix in ("bin", "txt")]
     is_model = any((folder / name).is_file() for name in names)
     return is_model or any(
@@ -102,7 +102,7 @@ def _numbers(path: Path, words: list[str], count: int, position: str) -> np.ndar
 
 
 def _rotation(path: Path, matrix: np.ndarray, position: str) -> np.ndarray:
-    """The nearest rotation: files hold few digits."""
+    """The nearest rotation: files store few digits."""
     nearest = Rotation3.nearest(matrix).matrix
     if np.abs(nearest - matrix).max() > _ROTATION_TOLERANCE:
         raise FileFormatError(path, f"{position}: not a rotation matrix")
@@ -110,7 +110,7 @@ def _rotation(path: Path, matrix: np.ndarray, position: str) -> np.ndarray:
 
 
 def _strecha(path: Path) -> Rigid3:
-    """K (3 lines), distortion, R world_from_cam (3 lines), centre, size (Strecha et al., CVPR 2008)."""
+    """K (3 lines), distortion, R world_from_cam (3 lines), center, size (Strecha et al., CVPR 2008)."""
     lines = [line.split() for line in file_text(path).splitlines() if line.strip()]
     if len(lines) != 9:
         raise FileFormatError(path, f"a .camera file has 9 lines, this one has {len(lines)}")
@@ -120,7 +120,7 @@ def _strecha(path: Path) -> Rigid3:
 
 
 def _middlebury(path: Path) -> TruthCameras:
-    """Per line: name, K, R and t of P = K [R t], row by row (Seitz et al., CVPR 2006); line 1 counts."""
+    """Per line: name, K, R and t of P = K [R t] in row-major order (Seitz et al., CVPR 2006); line 1 is the count."""
     lines = [line.split() for line in file_text(path).splitlines() if line.strip()]
     names, motions = [], []
     for number, words in enumerate(lines[1:], 2):

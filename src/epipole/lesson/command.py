@@ -8,12 +8,12 @@ from epipole._terminal import say
 
 
 def lesson(export: Path | None = None, port: int | None = None, host: str = "127.0.0.1") -> None:
-    """Show the lesson in the browser: pages on depth from images, with something to move on each; or write them as files.
+    """Show the lesson on depth from images in the browser, as interactive pages; or write the pages as files.
 
     Args:
         export: Write the pages to this folder instead, in English and Chinese; they need no server.
         port: The port to listen on; None: 8080, or the next free one if it is in use.
-        host: The address to listen on; 0.0.0.0 lets other machines in.
+        host: The address to listen on; 0.0.0.0 allows connections from other machines.
     """
     import threading
 

@@ -1,4 +1,4 @@
-"""The pages of the lesson: each is one file that loads nothing, made from a template, its texts and its script."""
+"""The pages of the lesson: each is a self-contained file made from a template, its texts and its script."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ STOP, COLON = {"en": ".", "zh": "。"}, {"en": ":", "zh": "\uff1a"}
 
 
 class Page(NamedTuple):
-    """What one page is made of; its template and its texts are named after it."""
+    """The parts of a page; its template and texts are named after it."""
 
     name: str
     scripts: tuple[str, ...]
-    """Besides `widget.js`, in order."""
+    """Scripts besides `widget.js`, in order."""
     is_recorded: bool = False
-    """Its data are those of runs of the library, `assets/NAME.json`."""
+    """Whether its data were recorded from runs of the library, in `assets/NAME.json`."""
 
 
 HOUSE = ("linear.js", "cameras.js", "house.js")
@@ -43,11 +43,11 @@ PAGES = (
     Page("fields", ("linear.js", "fields.js"), is_recorded=True),
     Page("questions", ()),
 )
-"""In the order of the lesson."""
+"""Pages in the order of the lesson."""
 
 
 def lesson_pages() -> dict[str, str]:
-    """Every page in every language, by its file's name: `index.html`, `01_disparity.html`, `01_disparity.zh.html` and so on."""
+    """Every page in every language, by file name: `index.html`, `01_disparity.html`, `01_disparity.zh.html` and so on."""
     made = {}
     for language in LANGUAGES:
         made[_file("index", language)] = _rendered(Page("index", ()), language, 0)
@@ -98,7 +98,7 @@ def _file(name: str, language: str) -> str:
 
 
 def _in(language: str, value: Any) -> Any:
-    """The texts of one language: what is told as {en: ..., zh: ...} becomes its words, and everything else stays as it is."""
+    """Select the texts of one language: replaces every {en: ..., zh: ...}."""
     if isinstance(value, dict):
         if set(value) == set(LANGUAGES):
             return value[language]
@@ -107,7 +107,7 @@ def _in(language: str, value: Any) -> Any:
 
 
 def _marked(value: Any) -> Any:
-    """Texts as they stand in their files, which are our own: their tags are meant."""
+    """Mark texts as HTML: they come from our own files, and their tags are intended."""
     if isinstance(value, dict):
         return {key: _marked(part) for key, part in value.items()}
     if isinstance(value, list):
@@ -117,17 +117,17 @@ def _marked(value: Any) -> Any:
 
 @cache
 def texts(name: str) -> dict[str, Any]:
-    """The texts of a page, both languages beside each other."""
+    """The texts of a page in both languages."""
     text = resources.files(PACKAGE).joinpath("texts", f"{name}.yaml").read_text(encoding="utf-8")
     return dict(yaml.safe_load(text))
 
 
 @cache
 def own_asset(name: str) -> str:
-    """The text of a file of the lesson's `assets/`."""
+    """The text of a file in the lesson's `assets/`."""
     return resources.files(PACKAGE).joinpath("assets", name).read_text(encoding="utf-8")
 
 
 def recorded(name: str) -> Any:
-    """What a run of the library left for a page to replay: `assets/NAME.json`."""
+    """The recorded run that a page replays, from `assets/NAME.json`."""
     return json.loads(own_asset(f"{name}.json"))

@@ -1,12 +1,11 @@
-"""The lesson's pages as files, or from a small server on this machine."""
+"""The lesson's pages as files, or served on this machine."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from epipole._checks import as_path
-from epipole._declared import checked
+from epipole._checks import as_path, checked
 from epipole.lesson.pages import lesson_pages
 from epipole.runs import refuse_existing, replacing_file
 from epipole.viewer.handle import ViewerHandle, serve
@@ -16,23 +15,23 @@ from epipole.viewer.ports import note_on_port, port_for
 
 @dataclass(frozen=True, slots=True)
 class ExportedLesson:
-    """What `export_lesson` has written."""
+    """Result of `export_lesson`."""
 
     folder: Path
     pages: tuple[str, ...]
-    """Names of the files; begin with `index.html`, or `index.zh.html` in Chinese."""
+    """File names; start with `index.html`, or with `index.zh.html` in Chinese."""
     num_bytes: int
 
 
 @checked
 def export_lesson(folder: str | Path) -> ExportedLesson:
-    """Write the lesson's pages, each one file that loads nothing, in English and Chinese.
+    """Write the lesson as self-contained pages in English and Chinese.
 
     Args:
-        folder: where to; pages that an earlier call wrote are replaced, other files stay.
+        folder: output folder; pages written by an earlier call are replaced, other files stay.
 
     Raises:
-        WorkspaceError: a file of a page's name exists that no earlier call wrote, or a page cannot be written.
+        WorkspaceError: a file with a page's name was not written by an earlier call, or a page cannot be written.
     """
     position, pages, num_bytes = as_path(folder), lesson_pages(), 0
     refuse_existing([position / name for name in pages], "lesson", ())
@@ -45,14 +44,14 @@ def export_lesson(folder: str | Path) -> ExportedLesson:
 
 
 def open_lesson(host: str = "127.0.0.1", port: int | None = None) -> ViewerHandle:
-    """A server of the pages, which holds them in memory, until it is stopped.
+    """Serve the pages from memory until the server is stopped.
 
     Args:
         host: the address to listen on.
-        port: None: 8080, or the next free one.
+        port: the port to listen on; None: 8080, or the next free one.
 
     Raises:
-        ConfigError: the port is in use or out of range, or the host is no address of this machine.
+        ConfigError: the port is in use or out of range, or the host is not an address of this machine.
     """
     chosen = port_for(host, port)
     made = {name: html.encode("utf-8") for name, html in lesson_pages().items()}

@@ -1,4 +1,4 @@
-"""What the cameras of the pages look at: fixed points, and the noise that their pixels can have."""
+"""Scenes for the pages: fixed points that the cameras observe, and reproducible pixel noise."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ HOUSE = np.array(
         *([0.0, -1.1, z] for z in (-0.8, 0.8)),
     ]
 )
-"""Corners of a house with its middle at the origin: the front's, the back's, the ends of its ridge; y is down."""
+"""Corners of a house centered at the origin: front, back, and the ends of the ridge; y is down."""
 EDGES = [
     *([k, (k + 1) % 4] for k in range(4)),
     *([4 + k, 4 + (k + 1) % 4] for k in range(4)),
@@ -28,52 +28,52 @@ EDGES = [
 
 
 def house(distance: float) -> np.ndarray:
-    """(10, 3) its corners so far ahead, turned a little."""
+    """(10, 3) corners of the house at this distance ahead, slightly rotated."""
     cos, sin = np.cos(0.5), np.sin(0.5)
     rotated = HOUSE @ np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
     return np.asarray(rotated) + np.array([0.0, 0.1, distance])
 
 
 def noise(count: int, seed: int = 0) -> np.ndarray:
-    """(count, 2) pixels of unit deviation, always the same."""
+    """(count, 2) reproducible pixel noise with unit standard deviation."""
     return np.random.default_rng(seed).normal(size=(count, 2))
 
 
 def cases(count: int = 40) -> np.ndarray:
-    """(count, 4) noise of two pixels of unit deviation, always the same."""
+    """(count, 4) reproducible noise of two pixels with unit standard deviation."""
     return np.random.default_rng(2).normal(size=(count, 4))
 
 
 PATH = np.array([[0.55 * k, 0.0, 0.9 * k, 4.0 * k] for k in range(9)])
-"""Of the camera that learns its way: where it is, and how far it has turned to the right, in degrees."""
+"""Trajectory of the camera in the PnP page: position, and rotation to the right in degrees."""
 
 
 def corridor(count: int = 90) -> tuple[np.ndarray, np.ndarray]:
-    """(count, 3) landmarks along that way, and (cameras, count, 2) noise of their pixels, of unit deviation."""
+    """(count, 3) landmarks along the trajectory, and (cameras, count, 2) pixel noise with unit standard deviation."""
     rng = np.random.default_rng(3)
     positions = rng.uniform([-3.0, -1.2, 3.0], [9.0, 1.2, 15.0], (count, 3))
     return positions, rng.normal(size=(len(PATH), count, 2))
 
 
 def wall(count: int = 60) -> tuple[np.ndarray, np.ndarray]:
-    """(count, 3) places across, down and (from -1 to 1) before a wall, and (2, count, 2) noise of their pixels."""
+    """(count, 3) points of a wall (across, down, depth -1 to 1), and (2, count, 2) pixel noise of unit deviation."""
     rng = np.random.default_rng(4)
     return rng.uniform([-2.4, -1.8, -1.0], [2.6, 1.8, 1.0], (count, 3)), rng.normal(size=(2, count, 2))
 
 
 class Ring(NamedTuple):
-    """Cameras in a circle around a round tower, and what disturbs them."""
+    """Cameras in a circle around a round tower, and their disturbances."""
 
     cams_from_world: Rigid3
     """(c,)"""
     points_in_world: np.ndarray
     """(p, 3)"""
     normals: np.ndarray
-    """(p, 3) directions from which the points are seen best."""
+    """(p, 3) directions from which the points are best visible."""
     pixel_noise: np.ndarray
-    """(c, p, 2) of unit deviation."""
+    """(c, p, 2) with unit standard deviation."""
     camera_shifts: np.ndarray
-    """(c, 6) shifts, and turns in radians, of a start that is one metre off."""
+    """(c, 6) translations, and rotations in radians, of an initialization that is off by one metre."""
     point_shifts: np.ndarray
     """(p, 3)"""
 
@@ -97,7 +97,7 @@ def ring(num_cameras: int = 10, num_points: int = 60) -> Ring:
 
 
 def scene_of(page: str) -> dict[str, Any]:
-    """Numbers that a page's script is given, by the page's name."""
+    """Data for a page's script, by the page's name."""
     if page in ("epipolar", "candidates", "scale"):
         corners = house(5.0)
         return {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.mapping.match_components import check_matches
 from epipole.mapping.model_builder import ModelBuilder
 from epipole.scene import ViewGraph

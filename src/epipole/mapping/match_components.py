@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Int32, Int64
 
-from epipole._checks import check_indices, check_offsets
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, check_indices, check_offsets, checked
 from epipole.errors import ShapeError
 from epipole.mapping import _track_kernels as kernels
 from epipole.scene import ViewGraph

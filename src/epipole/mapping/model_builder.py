@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64, UInt8
 
 from epipole import _parallel
-from epipole._checks import check_different, check_index, check_indices, check_squarable
-from epipole._declared import checked
+from epipole._checks import check_different, check_index, check_indices, check_squarable, checked
 from epipole.cameras import Camera
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3, Similarity3

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.geometry import Rigid3
 from epipole.mapping.adjustment import Freedom, free_params_of
 from epipole.optim import (

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.cameras import Camera
 from epipole.config import RansacConfig
 from epipole.errors import ConfigError, ShapeError

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.geometry import Rigid3, Rotation3, Similarity3, align_points
 from epipole.scene import Trajectory

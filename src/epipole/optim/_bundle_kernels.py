@@ -108,10 +108,10 @@ def damp_points(obs, start, stop, scene, role, loss, scale_sq, before, scratch):
                 points[j, c] = before[j, c]
             cost, x, y, z = _newton_point(obs, j, scene, loss, scale_sq, scratch)
         if role[j] == ELIMINATED and cost < math.inf:
-            converged = _point_cost(obs, j, scene, x, y, z, loss, scale_sq)
-            if converged < cost:
+            moved_cost = _point_cost(obs, j, scene, x, y, z, loss, scale_sq)
+            if moved_cost < cost:
                 points[j, 0], points[j, 1], points[j, 2] = x, y, z
-                cost = converged
+                cost = moved_cost
         total += cost
     return 0.5 * total
 

@@ -14,7 +14,7 @@ from scipy.linalg import solve_triangular
 from scipy.sparse.linalg import splu
 
 from epipole import _parallel
-from epipole._declared import check_fields, checked
+from epipole._checks import check_fields, checked
 from epipole.errors import ShapeError
 from epipole.optim import _cholesky_kernels as kernels
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from epipole import _parallel
-from epipole._declared import check_options, checked
+from epipole._checks import check_options, checked
 from epipole.config import options_of
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3

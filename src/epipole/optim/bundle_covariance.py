@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole import _parallel
-from epipole._declared import checked
-from epipole._declared.arrays import as_array
+from epipole._checks import checked
+from epipole._checks.arrays import as_array
 from epipole.config import options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.optim import _bundle_arrays as arrays

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
-from epipole._declared import Declared, check_fields, checked
+from epipole._checks import Declared, check_fields, checked
 from epipole.cameras import MAX_PARAMS, Camera, CameraModel
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3

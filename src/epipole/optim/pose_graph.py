@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.sparse.linalg import splu
 
 from epipole import _parallel
-from epipole._declared import check_fields, check_options, checked
+from epipole._checks import check_fields, check_options, checked
 from epipole.config import options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3

@@ -9,7 +9,7 @@ from jaxtyping import Bool
 from scipy.special import chdtri
 
 from epipole import _parallel
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.config import options_of
 from epipole.errors import ShapeError
 from epipole.optim.pose_graph import (

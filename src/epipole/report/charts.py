@@ -1,4 +1,4 @@
-"""Charts as inline SVG. Colours are CSS classes, so that they follow the light or dark scheme."""
+"""Charts as inline SVG. Colors are CSS classes, so that they adapt to the light or dark scheme."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 48, 12, 14, 42
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Histogram:
-    """Counts of values between edges; the last bin may stand for all greater values too."""
+    """Counts of values between edges; the last bin may include all larger values."""
 
     label: str
     edges: Float64[np.ndarray, " n1"]
     counts: Int64[np.ndarray, " n"]
     median: float
     num_beyond: int
-    """Values right of the last edge, not drawn."""
+    """Number of values above the last edge, which are not shown."""
 
 
 def nice_ticks(low: int | float, high: int | float, target: int = 5) -> list[float]:
@@ -40,14 +40,14 @@ def nice_ticks(low: int | float, high: int | float, target: int = 5) -> list[flo
 
 
 def tick_text(value: int | float) -> str:
-    """A tick's number, short: 12k rather than 12000."""
+    """A short label of a tick: 12k rather than 12000."""
     if abs(value) >= 10_000:
         return f"{value / 1000:g}k"
     return f"{value:.10g}".replace("-", "\N{MINUS SIGN}")
 
 
 def histogram_of(values: Float[np.ndarray, " n"], label: str, num_bins: int = 32) -> Histogram:
-    """Histogram from zero to just beyond the 98th percentile, on round edges."""
+    """A histogram from zero to just above the 98th percentile, with round edges."""
     top = float(np.percentile(values, 98)) * 1.05 if len(values) else 0.0
     top = top if top > 0 else 1.0
     step = nice_ticks(0.0, top, num_bins)[1]
@@ -58,7 +58,7 @@ def histogram_of(values: Float[np.ndarray, " n"], label: str, num_bins: int = 32
 
 
 def histogram_of_integers(values: Int64[np.ndarray, " n"], label: str, largest: int = 60) -> Histogram:
-    """One bin per whole number from 2 to the 99th percentile or `largest`; greater values count as beyond."""
+    """One bin per integer from 2 to the 99th percentile or `largest`; larger values count as beyond."""
     top = min(max(int(np.percentile(values, 99)), 8), largest) if len(values) else 8
     counts = np.bincount(np.clip(values, 0, top + 1), minlength=top + 2)
     median = float(np.median(values)) if len(values) else math.nan
@@ -67,7 +67,7 @@ def histogram_of_integers(values: Int64[np.ndarray, " n"], label: str, largest: 
 
 
 def draw_histogram(histogram: Histogram, digits: int = 2) -> Markup:
-    """The histogram with axes, its median marked, and each bin's numbers on hover."""
+    """The histogram with axes, its median marked, and each bin's count on hover."""
     low, high = float(histogram.edges[0]), float(histogram.edges[-1])
     most = max(int(histogram.counts.max(initial=0)), 1)
 
@@ -129,7 +129,7 @@ def draw_timings(timings: Mapping[str, float]) -> Markup:
 
 
 def svg(width: int, height: int, parts: Sequence[str], label: str) -> Markup:
-    """An SVG element that scales with its column; the parts are markup already, made here."""
+    """An SVG element that scales with its column; `parts` must be safe markup."""
     box, inside = f"0 0 {width} {height}", "".join(parts)
     return Markup(f'<svg viewBox="{box}" role="img" aria-label="{escape(label)}">{inside}</svg>')
 
@@ -141,7 +141,7 @@ def draw_curves(
     *,
     even_y: bool = False,
 ) -> Markup:
-    """Positive values against positive values, both axes logarithmic, or that of y even; at most two curves, named in their colours."""
+    """Plot positive values with logarithmic axes (y optionally linear); at most two curves, labeled in their colors."""
     every_x = [x for xs, _ in curves.values() for x in xs if x > 0 and math.isfinite(x)]
     every_y = [y for _, ys in curves.values() for y in ys if y > 0 and math.isfinite(y)]
     if not every_x or not every_y:
@@ -188,7 +188,7 @@ def draw_curves(
 
 
 def _decades(low: float, high: float) -> list[float]:
-    """1, 2, 5, 10 ... between powers of ten; whole powers alone where these would be many."""
+    """1, 2, 5, 10 ... between powers of ten; only powers of ten if there would be too many."""
     factors = (1.0,) if high - low > 2.5 else (1.0, 2.0, 5.0)
     steps = [m * 10.0**k for k in range(math.floor(low), math.ceil(high) + 1) for m in factors]
     return [t for t in steps if low - 1e-9 <= math.log10(t) <= high + 1e-9]

@@ -1,8 +1,7 @@
-"""The frame of every page: templates that escape all values, and the scripts and styles inside the page.
+"""The frame of every page: templates that escape all values, and the scripts and styles inlined in the page.
 
-A pipeline's page is a template in the folder `templates/` of its own package. It extends
-`frame/base.html.jinja`, takes sections, tables and images from the other templates under `frame/`, and names
-the assets it needs.
+A pipeline's page is a template in its package's folder `templates/`. It extends `frame/base.html.jinja`, uses the
+macros of the other templates under `frame/` for sections, tables and images, and names the assets it needs.
 """
 
 from __future__ import annotations
@@ -21,23 +20,23 @@ from epipole.report.markup import bytes_block, count, escape, json_block, number
 
 _PACKAGE = "epipole.report"
 GENERATOR = 'name="generator" content="epipole"'
-"""Stands in the head of every page that is made from `frame/base.html.jinja`."""
+"""Marks the head of every page based on `frame/base.html.jinja`."""
 
 
 def render(package: str, template: str, *, title: str, **values: object) -> str:
-    """One HTML page with everything inside it: no file, font or script from elsewhere.
+    """Render a self-contained HTML page that loads no other file, font or script.
 
     Args:
-        package: whose folder `templates/` holds the template.
-        template: its file; it extends `frame/base.html.jinja`.
-        title: of the page.
-        values: what the template shows, by name. Everything is escaped but `Markup`.
+        package: the package whose folder `templates/` has the template.
+        template: the template's file name; it extends `frame/base.html.jinja`.
+        title: title of the page.
+        values: variables of the template. All values are escaped except `Markup`.
     """
     return _environment(package).get_template(template).render(title=title, **values)
 
 
 def render_piece(package: str, template: str, **values: object) -> Markup:
-    """A part of a page, a drawing for one, from a template of its own; arguments as of `render`."""
+    """Render a part of a page, such as a drawing, from a template; arguments as in `render`."""
     return Markup(_environment(package).get_template(template).render(**values))
 
 
@@ -45,7 +44,7 @@ def render_piece(package: str, template: str, **values: object) -> Markup:
 def _environment(package: str) -> Environment:
     """Templates of one package, and those of the frame under `frame/`.
 
-    `escape` comes last for every value that a template writes, escaped by Jinja or not: none can skip it.
+    `escape` is the final filter of every value a template writes, so that none can bypass it.
     """
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(package), PrefixLoader({"frame": PackageLoader(_PACKAGE)})]),
@@ -66,16 +65,16 @@ def _environment(package: str) -> Environment:
 
 @cache
 def asset(name: str) -> str:
-    """The text of a file of `assets/`."""
+    """The text of a file in `assets/`."""
     return resources.files(_PACKAGE).joinpath("assets", name).read_text(encoding="utf-8")
 
 
 def joined_assets(names: Sequence[str]) -> Markup:
-    """Several assets one after another, as one script or style sheet."""
+    """Several assets concatenated into one script or style sheet."""
     return Markup("".join(asset(name) for name in names))
 
 
 def content_hash(script: str) -> str:
-    """What a page's policy calls a script by, so that the browser runs this one and no other."""
+    """The hash by which a page's Content-Security-Policy allows a script, and no other."""
     digest = hashlib.sha256(script.encode("utf-8")).digest()
     return f"sha256-{base64.b64encode(digest).decode('ascii')}"

@@ -1,9 +1,9 @@
-"""Fewer Gaussians that look like all: each stands for its neighbours.
+"""Merging of Gaussians into fewer ones that look the same, each representing its neighbors.
 
-Some are kept: the most visible, and of the rest every so-many-th along a space-filling curve (Morton, 1966). Every other one
-joins the nearest of these. A group becomes one Gaussian with its mean, covariance and colour, weighted by opacity times area,
-and with the opacity that covers as much (moment matching; as in Kerbl et al., A Hierarchical 3D Gaussian Representation,
-2024, section 4.1).
+Some Gaussians are kept: the most visible ones, and an even sample of the rest along a space-filling curve (Morton,
+1966). Each of the others joins the nearest kept one. A group becomes one Gaussian with its mean, covariance and color,
+weighted by opacity times area, and with the opacity that covers the same area (moment matching; as in Kerbl et al., A
+Hierarchical 3D Gaussian Representation, 2024, section 4.1).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from epipole.report.gaussians import log_visibility, most_visible
 from epipole.scene.gaussian_cloud import GaussianCloud
 
 KEPT_FRACTION = 0.1
-"""Of those that are kept, the fraction that is the most visible; the rest covers space evenly."""
+"""Fraction of the kept Gaussians chosen by visibility; the rest covers space evenly."""
 _MORTON_BITS = 21
 _MOST_OPACITY = 0.995
 _LEAST_OPACITY = 1e-4
@@ -30,11 +30,11 @@ _SPREADS = (
 
 
 def merged(cloud: GaussianCloud, most: int) -> GaussianCloud:
-    """At most so many Gaussians that look like all of them.
+    """Merge Gaussians into at most `most` that look the same.
 
     Args:
-        cloud: all.
-        most: how many are left, at least 1.
+        cloud: all Gaussians.
+        most: largest number of Gaussians in the result, at least 1.
     """
     from scipy.spatial import cKDTree
 
@@ -43,12 +43,12 @@ def merged(cloud: GaussianCloud, most: int) -> GaussianCloud:
     means = cloud.means_in_world.astype(np.float64)
     kept = _kept(cloud, means, most)
     group = cKDTree(means[kept]).query(means)[1].astype(np.int64)
-    group[kept] = np.arange(len(kept))  # two at one place
+    group[kept] = np.arange(len(kept))  # in case two have the same position
     return _moments(cloud, means, kept, group)
 
 
 def _kept(cloud: GaussianCloud, means: np.ndarray, most: int) -> Int64[np.ndarray, " m"]:
-    """Rows of the most visible, and of others that are spread evenly."""
+    """Rows of the most visible Gaussians, and of an even spatial sample of the others."""
     visible = most_visible(cloud, int(KEPT_FRACTION * most))
     is_left = np.ones(len(cloud), bool)
     is_left[visible] = False
@@ -59,7 +59,7 @@ def _kept(cloud: GaussianCloud, means: np.ndarray, most: int) -> Int64[np.ndarra
 
 
 def _morton(points: np.ndarray) -> np.ndarray:
-    """Places along a curve that fills space: the bits of the three coordinates by turns."""
+    """Morton codes: interleaved bits of the three coordinates, along a space-filling curve."""
     low = points.min(axis=0)
     side = max(float((points - low).max()), 1e-30)
     cells = ((points - low) / side * (2**_MORTON_BITS - 1)).astype(np.uint64)
@@ -74,7 +74,7 @@ def _morton(points: np.ndarray) -> np.ndarray:
 
 def _moments(cloud: GaussianCloud, means: np.ndarray, kept: np.ndarray, group: np.ndarray) -> GaussianCloud:
     count = np.bincount(group, minlength=len(kept))
-    joined = np.flatnonzero(count[group] > 1)  # all others stay what they are
+    joined = np.flatnonzero(count[group] > 1)  # all others stay unchanged
     of, rows = np.unique(group[joined], return_inverse=True)
     weight, log_total = _weights(log_visibility(cloud)[joined], rows, len(of))
     part = cloud.rows(joined)
@@ -99,7 +99,7 @@ def _moments(cloud: GaussianCloud, means: np.ndarray, kept: np.ndarray, group: n
 
 
 def _weights(visible: np.ndarray, rows: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Each one's share of its group's visibility, and the logarithm of the group's sum."""
+    """Each one's fraction of its group's visibility, and the logarithm of the group's sum."""
     largest = np.full(count, -np.inf)
     np.maximum.at(largest, rows, visible)
     weight = np.exp(visible - largest[rows])

@@ -1,4 +1,4 @@
-"""Gaussians as bytes of a page: 32 each, and 12 more for how their colours change with direction."""
+"""Gaussians packed into bytes for a page: 32 each, and 12 more for view-dependent color."""
 
 from __future__ import annotations
 
@@ -18,32 +18,33 @@ ROW = np.dtype(
         ("opacity", "<u2"),
     ]
 )
-"""Colour is that from all sides: red, green and blue of 10 bits each, red the lowest."""
+"""Color is the view-independent part: red, green and blue with 10 bits each, red in the lowest bits."""
 DEGREE_KEPT = 1
-"""Of harmonics: their coefficients for -y, z and -x are three more words as the colour's."""
+"""Degree of the harmonics that are kept: the coefficients for -y, z and -x are three more words, packed like the
+color."""
 MOST_LOG_SCALE = 40.0
 COLOURS, HARMONICS = (-1.0, 2.0), (-2.0, 2.0)
-"""What is beyond is clipped: hardly anything is."""
+"""Values outside these ranges, which are very rare, are clipped."""
 
 Range = tuple[float, float]
-"""The value of the whole number 0, and how much more that of the largest one is."""
+"""The value represented by 0, and the span up to the largest integer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PackedGaussians:
-    """What the page's script unpacks."""
+    """The packed data that the page's script unpacks."""
 
     rows: bytes
-    """Of `ROW`."""
+    """Array of `ROW`."""
     harmonics: bytes | None
-    """Three words of 32 bits each; None where colours do not depend on direction."""
+    """Three 32-bit words each; None if colors do not depend on direction."""
     scale_range: Range
     colour_range: Range
     harmonic_range: Range
 
 
 def most_visible(cloud: GaussianCloud, most: int) -> Int64[np.ndarray, " m"]:
-    """Rows, in their order, of at most so many Gaussians whose opacity times largest face is largest."""
+    """Rows, in order, of the at most `most` Gaussians with the largest opacity times area of the largest face."""
     if len(cloud) <= most:
         return np.arange(len(cloud))
     return np.sort(np.argpartition(-log_visibility(cloud), most)[:most])
@@ -57,7 +58,7 @@ def log_visibility(cloud: GaussianCloud) -> Float64[np.ndarray, " n"]:
 
 
 def packed(cloud: GaussianCloud) -> PackedGaussians:
-    """Places as they are; all else rounded to whole numbers within its range."""
+    """Pack Gaussians: positions unchanged, everything else quantized within its range."""
     rows = np.empty(len(cloud), ROW)
     quats = cloud.quats_wxyz.astype(np.float64)
     quats /= np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-30)
@@ -91,6 +92,5 @@ def _steps(values: np.ndarray, within: Range, most: int) -> np.ndarray:
 
 
 def _words(triples: np.ndarray, within: Range) -> np.ndarray:
-    """Three numbers of 10 bits each in one word."""
     steps = _steps(triples, within, 1023).astype(np.uint32)
     return steps[:, 0] | steps[:, 1] << 10 | steps[:, 2] << 20

@@ -1,4 +1,4 @@
-"""Images inside a page: data URIs, thumbnails with the features that see points."""
+"""Images inside a page: data URIs, and thumbnails with the features that observe points."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ from epipole.image.encoding import encoded_image
 from epipole.report.markup import data_uri
 
 MAX_FEATURES = 400
-"""Features drawn on one thumbnail."""
+"""Largest number of features shown on one thumbnail."""
 _SHOWN_PX = 1000  # longest side of the images in the page
 _JPEG_PX, _JPEG_QUALITY = 640, 85
 _SMALL_BYTES = 1 << 15
-"""Longest side of photographs, which stand three beside each other, and the quality of their JPEGs; PNGs up to so many bytes stay exact."""
+"""Longest side of photographs, shown three side by side, and their JPEG quality; PNGs up to this size (bytes) stay
+lossless."""
 
 
 def png_uri(rgb: UInt8[np.ndarray, "h w 3"]) -> str:
-    """The image, reduced, as a data URI."""
+    """The image, downscaled, as a data URI."""
     small = downscaled(rgb, _SHOWN_PX)
     return data_uri(encoded_image(".png", small[..., ::-1]), "image/png")
 
 
 def jpeg_uri(rgb: UInt8[np.ndarray, "h w 3"]) -> str:
-    """A photograph or a render, reduced, as a data URI: a JPEG, a tenth of the bytes, unless its PNG is small."""
+    """A photograph or a render, downscaled, as a data URI: a JPEG, a tenth the size, unless its PNG is small."""
     small = downscaled(rgb, _JPEG_PX)
     exact = encoded_image(".png", small[..., ::-1])
     if len(exact) <= _SMALL_BYTES:
@@ -37,12 +38,12 @@ def jpeg_uri(rgb: UInt8[np.ndarray, "h w 3"]) -> str:
 
 
 def color_map_uri(values: Float[np.ndarray, "h w"]) -> str:
-    """Numbers as colours, as a data URI."""
+    """Numbers as color-mapped image, as a data URI."""
     return png_uri(color_map(values))
 
 
 def color_range_text(values: Float[np.ndarray, "h w"]) -> str:
-    """The ends of the colour map in words."""
+    """Text for the ends of the color map."""
     low, high = color_range(values)
     return f"{low:.3g} (blue) to {high:.3g} (red)"
 
@@ -55,11 +56,11 @@ class Thumbnail:
     height: int
     uri: str
     dots: str
-    """A path of zero-length strokes, which round caps turn into discs: far shorter than circle elements."""
+    """A path of zero-length strokes, which round caps turn into discs; much shorter than circle elements."""
 
 
 def thumbnail_of(jpeg: bytes, fractions: Float[np.ndarray, "k 2"]) -> Thumbnail | None:
-    """The image with dots at these fractions of width and height; None if it is no JPEG."""
+    """The image with dots at these fractions of width and height; None if it is not a JPEG."""
     size = _jpeg_size(jpeg)
     if size is None:
         return None

@@ -1,4 +1,4 @@
-"""Safe pieces of HTML: escaped text, embedded data, numbers in words."""
+"""Safe pieces of HTML: escaped text, embedded data, formatted numbers."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ import markupsafe
 from markupsafe import Markup
 
 _BIDI_CONTROLS = "\u202a-\u202e\u2066-\u2069"
-"""Characters that turn the direction of what follows: a name with them reads as another."""
+"""Characters that change the direction of the text after them and so disguise names."""
 _UNPRINTABLE = re.compile(f"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff{_BIDI_CONTROLS}]")
 _BIDI_CONTROLS_IN_JSON = re.compile(r"\\u(202[a-e]|206[6-9])")
 
 
 def escape(value: object) -> Markup:
-    """Text for HTML content and quoted attributes; a piece that is marked as `Markup` stays markup.
+    """Escape text for HTML content and quoted attributes; `Markup` stays markup.
 
-    What no HTML page may hold (control characters, lone surrogates), and what turns the direction of text, becomes
-    U+FFFD in either.
+    Characters not allowed in HTML (control characters, lone surrogates) and those that change the direction of text
+    become U+FFFD in both cases.
     """
     return Markup(_UNPRINTABLE.sub("\N{REPLACEMENT CHARACTER}", markupsafe.escape(value)))
 
 
 def data_uri(data: bytes, media_type: str) -> str:
-    """Bytes as a URI that needs no file beside the page."""
+    """Bytes as a data URI."""
     return f"data:{media_type};base64,{base64.b64encode(data).decode('ascii')}"
 
 
 def json_block(element_id: str, data: Any) -> Markup:
-    """Data for the page's script. `<` is written as an escape, so that no name can end the element."""
+    """Data for the page's script. `<` is escaped, so that no name can end the element."""
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
     text = _BIDI_CONTROLS_IN_JSON.sub(r"\\ufffd", text)
     text = text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
@@ -40,13 +40,13 @@ def json_block(element_id: str, data: Any) -> Markup:
 
 
 def bytes_block(element_id: str, data: bytes) -> Markup:
-    """Bytes for the page's script, which no browser runs or shows."""
+    """Bytes for the page's script, in an element that browsers neither run nor show."""
     text = base64.b64encode(data).decode("ascii")
     return Markup(f'<script type="application/octet-stream" id="{escape(element_id)}">{text}</script>')
 
 
 def count(value: int) -> str:
-    """A whole number with thousands separated."""
+    """An integer with thousands separators."""
     return f"{value:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
@@ -56,12 +56,12 @@ def plural(value: int, singular: str, many: str | None = None) -> str:
 
 
 def number(value: float, digits: int = 2) -> str:
-    """A measured number, or a dash where there is none."""
+    """A measured number, or a dash if it is not finite."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "\N{EN DASH}"
 
 
 def seconds(value: float) -> str:
-    """A duration as people say it."""
+    """A duration in readable units."""
     if not math.isfinite(value):
         return "\N{EN DASH}"
     if value < 60:

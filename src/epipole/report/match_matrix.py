@@ -1,4 +1,4 @@
-"""Verified pairs as compact data for the matrix of matches."""
+"""Verified pairs as compact data for the match matrix."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from epipole.scene import ViewGraph
 
 
 def match_matrix_payload(graph: ViewGraph, is_registered: Bool[np.ndarray, " n"]) -> dict[str, Any]:
-    """One entry per pair: its images, inliers, kind and angle; and which images have a place."""
+    """One entry per pair: its images, inliers, kind and angle; and which images are registered."""
     angles = np.rad2deg(graph.median_angle_rad)
     return {
         "n": len(is_registered),

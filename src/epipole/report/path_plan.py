@@ -1,4 +1,4 @@
-"""Paths from above, over the density of the map's points."""
+"""Trajectories seen from above, over the density of the map's points."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from epipole.scene import Curve
 
 _MARGIN = 0.08
 _MIDDLE_PERCENT = (10.0, 90.0)
-"""Of the points, which the drawing takes in, besides all of the paths."""
+"""Percentiles of the points that are included in the view, besides the full trajectories."""
 _COLORS = ("accent", "soft", "warn", "loop")
 
 
@@ -25,13 +25,13 @@ def draw_path_plan(
     ends_in_world: Float64[np.ndarray, "k 3"],
     unit: str,
 ) -> Markup:
-    """World x to the right, y up, seen against +z; empty where there is no line.
+    """Draw trajectories with world x to the right and y up, seen against +z; empty if there are none.
 
     Args:
-        curves: in the order of the colours accent, soft, warn, loop; those without a piece are left out of the legend.
-        points_in_world: of the map; rows that are not finite do not count.
-        ends_in_world: the first place of the path, and the last.
-        unit: of the axes.
+        curves: in the order of the colors accent, soft, warn, loop; empty curves are omitted from the legend.
+        points_in_world: the map's points; rows that are not finite are ignored.
+        ends_in_world: the first and the last position of the trajectory.
+        unit: unit of the axes.
     """
     rendered = [curve for curve in curves if len(curve.segments_in_world)]
     if not rendered:

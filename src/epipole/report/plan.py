@@ -1,4 +1,4 @@
-"""The view from above: camera centres with their viewing directions over the density of points."""
+"""The view from above: camera centers with their viewing directions over the density of points."""
 
 from __future__ import annotations
 
@@ -18,41 +18,41 @@ from epipole.scene import Reconstruction
 
 WIDTH, HEIGHT = 620, 520
 LEFT, RIGHT, TOP, BOTTOM = 52, 12, 12, 44
-"""Margins of the grid, for its numbers."""
+"""Margins of the grid, which contain its labels."""
 _CELL = 3
 """Size of a density cell in SVG units."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlanFrame:
-    """The map from world x, y to the drawing, with equal scales."""
+    """The transform from world x, y to the drawing, with equal scales."""
 
     x_low: float
     y_low: float
     scale: float
 
     def x_of(self, x: float) -> float:
-        """From the left."""
+        """Distance from the left."""
         return LEFT + (x - self.x_low) * self.scale
 
     def y_of(self, y: float) -> float:
-        """From the top."""
+        """Distance from the top."""
         return HEIGHT - BOTTOM - (y - self.y_low) * self.scale
 
     @property
     def x_high(self) -> float:
-        """Of the world, at the right border."""
+        """World x at the right border."""
         return self.x_low + (WIDTH - LEFT - RIGHT) / self.scale
 
     @property
     def y_high(self) -> float:
-        """Of the world, at the top border."""
+        """World y at the top border."""
         return self.y_low + (HEIGHT - TOP - BOTTOM) / self.scale
 
 
 @dataclass(frozen=True, slots=True)
 class Density:
-    """An image as the mask of a plain rectangle, whose colour the scheme sets."""
+    """An image used as the mask of a plain rectangle, whose color is set by the color scheme."""
 
     width: int
     height: int
@@ -60,7 +60,7 @@ class Density:
 
 
 def draw_plan(reconstruction: Reconstruction, unit: str) -> Markup:
-    """World x to the right, y up, seen against +z; empty for a model without cameras."""
+    """Draw a model with world x to the right and y up, seen against +z; empty for a model without cameras."""
     images = np.flatnonzero(reconstruction.is_registered())
     if not len(images):
         return Markup("")
@@ -105,7 +105,7 @@ def _frame_around(reconstruction: Reconstruction) -> PlanFrame:
 
 
 def density_of(points_in_world: Float64[np.ndarray, "n 3"], frame: PlanFrame) -> Density | None:
-    """Logarithm of points per cell; None where no point is in the frame."""
+    """Logarithm of points per cell; None if no point is in the frame."""
     columns, rows = (WIDTH - LEFT - RIGHT) // _CELL, (HEIGHT - TOP - BOTTOM) // _CELL
     width, height = columns * _CELL, rows * _CELL
     counts = np.histogram2d(
@@ -127,7 +127,7 @@ def density_of(points_in_world: Float64[np.ndarray, "n 3"], frame: PlanFrame) ->
 
 
 def _sequence(images: np.ndarray, centers: np.ndarray, frame: PlanFrame) -> str:
-    """A line through neighbours in the order of names, broken where an image has no place."""
+    """A line through neighbors in the order of names, broken where an image is not registered."""
     steps, previous = [], -2
     for image, center in zip(images, centers):
         verb = "L" if image == previous + 1 else "M"
@@ -137,7 +137,7 @@ def _sequence(images: np.ndarray, centers: np.ndarray, frame: PlanFrame) -> str:
 
 
 def _wedge(forward: np.ndarray) -> str:
-    """Along the viewing direction; it shortens as the camera looks up or down."""
+    """A wedge in the viewing direction, shorter if the camera looks up or down."""
     dx, dy = 15.0 * float(forward[0]), -15.0 * float(forward[1])
     left, right = (dx - 0.45 * dy, dy + 0.45 * dx), (dx + 0.45 * dy, dy - 0.45 * dx)
     return f"M0 0L{left[0]:.1f} {left[1]:.1f}L{right[0]:.1f} {right[1]:.1f}Z"

@@ -1,4 +1,4 @@
-"""Values over frames, and what state each frame was in, as inline SVG."""
+"""Values over frames, and the state of each frame, as inline SVG."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _TOP_PERCENT, _HEADROOM = 99.0, 1.15
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Line:
-    """One value for each of some frames."""
+    """A value for each of some frames."""
 
     name: str
     x: Float64[np.ndarray, " n"]
-    """In order."""
+    """Frame numbers in ascending order."""
     y: Float64[np.ndarray, " n"]
     """NaN breaks the line."""
     color: str = "accent"
@@ -33,22 +33,22 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Frames in a row of one kind."""
+    """Consecutive frames in the same state."""
 
     first: int
     last: int
     kind: str
-    """Of the style sheet's band-... classes."""
+    """Suffix of a band-... class in the style sheet."""
     hint: str
-    """What is shown when the mouse is over it."""
+    """Text shown on hover."""
 
 
 def draw_lines(
     lines: Sequence[Line], span: tuple[float, float], y_label: str, x_label: str = "frame"
 ) -> Markup:
-    """Lines over one axis, from zero up; empty for nothing finite.
+    """Line chart over one axis, from zero up; empty if nothing is finite.
 
-    The axis ends a little above the 99th percentile: what lies higher is cut off, and said.
+    The axis ends slightly above the 99th percentile; higher values are cut off, and a label says so.
     """
     every = np.concatenate([line.y for line in lines]) if lines else np.zeros(0)
     every = every[np.isfinite(every)]
@@ -77,7 +77,7 @@ def draw_lines(
 
 
 def draw_strip(bands: Sequence[Band], marks: Sequence[int], span: tuple[float, float]) -> Markup:
-    """A strip of bands over the frames' numbers, with ticks above it at `marks`."""
+    """A strip of bands over the frame numbers, with ticks above it at `marks`."""
     bottom = _STRIP_TOP + _STRIP_HEIGHT
     positions = []
     for band in bands:
@@ -99,7 +99,6 @@ def _x_of(value: float, span: tuple[float, float]) -> float:
 
 
 def _axes(span: tuple[float, float], height: int, bottom: int) -> dict[str, object]:
-    """What both drawings have: their size, and the axis of the frames."""
     return {
         "width": _WIDTH,
         "height": height,
@@ -111,7 +110,7 @@ def _axes(span: tuple[float, float], height: int, bottom: int) -> dict[str, obje
 
 
 def _path(line: Line, span: tuple[float, float], y_of: Callable[[float], float]) -> str:
-    """The line, broken at gaps; a value alone between gaps is a short stroke."""
+    """The line, broken at gaps; a single value between gaps is a short stroke."""
     known = np.isfinite(line.y)
     steps = []
     for k in np.flatnonzero(known):

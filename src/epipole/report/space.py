@@ -1,7 +1,7 @@
-"""A 3D scene as what the page's script draws: numbers by name, and blocks of bytes.
+"""A 3D scene as data for the page's script: named numbers, and blocks of bytes.
 
-Everything is told relative to an origin near the scene, in single precision: places of a map in the millions of metres
-keep their millimetres.
+All positions are relative to an origin near the scene, in single precision: maps with coordinates of millions of metres
+keep millimetre precision.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ from epipole.scene import Curve, Extent, extent_of, frustum_corners_in_cam, frus
 
 RADIUS_PERCENT = 85.0
 FRUSTUM_SIZES = (0.01, 0.12)
-"""Of the radius."""
+"""Range of frustum sizes as a fraction of the scene radius."""
 FROM_A_CORNER = np.array([-1.68, -2.06, 1.6])
-"""Where the first view stands from the focus, in radii."""
+"""Initial position of the camera relative to the focus, in scene radii."""
 RAMP_STOPS = 16
 UNKNOWN = 65535
-"""The step of a measure that is not known."""
+"""Quantized value of an unknown measure."""
 IMAGE_SIDE_PX, MOST_IMAGES = 320, 150
-"""Longer side of a camera's image in a page; so many are in one file, spread over all."""
+"""Longer side of camera images in a page, and the largest number in one file, spread evenly over all cameras."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpaceData:
-    """What the script gets."""
+    """The data for the script."""
 
     numbers: dict[str, Any]
     blocks: dict[str, bytes] = field(default_factory=dict)
-    """By the names that the numbers call them."""
+    """Blocks of bytes by the names used in `numbers`."""
 
     def put(self, name: str, array: np.ndarray) -> str:
-        """Keep an array's bytes; gives their name."""
+        """Store an array's bytes under a name, and return the name."""
         self.blocks[name] = np.ascontiguousarray(array).tobytes()
         return name
 
@@ -61,16 +61,16 @@ def space_data(
     most_gaussians: int | None = None,
     origin_in_world: Float64[np.ndarray, " 3"] | None = None,
 ) -> SpaceData:
-    """A scene for the script.
+    """Convert a scene to data for the script.
 
     Args:
-        scene: what is shown.
-        most_points: points of each layer at most, sampled at random.
-        most_gaussians: Gaussians at most; more are merged.
-        origin_in_world: what the coordinates are relative to; None: the middle of the scene, or zero for Gaussians.
+        scene: the scene.
+        most_points: largest number of points per layer, sampled at random.
+        most_gaussians: largest number of Gaussians; more are merged.
+        origin_in_world: origin of the coordinates; None: the center of the scene, or zero for Gaussians.
     """
     extent = _extent(scene)
-    # Gaussians are told as their file has them.
+    # Gaussians keep the coordinates of their file.
     middle = np.zeros(3) if scene.gaussians is not None else extent.focus.astype(np.float32).astype(float)
     origin = middle if origin_in_world is None else origin_in_world
     rotation = np.eye(3) if scene.upright_from_world is None else scene.upright_from_world
@@ -81,7 +81,7 @@ def space_data(
         "title": scene.title,
         "unit": scene.unit,
         "live": None,
-        "scaleWords": "" if scene.unit else ", up to scale: no unit is known",
+        "scaleWords": "" if scene.unit else ", up to scale",
         "origin": origin.tolist(),
         "position": rounded(view.position - origin),
         "lookAt": rounded(view.look_at - origin),
@@ -103,7 +103,6 @@ def space_data(
 
 
 def _extent(scene: SpaceScene) -> Extent:
-    """Of the points, else of what else there is."""
     positions = [
         np.asarray(layer.xyz_in_world[:: max(1, len(layer.xyz_in_world) // 200_000)], float)
         for layer in scene.points
@@ -121,9 +120,9 @@ def _extent(scene: SpaceScene) -> Extent:
 def _points(
     data: SpaceData, k: int, layer: PointLayer, origin: np.ndarray, most: int | None
 ) -> dict[str, Any]:
-    """In an order drawn at random, so that the first ones are a fair sample of all."""
+    """Points in random order, so that the first ones are a fair sample of all."""
     rows = shuffled(np.flatnonzero(np.isfinite(layer.xyz_in_world).all(axis=1)), most)
-    # Place and colour together, in 16 bytes: read once, in an order that no cache foresees.
+    # Position and color together in 16 bytes: read once, in an order that no cache can predict.
     together = np.zeros((len(layer.xyz_in_world), 4), "<u4")
     together[:, :3].view("<f4")[:] = _near(layer.xyz_in_world, origin)
     together.view(np.uint8)[:, 12:15] = layer.rgb
@@ -151,7 +150,7 @@ def _points(
 
 
 def shuffled(rows: Int64[np.ndarray, " n"], most: int | None = None) -> Int64[np.ndarray, " m"]:
-    """Rows in an order drawn at random, always the same one; at most so many."""
+    """Rows in a random but reproducible order, at most `most`."""
     return np.random.default_rng(0).permutation(rows)[: len(rows) if most is None else most]
 
 
@@ -162,7 +161,7 @@ def _near(positions: np.ndarray, origin: np.ndarray) -> np.ndarray:
 
 
 def _measure(measure: PointMeasure, rows: np.ndarray) -> tuple[dict[str, Any], np.ndarray]:
-    """What it is called and between what it lies, and its values in 65534 steps between."""
+    """Name and range of a measure, and its values quantized to 65534 steps."""
     values = measure.values[rows]
     known = np.isfinite(values)
     low, high = (float(v) for v in np.percentile(values[known], (0, 99.5))) if known.any() else (0.0, 1.0)
@@ -187,14 +186,14 @@ def _curve(data: SpaceData, k: int, curve: Curve, origin: np.ndarray) -> dict[st
 
 
 def _cameras(data: SpaceData, layer: CameraLayer, origin: np.ndarray, extent: Extent) -> dict[str, Any]:
-    """Centres, axes (right and ahead) and corners of the images around the centres."""
+    """Centers, axes (right and forward) and image corners relative to the centers."""
     centers, rotations = layer.cams_from_world.centers(), layer.cams_from_world.rotation
     cameras = np.concatenate([layer.K.reshape(-1, 9), layer.sizes], axis=1)
     different, of_camera = np.unique(cameras, axis=0, return_inverse=True)
     in_cam = np.array(
         [frustum_corners_in_cam(row[:9].reshape(3, 3), int(row[9]), int(row[10])) for row in different]
     ).reshape(-1, 4, 3)[of_camera.reshape(-1)]
-    # From the centre to a corner in the world: R^T corner.
+    # From the center to a corner in the world: R^T corner.
     corners = in_cam @ rotations
     return {
         "name": layer.name,
@@ -245,7 +244,7 @@ def _gaussians(data: SpaceData, scene: SpaceScene, most: int | None) -> dict[str
 
 
 def embedded_images(layer: CameraLayer, most: int = MOST_IMAGES) -> list[str | None]:
-    """Small images of the cameras as URIs that need no file; None where there is none, or beyond so many."""
+    """Small images of the cameras as data URIs; None where an image is missing, or beyond `most`."""
     out: list[str | None] = [None] * len(layer.names)
     if layer.load_image is None or not layer.names:
         return out
@@ -256,7 +255,7 @@ def embedded_images(layer: CameraLayer, most: int = MOST_IMAGES) -> list[str | N
 
 
 def small_jpeg(load_image: LoadImage, name: str) -> bytes | None:
-    """A camera's image in the size of a page; None where there is none."""
+    """A camera's image downscaled for a page; None if it is missing."""
     rgb = load_image(name)
     if rgb is None:
         return None
@@ -266,10 +265,10 @@ def small_jpeg(load_image: LoadImage, name: str) -> bytes | None:
 
 
 def rounded(values: Float64[np.ndarray, " n"]) -> list[float]:
-    """Numbers in seven digits."""
+    """Numbers rounded to seven digits."""
     return [float(f"{v:.7g}") for v in values]
 
 
 def of_all(shown: int, whole: int) -> str:
-    """How many of how many."""
+    """A count as text: `shown` or `shown of whole`."""
     return count(shown) if shown == whole else f"{count(shown)} of {count(whole)}"

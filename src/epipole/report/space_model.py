@@ -18,12 +18,12 @@ from epipole.scene import Curve, Extent, Reconstruction, extent_of
 from epipole.scene.point_accuracy import covariances_of_points, pixel_noise
 
 MAX_POINTS = 40_000
-"""Of a report."""
+"""Largest number of points in a report."""
 _RADIUS_PERCENT = 95.0
 
 
 def stage_of(reconstruction: Reconstruction) -> Extent:
-    """The bulk of the points and the bulk of the cameras."""
+    """The extent of most points and most cameras."""
     points, centers = reconstruction.points.xyz_in_world, reconstruction.camera_centers_in_world()
     return extent_of(points, centers, _RADIUS_PERCENT)
 
@@ -38,22 +38,22 @@ def scene_of_model(
     load_image: LoadImage | None = None,
     num_given: int | None = None,
 ) -> SpaceScene:
-    """Points with their errors, cameras and lines.
+    """Scene with points and their errors, cameras and curves.
 
     Args:
         model: upright, +z is up.
-        title: of the view.
-        unit: of its lengths; empty: up to scale.
-        cameras: what the cameras are called.
-        curves: lines with pieces.
-        load_image: of an image's name.
-        num_given: how many images there were, placed or not; None: a model's files do not tell.
+        title: title of the view.
+        unit: unit of lengths; empty: up to scale.
+        cameras: name of the camera layer.
+        curves: curves; empty ones are omitted.
+        load_image: loads an image by name.
+        num_given: number of input images, registered or not; None: unknown.
     """
     num_registered = int(model.is_registered().sum())
     images = (
         plural(num_registered, "image")
         if num_given is None
-        else f"{num_registered} of {num_given} images placed"
+        else f"{num_registered} of {num_given} images registered"
     )
     words = f"{images}, {plural(len(model.points), 'point')}"
     return SpaceScene(
@@ -67,7 +67,7 @@ def scene_of_model(
 
 
 def points_of_model(model: Reconstruction) -> PointLayer:
-    """The points, with reprojection errors, numbers of images that see each, and covariances."""
+    """The points, with reprojection errors, track lengths, and covariances."""
     noise = pixel_noise(model)
     known = np.isfinite(noise)
     return PointLayer(
@@ -81,12 +81,12 @@ def points_of_model(model: Reconstruction) -> PointLayer:
             ),
         ),
         covariances_of_points(model, noise) if known else None,
-        f"pixels off by {number(noise)} px, cameras taken as right" if known else "",
+        f"for pixel noise of {number(noise)} px, with exact cameras" if known else "",
     )
 
 
 def cameras_of_model(model: Reconstruction, name: str, load_image: LoadImage | None) -> CameraLayer:
-    """The placed cameras, without distortion."""
+    """The registered cameras, without distortion."""
     images = np.flatnonzero(model.is_registered())
     cameras = [model.cameras[int(c)] for c in model.camera_of_image[images]]
     return CameraLayer(

@@ -1,4 +1,4 @@
-"""What a 3D view holds: points, cameras, lines, triangles and Gaussians, each under a name of its own."""
+"""The content of a 3D view: named layers of points, cameras, curves, triangles and Gaussians."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from epipole.scene import Curve
 from epipole.scene.gaussian_cloud import GaussianCloud
 
 LoadImage = Callable[[str], UInt8[np.ndarray, "h w 3"] | None]
-"""The RGB image of a camera's name, or None where there is none."""
+"""Returns the RGB image of a camera by name, or None if there is none."""
 METRES, NO_UNIT = "m", ""
-"""Units of a scene; without one it is known up to scale."""
+"""Units of a scene; without a unit, the scale is unknown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointMeasure:
-    """A number of each point, by which points can be left out and coloured."""
+    """A number per point, used to filter and color points."""
 
     name: str
     values: Float64[np.ndarray, " n"]
-    """Those that are not finite are not known: their points always stay."""
+    """Values that are not finite are unknown; their points are always shown."""
     unit: str = ""
     is_at_least: bool = False
-    """The limit is the least value that is shown, else the largest."""
+    """Whether the limit is the smallest value shown; otherwise the largest."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointLayer:
-    """Points, with how wrong each may be where that is known."""
+    """Points, with the uncertainty of each if known."""
 
     name: str
     xyz_in_world: Float[np.ndarray, "n 3"]
@@ -41,25 +41,25 @@ class PointLayer:
     measures: tuple[PointMeasure, ...] = ()
     covariances: Float[np.ndarray, "n 3 3"] | None = None
     error_words: str = ""
-    """What the covariances count."""
+    """Which errors the covariances include."""
 
     def __post_init__(self) -> None:
-        """Check that the columns fit, and that there are two measures at most.
+        """Check that the columns match, and that there are at most two measures.
 
         Raises:
-            ShapeError: they do not.
+            ShapeError: the columns do not match.
         """
         n = len(self.xyz_in_world)
         lengths = [len(self.rgb), *(len(measure.values) for measure in self.measures)]
         if self.covariances is not None:
             lengths.append(len(self.covariances))
         if any(length != n for length in lengths) or len(self.measures) > 2:
-            raise ShapeError("points, colours, errors and at most two measures must be of one number")
+            raise ShapeError("points, colors, covariances and at most two measures must have the same length")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraLayer:
-    """Cameras as frusta: places, lenses without their distortion, and names."""
+    """Cameras as frustums: poses, intrinsics without distortion, and names."""
 
     name: str
     names: tuple[str, ...]
@@ -69,7 +69,7 @@ class CameraLayer:
     """Width and height in pixels."""
     load_image: LoadImage | None = None
     is_shown: bool = True
-    """At first."""
+    """Whether the layer is visible initially."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +84,7 @@ class MeshLayer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FirstView:
-    """From where a scene is seen first."""
+    """The initial viewpoint of a scene."""
 
     position: Float64[np.ndarray, " 3"]
     look_at: Float64[np.ndarray, " 3"]
@@ -93,13 +93,13 @@ class FirstView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpaceScene:
-    """Everything that is shown together, in one world."""
+    """All layers shown together, in one world frame."""
 
     title: str
     words: str
-    """What is shown, and of how much, in a sentence."""
+    """A sentence about the content and its size."""
     unit: str
-    """Of lengths: `METRES`, another, or `NO_UNIT` where the scale is not known."""
+    """Unit of lengths: `METRES`, another, or `NO_UNIT` if the scale is unknown."""
     points: tuple[PointLayer, ...] = ()
     cameras: CameraLayer | None = None
     curves: tuple[Curve, ...] = ()
@@ -108,15 +108,15 @@ class SpaceScene:
     view: FirstView | None = None
     """None: from a corner above."""
     upright_from_world: Float64[np.ndarray, "3 3"] | None = None
-    """The turn after which +z is up and the corner is behind what looks along +y; None: that is the world as it is."""
+    """Rotation that makes +z up, with the default viewpoint behind what looks along +y; None: identity."""
     background: float | None = None
-    """A grey value from 0 to 1; None: dark, as the page's."""
+    """A grey value from 0 to 1; None: dark, like the page."""
 
     def __post_init__(self) -> None:
-        """Check that there is something to see.
+        """Check that the scene is not empty.
 
         Raises:
-            ShapeError: there is nothing at all.
+            ShapeError: it is empty.
         """
         counts = [len(layer.xyz_in_world) for layer in self.points]
         counts += [len(curve.segments_in_world) for curve in self.curves]
@@ -124,4 +124,4 @@ class SpaceScene:
         counts += [len(self.mesh.faces)] if self.mesh is not None else []
         counts += [len(self.gaussians)] if self.gaussians is not None else []
         if not any(counts):
-            raise ShapeError("there is nothing to show")
+            raise ShapeError("the scene is empty")

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_float_array, as_points, check_indices, require_same_length
-from epipole._declared import checked
-from epipole._declared.arrays import as_array
+from epipole._checks import as_float_array, as_points, check_indices, checked, require_same_length
+from epipole._checks.arrays import as_array
 from epipole.cameras import Camera
 from epipole.config import RansacConfig, options_of
 from epipole.errors import ShapeError

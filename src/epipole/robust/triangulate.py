@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from epipole import _parallel
-from epipole._checks import as_float_array, as_points, check_squarable
-from epipole._declared import checked
+from epipole._checks import as_float_array, as_points, check_squarable, checked
 from epipole.cameras import MAX_PARAMS, Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1

@@ -1,4 +1,4 @@
-"""The run layer: what every job with an output folder shares."""
+"""The run layer, common to all jobs that write an output folder."""
 
 from epipole.runs.contents import content_digests as content_digests
 from epipole.runs.executors import ExecutorChoice as ExecutorChoice

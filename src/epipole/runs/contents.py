@@ -1,4 +1,4 @@
-"""What files hold: their digests, kept with size and time so that an unchanged file is not read again."""
+"""Digests of files, cached with size and modification time so that an unchanged file is not read again."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared.tables import TEXT, Expected
+from epipole._checks.tables import TEXT, Expected
 from epipole.errors import WorkspaceError
 from epipole.io.files import open_file, require_file
 from epipole.runs.executors import opened
@@ -23,16 +23,16 @@ _TABLE = {name: Expected(TEXT, "n") for name in ("paths", "states", "digests")}
 def content_digests(
     paths: Iterable[Path], memory: Path, progress: ProgressCallback = ignore_progress
 ) -> dict[Path, str]:
-    """The digest of each file's bytes.
+    """The digest of each file's content.
 
     Args:
         paths: the files.
-        memory: a file that remembers the digests of the last call; made if missing, with its folder.
-        progress: called after each file that is read.
+        memory: a cache file with the digests of the last call; created if missing, with its folder.
+        progress: called after each file.
 
     Raises:
         FileFormatError: a file cannot be read.
-        WorkspaceError: the memory cannot be written.
+        WorkspaceError: the cache cannot be written.
     """
     states = {path: _state_of(path) for path in paths}
     before = _remembered(memory)

@@ -1,4 +1,4 @@
-"""The earlier result that a run is about to replace: a poorer one does not take its place unnoticed."""
+"""Protection of an earlier result from being silently replaced with a poorer one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SUMMARY = "summary.json"
 
 
 def earlier_number(root: Path, name: str) -> float | None:
-    """A number of the summary that an earlier run left in an output folder; None where there is none."""
+    """A number from the summary of an earlier run in an output folder; None if there is none."""
     if not (root / SUMMARY).is_file():
         return None
     try:
@@ -23,12 +23,12 @@ def earlier_number(root: Path, name: str) -> float | None:
 
 
 def refuse_poorer(root: Path, name: str, number: int, words: str) -> None:
-    """Keep the earlier result where the new one has less.
+    """Raise if the new result is poorer than the earlier one.
 
     Args:
         root: the output folder, which belongs to the same job and source.
-        name: of the number in `summary.json`.
-        number: that of the new result, or the most that it can have.
+        name: key of the number in `summary.json`.
+        number: the new result's number, or an upper bound of it.
         words: what is counted.
 
     Raises:
@@ -38,16 +38,16 @@ def refuse_poorer(root: Path, name: str, number: int, words: str) -> None:
     if earlier is None or number >= earlier or is_overwriting():
         return
     raise WorkspaceError(
-        f"{root} holds a result with {earlier:.0f} {words}, more than the {number} of this run, and keeps it: "
+        f"{root} contains a result with {earlier:.0f} {words}, more than the {number} of this run, so it is not replaced: "
         "choose another output folder, or pass --overwrite"
     )
 
 
 def note_on_poorer(root: Path, name: str, number: float, words: str) -> list[str]:
-    """A warning where the new result has less than the earlier one that it replaces; empty where it has not."""
+    """A warning if the new result is poorer than the earlier one that it replaces; empty if not."""
     earlier = earlier_number(root, name)
     if earlier is None or number >= earlier:
         return []
     return [
-        f"the earlier result in {root}, which this one replaces, had {earlier:,g} {words}; this one has {number:,g}"
+        f"the earlier result in {root} had {earlier:,g} {words}; the new one that replaces it has {number:,g}"
     ]

@@ -1,4 +1,4 @@
-"""What runs the units of work: threads, processes, the calling thread, or an executor of the user's."""
+"""Executors of units of work: threads, processes, the calling thread, or an executor passed by the user."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from typing import Literal
 from epipole import _parallel
 
 ExecutorChoice = Literal["threads", "processes", "inline"] | Executor
-"""A name, or any `concurrent.futures.Executor`: Dask's `Client.get_executor()`, for one. Its workers must
-have epipole installed and see the output folder and the images under the same paths. It is not shut
-down."""
+"""A name, or any `concurrent.futures.Executor`, such as Dask's `Client.get_executor()`. Its workers must have epipole
+installed and see the output folder and the images under the same paths. It is not shut down."""
 
 
 @contextmanager
 def opened(choice: ExecutorChoice) -> Iterator[Executor | None]:
-    """The executor that takes the units; None: run them here, one after the other."""
+    """The executor that runs the units; None: run them in the calling thread."""
     if isinstance(choice, Executor):
         yield choice
         return

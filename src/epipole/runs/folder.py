@@ -1,8 +1,8 @@
-"""The output folder of a run: which job made it, and which of its files earlier runs have written.
+"""The output folder of a run: which job owns it, and which of its files were written by earlier runs.
 
-A file, `epipole.json`, marks it: the job, what the results were made from, the version, and every result that
-was ever written. A non-empty folder without the mark is refused, and no file is overwritten or removed that
-no earlier run has written.
+A marker file, `epipole.json`, records the job, the source of the results, the version, and every result ever written. A
+non-empty folder without this marker is rejected, and files not written by an earlier run are never overwritten or
+removed.
 """
 
 from __future__ import annotations
@@ -84,20 +84,20 @@ FILE_SUFFIXES = frozenset(
         ".md",
     ]
 )
-"""A folder that does not exist yet is not made under a name with one of these: a file was meant."""
+"""A missing folder is not created under a name with one of these suffixes: a file was probably intended."""
 
 
 class OutputFolder:
-    """An output folder that belongs to one job on one source. Made by `claim`.
+    """An output folder that belongs to one job on one source. Created by `claim`.
 
     Attributes:
         root: the folder.
         kind: the command: reconstruct, stereo, ...
-        source: what its contents are made from.
-        files: names of the results, by group; relative, with slashes.
+        source: the inputs of its results.
+        files: relative names of the results, with slashes, by group.
         finished: digest of the settings of the finished run; empty until it finishes.
-        has_failed: the last run ended in an error, and none before had any result.
-        timings_s: seconds of each stage.
+        has_failed: whether the last run ended in an error, and no earlier run produced a result.
+        timings_s: seconds per stage.
     """
 
     def __init__(self, root: Path, kind: str, source: Source) -> None:
@@ -111,11 +111,11 @@ class OutputFolder:
     def publish(self, group: str) -> Iterator[Path]:
         """Yield an empty folder whose contents replace the group's earlier files when the block ends.
 
-        Each file appears in one step, and those of an earlier run that this one does not have are removed. If the block
-        raises, all is as it was.
+        Each file is replaced atomically, and files of an earlier run that this one does not write are removed. If the
+        block raises, nothing changes.
 
         Raises:
-            WorkspaceError: the disk is full, or a file of that name exists that no run has written.
+            WorkspaceError: the disk is full, or a file of that name exists that was not written by an earlier run.
         """
         aside = part_beside(self.root / group)
         with reporting(self.root, "write to the folder"):
@@ -135,10 +135,10 @@ class OutputFolder:
 
     @contextmanager
     def replacing(self, group: str, names: Sequence[str]) -> Iterator[None]:
-        """Record single files in the mark before they are written, and remove stale ones after.
+        """Record files in the marker before they are written, and remove stale ones afterwards.
 
         Raises:
-            WorkspaceError: a name leads out of the folder, or something of that name exists that no run has written.
+            WorkspaceError: a name leads out of the folder, or exists but was not written by an earlier run.
         """
         self._refuse_what_is_not_ours(names)
         before = self.files.get(group, [])
@@ -150,16 +150,16 @@ class OutputFolder:
         self.save()
 
     def write_text(self, name: str, text: str) -> None:
-        """Write one text file of the results."""
+        """Write a text file to the results."""
         with self.publish(name) as aside:
             (aside / name).write_text(text, encoding="utf-8")
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> None:
-        """Write one JSON file of the results; numbers that are not finite become null."""
+        """Write a JSON file to the results; numbers that are not finite become null."""
         self.write_text(name, json_text(content))
 
     def give_up(self, *, has_failed: bool) -> None:
-        """After a run that ended early: remove the mark if there is nothing else, else note whether it has failed."""
+        """Clean up after a run that ended early: remove the marker if nothing else is there, else record a failure."""
         left = {path.name for path in self.root.iterdir()} - {MARK, LOCK}
         if not self.files and not left:
             (self.root / MARK).unlink()
@@ -167,17 +167,17 @@ class OutputFolder:
             self.has_failed = has_failed and set(self.files) <= BY_PRODUCTS
 
     def refuse_replaced(self) -> None:
-        """Before any work: what an earlier run has written is still a file, and so can be written again.
+        """Check before any work that everything written by an earlier run is still a file, and so can be replaced.
 
         Raises:
-            WorkspaceError: a folder or a link stands in its place.
+            WorkspaceError: a result was replaced with a folder or a link.
         """
         self._refuse_what_is_not_ours(
             [name for names in self.files.values() for name in names if is_inside_name(name)]
         )
 
     def save(self) -> None:
-        """Write the mark."""
+        """Write the marker file."""
         content = {
             "format": FORMAT,
             "kind": self.kind,
@@ -193,7 +193,7 @@ class OutputFolder:
             aside.write_text(json_text(content, indent=1), encoding="utf-8")
 
     def take_over(self, kind: str, source: Source) -> OutputFolder:
-        """The folder for another job, without what was written here."""
+        """Hand the folder over to another job, after removing the results of this one."""
         for names in self.files.values():
             self._remove(names)
         return OutputFolder(self.root, kind, source)
@@ -213,11 +213,11 @@ class OutputFolder:
                 is_file = stat.S_ISREG((self.root / name).lstat().st_mode)
                 if name in ours and not is_file:
                     raise WorkspaceError(
-                        f"{self.root / name} is no file any more: remove it, or choose another folder"
+                        f"{self.root / name} is no longer a file: remove it, or choose another folder"
                     )
                 if name not in ours and not (is_file and is_overwriting() and not self._is_input(name)):
                     raise WorkspaceError(
-                        f"{self.root} holds {name}, which no earlier run has written: choose another folder"
+                        f"{self.root} contains {name}, which was not written by an earlier run: choose another folder"
                     )
 
     def _is_input(self, name: str) -> bool:
@@ -225,7 +225,7 @@ class OutputFolder:
         return any(real.is_relative_to(path) for path in self.source.paths)
 
     def _remove(self, names: Iterable[str]) -> None:
-        """Remove results, and folders that they leave empty; what is no file any more is not ours."""
+        """Remove results and the folders that this leaves empty; results replaced with other things than files stay."""
         for name in names:
             try:
                 path = path_inside(self.root, name)
@@ -240,60 +240,60 @@ class OutputFolder:
 
 
 BY_PRODUCTS = frozenset({"database"})
-"""Groups that a run writes before it knows whether there will be a result."""
+"""Groups written before it is known whether there will be a result."""
 
 
 def check_output_path(root: Path, kind: str, inputs: Sequence[Path]) -> None:
-    """Before any work, and without touching anything: the output folder is new, or ours, or may be overwritten.
+    """Check before any work, without changing anything, that the output folder is new, ours, or may be overwritten.
 
     Args:
         root: the folder.
-        kind: the command that makes its contents.
+        kind: the command that writes it.
         inputs: files and folders that are read; none of them may be the output folder.
 
     Raises:
-        WorkspaceError: it is a file, the folder of the inputs, or holds something else.
+        WorkspaceError: the path is a file, the folder of the inputs, or has other contents.
     """
     with reporting(root, "use the output folder"):
         if root.exists() and not root.is_dir():
             raise WorkspaceError(f"{root} is a file; the output must be a folder")
-        is_ours = (root.parent / MARK).is_file()  # as the folders of many pairs, named by their images
+        is_ours = (root.parent / MARK).is_file()  # for example, a pair's folder, named after its image
         if not root.exists() and root.suffix.lower() in FILE_SUFFIXES and not is_ours:
             raise WorkspaceError(
-                f"`epipole {kind}` writes a folder, and {root} has the name of a {root.suffix} file: "
-                "give the name of a folder"
+                f"`epipole {kind}` writes a folder, but {root} has the name of a {root.suffix} file: "
+                "pass the name of a folder"
             )
     refuse_folder_of(root, inputs)
     _existing(root, kind, Source.of(inputs, root))
 
 
 def refuse_folder_of(root: Path, inputs: Sequence[Path]) -> None:
-    """Refuse the folder of the inputs as the output folder.
+    """Reject the folder of the inputs as the output folder.
 
     Raises:
-        WorkspaceError: it is one.
+        WorkspaceError: `root` is the folder of an input.
     """
     with reporting(root, "use the output folder"):
         for path in inputs:
             if root.resolve() == (path.resolve() if path.is_dir() else path.resolve().parent):
                 what = "the images" if path.is_dir() else path.name
-                raise WorkspaceError(f"{root} is the folder of {what}: choose another for the results")
+                raise WorkspaceError(f"{root} is the folder of {what}: choose another output folder")
 
 
 def claim(root: Path, kind: str, inputs: Sequence[Path]) -> OutputFolder:
-    """Make the output folder, or open it again if it belongs to the same job on the same source.
+    """Create the output folder, or reopen it if it belongs to the same job on the same source.
 
-    The source is the same if its paths are, or if nothing is at the old ones and mostly the same files are at the new. A
-    folder in which a run failed is taken over by the next, whatever it is. With `overwriting`, so is any folder, and of a
-    folder without a mark only the files are replaced that have the names of results.
+    The source is the same if its paths are, or if nothing exists at the old paths and most files at the new ones match.
+    A folder whose run failed may be taken over by any job. With `overwriting`, so may any folder; in a folder without a
+    marker, only files that have the names of results are replaced.
 
     Args:
         root: the folder.
-        kind: the command that makes its contents.
+        kind: the command that writes it.
         inputs: files and folders that are read; none of them may be the output folder.
 
     Raises:
-        WorkspaceError: it is a file, holds something else, or is not writable.
+        WorkspaceError: the path is a file, has other contents, or is not writable.
     """
     check_output_path(root, kind, inputs)
     source = Source.of(inputs, root)
@@ -317,10 +317,10 @@ def claim(root: Path, kind: str, inputs: Sequence[Path]) -> OutputFolder:
 
 
 def _existing(root: Path, kind: str, source: Source) -> OutputFolder | None:
-    """What the folder is already; None where it is new.
+    """The folder's current owner; None if it is new.
 
     Raises:
-        WorkspaceError: it is not ours, or belongs to another job or source that has results.
+        WorkspaceError: the folder is not ours, or belongs to another job or source that has results.
     """
     with reporting(root, "use the output folder"):
         found = read_mark(root)
@@ -329,7 +329,7 @@ def _existing(root: Path, kind: str, source: Source) -> OutputFolder | None:
         if found is None:
             if root.is_dir() and any(not p.name.startswith(".") for p in root.iterdir()):
                 raise WorkspaceError(
-                    f"{root} is not empty and was not made by epipole; choose another output folder, or pass "
+                    f"{root} is not empty and was not written by epipole; choose another output folder, or pass "
                     "--overwrite to replace files that have the names of results"
                 )
             return None
@@ -340,26 +340,25 @@ def _existing(root: Path, kind: str, source: Source) -> OutputFolder | None:
 
 
 def _is_bare(root: Path, found: OutputFolder) -> bool:
-    """Whether the folder holds neither results nor work of a run."""
     return not found.files and {path.name for path in root.iterdir()} <= {MARK, LOCK}
 
 
 def _whose(found: OutputFolder) -> str:
-    what = "results" if set(found.files) - BY_PRODUCTS else "work"
+    what = "results" if set(found.files) - BY_PRODUCTS else "intermediate files"
     back = (
-        ", or, if that is these files under an earlier name, rename them back"
+        ", or, if these are the same files under a new name, rename them back"
         if found.source.is_gone()
         else ""
     )
-    of = f"{found.root} holds the {what} of `epipole {found.kind}` of {found.source}"
+    of = f"{found.root} contains the {what} of `epipole {found.kind}` for {found.source}"
     return f"{of}; choose another output folder, or pass --overwrite{back}"
 
 
-MODEL_KINDS = frozenset({"reconstruct", "slam", "undistort"})  # their models are of upright images
+MODEL_KINDS = frozenset({"reconstruct", "slam", "undistort"})  # their models describe upright images
 
 
 def has_own_model(root: Path) -> bool:
-    """Whether the model in a folder was made here, by its mark."""
+    """Whether the model in a folder was made by epipole, according to its marker."""
     try:
         mark = read_mark(root)
     except WorkspaceError:
@@ -368,10 +367,10 @@ def has_own_model(root: Path) -> bool:
 
 
 def read_mark(root: Path) -> OutputFolder | None:
-    """What the mark of a folder says; None for a folder without one.
+    """Read the marker of a folder; None if it has none.
 
     Raises:
-        WorkspaceError: it is damaged, or of another version's format.
+        WorkspaceError: the marker is damaged, or in another version's format.
     """
     mark = root / MARK
     if not mark.is_file():

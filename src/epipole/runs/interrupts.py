@@ -1,4 +1,4 @@
-"""Ctrl-C where work must end between two steps, not within one."""
+"""Handling of Ctrl-C in work that must stop between two steps, not within one."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from types import FrameType
 
 @contextmanager
 def graceful_interrupt() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C was pressed in the block; pressed again it interrupts as usual.
+    """Yield a function that says whether Ctrl-C was pressed in the block; a second Ctrl-C interrupts as usual.
 
-    Outside of the main thread, and where Ctrl-C is not Python's own, it stays as it is.
+    Does nothing outside the main thread, and where Python's default Ctrl-C handler is not installed.
     """
     pressed = threading.Event()
     usual = signal.getsignal(signal.SIGINT)

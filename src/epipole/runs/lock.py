@@ -30,12 +30,12 @@ _TAKEN = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
 
 @contextmanager
 def alone_in(root: Path) -> Iterator[None]:
-    """Make the folder if it is missing, and hold off other runs while the block works in it.
+    """Create the folder if it is missing, and lock it against other runs during the block.
 
-    The system lets go of the lock when the process ends, however it ends. File systems that know no locks get none.
+    The system releases the lock when the process ends, for any reason. File systems without locks are not locked.
 
     Raises:
-        WorkspaceError: another run works in it, or it cannot be written.
+        WorkspaceError: another run uses the folder, or it cannot be written.
     """
     is_new = not root.exists()
     with reporting(root, "use the output folder"):
@@ -45,16 +45,16 @@ def alone_in(root: Path) -> Iterator[None]:
         yield
     finally:
         with suppress(OSError):
-            if os.name != "nt":  # there an open file cannot be removed
+            if os.name != "nt":  # Windows cannot remove an open file
                 (root / LOCK).unlink(missing_ok=True)
         os.close(file)
         if is_new:
-            with suppress(OSError):  # it holds something
+            with suppress(OSError):  # it is not empty
                 root.rmdir()
 
 
 def remove_free_locks(root: Path) -> None:
-    """Remove what killed runs have left in folders below this one."""
+    """Remove lock files left by killed runs in folders below this one."""
     for path in root.rglob(LOCK):
         if path.parent != root and path.is_file() and not path.is_symlink():
             with suppress(WorkspaceError, OSError), alone_in(path.parent):
@@ -62,7 +62,6 @@ def remove_free_locks(root: Path) -> None:
 
 
 def _locked(root: Path) -> int:
-    """An open lock file that this process alone has."""
     while True:
         file = os.open(root / LOCK, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
         try:
@@ -73,9 +72,9 @@ def _locked(root: Path) -> int:
                 os.close(file)
                 who = f" (process {holder})" if holder.isdigit() else ""
                 raise WorkspaceError(
-                    f"another run of epipole{who} works in {root}: wait for it, or choose another output folder"
+                    f"another run of epipole{who} uses {root}: wait until it ends, or choose another output folder"
                 ) from None
-        # The holder before may have removed the file between opening and locking.
+        # The previous owner may have removed the file between opening and locking.
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(file), (root / LOCK).stat()):
                 os.truncate(file, 0)

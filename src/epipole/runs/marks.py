@@ -1,4 +1,4 @@
-"""Checks of what the mark of an output folder holds: it may come from anyone."""
+"""Validation of an output folder's marker, which may come from anyone."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from epipole.io.names import is_inside_name
 
 
 def texts_of_mark(values: object) -> tuple[str, ...]:
-    """A list of texts.
+    """Check a list of texts.
 
     Raises:
-        TypeError: it is none.
+        TypeError: it is not a list.
     """
     if not isinstance(values, list):
         raise TypeError
@@ -17,10 +17,10 @@ def texts_of_mark(values: object) -> tuple[str, ...]:
 
 
 def inside_name_of_mark(name: object) -> str:
-    """The name of a result, which may be removed one day.
+    """Check the name of a result, which a later run may remove.
 
     Raises:
-        ValueError: it leads out of the folder.
+        ValueError: the name leads out of the folder.
     """
     if not isinstance(name, str) or not is_inside_name(name):
         raise ValueError

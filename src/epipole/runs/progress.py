@@ -1,4 +1,4 @@
-"""Progress as data: the library reports it, the command line draws it."""
+"""Progress as data: the library reports it, the command line displays it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """One report of how far a stage is."""
+    """A progress report of one stage."""
 
     stage: str
     done: int

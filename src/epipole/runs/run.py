@@ -9,7 +9,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from epipole._declared import check_fields, checked
+from epipole._checks import check_fields, checked
 from epipole._version import __version__
 from epipole.errors import WorkspaceError
 from epipole.runs.executors import ExecutorChoice
@@ -22,14 +22,14 @@ from epipole.runs.units import Unit, digest, remove_other_results, run_units
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Job:
-    """What is to be run, and how."""
+    """The command to run, with its inputs and settings."""
 
     kind: str
     """The command's name."""
     inputs: tuple[Path, ...]
-    """Files and folders that are read; they name the source of the results."""
+    """Files and folders that are read; they identify the source of the results."""
     settings: Mapping[str, Any]
-    """All that the results depend on; written to `config.json` with the version."""
+    """Everything that the results depend on; written to `config.json` with the version."""
     threads: int | None = None
     executor: ExecutorChoice = "threads"
     progress: ProgressCallback = ignore_progress
@@ -40,19 +40,19 @@ class Job:
         """Check the fields.
 
         Raises:
-            ConfigError: one is of another kind.
+            ConfigError: a field has the wrong type.
         """
         check_fields(self)
 
 
 class Run:
-    """A run in progress. Made by `open_run`."""
+    """A run in progress. Created by `open_run`."""
 
     def __init__(self, job: Job, folder: OutputFolder) -> None:
         self.job, self.folder = job, folder
         self.warnings: list[str] = []
         self._start = perf_counter()
-        # Seconds of a stopped run are added; those of a finished run only where its units are used again.
+        # Timings of a stopped run are added; those of a finished run only if its units are reused.
         self._earlier_s = {} if folder.finished else folder.timings_s
         self._finished_s = folder.timings_s if folder.finished else {}
         folder.finished, folder.has_failed, folder.timings_s = "", False, {}
@@ -70,12 +70,12 @@ class Run:
 
     @property
     def seconds(self) -> float:
-        """Seconds since this run began."""
+        """Seconds since this run started."""
         return perf_counter() - self._start
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Add the seconds spent in the block to the stage's."""
+        """Add the time spent in the block to a stage."""
         start = perf_counter()
         try:
             yield
@@ -85,7 +85,7 @@ class Run:
             )
 
     def report(self, stage: str, done: int, total: int, note: str = "") -> None:
-        """Report how far a stage is, and what is to be known of it."""
+        """Report the progress of a stage, with an optional note."""
         self.job.progress(Progress(stage, done, total, note))
 
     def do(self, units: Sequence[Unit], stage: str) -> None:
@@ -103,7 +103,7 @@ class Run:
             self.folder.save()
 
     def finish(self, summary: Mapping[str, Any] | None = None) -> None:
-        """Write `config.json` and `summary.json`: the results are complete."""
+        """Write `config.json` and `summary.json`, and mark the results as complete."""
         self.folder.write_json("config.json", {"version": __version__, **self.job.settings})
         if summary is not None:
             self.folder.write_json("summary.json", {"version": __version__, **summary})
@@ -114,10 +114,10 @@ class Run:
 @checked
 @contextmanager
 def open_run(job: Job, out: Path) -> Iterator[Run]:
-    """Claim the output folder and set the threads; what is finished inside stays there whatever happens.
+    """Claim the output folder and set the number of threads; finished results stay if the block raises.
 
     Raises:
-        WorkspaceError: the folder belongs to another job, another run works in it, or it cannot be written.
+        WorkspaceError: the folder belongs to another job, is used by another run, or cannot be written.
     """
     check_output_path(out, job.kind, job.inputs)
     with alone_in(out), thread_scope(job.threads, opencv_alone=job.opencv_alone):
@@ -125,7 +125,7 @@ def open_run(job: Job, out: Path) -> Iterator[Run]:
         try:
             yield run
         except BaseException as error:
-            with suppress(WorkspaceError, OSError):  # of the two the first error tells more
+            with suppress(WorkspaceError, OSError):  # the first error is more informative
                 run.folder.give_up(has_failed=isinstance(error, Exception))
                 run.close()
             raise

@@ -1,7 +1,7 @@
-"""What the results of a run are made from: known again when it was renamed, and a few of its files have changed.
+"""The source of a run's results, recognized even if it was renamed and a few of its files have changed.
 
-Which files there are, by names and sizes, is kept as a sketch: the smallest of the digests of all of them. Two sketches
-tell which part of both sets is common (Broder, On the resemblance and containment of documents, 1997, section 2).
+The set of files, by name and size, is stored as a sketch: the smallest of all their digests. Two sketches give the
+fraction of files in common (Broder, On the resemblance and containment of documents, 1997, section 2).
 """
 
 from __future__ import annotations
@@ -14,28 +14,28 @@ from pathlib import Path
 from epipole.runs.units import digest
 
 MOST_FILES = 100_000
-"""Folders with more are known by their paths alone."""
+"""Folders with more files are recognized only by their paths."""
 FINGERPRINT = 64
-"""Digests kept of a source: all, where it has fewer files."""
+"""Number of digests stored per source; all, if it has fewer files."""
 SAME = 0.5
-"""Two sources are the same where this part of their files is."""
+"""Two sources are the same if at least this fraction of their files is."""
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Files and folders that are read: their absolute paths, and a sketch of what is there."""
+    """Files and folders that are read: their absolute paths, and a sketch of their contents."""
 
     paths: tuple[str, ...]
     fingerprint: tuple[str, ...] = ()
-    """Of the names and sizes of all files; empty where there are none or too many."""
+    """Digests of the names and sizes of files; empty if there are none or too many."""
 
     @classmethod
     def of(cls, inputs: Sequence[Path], ignored: Path) -> Source:
-        """The source that these files and folders are now.
+        """The current source given by these files and folders.
 
         Args:
             inputs: files and folders.
-            ignored: a folder that is left out, as it may lie among the images.
+            ignored: a folder to skip, since it may be among the images.
         """
         return cls(tuple(str(path.resolve()) for path in inputs), _fingerprint(inputs, ignored.resolve()))
 
@@ -43,11 +43,11 @@ class Source:
         return ", ".join(self.paths)
 
     def is_gone(self) -> bool:
-        """Whether nothing is at its paths any more."""
+        """Whether none of its paths exists any more."""
         return not any(Path(path).exists() for path in self.paths)
 
     def is_same_as(self, other: Source) -> bool:
-        """Whether the paths are the same, or nothing is at these and mostly the same files are at the other's."""
+        """Whether the paths are the same, or nothing exists at these paths and most files at the other's match."""
         if self.paths == other.paths:
             return True
         union = sorted({*self.fingerprint, *other.fingerprint})[:FINGERPRINT]

@@ -1,4 +1,4 @@
-"""The threads of a run: epipole's own, BLAS's and OpenCV's, set while it works and restored after it."""
+"""Numbers of threads of epipole, BLAS and OpenCV, set during a run and restored afterwards."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _depth, _before = 0, 0
 
 @contextmanager
 def thread_scope(num_threads: int | None = None, *, opencv_alone: bool = False) -> Iterator[None]:
-    """Hold BLAS to one thread (its results depend on their number), and set the others as asked.
+    """Limit BLAS to one thread, on which its results depend, and set the others as requested.
 
     Args:
-        num_threads: of epipole's pool; None: as it is.
-        opencv_alone: OpenCV uses the calling thread only, for jobs that work on several images at a time.
+        num_threads: threads of epipole's pool; None: unchanged.
+        opencv_alone: limit OpenCV to the calling thread, for jobs that process several images at a time.
     """
     before = _parallel.requested_threads()
     if num_threads is not None:
@@ -39,7 +39,7 @@ def thread_scope(num_threads: int | None = None, *, opencv_alone: bool = False) 
 
 @contextmanager
 def opencv_in_one_thread() -> Iterator[None]:
-    """Hold OpenCV to the calling thread.
+    """Limit OpenCV to the calling thread.
 
     The setting is global: the first to enter sets it, the last to leave restores it.
     """

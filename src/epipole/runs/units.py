@@ -1,8 +1,8 @@
-"""Units of work: each makes one file from its inputs, and is skipped when that file is already there.
+"""Units of work: each writes one file from its inputs, and is skipped if that file already exists.
 
-A unit's key is a digest of everything its result depends on. The file (an npz archive) holds the key, and ends with a
-digest of its own bytes. It is written under another name and then renamed. So a killed run leaves complete files only, a
-changed option repeats only what depends on it, and a damaged file is made again.
+A unit's key is a digest of everything its result depends on. The file (an npz archive) contains the key, and ends with
+a digest of its bytes. It is written under another name and then renamed. A killed run therefore leaves only complete
+files, a changed option recomputes only what depends on it, and a damaged file is recomputed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from zipfile import ZipFile
 import numpy as np
 
 from epipole import _parallel
-from epipole._declared.tables import TEXT, Arrays, Expected, Table
+from epipole._checks.tables import TEXT, Arrays, Expected, Table
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io.array_files import checked_arrays, read_archive
 from epipole.io.atomic import atomic_write
@@ -35,7 +35,7 @@ _KEY = {"key": Expected(TEXT)}
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """One piece of work: path = store(work(payload)), to be done unless the file holds this key."""
+    """A piece of work, path = store(work(payload)), to be done unless the file has this key."""
 
     path: Path
     key: str
@@ -43,7 +43,7 @@ class Unit:
     """A module-level function, so that another process can call it."""
     payload: Any
     size: int = 1
-    """What it counts in the progress: the pairs of a block, for one."""
+    """Weight in the progress, such as the number of pairs in a block."""
 
 
 def digest(*parts: object) -> str:
@@ -66,12 +66,12 @@ def run_units(
     executor: ExecutorChoice = "threads",
     progress: ProgressCallback = ignore_progress,
 ) -> int:
-    """Run the units whose files are missing or stale; returns how many were run.
+    """Run the units whose files are missing or stale; returns the number of units run.
 
-    After an error or an interrupt no further unit is started, the running ones finish, and it is raised.
+    After an error or an interrupt, no further unit is started, running ones finish, and the error is raised.
 
     Raises:
-        WorkspaceError: a result cannot be written, or the executor's workers have died.
+        WorkspaceError: a result cannot be written, or the executor's workers died.
     """
     waiting = [unit for unit in units if not is_done(unit.path, unit.key)]
     total = sum(unit.size for unit in units)
@@ -85,7 +85,7 @@ def run_units(
 
 
 def remove_other_results(folder: Path, units: Sequence[Unit]) -> None:
-    """Remove the results in a folder that none of these units has made: those of other options and inputs."""
+    """Remove results in a folder that do not belong to these units, left by other options and inputs."""
     made = {unit.path.name for unit in units}
     for path in sorted(folder.glob("*.npz")):
         if path.name not in made and not path.is_symlink() and stored_key(path):
@@ -93,14 +93,13 @@ def remove_other_results(folder: Path, units: Sequence[Unit]) -> None:
 
 
 def _shared_out(pool: Executor, units: Sequence[Unit]) -> Iterator[int]:
-    """The size of each unit when it is done."""
     futures = [pool.submit(do_unit_as_worker, unit) for unit in units]
     try:
         for future in as_completed(futures):
             yield future.result()
     except BrokenExecutor as error:
         raise WorkspaceError(
-            "the processes that share the work ended early: out of memory, or a script that starts them "
+            "the worker processes died: out of memory, or a script that starts them "
             "outside `if __name__ == '__main__':`"
         ) from error
     finally:
@@ -115,7 +114,7 @@ def do_unit(unit: Unit) -> int:
 
 
 def do_unit_as_worker(unit: Unit) -> int:
-    """`do_unit` in one of many workers: parallel work inside it runs inline, libraries use one thread."""
+    """`do_unit` in a pool worker: nested parallel work runs inline, libraries use one thread."""
     with _parallel.inline_here(), opencv_in_one_thread(), _parallel.single_threaded_blas():
         return do_unit(unit)
 
@@ -130,7 +129,7 @@ def store(path: Path, key: str, arrays: Arrays) -> None:
         with aside.open("wb") as file:
             np.savez(file, key=np.array(key), **arrays)  # type: ignore[arg-type]
         with ZipFile(aside, "a") as archive:
-            archive.comment = bytes(_SEAL_BYTES)  # stands at the end of the file
+            archive.comment = bytes(_SEAL_BYTES)  # stored at the end of the file
         with aside.open("r+b") as file:
             seal = _digest_of_file(file)
             file.seek(-_SEAL_BYTES, os.SEEK_END)
@@ -142,12 +141,12 @@ def load(path: Path, table: Table, *names: str, **sizes: int) -> Arrays:
 
     Args:
         path: the file.
-        table: what such a file holds.
-        names: of the arrays that are read; all of the table if none is named.
-        sizes: lengths of axes of the table that are known.
+        table: the expected arrays of such a file.
+        names: arrays to read; all of the table if none is given.
+        sizes: known lengths of the table's axes.
 
     Raises:
-        WorkspaceError: the file is missing or damaged, or holds other arrays.
+        WorkspaceError: the file is missing or damaged, or has other arrays.
     """
     wanted = {name: replace(table[name], is_optional=False) for name in names} if names else table
     try:
@@ -159,10 +158,10 @@ def load(path: Path, table: Table, *names: str, **sizes: int) -> Arrays:
 
 
 def _stored(path: Path, table: Table, *names: str) -> Arrays:
-    """Arrays as they are stored, without packing: one that is packed may stand for gigabytes.
+    """Read arrays stored without compression: compressed ones can expand to gigabytes.
 
     Raises:
-        FileFormatError: the file is missing or damaged, or larger when it is unpacked.
+        FileFormatError: the file is missing or damaged, or larger when unpacked.
     """
     num_bytes = require_file(path)
     with open_file(path) as stream:
@@ -170,7 +169,7 @@ def _stored(path: Path, table: Table, *names: str) -> Arrays:
 
 
 def is_done(path: Path, key: str) -> bool:
-    """Whether a file holds the result of this key, every byte as it was written."""
+    """Whether a file has the result of this key, with every byte intact."""
     return stored_key(path) == key and _is_whole(path)
 
 
@@ -194,7 +193,7 @@ def _is_whole(path: Path) -> bool:
 
 
 def _digest_of_file(file: BinaryIO) -> bytes:
-    """Of all bytes but the last, which are left to be read: the place of the seal."""
+    """Digest of all bytes before the seal; leaves the file position at the seal."""
     state = hashlib.blake2b(digest_size=_SEAL_BYTES)
     left = file.seek(0, os.SEEK_END) - _SEAL_BYTES
     file.seek(0)

@@ -9,7 +9,7 @@ from pathlib import PurePath
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.cameras import Camera
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3

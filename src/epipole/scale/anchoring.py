@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.config import AnchorOptions
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Similarity3, align_points

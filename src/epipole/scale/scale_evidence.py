@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.config import ANCHOR_FILES, AnchorOptions, BoardConfig
 from epipole.errors import DegenerateGeometryError, FileFormatError
 from epipole.features.boards import corners_on_board, find_board

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.scale.scale_agreement import ScaleEstimate
 

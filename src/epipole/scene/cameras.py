@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int32
 
-from epipole._declared import check_fields, checked
+from epipole._checks import check_fields, checked
 from epipole.cameras import MAX_PARAMS, Camera, CameraModel
 from epipole.errors import ConfigError
 

@@ -8,7 +8,7 @@ from enum import IntEnum
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from epipole._declared import Declared
+from epipole._checks import Declared
 from epipole.scene.notebook import table_html
 
 

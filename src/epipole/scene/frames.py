@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int32
 
-from epipole._checks import check_count
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, check_count, checked
 from epipole.geometry import Rigid3
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
-from epipole._declared import Declared, check_fields, checked
+from epipole._checks import Declared, check_fields, checked
 from epipole.errors import ShapeError
 from epipole.scene.notebook import table_html
 

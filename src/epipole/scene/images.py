@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
-from epipole._checks import check_index
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, check_index, checked
 
 
 @dataclass(frozen=True, slots=True, eq=False)

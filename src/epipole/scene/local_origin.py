@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import checked
+from epipole._checks import checked
 
 ORIGIN = "origin_in_world"
 """Name of the offset in a file's header or metadata; add it to the file's coordinates."""

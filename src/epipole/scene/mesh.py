@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
-from epipole._checks import check_indices
-from epipole._declared import Declared, check_fields
+from epipole._checks import Declared, check_fields, check_indices
 
 
 @dataclass(frozen=True, slots=True, eq=False)

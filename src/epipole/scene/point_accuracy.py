@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.robust.triangulate import covariances_of_information
 from epipole.scene.reconstruction import Reconstruction
 

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from epipole._checks import as_float_array, as_table
-from epipole._declared import Declared
+from epipole._checks import Declared, as_float_array, as_table
 from epipole.errors import ShapeError
 
 

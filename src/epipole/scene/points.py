@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int32, Int64, UInt8
 
-from epipole._declared import Declared
+from epipole._checks import Declared
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64
 
-from epipole._checks import check_indices, check_offsets
-from epipole._declared import check_fields, checked
+from epipole._checks import check_fields, check_indices, check_offsets, checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, Similarity3

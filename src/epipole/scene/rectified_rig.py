@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float64
 
-from epipole._declared import check_fields, checked
+from epipole._checks import check_fields, checked
 from epipole.errors import ConfigError
 
 _NEAREST, _FARTHEST = 8.0, 800.0  # baselines

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import check_fields, checked
+from epipole._checks import check_fields, checked
 from epipole.cameras import MAX_PARAMS, Camera
 from epipole.cameras.image_fit import fitted_camera
 from epipole.errors import ConfigError, ShapeError

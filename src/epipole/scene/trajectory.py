@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from epipole._declared import check_fields, checked
+from epipole._checks import check_fields, checked
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3
 from epipole.scene.notebook import table_html

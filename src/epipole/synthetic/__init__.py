@@ -1,4 +1,4 @@
-"""Synthetic scenes with exact places and depth, and geometry problems with known answers."""
+"""Synthetic scenes with exact poses and depth, and geometry problems with known answers."""
 
 from epipole.synthetic.courtyard import courtyard as courtyard
 from epipole.synthetic.courtyard import courtyard_views as courtyard_views

@@ -1,4 +1,4 @@
-"""Ray casting: the nearest surface along every ray of an image, its colour and its distance."""
+"""Ray casting: the nearest surface along every ray of an image, its color and distance."""
 
 import math
 
@@ -39,7 +39,7 @@ def _trace(kinds, params, seeds, ox, oy, oz, dx, dy, dz, normal, trial):
             best, hit = t, n
             for c in range(3):
                 normal[c] = trial[c]
-    for n in range(len(kinds)):  # last: the march ends at what stands before the ground
+    for n in range(len(kinds)):  # last: the march ends at the nearest hit in front of the ground
         if kinds[n] == HEIGHT_FIELD and not _misses(params[n], dx, dy, dz):
             t = hit_height_field(params[n], ox, oy, oz, dx, dy, dz, seeds[n], best, trial)
             if t < best:
@@ -51,10 +51,10 @@ def _trace(kinds, params, seeds, ox, oy, oz, dx, dy, dz, normal, trial):
 
 @kernel(allocates=True)
 def _prepared(kinds, params, o):
-    """Parameters with what every ray from o would compute again.
+    """Parameters with precomputed values common to all rays from o.
 
-    From column 11: the centre from o, and |centre - o|^2 - R^2 for the ball of radius R that holds the primitive;
-    a box's cosine and sine in 7 and 8, the steepest slope of a ground in 7.
+    Columns 11 to 14: center - o, and |center - o|^2 - R^2 for the bounding sphere of radius R. Columns 7 and 8: cosine and sine of a
+    box's angle. Column 7: steepest slope of a height field.
     """
     out = np.zeros((len(kinds), 15))
     out[:, : params.shape[1]] = params
@@ -80,21 +80,21 @@ def _prepared(kinds, params, o):
 
 @kernel
 def _misses(p, dx, dy, dz):
-    """Whether a ray (unit direction) from outside passes by the ball around a primitive."""
+    """Whether a ray (unit direction) from outside misses the bounding sphere of a primitive."""
     along = p[11] * dx + p[12] * dy + p[13] * dz
     return p[14] > 0.0 and (along < 0.0 or along * along < p[14])
 
 
 @kernel
 def _rotated(motion, x, y, z, d):
-    """World direction d of a direction in camera coordinates."""
+    """Rotate a direction from camera to world coordinates, into d."""
     for c in range(3):
         d[c] = motion[c] * x + motion[3 + c] * y + motion[6 + c] * z
 
 
 @kernel
 def _render_row(model, camera_params, motion, prepared, v, row):
-    """Rays of the pixels (-1, v) to (w, v) and what they meet; row: rays (camera coordinates), hits, surfaces.
+    """Trace the pixels (-1, v) to (w, v) into row: rays (camera coordinates), hits, surfaces.
 
     A surface is the point (0:3), the normal (3:6) and the distance (6).
     """
@@ -113,7 +113,7 @@ def _render_row(model, camera_params, motion, prepared, v, row):
 
 @kernel
 def _is_inside(above, here, below, u):
-    """Whether pixel u - 1 and its four neighbours meet one primitive, on one side of it."""
+    """Whether pixel u - 1 and its four neighbors hit the same primitive on the same side."""
     hit, normal = here[1][u], here[2][u, 3:6]
     for hits, surfaces, n in (
         (above[1], above[2], u),
@@ -130,7 +130,7 @@ def _is_inside(above, here, below, u):
 
 @kernel
 def _on_tangent_plane(surface, o, d):
-    """Distance along the ray (o, d) to the tangent plane of a surface; infinite where it runs along it."""
+    """Distance along the ray (o, d) to the tangent plane of a surface; infinite for a parallel ray."""
     facing, along = 0.0, 0.0
     for c in range(3):
         facing += surface[3 + c] * d[c]
@@ -140,9 +140,9 @@ def _on_tangent_plane(surface, o, d):
 
 @kernel
 def _ray_beside(model, camera_params, motion, above, here, below, u, v, du, dv, d):
-    """World direction d of the ray of (u + du, v + dv), from the rays of the rows around; False where there is none.
+    """World direction d of the ray of (u + du, v + dv), interpolated from neighboring rays; False if there is none.
 
-    Interpolation is exact to second order; at the rim of the lens, where a neighbour has no ray, the lens is asked.
+    Interpolation is exact to second order. Where a neighbor has no ray, at the border of the field of view, the pixel is unprojected.
     """
     x = here[u + 1, 0] + 0.5 * (du * (here[u + 2, 0] - here[u, 0]) + dv * (below[u + 1, 0] - above[u + 1, 0]))
     y = here[u + 1, 1] + 0.5 * (du * (here[u + 2, 1] - here[u, 1]) + dv * (below[u + 1, 1] - above[u + 1, 1]))
@@ -158,7 +158,7 @@ def _ray_beside(model, camera_params, motion, above, here, below, u, v, du, dv, 
 
 @kernel
 def _light_on(light, normal, d):
-    """Brightness of a surface seen along d, and the cosine between both."""
+    """Brightness of a surface, and the cosine between its normal and the viewing direction d."""
     facing = normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2]
     side = -1.0 if facing > 0.0 else 1.0
     shine = side * (normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2])
@@ -167,7 +167,7 @@ def _light_on(light, normal, d):
 
 @kernel
 def _texture_position(kind, texture, p, tile, x, y, z, position):
-    """Where in the solid texture a point of a surface lies: in the world, or, tiled, in the surface's own axes."""
+    """Coordinates of a surface point in the solid texture: in the world, or for TILED in the surface's own axes."""
     position[0], position[1], position[2] = x, y, z
     if texture != TILED or not tile > 0.0:
         return
@@ -183,7 +183,7 @@ def _texture_position(kind, texture, p, tile, x, y, z, position):
     else:
         position[0], position[1], position[2] = x, y, z
     for c in range(3):
-        position[c] += 0.137 * tile  # a face at zero would lie on the seam
+        position[c] += 0.137 * tile  # keeps a face at zero off the seam
         position[c] -= tile * math.floor(position[c] / tile)
 
 
@@ -194,13 +194,13 @@ def _row(width):
 
 @kernel(allocates=True)
 def render_rows(scene, model, camera_params, motion, start, stop, width, rgb, depth):
-    """Rows start..stop of an image: rgb (h, w, 3) in [0, 1], four samples a pixel; depth of the pixel's centre.
+    """Rows start..stop of an image: rgb (h, w, 3) in [0, 1] with four samples per pixel, and the depth at the pixel center.
 
-    Colours are added to what rgb holds, so that several exposures make a sum.
+    Colors are added to rgb, so that several exposures accumulate.
 
-    Smooth texture is computed once a pixel, at the centre: it has no detail finer than two footprints. Edges of
-    cells are sampled four times; so are edges of things, while inside one the samples lie on the tangent plane of
-    the centre (exact but for terms of second order in the quarter of a pixel).
+    Smooth texture is computed once per pixel, at its center: it has no detail finer than two footprints. Edges of cells and of objects
+    are sampled four times; inside an object the samples lie on the tangent plane at the center (exact up to terms of second order in a
+    quarter pixel).
     """
     kinds, given, textures, colors, seeds, light = scene
     normal, trial, d, o = np.empty(3), np.empty(3), np.empty(3), np.empty(3)

@@ -1,8 +1,8 @@
-"""Surfaces: where a ray meets a plane, box, sphere or height field, and solid textures.
+"""Surfaces: intersections of rays with planes, boxes, spheres and height fields, and solid textures.
 
-The texture is a sum of octaves of value noise on hashed lattices (Perlin 1985 for the idea, a 64-bit mix for the
-hash) and of hashed cells with hard edges. An octave fades out when its wavelength falls below two footprints of
-a pixel, as a lens and a sensor would blur it: without this, details would jump from view to view.
+The texture is a sum of octaves of value noise on hashed lattices (Perlin 1985 for the idea, a 64-bit mix for the hash) and of hashed
+cells with hard edges. An octave fades out when its wavelength falls below two pixel footprints, like the blur of optics and sensor;
+otherwise details would alias between views.
 """
 
 import math
@@ -60,14 +60,14 @@ def _noise_2d(x, y, seed):
 
 @kernel
 def height_at(x, y, amplitude, wavelength, seed):
-    """Height of a rolling ground: two octaves of noise."""
+    """Height of a wavy ground: two octaves of noise."""
     broad = _noise_2d(x / wavelength, y / wavelength, seed)
     return amplitude * (broad + 0.35 * _noise_2d(2.7 * x / wavelength, 2.7 * y / wavelength, seed + 1))
 
 
 @kernel
 def fill_noise(seed, x, y, z, footprint, out):
-    """The smooth part of the rich texture, for a pixel that covers `footprint` metres of it."""
+    """The smooth part of the rich texture, for a pixel that covers `footprint` meters."""
     out[:] = 0.0
     wavelength, weight = 1.3, 0.30
     for octave in range(NUM_OCTAVES):
@@ -81,8 +81,8 @@ def fill_noise(seed, x, y, z, footprint, out):
 
 @kernel
 def add_cells(seed, x, y, z, footprint, out):
-    """The part with hard edges: a quarter of hashed cells, in four sizes."""
-    # Cells stand askew, so that none lies along a wall.
+    """The part with hard edges: a random quarter of the cells, in four sizes."""
+    # Cells are rotated, so that none is aligned with a wall.
     p = 0.80 * x + 0.53 * y + 0.28 * z
     q = -0.56 * x + 0.83 * y + 0.04 * z
     r = -0.21 * x - 0.19 * y + 0.96 * z
@@ -106,7 +106,7 @@ def add_cells(seed, x, y, z, footprint, out):
 
 @kernel
 def add_color(color, texture, light, weight, rgb):
-    """Rgb += weight * the lit colour of a surface whose texture adds `texture` to its own colour."""
+    """Rgb += weight * the shaded color of a surface, with `texture` added to its base color."""
     mean = (texture[0] + texture[1] + texture[2]) / 3.0
     for c in range(3):
         rgb[c] += weight * min(1.0, max(0.0, (color[c] + 0.8 * mean + 0.2 * texture[c]) * light))
@@ -114,7 +114,7 @@ def add_color(color, texture, light, weight, rgb):
 
 @kernel
 def hit_plane(p, ox, oy, oz, dx, dy, dz, normal):
-    """Distance along the ray to a plane, and its normal there; infinite for none."""
+    """Distance along the ray to a plane, infinite if missed; writes the normal."""
     nx, ny, nz = p[4] * p[8] - p[5] * p[7], p[5] * p[6] - p[3] * p[8], p[3] * p[7] - p[4] * p[6]
     facing = nx * dx + ny * dy + nz * dz
     if abs(facing) < 1e-12:
@@ -131,7 +131,7 @@ def hit_plane(p, ox, oy, oz, dx, dy, dz, normal):
 
 @kernel
 def hit_box(p, ox, oy, oz, dx, dy, dz, normal):
-    """Slabs (Kay and Kajiya 1986) in the box's own axes: turned about z by an angle of cosine p[7], sine p[8]."""
+    """Distance along the ray to a box, by slabs (Kay and Kajiya 1986) in its own axes (cosine p[7] and sine p[8] of the angle)."""
     cos, sin = p[7], p[8]
     rx, ry = ox - p[0], oy - p[1]
     lx, ly, lz = cos * rx + sin * ry, -sin * rx + cos * ry, oz - p[2]
@@ -157,7 +157,7 @@ def hit_box(p, ox, oy, oz, dx, dy, dz, normal):
 
 @kernel
 def hit_sphere(p, ox, oy, oz, dx, dy, dz, normal):
-    """Distance along the ray to a sphere, and its normal there; infinite for none."""
+    """Distance along the ray to a sphere, infinite if missed; writes the normal."""
     rx, ry, rz = ox - p[0], oy - p[1], oz - p[2]
     b = rx * dx + ry * dy + rz * dz
     root = b * b - (rx * rx + ry * ry + rz * rz - p[3] * p[3])
@@ -172,10 +172,10 @@ def hit_sphere(p, ox, oy, oz, dx, dy, dz, normal):
 
 @kernel
 def hit_height_field(p, ox, oy, oz, dx, dy, dz, seed, nearest, normal):
-    """March down to the first point below the ground, no farther than `nearest`, then halve by the secant rule.
+    """Distance along the ray to a height field: march to the first point below it, up to `nearest`, then refine by the secant rule.
 
-    The ground is never steeper than p[7], so that a step of gap / (fall + steepness * way) cannot cross it; steps
-    that short in the end are lengthened a little, for the secant needs a point below.
+    The slope is at most p[7], so a step of gap / (fall + slope * horizontal distance) cannot cross the ground. Steps have a lower
+    bound, since the secant rule needs a point below.
     """
     if dz >= -1e-9:
         return math.inf
@@ -195,7 +195,7 @@ def hit_height_field(p, ox, oy, oz, dx, dy, dz, seed, nearest, normal):
             continue
         t = high
         for k in range(30):
-            # Alternate the secant's point with the middle: sure and fast.
+            # Alternate secant and bisection, for safe and fast convergence.
             fraction = above / (above - below) if k % 3 and above > below else 0.5
             t = low + fraction * (high - low)
             gap = oz + t * dz - p[2] - height_at(ox + t * dx, oy + t * dy, p[5], p[6], seed)

@@ -1,4 +1,4 @@
-"""The scene of the demo and the tests: a small courtyard, and places from which to photograph it."""
+"""The scene of the demo and the tests: a small courtyard, and camera poses around it."""
 
 from __future__ import annotations
 
@@ -6,19 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from epipole._checks import as_vector, check_count
-from epipole._declared import checked
+from epipole._checks import as_vector, check_count, checked
 from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.geometry import Rigid3
 from epipole.synthetic.scene import Box, HeightField, Plane, Sphere, SyntheticScene
 
 
 def look_at(center: Any, target: Any, up: Any = (0.0, 0.0, 1.0)) -> Rigid3:
-    """cam_from_world of a camera at `center` that looks at `target` and holds `up` upwards in the image.
+    """cam_from_world of a camera at `center` that looks at `target`, with `up` pointing upwards in the image.
 
     Raises:
-        ShapeError: one is no vector (3,).
-        DegenerateGeometryError: centre and target coincide, or lie one above the other along `up`.
+        ShapeError: an argument is not a vector (3,).
+        DegenerateGeometryError: `center` and `target` coincide, or the viewing direction is parallel to `up`.
     """
     center = as_vector(center, "center")
     forward = as_vector(target, "target") - center
@@ -31,7 +30,7 @@ def look_at(center: Any, target: Any, up: Any = (0.0, 0.0, 1.0)) -> Rigid3:
 
 
 def courtyard() -> SyntheticScene:
-    """A ground, two walls in a corner, crates and balls: about five metres across."""
+    """Ground, two walls in a corner, crates and balls, about five meters across."""
     return SyntheticScene.of(
         [
             Plane(
@@ -56,10 +55,10 @@ def courtyard() -> SyntheticScene:
 
 @checked
 def courtyard_views(num_views: int = 24) -> Rigid3:
-    """Places on an arc of 100 degrees before the corner, at varying heights, all looking at its middle.
+    """cam_from_world on an arc of 100 degrees in front of the corner, at varying heights, looking at its center.
 
     Raises:
-        ConfigError: no view is asked for.
+        ConfigError: num_views is less than 1.
     """
     if num_views < 1:
         raise ConfigError(f"num_views must be at least 1, got {num_views}")

@@ -1,4 +1,4 @@
-"""A path with what an inertial unit on it measures, and the truth of both."""
+"""Trajectories with simulated IMU measurements and ground truth."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.inertial import ImuLog, ImuNoise
@@ -20,20 +20,20 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InertialPath:
-    """Poses up to scale, measurements, and what is to be found."""
+    """Poses up to scale, IMU measurements, and the true values to estimate."""
 
     timestamp_s: Float64[np.ndarray, " n"]
     world_from_camera: Rigid3
-    """With the noise asked for."""
+    """Noisy poses, up to scale."""
     log: ImuLog
     camera_from_imu: Rigid3
     scale: float
-    """Metres of the poses' unit."""
+    """Meters per unit of the poses."""
     gravity_in_world: Float64[np.ndarray, " 3"]
     velocity_in_world: Float64[np.ndarray, "n 3"]
-    """Of the unit, m / s."""
+    """Of the IMU, in m / s."""
     gyro_bias: Float64[np.ndarray, " 3"]
-    """Mean over the path."""
+    """Mean over the trajectory."""
     accel_bias: Float64[np.ndarray, " 3"]
     noise: ImuNoise = field(default_factory=ImuNoise)
 
@@ -48,21 +48,21 @@ def inertial_path(
     constant_velocity: bool = False,
     noise: ImuNoise | None = None,
 ) -> InertialPath:
-    """A hand-held unit: sums of sines in place and rotation, gravity anywhere, biases that walk, a gain that is a little off.
+    """A hand-held IMU: sinusoidal positions and rotations, random gravity direction, random-walk biases, and a small gain error.
 
     Args:
-        seed: of everything that is drawn.
-        seconds: length, from 2 on.
-        position_sigma_m: noise of the places, in metres.
-        rotation_sigma_rad: noise of the rotations.
-        constant_velocity: the place goes on evenly instead; the camera turns as before.
-        noise: of the unit; None: the defaults.
+        seed: random seed.
+        seconds: duration, at least 2.
+        position_sigma_m: noise of the positions, in meters.
+        rotation_sigma_rad: noise of the rotations, in radians.
+        constant_velocity: move at constant velocity instead; the rotation is unchanged.
+        noise: of the IMU; None: the defaults.
 
     Raises:
-        ConfigError: a length or a deviation makes no sense.
+        ConfigError: the duration or a noise is out of range.
     """
     if not 2 <= seconds < 1e4 or not (0 <= position_sigma_m < 1 and 0 <= rotation_sigma_rad < 1):
-        raise ConfigError("seconds must be at least 2, and deviations from 0 to below 1")
+        raise ConfigError("seconds must be at least 2, and noise at least 0 and below 1")
     noise = ImuNoise() if noise is None else noise
     rng = np.random.default_rng([17, seed])
     motion = _Motion(rng, is_even=constant_velocity)
@@ -100,23 +100,23 @@ def imu_along(
     noise: ImuNoise | None = None,
     gravity_in_world: tuple[float, float, float] = (0.0, 0.0, -GRAVITY),
 ) -> ImuLog:
-    """What a unit measures whose camera goes smoothly through places, on splines between them.
+    """Measurements of an IMU mounted on a camera that moves along splines through given poses.
 
     Args:
-        timestamp_s: rising times of the places.
-        world_from_camera: the places, in metres.
-        camera_from_imu: how the unit is mounted.
-        seed: of noise, biases and gain.
-        noise: of the unit; None: the defaults.
-        gravity_in_world: m / s^2.
+        timestamp_s: increasing times of the poses.
+        world_from_camera: the poses, in meters.
+        camera_from_imu: mounting of the IMU.
+        seed: random seed of noise, biases and gain.
+        noise: of the IMU; None: the defaults.
+        gravity_in_world: in m / s^2.
 
     Raises:
-        ShapeError: there are fewer than four places, or times do not rise.
+        ShapeError: there are fewer than four poses, or times do not increase.
     """
     if len(timestamp_s) < 4 or world_from_camera.batch_shape() != timestamp_s.shape:
-        raise ShapeError(f"four or more times with as many places are needed, got {len(timestamp_s)}")
+        raise ShapeError(f"at least four times with one pose each are needed, got {len(timestamp_s)} times")
     if not (np.diff(timestamp_s) > 0).all():
-        raise ShapeError("times of places must rise")
+        raise ShapeError("timestamp_s must increase")
     noise = ImuNoise() if noise is None else noise
     unit = world_from_camera @ camera_from_imu
     times = np.arange(timestamp_s[0], timestamp_s[-1], 1.0 / RATE_HZ)
@@ -130,7 +130,7 @@ def imu_along(
 def _noisy(
     rng: np.random.Generator, times: np.ndarray, rotating: np.ndarray, force: np.ndarray, noise: ImuNoise
 ) -> tuple[ImuLog, np.ndarray, np.ndarray]:
-    """With a gain, biases that walk, and white noise; and the biases of gyroscope and accelerometer."""
+    """Measurements with a gain error, random-walk biases and white noise; and the biases of gyroscope and accelerometer."""
     gain = 1.0 + noise.accel_gain_sigma * rng.normal()
     gyro_bias = _walk(rng, 0.02, noise.gyro_walk, len(times))
     accel_bias = _walk(rng, 0.1, noise.accel_walk, len(times))
@@ -146,7 +146,7 @@ def _walk(rng: np.random.Generator, size: float, density: float, count: int) -> 
 
 
 class _Motion:
-    """A smooth motion, and its derivatives by differences."""
+    """A smooth motion and its derivatives."""
 
     def __init__(self, rng: np.random.Generator, *, is_even: bool) -> None:
         self._size = np.zeros(3) if is_even else rng.uniform(0.3, 0.8, 3)
@@ -164,7 +164,7 @@ class _Motion:
         return self._size * self._rate * np.cos(self._rate * t + self._phase) + self._speed
 
     def measured(self, times: np.ndarray, gravity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Angular velocity, and specific force R^T (a - g)."""
+        """Angular velocity and specific force R^T (a - g)."""
         before, after = self.position(times - STEP_S), self.position(times + STEP_S)
         rotating = (Rotation3(before.rotation).inverse() @ Rotation3(after.rotation)).log() / (2 * STEP_S)
         swing = -self._size * self._rate**2 * np.sin(self._rate * times[:, None] + self._phase)

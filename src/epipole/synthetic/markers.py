@@ -1,4 +1,4 @@
-"""Things of known size for synthetic scenes: AprilTags, ArUco markers and chessboards, as sheets of white with black planes."""
+"""Objects of known size for synthetic scenes: AprilTags, ArUco markers and chessboards, as white sheets with black planes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.config import check_dictionary
 from epipole.errors import ConfigError
 from epipole.synthetic.scene import Plane, Primitive, Texture, Vector
@@ -15,21 +15,21 @@ from epipole.synthetic.scene import Plane, Primitive, Texture, Vector
 _opencv: Any = cv2  # its stubs lack parts of aruco
 WHITE, BLACK = (0.92, 0.92, 0.92), (0.04, 0.04, 0.04)
 LIFT = 1e-4
-"""Metres by which what is black stands before the sheet."""
+"""Distance of the black planes in front of the sheet, in meters."""
 
 
 @checked
 def tag_sheet(
     number: int, side: float, center: Vector, right: Vector, down: Vector, dictionary: str = "APRILTAG_36h11"
 ) -> list[Primitive]:
-    """A marker on a white sheet; `side` is that of its black square.
+    """A marker on a white sheet.
 
     Args:
-        number: of the marker.
-        side: of the black square, in metres.
+        number: marker id.
+        side: of the black square, in meters.
         center: of the sheet.
-        right: unit direction in which the marker is read.
-        down: unit direction down the marker, orthogonal to it; it is seen from where right is right and down is down.
+        right: unit direction to the right in the marker.
+        down: unit direction down the marker, orthogonal to `right`; the marker is visible from the side where these hold.
         dictionary: OpenCV's name without DICT_.
 
     Raises:
@@ -38,7 +38,7 @@ def tag_sheet(
     check_dictionary(dictionary)
     known = _opencv.aruco.getPredefinedDictionary(getattr(_opencv.aruco, f"DICT_{dictionary}"))
     if not 0 <= number < len(known.bytesList) or not 0 < side < np.inf:
-        raise ConfigError(f"{dictionary} has no marker {number}, or the side is not positive: {side}")
+        raise ConfigError(f"{dictionary} has no marker {number}, or side is not positive, got {side}")
     cells = int(known.markerSize) + 2
     pattern = _opencv.aruco.generateImageMarker(known, number, cells, borderBits=1) > 0
     return _sheet(pattern, side / cells, center, (right, down))
@@ -48,29 +48,29 @@ def tag_sheet(
 def chessboard_sheet(
     columns: int, rows: int, square: float, center: Vector, right: Vector, down: Vector
 ) -> list[Primitive]:
-    """A chessboard of inner corners `columns` x `rows` on a white sheet.
+    """A chessboard with `columns` x `rows` inner corners on a white sheet.
 
     Args:
         columns: inner corners in a row.
         rows: inner corners in a column.
-        square: side of a square, in metres.
+        square: side of a square, in meters.
         center: of the board.
         right: unit direction along its rows.
-        down: unit direction along its columns, orthogonal to it.
+        down: unit direction along its columns, orthogonal to `right`.
 
     Raises:
-        ConfigError: there are no corners, or the side is not positive.
+        ConfigError: a number of corners is not 1 to 100, or the side is not positive.
     """
     if min(columns, rows) < 1 or max(columns, rows) > 100 or not 0 < square < np.inf:
         raise ConfigError(
-            f"a chessboard has 1 to 100 corners a side and squares with one, got {columns} x {rows}"
+            f"a chessboard needs 1 to 100 inner corners per side and a positive square size, got {columns} x {rows}"
         )
     down_row, right_row = np.indices((rows + 1, columns + 1))
     return _sheet((down_row + right_row) % 2 == 1, square, center, (right, down))
 
 
 def _sheet(is_white: np.ndarray, cell: float, center: Vector, axes: tuple[Vector, Vector]) -> list[Primitive]:
-    """Runs of black cells before a white sheet, which is a cell wider on every side."""
+    """Runs of black cells in front of a white sheet, which has a margin of one cell."""
     right, down = np.array(axes[0], np.float64), np.array(axes[1], np.float64)
     middle, towards = np.array(center, np.float64), -np.cross(right, down)
     height, width = is_white.shape

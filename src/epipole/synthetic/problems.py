@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float64, Int32
 
-from epipole._checks import check_count, check_seed
-from epipole._declared import checked
+from epipole._checks import check_count, check_seed, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3, Rotation3
@@ -17,19 +16,19 @@ from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs,
 from epipole.synthetic.courtyard import look_at
 
 NEAR, FAR = 4.0, 9.0
-"""Depths of the points of two views and of resection; the baseline of two views is 1."""
+"""Range of depths in two-view and absolute pose problems; the baseline of two views is 1."""
 RING_RADIUS, BALL_RADIUS = 4.0, 1.0
 DISTORTION = (-0.05, 0.01, 1e-3, -1e-3)
-"""The first coefficients of whichever model a bundle problem uses."""
+"""First distortion coefficients of the camera in bundle problems."""
 _MOST_ROUNDS = 1000
-"""Draws of points for two images; a few do where the images overlap."""
+"""Rounds of sampling points visible in two images; a few suffice if the images overlap."""
 START_TWIST, START_POINT, START_FOCAL = 0.01, 0.02, 0.01
-"""Standard deviations of a bundle problem's start: twist of each camera, points, and focal length (relative)."""
+"""Standard deviations of a bundle problem's initial values: twist of each camera, points, and focal length (relative)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwoViewProblem:
-    """Matches between two images; an outlier's second pixel lies anywhere in the image."""
+    """Matches between two images; the second pixel of an outlier is random."""
 
     pixels1: Float64[np.ndarray, "n 2"]
     pixels2: Float64[np.ndarray, "n 2"]
@@ -39,14 +38,14 @@ class TwoViewProblem:
     camera1: Camera
     camera2: Camera
     points_in_cam1: Float64[np.ndarray, "n 3"]
-    """What pixels1 sees, of outliers too."""
+    """Points at pixels1, of outliers too."""
     plane_mask: Bool[np.ndarray, " n"]
-    """Which of these lie on the plane, if the scene has one."""
+    """Points on the plane, if the scene has one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AbsolutePoseProblem:
-    """Points and their pixels; an outlier's pixel lies anywhere in the image."""
+    """Points and their pixels; the pixel of an outlier is random."""
 
     points_in_world: Float64[np.ndarray, "n 3"]
     pixels: Float64[np.ndarray, "n 2"]
@@ -57,7 +56,7 @@ class AbsolutePoseProblem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReconstructionProblem:
-    """A true model whose keypoints are noisy, and a start with the same keypoints and tracks."""
+    """The true model with noisy keypoints, and a perturbed model with the same keypoints and tracks."""
 
     truth: Reconstruction
     start: Reconstruction
@@ -78,16 +77,16 @@ def two_view_problem(
 
     Args:
         num_matches: inliers and outliers together.
-        outlier_ratio: share of wrong matches.
+        outlier_ratio: fraction of wrong matches.
         noise_px: standard deviation of every coordinate in both images.
-        seed: of everything random.
-        kind: general; planar, all points on one slanted plane; rotation, no baseline; forward, the baseline along
-            the first camera's axis.
+        seed: random seed.
+        kind: general; planar: all points on one slanted plane; rotation: no baseline; forward: the baseline along
+            the first camera's optical axis.
         focal_px: of both cameras.
         size: width and height of both images.
 
     Raises:
-        ConfigError: a value makes no sense.
+        ConfigError: a value is out of range.
     """
     _check(num_matches, outlier_ratio, noise_px, seed)
     return _two_views(_pinhole(focal_px, size), num_matches, outlier_ratio, noise_px, seed, kind)
@@ -101,21 +100,21 @@ def dominant_plane_problem(
     noise_px: float = 0.0,
     seed: int = 0,
 ) -> TwoViewProblem:
-    """`two_view_problem` of a scene most of whose points lie on one slanted plane, and the others anywhere.
+    """`two_view_problem` of a scene with a fraction of its points on one slanted plane.
 
     Args:
         num_matches: inliers and outliers together.
-        plane_fraction: of the points.
-        outlier_ratio: share of wrong matches.
+        plane_fraction: fraction of the points on the plane.
+        outlier_ratio: fraction of wrong matches.
         noise_px: standard deviation of every coordinate in both images.
-        seed: of everything random.
+        seed: random seed.
 
     Raises:
-        ConfigError: a value makes no sense.
+        ConfigError: a value is out of range.
     """
     _check(num_matches, outlier_ratio, noise_px, seed)
     if not 0 <= plane_fraction <= 1:
-        raise ConfigError(f"plane_share must lie in [0, 1], got {plane_fraction}")
+        raise ConfigError(f"plane_fraction must lie in [0, 1], got {plane_fraction}")
     camera = _pinhole(800.0, (1280, 960))
     return _two_views(camera, num_matches, outlier_ratio, noise_px, seed, "planar", plane_fraction)
 
@@ -148,7 +147,7 @@ def _two_views(
         pixels1 = np.concatenate([pixels1, seen1[inside]])[:num_matches]
         pixels2 = np.concatenate([pixels2, seen2[inside]])[:num_matches]
     if len(points) < num_matches:
-        raise ConfigError(f"images of {camera.width} x {camera.height} pixels hardly show a point in common")
+        raise ConfigError(f"images of {camera.width} x {camera.height} pixels have too few points in common")
     pixels1 = pixels1 + noise_px * rng.standard_normal(pixels1.shape)
     pixels2, inlier_mask = _with_noise_and_outliers(rng, camera, pixels2, outlier_ratio, noise_px)
     return TwoViewProblem(pixels1, pixels2, inlier_mask, cam2_from_cam1, camera, camera, points, plane_mask)
@@ -165,19 +164,19 @@ def absolute_pose_problem(
     focal_px: float = 800.0,
     size: tuple[int, int] = (1280, 960),
 ) -> AbsolutePoseProblem:
-    """Points seen by a camera that stands and looks anywhere, at depths of 4 to 9.
+    """Points at depths of 4 to 9, seen by a camera with a random pose.
 
     Args:
         num_points: inliers and outliers together.
-        outlier_ratio: share of wrong pixels.
+        outlier_ratio: fraction of wrong pixels.
         noise_px: standard deviation of every coordinate.
-        seed: of everything random.
-        planar: all points on one slanted plane.
+        seed: random seed.
+        planar: whether all points are on one slanted plane.
         focal_px: of the camera.
         size: width and height of the image.
 
     Raises:
-        ConfigError: a value makes no sense.
+        ConfigError: a value is out of range.
     """
     _check(num_points, outlier_ratio, noise_px, seed)
     rng, camera = np.random.default_rng(seed), _pinhole(focal_px, size)
@@ -201,18 +200,18 @@ def bundle_problem(
     *,
     model: CameraModel = CameraModel.SIMPLE_RADIAL,
 ) -> ReconstructionProblem:
-    """A ring of images of one camera around a ball of points; neighbours on the ring share points.
+    """A ring of images of one camera around a ball of points; neighbors on the ring share points.
 
     Args:
         num_cameras: images on the ring.
-        num_points: in the ball, which hides nothing.
-        track_length: images, next to each other on the ring, that see each point.
+        num_points: points in the ball, without occlusion.
+        track_length: consecutive images on the ring that observe each point.
         noise_px: standard deviation of every keypoint coordinate.
-        seed: of everything random.
-        model: of the camera that took all images.
+        seed: random seed.
+        model: of the camera of all images.
 
     Raises:
-        ConfigError: a value makes no sense.
+        ConfigError: a value is out of range.
     """
     check_count(num_cameras, "num_cameras", 1 << 16)
     _check(num_points, 0.0, noise_px, seed)
@@ -250,7 +249,7 @@ def _direction(rng: np.random.Generator) -> Float64[np.ndarray, " 3"]:
 
 
 def _slanted_normal(rng: np.random.Generator) -> Float64[np.ndarray, " 3"]:
-    """Between about 10 and 30 degrees off the camera's axis."""
+    """11 to 29 degrees from the optical axis."""
     angle = rng.uniform(0.0, 2 * np.pi)
     tilt = rng.uniform(0.2, 0.5)
     return np.array([np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), np.cos(tilt)])
@@ -263,7 +262,7 @@ def _points_in_view(
     plane_normal: np.ndarray | None,
     plane_fraction: float = 1.0,
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
-    """Points in camera coordinates, their exact pixels, spread evenly over the image, and which are on the plane."""
+    """Points in camera coordinates, their exact pixels (uniform over the image), and the mask of those on the plane."""
     pixels = _anywhere(rng, camera, count)
     rays = camera.unproject(pixels)
     rays = rays / rays[:, 2:]
@@ -272,7 +271,7 @@ def _points_in_view(
         plane_mask &= rng.random(count) < plane_fraction
     depth = np.ones(count) if plane_mask.all() else rng.uniform(NEAR, FAR, count)
     if plane_normal is not None:
-        # n . x = n_z (NEAR + FAR) / 2: the plane meets the axis in the middle of the depths.
+        # n . x = n_z (NEAR + FAR) / 2: the plane intersects the optical axis at the mean depth.
         on_plane = 0.5 * (NEAR + FAR) * plane_normal[2] / (rays @ plane_normal)
         depth = np.where(plane_mask, on_plane, depth)
     return rays * depth[:, None], pixels, plane_mask
@@ -326,7 +325,7 @@ def _assemble(
     pixels: np.ndarray,
     track_length: int,
 ) -> Reconstruction:
-    """Observations come in track order; keypoints are stored image by image."""
+    """Observations are in track order; keypoints are stored image by image."""
     num_images, num_points = len(cams_from_world), len(xyz)
     order = np.argsort(image, kind="stable")
     offsets = np.concatenate([[0], np.cumsum(np.bincount(image, minlength=num_images))]).astype(np.int64)
@@ -351,7 +350,7 @@ def _assemble(
 
 
 def _with_errors(model: Reconstruction) -> Reconstruction:
-    """The same model with each point's mean reprojection error (all tracks have one length)."""
+    """The model with each point's mean reprojection error (all tracks have the same length)."""
     if not len(model.points):
         return model
     mean = model.reprojection_errors_px().reshape(len(model.points), -1).mean(axis=1)
@@ -359,7 +358,7 @@ def _with_errors(model: Reconstruction) -> Reconstruction:
 
 
 def _perturbed(truth: Reconstruction, rng: np.random.Generator) -> Reconstruction:
-    """Cameras, points and focal length moved at random; no distortion."""
+    """The model with random errors in poses, points and focal length, and without distortion."""
     twists = START_TWIST * rng.standard_normal((len(truth.frames), 6))
     rig_from_world = Rigid3.exp(twists) @ truth.frames.rig_from_world
     xyz = truth.points.xyz_in_world + START_POINT * rng.standard_normal((len(truth.points), 3))

@@ -1,4 +1,4 @@
-"""Images of a synthetic scene, with exact depth."""
+"""Rendering of synthetic scenes, with exact depth."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from epipole import _parallel
-from epipole._checks import MOST_RENDERED_PIXELS, check_pixels
-from epipole._declared import checked
+from epipole._checks import MOST_RENDERED_PIXELS, check_pixels, checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
@@ -23,30 +22,32 @@ class Rendering:
 
     rgb: UInt8[np.ndarray, "h w 3"]
     depth: Float64[np.ndarray, "h w"]
-    """z in camera coordinates at each pixel's centre; NaN for the sky."""
+    """z in camera coordinates at each pixel's center; NaN for the sky."""
 
 
 @checked
 def render(
     scene: SyntheticScene, camera: Camera, cam_from_world: Rigid3, *, noise_sigma: float = 0.0, seed: int = 0
 ) -> Rendering:
-    """Cast rays through every pixel (four a pixel for the colour, one for the depth).
+    """Render an image by ray casting (four rays per pixel for color, one for depth).
 
     Args:
-        scene: what there is.
+        scene: the scene.
         camera: any model, distortion included.
-        cam_from_world: where the camera stands.
-        noise_sigma: standard deviation of the sensor's noise, in grey levels of 255.
-        seed: of the noise.
+        cam_from_world: a single pose.
+        noise_sigma: standard deviation of the sensor noise, in grey levels of 255.
+        seed: random seed of the noise.
 
     Raises:
-        ConfigError: noise or seed is negative, or the image too large.
-        ShapeError: the camera stands in many places.
+        ConfigError: noise or seed is negative, or the image is too large.
+        ShapeError: cam_from_world is a batch.
     """
     if not 0 <= noise_sigma < np.inf or seed < 0:
         raise ConfigError(f"noise_sigma and seed must not be negative, got {noise_sigma} and {seed}")
     if cam_from_world.batch_shape() != ():
-        raise ShapeError(f"cam_from_world must be a single motion, got {cam_from_world.batch_shape()}")
+        raise ShapeError(
+            f"cam_from_world must be a single pose, got a batch of {cam_from_world.batch_shape()}"
+        )
     rgb, depth = _blank(camera)
     _add_exposure(scene, camera, cam_from_world, rgb, depth)
     levels = np.float32(255.0) * rgb
@@ -60,23 +61,22 @@ def render(
 def render_exposures(
     scene: SyntheticScene, camera: Camera, cam_from_world: Rigid3, *, gain: float = 1.0
 ) -> Rendering:
-    """An image taken while the camera moves: rows are read one after another, light is gathered over time.
+    """Render an image taken by a moving camera, with rolling shutter and motion blur.
 
-    Each row is drawn from the place that the camera has while that row is read, and the mean of several exposures is
-    motion blur. The scene stands still meanwhile.
+    Each row is rendered from the camera's pose at its readout; motion blur is the mean of several exposures. The scene is static.
 
     Args:
-        scene: what there is.
+        scene: the scene.
         camera: any model, distortion included.
-        cam_from_world: places, (exposures, rows); one row instead of the image's height is a global shutter.
-        gain: brightness of the image; what goes beyond white stays white.
+        cam_from_world: poses (exposures, rows); a single row is a global shutter.
+        gain: brightness of the image; values are clipped at white.
 
     Returns:
-        The image, and the depth of its middle exposure, for each row from where the camera was then.
+        The image, and the depth of its middle exposure, each row relative to the pose of that row.
 
     Raises:
-        ConfigError: the gain is negative or not finite, or the image too large.
-        ShapeError: the places are not (exposures, rows), or there are none.
+        ConfigError: the gain is negative or not finite, or the image is too large.
+        ShapeError: the shape of the poses is not (exposures, rows), or there are none.
     """
     if not 0 <= gain < np.inf:
         raise ConfigError(f"gain must not be negative, got {gain}")
@@ -100,7 +100,7 @@ def _blank(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
 def _add_exposure(
     scene: SyntheticScene, camera: Camera, cam_from_world: Rigid3, rgb: np.ndarray, depth: np.ndarray
 ) -> None:
-    """Add an image to rgb and write its depth; of one place, or of as many as there are rows."""
+    """Add an image to rgb and write its depth, with one pose for the image or one per row."""
     height, width = depth.shape
     rotation, translation = cam_from_world.rotation.reshape(-1, 9), cam_from_world.translation.reshape(-1, 3)
     motion = np.concatenate([rotation, translation], axis=1)

@@ -1,4 +1,4 @@
-"""A camera carried through a synthetic scene: its images, one by one, with exact places and depth."""
+"""Image sequences of a camera that moves through a synthetic scene, with exact poses and depth."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from epipole._declared import check_fields, checked
+from epipole._checks import check_fields, checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
@@ -22,22 +22,22 @@ MOST_EXPOSURES = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shutter:
-    """How an image is taken. The row in the middle is exposed around the frame's time."""
+    """Exposure and readout of an image. The exposure of the middle row is centered on the frame's time."""
 
     readout_s: float = 0.0
     """From the first row to the one after the last; 0 is a global shutter."""
     exposure_s: float = 0.0
-    """How long a row gathers light; 0 draws without motion blur."""
+    """Exposure time of a row; 0 means no motion blur."""
     num_exposures: int = 5
-    """Images of which motion blur is the mean."""
+    """Renders averaged for motion blur."""
     noise_sigma: float = 2.0
-    """Standard deviation of the sensor's noise, in grey levels."""
+    """Standard deviation of the sensor noise, in grey levels."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
         check_fields(self)
         for name in ("readout_s", "exposure_s", "noise_sigma"):
@@ -47,7 +47,7 @@ class Shutter:
             raise ConfigError(f"num_exposures must be 1 to {MOST_EXPOSURES}, got {self.num_exposures}")
 
     def times_of(self, timestamp_s: float, num_rows: int) -> Float64[np.ndarray, "exposures rows"]:
-        """Instants at which the rows of a frame are drawn."""
+        """Times at which the rows of a frame are rendered."""
         row = (np.arange(num_rows) - 0.5 * (num_rows - 1)) / num_rows if self.readout_s > 0 else np.zeros(1)
         count = self.num_exposures if self.exposure_s > 0 else 1
         exposure = (np.arange(count) + 0.5) / count - 0.5
@@ -65,18 +65,18 @@ class RideImage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ride:
-    """A rectified pair of cameras on its way. Frames are drawn when they are asked for."""
+    """A moving rectified stereo pair. Frames are rendered on demand."""
 
     name: str
     camera: Camera
     """Left and right."""
     baseline: float
-    """From the left camera to the right one, along its x axis, in metres."""
+    """From the left camera to the right one, along its x axis, in meters."""
     timestamp_s: Float64[np.ndarray, " n"]
     world_from_camera_at: Callable[[np.ndarray], Rigid3] = field(repr=False)
-    """Places of the left camera at instants (k,)."""
+    """Poses of the left camera at times (k,)."""
     scene_at: Callable[[float], SyntheticScene] = field(repr=False)
-    """What stands where at an instant."""
+    """The scene at a time."""
     shutter: Shutter = field(default_factory=Shutter)
     gain: Float64[np.ndarray, " n"] | None = None
     """Brightness of each frame; None for 1."""
@@ -85,12 +85,12 @@ class Ride:
         """Check the values.
 
         Raises:
-            ShapeError: times fall, or there are not as many gains.
-            ConfigError: the baseline is not positive.
+            ShapeError: timestamp_s does not increase, or the number of gains differs.
+            ConfigError: the baseline is not positive and finite.
         """
         check_fields(self)
         if not np.isfinite(self.timestamp_s).all() or (np.diff(self.timestamp_s) <= 0).any():
-            raise ShapeError("timestamp_s must be finite and rise")
+            raise ShapeError("timestamp_s must be finite and increase")
         if not 0 < self.baseline < np.inf:
             raise ConfigError(f"baseline must be positive and finite, got {self.baseline}")
 
@@ -102,11 +102,11 @@ class Ride:
 
     @property
     def world_from_camera(self) -> Rigid3:
-        """(n,) true places of the left camera at the frames' times."""
+        """(n,) true poses of the left camera at the frames' times."""
         return self.world_from_camera_at(self.timestamp_s)
 
     def truth(self) -> Trajectory:
-        """The true path of the left camera."""
+        """The true trajectory of the left camera."""
         return Trajectory(self.timestamp_s, self.world_from_camera)
 
     @checked

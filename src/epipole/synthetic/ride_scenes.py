@@ -1,4 +1,4 @@
-"""The scenes of the rides: rooms and a corridor, z up, metres."""
+"""Scenes of the rides: rooms and a corridor, z up, in meters."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from epipole.synthetic.scene import Box, Plane, Primitive, Sphere, SyntheticScen
 
 WALL_HEIGHT = 2.6
 FURNITURE = (
-    # x, y, half sizes, angle, colour, seed
+    # x, y, half sizes, angle, color, seed
     (2.35, 1.85, (0.40, 0.30, 0.45), 0.3, (0.60, 0.42, 0.26), 31),
     (2.45, -0.30, (0.30, 0.55, 0.38), -0.2, (0.35, 0.50, 0.58), 32),
     (2.20, -1.90, (0.35, 0.30, 0.80), 0.5, (0.55, 0.35, 0.42), 33),
@@ -22,18 +22,18 @@ FURNITURE = (
 
 
 def furnished_room() -> SyntheticScene:
-    """A room of 6 x 5 x 2.6 m about the origin, floor at z = 0: rich walls, white panels and a white ceiling, boxes."""
+    """A room of 6 x 5 x 2.6 m around the origin, floor at z = 0: textured walls, white panels, a white ceiling, boxes."""
     return SyntheticScene.of(furnished_room_things())
 
 
 def furnished_room_things() -> list[Primitive]:
-    """What stands in the furnished room, and its walls."""
+    """Walls and furniture of the furnished room."""
     white = (0.80, 0.79, 0.76)
     things: list[Primitive] = [
         *_walls(6.0, 5.0, ((0.62, 0.50, 0.42), (0.50, 0.56, 0.62), (0.58, 0.58, 0.46), (0.54, 0.46, 0.56))),
         _slab((-3.0, -2.5), (3.0, 2.5), 0.0, (0.44, 0.38, 0.32), Texture.RICH),
         _slab((-3.0, -2.5), (3.0, 2.5), WALL_HEIGHT, white, Texture.PLAIN),
-        # White panels stand a hand's breadth before the walls.
+        # White panels in front of the walls.
         Box(center=(2.94, 0.9, 1.55), half_size=(0.05, 0.65, 0.75), color=white, texture=Texture.PLAIN),
         Box(center=(-1.7, -2.44, 1.6), half_size=(0.8, 0.05, 0.8), color=white, texture=Texture.PLAIN),
         Box(center=(-2.94, 0.8, 1.7), half_size=(0.05, 0.7, 0.6), color=white, texture=Texture.PLAIN),
@@ -46,10 +46,10 @@ def furnished_room_things() -> list[Primitive]:
 
 
 def room_of_four_objects(side: float = 5.0) -> SyntheticScene:
-    """A square room that is the same after every quarter turn: walls and boxes have one texture, the light falls from above.
+    """A square room with fourfold rotational symmetry: walls and boxes share one texture, the light comes from above.
 
     Args:
-        side: length of the walls, in metres.
+        side: length of the walls, in meters.
     """
     wall, half = (0.56, 0.52, 0.48), 0.5 * side
     things: list[Primitive] = [
@@ -79,7 +79,7 @@ def room_of_four_objects(side: float = 5.0) -> SyntheticScene:
 def corridor_with_a_bend() -> SyntheticScene:
     """A corridor 2.2 m wide along +x from -1.8 to 6.6 m, then along +y to 7 m; the wall ahead at the bend is white."""
     rich = [
-        # from, to (x, y), colour
+        # from, to (x, y), color
         ((-1.8, -1.1), (6.6, -1.1), (0.60, 0.52, 0.42)),
         ((-1.8, 1.1), (4.4, 1.1), (0.48, 0.55, 0.60)),
         ((-1.8, -1.1), (-1.8, 1.1), (0.56, 0.44, 0.50)),
@@ -117,7 +117,6 @@ def _wall(
     seed: int = 0,
     texture: Texture = Texture.RICH,
 ) -> Plane:
-    """An upright wall from one place on the floor to another."""
     offset = np.subtract(stop, start)
     length = float(np.linalg.norm(offset))
     return Plane(
@@ -130,7 +129,6 @@ def _wall(
 def _slab(
     low: tuple[float, float], high: tuple[float, float], z: float, color: Vector, texture: Texture
 ) -> Plane:
-    """A floor or ceiling between two corners."""
     return Plane(
         center=(0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), z),
         direction_u=(1, 0, 0), direction_v=(0, 1, 0),
@@ -145,7 +143,7 @@ def _walls(
     texture: Texture = Texture.RICH,
     tile_m: float = 1.0,
 ) -> list[Plane]:
-    """Four walls about the origin, towards +x, +y, -x, -y; tiled ones look the same, rich ones differ."""
+    """Four walls around the origin, at +x, +y, -x, -y; identical if tiled, different if rich."""
     out = []
     for n, color in enumerate(colors):
         angle = 0.5 * np.pi * n

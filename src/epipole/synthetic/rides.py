@@ -1,4 +1,4 @@
-"""Rides: sequences for SLAM with exact truth. Each is drawn frame by frame, in metres, world z up."""
+"""Rides: SLAM sequences with exact ground truth, rendered frame by frame, in meters, world z up."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from epipole._checks import check_count
-from epipole._declared import checked
+from epipole._checks import check_count, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
@@ -23,7 +22,7 @@ from epipole.synthetic.ride_scenes import (
 from epipole.synthetic.scene import Box, SyntheticScene, Texture
 
 FOCAL_FRACTION = 0.7
-"""Focal length over the image's width: 71 degrees across."""
+"""Focal length over image width: a horizontal field of view of 71 degrees."""
 BASELINE_M, RATE_HZ, EYE_M = 0.12, 30.0, 1.35
 Size = tuple[int, int]
 _CORRIDOR_TRAJECTORY = (
@@ -45,21 +44,21 @@ _HAND_HZ = (
     ((0.9, 2.2), (1.9, 0.4), (3.1, 1.3)),
     ((1.1, 1.7), (2.3, 0.9), (3.7, 2.6)),
 )
-"""Frequencies and phases of a hand's shake: forward, aside, up."""
+"""Frequencies and phases of hand shake: forward, sideways, up."""
 
 
 @checked
 def loop_room(num_frames: int = 400, size: Size = (640, 480)) -> Ride:
-    """Once around a furnished room of 6 x 5 m, on a circle of 1 m looking outward, a degree a frame.
+    """Once around a furnished room of 6 x 5 m, on a circle of radius 1 m looking outward, one degree per frame.
 
-    From frame 360 on the camera sees again what it saw at the begin.
+    From frame 360 on the camera revisits the start.
 
     Args:
-        num_frames: a degree each.
+        num_frames: one degree each.
         size: width and height of the images.
 
     Raises:
-        ConfigError: no frame is asked for, or the image is too small.
+        ConfigError: num_frames is less than 1, or the image is too small.
     """
 
     def path(times: np.ndarray) -> Rigid3:
@@ -73,14 +72,14 @@ def loop_room(num_frames: int = 400, size: Size = (640, 480)) -> Ride:
 
 @checked
 def rotate_only(num_frames: int = 200, size: Size = (640, 480)) -> Ride:
-    """Once around in the same room, 1.8 degrees a frame, about the left camera's centre, which stays where it is.
+    """Pure rotation of 360 degrees about the left camera's center in the same room (1.8 degrees per frame by default).
 
     Args:
-        num_frames: of the whole turn.
+        num_frames: of the full rotation.
         size: width and height of the images.
 
     Raises:
-        ConfigError: no frame is asked for, or the image is too small.
+        ConfigError: num_frames is less than 1, or the image is too small.
     """
 
     def path(times: np.ndarray) -> Rigid3:
@@ -93,17 +92,16 @@ def rotate_only(num_frames: int = 200, size: Size = (640, 480)) -> Ride:
 
 @checked
 def tiled_room(num_frames: int = 400, size: Size = (640, 480)) -> Ride:
-    """Once around in a square room whose four sides look the same, on a circle of 0.7 m, a degree a frame.
+    """Once around a square room with four identical sides, on a circle of radius 0.7 m, one degree per frame.
 
-    What is seen at one angle is seen again a quarter of a turn later, and truly again a whole turn later: a loop between
-    frames that are 60 to 300 apart is false.
+    Images repeat every 90 degrees, but the camera returns only after 360: a loop between frames 60 to 300 apart is false.
 
     Args:
-        num_frames: a degree each.
+        num_frames: one degree each.
         size: width and height of the images.
 
     Raises:
-        ConfigError: no frame is asked for, or the image is too small.
+        ConfigError: num_frames is less than 1, or the image is too small.
     """
 
     def path(times: np.ndarray) -> Rigid3:
@@ -117,17 +115,17 @@ def tiled_room(num_frames: int = 400, size: Size = (640, 480)) -> Ride:
 
 @checked
 def corridor(num_frames: int = 620, size: Size = (640, 480)) -> Ride:
-    """Along a corridor with a bend, to its end, and back to the begin, 5 cm a frame.
+    """Along a corridor with a bend, to its end and back to the start, 5 cm per frame.
 
-    The wall ahead at the bend is white: frames 97 to 118 show nothing else. On the way back there is texture all the way,
-    and from frame 575 on the camera sees again what it saw at the begin.
+    The wall ahead at the bend is white: frames 97 to 118 show nothing else. The way back has texture throughout, and from frame 575 on
+    the camera revisits the start.
 
     Args:
-        num_frames: of the way, which is at its end after 620.
+        num_frames: the trajectory ends after 620.
         size: width and height of the images.
 
     Raises:
-        ConfigError: no frame is asked for, or the image is too small.
+        ConfigError: num_frames is less than 1, or the image is too small.
     """
     frame, x, y, yaw_deg = np.array(_CORRIDOR_TRAJECTORY).T
     offset = PchipInterpolator(frame / RATE_HZ, np.stack([x, y, np.deg2rad(yaw_deg)], axis=1))
@@ -143,23 +141,23 @@ def corridor(num_frames: int = 620, size: Size = (640, 480)) -> Ride:
 
 @checked
 def walking_box(num_frames: int = 240, size: Size = (640, 480)) -> Ride:
-    """A box as large as a person crosses the image of a camera that moves, rests and moves on in the furnished room.
+    """A box the size of a person crosses the image of a camera that moves, stops and moves on in the furnished room.
 
-    It is in sight from about frame 70 to 180, over up to a third of the image; the camera rests from 90 to 150.
+    It is in sight from about frame 70 to 180 and covers up to a third of the image; the camera is at rest from 90 to 150.
 
     Args:
-        num_frames: from the begin.
+        num_frames: from the start.
         size: width and height of the images.
 
     Raises:
-        ConfigError: no frame is asked for, or the image is too small.
+        ConfigError: num_frames is less than 1, or the image is too small.
     """
     offset = PchipInterpolator(np.array([0.0, 90.0, 150.0, 240.0]) / RATE_HZ, [-0.8, 0.1, 0.1, 0.9])
     room = furnished_room_things()
 
     def path(times: np.ndarray) -> Rigid3:
         aside = offset(np.clip(times, 0.0, 240.0 / RATE_HZ))
-        # A path along a line would leave the alignment with an estimate open.
+        # On a straight trajectory the alignment with an estimate would be ambiguous.
         ahead, height = -1.7 + 0.2 * np.cos(2.0 * aside), EYE_M + 0.06 * np.sin(3.0 * aside)
         center = np.stack([ahead, aside, height], axis=1)
         return facing(center, 0.08 * aside, np.full(len(times), -0.03), np.zeros(len(times)))
@@ -176,15 +174,15 @@ def walking_box(num_frames: int = 240, size: Size = (640, 480)) -> Ride:
 
 @checked
 def shuttered(num_frames: int = 240, size: Size = (640, 480), readout_s: float = 0.03) -> Ride:
-    """A hand carries the camera 2 m sideways through the furnished room; rows are read one after another.
+    """A hand-held camera with a rolling shutter moves 2 m sideways through the furnished room.
 
     Args:
-        num_frames: from the begin.
+        num_frames: from the start.
         size: width and height of the images.
-        readout_s: from the first row to the one after the last; 0 is the same path with a global shutter.
+        readout_s: from the first row to the one after the last; 0 is a global shutter.
 
     Raises:
-        ConfigError: no frame is asked for, the image is too small, or readout_s is negative.
+        ConfigError: num_frames is less than 1, the image is too small, or readout_s is negative.
     """
 
     def path(times: np.ndarray) -> Rigid3:
@@ -202,7 +200,7 @@ def shuttered(num_frames: int = 240, size: Size = (640, 480), readout_s: float =
 
 
 def facing(center: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> Rigid3:
-    """world_from_camera of cameras at centres (k, 3): yaw about z from +x, pitch upwards, roll clockwise, (k,) rad each."""
+    """world_from_camera of cameras at centers (k, 3): yaw about z from +x, pitch upwards, roll clockwise, (k,) rad each."""
     zero = np.zeros(len(yaw))
     forward = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], axis=1)
     level = np.stack([np.sin(yaw), -np.cos(yaw), zero], axis=1)
@@ -223,7 +221,7 @@ def _ride(
     width, height = size
     if num_frames < 1 or min(size) < 16:
         raise ConfigError(
-            f"a ride has at least 1 frame of at least 16 x 16 pixels, got {num_frames} of {width} x {height}"
+            f"a ride needs at least 1 frame of at least 16 x 16 pixels, got {num_frames} of {width} x {height}"
         )
     focal = FOCAL_FRACTION * width
     camera = Camera(

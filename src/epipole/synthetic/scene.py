@@ -1,4 +1,4 @@
-"""Scenes made of planes, boxes, spheres and height fields with procedural textures. The z axis points up."""
+"""Scenes of planes, boxes, spheres and height fields with procedural textures. The z axis points up."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from enum import IntEnum
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from epipole._declared import Declared, checked
+from epipole._checks import Declared, checked
 from epipole.errors import ConfigError, ShapeError
 from epipole.synthetic import _render_kernels as kernels
 
@@ -20,15 +20,15 @@ _TILE = 11
 
 
 class Texture(IntEnum):
-    """What covers a surface."""
+    """Texture of a surface."""
 
     RICH = kernels.RICH
-    """Detail at all scales, nowhere repeated."""
+    """Detail at all scales without repetition."""
     PLAIN = kernels.PLAIN
-    """One colour: a blank wall."""
+    """A single color."""
     TILED = kernels.TILED
-    """One patch of the rich texture, repeated. It is fixed to the surface's own axes: surfaces of one kind, size and
-    seed look the same wherever they stand, and one that moves takes its texture along."""
+    """A repeated patch of the rich texture, in the surface's own axes: surfaces of the same kind, size and seed look identical at any
+    position, and a moving surface keeps its texture."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,12 +37,12 @@ class _Surface(Declared):
     texture: Texture = Texture.RICH
     seed: int = 0
     tile_m: float = 1.0
-    """Side of the patch that is repeated; of TILED alone."""
+    """Side of the repeated patch (TILED only)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plane(_Surface):
-    """A rectangle: centre, two orthogonal unit directions and half its sides along them."""
+    """A rectangle: center, two orthogonal unit directions, and half sizes along them."""
 
     center: Vector
     direction_u: Vector
@@ -52,7 +52,7 @@ class Plane(_Surface):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Box(_Surface):
-    """A box: centre, half sizes, turned about z."""
+    """A box: center, half sizes, and rotation about z."""
 
     center: Vector
     half_size: Vector
@@ -69,7 +69,7 @@ class Sphere(_Surface):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeightField(_Surface):
-    """A rolling ground about a centre: half sizes in x and y, height of its waves and their length."""
+    """A wavy ground: center, half sizes in x and y, amplitude and wavelength."""
 
     center: Vector
     half_size: tuple[float, float]
@@ -82,7 +82,7 @@ Primitive = Plane | Box | Sphere | HeightField
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SyntheticScene(Declared):
-    """Primitives as columns."""
+    """Primitives stored as arrays."""
 
     kind: Int64[np.ndarray, " n"]
     params: Float64[np.ndarray, "n 12"]
@@ -95,11 +95,11 @@ class SyntheticScene(Declared):
     @staticmethod
     @checked
     def of(primitives: Sequence[Primitive], light: Vector = (0.3, -0.5, 0.81)) -> SyntheticScene:
-        """Collect primitives.
+        """Build a scene from primitives and the direction towards the light.
 
         Raises:
-            ShapeError: there are none.
-            ConfigError: the side of a tile is not positive.
+            ShapeError: there are no primitives.
+            ConfigError: a tile_m is not positive and finite.
         """
         if not primitives:
             raise ShapeError("a scene needs at least one primitive")

@@ -1,4 +1,4 @@
-"""Rectified pairs of made-up rooms with exact disparities: what stereo is fitted and tested on."""
+"""Rectified pairs of random synthetic rooms with exact disparities, for fitting and testing stereo."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from epipole._checks import MOST_RENDERED_PIXELS, check_pixels, check_seed
-from epipole._declared import checked
+from epipole._checks import MOST_RENDERED_PIXELS, check_pixels, check_seed, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3, depth_to_disparity
 from epipole.synthetic.courtyard import look_at
@@ -22,7 +21,7 @@ _ROW_ERROR_PX = 0.2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StereoPair:
-    """A rectified pair with its truth."""
+    """A rectified pair with ground truth."""
 
     left: UInt8[np.ndarray, "h w"]
     right: UInt8[np.ndarray, "h w"]
@@ -35,16 +34,16 @@ class StereoPair:
 
 @checked
 def stereo_room(seed: int, size: tuple[int, int] = (480, 360)) -> StereoPair:
-    """A wall, a rolling floor and a few things before them, seen by two cameras of some sharpness, contrast and noise.
+    """A wall, a wavy floor and several objects, seen by two cameras with random sharpness, contrast and noise.
 
-    As with real pairs, rows match to within a part of a pixel only, and half of the images went through JPEG.
+    As in real pairs, rows match only to a fraction of a pixel, and half of the images are JPEG-compressed.
 
     Args:
-        seed: another room for another number.
+        seed: random seed; selects the room.
         size: width and height.
 
     Raises:
-        ConfigError: the seed is negative, or the image too large.
+        ConfigError: the seed is negative, or the image is too large.
     """
     check_seed(seed)
     check_pixels(*size, MOST_RENDERED_PIXELS)
@@ -60,16 +59,16 @@ def stereo_room(seed: int, size: tuple[int, int] = (480, 360)) -> StereoPair:
 def stereo_street(
     seed: int, size: tuple[int, int] = (640, 480), focal_px: float = 800.0, baseline: float = 0.12
 ) -> StereoPair:
-    """A street between walls with objects from 2 to 30 m, pictured like the rooms.
+    """A street between walls, with objects at 2 to 30 m and the image quality of the rooms.
 
     Args:
-        seed: another street for another number.
+        seed: random seed; selects the street.
         size: width and height.
         focal_px: of both cameras.
-        baseline: in metres.
+        baseline: in meters.
 
     Raises:
-        ConfigError: the seed is negative, or the image too large.
+        ConfigError: the seed is negative, or the image is too large.
     """
     check_seed(seed)
     check_pixels(*size, MOST_RENDERED_PIXELS)

@@ -1,4 +1,4 @@
-"""A running viewer, as its caller sees it."""
+"""Handle of a running viewer."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ class ViewerHandle:
 
     url: str
     stop: Callable[[], None]
-    """Close the viewer; calling it again does nothing."""
+    """Close the viewer; further calls do nothing."""
     note: str = ""
-    """What the user should know: that another port was taken than the usual one."""
+    """A note for the user, such as that another port than the default is used."""
 
     def __repr__(self) -> str:
         return f"ViewerHandle({self.url})"
@@ -24,7 +24,7 @@ class ViewerHandle:
 
 @runtime_checkable
 class Stoppable(Protocol):
-    """What is being shown on a server."""
+    """An object shown by a server."""
 
     stopped: threading.Event
 
@@ -33,7 +33,7 @@ class Stoppable(Protocol):
 
 
 def serve(viewer: Stoppable, port: int, host: str, note: str, *, block: bool) -> ViewerHandle:
-    """The handle of a viewer that is open; with `block` only after Ctrl-C."""
+    """The handle of an open viewer; with `block`, returns after Ctrl-C."""
     shown_host = "127.0.0.1" if host in ("", "0.0.0.0", "::") else host
     shown_host = f"[{shown_host}]" if ":" in shown_host else shown_host
     handle = ViewerHandle(f"http://{shown_host}:{port}", viewer.stop, note)

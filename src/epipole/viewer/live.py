@@ -1,4 +1,4 @@
-"""A live page that is open while a job runs, and how often the job may update it."""
+"""A live page during a job, and a limit on how often the job may update it."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ class LivePage:
     """How a live page differs from that of a finished scene."""
 
     job: str
-    """What the page calls the job."""
+    """Name of the job in the page."""
     image_caption: str = ""
-    """Of the current image; empty: there is none."""
+    """Caption of the current image; empty: there is no image."""
     has_camera: bool = False
-    """Whether the state has a current camera, `camera` (its frustum's edges, in the last curve) and `position`."""
+    """Whether the state has a current camera `camera` (edges of its frustum, in the last curve) and `position`."""
     has_views: bool = False
     """Whether the job renders views at `live/view`."""
     pages: Mapping[str, Served] = field(default_factory=dict)
-    """More addresses."""
+    """Additional pages by address."""
 
 
 class LiveScene:
@@ -54,13 +54,13 @@ class LiveScene:
         make_scene: Callable[[], SpaceScene] | None = None,
         **parts: Callable[[], bytes],
     ) -> None:
-        """Show a new state.
+        """Publish a new state.
 
         Args:
             state: `state` and `words` of the page, the `fraction` of the job that is done, the current `camera`.
-            make_scene: makes the scene, of the layers that the page was opened with, in a thread of the server; None: it
-                has not changed.
-            parts: as of `LiveStream.publish`.
+            make_scene: makes the scene, with the layers that the page was opened with, in a server thread; None:
+                unchanged.
+            parts: as in `LiveStream.publish`.
         """
         if make_scene is not None:
             parts["scene"] = lambda: scene_bytes(make_scene(), self._origin)
@@ -69,16 +69,16 @@ class LiveScene:
 
 @contextmanager
 def opened_live(page: LivePage, scene: SpaceScene, host: str, port: int | None) -> Iterator[LiveScene]:
-    """A live page, whose address is printed. At the end of the block it shows the final state, and its server stops.
+    """Open a live page and print its address. At the end of the block it shows the final state, and its server stops.
 
     Args:
-        page: how it differs from that of a finished scene.
-        scene: what it shows first.
+        page: how it differs from the page of a finished scene.
+        scene: the initial scene.
         host: the address to listen on.
-        port: where to listen; None: as `port_for` chooses.
+        port: the port to listen on; None: as chosen by `port_for`.
 
     Raises:
-        ConfigError: the port is in use or out of range, or the host is no address of this machine.
+        ConfigError: the port is in use or out of range, or the host is not an address of this machine.
     """
     chosen, stream = port_for(host, port), LiveStream()
     names = ("image_caption", "has_camera", "has_views")
@@ -88,17 +88,17 @@ def opened_live(page: LivePage, scene: SpaceScene, host: str, port: int | None) 
     handle = serve(server, server.port, host, note_on_port(port, server.port), block=False)
     noted = f" ({handle.note})" if handle.note else ""
     open_console(stderr=True).print(f"Live view at {handle.url}{noted}", highlight=False)
-    view, ended = LiveScene(stream, origin), f"The {page.job} stopped with an error. This is its last state."
+    view, ended = LiveScene(stream, origin), f"The {page.job} stopped with an error. This is the last state."
     try:
         yield view
-        ended = f"The {page.job} has ended. This is its final state."
+        ended = f"The {page.job} has ended. This is the final state."
     finally:
         stream.end(ended, view.meanwhile)
         handle.stop()
 
 
 class Budget:
-    """Says when a view may be updated so that it takes no more than a share of the time since the begin."""
+    """Limits updates of a view to a fraction of the time since the start."""
 
     def __init__(self, fraction: float, pause_s: float) -> None:
         self.fraction, self.pause_s = fraction, pause_s
@@ -107,12 +107,12 @@ class Budget:
         self._last_s = -np.inf
 
     def allows(self) -> bool:
-        """Whether the next update, as long as the last one, would stay within the share."""
+        """Whether the next update, if as long as the last one, would stay within the limit."""
         now = perf_counter()
         within = self.spent_s + self._cost_s <= self.fraction * (now - self._start_s)
         return within and now - self._last_s >= self.pause_s
 
     def spend(self, seconds: float) -> None:
-        """An update has taken this long."""
+        """Record the duration of an update."""
         self._cost_s, self._last_s = seconds, perf_counter()
         self.spent_s += seconds

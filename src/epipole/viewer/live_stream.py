@@ -1,4 +1,4 @@
-"""What a live page shows: the newest state of a job, announced to every tab by server-sent events."""
+"""The newest state of a job, announced to every open tab by server-sent events."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from epipole.report.space_scene import SpaceScene
 from epipole.viewer.page_server import BYTES, EVENTS, JPEG, Served
 
 MOST_STREAMS = 4
-"""Tabs with an open event stream. Browsers open six connections to a server: two stay free for data. The tab that has
-been connected longest is closed for a newer one, and reconnects by itself."""
+"""Tabs with an open event stream. Browsers open six connections to a server, so two stay free for data. The tab that
+has been connected longest is disconnected for a newer one, and reconnects automatically."""
 RECONNECT_MS, HEARTBEAT_S = 1000, 10.0
-"""How long a tab waits before it reconnects, and how often a quiet stream checks that its tab is still there."""
+"""How long a tab waits before it reconnects, and how often an idle stream checks that its tab is still open."""
 END_S = 3.0
-"""How long the end of a job waits at most for tabs to fetch the final state."""
+"""Longest wait at the end of a job for tabs to fetch the final state."""
 MOST_POINTS = 100_000
-"""Of each layer: 1.6 MB."""
+"""Limit per layer: 1.6 MB."""
 
 
 class LiveStream:
-    """The newest state of a job, and its data, made when a tab first asks for them.
+    """The newest state of a job, and its data, created when a tab first requests them.
 
-    A state replaces the one before it. A slow or stuck tab therefore misses states, and delays nobody.
+    Each state replaces the previous one, so a slow or stuck tab misses states and delays nothing.
     """
 
     def __init__(self) -> None:
         self.run_id = secrets.token_hex(8)
-        """Tells a page that another job listens at its address now."""
+        """Lets a page detect that another job now uses its address."""
         self._changed = threading.Condition()
         self._number, self._num_final = 0, 0
         self._state: dict[str, Any] = {"run": self.run_id, "state": "Starting", "parts": {}}
@@ -51,8 +51,9 @@ class LiveStream:
         """Announce a new state.
 
         Args:
-            state: small values for the page, which JSON can hold; values of other names stay as they are.
-            parts: make the bytes of `scene` or `image`, in a thread of the server, if a tab asks for them.
+            state: small JSON values for the page; values under other names stay unchanged.
+            parts: functions that make the bytes of `scene` or `image`, called in a server thread if a tab requests
+                them.
         """
         with self._changed:
             self._number += 1
@@ -62,11 +63,11 @@ class LiveStream:
             self._changed.notify_all()
 
     def end(self, words: str, meanwhile: Callable[[], object]) -> None:
-        """Announce the end, and wait until all tabs have fetched the final state, `END_S` seconds at most.
+        """Announce the end, and wait until all tabs have fetched the final state, at most `END_S` seconds.
 
         Args:
             words: how the job ended.
-            meanwhile: called again and again while tabs fetch.
+            meanwhile: called repeatedly while tabs fetch.
         """
         self.publish({"ended": words})
         stop = perf_counter() + END_S
@@ -88,7 +89,7 @@ class LiveStream:
         }
 
     def events(self) -> Generator[bytes, None, None]:
-        """Server-sent events: the state at once, then every change that this reader is fast enough for."""
+        """Server-sent events: the current state, then every change that this reader is fast enough for."""
         stream, sent = object(), -1
         with self._changed:
             self._streams = [*self._streams, stream][-MOST_STREAMS:]
@@ -119,7 +120,7 @@ class LiveStream:
 
 
 class _Part:
-    """Bytes that are made once, for whoever asks first."""
+    """Bytes created once, on the first request."""
 
     def __init__(self, make: Callable[[], bytes]) -> None:
         self._make, self._lock, self._data = make, threading.Lock(), b""
@@ -131,7 +132,7 @@ class _Part:
 
 
 def scene_bytes(scene: SpaceScene, origin_in_world: Float64[np.ndarray, " 3"]) -> bytes:
-    """A scene in one message: the length of its numbers (4 bytes), the numbers as JSON, and the blocks in their order."""
+    """A scene as one message: the length of its numbers (4 bytes), the numbers as JSON, and the blocks in order."""
     data = space_data(scene, MOST_POINTS, origin_in_world=origin_in_world)
     data.numbers["lengths"] = [len(block) for block in data.blocks.values()]
     numbers = json.dumps(data.numbers, allow_nan=False).encode()

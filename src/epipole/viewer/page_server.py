@@ -1,4 +1,4 @@
-"""A small server of pages that are held in memory: it reads no file, and answers its own pages alone."""
+"""A small server for pages in memory: it reads no files, and answers only requests from its own pages."""
 
 from __future__ import annotations
 
@@ -21,26 +21,27 @@ from epipole.viewer.ports import is_local
 HTML, BYTES, JPEG = "text/html; charset=utf-8", "application/octet-stream", "image/jpeg"
 EVENTS = "text/event-stream"
 OWN_SITE = (None, "same-origin", "none")
-"""Where a browser's request may come from (`Sec-Fetch-Site`): the page itself, the address bar, or a program that is no browser."""
+"""Allowed origins of a browser's request (`Sec-Fetch-Site`): the page itself, the address bar, or a program other than
+a browser."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Request:
-    """A request."""
+    """An HTTP request."""
 
     headers: Message
     query: str
-    """What follows the question mark of its address."""
+    """The part of its address after the question mark."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Served:
-    """What is at an address."""
+    """The content at an address."""
 
     kind: str
     """Its media type."""
     make: Callable[[Request], bytes | Generator[bytes, None, None] | None]
-    """The bytes, or None where there are none after all. A generator's are sent as they come, until the tab closes."""
+    """Makes the bytes, or returns None if there are none. A generator's bytes are streamed until the tab closes."""
 
 
 def fixed(kind: str, data: bytes) -> Served:
@@ -49,20 +50,20 @@ def fixed(kind: str, data: bytes) -> Served:
 
 
 class PageServer:
-    """Pages by their addresses, in threads of their own until it is stopped."""
+    """Serves pages by address, in background threads, until it is stopped."""
 
     def __init__(self, pages: Mapping[str, Served], host: str, port: int) -> None:
-        """Listen.
+        """Start listening.
 
         Args:
-            pages: by address, without the first slash; "" is the first page.
+            pages: by address, without the leading slash; "" is the start page.
             host: the address to listen on.
-            port: as `port_for` chose it.
+            port: as chosen by `port_for`.
 
         Raises:
-            ConfigError: somebody took the port in between.
+            ConfigError: the port has been taken in the meantime.
         """
-        pages = {"favicon.ico": fixed("image/x-icon", b""), **pages}  # browsers ask for it
+        pages = {"favicon.ico": fixed("image/x-icon", b""), **pages}  # browsers request it
         try:
             self.http = _Server((host, port), partial(_Answer, pages, is_local(host)))
         except OSError as error:
@@ -74,7 +75,7 @@ class PageServer:
         self.thread.start()
 
     def stop(self) -> None:
-        """Close the server; again does nothing."""
+        """Close the server; further calls do nothing."""
         if not self.stopped.is_set():
             self.stopped.set()
             self.http.shutdown()
@@ -96,13 +97,13 @@ class _Server(ThreadingHTTPServer):
         super().shutdown_request(request)
 
     def close_connections(self) -> None:
-        """Those that browsers keep open: another server at this address must get what they ask next."""
+        """Close connections that browsers keep open, so that a new server at this address gets their next requests."""
         for connection in self.connections.copy():
             with suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing where the browser has closed its tab, or asks for nothing more."""
+        """Ignore errors from a closed tab or an idle connection."""
         if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
             super().handle_error(request, client_address)
 
@@ -119,7 +120,7 @@ class _Answer(BaseHTTPRequestHandler):
         hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
         is_own = is_allowed(hosts, origins, is_local=self.local) and not self._is_embedded()
         if not is_own:
-            self.send_error(HTTPStatus.FORBIDDEN, "This viewer answers its own page alone")
+            self.send_error(HTTPStatus.FORBIDDEN, "This viewer only answers requests from its own page")
             return
         address, _, query = self.path.removeprefix("/").partition("?")
         served = self.pages.get(address)
@@ -144,9 +145,9 @@ class _Answer(BaseHTTPRequestHandler):
                 self.wfile.write(piece)
 
     def _is_embedded(self) -> bool:
-        """Whether another web page asks for it as an image, a frame or a script; it may only link to it."""
+        """Whether another web page requests it as an image, a frame or a script; only links are allowed."""
         site, kind = (self.headers.get(f"Sec-Fetch-{name}") for name in ("Site", "Dest"))
         return site not in OWN_SITE and kind != "document"
 
     def log_message(self, *_: object) -> None:
-        """Say nothing of what is asked for."""
+        """Log nothing."""

@@ -1,4 +1,4 @@
-"""Where a viewer listens."""
+"""Choice of a viewer's port."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ _ALL_ADDRESSES = ("", "0.0.0.0", "::")
 
 
 def port_for(host: str, port: int | None) -> int:
-    """That port; for None `DEFAULT_PORT` or, where that is in use, the next free one.
+    """Check a given port; for None return `DEFAULT_PORT` or, if that is in use, the next free port.
 
     Raises:
-        ConfigError: the port is in use or out of range, or the host is no address of this machine.
+        ConfigError: the port is in use or out of range, or the host is not an address of this machine.
     """
     return _free_port(host) if port is None else _usable_port(host, port)
 
 
 def note_on_port(requested: int | None, shown: int) -> str:
-    """What to tell the user about the port; empty where it is the expected one."""
+    """A note about the port for the user; empty if it is the expected one."""
     if requested is not None or shown == DEFAULT_PORT:
         return ""
-    return f"port {DEFAULT_PORT} is in use; showing on {shown}"
+    return f"port {DEFAULT_PORT} is in use; using {shown}"
 
 
 def is_local(host: str) -> bool:
@@ -50,18 +50,18 @@ def _free_port(host: str) -> int:
         if _problem_of(host, port) is None:
             return port
     raise ConfigError(
-        f"ports {DEFAULT_PORT} to {DEFAULT_PORT + _PORTS_TRIED - 1} are all in use; give another port"
+        f"ports {DEFAULT_PORT} to {DEFAULT_PORT + _PORTS_TRIED - 1} are all in use; pass another port"
     )
 
 
 def _problem_of(host: str, port: int) -> str | None:
-    """Why a server cannot listen there: the server itself would go on to other ports, or wait for ever."""
+    """Why a server cannot listen there; checked here since the server would try other ports, or wait forever."""
     try:
         found = socket.getaddrinfo(
             host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE if not host else 0
         )
     except (OSError, UnicodeError) as error:
-        raise ConfigError(f"host {host!r} is not known: {getattr(error, 'strerror', error)}") from error
+        raise ConfigError(f"unknown host {host!r}: {getattr(error, 'strerror', error)}") from error
     for family, kind, protocol, _, address in found:
         with socket.socket(family, kind, protocol) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -72,6 +72,6 @@ def _problem_of(host: str, port: int) -> str | None:
                 return "is reserved for the system"
             except OSError as error:
                 if error.errno == errno.EADDRNOTAVAIL:
-                    raise ConfigError(f"host {host!r} is no address of this machine") from error
+                    raise ConfigError(f"host {host!r} is not an address of this machine") from error
                 return "is in use"
     return None

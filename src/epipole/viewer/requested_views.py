@@ -1,4 +1,4 @@
-"""Views of a field that tabs ask for: rendered by the job, between two of its steps."""
+"""Views of a field requested by tabs, rendered by the job between two of its steps."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from epipole.geometry import Rigid3
 from epipole.viewer.page_server import Request
 
 LEAST_SIDE_PX, MOST_SIDE_PX = 48, 320
-"""Height of a view: the least at first, for a field that has just begun is fog, and slow to render."""
+"""Range of the height of a view: the smallest at first, since an untrained field is fog and slow to render."""
 RENDER_S = 0.3
-"""Time for a view: slower fields are rendered smaller."""
+"""Target time per view, seconds: slower fields are rendered smaller."""
 LEAST_ASPECT, MOST_ASPECT = 0.25, 4.0
 MOST_WAITING, LONGEST_WAIT_S = 4, 20.0
-"""Views that may wait; and how long a tab waits for its view before it has to ask again."""
+"""Largest number of waiting views, and how long a tab waits for its view (seconds) before it has to ask again."""
 
 Render = Callable[[Camera, Rigid3], Float32[np.ndarray, "h w 3"]]
 
 
 class RequestedViews:
-    """Takes requests in threads of the server, and renders them in the thread of the job."""
+    """Accepts requests in server threads, and renders them in the job's thread."""
 
     def __init__(self) -> None:
         self._waiting = queue.Queue[_Pending](MOST_WAITING)
         self._side_px = float(LEAST_SIDE_PX)
 
     def answer(self, requested: Request) -> bytes | None:
-        """The JPEG of a view; empty if the job had no time for it, None if its query is no view."""
+        """The JPEG of a view; empty if the job had no time for it, None if the query is invalid."""
         values = _numbers_of(requested.query)
         if values is None or camera_of(values, LEAST_SIDE_PX) is None:
             return None
@@ -49,7 +49,7 @@ class RequestedViews:
         return _jpeg(one.image) if one.is_wanted else b""
 
     def render_next(self, render: Render) -> bool:
-        """Render the view that has waited longest, if there is one."""
+        """Render the view that has waited longest, if any."""
         while True:
             try:
                 one = self._waiting.get_nowait()
@@ -84,12 +84,12 @@ def camera_of(values: np.ndarray, side_px: int) -> tuple[Camera, Rigid3] | None:
     """The pinhole camera of a viewpoint, and its cam_from_world.
 
     Args:
-        values: (11,) position, direction ahead and direction down in the world, the tangent of half the vertical field of
+        values: (11,) position, forward and down directions in the world, the tangent of half the vertical field of
             view, and width over height.
         side_px: height of the image.
 
     Returns:
-        None if the values are no viewpoint.
+        None if the values are not a valid viewpoint.
     """
     if values.shape != (11,) or not np.isfinite(values).all() or np.abs(values).max() > 1e12:
         return None

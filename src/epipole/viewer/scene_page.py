@@ -1,4 +1,4 @@
-"""A page that is one 3D view: a file of its own, or one whose bytes a server has."""
+"""A page with a 3D view: a self-contained file, or a page whose data come from a server."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from epipole.report.space import SpaceData, embedded_images, of_all, space_data
 from epipole.report.space_scene import METRES, NO_UNIT, SpaceScene
 
 IMAGE_ADDRESS = "picture/"
-"""Of a served page: the number of the camera follows."""
+"""Address of a served image, before the camera's number."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScenePage:
-    """A scene in one file."""
+    """A scene as a single file."""
 
     html: str
-    """The whole page; it loads nothing."""
+    """The full page, which loads nothing else."""
     shown: str
-    """What it shows, and of how much, in words."""
+    """Description of what it shows."""
 
 
 def scene_page(scene: SpaceScene, most: int) -> ScenePage:
-    """A scene with everything inside it; of points, and of Gaussians, at most so many."""
+    """A self-contained page of a scene with at most `most` points per layer and at most `most` Gaussians."""
     data = space_data(scene, most, most)
     if scene.cameras is not None:
         inside = embedded_images(scene.cameras)
@@ -35,10 +35,10 @@ def scene_page(scene: SpaceScene, most: int) -> ScenePage:
 
 
 def served_page(scene: SpaceScene, live: dict[str, Any] | None = None) -> tuple[str, SpaceData]:
-    """A page of a server, which has the bytes at `data/NAME` and the cameras' images at `image/NUMBER`.
+    """A page for a server that has the bytes at `data/NAME` and the cameras' images below `IMAGE_ADDRESS`.
 
     Args:
-        scene: what is shown.
+        scene: the scene.
         live: settings for the script of a live page; None: the scene is finished.
     """
     data = space_data(scene)
@@ -62,7 +62,7 @@ def _html(scene: SpaceScene, data: SpaceData, words: str, blocks: dict[str, byte
 
 
 def lengths_in_words(unit: str) -> str:
-    """What lengths are told in."""
+    """A sentence about the unit of lengths."""
     if unit == NO_UNIT:
         return "Lengths are known up to scale"
     return f"Lengths are in {'metres' if unit == METRES else unit}"

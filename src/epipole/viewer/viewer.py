@@ -1,4 +1,4 @@
-"""A finished scene in the browser."""
+"""Showing a finished scene in the browser."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ def view_scene(
     """Show a scene in the browser.
 
     Args:
-        scene: what is shown; its cameras' images are read when they are looked at.
-        port: where to listen; None: 8080, or the next free port if that is in use.
-        host: the address to listen on; "0.0.0.0" lets other machines in.
-        block: return only when the user interrupts with Ctrl-C, and stop the viewer then.
+        scene: the scene; its cameras' images are loaded when viewed.
+        port: the port to listen on; None: 8080, or the next free port if that is in use.
+        host: the address to listen on; "0.0.0.0" allows connections from other machines.
+        block: return only after Ctrl-C, which also stops the viewer.
 
     Returns:
-        The address to open, and the way to stop.
+        The address to open, and a function to stop the viewer.
 
     Raises:
-        ConfigError: the port is in use or out of range, or the host is no address of this machine.
+        ConfigError: the port is in use or out of range, or the host is not an address of this machine.
     """
     chosen = port_for(host, port)
     server = PageServer(scene_pages(scene)[0], host, chosen)
@@ -41,10 +41,10 @@ def view_scene(
 def scene_pages(
     scene: SpaceScene, live: dict[str, Any] | None = None
 ) -> tuple[dict[str, Served], np.ndarray]:
-    """The page of a scene and its bytes by their addresses, and what its coordinates are relative to.
+    """The page of a scene and its data by address, and the origin of its coordinates.
 
     Args:
-        scene: what is shown.
+        scene: the scene.
         live: settings for the script of a live page; None: the scene is finished.
     """
     html, data = served_page(scene, live)

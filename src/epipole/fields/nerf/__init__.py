@@ -1,1 +1,1 @@
-"""Radiance fields: voxel grids and hash grids."""
+"""Radiance fields on voxel grids and hash grids."""

@@ -1,10 +1,11 @@
-"""Samples of rays, their hashed features, and how they compose (Mueller, Evans, Schied and Keller, Instant-NGP, 2022; Max 1995).
+"""Ray sampling, hash encoding and compositing (Mueller, Evans, Schied and Keller, Instant-NGP, 2022; Max 1995).
 
-A sample in [0, 1]^3 has features from several levels: at a level of s cells the eight corners of its cell, each a row of the level's
-table, trilinearly. A level with as many rows as corners is read directly; else corner (i, j, k) is row
-(i xor 2654435761 j xor 805459861 k) mod rows, and what shares a row is told apart by the other levels and the network.
+A sample in [0, 1]^3 has features from several levels. A level with s cells per side interpolates trilinearly between
+the eight corners of the sample's cell, each a row of the level's table. If the table has a row for each corner, rows
+are indexed directly; otherwise corner (i, j, k) has row (i xor 2654435761 j xor 805459861 k) mod rows, and the other
+levels and the network resolve collisions.
 
-With steps of length delta, sigma = exp(raw + SHIFT) and alpha = 1 - exp(-sigma delta), a ray's colour is
+With step length delta, sigma = exp(raw + SHIFT) and alpha = 1 - exp(-sigma delta), a ray's color is
     C = sum_i T_i alpha_i c_i + T_end background,  T_i = prod_{j<i} (1 - alpha_j);  with v_i = c_i . dL/dC
     dL/draw_i = sigma_i delta (T_{i+1} v_i - sum_{j>i} T_j alpha_j v_j - T_end background . dL/dC).
 """
@@ -18,25 +19,24 @@ from epipole.fields.nerf._march_kernels import BLOCK, enter, past_block, ray_of_
 from epipole.fields.splat._projection_kernels import harmonics
 
 STEP = np.float32(0.5)
-"""Between samples, in cells."""
+"""Distance between samples, in cells."""
 SHIFT, LARGEST_RAW = np.float32(-5.0), np.float32(15.0)
-"""Added to what the network says of a density, and the most that is believed."""
+"""Offset added to the network's density output, and upper limit of the sum."""
 OVER = np.float32(1e-3)
-"""Transmittance below which what comes behind is not seen."""
+"""Transmittance below which a ray is terminated."""
 PRIMES = (np.uint32(2654435761), np.uint32(805459861))
 BEFORE, ALPHA, THICKNESS = 0, 1, 2
-"""Of a sample: transmittance before it, alpha, and sigma delta."""
+"""Columns of `light`: transmittance before the sample, alpha, and sigma delta."""
 
 
 @kernel
 def sample_rays(rays, pixel_of, view_of, room, start, stop, most, at, positions, counts, basis, work):
-    """The next samples, at most `most`, of the rays start..stop, in cells that are occupied.
+    """Take the next samples, at most `most` per ray, of rays start..stop in occupied cells; returns their number.
 
-    pixel_of (n,) are pixels within their views view_of (n,); at (n,) is where a ray goes on, in cells from its camera: its first offset
-    less 1 (below 0) where it has not begun; it becomes infinite where the ray has left the grid. places (capacity, 4) get the samples, in [0, 1],
-    and their distance in cells; counts (stop - start,) their numbers; basis (stop - start, 16) the harmonics of the rays' directions. A ray for
-    which no room is left gets none.
-    Returns the number of samples.
+    pixel_of (n,) are pixels in views view_of (n,). at (n,) is the ray parameter to continue from, in cells from the
+    camera; a new ray has its first offset minus 1 (below 0), and a ray that has left the grid gets infinity. positions
+    (capacity, 4) gets the samples in [0, 1]^3 and their distance in cells; counts (stop - start,) their number; basis
+    (stop - start, 16) the harmonics of the directions. A ray that exceeds the capacity gets no samples.
     """
     origin, direction = work[0], work[1]
     side = np.float32(1.0) / np.float32(max(room.occupied.shape))
@@ -84,7 +84,7 @@ def _row_of(i, j, k, cells, mask, is_hashed):
 
 @kernel(fuse=True)
 def _cell_of(position, scale):
-    """The cell of a place, and how far into it."""
+    """Cell of a position, and the fractional offset in it."""
     x, y, z = position[0] * scale, position[1] * scale, position[2] * scale
     ix, iy, iz = int(x), int(y), int(z)
     return ix, iy, iz, x - np.float32(ix), y - np.float32(iy), z - np.float32(iz)
@@ -92,7 +92,7 @@ def _cell_of(position, scale):
 
 @kernel(fuse=True)
 def encode(positions, cells, tables, features):
-    """Features (n, levels * 4) of places (n, 4), level by level: a table stays in the cache. Tables are (levels, rows, 4), rows a power of two."""
+    """Features (n, levels * 4) of positions (n, 4), level by level for the cache; tables (levels, 2^k rows, 4)."""
     levels, rows = tables.shape[0], tables.shape[1]
     mask, one = np.uint32(rows - 1), np.float32(1.0)
     for level in range(levels):
@@ -118,7 +118,7 @@ def encode(positions, cells, tables, features):
 
 @kernel(fuse=True)
 def spread(positions, cells, level, by_features, gradient):
-    """Add the derivatives by_features (n, levels * 4) of a level's features to its table's (rows, 4)."""
+    """Add the gradient of a level's table (rows, 4), given by_features (n, levels * 4)."""
     rows, side = len(gradient), cells[level]
     mask, one = np.uint32(rows - 1), np.float32(1.0)
     scale, is_hashed = np.float32(side), (side + 1) ** 3 > rows
@@ -141,11 +141,11 @@ def spread(positions, cells, level, by_features, gradient):
 
 @kernel
 def weigh(said, counts, delta, left, light, kept, kept_counts):
-    """Light along rays, until nothing is seen of what comes behind.
+    """Transmittance, alpha and optical thickness along rays, until they are opaque; returns the number of samples kept.
 
-    said (n, 16) are what the network says of samples, the first of the density; counts (rays,) how many are of each ray; left (rays,) is what
-    comes through before them, and then behind. light (n, 3) gets BEFORE, ALPHA, THICKNESS, kept the samples that are seen and
-    kept_counts (rays,) their numbers. Returns how many are kept.
+    said (n, 16) are the first network's outputs, density first; counts (rays,) samples per ray; left (rays,) the
+    transmittance before them, which is updated. light (n, 3) gets BEFORE, ALPHA, THICKNESS; kept the indices of the
+    visible samples; kept_counts (rays,) their number.
     """
     at, found = 0, 0
     for n in range(len(counts)):
@@ -168,7 +168,7 @@ def weigh(said, counts, delta, left, light, kept, kept_counts):
 
 @kernel
 def join(said, kept, kept_counts, basis, out):
-    """What the network says of the samples that are kept (m, 16), and the harmonics of their rays' directions (rays, 16): out (m, 32)."""
+    """Color network input out (m, 32): the first network's outputs of kept samples, and harmonics (rays, 16)."""
     at = 0
     for n in range(len(kept_counts)):
         for i in range(at, at + kept_counts[n]):
@@ -180,7 +180,7 @@ def join(said, kept, kept_counts, basis, out):
 
 @kernel
 def compose(colours, light, positions, kept, kept_counts, image):
-    """Add the samples' colours (m, 3), each before a logistic function, which they pass here, and distances to the rays' image (rays, 4)."""
+    """Apply the logistic function to colours (m, 3) in place; add colors and distances to image (rays, 4)."""
     at, one = 0, np.float32(1.0)
     for n in range(len(kept_counts)):
         for i in range(at, at + kept_counts[n]):
@@ -194,9 +194,9 @@ def compose(colours, light, positions, kept, kept_counts, image):
 
 @kernel
 def compose_back(colours, light, kept_counts, behind, by_image, by_colours, by_raw):
-    """Derivatives by what the network says of colours (m, 3) and densities (m,) from those by the image (rays, 3).
+    """Derivatives w.r.t. the outputs for color (m, 3) and density (m,), given those w.r.t. the image (rays, 3).
 
-    colours (m, 3) have passed the logistic function; behind (rays,) is dL/dC . background times what is seen of it.
+    colours (m, 3) are after the logistic function; behind (rays,) is dL/dC . background times the final transmittance.
     """
     at, one = 0, np.float32(1.0)
     for n in range(len(kept_counts)):
@@ -215,7 +215,7 @@ def compose_back(colours, light, kept_counts, behind, by_image, by_colours, by_r
 
 @kernel
 def limit_change(by, value):
-    """Clear derivatives (n, k) where the value that passed is not above 0."""
+    """Backward pass of a ReLU: clear derivatives (n, k) where its output is 0."""
     one, other = by.reshape(-1), value.reshape(-1)
     for i in range(len(one)):
         if not other[i] > np.float32(0.0):
@@ -224,9 +224,9 @@ def limit_change(by, value):
 
 @kernel
 def move(values, gradient, mean, square, rate, momentum, squares):
-    """Adam's step of flat numbers that got a derivative, which is cleared (Kingma and Ba, ICLR 2015).
+    """Adam step of flat numbers with a nonzero gradient, which is cleared (Kingma and Ba, ICLR 2015).
 
-    What is moved for the first time moves by its rate: with betas of 0.9 and 0.99 that needs no correction.
+    Without bias correction, the first step of a number has the size of the learning rate for betas of 0.9 and 0.99.
     """
     one = np.float32(1.0)
     for i in range(len(values)):

@@ -1,4 +1,4 @@
-"""Rays through a grid of cells: where they enter it, and where they leave what is empty."""
+"""Rays through a grid of cells: entry, exit, and skipping of empty blocks."""
 
 import math
 
@@ -7,12 +7,12 @@ import numpy as np
 from epipole._jit import kernel
 
 BLOCK = 8
-"""Cells along the side of a block that is skipped where it is empty."""
+"""Cells along the side of a block; empty blocks are skipped."""
 
 
 @kernel(fuse=True)
 def enter(occupied, origin, direction):
-    """Where a ray enters and leaves the grid, in voxels along it; empty where the first is not less."""
+    """Ray parameters at which a ray enters and leaves the grid, in voxels; it misses the grid unless near < far."""
     near, far = np.float32(0.0), np.float32(1e30)
     for k in range(3):
         most = np.float32(occupied.shape[k]) - np.float32(1e-3)
@@ -27,7 +27,7 @@ def enter(occupied, origin, direction):
 
 @kernel(fuse=True)
 def past_block(origin, direction, ix, iy, iz, t):
-    """Where a ray that is in an empty block leaves it."""
+    """Ray parameter at which a ray leaves its block."""
     leaves = np.float32(1e30)
     for k in range(3):
         cell = ix if k == 0 else (iy if k == 1 else iz)
@@ -42,7 +42,7 @@ def past_block(origin, direction, ix, iy, iz, t):
 
 @kernel(fuse=True)
 def ray_of_pixel(rays, view, column, row, low, size, origin, direction):
-    """Origin and unit direction of a pixel, in voxels."""
+    """Origin and unit direction of a pixel's ray, in voxels."""
     x = (column - rays.intrinsics[view, 2]) / rays.intrinsics[view, 0]
     y = (row - rays.intrinsics[view, 3]) / rays.intrinsics[view, 1]
     length = math.sqrt(x * x + y * y + 1.0)

@@ -1,4 +1,4 @@
-"""Words for code in vectors of the processor, as kernels have LLVM write it: what Numba's loops do not become."""
+"""Building blocks for SIMD code in LLVM IR, for loops that Numba does not vectorize."""
 
 from typing import Any
 
@@ -7,16 +7,16 @@ from llvmlite import ir
 from numba.core import cgutils
 
 LANES = 16
-"""Numbers of a vector: one register of AVX-512, two of AVX2."""
+"""Floats in a vector: one register of AVX-512, two of AVX2."""
 FLOAT = ir.FloatType()
 VECTOR = ir.VectorType(FLOAT, LANES)
 
 
 class Vector:
-    """A vector of the code that is being written."""
+    """A vector in the generated code."""
 
     def __init__(self, builder: Any, value: Any) -> None:
-        """Of a value of LLVM's."""
+        """Wrap an LLVM value."""
         self.builder, self.value = builder, value
 
     def _other(self, other: Any) -> Any:
@@ -39,15 +39,15 @@ class Vector:
         return Vector(self.builder, self.builder.fdiv(self.value, self._other(other)))
 
     def times_plus(self, factor: Any, term: Any) -> "Vector":
-        """The product with a factor and a term, rounded once."""
+        """Fused multiply-add."""
         return self._call("fma", factor, term)
 
     def least(self, other: Any) -> "Vector":
-        """The smaller of both, lane by lane."""
+        """Elementwise minimum."""
         return self._this_if("<", other)
 
     def largest(self, other: Any) -> "Vector":
-        """The larger of both, lane by lane."""
+        """Elementwise maximum."""
         return self._this_if(">", other)
 
     def root(self) -> "Vector":
@@ -55,21 +55,21 @@ class Vector:
         return self._call("sqrt")
 
     def compare(self, relation: str, other: Any) -> Any:
-        """Where its relation to another holds, lane by lane."""
+        """Elementwise comparison with another vector."""
         return self.builder.fcmp_ordered(relation, self.value, self._other(other))
 
     def where(self, relation: str, first: "Vector", second: Any, other: float = 0.0) -> "Vector":
-        """Itself where the relation of first and second holds, else another number."""
+        """This vector where the comparison of first and second holds, elsewhere another number."""
         compare = first.compare(relation, second)
         return Vector(self.builder, self.builder.select(compare, self.value, self._other(other)))
 
     def taken(self, lanes: list[int]) -> "Vector":
-        """These of its lanes, one after the other."""
+        """Shuffle lanes."""
         which = ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), list(lanes))
         return Vector(self.builder, self.builder.shuffle_vector(self.value, self.value, which))
 
     def _this_if(self, relation: str, other: Any) -> "Vector":
-        # one instruction; that of LLVM's minnum and maxnum, which look for NaN, is three
+        # One instruction; LLVM's minnum and maxnum, which handle NaN, take three.
         value = self._other(other)
         return Vector(self.builder, self.builder.select(self.compare(relation, other), self.value, value))
 
@@ -84,26 +84,26 @@ class Vector:
 
 
 def constant(value: Any, lanes: int = LANES) -> Any:
-    """One number in all lanes, known when the code is written."""
+    """A compile-time constant in all lanes."""
     return ir.Constant(ir.VectorType(FLOAT, lanes), [float(np.float32(value))] * lanes)
 
 
 def lanes_of(builder: Any, values: np.ndarray) -> Vector:
-    """Numbers known when the code is written."""
+    """A compile-time constant vector."""
     return Vector(builder, ir.Constant(ir.VectorType(FLOAT, len(values)), values.astype(float).tolist()))
 
 
 def spread(builder: Any, value: Any, lanes: int = LANES) -> Vector:
-    """One number in all lanes, known when the code runs."""
+    """A run-time scalar in all lanes."""
     none = ir.Constant(ir.VectorType(FLOAT, lanes), ir.Undefined)
     return Vector(builder, builder.insert_element(none, value, cgutils.int32_t(0))).taken([0] * lanes)
 
 
 class Row:
-    """Vectors of a flat array, seen from one place in it."""
+    """Vectors of a flat array, at offsets from an index."""
 
     def __init__(self, builder: Any, data: Any, at: Any) -> None:
-        """Of where the array begins, and the place."""
+        """Wrap the data pointer of an array and an index."""
         self.builder, self.data, self.at = builder, data, at
 
     def _pointer(self, offset: int) -> Any:
@@ -111,21 +111,21 @@ class Row:
         return self.builder.bitcast(self.builder.gep(self.data, [at]), VECTOR.as_pointer())
 
     def get(self, offset: int) -> Vector:
-        """The one that begins so much later."""
+        """Load the vector at an offset."""
         return Vector(self.builder, self.builder.load(self._pointer(offset), align=4))
 
     def put(self, offset: int, value: Vector) -> None:
-        """Write it."""
+        """Store a vector at an offset."""
         self.builder.store(value.value, self._pointer(offset), align=4)
 
 
 def row_of(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Row:
-    """Of a flat array that a kernel holds."""
+    """Row of a flat array that is an argument of a kernel."""
     return Row(builder, context.make_array(kind)(context, builder, array).data, at)
 
 
 def table_of(builder: Any, name: str, values: np.ndarray) -> Any:
-    """Where numbers lie that are known when the code is written."""
+    """Pointer to a constant table."""
     kind = ir.ArrayType(FLOAT, len(values))
     table = cgutils.global_constant(builder, name, ir.Constant(kind, values.astype(float).tolist()))
     table.align = 4 * LANES

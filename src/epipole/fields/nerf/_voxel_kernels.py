@@ -1,9 +1,10 @@
-"""Rays through a grid of densities and colours: samples, their composition, and derivatives (Max 1995; Sun et al., DVGO, 2022).
+"""Ray sampling, compositing and derivatives for a grid of densities and colors (Max 1995; Sun et al., DVGO, 2022).
 
-With steps of length delta a ray's colour is C = sum_i T_i alpha_i c_i + T_end background, alpha_i = 1 - exp(-sigma_i delta),
-T_i = prod_{j<i} (1 - alpha_j): the weights and T_end sum to one. With v_i = c_i . dL/dC,
+With step length delta a ray's color is C = sum_i T_i alpha_i c_i + T_end background, alpha_i = 1 - exp(-sigma_i delta),
+T_i = prod_{j<i} (1 - alpha_j); the weights and T_end sum to one. With v_i = c_i . dL/dC,
     dL/dsigma_i = delta (T_{i+1} v_i - sum_{j>i} T_j alpha_j v_j - T_end background . dL/dC).
-A voxel's row holds the density before its softplus and harmonics of degree 1 of red, green and blue, interpolated between eight corners.
+Each corner has a row with the density before its softplus and harmonics up to degree 1 of red, green and blue; a sample
+interpolates eight corners.
 """
 
 import math
@@ -16,23 +17,23 @@ from epipole.fields.splat._projection_kernels import SH0, SH1
 from epipole.fields.splat._simd_kernels import ROW, adam_row, add_row
 
 STEP = np.float32(0.7)
-"""Between samples, in voxels."""
+"""Distance between samples, in voxels."""
 MOST_SAMPLES = 512
 OVER = np.float32(1e-3)
-"""Transmittance below which what comes behind is not seen."""
+"""Transmittance below which a ray is terminated."""
 SHIFT = np.float32(-4.6)
-"""Added to a density before its softplus: what is not yet known lets 99 % through a voxel."""
+"""Offset of a density before its softplus, so that an untrained voxel transmits 99 %."""
 LEAST_WEIGHT = np.float32(0.03)
-"""Of a sample that is said to be seen."""
+"""Smallest weight of a sample that marks its cell as seen."""
 LEAST_GRADIENT = np.float32(1e-12)
 RECORD = 10
-"""Of a sample: fraction in its cell (3), dL/d raw density, dL/d colour (3), direction (3)."""
+"""Floats of a record: fraction in its cell (3), dL/d raw density, dL/dcolor (3), direction (3)."""
 FX, FY, FZ, BY_RAW, BY_RED, DX, DY, DZ = 0, 1, 2, 3, 4, 7, 8, 9
 
 
 @kernel(fuse=True)
 def _gather(voxels, flat, ix, iy, iz, fx, fy, fz, acc):
-    """The row between eight corners, into acc (16,)."""
+    """Interpolate the rows of eight corners into acc (16,)."""
     one = np.float32(1.0)
     for k in range(ROW):
         acc[k] = np.float32(0.0)
@@ -56,9 +57,10 @@ def _softplus(x):
 
 @kernel(fuse=True)
 def _march(voxels, flat, origin, direction, first, work):
-    """Samples of a ray, from the eye on; returns their number and what is seen of the background.
+    """Sample a ray from the camera on; returns the number of samples and the final transmittance.
 
-    Work.place (samples, 6) gets the cell and the fraction in it, work.light (samples, 6): transmittance before, alpha, softplus', colour.
+    work.position (samples, 6) gets the cell and the fraction in it; work.light (samples, 6) transmittance, alpha,
+    softplus' and color.
     """
     near, far = enter(voxels.occupied, origin, direction)
     one, half, zero = np.float32(1.0), np.float32(0.5), np.float32(0.0)
@@ -100,7 +102,7 @@ def _march(voxels, flat, origin, direction, first, work):
 
 @kernel
 def render_pixels(rays, view, width, voxels, background, start, stop, image, depth, work):
-    """Pixels start..stop of a view, flat, into image (h w, 3) and depth (h w,) along the ray, in voxels, times coverage."""
+    """Render pixels start..stop into flat image (h w, 3) and depth (h w,), along the ray in voxels, times coverage."""
     flat = voxels.values.reshape(-1)
     samples = 0
     for at in range(start, stop):
@@ -126,10 +128,10 @@ def render_pixels(rays, view, width, voxels, background, start, stop, image, dep
 
 @kernel
 def learn_rays(rays, chosen, first, voxels, background, scale, start, stop, records, cells, work):
-    """Samples of the rays start..stop with their derivatives, into records (capacity, RECORD) and cells (capacity,).
+    """Write samples of rays start..stop and their derivatives to records (capacity, RECORD) and cells (capacity,).
 
-    chosen (n,) are pixels of all images, first (n,) where in a step each begins; scale times the squared error is the loss. Returns
-    the number of records, the sum of squared errors, and the number of samples.
+    chosen (n,) are pixels of all images, first (n,) the offset of the first sample in steps; the loss is scale times
+    the squared error. Returns the number of records, the sum of squared errors, and the number of samples.
     """
     flat = voxels.values.reshape(-1)
     ny, nz = voxels.row_of.shape[1], voxels.row_of.shape[2]
@@ -190,10 +192,10 @@ def learn_rays(rays, chosen, first, voxels, background, scale, start, stop, reco
 
 @kernel
 def move_planes(voxels, records, cells, order, plane_start, row_start, first, last, adam, one):
-    """Add the derivatives of the planes first..last of constant x to their rows, and move the rows that got some by Adam.
+    """Add derivatives in planes first..last of constant x to their rows, with an Adam step of each row that got any.
 
-    A record touches the plane before its cell and the one behind it. `order` has records by their cells, `plane_start` the first of
-    each plane; one (16,) is scratch.
+    A record touches the planes on both sides of its cell. `order` sorts the records by cell, `plane_start` is the first
+    one of each plane; one (16,) is scratch.
     """
     flat, gradient = voxels.values.reshape(-1), adam.gradient.reshape(-1)
     for plane in range(first, last):

@@ -1,7 +1,7 @@
-"""A neural radiance field: features from hashed tables, read by a small network that is queried along rays.
+"""A neural radiance field: hashed feature tables, decoded by a small network along rays.
 
-Mildenhall et al., NeRF (2020): a network tells density and colour at a place and a direction, which are integrated along rays.
-Mueller et al., Instant-NGP (2022): trained tables of features at several sizes make the network small.
+Mildenhall et al., NeRF (2020): a network maps position and direction to density and color, which are integrated along
+rays. Mueller et al., Instant-NGP (2022): trained feature tables at several resolutions allow a small network.
 """
 
 from __future__ import annotations
@@ -13,9 +13,8 @@ import numpy as np
 from jaxtyping import Float32
 
 from epipole import _parallel
-from epipole._checks import check_count
-from epipole._declared import checked
-from epipole._declared.tables import Expected, require_arrays
+from epipole._checks import check_count, checked
+from epipole._checks.tables import Expected, require_arrays
 from epipole.cameras import Camera
 from epipole.errors import ConfigError
 from epipole.fields.nerf import _hash_kernels as kernels
@@ -26,42 +25,48 @@ from epipole.fields.splat._projection_kernels import harmonics
 from epipole.fields.splat._simd_kernels import ROW
 from epipole.geometry import Rigid3
 
-FEATURES, SAID, BASIS = 4, 16, 16
-"""Of a level; of what the first network says, density and 15 more; and harmonics of a direction."""
+FEATURES = 4
+"""Features per level."""
+SAID = 16
+"""Outputs of the first network: density and 15 features."""
+BASIS = 16
+"""Spherical harmonics of a direction."""
 MOST_CELLS = 1 << 27
-"""Of an explicit grid that is made."""
-TOGETHER, WAVE = 1024, 16
-"""Rays of an image in one piece of work, and samples of each before what is hidden is left out."""
+"""Cells of an exported grid, at most."""
+TOGETHER = 1024
+"""Rays processed as one task."""
+WAVE = 16
+"""Samples per ray between two checks for terminated rays."""
 DELTA = np.float32(kernels.STEP)
-"""Length of a step, in which densities are told: cells."""
+"""Step length, in cells; densities are per cell."""
 LEAST_SIGMA = 1e-8
 
 
 class Room(NamedTuple):
-    """Cells in which something may be; a place p of the world is at (p - low) / size."""
+    """Occupancy grid; world point p is at (p - low) / size."""
 
     occupied: np.ndarray
     """(x, y, z) uint8."""
     blocks: np.ndarray
-    """Whether a block of 8 x 8 x 8 cells holds an occupied one."""
+    """Whether each block of 8 x 8 x 8 cells has an occupied cell."""
     low: np.ndarray
     size: float
 
 
 class HashField(NamedTuple):
-    """Tables, network, and where to look."""
+    """Feature tables, network and occupancy."""
 
     room: Room
     cells: np.ndarray
-    """(levels,) cells along the longest side of the room, at each level."""
+    """(levels,) cells along the longest side, at each level."""
     tables: np.ndarray
     """(levels, rows, 4) float32."""
     weights: tuple[np.ndarray, ...]
-    """Of the layers, (inputs, outputs) each: two say density and 15 features, three more the colour; between them what is below 0 is cut off."""
+    """(inputs, outputs) of each layer: two for density and 15 features, three for color, with ReLU in between."""
 
 
 class Samples(NamedTuple):
-    """Of rays that go on: where they were sampled, and what the first network said."""
+    """Next samples of rays, with their features and the outputs of the first network."""
 
     positions: np.ndarray
     counts: np.ndarray
@@ -72,7 +77,7 @@ class Samples(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """Of samples that are not hidden: their light, and the layers of the colour."""
+    """Visible samples, with their weights and the layers of the color network."""
 
     kept: np.ndarray
     counts: np.ndarray
@@ -93,14 +98,14 @@ _HASH = {
     "weight_3": Expected("float32", "b c"),
     "weight_4": Expected("float32", "c 3"),
 }
-"""What a field holds: rooms, tables, layers."""
+"""Arrays of a field."""
 
 
 def check_hash_field(field: HashField) -> None:
     """Check a neural field.
 
     Raises:
-        ShapeError: its arrays are of another kind, or do not fit each other.
+        ShapeError: an array has the wrong type or shape.
     """
     weights = {f"weight_{n}": one for n, one in enumerate(field.weights)}
     arrays = {**field.room._asdict(), "cells": field.cells, "tables": field.tables, **weights}
@@ -109,7 +114,7 @@ def check_hash_field(field: HashField) -> None:
 
 
 def new_weights(rng: np.random.Generator, levels: int, width: int) -> tuple[np.ndarray, ...]:
-    """Layers that keep the size of what passes (He et al., 2015)."""
+    """Random layers that preserve the scale of activations (He et al., 2015)."""
     sizes = (levels * FEATURES, width, SAID), (SAID + BASIS, width, width, 3)
     pairs = [pair for part in sizes for pair in pairwise(part)]
     bounds = [np.sqrt(6.0 / into) for into, _ in pairs]
@@ -117,7 +122,7 @@ def new_weights(rng: np.random.Generator, levels: int, width: int) -> tuple[np.n
 
 
 def query_density(field: HashField, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Features (n, levels * 4), the hidden layer, and density and features (n, 16) at places (n, 3) in [0, 1]."""
+    """Features (n, levels * 4), hidden layer, and density with 15 features (n, 16) at positions (n, 3) in [0, 1]."""
     features = np.empty((len(positions), len(field.cells) * FEATURES), np.float32)
     kernels.encode(positions, field.cells, field.tables, features)
     hidden = features @ field.weights[0]
@@ -126,7 +131,7 @@ def query_density(field: HashField, positions: np.ndarray) -> tuple[np.ndarray, 
 
 
 def coloured(field: HashField, joined: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Layers (n, .) of the colour from (n, 32): what the first network said, and the direction."""
+    """Layers (n, .) of the color network for inputs (n, 32): the first network's outputs and harmonics."""
     first = joined @ field.weights[2]
     np.maximum(first, 0.0, out=first)
     second = first @ field.weights[3]
@@ -143,7 +148,7 @@ def sampled(
     most: int,
     capacity: int,
 ) -> Samples:
-    """The next samples of rays, at most `most` of each and `capacity` of all; at (n,) is moved on."""
+    """Next samples of rays, at most `most` per ray and `capacity` in total; advances at (n,)."""
     positions, counts = np.empty((capacity, 4), np.float32), np.empty(len(pixel_of), np.int64)
     basis = np.empty((len(pixel_of), BASIS), np.float32)
     work = np.zeros((2, 3), np.float32)
@@ -155,7 +160,7 @@ def sampled(
 
 
 def seen(field: HashField, samples: Samples, left: np.ndarray) -> Seen:
-    """Light and colours of samples, until what is behind is hidden; left (n,) is what comes through rays, and is moved on."""
+    """Weights and colors of samples until rays are opaque; updates the transmittance left (n,)."""
     n = len(samples.said)
     light, kept, counts = np.empty((n, 3), np.float32), np.empty(n, np.int64), np.empty_like(samples.counts)
     found = kernels.weigh(samples.said, samples.counts, DELTA, left, light, kept, counts)
@@ -169,11 +174,11 @@ def seen(field: HashField, samples: Samples, left: np.ndarray) -> Seen:
 def render_hash(
     field: HashField, camera: Camera, cam_from_world: Rigid3, background: Float32[np.ndarray, " 3"]
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """(h, w, 3) the image, (h, w) the depth along rays times coverage in the world's unit, and the samples at which the network was asked.
+    """Image (h, w, 3), depth (h, w) along rays times coverage in world units, and the number of network queries.
 
     Raises:
-        ShapeError: the arrays of the field do not fit each other, or the pose is not a single motion.
-        ConfigError: the camera has more pixels than are rendered.
+        ShapeError: the arrays of the field do not match, or the pose is not a single pose.
+        ConfigError: the camera has too many pixels to render.
     """
     check_hash_field(field)
     rays, total = rays_of_camera(camera, cam_from_world), camera.width * camera.height
@@ -191,7 +196,7 @@ def render_hash(
 def _render_rays(
     field: HashField, rays: Rays, pixels: np.ndarray, image: np.ndarray, background: np.ndarray
 ) -> int:
-    """In waves: what is hidden by the samples of one is not asked for in the next."""
+    """Render in waves, so that samples behind opaque ones are not queried; returns the number of queries."""
     alive, total = np.arange(len(pixels)), 0
     at, left = np.full(len(pixels), -0.5, np.float32), np.ones(len(pixels), np.float32)
     views = np.zeros(len(pixels), np.int64)
@@ -211,11 +216,13 @@ def _render_rays(
 
 @checked
 def voxels_of(field: HashField, finer: int = 2) -> Voxels:
-    """The field as an explicit grid of `finer` cells for each of its own: densities, and colours along six axes as harmonics of degree 1.
+    """Convert to an explicit grid with `finer` cells along each cell.
+
+    Colors are sampled along six axes and fitted with harmonics of degree 1.
 
     Raises:
-        ShapeError: the arrays of the field do not fit each other.
-        ConfigError: `finer` is not positive, or makes too many cells.
+        ShapeError: the arrays of the field do not match.
+        ConfigError: `finer` is not positive, or there would be too many cells.
     """
     check_hash_field(field)
     if finer < 1:
@@ -245,7 +252,7 @@ def voxels_of(field: HashField, finer: int = 2) -> Voxels:
 
 
 def _degree_1(field: HashField, said: np.ndarray) -> np.ndarray:
-    """(n, 12) harmonics of degree 0 and 1 that colours along six axes give; the ones' mean square is that of all directions."""
+    """(n, 12) harmonics of degree 0 and 1 of the colors along six axes, whose mean square matches the sphere's."""
     total = np.zeros((len(said), 4, 3), np.float32)
     for axis in np.concatenate([np.eye(3), -np.eye(3)]):
         basis = np.zeros(BASIS, np.float32)

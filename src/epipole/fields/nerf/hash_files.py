@@ -1,4 +1,4 @@
-"""A trained neural field as a file: NumPy's .npz, with tables and network in half precision."""
+"""Files of trained neural fields: NumPy .npz, with tables and network in half precision."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
-from epipole._declared import Declared, check_fields, checked
-from epipole._declared.tables import Expected, Table
+from epipole._checks import Declared, check_fields, checked
+from epipole._checks.tables import Expected, Table
 from epipole.errors import FileFormatError, ShapeError
 from epipole.fields.nerf.voxel_files import CELLS, LARGEST, MOST_SIDE, unpacked_cells
 from epipole.io.array_files import read_packed_arrays
@@ -28,26 +28,26 @@ HASH: Table = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HashContents(Declared):
-    """What a file holds."""
+    """Contents of a file."""
 
     occupied: Bool[np.ndarray, "x y z"]
     """(x, y, z) bool."""
     low: Float64[np.ndarray, " 3"]
-    """(3,) the corner of these cells in the world."""
+    """(3,) corner of the cells in the world."""
     size: float
-    """Of such a cell."""
+    """Size of a cell."""
     cells: Int64[np.ndarray, " l"]
     """(levels,) cells along the longest side, at each level."""
     tables: Float32[np.ndarray, "l r 4"]
     """(levels, rows, 4) float32."""
     weights: tuple[Float32[np.ndarray, "_ _"], ...]
-    """Of the five layers, (inputs, outputs) each."""
+    """(inputs, outputs) of each of the five layers."""
 
     def __post_init__(self) -> None:
         """Check the arrays.
 
         Raises:
-            ShapeError: there are not five layers, or an array is of another kind or shape.
+            ShapeError: there are not five layers, or an array has the wrong type or shape.
         """
         check_fields(self)
         if len(self.weights) != LAYERS:
@@ -89,7 +89,7 @@ def read_hash(path: str | Path) -> HashContents:
     """Read a neural field.
 
     Raises:
-        FileFormatError: it is no such file, is damaged, or promises what it does not hold.
+        FileFormatError: it is not such a file, or is damaged.
     """
     path = Path(path)
     arrays = read_packed_arrays(path, HASH)
@@ -101,7 +101,7 @@ def read_hash(path: str | Path) -> HashContents:
     if not 1 <= len(levels) <= MOST_LEVELS:
         raise FileFormatError(path, f"has {len(levels)} levels, not 1 to {MOST_LEVELS}")
     if rows < 1 or rows & (rows - 1):
-        raise FileFormatError(path, f"has tables of {rows} rows, which is no power of two")
+        raise FileFormatError(path, f"has tables of {rows} rows, which is not a power of two")
     _check_layers(path, weights, 4 * len(levels))
     layers = tuple(one.astype(np.float32) for one in weights)
     occupied = unpacked_cells(path, arrays)
@@ -109,8 +109,8 @@ def read_hash(path: str | Path) -> HashContents:
 
 
 def _check_layers(path: Path, weights: list[np.ndarray], features: int) -> None:
-    """Two layers to density and 15 features, three more from these and 16 harmonics to a colour."""
+    """Check the shapes: two layers for density and 15 features, three for color from these and 16 harmonics."""
     width = weights[0].shape[1]
     wanted = [(features, width), (width, 16), (32, width), (width, width), (width, 3)]
     if not 1 <= width <= MOST_WIDTH or [one.shape for one in weights] != wanted:
-        raise FileFormatError(path, "the layers of the network do not fit each other")
+        raise FileFormatError(path, "the shapes of the network's layers do not match")

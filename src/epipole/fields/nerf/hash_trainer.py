@@ -1,4 +1,4 @@
-"""A neural radiance field learnt from images, its network's and tables' derivatives by hand, and where nothing is it is no longer asked."""
+"""Trainer for a neural radiance field, with hand-written derivatives and an occupancy grid that skips empty space."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ import numpy as np
 from jaxtyping import Float32
 
 from epipole import _parallel
-from epipole._checks import check_fraction, check_seed
-from epipole._declared import checked
-from epipole._declared.tables import Expected, Table, check_arrays
+from epipole._checks import check_fraction, check_seed, checked
+from epipole._checks.tables import Expected, Table, check_arrays
 from epipole.errors import ShapeError
 from epipole.fields.nerf import _hash_kernels as kernels
 from epipole.fields.nerf.hash_field import (
@@ -34,53 +33,71 @@ from epipole.fields.splat._simd_kernels import MOMENTUM, SQUARES
 from epipole.fields.splat.starting import first_cells
 from epipole.fields.training_view import TrainingView
 
-LEVELS, ROWS, COARSEST, FINEST, WIDTH = 8, 1 << 15, 16, 512, 64
-"""Tables, rows of each, cells along a side of the first and the last, and numbers between the layers of the network."""
-PIECES, SAMPLES = 8, 4096
-"""Of a step: pieces of work, and samples that each is meant to have."""
-FIRST_RAYS, MOST_RAYS, LONGEST = 512, 16384, 256
-"""Of the first step, of any step, and samples of a ray: how many rays there are follows from the samples that the last ones had."""
-TABLE_RATE, LAYER_RATE, LAST_RATES = 0.1, 0.004, 0.1
-"""Steps of numbers in tables and in layers at first, and what is left of them at the end."""
+LEVELS = 8
+"""Number of feature tables."""
+ROWS = 1 << 15
+"""Rows of a table."""
+COARSEST, FINEST = 16, 512
+"""Cells along a side at the first and the last level."""
+WIDTH = 64
+"""Units of a hidden layer."""
+PIECES = 8
+"""Tasks that a step is divided into."""
+SAMPLES = 4096
+"""Target number of samples per task."""
+FIRST_RAYS, MOST_RAYS = 512, 16384
+"""Rays of the first step, and of any step at most; the number adapts to the samples per ray of the last step."""
+LONGEST = 256
+"""Samples of a ray, at most."""
+TABLE_RATE, LAYER_RATE = 0.1, 0.004
+"""Initial learning rates of tables and layers."""
+LAST_RATES = 0.1
+"""Factor of the learning rates at the end."""
 SIDE = 128
-"""Cells along the longest side of where is looked."""
-CHECK_EVERY, CHECKED_FRACTION, WARM_UP = 16, 16, 256
-"""Steps between two looks for cells that are empty, one cell of so many at each, and steps before any is left out."""
-FADE, LEAST_ALPHA = 0.95, 0.01
-"""What is left of a cell's earlier opacity at the next look, and the opacity of a step below which it is empty."""
+"""Cells along the longest side of the occupancy grid."""
+CHECK_EVERY = 16
+"""Steps between two updates of the occupancy."""
+NUM_PARTS = 16
+"""One in this number of cells is checked per update."""
+WARM_UP = 256
+"""Steps before the first cell is marked empty."""
+FADE = 0.95
+"""Decay of a cell's alpha per update."""
+LEAST_ALPHA = 0.01
+"""Alpha of a step below which a cell is empty."""
 
 
 class Marched(NamedTuple):
-    """Derivatives that some rays give."""
+    """Derivatives from some rays."""
 
     positions: np.ndarray
     by_features: np.ndarray
     by_weights: tuple[np.ndarray, ...]
     error: float
-    """Sum of squares."""
+    """Sum of squared errors."""
     samples: int
-    """At which the network was asked."""
+    """Number of network queries."""
 
 
 class HashTrainer:
-    """Trains a neural field on views; the same views and steps give the same field for any number of threads.
+    """Trains a neural field on views; the result does not depend on the number of threads.
 
     Attributes:
-        field: as it is.
-        num_steps: taken.
-        num_samples: of the last step, at which the network was asked.
+        field: current field.
+        num_steps: steps taken.
+        num_samples: network queries of the last step.
     """
 
     @checked
     def __init__(
         self, views: Sequence[TrainingView], background: Float32[np.ndarray, " 3"], seed: int = 0
     ) -> None:
-        """Begin with everything that the cameras look into.
+        """Start with all cells occupied that the cameras look at.
 
         Raises:
-            ConfigError: there is no view, masks leave no pixel of any, or the seed is negative.
+            ConfigError: there is no view, the masks leave no pixel, or the seed is negative.
             ShapeError: the background is not finite.
-            DegenerateGeometryError: the cameras look at nothing in common.
+            DegenerateGeometryError: the cameras see nothing in common.
         """
         check_seed(seed)
         if not np.isfinite(background).all():
@@ -103,13 +120,13 @@ class HashTrainer:
 
     @checked
     def step(self, progress: float) -> float:
-        """A batch of rays of all images; returns the mean squared error.
+        """Train on a batch of rays of all images; returns the mean squared error.
 
         Args:
-            progress: share of the training that is done, from 0 to 1.
+            progress: fraction of the training that is done, from 0 to 1.
 
         Raises:
-            ConfigError: the share is not from 0 to 1.
+            ConfigError: progress is not from 0 to 1.
         """
         check_fraction(progress, "progress")
         count = self._num_rays
@@ -130,7 +147,7 @@ class HashTrainer:
 
     @property
     def table(self) -> Table:
-        """What a `state` holds."""
+        """Arrays of `state`."""
         moved = [" ".join(map(str, one.shape)) for one in (self.field.tables, *self.field.weights)]
         parts = {
             f"{kind}_{n}": Expected("float32", axes, least=0 if kind == "square" else None)
@@ -147,7 +164,7 @@ class HashTrainer:
         }
 
     def state(self) -> dict[str, np.ndarray]:
-        """All that the next steps depend on, besides the views."""
+        """All state that the next steps depend on, except the views."""
         moved = {
             "value": (self.field.tables, *self.field.weights),
             "mean": self._mean,
@@ -162,10 +179,10 @@ class HashTrainer:
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from a `state` of a trainer with the same views: the same bits as without a break.
+        """Continue from a `state` of a trainer with the same views, with bit-identical results.
 
         Raises:
-            ShapeError: it takes more rays than a step may have, or none.
+            ShapeError: the number of rays is out of range.
         """
         state = check_arrays(state, self.table)
         num_steps, num_rays = state["counts"].tolist()
@@ -182,7 +199,7 @@ class HashTrainer:
         set_state(self._rng, state["rng"])
 
     def _marched(self, chosen: np.ndarray, first: np.ndarray, count: int) -> Marched:
-        """Pixels (n,) of all images, of `count` in this step, whose rays begin with the offsets first (n,), less 1."""
+        """Forward and backward pass of pixels (n,), out of `count` in this step; first (n,): ray offsets minus 1."""
         field, rays = self.field, self.rays
         view = np.searchsorted(rays.offset, chosen, side="right") - 1
         samples = sampled(field, rays, chosen - rays.offset[view], view, first, LONGEST, 4 * SAMPLES)
@@ -202,7 +219,7 @@ class HashTrainer:
     def _back(
         self, samples: Samples, part: Seen, by_colours: np.ndarray, by_raw: np.ndarray
     ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-        """Through the layers, last to first (Rumelhart, Hinton and Williams, 1986)."""
+        """Backpropagation through the layers (Rumelhart, Hinton and Williams, 1986)."""
         w = self.field.weights
         joined, first, second, _ = part.layers
         hidden, features = samples.hidden[part.kept], samples.features[part.kept]
@@ -224,7 +241,7 @@ class HashTrainer:
         return by_hidden @ w[0].T, by_weights
 
     def _move(self, parts: list[Marched], rate: float) -> None:
-        """Derivatives are added in the order of the rays, each level's by one thread; then a step of Adam."""
+        """Add up derivatives in the order of the rays, with one thread per level, and take an Adam step."""
         field = self.field
         for n, gradient in enumerate(self._gradient[1:]):
             for part in parts:
@@ -244,9 +261,9 @@ class HashTrainer:
         kernels.move(*(part.reshape(-1) for part in parts), np.float32(rate), MOMENTUM, SQUARES)
 
     def _update_occupancy(self) -> None:
-        """Ask for the density in some cells, and leave out those in which it has long been low."""
-        rotation = self.num_steps // CHECK_EVERY % CHECKED_FRACTION
-        chosen = np.arange(rotation, len(self._may_be), CHECKED_FRACTION)
+        """Query the density in some cells, and mark cells empty whose alpha has been low for long."""
+        part = self.num_steps // CHECK_EVERY % NUM_PARTS
+        chosen = np.arange(part, len(self._may_be), NUM_PARTS)
         room = self.field.room
         positions = np.zeros((len(chosen), 4), np.float32)
         positions[:, :3] = self._may_be[chosen] + self._rng.random((len(chosen), 3), np.float32)
@@ -259,7 +276,7 @@ class HashTrainer:
 
         alpha = np.concatenate(_parallel.map_chunks(check, len(chosen), -(-len(chosen) // SAMPLES)))
         self._alpha[chosen] = np.maximum(FADE * self._alpha[chosen], alpha)
-        if self.num_steps < WARM_UP or rotation:
+        if self.num_steps < WARM_UP or part:
             return
         least = min(LEAST_ALPHA, float(self._alpha.mean()))
         occupied = np.zeros(room.occupied.shape, bool)
@@ -269,21 +286,21 @@ class HashTrainer:
         )
 
     def _wanted(self, chosen: np.ndarray) -> np.ndarray:
-        """(n, 3) colours of pixels before the background."""
+        """(n, 3) colors of pixels over the background."""
         rgba = self.rays.pixels[chosen].astype(np.float32) / np.float32(255.0)
         alpha = rgba[:, 3:]
         return rgba[:, :3] * alpha + (np.float32(1.0) - alpha) * self.background
 
     def __len__(self) -> int:
-        """Numbers that are learnt."""
+        """Number of parameters."""
         return self.field.tables.size + sum(one.size for one in self.field.weights)
 
     @checked
     def render(self, view: TrainingView) -> np.ndarray:
-        """(h, w, 3) the image of a view."""
+        """(h, w, 3) render of a view."""
         return self.render_counted(view)[0]
 
     def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
-        """(h, w, 3) the image of a view, and how often the field was asked for it."""
+        """(h, w, 3) render of a view, and the number of network queries."""
         image, _, count = render_hash(self.field, view.camera, view.cam_from_world, self.background)
         return image, count

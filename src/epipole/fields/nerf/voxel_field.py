@@ -1,4 +1,4 @@
-"""A grid of densities and colours, drawn by marching along rays: an explicit radiance field (Sun et al., DVGO; Fridovich-Keil et al., Plenoxels; 2022)."""
+"""Grid of densities and colors, rendered by ray marching (Sun et al., DVGO; Fridovich-Keil et al., Plenoxels; 2022)."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from jaxtyping import Float32
 from scipy import ndimage
 
 from epipole import _parallel
-from epipole._declared import checked
-from epipole._declared.tables import Expected, require_arrays
+from epipole._checks import checked
+from epipole._checks.tables import Expected, require_arrays
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.fields.nerf import _voxel_kernels as kernels
@@ -23,32 +23,38 @@ from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.scene.local_origin import local_origin
 
 TOGETHER = 2048
-"""Rays in one piece of work."""
-LEAST_ALPHA, FOG, HALF_WIDTH, SURFACE = 0.1, 0.02, 0.5, 3
-"""Of a corner that becomes a Gaussian, the same where all is thin, that Gaussian's deviation in voxels, and how deep the surface is in voxels."""
+"""Rays processed as one task."""
+LEAST_ALPHA = 0.1
+"""Smallest alpha of a corner that becomes a Gaussian."""
+FOG = 0.02
+"""Lower limit of that alpha if the whole grid is thin."""
+HALF_WIDTH = 0.5
+"""Standard deviation of these Gaussians, in voxels."""
+SURFACE = 3
+"""Depth of the surface layer that becomes Gaussians, in voxels."""
 
 
 class Voxels(NamedTuple):
-    """What kernels read of a grid; a place p of the world is at (p - low) / size."""
+    """A grid, as the kernels read it; world point p is at (p - low) / size."""
 
     row_of: np.ndarray
     """(x, y, z) int32 row of each corner, -1 for none; rows are in the order of corners."""
     occupied: np.ndarray
-    """(x - 1, y - 1, z - 1) whether something may be seen in a cell."""
+    """(x - 1, y - 1, z - 1) whether a cell may be non-empty."""
     seen: np.ndarray
-    """(x - 1, y - 1, z - 1) where training has seen something."""
+    """(x - 1, y - 1, z - 1) whether training has seen something in a cell."""
     blocks: np.ndarray
-    """Whether a block of 8 x 8 x 8 cells holds an occupied one."""
+    """Whether each block of 8 x 8 x 8 cells has an occupied cell."""
     values: np.ndarray
     """(rows, 16) density, then harmonics of degree 0 and 1 of red, green and blue: 1 + 3 basis + channel."""
     low: np.ndarray
     size: float
     delta: np.float32
-    """Length of a step, in the unit in which densities are told: the first grid's voxels."""
+    """Step length, in the unit of the densities, which is the voxel size of the first grid."""
 
 
 class MarchWork(NamedTuple):
-    """What a thread needs to follow a ray."""
+    """Scratch of a thread for one ray."""
 
     acc: np.ndarray
     light: np.ndarray
@@ -75,7 +81,7 @@ def check_voxels(voxels: Voxels) -> None:
     """Check an explicit grid.
 
     Raises:
-        ShapeError: its arrays are of another kind, or do not fit each other.
+        ShapeError: an array has the wrong type or shape.
     """
     require_arrays(voxels._asdict(), _VOXELS)
     check_room(voxels.occupied.shape, voxels.blocks.shape, min(voxels.size, float(voxels.delta)))
@@ -85,10 +91,10 @@ def check_room(cells: tuple[int, ...], blocks: tuple[int, ...], size: float) -> 
     """Check the blocks and the size of cells.
 
     Raises:
-        ShapeError: they do not fit the cells.
+        ShapeError: blocks and cells do not match, or the size is not positive.
     """
     if min(cells) < 1 or blocks != tuple(-(-side // BLOCK) for side in cells):
-        raise ShapeError(f"blocks must be of {BLOCK} cells along each side of {cells}, got {blocks}")
+        raise ShapeError(f"blocks must have {BLOCK} cells per side of the cells {cells}, got {blocks}")
     if not size > 0:
         raise ShapeError(f"size must be positive, got {size}")
 
@@ -100,7 +106,7 @@ def march_work() -> MarchWork:
 
 
 def corners_of(cells: np.ndarray) -> np.ndarray:
-    """Corners of any of these cells."""
+    """Corners of the given cells."""
     x, y, z = cells.shape
     out = np.zeros((x + 1, y + 1, z + 1), bool)
     for i, j, k in np.ndindex(2, 2, 2):
@@ -111,7 +117,7 @@ def corners_of(cells: np.ndarray) -> np.ndarray:
 def voxels_on(
     cells: np.ndarray, low: np.ndarray, size: float, unit: float, values: np.ndarray | None = None
 ) -> Voxels:
-    """A grid whose given cells (x, y, z) are occupied, with rows for their corners, which begin with `values`, else with zeros."""
+    """A grid with the given occupied cells (x, y, z), whose corners are initialized with `values`, else with zeros."""
     corners = corners_of(cells)
     index = np.full(corners.shape, -1, np.int32)
     rows = int(corners.sum())
@@ -126,7 +132,7 @@ def voxels_on(
 
 
 def unit_of(voxels: Voxels) -> float:
-    """The length in which its densities are told."""
+    """Length unit of the densities."""
     return float(kernels.STEP * voxels.size / voxels.delta)
 
 
@@ -134,11 +140,11 @@ def unit_of(voxels: Voxels) -> float:
 def render_voxels(
     voxels: Voxels, camera: Camera, cam_from_world: Rigid3, background: Float32[np.ndarray, " 3"]
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """(h, w, 3) the image, (h, w) the depth along rays times coverage in the world's unit, and the samples that were looked up.
+    """Image (h, w, 3), depth (h, w) along rays times coverage in world units, and the number of samples.
 
     Raises:
-        ShapeError: the arrays of the grid do not fit each other, or the pose is not a single motion.
-        ConfigError: the camera has more pixels than are rendered.
+        ShapeError: the arrays of the grid do not match, or the pose is not a single pose.
+        ConfigError: the camera has too many pixels to render.
     """
     check_voxels(voxels)
     rays, count = rays_of_camera(camera, cam_from_world), camera.width * camera.height
@@ -165,12 +171,12 @@ def render_voxels(
 
 @checked
 def gaussians_of(voxels: Voxels, most: int) -> GaussianCloud:
-    """A round Gaussian at each corner near the surface: less than 90 % of the light go through it, and more through one beside it.
+    """Round Gaussians at corners near the surface: those that are opaque enough, with a more transparent corner nearby.
 
     Raises:
-        DegenerateGeometryError: light goes through everything.
-        ShapeError: the arrays of the grid do not fit each other.
-        ConfigError: none is wanted.
+        DegenerateGeometryError: the whole grid is transparent.
+        ShapeError: the arrays of the grid do not match.
+        ConfigError: `most` is not positive.
     """
     check_voxels(voxels)
     if most < 1:
@@ -183,7 +189,7 @@ def gaussians_of(voxels: Voxels, most: int) -> GaussianCloud:
     least = min(LEAST_ALPHA, max(0.5 * float(alpha.max()), FOG))
     corners = np.argwhere((alpha > least) & (least_beside <= least))
     if not len(corners):
-        raise DegenerateGeometryError("the grid is empty: light goes through all of it")
+        raise DegenerateGeometryError("the grid is empty: all of it is transparent")
     thinned = max(1.0, len(corners) / most)
     corners = corners[np.linspace(0, len(corners) - 1, min(most, len(corners))).astype(np.int64)]
     rows, n = voxels.row_of[tuple(corners.T)], len(corners)

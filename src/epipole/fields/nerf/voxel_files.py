@@ -1,4 +1,4 @@
-"""A trained grid as a file: NumPy's .npz, with values in half precision."""
+"""Files of trained grids: NumPy .npz, with values in half precision."""
 
 from __future__ import annotations
 
@@ -10,34 +10,38 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from epipole._declared import Declared, checked
-from epipole._declared.tables import Arrays, Expected, Table
+from epipole._checks import Declared, checked
+from epipole._checks.tables import Arrays, Expected, Table
 from epipole.errors import FileFormatError
 from epipole.io.array_files import read_packed_arrays
 from epipole.io.atomic import atomic_write
 
-MOST_SIDE, WIDTH, LARGEST = 2048, 13, 6e4
-"""Cells along a side, numbers of a row that are written, and the largest of these."""
+MOST_SIDE = 2048
+"""Cells along a side, at most."""
+WIDTH = 13
+"""Values of a row that are written."""
+LARGEST = 6e4
+"""Largest value in half precision."""
 MOST_CELLS = 1 << 25
-"""Of a grid: twice as many as a training makes. The rows of their corners take four bytes each."""
+"""Cells of a file, at most: twice those of a training. The row index of each corner takes four bytes."""
 CELLS: Table = {"shape": Expected("int32", "3", least=1, most=MOST_SIDE), "cells": Expected("uint8", "_")}
 GRID: Table = {**CELLS, "values": Expected("float16", f"_ {WIDTH}"), "place": Expected("float64", "5")}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridContents(Declared):
-    """What a file holds."""
+    """Contents of a file."""
 
     cells: Bool[np.ndarray, "x y z"]
-    """(x, y, z) bool, which are occupied."""
+    """(x, y, z) bool, whether a cell is occupied."""
     values: Float32[np.ndarray, "n 13"]
-    """(rows, 13) float32 of their corners, in the order of corners."""
+    """(rows, 13) float32 values of the corners, in the order of corners."""
     low: Float64[np.ndarray, " 3"]
-    """(3,) the grid's corner in the world."""
+    """(3,) corner of the grid in the world."""
     size: float
-    """Of a voxel."""
+    """Size of a voxel."""
     unit: float
-    """Length in which densities are told."""
+    """Length unit of the densities."""
 
 
 @checked
@@ -64,7 +68,7 @@ def read_grid(path: str | Path) -> GridContents:
     """Read a grid.
 
     Raises:
-        FileFormatError: it is no such file, is damaged, or promises what it does not hold.
+        FileFormatError: it is not such a file, or is damaged.
     """
     path = Path(path)
     arrays = read_packed_arrays(path, GRID)
@@ -79,15 +83,15 @@ def read_grid(path: str | Path) -> GridContents:
 
 @checked
 def unpacked_cells(path: Path, arrays: Arrays) -> np.ndarray:
-    """(x, y, z) bool, the cells of a grid's or neural field's file.
+    """(x, y, z) bool, the occupied cells in the file of a grid or a neural field.
 
     Raises:
-        FileFormatError: there are too many, or they do not fit their number.
+        FileFormatError: there are too many, or their number does not match the shape.
     """
     shape, packed = arrays["shape"], arrays["cells"]
     count = math.prod(shape.tolist())
     if count > MOST_CELLS:
         raise FileFormatError(path, f"is a grid of {count} cells, more than {MOST_CELLS}")
     if len(packed) != -(-count // 8):
-        raise FileFormatError(path, "the cells do not fit the size of the grid")
+        raise FileFormatError(path, "the number of cells does not match the shape of the grid")
     return np.unpackbits(packed, count=count).astype(bool).reshape(shape)

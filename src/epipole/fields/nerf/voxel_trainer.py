@@ -1,4 +1,4 @@
-"""An explicit grid learnt from images, coarse to fine: what is empty at one size is left out at the next."""
+"""Trainer for an explicit grid, coarse to fine; cells that are empty at one resolution are dropped at the next."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from jaxtyping import Float32
 from scipy import ndimage
 
 from epipole import _parallel
-from epipole._checks import check_fraction, check_seed
-from epipole._declared import checked
-from epipole._declared.tables import Expected, Table, check_arrays
+from epipole._checks import check_fraction, check_seed, checked
+from epipole._checks.tables import Expected, Table, check_arrays
 from epipole.errors import ShapeError
 from epipole.fields.nerf import _voxel_kernels as kernels
 from epipole.fields.nerf.voxel_field import (
@@ -29,17 +28,19 @@ from epipole.fields.splat.starting import first_cells
 from epipole.fields.training_view import TrainingView
 
 SIZES = ((0.0, 64), (0.08, 128), (0.30, 256))
-"""Cells along the side of the grid from that share of the training on."""
-RAYS, TOGETHER = 4096, 512
-"""Of a step, and in one piece of work."""
+"""(fraction of the training from which it applies, cells along the side of the grid)."""
+RAYS = 4096
+"""Rays of a step."""
+TOGETHER = 512
+"""Rays processed as one task."""
 SAMPLES = 96
-"""Of a ray that room is made for; a ray that finds none is left out of the step."""
+"""Mean samples per ray for which memory is reserved; rays beyond the capacity are skipped in that step."""
 PLANES_TOGETHER = 4
 DENSITY_RATE, COLOUR_RATE, LAST_RATES = 0.3, 0.015, 0.1
 
 
 class GridAdam(NamedTuple):
-    """State of Adam, flat, and what a step adds."""
+    """Adam state, flat, and the gradient."""
 
     gradient: np.ndarray
     mean: np.ndarray
@@ -49,24 +50,24 @@ class GridAdam(NamedTuple):
 
 
 class VoxelTrainer:
-    """Trains a grid on views; the same views and steps give the same grid for any number of threads.
+    """Trains a grid on views; the result does not depend on the number of threads.
 
     Attributes:
-        field: the grid as it is.
-        num_steps: taken.
-        num_samples: of the last step.
+        field: current grid.
+        num_steps: steps taken.
+        num_samples: samples of the last step.
     """
 
     @checked
     def __init__(
         self, views: Sequence[TrainingView], background: Float32[np.ndarray, " 3"], seed: int = 0
     ) -> None:
-        """Begin with everything that the cameras look into.
+        """Start with all cells occupied that the cameras look at.
 
         Raises:
-            ConfigError: there is no view, masks leave no pixel of any, or the seed is negative.
+            ConfigError: there is no view, the masks leave no pixel, or the seed is negative.
             ShapeError: the background is not finite.
-            DegenerateGeometryError: the cameras look at nothing in common.
+            DegenerateGeometryError: the cameras see nothing in common.
         """
         check_seed(seed)
         if not np.isfinite(background).all():
@@ -83,13 +84,13 @@ class VoxelTrainer:
 
     @checked
     def step(self, progress: float) -> float:
-        """A batch of rays of all images; returns the mean squared error.
+        """Train on a batch of rays of all images; returns the mean squared error.
 
         Args:
-            progress: share of the training that is done, from 0 to 1.
+            progress: fraction of the training that is done, from 0 to 1.
 
         Raises:
-            ConfigError: the share is not from 0 to 1.
+            ConfigError: progress is not from 0 to 1.
         """
         check_fraction(progress, "progress")
         while self._can_refine() and progress >= SIZES[self._level + 1][0]:
@@ -112,7 +113,7 @@ class VoxelTrainer:
 
     @property
     def table(self) -> Table:
-        """What a `state` holds."""
+        """Arrays of `state`."""
         return {
             "occupied": Expected("uint8", "x y z", most=1),
             "seen": Expected("uint8", "x y z", most=1),
@@ -127,7 +128,7 @@ class VoxelTrainer:
         }
 
     def state(self) -> dict[str, np.ndarray]:
-        """All that the next steps depend on, besides the views; what follows from the cells is made again."""
+        """All state that the next steps depend on, except the views and what is derived from the cells."""
         return {
             **{name: getattr(self.field, name) for name in ("occupied", "seen", "values")},
             **{f"adam_{name}": part for name, part in self._adam._asdict().items()},
@@ -136,21 +137,23 @@ class VoxelTrainer:
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from a `state` of a new trainer with the same views: the same bits as without a break.
+        """Continue from a `state` of a trainer with the same views, with bit-identical results.
 
         Raises:
-            ShapeError: its cells are not those of its level, or its values not theirs.
+            ShapeError: cells and level, or values and cells, do not match.
         """
         state = check_arrays(state, self.table)
         num_steps, level, is_alike = state["counts"].tolist()
         first, cells = self.field, state["occupied"].astype(bool)
         shape = tuple(side << min(level, len(SIZES)) for side in first.occupied.shape)
         if level >= len(SIZES) or is_alike > 1 or cells.shape != shape:
-            raise ShapeError(f"occupied must be the {shape} cells of a level, got {cells.shape}")
+            raise ShapeError(f"occupied must have the shape {shape} of a level, got {cells.shape}")
         field = voxels_on(cells, first.low, first.size / 2**level, self._unit)
         values = state["values"]
         if values.shape != field.values.shape or state["adam_mean"].size != values.size:
-            raise ShapeError(f"values must be those of {len(field.values)} corners, got {values.shape}")
+            raise ShapeError(
+                f"values must have a row for each of {len(field.values)} corners, got {values.shape}"
+            )
         self.field = field._replace(values=values, seen=state["seen"])
         self._adam = GridAdam(*(state[f"adam_{name}"] for name in GridAdam._fields))
         self.num_steps, self._level = num_steps, level
@@ -184,7 +187,7 @@ class VoxelTrainer:
         return _parallel.map_chunks(track, RAYS, RAYS // TOGETHER)
 
     def _move(self, records: np.ndarray, cells: np.ndarray) -> None:
-        """Each plane of constant x is one thread's: what touches it is added in the order of cells and rays."""
+        """Adam step with one thread per plane of constant x; derivatives are added in the order of cells and rays."""
         planes, ny, nz = self.field.row_of.shape
         keys = cells.astype(np.uint64) << np.uint64(32) | np.arange(len(cells), dtype=np.uint64)
         keys.sort()
@@ -218,43 +221,43 @@ class VoxelTrainer:
     _rows_at: np.ndarray | None = None
 
     def _can_refine(self) -> bool:
-        """Whether a finer grid comes, which is so while voxels are larger than the images' pixels."""
+        """Whether there is a finer level and voxels are larger than the images' pixels."""
         return self._level + 1 < len(SIZES) and self.field.size > self._pixel
 
     def _half_progress(self) -> float:
-        """Of this size: from there on counts what is seen, for at first there is fog everywhere."""
+        """Progress at the middle of this level; seen cells count only from there on, as all is fog at first."""
         ends = [*(fraction for fraction, _ in SIZES), 1.0]
         return 0.5 * (ends[self._level] + ends[self._level + 1])
 
     def _refine(self) -> None:
-        """Leave out what is empty, and halve the voxels."""
+        """Drop empty cells, and halve the voxel size."""
         voxels = self.field
         cells = np.repeat(np.repeat(np.repeat(self._seen_cells(), 2, 0), 2, 1), 2, 2)
         values = _between(voxels, np.argwhere(corners_of(cells)))
         field = voxels_on(cells, voxels.low, voxels.size / 2, self._unit, values)
         adam = _new_adam(field)
-        # All at once: where the memory does not suffice for one of them, the others stay, too.
+        # Assigned together: if memory runs out above, all of them keep their old values.
         self.field, self._adam, self._rows_at = field, adam, None
         self._level, self._is_refining = self._level + 1, False
 
     def _seen_cells(self) -> np.ndarray:
-        """Cells that some ray has seen something in, and those beside."""
+        """Cells in which some ray has seen something, and their neighbors."""
         occupied, seen = self.field.occupied.astype(bool), self.field.seen
         if not seen.any():
             return occupied
         return ndimage.binary_dilation(seen, np.ones((3, 3, 3), bool)) & occupied
 
     def __len__(self) -> int:
-        """Corners of voxels that have a row."""
+        """Number of corners with a row."""
         return len(self.field.values)
 
     @checked
     def render(self, view: TrainingView) -> np.ndarray:
-        """(h, w, 3) the image of a view."""
+        """(h, w, 3) render of a view."""
         return self.render_counted(view)[0]
 
     def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
-        """(h, w, 3) the image of a view, and how often the field was asked for it."""
+        """(h, w, 3) render of a view, and the number of samples."""
         image, _, count = render_voxels(self.field, view.camera, view.cam_from_world, self.background)
         return image, count
 
@@ -266,13 +269,13 @@ def _new_adam(field: Voxels) -> GridAdam:
 
 
 def _pixel_size(views: Sequence[TrainingView], middle: np.ndarray) -> float:
-    """Of a pixel at the middle of the scene: the median of all views."""
+    """Size of a pixel at the center of the scene: the median of all views."""
     depths = [view.cam_from_world.apply(middle[None])[0, 2] for view in views]
     return float(np.median([depth / view.camera.focal_px for depth, view in zip(depths, views)]))
 
 
 def _between(voxels: Voxels, corners: np.ndarray) -> np.ndarray:
-    """Values of the corners (n, 3) of the grid with half the voxels: means of those that are known around."""
+    """Values at corners (n, 3) of the refined grid: means of the known corners around them."""
     out = np.zeros((len(corners), ROW), np.float32)
     total = np.zeros(len(corners), np.float32)
     half, odd = corners // 2, corners % 2

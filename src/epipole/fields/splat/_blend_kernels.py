@@ -1,9 +1,10 @@
-"""Tiles of an image: their ellipses are blended front to back, and derivatives go the same way once more.
+"""Blend the ellipses of each tile front to back, and compute derivatives in the same order.
 
-With alpha_i, colour c_i and transmittance T_i = prod_{j<i} (1 - alpha_j) a pixel is sum_i alpha_i T_i c_i. Its derivatives, with v_i = c_i . dL/dC,
-    dL/dalpha_i = T_i v_i - (sum_{j>i} alpha_j T_j v_j) / (1 - alpha_i),
-need no second order: what comes behind is the whole less what has come, one number a pixel. Each pair of an ellipse and a tile writes
-its own row of sums, so that nothing is added by two threads.
+With alpha_i, color c_i and transmittance T_i = prod_{j<i} (1 - alpha_j) a pixel is sum_i alpha_i T_i c_i, and with
+v_i = c_i . dL/dC
+    dL/dalpha_i = T_i v_i - (sum_{j>i} alpha_j T_j v_j) / (1 - alpha_i).
+The backward pass needs no reverse order, because the sum over j > i is the total minus what was accumulated, one number
+per pixel. Each ellipse-tile pair writes its own row of sums, so that no two threads add to the same number.
 """
 
 import math
@@ -47,9 +48,9 @@ from epipole.fields.splat._simd_kernels import (
 from epipole.fields.splat._tile_kernels import SOON, TILE
 
 OVER = np.float32(1e-4)
-"""Transmittance below which what comes behind is not seen."""
+"""Transmittance below which a pixel counts as opaque."""
 CHECK_EVERY = 16
-"""Ellipses after which a tile looks whether it is over."""
+"""Ellipses between two checks whether a tile is opaque."""
 
 
 @kernel(fuse=True)
@@ -62,22 +63,22 @@ def _is_over(state):
 
 @kernel(fuse=True)
 def _fetch_row(flat, row, width):
-    """Begin to read a row of an array, which may lie across two cache lines."""
+    """Prefetch a row of an array, which may span two cache lines."""
     fetch(flat, np.int64(row) * width)
     fetch(flat, np.int64(row) * width + width - 1)
 
 
 @kernel(fuse=True)
 def _blocks_of(e, x, y, last_row):
-    """Bits of the blocks that an ellipse at (x, y) touches in a tile."""
+    """Bit mask of the blocks that an ellipse at (x, y) of the tile touches."""
     return touched_blocks(x, y, e[SLOPE], e[REACH], e[NARROWING], e[RIGHTMOST], e[HALF_HEIGHT], last_row)
 
 
 @kernel
 def blend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state):
-    """Blend the pairs first..last of a tile with corner (left, top); state (5, 256), flat, holds transmittance, colour and depth.
+    """Blend pairs first..last of a tile with corner (left, top); state (5, 256) has transmittance, color and depth.
 
-    Returns the pair at which it was over, and the pixels that were evaluated.
+    Returns the pair at which the tile became opaque, and the number of pixels evaluated.
     """
     count, last_row, flat = 0, np.float32(rows - 1), ellipses.reshape(-1)
     for at in range(first, last):
@@ -99,14 +100,14 @@ def blend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state):
 
 @kernel(fuse=True)
 def position_in_tile(row, column):
-    """Of a pixel in a tile's state: block by block."""
+    """Index of a pixel in a tile's state, which is ordered block by block."""
     block = row // SIDE * ACROSS + column // SIDE
     return block * LANES + row % SIDE * SIDE + column % SIDE
 
 
 @kernel
 def blend_tiles(tiles, start, end, colour, depth, coverage, evaluated, state):
-    """Blend the tiles begin..end into images (h, w, 3), (h, w) and (h, w); state (5 * 256,) is scratch."""
+    """Blend tiles start..end into images (h, w, 3), (h, w) and (h, w); state (5 * 256,) is scratch."""
     height, width = coverage.shape
     for tile in range(start, end):
         top, left = TILE * (tile // tiles.num_across), TILE * (tile % tiles.num_across)
@@ -137,7 +138,7 @@ def blend_tiles(tiles, start, end, colour, depth, coverage, evaluated, state):
 
 @kernel
 def blend_tile_backward(ellipses, pairs_of_tile, first, last, left, top, rows, state, sums, by_pair):
-    """Derivatives of the pairs first..last of a tile, by the rows of their numbers in `by_pair` (pairs, SUMS).
+    """Write the derivatives of pairs first..last of a tile to their rows of `by_pair` (pairs, SUMS).
 
     `state` (7, 256), flat: see `blend_block_backward`; sums (SUMS * 16,) is scratch.
     """
@@ -164,7 +165,7 @@ def blend_tile_backward(ellipses, pairs_of_tile, first, last, left, top, rows, s
 
 @kernel
 def blend_tiles_backward(tiles, start, end, wanted, by_pair, state, sums):
-    """Derivatives of the tiles begin..end; `wanted` holds the image and dL/d of it, state (7 * 256,) and sums are scratch."""
+    """Derivatives of tiles start..end; `wanted` has the image and dL/d(image); state (7 * 256,), sums are scratch."""
     height, width = wanted.coverage.shape
     for tile in range(start, end):
         top, left = TILE * (tile // tiles.num_across), TILE * (tile % tiles.num_across)
@@ -204,7 +205,7 @@ def blend_tiles_backward(tiles, start, end, wanted, by_pair, state, sums):
 
 @kernel
 def put_over(colour, coverage, background, start, stop, out):
-    """Rows start..stop of an image (h, w, 3) before a background of one colour."""
+    """Put rows start..stop of an image (h, w, 3) over a background color."""
     for row in range(start, stop):
         for column in range(coverage.shape[1]):
             behind = np.float32(1.0) - coverage[row, column]
@@ -214,7 +215,7 @@ def put_over(colour, coverage, background, start, stop, out):
 
 @kernel
 def count_useful(tiles, start, end, width, height):
-    """Pairs of a pixel and an ellipse in the tiles begin..end that change the pixel: not transparent there, and not hidden."""
+    """Number of pixel-ellipse pairs in tiles start..end that change their pixel: neither transparent nor occluded."""
     count = 0
     for tile in range(start, end):
         top, left = TILE * (tile // tiles.num_across), TILE * (tile % tiles.num_across)

@@ -1,4 +1,4 @@
-"""From the sums that the tiles wrote, back to Gaussians and the camera; equations in `_projection_kernels` and `_blend_kernels`."""
+"""Gradients of Gaussians and pose from the tiles' sums; equations in `_projection_kernels` and `_blend_kernels`."""
 
 import math
 
@@ -23,9 +23,10 @@ G, GX, GXX, GY, GXY, GYY, BY_RED, BY_DEPTH = 0, 1, 2, 3, 4, 5, 6, 9
 
 @kernel
 def gather(view, cloud, ellipse, pair, by_pair, start, stop, gradient, by_pose, work):
-    """Gradients of the Gaussians start..stop, whose rows of ellipses (n,) are told, -1 for none; by_pose (6,) += that of xi in exp(xi) @ cam_from_world.
+    """Gradients of Gaussians start..stop; ellipse (n,) is the ellipse of each, -1 for none.
 
-    `gradient` has the arrays of a cloud, and `center`: dL/d of where each is seen, in pixels.
+    `gradient` has the arrays of a cloud and `center`, dL/d(image position) in pixels. Adds the derivative w.r.t. xi in
+    exp(xi) @ cam_from_world to by_pose (6,).
     """
     for n in range(start, stop):
         e = ellipse[n]
@@ -37,7 +38,7 @@ def gather(view, cloud, ellipse, pair, by_pair, start, stop, gradient, by_pose, 
 
 @kernel
 def gather_and_move(view, cloud, ellipse, pair, by_pair, start, stop, adam, by_pose, work):
-    """The same, and Adam's step of each at once, while its numbers are at hand; adam.pull (ellipses,) gets |dL/d center|."""
+    """Like `gather`, with an Adam step of each Gaussian right away; adam.grad2d (ellipses,) gets |dL/d center|."""
     one = work.one
     for n in range(start, stop):
         e = ellipse[n]
@@ -86,7 +87,7 @@ def gather_and_move(view, cloud, ellipse, pair, by_pair, start, stop, adam, by_p
 
 @kernel(fuse=True)
 def _move(values, gradient, mean, square, rate, unbias):
-    """Adam, with unbias (2,): 1 / (1 - beta^t) of mean and square."""
+    """Adam step; unbias (2,) is 1 / (1 - beta^t) of both moments."""
     one = np.float32(1.0)
     for k in range(values.size):
         g = gradient[k]
@@ -98,7 +99,7 @@ def _move(values, gradient, mean, square, rate, unbias):
 
 @kernel(fuse=True)
 def _add_pairs(by_pair, first, last, total):
-    """Total = sum of the rows first..last."""
+    """Set total to the sum of rows first..last."""
     for k in range(SUMS):
         total[k] = 0.0
     for at in range(first, last):
@@ -108,7 +109,7 @@ def _add_pairs(by_pair, first, last, total):
 
 @kernel(fuse=True)
 def _by_ellipse(view, total, seen):
-    """From the sums g, g dx, ... of power's derivatives: dL/d(px, py), and dL/dV as (xx, xy, yy) of a symmetric matrix."""
+    """DL/d(px, py), and dL/dV as (xx, xy, yy) of a symmetric matrix, from the sums of g = dL/dpower, g dx, ..."""
     plain_xx, xy, plain_yy = seen
     xx, yy = plain_xx + view.blur, plain_yy + view.blur
     inverse = 1.0 / (xx * yy - xy * xy)
@@ -164,7 +165,7 @@ def _back_to_derivative(jac, cov, by_seen):
 
 @kernel(fuse=True)
 def _one(view, cloud, n, gradient, m, by_pose, work):
-    """Row m of `gradient` is that of Gaussian n, from the sums of its pairs."""
+    """Write the gradient of Gaussian n, from the sums of its pairs, to row m of `gradient`."""
     total, r = work.total, view.rotation
     x, y, z = in_camera(view, cloud.means[n])
     u, v, free_u, free_v = clamped_to_image(view, x, y, z)
@@ -181,7 +182,7 @@ def _one(view, cloud, n, gradient, m, by_pose, work):
         gradient.log_scales[m],
         gradient.quats_wxyz[m],
     )
-    # T0 = ju (r0 - u r2) with ju = f / z, and the like for T1.
+    # T0 = ju (r0 - u r2) with ju = f / z, and T1 likewise.
     p0, p1, p2, q0, q1, q2 = _back_to_derivative(jac, cov, by_seen)
     ju, jv = view.focal[0] / z, view.focal[1] / z
     p_dot, q_dot = p0 * r[6] + p1 * r[7] + p2 * r[8], q0 * r[6] + q1 * r[7] + q2 * r[8]
@@ -195,8 +196,8 @@ def _one(view, cloud, n, gradient, m, by_pose, work):
     gradient.means[m, 0] = r[0] * gx + r[3] * gy + r[6] * gz + wx
     gradient.means[m, 1] = r[1] * gx + r[4] * gy + r[7] * gz + wy
     gradient.means[m, 2] = r[2] * gx + r[5] * gy + r[8] * gz + wz
-    # Through the place in the camera, g and x cross g; through T, whose rows turn with R: dR = [w]x R; and
-    # through the camera's centre, which moves by -R^T of a shift.
+    # Via the position in the camera frame, g and x cross g; via T, whose rows rotate with R, dR = [w]x R; and via the
+    # camera center, which moves by -R^T of a translation.
     by_pose[0] += gx + r[0] * wx + r[1] * wy + r[2] * wz
     by_pose[1] += gy + r[3] * wx + r[4] * wy + r[5] * wz
     by_pose[2] += gz + r[6] * wx + r[7] * wy + r[8] * wz
@@ -209,7 +210,7 @@ def _one(view, cloud, n, gradient, m, by_pose, work):
 
 @kernel(fuse=True)
 def _by_rotation(r, rows, u, v):
-    """Sum of R's columns cross dL/d of them."""
+    """Sum over R's columns of column cross dL/d(column)."""
     wx = wy = wz = 0.0
     for k in range(3):
         d0, d1 = rows[k], rows[3 + k]
@@ -222,7 +223,7 @@ def _by_rotation(r, rows, u, v):
 
 @kernel(fuse=True)
 def _back_to_colours(view, cloud, n, by_sh, total, work):
-    """To the coefficients, and to the mean by the direction from which it is seen."""
+    """Gradient w.r.t. the SH coefficients, and w.r.t. the mean via the viewing direction."""
     count, basis, by_basis = cloud.sh.shape[1], work.basis, work.by_basis
     dx, dy, dz = (
         cloud.means[n, 0] - view.center[0],

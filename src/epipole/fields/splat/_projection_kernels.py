@@ -1,16 +1,18 @@
-"""Gaussians as ellipses of an image, and the way back of gradients.
+"""Project Gaussians to ellipses in the image, and gradients back.
 
-A Gaussian of mean m and covariance C = (R S)(R S)^T is seen, to first order about its middle (Zwicker, Pfister, van Baar and
-Gross, EWA volume splatting, 2001), as an ellipse with
+A Gaussian of mean m and covariance C = (R S)(R S)^T projects, linearized at its mean (Zwicker, Pfister, van Baar and
+Gross, EWA volume splatting, 2001), to an ellipse with
     x_cam = W m + t,    V = (J W) C (J W)^T + blur I,    J = d project / d x_cam,
-and its alpha at a pixel that is d off is o exp(-d^T V^-1 d / 2). What is below 1/255 is not drawn: that is where
-d^T V^-1 d > k = 2 ln(255 o). A row of `ellipses` holds what blending needs (`ELLIPSE`): with the conic V^-1 = [[a, b], [b, c]]
-    ln(alpha) / 8 = XX dx^2 + XY dx dy + YY dy^2 + PEAK,    XX = -a / 16,    XY = -b / 8,    YY = -c / 16,    PEAK = ln(o) / 8,
-and the ellipse's pixels of a row that is dy off are those within
+and its alpha at offset d from the center is o exp(-d^T V^-1 d / 2). Alphas below 1/255 are skipped, which means
+d^T V^-1 d > k = 2 ln(255 o). A row of `ellipses` has what blending needs (`ELLIPSE`). With conic V^-1 = [[a, b], [b,
+c]]
+    ln(alpha) / 8 = XX dx^2 + XY dx dy + YY dy^2 + PEAK,
+    XX = -a / 16,    XY = -b / 8,    YY = -c / 16,    PEAK = ln(o) / 8,
+and the pixels of the ellipse in a row at offset dy are those within
     x - (b / a) dy +- sqrt(k / a - (a c - b^2) / a^2 dy^2),    |dy| <= sqrt(k V_yy),
-furthest right at dy = RIGHTMOST = -(b / a) V_yy sqrt(k / V_xx) and furthest left as far above.
-Colours are max(0, 1/2 + sum of harmonics); derivatives follow the equations backwards, Gaussian by Gaussian, so that nothing is
-added by two threads.
+with the rightmost one at dy = RIGHTMOST = -(b / a) V_yy sqrt(k / V_xx) and the leftmost one at -RIGHTMOST.
+Colors are max(0, 1/2 + sum of harmonics). Derivatives follow these equations backward, one Gaussian at a time, so that
+no two threads add to the same number.
 """
 
 import math
@@ -19,10 +21,10 @@ from epipole._jit import kernel
 
 X, Y, XX, XY, YY, PEAK, RED, GREEN, BLUE, DEPTH, HALF_HEIGHT, SLOPE, REACH, NARROWING, RIGHTMOST = range(15)
 ELLIPSE = 16
-"""Numbers of a row: one cache line."""
+"""Floats of a row: one cache line."""
 LEAST_ALPHA = 1.0 / 255.0
 WIDEST = 1.3
-"""Times the half view: beyond it the derivative is taken at the rim, where the projection is not yet wild."""
+"""Limit of the half field of view at which the Jacobian is clamped, as the linearization degrades beyond it."""
 SH1, SH2A, SH2B, SH2C = 0.4886025119029199, 1.0925484305920792, 0.31539156525252005, 0.5462742152960396
 SH3A, SH3B, SH3C = 0.5900435899266435, 2.890611442640554, 0.4570457994644658
 SH3D, SH3E = 0.3731763325901154, 1.445305721320277
@@ -48,7 +50,7 @@ def harmonics(x, y, z, count, basis):
 
 @kernel(fuse=True)
 def axes_of(log_scale, quat):
-    """R S of a Gaussian, by rows."""
+    """R S of a Gaussian, row-major."""
     w, x, y, z = float(quat[0]), float(quat[1]), float(quat[2]), float(quat[3])
     inverse = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = w * inverse, x * inverse, y * inverse, z * inverse
@@ -94,7 +96,7 @@ def in_camera(view, mean):
 
 @kernel(fuse=True)
 def clamped_to_image(view, x, y, z):
-    """The direction (x / z, y / z), within the widest view; and whether each number already was."""
+    """Direction (x / z, y / z), clamped to the widest view, and whether each component was within it."""
     limit_u, limit_v = WIDEST * view.reach[0], WIDEST * view.reach[1]
     u, v = min(max(x / z, -limit_u), limit_u), min(max(y / z, -limit_v), limit_v)
     return u, v, abs(x) <= limit_u * z, abs(y) <= limit_v * z
@@ -102,7 +104,7 @@ def clamped_to_image(view, x, y, z):
 
 @kernel(fuse=True)
 def derivative_of_image(view, u, v, z):
-    """J W by rows, at depth z in direction (u, v, 1)."""
+    """J W, row-major, at depth z in direction (u, v, 1)."""
     ju, jv = view.focal[0] / z, view.focal[1] / z
     r = view.rotation
     return (
@@ -127,7 +129,7 @@ def seen_covariance(jac, cov):
 
 @kernel
 def project(view, cloud, shown, start, stop, ellipses, depths, basis):
-    """Fill rows start..stop of `ellipses` for what is seen, and `depths` (n,), which is 0 for what is not.
+    """Write rows start..stop of `ellipses` for visible Gaussians, and of `depths` (n,), which is 0 for invisible ones.
 
     shown (n,): factors of the opacities; basis (16,) is scratch.
     """
@@ -182,7 +184,7 @@ def project(view, cloud, shown, start, stop, ellipses, depths, basis):
 
 @kernel(fuse=True)
 def by_direction(x, y, z, count, by_basis):
-    """Derivative by a unit direction, with dL/dharmonics."""
+    """Derivative w.r.t. a unit direction, given that w.r.t. the harmonics."""
     g = by_basis
     dx = dy = dz = 0.0
     if count > 1:
@@ -212,7 +214,7 @@ def by_direction(x, y, z, count, by_basis):
 
 @kernel(fuse=True)
 def back_to_shape(quat, axes, by_cov, by_log_scale, by_quat):
-    """From dL/dC = (xx, xy, xz, yy, yz, zz) of a symmetric matrix to logarithms of deviations and quaternion; axes = R S."""
+    """Gradient w.r.t. log scales and quaternion from symmetric dL/dC = (xx, xy, xz, yy, yz, zz); axes = R S."""
     w, x, y, z = float(quat[0]), float(quat[1]), float(quat[2]), float(quat[3])
     inverse = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = w * inverse, x * inverse, y * inverse, z * inverse
@@ -232,7 +234,7 @@ def back_to_shape(quat, axes, by_cov, by_log_scale, by_quat):
 
 @kernel(fuse=True)
 def _back_to_axis(by_cov, x, y, z):
-    """Of a column of R S: dL/d of its length's logarithm, and of the column of R."""
+    """DL/d(log length) of a column of R S, and dL/d of the column of R."""
     xx, xy, xz, yy, yz, zz = by_cov
     bx = 2.0 * (xx * x + xy * y + xz * z)
     by = 2.0 * (xy * x + yy * y + yz * z)

@@ -1,8 +1,8 @@
-"""A block of 4 x 4 pixels and one Gaussian, as vectors of the processor: what blending does most.
+"""SIMD code for a block of 4 x 4 pixels and one Gaussian, the innermost operation of blending.
 
-The compiler does not turn a loop over pixels into vector instructions by itself (measured on rows of 8: 0.14 billion pairs of a pixel and
-a Gaussian a second on one thread against 1.3 billion). An alpha is the eighth power of a polynomial of degree 4 of ln(alpha) / 8, whose relative
-error is at most 2.2e-5 where something is drawn, from 1/255 to 0.99 (minimax, found by reweighted least squares).
+The compiler does not vectorize a loop over pixels (measured on rows of 8, on one thread: 0.14 billion pixel-Gaussian
+pairs per second against 1.3 billion). Alpha is computed as the eighth power of a polynomial of degree 4 in ln(alpha) /
+8, whose relative error is at most 2.2e-5 from 1/255 to 0.99 (minimax, by reweighted least squares).
 """
 
 from typing import Any
@@ -25,15 +25,15 @@ from epipole.fields.nerf._vector_kernels import (
 )
 
 SIDE = 4
-"""Pixels along the side of a block: as many in all as a vector has lanes."""
+"""Pixels along the side of a block, which has as many pixels as a vector has lanes."""
 MOMENTUM, SQUARES, LEAST = np.float32(0.9), np.float32(0.99), np.float32(1e-15)
 """Adam's betas and epsilon (Kingma and Ba, ICLR 2015)."""
 ROW = 16
-"""Numbers of a voxel: one cache line."""
+"""Floats of a voxel: one cache line."""
 ACROSS = 4
-"""Blocks across a tile."""
+"""Blocks along the side of a tile."""
 PLANE = ACROSS * ACROSS * LANES
-"""Pixels of a tile, block by block: numbers between a plane of its state and the next."""
+"""Pixels of a tile, and stride between the planes of its state."""
 LARGEST_ALPHA, LEAST_ALPHA = np.float32(0.99), np.float32(1.0 / 255.0)
 LARGEST_EIGHTH, LEAST_EIGHTH = np.log(LARGEST_ALPHA) / np.float32(8), np.log(LEAST_ALPHA) / np.float32(8)
 POWERS = tuple(np.float32(v) for v in (0.02930516, 0.15935027, 0.49814505, 0.99982846, 0.99999723))
@@ -43,13 +43,13 @@ PIXEL_Y, PIXEL_X = (
         np.divmod(np.arange(ACROSS * ACROSS), ACROSS), np.divmod(np.arange(LANES), SIDE)
     )
 )
-"""Of a tile, block by block, in a plane's order."""
+"""Pixel coordinates in a tile, block by block, in the order of a plane."""
 SUMS = 10
-"""Kept of a Gaussian in a tile: of g, g dx, g dx^2, g dy, g dx dy, g dy^2 with g = dL/dpower, and dL/dcolour (3), dL/ddepth."""
+"""Sums per Gaussian and tile: g, g dx, g dx^2, g dy, g dx dy, g dy^2 (g = dL/dpower), dL/dcolor (3), dL/ddepth."""
 
 
 def _alpha(at, x, y, xx, xy, yy, peak):
-    """dx, dy, ln(alpha) / 8 before alpha is bounded, and alpha."""
+    """dx, dy, unclamped ln(alpha) / 8, and alpha."""
     dx, dy = PIXEL_X[at : at + LANES] - np.float32(x), PIXEL_Y[at : at + LANES] - np.float32(y)
     eighth = dx * (xx * dx + xy * dy) + (yy * dy * dy + peak)
     t = np.minimum(eighth, LARGEST_EIGHTH)
@@ -106,7 +106,7 @@ def _lowest_bit(bits):
 def _written_alpha(
     builder: Any, at: Any, x: Any, y: Any, xx: Any, xy: Any, yy: Any, peak: Any
 ) -> tuple[Vector, Vector, Vector, Vector]:
-    """Dx, dy, ln(alpha) / 8 before alpha is bounded, and alpha."""
+    """Dx, dy, unclamped ln(alpha) / 8, and alpha."""
     dx = Row(builder, table_of(builder, "pixel_x", PIXEL_X), at).get(0) - spread(builder, x)
     dy = Row(builder, table_of(builder, "pixel_y", PIXEL_Y), at).get(0) - spread(builder, y)
     inner = spread(builder, xx).times_plus(dx, spread(builder, xy) * dy)
@@ -122,15 +122,15 @@ def _written_alpha(
 
 @row_intrinsic(_touched_blocks)
 def touched_blocks(typingctx, x, y, slope, reach, narrowing, down, half_height, last_row):
-    """Which blocks of a tile an ellipse with its middle at (x, y) touches, one bit each, row by row.
+    """Bit mask of the blocks of a tile, row by row, that an ellipse centered at (x, y) touches.
 
-    `down` is how far below its middle its rightmost point is; its leftmost is as far above. Its sides are curved outwards: in a row of blocks
-    each is furthest at the height that is nearest to its own end.
+    `down` is the height of its rightmost point below the center; its leftmost point is at the same height above. The
+    sides are convex, so in a row of blocks each reaches farthest at the height nearest to its extreme point.
     """
     signature = types.int64(*[types.float32] * 8)
 
     def generate(context, builder, signature, arguments):
-        # both sides of each row of blocks in one vector, for a root takes the longest of all: its right side, then its left
+        # Both sides of each row of blocks share one vector (right, then left): the square root is the slowest step.
         rows = LANES // ACROSS
         low, slope, reach, narrowing, down, tall, end = (
             spread(builder, value, 2 * rows) for value in arguments[1:]
@@ -156,7 +156,7 @@ def touched_blocks(typingctx, x, y, slope, reach, narrowing, down, half_height, 
 
 @row_intrinsic(_fetch)
 def fetch(typingctx, values, at):
-    """Begin to read values[at] of a flat array, which is wanted soon."""
+    """Prefetch values[at] of a flat array."""
     signature = types.void(values, types.int64)
 
     def generate(context, builder, signature, arguments):
@@ -173,7 +173,7 @@ def fetch(typingctx, values, at):
 
 @row_intrinsic(_lowest_bit)
 def lowest_bit(typingctx, bits):
-    """The number of the lowest bit that is set, of a number that is not 0."""
+    """Index of the lowest set bit of a nonzero number."""
     signature = types.int64(types.int64)
 
     def generate(context, builder, signature, arguments):
@@ -184,9 +184,9 @@ def lowest_bit(typingctx, bits):
 
 @row_intrinsic(_blend_block)
 def blend_block(typingctx, state, at, x, y, xx, xy, yy, peak, red, green, blue, depth):
-    """Pixels state[at : at + 16] behind which a Gaussian comes next; planes: transmittance, red, green, blue, depth.
+    """Blend a Gaussian behind pixels state[at : at + 16]; planes: transmittance, red, green, blue, depth.
 
-    (x, y) is the Gaussian's middle in the tile.
+    (x, y) is the Gaussian's center in the tile.
     """
     signature = types.void(state, types.int64, *[types.float32] * 10)
 
@@ -206,9 +206,10 @@ def blend_block(typingctx, state, at, x, y, xx, xy, yy, peak, red, green, blue, 
 
 @row_intrinsic(_blend_block_backward)
 def blend_block_backward(typingctx, state, at, sums, x, y, xx, xy, yy, peak, red, green, blue, depth):
-    """The same pixels' derivatives, added to sums (SUMS, 16).
+    """Add the derivatives at pixels state[at : at + 16] to sums (SUMS, 16).
 
-    Planes: transmittance, what all Gaussians from here on give to the loss, and dL/d of red, green, blue, depth and coverage.
+    Planes: transmittance, contribution to the loss of all Gaussians from this one on, and dL/d of red, green, blue,
+    depth and coverage.
     """
     signature = types.void(state, types.int64, sums, *[types.float32] * 10)
 
@@ -245,7 +246,7 @@ def _sum_of_lanes(values, at):
 
 @row_intrinsic(_sum_of_lanes)
 def sum_of_lanes(typingctx, values, at):
-    """Of values[at : at + 16]: each with the one half as many lanes further, and so on."""
+    """Sum of values[at : at + 16], by pairwise halving."""
     signature = types.float32(values, types.int64)
 
     def generate(context, builder, signature, arguments):
@@ -290,9 +291,9 @@ def _adam_row(values, gradient, mean, square, at, rates):
 
 @row_intrinsic(_adam_row)
 def adam_row(typingctx, values, gradient, mean, square, at, rates):
-    """Adam's step (Kingma and Ba, ICLR 2015) of numbers at : at + 16 of flat arrays, whose derivatives are cleared.
+    """Adam step (Kingma and Ba, ICLR 2015) of numbers at : at + 16 of flat arrays; clears their gradient.
 
-    What is moved for the first time moves by its rate: with these betas that needs no correction.
+    Without bias correction, the first step of a number has the size of the learning rate for these betas.
     """
     signature = types.void(values, gradient, mean, square, types.int64, rates)
 

@@ -1,4 +1,4 @@
-"""Which ellipses touch which tiles of an image, each tile's in the order of their depth."""
+"""Assign ellipses to the tiles they touch, sorted by depth."""
 
 import math
 
@@ -19,17 +19,17 @@ from epipole.fields.splat._simd_kernels import fetch
 
 TILE = 16
 DIGIT, LAST_DIGIT = 11, 2047
-"""Bits of a depth that are sorted at once."""
+"""Bits of a digit of the radix sort, and its largest value."""
 SOON = 8
-"""Ellipses ahead that are fetched from memory: they lie anywhere, and using them takes less time than waiting for them."""
+"""Ellipses to prefetch ahead, because their addresses are random and memory latency exceeds the work per ellipse."""
 
 
 @kernel
 def sort_by_depth(bits, first, second, counts):
-    """Rows whose depth is not 0, the nearest first, of the same depth in their order: the first of `second` (n,); returns how many.
+    """Write rows of nonzero depth, nearest first (stable), to the start of `second` (n,); returns their number.
 
-    Depths are positive: their bits (n,) sort as they do, eleven at a time, the lowest first. first (n,) and counts (3, 2048) of zeros are
-    scratch. It takes a quarter of the time of sorting depth and row as one number.
+    A radix sort of 11 bits at a time: depths are positive, so their bits (n,) sort like the depths. first (n,) and
+    zeroed counts (3, 2048) are scratch. It takes a quarter of the time of sorting depth and row as one number.
     """
     for row in range(len(bits)):
         if bits[row] != 0:
@@ -61,7 +61,7 @@ def _put_by_digit(row, bits, digit, counts, out):
 
 @kernel(fuse=True)
 def _rows_of_tiles(ellipse, height):
-    """First and last row of tiles that the ellipse has a pixel in; the last is smaller where there is none."""
+    """First and last row of tiles in which the ellipse has a pixel; last < first if there is none."""
     first = max(math.ceil(ellipse[Y] - ellipse[HALF_HEIGHT]), 0)
     last = min(math.floor(ellipse[Y] + ellipse[HALF_HEIGHT]), height - 1)
     if last < first:
@@ -71,9 +71,9 @@ def _rows_of_tiles(ellipse, height):
 
 @kernel(fuse=True)
 def widest(slope, reach, narrowing, down, top, bottom):
-    """How far left and right an ellipse reaches between two heights, all seen from its middle, `down` that of its rightmost point.
+    """Leftmost and rightmost x of an ellipse between two heights, relative to its center; `down`: y of the rightmost.
 
-    Its sides are curved outwards: each is furthest at that height between the two that is nearest to its own end.
+    The sides are convex, so each reaches farthest at the height between the two that is nearest to its extreme point.
     """
     at_right, at_left = min(max(down, top), bottom), min(max(-down, top), bottom)
     left = -slope * at_left - math.sqrt(max(reach - narrowing * at_left * at_left, np.float32(0.0)))
@@ -83,7 +83,7 @@ def widest(slope, reach, narrowing, down, top, bottom):
 
 @kernel(fuse=True)
 def _tiles_in_row(ellipse, row, width, height):
-    """First and last tile of a row of tiles that the ellipse touches: where its sides are furthest within these pixels."""
+    """First and last tile that the ellipse touches in a row of tiles; last < first if there is none."""
     top = max(TILE * row, math.ceil(ellipse[Y] - ellipse[HALF_HEIGHT])) - ellipse[Y]
     bottom = (
         min(TILE * row + TILE - 1, height - 1, math.floor(ellipse[Y] + ellipse[HALF_HEIGHT])) - ellipse[Y]
@@ -98,9 +98,9 @@ def _tiles_in_row(ellipse, row, width, height):
 
 @kernel
 def count_tiles(seen, order, start, stop, size, num_across, ellipses, counts, of_ellipse):
-    """Put the rows of `seen` in their order into start..stop of `ellipses`.
+    """Copy the rows of `seen`, in the given order, to start..stop of `ellipses`.
 
-    `counts` (tiles,) is raised by those that touch each; `of_ellipse` gets the tiles of each.
+    Adds the number of ellipses per tile to `counts` (tiles,); writes the number of tiles per ellipse to `of_ellipse`.
     """
     flat = seen.reshape(-1)
     for e in range(start, stop):
@@ -119,10 +119,10 @@ def count_tiles(seen, order, start, stop, size, num_across, ellipses, counts, of
 
 @kernel
 def fill_tiles(ellipses, start, stop, size, num_across, position, pair, pairs_of_tile):
-    """Write the ellipses start..stop into the lists of their tiles.
+    """Add ellipses start..stop to the lists of their tiles.
 
-    `position` (tiles,) is where the next one of each tile goes, and moves on; `pair` (ellipses,) the number of each one's first pair;
-    `pairs_of_tile` (pairs, 2) gets the ellipse and the pair.
+    `position` (tiles,) is the next free row of each tile, and is advanced; `pair` (ellipses,) is the first pair of each
+    ellipse; `pairs_of_tile` (pairs, 2) gets ellipse and pair.
     """
     for e in range(start, stop):
         number = pair[e]

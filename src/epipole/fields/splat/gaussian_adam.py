@@ -1,4 +1,4 @@
-"""Adam for Gaussians, each moved where its derivatives are gathered (Kingma and Ba, ICLR 2015): those that an image has seen."""
+"""Adam for Gaussians (Kingma and Ba, ICLR 2015); each visible one is updated as soon as its gradient is gathered."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from epipole.fields.splat.rasterizer import Cloud, Tiles, View, ellipse_of_gauss
 
 
 class Rates(NamedTuple):
-    """Steps, of the last two apart for harmonics of degree 0 and above."""
+    """Learning rates; `sh` is for harmonics of degree 0, `higher_sh` for the rest."""
 
     means: float
     log_scales: float
@@ -24,7 +24,7 @@ class Rates(NamedTuple):
 
 
 class AdamStep(NamedTuple):
-    """What a kernel needs to move Gaussians."""
+    """Adam's state and parameters, as the kernels read them."""
 
     mean: Cloud
     square: Cloud
@@ -34,11 +34,11 @@ class AdamStep(NamedTuple):
 
 
 class GaussianAdam:
-    """Means and squares of derivatives.
+    """Adam state of a cloud.
 
     Attributes:
-        mean: of each number of a cloud.
-        square: the same.
+        mean: first moments.
+        square: second moments.
     """
 
     def __init__(self, cloud: Cloud) -> None:
@@ -48,15 +48,18 @@ class GaussianAdam:
     def move(
         self, cloud: Cloud, view: View, tiles: Tiles, by_pair: np.ndarray, rates: Rates, count: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Move what was seen; returns (ellipses,) |dL/d of where each is seen|, and (6,) the derivative by the place.
+        """Update the visible Gaussians.
 
         Args:
-            cloud: what was drawn; is changed.
-            view: how.
-            tiles: of the image.
-            by_pair: of `sums_of_pairs`.
-            rates: the size of a step.
-            count: this step's number, from 1.
+            cloud: Gaussians, updated in place.
+            view: camera that they were rendered from.
+            tiles: tiles of the render.
+            by_pair: from `sums_of_pairs`.
+            rates: learning rates.
+            count: number of this step, from 1.
+
+        Returns:
+            (ellipses,) norm of dL/d(image position), and (6,) derivative w.r.t. the pose.
         """
         unbias = 1.0 / (1.0 - np.array([MOMENTUM, SQUARES], np.float64) ** count)
         n, num_sh = len(cloud.means), cloud.sh.shape[1]

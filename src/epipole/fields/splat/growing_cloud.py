@@ -1,4 +1,4 @@
-"""Arrays of Gaussians with room for more: rows come and go in place, so that memory is not taken twice."""
+"""Preallocated arrays of Gaussians, whose rows are added and removed in place to save memory."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from epipole.fields.splat.rasterizer import Cloud
 
 
 class GrowingCloud:
-    """A cloud, or numbers that belong to one.
+    """A cloud, or arrays of the same shapes, with spare capacity.
 
     Attributes:
-        cloud: its rows, as views that the next change makes invalid.
+        cloud: its rows, as views that become invalid with the next change.
     """
 
     def __init__(self, cloud: Cloud, most: int) -> None:
-        """Begin with a copy of a cloud; there is room for `most` rows."""
+        """Copy a cloud; there is room for `most` rows."""
         self._most = max(most, len(cloud.means))
-        # Pages that nothing was written to take no memory.
+        # Pages that are never written to take no memory.
         self._room = Cloud(*(np.empty((self._most, *part.shape[1:]), np.float32) for part in cloud))
         self._count = len(cloud.means)
         for room, part in zip(self._room, cloud):
@@ -28,7 +28,7 @@ class GrowingCloud:
         return Cloud(*(part[: self._count] for part in self._room))
 
     def raise_degree(self, num_sh: int) -> None:
-        """Room for so many harmonics; new ones are 0."""
+        """Make room for `num_sh` harmonics; new ones are 0."""
         old = self._room.sh
         sh = np.empty((self._most, num_sh, 3), np.float32)
         sh[: self._count, : old.shape[1]] = old[: self._count]
@@ -37,10 +37,10 @@ class GrowingCloud:
         self.cloud = self._rows()
 
     def change(self, gone: np.ndarray, more: Cloud) -> None:
-        """Put new rows where others go; what is over is appended, and holes that are left are filled from the end.
+        """Put new rows in place of removed ones. Append the rest, or fill remaining holes from the end.
 
         Args:
-            gone: rows that go, rising.
+            gone: rows to remove, in ascending order.
             more: new rows.
         """
         count, new = self._count, len(more.means)

@@ -1,4 +1,4 @@
-"""Where Gaussians are needed: those whose images pull hardest at them are split, those that nobody sees go."""
+"""Densification: Gaussians with the largest image-space gradient are split, transparent ones are removed."""
 
 from __future__ import annotations
 
@@ -8,30 +8,35 @@ from epipole.fields.splat.rasterizer import Cloud
 from epipole.geometry import Rotation3
 
 LEAST_OPACITY = 0.005
-"""A Gaussian that is fainter shows in no image."""
-APART, NARROWER, THINNER, FAINTER = 0.5, 0.5, 0.85, 0.6
-"""Of the two parts of a Gaussian: their distance from its middle in its longest deviation, and what becomes of that deviation, of the
-others and of the opacity."""
+"""Gaussians with a lower opacity are invisible in all images."""
+APART = 0.5
+"""Distance of the two parts of a split Gaussian from its center, in standard deviations along its longest axis."""
+NARROWER = 0.5
+"""Factor of the standard deviation along the longest axis."""
+THINNER = 0.85
+"""Factor of the other two standard deviations."""
+FAINTER = 0.6
+"""Factor of the opacity."""
 
 
 class Growth:
-    """Scores since the last change: the mean pull at where each Gaussian is seen (Kerbl et al. 2023, section 5.2).
+    """Mean image-space gradient of each Gaussian since the last change (Kerbl et al. 2023, section 5.2).
 
     Attributes:
-        pull: (n,) summed.
-        views: (n,) in which each was seen.
+        grad2d: (n,) sum of gradient norms.
+        views: (n,) number of views that saw each Gaussian.
     """
 
     def __init__(self, count: int) -> None:
         self.grad2d, self.views = np.zeros(count, np.float32), np.zeros(count, np.float32)
 
     def add(self, grad2d: np.ndarray, seen: np.ndarray, width: int) -> None:
-        """Count a view: pulls are told in shares of the image's width, so that sizes can be mixed."""
+        """Add the gradients of a view, in units of half the image width, so that resolutions can be mixed."""
         self.grad2d[seen] += np.float32(0.5 * width) * grad2d
         self.views[seen] += 1.0
 
     def changes(self, cloud: Cloud, wanted: int) -> tuple[np.ndarray, np.ndarray]:
-        """Rows to split, those with the largest mean pull first, and a mask of those that stay; at most `wanted` in the end."""
+        """Rows to split, largest mean gradient first, and a mask of rows to keep; at most `wanted` Gaussians result."""
         stays = cloud.logits > np.float32(np.log(LEAST_OPACITY / (1 - LEAST_OPACITY)))
         if not stays.any():
             stays[:] = True
@@ -41,7 +46,7 @@ class Growth:
 
 
 def split(cloud: Cloud, rows: np.ndarray) -> tuple[Cloud, Cloud]:
-    """Two parts of each Gaussian, side by side along its longest axis."""
+    """Split each Gaussian into two along its longest axis."""
     longest = cloud.log_scales[rows].argmax(axis=1)
     own = np.arange(len(rows))
     axes = Rotation3.from_quat_wxyz(cloud.quats_wxyz[rows].astype(np.float64)).matrix

@@ -1,4 +1,4 @@
-"""Gaussians to images: projected, sorted by depth, given to tiles, and blended front to back."""
+"""Rasterizer for Gaussians: project, sort by depth, assign to tiles, and blend front to back."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from epipole import _parallel
-from epipole._checks import MOST_RENDERED_PIXELS, check_pixels
-from epipole._declared import Declared, check_fields, checked
+from epipole._checks import MOST_RENDERED_PIXELS, Declared, check_fields, check_pixels, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, ShapeError
 from epipole.fields.nerf._vector_kernels import LANES
@@ -23,8 +22,14 @@ from epipole.fields.splat._tile_kernels import TILE
 from epipole.geometry import Rigid3
 from epipole.scene.gaussian_cloud import GaussianCloud
 
-LEAST_TOGETHER, MOST_PIECES, TILES_TOGETHER, ROWS_TOGETHER = 1024, 64, 16, 64
-"""Gaussians in one piece of work, unless there would be more pieces than that; tiles, and rows of an image, in one."""
+LEAST_TOGETHER = 1024
+"""Gaussians processed as one task, at least."""
+MOST_PIECES = 64
+"""Most tasks that Gaussians are divided into."""
+TILES_TOGETHER = 16
+"""Tiles processed as one task."""
+ROWS_TOGETHER = 64
+"""Image rows processed as one task."""
 
 
 MOST_BLUR_PX = 1e6
@@ -32,20 +37,20 @@ MOST_BLUR_PX = 1e6
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
-    """How Gaussians are drawn."""
+    """Options for rendering Gaussians."""
 
     blur_px: float = 0.3
-    """Variance, in square pixels, that every ellipse is widened by: none is thinner than a pixel."""
+    """Variance added to each projected Gaussian, in square pixels, so that none is thinner than a pixel."""
     antialiased: bool = False
-    """Take from the opacity what the widening adds (the 2D filter of Yu et al., Mip-Splatting, 2024)."""
+    """Reduce the opacity to compensate for the blur (2D filter of Yu et al., Mip-Splatting, 2024)."""
     near: float = 0.01
-    """Nearer to the camera's plane nothing is drawn, in world units."""
+    """Near plane, in world units."""
 
     def __post_init__(self) -> None:
-        """Check the numbers.
+        """Check the ranges.
 
         Raises:
-            ConfigError: one is negative, too large, or no number.
+            ConfigError: a value is negative, too large or not finite.
         """
         check_fields(self)
         if not 0 <= self.blur_px <= MOST_BLUR_PX:
@@ -55,7 +60,7 @@ class RenderOptions:
 
 
 class Cloud(NamedTuple):
-    """The arrays of a cloud, as kernels read them."""
+    """Arrays of a cloud, as the kernels read them."""
 
     means: np.ndarray
     log_scales: np.ndarray
@@ -65,7 +70,7 @@ class Cloud(NamedTuple):
 
 
 class View(NamedTuple):
-    """A camera at its place, as kernels read it."""
+    """A camera and its pose, as the kernels read them."""
 
     rotation: np.ndarray
     translation: np.ndarray
@@ -73,7 +78,7 @@ class View(NamedTuple):
     focal: np.ndarray
     middle: np.ndarray
     reach: np.ndarray
-    """Tangents of half the view, across and down."""
+    """Tangents of half the field of view, horizontal and vertical."""
     width: int
     height: int
     near_plane: float
@@ -83,20 +88,20 @@ class View(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendering(Declared):
-    """An image of Gaussians, before any background."""
+    """Render of Gaussians without a background."""
 
     colour: Float32[np.ndarray, "h w 3"]
-    """Times coverage."""
+    """RGB times coverage."""
     depth: Float32[np.ndarray, "h w"]
     """Along the optical axis, times coverage."""
     coverage: Float32[np.ndarray, "h w"]
-    """1 less what is seen of the background."""
+    """1 minus the transmittance."""
     tiles: Tiles
-    """What was drawn where, for the way back."""
+    """Tiles, for the backward pass."""
 
     @checked
     def over(self, background: Float32[np.ndarray, " 3"]) -> Float32[np.ndarray, "h w 3"]:
-        """The image before a background of one colour."""
+        """The image over a background color."""
         out, height = np.empty_like(self.colour), len(self.coverage)
         _parallel.map_chunks(
             lambda a, b, _: blend_kernels.put_over(self.colour, self.coverage, background, a, b, out),
@@ -107,39 +112,39 @@ class Rendering(Declared):
 
 
 class Tiles(NamedTuple):
-    """Ellipses in the order of their depth, and which tiles they touch."""
+    """Ellipses sorted by depth, and the tiles they touch."""
 
     gaussian: np.ndarray
-    """(m,) of each ellipse."""
+    """(m,) Gaussian of each ellipse."""
     ellipses: np.ndarray
     """(m, 16)"""
     pair: np.ndarray
-    """(m + 1,) the first pair of each ellipse and a tile."""
+    """(m + 1,) first ellipse-tile pair of each ellipse."""
     pairs_of_tile: np.ndarray
-    """(pairs, 2) ellipse and pair, by tiles."""
+    """(pairs, 2) ellipse and pair, sorted by tile."""
     start: np.ndarray
-    """(tiles + 1,)"""
+    """(tiles + 1,) first row in `pairs_of_tile` of each tile."""
     stop: np.ndarray
-    """(tiles,) where each was over."""
+    """(tiles,) row at which each tile became opaque."""
     num_across: int
     num_evaluated: int
-    """Pairs of a pixel and a Gaussian that were evaluated."""
+    """Number of Gaussian-pixel pairs that were evaluated."""
 
 
 @checked
 def view_of(camera: Camera, cam_from_world: Rigid3, options: RenderOptions) -> View:
-    """A camera at its place.
+    """A camera and its pose, as the kernels read them.
 
     Raises:
-        ConfigError: the camera has distortion, or more pixels than are rendered.
-        ShapeError: the place is not a single motion.
+        ConfigError: the camera has distortion or too many pixels.
+        ShapeError: cam_from_world is not a single pose.
     """
     check_pixels(camera.width, camera.height, MOST_RENDERED_PIXELS)
     if camera.model not in (CameraModel.PINHOLE, CameraModel.SIMPLE_PINHOLE):
-        raise ConfigError("Gaussians are drawn by a PINHOLE camera: undistort the images")
+        raise ConfigError("Gaussians are rendered with a PINHOLE camera: undistort the images first")
     if cam_from_world.batch_shape() != ():
         raise ShapeError(
-            f"cam_from_world must be a single motion, got a batch of {cam_from_world.batch_shape()}"
+            f"cam_from_world must be a single pose, got a batch of {cam_from_world.batch_shape()}"
         )
     matrix = camera.K
     focal, middle = np.array([matrix[0, 0], matrix[1, 1]]), matrix[:2, 2].copy()
@@ -162,29 +167,31 @@ def view_of(camera: Camera, cam_from_world: Rigid3, options: RenderOptions) -> V
 def render(
     cloud: GaussianCloud, camera: Camera, cam_from_world: Rigid3, options: RenderOptions | None = None
 ) -> Rendering:
-    """The image of Gaussians (Kerbl et al. 2023), equal for any number of threads.
+    """Render Gaussians (Kerbl et al. 2023); the result does not depend on the number of threads.
 
     Args:
-        cloud: the Gaussians.
-        camera: a pinhole.
-        cam_from_world: where it is.
-        options: how they are drawn; None for the defaults.
+        cloud: Gaussians.
+        camera: pinhole camera.
+        cam_from_world: its pose.
+        options: rendering options; None for the defaults.
 
     Raises:
-        ConfigError: the camera has distortion.
-        ShapeError: the place is not a single, finite motion.
+        ConfigError: the camera has distortion or too many pixels.
+        ShapeError: cam_from_world is not a single finite pose.
     """
     if not np.isfinite(cam_from_world.as_matrix()).all():
         raise ShapeError("cam_from_world is not finite")
     if cloud.origin_in_world.any():
-        cam_from_world = cam_from_world @ Rigid3(np.eye(3), cloud.origin_in_world)  # of the means' own frame
+        cam_from_world = cam_from_world @ Rigid3(
+            np.eye(3), cloud.origin_in_world
+        )  # relative to the cloud's origin
     view = view_of(camera, cam_from_world, RenderOptions() if options is None else options)
     tiles = tiles_of(arrays_of(cloud), view)
     return blend(tiles, view)
 
 
 def pieces_of(count: int) -> int:
-    """Into how many pieces of work so many Gaussians are cut."""
+    """Number of tasks that `count` Gaussians are divided into."""
     return max(1, min(count // LEAST_TOGETHER, MOST_PIECES))
 
 
@@ -195,12 +202,12 @@ def arrays_of(cloud: GaussianCloud) -> Cloud:
 
 
 def tiles_of(cloud: Cloud, view: View, shown: np.ndarray | None = None) -> Tiles:
-    """Project, sort by depth, and say which ellipses touch which tiles.
+    """Project the Gaussians, sort them by depth, and find the tiles that each touches.
 
     Args:
-        cloud: the Gaussians.
-        view: how they are seen.
-        shown: (n,) factors of their opacities; None: 1.
+        cloud: Gaussians.
+        view: camera and pose.
+        shown: (n,) factors of the opacities; None: 1.
     """
     seen = np.empty((len(cloud.means), projection_kernels.ELLIPSE), np.float32)
     factors = np.ones(len(seen), np.float32) if shown is None else shown
@@ -238,14 +245,14 @@ def tiles_of(cloud: Cloud, view: View, shown: np.ndarray | None = None) -> Tiles
 
 
 def _by_depth(depths: np.ndarray) -> np.ndarray:
-    """Rows that are seen, the nearest first, of the same depth in their order."""
+    """Rows of visible Gaussians, nearest first (stable)."""
     first, second = (np.empty(len(depths), np.int64) for _ in range(2))
     counts = np.zeros((3, tile_kernels.LAST_DIGIT + 1), np.int64)
     return second[: tile_kernels.sort_by_depth(depths.view(np.uint32), first, second, counts)]
 
 
 def blend(tiles: Tiles, view: View) -> Rendering:
-    """Every tile, front to back."""
+    """Blend all tiles front to back."""
     shape = view.height, view.width
     colour, depth, coverage = (np.empty(size, np.float32) for size in ((*shape, 3), shape, shape))
     evaluated = np.zeros(len(tiles.stop), np.int64)
@@ -260,7 +267,7 @@ def blend(tiles: Tiles, view: View) -> Rendering:
 
 
 def useful_pairs(rendering: Rendering) -> int:
-    """How many of the pairs of a pixel and a Gaussian that were evaluated changed their pixel."""
+    """Number of evaluated Gaussian-pixel pairs that changed their pixel."""
     height, width = rendering.coverage.shape
     tiles = rendering.tiles
     parts = _parallel.map_chunks(
@@ -272,7 +279,7 @@ def useful_pairs(rendering: Rendering) -> int:
 
 
 class Wanted(NamedTuple):
-    """An image, and derivatives of a loss by it, as kernels read them."""
+    """A render and the derivatives of a loss w.r.t. it, as the kernels read them."""
 
     colour: np.ndarray
     depth: np.ndarray
@@ -283,7 +290,7 @@ class Wanted(NamedTuple):
 
 
 class CloudGradient(NamedTuple):
-    """Derivatives of a loss by the arrays of a cloud; zero for Gaussians that are not seen."""
+    """Derivatives of a loss w.r.t. the arrays of a cloud; zero for invisible Gaussians."""
 
     means: np.ndarray
     log_scales: np.ndarray
@@ -291,11 +298,11 @@ class CloudGradient(NamedTuple):
     logits: np.ndarray
     sh: np.ndarray
     center: np.ndarray
-    """(n, 2) by where each is seen, in pixels."""
+    """(n, 2) w.r.t. the image position, in pixels."""
 
 
 class GatherWork(NamedTuple):
-    """What a thread needs to go back to one Gaussian."""
+    """Scratch of a thread for the backward pass of one Gaussian."""
 
     total: np.ndarray
     basis: np.ndarray
@@ -304,12 +311,12 @@ class GatherWork(NamedTuple):
 
 
 def gather_work(num_sh: int) -> GatherWork:
-    """For Gaussians of so many harmonics."""
+    """Scratch for Gaussians with `num_sh` harmonics."""
     return GatherWork(np.empty(SUMS), np.empty(16), np.empty(16), gradient_like(1, num_sh))
 
 
 def gradient_like(count: int, num_sh: int) -> CloudGradient:
-    """Zeros."""
+    """Zero gradient of `count` Gaussians."""
     shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, num_sh, 3), (count, 2))
     return CloudGradient(*(np.zeros(shape, np.float32) for shape in shapes))
 
@@ -320,13 +327,13 @@ def sums_of_pairs(
     by_depth: np.ndarray | None = None,
     by_coverage: np.ndarray | None = None,
 ) -> np.ndarray:
-    """What each pair of an ellipse and a tile adds to its Gaussian's derivatives: (pairs, SUMS).
+    """Contribution of each ellipse-tile pair to the derivatives of its Gaussian, (pairs, SUMS).
 
     Args:
-        rendering: the image.
-        by_colour: (h, w, 3) dL/d of `rendering.colour`.
-        by_depth: (h, w) of its depth; None for none.
-        by_coverage: (h, w) of its coverage; None for none.
+            rendering: render.
+            by_colour: (h, w, 3) derivative of the loss w.r.t. `rendering.colour`.
+            by_depth: (h, w) w.r.t. `rendering.depth`; None: zero.
+            by_coverage: (h, w) w.r.t. `rendering.coverage`; None: zero.
     """
     none, tiles = np.zeros_like(rendering.coverage), rendering.tiles
     wanted = Wanted(
@@ -347,7 +354,7 @@ def sums_of_pairs(
 
 
 def ellipse_of_gaussian(tiles: Tiles, count: int) -> np.ndarray:
-    """(n,) row of each Gaussian's ellipse, -1 where it is not seen: what is in the order of memory is read three times faster."""
+    """(n,) ellipse of each Gaussian, -1 if invisible; iterating in memory order is three times faster."""
     out = np.full(count, -1, np.int64)
     out[tiles.gaussian] = np.arange(len(tiles.gaussian))
     return out
@@ -356,13 +363,15 @@ def ellipse_of_gaussian(tiles: Tiles, count: int) -> np.ndarray:
 def gradient_of(
     cloud: Cloud, view: View, tiles: Tiles, by_pair: np.ndarray
 ) -> tuple[CloudGradient, np.ndarray]:
-    """Derivatives of a loss by Gaussians, and (6,) by xi = (translation, rotation) in exp(xi) @ cam_from_world.
+    """Derivatives of a loss w.r.t. the Gaussians and (6,) w.r.t. xi.
+
+    xi = (translation, rotation) in exp(xi) @ cam_from_world.
 
     Args:
-        cloud: what was drawn.
-        view: how.
-        tiles: of the image.
-        by_pair: of `sums_of_pairs`.
+        cloud: Gaussians that were rendered.
+        view: camera and pose.
+        tiles: tiles of the render.
+        by_pair: from `sums_of_pairs`.
     """
     n, num_sh = len(cloud.means), cloud.sh.shape[1]
     out, ellipse = gradient_like(n, num_sh), ellipse_of_gaussian(tiles, n)

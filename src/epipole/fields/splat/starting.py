@@ -1,4 +1,4 @@
-"""The first Gaussians: at points that are known, or drawn where all silhouettes leave room."""
+"""Initial Gaussians: at known points, or at random positions inside the silhouettes or the cameras' frusta."""
 
 from __future__ import annotations
 
@@ -10,24 +10,27 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 from scipy.spatial import cKDTree
 
-from epipole._checks import check_count, check_seed
-from epipole._declared import checked
+from epipole._checks import check_count, check_seed, checked
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.fields.training_view import TrainingView
 from epipole.scene.gaussian_cloud import DC, GaussianCloud
 
-MOST_SIDE, MOST_POINTS = 512, 1 << 27
-"""Cells along a side of the first grid, and points that are drawn: arrays are made for them."""
+MOST_SIDE = 512
+"""Cells along a side of the first grid, at most."""
+MOST_POINTS = 1 << 27
+"""Points that are sampled, at most."""
 HALVINGS = 3
-"""Of cells, from the first that are held against silhouettes."""
+"""Number of times that the coarsest cells are halved when silhouettes are carved."""
 PARALLEL = 1e-3
-"""Mean square of the sine of the angles between axes, below which they are parallel."""
+"""Mean squared sine of the angles between optical axes below which they count as parallel."""
 FIRST_OPACITY, NEIGHBOURS = 0.15, 3
 NEAREST, FARTHEST = 2.0, 100.0
-"""Depths of points that are drawn in a view, in the distance between neighbouring cameras: nearer ones are seen by one camera, and what is
-farther hardly moves."""
-TRIES, MOST_VIEWS = 40, 24
-"""Points drawn for each that is wanted, and views that each is held against."""
+"""Range of sampled depths, in distances between neighboring cameras; nearer points are seen by one camera only, and
+farther ones hardly move."""
+TRIES = 40
+"""Points sampled for each one wanted."""
+MOST_VIEWS = 24
+"""Views that each point is checked against, at most."""
 
 
 def _check_views(views: Sequence[TrainingView], least: int = 1) -> None:
@@ -39,7 +42,7 @@ def _check_views(views: Sequence[TrainingView], least: int = 1) -> None:
 def cloud_of_points(
     points_in_world: Float64[np.ndarray, "n 3"], rgb: UInt8[np.ndarray, "n 3"]
 ) -> GaussianCloud:
-    """A round Gaussian at each point, as wide as the mean distance to its three nearest (Kerbl et al. 2023).
+    """A round Gaussian at each point, sized by the mean distance to its three nearest neighbors (Kerbl et al. 2023).
 
     Raises:
         ShapeError: there are fewer than four points, or one is not finite.
@@ -62,16 +65,16 @@ def cloud_of_points(
 def points_in_frusta(
     views: Sequence[TrainingView], count: int, seed: int = 0
 ) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
-    """Points drawn in what each camera sees, at an inverse depth that is drawn, too, and the colours of their pixels.
+    """Random points in the frustum of each camera, uniform in inverse depth, with the colors of their pixels.
 
     Args:
-        views: cameras at two or more places.
-        count: points that are wanted; there may be fewer.
-        seed: of what is drawn.
+        views: cameras, at two or more positions.
+        count: number of points wanted; there may be fewer.
+        seed: random seed.
 
     Raises:
-        DegenerateGeometryError: all cameras stand at one place, or no pixel is left to look through.
-        ConfigError: there are not two views, the count is negative or too large, or the seed is negative.
+        DegenerateGeometryError: all cameras have the same position, or no pixel is left.
+        ConfigError: there are fewer than two views, the count is negative or too large, or the seed is negative.
     """
     _check_views(views, 2)
     check_count(count, "count", MOST_POINTS)
@@ -79,7 +82,9 @@ def points_in_frusta(
     centers = np.stack([view.cam_from_world.inverse().translation for view in views])
     between = cKDTree(centers).query(centers, 2)[0][:, 1]
     if not between.any():
-        raise DegenerateGeometryError("all cameras stand at one place: nothing tells how far the scene is")
+        raise DegenerateGeometryError(
+            "all cameras have the same position, so the distance of the scene is unknown"
+        )
     apart, rng = float(np.median(between[between > 0])), np.random.default_rng([24, seed])
     points, colours = [], []
     for view in views:
@@ -94,7 +99,7 @@ def points_in_frusta(
         points.append(view.cam_from_world.inverse().apply(rays / rays[:, 2:] * depth[:, None]))
         colours.append(view.image[row, column, :3])
     if not any(len(part) for part in points):
-        raise DegenerateGeometryError("the images are transparent, or masked, everywhere")
+        raise DegenerateGeometryError("all pixels of all images are transparent or masked")
     return np.concatenate(points)[:count], np.concatenate(colours)[:count]
 
 
@@ -102,15 +107,15 @@ def points_in_frusta(
 def points_in_silhouettes(
     views: Sequence[TrainingView], count: int, seed: int = 0
 ) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
-    """Points drawn in the ball that all cameras look into, that no image with transparency shows to be empty; and their colours.
+    """Random points in the ball that all cameras look at, outside no silhouette, with their mean colors.
 
     Args:
-        views: cameras that look at one place.
-        count: points that are wanted; there may be fewer.
-        seed: of what is drawn.
+        views: cameras that look at a common point.
+        count: number of points wanted; there may be fewer.
+        seed: random seed.
 
     Raises:
-        DegenerateGeometryError: the cameras look at nothing in common.
+        DegenerateGeometryError: the cameras see nothing in common.
         ConfigError: there is no view, the count is negative or too large, or the seed is negative.
     """
     check_count(count, "count", MOST_POINTS // TRIES)
@@ -135,7 +140,7 @@ def points_in_silhouettes(
     kept &= seen > 0
     if not kept.any():
         raise DegenerateGeometryError(
-            "no place is seen by these cameras: are their axes those of the format?"
+            "the views of these cameras do not overlap: do their axes have the convention of the format?"
         )
     chosen = np.flatnonzero(kept)[:count]
     return points[chosen], np.rint(colour[chosen] / seen[chosen, None]).astype(np.uint8)
@@ -143,7 +148,7 @@ def points_in_silhouettes(
 
 @checked
 def fraction_in_view(views: Sequence[TrainingView], points_in_world: Float64[np.ndarray, "n 3"]) -> float:
-    """The share of points that an image shows, if nothing hides another: the median of all views.
+    """Fraction of the points that project into an image, ignoring occlusion: the median of all views.
 
     Raises:
         ConfigError: there is no view.
@@ -151,7 +156,7 @@ def fraction_in_view(views: Sequence[TrainingView], points_in_world: Float64[np.
     """
     _check_views(views)
     if not len(points_in_world):
-        raise ShapeError("points_in_world must have a point")
+        raise ShapeError("points_in_world must not be empty")
     fractions = []
     for view in views:
         pixels = view.camera.project(view.cam_from_world.apply(points_in_world))
@@ -165,12 +170,12 @@ class Silhouette(NamedTuple):
 
     view: TrainingView
     away: np.ndarray
-    """(h, w) pixels to the nearest that is not quite transparent."""
+    """(h, w) distance to the nearest pixel that is not fully transparent, in pixels."""
 
 
 @checked
 def silhouettes_of(views: Sequence[TrainingView]) -> list[Silhouette]:
-    """Those of all images that have transparency."""
+    """Silhouettes of all images with an alpha channel."""
     found = []
     for view in views:
         if view.image.shape[2] == 4:
@@ -184,21 +189,21 @@ def silhouettes_of(views: Sequence[TrainingView]) -> list[Silhouette]:
 def may_be_full(
     silhouettes: Sequence[Silhouette], centers_in_world: Float64[np.ndarray, "n 3"], radius: float
 ) -> Bool[np.ndarray, " n"]:
-    """Which balls (n, 3) touch every silhouette of the images that see their middles.
+    """Whether each ball (n, 3) touches the silhouettes of all images that see its center.
 
     Raises:
-        ShapeError: a silhouette is not of its view's size.
+        ShapeError: silhouette and view have different sizes.
     """
     kept = np.ones(len(centers_in_world), bool)
     for view, away in silhouettes:
         if away.shape != view.image.shape[:2]:
-            raise ShapeError(f"a silhouette must be of its view's size, got {away.shape}")
+            raise ShapeError(f"silhouette and view must have the same size, got {away.shape}")
         positions = view.cam_from_world.apply(centers_in_world)
         pixels = view.camera.project(positions)
         inside = np.isfinite(pixels).all(axis=1)
         at = np.rint(np.where(inside[:, None], pixels, -1)).astype(int)
         inside &= (at >= 0).all(axis=1) & (at[:, 0] < view.camera.width) & (at[:, 1] < view.camera.height)
-        # A ball that the camera is in is seen everywhere.
+        # A ball around the camera is visible everywhere.
         depth = positions[inside, 2] - radius
         seen_px = view.camera.focal_px * radius / np.where(depth > 0, depth, np.nan) + 1.0
         kept[inside] &= ~(away[at[inside, 1], at[inside, 0]] > seen_px)
@@ -207,7 +212,7 @@ def may_be_full(
 
 @checked
 def have_one_direction(views: Sequence[TrainingView]) -> bool:
-    """Whether optical axes are so nearly parallel that they meet nowhere in particular.
+    """Whether the optical axes are too parallel to have a well-defined intersection.
 
     Raises:
         ConfigError: there is no view.
@@ -218,16 +223,16 @@ def have_one_direction(views: Sequence[TrainingView]) -> bool:
 
 
 def _across(axes: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) what of a place lies across each axis (n, 3)."""
+    """(n, 3, 3) projection onto the plane perpendicular to each axis (n, 3)."""
     return np.asarray(np.eye(3) - axes[:, :, None] * axes[:, None, :])
 
 
 @checked
 def common_ball(views: Sequence[TrainingView]) -> tuple[np.ndarray, float]:
-    """The point nearest to all optical axes, and how far the images reach around it.
+    """Center, which is the point nearest to all optical axes, and radius of the ball that the images cover.
 
     Raises:
-        DegenerateGeometryError: most cameras look away from it.
+        DegenerateGeometryError: the axes are parallel, or most cameras look away from the center.
         ConfigError: there is no view.
     """
     _check_views(views)
@@ -236,12 +241,14 @@ def common_ball(views: Sequence[TrainingView]) -> tuple[np.ndarray, float]:
     across = _across(axes)
     total = across.sum(axis=0)
     if have_one_direction(views):
-        raise DegenerateGeometryError("the cameras look the same way: nothing tells how far the scene is")
+        raise DegenerateGeometryError(
+            "all cameras look in the same direction, so the distance of the scene is unknown"
+        )
     middle = np.linalg.solve(total, (across @ centers[..., None])[..., 0].sum(axis=0))
     depth = ((middle - centers) * axes).sum(axis=1)
     if np.median(depth) <= 0:
         raise DegenerateGeometryError(
-            "the cameras look away from each other's views: are their axes those of the format?"
+            "the cameras do not look at a common point: do their axes have the convention of the format?"
         )
     reach = [0.5 * max(v.camera.width, v.camera.height) / v.camera.focal_px for v in views]
     return middle, float(np.median(np.maximum(depth, 0.0) * reach))
@@ -249,10 +256,10 @@ def common_ball(views: Sequence[TrainingView]) -> tuple[np.ndarray, float]:
 
 @checked
 def first_cells(views: Sequence[TrainingView], side: int) -> tuple[np.ndarray, float, np.ndarray]:
-    """Corner, size of a cell, and which of a grid's cells (x, y, z), at most `side` along an axis, silhouettes leave of what the cameras look at.
+    """Corner, cell size and occupied cells (x, y, z), at most `side` per axis, of the scene inside all silhouettes.
 
     Raises:
-        DegenerateGeometryError: that is nothing.
+        DegenerateGeometryError: the silhouettes have no common volume.
         ConfigError: there is no view, or `side` is not from 1 to 512.
     """
     if not 1 <= side <= MOST_SIDE:
@@ -262,7 +269,7 @@ def first_cells(views: Sequence[TrainingView], side: int) -> tuple[np.ndarray, f
     silhouettes = silhouettes_of(views)
     full = _full(silhouettes, low, size, (side, side, side))
     if not full.any():
-        raise DegenerateGeometryError("the silhouettes of the images have no place in common")
+        raise DegenerateGeometryError("the silhouettes of the images have no common volume")
     positions = np.argwhere(full)
     first, last = positions.min(axis=0), positions.max(axis=0) + 1
     low, finer = low + size * first, size * (last - first).max() / side
@@ -273,7 +280,7 @@ def first_cells(views: Sequence[TrainingView], side: int) -> tuple[np.ndarray, f
 def _full(
     silhouettes: Sequence[Silhouette], low: np.ndarray, size: float, shape: tuple[int, ...]
 ) -> np.ndarray:
-    """Large cells first: what is in one that is empty need not be looked at."""
+    """Cells inside all silhouettes, coarse to fine: the children of an empty cell are not tested."""
     factor = 2**HALVINGS
     cells = np.ones([-(-side // factor) for side in shape], bool)
     while True:

@@ -1,4 +1,4 @@
-"""Gaussians learnt from images, step by step (Kerbl et al. 2023), in a schedule of sizes and counts (Chen et al., DashGaussian, 2025)."""
+"""Trainer for 3D Gaussians (Kerbl et al. 2023) with a schedule of resolutions and counts (DashGaussian, 2025)."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float32
 
-from epipole._checks import check_fraction
-from epipole._declared import checked
-from epipole._declared.tables import Expected, Table, check_arrays
+from epipole._checks import check_fraction, checked
+from epipole._checks.tables import Expected, Table, check_arrays
 from epipole.errors import ConfigError, ShapeError
 from epipole.fields.config import SplatTraining
 from epipole.fields.exposure import Exposures
@@ -35,33 +34,41 @@ from epipole.fields.training_view import TrainingView
 from epipole.scene.gaussian_cloud import DC, NUM_SH, GaussianCloud
 
 SIZES = ((0.10, 4), (0.35, 2), (1.0, 1))
-"""Images are so many times smaller until that share of the training."""
+"""(fraction of the training until which it applies, downscaling factor of the images)."""
 DEGREES = ((0.10, 0), (0.25, 1), (0.45, 2), (1.0, 3))
-"""Degree of the harmonics until that share."""
-GROWN, CHANGES = 0.6, 40
-"""Share after which no Gaussian is split any more, and how often some are until then."""
-MEAN_RATE_BY_VIEW, MEAN_RATES, MEAN_RATE_DECAY = 3e-5, (3e-4, 3e-3), 0.05
-"""Of places, in the scene's size a step: at the begin so much for each view, within these bounds; and what is left of it at the end.
-Few views leave a place free along their rays, and what begins at a good one is held nearer to it: that gains 0.7 to 1.2 dB."""
+"""(fraction of the training until which it applies, degree of the harmonics)."""
+GROWN = 0.6
+"""Fraction of the training after which Gaussians are no longer split."""
+CHANGES = 40
+"""Number of times that Gaussians are split and removed until then."""
+MEAN_RATE_BY_VIEW = 3e-5
+"""Initial learning rate of positions per view, in scene sizes. Few views constrain positions weakly along their rays,
+so a low rate keeps good initial positions: it gains 0.7 to 1.2 dB."""
+MEAN_RATES = (3e-4, 3e-3)
+"""Bounds of the initial learning rate of positions."""
+MEAN_RATE_DECAY = 0.05
+"""Factor of the learning rate of positions at the end."""
 LAST_RATES = 0.3
-"""What is left of the other rates at the end."""
+"""Factor of the other learning rates at the end."""
 RATES = (2e-2, 8e-3, 6e-2, 8e-3, 3.2e-3)
-"""A step, of all but places: `Rates` in order."""
-DROPPED_BY, MOST_DROPPED, LEAST_DROPPED = 0.5, 0.2, 0.05
-"""Gaussians that are left out of a step are two views' worth, within these shares (0 below the least), reached at that progress."""
+"""Initial learning rates of all but positions, in the order of `Rates`."""
+DROPPED_BY = 0.5
+"""Fraction of the training at which the dropout reaches its full rate."""
+MOST_DROPPED, LEAST_DROPPED = 0.2, 0.05
+"""Bounds of the dropout rate, 2 / number of views; below the lower one there is no dropout."""
 USUAL_MOST = 50_000
 LEAST_SIDE_PX = 24
-"""Of the smallest images."""
+"""Shorter side of downscaled images, at least."""
 
 
 class SplatTrainer:
-    """Trains Gaussians on views; the same views, start and steps give the same Gaussians for any number of threads.
+    """Trains Gaussians on views; the result does not depend on the number of threads.
 
     Attributes:
         config: options.
-        cloud: the Gaussians as they are.
-        num_steps: taken.
-        loss: of the last step.
+        cloud: current Gaussians.
+        num_steps: steps taken.
+        loss: loss of the last step.
     """
 
     @checked
@@ -72,13 +79,13 @@ class SplatTrainer:
         config: SplatTraining,
         background: Float32[np.ndarray, " 3"],
     ) -> None:
-        """Begin.
+        """Set up a training.
 
         Args:
             views: images and cameras.
-            start: the first Gaussians; more than `max_gaussians` (None: 50,000) are thinned out.
+            start: initial Gaussians; a random subset if there are more than `max_gaussians` (None: 50,000).
             config: options.
-            background: (3,) colour behind everything.
+            background: (3,) background color.
 
         Raises:
             ConfigError: there is no view.
@@ -89,7 +96,7 @@ class SplatTrainer:
         if not np.isfinite(background).all():
             raise ShapeError("background must be finite")
         if not len(start):
-            raise ShapeError("there is no Gaussian to begin with")
+            raise ShapeError("start must have at least one Gaussian")
         self.config, self.views, self.num_steps, self.loss = config, list(views), 0, np.nan
         self.background = background
         self.options = RenderOptions(antialiased=config.antialiased)
@@ -113,7 +120,7 @@ class SplatTrainer:
         self._smaller: dict[tuple[int, int], TrainingView] = {}
 
     def _set_arrays(self, *clouds: Cloud) -> None:
-        """Values, and Adam's means of derivatives and of their squares, with room for what will be."""
+        """Set values, first and second moments, with capacity for all Gaussians to come."""
         self._buffers = [GrowingCloud(cloud, self._most) for cloud in clouds]
         self._renew()
 
@@ -122,7 +129,7 @@ class SplatTrainer:
 
     @property
     def cloud(self) -> GaussianCloud:
-        """The Gaussians as they are now."""
+        """Copy of the current Gaussians."""
         return GaussianCloud(*(part.copy() for part in self._arrays))
 
     @property
@@ -135,7 +142,7 @@ class SplatTrainer:
 
     @property
     def table(self) -> Table:
-        """What a `state` holds."""
+        """Arrays of `state`."""
         axes = {"means": "n 3", "log_scales": "n 3", "quats_wxyz": "n 4", "logits": "n", "sh": "n s 3"}
         parts = {
             f"{kind}_{name}": Expected("float32", axes[name], least=0 if kind == "square" else None)
@@ -144,7 +151,7 @@ class SplatTrainer:
         }
         return {
             **parts,
-            "pull": Expected("float32", "n", least=0),
+            "grad2d": Expected("float32", "n", least=0),
             "views": Expected("float32", "n", least=0),
             "order": Expected("int64", "_", least=0, most=len(self.views) - 1),
             "counts": Expected("int64", "3", least=0),
@@ -154,14 +161,14 @@ class SplatTrainer:
         }
 
     def state(self) -> dict[str, np.ndarray]:
-        """All that the next steps depend on, besides the views."""
+        """All state that the next steps depend on, except the views."""
         clouds = {"value": self._arrays, "mean": self._adam.mean, "square": self._adam.square}
         counts = [self.num_steps, self._num_changes, self._num_first]
         return {
             **{
                 f"{kind}_{name}": part for kind, one in clouds.items() for name, part in one._asdict().items()
             },
-            "pull": self._growth.grad2d,
+            "grad2d": self._growth.grad2d,
             "views": self._growth.views,
             "order": np.array(self._order, np.int64),
             "counts": np.array(counts, np.int64),
@@ -171,29 +178,29 @@ class SplatTrainer:
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from a `state` of a trainer with the same views and options: the same bits as without a break.
+        """Continue from a `state` of a trainer with the same views and options, with bit-identical results.
 
         Raises:
-            ShapeError: it holds no Gaussian, too many of them, one without a rotation, or harmonics of no degree.
+            ShapeError: the number of Gaussians, a rotation or the number of harmonics is invalid.
         """
         state = check_arrays(state, self.table)
         n, num_sh = state["value_sh"].shape[:2]
         most = max(self._most, self._num_first)
         if not 1 <= n <= most or num_sh not in NUM_SH[: self.config.sh_degree + 1]:
             raise ShapeError(
-                f"value_sh must be of 1 to {most} Gaussians and at most degree {self.config.sh_degree}, "
+                f"value_sh must have 1 to {most} Gaussians of degree {self.config.sh_degree} or less, "
                 f"got {state['value_sh'].shape}"
             )
         if not state["value_quats_wxyz"].any(axis=1).all():
-            raise ShapeError("value_quats_wxyz must be rotations: one is zero")
+            raise ShapeError("value_quats_wxyz must be rotations, but one is zero")
         if not 1 <= state["counts"][2] <= most:
             raise ShapeError(
-                f"counts must tell a first number of Gaussians from 1 to {most}, got {state['counts'][2]}"
+                f"counts must have an initial number of Gaussians from 1 to {most}, got {state['counts'][2]}"
             )
         names = ("value", "mean", "square")
         self._set_arrays(*(Cloud(*(state[f"{name}_{part}"] for part in Cloud._fields)) for name in names))
         self._growth = Growth(len(self))
-        self._growth.grad2d, self._growth.views = state["pull"], state["views"]
+        self._growth.grad2d, self._growth.views = state["grad2d"], state["views"]
         self._order = state["order"].tolist()
         self.num_steps, self._num_changes, self._num_first = state["counts"].tolist()
         self._size = float(state["size"])
@@ -202,34 +209,34 @@ class SplatTrainer:
             part.restore(state)
 
     def _own(self) -> list[Exposures | PoseSteps]:
-        """What the views have of their own."""
+        """Optimizers of per-view parameters."""
         return [part for part in (self._exposures, self._poses) if part is not None]
 
     @property
     def posed_views(self) -> list[TrainingView]:
-        """The views, from where their cameras now are."""
+        """The views, with their current poses."""
         return [self._view(number, 1) for number in range(len(self.views))]
 
     @checked
     def render(self, view: TrainingView) -> np.ndarray:
-        """(h, w, 3) the image of a view."""
+        """(h, w, 3) render of a view."""
         return self.render_counted(view)[0]
 
     def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
-        """(h, w, 3) the image of a view, and the pairs of Gaussian and pixel that were evaluated for it."""
+        """(h, w, 3) render of a view, and the number of Gaussian-pixel pairs that were evaluated."""
         seen = view_of(view.camera, view.cam_from_world, self.options)
         rendered = blend(tiles_of(self._arrays, seen), seen)
         return rendered.over(self.background), rendered.tiles.num_evaluated
 
     @checked
     def step(self, progress: float) -> float:
-        """One image: draw it, compare, and move what was seen; returns the loss.
+        """Render one image, compare it, and update the visible Gaussians; returns the loss.
 
         Args:
-            progress: share of the training that is done, from 0 to 1; sizes, counts and rates follow it.
+            progress: fraction of the training that is done, which determines resolution, count and learning rates.
 
         Raises:
-            ConfigError: the share is not from 0 to 1.
+            ConfigError: progress is not from 0 to 1.
         """
         check_fraction(progress, "progress")
         self._raise_degree(progress)
@@ -244,7 +251,7 @@ class SplatTrainer:
         return self.loss
 
     def _learn(self, number: int, factor: int, progress: float) -> float:
-        """Move what a view sees, in images `factor` times smaller; returns the loss."""
+        """Update the Gaussians visible in a view, with images downscaled by `factor`; returns the loss."""
         of = self._view(number, factor)
         view = view_of(of.camera, of.cam_from_world, self.options)
         rendered = blend(tiles_of(self._arrays, view, self._shown(progress)), view)
@@ -262,7 +269,7 @@ class SplatTrainer:
     def _compare(
         self, number: int, of: TrainingView, rendered: Rendering, progress: float
     ) -> tuple[float, np.ndarray, np.ndarray]:
-        """The loss of a drawing, in the view's colours and where it is used, and its derivatives by colour and coverage."""
+        """Loss of a render on the used pixels, with the view's exposure, and derivatives w.r.t. color and coverage."""
         exposures, behind = self._exposures, self.background
         seen = rendered.over(behind) if exposures is None else exposures.applied(number, rendered, behind)
         truth = of.over(behind)
@@ -276,26 +283,26 @@ class SplatTrainer:
         return found.loss, by_seen, -(by_seen @ behind) if behind.any() else np.zeros_like(rendered.coverage)
 
     def _take(self, colours: np.ndarray) -> None:
-        """A map of colours, A and b, into the Gaussians: 1/2 + DC sh_0 + ... becomes A (1/2 + DC sh_0 + ...) + b."""
+        """Apply a color transform [A b] to the Gaussians: 1/2 + DC sh_0 + ... becomes A (1/2 + DC sh_0 + ...) + b."""
         rotation, sh = colours[:, :3], self._arrays.sh
         sh[:] = sh @ rotation.T
         sh[:, 0] += (rotation.sum(axis=1) / 2 - 0.5 + colours[:, 3]) / np.float32(DC)
 
     def _next_view(self) -> int:
-        """Each view once, in an order that is drawn anew each time."""
+        """Next view; each epoch has a new random order."""
         if not self._order:
             self._order = self._rng.permutation(len(self.views)).tolist()
         return self._order.pop()
 
     def _factor(self, number: int, progress: float) -> int:
-        """How many times smaller images are by the schedule."""
+        """Downscaling factor of the schedule."""
         factor, camera = _until(SIZES, progress), self.views[number].camera
         while factor > 1 and min(camera.width, camera.height) // factor < LEAST_SIDE_PX:
             factor //= 2
         return factor
 
     def _view(self, number: int, factor: int) -> TrainingView:
-        """A view, so many times smaller, from where its camera now is."""
+        """A view, downscaled by `factor`, with its current pose."""
         if (number, factor) not in self._smaller:
             self._smaller[number, factor] = self.views[number].smaller(factor)
         view = self._smaller[number, factor]
@@ -304,7 +311,7 @@ class SplatTrainer:
         )
 
     def _known(self, number: int, factor: int) -> PointDepths:
-        """Depths of a view's points: those of the model's cameras, wherever these go afterwards."""
+        """Depths of a view's points in the original pose of its camera."""
         if (number, factor) not in self._depths:
             view = self._smaller[number, factor]
             is_requested = self.config.depth_weight > 0
@@ -314,9 +321,9 @@ class SplatTrainer:
         return self._depths[number, factor]
 
     def _shown(self, progress: float) -> np.ndarray | None:
-        """Factors of opacities that leave some Gaussians out, so that none hides behind others (Park et al., DropGaussian, 2025).
+        """Opacity factors that drop random Gaussians, so that all of them train (Park et al., DropGaussian, 2025).
 
-        What few views show is learnt by heart otherwise: trained on 6 to 10 views, those held out gain 0.6 to 1.5 dB by it.
+        This reduces overfitting to few views: with 6 to 10 training views, held-out views gain 0.6 to 1.5 dB.
         """
         fraction = self._drop * min(1.0, progress / DROPPED_BY)
         if fraction == 0.0:
@@ -332,14 +339,14 @@ class SplatTrainer:
             self._renew()
 
     def _rates(self, progress: float) -> Rates:
-        """They fall, those of places fastest."""
+        """Current learning rates; they decay, those of positions fastest."""
         fallen = LAST_RATES**progress
         first = min(max(MEAN_RATE_BY_VIEW * len(self.views), MEAN_RATES[0]), MEAN_RATES[1])
         position = self._size * first * MEAN_RATE_DECAY**progress
         return Rates(position, *(fallen * rate for rate in RATES))
 
     def _change(self, progress: float) -> None:
-        """Split where images pull, up to the count of the schedule, and drop what is not seen."""
+        """Split Gaussians with large image-space gradients, up to the scheduled count, and remove transparent ones."""
         fraction = min(1.0, progress / GROWN)
         wanted = self._num_first + (self._most - self._num_first) * fraction
         rows, stays = self._growth.changes(self._arrays, int(wanted))
@@ -363,5 +370,5 @@ def _until(table: Sequence[tuple[float, int]], progress: float) -> int:
 
 
 def _size_of(means: np.ndarray) -> float:
-    """Of the scene: median distance of the first Gaussians from their middle."""
+    """Scene size: median distance of the initial Gaussians from their center."""
     return float(np.median(np.linalg.norm(means - np.median(means, axis=0), axis=1)))

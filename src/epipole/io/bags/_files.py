@@ -1,7 +1,7 @@
-"""Recordings of ROS, opened by the package `rosbags`: ROS 1 bags, and ROS 2 bags of SQLite or MCAP.
+"""Opening ROS recordings with the package `rosbags`: ROS 1 bags, and ROS 2 bags in SQLite or MCAP.
 
-Messages of the standard kinds are read by their published definitions, which have not changed since ROS Noetic and
-Foxy: what a recording says of its own types is not needed, and cannot be wrong.
+Standard messages are decoded by their published definitions, unchanged since ROS Noetic and Foxy, rather than by the
+definitions in the recording, which could be wrong.
 """
 
 from __future__ import annotations
@@ -25,31 +25,31 @@ _PROBLEM = "cannot be read as a recording of ROS"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BagMessage:
-    """A message as it was recorded."""
+    """A message as recorded."""
 
     topic: str
     kind: str
-    """As `sensor_msgs/msg/Image`."""
+    """Message type, such as `sensor_msgs/msg/Image`."""
     recorded_ns: int
     data: bytes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenBag:
-    """A recording that is open."""
+    """An open recording."""
 
     path: Path
     reader: Any
     types: Any
     is_ros1: bool
     counts: dict[str, int]
-    """Messages of each topic."""
+    """Number of messages by topic."""
     kinds: dict[str, str]
-    """Of each topic's messages."""
+    """Message type by topic."""
     warnings: tuple[str, ...] = ()
 
     def messages(self, topics: Sequence[str]) -> Iterator[BagMessage]:
-        """Of some topics, as they were recorded.
+        """Messages of some topics, in recorded order.
 
         Raises:
             FileFormatError: the recording is damaged from here on.
@@ -65,17 +65,17 @@ class OpenBag:
                 row = next(rows, None)
                 if row is None:
                     return
-                if row[0] not in wanted:  # two connections of one number: the reader answers with the other
-                    raise FileFormatError(self.path, f"{_PROBLEM}: connections share a number")
-                # A damaged database holds values of any type.
+                if row[0] not in wanted:  # two connections share an id: the reader returns the other one
+                    raise FileFormatError(self.path, f"{_PROBLEM}: two connections share an id")
+                # A damaged database can contain values of any type.
                 message = BagMessage(row[0].topic, row[0].msgtype, int(row[1]), _as_bytes(row[2]))
             yield message
 
     def content(self, message: BagMessage) -> Any:
-        """What a message says: an object with the fields of its definition.
+        """Decode a message into an object with the fields of its definition.
 
         Raises:
-            FileFormatError: it is damaged.
+            FileFormatError: the message is damaged.
         """
         with read_by_others(self.path, f"a message of {message.topic} is damaged"):
             if self.is_ros1:
@@ -84,7 +84,7 @@ class OpenBag:
 
 
 def is_bag(path: str | Path) -> bool:
-    """Whether a path is a recording of ROS: a .bag, .db3 or .mcap file, or the folder of one of the latter two."""
+    """Whether a path is a ROS recording: a .bag, .db3 or .mcap file, or a folder of one of the latter two."""
     path = Path(path)
     if path.is_dir():
         return bool(_storages(path))
@@ -93,11 +93,11 @@ def is_bag(path: str | Path) -> bool:
 
 @contextmanager
 def opened_bag(path: Path) -> Iterator[OpenBag]:
-    """A recording, open in the block.
+    """Open a recording for the duration of the block.
 
     Raises:
         MissingDependencyError: the package rosbags is not installed.
-        FileFormatError: it cannot be read as one, or holds no message.
+        FileFormatError: the file is not a readable recording, or contains no messages.
     """
     at, reader_of, types = _reader_and_types(path)
     warnings: tuple[str, ...] = ()
@@ -115,17 +115,17 @@ def opened_bag(path: Path) -> Iterator[OpenBag]:
         reader.open()
         if not sum(c.msgcount for c in reader.connections):
             raise
-        warnings = (f"{error}; what stands before the damage, or before the file is cut off, is read",)
+        warnings = (f"{error}; only the part before the damage or truncation is used",)
     try:
         with read_by_others(path, _PROBLEM):
-            # One kind for each topic: what else is published there is not read.
+            # One message type per topic: messages of other types are ignored.
             kinds = {str(c.topic): str(c.msgtype) for c in reversed(reader.connections)}
             counts = dict.fromkeys(kinds, 0)
             for connection in reader.connections:
                 is_of_kind = connection.msgtype == kinds[connection.topic]
                 counts[connection.topic] += max(int(connection.msgcount), 0) if is_of_kind else 0
         if not sum(counts.values()):
-            raise FileFormatError(path, "the recording holds no message")
+            raise FileFormatError(path, "the recording contains no messages")
         is_ros1 = at.suffix.lower() == ROS1_SUFFIX
         yield OpenBag(path, reader, types, is_ros1, counts, kinds, warnings)
     finally:
@@ -135,19 +135,19 @@ def opened_bag(path: Path) -> Iterator[OpenBag]:
 
 def _as_bytes(data: object) -> bytes:
     if not isinstance(data, bytes):
-        raise TypeError("a message is not of bytes")
+        raise TypeError("a message does not consist of bytes")
     return data
 
 
 def _reader_and_types(path: Path) -> tuple[Path, Any, Any]:
-    """The file or folder that is read, the reader's class, and the definitions of messages."""
+    """The file or folder to read, the reader class, and the message definitions."""
     try:
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise MissingDependencyError(
-            f"{path} is a recording of ROS; to read it: pip install 'epipole[ros]' (or rosbags>=0.11,<0.12)"
+            f"{path} is a ROS recording; to read it, run pip install 'epipole[ros]' (or rosbags>=0.11,<0.12)"
         ) from error
     bound_unpacking()
     if path.suffix.lower() == ROS1_SUFFIX and not path.is_dir():
@@ -158,7 +158,7 @@ def _reader_and_types(path: Path) -> tuple[Path, Any, Any]:
         storages = _storages(path)
         if len(storages) != 1:
             raise FileFormatError(
-                path, f"it has no {METADATA}, and {len(storages)} files of messages: give one"
+                path, f"it has no {METADATA} and {len(storages)} message files: pass one of the files"
             )
         at = storages[0]
     if not at.is_dir():
@@ -167,7 +167,6 @@ def _reader_and_types(path: Path) -> tuple[Path, Any, Any]:
 
 
 def _storages(folder: Path) -> list[Path]:
-    """The files of messages in the folder of a ROS 2 bag."""
     return sorted(
         file
         for file in folder.iterdir()

@@ -1,4 +1,4 @@
-"""Images, depth and cameras in ROS' messages (sensor_msgs: Image, CompressedImage, CameraInfo)."""
+"""Decoding of images, depth and cameras from ROS messages (sensor_msgs: Image, CompressedImage, CameraInfo)."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ CAMERA_INFO, IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Imu"
 _MM = 1000.0
 _MOST_PX = 1 << 28
 _DEPTH_HEADER = struct.Struct("<iff")
-"""Of compressed_depth_image_transport: the kind, and two numbers of its quantization."""
+"""Header of compressed_depth_image_transport: the kind, and two quantization parameters."""
 
-# Channels, and OpenCV's conversion to grey. It names Bayer patterns by their second row, ROS by the first.
+# Channels, and OpenCV's conversion to grey. OpenCV names Bayer patterns by their second row, ROS by the first.
 _TO_GREY: dict[str, tuple[int, int | None]] = {
     **dict.fromkeys(("mono8", "8UC1"), (1, None)),
     **dict.fromkeys(("bgr8", "8UC3"), (3, cv2.COLOR_BGR2GRAY)),
@@ -44,39 +44,39 @@ _DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 
 
 def encoding_of(message: Any) -> str:
-    """How an image is written: `bgr8`, `16UC1`, or the format of a compressed one; empty for a message that is no image."""
+    """Encoding of an image: `bgr8`, `16UC1`, or the format of a compressed one; empty for other messages."""
     return str(getattr(message, "encoding", getattr(message, "format", "")))
 
 
 def _require_image(path: Path, topic: str, message: Any) -> None:
-    """Refuse messages of another type, which a damaged list of connections puts into a topic."""
+    """Reject messages of other types, which a damaged connection list can assign to a topic."""
     if not (hasattr(message, "data") and (hasattr(message, "encoding") or hasattr(message, "format"))):
-        raise FileFormatError(path, f"{topic}: a message is no image")
+        raise FileFormatError(path, f"{topic}: a message is not an image")
 
 
 def is_depth(topic: str, encoding: str) -> bool:
-    """Whether images of this encoding hold depth; 16 bits alone may be grey."""
+    """Whether images with this encoding are depth; 16-bit images may also be grey."""
     if "compresseddepth" in encoding.lower() or "32FC1" in encoding:
         return True
     return encoding.split(";")[0].strip() in _DEPTHS and ("16UC1" in encoding or "depth" in topic.lower())
 
 
 def values_per_metre(encoding: str) -> float:
-    """What REP 118 has for depth of this encoding: 16 bits are millimetres, floats are metres."""
+    """Depth values per metre according to REP 118: 16-bit integers are millimetres, floats are metres."""
     return 1.0 if "32FC1" in encoding else _MM
 
 
 def grey_of(path: Path, topic: str, message: Any, scale: GreyScale | None = None) -> UInt8[np.ndarray, "h w"]:
-    """The image of a message in grey of 8 bits.
+    """Decode the image of a message to 8-bit grey.
 
     Args:
-        path: of the recording, for errors.
-        topic: for errors.
+        path: the recording, for error messages.
+        topic: the topic, for error messages.
         message: an Image or a CompressedImage.
-        scale: how 16 bits become 8, for all messages of the topic alike; None: by this one alone.
+        scale: conversion of 16 bits to 8, common to all messages of the topic; None: from this message.
 
     Raises:
-        FileFormatError: its numbers do not fit each other, or the encoding is not known.
+        FileFormatError: the message is inconsistent, or its encoding is not supported.
     """
     _require_image(path, topic, message)
     if not hasattr(message, "encoding"):
@@ -84,7 +84,7 @@ def grey_of(path: Path, topic: str, message: Any, scale: GreyScale | None = None
     encoding = str(message.encoding)
     is_deep, plain = _as_8_bits(encoding)
     if plain not in _TO_GREY:
-        raise FileFormatError(path, f"{topic}: images of the encoding {encoding[:60]!r} are not read")
+        raise FileFormatError(path, f"{topic}: the image encoding {encoding[:60]!r} is not supported")
     channels, conversion = _TO_GREY[plain]
     pixels = _values(path, topic, message, channels, "u2" if is_deep else "u1")
     if is_deep:
@@ -93,10 +93,10 @@ def grey_of(path: Path, topic: str, message: Any, scale: GreyScale | None = None
 
 
 def grey_scale(path: Path, topic: str, messages: Sequence[Any]) -> GreyScale | None:
-    """How the images of a topic become 8 bits, from some of them; None where they have 8 bits.
+    """Conversion of a topic's images to 8 bits, determined from some of them; None if they have 8 bits.
 
     Raises:
-        FileFormatError: as of `grey_of`.
+        FileFormatError: as in `grey_of`.
     """
     deep = []
     for message in messages:
@@ -115,21 +115,21 @@ def grey_scale(path: Path, topic: str, messages: Sequence[Any]) -> GreyScale | N
 
 
 def _as_8_bits(encoding: str) -> tuple[bool, str]:
-    """Whether an encoding has 16 bits a channel, and the like one of 8."""
+    """Whether an encoding has 16 bits per channel, and its 8-bit counterpart."""
     if encoding.endswith("16"):
         return True, f"{encoding[:-2]}8"
     return encoding.startswith("16UC"), encoding.replace("16UC", "8UC")
 
 
 def _decompressed(path: Path, topic: str, message: Any, scale: GreyScale | None) -> UInt8[np.ndarray, "h w"]:
-    """`FORMAT; jpeg compressed FORMAT` (image_transport): what was compressed may be the raw mosaic of a sensor."""
+    """Decode `FORMAT; jpeg compressed FORMAT` (image_transport); the compressed image may be a raw Bayer mosaic."""
     grey = decode_bytes(path, bytes(message.data), True, None, None if scale is None else scale.range)
     words = str(message.format).replace(";", " ").split()
     _, plain = _as_8_bits(words[3 if len(words) > 3 else 0] if words else "")
     if not plain.startswith("bayer_"):
         return grey
     if plain not in _TO_GREY:
-        raise FileFormatError(path, f"{topic}: images of the encoding {plain[:60]!r} are not read")
+        raise FileFormatError(path, f"{topic}: the image encoding {plain[:60]!r} is not supported")
     return _converted(path, topic, grey[:, :, None], _TO_GREY[plain][1])
 
 
@@ -141,15 +141,15 @@ def _converted(
     try:
         flat = np.ascontiguousarray(pixels if pixels.shape[2] > 1 else pixels[:, :, 0])
         return np.asarray(cv2.cvtColor(flat, conversion), np.uint8)
-    except cv2.error as error:  # Bayer and YUV need sides of two pixels and more
+    except cv2.error as error:  # Bayer and YUV images need at least two pixels per side
         raise FileFormatError(path, f"{topic}: the image cannot be made grey ({error.err})") from error
 
 
 def depth_of(path: Path, topic: str, message: Any) -> Float32[np.ndarray, "h w"]:
-    """Metres along the axis (REP 118: 16 bits are millimetres, floats are metres); 0 where not known.
+    """Decode depth in metres along the optical axis (REP 118: integers are millimetres, floats metres); 0 if unknown.
 
     Raises:
-        FileFormatError: its numbers do not fit each other, or it holds no depth.
+        FileFormatError: the message is inconsistent, or not a depth image.
     """
     _require_image(path, topic, message)
     encoding = encoding_of(message)
@@ -161,21 +161,21 @@ def depth_of(path: Path, topic: str, message: Any) -> Float32[np.ndarray, "h w"]
         if kind == "u2":
             metres = np.where(metres == 65535, 0.0, metres / np.float32(_MM))
     else:
-        raise FileFormatError(path, f"{topic}: images of the encoding {encoding[:60]!r} hold no depth")
+        raise FileFormatError(path, f"{topic}: images with the encoding {encoding[:60]!r} are not depth")
     is_known = np.isfinite(metres) & (metres > 0)
     return np.where(is_known, metres, 0.0).astype(np.float32)
 
 
 def camera_of(path: Path, message: Any, *, is_rectified: bool) -> Camera | None:
-    """The camera that a CameraInfo tells; None where it was not calibrated (fx is zero).
+    """The camera of a CameraInfo; None if it is not calibrated (fx is zero).
 
     Args:
-        path: of the recording, for errors.
+        path: the recording, for error messages.
         message: the CameraInfo.
-        is_rectified: of the rectified images, whose camera matrix is the left part of P.
+        is_rectified: return the camera of the rectified images, whose camera matrix is the left part of P.
 
     Raises:
-        FileFormatError: the numbers make no camera, or the distortion is not known.
+        FileFormatError: the numbers are not a valid camera, or the distortion model is not supported.
     """
     size = int(message.width), int(message.height)
     words = str(message.distortion_model)
@@ -193,7 +193,7 @@ def camera_of(path: Path, message: Any, *, is_rectified: bool) -> Camera | None:
         | {"roi": {name: getattr(roi, name, 0) for name in ("x_offset", "y_offset")}},
     )
     if not np.isfinite(np.concatenate([K.ravel(), coefficients])).all():
-        raise FileFormatError(path, "a number of a CameraInfo is not finite")
+        raise FileFormatError(path, "a number in a CameraInfo is not finite")
     require_plain(path, K)
     require_coefficients(path, camera, coefficients)
     if not camera.is_fisheye and not coefficients.any():
@@ -209,32 +209,33 @@ def _pinhole(path: Path, size: tuple[int, int], K: np.ndarray) -> Camera:
 
 
 def field(message: Any, name: str) -> np.ndarray:
-    """Numbers of a CameraInfo, whose fields are upper case in ROS 1."""
+    """Numbers of a CameraInfo field; ROS 1 has upper-case names."""
     return np.asarray(
         getattr(message, name) if hasattr(message, name) else getattr(message, name.upper()), np.float64
     )
 
 
 def _values(path: Path, topic: str, message: Any, channels: int, kind: str) -> np.ndarray:
-    """Numbers (h, w, channels) of a message that is not compressed."""
+    """Pixel values (h, w, channels) of an uncompressed message."""
     height, width, step = int(message.height), int(message.width), int(message.step)
     kind = (">" if message.is_bigendian else "<") + kind
     row = width * channels * np.dtype(kind).itemsize
     data = np.asarray(message.data, np.uint8)
     if min(height, width) < 1 or height * width > _MOST_PX or step < row or len(data) < step * height:
         raise FileFormatError(
-            path, f"{topic}: {len(data)} bytes in rows of {step} are no image of {width} x {height} pixels"
+            path,
+            f"{topic}: {len(data)} bytes in rows of {step} do not match an image of {width} x {height} pixels",
         )
     rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :row])
     return rows.view(kind).reshape(height, width, channels).astype(kind[1:], copy=False)
 
 
 def _compressed_depth(path: Path, topic: str, data: bytes, encoding: str) -> np.ndarray:
-    """PNG behind a header of twelve bytes; floats are stored as a / (number - b)."""
+    """Decode a PNG after a header of twelve bytes; floats are stored as a / (number - b)."""
     if "compresseddepth" not in encoding.lower():
         return np.asarray(png16_in(path, data, _MM))
     if len(data) < _DEPTH_HEADER.size:
-        raise FileFormatError(path, f"{topic}: a depth image of {len(data)} bytes is cut off")
+        raise FileFormatError(path, f"{topic}: a depth image of {len(data)} bytes is truncated")
     _, a, b = _DEPTH_HEADER.unpack_from(data)
     data = data[_DEPTH_HEADER.size :]
     if "32FC1" not in encoding:

@@ -1,4 +1,4 @@
-"""Messages of two topics that belong to one instant, as they come."""
+"""Streaming synchronization of messages from two topics."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from typing import TypeVar
 
 Item = TypeVar("Item")
 _MOST_WAITING = 100
-"""Messages of one topic that wait for the other; beyond, the oldest goes without a partner."""
+"""Most messages of one topic that wait for the other; beyond, the oldest is dropped without a partner."""
 
 
 def paired(
     items: Iterable[tuple[int, float, Item]], tolerance_s: float
 ) -> Iterator[tuple[float, Item, Item]]:
-    """The time of the first topic, and two items, each the nearest of the other, within the tolerance.
+    """Yield the first topic's time and two items, each the other's nearest in time within the tolerance.
 
     Args:
-        items: (topic 0 or 1, seconds, item); each topic's times rise, the topics may be shifted in the stream.
-        tolerance_s: largest distance in time.
+        items: (topic 0 or 1, seconds, item); times increase within each topic, but one topic may lag behind the other.
+        tolerance_s: largest difference in time.
     """
     waiting: tuple[deque[tuple[float, Item]], deque[tuple[float, Item]]] = (deque(), deque())
     for topic, time_s, item in items:
@@ -32,7 +32,7 @@ def paired(
 def _decided(
     waiting: tuple[deque[tuple[float, Item]], deque[tuple[float, Item]]], tolerance_s: float, *, is_end: bool
 ) -> Iterator[tuple[float, Item, Item]]:
-    """Take off the queues what can be decided by now."""
+    """Remove from the queues everything that can already be decided."""
     first, second = waiting
     while first and second:
         later_s = second[0][0] - first[0][0]
@@ -40,7 +40,7 @@ def _decided(
         if abs(later_s) > tolerance_s:
             earlier.popleft()
             continue
-        # The next of the topic that is behind may be nearer to the other's.
+        # The next message of the earlier topic may be nearer to the other topic's.
         if later_s and len(earlier) < 2 and not is_end:
             return
         other = second if earlier is first else first

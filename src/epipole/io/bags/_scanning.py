@@ -1,7 +1,7 @@
-"""Recordings that were cut off or damaged: read record by record from the begin, without the index, which stands last.
+"""Reading truncated or damaged recordings record by record from the start, without the index at the end.
 
-ROS 1: https://wiki.ros.org/Bags/Format/2.0. MCAP: https://mcap.dev/spec. SQLite: the tables of rosbag2. What follows
-the first record that is not whole is lost.
+ROS 1: https://wiki.ros.org/Bags/Format/2.0. MCAP: https://mcap.dev/spec. SQLite: the tables of rosbag2. Data after the
+first incomplete record are lost.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ _DAMAGE = (
     MemoryError,
     sqlite3.Error,
 )
-"""What damaged bytes raise here, and in the decompression of chunks."""
+"""Exceptions raised by damaged bytes, here and in decompression."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScannedConnection:
-    """A topic with its messages, named as rosbags names them."""
+    """A topic with messages; attributes are named as in rosbags."""
 
     id: int
     topic: str
@@ -50,7 +50,7 @@ class ScannedConnection:
 
 
 class ScannedBag:
-    """The part before the cut, used as a reader of rosbags is."""
+    """The readable part of a damaged recording, with the interface of a rosbags reader."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -77,10 +77,10 @@ class ScannedBag:
                 yield wanted[what[0]], what[1], what[2]
 
     def close(self) -> None:
-        """Nothing stays open."""
+        """Do nothing: no file stays open."""
 
     def _records(self) -> Iterator[ScannedConnection | tuple[int, int, bytes]]:
-        """Topics, and messages as (topic's number, nanoseconds, bytes), up to the first record that is not whole."""
+        """Topics, and messages as (topic id, nanoseconds, bytes), up to the first incomplete record."""
         kind = _kind_of(self.path)
         with suppress(*_DAMAGE):
             if kind == _SQLITE:
@@ -92,15 +92,15 @@ class ScannedBag:
 
 
 def is_scannable(path: Path) -> bool:
-    """Whether a file begins as a ROS 1 bag, an MCAP file or a database does."""
+    """Whether a file starts like a ROS 1 bag, an MCAP file or a SQLite database."""
     return path.is_file() and bool(_kind_of(path))
 
 
 def refuse_views(path: Path) -> None:
-    """Refuse a database whose tables are computed, which may never end; no recorder writes such.
+    """Reject a database with computed tables, which may never end; recorders do not write them.
 
     Raises:
-        FileFormatError: it has a view, a trigger or a virtual table.
+        FileFormatError: the database has a view, a trigger or a virtual table.
     """
     if not path.is_file() or _kind_of(path) != _SQLITE:
         return
@@ -112,9 +112,9 @@ def refuse_views(path: Path) -> None:
         try:
             found = database.execute(requested).fetchone()
         except UnicodeDecodeError as error:
-            raise FileFormatError(path, "is no recording of ROS: a table's name is no text") from error
+            raise FileFormatError(path, "not a ROS recording: a table name is not text") from error
         if found:
-            raise FileFormatError(path, f"is no recording of ROS: {str(found[0])[:60]} is not a plain table")
+            raise FileFormatError(path, f"not a ROS recording: {str(found[0])[:60]} is not a plain table")
 
 
 def _kind_of(path: Path) -> bytes:
@@ -125,10 +125,10 @@ def _kind_of(path: Path) -> bytes:
 
 def _exactly(stream: io.BufferedIOBase, size: int) -> bytes:
     if size > _MOST_RECORD_BYTES:
-        raise EOFError("a record is longer than any")
+        raise EOFError("a record is too long")
     data = stream.read(size)
     if len(data) < size:
-        raise EOFError("a record is cut off")
+        raise EOFError("a record is truncated")
     return data
 
 
@@ -137,7 +137,7 @@ def _number(stream: io.BufferedIOBase, form: str) -> int:
 
 
 def _ros1_records(stream: io.BufferedIOBase) -> Iterator[Any]:
-    """Of a file, or of a chunk, which holds records of the same form."""
+    """Records of a file, or of a chunk, which has the same format."""
     while size_bytes := stream.read(4):
         header = _ros1_fields(_exactly(stream, struct.unpack("<I", size_bytes)[0]))
         data = _exactly(stream, _number(stream, "I"))
@@ -155,7 +155,7 @@ def _ros1_records(stream: io.BufferedIOBase) -> Iterator[Any]:
 
 
 def _ros1_fields(data: bytes) -> dict[str, bytes]:
-    """Fields of a header: the length of `name=value`, and this."""
+    """Fields of a header: the length of `name=value`, then `name=value`."""
     out, at = {}, 0
     while at < len(data):
         (size,) = struct.unpack_from("<I", data, at)
@@ -166,7 +166,7 @@ def _ros1_fields(data: bytes) -> dict[str, bytes]:
 
 
 def _mcap_records(stream: io.BufferedIOBase, schemas: dict[int, str]) -> Iterator[Any]:
-    """Of a file, or of a chunk, which holds records of the same form."""
+    """Records of a file, or of a chunk, which has the same format."""
     while kind := stream.read(1):
         record = io.BytesIO(_exactly(stream, _number(stream, "Q")))
         if kind[0] == _M_SCHEMA:
@@ -188,7 +188,7 @@ def _mcap_records(stream: io.BufferedIOBase, schemas: dict[int, str]) -> Iterato
 def _sqlite_records(path: Path) -> Iterator[Any]:
     address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
     with closing(sqlite3.connect(address, uri=True)) as database:
-        # No value is longer than the file; what says so would take the memory.
+        # No value can be longer than the file; a wrong length would exhaust the memory.
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(path.stat().st_size, 1 << 16))
         for number, topic, kind in database.execute("SELECT id, name, type FROM topics"):
             yield ScannedConnection(int(number), str(topic), str(kind))
@@ -197,7 +197,7 @@ def _sqlite_records(path: Path) -> Iterator[Any]:
             "SELECT rowid, topic_id, timestamp, data FROM messages"
         ):
             if row <= before:
-                raise ValueError("the pages of the table form a circle")
+                raise ValueError("the pages of the table form a cycle")
             before = row
             yield int(number), int(recorded_ns), bytes(memoryview(data))
 

@@ -1,4 +1,4 @@
-"""Which topics of a recording are followed: one camera, a pair of them, or images and depth."""
+"""Selection of a recording's topics: one camera, a stereo pair, or images and depth."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _OF_ONE_CAMERA = (
     "image_color",
     "image",
 )
-"""Images of one camera under one name space, the best first: rectified ones have no distortion any more."""
+"""Image topics of one camera in one namespace, best first: rectified images have no distortion."""
 _LONGEST_LIST = 4000
-"""Letters of topics in an error."""
+"""Most characters of a topic list in an error message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class BagTopic:
     name: str
     kind: Literal["image", "depth", "camera", "imu", "other"]
     message: str
-    """As `sensor_msgs/msg/Image`."""
+    """Message type, such as `sensor_msgs/msg/Image`."""
     num_messages: int
 
     def __str__(self) -> str:
@@ -41,7 +41,7 @@ class BagTopic:
 
 
 def base_name(topic: str) -> str:
-    """The name without that of a compression."""
+    """The topic name without its compression suffix."""
     for suffix in _COMPRESSED:
         topic = topic.removesuffix(suffix)
     return topic
@@ -55,16 +55,16 @@ def is_rectified(topic: str) -> bool:
 def choose_topics(
     path: Path, topics: Sequence[BagTopic], sensor: str, requested: Sequence[str]
 ) -> tuple[BagSensor, tuple[str, ...]]:
-    """What is followed, and the topics of it: images; left, right; or images, depth.
+    """The sensor configuration and its topics: images; left, right; or images, depth.
 
     Args:
-        path: of the recording, for errors.
+        path: the recording, for error messages.
         topics: all topics with messages.
         sensor: auto, mono, stereo or rgbd.
-        requested: names that the user chose, one or two; none to find them.
+        requested: one or two names chosen by the user; empty: find them.
 
     Raises:
-        ConfigError: there is none, or several could be meant; the message lists what there is.
+        ConfigError: no topics match, or the choice is ambiguous; the message lists all topics.
     """
     if requested:
         return _as_requested(path, topics, sensor, requested)
@@ -90,9 +90,9 @@ def _as_requested(
     names = tuple(name if name in kinds else f"/{name}" for name in requested)
     wrong = [name for k, name in enumerate(names) if kinds.get(name) not in ("image", *["depth"] * (k == 1))]
     if wrong or len(names) > 2 or len(set(names)) < len(names):
-        what = f"{', '.join(wrong)} holds no images" if wrong else "topics are one name, or two"
+        what = f"{', '.join(wrong)} has no images" if wrong else "topics must be one or two different names"
         raise ConfigError(
-            f"{path}: {what}; give PICTURES, LEFT,RIGHT or PICTURES,DEPTH of {listed_topics(topics)}"
+            f"{path}: {what}; pass IMAGES, LEFT,RIGHT or IMAGES,DEPTH from {listed_topics(topics)}"
         )
     found: BagSensor = "mono"
     if len(names) == 2:
@@ -108,26 +108,26 @@ def _only(
     if len(choices) == 1:
         return choices[0]
     if not choices:
-        raise ConfigError(f"{path}: no topics for {what} are found; choose topics of {listed_topics(topics)}")
+        raise ConfigError(f"{path}: no topics for {what} found; choose topics from {listed_topics(topics)}")
     several = _shortened(" or ".join(",".join(choice) for choice in choices))
     raise ConfigError(
-        f"{path}: several topics could be meant, {several}: choose topics of {listed_topics(topics)}"
+        f"{path}: several topics are possible, {several}: choose topics from {listed_topics(topics)}"
     )
 
 
 def listed_topics(topics: Sequence[BagTopic]) -> str:
-    """Of a recording, those with images first."""
+    """The topics of a recording as text, those with images first."""
     ordered = sorted(topics, key=lambda t: (t.kind not in ("image", "depth"), t.name))
     return _shortened("; ".join(map(str, ordered)))
 
 
 def _shortened(text: str) -> str:
-    """A recording decides how many topics it has and how long their names are."""
+    """Limit the length of a text: recordings may have many topics with long names."""
     return text if len(text) <= _LONGEST_LIST else f"{text[:_LONGEST_LIST]} ..."
 
 
 def _best(names: Sequence[str]) -> list[str]:
-    """Of the same images under several names the best: not compressed, rectified."""
+    """The best topic where the same images have several names: uncompressed and rectified."""
     found: dict[str, tuple[tuple[int, bool], str]] = {}
     for name in names:
         space, _, last = base_name(name).rpartition("/")
@@ -139,7 +139,6 @@ def _best(names: Sequence[str]) -> list[str]:
 
 
 def _pairs(names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Left and right topics, whose names differ in the word of the side."""
     sides = {
         side: {key: name for name in names if (key := side_of(name, side))} for side in ("left", "right")
     }

@@ -1,4 +1,4 @@
-"""Compressed chunks, messages and files of recordings, unpacked within a budget: a few bytes may stand for gigabytes."""
+"""Decompression of chunks, messages and files in recordings with size limits: a few bytes can expand to gigabytes."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from typing import Any
 from epipole.io.files import most_unpacked_bytes
 
 _ZSTD = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
-"""It comes with rosbags, as lz4 does."""
+"""Installed with rosbags, as is lz4."""
 
 
 def unpacked(compression: str, data: bytes) -> bytes:
-    """What bytes of a recording hold: one frame of their compression after another.
+    """Decompress bytes of a recording, which consist of one or more compression frames.
 
     Raises:
-        ValueError: the compression is not known, the data end early, or unpack to more than their budget.
+        ValueError: the compression is unknown, or the data are truncated or unpack to more than their limit.
     """
     if compression in ("", "none"):
         return data
@@ -28,12 +28,12 @@ def unpacked(compression: str, data: bytes) -> bytes:
         frame = _decompressor(compression)
         try:
             out += frame.decompress(data, max_length=most + 1 - len(out))
-        except Exception as error:  # each library has errors of its own
+        except Exception as error:  # each library has its own exceptions
             raise ValueError(f"a chunk is damaged: {error}") from error
         if len(out) > most:
             raise ValueError(f"a chunk unpacks to more than {most} bytes")
         if not frame.eof:
-            raise ValueError("a chunk ends early")
+            raise ValueError("a chunk is truncated")
         data = frame.unused_data or b""
     return out
 
@@ -45,11 +45,11 @@ def _decompressor(compression: str) -> Any:
         return import_module("lz4.frame").LZ4FrameDecompressor()
     if compression == "zstd":
         return import_module(_ZSTD).ZstdDecompressor()
-    raise ValueError(f"the compression {compression[:20]!r} is not known")
+    raise ValueError(f"unknown compression {compression[:20]!r}")
 
 
 class _BoundedStream:
-    """A file of zstd that is read to its budget, and no further."""
+    """A zstd file that is unpacked up to a size limit."""
 
     def __init__(self, packed: io.BufferedIOBase, mode: str) -> None:
         self._stream = import_module(_ZSTD).open(packed, mode)
@@ -61,7 +61,7 @@ class _BoundedStream:
         """The next bytes.
 
         Raises:
-            ValueError: they are more than the budget.
+            ValueError: the limit is exceeded.
         """
         data: bytes = self._stream.read(size)
         self._left -= len(data)
@@ -77,7 +77,7 @@ class _BoundedStream:
 
 
 def bound_unpacking() -> None:
-    """Let rosbags unpack by the functions above: its own ask for whatever the data say."""
+    """Make rosbags use the functions above, since its own allocate whatever the data claim."""
     ros1: Any
     ros2: Any
     ros1, ros2 = import_module("rosbags.rosbag1.reader"), import_module("rosbags.rosbag2.reader")

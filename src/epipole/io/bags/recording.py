@@ -1,7 +1,7 @@
-"""Recordings of ROS as frames: one camera, a pair, or images with depth; and what an IMU measured.
+"""Reading ROS recordings as frames (one camera, a stereo pair, or images with depth) and as IMU logs.
 
-ROS 1 bags (.bag), ROS 2 bags (a folder with metadata.yaml and .db3 or .mcap files, or one such file). They are read
-by the package `rosbags` (`pip install 'epipole[ros]'`).
+Supports ROS 1 bags (.bag) and ROS 2 bags (a folder with metadata.yaml and .db3 or .mcap files, or one such file), read
+with the package `rosbags` (`pip install 'epipole[ros]'`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, EpipoleError, FileFormatError
 from epipole.geometry import Rigid3
@@ -42,53 +42,53 @@ __all__ = ["BagFrame", "BagSequence", "BagTopic", "bag_frames", "is_bag"]
 __all__ += ["read_bag", "read_bag_imu", "read_bag_topics"]
 
 PAIR_TOLERANCE_S = 0.005
-"""Two cameras are triggered together: their stamps differ by the jitter of drivers."""
+"""Largest time difference within a stereo pair: cameras are triggered together; drivers add jitter to the stamps."""
 DEPTH_TOLERANCE_S = 0.02
-"""Depth sensors run beside the colour camera (as the TUM set pairs them)."""
+"""Largest time difference between color and depth, whose sensors are not synchronized (as in the TUM dataset)."""
 _FIRST_MESSAGES = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BagSequence:
-    """What of a recording is followed."""
+    """The selected topics of a recording and their cameras."""
 
     path: Path
     sensor: BagSensor
     topics: tuple[str, ...]
-    """Of the images; of left and right; of images and depth."""
+    """Topic names: images; left and right; or images and depth."""
     num_frames: int
-    """Messages of the topic that has fewest."""
+    """Number of messages of the topic with the fewest."""
     size: tuple[int, int]
     """Width and height of the images."""
     camera: Camera | None
-    """None where no CameraInfo tells it."""
+    """None without a CameraInfo."""
     rig: StereoRig | None = None
-    """Of a pair; None where no CameraInfo tells it."""
+    """The stereo rig; None without a CameraInfo."""
     depth_camera: Camera | None = None
-    """Of the depth images, where a CameraInfo tells it."""
+    """Camera of the depth images; None without a CameraInfo."""
     depth_from_color: Rigid3 | None = None
-    """None for depth that is registered to the images, or of a sensor whose place is not known."""
+    """None if depth is registered to the images, or the depth camera's pose is unknown."""
     warnings: tuple[str, ...] = ()
     scales: tuple[GreyScale | None, ...] = ()
-    """How images of 16 bits become 8, by topic: the same way for all of a topic."""
+    """Conversion of 16-bit images to 8 bits by topic, common to all its images."""
     depth_values_per_m: float | None = None
-    """Stored values for a metre by the encoding of the depth (REP 118); None without depth."""
+    """Stored depth values per metre, from the encoding (REP 118); None without depth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BagFrame:
-    """One instant; images are decoded when they are asked for, and raise FileFormatError where they are damaged."""
+    """One frame; images are decoded on access, and raise FileFormatError if damaged."""
 
     timestamp_s: float
     grey: Callable[[], UInt8[np.ndarray, "h w"]]
     right_grey: Callable[[], UInt8[np.ndarray, "h w"]] | None = None
     depth: Callable[[], Float32[np.ndarray, "h2 w2"]] | None = None
-    """Metres; 0 where not known."""
+    """Metres; 0 if unknown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Info:
-    """A CameraInfo, as far as it is needed."""
+    """The relevant content of a CameraInfo."""
 
     camera: Camera | None
     frame_id: str
@@ -101,7 +101,7 @@ def read_bag_topics(path: str | Path) -> tuple[BagTopic, ...]:
     """The topics of a recording that have messages.
 
     Raises:
-        FileFormatError: it cannot be read, or holds no message.
+        FileFormatError: the recording is unreadable, or contains no messages.
         MissingDependencyError: the package rosbags is not installed.
     """
     with opened_bag(Path(path)) as bag:
@@ -110,16 +110,16 @@ def read_bag_topics(path: str | Path) -> tuple[BagTopic, ...]:
 
 @checked
 def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ()) -> BagSequence:
-    """Which topics are followed, and their cameras.
+    """Choose the topics to read, and read their cameras.
 
     Args:
         path: the recording.
-        sensor: mono, stereo or rgbd; auto takes depth, else a pair, where there is one.
-        topics: names of the images' topic; of left and right; of images and depth. Empty: found by type and name.
+        sensor: mono, stereo or rgbd; auto prefers depth, then a stereo pair.
+        topics: names of the image topic; of left and right; or of images and depth. Empty: found by type and name.
 
     Raises:
-        FileFormatError: the recording cannot be read, or a camera in it makes no sense.
-        ConfigError: the topics asked for are not there, or several could be meant.
+        FileFormatError: the recording is unreadable, or has an invalid camera.
+        ConfigError: the requested topics do not exist, or the choice is ambiguous.
         MissingDependencyError: the package rosbags is not installed.
     """
     path = Path(path)
@@ -137,8 +137,8 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
         if own != size:
             infos[row] = None
             warnings.append(
-                f"the CameraInfo of {names[row]} is of {own[0]} x {own[1]} pixels, its images are of "
-                f"{size[0]} x {size[1]}: it is not used"
+                f"the CameraInfo of {names[row]} is for {own[0]} x {own[1]} pixels, but its images have "
+                f"{size[0]} x {size[1]}, so it is not used"
             )
     camera = None if infos[0] is None else infos[0].camera
     if found == "stereo":
@@ -167,13 +167,13 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
 
 @checked
 def bag_frames(bag: BagSequence) -> Iterator[BagFrame]:
-    """The frames of a recording, in the order in which they were recorded, by the stamps in their headers.
+    """The frames of a recording in recorded order, with the stamps from their headers.
 
-    Of two topics those belong together that are nearest, within 5 ms for a pair and 20 ms for depth; messages
-    without a partner are passed over.
+    Messages of two topics are paired if nearest in time, within 5 ms for stereo and 20 ms for depth; messages without a
+    partner are skipped.
 
     Raises:
-        FileFormatError: the recording is damaged from here on; the frames before it are sound.
+        FileFormatError: the recording is damaged from here on; the frames before are valid.
     """
     with opened_bag(bag.path) as opened:
         rows = ((bag.topics.index(m.topic), *_stamped(opened, m)) for m in opened.messages(bag.topics))
@@ -191,14 +191,14 @@ def bag_frames(bag: BagSequence) -> Iterator[BagFrame]:
 
 @checked
 def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
-    """What an IMU measured (sensor_msgs/Imu), by the stamps in its headers.
+    """Read an IMU's measurements (sensor_msgs/Imu), with the stamps from their headers.
 
     Args:
         path: the recording.
-        topic: of the IMU; None where there is only one.
+        topic: the IMU's topic; None if there is only one.
 
     Raises:
-        FileFormatError: the recording cannot be read, a number is not finite, or measurements are in another unit.
+        FileFormatError: the recording is unreadable, a number is not finite, or measurements are in another unit.
         ConfigError: there is no such topic, or several and none is chosen.
         MissingDependencyError: the package rosbags is not installed.
     """
@@ -206,8 +206,8 @@ def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
     with opened_bag(path) as bag:
         imus = [t for t in _topics(bag) if t.kind == "imu" and topic in (None, t.name)]
         if len(imus) != 1:
-            problem = "no topic of an IMU is found" if not imus else "there are several IMUs: choose a topic"
-            raise ConfigError(f"{path}: {problem}, of {listed_topics(_topics(bag))}")
+            problem = "no IMU topic found" if not imus else "there are several IMUs; choose a topic"
+            raise ConfigError(f"{path}: {problem} (topics are {listed_topics(_topics(bag))})")
         rows = []
         for message in bag.messages([imus[0].name]):
             content = bag.content(message)
@@ -219,7 +219,7 @@ def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
     values = np.array(rows, np.float64).reshape(-1, 7)
     if not np.isfinite(values).all():
         raise FileFormatError(path, f"{imus[0].name}: a measurement is not finite")
-    values = values[np.unique(values[:, 0], return_index=True)[1]]  # by time; one of a doubled stamp
+    values = values[np.unique(values[:, 0], return_index=True)[1]]  # by time, without duplicate stamps
     check_imu_units(path, values[:, 0], values[:, 1:4], values[:, 4:])
     return ImuLog(values[:, 0].copy(), values[:, 1:4].copy(), values[:, 4:].copy())
 
@@ -238,12 +238,12 @@ def _topics(bag: OpenBag) -> tuple[BagTopic, ...]:
 
 
 def _first(bag: OpenBag, topic: str) -> Any:
-    """The first message that can be read.
+    """The first readable message.
 
     Raises:
-        FileFormatError: none of the first can be read.
+        FileFormatError: none of the first messages is readable.
     """
-    problem = FileFormatError(bag.path, f"{topic} holds no message")
+    problem = FileFormatError(bag.path, f"{topic} has no messages")
     for message in islice(bag.messages([topic]), _FIRST_MESSAGES):
         try:
             return bag.content(message)
@@ -253,12 +253,11 @@ def _first(bag: OpenBag, topic: str) -> Any:
 
 
 def _scale(bag: OpenBag, topic: str) -> GreyScale | None:
-    """From the first images of a topic that can be read."""
     contents: list[Any] = []
     for message in islice(bag.messages([topic]), MOST_SAMPLED):
         with suppress(FileFormatError):
             contents.append(bag.content(message))
-    with suppress(FileFormatError):  # it is raised where the image is read
+    with suppress(FileFormatError):  # raised again when the image is read
         return images.grey_scale(bag.path, topic, contents)
     return None
 
@@ -269,7 +268,7 @@ def _size_of(path: Path, topic: str, message: Any) -> tuple[int, int]:
 
 
 def _info_of(bag: OpenBag, topic: str, first: Any, topics: Sequence[BagTopic]) -> _Info | None:
-    """The CameraInfo beside a topic of images; else the only one of the same frame."""
+    """The CameraInfo in the namespace of an image topic; else the only one with the same frame_id."""
     names = [t.name for t in topics if t.kind == "camera"]
     beside = f"{base_name(topic).rpartition('/')[0]}/camera_info"
     if beside in names:
@@ -287,19 +286,18 @@ def _info(path: Path, message: Any, is_flat: bool) -> _Info:
 
 
 def _unregistered(depth_topic: str, color: _Info | None, depth: _Info | None) -> list[str]:
-    """A warning about depth of another frame than the images'."""
     if any(word in depth_topic for word in ("aligned", "registered")):
         return []
     if color is None or depth is None or color.frame_id == depth.frame_id:
         return []
     return [
-        f"the depth of {depth_topic} is not registered to the images (its frame is {depth.frame_id}), and is "
-        "taken as if both were at one place"
+        f"the depth of {depth_topic} is not registered to the images (its frame is {depth.frame_id}); both are assumed to "
+        "have the same pose"
     ]
 
 
 def _rig(path: Path, left: _Info | None, right: _Info | None) -> StereoRig | None:
-    """As ROS has it: x_rectified = R x, and P of the right camera has -f B in its corner; None without a baseline."""
+    """The rig by ROS' convention: x_rectified = R x, and P[0, 3] of the right camera is -f B; None without a baseline."""
     assert left is not None and right is not None
     if left.camera is None or right.camera is None:
         return None
@@ -307,7 +305,7 @@ def _rig(path: Path, left: _Info | None, right: _Info | None) -> StereoRig | Non
     if not all(p[0, 0] > 0 and np.isfinite(p).all() for p in projections):
         return None
     if not (is_rotation(left.rectification) and is_rotation(right.rectification)):
-        raise FileFormatError(path, "R in the CameraInfo of the pair holds no rotation")
+        raise FileFormatError(path, "R in the CameraInfo of the pair is not a rotation")
     offset = right.projection[:, 3] / right.projection[0, 0] - left.projection[:, 3] / left.projection[0, 0]
     if not np.abs(offset).max() > 0:
         return None
@@ -319,7 +317,7 @@ def _rig(path: Path, left: _Info | None, right: _Info | None) -> StereoRig | Non
 
 
 def _stamped(bag: OpenBag, message: BagMessage) -> tuple[float, Any]:
-    """Seconds and what the message says; an error instead of a damaged one, at the time of its recording."""
+    """Time in seconds and content of a message; for a damaged one, the recording time and the error."""
     try:
         content = bag.content(message)
         return _stamp_s(content, message), content
@@ -328,7 +326,7 @@ def _stamped(bag: OpenBag, message: BagMessage) -> tuple[float, Any]:
 
 
 def _stamp_s(content: Any, message: BagMessage) -> float:
-    """Of the header; of the recording, where drivers leave that at zero."""
+    """Time from the header, or the recording time if the driver left it at zero."""
     stamp = content.header.stamp
     ns = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
     return (ns or message.recorded_ns) * 1e-9

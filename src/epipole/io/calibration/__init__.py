@@ -1,1 +1,1 @@
-"""Camera calibrations: OpenCV, Kalibr, mrcal, datasets, and those that lie beside a sequence."""
+"""Camera calibrations: OpenCV, Kalibr, mrcal, datasets, and calibration files found next to a sequence."""

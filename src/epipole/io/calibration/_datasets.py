@@ -1,4 +1,4 @@
-"""Calibrations as data sets bring them: EuRoC's sensor.yaml, KITTI's projection matrices, Middlebury's calib.txt."""
+"""Calibrations in dataset formats: EuRoC's sensor.yaml, KITTI's projection matrices, Middlebury's calib.txt."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SAME = 1e-6
 
 
 def named_lines(text: str) -> dict[str, Any] | None:
-    """Middlebury's `name=value` lines, or rows of twelve numbers without names (P0, P1 ...); None for other text."""
+    """Parse Middlebury's `name=value` lines, or unnamed rows of twelve numbers (P0, P1 ...); None for other text."""
     lines = [line.strip() for line in text.removeprefix("\ufeff").splitlines() if line.strip()]
     if any(line.replace(" ", "").startswith("cam0=") for line in lines):
         parts = (line.partition("=") for line in lines)
@@ -36,12 +36,12 @@ def named_lines(text: str) -> dict[str, Any] | None:
 
 
 def is_euroc(content: Mapping[str, Any]) -> bool:
-    """Whether it is a sensor.yaml."""
+    """Whether this is a EuRoC sensor.yaml."""
     return "T_BS" in content and "intrinsics" in content
 
 
 def is_kitti(content: Mapping[str, Any]) -> bool:
-    """Whether it has projection matrices by KITTI's names, and nothing of OpenCV's files, whose P1 and P2 are of rectified cameras."""
+    """Whether it has KITTI's projection matrices, and no OpenCV keys (OpenCV's P1 and P2 are rectified cameras)."""
     is_opencvs = any(key in content for key in ("M1", "K1", "D1", "R", "T", "Q", "cameraMatrix1"))
     return not is_opencvs and bool(_matrices(content))
 
@@ -54,7 +54,7 @@ def is_middlebury(content: Mapping[str, Any]) -> bool:
 def euroc_cameras(
     files: Sequence[Path], contents: Sequence[Mapping[str, Any]]
 ) -> tuple[tuple[Camera, ...], Rigid3]:
-    """Cameras and their places; T_BS is body_from_cam. The first camera's frame is the rig's."""
+    """Cameras and cam_from_rig; T_BS is body_from_cam. The rig's frame is that of the first camera."""
     cameras, cams_from_body = [], []
     for path, content in zip(files, contents):
         size = size_of(path, *numbers_of(path, content, "resolution", 2))
@@ -67,11 +67,11 @@ def euroc_cameras(
 
 
 def body_from_camera(path: Path, content: Mapping[str, Any]) -> Rigid3:
-    """EuRoC's T_BS."""
+    """EuRoC's T_BS, body_from_camera."""
     body_from_cam = numbers_of(path, content, "T_BS", 4, 4)
     rotation = body_from_cam[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
-        raise FileFormatError(path, "T_BS holds no rotation")
+        raise FileFormatError(path, "T_BS does not contain a rotation")
     if (body_from_cam[3] != [0, 0, 0, 1]).any():
         raise FileFormatError(path, f"T_BS has the last row {body_from_cam[3].tolist()}, not 0 0 0 1")
     return Rigid3.from_matrix(body_from_cam[:3])
@@ -80,21 +80,21 @@ def body_from_camera(path: Path, content: Mapping[str, Any]) -> Rigid3:
 def kitti_cameras(
     path: Path, content: Mapping[str, Any], size: tuple[int, int] | None
 ) -> tuple[tuple[Camera, ...], Rigid3]:
-    """P = K (R | t) of rectified cameras, in which R is 1: t = K^-1 p_4."""
+    """P = K (R | t) of rectified cameras, where R is the identity: t = K^-1 p_4."""
     cameras, offsets = [], []
     for key in _matrices(content):
         P = numbers_of(path, content, key, 3, 4)
         if np.abs(P[2, :3] - [0, 0, 1]).max() > _SAME or max(abs(P[1, 0]), abs(P[0, 1])) > _SAME * abs(
             P[0, 0]
         ):
-            raise FileFormatError(path, f"{key} is no projection of a rectified camera, K (1 | t)")
+            raise FileFormatError(path, f"{key} is not a projection K (1 | t) of a rectified camera")
         own_size = f"S_rect_{key[-2:]}"
         if own_size in content:
             width_height = size_of(path, *numbers_of(path, content, own_size, 2))
         elif size is not None:
             width_height = size
         else:
-            raise FileFormatError(path, "it does not hold the size of the images: give it")
+            raise FileFormatError(path, "the image size is unknown: pass it (size=)")
         cameras.append(_pinhole(path, P[:, :3], width_height))
         offsets.append(np.linalg.solve(P[:, :3], P[:, 3]))
     # The frame of P0 is KITTI's reference; ours is the first camera's.
@@ -104,7 +104,7 @@ def kitti_cameras(
 def middlebury_cameras(
     path: Path, content: Mapping[str, Any], size: tuple[int, int] | None
 ) -> tuple[tuple[Camera, ...], Rigid3]:
-    """cam0, cam1 and the baseline in millimetres, which is then the unit of depth."""
+    """cam0, cam1 and the baseline in millimetres, which then are the unit of depth."""
     if "width" in content and "height" in content:
         size = size_of(path, *(numbers_of(path, content, key, 1)[0] for key in ("width", "height")))
     if size is None:
@@ -115,7 +115,6 @@ def middlebury_cameras(
 
 
 def _matrices(content: Mapping[str, Any]) -> list[str]:
-    """KITTI's keys in the order of their numbers."""
     found = {key: match for key in content if (match := _KITTI.fullmatch(str(key)))}
     return sorted(found, key=lambda key: int(found[key].group(1)))
 

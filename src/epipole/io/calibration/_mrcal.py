@@ -1,6 +1,6 @@
-"""Camera models as mrcal's .cameramodel files: a Python dictionary of literals, with comments.
+"""mrcal's .cameramodel files: a Python dictionary of literals, with comments.
 
-Pixels count from the centre of the first one, as here; `extrinsics` is (rotation vector, translation) of camera_from_reference.
+Pixel centers are integers, as in epipole; `extrinsics` is (rotation vector, translation) of camera_from_reference.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ _COEFFICIENTS = {"PINHOLE": 0, "NONE": 0, "OPENCV4": 4, "OPENCV5": 5, "OPENCV8":
 
 
 def is_mrcal_text(text: str) -> bool:
-    """Whether a text is a .cameramodel: its content tells, not its name."""
+    """Whether a text is a .cameramodel, judged by content."""
     return _MODEL.search(text) is not None
 
 
 def mrcal_values(text: str) -> dict[str, Any]:
-    """Names and values of a .cameramodel; the inputs of the optimization, which are bytes, are left out.
+    """Names and values of a .cameramodel, without the optimization inputs, which are bytes.
 
     Raises:
-        ValueError: it is none, or larger than any.
+        ValueError: the text is not a .cameramodel, or too large.
     """
     text = _BYTES.sub("None", text)
     if len(text) > _MOST_LETTERS:
-        raise ValueError(f"it has more than {_MOST_LETTERS} letters")
+        raise ValueError(f"it has more than {_MOST_LETTERS} characters")
     try:
         content = ast.literal_eval(text.strip())
     except (SyntaxError, TypeError, MemoryError, RecursionError) as error:
-        raise ValueError(f"it is no dictionary of literals ({type(error).__name__})") from error
+        raise ValueError(f"it is not a dictionary of literals ({type(error).__name__})") from error
     if not isinstance(content, dict):
-        raise ValueError("it is no dictionary")
+        raise ValueError("it is not a dictionary")
     for key in ("lens_model", "distortion_model"):
         if key in content:
             content["lensmodel"] = content.pop(key)
@@ -60,15 +60,15 @@ def is_mrcal(content: Mapping[str, Any]) -> bool:
 
 
 def mrcal_cameras(files: list[Path], contents: list[dict[str, Any]]) -> tuple[tuple[Camera, ...], Rigid3]:
-    """A camera of each file, and their poses in the first.
+    """One camera per file, and cam_from_rig with the first camera as the rig.
 
     Raises:
-        FileFormatError: the lens model is not supported, or a number is missing.
+        FileFormatError: the camera model is not supported, or a number is missing.
     """
     cameras, cams_from_reference = [], []
     for path, content in zip(files, contents):
         if not is_mrcal(content):
-            raise FileFormatError(path, "it is no .cameramodel, but the other file is one")
+            raise FileFormatError(path, "it is not a .cameramodel, but the other file is one")
         cameras.append(_camera(path, content))
         cams_from_reference.append(_cam_from_reference(path, content))
     poses = [cam @ cams_from_reference[0].inverse() for cam in cams_from_reference]
@@ -82,7 +82,7 @@ def _camera(path: Path, content: Mapping[str, Any]) -> Camera:
     count = _COEFFICIENTS.get(name.removeprefix("LENSMODEL_").removeprefix("DISTORTION_"))
     if count is None:
         known = ", ".join(f"LENSMODEL_{known}" for known in _COEFFICIENTS if known != "NONE")
-        raise FileFormatError(path, f"the lens model {name} is not supported; known are {known}")
+        raise FileFormatError(path, f"the camera model {name} is not supported; supported are {known}")
     numbers = numbers_of(path, content, "intrinsics")
     if len(numbers) != 4 + count:
         raise FileFormatError(path, f"{name} has {4 + count} intrinsics, got {len(numbers)}")
@@ -96,5 +96,5 @@ def _cam_from_reference(path: Path, content: Mapping[str, Any]) -> Rigid3:
     key = "extrinsics" if "extrinsics" in content else "rt_cam_ref"
     numbers = numbers_of(path, content, key, 6)
     if not np.abs(numbers[:3]).max() < _MOST_ROTATION_RAD:
-        raise FileFormatError(path, f"{key} has a rotation vector that is too long to be one")
+        raise FileFormatError(path, f"the rotation vector in {key} is too long")
     return Rigid3(Rotation3.exp(numbers[:3]).matrix, numbers[3:])

@@ -1,4 +1,4 @@
-"""Calibrations that lie beside the images of a sequence: they decide, where a folder's or a file's name only proposes."""
+"""Calibration files next to the images of a sequence; they take precedence over guesses from folder or file names."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from epipole.io.calibration.files import read_calibration
 from epipole.io.files import file_text
 
 INFOS = ("info.txt", "_info.txt")
-"""BundleFusion's, 12-Scenes' and ScanNet's, `name = value` a line."""
+"""Info files of BundleFusion, 12-Scenes and ScanNet, `name = value` per line."""
 MATRICES = (
     "intrinsics.txt", "camera-intrinsics.txt", "camera_intrinsics.txt", "intrinsic.txt", "calibration.txt", "K.txt",
     "intrinsic/intrinsic_color.txt", "intrinsic_color.txt", "intrinsics_color.txt",
@@ -30,8 +30,8 @@ _CALIBRATIONS = (
 )
 _DISTORTIONS = ("D.txt", "distortion.txt")
 _OFF_CENTER = 0.2
-"""Largest distance of the principal point from the middle of the image, as a fraction of its size. A calibration of images of
-another size is farther off: of twice the size, by a half."""
+"""Largest distance of the principal point from the image center, as a fraction of the image size. A calibration for
+another image size is off by more: by a half for twice the size."""
 _SAME_RAYS_RAD = 1e-3
 _KEY = re.compile(r"\s*(\w[\w.]*)\s*=(.*)")
 _IDENTITY = 1e-6
@@ -39,36 +39,35 @@ _IDENTITY = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorInfo:
-    """What an info file says of the depth."""
+    """The depth sensor's parameters in an info file."""
 
     values_per_m: float | None
     camera: Camera | None
-    """None: registered to the color images."""
+    """None: depth is registered to the color images."""
     problem: str
-    """Why its depth cannot be used; empty where it can."""
+    """Why its depth cannot be used; empty if it can."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationBeside:
-    """What was found beside the images."""
+    """A calibration found next to the images."""
 
     camera: Camera | None = None
     source: str = ""
-    """The file's name."""
     problem: str = ""
-    """Why what was found cannot be used; empty where it is used, or nothing was found."""
+    """Why the calibration found cannot be used; empty if it is used, or none was found."""
     info: SensorInfo | None = None
 
     @property
     def is_found(self) -> bool:
-        """Whether any calibration lies there."""
+        """Whether any calibration was found, usable or not."""
         return self.camera is not None or bool(self.problem)
 
 
 def calibration_beside(folders: Iterable[Path], size: tuple[int, int]) -> CalibrationBeside:
-    """The calibration of images of this size in the first of the folders that holds one.
+    """The calibration for images of this size from the first folder that has one.
 
-    Several files must agree, and fit the images; else the result has a problem instead of a camera.
+    If several files disagree, or do not fit the images, the result has a problem instead of a camera.
     """
     for folder in folders:
         readers: list[tuple[Path, Callable[[Path, tuple[int, int]], Camera]]] = [
@@ -100,12 +99,12 @@ def _decided(
     for other_path, other in others:
         if not _are_same(camera, other):
             return CalibrationBeside(
-                problem=f"{path} and {other_path.name} beside it hold different cameras ({camera}; {other})"
+                problem=f"{path} and {other_path.name} define different cameras ({camera}; {other})"
             )
     distortion = next((folder / name for name in _DISTORTIONS if (folder / name).is_file()), None)
     if distortion is not None and not camera.model.distortion_indices:
         return CalibrationBeside(
-            problem=f"{distortion} holds distortion coefficients of an unknown model, and {path.name} none"
+            problem=f"{distortion} has distortion coefficients of an unknown model, and {path.name} has none"
         )
     return CalibrationBeside(camera, path.name, "", info)
 
@@ -119,15 +118,15 @@ def _are_same(one: Camera, other: Camera) -> bool:
 
 
 def check_fits(path: Path, camera: Camera, size: tuple[int, int]) -> Camera:
-    """The camera, if it can be that of images of this size.
+    """Check that a camera fits images of this size, and return it.
 
     Raises:
-        FileFormatError: it is of another size, or no camera has such numbers.
+        FileFormatError: it is for another image size, or its numbers are not plausible.
     """
     if (camera.width, camera.height) != size:
         raise FileFormatError(
             path,
-            f"is of images of {camera.width} x {camera.height} pixels, but these are {size[0]} x {size[1]}",
+            f"it is for images of {camera.width} x {camera.height} pixels, but these are {size[0]} x {size[1]}",
         )
     refuse_impossible(camera, str(path))
     for side, name, index in zip(size, ("cx", "cy"), camera.model.principal_point_indices):
@@ -135,8 +134,8 @@ def check_fits(path: Path, camera: Camera, size: tuple[int, int]) -> Camera:
         if abs(value - 0.5 * (side - 1)) > _OFF_CENTER * side:
             raise FileFormatError(
                 path,
-                f"{name} = {value:g} is far from the middle of images of {size[0]} x {size[1]} pixels: it is probably the calibration "
-                "of images of another size",
+                f"{name} = {value:g} is far from the center of images of {size[0]} x {size[1]} pixels: the calibration is probably "
+                "for images of another size",
             )
     return camera
 
@@ -145,16 +144,16 @@ def _of_calibration_file(path: Path, size: tuple[int, int]) -> Camera:
     cameras = read_calibration(path, size=size).cameras
     if any(not _are_same(cameras[0], other) for other in cameras[1:]):
         raise FileFormatError(
-            path, f"holds {len(cameras)} cameras, and which one took these images is unknown"
+            path, f"it has {len(cameras)} cameras, and it is unknown which one took these images"
         )
     return check_fits(path, cameras[0], size)
 
 
 def read_matrix_camera(path: Path, size: tuple[int, int]) -> Camera:
-    """A camera without distortion from `fx fy cx cy`, or a 3 x 3, 3 x 4 or 4 x 4 matrix; pixel centers are integers.
+    """Read a camera without distortion: `fx fy cx cy`, or a 3 x 3, 3 x 4 or 4 x 4 matrix; pixel centers are integers.
 
     Raises:
-        FileFormatError: the file holds other numbers, or not those of images of this size.
+        FileFormatError: the file has other numbers, or does not fit images of this size.
     """
     lines = [
         line for line in file_text(path).splitlines() if line.strip() and not line.lstrip().startswith("#")
@@ -162,7 +161,7 @@ def read_matrix_camera(path: Path, size: tuple[int, int]) -> Camera:
     try:
         rows = [[float(word) for word in line.replace(",", " ").split()] for line in lines]
     except ValueError as error:
-        raise FileFormatError(path, f"fx fy cx cy, or a 3 x 3 or 4 x 4 matrix expected: {error}") from error
+        raise FileFormatError(path, f"expected fx fy cx cy, or a 3 x 3 or 4 x 4 matrix: {error}") from error
     values = [value for row in rows for value in row]
     if len(values) == 4:
         return check_fits(path, _pinhole(path, values, size), size)
@@ -170,18 +169,18 @@ def read_matrix_camera(path: Path, size: tuple[int, int]) -> Camera:
 
 
 def _of_matrix(path: Path, values: list[float], size: tuple[int, int]) -> Camera:
-    """Of the nine or sixteen numbers of a camera matrix, row by row."""
+    """A camera from the nine, twelve or sixteen numbers of a camera matrix in row-major order."""
     count = {9: 3, 12: 4, 16: 4}.get(len(values))
     if count is None or not np.isfinite(values).all():
         raise FileFormatError(
             path,
-            f"fx fy cx cy, or a 3 x 3 or 4 x 4 matrix expected, got {len(values)} numbers, or some that are not finite",
+            f"expected fx fy cx cy, or a 3 x 3 or 4 x 4 matrix of finite numbers, got {len(values)} numbers",
         )
     matrix = np.array(values).reshape(-1, count)
     rest = matrix.copy()
     rest[[0, 1, 0, 1], [0, 1, 2, 2]] = np.eye(*matrix.shape)[[0, 1, 0, 1], [0, 1, 2, 2]]
     if np.abs(rest - np.eye(*matrix.shape)).max() > _IDENTITY:
-        raise FileFormatError(path, "is no camera matrix without skew: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+        raise FileFormatError(path, "not a camera matrix without skew, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
     return _pinhole(path, matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(), size)
 
 
@@ -193,7 +192,7 @@ def _pinhole(path: Path, params: list[float], size: tuple[int, int]) -> Camera:
 
 
 def is_info(path: Path) -> bool:
-    """Whether a file with such a name is a sensor's info file, with its keys."""
+    """Whether a file is a sensor's info file, judged by its keys."""
     try:
         lines = file_text(path).splitlines() if path.is_file() else []
     except FileFormatError:
@@ -205,7 +204,7 @@ def _info_values(path: Path) -> dict[str, list[float]]:
     """Numbers by key.
 
     Raises:
-        FileFormatError: a line is none, or a calibration in it is not known here.
+        FileFormatError: a line is malformed, or a calibration key is not supported.
     """
     out: dict[str, list[float]] = {}
     known = {f"m_calibration{what}" for what in _CALIBRATION_KEYS}
@@ -214,19 +213,17 @@ def _info_values(path: Path) -> dict[str, list[float]]:
             continue
         match = _KEY.match(line)
         if match is None:
-            raise FileFormatError(path, f"line {number}: name = value expected")
+            raise FileFormatError(path, f"line {number}: expected name = value")
         key = match[1]
         if key.startswith("m_calibration") and key not in known:
-            raise FileFormatError(path, f"line {number}: the calibration {key} is not known here")
+            raise FileFormatError(path, f"line {number}: the calibration key {key} is not supported")
         if key in known or key in _NUMBER_KEYS:
             try:
                 out[key] = [float(word) for word in match[2].split()]
             except ValueError as error:
                 raise FileFormatError(path, f"line {number}: {error}") from error
             if not out[key] or not np.isfinite(out[key]).all():
-                raise FileFormatError(
-                    path, f"line {number}: {key} has no numbers, or some that are not finite"
-                )
+                raise FileFormatError(path, f"line {number}: {key} has no numbers, or has non-finite numbers")
     return out
 
 
@@ -247,10 +244,10 @@ def _of_info(path: Path, size: tuple[int, int]) -> Camera:
 
 
 def sensor_info(path: Path) -> SensorInfo:
-    """What an info file says of the depth images.
+    """Read the depth parameters from an info file.
 
     Raises:
-        FileFormatError: a line is none, or numbers make no camera.
+        FileFormatError: a line is malformed, or the numbers are not a valid camera.
     """
     values = _info_values(path)
     shift = values.get("m_depthShift")
@@ -270,7 +267,7 @@ def sensor_info(path: Path) -> SensorInfo:
 
 
 def is_identity(values: list[float] | None) -> bool:
-    """Whether sixteen numbers are the 4 x 4 identity; no numbers count as that."""
+    """Whether sixteen numbers are the 4 x 4 identity; True for None."""
     if values is None:
         return True
     return len(values) == 16 and bool(np.abs(np.reshape(values, (4, 4)) - np.eye(4)).max() <= _IDENTITY)

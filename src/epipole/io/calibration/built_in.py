@@ -1,4 +1,4 @@
-"""Published calibrations of data sets whose folders bring none: TUM RGB-D and 7-Scenes."""
+"""Published calibrations of datasets that include none: TUM RGB-D and 7-Scenes."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ _TUM = {
     "freiburg2": (520.908620, 521.007327, 325.141442, 249.701764, 0.231222, -0.784899, -0.003257, -0.000105, 0.917205),
     "freiburg3": (535.4, 539.2, 320.1, 247.6, 0.0, 0.0, 0.0, 0.0, 0.0),
 }  # fmt: skip
-"""fx, fy, cx, cy, k1, k2, p1, p2, k3 as published with the set (Sturm et al., IROS 2012)."""
+"""fx, fy, cx, cy, k1, k2, p1, p2, k3 as published with the dataset (Sturm et al., IROS 2012)."""
 _TUM_SIZE = _SEVEN_SCENES_SIZE = (640, 480)
 _SEVEN_SCENES_FOCAL_PX = 525.505
 _SEVEN_SCENES_DEPTH_FOCAL_PX = 585.0
-"""Of the depth sensor, as published with the set; its principal point is (320, 240)."""
+"""Focal length of the depth sensor, as published with the dataset; its principal point is (320, 240)."""
 _DEPTH_FROM_COLOR = np.array([0.0386, -0.0052, -0.0033, -0.0059, -0.0076, -0.0029])
-"""Translation in metres and rotation in radians. The set publishes neither the mounting of its depth sensor nor the color
-camera's focal length: these, and the unit below, come from aligning RedKitchen's depth with points triangulated by
-structure-from-motion poses."""
+"""Translation in metres and rotation in radians. The dataset publishes neither the depth sensor's extrinsics nor the
+color camera's focal length: these values, and the scale below, come from aligning RedKitchen's depth with points
+triangulated by structure from motion."""
 SEVEN_SCENES_DEPTH_SCALE = 1000.0 * 1.0051
-"""Stored values for a metre: millimetres, corrected by the same alignment."""
+"""Stored values per metre: millimetres, corrected by the same alignment."""
 
 
 def tum_camera(folder_name: str) -> tuple[str, Camera] | None:
-    """The camera that a folder's name proposes ("freiburg1" to "freiburg3" in it), with that part of the name."""
+    """The camera suggested by a folder's name ("freiburg1" to "freiburg3" in it), and that part of the name."""
     name = next((name for name in _TUM if name in folder_name), None)
     if name is None:
         return None

@@ -1,6 +1,6 @@
-"""Calibrations of camera chains: Kalibr's camchain, OpenVINS' kalibr_imucam_chain, and camodocal's camera files (VINS).
+"""Calibrations of camera chains: Kalibr's camchain, OpenVINS' kalibr_imucam_chain, and camodocal camera files (VINS).
 
-Kalibr's T_a_b is a_from_b: T_cn_cnm1 is this camera from the one before, T_cam_imu the camera from the IMU.
+Kalibr's T_a_b is a_from_b: T_cn_cnm1 is this camera from the previous one, T_cam_imu is the camera from the IMU.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from epipole.io.calibration.model_names import NamedModel, named_model, require_
 
 _CAMERA = re.compile(r"cam(\d{1,3})")
 _ROUNDED_ROTATION = 1e-3
-"""Largest entry of R R^T - 1 that is rounding: files hold three or more digits."""
+"""Largest entry of R R^T - 1 attributed to rounding: files store three or more digits."""
 _SAME_ANGLE_RAD, _SAME_OFFSET = 0.02, 0.05
-"""How far two ways to the same camera may differ: an angle, and a fraction of the longer baseline."""
+"""Tolerance between two derivations of the same camera pose: angle, and fraction of the longer baseline."""
 
 
 def is_chain(content: Mapping[str, Any]) -> bool:
-    """Whether it has Kalibr's cam0, cam1 ..., or is one of these alone."""
+    """Whether it has Kalibr's cameras cam0, cam1 ..."""
     return any(_CAMERA.fullmatch(key) and isinstance(value, Mapping) for key, value in content.items())
 
 
 def is_link(content: Mapping[str, Any]) -> bool:
-    """Whether it is one camera of a chain, without the name cam0 around it."""
+    """Whether it is a single camera of a chain, without an enclosing key cam0."""
     return (
         "intrinsics" in content
         and "T_BS" not in content
@@ -41,14 +41,14 @@ def is_link(content: Mapping[str, Any]) -> bool:
 
 
 def is_camodocal(content: Mapping[str, Any]) -> bool:
-    """Whether it is a camera file of camodocal, as VINS has them."""
+    """Whether it is a camodocal camera file, as used by VINS."""
     return "model_type" in content and "projection_parameters" in content
 
 
 def chain_cameras(
     path: Path, content: Mapping[str, Any], size: tuple[int, int] | None
 ) -> tuple[tuple[Camera, ...], Rigid3]:
-    """Cameras and their poses in the first camera.
+    """Cameras and cam_from_rig; the rig's frame is that of the first camera.
 
     Raises:
         FileFormatError: a camera, its pose or a number is missing, or a camera model is not supported.
@@ -79,16 +79,16 @@ def _camera(path: Path, own: Mapping[str, Any], size: tuple[int, int] | None) ->
 
 
 def camera_of_intrinsics(path: Path, size: tuple[int, int], content: Mapping[str, Any], key: str) -> Camera:
-    """The camera of Kalibr's and EuRoC's keys: words for the model, intrinsics (fx, fy, cx, cy), and coefficients.
+    """The camera from the keys of Kalibr and EuRoC: model names, intrinsics (fx, fy, cx, cy), and coefficients.
 
     Args:
         path: the file.
-        size: of its images.
-        content: its names and values.
-        key: of the coefficients.
+        size: image width and height.
+        content: names and values in the file.
+        key: name of the coefficients.
 
     Raises:
-        FileFormatError: a word is not known, a number is missing, or the numbers make no camera.
+        FileFormatError: a model name is unknown, a number is missing, or the numbers are not a valid camera.
     """
     words = named_model(path, content)
     if key not in content and (words.is_without_distortion or not words.is_named):
@@ -115,13 +115,13 @@ def _camera_of(
 
 
 def _from_last(path: Path, last: Mapping[str, Any], own: Mapping[str, Any], name: str) -> Rigid3:
-    """A camera from the one before it: as the chain says, else by way of the IMU."""
+    """A camera's pose in the previous one: from the chain, or else by way of the IMU."""
     chained = _motion(path, own, "T_cn_cnm1") if "T_cn_cnm1" in own else None
     cam_from_imu, last_from_imu = camera_from_imu(path, own), camera_from_imu(path, last)
     if cam_from_imu is None or last_from_imu is None:
         if chained is None:
             raise FileFormatError(
-                path, f"{name}: the key T_cn_cnm1 is missing (or T_cam_imu of it and the camera before)"
+                path, f"{name}: the key T_cn_cnm1 is missing (or T_cam_imu of this and the previous camera)"
             )
         return chained
     by_imu = cam_from_imu @ last_from_imu.inverse()
@@ -135,10 +135,10 @@ def _from_last(path: Path, last: Mapping[str, Any], own: Mapping[str, Any], name
 
 
 def camera_from_imu(path: Path, own: Mapping[str, Any]) -> Rigid3 | None:
-    """A camera's pose by T_cam_imu or T_imu_cam; None where it has neither.
+    """A camera's pose from T_cam_imu or T_imu_cam; None if it has neither.
 
     Raises:
-        FileFormatError: it is no motion, or the two contradict each other.
+        FileFormatError: the matrix is not a rigid motion, or the two contradict each other.
     """
     motion = _motion(path, own, "T_cam_imu") if "T_cam_imu" in own else None
     if "T_imu_cam" not in own:
@@ -155,7 +155,7 @@ def _motion(path: Path, own: Mapping[str, Any], key: str) -> Rigid3:
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if not error <= _ROUNDED_ROTATION or np.linalg.det(rotation) <= 0 or (matrix[3] != [0, 0, 0, 1]).any():
-        raise FileFormatError(path, f"{key} is no motion: R R^T is not 1, or the last row is not 0 0 0 1")
+        raise FileFormatError(path, f"{key} is not a motion: R R^T is not 1, or the last row is not 0 0 0 1")
     return Rigid3(Rotation3.nearest(rotation).matrix, matrix[:3, 3])
 
 
@@ -170,7 +170,7 @@ def camodocal_camera(path: Path, content: Mapping[str, Any], size: tuple[int, in
     """PINHOLE with k1, k2, p1, p2, or KANNALA_BRANDT with k2 to k5, which OpenCV calls k1 to k4.
 
     Raises:
-        FileFormatError: the model is another, or a number is missing.
+        FileFormatError: the model is not supported, or a number is missing.
     """
     words = named_model(path, content)
     projection = _group(path, content, "projection_parameters")

@@ -1,4 +1,4 @@
-"""Intrinsics as a user types them: numbers separated by commas, in COLMAP's order."""
+"""Intrinsics as typed by the user: comma-separated numbers in COLMAP's order."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.cameras import Camera, CameraModel, camera_model_named
 from epipole.cameras.image_fit import ImageShape, likely_size
 from epipole.errors import ConfigError
@@ -16,15 +16,15 @@ from epipole.io.calibration.files import read_calibration
 from epipole.io.colmap.model import params_from_colmap, params_to_colmap
 
 MIN_FOCAL, MAX_FOCAL = 0.01, 1000.0
-"""Known focal lengths in units of the longer side: beyond, a number was mistyped."""
+"""Plausible focal lengths in units of the longer side: beyond, a number was mistyped."""
 MAX_OFFSET = 10.0
-"""Largest distance of a known principal point from the image's corner, in the same unit."""
+"""Largest distance of the principal point from the image corner, in the same unit."""
 MAX_DISTORTION = 1e4
 
 
 @checked
 def params_of_text(text: str) -> tuple[float, ...]:
-    """The numbers of an option `camera_params`.
+    """Parse the numbers of an option `camera_params`.
 
     Raises:
         ConfigError: not numbers, or not finite.
@@ -40,15 +40,15 @@ def params_of_text(text: str) -> tuple[float, ...]:
 
 @checked
 def camera_of_images(model: str | None, shapes: Sequence[ImageShape], text: str) -> Camera:
-    """The camera of an option `camera_params`, of the stored or upright size of its images that its numbers are of.
+    """The camera of an option `camera_params`, for stored or upright images, whichever fits the principal point.
 
     Args:
         model: name of the camera model; None: PINHOLE.
-        shapes: of the images.
-        text: the numbers, as for `camera_of_text`.
+        shapes: sizes of the images.
+        text: the numbers, as in `camera_of_text`.
 
     Raises:
-        ConfigError: not the numbers of this model, such as no lens has, or the images have several sizes.
+        ConfigError: the numbers do not fit this model, are not plausible, or the images differ in size.
     """
     camera, known = camera_model_named(model or "PINHOLE"), params_of_text(text)
     cx, cy = camera.principal_point_indices
@@ -62,19 +62,19 @@ def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Came
 
     Args:
         model: the camera model.
-        size: width and height of its images.
-        text: the numbers in COLMAP's order; its principal point counts from the image's corner.
+        size: width and height of the images.
+        text: the numbers in COLMAP's order; the principal point is relative to the image corner.
 
     Raises:
-        ConfigError: not the numbers of this model, or such as no lens has.
+        ConfigError: the numbers do not fit this model, or are not plausible.
     """
     known = params_of_text(text)
     if len(known) != model.num_params:
         names = ",".join(model.param_names)
         example = ",".join(f"{value:g}" for value in _example(model, size))
         raise ConfigError(
-            f"{model.name} takes {model.num_params} parameters ({names}), got {len(known)}: such as {example}; cx and cy count"
-            " from the image's corner, half a pixel more than from the first pixel's centre"
+            f"{model.name} takes {model.num_params} parameters ({names}), got {len(known)}: use, for example, {example}; cx"
+            " and cy are relative to the image corner, half a pixel more than relative to the center of the first pixel"
         )
     camera = Camera(model, *size, params_from_colmap(model, np.array(known)))
     refuse_impossible(camera, "camera_params")
@@ -82,11 +82,11 @@ def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Came
 
 
 def camera_of_calibration(path: Path, size: tuple[int, int]) -> Camera:
-    """The one camera of a calibration file, of the images that it was measured with; `size` is for files without one.
+    """The camera in a calibration file with a single one; `size` is used if the file has no image size.
 
     Raises:
-        ConfigError: the file is of several cameras.
-        FileFormatError: it cannot be read.
+        ConfigError: the file has several cameras.
+        FileFormatError: the file cannot be read.
     """
     found = read_calibration(path, size=size).cameras
     if len(found) != 1:
@@ -95,7 +95,7 @@ def camera_of_calibration(path: Path, size: tuple[int, int]) -> Camera:
             for camera in found[:2]
         )
         raise ConfigError(
-            f"calibration {path} holds {len(found)} cameras, and one camera took these images: give the parameters of that one, "
+            f"calibration {path} has {len(found)} cameras, but these images come from one: pass the parameters of that camera, "
             f"{each}"
         )
     return found[0]
@@ -103,20 +103,20 @@ def camera_of_calibration(path: Path, size: tuple[int, int]) -> Camera:
 
 @checked
 def text_of_camera(camera: Camera) -> str:
-    """A camera's parameters as `camera_of_text` reads them, to seven digits."""
+    """A camera's parameters in the format of `camera_of_text`, to seven digits."""
     return ",".join(f"{value:.7g}" for value in params_to_colmap(camera.model, camera.params))
 
 
 @checked
 def refuse_impossible(camera: Camera, where: str) -> None:
-    """Refuse numbers that no lens has.
+    """Reject implausible camera parameters.
 
     Args:
         camera: the camera.
-        where: its numbers come from.
+        where: the source of the numbers, for the message.
 
     Raises:
-        ConfigError: a focal length, principal point or distortion is out of all range.
+        ConfigError: a focal length, principal point or distortion coefficient is outside its plausible range.
     """
     longer = max(camera.width, camera.height)
     names, params = camera.model.param_names, camera.params
@@ -129,13 +129,12 @@ def refuse_impossible(camera: Camera, where: str) -> None:
             low, high = -MAX_DISTORTION, MAX_DISTORTION
         if not low <= value <= high:
             raise ConfigError(
-                f"{where}: {name} = {value:g} cannot be of a camera of {camera.width}x{camera.height} pixels "
-                f"({low:g} to {high:g} is possible)"
+                f"{where}: {name} = {value:g} is not plausible for a camera of {camera.width}x{camera.height} pixels "
+                f"(expected {low:g} to {high:g})"
             )
 
 
 def _example(model: CameraModel, size: tuple[int, int]) -> list[float]:
-    """Numbers as they might be, in COLMAP's order, for images of this size."""
     longer = float(max(size))
     focal = [float(round(longer))] * len(model.focal_indices)
     return [*focal, size[0] / 2, size[1] / 2, *[0.0] * len(model.distortion_indices)]

@@ -1,4 +1,4 @@
-"""What a calibration file holds: cameras, and how they stand to each other."""
+"""The content of a calibration file: cameras and their relative poses."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import Declared, check_fields
+from epipole._checks import Declared, check_fields
 from epipole.cameras import Camera
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3
@@ -15,25 +15,25 @@ from epipole.geometry import Rigid3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationFile(Declared):
-    """What a calibration file holds."""
+    """The content of a calibration file."""
 
     cameras: tuple[Camera, ...]
     cam_from_rig: Rigid3
     """One row per camera; the first is the identity."""
     covariance: Float64[np.ndarray, "30 30"] | None = None
-    """Of a pair, as in `StereoRig`."""
+    """Covariance of a stereo pair, as in `StereoRig`."""
 
     def __post_init__(self) -> None:
-        """Check the cameras and how they stand.
+        """Check the cameras and their poses.
 
         Raises:
-            ShapeError: there is no camera, or not a row of `cam_from_rig` for each.
-            ConfigError: something else is of another kind.
+            ShapeError: there are no cameras, or `cam_from_rig` does not have one row per camera.
+            ConfigError: a field has the wrong type.
         """
         check_fields(self)
         if not self.cameras or self.cam_from_rig.batch_shape() != (len(self.cameras),):
             raise ShapeError(
-                f"cam_from_rig must have a row for each of {len(self.cameras)} cameras, "
+                f"cam_from_rig must have one row for each of the {len(self.cameras)} cameras, "
                 f"got {self.cam_from_rig.batch_shape()}"
             )
 

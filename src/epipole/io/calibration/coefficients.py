@@ -1,4 +1,4 @@
-"""Between our camera models and OpenCV's camera matrices and coefficient vectors."""
+"""Conversion between epipole's camera models and OpenCV's camera matrices and coefficient vectors."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def camera_of_coefficients(
     """The camera with this matrix and these coefficients in OpenCV's order.
 
     Raises:
-        FileFormatError: there is skew, thin prism or tilt, or the numbers make no camera.
+        FileFormatError: there is skew, thin prism or tilt, or the numbers are not a valid camera.
     """
     require_plain(path, K)
     d = np.asarray(coefficients, np.float64).ravel()
@@ -56,10 +56,10 @@ def camera_of_coefficients(
 
 
 def require_plain(path: Path, K: np.ndarray) -> None:
-    """Check that a camera matrix has no other numbers than fx, fy, cx and cy.
+    """Check that a camera matrix has no entries other than fx, fy, cx and cy.
 
     Raises:
-        FileFormatError: it has skew, or is scaled.
+        FileFormatError: the matrix has skew, or is scaled.
     """
     if abs(K[0, 1]) > _SAME * abs(K[0, 0]):
         raise FileFormatError(path, "the camera matrix has skew, which is not supported")

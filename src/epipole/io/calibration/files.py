@@ -1,6 +1,6 @@
-"""Calibrations as files: our JSON with covariances, OpenCV's YAML/XML/JSON, ROS' camera_info, Kalibr's camchain.
+"""Calibration files: epipole's JSON with covariances, OpenCV's YAML/XML/JSON, ROS' camera_info, Kalibr's camchain.
 
-EuRoC's, KITTI's and Middlebury's are read too.
+EuRoC, KITTI and Middlebury files can also be read.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 from jaxtyping import Float64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.cameras import Camera, CameraModel, camera_model_named
 from epipole.errors import EpipoleError, FileFormatError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
@@ -58,24 +58,24 @@ _PAIR_KEYS = (
 
 @checked
 def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) -> CalibrationFile:
-    """Read cameras, and how they stand to each other where a file says so.
+    """Read cameras, and their relative poses if the files have them.
 
     Args:
         paths: one file; or two: those of the left and the right camera (ROS, EuRoC), or intrinsics and extrinsics
             (OpenCV's sample).
-        size: width and height of the images, for files that do not say (OpenCV's stereo sample, KITTI).
+        size: width and height of the images, for files without them (OpenCV's stereo sample, KITTI).
 
     Raises:
-        FileFormatError: a file cannot be read; the message says which key is missing.
+        FileFormatError: a file cannot be read; the message names the missing key.
     """
     files = [Path(p) for p in paths]
     if len(files) not in (1, 2):
-        raise FileFormatError(files[0] if files else "calibration", "give one or two files")
+        raise FileFormatError(files[0] if files else "calibration", "expected one or two files")
     try:
         found = _read(files, size)
     except ShapeError as error:
         raise FileFormatError(
-            files[-1], f"the place of a camera is no motion: R R^T is not 1 ({error})"
+            files[-1], f"a camera pose is not a rigid motion: R R^T is not 1 ({error})"
         ) from error
     for k, (rotation, translation) in enumerate(
         zip(found.cam_from_rig.rotation, found.cam_from_rig.translation)
@@ -83,7 +83,7 @@ def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) ->
         if not (np.isfinite(translation).all() and is_rotation(rotation)):
             raise FileFormatError(
                 files[-1],
-                f"the place of a camera is no motion: that of camera {k} is not finite, or R R^T is not 1",
+                f"the pose of camera {k} is not a rigid motion: it is not finite, or R R^T is not 1",
             )
     return found
 
@@ -99,7 +99,7 @@ def _read(files: list[Path], size: tuple[int, int] | None) -> CalibrationFile:
         return CalibrationFile(*datasets.euroc_cameras(files, contents))
     if len(files) == 2 and any(_is_whole(content) for content in contents):
         whole = files[0 if _is_whole(contents[0]) else 1]
-        raise FileFormatError(whole, "it holds all cameras: give this file alone")
+        raise FileFormatError(whole, "it has all cameras: pass only this file")
     merged: dict[str, Any] = {}
     for content in contents:
         merged |= content
@@ -124,10 +124,10 @@ def _read(files: list[Path], size: tuple[int, int] | None) -> CalibrationFile:
 
 @checked
 def read_body_from_camera(path: str | Path) -> Rigid3:
-    """The place of a camera in the body (the IMU) that EuRoC's `sensor.yaml` tells (T_BS): body_from_camera.
+    """Read a camera's pose in the body (IMU) from EuRoC's `sensor.yaml` (T_BS): body_from_camera.
 
     Raises:
-        FileFormatError: the file holds none.
+        FileFormatError: the file does not have one.
     """
     path = Path(path)
     try:
@@ -143,25 +143,25 @@ def read_stereo_rig(
     """Read a pair of cameras.
 
     Args:
-        paths: as for `read_calibration`.
-        size: the same.
-        cameras: which two of a file of more, left and right, counted from 0.
+        paths: as in `read_calibration`.
+        size: as in `read_calibration`.
+        cameras: which two of the file's cameras, left and right, counted from 0.
 
     Raises:
-        FileFormatError: a file cannot be read, or holds one camera alone, or more than two and none are chosen.
+        FileFormatError: a file cannot be read, has only one camera, or has more than two and `cameras` is None.
     """
     found = read_calibration(*paths, size=size)
     if len(found.cameras) < 2:
         raise FileFormatError(
-            paths[0], "it holds one camera; depth needs two and how they stand to each other (R and T)"
+            paths[0], "it has one camera; depth needs two and their relative pose (R and T)"
         )
     count = len(found.cameras)
     if cameras is None and count > 2:
-        raise FileFormatError(paths[0], f"it holds {count} cameras: say which two, cameras 0 1 for one")
+        raise FileFormatError(paths[0], f"it has {count} cameras: choose two, for example cameras 0 1")
     left, right = cameras or (0, 1)
     if left == right or not (0 <= left < count and 0 <= right < count):
         raise FileFormatError(
-            paths[0], f"it holds cameras 0 to {count - 1}: {left} and {right} are no pair of them"
+            paths[0], f"it has cameras 0 to {count - 1}: {left} and {right} are not a pair of them"
         )
     motion = found.cam_from_rig[right] @ found.cam_from_rig[left].inverse()
     covariance = found.covariance if (left, right) == (0, 1) else None
@@ -175,7 +175,7 @@ def read_stereo_rig(
 def write_calibration(
     path: str | Path, calibration: CalibrationFile, about: Mapping[str, Any] | None = None
 ) -> None:
-    """Write epipole's JSON: cameras, their poses, covariance, and further facts under `about`.
+    """Write epipole's JSON: cameras, their poses, covariance, and further information under `about`.
 
     Raises:
         WorkspaceError: the file cannot be written.
@@ -205,7 +205,7 @@ def write_calibration(
 
 @checked
 def write_opencv_yaml(path: str | Path, calibration: CalibrationFile) -> None:
-    """Write what OpenCV's samples read: camera_matrix and distortion_coefficients, or M1, D1, M2, D2, R, T.
+    """Write the format of OpenCV's samples: camera_matrix and distortion_coefficients, or M1, D1, M2, D2, R, T.
 
     Raises:
         WorkspaceError: the file cannot be written.
@@ -236,7 +236,7 @@ def write_ros_yaml(
     rectification: Float64[np.ndarray, "3 3"] | None = None,
     projection: Float64[np.ndarray, "3 4"] | None = None,
 ) -> None:
-    """Write ROS' camera_info YAML of one camera; of a pair with its rectifying rotation and its rectified projection.
+    """Write a ROS camera_info YAML of one camera, with rectification and rectified projection if it belongs to a pair.
 
     Raises:
         WorkspaceError: the file cannot be written.
@@ -263,10 +263,10 @@ def _ros_matrix(matrix: np.ndarray) -> dict[str, Any]:
 
 @checked
 def parsed_file(path: Path) -> dict[str, Any]:
-    """Names and values of a file of YAML, JSON, OpenCV's XML, or lines of KITTI's kind.
+    """Parse a file in YAML, JSON, OpenCV's XML, mrcal's or KITTI's format into names and values.
 
     Raises:
-        FileFormatError: it is none of these.
+        FileFormatError: the file is in none of these formats.
     """
     data = file_bytes(path, _MOST_BYTES)
     head = data.lstrip()[:200]
@@ -286,7 +286,7 @@ def parsed_file(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise FileFormatError(path, f"it is neither JSON nor YAML: {str(error).split(chr(10))[0]}") from error
     if not isinstance(content, dict):
-        raise FileFormatError(path, "it holds no named values")
+        raise FileFormatError(path, "it has no named values")
     return {str(key): value for key, value in content.items()}
 
 
@@ -300,7 +300,6 @@ def _size(path: Path, content: Mapping[str, Any], given: tuple[int, int] | None)
 
 
 def _is_whole(content: Mapping[str, Any]) -> bool:
-    """Whether it is of a format that holds both cameras in one file."""
     return content.get("format") == FORMAT or is_chain(content) or datasets.is_kitti(content)
 
 
@@ -315,7 +314,6 @@ def _single(path: Path, content: Mapping[str, Any], size: tuple[int, int] | None
 
 
 def _camera(path: Path, content: Mapping[str, Any], keys: tuple[str, str], size: tuple[int, int]) -> Camera:
-    """The camera of a matrix and of coefficients in OpenCV's order, by their keys."""
     words = named_model(path, content)
     K = numbers_of(path, content, keys[0], 3, 3)
     is_empty = words.is_without_distortion and keys[1] not in content
@@ -327,7 +325,7 @@ def _camera(path: Path, content: Mapping[str, Any], keys: tuple[str, str], size:
 def _left_and_right(
     files: list[Path], contents: list[dict[str, Any]], size: tuple[int, int] | None
 ) -> CalibrationFile:
-    """ROS: x_rectified = R x and P of the right camera has -f B in its corner."""
+    """ROS: x_rectified = R x, and P[0, 3] of the right camera is -f B."""
     cameras = tuple(_single(path, content, size) for path, content in zip(files, contents))
     rotations = [numbers_of(p, c, "rectification_matrix", 3, 3) for p, c in zip(files, contents)]
     projections = [numbers_of(p, c, "projection_matrix", 3, 4) for p, c in zip(files, contents)]
@@ -361,7 +359,7 @@ def _opencv_pair(path: Path, content: Mapping[str, Any], size: tuple[int, int] |
 def _own(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
     if content.get("version") != _VERSION:
         raise FileFormatError(
-            path, f"it is of version {content.get('version')}; this epipole reads version {_VERSION}"
+            path, f"unsupported version {content.get('version')}; this epipole reads version {_VERSION}"
         )
     try:
         cameras, rotations, translations = [], [], []
@@ -378,7 +376,7 @@ def _own(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
             rotations.append(Rotation3.from_quat_wxyz(quaternion).matrix)
             translations.append(np.asarray(position["translation"], np.float64).reshape(3))
         if not cameras:
-            raise FileFormatError(path, "it holds no camera")
+            raise FileFormatError(path, "it has no cameras")
         covariance = content.get("covariance")
         matrix = None if covariance is None else np.asarray(covariance, np.float64).reshape(30, 30)
     except KeyError as error:
@@ -386,5 +384,5 @@ def _own(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
     except FileFormatError:
         raise
     except (TypeError, ValueError, OverflowError) as error:
-        raise FileFormatError(path, f"its values do not fit: {error}") from error
+        raise FileFormatError(path, f"invalid values: {error}") from error
     return CalibrationFile(tuple(cameras), Rigid3(np.stack(rotations), np.stack(translations)), matrix)

@@ -1,4 +1,4 @@
-"""The words with which calibration files name their camera model; a word that is not known is refused."""
+"""Camera model names in calibration files; unknown names are rejected."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SIDE = r"(_?(left|right|[lr]|\d))?"
 _KEY = re.compile(
     rf"(distortion|lens|projection)_?(model|type){_SIDE}|camera_?model{_SIDE}|model_type", re.IGNORECASE
 )
-# What stands under these may as well be the name of a product.
+# Values under these keys may also be product names.
 _LOOSE_KEY = re.compile(r"model|type|camera_?type|projection|lens|distortion", re.IGNORECASE)
 _FLAG = re.compile(r"(is_)?fisheye(_model)?", re.IGNORECASE)
 _OMNIDIRECTIONAL = re.compile(r"xi\d?|mirror_parameters", re.IGNORECASE)
@@ -47,7 +47,7 @@ _FISHEYE = frozenset(
     )
 )
 _WITHOUT = frozenset(("none", "no_distortion", "null", "undistorted", "rectified"))
-# Models of other programs, which are refused under any key.
+# Models of other programs, which are rejected under any key.
 _OTHERS = frozenset(
     (
         "omni",
@@ -70,30 +70,30 @@ _MODEL_WORDS = (
 
 
 class NamedModel(NamedTuple):
-    """What the words of a file mean."""
+    """Meaning of the model names in a file."""
 
     is_fisheye: bool
-    """Kannala-Brandt, OpenCV's fisheye module; else Brown's or the rational polynomial."""
+    """Kannala-Brandt (OpenCV's fisheye module); otherwise Brown's or the rational polynomial."""
     is_named: bool
-    """Whether a word names the distortion, and not the projection alone."""
+    """Whether a name specifies the distortion, not only the projection."""
     is_without_distortion: bool
 
 
 def named_model(path: Path, content: Mapping[str, Any]) -> NamedModel:
-    """What the keys mean that name a camera model or a distortion.
+    """Interpret the keys that name a camera model or a distortion.
 
     Raises:
-        FileFormatError: a word is not known, or two contradict each other.
+        FileFormatError: a name is unknown, or two contradict each other.
     """
     kinds: dict[str, str] = {}
     for key, value in content.items():
         if not isinstance(key, str):
-            raise FileFormatError(path, f"a key must be a word, got {str(key)[:40]!r}")
+            raise FileFormatError(path, f"a key must be text, got {str(key)[:40]!r}")
         if _OMNIDIRECTIONAL.fullmatch(key) and not _is_zero(value):
-            raise FileFormatError(path, f"{key} is of an omnidirectional camera, which is not supported")
+            raise FileFormatError(path, f"{key} belongs to an omnidirectional camera, which is not supported")
         if _FLAG.fullmatch(key):
             if isinstance(value, str):
-                raise FileFormatError(path, f"{key} is 0 or 1, got {value[:40]!r}")
+                raise FileFormatError(path, f"{key} must be 0 or 1, got {value[:40]!r}")
             kinds[f"{key} = {value}"] = "fisheye" if value else "perspective"
             continue
         if _LOOSE_KEY.fullmatch(key) and _normal(value) not in _MODEL_WORDS:
@@ -111,17 +111,17 @@ def named_model(path: Path, content: Mapping[str, Any]) -> NamedModel:
 
 
 def require_coefficients(path: Path, words: NamedModel, coefficients: np.ndarray) -> None:
-    """Check that coefficients go with the words.
+    """Check that the coefficients are consistent with the model names.
 
     Raises:
-        FileFormatError: there is distortion where the words say that there is none.
+        FileFormatError: there is distortion although the names exclude it.
     """
     if words.is_without_distortion and coefficients.any():
         raise FileFormatError(path, "the distortion_model is none, but distortion coefficients are not zero")
 
 
 def refuse_binning(path: Path, content: Mapping[str, Any]) -> None:
-    """Refuse ROS' joined pixels and cropped regions, of which the camera matrix is not that of the image.
+    """Reject ROS' binning and cropped regions, for which the camera matrix is not that of the image.
 
     Raises:
         FileFormatError: binning_x or binning_y is above 1, or roi has an offset.
@@ -135,12 +135,12 @@ def refuse_binning(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def _kinds_of(path: Path, key: str, value: Any) -> list[str]:
-    """Of one word, or of two that a hyphen joins (pinhole-radtan): fisheye, perspective, none; nothing of a pinhole."""
+    """Kinds (fisheye, perspective, none) of one name, or of two joined by a hyphen; empty for a pinhole."""
     if value is None or value == "":
         return []
     word = _normal(value)
     if is_spherical_word(word):
-        raise FileFormatError(path, f"the {key} {value}: {SPHERICAL_REFUSAL}")
+        raise FileFormatError(path, f"{key} {value}: {SPHERICAL_REFUSAL}")
     projection, _, rest = word.partition("_")
     parts = [rest] if projection == "pinhole" and rest else [word]
     kinds = []
@@ -157,7 +157,7 @@ def _kinds_of(path: Path, key: str, value: Any) -> list[str]:
             kinds.append(kind)
         elif part not in _NEUTRAL:
             known = "pinhole, plumb_bob, rational_polynomial, radtan, fisheye, equidistant and none"
-            raise FileFormatError(path, f"the {key} {str(value)[:60]} is not known; known are {known}")
+            raise FileFormatError(path, f"unknown {key} {str(value)[:60]}; supported are {known}")
     return kinds
 
 

@@ -1,4 +1,4 @@
-"""From the rows of COLMAP's database, of any version, to columns."""
+"""Reading COLMAP's database, of any version, into columns."""
 
 from __future__ import annotations
 
@@ -38,18 +38,18 @@ from epipole.io.colmap.cameras import HALF_PIXEL
 from epipole.scene import Cameras, Frames, Images, Rigs, ViewGraph, unregistered
 
 _KEYPOINT_WIDTHS = (2, 4, 6)
-"""x, y; then scale and angle, or an affine shape."""
+"""x, y; optionally with scale and angle, or an affine shape."""
 
 
 def read_contents(database: DatabaseReader) -> DatabaseContents:
-    """Everything that epipole knows in a database.
+    """Read all tables that epipole uses.
 
     Raises:
-        FileFormatError: a cell is cut short, or an id is missing.
+        FileFormatError: a cell is truncated, or an id is missing.
     """
     for table in ("cameras", "images", "keypoints"):
         if not database.columns(table):
-            raise database.fail(f"table {table}", "not there: this is no COLMAP database")
+            raise database.fail(f"table {table}", "missing: not a COLMAP database")
     cameras, camera_rows = _cameras(database)
     image_rows = database.rows("images", "image_id, name, camera_id", "image_id")
     image_ids, camera_ids = [row[0] for row in image_rows], [row[2] for row in image_rows]
@@ -99,7 +99,7 @@ def _rigs_and_poses(
     columns = "rig_id, sensor_type, sensor_id, sensor_from_rig"
     for rig_id, sensor_type, sensor_id, data in database.rows("rig_sensors", columns, "rig_id, sensor_id"):
         if rig_id not in sensors:
-            raise database.fail("table rig_sensors", f"there is no rig {rig_id}")
+            raise database.fail("table rig_sensors", f"rig {rig_id} is not defined")
         pose = database.numbers(data, 7, f"rig {rig_id}")
         sensors[rig_id].append(SensorRecord(sensor_type, sensor_id, pose))
     rigs = [RigRecord(rig_id, tuple(records)) for rig_id, records in sensors.items()]
@@ -122,7 +122,7 @@ def _images(
         position = f"keypoints of image {image_id}"
         values = database.matrix(data, "<f4", rows, cols, position)
         if rows and cols not in _KEYPOINT_WIDTHS:
-            raise database.fail(position, f"{cols} columns; 2, 4 or 6 expected")
+            raise database.fail(position, f"{cols} columns, expected 2, 4 or 6")
         found[image_id] = values[:, :2].astype(np.float64) if rows else np.empty((0, 2))
     keypoints = [found.get(image_id, np.empty((0, 2))) for image_id in image_ids]
     offsets = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
@@ -133,7 +133,7 @@ def _images(
 def _descriptors(
     database: DatabaseReader, image_ids: list[int], images: Images
 ) -> list[np.ndarray | None] | None:
-    """Bytes only: other descriptors (32-bit floats, in newer versions) are left out."""
+    """Byte descriptors; others (32-bit floats, in newer versions) are skipped."""
     with_type = "type" in database.columns("descriptors")
     columns = f"image_id, rows, cols, data, {'type' if with_type else '0'}"
     number = dict(zip(image_ids, np.diff(images.keypoint_offsets).tolist()))
@@ -143,7 +143,9 @@ def _descriptors(
             continue
         values = database.matrix(data, np.uint8, rows, cols, f"descriptors of image {image_id}")
         if len(values) != number.get(image_id, len(values)):
-            raise database.fail(f"descriptors of image {image_id}", "not as many as keypoints")
+            raise database.fail(
+                f"descriptors of image {image_id}", "their number differs from the number of keypoints"
+            )
         found[image_id] = values
     return [found.get(image_id) for image_id in image_ids] if found else None
 
@@ -151,7 +153,7 @@ def _descriptors(
 def _pair(database: DatabaseReader, pair_id: int, row_of: dict[int, int]) -> tuple[int, int]:
     id1, id2 = divmod(pair_id, MAX_IMAGES)
     if id1 not in row_of or id2 not in row_of or id1 >= id2:
-        raise database.fail(f"pair {pair_id}", f"there are no images {id1} and {id2}")
+        raise database.fail(f"pair {pair_id}", f"images {id1} and {id2} are not defined")
     return row_of[id1], row_of[id2]
 
 
@@ -162,10 +164,10 @@ def _match_rows(
     pair = _pair(database, pair_id, row_of)
     values = database.matrix(data, "<u4", rows, cols, f"pair {pair_id}")
     if rows and cols != 2:
-        raise database.fail(f"pair {pair_id}", f"{cols} columns; 2 expected")
+        raise database.fail(f"pair {pair_id}", f"{cols} columns, expected 2")
     matches = values.astype(np.int64) if rows else np.empty((0, 2), np.int64)
     if (matches >= np.diff(images.keypoint_offsets)[list(pair)]).any():
-        raise database.fail(f"pair {pair_id}", "a match names a keypoint that is not there")
+        raise database.fail(f"pair {pair_id}", "a match refers to a missing keypoint")
     return pair, matches.astype(np.int32)
 
 
@@ -203,7 +205,7 @@ def _view_graph(
         for m, data in enumerate((F, E, H)):
             models[e, m] = database.numbers(data, 9, position).reshape(3, 3)
         poses[e] = [*database.numbers(qvec, 4, position), *database.numbers(tvec, 3, position)]
-    models[~models.any(axis=(2, 3))] = np.nan  # older versions fill an unknown matrix with zeros
+    models[~models.any(axis=(2, 3))] = np.nan  # older versions store an unknown matrix as zeros
     to_pixel = np.linalg.inv(HALF_SHIFT)
     flat = np.concatenate(matches)
     image1, image2 = np.array(pairs, np.int32).T.copy()
@@ -225,7 +227,7 @@ def _view_graph(
 
 
 def _motions(poses: np.ndarray) -> Rigid3:
-    """cam2_from_cam1 with |t| = 1; NaN where the quaternion or the translation is zero or unknown."""
+    """cam2_from_cam1 with |t| = 1; NaN if the quaternion or the translation is zero or unknown."""
     known = np.isfinite(poses).all(axis=1) & poses[:, :4].any(axis=1) & poses[:, 4:].any(axis=1)
     known &= (np.abs(np.nan_to_num(poses)) < 1e100).all(axis=1)
     rotation, translation = np.full((len(poses), 3, 3), np.nan), np.full((len(poses), 3), np.nan)
@@ -235,7 +237,7 @@ def _motions(poses: np.ndarray) -> Rigid3:
 
 
 def _gps(database: DatabaseReader, image_ids: list[int]) -> np.ndarray | None:
-    """Positions in WGS84; others are not GPS."""
+    """GPS positions (WGS84); priors in other coordinate systems are ignored."""
     there = database.columns("pose_priors")
     if not {"position", "coordinate_system"} <= there:
         return None

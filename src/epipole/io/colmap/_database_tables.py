@@ -1,4 +1,4 @@
-"""The schema of COLMAP's database (version 4), the blobs in its cells, and the columns that it becomes."""
+"""The schema of COLMAP's database (version 4), its blobs, and the columns that it is read into."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float64, Int32, UInt8
 from numpy.typing import DTypeLike
 
-from epipole._checks import check_indices
-from epipole._declared import Declared, check_fields
+from epipole._checks import Declared, check_fields, check_indices
 from epipole.errors import FileFormatError
 from epipole.io.colmap._tables import UNKNOWN_POSE
 from epipole.io.colmap.cameras import HALF_PIXEL
@@ -21,12 +20,12 @@ from epipole.robust.pairs.kind import PairKind
 from epipole.scene import Cameras, Frames, Images, Rigs, ViewGraph
 
 SCHEMA_VERSION = 4020100
-"""COLMAP's own number of the version whose schema this is (4.2.1); newer ones migrate from it."""
+"""COLMAP's version number for this schema (4.2.1); newer versions migrate from it."""
 MAX_IMAGES = 2147483647
 """A pair is stored as MAX_IMAGES * smaller id + larger id."""
 WGS84 = 0
 _LEAST_ROW = 5
-"""Bytes that a row of any table takes in the file."""
+"""Smallest size of a table row in the file, bytes."""
 _BLOBS = frozenset(("data", "params", "sensor_from_rig", "position", "F", "E", "H", "qvec", "tvec"))
 _STEPS_PER_CALL, _MOST_STEPS, _MOST_STEPS_PER_BYTE = 10_000, 1_000_000, 10
 SIFT_DESCRIPTOR = 0
@@ -39,7 +38,7 @@ CONFIG_OF_KIND = {
     PairKind.UNCALIBRATED: 3,
     PairKind.PLANAR: 4,
     PairKind.ROTATION: 5,  # PANORAMIC
-    PairKind.NO_MOTION: 5,  # a rotation by nothing: COLMAP has no word for it
+    PairKind.NO_MOTION: 5,  # a rotation by zero; COLMAP has no configuration for it
 }
 # PLANAR_OR_PANORAMIC (6) still has a homography; UNDEFINED (0), WATERMARK (7) and MULTIPLE (8) have no
 # model at all; CALIBRATED_RIG (9) was verified through the rig's poses.
@@ -100,14 +99,14 @@ SCHEMA = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DatabaseContents(Declared):
-    """What a database holds, in rows; `frames` has no places, since a database knows none."""
+    """The content of a database in rows; `frames` has no poses, since a database does not store any."""
 
     cameras: Cameras
     rigs: Rigs
     frames: Frames
     images: Images
     descriptors: Sequence[UInt8[np.ndarray, "_ _"] | None] | None = None
-    """For each image, a row per keypoint; None where there are none."""
+    """For each image, one row per keypoint; None if it has none."""
     matches: Mapping[tuple[int, int], Int32[np.ndarray, "_ 2"]] = field(default_factory=dict)
     """Matches before verification: (image1, image2) -> keypoint in image1, keypoint in image2."""
     view_graph: ViewGraph | None = None
@@ -116,11 +115,11 @@ class DatabaseContents(Declared):
     """For each image latitude and longitude in degrees and altitude in metres (WGS84); NaN where unknown."""
 
     def __post_init__(self) -> None:
-        """Check the rows.
+        """Check the consistency of the rows.
 
         Raises:
-            ShapeError: a sensor has no camera, or an image no sensor.
-            ConfigError: something is of another kind.
+            ShapeError: a sensor refers to a missing camera, or an image to a missing sensor.
+            ConfigError: a field has the wrong type.
         """
         check_fields(self)
         check_indices(self.rigs.sensor_camera, "rigs.sensor_camera", len(self.cameras))
@@ -132,15 +131,15 @@ class DatabaseContents(Declared):
 
 
 def blob(array: np.ndarray, dtype: DTypeLike) -> bytes | None:
-    """Values row by row; an array that is not finite gives an empty cell."""
+    """Values in row-major order; None (an empty cell) if any is not finite."""
     return np.ascontiguousarray(array, dtype).tobytes() if np.isfinite(array).all() else None
 
 
 class DatabaseReader:
-    """Read-only access to the tables of any version, with the file's name in every error.
+    """Read-only access to the tables of any version; every error names the file.
 
-    A schema can hold code, and a damaged tree of pages can name a page again and again: only plain tables are read, and
-    no more than a file of this size can hold.
+    A schema can contain code, and a damaged page tree can refer to a page repeatedly: only plain tables are read, and
+    no more data than a file of this size can contain.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection, num_bytes: int) -> None:
@@ -158,19 +157,20 @@ class DatabaseReader:
         return self._calls_left < 0
 
     def columns(self, table: str) -> set[str]:
-        """Names of a table's columns, but for those that are computed; empty where there is no such table."""
+        """Names of a table's columns, without generated ones; empty if there is no such table."""
         of_name = (
             "SELECT type = 'table' AND rootpage > 0 FROM sqlite_master WHERE name = ? AND type != 'trigger'"
         )
         if not all(row[0] for row in self._connection.execute(of_name, (table,))):
-            raise self.fail(f"table {table}", "is a view or made by code, no plain table")
+            raise self.fail(f"table {table}", "it is a view or a virtual table, not a plain table")
         return {row[1] for row in self._connection.execute(f"PRAGMA table_info({table})")}
 
     def rows(self, table: str, columns: str, order: str) -> list[tuple]:
-        """All rows of a table, or none where the table is not there.
+        """All rows of a table; empty if there is no such table.
 
         Raises:
-            FileFormatError: a column is missing, a cell is of another type, or rows are more than fit into the file.
+            FileFormatError: a column is missing, a cell has the wrong type, or there are more rows than the file can
+                contain.
         """
         there = self.columns(table)
         if not there:
@@ -178,7 +178,7 @@ class DatabaseReader:
         names = columns.split(", ")
         missing = next((name for name in names if name.isidentifier() and name not in there), None)
         if missing is not None:
-            raise self.fail(f"table {table}", f"not a readable database: no column {missing}")
+            raise self.fail(f"table {table}", f"not a readable database: column {missing} is missing")
         found: list[tuple] = []
         size = 0
         for row in self._connection.execute(f"SELECT {columns} FROM {table} ORDER BY {order}"):
@@ -196,12 +196,12 @@ class DatabaseReader:
                     what = problem_of_name(cell) if name == "name" else f"{name} is {str(cell)[:40]!r}"
                     raise self.fail(f"table {table}", f"row {len(found) + 1}: {what}")
             if size > self._num_bytes:
-                raise self.fail(f"table {table}", "has more rows than the file can hold")
+                raise self.fail(f"table {table}", "it has more rows than the file can contain")
             found.append(row)
         return found
 
     def fail(self, position: str, problem: str) -> FileFormatError:
-        """The error to raise about a row."""
+        """The error to raise for a row."""
         return FileFormatError(self.path, f"{position}: {problem}")
 
     def matrix(self, data: object, dtype: DTypeLike, rows: object, cols: object, position: str) -> np.ndarray:
@@ -215,11 +215,11 @@ class DatabaseReader:
         return np.frombuffer(content, dtype).reshape(rows, cols)
 
     def numbers(self, data: object, count: int, position: str) -> np.ndarray:
-        """A cell with `count` doubles; NaN where it is empty."""
+        """A cell with `count` doubles; NaN if it is empty."""
         if not isinstance(data, bytes) or len(data) == 0:
             return np.full(count, np.nan)
         return self.matrix(data, "<f8", 1, count, position)[0]
 
     def pose(self, data: object, position: str) -> np.ndarray:
-        """A cell with a pose (7,); NaN where it is empty."""
+        """A cell with a pose (7,); NaN if it is empty."""
         return self.numbers(data, 7, position) if data is not None else UNKNOWN_POSE

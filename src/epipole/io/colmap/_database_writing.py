@@ -1,4 +1,4 @@
-"""From columns to the rows of COLMAP's database."""
+"""Writing columns to COLMAP's database."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from epipole.scene import Images, ViewGraph
 
 
 def check_contents(contents: DatabaseContents) -> None:
-    """Check that the columns fit each other.
+    """Check that the columns are consistent.
 
     Raises:
         ConfigError: an image's name is empty, used twice or cannot be written.
-        ShapeError: matches, descriptors or GPS do not fit the images, or a pair is there twice.
+        ShapeError: matches, descriptors or GPS do not fit the images, or a pair is given twice.
     """
     images = contents.images
     check_image_names(images.name)
@@ -51,7 +51,7 @@ def check_contents(contents: DatabaseContents) -> None:
     if contents.view_graph is not None:
         verified = dict(_inlier_matches(contents.view_graph))
         if len(verified) < len(contents.view_graph):
-            raise ShapeError("a pair is twice in the view graph")
+            raise ShapeError("the view graph contains a pair twice")
         _check_pairs(verified, num_keypoints)
 
 
@@ -59,15 +59,15 @@ def _check_pairs(matches: Mapping[tuple[int, int], np.ndarray], num_keypoints: n
     seen = set()
     for (image1, image2), rows in matches.items():
         if image1 == image2 or not (0 <= image1 < len(num_keypoints) and 0 <= image2 < len(num_keypoints)):
-            raise ShapeError(f"there is no pair of images ({image1}, {image2})")
+            raise ShapeError(f"({image1}, {image2}) is not a pair of images")
         if (min(image1, image2), max(image1, image2)) in seen:
-            raise ShapeError(f"the pair ({image1}, {image2}) is there in both directions")
+            raise ShapeError(f"the pair ({image1}, {image2}) is given in both directions")
         seen.add((min(image1, image2), max(image1, image2)))
         if rows.ndim != 2 or rows.shape[1] != 2:
             raise ShapeError(f"matches of ({image1}, {image2}) must be (m, 2), got {rows.shape}")
         limits = num_keypoints[[image1, image2]]
         if len(rows) and (rows.min() < 0 or (rows.max(axis=0) >= limits).any()):
-            raise ShapeError(f"matches of ({image1}, {image2}) name keypoints that are not there")
+            raise ShapeError(f"matches of ({image1}, {image2}) refer to missing keypoints")
 
 
 def _inlier_matches(graph: ViewGraph) -> Iterator[tuple[tuple[int, int], np.ndarray]]:
@@ -164,7 +164,7 @@ def _pair_id(image1: int, image2: int) -> int:
 
 
 def _match_row(pair: tuple[int, int], matches: np.ndarray) -> tuple:
-    """A pair is stored from the smaller to the larger id."""
+    """A row of a pair, ordered from the smaller to the larger id."""
     image1, image2 = pair
     ordered = matches if image1 < image2 else matches[:, ::-1]
     return _pair_id(image1, image2), len(matches), 2, blob(ordered, "<u4")

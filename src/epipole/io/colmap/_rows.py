@@ -1,4 +1,4 @@
-"""From COLMAP's records, which refer to each other by id, to rows, with a check of every reference."""
+"""Conversion of COLMAP's records, which refer to each other by id, to rows, with every reference checked."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs,
 
 
 def reconstruction_of(tables: ColmapTables, folder: Path, suffix: str) -> Reconstruction:
-    """The model whose files `*.suffix` were read from `folder`.
+    """Build the model from the files `*.suffix` read from `folder`.
 
     Raises:
-        FileFormatError: a record refers to one that is not there, or holds impossible values.
+        FileFormatError: a record refers to a missing one, or has invalid values.
     """
 
     def file(name: str) -> Path:
@@ -69,19 +69,19 @@ def rows_of_ids(ids: Sequence[int], path: Path, what: str) -> dict[int, int]:
     """Row of each id when sorted.
 
     Raises:
-        FileFormatError: an id occurs twice.
+        FileFormatError: an id is used twice.
     """
     ordered = sorted(ids)
     twice = next((a for a, b in pairwise(ordered) if a == b), None)
-    _require(twice is None, path, f"{what} {twice} is there twice")
+    _require(twice is None, path, f"{what} {twice} is defined twice")
     return {identity: row for row, identity in enumerate(ordered)}
 
 
 def cameras_of(records: list[CameraRecord], path: Path) -> Cameras:
-    """Camera columns in the order of the ids; focal lengths count as trusted, intrinsics as not constant.
+    """Camera columns in the order of the ids; focal lengths are marked as trusted, intrinsics as not constant.
 
     Raises:
-        FileFormatError: no camera can have these values.
+        FileFormatError: a camera has invalid values.
     """
     cameras: list[Camera] = []
     for record in sorted(records, key=lambda camera: camera.id):
@@ -98,22 +98,22 @@ def require_cameras(
     """Check that every image has a camera.
 
     Raises:
-        FileFormatError: one has not.
+        FileFormatError: an image refers to a missing camera.
     """
     for image_id, camera_id in zip(image_ids, camera_ids):
-        _require(camera_id in camera_rows, path, f"image {image_id}: there is no camera {camera_id}")
+        _require(camera_id in camera_rows, path, f"image {image_id}: camera {camera_id} is not defined")
 
 
 def motions_of(poses: np.ndarray, positions: list[str], path: Path) -> Rigid3:
     """Motions from rows (w, x, y, z, tx, ty, tz); NaN where a row is not finite.
 
     Raises:
-        FileFormatError: a quaternion is nowhere near unit length.
+        FileFormatError: a quaternion is far from unit length.
     """
     known = np.isfinite(poses).all(axis=1)
     longest = np.abs(poses[:, :4]).max(axis=1, initial=0.0)
     for row in np.flatnonzero(known & ~((longest > 1e-6) & (longest < 1e6))):
-        raise FileFormatError(path, f"{positions[row]}: {poses[row, :4]} is no unit quaternion")
+        raise FileFormatError(path, f"{positions[row]}: {poses[row, :4]} is not a unit quaternion")
     rotation, translation = np.full((len(poses), 3, 3), np.nan), np.full((len(poses), 3), np.nan)
     rotation[known] = Rotation3.from_quat_wxyz(poses[known, :4]).matrix
     translation[known] = poses[known, 4:]
@@ -122,21 +122,21 @@ def motions_of(poses: np.ndarray, positions: list[str], path: Path) -> Rigid3:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigLayout:
-    """Rigs in rows, and where the ids of the file are in them."""
+    """Rigs in rows, with a mapping from the file's ids."""
 
     rigs: Rigs
     row_of_rig: dict[int, int]
     sensor_of_rig_and_camera: dict[tuple[int, int], int]
-    """From (rig row, camera id)."""
+    """Sensor row by (rig row, camera id)."""
     reference_from_file_rig: Rigid3
-    """For each rig: its first camera from its reference in the file, which need not be a camera."""
+    """For each rig, its first camera from the file's reference sensor, which need not be a camera."""
 
 
 def rigs_of(records: list[RigRecord], camera_rows: dict[int, int], path: Path) -> RigLayout:
-    """The cameras of each rig (other sensors have no images), the first of them as the reference.
+    """The cameras of each rig (other sensors have no images); the first one becomes the reference.
 
     Raises:
-        FileFormatError: a rig has an unknown camera, or one twice.
+        FileFormatError: a rig refers to a missing camera, or has one twice.
     """
     records = sorted(records, key=lambda rig: rig.id)
     row_of_rig = rows_of_ids([rig.id for rig in records], path, "rig")
@@ -149,9 +149,9 @@ def rigs_of(records: list[RigRecord], camera_rows: dict[int, int], path: Path) -
         sensors = [sensor for sensor in rig.sensors if sensor.type == CAMERA_SENSOR]
         numbers.append(len(sensors))
         for sensor in sensors:
-            _require(sensor.id in camera_rows, path, f"rig {rig.id}: there is no camera {sensor.id}")
+            _require(sensor.id in camera_rows, path, f"rig {rig.id}: camera {sensor.id} is not defined")
             _require(
-                (row, sensor.id) not in sensor_of, path, f"rig {rig.id}: camera {sensor.id} is there twice"
+                (row, sensor.id) not in sensor_of, path, f"rig {rig.id}: camera {sensor.id} is listed twice"
             )
             sensor_of[row, sensor.id] = len(cameras)
             cameras.append(camera_rows[sensor.id])
@@ -200,7 +200,7 @@ def frames_of(
     frame_of_image, sensor_of_image = np.full((2, len(image_ids)), -1, np.int32)
     for row, frame in enumerate(records):
         position = f"frame {frame.id}"
-        _require(frame.rig_id in layout.row_of_rig, path, f"{position}: there is no rig {frame.rig_id}")
+        _require(frame.rig_id in layout.row_of_rig, path, f"{position}: rig {frame.rig_id} is not defined")
         rig = rig_of_frame[row] = layout.row_of_rig[frame.rig_id]
         for data in frame.data:
             image = row_of_image.get(data.data_id)
@@ -210,12 +210,14 @@ def frames_of(
             fits = sensor >= 0 and camera_ids[image] == data.sensor_id
             is_new = bool(frame_of_image[image] < 0)
             _require(
-                fits, path, f"{position}: image {data.data_id} is not of camera {data.sensor_id} of its rig"
+                fits,
+                path,
+                f"{position}: image {data.data_id} does not belong to camera {data.sensor_id} of its rig",
             )
             _require(is_new, path, f"{position}: image {data.data_id} is in two frames")
             frame_of_image[image], sensor_of_image[image] = row, sensor
     for lost in np.flatnonzero(frame_of_image < 0):
-        raise FileFormatError(path, f"image {image_ids[lost]} is in no frame")
+        raise FileFormatError(path, f"image {image_ids[lost]} belongs to no frame")
     return ImagePoses(rig_of_frame, frame_of_image, sensor_of_image)
 
 
@@ -231,11 +233,10 @@ def _images(records: list[ImageRecord], positions: ImagePoses) -> Images:
 def _points(
     table: PointTable, images: Images, image_ids: Int64[np.ndarray, " n"], path: Path
 ) -> tuple[Points, Tracks]:
-    """Points in the order of their ids, with their tracks."""
     order = np.argsort(table.ids, kind="stable")
     ids = table.ids[order]
     for row in np.flatnonzero(ids[1:] == ids[:-1]):
-        raise FileFormatError(path, f"point {ids[row]} is there twice")
+        raise FileFormatError(path, f"point {ids[row]} is defined twice")
     lengths = np.diff(table.track_offsets)[order]
     offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
     # Row in the file of every observation, in the new order.

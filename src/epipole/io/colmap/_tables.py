@@ -1,4 +1,4 @@
-"""What the files of a COLMAP model hold, as it stands in them: COLMAP's ids and pixels.
+"""The content of COLMAP model files, with COLMAP's ids and pixels.
 
 Poses are seven numbers, the quaternion (w, x, y, z) and the translation.
 """
@@ -45,7 +45,7 @@ class RigRecord(NamedTuple):
 
 
 class DataRecord(NamedTuple):
-    """One thing that a sensor gave to a frame: an image, for a camera."""
+    """One measurement of a sensor in a frame: an image, for a camera."""
 
     sensor_type: int
     sensor_id: int
@@ -78,7 +78,7 @@ class ImageRecord(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointTable:
-    """All points with their tracks in compressed rows."""
+    """All points, with their tracks as compressed rows."""
 
     ids: Int64[np.ndarray, " n"]
     xyz: Float64[np.ndarray, "n 3"]
@@ -91,7 +91,7 @@ class PointTable:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColmapTables:
-    """A model; models older than rigs and frames have None there."""
+    """A model; rigs and frames are None in models from versions without them."""
 
     cameras: list[CameraRecord]
     rigs: list[RigRecord] | None

@@ -1,4 +1,4 @@
-"""COLMAP's text model files, read and written line by line."""
+"""Reading and writing COLMAP's text model files."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def _floats(words: list[str], count: int) -> np.ndarray:
 
 
 def _id(word: str) -> int:
-    """An id or an index: COLMAP's are 32 bits, those of points 64 with -1 for none."""
+    """An id or an index: 32 bits in COLMAP, 64 for points, -1 for none."""
     number = int(word)
     if not -1 <= number < 2**63:
         raise ValueError("not an id")
@@ -110,7 +110,7 @@ def _rig(line: str) -> tables.RigRecord:
             words = words[8:] if has_pose else words[1:]
         sensors.append(tables.SensorRecord(sensor_type, sensor_id, pose))
     if words:
-        raise ValueError("the number of sensors does not fit")
+        raise ValueError("the number of sensors does not match")
     return tables.RigRecord(_id(rig_id), tuple(sensors))
 
 
@@ -118,7 +118,7 @@ def _frame(line: str) -> tables.FrameRecord:
     words = line.split()
     pose, rest = _floats(words[2:], 7), words[10:]
     if len(rest) != 3 * _id(words[9]):
-        raise ValueError("the number of images does not fit")
+        raise ValueError("the number of images does not match")
     data = tuple(
         tables.DataRecord(_sensor_type(a), _id(b), _id(c))
         for a, b, c in zip(rest[::3], rest[1::3], rest[2::3])
@@ -127,7 +127,7 @@ def _frame(line: str) -> tables.FrameRecord:
 
 
 def _images(path: Path) -> list[tables.ImageRecord]:
-    """Every image takes two lines, the second of which may be empty."""
+    """Every image has two lines; the second one may be empty."""
     lines = file_text(path).split("\n")
     images, row = [], 0
     while row < len(lines):
@@ -143,7 +143,7 @@ def _images(path: Path) -> list[tables.ImageRecord]:
 
 
 def _image_head(line: str) -> tuple[int, np.ndarray, int, str]:
-    # The name is the rest of the line: it may hold spaces.
+    # The name is the rest of the line, since it may contain spaces.
     words = line.strip().split(maxsplit=9)
     if (problem := problem_of_name(words[9])) is not None:
         raise ConfigError(problem)
@@ -153,7 +153,7 @@ def _image_head(line: str) -> tuple[int, np.ndarray, int, str]:
 def _keypoints(line: str) -> tuple[np.ndarray, np.ndarray]:
     words = line.split()
     if len(words) % 3:
-        raise ValueError("three numbers for each keypoint")
+        raise ValueError("expected three numbers per keypoint")
     xy = np.array([words[0::3], words[1::3]], np.float64).T.reshape(-1, 2)
     return xy, np.array([_id(word) for word in words[2::3]], np.int64)
 
@@ -162,7 +162,7 @@ def _point(line: str) -> tuple[int, np.ndarray, list[int], list[int]]:
     words = line.split()
     numbers, track = _floats(words[1:], 7), [_id(word) for word in words[8:]]
     if len(track) % 2:
-        raise ValueError("two numbers for each observation")
+        raise ValueError("expected two numbers per observation")
     return _id(words[0]), numbers, [int(word) for word in words[4:7]], track
 
 
@@ -198,7 +198,7 @@ def _write(folder: Path, name: str, number: int, lines: Iterator[str]) -> None:
 
 
 def _joined(*values: object) -> str:
-    """Words and numbers, floats with as many digits as they need to be read back exactly."""
+    """Values separated by spaces; floats have enough digits to be read back exactly."""
     words = (repr(float(v)) if isinstance(v, float) else str(v) for v in values)
     return " ".join(words)
 

@@ -1,4 +1,4 @@
-"""COLMAP's binary model files (little endian), read and written record by record."""
+"""Reading and writing COLMAP's binary model files (little endian)."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def read_binary(folder: Path) -> tables.ColmapTables:
 
 
 def read_binary_points(path: Path) -> tables.PointTable:
-    """Read points3D.bin alone."""
+    """Read only points3D.bin."""
     return _read(path, _read_points)
 
 
@@ -110,7 +110,7 @@ def _read_images(reader: ByteReader) -> list[tables.ImageRecord]:
 
 
 def _read_points(reader: ByteReader) -> tables.PointTable:
-    """Points have different lengths: one pass finds where each begins, the rest is done on columns."""
+    """Points vary in length: one pass finds where each starts, the rest works on columns."""
     data, heads, tracks = reader.data, [], []
     for _ in range(reader.count(_POINT.itemsize, "points")):
         start = reader.advance(_POINT.itemsize, "a point")

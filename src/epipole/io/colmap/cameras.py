@@ -1,6 +1,6 @@
-"""COLMAP's cameras: its models by number and name, and its half pixel.
+"""COLMAP's camera models by number and name, and its half-pixel offset.
 
-In COLMAP (0.5, 0.5) is the centre of the top-left pixel, in epipole (0, 0) is.
+In COLMAP, (0.5, 0.5) is the center of the top-left pixel; in epipole, (0, 0) is.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from epipole.io._spherical import SPHERICAL_REFUSAL, is_spherical_word
 
 HALF_PIXEL = 0.5
 
-# Models that epipole does not have but that are, or may be, special cases of one that it has; the number is
-# how many parameters a file holds.
+# Models that epipole does not have but that are, or may be, special cases of one that it has; the second value is
+# the number of parameters in a file.
 _SIMPLE_RADIAL_FISHEYE, _RADIAL_FISHEYE, _SIMPLE_FISHEYE, _FISHEYE = 8, 9, 14, 15
 _OTHER_MODELS = {
     _SIMPLE_RADIAL_FISHEYE: ("SIMPLE_RADIAL_FISHEYE", 4),
@@ -25,7 +25,7 @@ _OTHER_MODELS = {
     _SIMPLE_FISHEYE: ("SIMPLE_FISHEYE", 3),
     _FISHEYE: ("FISHEYE", 4),
 }
-# Models of COLMAP without an equal here.
+# COLMAP models without an equivalent in epipole.
 _UNREADABLE_MODELS = {
     7: "FOV",
     10: "THIN_PRISM_FISHEYE",
@@ -40,8 +40,8 @@ def params_from_colmap(model: CameraModel | str | int, params: ArrayLike) -> Flo
     """COLMAP's parameters, (p,), with the principal point in epipole's pixels.
 
     Raises:
-        ConfigError: there is no such model, or it has another number of parameters.
-        ShapeError: the parameters are no numbers.
+        ConfigError: the model is unknown, or has another number of parameters.
+        ShapeError: the parameters are not numbers.
     """
     return _shifted(model, params, -HALF_PIXEL)
 
@@ -50,8 +50,8 @@ def params_to_colmap(model: CameraModel | str | int, params: ArrayLike) -> Float
     """Parameters, (p,), with the principal point in COLMAP's pixels.
 
     Raises:
-        ConfigError: there is no such model, or it has another number of parameters.
-        ShapeError: the parameters are no numbers.
+        ConfigError: the model is unknown, or has another number of parameters.
+        ShapeError: the parameters are not numbers.
     """
     return _shifted(model, params, HALF_PIXEL)
 
@@ -66,32 +66,32 @@ def _shifted(model: CameraModel | str | int, params: ArrayLike, shift_px: float)
 
 
 def num_params_of(model_id: int) -> int | None:
-    """Length of the parameter vector of a COLMAP model; None for one that epipole cannot read."""
+    """Number of parameters of a COLMAP model; None if epipole cannot read it."""
     if model_id in _OTHER_MODELS:
         return _OTHER_MODELS[model_id][1]
     return CameraModel(model_id).num_params if model_id in set(CameraModel) else None
 
 
 def model_id_named(name: str) -> int | None:
-    """COLMAP's number of a model; None for one that epipole cannot read."""
+    """COLMAP's number of a model; None if epipole cannot read it."""
     others = {other: number for number, (other, _) in _OTHER_MODELS.items()}
     return int(CameraModel[name]) if name in CameraModel.__members__ else others.get(name)
 
 
 def unknown_model(model: int | str) -> str:
-    """Why a camera model, by its number or name, cannot be read."""
+    """Why a camera model, given by number or name, cannot be read."""
     name = _UNREADABLE_MODELS.get(model, str(model)) if isinstance(model, int) else model[:40]
     if is_spherical_word(name):
         return f"unknown camera model {name}; {SPHERICAL_REFUSAL}"
     known = ", ".join([*CameraModel.__members__, *(other for other, _ in _OTHER_MODELS.values())])
-    return f"unknown camera model {name}; known are {known}"
+    return f"unknown camera model {name}; supported are {known}"
 
 
 def camera_from_colmap(model_id: int, width: int, height: int, params: np.ndarray) -> Camera:
-    """The camera of one record, whose parameters are in COLMAP's pixels.
+    """The camera of a record with parameters in COLMAP's pixels.
 
     Raises:
-        ConfigError: no camera can have these values, or epipole has no such model.
+        ConfigError: the values are invalid, or epipole does not support the model.
     """
     expected = num_params_of(model_id)
     if expected is None:
@@ -99,13 +99,12 @@ def camera_from_colmap(model_id: int, width: int, height: int, params: np.ndarra
     if len(params) != expected:
         raise ConfigError(f"camera model {model_id} has {expected} parameters, got {len(params)}")
     if not (0 < width <= _MAX_SIZE and 0 < height <= _MAX_SIZE):
-        raise ConfigError(f"impossible image size {width}x{height}")
+        raise ConfigError(f"invalid image size {width}x{height}")
     model, own_params = _as_own_model(model_id, np.asarray(params, np.float64))
     return Camera(model, width, height, params_from_colmap(model, own_params))
 
 
 def _as_own_model(model_id: int, p: np.ndarray) -> tuple[CameraModel, np.ndarray]:
-    """The same camera in a model that epipole has."""
     if model_id == _FISHEYE:
         return CameraModel.OPENCV_FISHEYE, np.concatenate([p, np.zeros(4)])
     if model_id in (_SIMPLE_RADIAL_FISHEYE, _RADIAL_FISHEYE, _SIMPLE_FISHEYE):

@@ -1,7 +1,7 @@
 """COLMAP's database.db: cameras, rigs, frames, images, features, matches and verified pairs.
 
-Written as COLMAP 4 does, so that its mappers can start from it; databases of older versions are read too. The
-half pixel (see `io.colmap`) is added to keypoints, principal points, fundamental matrices and homographies.
+The format is that of COLMAP 4, so its mappers can start from it; older databases can also be read. The half-pixel
+offset (see `io.colmap`) is added to keypoints, principal points, fundamental matrices and homographies.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io.atomic import atomic_write
 from epipole.io.colmap._database_reading import read_contents
@@ -24,13 +24,13 @@ _SIDE_FILES = ("-wal", "-shm", "-journal")
 
 @checked
 def write_database(path: str | Path, contents: DatabaseContents) -> None:
-    """Write a database in one step, in place of any that is there. An id in it is the row + 1.
+    """Write a database atomically, replacing any existing one. Ids are row + 1.
 
-    Keypoints are written as two columns (x, y). A camera that several sensors share is written once for each.
+    Keypoints are written as two columns (x, y). A camera shared by several sensors is written once per sensor.
 
     Raises:
         ConfigError: an image's name is empty, used twice or cannot be written.
-        ShapeError: matches, descriptors or GPS do not fit the images, or a pair is there twice.
+        ShapeError: matches, descriptors or GPS do not fit the images, or a pair is given twice.
         WorkspaceError: the file cannot be written.
     """
     check_contents(contents)
@@ -48,17 +48,17 @@ def write_database(path: str | Path, contents: DatabaseContents) -> None:
                 connection.execute("COMMIT")
         except sqlite3.Error as error:
             raise WorkspaceError(f"cannot write {path}: {error}") from error
-        # Journals left by a crash beside an older database would be replayed into the new one.
+        # Journals left by a crash of an older database would be replayed into the new one.
         for suffix in _SIDE_FILES:
             path.with_name(path.name + suffix).unlink(missing_ok=True)
 
 
 @checked
 def read_database(path: str | Path) -> DatabaseContents:
-    """Read a database; rows are in the order of its ids. Nothing is written beside it.
+    """Read a database without writing to its folder; rows are in the order of its ids.
 
     Raises:
-        FileFormatError: it is not a COLMAP database, a cell is cut short, or an id is missing.
+        FileFormatError: the file is not a COLMAP database, a cell is truncated, or an id is missing.
     """
     path = Path(path)
     num_bytes = require_file(path)
@@ -73,4 +73,4 @@ def read_database(path: str | Path) -> DatabaseContents:
     except sqlite3.Error as error:
         raise FileFormatError(path, f"not a readable database: {error}") from error
     except (TypeError, ValueError, OverflowError) as error:
-        raise FileFormatError(path, f"a cell holds what it should not: {error}") from error
+        raise FileFormatError(path, f"a cell has an invalid value: {error}") from error

@@ -1,8 +1,7 @@
-"""COLMAP's sparse models, binary and text, with rigs and frames (COLMAP 4) or without (older ones).
+"""COLMAP's sparse models, binary and text, with rigs and frames (COLMAP 4) or without (older versions).
 
-The half pixel between COLMAP and epipole is added and taken away here: (0.5, 0.5) in a file is (0, 0) in
-memory.
-An id in a written file is the row + 1.
+The half-pixel offset between COLMAP and epipole is added and removed here: (0.5, 0.5) in a file is (0, 0) in memory.
+Ids in a written file are row + 1.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.atomic import atomic_folder
@@ -43,20 +42,20 @@ from epipole.scene import Reconstruction, Rigs
 
 @checked
 def write_colmap_model(reconstruction: Reconstruction, folder: str | Path, *, text: bool = False) -> None:
-    """Write the registered images and the points as a COLMAP model; the same model gives the same bytes.
+    """Write the registered images and the points as a COLMAP model; the output is deterministic.
 
-    A camera that several sensors share is written once for each sensor, as COLMAP wants it. Model files of
-    the other kind (text or binary) that lie in the folder are removed, other files stay.
+    A camera shared by several sensors is written once per sensor, as COLMAP requires. Model files of the other kind
+    (text or binary) in the folder are removed; other files stay.
 
     Raises:
-        ConfigError: an image's name cannot stand in such a file.
+        ConfigError: an image's name cannot be written to such a file.
         WorkspaceError: the folder cannot be written.
     """
     tables = _tables_of(reconstruction)
     for image in tables.images if text else ():
         if image.name != image.name.strip():
             raise ConfigError(
-                f"the image name {image.name!r} cannot be written as text: it would lose its spaces"
+                f"the image name {image.name!r} cannot be written as text because it would lose its spaces"
             )
     names = [f"{name}.{suffix}" for name in FILE_NAMES for suffix in ("bin", "txt")]
     with atomic_folder(folder, stale=names) as part:
@@ -68,7 +67,7 @@ def read_colmap_model(folder: str | Path) -> Reconstruction:
     """Read a COLMAP model, binary if there is one, otherwise text. Rows are in the order of the file's ids.
 
     Raises:
-        FileFormatError: there is no model, or a file is cut short or inconsistent with another.
+        FileFormatError: there is no model, or a file is truncated or inconsistent with another.
     """
     folder = Path(folder)
     if (folder / "cameras.bin").is_file():
@@ -80,7 +79,7 @@ def read_colmap_model(folder: str | Path) -> Reconstruction:
 
 @checked
 def camera_ids_of_sensors(rigs: Rigs, num_cameras: int) -> list[int]:
-    """COLMAP's camera id of each sensor: the camera's row + 1, and a new id where a camera is used again."""
+    """COLMAP's camera id of each sensor: the camera's row + 1, or a new id if the camera is already used."""
     new_ids = count(num_cameras + 1)
     used: set[int] = set()
     ids = []
@@ -92,10 +91,10 @@ def camera_ids_of_sensors(rigs: Rigs, num_cameras: int) -> list[int]:
 
 @checked
 def check_image_names(names: Iterable[str]) -> None:
-    """Refuse names that would break a file.
+    """Reject names that would corrupt a file.
 
     Raises:
-        ConfigError: a name is empty, holds a line break or a zero, or is not valid UTF-8.
+        ConfigError: a name is empty, contains a line break or a null character, or is not valid UTF-8.
     """
     for name in names:
         is_text = name.encode(errors="replace").decode() == name
@@ -130,7 +129,7 @@ def _camera_records(reconstruction: Reconstruction, camera_ids: list[int]) -> li
 
 @checked
 def pose_numbers(target_from_source: Rigid3) -> np.ndarray:
-    """Rows (w, x, y, z, tx, ty, tz); NaN where the motion is."""
+    """Rows (w, x, y, z, tx, ty, tz); NaN for unknown motions."""
     known = np.isfinite(target_from_source.translation).all(axis=1)
     quat_wxyz = np.full((len(known), 4), np.nan)
     quat_wxyz[known] = Rotation3(target_from_source.rotation[known]).as_quat_wxyz()
@@ -195,7 +194,7 @@ def find_model(path: str | Path) -> Path:
     """The folder of the COLMAP model inside an output folder, or the folder itself if it is one.
 
     Raises:
-        FileFormatError: there is none.
+        FileFormatError: there is no model.
     """
     path = Path(path)
     for folder in (path, path / "sparse" / "0", path / "sparse"):
@@ -204,6 +203,6 @@ def find_model(path: str | Path) -> Path:
     if not path.exists():
         raise FileFormatError(path, "there is no such folder")
     images = any(p.suffix.lower() in FORMAT_OF_SUFFIX for at in (path, path / "images") for p in at.glob("*"))
-    advice = "`epipole reconstruct` makes a model of images" if images and not results_of(path) else ""
-    problem = "holds no model (no cameras.bin or cameras.txt, nor sparse/0)"
+    advice = "`epipole reconstruct` makes a model from images" if images and not results_of(path) else ""
+    problem = "it contains no model (no cameras.bin or cameras.txt, nor sparse/0)"
     raise FileFormatError(path, with_what_it_is(problem, path, advice))

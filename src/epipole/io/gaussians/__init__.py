@@ -1,1 +1,1 @@
-"""Files of Gaussian clouds: PLY, compressed PLY, SPZ, SOG, splat."""
+"""Files of 3D Gaussians: PLY, compressed PLY, SPZ, SOG, splat."""

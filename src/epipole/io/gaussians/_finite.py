@@ -1,4 +1,4 @@
-"""The end of every reader of Gaussians: what is not finite goes."""
+"""Final step of every Gaussian reader: removal of non-finite Gaussians."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from epipole.scene.local_origin import local_origin
 
 MOST_GAUSSIANS = 100_000_000
 MOST_LOGIT = 15.0
-"""Of an opacity that a file holds as 0 or 1."""
+"""Logit of an opacity stored as 0 or 1."""
 LEAST_LOG_SCALE = -30.0
-"""Of a deviation that a file holds as 0."""
+"""Log scale of a standard deviation stored as 0."""
 
 
 def finite_gaussians(
     path: Path, parts: Sequence[np.ndarray], origin_in_world: np.ndarray | None = None
 ) -> GaussianCloud:
-    """A cloud of those that are finite, about an origin near them where they are far from that of the file.
+    """Keep the finite Gaussians, and move the origin near them if they are far from the file's origin.
 
     Args:
-        path: the file, for the message.
-        parts: means, which may be in double precision, logarithms of deviations, rotations, logits and harmonics; a rotation of length
-            zero is taken as none. An infinite logit is an opacity of 1 or 0, and a
-            logarithm of minus infinity that of a flat Gaussian.
-        origin_in_world: what the file says is to be added to the means; None: nothing.
+        path: the file, for error messages.
+        parts: means (may be double precision), log scales, quaternions, opacity logits and harmonics. A zero quaternion
+            becomes the identity, an infinite logit an opacity of 1 or 0, and a log scale of minus infinity a flat
+            Gaussian.
+        origin_in_world: offset stored in the file, to be added to the means; None: zero.
 
     Raises:
-        FileFormatError: none is.
+        FileFormatError: no Gaussian is finite.
     """
     n, means = len(parts[0]), parts[0]
-    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not finite
+    with np.errstate(over="ignore", invalid="ignore"):  # overflow becomes infinite
         log_scales, quats, logits, sh = (part.astype(np.float32) for part in parts[1:])
     logits = np.where(np.isinf(logits), np.sign(logits) * MOST_LOGIT, logits)
     log_scales = np.where(log_scales == -np.inf, LEAST_LOG_SCALE, log_scales)
-    with np.errstate(over="ignore", invalid="ignore"):  # numbers of a damaged file
+    with np.errstate(over="ignore", invalid="ignore"):  # values of a damaged file
         rotated = (quats**2).sum(axis=1, keepdims=True) != 0
     quats = np.where(rotated, quats, np.array([1, 0, 0, 0], np.float32))
     whole = (means, log_scales, quats, logits, sh)
     good = np.all([np.isfinite(part).all(axis=tuple(range(1, part.ndim))) for part in whole], axis=0)
     if not good.any():
-        raise FileFormatError(path, f"none of its {n} Gaussians is finite" if n else "holds no Gaussian")
+        raise FileFormatError(path, f"none of its {n} Gaussians is finite" if n else "no Gaussians in it")
     centers = means[good].astype(np.float64)
     near = local_origin(centers)
     log_scales, quats, logits, sh = (np.ascontiguousarray(part[good], np.float32) for part in whole[1:])

@@ -1,6 +1,6 @@
-"""Few values that stand for many: 256 numbers for all numbers of a kind, and rows for all rows of harmonics.
+"""Vector quantization: a codebook of 256 numbers for scalars, and a palette of rows for the harmonics.
 
-Both are Lloyd's iteration (1982) from a start that the data give: the same numbers always give the same file.
+Both use Lloyd's iteration (1982) from a start determined by the data, so the output is deterministic.
 """
 
 from __future__ import annotations
@@ -11,20 +11,20 @@ from jaxtyping import Float, Float32, Int64, UInt8
 from epipole import _parallel
 
 CODES, PALETTE = 256, 65536
-"""Most numbers and rows that the format has."""
+"""Most numbers and rows that the format allows."""
 _BINS, _STEPS_OF_CODES = 256, 50
 _GROUPS, _STEPS, _STEPS_OF_GROUPS, _ROUNDS = 64, 6, 6, 4
 _SAMPLE, _TOGETHER = 1 << 15, 1 << 12
 
 
 def codebook_of(values: Float32[np.ndarray, "*shape"], power: float = 0.0) -> Float32[np.ndarray, " 256"]:
-    """The numbers that numbers are rounded to, in order: all of them, where there are no more than 256.
+    """The numbers that values are rounded to, in ascending order: the values themselves if there are at most 256.
 
-    Values are sorted once, so that a step of Lloyd's iteration is a search of the 255 borders.
+    Values are sorted once, so that a step of Lloyd's iteration is a search for the 255 boundaries.
 
     Args:
-        values: what is rounded.
-        power: a value v counts exp(power v) times.
+        values: the values to quantize.
+        power: a value v has the weight exp(power v).
     """
     ordered = np.sort(values, axis=None)
     first = np.flatnonzero(np.diff(ordered, prepend=np.float32(-np.inf)))
@@ -48,7 +48,7 @@ def codebook_of(values: Float32[np.ndarray, "*shape"], power: float = 0.0) -> Fl
 
 
 def _spread(ordered: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """A start: as close together as the cube root of the density, which is best where codes are many (Panter and Dite, 1951)."""
+    """Initial codes, as dense as the cube root of the values' density, optimal for many codes (Panter and Dite, 1951)."""
     counts, edges = np.histogram(ordered, _BINS, weights=weights)
     fraction = np.concatenate([[0.0], np.cumsum(np.cbrt(counts))])
     wanted = (np.arange(CODES) + 0.5) / CODES * fraction[-1]
@@ -58,7 +58,7 @@ def _spread(ordered: np.ndarray, weights: np.ndarray) -> np.ndarray:
 def codes_of(
     values: Float32[np.ndarray, "*shape"], codebook: Float32[np.ndarray, " 256"]
 ) -> UInt8[np.ndarray, "*shape"]:
-    """The nearest number's place in the codebook."""
+    """Index of the nearest codebook number."""
     book = codebook.astype(np.float64)
     return np.searchsorted(0.5 * (book[1:] + book[:-1]), values).astype(np.uint8)
 
@@ -66,10 +66,10 @@ def codes_of(
 def palette_of(
     rows: Float32[np.ndarray, "n d"], weights: Float[np.ndarray, " n"], size: int
 ) -> tuple[Float32[np.ndarray, "k d"], Int64[np.ndarray, " n"]]:
-    """Rows that stand for all, and which one for each.
+    """Palette rows that represent all rows, and the palette index of each row.
 
-    In two steps, which takes a small part of the time: rows are put into groups, and each group gets a share of the palette, as large as
-    its share of the weighted squares of deviations, and an iteration of its own. Groups stand one after the other.
+    For speed, rows are first divided into groups; each group gets a fraction of the palette proportional to its
+    weighted sum of squared deviations, and its own iteration. Groups are stored one after the other.
     """
     if size >= len(rows):
         return rows, np.arange(len(rows))
@@ -92,7 +92,7 @@ def palette_of(
 
 
 def _cells_per_group(counts: np.ndarray, wanted: np.ndarray, size: int) -> np.ndarray:
-    """Of a palette, in whole numbers that add up to no more than it has: one for each group that is not empty, none beyond its rows."""
+    """Palette size per group, at most `size` in total: at least one if not empty, at most its number of rows."""
     fractions = np.minimum(counts, 1)
     for _ in range(_ROUNDS):
         open_groups = np.where(fractions < counts, wanted, 0.0)
@@ -102,7 +102,7 @@ def _cells_per_group(counts: np.ndarray, wanted: np.ndarray, size: int) -> np.nd
 
 
 def _lloyd(rows: np.ndarray, weights: np.ndarray, size: int, steps: int) -> np.ndarray:
-    """Centres of clusters; one that has become empty goes to the row that is worst off."""
+    """Cluster centers; an empty cluster moves to the row with the largest weighted distance."""
     if size >= len(rows):
         return rows
     centers = rows[np.linspace(0, len(rows) - 1, size).astype(np.int64)]
@@ -121,7 +121,7 @@ def _lloyd(rows: np.ndarray, weights: np.ndarray, size: int, steps: int) -> np.n
 
 
 def _nearest(rows: np.ndarray, centers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of the centres to each row, and the squared distance; the same for any number of threads."""
+    """Index of the nearest center of each row, and the squared distance; independent of the number of threads."""
     half = 0.5 * (centers**2).sum(axis=1)
     label, distance = np.empty(len(rows), np.int64), np.empty(len(rows), np.float32)
 

@@ -1,8 +1,8 @@
-"""Gaussians as PlayCanvas' compressed PLY: 16 bytes each and up to 45 of harmonics, in chunks of 256 that have ranges of their own.
+"""Gaussians in PlayCanvas' compressed PLY: 16 bytes each, up to 45 for harmonics, in chunks of 256.
 
-Positions and logarithms of deviations are numbers of 11, 10 and 11 bits within their chunk's range, colours of 8 (within 0 to 1 in early
-files, whose chunks have no range for them), opacities of 8. Rotations lack their largest part (2 bits say which), the others have 10 bits.
-Harmonics are bytes for -4 to 4. Axes are those of a PLY file.
+Positions and log scales have 11, 10 and 11 bits within their chunk's own range, colors 8 bits (in the range 0 to 1 in
+early files, whose chunks have no color range), opacities 8 bits. Rotations omit their largest component (2 bits say
+which); the others have 10 bits. Harmonics are bytes for -4 to 4. Axes are those of a PLY file.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes
@@ -23,7 +23,7 @@ from epipole.io.meshes.ply import PLY_TYPES
 from epipole.scene.gaussian_cloud import DC, NUM_SH, GaussianCloud
 
 CHUNK = 256
-"""Gaussians that share their ranges."""
+"""Number of Gaussians with common ranges."""
 
 _RANGES = tuple(
     tuple(f"{end}_{mark}{axis}" for end in ("min", "max") for axis in axes)
@@ -35,7 +35,7 @@ _MOST_LOG_SCALE = 20.0
 _SH_RANGE = 8.0
 _MOST_HEADER = 1 << 16
 _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-"""Parts of a rotation (w, x, y, z) that are there when one is not."""
+"""Components of a quaternion (w, x, y, z) that are stored, by the index of the omitted one."""
 
 
 class _Element(NamedTuple):
@@ -46,17 +46,17 @@ class _Element(NamedTuple):
 
 @checked
 def read_compressed_ply(path: str | Path) -> GaussianCloud:
-    """Read Gaussians; those with a number that is not finite are left out.
+    """Read Gaussians; non-finite ones are dropped.
 
     Raises:
-        FileFormatError: it is no such file, is cut short or damaged, or holds no Gaussian that is finite.
+        FileFormatError: the file is in another format, truncated or damaged, or has no finite Gaussian.
     """
     path = Path(path)
     data = file_bytes(path)
     tables = _tables(path, data)
     vertices, chunks = tables.get("vertex"), tables.get("chunk")
     if vertices is None or chunks is None or len(chunks) * CHUNK < len(vertices):
-        raise FileFormatError(path, "is a damaged compressed PLY: it has too few chunks for its vertices")
+        raise FileFormatError(path, "damaged compressed PLY: too few chunks for its vertices")
     chunk = np.arange(len(vertices)) // CHUNK
 
     def within(part: str, bits: tuple[int, ...], names: tuple[str, ...]) -> np.ndarray:
@@ -81,7 +81,7 @@ def read_compressed_ply(path: str | Path) -> GaussianCloud:
 
 @checked
 def write_compressed_ply(path: str | Path, cloud: GaussianCloud) -> None:
-    """Write Gaussians, those that are near beside each other; rounded. A comment states the cloud's origin where it is not zero.
+    """Write Gaussians, sorted by location and rounded. A comment has the cloud's origin if it is not zero.
 
     Raises:
         WorkspaceError: the file cannot be written.
@@ -126,16 +126,16 @@ def write_compressed_ply(path: str | Path, cloud: GaussianCloud) -> None:
 
 
 def _tables(path: Path, data: bytes) -> dict[str, np.ndarray]:
-    """Elements by their names, as the header promises them.
+    """Elements by name, as declared in the header.
 
     Raises:
-        FileFormatError: it is no header of a binary file without lists, or the file is cut short.
+        FileFormatError: not the header of a binary file without lists, or the file is truncated.
     """
     end = data.find(b"end_header", 0, _MOST_HEADER)
     at = data.find(b"\n", end) + 1
     lines = [line.split() for line in data[: max(end, 0)].decode("ascii", "replace").splitlines()]
     if end < 0 or at < 1 or ["format", "binary_little_endian", "1.0"] not in lines:
-        raise FileFormatError(path, "is a damaged compressed PLY (no header of a little-endian binary file)")
+        raise FileFormatError(path, "damaged compressed PLY (no header of a little-endian binary file)")
     elements: list[_Element] = []
     for words in lines:
         try:
@@ -145,14 +145,14 @@ def _tables(path: Path, data: bytes) -> dict[str, np.ndarray]:
                 elements[-1].fields.append((words[2], f"<{PLY_TYPES[words[1]]}"))
         except (KeyError, IndexError, ValueError) as error:
             problem = f"its header has {' '.join(words)[:60]!r}"
-            raise FileFormatError(path, f"is a damaged compressed PLY: {problem}") from error
+            raise FileFormatError(path, f"damaged compressed PLY: {problem}") from error
     tables = {}
     for name, count, fields in elements:
         if not 0 <= count <= MOST_GAUSSIANS or len(dict(fields)) < len(fields) or not fields:
-            raise FileFormatError(path, f"is a damaged compressed PLY: {count} of {name}")
+            raise FileFormatError(path, f"damaged compressed PLY: {count} rows in element {name}")
         dtype = np.dtype(fields)
         if count * dtype.itemsize > len(data) - at:
-            raise FileFormatError(path, f"is cut short: {count} of {name} are promised")
+            raise FileFormatError(path, f"the file is truncated: it should contain {count} rows of {name}")
         tables[name] = np.frombuffer(data, dtype, count, at)
         at += count * dtype.itemsize
     return tables
@@ -160,12 +160,12 @@ def _tables(path: Path, data: bytes) -> dict[str, np.ndarray]:
 
 def _column(path: Path, table: np.ndarray, name: str) -> np.ndarray:
     if name not in (table.dtype.names or ()):
-        raise FileFormatError(path, f"is a damaged compressed PLY: there is no {name}")
+        raise FileFormatError(path, f"damaged compressed PLY: {name} is missing")
     return np.asarray(table[name])
 
 
 def _unpacked(words: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
-    """(n, len(bits)) from 0 to 1, the first number uppermost."""
+    """(n, len(bits)) numbers from 0 to 1; the first one is in the uppermost bits."""
     left, out, wide = sum(bits), [], words.astype(np.int64)
     for count in bits:
         left -= count
@@ -182,7 +182,7 @@ def _packed(fractions: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
 
 
 def _rotations(words: np.ndarray) -> np.ndarray:
-    """The part that is not there is what makes the length 1."""
+    """Quaternions, with the omitted component computed from the unit length."""
     kept = (_unpacked(words, (2, 10, 10, 10))[:, 1:] - 0.5) * np.sqrt(2.0)
     largest = words.astype(np.int64) >> 30
     quats = np.zeros((len(words), 4))
@@ -201,12 +201,12 @@ def _packed_rotations(quats_wxyz: np.ndarray) -> np.ndarray:
 
 
 def _harmonics(path: Path, table: np.ndarray | None, count: int) -> np.ndarray:
-    """(n, k, 3) above degree 0."""
+    """(n, k, 3) coefficients above degree 0."""
     if table is None:
         return np.zeros((count, 0, 3), np.float32)
     num = len(table.dtype.names or ())
     if len(table) != count or num % 3 or num // 3 + 1 not in NUM_SH:
-        raise FileFormatError(path, f"{len(table)} rows of {num} harmonics are those of no degree")
+        raise FileFormatError(path, f"{len(table)} rows of {num} harmonics do not match any degree")
     steps = np.stack([_column(path, table, f"f_rest_{k}") for k in range(num)], axis=1).astype(np.float32)
     values = np.where(steps == 0, 0.0, np.where(steps == 255, 1.0, (steps + 0.5) / 256.0))
     return np.asarray(_SH_RANGE * (values - 0.5)).reshape(count, 3, num // 3).transpose(0, 2, 1)

@@ -1,7 +1,7 @@
-"""Gaussians in the files that splats are passed on in: PLY, compressed PLY, SPZ, SOG and .splat.
+"""Reading and writing Gaussians in common exchange formats: PLY, compressed PLY, SPZ, SOG and .splat.
 
-The contents decide which of them a file is, but of a .splat, which has no header: 32 bytes a Gaussian with position, deviations, colour with
-opacity, and rotation in whole numbers; it has no harmonics.
+The content determines the format, except for .splat, which has no header: 32 bytes per Gaussian with position, scale,
+color with opacity, and rotation as bytes, without harmonics above degree 0.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.atomic import atomic_write
 from epipole.io.contents_in_words import with_what_it_is
@@ -27,19 +27,19 @@ from epipole.scene.gaussian_cloud import DC, GaussianCloud
 
 SUFFIXES = (".ply", ".compressed.ply", ".spz", ".sog", ".splat")
 SPLAT = "splat.ply"
-"""In an output folder of `splat`."""
+"""File name in an output folder of `splat`."""
 WITHOUT_ORIGIN = (".spz", ".splat")
-"""Files that cannot hold a cloud's origin: their coordinates are relative to it."""
+"""Formats that cannot store a cloud's origin; their coordinates are relative to it."""
 _HEADER = 8192
 _SPLAT = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 
 
 @checked
 def read_gaussians(path: str | Path) -> GaussianCloud:
-    """Read Gaussians of any of the formats (of SOG the meta.json of a folder, too); those with a number that is not finite are left out.
+    """Read Gaussians in any supported format (for SOG also a folder's meta.json); non-finite ones are dropped.
 
     Raises:
-        FileFormatError: it is of no such format, is cut short, or holds no Gaussian that is finite.
+        FileFormatError: the format is not supported, or the file is truncated or has no finite Gaussian.
     """
     path = Path(path)
     if path.name.lower() == META:
@@ -60,18 +60,18 @@ def read_gaussians(path: str | Path) -> GaussianCloud:
 
 
 def gaussians_file(path: Path) -> Path:
-    """The file of Gaussians that a path is, or that a folder holds: `splat.ply`, or the meta.json of an unpacked SOG.
+    """The Gaussian file given by a path or contained in a folder: `splat.ply`, or the meta.json of an unpacked SOG.
 
     Raises:
-        FileFormatError: it is neither.
+        FileFormatError: the path is neither.
     """
     if path.is_file() and not path.name.lower().endswith((*SUFFIXES, META)):
-        problem = f"is no file of trained Gaussians ({', '.join(SUFFIXES)})"
+        problem = f"not a file of trained Gaussians ({', '.join(SUFFIXES)})"
         raise FileFormatError(path, with_what_it_is(problem, path))
     is_sog_folder = not (path / SPLAT).is_file() and is_unpacked_sog(path / META)
     file = path if path.is_file() else path / (META if is_sog_folder else SPLAT)
     if not file.is_file():
-        problem = "holds no trained Gaussians (splat.ply) and no trained field (hash.npz, grid.npz)"
+        problem = "it contains no trained Gaussians (splat.ply) and no trained field (hash.npz, grid.npz)"
         raise FileFormatError(
             path, with_what_it_is(problem, path, "`epipole splat` and `epipole nerf` train them")
         )
@@ -80,10 +80,10 @@ def gaussians_file(path: Path) -> Path:
 
 @checked
 def write_gaussians(path: str | Path, cloud: GaussianCloud) -> None:
-    """Write Gaussians in the format of the file's name; all but .ply are rounded, and .splat has no harmonics above degree 0.
+    """Write Gaussians in the format given by the suffix; all but .ply are rounded, and .splat has only degree 0.
 
     Raises:
-        ConfigError: the name has none of the endings.
+        ConfigError: the suffix is not supported.
         WorkspaceError: the file cannot be written.
     """
     path = Path(path)
@@ -105,7 +105,9 @@ def write_gaussians(path: str | Path, cloud: GaussianCloud) -> None:
 def _read_splat(path: Path) -> GaussianCloud:
     data = file_bytes(path)
     if not data or len(data) % _SPLAT.itemsize:
-        raise FileFormatError(path, f"is no .splat file: {len(data)} bytes are no rows of {_SPLAT.itemsize}")
+        raise FileFormatError(
+            path, f"not a .splat file: its {len(data)} bytes are not a multiple of {_SPLAT.itemsize}"
+        )
     rows = np.frombuffer(data, _SPLAT)
     with np.errstate(all="ignore"):
         log_scales = np.log(rows["scale"])
@@ -122,7 +124,7 @@ def _read_splat(path: Path) -> GaussianCloud:
 
 
 def _write_splat(path: Path, cloud: GaussianCloud) -> None:
-    """The most visible first, as viewers that show a file while it loads want it."""
+    """Write a .splat file, the most visible Gaussians first, since viewers show a file while it loads."""
     opacity = 1.0 / (1.0 + np.exp(-cloud.opacity_logits.astype(np.float64)))
     size = np.exp(cloud.log_scales.astype(np.float64))
     order = np.argsort(-opacity * size.prod(axis=1), kind="stable")

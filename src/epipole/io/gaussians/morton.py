@@ -1,18 +1,18 @@
-"""Morton's order (1966): what is near in space is mostly near in the order, as packers like it."""
+"""Morton order (1966): points close in space are mostly close in the order, which helps compression."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float, UInt64
 
-from epipole._declared import checked
+from epipole._checks import checked
 
 _BITS, _MOST = 16, 65535
 
 
 @checked
 def morton_codes(points: Float[np.ndarray, "n 3"]) -> UInt64[np.ndarray, " n"]:
-    """The bits of x, y and z in turn, of 16 bits each within their range."""
+    """Interleaved bits of x, y and z, with 16 bits each within their range."""
     if not len(points):
         return np.empty(0, np.uint64)
     wide = points.astype(np.float64)
@@ -22,7 +22,7 @@ def morton_codes(points: Float[np.ndarray, "n 3"]) -> UInt64[np.ndarray, " n"]:
 
 @checked
 def interleaved(codes: UInt64[np.ndarray, "n 3"]) -> UInt64[np.ndarray, " n"]:
-    """Of whole numbers (n, 3) of 16 bits."""
+    """Interleave the bits of (n, 3) 16-bit integers."""
     out = np.zeros(len(codes), np.uint64)
     for bit in range(_BITS):
         for axis in range(3):

@@ -1,4 +1,4 @@
-"""Gaussians as PLY, in the layout of Kerbl et al. (2023), which every viewer and trainer of splats reads."""
+"""Gaussians as PLY in the layout of Kerbl et al. (2023), supported by most splat viewers and trainers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError
 from epipole.io.atomic import atomic_write
 from epipole.io.files import open_file
@@ -29,7 +29,7 @@ _WITHOUT_EFFECT = (
     "object_id",
     "instance_id",
 )
-"""Previews and labels beside the properties of a Gaussian."""
+"""Previews and labels, which do not affect rendering."""
 _LAST = ("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")
 
 _ORIGIN_WORDS = [b"comment", ORIGIN.encode()]
@@ -40,14 +40,14 @@ _MOST_HEADER = 1 << 16
 def write_gaussian_ply(path: str | Path, cloud: GaussianCloud) -> None:
     """Write Gaussians in single precision: coefficients above degree 0 channel by channel, rotations as w, x, y, z.
 
-    Means are relative to the cloud's origin, which a comment of the header states where it is not zero: `origin_in_world X Y Z`.
+    Means are relative to the cloud's origin; if that is not zero, a header comment has it: `origin_in_world X Y Z`.
 
     Raises:
         WorkspaceError: the file cannot be written.
     """
     n, higher = len(cloud), cloud.sh.shape[1] - 1
     names = [*_FIRST, *(f"f_rest_{k}" for k in range(3 * higher)), *_LAST]
-    # One table, and no copy of it: there may be millions.
+    # A single table without copies: there may be millions of rows.
     table = np.zeros((n, len(names)), "<f4")
     table[:, :3], table[:, 6:9] = cloud.means_in_world, cloud.sh[:, 0]
     table[:, 9 : 9 + 3 * higher].reshape(n, 3, higher)[:] = cloud.sh[:, 1:].transpose(0, 2, 1)
@@ -61,12 +61,13 @@ def write_gaussian_ply(path: str | Path, cloud: GaussianCloud) -> None:
 
 @checked
 def read_gaussian_ply(path: str | Path) -> GaussianCloud:
-    """Read Gaussians; those with a number that is not finite are left out.
+    """Read Gaussians; non-finite ones are dropped.
 
-    Normals, labels and previews of colors beside them are not read, nor are elements behind the vertices.
+    Normals, labels and color previews are ignored, as are elements after the vertices.
 
     Raises:
-        FileFormatError: it is no PLY file of Gaussians, has properties that are not understood (such as filter_3D), is cut short, or holds none that is finite.
+        FileFormatError: not a PLY file of Gaussians, truncated, without finite Gaussians, or with unsupported
+            properties (such as filter_3D).
     """
     path = Path(path)
     columns = ply_columns(path)
@@ -74,18 +75,18 @@ def read_gaussian_ply(path: str | Path) -> GaussianCloud:
     wanted = [name for name in (*_FIRST, *_LAST) if not name.startswith("n")]
     missing = [name for name in wanted if name not in columns]
     if missing:
-        raise FileFormatError(path, f"is no file of Gaussians: the vertices have no {', '.join(missing[:4])}")
+        raise FileFormatError(path, f"not a file of Gaussians: the vertices have no {', '.join(missing[:4])}")
     higher = sum(name.startswith("f_rest_") for name in columns)
     rest = [f"f_rest_{k}" for k in range(higher)]
     if higher % 3 or higher // 3 + 1 not in NUM_SH or any(name not in columns for name in rest):
-        raise FileFormatError(path, f"{higher} coefficients f_rest are those of no degree (0, 9, 24 or 45)")
+        raise FileFormatError(path, f"{higher} coefficients f_rest do not match any degree (0, 9, 24 or 45)")
     unknown = [
         name for name in columns if name not in {*_FIRST, *_LAST, *_WITHOUT_EFFECT} and name[:7] != "f_rest_"
     ]
     if unknown:
         raise FileFormatError(
             path,
-            f"the property {', '.join(unknown[:4])} of its Gaussians is not understood, and may change the render: export plain 3D Gaussians",
+            f"unsupported properties of Gaussians ({', '.join(unknown[:4])}) may change the render: export plain 3D Gaussians",
         )
 
     def table(*names: str, kind: type = np.float32) -> np.ndarray:
@@ -109,7 +110,7 @@ def read_gaussian_ply(path: str | Path) -> GaussianCloud:
 
 @checked
 def origin_comment(cloud: GaussianCloud) -> list[str]:
-    """The header's line about what is to be added to the means; none where that is nothing."""
+    """The header comment with the cloud's origin; empty if the origin is zero."""
     if not cloud.origin_in_world.any():
         return []
     return [f"comment {ORIGIN} {' '.join(map(repr, cloud.origin_in_world.tolist()))}"]
@@ -117,10 +118,10 @@ def origin_comment(cloud: GaussianCloud) -> list[str]:
 
 @checked
 def origin_in_header(path: Path) -> np.ndarray:
-    """(3,) what is to be added to the means; zero where the header says nothing.
+    """(3,) origin in the header, to be added to the means; zero if absent.
 
     Raises:
-        FileFormatError: what it says is not three numbers.
+        FileFormatError: the comment does not have three numbers.
     """
     with open_file(path) as stream:
         head = stream.read(_MOST_HEADER).split(b"end_header", 1)[0]
@@ -130,5 +131,5 @@ def origin_in_header(path: Path) -> np.ndarray:
     except ValueError:
         origin = np.empty(0)
     if origin.shape != (3,) or not np.isfinite(origin).all():
-        raise FileFormatError(path, f"the comment {ORIGIN} of the header is not three numbers")
+        raise FileFormatError(path, f"the header comment {ORIGIN} does not have three numbers")
     return origin

@@ -1,9 +1,10 @@
-"""Gaussians as SOG, PlayCanvas's format for the web: images in a zip, a pixel for each Gaussian, and meta.json that tells how to read them.
+"""Gaussians in SOG, PlayCanvas' format for the web: a zip of images with one pixel per Gaussian, and meta.json.
 
-Means are sign(x) log(1 + |x|) in 16 bits, the upper 8 in an image of their own. Rotations lack their largest part (which one, alpha tells).
-Logarithms of deviations and colours are numbers of a codebook of 256. Harmonics above degree 0 are rows of a palette, 64 in a row of its
-image, whose numbers have a codebook, too. Axes are those of a PLY file. Version 1 has ranges (mins, maxs) instead of codebooks, and
-is read, not written. The specification: developer.playcanvas.com, user manual, Gaussian splatting, formats, SOG.
+Means are sign(x) log(1 + |x|) in 16 bits, the upper 8 in a separate image. Rotations omit their largest component
+(alpha says which). Log scales and colors are indices into a codebook of 256 numbers. Harmonics above degree 0 are rows
+of a palette, stored 64 per image row, whose values also use a codebook. Axes are those of a PLY file. Version 1 has
+ranges (mins, maxs) instead of codebooks, and is supported for reading only. Specification: developer.playcanvas.com,
+user manual, Gaussian splatting, formats, SOG.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io._named_numbers import numbers_of
 from epipole.io.gaussians._finite import MOST_LOGIT, finite_gaussians
@@ -25,27 +26,27 @@ from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.scene.local_origin import ORIGIN
 
 ROW = 64
-"""Rows of the palette in a row of its image."""
+"""Palette rows per image row."""
 _HIGHER = {ROW * 3: 3, ROW * 8: 8, ROW * 15: 15}
-"""Harmonics above degree 0, by the width of the palette's image."""
+"""Number of coefficients above degree 0 by the width of the palette image."""
 _FIRST_TAG = 252
 _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-"""Parts of a rotation (w, x, y, z) that are there when one is not."""
+"""Components of a quaternion (w, x, y, z) that are stored, by the index of the omitted one."""
 _LARGE_COUNT, _SEEN_COUNT = 1.5, 0.5
-"""Powers by which sizes count for the codebook, and Gaussians for the palette: few are large, but they are most of a drawing."""
+"""Exponents of weights in the codebook and the palette: few Gaussians are large, but they dominate a render."""
 _SMALLEST_PALETTE, _LARGEST = 1024, 6e4
-"""Rows, and the largest harmonic: squares of it are summed up in single precision."""
+"""Fewest palette rows, and largest coefficient (squares are summed in single precision)."""
 
 
 @checked
 def read_sog(path: str | Path) -> GaussianCloud:
-    """Read Gaussians; those with a number that is not finite are left out.
+    """Read Gaussians; non-finite ones are dropped.
 
     Args:
         path: a .sog file, or the meta.json of a folder.
 
     Raises:
-        FileFormatError: it is no SOG file, is cut short or damaged, or holds no Gaussian that is finite.
+        FileFormatError: the file is in another format, truncated or damaged, or has no finite Gaussian.
     """
     path = Path(path)
     meta, images = in_folder(path) if path.name.lower() == META else in_archive(path)
@@ -73,10 +74,10 @@ def read_sog(path: str | Path) -> GaussianCloud:
 
 
 def _table(path: Path, meta: Mapping[str, Any], part: str, channels: int) -> np.ndarray:
-    """(256, channels) float32, what the numbers of an image mean; the fourth is the logit of an opacity.
+    """(256, channels) float32, the values of an image's codes; the fourth channel is the logit of an opacity.
 
     Raises:
-        FileFormatError: meta.json does not tell it.
+        FileFormatError: meta.json lacks them.
     """
     given, steps = meta[part], np.linspace(0.0, 1.0, CODES)[:, None]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -85,16 +86,16 @@ def _table(path: Path, meta: Mapping[str, Any], part: str, channels: int) -> np.
             numbers = _codebook(path, part, given.get("codebook"))[:, None]
             return np.concatenate([numbers] * 3 + [logits] * (channels - 3), axis=1).astype(np.float32)
         lows, highs = (numbers_of(path, given, key) for key in ("mins", "maxs"))
-        # Harmonics have one range for all.
+        # Harmonics have a single range.
         if any(len(ends) not in (1, channels) for ends in (lows, highs)):
             raise FileFormatError(path, f"{META}: {part} has no mins and maxs of {channels} numbers")
         return np.broadcast_to(lows + steps * (highs - lows), (CODES, channels)).astype(np.float32)
 
 
 def _codebook(path: Path, part: str, given: Any) -> np.ndarray:
-    """256 numbers. Early writers left the first out; PlayCanvas's player puts it a mean step below the second, and so do we."""
+    """256 numbers. If the first one is missing, as in early files, it is set one mean step below the second (as PlayCanvas)."""
     if not isinstance(given, list) or len(given) != CODES:
-        raise FileFormatError(path, f"{META} does not tell the {CODES} numbers of the codebook of {part}")
+        raise FileFormatError(path, f"{META} does not have the {CODES} codebook numbers of {part}")
     name = f"the codebook of {part}"
     numbers = numbers_of(path, {name: given[1:]}, name, CODES - 1)
     step = (numbers[-1] - numbers[0]) / (CODES - 1)
@@ -111,7 +112,7 @@ def _means(path: Path, given: Mapping[str, Any], lower: np.ndarray, upper: np.nd
 
 
 def _quats(path: Path, pixels: np.ndarray) -> np.ndarray:
-    """The part that is not there is what makes the length 1."""
+    """Quaternions, with the omitted component computed from the unit length."""
     left_out = pixels[:, 3].astype(np.int64) - _FIRST_TAG
     if left_out.min() < 0:
         problem = f"a rotation has the alpha {left_out.min() + _FIRST_TAG}, not {_FIRST_TAG} to 255"
@@ -129,14 +130,14 @@ def _palette(path: Path, meta: Mapping[str, Any], pixels: np.ndarray) -> np.ndar
     height, width = pixels.shape[:2]
     higher, given = _HIGHER.get(width), meta["shN"]
     if higher is None or not 1 <= height * ROW <= PALETTE:
-        raise FileFormatError(path, f"a palette of {width} x {height} pixels is that of no degree")
+        raise FileFormatError(path, f"a palette of {width} x {height} pixels does not match any degree")
     if "bands" in given and given["bands"] != {3: 1, 8: 2, 15: 3}[higher]:
         raise FileFormatError(
             path, f"the palette has {higher} harmonics, not those of {given['bands']!a} bands"
         )
     size = given.get("count", height * ROW)
     if not isinstance(size, int) or size < 1:
-        raise FileFormatError(path, f"{META} does not tell the size of the palette")
+        raise FileFormatError(path, f"{META} has no palette size")
     codes = pixels.reshape(-1, higher, 4)[:size, :, :3]
     return _table(path, meta, "shN", 3)[codes, np.arange(3)]
 
@@ -150,17 +151,17 @@ def _labels(path: Path, pixels: np.ndarray, size: int) -> np.ndarray:
 
 @checked
 def write_sog(path: str | Path, cloud: GaussianCloud) -> None:
-    """Write Gaussians as a .sog file of version 2, those that are near beside each other; rounded, and those that are not finite left out.
+    """Write Gaussians as SOG version 2, sorted by location and rounded; non-finite ones are dropped.
 
     Raises:
-        ConfigError: there is none that is finite.
+        ConfigError: no Gaussian is finite.
         WorkspaceError: the file cannot be written.
     """
     path = Path(path)
     try:
         cloud = finite_gaussians(path, _arrays(cloud), cloud.origin_in_world)
     except FileFormatError as error:
-        raise ConfigError(f"none of {len(cloud)} Gaussians is finite: there is nothing to write") from error
+        raise ConfigError(f"none of {len(cloud)} Gaussians is finite; nothing to write") from error
     logs = np.sign(cloud.means_in_world) * np.log1p(np.abs(cloud.means_in_world.astype(np.float64)))
     lows, highs = logs.min(axis=0), logs.max(axis=0)
     codes = np.rint(65535.0 / np.maximum(highs - lows, 1e-30) * (logs - lows)).astype(np.uint32)
@@ -201,7 +202,7 @@ def _opacity(cloud: GaussianCloud) -> np.ndarray:
 
 
 def _smallest_three(quats: np.ndarray) -> np.ndarray:
-    """(n, 4): three parts of a rotation of length 1, and which is not there; its sign is made positive."""
+    """(n, 4): three components of a unit quaternion, and the index of the omitted one, whose sign is made positive."""
     unit = quats / np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True)
     largest = np.abs(unit).argmax(axis=1)
     sign = np.sign(np.take_along_axis(unit, largest[:, None], axis=1))
@@ -210,7 +211,7 @@ def _smallest_three(quats: np.ndarray) -> np.ndarray:
 
 
 def _add_harmonics(cloud: GaussianCloud, images: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Put the two images of the harmonics to the others; what meta.json tells of them."""
+    """Add the two images of the harmonics; returns their entry in meta.json."""
     n, higher = len(cloud), cloud.sh.shape[1] - 1
     rows = np.clip(cloud.sh[:, 1:], -_LARGEST, _LARGEST).reshape(n, -1)
     palette, labels = palette_of(rows, _seen(cloud), _palette_size(n))
@@ -229,19 +230,19 @@ def _add_harmonics(cloud: GaussianCloud, images: dict[str, np.ndarray]) -> dict[
 
 
 def _seen(cloud: GaussianCloud) -> np.ndarray:
-    """(n,) float32: how much of a drawing is a Gaussian, but for its place: opacity times the area of its ellipse, to a power."""
+    """(n,) float32 visibility independent of position: (opacity^2 times the area of the ellipse) to a power."""
     area = np.sort(cloud.log_scales, axis=1)[:, 1:].sum(axis=1, dtype=np.float64)
     seen = (_opacity(cloud) ** 2 * np.exp(area - area.max())) ** _SEEN_COUNT
     return np.maximum(seen / seen.max(), 1e-6).astype(np.float32)
 
 
 def _palette_size(count: int) -> int:
-    """The largest power of two within the number of Gaussians, as in PlayCanvas' own writer: half of that loses 6 dB in renders."""
+    """The largest power of two up to the number of Gaussians, as in PlayCanvas' writer; half of it loses 6 dB in renders."""
     return min(PALETTE, max(_SMALLEST_PALETTE, 1 << max(0, count.bit_length() - 1)))
 
 
 def _rows_of_pixels(values: np.ndarray) -> np.ndarray:
-    """(h, w, 3 or 4) uint8, a pixel for each row, in an image that is nearly square; black behind the end."""
+    """(h, w, 3 or 4) uint8, one pixel per row of `values` in a nearly square image; black after the end."""
     width = -(-int(np.ceil(np.sqrt(len(values)))) // 4) * 4
     height = -(-len(values) // (4 * width)) * 4
     out = np.zeros((height * width, values.shape[1]), np.uint8)

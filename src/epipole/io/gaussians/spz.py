@@ -1,8 +1,9 @@
-"""Gaussians as SPZ (Niantic): about 64 bytes each before they are packed, in gzip up to version 3, in zstd streams from version 4 on.
+"""Gaussians in SPZ (Niantic): about 64 bytes each, compressed with gzip (up to version 3) or zstd (version 4).
 
-Positions are fixed-point numbers of 24 bits (half-precision floats in version 1), opacities and colours bytes, logarithms of deviations
-sixteenths, and harmonics 128ths. Rotations are x, y, z of three bytes up to version 2, and then the three smallest parts of 10 bits. SPZ's
-axes are right, up, back: rotated by 180 degrees around x from those of a PLY file. The specification: github.com/nianticlabs/spz.
+Positions are 24-bit fixed-point numbers (half-precision floats in version 1), opacities and colors bytes, log scales
+sixteenths, and harmonics 128ths. Rotations are x, y, z as three bytes up to version 2, and then the three smallest
+components with 10 bits each. SPZ's axes are right, up, back: rotated by 180 degrees around x from those of a PLY file.
+Specification: github.com/nianticlabs/spz.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import zstandard
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes, most_unpacked_bytes
@@ -26,29 +27,29 @@ from epipole.scene.gaussian_cloud import NUM_SH, GaussianCloud
 
 _MAGIC = b"NGSP"
 _HEAD = struct.Struct("<4sIIBBBB")
-"""Magic, version, count, degree of harmonics, fractional bits, flags, and in version 4 the number of streams."""
+"""Magic, version, count, degree of harmonics, fractional bits, flags, and the number of streams in version 4."""
 _HEAD_4 = struct.Struct("<4sIIBBBBI12x")
 _SIZES = struct.Struct("<QQ")
 _WRITTEN_VERSION, _FRACTIONAL_BITS, _MOST_FRACTIONAL_BITS = 3, 12, 24
 _SMALL_BYTES = 1 << 24
-"""To which every file may unpack; a larger one to a multiple of its size (`most_unpacked_bytes`). Real ones shrink to a half or a third."""
+"""Unpacked size allowed for any file; larger ones may unpack to a multiple of their size (`most_unpacked_bytes`)."""
 _SPARE_BYTES = 1 << 16
-"""Of extensions that may follow the numbers."""
+"""Space for extensions that may follow the Gaussians."""
 _LARGEST_FIXED = (1 << 23) - 1
 _COLOUR_STEPS = 0.15 * 255.0
 _SMALLEST_PART = (1 << 9) - 1
 _BY_PI = np.array([1, -1, -1], np.float32)
 _BY_PI_WXYZ = np.array([1, 1, -1, -1], np.float32)
 _BY_PI_SH = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
-"""Signs of the harmonics after half a turn around x."""
+"""Signs of the harmonics after a rotation by 180 degrees around x."""
 
 
 @checked
 def read_spz(path: str | Path) -> GaussianCloud:
-    """Read Gaussians of version 1 to 4; those with a number that is not finite are left out.
+    """Read Gaussians in versions 1 to 4; non-finite ones are dropped.
 
     Raises:
-        FileFormatError: it is no SPZ file, of another version, is cut short or damaged, or holds no Gaussian that is finite.
+        FileFormatError: not an SPZ file, an unsupported version, truncated or damaged, or without finite Gaussians.
     """
     path = Path(path)
     data = file_bytes(path)
@@ -76,19 +77,19 @@ def read_spz(path: str | Path) -> GaussianCloud:
 
 @checked
 def write_spz(path: str | Path, cloud: GaussianCloud) -> None:
-    """Write Gaussians as version 3, rounded; the format cannot hold the cloud's origin, and coordinates are relative to it.
+    """Write Gaussians as version 3, rounded; coordinates are relative to the cloud's origin, which the format cannot store.
 
-    Positions have 12 fractional bits, fewer where the scene is wider than 4096 units.
+    Positions have 12 fractional bits, fewer if the scene is wider than 4096 units.
 
     Raises:
-        ConfigError: a position is too far for the format.
+        ConfigError: a position is outside the format's range.
         WorkspaceError: the file cannot be written.
     """
     cloud = _rotated_by_pi(cloud)
     farthest = float(np.abs(cloud.means_in_world).max(initial=0.0))
     bits = next((b for b in range(_FRACTIONAL_BITS, 0, -1) if farthest * 2**b <= _LARGEST_FIXED), None)
     if bits is None:
-        raise ConfigError(f"SPZ cannot hold a position of {farthest:.3g}: write a PLY or SOG file")
+        raise ConfigError(f"SPZ cannot store the coordinate {farthest:.3g}: write a PLY or SOG file")
     fixed = np.rint(cloud.means_in_world.astype(np.float64) * 2**bits).astype("<i4")
     opacity = 1.0 / (1.0 + np.exp(-cloud.opacity_logits.astype(np.float64)))
     parts = [
@@ -106,7 +107,7 @@ def write_spz(path: str | Path, cloud: GaussianCloud) -> None:
 
 
 def _rotated_by_pi(cloud: GaussianCloud) -> GaussianCloud:
-    """Seen with y and z the other way round."""
+    """Rotate by 180 degrees around x."""
     return replace(
         cloud,
         means_in_world=cloud.means_in_world * _BY_PI,
@@ -121,77 +122,75 @@ def _bytes(values: np.ndarray) -> np.ndarray:
 
 
 def _section_sizes(version: int, degree: int) -> list[int]:
-    """Bytes of each section for a Gaussian: positions, opacities, colours, deviations, rotations, harmonics."""
+    """Bytes per Gaussian in each section: positions, opacities, colors, scales, rotations, harmonics."""
     return [6 if version == 1 else 9, 1, 3, 3, 3 if version < 3 else 4, 3 * (NUM_SH[degree] - 1)]
 
 
 def _check_head(path: Path, head: tuple, versions: tuple[int, ...], num_bytes: int) -> None:
-    """Check what a header says, before anything is unpacked.
+    """Check a header before anything is unpacked.
 
     Raises:
-        FileFormatError: it is of another kind, or promises more than so many packed bytes may hold.
+        FileFormatError: the header is invalid, or has more Gaussians than `num_bytes` compressed bytes can contain.
     """
     magic, version, count, degree, bits = head[:5]
     if magic != _MAGIC:
-        raise FileFormatError(path, "is no SPZ file")
+        raise FileFormatError(path, "not an SPZ file")
     if version not in versions:
-        raise FileFormatError(path, f"is of version {version} of SPZ; 1 to 4 are read")
+        raise FileFormatError(path, f"unsupported SPZ version {version} (not 1 to 4)")
     if count > MOST_GAUSSIANS:
-        raise FileFormatError(path, f"promises {count} Gaussians, more than {MOST_GAUSSIANS}")
+        raise FileFormatError(path, f"{count} Gaussians are more than the limit of {MOST_GAUSSIANS}")
     if degree >= len(NUM_SH):
-        raise FileFormatError(path, f"has harmonics of degree {degree}; 0 to {len(NUM_SH) - 1} are read")
+        raise FileFormatError(path, f"unsupported harmonics of degree {degree} (not 0 to {len(NUM_SH) - 1})")
     if not (version == 1 or 0 <= bits <= _MOST_FRACTIONAL_BITS):
-        raise FileFormatError(path, f"is a damaged SPZ file: positions of {bits} fractional bits")
+        raise FileFormatError(path, f"damaged SPZ file: positions with {bits} fractional bits")
     if count * sum(_section_sizes(version, degree)) > most_unpacked_bytes(num_bytes, _SMALL_BYTES):
-        raise FileFormatError(path, f"promises {count} Gaussians in {num_bytes} bytes")
+        raise FileFormatError(path, f"{count} Gaussians cannot fit into {num_bytes} bytes")
 
 
 def _sections(path: Path, data: bytes) -> tuple[tuple, bytes]:
-    """Header and sections of version 1 to 3: one gzip stream, which is not unpacked beyond what its header promises."""
+    """Header and sections of versions 1 to 3: one gzip stream, unpacked only up to the size given by its header."""
     unpack = zlib.decompressobj(31)
     try:
         start = unpack.decompress(data, _HEAD.size)
         if len(start) < _HEAD.size:
-            raise FileFormatError(path, "is no SPZ file")
+            raise FileFormatError(path, "not an SPZ file")
         head = _HEAD.unpack(start)
         _check_head(path, head, (1, 2, 3), len(data))
         size = head[2] * sum(_section_sizes(head[1], head[3]))
         found = unpack.decompress(unpack.unconsumed_tail, size + _SPARE_BYTES)
     except (zlib.error, MemoryError) as error:
-        raise FileFormatError(path, f"is no SPZ file ({error})") from error
+        raise FileFormatError(path, f"not an SPZ file ({error})") from error
     if len(found) < size:
-        raise FileFormatError(path, f"is a damaged SPZ file: {len(found)} of {size} bytes are there")
+        raise FileFormatError(path, f"damaged SPZ file: only {len(found)} of {size} bytes are present")
     if len(found) >= size + _SPARE_BYTES:
-        raise FileFormatError(path, f"unpacks to more than its {head[2]} Gaussians need")
+        raise FileFormatError(path, f"it unpacks to more bytes than its {head[2]} Gaussians need")
     return head, found
 
 
 def _sections_4(path: Path, data: bytes) -> tuple[tuple, bytes]:
-    """Header and sections of version 4: a zstd stream for each section that is not empty."""
+    """Header and sections of version 4: one zstd stream for each non-empty section."""
     if len(data) < _HEAD_4.size:
-        raise FileFormatError(path, "is a damaged SPZ file: its header is cut short")
+        raise FileFormatError(path, "damaged SPZ file: its header is truncated")
     *head, at = _HEAD_4.unpack_from(data)
     _check_head(path, tuple(head), (4,), len(data))
     sizes = [head[2] * size for size in _section_sizes(head[1], head[3]) if size]
     first = at + len(sizes) * _SIZES.size
     if head[6] != len(sizes) or at < _HEAD_4.size or first > len(data):
-        raise FileFormatError(
-            path, f"is a damaged SPZ file: {head[6]} streams, where {len(sizes)} are expected"
-        )
+        raise FileFormatError(path, f"damaged SPZ file: {head[6]} streams, expected {len(sizes)}")
     out = []
     for k, size in enumerate(sizes):
         packed, promised = _SIZES.unpack_from(data, at + k * _SIZES.size)
         if promised != size or packed > len(data) - first:
-            raise FileFormatError(path, f"is a damaged SPZ file: stream {k} of {packed} bytes for {promised}")
+            raise FileFormatError(path, f"damaged SPZ file: stream {k} of {packed} bytes for {promised}")
         try:
             with zstandard.ZstdDecompressor().stream_reader(
                 io.BytesIO(data[first : first + packed])
             ) as stream:
                 found = stream.read(size + 1)
         except (zstandard.ZstdError, MemoryError) as error:
-            raise FileFormatError(path, f"is a damaged SPZ file ({error})") from error
+            raise FileFormatError(path, f"damaged SPZ file ({error})") from error
         if len(found) != size:
-            raise FileFormatError(path, f"is a damaged SPZ file: stream {k} does not unpack to {size} bytes")
+            raise FileFormatError(path, f"damaged SPZ file: stream {k} does not unpack to {size} bytes")
         out.append(found)
         first += packed
     return tuple(head), b"".join(out)
@@ -202,20 +201,18 @@ def _positions(packed: np.ndarray, version: int, bits: int) -> np.ndarray:
         return np.ascontiguousarray(packed).view("<f2").astype(np.float64)
     wide = np.zeros((len(packed), 3, 4), np.uint8)
     wide[..., 1:] = packed.reshape(-1, 3, 3)
-    return (wide.reshape(-1, 12).view("<i4") >> 8) / float(
-        1 << bits
-    )  # the sign comes with the uppermost byte
+    return (wide.reshape(-1, 12).view("<i4") >> 8) / float(1 << bits)  # the arithmetic shift extends the sign
 
 
 def _first_three(packed: np.ndarray) -> np.ndarray:
-    """Rotations from x, y and z; w is what makes the length 1."""
+    """Quaternions from x, y and z; w follows from the unit length."""
     xyz = packed / 127.5 - 1.0
     w = np.sqrt(np.maximum(0.0, 1.0 - (xyz**2).sum(axis=1)))
     return np.column_stack([w, xyz]).astype(np.float32)
 
 
 def _smallest_three(packed: np.ndarray) -> np.ndarray:
-    """Rotations (x, y, z, w) whose largest part is left out: two bits say which, and 10 each, sign and size, the others, the last lowest."""
+    """Quaternions from the three smallest of (x, y, z, w), 10 bits of sign and size each, the last one lowest."""
     bits = np.ascontiguousarray(packed).view("<u4")[:, 0].astype(np.int64)
     largest = bits >> 30
     xyzw = np.zeros((len(bits), 4))
@@ -230,7 +227,7 @@ def _smallest_three(packed: np.ndarray) -> np.ndarray:
 
 
 def _packed_rotations(quats_wxyz: np.ndarray) -> np.ndarray:
-    """The other way round."""
+    """The inverse of `_smallest_three`."""
     xyzw = quats_wxyz[:, [1, 2, 3, 0]].astype(np.float64)
     xyzw /= np.linalg.norm(xyzw, axis=1, keepdims=True)
     largest = np.abs(xyzw).argmax(axis=1)

@@ -1,1 +1,1 @@
-"""Images, depth images and videos, and what their headers say."""
+"""Reading and writing of images, depth images and videos, and their headers."""

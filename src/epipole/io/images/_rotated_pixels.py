@@ -1,4 +1,4 @@
-"""Turning pixels by an EXIF orientation, and back."""
+"""Rotating and flipping pixels by EXIF orientation, and the inverse."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from epipole.cameras.image_fit import inverse_orientation
 
 
 def as_stored(pixels: np.ndarray, stored: int | None, left: int, orientation: int | None) -> np.ndarray:
-    """The pixels to which another orientation than the file's is to be applied.
+    """Undo the rotation that Pillow applied on loading, if another orientation than the file's is requested.
 
-    Pillow turns a TIFF as it loads it: what is `left` of its `stored` orientation then is 1. Where another one is asked
-    for, that is taken back.
+    Pillow rotates a TIFF while loading it, which sets its `stored` orientation to `left` = 1.
     """
     if orientation is None or stored is None or stored == left:
         return pixels

@@ -1,10 +1,11 @@
-"""Images of more than 8 bits a channel, mapped to 8 bits.
+"""Conversion of images with more than 8 bits per channel to 8 bits.
 
-Which values stand for black and white is in no file. Sensors of 10, 12 and 14 bits are stored in 16, most often in the lower bits:
+Files do not record which values are black and white. Sensors with 10, 12 and 14 bits use 16-bit files, most often the
+lower bits:
 
-- colour, and grey in recordings: the largest value tells the sensor's bits (8, 10, 12, 14 or 16), and the upper 8 of these are kept. All
-  channels, and all images of such a sensor, are thus mapped alike;
-- grey in files: the 0.1 and 99.9 percentiles become 0 and 255, of the image alone or of a set of images (`common_range`).
+- color, and grey in recordings: the largest value determines the sensor's bits (8, 10, 12, 14 or 16), of which the
+  upper 8 are kept. All channels, and all images of such a sensor, are thus mapped alike;
+- grey in files: the 0.1 and 99.9 percentiles of the image, or of a set of images (`common_range`), become 0 and 255.
 """
 
 from __future__ import annotations
@@ -21,48 +22,48 @@ from PIL.ImageFile import ImageFile
 from epipole.errors import ConfigError
 
 SENSOR_BITS = (8, 10, 12, 14, 16)
-"""Bits of a sensor whose values are stored in 16 bits."""
+"""Bit depths of sensors whose values are stored in 16 bits."""
 FEWEST_LEVELS = 64
-"""Of 256: grey that spans fewer after a shift is stretched instead, as that of thermal cameras."""
+"""Grey that spans fewer of the 256 levels after a shift is stretched instead (thermal cameras)."""
 
 _MOST_SAMPLES = 1_000_000
 _PERCENTILES = (0.1, 99.9)
 _SWAPPED = {"16B": "16L", "16L": "16B", "16N": "16B" if sys.byteorder == "little" else "16L"}
-"""Raw modes that give the lower instead of the upper byte."""
+"""Raw modes that return the lower instead of the upper byte."""
 _PPM_16 = "ppm", ("RGB", 65535)
 _GREY_ALPHA = "LA;16B"
-"""Has no such twin: read as RGBA, its four bytes are those of grey and alpha, the upper ones first."""
+"""Has no byte-swapped variant: decoded as RGBA, whose four bytes are those of grey and alpha, upper byte first."""
 
 
 class GreyRange(NamedTuple):
-    """Values that become 0 and 255."""
+    """The values that become 0 and 255."""
 
     low: float
     high: float
 
 
 class GreyScale(NamedTuple):
-    """How the grey of a recording becomes 8 bits."""
+    """Conversion of a recording's grey to 8 bits."""
 
     bits: int
-    """Of the sensor."""
+    """Bit depth of the sensor."""
     limits: GreyRange | None
-    """None where the upper 8 of the sensor's bits are kept."""
+    """None: keep the upper 8 of the sensor's bits."""
 
     def apply(self, deep: np.ndarray) -> UInt8[np.ndarray, "h w *channels"]:
-        """Grey of 8 bits; an image with larger values than the sensor's keeps its own upper 8 bits."""
+        """Convert to 8-bit grey; an image with values above the sensor's range keeps its own upper 8 bits."""
         if self.limits is not None:
             return stretched(deep, self.limits)
         return upper_bits(deep, max(self.bits, sensor_bits(int(deep.max(initial=0)))))
 
     @property
     def range(self) -> GreyRange:
-        """Values that become 0 and 255."""
+        """The values that become 0 and 255."""
         return GreyRange(0.0, float((1 << self.bits) - 1)) if self.limits is None else self.limits
 
 
 def scale_of(images: Sequence[np.ndarray]) -> GreyScale:
-    """Of a recording, from some of its images."""
+    """Determine the conversion of a recording from some of its images."""
     bits = sensor_bits(max((int(deep.max(initial=0)) for deep in images), default=0))
     sample = np.concatenate([sample_of(deep) for deep in images]) if images else np.empty(0)
     low, high = np.percentile(sample, _PERCENTILES).tolist() if len(sample) else (0.0, 0.0)
@@ -71,13 +72,13 @@ def scale_of(images: Sequence[np.ndarray]) -> GreyScale:
 
 
 def sample_of(deep: np.ndarray) -> np.ndarray:
-    """Finite values of every k-th pixel, so that there are no more than a million."""
+    """The finite values of every k-th pixel, about a million at most."""
     values = deep.ravel()[:: max(1, deep.size // _MOST_SAMPLES)].astype(np.float32)
     return values[np.isfinite(values)]
 
 
 def range_of(sample: np.ndarray, dtype: np.dtype) -> GreyRange:
-    """From the 0.1 and 99.9 percentiles; where they are one value, the full range of the type (1 of floating point)."""
+    """The 0.1 and 99.9 percentiles; the full range of the type (0 to 1 for floats) if they are equal."""
     low, high = np.percentile(sample, _PERCENTILES) if len(sample) else (0.0, 0.0)
     if high <= low:
         return GreyRange(0.0, float(np.iinfo(dtype).max) if dtype.kind in "iu" else 1.0)
@@ -85,44 +86,45 @@ def range_of(sample: np.ndarray, dtype: np.dtype) -> GreyRange:
 
 
 def check_range(limits: GreyRange | None) -> None:
-    """Check a range that is given.
+    """Check a range of grey values.
 
     Raises:
-        ConfigError: it is empty, or infinite.
+        ConfigError: the range is empty or infinite.
     """
     if limits is not None and not 0.0 < limits.high - limits.low < float("inf"):
         raise ConfigError(f"limits must be a finite range of grey, got {limits.low:g} to {limits.high:g}")
 
 
 def stretched(deep: np.ndarray, limits: GreyRange | None = None) -> UInt8[np.ndarray, "h w *channels"]:
-    """Grey whose range becomes 0 to 255, its own if none is given."""
+    """Grey with the given range (default: its own percentiles) mapped to 0 to 255."""
     low, high = range_of(sample_of(deep), deep.dtype) if limits is None else limits
-    with np.errstate(over="ignore", invalid="ignore"):  # float images hold any numbers
+    with np.errstate(over="ignore", invalid="ignore"):  # float images can contain any number
         scaled = (deep.astype(np.float32) - np.float32(low)) * np.float32(255.0 / (high - low))
     return np.clip(np.rint(np.nan_to_num(scaled, nan=0.0)), 0, 255).astype(np.uint8)
 
 
 def sensor_bits(largest: int) -> int:
-    """Of the sensor whose largest value this is."""
+    """The smallest bit depth of a sensor that can produce the value `largest`."""
     return next(bits for bits in SENSOR_BITS if largest < 1 << bits or bits == SENSOR_BITS[-1])
 
 
 def upper_bits(deep: np.ndarray, bits: int) -> UInt8[np.ndarray, "*shape"]:
-    """The upper 8 of so many bits; larger values become 255."""
+    """The upper 8 bits of values with `bits` bits; larger values become 255."""
     return np.minimum(deep >> (bits - 8), 255).astype(np.uint8)
 
 
 def colour_16(
     reader: Callable[..., ImageFile], stream: Any, upper: UInt8[np.ndarray, "h w c"]
 ) -> UInt8[np.ndarray, "h w c"]:
-    """The 8 bits that count of an image with 16 bits a channel.
+    """Convert a color image with 16 bits per channel to its 8 significant bits.
 
-    Pillow gives the upper byte of each channel. Where the sensor had fewer bits, the image is decoded once more for the lower bytes.
+    Pillow returns the upper byte of each channel. If the sensor had fewer bits, the image is decoded again for the
+    lower bytes.
 
     Args:
         reader: Pillow's reader of the format.
         stream: the file.
-        upper: the upper bytes; three channels of colour, and alpha.
+        upper: the upper bytes of three color channels and alpha, if any.
     """
     stream.seek(0)
     image = reader(stream)
@@ -139,7 +141,7 @@ def colour_16(
 
 
 def has_16_bits(image: ImageFile) -> bool:
-    """Whether the channels of a colour image that is not loaded yet have 16 bits, of which Pillow gives 8."""
+    """Whether a color image that is not loaded yet has 16 bits per channel, of which Pillow returns 8."""
     if image.format == "PPM":
         return image.mode == "RGB" and [(tile.codec_name, tile.args) for tile in image.tile] == [_PPM_16]
     modes = [_raw_mode(tile.args) for tile in image.tile]
@@ -152,7 +154,7 @@ def _raw_mode(args: Any) -> str:
 
 
 def _lower(image: ImageFile) -> UInt8[np.ndarray, "h w c"]:
-    """The lower bytes, by raw modes whose byte order is the wrong one."""
+    """The lower bytes, read with raw modes of the opposite byte order."""
     is_grey = any(_raw_mode(tile.args) == _GREY_ALPHA for tile in image.tile)
     image.tile = [tile._replace(args=_swapped(tile.args)) for tile in image.tile]
     lower = np.asarray(image)

@@ -1,4 +1,4 @@
-"""Maps of disparity or depth as files: PFM (floats) and 16-bit PNG."""
+"""Files of disparity and depth maps: PFM (float) and 16-bit PNG."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ import cv2
 import numpy as np
 from jaxtyping import Float32
 
-from epipole._checks import as_float_array
-from epipole._declared import checked
+from epipole._checks import as_float_array, checked
 from epipole.errors import ConfigError, FileFormatError, ShapeError
 from epipole.image.encoding import encoded_image
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes
 
 PNG_SCALE = 256.0
-"""KITTI's: a stored number is 256 times the value; 0 stands for unknown."""
+"""KITTI's scale: a stored number is 256 times the value; 0 means unknown."""
 _MOST_PIXELS = 1 << 28
 _LONGEST_HEADER = 1 << 16
 _SIGNATURE = 8
@@ -29,7 +28,7 @@ def write_pfm(path: str | Path, values: Any) -> None:
     """Write a map (h, w) as a one-channel PFM: 32-bit floats, little-endian, last row first; NaN stays NaN.
 
     Raises:
-        ShapeError: it is no map.
+        ShapeError: the array is not a map.
         WorkspaceError: the file cannot be written.
     """
     array = _map(values)
@@ -43,7 +42,7 @@ def read_pfm(path: str | Path) -> Float32[np.ndarray, "h w"]:
     """Read a one-channel PFM of either byte order.
 
     Raises:
-        FileFormatError: it is damaged or no such file.
+        FileFormatError: the file is damaged or missing.
     """
     path = Path(path)
     parts = file_bytes(path, 4 * _MOST_PIXELS + _LONGEST_HEADER).split(b"\n", 3)
@@ -51,14 +50,14 @@ def read_pfm(path: str | Path) -> Float32[np.ndarray, "h w"]:
         kind, (width, height), scale = parts[0].strip(), map(int, parts[1].split()), float(parts[2])
         data = parts[3]
     except (IndexError, ValueError) as error:
-        raise FileFormatError(path, "its header is not that of a PFM file") from error
+        raise FileFormatError(path, "it has no valid PFM header") from error
     if kind != b"Pf":
-        raise FileFormatError(path, f"it begins with {kind[:8]!r}; a one-channel PFM begins with 'Pf'")
+        raise FileFormatError(path, f"it starts with {kind[:8]!r}; a one-channel PFM starts with 'Pf'")
     if min(width, height) < 1 or width * height > _MOST_PIXELS or not (np.isfinite(scale) and scale):
-        raise FileFormatError(path, "line 2 or 3: no map has this size or scale")
+        raise FileFormatError(path, "line 2 or 3: the size or the scale is not valid")
     if len(data) != 4 * width * height:
         raise FileFormatError(
-            path, f"{width} x {height} pixels need {4 * width * height} bytes, it has {len(data)}"
+            path, f"{width} x {height} pixels need {4 * width * height} bytes, got {len(data)}"
         )
     order = "<f4" if scale < 0 else ">f4"
     return np.frombuffer(data, order).reshape(height, width)[::-1].astype(np.float32)
@@ -69,7 +68,7 @@ def write_png16(path: str | Path, values: Any, scale: float = PNG_SCALE) -> None
     """Write a map (h, w) as 16-bit PNG, round(scale * value); 0 where NaN or out of range.
 
     Raises:
-        ShapeError: it is no map.
+        ShapeError: the array is not a map.
         ConfigError: the scale is not positive.
         WorkspaceError: the file cannot be written.
     """
@@ -86,10 +85,10 @@ def write_png16(path: str | Path, values: Any, scale: float = PNG_SCALE) -> None
 
 @checked
 def read_png16(path: str | Path, scale: float = PNG_SCALE) -> Float32[np.ndarray, "h w"]:
-    """Read what `write_png16` or KITTI has written; NaN where 0.
+    """Read a map written by `write_png16` or from KITTI; 0 becomes NaN.
 
     Raises:
-        FileFormatError: it is damaged, no 16-bit image of one channel, or no such file.
+        FileFormatError: the file is damaged, missing, or not a 16-bit image with one channel.
     """
     path = Path(path)
     return png16_in(path, file_bytes(path, 4 * _MOST_PIXELS), scale)
@@ -97,28 +96,28 @@ def read_png16(path: str | Path, scale: float = PNG_SCALE) -> Float32[np.ndarray
 
 @checked
 def png16_in(path: Path, data: bytes, scale: float = PNG_SCALE) -> Float32[np.ndarray, "h w"]:
-    """The map in the bytes of a 16-bit PNG; NaN where 0.
+    """Decode a map from the bytes of a 16-bit PNG; 0 becomes NaN.
 
     Args:
-        path: the file that holds the bytes, for errors.
+        path: the file, for error messages.
         data: the PNG.
-        scale: a stored number is so many times the value.
+        scale: ratio of stored number to value.
 
     Raises:
-        FileFormatError: it is damaged, or no 16-bit image of one channel.
+        FileFormatError: the data are damaged, or not a 16-bit image with one channel.
     """
-    # OpenCV would also read other formats, PFM among them.
+    # OpenCV would also accept other formats, such as PFM.
     array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if _is_png16(data) else None
     if array is None or array.ndim != 2 or array.dtype != np.uint16:
-        raise FileFormatError(path, "it is not a 16-bit PNG of one channel")
+        raise FileFormatError(path, "it is not a 16-bit PNG with one channel")
     return np.where(array > 0, array / np.float32(scale), np.float32(np.nan)).astype(np.float32)
 
 
 def _is_png16(data: bytes) -> bool:
-    """Whether the header is that of a 16-bit grey PNG whose pixels these bytes can hold (PNG 1.2, 4.1.1).
+    """Whether the header is that of a 16-bit grey PNG with a plausible size (PNG 1.2, 4.1.1).
 
-    Deflate packs at most 1032 bytes into one: a header that claims a larger image is wrong, and the file is
-    not decoded.
+    Deflate compresses by a factor of at most 1032, so a header that claims more pixels is wrong, and the file is not
+    decoded.
     """
     if not data.startswith(b"\x89PNG\r\n\x1a\n") or data[12:16] != b"IHDR" or len(data) < 26:
         return False
@@ -131,7 +130,7 @@ def _is_png16(data: bytes) -> bool:
 
 
 def _is_one_image(data: bytes) -> bool:
-    """Whether all chunks are as long as they say, and none is of an animation: OpenCV takes memory for what they claim."""
+    """Whether all chunks fit into the file and none belongs to an animation: OpenCV allocates memory by their claims."""
     at = _SIGNATURE
     while at + 12 <= len(data):
         length, kind = int.from_bytes(data[at : at + 4], "big"), data[at + 4 : at + 8]

@@ -1,4 +1,4 @@
-"""The unit of 16-bit depth images: a layout proposes it, and the stored values must agree."""
+"""The unit of 16-bit depth images: the layout suggests one, and the stored values must be plausible with it."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from epipole.io.images.depth_maps import read_png16
 
 TUM_VALUES_PER_M, MM_VALUES_PER_M = 5000.0, 1000.0
 NO_DEPTH = 65535
-"""What some sensors store where they measure nothing, besides zero (7-Scenes)."""
+"""Stored by some sensors (7-Scenes) for missing depth, besides zero."""
 _SAMPLES, _STEP_PX = 5, 3
-"""Depth images that are looked at, and every which pixel of them."""
+"""Number of depth images sampled, and the pixel step within each."""
 _NEAREST_M, _FARTHEST_M = 0.2, 10.0
-"""What consumer depth sensors reach: no more than 1 % of the values may lie nearer, or farther."""
+"""Range of consumer depth sensors: at most 1 % of the values may be nearer, and 1 % farther."""
 _MEDIAN_M = 0.4
 _MIN_LEVELS = 50
-"""With fewer distinct values, that all are multiples of five is chance."""
+"""With fewer distinct values, all of them may be multiples of five by chance."""
 
 
 @dataclass(frozen=True, slots=True)
 class DepthUnit:
-    """The unit, where it comes from, and what is uncertain about it."""
+    """A depth unit, its source, and warnings about it."""
 
     values_per_m: float
     source: str
@@ -33,7 +33,7 @@ class DepthUnit:
 
 
 def sample_depth(files: Sequence[Path]) -> np.ndarray:
-    """(n,) stored values of a few images, evenly chosen; files that cannot be read are passed over: they are named when their turn comes."""
+    """(n,) stored values of a few evenly spaced images; unreadable files are skipped, and reported when used."""
     rows = np.unique(np.linspace(0, max(len(files) - 1, 0), _SAMPLES).astype(int))[: len(files)]
     parts = [np.zeros(0)]
     for row in rows:
@@ -47,35 +47,35 @@ def sample_depth(files: Sequence[Path]) -> np.ndarray:
 
 
 def decide_unit(values: np.ndarray, proposed: float, proposer: str) -> DepthUnit:
-    """The proposed unit, or the other usual one where only that makes the values distances that a depth sensor measures.
+    """The proposed unit, or the other common one if only that gives distances within the range of a depth sensor.
 
     Args:
-        values: of some images.
-        proposed: stored values for a metre.
-        proposer: what proposes it, in words.
+        values: stored values of some images.
+        proposed: stored values per metre.
+        proposer: source of the proposal, for messages.
     """
     other = MM_VALUES_PER_M if proposed == TUM_VALUES_PER_M else TUM_VALUES_PER_M
     if not len(values) or (proposed == TUM_VALUES_PER_M and _are_scaled_millimetres(values)):
         return DepthUnit(proposed, proposer)
     fits, other_fits = (is_plausible(values, unit) for unit in (proposed, other))
-    # Sensors write millimetres, and only TUM's tools another unit: where both fit, millimetres need no confirmation.
+    # Sensors write millimetres, and only TUM's tools use another unit: if both fit, millimetres need no confirmation.
     if fits and other_fits and proposed == TUM_VALUES_PER_M:
         words = (
-            f"depth is read with {proposed:g} values for a metre ({proposer}), but {other:g} would give usual distances, too "
+            f"depth is read with {proposed:g} values per metre ({proposer}), but {other:g} would also give plausible distances "
             f"({_range(values, proposed)} or {_range(values, other)}): pass --depth-scale to confirm or change it"
         )
-        return DepthUnit(proposed, f"{proposer}; {other:g} is possible, too", (words,))
+        return DepthUnit(proposed, f"{proposer}; {other:g} is also possible", (words,))
     if other_fits and not fits:
         words = (
-            f"depth is read with {other:g} values for a metre: with the {proposed:g} of {proposer} it would be "
-            f"{_range(values, proposed)}, with {other:g} it is {_range(values, other)}. Pass --depth-scale if that is wrong"
+            f"depth is read with {other:g} values per metre: with {proposed:g} ({proposer}) it would range over "
+            f"{_range(values, proposed)}, with {other:g} over {_range(values, other)}. If that is wrong, pass --depth-scale"
         )
-        return DepthUnit(other, f"the stored values, against {proposer} ({proposed:g})", (words,))
+        return DepthUnit(other, f"the stored values, overriding {proposer} ({proposed:g})", (words,))
     return DepthUnit(proposed, proposer)
 
 
 def is_plausible(values: np.ndarray, values_per_m: float) -> bool:
-    """Whether the values are distances that a consumer depth sensor measures, if so many are a metre."""
+    """Whether the values are within the range of a consumer depth sensor at `values_per_m`."""
     if not len(values):
         return True
     near, middle, far = np.percentile(values, [1.0, 50.0, 99.0]) / values_per_m
@@ -83,7 +83,7 @@ def is_plausible(values: np.ndarray, values_per_m: float) -> bool:
 
 
 def _are_scaled_millimetres(values: np.ndarray) -> bool:
-    """Whether all values are multiples of five: millimetres of a sensor that were stored in fifths of one."""
+    """Whether all values are multiples of five: millimetres stored in units of 0.2 mm."""
     return len(np.unique(values)) >= _MIN_LEVELS and not (values % 5.0).any()
 
 

@@ -1,13 +1,12 @@
-"""What a photograph's EXIF block says about its camera, place and time.
+"""Camera, focal length, position and time from a photograph's EXIF block.
 
-Focal length in pixels, from the first of these that is present and credible (0.2 to 20 times the longer
-side):
+Focal length in pixels, from the first of these sources that is present and plausible (0.2 to 20 times the longer side):
 
-1. "35 mm equivalent": focal_px = f35 / 36 * max(width, height). The equivalent is taken over the image's
-   longer side; the variant over the diagonal (43.27 mm) is not used.
+1. "35 mm equivalent": focal_px = f35 / 36 * max(width, height). The equivalent refers to the longer image
+   side; the variant that refers to the diagonal (43.27 mm) is not used.
 2. "sensor width": focal_px = f_mm / sensor_width_mm * max(width, height), with `sensor_widths`.
-3. "focal-plane resolution": focal_px = f_mm * pixels per mm on the sensor, scaled when the image is smaller
-   than the one that EXIF describes.
+3. "focal-plane resolution": focal_px = f_mm * pixels per mm on the sensor, scaled if the image is smaller
+   than EXIF states.
 """
 
 from __future__ import annotations
@@ -24,8 +23,7 @@ from jaxtyping import Float64
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
-from epipole._checks import as_points
-from epipole._declared import checked
+from epipole._checks import as_points, checked
 from epipole.errors import ConfigError
 from epipole.io.images.sensor_widths import sensor_width_mm
 
@@ -60,18 +58,18 @@ EXIF_ERRORS = (
     struct.error,
     OverflowError,
 )
-"""What Pillow may raise on a damaged EXIF block."""
+"""Exceptions that Pillow raises on a damaged EXIF block."""
 
 
 class Focal(NamedTuple):
-    """A focal length in pixels and where it comes from."""
+    """A focal length in pixels and its source."""
 
     focal_px: float
     source: FocalSource
 
 
 class GpsPosition(NamedTuple):
-    """WGS84 place; the altitude is None where it was not recorded."""
+    """WGS84 position; the altitude is None if it was not recorded."""
 
     lat_deg: float
     lon_deg: float
@@ -80,20 +78,20 @@ class GpsPosition(NamedTuple):
 
 @checked
 def orientation_of(exif: Image.Exif) -> int:
-    """EXIF orientation 1 to 8; 1 (as stored) for anything else."""
+    """EXIF orientation 1 to 8; 1 (as stored) if missing or invalid."""
     value = _number(exif.get(_ORIENTATION))
     return int(value) if value is not None and value in range(1, 9) else 1
 
 
 @checked
 def camera_of(exif: Image.Exif) -> tuple[str, str]:
-    """Make and model, empty where not recorded."""
+    """Make and model, empty if not recorded."""
     return _text(exif.get(_MAKE)), _text(exif.get(_MODEL))
 
 
 @checked
 def focal_of(exif: Image.Exif, width: int, height: int) -> Focal | None:
-    """Focal length in pixels of an image of the given size; None when EXIF has no credible one."""
+    """Focal length in pixels for an image of the given size; None if EXIF has no plausible one."""
     size_px = max(width, height)
     details = _block(exif, _EXIF_IFD)
     candidates: tuple[tuple[FocalSource, float | None], ...] = (
@@ -109,7 +107,7 @@ def focal_of(exif: Image.Exif, width: int, height: int) -> Focal | None:
 
 @checked
 def gps_of(exif: Image.Exif) -> GpsPosition | None:
-    """Place where the image was taken; None where it is missing, void, impossible or exactly (0, 0)."""
+    """GPS position; None if it is missing, void, invalid or exactly (0, 0)."""
     block = _block(exif, _GPS_IFD)
     if _text(block.get(_GPS_STATUS)).upper() == "V":
         return None
@@ -125,10 +123,10 @@ def gps_of(exif: Image.Exif) -> GpsPosition | None:
 
 @checked
 def gimbal_up_of(xmp: object) -> tuple[float, float, float] | None:
-    """Direction of up in camera coordinates (x right, y down, z forward) from a drone's XMP block; None without one.
+    """Direction of up in camera coordinates (x right, y down, z forward) from a drone's XMP block; None if absent.
 
     With pitch p (-90 degrees looks straight down) and roll r of the gimbal, up is
-    (-sin r cos p, -cos r cos p, sin p). Read are `GimbalPitchDegree` and `GimbalRollDegree`, as DJI writes them.
+    (-sin r cos p, -cos r cos p, sin p). Reads `GimbalPitchDegree` and `GimbalRollDegree` as written by DJI.
     """
     text = xmp.decode("utf-8", "replace") if isinstance(xmp, bytes) else xmp
     if not isinstance(text, str):
@@ -159,7 +157,7 @@ def capture_time_of(exif: Image.Exif) -> datetime | None:
 
 @checked
 def upright_exif(exif: Image.Exif) -> Image.Exif:
-    """A new block with the tags this module reads, without orientation, thumbnail and maker's notes."""
+    """A new block with the tags that this module reads, without orientation, thumbnail and maker notes."""
     out = Image.Exif()
     for tag in (_MAKE, _MODEL, _DATE_TIME):
         if tag in exif:
@@ -179,10 +177,10 @@ def new_exif(
     focal_35mm: float | None = None,
     gps: GpsPosition | tuple[float, float, float | None] | None = None,
 ) -> Image.Exif:
-    """Build the block of a rendered photograph (EXIF has the 35 mm equivalent in whole mm: it is rounded).
+    """EXIF block for a rendered photograph (the 35 mm equivalent is rounded to whole mm, as EXIF requires).
 
     Raises:
-        ConfigError: a number is beyond what EXIF holds.
+        ConfigError: a number is outside the range of EXIF.
     """
     if focal_35mm is not None and not 0 <= focal_35mm < _MOST_SHORT:
         raise ConfigError(f"focal_35mm must be from 0 to {_MOST_SHORT}, got {focal_35mm:g}")
@@ -191,7 +189,9 @@ def new_exif(
         if not (
             abs(lat_deg) <= 90 and abs(lon_deg) <= 360 and (alt_m is None or abs(alt_m) < _MOST_ALTITUDE_M)
         ):
-            raise ConfigError(f"gps must be degrees, degrees and metres on the earth, got {tuple(gps)}")
+            raise ConfigError(
+                f"gps must be a latitude and a longitude in degrees and an altitude in metres, got {tuple(gps)}"
+            )
     out = Image.Exif()
     out[_MAKE], out[_MODEL] = make, model
     if focal_35mm is not None:
@@ -209,14 +209,14 @@ def new_exif(
 
 @checked
 def gps_to_enu(lat_lon_alt: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-    """Metres east, north and up of the median place, on the WGS84 ellipsoid.
+    """Metres east, north and up of the median position, on the WGS84 ellipsoid.
 
     p_enu = R (p_ecef - o_ecef), with p_ecef = ((N + h) cos(lat) cos(lon), (N + h) cos(lat) sin(lon),
     (N (1 - e^2) + h) sin(lat)) and N = a / sqrt(1 - e^2 sin(lat)^2) (Torge, Geodesy, 2001, section 4.1).
 
     Args:
-        lat_lon_alt: degrees, degrees, metres. A row without place (NaN) stays NaN; a row without altitude is
-            taken at the median altitude (0 where none is known) and its "up" is NaN.
+        lat_lon_alt: degrees, degrees, metres. A row without position (NaN) stays NaN; a row without altitude gets
+            the median altitude (0 if none is known) and its "up" is NaN.
     """
     table = as_points(lat_lon_alt, "lat_lon_alt", 3)
     is_known = np.isfinite(table[:, :2]).all(axis=1)
@@ -247,7 +247,7 @@ def gps_to_enu(lat_lon_alt: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "
 
 
 def _ecef_m(lat_rad: Any, lon_rad: Any, alt_m: Any) -> Float64[np.ndarray, "*batch 3"]:
-    """Earth-centred coordinates of WGS84 latitude, longitude and ellipsoidal height."""
+    """Earth-centered coordinates of WGS84 latitude, longitude and ellipsoidal height."""
     e2 = _WGS84_FLATTENING * (2.0 - _WGS84_FLATTENING)
     n = _WGS84_SEMI_MAJOR_M / np.sqrt(1.0 - e2 * np.sin(lat_rad) ** 2)
     x = (n + alt_m) * np.cos(lat_rad) * np.cos(lon_rad)
@@ -266,7 +266,7 @@ def _focal_in_sizes_from_sensor(details: Mapping[int, Any], make: str, model: st
 
 
 def _focal_in_sizes_from_plane(details: Mapping[int, Any], size_px: int) -> float | None:
-    """Focal length over the longer side, from pixels per unit on the sensor."""
+    """Focal length divided by the longer side, from pixels per unit on the sensor."""
     focal_mm, resolution = (
         _number(details.get(_FOCAL_LENGTH)),
         _number(details.get(_FOCAL_PLANE_X_RESOLUTION)),
@@ -279,7 +279,6 @@ def _focal_in_sizes_from_plane(details: Mapping[int, Any], size_px: int) -> floa
 
 
 def _block(exif: Image.Exif, tag: int) -> Mapping[int, Any]:
-    """A sub-block, empty when missing or damaged."""
     try:
         return exif.get_ifd(tag)
     except EXIF_ERRORS:
@@ -287,7 +286,6 @@ def _block(exif: Image.Exif, tag: int) -> Mapping[int, Any]:
 
 
 def _number(value: Any) -> float | None:
-    """A finite number, or None."""
     if isinstance(value, tuple) and len(value) == 1:
         value = value[0]
     try:
@@ -298,7 +296,6 @@ def _number(value: Any) -> float | None:
 
 
 def _text(value: Any) -> str:
-    """A printable string; empty for anything that is not one."""
     if isinstance(value, bytes):
         value = value.decode("latin-1")
     return value.split("\x00")[0].strip() if isinstance(value, str) else ""

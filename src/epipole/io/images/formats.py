@@ -1,4 +1,4 @@
-"""Formats of image files: the first bytes decide, the suffix only proposes."""
+"""Detection of image formats by content; suffixes are only a hint."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FORMAT_OF_SUFFIX = {
     ".avif": "AVIF",
     **dict.fromkeys((".heic", ".heif", ".hif"), "HEIF"),
 }
-"""The format that a suffix stands for, of all formats that can be read."""
+"""Format by suffix, for all readable formats."""
 
 HEIF_SUFFIXES = frozenset(suffix for suffix, name in FORMAT_OF_SUFFIX.items() if name == "HEIF")
 AVIF_SUFFIXES = frozenset(suffix for suffix, name in FORMAT_OF_SUFFIX.items() if name == "AVIF")
@@ -60,7 +60,7 @@ RAW_SUFFIXES = frozenset(
     )
 )
 OTHER_SUFFIXES = frozenset({".gif", ".jp2", ".j2k", ".jpf", ".jpx", ".jxl", ".psd", ".exr", ".tga"})
-"""Of formats that are not read."""
+"""Suffixes of unsupported formats."""
 
 _MAGIC = (
     ("JPEG", re.compile(rb"\xff\xd8\xff")),
@@ -87,21 +87,21 @@ _UNREAD_MAGIC = (
 
 
 def format_of(path: Path, head: bytes) -> str:
-    """Format by the first 64 bytes, whatever the name says; RAW files of most makers begin as a TIFF does.
+    """Detect a format from the first 64 bytes; the suffix only identifies camera RAW files that look like TIFF.
 
     Raises:
-        FileFormatError: the file is empty, or of no format that is read.
+        FileFormatError: the file is empty, or in an unsupported format.
     """
     if not head:
         raise FileFormatError(path, "the file is empty (0 bytes)")
     found = next((name for name, magic in _MAGIC if magic.match(head)), None)
     if path.suffix.lower() in RAW_SUFFIXES and found in (None, "TIFF"):
-        raise FileFormatError(path, "camera RAW is not read; develop it to JPEG or TIFF first")
+        raise FileFormatError(path, "camera RAW is not supported; develop it to JPEG or TIFF first")
     if found is not None:
         return found
     unread = next((name for name, magic in _UNREAD_MAGIC if magic.match(head)), None)
     if unread is not None:
-        raise FileFormatError(path, f"is a {unread} file, which is not read; convert it to PNG or JPEG first")
+        raise FileFormatError(path, f"{unread} files are not supported; convert it to PNG or JPEG first")
     is_text = all(32 <= byte < 127 or byte in b"\t\n\r\f" for byte in head.removeprefix(b"\xef\xbb\xbf")[:16])
     kind = "it looks like text" if is_text else f"it starts with the bytes {head[:8].hex(' ')}"
-    raise FileFormatError(path, f"is not an image in a known format: {kind}")
+    raise FileFormatError(path, f"not an image in a known format: {kind}")

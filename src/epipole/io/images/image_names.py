@@ -1,4 +1,4 @@
-"""Which files of a folder are meant: patterns on their names, and names that no text file can hold."""
+"""Checks and patterns for image names in a folder."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import PurePosixPath
 
-from epipole._declared import checked
+from epipole._checks import checked
 
 _BREAKS = frozenset({"Cc", "Zl", "Zp"})
 _DEPTH_WORD = re.compile(r"depth", re.IGNORECASE)
@@ -18,10 +18,7 @@ PAIRED_FRACTION = 0.4
 
 @checked
 def name_problem(name: str) -> str:
-    """Why lists of images and COLMAP's files cannot hold a name; empty where they can.
-
-    They are UTF-8 with one line per image.
-    """
+    """Why a name cannot be stored in image lists and COLMAP files (UTF-8, one line per image); empty if it can."""
     try:
         name.encode()
     except UnicodeEncodeError:
@@ -33,7 +30,7 @@ def name_problem(name: str) -> str:
 
 @checked
 def printable(name: str) -> str:
-    """A name with escapes for what cannot be printed."""
+    """A name with unprintable characters escaped."""
     shown = "".join(c.encode("unicode_escape").decode() if _is_odd(c) else c for c in name)
     return shown.encode(errors="backslashreplace").decode()
 
@@ -44,7 +41,7 @@ def _is_odd(character: str) -> bool:
 
 @checked
 def fits(name: str, pattern: str) -> bool:
-    """Whether a relative name, or the file's own name where the pattern has no slash, fits a glob pattern."""
+    """Whether a relative name, or just the file name if the pattern has no slash, matches a glob pattern."""
     return fnmatchcase(name, pattern) or (
         "/" not in pattern and fnmatchcase(PurePosixPath(name).name, pattern)
     )
@@ -52,14 +49,14 @@ def fits(name: str, pattern: str) -> bool:
 
 @checked
 def depth_among(names: Sequence[str], deep_grey: frozenset[str]) -> list[str]:
-    """Those of the 16-bit grey PNGs that are the depth of the colour images beside them, by their names.
+    """Which of the 16-bit grey PNGs are depth images of the color images beside them, judged by their names.
 
-    A camera can well give 16-bit grey images. They are depth where there are colour images, too, and the name
-    says "depth", or where each (two fifths of all images at least) has a colour image whose name is the same but
-    for letters: `rgb/12.png` and `raw/12.png`.
+    Some cameras produce 16-bit grey images. They are taken for depth if there are color images, too, and either the
+    name contains "depth", or each one (and at least 40 % of all images) has a color image whose name differs only in
+    letters: `rgb/12.png` and `raw/12.png`.
 
     Args:
-        names: of all images.
+        names: names of all images.
         deep_grey: those that are 16-bit grey PNGs.
     """
     others = {_without_letters(name) for name in names if name not in deep_grey}

@@ -1,18 +1,18 @@
 """Photographs: listing, headers, pixels, masks.
 
-Every image is returned upright (EXIF orientation applied), as 8-bit greyscale or RGB.
-Rules for what is not 8-bit grey or RGB:
+Every image is returned upright (EXIF orientation applied), as 8-bit greyscale or RGB. Other formats are converted:
 
 - 16-bit, 32-bit and float greyscale is stretched so that its 0.1 and 99.9 percentiles become 0 and 255 (such
-  files often use a fraction of their range); one that is constant between them keeps its full-range value. A set
-  of images that must be mapped alike is read with the range of the set (`common_range`);
-- 16-bit colour keeps the upper 8 of its sensor's bits: 8, 10, 12, 14 or 16, by the largest value (`deep_pixels`);
+  files often use a fraction of their range); if these are equal, the full range of the type is used. For a set of
+  images that must be mapped alike, use the range of the set (`common_range`);
+- 16-bit color keeps the upper 8 of its sensor's bits: 8, 10, 12, 14 or 16, by the largest value (`deep_pixels`);
 - transparency is composited on black; palette and CMYK become RGB; greyscale whose zero is white is inverted;
-- animations (WebP, AVIF), TIFFs of several pages and camera RAW are refused. The contents tell the format, never the suffix.
+- animations (WebP, AVIF), multi-page TIFFs and camera RAW are rejected. The content determines the format, not the
+  suffix.
 
-JPEG is decoded at 1/2, 1/4 or 1/8 where a smaller image is asked for, so that memory follows the result and
-not the file (a progressive JPEG still needs its coefficients, about 3 bytes per pixel). Other formats are
-limited to 150 megapixels.
+JPEG is decoded at 1/2, 1/4 or 1/8 if a smaller image is requested, so that memory depends on the result and not on
+the file (a progressive JPEG still needs its coefficients, about 3 bytes per pixel). Other formats are limited to 150
+megapixels.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io._spherical import refuse_panorama
 from epipole.io.files import file_bytes, open_file
@@ -71,35 +71,35 @@ from epipole.io.passed_over import files_below, passed_over_in_words
 
 @dataclass(frozen=True, slots=True)
 class PhotographList:
-    """Photographs of a folder."""
+    """Photographs in a folder."""
 
     folder: Path
     names: tuple[str, ...]
-    """Sorted paths relative to the folder, with forward slashes, of the images that can be read."""
+    """Sorted paths of readable images, relative to the folder, with forward slashes."""
     unreadable: tuple[str, ...]
-    """Images in formats that cannot be read here, where there is no readable one of the same name."""
+    """Images in unsupported formats, unless a readable image has the same name."""
     advice: str
-    """What to do about the unreadable ones; empty when there are none."""
+    """What to do about the unreadable images; empty if there are none."""
     unusable: Mapping[str, str] = field(default_factory=dict)
-    """Files named as images that are not listed, and why: pipes, sockets and devices, which are never opened, and
-    names that no list of images can hold (written here with escapes)."""
+    """Image files that are not listed, and why: pipes, sockets and devices, which are never opened, and names that
+    image lists cannot contain (escaped here)."""
     passed_over: tuple[str, ...] = ()
-    """Sentences on files of other kinds, and folders of results, that lie there and are not listed."""
+    """Sentences about other files and folders of results in the folder that are not listed."""
 
     @property
     def notes(self) -> list[str]:
-        """All that is not listed, in words."""
-        unusable = [f"{name} is left out: it {why}" for name, why in self.unusable.items()]
+        """Everything that is not listed, as sentences."""
+        unusable = [f"Skipped {name}: {why}" for name, why in self.unusable.items()]
         return [*([self.advice] if self.advice else []), *unusable, *self.passed_over]
 
     def require_some(self) -> PhotographList:
-        """The list itself.
+        """The list itself, if it is not empty.
 
         Raises:
-            FileFormatError: it is empty; the message says what lies there instead.
+            FileFormatError: the list is empty; the message describes what the folder contains instead.
         """
         if not self.names:
-            raise FileFormatError(self.folder, "; ".join(["there is no image in it", *self.notes]))
+            raise FileFormatError(self.folder, "; ".join(["it contains no images", *self.notes]))
         return self
 
     def __len__(self) -> int:
@@ -111,7 +111,7 @@ class PhotographList:
 
 @dataclass(frozen=True, slots=True)
 class PhotographHeader:
-    """What an image's header tells, without decoding its pixels."""
+    """An image's metadata, read without decoding its pixels."""
 
     width: int
     """Upright, in pixels."""
@@ -126,29 +126,28 @@ class PhotographHeader:
     capture_time: datetime | None
     """Local time on the camera's clock."""
     is_deep_grey_png: bool = False
-    """A PNG of one channel of 16 bits, as depth is stored."""
+    """Whether it is a 16-bit grey PNG, as used for depth."""
     up_in_camera: tuple[float, float, float] | None = None
-    """Direction of up in camera coordinates, as a gimbal measured it; None where the XMP block has none."""
+    """Direction of up in camera coordinates as measured by a gimbal; None if the XMP block has none."""
 
 
 @checked
 def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -> PhotographList:
-    """List the photographs of a folder and its sub-folders.
+    """List the photographs in a folder and its sub-folders.
 
-    Hidden files and folders are ignored, as are sub-folders that hold results (a `config.json` or
-    a `database.db`).
+    Hidden files and folders are ignored, as are sub-folders with results (a `config.json` or a `database.db`).
 
     Args:
-        folder: where to look.
-        ignore: further folders to skip (masks, the output folder), and files that are used otherwise.
+        folder: the folder to search.
+        ignore: further folders to skip (masks, the output folder), and files that have another use.
 
     Raises:
-        FileFormatError: there is no such folder, or it or one in it cannot be listed.
+        FileFormatError: there is no such folder, or it or one of its sub-folders cannot be listed.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise FileFormatError(
-            folder, "is a file, not a folder of photographs" if folder.exists() else "no such folder"
+            folder, "this is a file, not a folder of photographs" if folder.exists() else "no such folder"
         )
     readable_here = readable_suffixes()
     known = frozenset(FORMAT_OF_SUFFIX) | RAW_SUFFIXES | OTHER_SUFFIXES
@@ -172,11 +171,11 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
 
 @checked
 def read_header(path: Path | str) -> PhotographHeader:
-    """Read size, camera, focal length, place and time of an image from its header alone.
+    """Read an image's size, camera, focal length, position and time from its header.
 
     Raises:
-        FileFormatError: it is not an image in a known format.
-        MissingDependencyError: it is HEIC and pillow-heif is not installed.
+        FileFormatError: the file is not an image in a known format.
+        MissingDependencyError: the image is HEIC and pillow-heif is not installed.
     """
     path = Path(path)
     with open_file(path) as stream:
@@ -218,14 +217,14 @@ def read_grey(
     Args:
         path: the image.
         max_size_px: longest side of the result; a larger image is shrunk by area averaging. Its pixel x
-            lies at (x + 0.5) * width / result width - 0.5 in the full image. None: full size.
+            corresponds to (x + 0.5) * width / result width - 0.5 in the full image. None: full size.
         limits: values of deep greyscale that become 0 and 255 (`common_range`); None: its own percentiles.
-        orientation: applied in place of the file's EXIF orientation; 1: the pixels as they are stored. None: the file's.
+        orientation: applied instead of the file's EXIF orientation; 1: pixels as stored. None: the file's.
 
     Raises:
-        ConfigError: the limits are no range.
-        FileFormatError: it is damaged, truncated, too large or not an image.
-        MissingDependencyError: it is HEIC and pillow-heif is not installed.
+        ConfigError: the range of limits is empty or infinite.
+        FileFormatError: the image is damaged, truncated, too large, or the file is not an image.
+        MissingDependencyError: the image is HEIC and pillow-heif is not installed.
     """
     return decode(Path(path), True, max_size_px, limits, orientation)
 
@@ -244,22 +243,22 @@ def read_rgb(
         path: the image.
         max_size_px: longest side of the result, as in `read_grey`.
         limits: as in `read_grey`.
-        orientation: the same.
+        orientation: as in `read_grey`.
 
     Raises:
-        ConfigError: the limits are no range.
-        FileFormatError: it is damaged, truncated, too large or not an image.
-        MissingDependencyError: it is HEIC and pillow-heif is not installed.
+        ConfigError: the range of limits is empty or infinite.
+        FileFormatError: the image is damaged, truncated, too large, or the file is not an image.
+        MissingDependencyError: the image is HEIC and pillow-heif is not installed.
     """
     return decode(Path(path), False, max_size_px, limits, orientation)
 
 
 @checked
 def mask_of(mask_folder: Path | str, name: str) -> Path | None:
-    """The file that holds the mask of an image, by the names that `read_mask` tells; None where there is none."""
+    """The mask file of an image, by the naming rules of `read_mask`; None if there is none."""
     for candidate in mask_names(name):
         path = Path(mask_folder) / candidate
-        with suppress(OSError):  # NAME.png of the longest name possible is too long
+        with suppress(OSError):  # appending .png can exceed the longest file name
             if path.is_file():
                 return path
     return None
@@ -267,13 +266,13 @@ def mask_of(mask_folder: Path | str, name: str) -> Path | None:
 
 @checked
 def mask_names(name: str) -> tuple[str, str]:
-    """What the mask of an image can be called, in the order of preference.
+    """Possible names of an image's mask, in order of preference.
 
     Raises:
-        ConfigError: the name is none.
+        ConfigError: the image name is not valid.
     """
     if not PurePosixPath(name).name:
-        raise ConfigError(f"name must be that of an image, got {name!a:.60}")
+        raise ConfigError(f"name must be an image name, got {name!a:.60}")
     return f"{name}.png", str(PurePosixPath(name).with_suffix(".png"))
 
 
@@ -289,10 +288,10 @@ def read_mask(
         size: upright (width, height) of the image, which the mask must have.
 
     Returns:
-        True where the image is to be used (mask not black and not transparent); None when there is no mask.
+        True where the image is used (mask not black and not transparent); None if there is no mask.
 
     Raises:
-        FileFormatError: the mask is damaged or not of the image's size.
+        FileFormatError: the mask is damaged or differs from the image in size.
     """
     path = mask_of(mask_folder, name)
     return None if path is None else read_mask_file(path, name, size=size)
@@ -300,10 +299,10 @@ def read_mask(
 
 @checked
 def read_mask_file(path: Path, name: str, *, size: tuple[int, int] | None = None) -> Bool[np.ndarray, "h w"]:
-    """Read a mask whose file is known; as `read_mask`.
+    """Read a mask from a known file, as in `read_mask`.
 
     Raises:
-        FileFormatError: the mask is missing, damaged or not of the image's size.
+        FileFormatError: the mask is missing, damaged or differs from the image in size.
     """
     data = file_bytes(path)
     image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
@@ -322,15 +321,14 @@ def _suffix(name: str) -> str:
 
 
 def _file_problem(path: Path) -> str:
-    """What a file is that may never end when it is read; empty for a regular one, or a link to nothing."""
+    """Why a file must not be opened (a pipe, a socket or a device); empty for a regular file or a broken link."""
     with suppress(OSError):
         if not stat.S_ISREG(path.stat().st_mode):
-            return "is no regular file but a pipe, a socket or a device"
+            return "it is a pipe, a socket or a device, not a regular file"
     return ""
 
 
 def _advice(unreadable: Sequence[str]) -> str:
-    """One sentence per kind of unreadable image."""
     kinds = (
         ("HEIC", HEIF_SUFFIXES, "run `pip install pillow-heif` to read them, or convert them to JPEG"),
         ("AVIF", AVIF_SUFFIXES, "run `pip install --upgrade Pillow` to read them, or convert them to JPEG"),
@@ -346,5 +344,5 @@ def _advice(unreadable: Sequence[str]) -> str:
         found = [n for n in unreadable if _suffix(n) in suffixes]
         if found:
             files = "file is" if len(found) == 1 else "files are"
-            sentences.append(f"{len(found)} {kind} {files} left out ({found[0]} first): {remedy}.")
+            sentences.append(f"{len(found)} {kind} {files} skipped (such as {found[0]}): {remedy}.")
     return " ".join(sentences)

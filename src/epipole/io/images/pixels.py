@@ -1,4 +1,4 @@
-"""Decoding of image files to 8 bits, upright; the rules are stated in `photographs`."""
+"""Decoding of image files to upright 8-bit pixels; `photographs` documents the rules."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ from epipole.io.images.exif import EXIF_ERRORS, orientation_of
 from epipole.io.images.formats import AVIF_SUFFIXES, FORMAT_OF_SUFFIX, HEIF_SUFFIXES, format_of
 
 MAX_LOSSLESS_PX = 150_000_000
-"""Largest image, in pixels, that is read from a format other than JPEG."""
+"""Pixel limit of formats other than JPEG."""
 
 MAX_JPEG_PX = 2**30
-"""Largest JPEG, in pixels."""
+"""Pixel limit of JPEG."""
 
 MOST_SAMPLED = 16
-"""Images of a set that its range of grey is taken from."""
+"""Number of images in a set that are sampled for its range of grey."""
 
 _MOST_JPEG_PX_PER_BYTE = 1024
 _MOST_PX_PER_BYTE, _MANY_PX = 8256, 1 << 24
@@ -63,7 +63,7 @@ _PILLOW_READERS: dict[str, Callable[..., ImageFile]] = {
     "PPM": PpmImageFile,
 }
 PILLOW_ERRORS = (*EXIF_ERRORS, MemoryError, AttributeError, RuntimeError, Image.DecompressionBombError)
-"""What Pillow may raise on a damaged image."""
+"""Exceptions that Pillow raises on a damaged image."""
 _SUBFILE_TYPE, _PHOTOMETRIC, _BITS_PER_SAMPLE, _DNG_VERSION = 254, 262, 258, 50706
 _IS_PREVIEW, _IS_NO_PAGE = 1, 5
 _WHITE_IS_ZERO = 0
@@ -78,15 +78,15 @@ _REDUCED_FLAGS = {
 
 
 def readable_suffixes() -> frozenset[str]:
-    """Suffixes of the images that can be read with what is installed."""
+    """Suffixes of the images that can be read with the installed packages."""
     missing = frozenset() if find_spec("pillow_heif") else HEIF_SUFFIXES
     return frozenset(FORMAT_OF_SUFFIX) - missing - (frozenset() if features.check("avif") else AVIF_SUFFIXES)
 
 
 def open_with_pillow(path: Path, stream: io.BufferedIOBase, file_format: str) -> ImageFile:
-    """Read a header. The reader is called by name: `Image.open` refuses every image of 180 megapixels."""
+    """Read a header. The reader is chosen explicitly since `Image.open` rejects every image above 180 megapixels."""
     stream.seek(0)
-    # Pillow would look for the numbers of the header byte by byte, behind comments without end.
+    # Pillow would search for the header's numbers byte by byte, past comments of unlimited length.
     if file_format == "PPM" and len(_COMMENT.sub(b" ", stream.read(_LONGEST_PPM_HEADER)).split()) < 3:
         raise FileFormatError(path, "the PPM header is damaged: it has no size")
     reader = _reader(path, file_format)
@@ -94,11 +94,11 @@ def open_with_pillow(path: Path, stream: io.BufferedIOBase, file_format: str) ->
         stream.seek(0)
         image = reader(stream)
         problem = _problem_of_pages(image)
-        if isinstance(image, TiffImageFile):  # it stands at another page now
+        if isinstance(image, TiffImageFile):  # it is at another page now
             stream.seek(0)
             image = reader(stream)
     except PILLOW_ERRORS as error:
-        problem = f"the {file_format} header is damaged, or of a kind that is not read ({error})"
+        problem = f"the {file_format} header is damaged or not supported ({error})"
         raise FileFormatError(path, problem) from error
     if problem:
         raise FileFormatError(path, problem)
@@ -106,32 +106,32 @@ def open_with_pillow(path: Path, stream: io.BufferedIOBase, file_format: str) ->
 
 
 def _problem_of_pages(image: ImageFile) -> str:
-    """Why an image is not one photograph: an animation, or a TIFF of several pages; empty where it is."""
+    """Why an image is not a single photograph (an animation, a multi-page TIFF); empty if it is one."""
     if isinstance(image, TiffImageFile):
         return _problem_of_tiff(image)
-    if image.format not in ("WEBP", "AVIF"):  # others begin with the image that is meant, an animated PNG too
+    if image.format not in ("WEBP", "AVIF"):  # others start with the main image, even an animated PNG
         return ""
     count = int(getattr(image, "n_frames", 1))
-    return f"is an animation of {count} frames; extract those needed as PNG or JPEG" if count > 1 else ""
+    return f"it is an animation of {count} frames; extract those you need as PNG or JPEG" if count > 1 else ""
 
 
 def _problem_of_tiff(image: TiffImageFile) -> str:
-    """Previews and masks (TIFF 6.0, NewSubfileType) are no pages, and neither is an image of another size."""
+    """Why a TIFF is not a single photograph; previews, masks (TIFF 6.0, NewSubfileType) and other sizes are no pages."""
     if _DNG_VERSION in image.tag_v2:
-        return "is camera RAW (DNG), which is not read; develop it to JPEG or TIFF first"
+        return "camera RAW (DNG) is not supported; develop it to JPEG or TIFF first"
     if int(image.tag_v2.get(_SUBFILE_TYPE, 0)) & _IS_PREVIEW:
-        return "begins with a preview instead of the image; save it again as a TIFF of one image"
+        return "it starts with a preview instead of the image; save it again as a single-image TIFF"
     size, count = image.size, 1
     with suppress(EOFError):
         for page in range(1, _MOST_PAGES):
             image.seek(page)
             kind = int(image.tag_v2.get(_SUBFILE_TYPE, 0))
             count += image.size == size and not kind & _IS_NO_PAGE
-    return f"holds {count} pages; save those that are needed as files of one image" if count > 1 else ""
+    return f"it has {count} pages; save the pages you need as single-image files" if count > 1 else ""
 
 
 def _reader(path: Path, file_format: str) -> Callable[..., ImageFile]:
-    """Pillow's reader of a format; not every installation has those of HEIC and AVIF."""
+    """The reader of a format; those for HEIC and AVIF may not be installed."""
     if file_format in _PILLOW_READERS:
         return _PILLOW_READERS[file_format]
     module, name, package = {
@@ -147,9 +147,9 @@ def _reader(path: Path, file_format: str) -> Callable[..., ImageFile]:
 
 
 def exif_of(image: ImageFile) -> Image.Exif:
-    """The EXIF block, empty when it is damaged."""
+    """The EXIF block, empty if it is damaged."""
     if isinstance(image, PngImageFile) and image.fp is not None and not _has_exif_chunk(image.fp):
-        return Image.Exif()  # Pillow would decode the whole image to look behind its pixels
+        return Image.Exif()  # Pillow would decode the whole image to search after its pixels
     try:
         return image.getexif()
     except EXIF_ERRORS:
@@ -157,8 +157,8 @@ def exif_of(image: ImageFile) -> Image.Exif:
 
 
 def _has_exif_chunk(stream: IO[bytes]) -> bool:
-    """Whether a PNG file has a chunk that may hold EXIF, before or after its pixels (PNG 1.5, section 4.7)."""
-    before, index = stream.tell(), 8  # behind the signature
+    """Whether a PNG file has a chunk that can contain EXIF, before or after its pixels (PNG 1.5, section 4.7)."""
+    before, index = stream.tell(), 8  # after the signature
     try:
         while True:
             stream.seek(index)
@@ -173,36 +173,36 @@ def _has_exif_chunk(stream: IO[bytes]) -> bool:
 
 
 def stored_size(image: ImageFile) -> tuple[int, int]:
-    """Width and height as stored (Pillow gives those of a TIFF already turned)."""
+    """Width and height as stored (Pillow returns those of a TIFF after rotation)."""
     if isinstance(image, TiffImageFile):
         return int(image.tag_v2[256]), int(image.tag_v2[257])
     return image.size
 
 
 def refuse_huge(path: Path, image: ImageFile, data: bytes) -> None:
-    """Refuse an image that is too large, before memory or time is used.
+    """Reject an image that is too large or inconsistent, before memory or time is spent on it.
 
     Raises:
-        FileFormatError: more pixels than the format's limit, or than so many bytes can hold; a JPEG that goes over its
-            pixels again and again.
+        FileFormatError: the image has more pixels than the format's limit or than its bytes can encode, or is a JPEG
+            with too many scans.
     """
     (width, height), num_bytes = image.size, len(data)
     limit = MAX_JPEG_PX if isinstance(image, JpegImageFile) else MAX_LOSSLESS_PX
     if width * height > limit:
         sizes = f"{width} x {height} is more than {limit // 1_000_000} megapixels"
-        raise FileFormatError(path, f"{sizes}, the limit for {image.format}; save it smaller or as JPEG")
-    # Deflate packs at most 1032 bytes into one; a byte is up to 8 grey pixels, or a channel of one coloured pixel.
+        raise FileFormatError(path, f"{sizes}, the limit for {image.format}; resize it or save it as JPEG")
+    # Deflate compresses by a factor of at most 1032; a byte is up to 8 grey pixels, or one channel of a color pixel.
     channels = len(image.getbands()) if isinstance(image, PngImageFile) else 1
     px_per_byte = 1032 / channels if channels > 1 else _MOST_PX_PER_BYTE
     if width * height > max(_MANY_PX, px_per_byte * num_bytes):
         raise FileFormatError(path, f"{num_bytes} bytes cannot hold {width} x {height} pixels")
-    # Each block of 8 x 8 takes at least one bit; a decoder would invent what is missing.
+    # Each block of 8 x 8 takes at least one bit; a decoder would fill in missing data.
     if isinstance(image, JpegImageFile) and width * height > _MOST_JPEG_PX_PER_BYTE * num_bytes:
         problem = f"{num_bytes} bytes cannot hold {width} x {height} pixels"
         raise FileFormatError(path, f"the JPEG is truncated or damaged: {problem}")
     num_scans = data.count(b"\xff\xda") if isinstance(image, JpegImageFile) else 1
     if num_scans > _MOST_SCANS and num_scans * width * height > _MOST_SCANNED_PX:
-        raise FileFormatError(path, f"the JPEG goes over its pixels {num_scans} times: no image needs that")
+        raise FileFormatError(path, f"the JPEG has {num_scans} scans, more than any image needs")
 
 
 def decode(
@@ -212,7 +212,7 @@ def decode(
     limits: GreyRange | None = None,
     orientation: int | None = None,
 ) -> UInt8[np.ndarray, "h w *channels"]:
-    """Decode to grey or RGB, shrink to `max_size_px`, turn upright (or by another orientation than the file's)."""
+    """Decode to grey or RGB, shrink to `max_size_px`, rotate upright (or by `orientation` instead of the file's)."""
     return decode_bytes(path, file_bytes(path), grey, max_size_px, limits, orientation)
 
 
@@ -224,10 +224,10 @@ def decode_bytes(
     limits: GreyRange | None = None,
     orientation: int | None = None,
 ) -> UInt8[np.ndarray, "h w *channels"]:
-    """As `decode`, of bytes that stand in some file.
+    """Decode the bytes of an image file, as `decode`.
 
     Raises:
-        ConfigError: the limits are no range.
+        ConfigError: the range of limits is empty or infinite.
         FileFormatError: the image cannot be decoded.
     """
     check_range(limits)
@@ -254,7 +254,7 @@ def decode_bytes(
 
 
 def _jpeg_reduction(size: tuple[int, int], max_size_px: int | None) -> int:
-    """Largest of 8, 4, 2, 1 that leaves the longer side at least as long as asked for."""
+    """The largest of 8, 4, 2, 1 that leaves the longer side at least `max_size_px`."""
     if max_size_px is None:
         return 1
     return next((d for d in (8, 4, 2) if max(size) >= d * max_size_px), 1)
@@ -263,10 +263,10 @@ def _jpeg_reduction(size: tuple[int, int], max_size_px: int | None) -> int:
 def _decode_jpeg(
     path: Path, data: bytes, image: JpegImageFile, grey: bool, reduction: int
 ) -> UInt8[np.ndarray, "h w *channels"]:
-    """Decode at 1 / reduction; a size that it does not divide is rounded up."""
+    """Decode at 1 / reduction; sizes are rounded up."""
     if not _jpeg_is_complete(data):
         raise FileFormatError(
-            path, f"the JPEG is truncated: the file ends ({len(data)} bytes) before the image"
+            path, f"the JPEG is truncated: the file ends after {len(data)} bytes, before the image does"
         )
     if image.layers == 4:
         if reduction > 1:
@@ -279,14 +279,14 @@ def _decode_jpeg(
     except cv2.error as error:
         raise FileFormatError(path, f"the JPEG cannot be decoded ({error.err})") from error
     if decoded is None:
-        raise FileFormatError(path, "the JPEG cannot be decoded: its data are damaged or of a rare kind")
+        raise FileFormatError(path, "the JPEG cannot be decoded: it is damaged or of an unsupported kind")
     return decoded if grey else cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB, dst=decoded)
 
 
 def _jpeg_is_complete(data: bytes) -> bool:
-    """Whether the file ends with the end-of-image marker or, with data behind, has one after its pixels.
+    """Whether the file ends with an end-of-image marker or, if data follow, has one after its pixels.
 
-    The walk goes from marker to marker; thumbnails inside segments are jumped over.
+    Jumps from marker to marker, skipping thumbnails inside segments.
     """
     if data[-256:].rstrip(b"\0").endswith(b"\xff\xd9"):
         return True
@@ -303,7 +303,7 @@ def _jpeg_is_complete(data: bytes) -> bool:
 
 
 def pillow_pixels(path: Path, image: ImageFile, data: bytes) -> tuple[np.ndarray, int]:
-    """Pixels and the orientation still to be applied: grey or RGB of 8 bits, or deep grey as it is.
+    """Pixels and the orientation still to be applied: 8-bit grey or RGB, or deep grey unchanged.
 
     Transparency is composited on black.
     """
@@ -317,10 +317,10 @@ def pillow_pixels(path: Path, image: ImageFile, data: bytes) -> tuple[np.ndarray
 
 
 def stored_pixels(path: Path, image: ImageFile, data: bytes) -> tuple[np.ndarray, int]:
-    """As `pillow_pixels`, with alpha (RGBA) where there is transparency.
+    """As `pillow_pixels`, with alpha (RGBA) if there is transparency.
 
     Raises:
-        FileFormatError: the image is damaged, or of a kind that cannot be converted.
+        FileFormatError: the image is damaged or cannot be converted.
     """
     try:
         is_deep_colour = has_16_bits(image)
@@ -340,7 +340,7 @@ def stored_pixels(path: Path, image: ImageFile, data: bytes) -> tuple[np.ndarray
 
 
 def _black_is_zero(image: ImageFile, deep: np.ndarray) -> np.ndarray:
-    """Deep grey of a TIFF whose zero is white, the other way round (Pillow does that for 8 bits alone)."""
+    """Invert deep grey of a TIFF whose zero is white (Pillow does so for 8 bits only)."""
     if not isinstance(image, TiffImageFile) or image.tag_v2.get(_PHOTOMETRIC) != _WHITE_IS_ZERO:
         return deep
     if deep.dtype.kind == "f":
@@ -351,9 +351,9 @@ def _black_is_zero(image: ImageFile, deep: np.ndarray) -> np.ndarray:
 
 
 def common_range(paths: Sequence[Path]) -> GreyRange | None:
-    """The range of the deep grey images among some of a set, so that all of the set are mapped alike; None where there are none.
+    """The common range of deep grey images, sampled from a set so that all are mapped alike; None if the set has none.
 
-    Images that cannot be read have no part in it.
+    Unreadable images are ignored.
     """
     samples, dtype = [], np.dtype(np.uint8)
     chosen = np.unique(np.linspace(0, len(paths) - 1, min(len(paths), MOST_SAMPLED)).astype(int))
@@ -368,7 +368,7 @@ def common_range(paths: Sequence[Path]) -> GreyRange | None:
 
 
 def deep_grey(path: Path, data: bytes) -> np.ndarray | None:
-    """The values of an image of deep grey; None of others, which are not decoded."""
+    """The values of a deep grey image; None for other images, which are not decoded."""
     image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
     refuse_huge(path, image, data)
     return pillow_pixels(path, image, data)[0] if image.mode.startswith(("I", "F")) else None
@@ -380,10 +380,10 @@ def _shrink(
     reduction: int,
     max_size_px: int | None,
 ) -> UInt8[np.ndarray, "new_h new_w *channels"]:
-    """Area averages on the grid that divides the full image evenly.
+    """Average over areas on a grid that divides the full image evenly.
 
-    A JPEG reduced to ceil(width / reduction) pixels covers a little more than the image where the division
-    leaves a remainder; it is then sampled (bilinearly, less than two pixels apart) at the places of the grid.
+    If `reduction` does not divide the width, a JPEG reduced to ceil(width / reduction) pixels covers slightly more than
+    the image; it is then sampled bilinearly, less than two pixels apart, at the positions of the grid.
     """
     width, height = full_size
     if max_size_px is None or max(width, height) <= max_size_px:

@@ -1,4 +1,4 @@
-"""Images with transparency, and images that are drawn."""
+"""Images with transparency, and writing of rendered images."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from epipole._checks import check_pixels
-from epipole._declared import checked
+from epipole._checks import check_pixels, checked
 from epipole.io._spherical import refuse_panorama
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes
@@ -30,14 +29,14 @@ _WITH_ALPHA = ("PNG", "TIFF", "WEBP", "AVIF", "HEIF")
 
 @checked
 def read_rgba(path: Path | str, *, orientation: int | None = None) -> UInt8[np.ndarray, "h w 4"] | None:
-    """Read an image with transparency: colours not composited, and alpha; None where there is none.
+    """Read an image with transparency as RGBA, not composited; None if it has no alpha.
 
     Args:
         path: the image.
-        orientation: applied in place of the file's EXIF orientation, as in `read_rgb`.
+        orientation: applied instead of the file's EXIF orientation, as in `read_rgb`.
 
     Raises:
-        FileFormatError: it is damaged, too large or not an image.
+        FileFormatError: the image is damaged or too large, or the file is not an image.
     """
     path = Path(path)
     data = file_bytes(path)
@@ -61,7 +60,7 @@ def write_png(path: Path | str, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
     """Write an image as PNG.
 
     Raises:
-        ConfigError: the image has no pixel, or too many.
+        ConfigError: the image has no pixels, or too many.
         WorkspaceError: the file cannot be written.
     """
     check_pixels(rgb.shape[1], rgb.shape[0])

@@ -1,11 +1,11 @@
-"""Widths of well-known image sensors, for photographs whose EXIF has a focal length only in millimetres.
+"""Widths of common image sensors, for photographs whose EXIF has the focal length only in millimetres.
 
-The width is the longer side of the sensor as the makers' data sheets give it.
+The width is the longer side of the sensor according to the manufacturer's data sheet.
 """
 
 from types import MappingProxyType
 
-from epipole._declared import checked
+from epipole._checks import checked
 
 _WIDTH_MM_BY_MODELS: tuple[tuple[float, tuple[str, ...]], ...] = (
     # 36 x 24 mm
@@ -43,7 +43,7 @@ _WIDTH_MM_BY_MODELS: tuple[tuple[float, tuple[str, ...]], ...] = (
     (6.17, ("dji fc220", "dji fc300x", "dji fc330", "dji fc350")),
     (5.75, ("canon powershot a540", "canon powershot s2 is", "canon powershot s3 is")),
     (5.75, ("canon powershot sd1000", "kodak z612 zoom digital camera")),
-    # telephones (pixel pitch x pixels of the main camera)
+    # phones (pixel pitch x pixels of the main camera)
     (4.54, ("apple iphone 4",)),
     (4.89, ("apple iphone 5s", "apple iphone 6")),
     (4.57, ("samsung gt-i9100", "samsung gt-i9300", "google nexus 5", "lge nexus 5")),
@@ -82,5 +82,5 @@ def camera_key(make: str, model: str) -> str:
 
 @checked
 def sensor_width_mm(make: str, model: str) -> float | None:
-    """Width of the sensor of a camera, None when it is not in the table."""
+    """Width of a camera's sensor in mm; None if it is not in the table."""
     return SENSOR_WIDTH_MM.get(camera_key(make, model))

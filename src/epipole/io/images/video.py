@@ -1,7 +1,7 @@
-"""Photographs out of a video: evenly spaced frames, each the sharpest of its neighbourhood.
+"""Extraction of photographs from a video: evenly spaced frames, each the sharpest in its neighborhood.
 
 Sharpness is the variance of the Laplacian (Pech-Pacheco et al., Diatom autofocusing in brightfield
-microscopy, ICPR 2000) of the grey frame at 640 pixels. The video is read once from start to end: seeking in
+microscopy, ICPR 2000) of the grey frame at 640 pixels. The video is read once from start to end because seeking in
 compressed video is not exact.
 """
 
@@ -17,8 +17,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
-from epipole._checks import check_count
-from epipole._declared import checked
+from epipole._checks import check_count, checked
 from epipole.errors import ConfigError, FileFormatError, ShapeError
 from epipole.image.encoding import encoded_image
 from epipole.io._spherical import refuse_spherical_video
@@ -49,7 +48,7 @@ VIDEO_SUFFIXES = frozenset(
     }
 )
 SPHERICAL_SUFFIXES = frozenset({".insv", ".360"})
-"""Raw recordings of cameras that see all around: each frame holds circles of fisheye lenses, or parts of a cube."""
+"""Raw recordings of 360-degree cameras: each frame contains several fisheye images, or faces of a cube."""
 
 _MANIFEST = "frames.json"
 _FRAME = re.compile(r"frame_[0-9]{6,12}\.jpg")
@@ -59,17 +58,17 @@ _JPEG_QUALITY = 95
 _HEAD = 256
 _MOST_FRAME_PX = 1 << 26
 _LISTS_FRAMES = re.compile(rb"....(?:ftyp|moov|mdat|wide|free|skip)|RIFF....AVI ", re.DOTALL)
-"""How containers begin that list their frames."""
+"""First bytes of containers that list their frames."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VideoFrames:
-    """Frames taken from a video, in order."""
+    """Frames extracted from a video, in order."""
 
     name: tuple[str, ...]
-    """File names in the folder."""
+    """File names relative to the folder."""
     index: Int64[np.ndarray, " n"]
-    """Number of the frame in the video, from 0."""
+    """Frame number in the video, from 0."""
     timestamp_s: Float64[np.ndarray, " n"]
 
     def __len__(self) -> int:
@@ -82,16 +81,16 @@ class VideoFrames:
 
 @checked
 def is_video(path: Path | str) -> bool:
-    """Whether a path is a file with a video's suffix."""
+    """Whether a path is a file with a video suffix."""
     return Path(path).suffix.lower() in VIDEO_SUFFIXES and Path(path).is_file()
 
 
 @checked
 def frame_size(path: Path | str) -> tuple[int, int] | None:
-    """Width and height of a video's frames; None where the file does not tell.
+    """Width and height of a video's frames; None if unknown.
 
     Raises:
-        FileFormatError: it is no video that can be read.
+        FileFormatError: the file is not a readable video.
     """
     capture = opened_video(Path(path))
     size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
@@ -100,10 +99,10 @@ def frame_size(path: Path | str) -> tuple[int, int] | None:
 
 @checked
 def frame_orientation(path: Path | str) -> int:
-    """The EXIF orientation that the rotation of a video's metadata amounts to; 1 for none. Its frames are read upright.
+    """The EXIF orientation equivalent to the rotation in a video's metadata; 1 for none. Frames are read upright.
 
     Raises:
-        FileFormatError: it is no video that can be read.
+        FileFormatError: the file is not a readable video.
     """
     capture = opened_video(Path(path))
     try:
@@ -135,18 +134,18 @@ def extract_frames(
 ) -> VideoFrames:
     """Write evenly spaced sharp frames of a video as frame_000123.jpg (numbered as in the video).
 
-    The folder also gets `frames.json`, and appears whole or not at all. Called again with the same video and options
-    it does not read the video again; with other options the frames listed there are replaced.
+    The folder, which also gets a `frames.json`, is written atomically. A second call with the same video and options
+    does not read the video again; with other options it replaces the frames listed in `frames.json`.
 
     Args:
         video: the file.
-        folder: where to write; made if missing.
-        max_frames: largest number of frames to take.
-        every_s: seconds between frames; None spreads `max_frames` over the whole video.
-        progress: called with (frames of the video read, frames of the video).
+        folder: output folder; created if missing.
+        max_frames: largest number of frames.
+        every_s: seconds between frames; None spreads `max_frames` over the video.
+        progress: called with (frames read, frames in the video).
 
     Raises:
-        FileFormatError: no video, damaged, or it ends before half of the frames that its header announces.
+        FileFormatError: not a video, damaged, or it ends before half of the frames that its header announces.
         ConfigError: `max_frames` or `every_s` is not positive.
     """
     video, folder = Path(video), Path(folder)
@@ -177,10 +176,10 @@ def extract_frames(
 
 @checked
 def slot_bounds(num_frames: int, num_slots: int) -> Int64[np.ndarray, "n 2"]:
-    """Cut range(num_frames) into equal slots; the (first, last) frame of the window in the middle of each.
+    """Divide range(num_frames) into equal slots; returns the (first, last) frame of the window in the middle of each.
 
     Raises:
-        ConfigError: there is no slot, or a number is negative or too large.
+        ConfigError: `num_slots` is zero, or a number is negative or too large.
     """
     check_count(num_frames, "num_frames", 1 << 53)
     check_count(num_slots, "num_slots")
@@ -197,7 +196,7 @@ def sharpness(bgr: UInt8[np.ndarray, "h w *channels"]) -> float:
     """Variance of the Laplacian of a frame, in color or grey, at 640 pixels.
 
     Raises:
-        ShapeError: it has no pixel, or other channels than three.
+        ShapeError: the frame has no pixels, or neither one nor three channels.
     """
     if not bgr.size or bgr.ndim > 3 or bgr.shape[2:] not in ((), (3,)):
         raise ShapeError(f"bgr must be (h, w, 3) or (h, w), got {bgr.shape}")
@@ -219,7 +218,7 @@ def _extract(
     num_slots = max_frames
     if every_s is not None:
         if fps is None:
-            raise ConfigError(f"{video} does not tell its frame rate: give max_frames instead of every_s")
+            raise ConfigError(f"Unknown frame rate of {video}: pass max_frames instead of every_s")
         num_slots = min(max_frames, max(1, round(num_frames / (fps * every_s))))
     windows = slot_bounds(num_frames, min(num_slots, num_frames))
     names, indices, times = [], [], []
@@ -238,43 +237,41 @@ def _extract(
 
 @checked
 def opened_video(video: Path) -> cv2.VideoCapture:
-    """A video whose frames can be read one after the other.
+    """Open a video for sequential reading.
 
     Raises:
-        FileFormatError: it is no file, not a video that can be read, or a spherical one.
+        FileFormatError: the file is missing, not a readable video, or spherical.
     """
     with open_file(video) as stream:
         head = stream.read(_HEAD)
         if video.suffix.lower() in SPHERICAL_SUFFIXES:
             raise FileFormatError(
                 video,
-                f"is the raw recording of a 360 degree camera ({video.suffix}), whose frames hold several fisheye images each: "
-                "export a flat video of one perspective (an .mp4) with the program of the camera's maker, and give that",
+                f"this is a raw recording of a 360-degree camera ({video.suffix}), whose frames contain several fisheye images: "
+                "export a flat perspective video (.mp4) with the manufacturer's software and use that",
             )
         refuse_spherical_video(video, stream)
-    # FFmpeg would follow the addresses and names of a list.
+    # FFmpeg would open the addresses and file names in a playlist.
     if all(32 <= byte < 127 or byte in b"\t\n\r\f\v" for byte in head):
-        raise FileFormatError(video, f"is not a video: it is {'text' if head else 'empty'}")
+        raise FileFormatError(video, f"not a video: the file is {'text' if head else 'empty'}")
     try:
         capture = cv2.VideoCapture(str(video))
     except cv2.error as error:
-        raise FileFormatError(video, f"is not a video that can be read ({error.err})") from error
+        raise FileFormatError(video, f"not a readable video ({error.err})") from error
     if not capture.isOpened():
-        raise FileFormatError(
-            video, "is not a video that can be read: damaged, cut off or of an unknown kind"
-        )
+        raise FileFormatError(video, "not a readable video: damaged, truncated or in an unknown format")
     width, height = (capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
     if width * height > _MOST_FRAME_PX:
-        raise FileFormatError(video, f"frames of {width:g} x {height:g} pixels are not read")
+        raise FileFormatError(video, f"frames of {width:g} x {height:g} pixels are too large")
     return capture
 
 
 @checked
 def announced_frames(video: Path, capture: cv2.VideoCapture) -> tuple[int, bool]:
-    """Frames that a video announces (0 if it does not), and whether its container counts them.
+    """Number of frames that a video announces (0 if none), and whether its container counts them.
 
-    MP4, QuickTime and AVI list their frames. Of others (Matroska, WebM, transport streams), FFmpeg multiplies duration and frame rate,
-    which is wrong by any factor where the frame rate varies.
+    MP4, QuickTime and AVI list their frames. For others (Matroska, WebM, transport streams), FFmpeg multiplies duration
+    and frame rate, which can be far off if the frame rate varies.
     """
     announced = capture.get(cv2.CAP_PROP_FRAME_COUNT)
     with open_file(video) as stream:
@@ -284,7 +281,7 @@ def announced_frames(video: Path, capture: cv2.VideoCapture) -> tuple[int, bool]
 
 @checked
 def count_frames(video: Path) -> tuple[int, float | None]:
-    """Frames of a video and frames per second (None if unknown); read to its end where its container does not count them.
+    """Number of frames and frames per second (None if unknown); reads the video if its container does not count frames.
 
     Raises:
         FileFormatError: no frame can be decoded, or the video ends before half of its duration.
@@ -343,7 +340,7 @@ def _sharpest(
 
 
 def _time_s(capture: cv2.VideoCapture, index: int, fps: float | None) -> float:
-    """Time of the frame just grabbed; from its number where the container gives none."""
+    """Time of the frame just grabbed; computed from its number if the container has none."""
     time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
     if index > 0 and not time_s > 0.0:
         return index / fps if fps is not None else float("nan")
@@ -351,13 +348,13 @@ def _time_s(capture: cv2.VideoCapture, index: int, fps: float | None) -> float:
 
 
 def _read_manifest(folder: Path) -> tuple[dict[str, Any], VideoFrames] | None:
-    """Request and frames of an earlier call; None when there is none that can be read."""
+    """Request and frames of an earlier call; None if there is no readable manifest."""
     try:
         content = read_json(folder / _MANIFEST)
         rows = content["frames"]
         if len({row["name"] for row in rows}) < max(len(rows), 1) or not all(
             _FRAME.fullmatch(row["name"]) for row in rows
-        ):  # these are read, and removed when stale
+        ):  # these files are read, and removed when stale
             return None
         frames = VideoFrames(
             tuple(row["name"] for row in rows),

@@ -1,4 +1,4 @@
-"""Videos that are written: VP9 in an MP4 file, which browsers and players show."""
+"""Writing of videos: VP9 in an MP4 file, which browsers and players support."""
 
 from __future__ import annotations
 
@@ -10,54 +10,53 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from epipole._checks import check_pixels
-from epipole._declared import checked
+from epipole._checks import check_pixels, checked
 from epipole.errors import ConfigError, WorkspaceError
 from epipole.io.atomic import refuse_other_kinds
 
 MOST_FPS = 1000
 VIDEO_SUFFIX, CODEC = ".mp4", "vp09"
 _COMPARED_SIDE = 8
-"""Frames are compared with what was written at this many cells each way: compression changes details."""
+"""Frames are compared with the written ones on a grid of this size, since compression changes details."""
 _LARGEST_DIFFERENCE = 24.0
-"""Mean difference of cells, of 255, up to which a frame that is read back is the one that was written."""
+"""Mean difference between cells, of 255, up to which a frame read back matches the written one."""
 
 
 def write_video(path: str | Path, images: Iterable[UInt8[np.ndarray, "h w 3"]], fps: float) -> None:
-    """Write RGB images of one size, and read the video back, as the encoder reports no errors.
+    """Write RGB images of one size as a video and verify it, since the encoder reports no errors.
 
-    A video has an even width and height: the last column or row of an odd one is left out.
+    Video sizes are even: the last column or row of an odd size is dropped.
 
     Args:
-        path: the file; its name may have any ending.
-        images: one after the other.
-        fps: images a second.
+        path: the file, with any suffix.
+        images: the frames in order.
+        fps: frames per second.
 
     Raises:
-        ConfigError: the images differ in size, there is none, or the rate is not from 0 to 1000.
-        WorkspaceError: the file cannot be written, or does not read back as it was written (the disk is full).
+        ConfigError: the images differ in size, there are none, or `fps` is not in (0, 1000].
+        WorkspaceError: the file cannot be written, or does not read back correctly (for example on a full disk).
     """
     path, fps = _target(path, fps)
     try:
         each = iter(images)
-    except TypeError as error:  # an array without axes is an Iterable, too
+    except TypeError as error:  # a zero-dimensional array is an Iterable, too
         raise ConfigError(f"images must be images, got {images!r:.60}") from error
-    aside = path.with_name(path.name + VIDEO_SUFFIX)  # OpenCV takes the container from the ending
+    aside = path.with_name(path.name + VIDEO_SUFFIX)  # OpenCV chooses the container by suffix
     writer, size, count = None, (0, 0), 0
     first = last = np.zeros((1, 1, 3), np.uint8)
     try:
-        for image in map(_frame, each):  # one after the other: all may not fit into the memory
+        for image in map(_frame, each):  # one at a time: all of them may not fit into memory
             if writer is None:
                 size = image.shape[1], image.shape[0]
                 writer, first = _opened(aside, fps, size), image
             if (image.shape[1], image.shape[0]) != size:
                 raise ConfigError(
-                    "the images of a video must be of one size: give a width, or draw to a folder"
+                    "all images of a video must have the same size: pass a width, or render to a folder"
                 )
             writer.write(cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
             last, count = image, count + 1
         if writer is None:
-            raise ConfigError("a video needs an image")
+            raise ConfigError("a video needs at least one image")
         writer.release()
         problem = _problem_of(aside, count, first, last)
         if problem:
@@ -66,7 +65,7 @@ def write_video(path: str | Path, images: Iterable[UInt8[np.ndarray, "h w 3"]], 
     finally:
         if writer is not None:
             writer.release()
-        with suppress(OSError):  # a folder that is none has nothing in it
+        with suppress(OSError):  # the folder may not exist
             aside.unlink(missing_ok=True)
 
 
@@ -85,7 +84,6 @@ def _frame(image: UInt8[np.ndarray, "h w 3"]) -> np.ndarray:
 
 
 def _problem_of(path: Path, count: int, first: np.ndarray, last: np.ndarray) -> str:
-    """What a video that was written lacks; empty where nothing."""
     if not path.is_file():
         return "the encoder wrote no file"
     capture, num_read = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG), 0
@@ -95,11 +93,11 @@ def _problem_of(path: Path, count: int, first: np.ndarray, last: np.ndarray) -> 
                 is_read, frame = capture.retrieve()
                 written = first if num_read == 0 else last
                 if not is_read or not _is_like(frame[..., ::-1], written):
-                    return f"frame {num_read + 1} of {count} does not read back as it was written"
+                    return f"frame {num_read + 1} of {count} does not match what was written"
             num_read += 1
     finally:
         capture.release()
-    return "" if num_read == count else f"only {num_read} of {count} frames read back"
+    return "" if num_read == count else f"only {num_read} of {count} frames can be read back"
 
 
 def _is_like(read: np.ndarray, written: np.ndarray) -> bool:
@@ -123,6 +121,6 @@ def _opened(path: Path, fps: float, size: tuple[int, int]) -> cv2.VideoWriter:
         cv2.utils.logging.setLogLevel(level)
     if not writer.isOpened():
         raise WorkspaceError(
-            f"OpenCV cannot write a video here (no codec {CODEC}, or {path.parent} is not there)"
+            f"OpenCV cannot write the video (no codec {CODEC}, or {path.parent} does not exist)"
         )
     return writer

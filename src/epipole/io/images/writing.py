@@ -1,4 +1,4 @@
-"""Writing photographs: copies that are upright, and images in the format that a suffix names."""
+"""Writing of photographs: upright copies, and images in the format given by a suffix."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, FileFormatError, ShapeError
 from epipole.io.atomic import atomic_write
 from epipole.io.files import open_file, require_file
@@ -22,7 +22,7 @@ from epipole.io.images.formats import FORMAT_OF_SUFFIX, format_of
 from epipole.io.images.pixels import PILLOW_ERRORS, decode, exif_of, open_with_pillow
 
 QUALITY = 97
-"""Of lossy formats, 0 to 100."""
+"""Quality of lossy formats, 0 to 100."""
 _LOSSY: dict[str, dict[str, Any]] = {
     "JPEG": {"subsampling": 0},
     "AVIF": {"subsampling": "4:4:4"},
@@ -34,11 +34,11 @@ _LONGEST_JPEG_SIDE = 65500
 
 @checked
 def copy_or_rotate(source: Path | str, target: Path | str) -> None:
-    """Put an image at `target` with its pixels as `read_rgb` gives them, and no orientation tag to apply.
+    """Copy an image to `target` so that its pixels are as `read_rgb` returns them, without an orientation tag.
 
-    An upright file is hard-linked (copied across file systems). One that is turned, or of another format than
-    the suffix of `target`, is encoded again (JPEG at quality 97, others without loss) with camera, focal
-    length, place and time kept.
+    An upright file is hard-linked (copied across file systems). A rotated one, or one whose format does not match the
+    suffix of `target`, is re-encoded (JPEG at quality 97, others lossless); camera, focal length, position and time are
+    kept.
 
     Raises:
         FileFormatError: the source cannot be read, or the suffix of `target` cannot be written.
@@ -57,20 +57,20 @@ def copy_or_rotate(source: Path | str, target: Path | str) -> None:
 def write_photograph(
     path: Path, pixels: UInt8[np.ndarray, "h w *channels"], exif: Image.Exif | None = None
 ) -> None:
-    """Write grey or RGB in the format that the suffix names, JPEG, AVIF and HEIC at quality 97, others without loss.
+    """Write grey or RGB in the format given by the suffix: JPEG, AVIF and HEIC at quality 97, others lossless.
 
     Args:
         path: the file.
-        pixels: upright.
-        exif: what is known of the camera, without its orientation.
+        pixels: upright pixels.
+        exif: camera metadata; its orientation is dropped.
 
     Raises:
-        FileFormatError: the suffix names no format that can be written here.
-        ShapeError: the pixels are not grey, RGB or RGBA, or there are none.
+        FileFormatError: the suffix is not that of a format that can be written here.
+        ShapeError: the pixels are not grey, RGB or RGBA, or the array is empty.
         WorkspaceError: the file cannot be written.
     """
     if not pixels.size or pixels.shape[2:] not in ((), (3,), (4,)):
-        raise ShapeError(f"pixels must be (h, w), (h, w, 3) or (h, w, 4), and some, got {pixels.shape}")
+        raise ShapeError(f"pixels must be a non-empty (h, w), (h, w, 3) or (h, w, 4), got {pixels.shape}")
     target_format = _format_of_target(path)
     options: dict[str, Any] = {"lossless": True} if target_format == "WEBP" else {}
     if target_format in _LOSSY:
@@ -84,8 +84,8 @@ def write_photograph(
         else:
             image.save(encoded, target_format, **options)
     except (*PILLOW_ERRORS, ImportError) as error:
-        problem = f"an image cannot be written as {target_format} here ({error})"
-        raise FileFormatError(path, f"{problem}; convert yours to JPEG or PNG first") from error
+        problem = f"cannot write {target_format} here ({error})"
+        raise FileFormatError(path, f"{problem}; convert the image to JPEG or PNG first") from error
     with atomic_write(path) as part:
         part.write_bytes(encoded.getvalue())
 
@@ -93,7 +93,7 @@ def write_photograph(
 def _format_of_target(path: Path) -> str:
     found = FORMAT_OF_SUFFIX.get(path.suffix.lower())
     if found is None:
-        problem = "images are not written in this format; convert yours to JPEG, PNG or TIFF first"
+        problem = "cannot write this format; convert the image to JPEG, PNG or TIFF first"
         raise FileFormatError(path, problem)
     return found
 
@@ -109,17 +109,17 @@ def write_jpeg_with_exif(
     gps: GpsPosition | tuple[float, float, float | None] | None = None,
     quality: int = 95,
 ) -> None:
-    """Write a rendered photograph as JPEG with the EXIF of a camera (35 mm equivalent rounded to mm).
+    """Write a rendered photograph as JPEG with EXIF camera data (35 mm equivalent rounded to mm).
 
     Raises:
-        ConfigError: a number is beyond what EXIF or JPEG hold, or the image has no pixel or more than JPEG takes.
+        ConfigError: a number is outside the range of EXIF or JPEG, or the image is empty or larger than JPEG allows.
         WorkspaceError: the file cannot be written.
     """
     if not 1 <= quality <= 100:
         raise ConfigError(f"quality must be from 1 to 100, got {quality}")
     if not (rgb.size and max(rgb.shape) <= _LONGEST_JPEG_SIDE):
         raise ConfigError(
-            f"a JPEG has sides of 1 to {_LONGEST_JPEG_SIDE} pixels, got {rgb.shape[1]} x {rgb.shape[0]}"
+            f"the sides of a JPEG must have 1 to {_LONGEST_JPEG_SIDE} pixels, got {rgb.shape[1]} x {rgb.shape[0]}"
         )
     exif = new_exif(make, model, focal_35mm, gps).tobytes()
     with atomic_write(path) as part:
@@ -127,7 +127,7 @@ def write_jpeg_with_exif(
 
 
 def _kept_exif(exif: Image.Exif) -> dict[str, bytes]:
-    """What of a block can be written; none of it where values are of types that its tags cannot have."""
+    """The tags that can be written; none if their values have types that the tags do not allow."""
     try:
         return {"exif": upright_exif(exif).tobytes()}
     except (*EXIF_ERRORS, AttributeError):
@@ -136,11 +136,11 @@ def _kept_exif(exif: Image.Exif) -> dict[str, bytes]:
 
 @checked
 def link_or_copy(source: Path, target: Path) -> None:
-    """Put a file at `target` as a hard link, or as a copy where there can be none (another disk).
+    """Hard-link a file to `target`, or copy it if that is impossible (another disk).
 
     Raises:
-        FileFormatError: there is no such file.
-        WorkspaceError: it cannot be written.
+        FileFormatError: the source does not exist.
+        WorkspaceError: the target cannot be written.
     """
     require_file(source)
     if target.exists() and source.samefile(target):

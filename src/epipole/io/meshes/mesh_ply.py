@@ -1,4 +1,4 @@
-"""Triangles as PLY files (Turk 1994)."""
+"""Reading and writing triangle meshes as PLY files (Turk 1994)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError, ShapeError
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes
@@ -26,17 +26,17 @@ def write_mesh_ply(
     faces: Int64[np.ndarray, "m 3"],
     rgb: UInt8[np.ndarray, "n 3"],
 ) -> None:
-    """Write triangles (m, 3) between vertices (n, 3) with colours (n, 3), 0 to 255, as binary little-endian PLY.
+    """Write triangles (m, 3) between vertices (n, 3) with colors (n, 3), 0 to 255, as binary little-endian PLY.
 
-    Coordinates far from the origin are doubles (`vertex_type`).
+    Coordinates far from the origin are written as doubles (`vertex_type`).
 
     Raises:
-        ShapeError: the arrays do not fit, or a triangle names a vertex that is not there.
+        ShapeError: the arrays do not match, or a triangle refers to a missing vertex.
         WorkspaceError: the file cannot be written.
     """
     n, m = len(vertices), len(faces)
     if m and not (faces.min() >= 0 and faces.max() < n):
-        raise ShapeError("a triangle names a vertex that is not there")
+        raise ShapeError("a triangle refers to a missing vertex")
     kind, properties = vertex_type(vertices)
     corners, triangles = np.zeros(n, kind), np.zeros(m, _FACE)
     corners["xyz"], corners["rgb"] = vertices, rgb
@@ -55,9 +55,9 @@ class PlyMesh:
 
     xyz: Float64[np.ndarray, "n 3"]
     rgb: UInt8[np.ndarray, "n 3"] | None
-    """None where the file has no colours."""
+    """None if the file has no colors."""
     faces: Int64[np.ndarray, "m 3"]
-    """None of a file of points."""
+    """Empty for a file of points."""
 
     def __repr__(self) -> str:
         return f"PlyMesh({len(self.xyz)} vertices, {len(self.faces)} triangles)"
@@ -65,10 +65,10 @@ class PlyMesh:
 
 @checked
 def read_mesh_ply(path: str | Path) -> PlyMesh:
-    """Read vertices and faces of a PLY file, text or binary; polygons are cut into triangles around their first corner.
+    """Read vertices and faces of a PLY file, text or binary; polygons become triangle fans from their first corner.
 
     Raises:
-        FileFormatError: it is no PLY file, has no x, y, z, is cut short, or a face names a vertex that is not there.
+        FileFormatError: not a PLY file, without x, y, z, truncated, or a face refers to a missing vertex.
     """
     path = Path(path)
     data = file_bytes(path)
@@ -78,27 +78,29 @@ def read_mesh_ply(path: str | Path) -> PlyMesh:
     corners = _corners(path, data, header)
     faces = np.concatenate([np.zeros((0, 3), np.int64), *(_fans(polygons) for polygons in corners)])
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(points)):
-        raise FileFormatError(path, "a face names a vertex that is not there")
+        raise FileFormatError(path, "a face refers to a missing vertex")
     return PlyMesh(points.xyz, points.rgb, faces)
 
 
 def _require_no_other_surface(path: Path, header: PlyHeader) -> None:
-    """Check that no surface is left out: strips of triangles, and faces that do not follow the vertices, are not read.
+    """Check that all surfaces can be read; triangle strips, and faces not right after the vertices, are not supported.
 
     Raises:
-        FileFormatError: the file has some.
+        FileFormatError: the file has an unsupported surface.
     """
     for name, count in header.elements:
         if count == 0 or name in _NO_SURFACE or (name == "face" and header.num_faces):
             continue
         problem = (
-            "the faces must follow the vertices" if name == "face" else f"the element {name} is not read"
+            "the faces must come directly after the vertices"
+            if name == "face"
+            else f"the element {name} is not supported"
         )
-        raise FileFormatError(path, f"{problem}: save the mesh as vertices and faces alone")
+        raise FileFormatError(path, f"{problem}: save the mesh with vertices and faces only")
 
 
 def _fans(polygons: np.ndarray) -> np.ndarray:
-    """Triangles around the first corner of polygons (m, k)."""
+    """Triangle fans from the first corner of polygons (m, k)."""
     k = polygons.shape[1]
     first = np.repeat(polygons[:, :1], max(k - 2, 0), axis=1)
     return (
@@ -109,17 +111,17 @@ def _fans(polygons: np.ndarray) -> np.ndarray:
 
 
 def _corners(path: Path, data: bytes, header: PlyHeader) -> list[np.ndarray]:
-    """Polygons (m, k) by their numbers of corners; none of a file without faces.
+    """Polygons (m, k) grouped by number of corners; empty for a file without faces.
 
     Raises:
-        FileFormatError: the faces are cut short, or of a form that is not known here.
+        FileFormatError: the faces are truncated, or in an unsupported form.
     """
     if not header.num_faces:
         return []
     if len(header.face_types) != 1 or len(header.face_types[0]) != 2:
-        raise FileFormatError(path, "the faces hold something else than one list of corners: not read")
+        raise FileFormatError(path, "the faces must have exactly one property, a list of corners")
     if any(kind.startswith("f") for kind in header.face_types[0]):
-        raise FileFormatError(path, "corners of the faces are not whole numbers")
+        raise FileFormatError(path, "the corners of the faces are not integers")
     if not header.byte_order:
         return _text_corners(path, data, header)
     count_type, corner_type = (np.dtype(header.byte_order + kind) for kind in header.face_types[0])
@@ -127,7 +129,7 @@ def _corners(path: Path, data: bytes, header: PlyHeader) -> list[np.ndarray]:
     if start + count_type.itemsize > len(data):
         raise FileFormatError(path, "the file ends before its faces")
     k = int(np.frombuffer(data, count_type, 1, start)[0])
-    # Nearly all files hold polygons of one kind: read in one go.
+    # In nearly all files, all polygons have the same size: read them at once.
     if k >= 0 and header.num_faces * (count_type.itemsize + k * corner_type.itemsize) <= len(data) - start:
         kind = np.dtype([("count", count_type), ("corners", corner_type, (k,))])
         rows = np.frombuffer(data, kind, header.num_faces, start)
@@ -139,7 +141,6 @@ def _corners(path: Path, data: bytes, header: PlyHeader) -> list[np.ndarray]:
 def _mixed_corners(
     path: Path, data: bytes, header: PlyHeader, start: int, count_type: np.dtype, corner_type: np.dtype
 ) -> list[np.ndarray]:
-    """Polygons of several kinds, one after another."""
     by_size: dict[int, list[np.ndarray]] = {}
     for _ in range(header.num_faces):
         room = len(data) - start - count_type.itemsize
@@ -160,9 +161,9 @@ def _text_corners(path: Path, data: bytes, header: PlyHeader) -> list[np.ndarray
             numbers = [int(word) for word in line.split()]
             k = numbers[0]
         except (ValueError, IndexError) as error:
-            raise FileFormatError(path, f"a face cannot be understood: {line[:60]!r}") from error
+            raise FileFormatError(path, f"invalid face {line[:60]!r}") from error
         if k < 0 or len(numbers) < k + 1 or max(map(abs, numbers)) >= 2**63:
-            raise FileFormatError(path, f"a face cannot be understood: {line[:60]!r}")
+            raise FileFormatError(path, f"invalid face {line[:60]!r}")
         by_size.setdefault(k, []).append(numbers[1 : k + 1])
     if sum(map(len, by_size.values())) < header.num_faces:
         raise FileFormatError(path, f"the file ends before the last of {header.num_faces} faces")

@@ -1,4 +1,4 @@
-"""Point clouds and whole scenes as PLY files (Turk 1994)."""
+"""Reading and writing point clouds, and scenes with cameras, as PLY files (Turk 1994)."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from epipole._checks import as_image, as_points, require_same_length
-from epipole._declared import checked
+from epipole._checks import as_image, as_points, checked, require_same_length
 from epipole.errors import FileFormatError, ShapeError
 from epipole.io._bytes import ByteReader
 from epipole.io.atomic import atomic_write
@@ -19,19 +18,19 @@ from epipole.io.meshes._ply_colors import ply_colours
 from epipole.scene import Reconstruction
 
 CAMERA_RGB = (230, 60, 40)
-"""Colour of the drawn cameras."""
+"""Color of the camera frustums."""
 CAMERA_SIZE = 0.3
-"""Depth of a drawn camera as a share of the median distance from a camera to the nearest other one."""
+"""Depth of a frustum as a fraction of the median distance from a camera to its nearest neighbor."""
 
 _EDGE = np.dtype([("vertices", "<i4", 2), ("rgb", "u1", 3)])
 _LARGEST_ROUNDING = 1e-6
-"""Of coordinates in single precision, as a fraction of the points' spread; beyond it they are written as doubles."""
+"""Largest single-precision rounding, as a fraction of the points' spread; beyond, coordinates are doubles."""
 _FEW, _ROUNDING_OF_FEW = 10, 1e-6
-"""Fewer points have no spread to speak of; their rounding."""
+"""Below this number of points, the spread is not meaningful; largest rounding in that case."""
 _EDGE_HEADER = ("int vertex1", "int vertex2", "uchar red", "uchar green", "uchar blue")
 SCENE_COMMENT = "comment epipole scene, +z up: points, then five corners and eight edges of each camera"
-"""Of `write_scene_ply`: a viewer of ours draws the cameras as such."""
-# Vertex 0 is the centre, 1 to 4 the corners of the image in turn.
+"""Header comment of `write_scene_ply`, by which epipole's viewer recognizes the cameras."""
+# Vertex 0 is the camera center, 1 to 4 are the image corners in order.
 _FRUSTUM_EDGES = np.array([(0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1)])
 
 PLY_TYPES = {
@@ -50,7 +49,7 @@ class PlyPoints:
 
     xyz: Float64[np.ndarray, "n 3"]
     rgb: UInt8[np.ndarray, "n 3"] | None
-    """None where the file has no colours."""
+    """None if the file has no colors."""
 
     def __len__(self) -> int:
         return len(self.xyz)
@@ -61,10 +60,11 @@ class PlyPoints:
 
 @checked
 def vertex_type(xyz: Float64[np.ndarray, "n 3"]) -> tuple[np.dtype, list[str]]:
-    """How vertices (n, 3) with colours are stored, and what the header says of it.
+    """Storage type of vertices (n, 3) with colors, and its header lines.
 
-    Coordinates are `float`, or `double` where single precision rounds them by more than a millionth of their spread: points far from the
-    origin, in UTM for one, which `float` would put on a grid of 0.25 to 0.5 m. Of fewer than ten points, whose spread says little, it may round 1e-6.
+    Coordinates are `float`, or `double` if single precision rounds them by more than a millionth of their spread: for
+    points far from the origin, such as UTM, `float` has a resolution of 0.25 to 0.5 m. For fewer than ten points, whose
+    spread is not meaningful, rounding by up to 1e-6 is allowed.
     """
     points = xyz[np.isfinite(xyz).all(axis=1)].astype(np.float64)
     kind, word = "<f4", "float"
@@ -82,10 +82,10 @@ def vertex_type(xyz: Float64[np.ndarray, "n 3"]) -> tuple[np.dtype, list[str]]:
 
 @checked
 def write_points_ply(path: str | Path, xyz: Any, rgb: Any) -> None:
-    """Write points (n, 3) with colours (n, 3), 0 to 255, as binary little-endian PLY, in the precision of `vertex_type`.
+    """Write points (n, 3) with colors (n, 3), 0 to 255, as binary little-endian PLY, in the precision of `vertex_type`.
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: the arrays do not match.
         WorkspaceError: the file cannot be written.
     """
     xyz, rgb = _points_and_colours(xyz, rgb)
@@ -94,7 +94,7 @@ def write_points_ply(path: str | Path, xyz: Any, rgb: Any) -> None:
 
 @checked
 def write_scene_ply(path: str | Path, reconstruction: Reconstruction) -> None:
-    """Write the points and, as edges, a pyramid for each registered camera.
+    """Write the points, and a frustum for each registered camera as edges.
 
     Raises:
         WorkspaceError: the file cannot be written.
@@ -113,7 +113,7 @@ def write_scene_ply(path: str | Path, reconstruction: Reconstruction) -> None:
 
 @checked
 def num_cameras_of_scene(path: str | Path) -> int | None:
-    """How many cameras a file of `write_scene_ply` holds; None of other files.
+    """Number of cameras in a file written by `write_scene_ply`; None for other files.
 
     Raises:
         FileFormatError: there is no such file.
@@ -128,7 +128,7 @@ def num_cameras_of_scene(path: str | Path) -> int | None:
 
 @checked
 def frustum_segments(corners: Float64[np.ndarray, "n 5 3"]) -> Float64[np.ndarray, "m 2 3"]:
-    """The lines of drawn cameras, from their centres and the corners of their images."""
+    """The line segments of frustums, from their centers and image corners."""
     return corners[:, _FRUSTUM_EDGES].reshape(-1, 2, 3)
 
 
@@ -141,7 +141,7 @@ def _points_and_colours(xyz: Any, rgb: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _frustums_in_world(reconstruction: Reconstruction) -> Float64[np.ndarray, "n 5 3"]:
-    """Centre and image corners of every registered camera; lens distortion is left out of the drawing."""
+    """Center and image corners of every registered camera; distortion is ignored."""
     cams_from_world, camera_of_image = reconstruction.cams_from_world(), reconstruction.camera_of_image
     registered = np.flatnonzero(np.isfinite(cams_from_world.translation).all(axis=1))
     depth = _frustum_depth(reconstruction, cams_from_world.centers()[registered])
@@ -156,7 +156,7 @@ def _frustums_in_world(reconstruction: Reconstruction) -> Float64[np.ndarray, "n
 
 
 def _frustum_depth(reconstruction: Reconstruction, centers: np.ndarray) -> float:
-    """A length that keeps neighbouring cameras apart; without neighbours, by the distance to the points."""
+    """A length that keeps neighboring frustums apart; with a single camera, derived from the distance to the points."""
     if len(centers) > 1:
         from scipy.spatial import cKDTree  # a sixth of a second to import, for a scene's cameras only
 
@@ -187,7 +187,7 @@ def _write(path: Path, xyz: np.ndarray, rgb: np.ndarray, edges: np.ndarray, comm
 
 @dataclass(frozen=True, slots=True)
 class PlyHeader:
-    """What a file's header promises."""
+    """The content of a file's header."""
 
     byte_order: str
     """Empty for a text file."""
@@ -195,16 +195,16 @@ class PlyHeader:
     names: tuple[str, ...]
     types: tuple[str, ...]
     num_faces: int
-    """0 unless faces follow the vertices at once."""
+    """0 unless faces come directly after the vertices."""
     face_types: tuple[tuple[str, ...], ...]
-    """Of each property of a face: one type, or of a list those of the count and of its items."""
+    """For each property of a face: its type, or the types of the count and the items for a list."""
     size: int
     elements: tuple[tuple[str, int], ...] = ()
-    """Names and counts of all elements, in their order."""
+    """Names and counts of all elements, in file order."""
 
     @property
     def vertex_bytes(self) -> int:
-        """Of a vertex in a binary file."""
+        """Size of a vertex in a binary file."""
         return sum(np.dtype(kind).itemsize for kind in self.types)
 
 
@@ -212,10 +212,10 @@ class PlyHeader:
 def read_points_ply(path: str | Path) -> PlyPoints:
     """Read the vertices of a PLY file, text or binary, with their colours if there are any.
 
-    Other properties of the vertices (normals, intensities, labels), and elements behind them, are not read.
+    Other vertex properties (normals, intensities, labels) and elements after the vertices are ignored.
 
     Raises:
-        FileFormatError: it is no PLY file, a line of its header is not understood, it has no x, y, z, or is cut short.
+        FileFormatError: not a PLY file, an invalid header line, no x, y, z, or a truncated file.
     """
     path = Path(path)
     data = file_bytes(path)
@@ -224,10 +224,10 @@ def read_points_ply(path: str | Path) -> PlyPoints:
 
 @checked
 def points_of_ply(path: Path, data: bytes, header: PlyHeader) -> PlyPoints:
-    """The vertices of a file's bytes.
+    """The vertices in a file's bytes.
 
     Raises:
-        FileFormatError: they have no x, y, z, or are cut short.
+        FileFormatError: they have no x, y, z, or are truncated.
     """
     columns = _columns(path, data, header)
     missing = [name for name in "xyz" if name not in columns]
@@ -239,10 +239,10 @@ def points_of_ply(path: Path, data: bytes, header: PlyHeader) -> PlyPoints:
 
 @checked
 def ply_columns(path: Path) -> dict[str, np.ndarray]:
-    """The vertices of a PLY file, property by property.
+    """The vertices of a PLY file, by property.
 
     Raises:
-        FileFormatError: it is no PLY file, or is cut short.
+        FileFormatError: not a PLY file, or truncated.
     """
     data = file_bytes(path)
     return _columns(path, data, ply_header(path, data))
@@ -254,10 +254,10 @@ def _columns(path: Path, data: bytes, header: PlyHeader) -> dict[str, np.ndarray
 
 @checked
 def ply_header(path: Path, data: bytes) -> PlyHeader:
-    """What a file promises.
+    """Parse the header of a PLY file.
 
     Raises:
-        FileFormatError: it is no PLY file, its vertices do not come first, or a line of its header is not understood.
+        FileFormatError: not a PLY file, the vertices do not come first, or a header line is invalid.
     """
     end = data.find(b"end_header", 0, _MAX_HEADER)
     newline = data.find(b"\n", end)
@@ -290,14 +290,12 @@ def ply_header(path: Path, data: bytes) -> PlyHeader:
             else:
                 _require_ignorable(words)
         except _HeaderError as error:
-            problem = f"line {number}: cannot be understood: {line[:60]!r} ({error})"
+            problem = f"line {number}: invalid header line {line[:60]!r} ({error})"
             raise FileFormatError(path, problem) from error
         except (KeyError, IndexError, ValueError) as error:
-            raise FileFormatError(path, f"line {number}: cannot be understood: {line[:60]!r}") from error
+            raise FileFormatError(path, f"line {number}: invalid header line {line[:60]!r}") from error
     if is_orphan:
-        raise FileFormatError(
-            path, "a line of the header cannot be understood: a property before all elements"
-        )
+        raise FileFormatError(path, "invalid header: a property precedes all elements")
     num_vertices = dict(elements).get("vertex", -1)
     if byte_order is None or num_vertices < 0 or not names or len(set(names)) < len(names):
         raise FileFormatError(path, "the header does not describe vertices")
@@ -315,25 +313,25 @@ def ply_header(path: Path, data: bytes) -> PlyHeader:
 
 
 class _HeaderError(ValueError):
-    """Why a line of a header cannot be understood."""
+    """Why a header line is invalid."""
 
 
 def _require_ignorable(words: list[str]) -> None:
     if words and words[0] not in _IGNORED_LINES:
-        raise _HeaderError("a line of no known kind")
+        raise _HeaderError("unknown keyword")
 
 
 def _add_element(elements: list[tuple[str, int]], words: list[str]) -> None:
     _, name, count = words
     if int(count) < 0 or name in dict(elements):
-        raise _HeaderError("a negative count, or an element that is there already")
+        raise _HeaderError("a negative count, or a duplicate element")
     if name != "vertex" and int(count) > 0 and "vertex" not in dict(elements):
         raise _HeaderError("the vertices must come first")
     elements.append((name, int(count)))
 
 
 def _is_behind_vertices(elements: list[tuple[str, int]]) -> bool:
-    """Whether the last element follows the vertices at once, but for empty ones."""
+    """Whether the last element comes directly after the vertices, ignoring empty elements."""
     filled = [name for name, count in elements[:-1] if count > 0 or name == "vertex"]
     return filled == ["vertex"]
 
@@ -360,6 +358,6 @@ def _text_columns(path: Path, data: bytes, header: PlyHeader) -> dict[str, np.nd
     columns = {}
     for name, kind, column in zip(header.names, header.types, table.T):
         if not kind.startswith("f") and not (np.abs(column) < 2.0**53).all():
-            raise FileFormatError(path, f"the vertices' {name} is not all whole numbers")
+            raise FileFormatError(path, f"the vertex property {name} has values that are not integers")
         columns[name] = column if kind.startswith("f") else column.astype(np.int64)
     return columns

@@ -1,1 +1,1 @@
-"""Models other than COLMAP's: nerfstudio, Bundler, BAL, LLFF."""
+"""Models in other formats than COLMAP's: nerfstudio, Bundler, BAL, LLFF."""

@@ -1,4 +1,4 @@
-"""The camera and the pose of a frame of transforms.json."""
+"""The camera and the pose of a frame in transforms.json."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 PERSPECTIVE_KEYS, FISHEYE_KEYS = ("k1", "k2", "p1", "p2"), ("k1", "k2", "k3", "k4")
 
 _RATIONAL_KEYS = (*PERSPECTIVE_KEYS, "k3", "k4", "k5", "k6")
-# The coefficients that each camera model has.
+# Supported coefficients of each camera model.
 _PERSPECTIVE = {
     "SIMPLE_PINHOLE": (),
     "PINHOLE": (),
@@ -42,19 +42,19 @@ _FOCAL_KEYS = {axis: (f"fl_{axis}", f"{axis}_fov", f"camera_angle_{axis}") for a
 _NUMBERS = ("w", "h", "cx", "cy", *_FOCAL_KEYS["x"], *_FOCAL_KEYS["y"], *_RATIONAL_KEYS)
 _SIZE_KEYS = (("w", "width", "image_width"), ("h", "height", "image_height"))
 _SAME_FOCAL = 0.01
-"""Relative difference up to which two values of a focal length agree: files hold rounded angles."""
+"""Relative difference up to which two values of a focal length agree: files store rounded angles."""
 _EXACT_ROTATION, _MOST_SCALE = 1e-3, 0.02 + 1e-9
-"""Deviation of a rotation's singular values from 1 that is rounding, and the largest that is corrected."""
+"""Deviation of a rotation's singular values from 1 attributed to rounding, and the largest that is corrected."""
 _AFFINE_TOLERANCE = 1e-6
 
 
 def camera_of_frame(
     path: Path, content: Mapping[str, Any], frame: Mapping[str, Any], name: str
 ) -> tuple[Camera, list[str]]:
-    """The camera of one frame, whose own values go before the file's; and what is odd about it.
+    """The camera of one frame, whose values override those of the file, and warnings about it.
 
     Raises:
-        ConfigError: the values are not those of a camera model that is known, or contradict each other.
+        ConfigError: the camera model is unsupported, or values are invalid or contradict each other.
     """
     values = {**content, **frame}
     _require_finite(values)
@@ -76,11 +76,10 @@ def _require_finite(values: Mapping[str, Any]) -> None:
 
 
 def _model_of(content: Mapping[str, Any], frame: Mapping[str, Any]) -> tuple[str, bool]:
-    """Name of the camera model, and whether it is a fisheye."""
     values = {**content, **frame}
     flag = values.get("is_fisheye")
     if flag is not None and not isinstance(flag, (bool, int)):
-        raise ConfigError(f"is_fisheye is true or false, got {flag!r}")
+        raise ConfigError(f"is_fisheye must be true or false, got {flag!r}")
     if "camera_model" not in values:
         return ("OPENCV_FISHEYE", True) if flag else ("OPENCV", False)
     given = values["camera_model"]
@@ -89,7 +88,7 @@ def _model_of(content: Mapping[str, Any], frame: Mapping[str, Any]) -> tuple[str
         raise ConfigError(f"camera_model {given}: {SPHERICAL_REFUSAL}")
     if name not in _PERSPECTIVE and name not in _FISHEYE:
         known = ", ".join((*_PERSPECTIVE, *_FISHEYE))
-        raise ConfigError(f"unknown camera_model {str(given)[:40]!r}; known are {known}")
+        raise ConfigError(f"unknown camera_model {str(given)[:40]!r}; supported are {known}")
     is_fisheye = name in _FISHEYE
     if flag is not None and bool(flag) != is_fisheye:
         raise ConfigError(f"camera_model {name} contradicts is_fisheye = {flag}")
@@ -97,7 +96,6 @@ def _model_of(content: Mapping[str, Any], frame: Mapping[str, Any]) -> tuple[str
 
 
 def _distortion(values: Mapping[str, Any], name: str, is_fisheye: bool) -> tuple[CameraModel, list[float]]:
-    """Our model, and its coefficients."""
     has = (_FISHEYE if is_fisheye else _PERSPECTIVE)[name]
     given = {key: _coefficient(values, key) for key in _RATIONAL_KEYS}
     for key in given:
@@ -125,28 +123,28 @@ def _focals(
     is_fisheye: bool,
     warnings: list[str],
 ) -> tuple[float, float]:
-    """Focal lengths in pixels; of one that is not given, the pixels are square."""
+    """Focal lengths in pixels; if only one is given, pixels are assumed to be square."""
     x, y = (_given_focals(content, frame, axis, side, is_fisheye) for axis, side in zip("xy", size))
     if not x and not y:
         known = "fl_x" if is_fisheye else "fl_x, camera_angle_x or camera_angle_y"
-        raise ConfigError(f"the focal length is unknown: give {known}")
+        raise ConfigError(f"unknown focal length: add {known} to the file")
     _require_agreement(x)
     fx = next(iter((x or y).values()))
     fy = next(iter((y or x).values()))
     try:
         _require_agreement(y)
     except ConfigError as error:
-        # Blender's angle_y is that of its sensor, whatever the shape of the image: three values against one.
+        # Blender's angle_y is that of its sensor, independent of the image's shape: three values against one.
         if not ("fl_x" in x and "fl_y" in y and abs(fy - fx) <= _SAME_FOCAL * fx):
             raise
-        warnings.append(f"{error}; fl_y is used, for it agrees with fl_x")
+        warnings.append(f"{error}; using fl_y because it agrees with fl_x")
     return fx, fy
 
 
 def _given_focals(
     content: Mapping[str, Any], frame: Mapping[str, Any], axis: str, side: int, is_fisheye: bool
 ) -> dict[str, float]:
-    """Focal lengths along an axis by their keys, all from the frame or all from the file; the best is first."""
+    """Focal lengths along an axis by key, all from the frame or all from the file; the most reliable comes first."""
     keys = _FOCAL_KEYS[axis]
     values = frame if any(frame.get(key) is not None for key in keys) else content
     out: dict[str, float] = {}
@@ -156,9 +154,9 @@ def _given_focals(
         value = float(values[key])
         if unit_rad is None:
             out[key] = value
-        elif not is_fisheye:  # a fisheye's focal length does not follow from its angle of view
+        elif not is_fisheye:  # the angle of view does not determine a fisheye's focal length
             if not 0.0 < unit_rad * value < math.pi:
-                raise ConfigError(f"{key} is {value:g}, no angle of view")
+                raise ConfigError(f"{key} = {value:g} is not a valid angle of view")
             out[key] = 0.5 * side / math.tan(0.5 * unit_rad * value)
     return out
 
@@ -167,11 +165,11 @@ def _require_agreement(focals: Mapping[str, float]) -> None:
     (first, focal), *others = focals.items() if focals else [("", 0.0)]
     for key, other in others:
         if not abs(other - focal) <= _SAME_FOCAL * abs(focal):
-            raise ConfigError(f"{first} = {focal:g} contradicts {key}, which means {other:g} pixels")
+            raise ConfigError(f"{first} = {focal:g} contradicts {key}, which corresponds to {other:g} pixels")
 
 
 def _size(path: Path, values: Mapping[str, Any], name: str) -> tuple[int, int]:
-    """Width and height; what is not given is read from the image."""
+    """Width and height; missing values are read from the image."""
     sides: list[int | None] = []
     for keys in _SIZE_KEYS:
         given = {key: _pixels(values, key) for key in keys if key in values}
@@ -184,14 +182,14 @@ def _size(path: Path, values: Mapping[str, Any], name: str) -> tuple[int, int]:
     of_image = _image_size(path_inside(path.parent, name))
     for side, value, pixels in zip("wh", sides, of_image):
         if value is not None and value != pixels:
-            raise ConfigError(f"{side} is {value}, but the image has {pixels} pixels")
+            raise ConfigError(f"{side} = {value}, but the image has {pixels} pixels")
     return of_image
 
 
 def _pixels(values: Mapping[str, Any], key: str) -> int:
     value = float(values[key])
     if not (0 < value < 2**31 and value == int(value)):
-        raise ConfigError(f"impossible image size, {key} = {value:g}")
+        raise ConfigError(f"invalid image size {key} = {value:g}")
     return int(value)
 
 
@@ -199,15 +197,15 @@ def _image_size(file: Path) -> tuple[int, int]:
     try:
         header = read_header(file)
     except EpipoleError as error:
-        raise ConfigError(f"w and h are not given, and the image {file} cannot be read") from error
+        raise ConfigError(f"w and h are missing, and the image {file} cannot be read") from error
     return header.width, header.height
 
 
 def world_from_camera(frame: Mapping[str, Any]) -> tuple[np.ndarray | None, float]:
-    """The pose (4, 4) with our camera axes, None where a number is not finite; and by how much its rotation was corrected.
+    """The pose (4, 4) with epipole's camera axes, None if not finite, and the size of the rotation's correction.
 
     Raises:
-        ConfigError: it is no matrix of a motion.
+        ConfigError: the matrix is not a rigid motion.
     """
     given = np.array(frame["transform_matrix"], np.float64)
     if given.shape not in ((4, 4), (3, 4)):
@@ -218,7 +216,7 @@ def world_from_camera(frame: Mapping[str, Any]) -> tuple[np.ndarray | None, floa
     deviation = float(np.abs(scales - 1.0).max())
     if not deviation <= _MOST_SCALE or np.linalg.det(given[:3, :3]) <= 0:
         raise ConfigError(
-            f"transform_matrix does not hold a rotation (its scales are {scales[0]:.3g} to {scales[-1]:.3g})"
+            f"transform_matrix does not contain a rotation (its scales are {scales[0]:.3g} to {scales[-1]:.3g})"
         )
     if len(given) == 4 and np.abs(given[3] - [0.0, 0.0, 0.0, 1.0]).max() > _AFFINE_TOLERANCE:
         raise ConfigError(

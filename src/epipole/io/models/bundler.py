@@ -7,34 +7,34 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError
 from epipole.io.atomic import atomic_write
 from epipole.scene import Reconstruction
 
 LIST_FILE = "list.txt"
-"""Name of the list of images that is written beside."""
+"""Name of the image list, written beside the model."""
 MAX_ASPECT_DIFFERENCE = 0.01
-"""Bundler has one focal length: cameras whose two differ by more than this share cannot be written."""
+"""Bundler has one focal length: fx and fy may differ by at most this fraction."""
 
 _BUNDLER_AXES = np.array([1.0, -1.0, -1.0])
 
 
 @checked
 def write_bundler(reconstruction: Reconstruction, path: str | Path, image_folder: str = "") -> None:
-    """Write the registered cameras and the points, with `list.txt` beside.
+    """Write the registered cameras and the points, with a `list.txt` beside them.
 
-    A Bundler camera looks down -z, with y up, and has f, k1 and k2. Pixels count from the principal point,
-    which the format takes to be the middle of the image; that keeps the file consistent where it is not.
+    A Bundler camera looks down -z, with y up, and has f, k1 and k2. Pixels are relative to the principal point, which
+    the format assumes to be the image center; the file stays consistent if it is not.
 
     Args:
-        reconstruction: what to write.
+        reconstruction: the model to write.
         path: the file.
-        image_folder: where the images are, seen from the file's folder.
+        image_folder: folder of the images, relative to the file's folder.
 
     Raises:
-        ConfigError: a camera has a distortion that the format cannot hold (undistort the images first).
+        ConfigError: the format cannot represent a camera's distortion (undistort the images first).
         WorkspaceError: a file cannot be written.
     """
     path = Path(path)
@@ -62,13 +62,13 @@ def _bundler_intrinsics(camera: Camera) -> np.ndarray:
     """(f, k1, k2)."""
     fx, fy = camera.K[0, 0], camera.K[1, 1]
     if abs(fx - fy) > MAX_ASPECT_DIFFERENCE * fx:
-        raise ConfigError(f"Bundler has one focal length; this camera has {fx:g} and {fy:g}")
+        raise ConfigError(f"Bundler has a single focal length, but this camera has {fx:g} and {fy:g}")
     distortion = np.zeros(8)
     values = camera.params[list(camera.model.distortion_indices)]
     distortion[: len(values)] = values
     if camera.model == CameraModel.OPENCV_FISHEYE or distortion[2:].any():
         raise ConfigError(
-            f"Bundler cannot hold the distortion of {camera.model.name}, only k1 and k2: "
+            f"Bundler cannot represent the distortion of {camera.model.name}, only k1 and k2: "
             "undistort the images first"
         )
     return np.array([camera.focal_px, distortion[0], distortion[1]])
@@ -79,7 +79,7 @@ def _numbers(values: np.ndarray) -> str:
 
 
 def _point_lines(reconstruction: Reconstruction, is_written: np.ndarray) -> Iterator[str]:
-    """Three lines for each point: place, colour, and the cameras and keypoints that see it."""
+    """Three lines per point: position, color, and the cameras and keypoints that observe it."""
     tracks, points = reconstruction.tracks, reconstruction.points
     camera_row = np.cumsum(is_written) - 1
     principal = np.array([reconstruction.cameras[i].K[:2, 2] for i in range(len(reconstruction.cameras))])

@@ -1,8 +1,8 @@
-"""The image files of a model, in the pixels and at the scale that its cameras describe.
+"""The image files of a model, in the orientation and at the scale that its cameras describe.
 
-COLMAP, and most programs beside it, read the stored pixels of a file and ignore its EXIF orientation; the models made here are of
-upright images. Which of both a model describes is decided by the sizes of its images, else by the colours of its points at their
-keypoints, else by who made it.
+COLMAP and most similar programs read the stored pixels and ignore the EXIF orientation; epipole's models describe
+upright images. Which of the two a model describes is determined from the sizes of its images, else from the colors of
+its points at their keypoints, else from the program that wrote it.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ from epipole.io.names import path_inside
 from epipole.scene import Reconstruction
 
 MAX_COMPARED, COMPARED_PX = 6, 800
-"""Images whose colours are compared with those of the points, and their longest side."""
+"""Number of images whose colors are compared with those of the points, and their longest side."""
 MIN_COLORS = 50
 MIN_CORRELATION, MIN_DIFFERENCE = 0.4, 0.2
-"""Between the brightness of points and of pixels: of the better way to read the images, and more than the other way's."""
+"""Smallest correlation of brightness between points and pixels, and its margin over the other orientation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelImage:
-    """An image file and the camera of its pixels."""
+    """An image file and the camera that matches its pixels."""
 
     path: Path
     camera: Camera
-    """The model's, at the scale of the file."""
+    """The model's camera, scaled to the file."""
     orientation: int
-    """The EXIF orientation to apply: the file's own, or 1 where the model describes stored pixels."""
+    """The EXIF orientation to apply: the file's, or 1 if the model describes stored pixels."""
 
     def read(
         self, max_size_px: int | None = None, *, limits: GreyRange | None = None
@@ -53,7 +53,7 @@ class ModelImage:
 
         Args:
             max_size_px: as in `read_rgb`.
-            limits: of deep greyscale, as in `read_rgb`.
+            limits: range of deep greyscale, as in `read_rgb`.
 
         Raises:
             FileFormatError: the file is damaged.
@@ -62,12 +62,12 @@ class ModelImage:
 
 
 class ModelImages:
-    """The images of a model in a folder, by the names that the model has for them.
+    """The images of a model in a folder, by their names in the model.
 
     Args:
         model: the model.
-        folder: of the images.
-        is_own: a run of epipole made the model: it describes upright images.
+        folder: the folder of the images.
+        is_own: whether epipole made the model, which then describes upright images.
     """
 
     def __init__(self, model: Reconstruction, folder: Path, *, is_own: bool) -> None:
@@ -75,10 +75,10 @@ class ModelImages:
         self._row = {name: row for row, name in enumerate(model.images.name)}
 
     def find(self, name: str) -> ModelImage:
-        """The file of an image, and the camera of its pixels.
+        """The file of an image, and the camera that matches its pixels.
 
         Raises:
-            FileFormatError: there is none, it is damaged, or it does not show what its camera's images show at one scale.
+            FileFormatError: the file is missing, damaged, or not a scaled version of the camera's images.
         """
         path = path_inside(self._folder, name)
         camera, shape = self._camera_of(self._row[name]), _shape_of(path)
@@ -89,13 +89,13 @@ class ModelImages:
         except ConfigError as error:
             raise FileFormatError(
                 path,
-                f"is {shape.width} x {shape.height}, its camera {camera.width} x {camera.height}: images of other sizes must be"
-                " scaled by one factor",
+                f"the image is {shape.width} x {shape.height}, but its camera {camera.width} x {camera.height}: images of another size"
+                " must be scaled by a single factor",
             ) from error
         return ModelImage(path, fitted, shape.orientation if pixels is ImagePixels.UPRIGHT else 1)
 
     def loader(self, max_size_px: int) -> Callable[[str], np.ndarray | None]:
-        """A function that reads an image by its name; it gives None for one that cannot be read."""
+        """A function that reads an image by name; it returns None for images that cannot be read."""
 
         def load_image(name: str) -> np.ndarray | None:
             try:
@@ -110,7 +110,7 @@ class ModelImages:
 
     @cached_property
     def _described(self) -> ImagePixels:
-        """What the cameras describe of images that fit both ways."""
+        """What the cameras describe, for images that fit both stored and upright."""
         rotated = {name: shape for name, shape in self._shapes().items() if shape.orientation != 1}
         fits = [_fits(self._camera_of(self._row[name]), shape) for name, shape in rotated.items()]
         by_size = {orientation[0] for orientation in fits if len(orientation) == 1}
@@ -128,11 +128,11 @@ class ModelImages:
             try:
                 out[name] = _shape_of(path_inside(self._folder, name))
             except EpipoleError:
-                continue  # it is named where it is asked for
+                continue  # reported when the image is requested
         return out
 
     def _described_by_colors(self, shapes: dict[str, ImageShape]) -> ImagePixels | None:
-        """By the colours of points at their keypoints, in images that fit both ways; None where these do not decide."""
+        """Decide by the colors of points at their keypoints, in images that fit both ways; None if undecided."""
         tracks = self._model.tracks
         count = np.bincount(tracks.image, minlength=len(self._model.images))
         names = sorted(shapes, key=lambda name: (-count[self._row[name]], name))[:MAX_COMPARED]
@@ -148,7 +148,7 @@ class ModelImages:
         return ImagePixels.STORED if of_stored > of_upright else ImagePixels.UPRIGHT
 
     def _colors(self, name: str, shape: ImageShape) -> np.ndarray | None:
-        """(3, n) brightness of points, and of the stored pixels that their keypoints are if they are stored or upright."""
+        """(3, n) brightness of points, and of their pixels if keypoints refer to the stored or to the upright image."""
         model, row = self._model, self._row[name]
         own = model.tracks.image == row
         camera = self._camera_of(row)
@@ -168,7 +168,7 @@ class ModelImages:
 
 
 def _colors_at(rgb: np.ndarray, keypoints: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """(n, 3) colours at keypoints of an image that was this large; NaN outside."""
+    """(n, 3) colors at keypoints given for an image of the original `size`; NaN outside."""
     now = np.array([rgb.shape[1], rgb.shape[0]])
     at = np.rint((keypoints + 0.5) * now / size - 0.5)
     inside = (at >= 0).all(axis=1) & (at < now).all(axis=1)
@@ -177,7 +177,6 @@ def _colors_at(rgb: np.ndarray, keypoints: np.ndarray, size: tuple[int, int]) ->
 
 
 def _fits(camera: Camera, shape: ImageShape) -> list[ImagePixels]:
-    """The pixels of a file that a camera may describe."""
     size = camera.width, camera.height
     return [pixels for pixels in ImagePixels if is_same_view(size, shape.size(pixels))]
 

@@ -1,7 +1,8 @@
-"""Cameras as LLFF's poses_bounds.npy: a row of 17 numbers for each image, in the order of the images' names.
+"""Cameras in LLFF's poses_bounds.npy: one row of 17 numbers per image, in the order of the image names.
 
-A row is a matrix (3, 5) and the nearest and furthest depth. The matrix's columns are world_from_camera with the axes (down, right,
-backwards), and (height, width, focal length) of the images in their full size; `images_8` beside it holds them eight times smaller.
+A row is a (3, 5) matrix, then the nearest and the farthest depth. The columns of the matrix are world_from_camera with
+the axes (down, right, backwards), and (height, width, focal length) of the full-size images; `images_8` has them
+downscaled by 8.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from tokenize import TokenError
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3, Rotation3
@@ -35,26 +36,26 @@ _ORTHONORMAL_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LlffScene:
-    """What a folder of LLFF's tells."""
+    """The content of an LLFF folder."""
 
     reconstruction: Reconstruction
-    """Names start from `image_folder`; points are those of sparse/0, without tracks."""
+    """Image names are relative to `image_folder`; points are those of sparse/0, without tracks."""
     image_folder: Path
     near_far: Float64[np.ndarray, "n 2"]
-    """Depths between which an image's scene lies, in the unit of the cameras."""
+    """Depth range of each image's scene, in the unit of the cameras."""
 
 
 @checked
 def read_llff(folder: str | Path, max_side_px: int | None = None) -> LlffScene:
-    """Read poses_bounds.npy, and the points of sparse/0 where they are there (they are in the same world).
+    """Read poses_bounds.npy, and the points of sparse/0 if present (they share the world frame).
 
     Args:
-        folder: of the file.
-        max_side_px: the largest of the folders `images`, `images_2`, ... is taken whose images are no larger, else the smallest;
-            None: the largest.
+        folder: folder of the file.
+        max_side_px: use the largest of the folders `images`, `images_2`, ... whose images are no larger, else the
+            smallest; None: the largest.
 
     Raises:
-        FileFormatError: there is no such file, a value is impossible, or images and rows are not equally many.
+        FileFormatError: the file is missing, a value is invalid, or the numbers of images and rows differ.
     """
     folder = Path(folder)
     path = folder / LLFF
@@ -63,9 +64,7 @@ def read_llff(folder: str | Path, max_side_px: int | None = None) -> LlffScene:
     image_folder, size = _images(folder, max_side_px)
     names = sorted(p.name for p in image_folder.iterdir() if p.suffix.lower() in FORMAT_OF_SUFFIX)
     if len(names) != len(rows):
-        raise FileFormatError(
-            path, f"tells {len(rows)} cameras, and {image_folder} holds {len(names)} images"
-        )
+        raise FileFormatError(path, f"it has {len(rows)} cameras, but {image_folder} has {len(names)} images")
     n = len(rows)
     cameras = [_camera(path, matrix[:, 4], size) for matrix in matrices]
     motions = _cams_from_world(path, matrices)
@@ -83,7 +82,6 @@ def read_llff(folder: str | Path, max_side_px: int | None = None) -> LlffScene:
 
 
 def _rows(path: Path) -> np.ndarray:
-    """The numbers of the file (n, 17), checked."""
     try:
         rows = np.load(io.BytesIO(file_bytes(path, _MOST_BYTES)), allow_pickle=False)
     except (ValueError, EOFError, OSError, SyntaxError, MemoryError, TokenError, TypeError) as error:
@@ -99,7 +97,7 @@ def _rows(path: Path) -> np.ndarray:
 
 
 def _images(folder: Path, max_side_px: int | None) -> tuple[Path, tuple[int, int]]:
-    """The folder of images that is wanted, and the size of its first."""
+    """The selected folder of images, and the size of its first image."""
     sizes: list[tuple[int, Path, tuple[int, int]]] = []
     for position in sorted(folder.iterdir()):
         found = _SIZES.fullmatch(position.name)
@@ -110,7 +108,7 @@ def _images(folder: Path, max_side_px: int | None) -> tuple[Path, tuple[int, int
             header = read_header(files[0])
             sizes.append((int(found[1] or 1), position, (header.width, header.height)))
     if not sizes:
-        raise FileFormatError(folder, "there are no images (no images, images_2, images_4 or images_8)")
+        raise FileFormatError(folder, "no images found (in images, images_2, images_4 or images_8)")
     sizes.sort(key=lambda one: one[0])
     for _, position, size in sizes:
         if max_side_px is None or max(size) <= max_side_px:
@@ -119,12 +117,12 @@ def _images(folder: Path, max_side_px: int | None) -> tuple[Path, tuple[int, int
 
 
 def _camera(path: Path, given: np.ndarray, size: tuple[int, int]) -> Camera:
-    """A pinhole of the images in the size that they have; its middle is that of the image."""
+    """A pinhole camera for the actual image size, with the principal point at the image center."""
     height, width, focal = given.tolist()
     is_possible = height >= 1 and width >= 1 and focal > 0
     fx, fy = (focal * size[0] / width, focal * size[1] / height) if is_possible else (0.0, 0.0)
     if not (0 < fx < np.inf and 0 < fy < np.inf):
-        raise FileFormatError(path, f"impossible camera: {width:g} x {height:g}, focal length {focal:g}")
+        raise FileFormatError(path, f"invalid camera: {width:g} x {height:g}, focal length {focal:g}")
     params = np.array([fx, fy, 0.5 * (size[0] - 1), 0.5 * (size[1] - 1)])
     return Camera(CameraModel.PINHOLE, *size, params)
 
@@ -134,7 +132,7 @@ def _cams_from_world(path: Path, matrices: np.ndarray) -> Rigid3:
     rotation = np.stack([right, down, -back], axis=2)
     off = np.abs(np.swapaxes(rotation, 1, 2) @ rotation - np.eye(3)).max()
     if off > _ORTHONORMAL_TOLERANCE or (np.linalg.det(rotation) < 0).any():
-        raise FileFormatError(path, "a matrix does not hold a rotation")
+        raise FileFormatError(path, "a matrix does not contain a rotation")
     return Rigid3(Rotation3.nearest(rotation).matrix, matrices[:, :, 3].copy()).inverse()
 
 

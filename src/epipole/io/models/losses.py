@@ -1,4 +1,4 @@
-"""What a finished reconstruction lost on its way, for the jobs that go on with its model."""
+"""Images and models lost by a reconstruction, as warnings for commands that continue from it."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from epipole.io.files import read_json
 
 SUMMARY = "summary.json"
 REASONS_SHOWN = 5
-"""Images that are named; the report lists all."""
+"""Number of images that are named; the report lists all."""
 
 
 def losses_in(workspace: Path) -> list[str]:
-    """Warnings of an output folder of `reconstruct`: its own, and the images and models that `sparse/0` lacks.
+    """Warnings about an output folder of `reconstruct`: its own, and the images and models missing from `sparse/0`.
 
     Args:
-        workspace: the folder; one of another kind, or one of its models, has no warnings.
+        workspace: the folder; other folders have no warnings.
     """
     folders = [folder for folder in (workspace / "sparse").glob("[0-9]*") if folder.is_dir()]
     if not folders:
@@ -33,18 +33,18 @@ def losses_in(workspace: Path) -> list[str]:
 
 
 def losses_of(summary: Mapping[str, Any], workspace: Path | None) -> list[str]:
-    """The same of the summary of a reconstruction, as `reconstruct` writes it.
+    """Warnings from a reconstruction's summary, as written by `reconstruct`.
 
     Args:
-        summary: with `warnings`, `models` and `not_registered`.
-        workspace: the output folder; None where it is not kept.
+        summary: with the keys `warnings`, `models` and `not_registered`.
+        workspace: the output folder; None if it is not kept.
     """
     warnings, models = summary.get("warnings"), summary.get("models")
     out = [text for text in warnings if isinstance(text, str)] if isinstance(warnings, list) else []
     if isinstance(models, list) and len(models) > 1:
         out.append(_only_largest(len(models), workspace))
     reasons = summary["not_registered"]
-    out += [f"{name} is in no model: {reason}" for name, reason in list(reasons.items())[:REASONS_SHOWN]]
+    out += [f"{name} is not registered: {reason}" for name, reason in list(reasons.items())[:REASONS_SHOWN]]
     more = len(reasons) - REASONS_SHOWN
     if more > 0:
         images = "image is" if more == 1 else "images are"
@@ -55,4 +55,4 @@ def losses_of(summary: Mapping[str, Any], workspace: Path | None) -> list[str]:
 
 def _only_largest(num_models: int, workspace: Path | None) -> str:
     where = "the reconstruction" if workspace is None else str(workspace)
-    return f"{where} has {num_models} models that do not connect, of which only the first (sparse/0) is used"
+    return f"{where} has {num_models} disconnected models; only the first (sparse/0) is used"

@@ -1,8 +1,8 @@
-"""Cameras as nerfstudio's transforms.json (also read: instant-ngp's and NeRF-synthetic's).
+"""Reading and writing nerfstudio's transforms.json (reading also instant-ngp's and NeRF-synthetic's).
 
-A frame's matrix is world_from_cam with OpenGL camera axes: x right, y up, looking down -z. The principal
-point counts from the corner of the image, half a pixel before the centre of its first pixel. Where the file has
-`origin_in_world`, its coordinates, and those of its points, are relative to it.
+A frame's matrix is world_from_cam with OpenGL camera axes: x right, y up, looking down -z. The principal point is
+relative to the image corner, half a pixel before the center of the first pixel. If the file has `origin_in_world`, its
+coordinates, and those of its points, are relative to that origin.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3, Similarity3
@@ -40,7 +40,7 @@ from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs,
 from epipole.scene.local_origin import ORIGIN
 
 POINTS_FILE = "sparse_pc.ply"
-"""Name of the points that are written beside the cameras."""
+"""Name of the point file, written beside the cameras."""
 
 
 @checked
@@ -50,15 +50,15 @@ def write_transforms(
     image_folder: str = "images",
     origin_in_world: Float64[np.ndarray, " 3"] | None = None,
 ) -> None:
-    """Write the registered cameras, and the points (if any) as a PLY file beside.
+    """Write the registered cameras, and the points (if any) to a PLY file beside them.
 
-    Intrinsics stand once in the file if all images share them, otherwise in each frame.
+    Intrinsics are written once if all images share them, otherwise in each frame.
 
     Args:
-        reconstruction: what to write.
+        reconstruction: the model to write.
         path: the JSON file.
-        image_folder: where the images are, seen from the JSON file's folder.
-        origin_in_world: written as `origin_in_world`, and all coordinates relative to it; None: none.
+        image_folder: folder of the images, relative to the JSON file's folder.
+        origin_in_world: written as `origin_in_world`, with all coordinates relative to it; None: omitted.
 
     Raises:
         WorkspaceError: the file cannot be written.
@@ -97,7 +97,9 @@ def _intrinsics(camera: Camera) -> dict[str, Any]:
     values = camera.params[list(camera.model.distortion_indices)]
     distortion[: len(values)] = values
     if distortion[5:].any():
-        raise ConfigError("transforms.json cannot hold a rational lens: undistort the images first")
+        raise ConfigError(
+            "transforms.json cannot represent a rational camera model: undistort the images first"
+        )
     return {
         "camera_model": "OPENCV_FISHEYE" if is_fisheye else "OPENCV",
         "w": camera.width,
@@ -113,15 +115,15 @@ def _intrinsics(camera: Camera) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TransformsScene:
-    """What a transforms.json holds besides cameras and points."""
+    """The content of a transforms.json file."""
 
     reconstruction: Reconstruction
     masks: Mapping[str, str]
-    """By the name of the image: the path of its mask, seen from the JSON file's folder. Black pixels are not used."""
+    """Mask path by image name, relative to the JSON file's folder. Black pixels are not used."""
     splits: Mapping[str, tuple[str, ...]]
-    """Names of the images of the splits train, val and test, of those that the file lists."""
+    """Image names of the splits train, val and test that the file defines."""
     warnings: tuple[str, ...]
-    """Frames that are left out, keys that are not used, and values that were corrected."""
+    """Skipped frames, ignored keys, and corrected values."""
 
     def __repr__(self) -> str:
         splits = "".join(f", {len(names)} {split}" for split, names in self.splits.items())
@@ -130,16 +132,16 @@ class TransformsScene:
 
 @checked
 def read_transforms(path: str | Path, image_folder: str = "images") -> Reconstruction:
-    """Read cameras, and the points if the file names some; such a file has no keypoints and no tracks.
+    """Read cameras, and the points if the file refers to any; the format has no keypoints and no tracks.
 
-    A Python warning tells what is left out, as `TransformsScene.warnings` does.
+    Issues a Python warning for everything in `TransformsScene.warnings`.
 
     Args:
         path: the JSON file.
-        image_folder: taken off the front of the images' names, as `write_transforms` puts it there.
+        image_folder: prefix removed from the image names, as added by `write_transforms`.
 
     Raises:
-        FileFormatError: it is no such file, a frame's values are impossible, or a key or camera model is not understood.
+        FileFormatError: not such a file, a frame has invalid values, or a key or camera model is not supported.
     """
     scene = read_transforms_scene(path, image_folder)
     for warning in scene.warnings:
@@ -149,20 +151,20 @@ def read_transforms(path: str | Path, image_folder: str = "images") -> Reconstru
 
 @checked
 def read_transforms_scene(path: str | Path, image_folder: str = "images") -> TransformsScene:
-    """Read cameras and points, and the masks and splits that the file names.
+    """Read cameras and points, and the masks and splits that the file defines.
 
     Args:
         path: the JSON file.
-        image_folder: as for `read_transforms`.
+        image_folder: as in `read_transforms`.
 
     Raises:
-        FileFormatError: as for `read_transforms`.
+        FileFormatError: as in `read_transforms`.
     """
     path = Path(path)
     content = _object_in(path)
     frames = content.get("frames")
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
-        raise FileFormatError(path, "there is no list of frames")
+        raise FileFormatError(path, "the list of frames is missing")
     try:
         require_known_keys(content)
         _require_affine(content)
@@ -182,10 +184,10 @@ def read_transforms_scene(path: str | Path, image_folder: str = "images") -> Tra
 
 
 def _require_affine(content: dict[str, Any]) -> None:
-    """Check what was applied to the poses and points of the file; they stay as they are.
+    """Check the transform and scale that were applied to the file's poses and points, which are read unchanged.
 
     Raises:
-        ConfigError: it is no transform, or no scale.
+        ConfigError: the transform or the scale is not valid.
     """
     transform = np.array(content.get("applied_transform", np.eye(4)), np.float64)
     scale = float(content.get("applied_scale", 1.0))
@@ -196,7 +198,7 @@ def _require_affine(content: dict[str, Any]) -> None:
 
 
 class _Frames:
-    """The frames that are read so far."""
+    """The frames read so far."""
 
     def __init__(self, path: Path, content: dict[str, Any], image_folder: str) -> None:
         self._path, self._content = path, content
@@ -213,15 +215,15 @@ class _Frames:
         self._worlds_from_cams: list[np.ndarray] = []
 
     def add(self, number: int, frame: dict[str, Any]) -> None:
-        """Read one.
+        """Read one frame.
 
         Raises:
-            FileFormatError: it cannot be read; the message has its number and image.
+            FileFormatError: the frame cannot be read; the message has its number and image.
         """
         try:
             self._add(number, frame)
         except (ConfigError, KeyError, TypeError, ValueError, ArithmeticError, OSError) as error:
-            problem = f"there is no {error}" if isinstance(error, KeyError) else str(error)
+            problem = f"the key {error} is missing" if isinstance(error, KeyError) else str(error)
             name = frame.get("file_path")
             of_image = f" (image {name[:80]})" if isinstance(name, str) else ""
             raise FileFormatError(self._path, f"frame {number}: {problem}{of_image}") from error
@@ -231,12 +233,12 @@ class _Frames:
         name = path_in_file.removeprefix(self._prefix)
         require_known_keys(frame)
         if frame.get("is_bad"):
-            self._leave_out(f"frame {number} ({name}) is left out: it is marked as bad", name)
+            self._leave_out(f"skipped frame {number} ({name}): it is marked as bad", name)
             return
         camera, oddities = camera_of_frame(self._path, self._content, frame, path_in_file)
         world_from_cam, correction = world_from_camera(frame)
         if world_from_cam is None:
-            self._leave_out(f"frame {number} ({name}) is left out: its transform_matrix is not finite", name)
+            self._leave_out(f"skipped frame {number} ({name}): its transform_matrix is not finite", name)
             return
         mask = frame.get("mask_path", self._content.get("mask_path"))
         if mask is not None:
@@ -257,25 +259,25 @@ class _Frames:
         self._names_left_out.add(name)
 
     def warnings(self) -> list[str]:
-        """What is left out, odd or corrected."""
+        """Warnings about skipped frames, unusual values and corrections."""
         out = [*self.left_out, *self._oddities]
         if self._corrections:
             most, name = max(self._corrections, key=lambda item: item[0])
             count = len(self._corrections)
             out.append(
                 f"{count} of {len(self.names)} rotations are scaled or sheared, by at most {100 * most:.2g} % ({name}):"
-                " the nearest rotations are used"
+                " they were replaced with the nearest rotations"
             )
         return out
 
     def names_of_split(self, key: str, listed: Any) -> tuple[str, ...]:
-        """The images of a list of the file, without those whose frames are left out.
+        """The images in one of the file's lists, without those whose frames are skipped.
 
         Raises:
-            FileFormatError: it is no list of names, or names an image that no frame has.
+            FileFormatError: not a list of names, or it has an image that no frame has.
         """
         if not isinstance(listed, list) or not all(isinstance(item, str) for item in listed):
-            raise FileFormatError(self._path, f"{key} is no list of names")
+            raise FileFormatError(self._path, f"{key} is not a list of names")
         try:
             names = [_image_name(self._path, item).removeprefix(self._prefix) for item in listed]
         except ConfigError as error:
@@ -288,7 +290,7 @@ class _Frames:
         return tuple(name for name in names if name in known)
 
     def reconstruction(self, points: Points) -> Reconstruction:
-        """The cameras, with these points."""
+        """The cameras, together with these points."""
         matrices = np.array(self._worlds_from_cams).reshape(-1, 4, 4)[:, :3]
         cams_from_world = Rigid3.from_matrix(matrices).inverse()
         model = model_of_cameras(self.names, self._cameras, self._camera_rows, cams_from_world, points)
@@ -302,14 +304,14 @@ def _translation(offset: np.ndarray) -> Similarity3:
 
 
 def _object_in(path: Path) -> dict[str, Any]:
-    content = read_json(path, allow_nan=True)  # one pose that is not finite leaves the others as they are
+    content = read_json(path, allow_nan=True)  # a pose that is not finite does not affect the others
     if not isinstance(content, dict):
         raise FileFormatError(path, "not a transforms file (no JSON object)")
     return content
 
 
 def _image_name(path: Path, given: Any) -> str:
-    """An image's path as in the file; NeRF-synthetic leaves out '.png'."""
+    """An image's path as in the file; NeRF-synthetic omits '.png'."""
     if (problem := problem_of_name(given)) is not None:
         raise ConfigError(problem)
     name = str(given).replace("\\", "/").removeprefix("./")
@@ -319,7 +321,7 @@ def _image_name(path: Path, given: Any) -> str:
 
 
 def _points(path: Path, content: dict[str, Any]) -> tuple[Points, list[str]]:
-    """The points of the file that is named, and what is missing."""
+    """The points in the file given by ply_file_path, and a warning if it is missing."""
     name = content.get("ply_file_path")
     if isinstance(name, str) and (problem := problem_of_name(name)) is not None:
         raise FileFormatError(path, f"ply_file_path: {problem}")
@@ -333,7 +335,7 @@ def _points(path: Path, content: dict[str, Any]) -> tuple[Points, list[str]]:
     except FileFormatError as error:
         raise FileFormatError(path, f"ply_file_path: {error}") from error
     if file is None or not is_there:
-        missing = [] if file is None else [f"ply_file_path names {str(name)[:80]}, which is not there"]
+        missing = [] if file is None else [f"the file {str(name)[:80]} given by ply_file_path does not exist"]
         return Points(np.empty((0, 3)), np.empty((0, 3), np.uint8), np.empty(0)), missing
     cloud = read_points_ply(file)
     rgb = cloud.rgb if cloud.rgb is not None else np.full((len(cloud), 3), 128, np.uint8)
@@ -344,7 +346,7 @@ def _points(path: Path, content: dict[str, Any]) -> tuple[Points, list[str]]:
 def model_of_cameras(
     names: list[str], cameras: list[Camera], camera_rows: list[int], cams_from_world: Rigid3, points: Points
 ) -> Reconstruction:
-    """Images with cameras and poses, without keypoints and tracks."""
+    """A model with cameras and poses, without keypoints and tracks."""
     n, rows = len(names), np.array(camera_rows, np.int32)
     no_keypoints = np.zeros(n + 1, np.int64)
     images = Images(tuple(names), np.arange(n, dtype=np.int32), rows, no_keypoints, np.empty((0, 2)))

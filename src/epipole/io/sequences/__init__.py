@@ -1,1 +1,1 @@
-"""Sequences of images with times, depth and IMU measurements."""
+"""Image sequences with times, depth and IMU measurements."""

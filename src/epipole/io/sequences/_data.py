@@ -1,4 +1,4 @@
-"""What a folder of frames holds."""
+"""The content of a folder of frames."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class SequenceKind(StrEnum):
 
     SEVEN_SCENES = "7-Scenes"
     RGBD_FRAMES = "RGB-D frames"
-    """`frame-NNNNNN.color.*` with another calibration than 7-Scenes' (BundleFusion, 3DMatch, 12-Scenes, ScanNet v1)."""
+    """`frame-NNNNNN.color.*` with another calibration than 7-Scenes (BundleFusion, 3DMatch, 12-Scenes, ScanNet v1)."""
     SCANNET = "ScanNet"
     TUM_RGBD = "TUM RGB-D"
     EUROC = "EuRoC"
@@ -26,7 +26,7 @@ class SequenceKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class FrameFiles:
-    """The files of one instant."""
+    """The files of one frame."""
 
     timestamp_s: float
     image: Path
@@ -36,33 +36,33 @@ class FrameFiles:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorDepth:
-    """How depth images are to be read."""
+    """How to read the depth images."""
 
     unit: float
-    """Stored values for a metre."""
+    """Stored values per metre."""
     camera: Camera | None = None
-    """Of the sensor; None: the color camera's, images being registered."""
+    """The depth camera; None: the color camera, to which the depth images are registered."""
     depth_from_color: Rigid3 | None = None
     unit_source: str = ""
-    """Where the unit comes from, in words."""
+    """Where the unit comes from."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageSequence:
-    """Frames in order of time, and what the folder says of the cameras."""
+    """Frames in order of time, and the cameras and depth found in the folder."""
 
     kind: SequenceKind
     frames: tuple[FrameFiles, ...]
     camera: Camera | None
-    """None where it is unknown."""
+    """None if unknown."""
     rig: StereoRig | None = None
     depth: SensorDepth | None = None
     warnings: tuple[str, ...] = ()
-    """What is odd about the folder, or was assumed without proof, in words."""
+    """Problems found in the folder, and assumptions made without proof."""
     camera_source: str = ""
-    """Where the camera comes from, in words."""
+    """Where the camera comes from."""
     camera_problem: str = ""
-    """Why the calibration that lies beside the images cannot be used; empty where there is none, or it is used."""
+    """Why the calibration next to the images cannot be used; empty if there is none, or it is used."""
 
     def __len__(self) -> int:
         return len(self.frames)

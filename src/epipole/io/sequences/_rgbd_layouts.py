@@ -1,4 +1,4 @@
-"""Folders of color and depth images: 7-Scenes and its like, ScanNet, TUM RGB-D."""
+"""RGB-D folders: 7-Scenes and similar, ScanNet, TUM RGB-D."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ NUMBERED_FRAME = re.compile(r"frame-(\d{6,9})\.color\.\w+")
 FRAMES_HZ = 30.0
 _TUM_NEAREST_S = 0.02
 CALIBRATION_NOT_USED = "its calibration is not used"
-_SEVEN_SCENES = "7-Scenes by the names of the files"
+_SEVEN_SCENES = "7-Scenes by its file names"
 
 
 def numbered_frames(folder: Path, names: tuple[str, ...]) -> ImageSequence:
-    """`frame-NNNNNN.color.*`, with depth and poses: 7-Scenes', unless a calibration beside them or the images contradict."""
+    """Read `frame-NNNNNN.color.*` with depth: 7-Scenes, unless a calibration file or the images contradict it."""
     found = sorted((int(match[1]), match[0]) for name in names if (match := NUMBERED_FRAME.fullmatch(name)))
     frames = []
     for number, name in found:
@@ -69,7 +69,7 @@ def numbered_frames(folder: Path, names: tuple[str, ...]) -> ImageSequence:
 
 
 def _is_seven_scenes_depth_camera(camera: Camera | None) -> bool:
-    """3DMatch brings 7-Scenes with a file that holds the depth sensor's camera; the color camera's is another."""
+    """3DMatch ships 7-Scenes with a file that describes the depth camera, which is not the color camera."""
     if camera is None:
         return False
     _, depth, _ = seven_scenes_cameras()
@@ -79,9 +79,9 @@ def _is_seven_scenes_depth_camera(camera: Camera | None) -> bool:
 
 
 def _warnings_about_seven_scenes(size: tuple[int, int], sample: np.ndarray) -> tuple[str, ...]:
-    """What of the images is not as in 7-Scenes, whose calibration is then not taken."""
+    """How the images differ from 7-Scenes; if they do, its calibration is not used."""
     color, _, _ = seven_scenes_cameras()
-    words = "the files are named as those of 7-Scenes, but"
+    words = "the files are named as in 7-Scenes, but"
     if size != (color.width, color.height):
         return (
             f"{words} the images are {size[0]} x {size[1]}, not {color.width} x {color.height}: {CALIBRATION_NOT_USED}",
@@ -99,7 +99,7 @@ def _of_seven_scenes(sequence: ImageSequence, *, has_depth: bool) -> ImageSequen
 
 
 def _with_depth(sequence: ImageSequence, sample: np.ndarray, beside: CalibrationBeside) -> ImageSequence:
-    """Depth as the info file says; else registered to the color images, in millimetres unless the values contradict."""
+    """Add depth as in the info file, or else registered to color, in millimetres unless the values contradict it."""
     info = beside.info
     if info is not None and info.problem:
         return replace(
@@ -109,27 +109,27 @@ def _with_depth(sequence: ImageSequence, sample: np.ndarray, beside: Calibration
     if info is not None and info.values_per_m is not None:
         depth = SensorDepth(info.values_per_m, camera, None, f"m_depthShift in {beside.source}")
         return replace(sequence, depth=depth)
-    unit = decide_unit(sample, MM_VALUES_PER_M, "millimetres, usual for this layout")
+    unit = decide_unit(sample, MM_VALUES_PER_M, "millimetres, the default for this layout")
     depth = SensorDepth(unit.values_per_m, camera, None, unit.source)
     return replace(sequence, depth=depth, warnings=(*sequence.warnings, *unit.warnings))
 
 
 def is_scannet(folder: Path) -> bool:
-    """Whether images lie in `color`, beside depth, or a calibration in `intrinsic`."""
+    """Whether there are images in `color` together with depth, poses, or a calibration in `intrinsic`."""
     return (folder / "color").is_dir() and any(
         (folder / name).is_dir() for name in ("depth", "intrinsic", "pose")
     )
 
 
 def scannet(folder: Path) -> ImageSequence:
-    """ScanNet as its reader exports it: `color/N.jpg`, `depth/N.png`, `pose/N.txt`, and matrices in `intrinsic`."""
+    """Read ScanNet as exported by its reader: `color/N.jpg`, `depth/N.png`, `pose/N.txt`, and matrices in `intrinsic`."""
     names = list_photographs(folder / "color").names
     if not names:
-        raise FileFormatError(folder / "color", "there is no image in it")
+        raise FileFormatError(folder / "color", "it contains no images")
     stems = [Path(name).stem for name in names]
     odd = next((stem for stem in stems if not (stem.isascii() and stem.isdecimal() and len(stem) < 10)), None)
     if odd is not None:
-        raise FileFormatError(folder / "color", f"{odd} is no number of a frame")
+        raise FileFormatError(folder / "color", f"{odd} is not a frame number")
     frames = []
     for number, name in sorted(zip(map(int, stems), names)):
         depth = folder / "depth" / f"{Path(name).stem}.png"
@@ -148,16 +148,14 @@ def scannet(folder: Path) -> ImageSequence:
         return sequence
     moved = next((folder / name for name in EXTRINSICS if not _is_identity_file(folder / name)), None)
     if moved is not None:
-        words = (
-            f"the depth images are not used: {moved.name} is not the identity: the depth is not registered"
-        )
+        words = f"the depth images are not used: {moved.name} is not the identity, so depth is not registered"
         return replace(sequence, warnings=(words,))
     sequence = _with_depth(sequence, sample_depth(depths), beside)
     return replace(sequence, depth=_own_depth_camera(folder, sequence, depths[0]))
 
 
 def _own_depth_camera(folder: Path, sequence: ImageSequence, first: Path) -> SensorDepth | None:
-    """Depth of another size than the color images is of its own camera, which stands where the color camera does."""
+    """Depth images that differ in size from the color images have their own camera at the color camera's pose."""
     depth = sequence.depth
     path = next((folder / name for name in DEPTH_MATRICES if (folder / name).is_file()), None)
     if depth is None or depth.camera is not None or path is None:
@@ -175,7 +173,7 @@ def _is_identity_file(path: Path) -> bool:
 
 
 def tum(folder: Path) -> ImageSequence:
-    """`rgb.txt`, `depth.txt`: the camera is that beside them, else that which the folder's name proposes."""
+    """Read `rgb.txt` and `depth.txt`, with the camera from a calibration file or else from the folder's name."""
     images, warnings = in_order("rgb.txt", in_seconds(timed_names(folder, "rgb.txt")))
     depths: list[tuple[float, Path]] = []
     if (folder / "depth.txt").is_file():
@@ -189,7 +187,7 @@ def tum(folder: Path) -> ImageSequence:
         if depth is not None or not depths:
             frames.append(FrameFiles(time, image, None, depth))
     if not frames:
-        raise FileFormatError(folder / "depth.txt", "no depth image belongs to a colour image")
+        raise FileFormatError(folder / "depth.txt", "no depth image matches a color image in time")
     sequence = ImageSequence(SequenceKind.TUM_RGBD, tuple(frames), None, warnings=warnings)
     sequence = _with_tum_camera(sequence, folder)
     if not depths:
@@ -197,7 +195,7 @@ def tum(folder: Path) -> ImageSequence:
     unit = decide_unit(
         sample_depth([frame.depth for frame in frames if frame.depth is not None]),
         TUM_VALUES_PER_M,
-        "the layout of TUM RGB-D",
+        "TUM RGB-D layout",
     )
     sensor = SensorDepth(unit.values_per_m, unit_source=unit.source)
     return replace(sequence, depth=sensor, warnings=(*warnings, *unit.warnings))
@@ -211,7 +209,7 @@ def _with_tum_camera(sequence: ImageSequence, folder: Path) -> ImageSequence:
             sequence, camera=beside.camera, camera_source=beside.source, camera_problem=beside.problem
         )
     name, camera = proposed
-    return replace(sequence, camera=camera, camera_source=f"{name} of TUM RGB-D by the folder's name")
+    return replace(sequence, camera=camera, camera_source=f"{name} of TUM RGB-D, from the folder name")
 
 
 def _size(image: Path) -> tuple[int, int]:

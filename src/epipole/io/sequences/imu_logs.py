@@ -1,4 +1,4 @@
-"""Logs of inertial measurement units: EuRoC's folder or CSV, any table of seven numbers, a recording of ROS; and how they are mounted."""
+"""IMU logs (EuRoC's folder or CSV, any table with seven columns, a ROS recording) and the IMU's extrinsics."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
 from epipole.inertial import ImuLog, ImuNoise
@@ -19,7 +19,7 @@ from epipole.io.sequences.imu_units import check_imu_units, seconds_of_imu
 
 _COLUMNS = 7
 _MOST_BLOCKS, _OVERLAP_S = 4, 1.0
-"""Times that begin anew so rarely, and overlap by more than this, are of several recordings."""
+"""Up to this many steps back in time, with overlaps longer than this (seconds), mean several recordings."""
 _DENSITIES = {
     "gyro_density": "gyroscope_noise_density",
     "accel_density": "accelerometer_noise_density",
@@ -30,18 +30,18 @@ _DENSITIES = {
 
 @checked
 def read_imu(path: str | Path) -> tuple[ImuLog, ImuNoise]:
-    """Read what an IMU measured: angular velocities (rad/s) and specific forces (m/s^2).
+    """Read an IMU log: angular velocities (rad/s) and specific forces (m/s^2).
 
-    Rows out of order are sorted, and of a doubled time the first is taken: `notes` of the log says so.
+    Unordered rows are sorted, and repeated times dropped; the log's `notes` report both.
 
     Args:
-        path: EuRoC's `imu0` folder or its `data.csv` (the `sensor.yaml` beside it tells the noise), a text of
-            `SECONDS wx wy wz ax ay az` lines (or nanoseconds), or a recording of ROS with one IMU.
+        path: EuRoC's `imu0` folder or its `data.csv` (noise is read from the `sensor.yaml` beside it), a text file with
+            `SECONDS wx wy wz ax ay az` per line (or nanoseconds), or a ROS recording with one IMU.
 
     Raises:
-        FileFormatError: no such file, a line that is none, times of several recordings, or measurements in another unit (g,
-            degrees a second, milliseconds) or without gravity.
-        MissingDependencyError: the package rosbags is needed and not installed.
+        FileFormatError: the file is missing, a line is malformed, times belong to several recordings, or measurements
+            are in another unit (g, degrees per second, milliseconds) or without gravity.
+        MissingDependencyError: the package rosbags is required and not installed.
     """
     path = Path(path)
     if is_bag(path):
@@ -58,10 +58,10 @@ def read_imu(path: str | Path) -> tuple[ImuLog, ImuNoise]:
 
 
 def _sorted(path: Path, values: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Rows in order of time, each time once, and what had to be done for it, in words.
+    """Sort rows by time and drop repeated times; also returns notes about both.
 
     Raises:
-        FileFormatError: the rows are those of several recordings.
+        FileFormatError: the rows belong to several recordings.
     """
     times = values[:, 0]
     falls = np.flatnonzero(np.diff(times) < 0) + 1
@@ -71,31 +71,31 @@ def _sorted(path: Path, values: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]
         if any(later[0] < earlier[1] - _OVERLAP_S for earlier, later in pairwise(spans)):
             raise FileFormatError(
                 path,
-                f"the time of sample {int(falls[0]) + 1} is before that of the one above, and the times from there on overlap with those "
-                "before: it holds several recordings, or its clock was set back; give one of them",
+                f"sample {int(falls[0]) + 1} is earlier than the previous one, and the times from there on overlap with earlier "
+                "ones: the file contains several recordings, or the clock was set back. Pass a single recording",
             )
     order = np.argsort(times, kind="stable")
     is_first = np.diff(times[order], prepend=-np.inf) > 0
     said = []
     if len(falls):
         said.append(
-            f"{path.name}: {len(falls)} samples are earlier than those before them, and all are sorted by time"
+            f"{path.name}: {len(falls)} samples are earlier than the previous one; all were sorted by time"
         )
     if not is_first.all():
         said.append(
-            f"{path.name}: {int((~is_first).sum())} samples repeat a time; of each the first is taken"
+            f"{path.name}: {int((~is_first).sum())} samples repeat a time; only the first of each is used"
         )
     return values[order[is_first]], tuple(said)
 
 
 @checked
 def read_camera_from_imu(path: str | Path) -> Rigid3:
-    """How the unit is mounted: `T_cam_imu` or `T_imu_cam` (Kalibr, OpenVINS; of the first camera), or T_BS (EuRoC's sensor.yaml).
+    """Read camera_from_imu: `T_cam_imu` or `T_imu_cam` of the first camera (Kalibr, OpenVINS), or T_BS (EuRoC).
 
-    The unit may be any point of the body: odometry that tells of the middle of the wheels is mounted in the same way.
+    The IMU may be any point on the body; odometry measured at the center of the wheel axle uses the same format.
 
     Raises:
-        FileFormatError: the file holds none of them.
+        FileFormatError: the file has none of these keys.
     """
     path = Path(path)
     content = parsed_file(path)
@@ -115,14 +115,14 @@ def _table(path: Path) -> np.ndarray:
         except ValueError as error:
             raise FileFormatError(path, f"line {number}: {error}") from error
         if len(words) < _COLUMNS or not np.isfinite(rows[-1]).all():
-            raise FileFormatError(path, f"line {number}: a time and six finite numbers are expected")
+            raise FileFormatError(path, f"line {number}: expected a time and six finite numbers")
     if not rows:
-        raise FileFormatError(path, "holds no measurement of an IMU")
+        raise FileFormatError(path, "it contains no IMU measurements")
     return np.array(rows)
 
 
 def _noise(path: Path) -> ImuNoise:
-    """EuRoC's densities; the defaults where one is missing."""
+    """Noise densities from EuRoC's sensor.yaml; defaults for missing ones."""
     content = parsed_file(path)
     known = {}
     for name, key in _DENSITIES.items():

@@ -1,11 +1,11 @@
-"""Folders of frames as data sets bring them: 7-Scenes, ScanNet, TUM RGB-D, EuRoC/ASL, KITTI odometry, or images alone."""
+"""Reading folders of frames: 7-Scenes, ScanNet, TUM RGB-D, EuRoC/ASL, KITTI odometry, or images only."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, EpipoleError, FileFormatError
 from epipole.io.calibration.beside import CalibrationBeside, calibration_beside, check_fits
 from epipole.io.calibration.files import read_calibration, read_stereo_rig
@@ -29,21 +29,21 @@ _GIVEN = "given"
 def read_sequence(
     folder: str | Path, fps: float | None = None, depth_scale: float | None = None
 ) -> ImageSequence:
-    """What a folder of frames holds. File names propose the layout; calibrations beside the images and their content decide.
+    """Read a folder of frames. File names suggest the layout; calibration files and image content confirm it.
 
     Args:
-        folder: of any of the layouts.
-        fps: frames a second of images that have no times; None: 30, with a warning.
-        depth_scale: stored depth values for a metre, such as 1000 for millimetres; None: what the files and the layout say.
+        folder: a folder in any of the supported layouts.
+        fps: frames per second of images without times; None: 30, with a warning.
+        depth_scale: stored depth values per metre, such as 1000 for millimetres; None: from the files and the layout.
 
     Raises:
-        FileFormatError: there is no image, or a file that comes with the layout is damaged.
-        ConfigError: fps is given for frames that have times of their own, or depth_scale for frames without depth.
+        FileFormatError: there are no images, or a file that belongs to the layout is damaged.
+        ConfigError: fps is given for frames that have times, or depth_scale for frames without depth.
     """
     found = _read_sequence(Path(folder), fps)
     if fps is not None and (found.kind is not SequenceKind.IMAGES or (Path(folder) / TIMES).is_file()):
         raise ConfigError(
-            f"fps is for folders of images without times; these ({found.kind.value}) have their own"
+            f"fps is only for folders of images without times; these ({found.kind.value}) have times"
         )
     if depth_scale is None:
         return found
@@ -51,7 +51,7 @@ def read_sequence(
         raise ConfigError(f"depth_scale must be positive and below a million, got {depth_scale}")
     if found.depth is None:
         raise ConfigError(
-            f"depth_scale = {depth_scale:g} is given, but {folder} has no depth images for its frames"
+            f"depth_scale = {depth_scale:g} needs depth images, but {folder} has none for its frames"
         )
     warnings = tuple(words for words in found.warnings if not words.startswith("depth is read with"))
     depth = replace(found.depth, unit=float(depth_scale), unit_source=_GIVEN)
@@ -61,8 +61,8 @@ def read_sequence(
 def _read_sequence(folder: Path, fps: float | None) -> ImageSequence:
     if not folder.is_dir():
         if not folder.exists():
-            raise FileFormatError(folder, "does not exist")
-        problem = "is a file, and neither a video nor a recording that is known here"
+            raise FileFormatError(folder, "there is no such folder")
+        problem = "a file that is neither a supported video nor a supported recording"
         raise FileFormatError(folder, with_what_it_is(problem, folder))
     for at in (folder / "mav0", folder):
         if (at / "cam0" / "data.csv").is_file():
@@ -85,17 +85,16 @@ def _read_sequence(folder: Path, fps: float | None) -> ImageSequence:
 
 
 def _refuse_several(folder: Path) -> None:
-    """Sequences beside each other are not one, though their images could be read as one."""
+    """Reject a folder that contains several sequences, whose images could otherwise be read as one."""
     inside = [sub for sub in sorted(folder.iterdir()) if sub.is_dir() and _is_sequence(sub)]
     if len(inside) > 1:
         names = ", ".join(sub.name for sub in inside[:4]) + (", ..." if len(inside) > 4 else "")
         raise FileFormatError(
-            folder, f"holds {len(inside)} sequences ({names}): choose one, {inside[0]} for one"
+            folder, f"it contains {len(inside)} sequences ({names}): choose one, for example {inside[0]}"
         )
 
 
 def _is_sequence(folder: Path) -> bool:
-    """Whether a folder has a layout of its own, other than images alone."""
     if (
         (folder / "mav0").is_dir()
         or (folder / "cam0" / "data.csv").is_file()
@@ -118,7 +117,10 @@ def _euroc(folder: Path) -> ImageSequence:
     )
     frames = tuple(f for f in frames if f.image.is_file() and (f.right is None or f.right.is_file()))
     if not frames:
-        raise FileFormatError(folder / "cam0" / "data.csv", "none of its images is there, with one of cam1")
+        raise FileFormatError(
+            folder / "cam0" / "data.csv",
+            "none of its images exists (in stereo, together with the matching one of cam1)",
+        )
     files, source = [folder / "cam0" / "sensor.yaml"], "cam0/sensor.yaml"
     sequence = ImageSequence(SequenceKind.EUROC, frames, None, warnings=warnings, camera_source=source)
     if not has_right:
@@ -158,8 +160,8 @@ def _images(listed: PhotographList, fps: float | None) -> ImageSequence:
     times, warnings = times_of(folder, names, fps or _PLAIN_HZ)
     frames = tuple(FrameFiles(time, folder / name) for time, name in zip(times, names))
     note = (
-        f"the images have no times: {_PLAIN_HZ:g} a second are assumed (give fps, or a file times.txt with the seconds"
-        " of an image a line)"
+        f"the images have no times, so {_PLAIN_HZ:g} per second are assumed (pass fps, or write a file times.txt with the time of one"
+        " image in seconds per line)"
     )
     is_given = fps is not None or (folder / TIMES).is_file()
     warnings = (*warnings, *(() if is_given else (note,)), *listed.notes)

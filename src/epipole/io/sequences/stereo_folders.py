@@ -1,4 +1,4 @@
-"""Which images of a left and a right camera belong together."""
+"""Pairing of left and right images."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import FileFormatError
 from epipole.io.images.photographs import list_photographs
 
@@ -15,20 +15,19 @@ _LEFT = re.compile(r"(?<![a-z])left(?![a-z])|(?<![a-z0-9])(?:cam0|infra1)(?![0-9
 _RIGHT = re.compile(r"(?<![a-z])right(?![a-z])|(?<![a-z0-9])(?:cam1|infra2)(?![0-9])")
 _OTHER = {"left": "right", "cam0": "cam1", "infra1": "infra2"}
 _OTHER |= {there: here for here, there in _OTHER.items()}
-_AGREES = 2  # names that are the same in both folders: one may be chance
+_AGREES = 2  # number of common names; a single one may be chance
 
 Pair = tuple[Path, Path]
 
 
 @checked
 def pair_folders(left: Path, right: Path, ignore: Sequence[Path] = ()) -> list[tuple[str, Pair]]:
-    """(name, (left image, right image)): by names; by names but for the side's word; else by order.
+    """Pairs (name, (left image, right image)), matched by name, by name without the side's word, or by order.
 
-    An image without a partner keeps the path at which that was looked for: who reads it learns that there is none.
+    An image without a partner is paired with the path where the partner was expected, so reading that path fails.
 
     Raises:
-        FileFormatError: a folder has no image, both are one folder, or it is not clear which belong
-            together.
+        FileFormatError: a folder has no images, both folders are the same, or the pairing is ambiguous.
     """
     listed = [list_photographs(folder, ignore=list(ignore)) for folder in (left, right)]
     if left.resolve() == right.resolve():
@@ -44,16 +43,16 @@ def pair_folders(left: Path, right: Path, ignore: Sequence[Path] = ()) -> list[t
     if len(names[0]) != len(names[1]):
         raise FileFormatError(
             right,
-            f"its {len(names[1])} names differ from the {len(names[0])} of {left}: which belong together?",
+            f"its {len(names[1])} image names do not match the {len(names[0])} in {left}: rename them so that pairs have the same name",
         )
     return [(a, (left / a, right / b)) for a, b in zip(*names)]
 
 
 @checked
 def pair_within(folder: Path) -> list[Pair]:
-    """Pairs of one folder whose names differ in the side's word: left01.jpg with right01.jpg; none where no two do.
+    """Pairs in one folder whose names differ in the side's word (left01.jpg and right01.jpg); empty if there are none.
 
-    An image that has the word but no partner keeps the path at which that was looked for.
+    An image with the word but without a partner is paired with the path where the partner was expected.
     """
     names = list_photographs(folder).names
     sides = [_by_word(names, side) for side in (_LEFT, _RIGHT)]
@@ -64,13 +63,12 @@ def pair_within(folder: Path) -> list[Pair]:
 
 @checked
 def side_of(name: str, side: Literal["left", "right"]) -> str | None:
-    """A name without the word of this side (left, cam0, infra1 ...), by which it is known on both; None without the word."""
+    """A name without the word for this side (left, cam0, infra1 ...), common to a pair; None without the word."""
     word = _LEFT if side == "left" else _RIGHT
     return word.sub("*", name.lower()) if word.search(name.lower()) else None
 
 
 def _by_word(names: Sequence[str], side: re.Pattern[str]) -> dict[str, str]:
-    """Names that have the side's word, by what they are without it."""
     return {side.sub("*", name.lower()): name for name in names if side.search(name.lower())}
 
 
@@ -84,7 +82,6 @@ def _joined(lefts: dict[str, str], rights: dict[str, str], left: Path, right: Pa
 
 
 def _for_other_side(name: str) -> str:
-    """The same name with the other side's word."""
     found = _LEFT.search(name.lower()) or _RIGHT.search(name.lower())
     if found is None:
         return name

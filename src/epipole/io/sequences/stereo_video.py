@@ -1,4 +1,4 @@
-"""Pairs of frames from stereo video: two files, or one that holds both images side by side."""
+"""Pairs of frames from stereo video: two files, or one with both images side by side."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.image.encoding import encoded_image
 from epipole.io.atomic import atomic_write
@@ -26,16 +26,16 @@ def extract_pairs(
     """Write evenly spaced pairs of frames as left/frame_000123.png and right/frame_000123.png.
 
     Args:
-        left: a video; both images side by side where `right` is the same file.
-        right: the other video, whose frames were taken at the same instants.
-        folder: where to write; frames that are there already are not read again.
+        left: a video; side-by-side images if `right` is the same file.
+        right: the other video, synchronized with the left one.
+        folder: output folder; unchanged frames are not written again.
         max_frames: largest number of pairs.
-        progress: called with the frames that were read, and their number.
+        progress: called with (frames read, frames to read).
 
     Raises:
         FileFormatError: a video cannot be read.
         ConfigError: max_frames is not positive.
-        WorkspaceError: the folder cannot be used.
+        WorkspaceError: the folder cannot be written.
     """
     if max_frames < 1:
         raise ConfigError(f"max_frames must be at least 1, got {max_frames}")
@@ -69,12 +69,12 @@ def extract_pairs(
         index += 1
     progress(max(wanted) + 1, max(wanted) + 1)
     if not pairs:
-        raise FileFormatError(left, "it has no frame that can be read")
+        raise FileFormatError(left, "it has no readable frame")
     return pairs
 
 
 def _write(path: Path, image: np.ndarray) -> None:
-    """Write a frame, unless it is there: by its date a later run knows that a pair is measured."""
+    """Write a frame, unless the file already has this content: a later run uses its date to skip finished pairs."""
     data = encoded_image(".png", image)
     if path.is_file() and path.read_bytes() == data:
         return

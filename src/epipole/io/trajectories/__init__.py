@@ -1,1 +1,1 @@
-"""Trajectories: TUM, KITTI, EuRoC."""
+"""Trajectory files: TUM, KITTI, EuRoC."""

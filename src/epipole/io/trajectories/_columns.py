@@ -1,4 +1,4 @@
-"""How the columns of a trajectory's file are meant: by the names in its header, else by the numbers themselves."""
+"""Meaning of the columns in a trajectory file, from the names in its header or else from the numbers."""
 
 from __future__ import annotations
 
@@ -20,42 +20,42 @@ NAMES_OF_UNITS = {1.0: "seconds", 1e-3: "milliseconds", 1e-6: "microseconds", NS
 _QUATERNION = re.compile(r"^q(?:uat(?:ernion)?)?(?:_?\w*)?[_.]?([wxyz])$", re.IGNORECASE)
 _UNIT_WORDS = ((re.compile(r"[\[(]\s*ns\s*[\])]"), NS), (re.compile(r"[\[(]\s*s(?:ec)?\s*[\])]"), SECONDS))
 _LEAST_STEP_NS = 1e5
-"""Whole numbers that are so far apart are nanoseconds: as seconds, a day would lie between two poses."""
+"""Integers with at least this spacing are nanoseconds: in seconds, poses would be a day apart."""
 _NORM_TOLERANCE = 1e-2
 _NEAR_ONE, _NEAR_ZERO = 0.95, 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrajectoryTable:
-    """The numbers of a file, and what its text says of them."""
+    """The numbers in a file and the text that describes them."""
 
     path: Path
     rows: list[tuple[int, list[str]]]
-    """Number and words of each line that holds something."""
+    """Line number and words of each non-empty line."""
     header: str
     """The last comment before the first row."""
     has_commas: bool
 
     @property
     def num_columns(self) -> int:
-        """Of the first row."""
+        """Number of columns in the first row."""
         return len(self.rows[0][1])
 
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """One way to read the columns."""
+    """An interpretation of the columns."""
 
     format: TrajectoryFormat
-    """tum: the quaternion's w is last; euroc: w is first; kitti: matrices without times."""
+    """tum: quaternion with w last; euroc: w first; kitti: matrices without times."""
     unit_s: float
-    """Of the times."""
+    """Unit of the times, in seconds."""
     is_order_certain: bool
     is_unit_certain: bool
 
     @property
     def is_plain(self) -> bool:
-        """Whether nothing is to be said: TUM's seconds, KITTI's matrices, or columns that the header names."""
+        """Whether no assumption needs reporting: TUM with seconds, KITTI matrices, or columns named in the header."""
         return (
             self.format == "kitti"
             or self.is_order_certain
@@ -63,7 +63,7 @@ class Columns:
         )
 
     def words(self) -> str:
-        """What was assumed: the order of the quaternion and the unit of the times."""
+        """Description of the assumed quaternion order and time unit."""
         if self.format == "kitti":
             return "matrices without times (KITTI)"
         order = "w last (TUM)" if self.format == "tum" else "w first (EuRoC)"
@@ -71,10 +71,10 @@ class Columns:
 
 
 def read_table(path: Path) -> TrajectoryTable:
-    """The words of each line that holds something.
+    """Split the non-empty lines of a file into words.
 
     Raises:
-        FileFormatError: no such file, or no such line.
+        FileFormatError: the file is missing, or has no such lines.
     """
     rows: list[tuple[int, list[str]]] = []
     header, has_commas = "", False
@@ -86,15 +86,15 @@ def read_table(path: Path) -> TrajectoryTable:
             has_commas = has_commas or "," in line
             rows.append((number, words))
     if not rows:
-        raise FileFormatError(path, "holds no instant of a trajectory")
+        raise FileFormatError(path, "it contains no poses")
     return TrajectoryTable(path, rows, header, has_commas)
 
 
 def format_by_width(table: TrajectoryTable) -> bool:
-    """Whether the rows are KITTI's; else they have a time, a position and a quaternion first.
+    """Whether the rows are KITTI matrices; otherwise they start with a time, a position and a quaternion.
 
     Raises:
-        FileFormatError: they are of another width.
+        FileFormatError: the number of columns is not supported.
     """
     count, number = table.num_columns, table.rows[0][0]
     if count == KITTI:
@@ -103,12 +103,12 @@ def format_by_width(table: TrajectoryTable) -> bool:
         return False
     raise FileFormatError(
         table.path,
-        f"line {number}: {count} columns are no trajectory's (TUM has 8 or 29, KITTI 12, EuRoC's CSV 8 or more)",
+        f"line {number}: {count} columns do not match a trajectory (TUM has 8 or 29, KITTI 12, EuRoC CSV at least 8)",
     )
 
 
 def choose_columns(table: TrajectoryTable, values: np.ndarray) -> Columns:
-    """The likeliest way to read the columns of rows with times; `is_order_certain` says whether another is possible."""
+    """The most likely meaning of the columns of timed rows; `is_order_certain` is False if another one is possible."""
     unit_s, is_unit_certain = _unit(table, values[:, 0])
     named = _order_of_header(table)
     if named is not None or table.num_columns == TUM_WITH_COVARIANCE:
@@ -119,12 +119,12 @@ def choose_columns(table: TrajectoryTable, values: np.ndarray) -> Columns:
 
 
 def check_order(table: TrajectoryTable, values: np.ndarray, columns: Columns) -> None:
-    """Check that the numbers of a file without names of columns do not contradict its usual order.
+    """Check that the numbers in a file without column names do not contradict the usual quaternion order.
 
-    The norm is the same for both orders; but most paths begin near no rotation, where w is nearly one.
+    The norm is the same for both orders, but most trajectories start near the identity rotation, where w is close to 1.
 
     Raises:
-        FileFormatError: they do, and the order cannot be known from this file alone.
+        FileFormatError: they contradict it, so the order cannot be determined from this file.
     """
     if columns.is_order_certain or not table.has_commas:
         return
@@ -134,36 +134,35 @@ def check_order(table: TrajectoryTable, values: np.ndarray, columns: Columns) ->
     )
     is_usual_form = (
         columns.format == "euroc"
-    )  # commas and nanoseconds are EuRoC's; commas and seconds nobody's
+    )  # EuRoC uses commas and nanoseconds; no format uses commas and seconds
     agrees, contradicts = (
         (ends_with_w, starts_with_w) if columns.format == "tum" else (starts_with_w, ends_with_w)
     )
     if contradicts or not (agrees or is_usual_form):
         raise FileFormatError(
             table.path,
-            f"the order of the quaternion is unknown: commas and times in {NAMES_OF_UNITS[columns.unit_s]} suggest "
-            f"{columns.words().split(',')[0]}, but the numbers of line {table.rows[0][0]} do not. Begin the file with "
+            f"Unknown quaternion order: commas and times in {NAMES_OF_UNITS[columns.unit_s]} suggest "
+            f"{columns.words().split(',')[0]}, but the numbers in line {table.rows[0][0]} do not. Start the file with "
             "a line that names the columns, such as '# timestamp x y z qx qy qz qw'",
         )
 
 
 def check_position_of_quaternion(table: TrajectoryTable, values: np.ndarray) -> None:
-    """Check that the quaternion comes after the position.
+    """Check that the quaternion follows the position.
 
     Raises:
-        FileFormatError: it comes before it.
+        FileFormatError: it precedes the position.
     """
     has_own = np.abs(np.linalg.norm(values[:, 4:8], axis=1) - 1.0) <= _NORM_TOLERANCE
     has_early = np.abs(np.linalg.norm(values[:, 1:5], axis=1) - 1.0) <= _NORM_TOLERANCE
     if not has_own.all() and has_early.all() and len(values) > 1:
         raise FileFormatError(
             table.path,
-            "its columns 2 to 5 are unit quaternions: the position is expected before the quaternion (t x y z, then qx qy qz qw)",
+            "columns 2 to 5 are unit quaternions, but the position must come before the quaternion (t x y z qx qy qz qw)",
         )
 
 
 def _unit(table: TrajectoryTable, times: np.ndarray) -> tuple[float, bool]:
-    """Seconds for a unit of the times, and whether that is certain."""
     clock = unit_of_clock(times)
     if clock is not None:
         return clock[0], True
@@ -177,12 +176,12 @@ def _unit(table: TrajectoryTable, times: np.ndarray) -> tuple[float, bool]:
     is_counted = not any("." in words[0] for _, words in table.rows)
     if is_counted and len(steps) and float(np.median(steps)) >= _LEAST_STEP_NS:
         return NS, False
-    # Whole numbers that are near each other may be seconds, numbers of images, or times in any unit.
+    # Integers close to each other may be seconds, image numbers, or times in any unit.
     return SECONDS, False
 
 
 def _order_of_header(table: TrajectoryTable) -> TrajectoryFormat | None:
-    """The order of the quaternion by the names of the columns; None where they are not named."""
+    """The quaternion order given by the column names; None if they are not named."""
     names = re.sub(r"[\[(][^\])]*[\])]", " ", table.header.lstrip("# ")).replace(",", " ").split()
     letters = "".join(match[1].lower() for name in names if (match := _QUATERNION.match(name)))
     if letters == "wxyz":

@@ -1,4 +1,4 @@
-"""Trajectories as TUM, KITTI and EuRoC write them."""
+"""Reading and writing trajectories in TUM, KITTI and EuRoC formats."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io._time_units import seconds_of
@@ -35,14 +35,14 @@ from epipole.scene import Trajectory
 _ROTATION_TOLERANCE = 1e-2
 _UPPER = np.triu_indices(6)
 _COVARIANCE_WORDS = (
-    ", and the upper triangle, row by row, of the covariance of xi = (translation in metres or the path's unit, rotation in radians) "
-    "in body_from_world = exp(xi) @ what is stated"
+    ", and the upper triangle, row by row, of the covariance of xi = (translation in metres or the trajectory's unit, rotation in radians) "
+    "in body_from_world = exp(xi) @ stored pose"
 )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrajectoryReading:
-    """A trajectory, and how the columns of its file were read."""
+    """A trajectory and how the columns of its file were interpreted."""
 
     trajectory: Trajectory
     columns: Columns
@@ -50,10 +50,10 @@ class TrajectoryReading:
 
 @checked
 def trajectory_format(path: str | Path) -> TrajectoryFormat:
-    """The form of a trajectory's file by its content: tum (w of the quaternion is last), euroc (w is first), or kitti (no times).
+    """The format of a trajectory file by its content: tum (quaternion with w last), euroc (w first), kitti (no times).
 
     Raises:
-        FileFormatError: no such file, one of another kind, or its columns can be meant in several ways.
+        FileFormatError: the file is missing, in another format, or its columns are ambiguous.
     """
     return read_trajectory_columns(path).columns.format
 
@@ -62,20 +62,20 @@ def trajectory_format(path: str | Path) -> TrajectoryFormat:
 def read_trajectory(path: str | Path, format: TrajectoryFormat | None = None) -> Trajectory:
     """Read a trajectory.
 
-    TUM: `t x y z qx qy qz qw` a line, and 21 numbers more where the covariance is known (its upper triangle, row by row).
-    KITTI: the 12 numbers of the 3 x 4 matrix world_from_body a line; instants are 0, 1, 2, ... and `is_timed` is False.
-    EuRoC: time, position, quaternion (w first), and more columns that are not read. Numbers are separated by spaces or
-    commas, and lines that start with # are skipped. Names of columns in the header decide the order of the quaternion, else
-    commas and nanoseconds are EuRoC's, and spaces TUM's; the file's suffix decides nothing. Times since 1970 in nanoseconds,
-    microseconds or milliseconds are known by their size.
+    TUM: `t x y z qx qy qz qw` per line, then 21 numbers if the covariance is known (its upper triangle, row by row).
+    KITTI: the 12 numbers of the 3 x 4 matrix world_from_body per line; times are 0, 1, 2, ... and `is_timed` is False.
+    EuRoC: time, position, quaternion (w first), and further columns, which are ignored. Numbers are separated by spaces
+    or commas, and lines that start with # are skipped. Column names in the header determine the quaternion order;
+    otherwise commas with nanoseconds mean EuRoC, and spaces TUM. The file's suffix is ignored. Times since 1970 in
+    nanoseconds, microseconds or milliseconds are recognized by their size.
 
     Args:
         path: the file.
-        format: None: by the file's content.
+        format: None: determined from the content.
 
     Raises:
-        FileFormatError: no such file, a line that is none, times that fall, no instant at all, or columns that can be meant in
-            several ways.
+        FileFormatError: the file is missing or empty, a line is malformed, times decrease, or the columns are
+            ambiguous.
     """
     return read_trajectory_columns(path, format).trajectory
 
@@ -83,15 +83,15 @@ def read_trajectory(path: str | Path, format: TrajectoryFormat | None = None) ->
 def read_trajectory_columns(
     path: str | Path, format: TrajectoryFormat | None = None, *, is_order_checked: bool = True
 ) -> TrajectoryReading:
-    """Read a trajectory, and say how its columns were read.
+    """Read a trajectory and report how its columns were interpreted.
 
     Args:
         path: the file.
-        format: None: by the file's content.
-        is_order_checked: refuse a file whose order of the quaternion cannot be known from it alone.
+        format: None: determined from the content.
+        is_order_checked: reject a file whose quaternion order is ambiguous.
 
     Raises:
-        FileFormatError: as for `read_trajectory`.
+        FileFormatError: as in `read_trajectory`.
     """
     table = read_table(Path(path))
     if format == "kitti" or (format is None and format_by_width(table)):
@@ -108,10 +108,10 @@ def read_trajectory_columns(
 
 
 def read_as(path: str | Path, columns: Columns) -> Trajectory:
-    """The same file with its columns read in another way.
+    """Read a trajectory with a given interpretation of its columns.
 
     Raises:
-        FileFormatError: as for `read_trajectory`.
+        FileFormatError: as in `read_trajectory`.
     """
     table = read_table(Path(path))
     return _reading(table, _numbers(table.path, table.rows, TUM), columns).trajectory
@@ -125,17 +125,19 @@ def _reading(table: TrajectoryTable, values: np.ndarray, columns: Columns) -> Tr
         rotation = values[:, :12].reshape(-1, 3, 4)[:, :, :3]
         nearest = Rotation3.nearest(rotation).matrix
         wrong = np.abs(nearest - rotation).max(axis=(1, 2)) > _ROTATION_TOLERANCE
-        _refuse(path, rows, wrong, "no rotation matrix")
+        _refuse(path, rows, wrong, "not a rotation matrix")
     else:
         times, translation = values[:, 0] * columns.unit_s, values[:, 1:4]
         order = [4, 5, 6, 7] if columns.format == "euroc" else [7, 4, 5, 6]
         norm = np.linalg.norm(values[:, order], axis=1)
-        _refuse(path, rows, np.abs(norm - 1.0) > _ROTATION_TOLERANCE, "no unit quaternion")
+        _refuse(path, rows, np.abs(norm - 1.0) > _ROTATION_TOLERANCE, "not a unit quaternion")
         nearest = Rotation3.from_quat_wxyz(values[:, order] / norm[:, None]).matrix
         if columns.format == "tum" and values.shape[1] == TUM_WITH_COVARIANCE:
             covariance = np.zeros((len(values), 6, 6))
             covariance[:, *_UPPER] = covariance[:, *_UPPER[::-1]] = values[:, TUM:]
-    _refuse(path, rows, np.diff(times, prepend=-np.inf) < 0, "its time is before that of the line above")
+    _refuse(
+        path, rows, np.diff(times, prepend=-np.inf) < 0, "its time is earlier than that of the previous line"
+    )
     positions = Rigid3(nearest, np.ascontiguousarray(translation))
     is_timed = columns.format != "kitti"
     return TrajectoryReading(Trajectory(times, positions, covariance, is_timed), columns)
@@ -143,39 +145,39 @@ def _reading(table: TrajectoryTable, values: np.ndarray, columns: Columns) -> Tr
 
 @checked
 def read_pose_matrix(path: str | Path) -> Rigid3:
-    """A place from the 3 x 4 or 4 x 4 matrix in a file, a row a line (7-Scenes' `frame-*.pose.txt`, world_from_cam).
+    """Read a pose from a 3 x 4 or 4 x 4 matrix, one row per line (7-Scenes' `frame-*.pose.txt`, world_from_cam).
 
     Raises:
-        FileFormatError: no such file, or no such matrix.
+        FileFormatError: the file is missing, or is not such a matrix.
     """
     path = Path(path)
     values = _numbers(path, read_table(path).rows, 4)
     if values.shape not in ((3, 4), (4, 4)):
-        raise FileFormatError(path, f"a matrix of 3 or 4 rows and 4 columns expected, got {values.shape}")
+        raise FileFormatError(path, f"expected a matrix with 3 or 4 rows and 4 columns, got {values.shape}")
     rotation = np.ascontiguousarray(values[:3, :3])
     nearest = Rotation3.nearest(rotation).matrix
     if not np.abs(nearest - rotation).max() <= _ROTATION_TOLERANCE:
-        raise FileFormatError(path, "its first three columns are no rotation matrix")
+        raise FileFormatError(path, "its first three columns are not a rotation matrix")
     return Rigid3(nearest, np.ascontiguousarray(values[:3, 3]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionLog:
-    """Measured places."""
+    """Measured positions over time."""
 
     timestamp_s: Float64[np.ndarray, " n"]
-    """Rising."""
+    """Strictly increasing."""
     positions: Float64[np.ndarray, "n 3"]
 
 
 @checked
 def read_positions(path: str | Path) -> PositionLog:
-    """Read a log of places: `seconds x y z` a line, by spaces or commas, and whatever else follows (TUM's files are such).
+    """Read a log of positions: `seconds x y z` per line, separated by spaces or commas; further columns are ignored.
 
-    Times since 1970 in nanoseconds, microseconds or milliseconds are known by their size.
+    Times since 1970 in nanoseconds, microseconds or milliseconds are recognized by their size.
 
     Raises:
-        FileFormatError: no such file, a line without four numbers, times that do not rise, or no line at all.
+        FileFormatError: the file is missing or empty, a line has fewer than four numbers, or times do not increase.
     """
     path = Path(path)
     rows = [(number, words[:4]) for number, words in read_table(path).rows]
@@ -184,7 +186,7 @@ def read_positions(path: str | Path) -> PositionLog:
         path,
         rows,
         np.diff(values[:, 0], prepend=-np.inf) <= 0,
-        "its time is not after that of the line above",
+        "its time is not later than that of the previous line",
     )
     return PositionLog(seconds_of(values[:, 0])[0].copy(), values[:, 1:4].copy())
 
@@ -200,18 +202,18 @@ def write_trajectory(
     """Write a trajectory.
 
     Args:
-        trajectory: places and times.
-        path: the file, replaced in one step.
-        format: tum, kitti (which holds no times) or euroc.
-        with_covariance: TUM's 29 columns.
+        trajectory: poses and times.
+        path: the file, replaced atomically.
+        format: tum, kitti (without times) or euroc.
+        with_covariance: write TUM's 29 columns.
 
     Raises:
-        ConfigError: the covariance is not known, or the format holds none.
+        ConfigError: the covariance is unknown, or the format cannot store it.
         WorkspaceError: the file cannot be written.
     """
     positions = trajectory.world_from_body
     if with_covariance and (format != "tum" or trajectory.covariance is None):
-        raise ConfigError("covariances are written in TUM's form, of a trajectory that has them")
+        raise ConfigError("writing covariances needs the format 'tum' and a trajectory with covariances")
     with atomic_write(path) as aside, aside.open("w", encoding="utf-8") as file:
         if format == "kitti":
             matrices = np.concatenate([positions.rotation, positions.translation[:, :, None]], axis=2)
@@ -232,7 +234,7 @@ def write_trajectory(
 
 
 def exact_text(values: Iterable[float], separator: str = " ") -> str:
-    """Numbers with as many digits as it takes to read the same numbers again: in UTM, nine would be a grid of centimetres."""
+    """Numbers with enough digits to read back exactly: in UTM coordinates, nine digits would round to centimetres."""
     return separator.join(repr(float(value)) for value in values)
 
 
@@ -242,13 +244,13 @@ def _numbers(path: Path, rows: list[tuple[int, list[str]]], at_least: int) -> np
     for n, (number, words) in enumerate(rows):
         if len(words) != count or count < at_least:
             raise FileFormatError(
-                path, f"line {number}: {len(words)} columns, {max(count, at_least)} expected"
+                path, f"line {number}: got {len(words)} columns, expected {max(count, at_least)}"
             )
         try:
             out[n] = words
         except ValueError as error:
             raise FileFormatError(path, f"line {number}: {error}") from error
-    # A variance may be infinite: that of a place of which nothing is known.
+    # A variance may be infinite, if nothing is known about a pose.
     wrong = np.asarray(~np.isfinite(out[:, :at_least]).all(axis=1) | np.isnan(out).any(axis=1))
     _refuse(path, rows, wrong, "a number is not finite")
     return out

@@ -1,4 +1,4 @@
-"""The table of frames that SLAM writes: `frames.csv`, a line for each frame of the source."""
+"""The table of frames that SLAM writes: `frames.csv`, one line per frame of the source."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import check_fields, checked
+from epipole._checks import check_fields, checked
 from epipole.errors import FileFormatError
 from epipole.io.files import file_text
 
 FRAME_TABLE = "frames.csv"
-"""Its name in an output folder."""
+"""Name of the table in an output folder."""
 _DIGITS = 7
-"""Of a frame's number: four days at 30 Hz."""
+"""Most digits of a frame number: four days at 30 Hz."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameTable:
-    """Images and times, in the order of the source."""
+    """Image names and times, in the order of the source."""
 
     image: tuple[str, ...]
     """Empty for a frame that was dropped to keep up."""
     timestamp_s: Float64[np.ndarray, " n"]
-    """NaN for a frame that was dropped or left out."""
+    """NaN for a frame that was dropped or skipped."""
 
     def __post_init__(self) -> None:
         """Check the columns."""
@@ -36,16 +36,16 @@ class FrameTable:
 
 @checked
 def read_frame_table(path: str | Path) -> FrameTable:
-    """Read the images and times of all frames.
+    """Read the image names and times of all frames.
 
     Raises:
-        FileFormatError: no such file, a column is missing, or the frames' numbers do not rise.
+        FileFormatError: the file is missing, a column is missing, or frame numbers do not increase.
     """
     path = Path(path)
     try:
         rows = list(csv.DictReader(io.StringIO(file_text(path))))
     except csv.Error as error:
-        raise FileFormatError(path, f"is no table: {error}") from error
+        raise FileFormatError(path, f"not a table: {error}") from error
     images: list[str] = []
     times: list[float] = []
     for row in rows:
@@ -53,7 +53,7 @@ def read_frame_table(path: str | Path) -> FrameTable:
         number = int(given) if given.isascii() and given.isdecimal() and len(given) <= _DIGITS else -1
         if number < len(images) or name is None or time is None:
             position = f"frame {len(images)}"
-            raise FileFormatError(path, f"{position}: its number, timestamp_s and image expected")
+            raise FileFormatError(path, f"{position}: expected columns frame, timestamp_s and image")
         try:
             seconds = float(time) if time else np.nan
         except ValueError as error:

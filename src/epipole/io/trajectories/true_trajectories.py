@@ -1,4 +1,4 @@
-"""The true path of a camera: a trajectory's file, or what a folder of frames brings."""
+"""Ground-truth camera trajectories, from a file or a dataset folder."""
 
 from __future__ import annotations
 
@@ -17,36 +17,36 @@ from epipole.io.trajectories.files import TrajectoryReading, read_pose_matrix, r
 from epipole.scene import Trajectory
 
 FILES_OF_FOLDERS = ("groundtruth.txt", "poses.txt")
-"""TUM RGB-D's, KITTI's."""
+"""TUM RGB-D and KITTI."""
 FILES_OF_EUROC = tuple(f"{root}state_groundtruth_estimate0/data.csv" for root in ("mav0/", ""))
 _POSES = (("", re.compile(r"frame-(\d{6,9})\.pose\.txt")), ("pose", re.compile(r"(\d{1,9})\.txt")))
-"""Folder and names: 7-Scenes' and its like, ScanNet's."""
+"""Sub-folder and file names: 7-Scenes and similar, ScanNet."""
 _INFINITE = re.compile(r"[-+]?(?:inf|nan)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """A known path."""
+    """A ground-truth trajectory."""
 
     path: Path
-    """Where it was read."""
+    """The file it was read from."""
     trajectory: Trajectory
     assumptions: tuple[str, ...] = ()
-    """How the file was read, where another way is possible, in words."""
+    """Assumptions made where the file is ambiguous, as sentences."""
 
     @property
     def has_times(self) -> bool:
-        """Else there is a row for each frame (KITTI)."""
+        """Whether the file has times; otherwise it has one row per frame (KITTI)."""
         return self.trajectory.is_timed
 
 
 def true_path_at(path: Path) -> Truth:
-    """A known path from a file, or that which a folder of frames brings (7-Scenes, ScanNet, TUM RGB-D, KITTI, EuRoC).
+    """Read a ground-truth trajectory from a file or a dataset folder (7-Scenes, ScanNet, TUM RGB-D, KITTI, EuRoC).
 
-    EuRoC's is that of the IMU: where the truth lies in the set's folder, that of its left camera is made of it (T_BS).
+    EuRoC's is that of the IMU; within a EuRoC folder it is converted to the left camera with T_BS.
 
     Raises:
-        FileFormatError: the file is no trajectory, or the folder brings none.
+        FileFormatError: the file is not a trajectory, or the folder has none.
     """
     if path.is_dir():
         return _of_folder(path)
@@ -54,19 +54,19 @@ def true_path_at(path: Path) -> Truth:
 
 
 def truth_of_camera(path: Path, reading: TrajectoryReading) -> Truth:
-    """A file as it was read, or, in a folder of EuRoC, the left camera's path."""
+    """The trajectory of a file, converted to the left camera in a EuRoC folder."""
     said = () if reading.columns.is_plain else (f"{path.name}: {reading.columns.words()}",)
     sensor = camera_of_euroc(path)
     if reading.columns.format != "euroc" or sensor is None:
         return Truth(path, reading.trajectory, said)
     trajectory = reading.trajectory
     positions = trajectory.world_from_body @ read_body_from_camera(sensor)
-    words = f"{path.name}: moved from the IMU to the left camera by T_BS of cam0/sensor.yaml"
+    words = f"{path.name}: converted from the IMU to the left camera with T_BS from cam0/sensor.yaml"
     return Truth(path, Trajectory(trajectory.timestamp_s, positions), (*said, words))
 
 
 def camera_of_euroc(path: Path) -> Path | None:
-    """What tells the place of the left camera, where a file lies in a folder of EuRoC."""
+    """The file with the left camera's extrinsics, if the given file is in a EuRoC folder."""
     folder = path.resolve().parent
     for at in (folder.parent, folder, folder / "mav0"):
         if (at / "cam0" / "sensor.yaml").is_file():
@@ -75,7 +75,7 @@ def camera_of_euroc(path: Path) -> Path | None:
 
 
 def has_true_path(folder: Path) -> bool:
-    """Whether a folder holds a path that `true_path_at` can read."""
+    """Whether a folder has a trajectory that `true_path_at` can read."""
     return _file_of(folder) is not None or bool(_poses_of(folder))
 
 
@@ -90,7 +90,6 @@ def _file_of(folder: Path) -> Path | None:
 
 
 def _poses_of(folder: Path) -> list[tuple[int, Path]]:
-    """Numbers of frames, and files of their poses, in order."""
     for inside, pattern in _POSES:
         at = folder / inside
         names = sorted(at.iterdir()) if at.is_dir() else []
@@ -109,7 +108,7 @@ def _of_folder(folder: Path) -> Truth:
     if not known:
         raise FileFormatError(
             folder,
-            f"holds no true path that is known here ({', '.join(FILES_OF_FOLDERS)}, frame-*.pose.txt, pose/*.txt)",
+            f"found no ground-truth trajectory ({', '.join(FILES_OF_FOLDERS)}, frame-*.pose.txt, pose/*.txt)",
         )
     positions = Rigid3(
         np.stack([pose.rotation for _, pose in known]), np.stack([pose.translation for _, pose in known])
@@ -117,15 +116,13 @@ def _of_folder(folder: Path) -> Truth:
     times = np.array([number / FRAMES_HZ for number, _ in known])
     lacking = len(files) - len(known)
     said = (
-        (f"{lacking} of {len(files)} files of poses hold no finite numbers, and are left out",)
-        if lacking
-        else ()
+        (f"{lacking} of {len(files)} pose files have no finite numbers and are skipped",) if lacking else ()
     )
     pattern = f"*{files[0][1].suffixes[0]}{''.join(files[0][1].suffixes[1:])}"
     return Truth(files[0][1].parent / pattern, Trajectory(times, positions), said)
 
 
 def _is_unknown(path: Path) -> bool:
-    """Whether all numbers of a pose's file are infinite or none: what ScanNet writes for a frame without a pose."""
+    """Whether at least half of a pose file's numbers are infinite or NaN, as ScanNet writes for a frame without a pose."""
     words = file_text(path).split()
     return bool(words) and sum(bool(_INFINITE.fullmatch(word)) for word in words) >= len(words) // 2

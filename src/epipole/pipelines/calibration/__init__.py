@@ -1,1 +1,1 @@
-"""Calibration: cameras and rigs from views of a board, with what is known of their errors."""
+"""Calibration of cameras and rigs from views of a board, with covariances."""

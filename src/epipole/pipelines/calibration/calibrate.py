@@ -1,4 +1,4 @@
-"""Calibration from views of a board: cameras, their places in a rig, and how well they are known."""
+"""Calibration from views of a board: cameras, their poses in a rig, and covariances."""
 
 from __future__ import annotations
 
@@ -23,36 +23,36 @@ from epipole.scene import StereoRig
 _ROBUST_PX = 1.0
 _LEAST_NOISE_PX = 0.02
 _ROUNDS = 6
-_LEAST_FRACTION = 0.5  # a view with a smaller share of inlier corners is left out
+_LEAST_FRACTION = 0.5  # a view with a smaller fraction of inlier corners is rejected
 
 
 class ViewState(StrEnum):
-    """Whether an image was used, or why not."""
+    """Whether an image was used; else the reason."""
 
     USED = "used"
     NO_BOARD = "no board found"
-    NO_POSE = "its corners fit no place of the board"
-    OFF = "its corners lie far off: another board, a wrong order, or a moved camera"
+    NO_POSE = "no pose of the board fits its corners"
+    OFF = "large reprojection errors: another board, a wrong order of corners, or a moved camera"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """The result of a calibration; lengths are in the unit of the board's squares."""
+    """Result of a calibration; lengths are in the unit of `BoardConfig.square`."""
 
     state: RigState
     config: CalibrationConfig
     corners: Corners
-    """All corners that were found."""
+    """All detected corners."""
     used_mask: Bool[np.ndarray, " k"]
     residuals_px: Float64[np.ndarray, "k 2"]
-    """Projected minus found; NaN for views without a place."""
+    """Projected minus detected; NaN for views without a pose."""
     view_states: tuple[tuple[ViewState, ...], ...]
     """By `[camera][view]`."""
     uncertainty: Uncertainty
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """The cameras, calibrated."""
+        """The calibrated cameras."""
         return self.state.cameras
 
     @property
@@ -62,11 +62,11 @@ class Calibration:
 
     @property
     def rms_px(self) -> float:
-        """Root mean square distance of the corners used, as OpenCV reports it."""
+        """Root mean square reprojection error of the used corners, as OpenCV reports it."""
         return float(np.sqrt((self.residuals_px[self.used_mask] ** 2).sum(axis=1).mean()))
 
     def view_rms_px(self, camera: int) -> Float64[np.ndarray, " v"]:
-        """The same for each view; of all its corners where it was left out, NaN where it has no place."""
+        """The same for each view; from all its corners if it was rejected, NaN if it has no pose."""
         out = np.full(self.corners.num_views, np.nan)
         for view in range(len(out)):
             rows = self.corners.of_view(camera, view)
@@ -87,17 +87,17 @@ class Calibration:
         """The two cameras, with their covariance.
 
         Raises:
-            ShapeError: there is one camera, or more than two; of more, `state.cam_from_rig` has the places.
+            ShapeError: there are not two cameras; for more, use `state.cam_from_rig`.
         """
         if len(self.cameras) != 2:
-            raise ShapeError(f"a rig has two cameras, {len(self.cameras)} were calibrated")
+            raise ShapeError(f"a stereo rig needs two cameras, {len(self.cameras)} were calibrated")
         own = np.r_[: 2 * MAX_PARAMS, self.uncertainty.pose_of_camera(1, 2)]
         covariance = self.uncertainty.theta[np.ix_(own, own)]
         return StereoRig(self.cameras[0], self.cameras[1], self.state.cam_from_rig[1], covariance)
 
     def baseline_sigma(self) -> float:
         """Standard deviation of the distance between the first two cameras."""
-        # The centre seen from the other camera is translation t; |t| changes with the translation part of xi along t.
+        # |t| of the translation t changes only with the translation part of xi along t.
         rig = self.rig()
         toward = rig.right_from_left.translation / rig.baseline
         own = self.uncertainty.pose_of_camera(1, len(self.cameras))
@@ -114,26 +114,26 @@ def calibrate_views(
     sizes: Sequence[tuple[int, int]],
     config: CalibrationConfig | None = None,
 ) -> Calibration:
-    """Calibrate one camera, or several that are rigidly mounted, from views of a board.
+    """Calibrate one camera, or several rigidly mounted ones, from views of a board.
 
-    Each camera is initialised alone (a grid of focal lengths, the homography of each view), the rig from the
-    view whose motion agrees best with the others'. Then everything is adjusted with Cauchy's loss; outlier
-    corners and views are left out; the rest is fitted by least squares until nothing changes.
+    Each camera is initialized separately (a grid of focal lengths, the homography of each view), and the rig from the view
+    whose motion agrees best with the others. Everything is adjusted with the Cauchy loss, outlier corners and views are rejected,
+    and the rest is fitted by least squares until the inliers no longer change.
 
     Args:
-        views: By `[camera][instant]`; empty where the board was not found.
+        views: by `[camera][view]`; empty if the board was not found.
         sizes: width and height of each camera's images.
         config: options.
 
     Raises:
-        DegenerateGeometryError: too few views, or they do not determine everything.
-        ShapeError: the views do not fit together.
+        DegenerateGeometryError: there are too few views, or they do not constrain all parameters.
+        ShapeError: the cameras have different numbers of views, or a view has corners that are not on the board.
     """
     config = options_of(CalibrationConfig, config)
     board = corners_on_board(config.board)
     corners = Corners.of(views)
     if len(corners) and corners.corner.max() >= len(board):
-        raise ShapeError("a view has corners that the board has not")
+        raise ShapeError("a view has corners that are not on the board")
     state = _start(corners, board, sizes, config)
     state, _ = adjust(state, corners, board, robust_px=_ROBUST_PX)
     state, used = _optimize(state, corners, board, config)
@@ -153,7 +153,7 @@ def calibrate_views(
 def _start(
     corners: Corners, board: np.ndarray, sizes: Sequence[tuple[int, int]], config: CalibrationConfig
 ) -> RigState:
-    """Initialise each camera, then the rig, then every view from the cameras that see it."""
+    """Initialize each camera, then the rig, then every view from the cameras that see it."""
     model = camera_model_named(config.model)
     alone: list[tuple[Camera, Rigid3]] = []
     for c, size in enumerate(sizes):
@@ -188,7 +188,7 @@ def _start(
 def _optimize(
     state: RigState, corners: Corners, board: np.ndarray, config: CalibrationConfig
 ) -> tuple[RigState, np.ndarray]:
-    """Plain least squares over the corners that agree, which are chosen anew after each fit."""
+    """Plain least squares over the inlier corners, which are selected again after each fit."""
     used = _agreeing(state, corners, board, config)
     for _ in range(_ROUNDS):
         state, _ = adjust(_only_seen(state, corners, used), corners.select(used), board)
@@ -202,7 +202,7 @@ def _optimize(
 
 
 def _agreeing(state: RigState, corners: Corners, board: np.ndarray, config: CalibrationConfig) -> np.ndarray:
-    """Corners within `outlier_factor` robust deviations, of views that are not far worse than the median view."""
+    """Corners within `outlier_factor` robust standard deviations, in views that are not much worse than the median view."""
     distance = np.linalg.norm(state.residuals(corners, board), axis=1)
     distance = np.where(np.isfinite(distance), distance, np.inf)
     key = corners.camera * corners.num_views + corners.view
@@ -211,7 +211,7 @@ def _agreeing(state: RigState, corners: Corners, board: np.ndarray, config: Cali
         middles[k] = np.median(distance[key == k])
     finite = middles[np.isfinite(middles)]
     if not len(finite):
-        raise DegenerateGeometryError("no view of the board could be placed")
+        raise DegenerateGeometryError("no pose of the board was found in any view")
     typical = max(float(np.median(finite)), _LEAST_NOISE_PX)
     is_good_view = middles <= config.max_view_factor * typical
     good = is_good_view[key]
@@ -226,19 +226,18 @@ def _agreeing(state: RigState, corners: Corners, board: np.ndarray, config: Cali
 
 
 def _only_seen(state: RigState, corners: Corners, used: np.ndarray) -> RigState:
-    """The state without the poses of unused views."""
     rotation, translation = state.rig_from_board.rotation.copy(), state.rig_from_board.translation.copy()
     unseen = np.bincount(corners.view[used], minlength=corners.num_views) == 0
     rotation[unseen], translation[unseen] = np.nan, np.nan
     if (~unseen).sum() < 3:
         raise DegenerateGeometryError(
-            f"only {int((~unseen).sum())} views agree with each other; at least 3 are needed"
+            f"only {int((~unseen).sum())} views agree with each other, at least 3 are needed"
         )
     return replace(state, rig_from_board=Rigid3(rotation, translation))
 
 
 def _with_all_poses(state: RigState, corners: Corners, board: np.ndarray) -> RigState:
-    """The state with poses for all views: those left out may agree with better cameras."""
+    """The state with poses for all views: rejected ones may agree with better cameras."""
     rotation, translation = state.rig_from_board.rotation.copy(), state.rig_from_board.translation.copy()
     for view in np.flatnonzero(~np.isfinite(translation).all(axis=1)):
         for c, camera in enumerate(state.cameras):

@@ -26,16 +26,16 @@ def calibrate(
 ) -> None:
     """Calibrate a camera, or a pair of cameras, from images of a chessboard, ChArUco board or AprilTag grid.
 
-    A pair's images lie in sub-folders left and right, or are named left01.jpg and right01.jpg. The principal
-    point (cx, cy) is printed and written with the centre of the first pixel at 0, 0, as OpenCV has it; the line for
-    `epipole reconstruct --camera-params` counts it from the image's corner, half a pixel more.
+    The images of a pair are in sub-folders left and right, or named left01.jpg and right01.jpg. The principal
+    point (cx, cy) is printed and written with the center of the first pixel at (0, 0), as in OpenCV; the line for
+    `epipole reconstruct --camera-params` counts it from the corner of the image, half a pixel more.
 
     Args:
         images: Folder of images.
         out: Output folder.
         config: Board and options.
-        right: Folder of the right camera's images, if they are in a folder of their own.
-        strict: Exit with code 3 if the calibration fails its checks; it is written all the same.
+        right: Folder of the right camera's images, if separate.
+        strict: Exit with code 3 if the calibration fails its checks; results are still written.
     """
     from epipole.screen import ANSWER_IS_NO, progress_on_screen
 
@@ -49,7 +49,7 @@ def calibrate(
 
 
 def camera_options(camera: Camera) -> str:
-    """The camera as options of `epipole reconstruct`, whose principal point counts from the image's corner."""
+    """The camera as options of `epipole reconstruct`, with the principal point from the corner of the image."""
     from epipole.io.colmap.model import params_to_colmap
 
     params = ",".join(f"{p:.8g}" for p in params_to_colmap(camera.model, camera.params))
@@ -57,7 +57,7 @@ def camera_options(camera: Camera) -> str:
 
 
 def show_calibration(run: CalibrationRun) -> None:
-    """Print the verdict, the cameras, and where the report is."""
+    """Print the verdict, the cameras, and the path of the report."""
     from rich.table import Table
 
     from epipole.screen import open_console, print_warnings
@@ -73,19 +73,19 @@ def show_calibration(run: CalibrationRun) -> None:
             table.add_row(name, f"{value:.6g}", f"{sigma:.2g}")
         console.print(table)
     console.print(
-        "for `epipole reconstruct`, with the principal point from the image's corner:", markup=False
+        "for `epipole reconstruct`, with the principal point from the corner of the image:", markup=False
     )
     for camera in found.cameras:
         console.print(f"  {camera_options(camera)}", highlight=False, markup=False, soft_wrap=True)
     if len(found.cameras) == 2:
         console.print(
             f"baseline {found.rig().baseline:.6g}, standard deviation {found.baseline_sigma():.2g}"
-            + (" (in squares: give --square)" if found.config.board.square == 1.0 else ""),
+            + (" (in squares: pass --square)" if found.config.board.square == 1.0 else ""),
             highlight=False,
         )
     if found.config.refine_warp:
         bend = ", ".join(f"{w:.3g}" for w in found.state.warp)
-        console.print(f"middle of the board above its edges, across and down: {bend}", highlight=False)
+        console.print(f"board center above its edges, horizontally and vertically: {bend}", highlight=False)
     print_warnings(console, run.problems.values())
     for c, states in enumerate(found.view_states):
         left_out = [

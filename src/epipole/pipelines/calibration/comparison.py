@@ -1,4 +1,4 @@
-"""Do two calibrations agree? Differences in pixels, after the best rotation between the cameras."""
+"""Comparison of two calibrations: projection differences in pixels, after the best rotation between the cameras."""
 
 from __future__ import annotations
 
@@ -22,17 +22,19 @@ from epipole.pipelines.calibration.start import locate_view
 _ROUNDS = 20
 _LEAST_VIEWS = 6
 _LEAST_VIEWS_TO_WIDEN = 10
-_CHANCE = 0.99  # of calibrations with many views whose model holds, so many are left as they are (with ten views 95 to 100 of 100)
+_CHANCE = (
+    0.99  # fraction of correct calibrations with many views that are not widened (95 to 100 % with ten views)
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProjectionDifference:
-    """How far apart two cameras project the same directions."""
+    """Difference between the projections of the same directions by two cameras."""
 
     pixels: Float64[np.ndarray, "n 2"]
-    """Of the first camera's image."""
+    """In the first camera's image."""
     difference_px: Float64[np.ndarray, "n 2"]
-    """Second minus first; NaN where one of them sees nothing."""
+    """Second minus first; NaN where one has no projection."""
 
     @property
     def distance_px(self) -> Float64[np.ndarray, " n"]:
@@ -48,22 +50,22 @@ class CrossCheck:
     """Cross-validation: a calibration from half of the views against the other half."""
 
     fitted_rms_px: float
-    """Of the half that was fitted."""
+    """Of the fitted half."""
     held_out_rms_px: float
-    """Of the other half's corners, whose places alone were fitted."""
+    """Of the other half, of which only the poses were fitted."""
     difference_px: tuple[float, ...]
-    """Median difference of the halves' projections, of every camera, where corners were seen."""
+    """Median projection difference between the halves for each camera, where corners were seen."""
     disagreement: float
-    """Mean square of the halves' differences in all unknowns over their covariance: 1 where the model holds."""
+    """Squared Mahalanobis distance between the halves per unknown; about 1 for a correct model."""
     num_unknowns: int
     num_views: int
     """Of both halves."""
 
     @property
     def widening(self) -> float:
-        """By what factor the standard deviations are too small (Birge ratio, 1932).
+        """Factor by which the standard deviations are too small (Birge ratio, 1932).
 
-        1 where chance explains the difference, or where the halves have too few views for their covariances to hold.
+        1 if chance explains the difference, or if the halves have too few views for valid covariances.
         """
         if self.num_views < _LEAST_VIEWS_TO_WIDEN:
             return 1.0
@@ -74,15 +76,15 @@ class CrossCheck:
 def projection_difference(
     first: Camera, second: Camera, pixels: Float64[np.ndarray, "n 2"] | None = None
 ) -> ProjectionDifference:
-    """Difference of two cameras over the image, after the rotation that makes it smallest.
+    """Difference of two cameras over the image, after the rotation that minimizes it.
 
-    A change of the principal point is nearly a turn of the camera, which no image of a board tells apart; what remains is what
-    matters (mrcal's differencing, Kogan 2021, at infinity). Gauss-Newton with Cauchy's weights.
+    A shift of the principal point is almost equivalent to a rotation of the camera, which images of a board cannot distinguish; only
+    the remainder matters (mrcal's differencing, Kogan 2021, at infinity). Gauss-Newton with Cauchy weights.
 
     Args:
         first: a camera.
         second: another one, or the same calibrated again.
-        pixels: of the first one's image; None: a grid over all of it.
+        pixels: in the first one's image; None: a grid over all of it.
     """
     if pixels is None:
         u, v = np.meshgrid(np.linspace(0, first.width - 1, 24), np.linspace(0, first.height - 1, 18))
@@ -110,7 +112,7 @@ def projection_difference(
 
 
 def cross_check(views: Sequence[Sequence[BoardView]], found: Calibration) -> CrossCheck | None:
-    """Calibrate with every second used view, test on the others; None for too few views, or on failure."""
+    """Calibrate with every second used view and test on the others; None if there are too few views or it fails."""
     used = np.unique(found.corners.view[found.used_mask])
     if len(used) < _LEAST_VIEWS:
         return None
@@ -138,7 +140,7 @@ def cross_check(views: Sequence[Sequence[BoardView]], found: Calibration) -> Cro
 
 
 def _disagreement(first: Calibration, second: Calibration) -> tuple[float, int]:
-    """(Mahalanobis distance squared over the number of unknowns, that number) of two calibrations of other views."""
+    """(Squared Mahalanobis distance per unknown, number of unknowns) of two calibrations from different views."""
     count = len(first.cameras)
     apart = np.zeros(len(first.uncertainty.theta))
     for c, (a, b) in enumerate(zip(first.cameras, second.cameras)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from epipole._declared import check_options
+from epipole._checks import check_options
 from epipole.config import BoardConfig
 from epipole.errors import ConfigError
 
@@ -16,19 +16,19 @@ class CalibrationConfig:
 
     board: BoardConfig = field(default_factory=BoardConfig)
     model: Literal["PINHOLE", "RADIAL", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE"] = "OPENCV"
-    """OPENCV: two focal lengths, k1, k2, p1, p2; FULL_OPENCV: k3 too (k4 to k6 stay zero); OPENCV_FISHEYE: k1 to k4 of the angle."""
+    """OPENCV has k1, k2, p1, p2; FULL_OPENCV also k3 (k4 to k6 stay zero); OPENCV_FISHEYE k1 to k4."""
     refine_warp: bool = False
-    """Estimate how the board is bent (two parameters); needs views from many sides."""
+    """Estimate the bending of the board (two parameters); needs views from many directions."""
     outlier_factor: float = 5.0
-    """Corners with residuals of more than this many robust standard deviations are left out."""
+    """Reject corners with residuals above this many robust standard deviations."""
     max_view_factor: float = 4.0
-    """Views with residuals of more than this many times the median view's are left out."""
+    """Reject views with residuals above this multiple of the median view's."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
         check_options(self)
         if not (self.outlier_factor > 1 and self.max_view_factor > 1):

@@ -1,4 +1,4 @@
-"""Where in the image corners were seen: elsewhere the lens model is extrapolated."""
+"""Image coverage by corners; elsewhere the camera model is extrapolated."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _CELLS = (12, 9)
 
 
 def coverage(found: Calibration, camera: int) -> float:
-    """Share of the image's 12 x 9 cells in which corners were used, or that such cells surround."""
+    """Fraction of the image's 12 x 9 cells with used corners, or enclosed by such cells."""
     return float(covered_cells(found, camera).mean())
 
 
@@ -30,7 +30,7 @@ def covered_cells(found: Calibration, camera: int) -> Bool[np.ndarray, "9 12"]:
 
 
 def covered_pixels(found: Calibration, camera: int) -> Float64[np.ndarray, "n 2"]:
-    """Middles of the covered cells."""
+    """Centers of the covered cells."""
     intrinsics, cells = found.cameras[camera], covered_cells(found, camera)
     row, column = np.nonzero(cells)
     u = (column + 0.5) / cells.shape[1] * intrinsics.width - 0.5

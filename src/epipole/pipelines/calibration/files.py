@@ -27,7 +27,7 @@ class CalibrationRun:
     images: tuple[tuple[Path, ...], ...]
     """By `[camera][view]`."""
     problems: dict[str, str]
-    """Images that could not be read, and why; and how images that EXIF turns differently were read."""
+    """Images that could not be read, with reasons, and notes on images with different EXIF orientations."""
 
     def __repr__(self) -> str:
         return f"CalibrationRun({self.calibration!r}, {self.verdict.sentence!r}, in {self.out})"
@@ -46,7 +46,7 @@ def write_results(found: CalibrationRun, folder: Path) -> None:
 
 
 def _write_ros_pair(out: Path, rig: StereoRig) -> None:
-    """Write ROS' files, which hold the rectification: there are none of a pair that cannot be rectified."""
+    """Write ROS files, which include the rectification; none if the pair cannot be rectified."""
     try:
         rectified = rectify(rig)
     except EpipoleError:
@@ -61,7 +61,7 @@ def _write_ros_pair(out: Path, rig: StereoRig) -> None:
 
 
 def calibration_file(found: Calibration) -> CalibrationFile:
-    """What is written of a calibration."""
+    """The calibration as written to disk."""
     covariance = found.rig().covariance if len(found.cameras) == 2 else None
     return CalibrationFile(found.cameras, found.state.cam_from_rig, covariance)
 

@@ -1,4 +1,4 @@
-"""Corners seen in all views by all cameras, as columns; and the least-squares problem they pose."""
+"""Corners observed in all views by all cameras, stored as arrays, and their least-squares problem."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from epipole.optim.bundle_problem import NUM_PARAMS, free_params_mask
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Corners:
-    """One row per corner seen, sorted by corner as the adjuster wants it."""
+    """One row per observed corner, sorted by corner as bundle adjustment requires."""
 
     view: Int64[np.ndarray, " k"]
     camera: Int64[np.ndarray, " k"]
@@ -29,14 +29,16 @@ class Corners:
 
     @staticmethod
     def of(views: Sequence[Sequence[BoardView]]) -> Corners:
-        """From views[camera][instant].
+        """From views[camera][view].
 
         Raises:
             ShapeError: the cameras have different numbers of views.
         """
         counts = {len(v) for v in views}
         if len(counts) != 1:
-            raise ShapeError("every camera needs a view (an empty one too) of every instant")
+            raise ShapeError(
+                "every camera needs the same number of views; use an empty view where there is no image"
+            )
         rows = [
             (np.full(len(seen), v), np.full(len(seen), c), seen.corner, seen.pixels)
             for c, own in enumerate(views)
@@ -50,7 +52,7 @@ class Corners:
         return Corners(view[order], camera[order], corner[order], pixels[order], counts.pop(), len(views))
 
     def select(self, mask: Bool[np.ndarray, " k"]) -> Corners:
-        """Some rows; views keep their numbers."""
+        """Masked rows; views keep their numbers."""
         return replace(
             self,
             view=self.view[mask],
@@ -72,18 +74,18 @@ class Corners:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigState:
-    """What calibration estimates."""
+    """The estimated quantities."""
 
     cameras: tuple[Camera, ...]
     cam_from_rig: Rigid3
     """One row per camera; the first is the identity."""
     rig_from_board: Rigid3
-    """One row per view; NaN where it is not known."""
+    """One row per view; NaN if unknown."""
     warp: Float64[np.ndarray, " 2"]
-    """By how much the middle of the board rises above its edges, across and down, in board units."""
+    """Height of the board's center above its edges, horizontally and vertically, in board units."""
 
     def residuals(self, corners: Corners, board: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "k 2"]:
-        """Projected minus seen pixels; NaN where a view's place is not known."""
+        """Projected minus observed pixels; NaN for views without a pose."""
         shape = bent(board, self.warp)
         in_rig = self.rig_from_board[corners.view].apply(shape[corners.corner])
         in_cam = self.cam_from_rig[corners.camera].apply(in_rig)
@@ -96,21 +98,21 @@ class RigState:
 
 
 def warp_shapes(board: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
-    """1 - x^2 and 1 - y^2 with x, y from -1 to 1 over the board: the two ways it bends (as mrcal has it)."""
+    """1 - x^2 and 1 - y^2 with x, y from -1 to 1 over the board: the two modes of bending (as in mrcal)."""
     low, high = board[:, :2].min(axis=0), board[:, :2].max(axis=0)
     at = (2.0 * board[:, :2] - low - high) / np.maximum(high - low, 1e-12)
     return 1.0 - at**2
 
 
 def bent(board: Float64[np.ndarray, "n 3"], warp: Float64[np.ndarray, " 2"]) -> Float64[np.ndarray, "n 3"]:
-    """The board's corners with the middle raised."""
+    """The board's corners, warped."""
     out = board.copy()
     out[:, 2] += warp_shapes(board) @ warp
     return out
 
 
 def free_params(cameras: Sequence[Camera]) -> Float64[np.ndarray, "c 12"]:
-    """Mask of the parameters that calibration estimates: all but the rational part of a lens, which views of boards rarely tell."""
+    """Mask of the estimated parameters: all but k4 to k6 of the rational model, which boards rarely constrain."""
     free = free_params_mask(np.array([int(c.model) for c in cameras], np.int32), principal_point=True)
     free[:, NUM_PARAMS - 3 :] = 0.0
     return free
@@ -124,14 +126,14 @@ def adjust(
     robust_px: float | None = None,
     refine_cameras: bool = True,
 ) -> tuple[RigState, BundleResult]:
-    """Bundle adjustment of cameras, their places in the rig and all views, the board being known.
+    """Bundle adjustment of cameras, their poses in the rig and the poses of all views, with the board fixed.
 
     Args:
-        state: where to begin.
-        corners: what is fitted.
+        state: initial values.
+        corners: observations.
         board: its corners.
-        robust_px: scale of Cauchy's loss; None: plain least squares.
-        refine_cameras: False: the views' places alone.
+        robust_px: scale of the Cauchy loss; None: plain least squares.
+        refine_cameras: False adjusts the poses of the views only.
     """
     known = np.isfinite(state.rig_from_board.translation).all(axis=1)
     corners = corners.select(known[corners.view])

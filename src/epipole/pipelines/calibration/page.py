@@ -27,19 +27,17 @@ _BAR_LENGTH = 120.0
 
 @dataclass(frozen=True, slots=True)
 class _Dot:
-    """A corner in the image, with a line from it as far as its residual says."""
+    """A corner in the image, with its residual as a line."""
 
     x: str
     y: str
     is_used: bool
     residual: str
-    """As a relative move of a path; empty where there is none to draw."""
+    """Relative line command of an SVG path; empty for none."""
 
 
 @dataclass(frozen=True, slots=True)
 class _ViewLine:
-    """One view's line in the table."""
-
     name: str
     is_used: bool
     corners: str
@@ -49,7 +47,7 @@ class _ViewLine:
 
 
 def render_page(run: CalibrationRun) -> str:
-    """One HTML page with everything inside it."""
+    """A self-contained HTML page."""
     found = run.calibration
     used = found.residuals_px[found.used_mask]
     longest = _longest_rms_px(found)
@@ -61,7 +59,7 @@ def render_page(run: CalibrationRun) -> str:
         verdict=run.verdict,
         problems=list(run.problems.values()),
         checks=_checks(run),
-        residuals=draw_histogram(histogram_of(np.linalg.norm(used, axis=1), "distance of a corner, px")),
+        residuals=draw_histogram(histogram_of(np.linalg.norm(used, axis=1), "reprojection error, px")),
         cameras=[_camera(run, c) for c in range(len(found.cameras))],
         rig=_rig(found) if len(found.cameras) == 2 else None,
         views=_views(run, longest),
@@ -70,31 +68,34 @@ def render_page(run: CalibrationRun) -> str:
 
 
 def _checks(run: CalibrationRun) -> list[tuple[str, str]]:
-    """What was checked, and the outcome."""
     found, check = run.calibration, run.check
     rows = [
         ("corners used", f"{int(found.used_mask.sum())} of {len(found.used_mask)}"),
-        ("root mean square distance of a corner", f"{found.rms_px:.3f} px"),
-        ("noise of a corner's coordinate", f"{found.uncertainty.noise_px:.3f} px"),
+        ("RMS reprojection error", f"{found.rms_px:.3f} px"),
+        ("corner noise per coordinate", f"{found.uncertainty.noise_px:.3f} px"),
     ]
     if check is not None:
         rows += [
-            ("half of the views fitted: their distance", f"{check.fitted_rms_px:.3f} px"),
-            ("the other half, held out", f"{check.held_out_rms_px:.3f} px"),
+            ("RMS reprojection error when half of the views are fitted", f"{check.fitted_rms_px:.3f} px"),
+            ("RMS reprojection error of the other half, held out", f"{check.held_out_rms_px:.3f} px"),
         ]
         rows += [
-            (f"difference of both halves' projections{_of(found, c)}", f"{d:.3f} px (median)")
+            (f"projection difference between the halves{_of(found, c)}", f"{d:.3f} px (median)")
             for c, d in enumerate(check.difference_px)
         ]
         rows.append(
             (
-                "mean square of both halves' differences in all unknowns, in standard deviations",
+                "mean squared difference between the halves over all unknowns, in standard deviations",
                 f"{check.disagreement:.2f}"
-                + (f"; all are widened {check.widening:.2f} times" if check.widening > 1 else ""),
+                + (
+                    f"; standard deviations are widened by {check.widening:.2f}" if check.widening > 1 else ""
+                ),
             )
         )
     if found.config.refine_warp:
-        rows.append(("middle of the board above its edges", ", ".join(f"{w:.3g}" for w in found.state.warp)))
+        rows.append(
+            ("height of the board's center above its edges", ", ".join(f"{w:.3g}" for w in found.state.warp))
+        )
     return rows
 
 
@@ -103,7 +104,6 @@ def _of(found: Calibration, camera: int) -> str:
 
 
 def _camera(run: CalibrationRun, c: int) -> dict[str, object]:
-    """What is shown of one camera."""
     found = run.calibration
     camera, sigma = found.cameras[c], found.params_sigma(c)
     low, high, heat = _far_sigma(found, c)
@@ -125,7 +125,7 @@ def _camera(run: CalibrationRun, c: int) -> dict[str, object]:
 
 
 def _far_sigma(found: Calibration, c: int) -> tuple[float, float, str]:
-    """How well a far point's projection is known over the image: best, worst (1 % aside), and as colours."""
+    """Projection uncertainty of distant points over the image: 1st and 99th percentile, and a color map."""
     camera, (columns, rows) = found.cameras[c], _GRID
     u, v = np.meshgrid(np.linspace(0, camera.width - 1, columns), np.linspace(0, camera.height - 1, rows))
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)
@@ -136,7 +136,7 @@ def _far_sigma(found: Calibration, c: int) -> tuple[float, float, str]:
 
 
 def _dots(found: Calibration, c: int) -> list[_Dot]:
-    """Every corner where it was seen: used, or left out; with a line many times its residual."""
+    """Used and rejected corners, with magnified residuals."""
     camera, corners = found.cameras[c], found.corners
     own = np.flatnonzero(corners.camera == c)
     own = own[:: max(1, len(own) // _RESIDUALS_SHOWN)]
@@ -164,21 +164,20 @@ def _against_range(found: Calibration, c: int) -> Markup:
 
     ranges = (_RANGES * unit).tolist()
     return draw_curves(
-        {"middle": (ranges, curve(middle)), "near a corner": (ranges, curve(corner))},
+        {"image center": (ranges, curve(middle)), "near a corner": (ranges, curve(corner))},
         "distance from the camera, in the board's unit",
-        "projection known to, px",
+        "projection uncertainty, px",
     )
 
 
 def _rig(found: Calibration) -> dict[str, str]:
-    """How the right camera stands to the left one."""
     rig = found.rig()
     x, y, z = rig.right_from_left.inverse().translation
     angle = np.rad2deg(np.linalg.norm(rig.right_from_left.log()[3:]))
     return {
         "baseline": f"{rig.baseline:.6g}",
         "baseline_sigma": f"{found.baseline_sigma():.2g}",
-        "place": f"({x:.4g}, {y:.4g}, {z:.4g})",
+        "position": f"({x:.4g}, {y:.4g}, {z:.4g})",
         "angle_deg": f"{angle:.3f}",
     }
 

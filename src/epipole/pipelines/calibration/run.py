@@ -1,4 +1,4 @@
-"""The job: images of a board to calibrated cameras on disk."""
+"""The calibration job: from images of a board to calibrated cameras on disk."""
 
 from __future__ import annotations
 
@@ -38,24 +38,24 @@ def calibrate(
     progress: ProgressCallback = ignore_progress,
     **options: Unpack[CalibrationKeywords],
 ) -> CalibrationRun:
-    """Calibrate a camera, or a pair, from images of a board, with a report.
+    """Calibrate a camera, or a stereo pair, from images of a board, and write a report.
 
-    Writes `calibration.json` (with covariances), `opencv.yaml`, ROS' `ros.yaml` (of a pair `ros_left.yaml` and
-    `ros_right.yaml`) and `report.html`.
+    Writes `calibration.json` (with covariances), `opencv.yaml`, `ros.yaml` for ROS (`ros_left.yaml` and `ros_right.yaml` for a pair)
+    and `report.html`.
 
     Args:
-        images: folder of images; of a pair's: sub-folders left and right, or files left01.jpg and right01.jpg.
-        out: output folder, made if missing.
+        images: folder of images; for a pair with sub-folders left and right, or files left01.jpg and right01.jpg.
+        out: output folder, created if missing.
         config: board and options.
-        right: folder of the right camera's images, of the same names or in the same order.
+        right: folder of the right camera's images, with the same names or in the same order.
         progress: called with the progress.
         **options: single options of the config or its board by name, which override it: `columns=9`.
 
     Raises:
-        FileFormatError: there are no images, or the two folders do not fit.
-        DegenerateGeometryError: the board is seen too seldom, or the views do not determine everything.
+        FileFormatError: there are no images, or the two folders do not match.
+        DegenerateGeometryError: the board is detected too rarely, or the views do not constrain all parameters.
         WorkspaceError: the output folder cannot be used.
-        ConfigError: an option is unknown, or its value makes no sense.
+        ConfigError: an option is unknown, or its value is invalid.
     """
     config = options_of(CalibrationConfig, config, options, ["config", "right", "progress"])
     images = as_path(images)
@@ -79,7 +79,6 @@ def calibrate(
 
 
 def _measure(images: list[list[Path]], run: Run, config: CalibrationConfig) -> CalibrationRun:
-    """Find the board in every image, calibrate, and check."""
     views, sizes, problems = _inspect_all(images, run, config)
     run.report("calibrate", 0, 2)
     against = _against(images, config.board)
@@ -99,7 +98,7 @@ def _measure(images: list[list[Path]], run: Run, config: CalibrationConfig) -> C
 def _inspect_all(
     images: list[list[Path]], run: Run, config: CalibrationConfig
 ) -> tuple[list[list[BoardView]], list[tuple[int, int]], dict[str, str]]:
-    """Views of the board and the image size of each camera, and what is wrong with single images."""
+    """Views of the board and the image size of each camera, and problems of single images."""
     views: list[list[BoardView]] = []
     sizes: list[tuple[int, int]] = []
     problems: dict[str, str] = {}
@@ -118,7 +117,7 @@ def _inspect_all(
         for k, shape in enumerate(shapes):
             if shape is not None and shape != size:
                 problems[str(own[k])] = (
-                    f"{own[k].name}: it is {shape[0]} x {shape[1]} pixels, the others {size[0]} x {size[1]}"
+                    f"{own[k].name}: its size is {shape[0]} x {shape[1]} pixels, but that of the others {size[0]} x {size[1]}"
                 )
                 found[k] = BoardView(np.zeros(0, np.int64), np.zeros((0, 2)))
         views.append(found)
@@ -127,7 +126,7 @@ def _inspect_all(
 
 
 def _against(images: Sequence[Sequence[Path]], board: BoardConfig) -> list[str]:
-    """Complain if the board is larger than stated: then a different part of it is found in each view."""
+    """A reason to fail if the board is larger than specified, since a different part may be detected in each view."""
     if board.kind != "chessboard":
         return []
     size = whole_chessboard(_readable(images[0][:_NUM_INSPECTED]), board)
@@ -145,10 +144,10 @@ def _readable(images: Sequence[Path]) -> Iterator[np.ndarray]:
 
 
 def images_of_cameras(images: Path, right: Path | None = None) -> list[list[Path]]:
-    """Images of one camera, or of two in the same order, where some may not exist: views of one camera alone.
+    """Images of one camera, or of two in the same order; missing files are views of one camera only.
 
     Raises:
-        FileFormatError: there are none, or left and right do not fit.
+        FileFormatError: there are none, or left and right do not match.
     """
     if right is not None:
         pairs = [pair for _, pair in pair_folders(images, right)]
@@ -166,10 +165,9 @@ def _images(folder: Path) -> list[Path]:
 
 
 def _common_orientation(images: Sequence[Path]) -> tuple[int | None, dict[str, str]]:
-    """The EXIF orientation to apply to all images of one sensor (None: each one's own), and a note by its folder.
+    """The EXIF orientation to apply to all images of one sensor (None: each image's own), and a note by its folder.
 
-    One camera can describe images that are turned differently by their stored pixels alone, unless only the upright ones
-    have one size.
+    Images with different orientations share a camera only as stored pixels, unless only the upright images have the same size.
     """
     shapes = []
     for path in images:
@@ -181,7 +179,7 @@ def _common_orientation(images: Sequence[Path]) -> tuple[int | None, dict[str, s
     if rotated < 2 or stored > upright:
         return None, {}
     note = (
-        f"the images in {images[0].parent.name} are turned differently by EXIF: the calibration describes their stored pixels,"
+        f"the images in {images[0].parent.name} have different EXIF orientations: the calibration describes their stored pixels,"
         " without EXIF orientation"
     )
     return 1, {f"{images[0].parent} {images[0].name}: orientation": note}
@@ -201,9 +199,9 @@ def _inspect(
 def _requested(board: BoardConfig) -> str:
     size = f"{board.columns} x {board.rows}"
     if board.kind == "chessboard":
-        return f"a chessboard of {size} inner corners was asked for"
+        return f"expected a chessboard with {size} inner corners"
     what = "a ChArUco board of squares" if board.kind == "charuco" else "a grid of AprilTags"
-    return f"{what}, {size}, dictionary {board.dictionary_name}, was asked for"
+    return f"expected {what}, {size}, dictionary {board.dictionary_name}"
 
 
 def _common_size(
@@ -212,13 +210,13 @@ def _common_size(
     images: Sequence[Path],
     board: BoardConfig,
 ) -> tuple[int, int]:
-    """The size of most images with a board (of most images where there is none)."""
+    """The most frequent size of images with a board, or of all images if none has one."""
     with_board = [s for s, view in zip(shapes, found) if s is not None and len(view)]
     every = with_board or [s for s in shapes if s is not None]
     if not every:
         raise FileFormatError(images[0].parent, "none of its images can be read")
     if not with_board:
         raise DegenerateGeometryError(
-            f"the board is in none of the {len(images)} images of {images[0].parent}: {_requested(board)}"
+            f"no board found in the {len(images)} images of {images[0].parent}: {_requested(board)}"
         )
     return max(sorted(set(every)), key=every.count)

@@ -1,4 +1,4 @@
-"""What the viewer shows of a calibration: how the cameras stand, and where their pixels look."""
+"""Viewer scene of a calibration: camera poses and viewing directions of their pixels."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from epipole.scene import Curve
 
 CALIBRATION = "calibration.json"
 UNIT = "the unit of the calibration"
-"""Metres where the board was told in metres."""
+"""Meters if the board was specified in meters."""
 LINES, STEPS = 9, 32
-"""Of the grid of an image's pixels: lines each way, and pieces of a line."""
+"""Lines of the pixel grid in each direction, and segments of a line."""
 GRID_RGB = ((120, 190, 220), (230, 170, 90))
 
 
 def is_mine(path: Path) -> bool:
-    """Whether a path is that of a calibration's file, or of a folder with one."""
+    """Whether a path is a calibration file, or a folder with one."""
     if path.is_dir():
         return (path / CALIBRATION).is_file() and not (path / "sparse").is_dir()
     if path.suffix.lower() not in (".json", ".yaml", ".yml", ".txt"):
@@ -36,7 +36,7 @@ def is_mine(path: Path) -> bool:
 
 
 def scene(path: Path) -> SpaceScene:
-    """The cameras, and of each a grid of its pixels on the sphere of directions: straight where the lens is.
+    """The cameras, each with a pixel grid projected onto a sphere, which shows the distortion.
 
     Raises:
         FileFormatError: the file cannot be read.
@@ -61,7 +61,7 @@ def scene(path: Path) -> SpaceScene:
     position = middle + reach * np.array([-1.1, -1.0, -1.9])
     return SpaceScene(
         title=path.resolve().name,
-        words=f"{plural(n, 'camera')}, and where a grid of their pixels looks",
+        words=f"{plural(n, 'camera')} and the viewing directions of a pixel grid",
         unit=UNIT if n > 1 else "arbitrary units",
         cameras=layer,
         curves=curves,
@@ -70,13 +70,13 @@ def scene(path: Path) -> SpaceScene:
 
 
 def _reach(found: CalibrationFile) -> float:
-    """How far off the grids are drawn: three baselines, or 1."""
+    """Distance of the grids from the cameras: three baselines, or 1."""
     far = float(np.abs(found.cam_from_rig.inverse().translation).max(initial=0.0))
     return 3.0 * far if far > 0 else 1.0
 
 
 def _grid(camera: Camera, rig_from_cam: Rigid3, reach: float) -> np.ndarray:
-    """Lines of pixels (n, 2, 3), left out where the lens model has no ray."""
+    """Line segments (n, 2, 3) of the pixel grid, without those where the camera model has no ray."""
     along, across = np.linspace(0.0, 1.0, STEPS + 1), np.linspace(0.0, 1.0, LINES)
     u = np.concatenate([np.tile(along, LINES), np.repeat(across, STEPS + 1)])
     v = np.concatenate([np.repeat(across, STEPS + 1), np.tile(along, LINES)])

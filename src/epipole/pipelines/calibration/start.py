@@ -15,18 +15,18 @@ from epipole.solvers import solve_pnp
 
 _FOCALS = np.geomspace(0.3, 4.0, 14)  # of the image's longer side
 _FINER = 1.0 + np.linspace(-0.08, 0.08, 5)
-_FAR_VIEW = 5.0  # a view this many times worse than the median view is left out from the start
+_FAR_VIEW = 5.0  # a view this many times worse than the median view is rejected from the start
 _TRIMS, _TRIM = (
     2,
     4.0,
-)  # corners this many times farther off than the median are left out of a view's first pose
+)  # corners with errors this many times the median are excluded from a view's first pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Positions:
     rig_from_board: Rigid3
     error_px: np.ndarray
-    """Median distance of each view's corners; NaN where there are none."""
+    """Median reprojection error of each view; NaN without a pose."""
 
 
 def start_camera(
@@ -34,7 +34,7 @@ def start_camera(
 ) -> tuple[Camera, Rigid3]:
     """The undistorted camera with the smallest median errors, and cam_from_board of each view (NaN: none).
 
-    Each focal length of a grid is tried with the pose that each view's homography gives: it serves every model.
+    Grid search over the focal length, with poses from each view's homography; works for every camera model.
 
     Raises:
         DegenerateGeometryError: fewer than three views show the board.
@@ -43,7 +43,7 @@ def start_camera(
     seen = [v for v, rows in enumerate(views) if len(rows)]
     if len(seen) < 3:
         raise DegenerateGeometryError(
-            f"the board is found in {len(seen)} images of a camera; at least 3 are needed"
+            f"the board is found in {len(seen)} images of a camera, at least 3 are needed"
         )
 
     def guess(focal: float) -> Camera:
@@ -70,7 +70,7 @@ def start_camera(
 
 
 def _plane_error(camera: Camera, pixels: np.ndarray, points: np.ndarray) -> float:
-    """Median pixel distance under the pose of `plane_pose`: it tells the focal length."""
+    """Median reprojection error of the pose from `plane_pose`, which depends on the focal length."""
     rays = camera.unproject(pixels)
     usable = np.isfinite(rays).all(axis=1)
     pose = plane_pose(rays[usable], points[usable])
@@ -83,9 +83,8 @@ def _plane_error(camera: Camera, pixels: np.ndarray, points: np.ndarray) -> floa
 def plane_pose(rays: np.ndarray, points: np.ndarray) -> Rigid3 | None:
     """cam_from_board from the homography of the board's plane to the rays; None for fewer than four.
 
-    ray x (H (X, Y, 1)) = 0 by its null vector; H = [r1 r2 t] up to scale, its first columns brought to the nearest pair of
-    orthogonal unit vectors: how far they are from orthonormal tells the focal length (Zhang, PAMI 2000). The
-    board is nearly flat.
+    ray x (H (X, Y, 1)) = 0 is solved by its null vector; H = [r1 r2 t] up to scale, with r1 and r2 replaced by the nearest
+    orthonormal pair. Their deviation from it depends on the focal length (Zhang, PAMI 2000). The board is nearly flat.
     """
     if len(rays) < 4:
         return None
@@ -93,7 +92,7 @@ def plane_pose(rays: np.ndarray, points: np.ndarray) -> Rigid3 | None:
     plane = np.column_stack([(points[:, :2] - middle[:2]) / size, np.ones(len(points))])
     rows = (skew(rays)[:, :, :, None] * plane[:, None, None, :]).reshape(-1, 9)
     matrix = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
-    if np.einsum("ni,ij,nj->", rays, matrix, plane) < 0:  # the board lies before the camera
+    if np.einsum("ni,ij,nj->", rays, matrix, plane) < 0:  # the board is in front of the camera
         matrix = -matrix
     left, values, right = np.linalg.svd(matrix[:, :2], full_matrices=False)
     if not values[1] > 1e-12 * values[0]:
@@ -106,9 +105,9 @@ def plane_pose(rays: np.ndarray, points: np.ndarray) -> Rigid3 | None:
 def locate_view(
     camera: Camera, pixels: np.ndarray, points: np.ndarray, *, precise: bool = True
 ) -> tuple[Rigid3, float] | None:
-    """cam_from_board of one view and its median error; refitted twice without outlier corners.
+    """cam_from_board of one view and its median error, refitted twice without outlier corners.
 
-    By PnP, or (precise=False, a hundredth of the time) by the board's homography alone.
+    Uses PnP, or with precise=False the board's homography, which takes a hundredth of the time.
     """
     rays = camera.unproject(pixels)
     usable = np.isfinite(rays).all(axis=1)
@@ -148,10 +147,10 @@ def _positions(
 
 
 def start_rig(first_from_board: Rigid3, other_from_board: Rigid3) -> Rigid3:
-    """other_from_first: of all views' motions the one nearest to the others (in angle and in place over its length).
+    """other_from_first: the medoid of the views' motions, in rotation angle plus relative translation.
 
     Raises:
-        DegenerateGeometryError: no view is seen by both cameras.
+        DegenerateGeometryError: no view shows the board to both cameras.
     """
     both = np.isfinite(first_from_board.translation).all(axis=1)
     both &= np.isfinite(other_from_board.translation).all(axis=1)

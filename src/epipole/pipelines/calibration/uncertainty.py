@@ -1,9 +1,9 @@
-"""How well a calibration is known: covariances at the minimum, and what they mean in pixels at a range.
+"""Uncertainty of a calibration: covariances at the minimum, and projection uncertainty in pixels.
 
-Unknowns are theta = (parameters of every camera, padded to 12; xi of every camera but the first in exp(xi) @ cam_from_rig;
-two of the board's bend) and the views' places, xi in exp(xi) @ rig_from_board. The places are eliminated view by view, as in bundle
-adjustment (Triggs et al. 2000); their mean is kept, for a camera that turns while all boards turn with it has changed nothing: the
-uncertainty of a projection is that of a point fixed to the boards (mrcal's cross-reprojection, Kogan 2021).
+Unknowns are theta = (parameters of every camera, padded to 12; xi of every camera but the first in exp(xi) @ cam_from_rig; two
+parameters of the board's warp) and the views' poses, xi in exp(xi) @ rig_from_board. The poses are eliminated view by view, as in
+bundle adjustment (Triggs et al. 2000). Their mean is kept, since a common rotation of camera and boards is unobservable: projection
+uncertainty is that of a point fixed to the boards (mrcal's cross-reprojection, Kogan 2021).
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ class Uncertainty:
     """Covariances of a calibration."""
 
     theta: Float64[np.ndarray, "t t"]
-    """Zero for what was held."""
+    """Zero for fixed parameters."""
     theta_and_mean: Float64[np.ndarray, "t 6"]
     mean_position: Float64[np.ndarray, "6 6"]
     """Of the mean of all views' xi."""
     noise_px: float
-    """Standard deviation of a corner's coordinate."""
+    """Standard deviation of a corner coordinate."""
     gradient_step: Float64[np.ndarray, " t"]
-    """The Gauss-Newton step of theta that is left; zero at the minimum, but for what was held there."""
+    """Remaining Gauss-Newton step of theta; at the minimum, zero except for parameters that were fixed there."""
 
     def widened(self, factor: float) -> Uncertainty:
-        """With standard deviations so many times as large; the corners' noise stays what it is."""
+        """Multiply the standard deviations by a factor, except that of the corner noise."""
         return replace(
             self,
             theta=factor**2 * self.theta,
@@ -43,7 +43,7 @@ class Uncertainty:
         )
 
     def pose_of_camera(self, camera: int, num_cameras: int) -> slice:
-        """Where the motion of a camera (not the first) stands in theta."""
+        """Slice of theta with the pose of a camera (not the first)."""
         return slice(MAX_PARAMS * num_cameras + 6 * (camera - 1), MAX_PARAMS * num_cameras + 6 * camera)
 
 
@@ -53,8 +53,8 @@ def uncertainty_of(
     """Covariances at the minimum of plain least squares over these corners.
 
     Raises:
-        DegenerateGeometryError: there are no more residuals than unknowns, or the views do not determine
-            everything.
+        DegenerateGeometryError: there are no more residuals than unknowns, or the views do not constrain all
+            unknowns.
     """
     count = len(state.cameras)
     size = MAX_PARAMS * count + 6 * (count - 1) + 2
@@ -79,7 +79,7 @@ def uncertainty_of(
     freedom = 2 * int(np.isfinite(residuals).all(axis=1).sum()) - int(free.sum()) - 6 * num_views
     if freedom <= 0:
         raise DegenerateGeometryError(
-            "no more residuals than unknowns: the errors of the calibration cannot be estimated"
+            "there are no more residuals than unknowns, so the uncertainty cannot be estimated: add views"
         )
     noise = float(np.sqrt(np.nansum(residuals**2) / freedom))
     theta, scale = np.zeros((size, size)), 1.0 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
@@ -88,7 +88,7 @@ def uncertainty_of(
     lowest = np.linalg.eigvalsh(scaled)[0]
     if not lowest > 1e-13:
         raise DegenerateGeometryError(
-            "the views do not determine everything: show the board tilted to many sides and near the image's borders"
+            "the views do not constrain all parameters: show the board tilted in many directions and near the image borders"
         )
     theta[own] = np.linalg.inv(scaled) * scale[free][:, None] * scale[free]
     mean_map /= max(num_views, 1)
@@ -104,14 +104,14 @@ def uncertainty_of(
 def projection_sigma(
     state: RigState, known: Uncertainty, camera: int, pixels: Float64[np.ndarray, "n 2"], distance: float
 ) -> Float64[np.ndarray, " n"]:
-    """Standard deviation, in pixels, of where a point fixed to the boards projects, along its worst direction.
+    """Projection uncertainty of points fixed to the boards: standard deviation in pixels along the worst direction.
 
     Args:
         state: the calibration.
         known: its covariances.
-        camera: which camera.
-        pixels: where the points are seen.
-        distance: from the camera, in board units; infinity asks for directions alone.
+        camera: index of the camera.
+        pixels: projections of the points.
+        distance: from the camera, in board units; infinity for directions.
     """
     count = len(state.cameras)
     rays = state.cameras[camera].unproject(pixels)
@@ -151,7 +151,7 @@ def _free_columns(state: RigState, with_warp: bool) -> np.ndarray:
 def _jacobians(
     state: RigState, corners: Corners, board: np.ndarray, rows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """D residuals / d theta and d residuals / d xi of one view's place: (2 n, t), (2 n, 6)."""
+    """D residuals / d theta and d residuals / d xi of one view's pose: (2 n, t), (2 n, 6)."""
     count, view = len(state.cameras), int(corners.view[rows[0]])
     size = MAX_PARAMS * count + 6 * (count - 1) + 2
     by_theta, by_position = np.zeros((len(rows), 2, size)), np.zeros((len(rows), 2, 6))

@@ -1,1 +1,1 @@
-"""Conversion: models in the formats of other programs."""
+"""Conversion of models to the formats of other programs."""

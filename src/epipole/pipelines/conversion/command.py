@@ -17,8 +17,8 @@ def convert(
 
     Args:
         source: Output folder of a reconstruction, a COLMAP model, or a transforms.json; for splat a file of Gaussians.
-        target: For PLY and splat a file (splat: .ply, .compressed.ply, .spz, .sog or .splat), otherwise a new folder; transforms and bundler get their images, too.
-        format: COLMAP txt or bin, PLY, nerfstudio transforms.json, Bundler, or splat; needed where the target's name does not tell it.
+        target: A file for PLY and splat (.ply, .compressed.ply, .spz, .sog or .splat), otherwise a new folder; transforms and bundler also get their images.
+        format: COLMAP txt or bin, PLY, nerfstudio transforms.json, Bundler, or splat; required unless the target's suffix determines it.
     """
     from epipole.pipelines.conversion.run import convert as run
     from epipole.screen import open_console, print_warnings, working
@@ -30,5 +30,5 @@ def convert(
     console.print(f"Written {done.out}{images}", highlight=False, markup=False)
     print_warnings(console, [*done.warnings, *done.losses])
     if done.missing:
-        note = f"{len(done.missing)} images were not found ({done.missing[0]} first): put them into {done.out}/images"
+        note = f"{len(done.missing)} images were not found (such as {done.missing[0]}): copy them to {done.out}/images"
         print_warnings(console, [note])

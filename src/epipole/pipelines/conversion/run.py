@@ -1,4 +1,4 @@
-"""The job: a model written in another format."""
+"""The conversion job: writes a model in another format."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
-from epipole._checks import as_path
-from epipole._declared import checked
+from epipole._checks import as_path, checked
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io.convert import FOLDER_WRITERS, IMAGE_FOLDER, ModelFormat, read_model
 from epipole.io.gaussians.files import (
@@ -40,17 +39,17 @@ class Conversion:
     out: Path
     """The folder, or the PLY file."""
     num_images: int
-    """Images that lie in `images/` beside the model."""
+    """Number of images in `images/` beside the model."""
     missing: tuple[str, ...]
-    """Images of the model whose images were not found."""
+    """Names of the model's images that were not found."""
     warnings: tuple[str, ...] = ()
-    """What the reconstruction that is the source has lost: images and models that are not in what was written."""
+    """Images and models that the source reconstruction has lost, and that are therefore not in the output."""
     losses: tuple[str, ...] = ()
-    """What the format cannot hold, in words."""
+    """Content that the format cannot store."""
 
 
 def format_of(source: Path, target: Path) -> str | None:
-    """The format that a target's name tells, or None: several formats are folders."""
+    """The format given by a target's suffix; None if it is ambiguous, since several formats are folders."""
     name = target.name.lower()
     if name.endswith((".spz", ".sog", ".splat", ".compressed.ply")):
         return "splat"
@@ -65,27 +64,29 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
     """Write a model in another format.
 
     Args:
-        source: output folder of `reconstruct`, a COLMAP model, or a transforms.json; for `splat` an output folder of `splat`, or a
-            file of Gaussians.
-        target: for `ply` a file; for `splat` a .ply, .compressed.ply, .spz, .sog or .splat; for the other formats, which are of several files, a new folder, or that of an earlier
-            conversion of the same model, whose other formats stay. `transforms` and `bundler` get their images, too, in `images/` (as hard links
-            where the disk is the same): the paths in these files are then right.
-        format: txt or bin (COLMAP's), transforms (nerfstudio's), bundler, ply or splat; None where the target's name tells it.
+        source: output folder of `reconstruct`, a COLMAP model, or a transforms.json; for `splat` an output folder of
+            `splat`, or a file of Gaussians.
+        target: for `ply` a file; for `splat` a .ply, .compressed.ply, .spz, .sog or .splat file; for the other formats,
+            which consist of several files, a new folder, or that of an earlier conversion of the same model, whose
+            other formats stay. For `transforms` and `bundler`, the images are copied (hard-linked if possible) to
+            `images/`, so that the paths in these files are valid.
+        format: txt or bin (COLMAP), transforms (nerfstudio), bundler, ply or splat; None: given by the target's suffix.
 
     Raises:
-        ConfigError: unknown format, or one that cannot hold the cameras; none is given, and the name tells none.
+        ConfigError: the format is unknown or cannot represent the cameras, or is None and the suffix does not determine
+            it.
         FileFormatError: there is no readable model.
-        WorkspaceError: the target cannot be written, holds something else, or is a file that no earlier call wrote.
+        WorkspaceError: the target cannot be written, has other contents, or is a file not written by an earlier call.
     """
     source, target = as_path(source), as_path(target)
     format = format_of(source, target) if format is None else format
     if format is None:
         raise ConfigError(
-            f"{target} tells no format that is written: end it in .ply or {', '.join(SUFFIXES[1:])}, or give format, one of "
+            f"unknown output format of {target}: use the suffix .ply or {', '.join(SUFFIXES[1:])}, or pass format, one of "
             f"{', '.join(get_args(ModelFormat))}"
         )
     if format not in get_args(ModelFormat):
-        raise ConfigError(f"unknown format {format!r}; one of {', '.join(get_args(ModelFormat))}")
+        raise ConfigError(f"unknown format {format!r}; supported are {', '.join(get_args(ModelFormat))}")
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
     if format == "splat":
@@ -94,7 +95,7 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
         return _convert_to_ply(source, target)
     model, losses = read_model(source), tuple(losses_in(source))
     if target.suffix.lower() in _SUFFIXES_OF_FILES and not target.is_dir():
-        raise WorkspaceError(f"{target}: {format} is a format of several files; give the name of a folder")
+        raise WorkspaceError(f"{target}: {format} writes several files; pass the name of a folder")
     names = _names_with_pose(model) if format in _WITH_IMAGES else []
     found = {name: path for name in names if (path := _image(source, name)) is not None}
     with open_run(Job(kind=KIND, inputs=(source,), settings={"format": format}), target) as run:
@@ -102,17 +103,16 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
             with run.folder.replacing(IMAGE_FOLDER, [f"{IMAGE_FOLDER}/{name}" for name in found]):
                 for name, path in found.items():
                     link_or_copy(path, run.root / IMAGE_FOLDER / name)
-        with run.folder.publish(format) as aside:  # last: where it is, its images are
+        with run.folder.publish(format) as aside:  # last, so that the model's images exist when it does
             FOLDER_WRITERS[format](model, aside)
         run.finish({"num_images": len(found), "warnings": losses})
     return Conversion(target, len(found), tuple(name for name in names if name not in found), losses)
 
 
 def _convert_gaussians(source: Path, target: Path) -> Conversion:
-    """Read and write files of Gaussians, of the formats that their names tell."""
     file = gaussians_file(source)
     if target.is_dir():
-        raise WorkspaceError(f"{target} is a folder; give a file's name ({', '.join(SUFFIXES)})")
+        raise WorkspaceError(f"{target} is a folder; pass a file name ({', '.join(SUFFIXES)})")
     refuse_existing([target], KIND, (source,))
     cloud = read_gaussians(file)
     with replacing_file(target, KIND, (source,)) as aside:
@@ -121,15 +121,14 @@ def _convert_gaussians(source: Path, target: Path) -> Conversion:
 
 
 def _losses(target: Path, cloud: GaussianCloud) -> tuple[str, ...]:
-    """What the format of a file cannot hold, in words."""
     out = []
     suffix = target.suffix.lower()
     if suffix in WITHOUT_ORIGIN and cloud.origin_in_world.any():
         origin = " ".join(map(repr, cloud.origin_in_world.tolist()))
-        out.append(f"{suffix} cannot hold the origin {origin}: coordinates are relative to it")
+        out.append(f"{suffix} cannot store the origin {origin}: coordinates are relative to it")
     if suffix == ".splat" and cloud.sh_degree:
         out.append(
-            f"{suffix} cannot hold harmonics of degree {cloud.sh_degree}: colours are the same from all sides"
+            f"{suffix} cannot store harmonics of degree {cloud.sh_degree}: colors do not depend on the viewing direction"
         )
     return tuple(out)
 
@@ -148,7 +147,7 @@ def _names_with_pose(model: Reconstruction) -> list[str]:
 
 
 def _image(source: Path, name: str) -> Path | None:
-    """The image of an image: in `images/` of the output folder that the model is, or lies in, or beside its file.
+    """The file of an image: in `images/` of the output folder of the model, or beside the model's file.
 
     Raises:
         FileFormatError: the name leads out of the folder.

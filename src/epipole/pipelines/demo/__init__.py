@@ -1,1 +1,1 @@
-"""The demo: the whole way from photographs to a model, on a scene whose truth is known."""
+"""The demo: reconstruction of rendered photographs with known ground truth."""

@@ -19,11 +19,11 @@ def demo(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")] = Path("demo"),
     num_views: int = 24,
 ) -> None:
-    """Render photographs of a made-up courtyard, reconstruct it, and compare with the exact truth.
+    """Render photographs of a synthetic courtyard, reconstruct it, and compare with the exact truth.
 
     Args:
-        out: Output folder; made anew.
-        num_views: Photographs to render.
+        out: Output folder.
+        num_views: Number of photographs to render.
     """
     from epipole.screen import progress_on_screen
 
@@ -34,19 +34,19 @@ def demo(
     show_reconstruction(result.reconstruction)
     show_comparison(result)
     if not result.success:
-        say("epipole: the demo missed its truth", to_stderr=True)
+        say("epipole: the demo's reconstruction is not accurate enough", to_stderr=True)
         sys.exit(1)
 
 
 def show_comparison(result: DemoResult) -> None:
-    """Print how far the model is from the exact truth."""
+    """Print the errors of the model."""
     from rich.table import Table
 
     from epipole.screen import open_console
 
     errors = result.errors
     table = Table(title="Against the exact truth", box=None, show_header=False)
-    table.add_row("images placed", f"{result.num_registered} of {result.num_views}")
+    table.add_row("images registered", f"{result.num_registered} of {result.num_views}")
     table.add_row(
         "position error",
         f"mean {1000 * errors.mean_position:.2f} mm = {100 * result.relative_error:.4f} % of the scene"

@@ -1,4 +1,4 @@
-"""The demo: photographs of a made-up courtyard, treated as any user's folder, compared with the exact truth."""
+"""The demo: reconstruct rendered photographs of a synthetic courtyard and compare with the exact truth."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._checks import as_path
-from epipole._declared import checked
+from epipole._checks import as_path, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
@@ -22,11 +21,11 @@ from epipole.synthetic import courtyard, courtyard_views, render
 WIDTH, HEIGHT, FOCAL_35MM = 960, 640, 28.0
 NOISE_SIGMA = 2.0
 MAX_RELATIVE_ERROR = 1e-3
-"""Of the places of the cameras; the demo fails with more."""
+"""Largest mean position error relative to the scene size; the demo fails beyond it."""
 
 
 def demo_camera() -> Camera:
-    """The camera of the demo: a 28 mm lens with a little barrel distortion."""
+    """The camera of the demo: 28 mm (35 mm equivalent) with slight barrel distortion."""
     focal_px = FOCAL_35MM / 36.0 * WIDTH
     return Camera(
         CameraModel.SIMPLE_RADIAL,
@@ -37,7 +36,7 @@ def demo_camera() -> Camera:
 
 
 def render_photographs(folder: Path, num_views: int, progress: ProgressCallback) -> Rigid3:
-    """Write JPEGs with EXIF; returns the true cams_from_world."""
+    """Write JPEGs with EXIF; returns the true cam_from_world of the views."""
     scene, views, camera = courtyard(), courtyard_views(num_views), demo_camera()
     for n in range(num_views):
         image = render(scene, camera, views[n], noise_sigma=NOISE_SIGMA, seed=n)
@@ -53,28 +52,28 @@ def photograph_name(n: int) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DemoResult:
-    """The reconstruction of the demo, and how far it is from the truth."""
+    """The reconstruction of the demo and its errors."""
 
     reconstruction: ReconstructionResult
     num_views: int
     num_registered: int
     errors: CameraErrors
     size_m: float
-    """Of the path of the cameras."""
+    """Diagonal of the bounding box of the camera centers."""
 
     @property
     def relative_error(self) -> float:
-        """Mean error of the places over the size."""
+        """Mean position error over `size_m`."""
         return self.errors.mean_position / self.size_m
 
     @property
     def success(self) -> bool:
-        """Whether all images were placed, as exactly as they should be."""
+        """Whether all images are registered and accurate enough."""
         return self.num_registered == self.num_views and self.relative_error <= MAX_RELATIVE_ERROR
 
     def __repr__(self) -> str:
         return (
-            f"DemoResult({self.num_registered} of {self.num_views} images placed, position error "
+            f"DemoResult({self.num_registered} of {self.num_views} images registered, position error "
             f"{100 * self.relative_error:.3g} % of the scene)"
         )
 
@@ -83,11 +82,11 @@ class DemoResult:
 def demo(
     out: str | Path = "demo", num_views: int = 24, progress: ProgressCallback = ignore_progress
 ) -> DemoResult:
-    """Render photographs of a made-up courtyard, reconstruct them as any user's, and compare with the exact truth.
+    """Render photographs of a synthetic courtyard, reconstruct them, and compare with the exact truth.
 
     Raises:
-        WorkspaceError: the folder holds something that is no demo.
-        ConfigError: fewer than two views are asked for.
+        WorkspaceError: the folder contains something other than a demo.
+        ConfigError: num_views is less than 2.
     """
     if num_views < 2:
         raise ConfigError(f"num_views must be at least 2, got {num_views}")

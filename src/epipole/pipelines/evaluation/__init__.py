@@ -1,1 +1,1 @@
-"""Evaluation: results against a known truth."""
+"""Evaluation of results against ground truth."""

@@ -21,13 +21,13 @@ def evaluate(
     max_difference_s: float = 0.01,
     json: bool = False,
 ) -> None:
-    """Compare a model's cameras, or a trajectory, with known ones.
+    """Compare a model's cameras, or a trajectory, with ground truth.
 
     Args:
         out: Output folder, a COLMAP model, or a trajectory (TUM, KITTI or EuRoC).
-        truth: COLMAP model, transforms.json, folder of Strecha .camera files, Middlebury _par.txt file, a trajectory, or a folder
-            of frames that brings one (7-Scenes, ScanNet, TUM RGB-D, KITTI, EuRoC).
-        max_difference_s: Trajectories: instants further apart are not compared.
+        truth: COLMAP model, transforms.json, folder of Strecha .camera files, Middlebury _par.txt file, a trajectory, or a
+            dataset folder that includes one (7-Scenes, ScanNet, TUM RGB-D, KITTI, EuRoC).
+        max_difference_s: Trajectories: largest time difference between compared poses.
         json: Print JSON.
     """
     from epipole.io.json_files import json_text
@@ -42,7 +42,7 @@ def evaluate(
         else:
             for name, result in found.items():
                 show_trajectory_evaluation(name, result)
-            say("Lengths are in the truth's unit.")
+            say("Lengths are in the ground truth's unit.")
         return
     from epipole.pipelines.evaluation.run import evaluate as run
 
@@ -55,15 +55,15 @@ def evaluate(
 
 
 def show_trajectory_evaluation(name: str, result: TrajectoryEvaluation) -> None:
-    """Print errors against a known trajectory."""
+    """Print a trajectory's errors."""
     from rich.table import Table
 
     from epipole.screen import open_console
 
     console = open_console()
     console.print(
-        f"{name}: {result.num_compared} of {result.num_instants} instants compared with {result.num_truth} of"
-        f" the truth, over a path of {result.path_length:.4g}",
+        f"{name}: {result.num_compared} of {result.num_instants} poses compared with {result.num_truth} of"
+        f" the ground truth, over a trajectory of length {result.path_length:.4g}",
         highlight=False,
         markup=False,
     )
@@ -71,20 +71,21 @@ def show_trajectory_evaluation(name: str, result: TrajectoryEvaluation) -> None:
         console.print(f"  {words}", highlight=False, markup=False)
     if 2 * result.num_compared < min(result.num_instants, result.num_truth):
         console.print(
-            "  Most instants have no counterpart: are the clocks and their units the same?", highlight=False
+            "  Most poses have no counterpart: check that clocks and time units are the same.",
+            highlight=False,
         )
     table = Table(box=None, pad_edge=True)
     for column in ("aligned", "ATE rmse", "median", "max", "scale", "RPE rmse", "KITTI t_rel"):
         table.add_column(column, justify="left" if column == "aligned" else "right")
-    for kind, score in (("SE(3), scale as it is", result.rigid), ("Sim(3), scale too", result.similarity)):
+    for kind, score in (("SE(3), scale fixed", result.rigid), ("Sim(3), scale aligned", result.similarity)):
         numbers = (score.ate_rmse, score.ate_median, score.ate_max, score.scale, score.step_rmse)
-        t_rel = "path < 100" if score.kitti_percent is None else f"{score.kitti_percent:.3f} %"
+        t_rel = "length < 100" if score.kitti_percent is None else f"{score.kitti_percent:.3f} %"
         table.add_row(kind, *(f"{number:.4g}" for number in numbers), t_rel)
     console.print(table)
     rotated = (
-        f"rotation: {result.rigid.rotation_rmse_deg:.3g} degrees (rmse; places are aligned, which"
-        f" tell little of the turn about a straight path or one at rest),"
-        f" {result.step_rotation_rmse_deg:.3g} degrees from one instant to the next"
+        f"rotation: {result.rigid.rotation_rmse_deg:.3g} degrees (rmse, after alignment of positions, which"
+        f" hardly constrains the rotation about a straight or stationary trajectory),"
+        f" {result.step_rotation_rmse_deg:.3g} degrees from one pose to the next"
     )
     if result.kitti_deg_per_100m is not None:
         rotated += f", KITTI r_rel {result.kitti_deg_per_100m:.4g} degrees / 100 m"
@@ -92,7 +93,7 @@ def show_trajectory_evaluation(name: str, result: TrajectoryEvaluation) -> None:
 
 
 def show_evaluation(result: Evaluation) -> None:
-    """Print errors against known cameras."""
+    """Print a model's camera errors."""
     from rich.table import Table
 
     from epipole.screen import open_console
@@ -101,7 +102,7 @@ def show_evaluation(result: Evaluation) -> None:
     table.add_row("registered", f"{result.num_registered} of {result.num_truth}")
     table.add_row(
         "position error",
-        f"mean {result.position_mean:.6g}, median {result.position_median:.6g}, max {result.position_max:.6g} (truth's unit)",
+        f"mean {result.position_mean:.6g}, median {result.position_median:.6g}, max {result.position_max:.6g} (ground truth's unit)",
     )
     table.add_row(
         "rotation error", f"mean {result.rotation_mean_deg:.4f}, max {result.rotation_max_deg:.4f} degrees"

@@ -1,4 +1,4 @@
-"""Trajectories whose columns can be meant in several ways: the two that are compared decide together."""
+"""Trajectories with ambiguous columns: resolved by comparing the two files."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from epipole.metrics.trajectory_scores import MIN_COMPARED
 from epipole.scene import Trajectory
 
 LEAST_COVERED = 0.5
-"""Another unit of time must bring this fraction of the shorter trajectory together."""
+"""Another time unit must match at least this fraction of the shorter trajectory."""
 CLEARER, MOST_DEG = 0.2, 20.0
-"""Another order of the quaternion must leave so small a fraction of the rotation error, and at most so many degrees of it."""
+"""Another quaternion order must reduce the rotation error to this fraction, and to this many degrees."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """A trajectory as it is read at present, and what else its file allows."""
+    """A trajectory as currently interpreted, and the alternatives that its file allows."""
 
     trajectory: Trajectory
     assumptions: tuple[str, ...] = ()
     path: Path | None = None
-    """None where there is no other way to read it."""
+    """None if there is no other interpretation."""
     columns_of: TrajectoryReading | None = None
     problem: FileFormatError | None = None
-    """Why the file alone does not decide the order of the quaternion; None where it does."""
+    """Why the file alone does not determine the quaternion order; None if it does."""
     is_of_camera: bool = False
-    """Whether EuRoC's truth is moved to the left camera."""
+    """Whether EuRoC's ground truth is converted to the left camera."""
 
     @property
     def units_s(self) -> list[float]:
-        """Seconds for a unit of the file's times, of those that are possible; the present one first."""
+        """Possible units of the file's times in seconds, the current one first."""
         columns = None if self.columns_of is None else self.columns_of.columns
         if columns is None or columns.is_unit_certain:
             return [1.0 if columns is None else columns.unit_s]
@@ -46,19 +46,19 @@ class Reading:
 
     @property
     def name(self) -> str:
-        """Of the file."""
+        """Name of the file."""
         return "" if self.path is None else self.path.name
 
     def words(self) -> str:
-        """How the columns are read."""
+        """How the columns are interpreted."""
         return "" if self.columns_of is None else self.columns_of.columns.words()
 
 
 def read_file(path: Path, *, is_of_camera: bool = False) -> Reading:
-    """A trajectory from its file; where the file contradicts its usual order, with the problem.
+    """Read a trajectory; if its numbers contradict the usual order, the result has a problem.
 
     Raises:
-        FileFormatError: it is no trajectory.
+        FileFormatError: the file is not a trajectory.
     """
     try:
         found, problem = read_trajectory_columns(path), None
@@ -77,7 +77,7 @@ def _taken(before: Reading, found: TrajectoryReading) -> Reading:
 
 
 def with_unit(reading: Reading, unit_s: float) -> Reading:
-    """The same, its times being in this unit."""
+    """The same trajectory with its times in this unit."""
     found = reading.columns_of
     if found is None or found.columns.unit_s == unit_s:
         return reading
@@ -88,7 +88,7 @@ def with_unit(reading: Reading, unit_s: float) -> Reading:
 
 
 def with_other_order(reading: Reading) -> Reading | None:
-    """The same with the other order of the quaternion; None where the order is certain."""
+    """The same trajectory with the other quaternion order; None if the order is certain."""
     found = reading.columns_of
     if found is None or reading.path is None or found.columns.is_order_certain:
         return None
@@ -98,7 +98,7 @@ def with_other_order(reading: Reading) -> Reading | None:
 
 
 def decide_units(one: Reading, other: Reading, max_difference_s: float) -> tuple[Reading, Reading]:
-    """Both with the units of time with which their instants belong together, where the files alone leave them open."""
+    """Both trajectories with the time units that make their poses match, if the files alone leave the units open."""
     if _num_paired(one.trajectory, other.trajectory, max_difference_s) >= MIN_COMPARED:
         return one, other
     least = max(MIN_COMPARED, LEAST_COVERED * min(len(one.trajectory), len(other.trajectory)))
@@ -107,21 +107,20 @@ def decide_units(one: Reading, other: Reading, max_difference_s: float) -> tuple
         first, second = (with_unit(reading, unit_s) for reading, unit_s in zip((one, other), units_s))
         if _num_paired(first.trajectory, second.trajectory, max_difference_s) >= least:
             found.append(units_s)
-    # The same factor on both pairs the same rows: the ratio of the units is what counts.
+    # The same factor on both matches the same rows: only the ratio of the units counts.
     if len({round(float(np.log10(first / second))) for first, second in found}) != 1:
         return one, other
     out = []
     for reading, unit_s in zip((one, other), found[0]):
         changed = with_unit(reading, unit_s)
         if changed is not reading:
-            words = f"{reading.name}: times in {NAMES_OF_UNITS[unit_s]}, as both files together decide"
+            words = f"{reading.name}: times in {NAMES_OF_UNITS[unit_s]}, determined from both files"
             changed = replace(changed, assumptions=(*changed.assumptions, words))
         out.append(changed)
     return out[0], out[1]
 
 
 def _num_paired(one: Trajectory, other: Trajectory, max_difference_s: float) -> int:
-    """Instants that have one of their own in the other trajectory."""
     try:
         rows, rows_of_other = associate(one, other, max_difference_s)
     except DegenerateGeometryError:
@@ -130,12 +129,12 @@ def _num_paired(one: Trajectory, other: Trajectory, max_difference_s: float) -> 
 
 
 def decide_order(one: Reading, other: Reading, max_difference_s: float) -> tuple[Reading, Reading]:
-    """Both with the order of quaternions with which their rotations agree.
+    """Both trajectories with the quaternion orders that make their rotations agree.
 
-    Both in the wrong order may agree as well as both in the right one: the usual order of a file goes before the other.
+    Two wrong orders may agree as well as two right ones, so a file's usual order is preferred.
 
     Raises:
-        FileFormatError: a file contradicts its usual order, and both together do not decide.
+        FileFormatError: a file contradicts its usual order, and the two files together are ambiguous.
     """
     choices = [
         [reading] if (another := with_other_order(reading)) is None else [reading, another]
@@ -147,7 +146,7 @@ def decide_order(one: Reading, other: Reading, max_difference_s: float) -> tuple
     problems = [reading.problem for reading in (one, other) if reading.problem is not None]
     agreeing = [n for n, error in enumerate(errors) if error <= MOST_DEG]
     if not problems and 0 not in agreeing:
-        # Positions on a line, or at rest, leave the alignment's rotation open; rotations since the first instant need none.
+        # Positions on a line, or at rest, leave the alignment's rotation free; rotations since the first pose do not need it.
         agreeing = [
             n for n in agreeing if errors[n] <= CLEARER * errors[0] and since_first[n] <= since_first[0]
         ]
@@ -161,22 +160,22 @@ def decide_order(one: Reading, other: Reading, max_difference_s: float) -> tuple
 
 
 def _decided(reading: Reading, chosen: Reading) -> Reading:
-    """With words, where both files had a say."""
+    """Record the order as an assumption if both files determined it."""
     if chosen is reading and reading.problem is None:
         return reading
-    words = f"{chosen.name}: {chosen.words()}, as both files together decide"
+    words = f"{chosen.name}: {chosen.words()}, determined from both files"
     return replace(chosen, assumptions=(words,), problem=None)
 
 
 def _cost(reading: Reading, chosen: Reading) -> int:
-    """How far from usual an order is: the usual one least, unless the numbers contradict it."""
+    """Cost of an order: the usual one is cheapest, unless the numbers contradict it."""
     if chosen is reading:
         return 0 if reading.problem is None else 1
     return 2 if reading.problem is None else 0
 
 
 def _rotation_errors_deg(one: Reading, other: Reading, max_difference_s: float) -> tuple[float, float]:
-    """Of rotations once the positions are aligned, and of those since the first instant; infinite where there is no alignment."""
+    """RMSE of rotations after alignment of positions, and relative to the first pose; infinite without an alignment."""
     first, second = one.trajectory, other.trajectory
     try:
         rows, rows_of_other = associate(first, second, max_difference_s)

@@ -1,4 +1,4 @@
-"""The job: a model's cameras against known ones."""
+"""Evaluation of a model's cameras against ground truth."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._checks import as_path
-from epipole._declared import checked
+from epipole._checks import as_path, checked
 from epipole.errors import DegenerateGeometryError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io.colmap.model import find_model, read_colmap_model
@@ -20,13 +19,13 @@ TRAJECTORY_SUFFIXES = (".txt", ".csv", ".tum", ".kitti")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """How far a model's cameras are from known ones."""
+    """Errors of a model's cameras."""
 
     num_truth: int
     num_registered: int
-    """Of the known cameras."""
+    """Number of ground-truth cameras that are registered."""
     position_mean: float
-    """After the best similarity, in the truth's unit."""
+    """After the best similarity transform, in the ground truth's unit."""
     position_median: float
     position_max: float
     rotation_mean_deg: float
@@ -43,15 +42,15 @@ class Evaluation:
 
 @checked
 def evaluate(out: str | Path, truth: str | Path) -> Evaluation:
-    """Compare a model's cameras with known ones; paths of moving cameras are for `evaluate_trajectory`.
+    """Compare a model's cameras with ground truth; for trajectories use `evaluate_trajectory`.
 
     Args:
-        out: a workspace or a COLMAP model.
+        out: an output folder or a COLMAP model.
         truth: a COLMAP model, a transforms.json, a folder of Strecha `.camera` files or a Middlebury `_par.txt` file.
 
     Raises:
-        FileFormatError: one of them cannot be read, is a trajectory, or they share no images.
-        DegenerateGeometryError: fewer than two known cameras are registered.
+        FileFormatError: a path is unreadable or a trajectory, or the two have no images in common.
+        DegenerateGeometryError: fewer than two ground-truth cameras are registered.
     """
     for path in (as_path(out), as_path(truth)):
         if (
@@ -60,7 +59,7 @@ def evaluate(out: str | Path, truth: str | Path) -> Evaluation:
             and not path.name.endswith("_par.txt")
         ):
             raise FileFormatError(
-                path, "is no model: trajectories are compared by evaluate_trajectory(path, truth)"
+                path, "not a model: compare trajectories with evaluate_trajectory(path, truth)"
             )
     model, known = read_colmap_model(find_model(as_path(out))), read_truth(as_path(truth))
     row = {name: i for i, name in enumerate(model.images.name)}
@@ -73,7 +72,7 @@ def evaluate(out: str | Path, truth: str | Path) -> Evaluation:
     found = np.isfinite(translation).all(axis=1)
     if not found.any():
         raise FileFormatError(
-            Path(truth), "none of its images is registered in the model; do the names agree?"
+            Path(truth), "none of its images is registered in the model: check that the names agree"
         )
     if found.sum() < 2:
         raise DegenerateGeometryError("only one known camera is registered; errors need at least two")

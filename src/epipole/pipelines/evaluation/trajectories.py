@@ -1,4 +1,4 @@
-"""A trajectory against a known one."""
+"""Evaluation of a trajectory against ground truth."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._checks import as_path
-from epipole._declared import checked
+from epipole._checks import as_path, checked
 from epipole.errors import FileFormatError
 from epipole.io.trajectories.frame_tables import FRAME_TABLE, FrameTable, read_frame_table
 from epipole.io.trajectories.true_trajectories import has_true_path, true_path_at
@@ -20,16 +19,16 @@ from epipole.pipelines.evaluation.readings import Reading, decide_order, decide_
 from epipole.scene import Trajectory
 
 TRAJECTORIES = ("trajectory.txt", "trajectory_causal.txt")
-"""Of an output folder: the final one, and what was known when each frame came."""
+"""Trajectories in an output folder: the final one, and the causal one, known at the time of each frame."""
 STARTED = "checkpoint/trajectory_causal.txt"
-"""Of one that was stopped."""
+"""Trajectory in the output folder of a stopped run."""
 
 
 def trajectories_of(out: Path, truth: Path) -> list[Path]:
-    """The trajectories to compare with a truth; empty where the truth is one of images.
+    """The trajectories to compare with the ground truth; empty if that consists of images.
 
     Raises:
-        FileFormatError: the truth is a trajectory, and there is none to compare with it.
+        FileFormatError: the ground truth is a trajectory, and there is none to compare with it.
     """
     found = [out] if out.is_file() else [out / name for name in TRAJECTORIES if (out / name).is_file()]
     if truth.is_dir():
@@ -40,11 +39,11 @@ def trajectories_of(out: Path, truth: Path) -> list[Path]:
     if not found:
         started = out / STARTED
         stopped = (
-            f"; the run in it was stopped: {STARTED} is the path so far, and --resume goes on"
+            f"; its run was stopped: {STARTED} is the trajectory so far, and --resume continues the run"
             if started.is_file()
             else ""
         )
-        raise FileFormatError(out, f"is no trajectory, and holds no {TRAJECTORIES[0]}{stopped}")
+        raise FileFormatError(out, f"not a trajectory, nor a folder with {TRAJECTORIES[0]}{stopped}")
     return found
 
 
@@ -52,21 +51,22 @@ def trajectories_of(out: Path, truth: Path) -> list[Path]:
 def evaluate_trajectory(
     estimate: str | Path, truth: str | Path, max_difference_s: float = 0.01
 ) -> TrajectoryEvaluation:
-    """Compare a trajectory with a known one.
+    """Compare a trajectory with ground truth.
 
-    Instants without times (KITTI) belong together in their order; beside the other's table of frames in theirs. A truth
-    whose times are numbers of images (7-Scenes) is known by the names in that table. Where the order of a quaternion or
-    the unit of times cannot be known from one file, both files decide together, and `assumptions` says how they were read.
+    Trajectories without times (KITTI) are matched in order, or in the order of the other's frame table. Ground truth
+    whose times are image numbers (7-Scenes) is recognized by the names in that table. If one file alone does not
+    determine the quaternion order or the time unit, both files are used, and `assumptions` reports how they were
+    interpreted.
 
     Args:
         estimate: TUM, KITTI or EuRoC file.
-        truth: another, or a folder of frames that brings one (7-Scenes, ScanNet, TUM RGB-D, KITTI, EuRoC).
-        max_difference_s: instants further apart are not compared.
+        truth: another one, or a dataset folder that includes one (7-Scenes, ScanNet, TUM RGB-D, KITTI, EuRoC).
+        max_difference_s: largest time difference between compared poses.
 
     Raises:
-        FileFormatError: one of them cannot be read, its columns can be meant in several ways and both files together do not
-            decide, or one has times, the other none, and they differ in length.
-        DegenerateGeometryError: too few instants belong together, or the path is a line.
+        FileFormatError: a file is unreadable, its columns are ambiguous even with both files, or only one has times and
+            they differ in length.
+        DegenerateGeometryError: too few poses match, or the trajectory is a straight line.
     """
     estimate, truth = as_path(estimate), as_path(truth)
     table = _table_beside(estimate)
@@ -89,7 +89,7 @@ def evaluate_trajectory(
 
 
 def _numbered(known: Reading, table: FrameTable, max_difference_s: float) -> Reading | None:
-    """A truth whose times are numbers of images, with the images' times."""
+    """Ground truth whose times are image numbers, with the images' times."""
     timed = at_image_numbers(known.trajectory, table.image, table.timestamp_s, max_difference_s)
     return None if timed is None else Reading(timed, known.assumptions)
 
@@ -97,26 +97,26 @@ def _numbered(known: Reading, table: FrameTable, max_difference_s: float) -> Rea
 def _timed_together(
     estimate: Path, truth: Path, found: Reading, known: Reading, table: FrameTable | None
 ) -> Reading:
-    """The known path, with the times of the other trajectory's frames where these are known.
+    """The ground truth, with the times of the other trajectory's frames if these are known.
 
     Raises:
-        FileFormatError: which rows belong together is unknown.
+        FileFormatError: it is unknown which rows match.
     """
     ours, theirs = found.trajectory, known.trajectory
     if ours.is_timed and table is not None and len(table.image) == len(theirs):
         rows = np.flatnonzero(np.isfinite(table.timestamp_s))
         return Reading(Trajectory(table.timestamp_s[rows], theirs.world_from_body[rows]), known.assumptions)
     if len(ours) == len(theirs):
-        return known  # in their order
+        return known  # matched in order
     without, count = (estimate, len(theirs)) if theirs.is_timed else (truth, len(ours))
     raise FileFormatError(
         without,
-        f"holds no times (KITTI's form), and the other trajectory has {count} instants: which of its rows"
-        " are theirs cannot be told",
+        f"it has no times (KITTI format), and the other trajectory has {count} poses, so it is unknown which of its rows"
+        " match them",
     )
 
 
 def _table_beside(estimate: Path) -> FrameTable | None:
-    """Of all frames that a trajectory of `epipole slam` was made from, those without a place too; None for another."""
+    """The table of all frames beside a trajectory of `epipole slam`, including frames without a pose; None if missing."""
     table = estimate.with_name(FRAME_TABLE)
     return read_frame_table(table) if table.is_file() else None

@@ -1,1 +1,1 @@
-"""Images to a radiance field, and back to images."""
+"""Train radiance fields on images, render them and extract meshes."""

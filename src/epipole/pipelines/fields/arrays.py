@@ -9,7 +9,7 @@ from typing import Unpack
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.cameras import Camera
 from epipole.config import options_of
 from epipole.errors import ConfigError, ShapeError

@@ -1,4 +1,4 @@
-"""Where a field is drawn from: the cameras of a file, or a circle around the scene."""
+"""Cameras to render from: those of a file, or an orbit around the scene."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from epipole.scene import Reconstruction
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderView:
-    """One image that is to be drawn."""
+    """One image to render."""
 
     name: str
-    """Of its file, without ending."""
+    """File name without suffix."""
     camera: Camera
     cam_from_world: Rigid3
 
 
 def render_views_of_model(source: Path, job: RenderConfig) -> list[RenderView]:
-    """The registered cameras of a model, without distortion, by their names.
+    """Registered cameras of a model, undistorted, sorted by name.
 
     Raises:
-        FileFormatError: there is no model that can be read, or a camera of it has too many pixels.
-        NoModelError: it has no camera with a pose.
+        FileFormatError: there is no readable model, or one of its cameras has too many pixels.
+        NoModelError: no camera has a pose.
     """
     model: Reconstruction = (
         read_llff(source).reconstruction if (source / LLFF).is_file() else read_model(source)
@@ -52,12 +52,12 @@ def render_views_of_model(source: Path, job: RenderConfig) -> list[RenderView]:
             ) from error
         out.append(RenderView(name, camera, cams_from_world[row]))
     if not out:
-        raise NoModelError(f"{source} holds no camera with a pose")
+        raise NoModelError(f"{source} has no camera with a pose")
     return out
 
 
 def sized(camera: Camera, width: int | None) -> Camera:
-    """A pinhole with images of another width, of the same view."""
+    """The same field of view with images of another width."""
     if width is None or width == camera.width:
         return camera
     height = max(1, round(camera.height * width / camera.width))
@@ -69,7 +69,7 @@ def sized(camera: Camera, width: int | None) -> Camera:
 
 
 def orbit(position: np.ndarray, look_at: np.ndarray, up: np.ndarray, job: RenderConfig) -> list[RenderView]:
-    """A circle from `position` around the axis `up` through `look_at`, in even steps; it closes where it goes all the way round."""
+    """Views evenly spaced on a circle from `position` around the axis `up` through `look_at`."""
     width, height = job.width or 800, job.height or round((job.width or 800) * 3 / 4)
     focal = 0.5 * width / np.tan(0.5 * np.deg2rad(job.fov_deg))
     params = np.array([focal, focal, 0.5 * (width - 1), 0.5 * (height - 1)])
@@ -90,7 +90,7 @@ def orbit(position: np.ndarray, look_at: np.ndarray, up: np.ndarray, job: Render
 
 
 def _facing(position: np.ndarray, look_at: np.ndarray, up: np.ndarray) -> Rigid3:
-    """cam_from_world of a camera with x right, y down, z towards what it looks at."""
+    """cam_from_world of a camera with x right, y down, and z towards its target."""
     ahead = (look_at - position) / np.linalg.norm(look_at - position)
     right = np.cross(ahead, up)
     if np.linalg.norm(right) < 1e-6:  # straight down or up

@@ -1,4 +1,4 @@
-"""A training that was ended early goes on where it was: the whole state, in one file that is written aside and then renamed."""
+"""Checkpoints, from which an interrupted training continues: the full state in one file, replaced atomically."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from epipole._declared.tables import Expected, Table
+from epipole._checks.tables import Expected, Table
 from epipole._version import __version__
 from epipole.errors import ShapeError, WorkspaceError
 from epipole.fields.trainer import Trainer
 from epipole.fields.training_view import TrainingView
 from epipole.runs.units import digest, is_done, load, store
 
-CHECKPOINT, EVERY_S = "checkpoint.npz", 60.0
-"""Its name in the output folder, and how often it is written."""
+CHECKPOINT = "checkpoint.npz"
+"""File name in the output folder."""
+EVERY_S = 60.0
+"""Time between two checkpoints."""
 _OWN: Table = {
     "seconds": Expected("float64", least=0),
     "curve": Expected("float64", "_ 4", may_be_nan=True),
@@ -25,7 +27,7 @@ _OWN: Table = {
 
 
 class Checkpoint:
-    """The file of one job: that of other images, options or another version is not read."""
+    """Checkpoint file of one job; one of other images, options or another version is ignored."""
 
     def __init__(
         self, folder: Path, settings: dict[str, Any], views: Sequence[TrainingView], trainer: Trainer
@@ -46,10 +48,13 @@ class Checkpoint:
         self._saved = perf_counter()
 
     def restore(self) -> tuple[float, list[list[float]]]:
-        """Give the trainer its earlier state; seconds and curve until then, 0 and nothing where there is none.
+        """Restore the trainer's state, if there is any.
+
+        Returns:
+            Training time in seconds and curve so far; 0 and empty without a checkpoint.
 
         Raises:
-            WorkspaceError: the file is not one that a trainer has written.
+            WorkspaceError: the file is damaged.
         """
         if not is_done(self._path, self._key):
             return 0.0, []
@@ -62,19 +67,19 @@ class Checkpoint:
         return float(arrays["seconds"]), arrays["curve"].tolist()
 
     def is_due(self) -> bool:
-        """Whether the last one is old."""
+        """Whether the last checkpoint is older than `EVERY_S`."""
         return perf_counter() - self._saved > EVERY_S
 
     def save(self, seconds: float, curve: list[list[float]]) -> None:
-        """Write the state as it is.
+        """Write the current state.
 
         Raises:
-            WorkspaceError: the disk is full; what was written before stays.
+            WorkspaceError: the disk is full; the previous checkpoint is kept.
         """
         counts = {"seconds": np.array(seconds), "curve": np.array(curve).reshape(-1, 4)}
         store(self._path, self._key, {**self._trainer.state(), **counts})
         self._saved = perf_counter()
 
     def remove(self) -> None:
-        """The training is done."""
+        """Delete the checkpoint of a finished training."""
         self._path.unlink(missing_ok=True)

@@ -25,7 +25,7 @@ WORDS = {
     "test": "Rendering held-out views",
 }
 INTERRUPTED = 130
-"""Exit code after Ctrl-C, as of every command."""
+"""Exit code after Ctrl-C, as for every command."""
 
 
 def splat(
@@ -33,11 +33,11 @@ def splat(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     config: Annotated[SplatConfig, tyro.conf.arg(name="")] = DEFAULTS,
 ) -> None:
-    """Train 3D Gaussians on images, without a GPU. Ctrl-C ends the training, and writes what was learnt.
+    """Train 3D Gaussians on images, without a GPU. Ctrl-C ends the training and keeps the result.
 
     Args:
-        source: A folder of photographs or a video (cameras are found first), an output folder of `reconstruct`, a COLMAP model
-            with its images, or a transforms.json.
+        source: Photographs or a video (reconstructed first), an output folder of `reconstruct`, a COLMAP model with its
+            images, or a transforms.json.
         out: Output folder: splat.ply, test/NAME.png, metrics.json, report.html.
         config: Options.
     """
@@ -55,10 +55,10 @@ def nerf(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     config: Annotated[NerfConfig, tyro.conf.arg(name="")] = MARCHED,
 ) -> None:
-    """Train a neural radiance field, or an explicit grid, on images around a scene, without a GPU. Ctrl-C ends the training, and writes what was learnt.
+    """Train a neural field or a grid on images around a scene, without a GPU. Ctrl-C ends the training and keeps the result.
 
     Args:
-        source: As of `splat`: a folder of photographs or a video, an output folder of `reconstruct`, a COLMAP model, a transforms.json.
+        source: Photographs or a video, an output folder of `reconstruct`, a COLMAP model, or a transforms.json.
         out: Output folder: hash.npz or grid.npz, test/NAME.png, metrics.json, report.html.
         config: Options.
     """
@@ -79,20 +79,20 @@ def render(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     config: Annotated[RenderConfig, tyro.conf.arg(name="")] = CIRCLE,
 ) -> None:
-    """Draw trained Gaussians, a neural field or a grid, from a circle or given cameras, to a video or images.
+    """Render trained Gaussians, a neural field or a grid, from an orbit or given cameras, to a video or images.
 
     Args:
         source: Output folder of `splat` or `nerf`, or a file of Gaussians (.ply, .compressed.ply, .spz, .sog, .splat).
         out: A video (.mp4), or a folder for PNG images.
-        config: From where, and how large.
+        config: Cameras and image size.
     """
     from epipole.screen import open_console, progress_on_screen
 
-    with progress_on_screen({"draw": "Drawing"}) as progress:
+    with progress_on_screen({"render": "Rendering"}) as progress:
         from epipole.pipelines.fields.rendering import render as run
 
         done = run(source, out, config, progress)
-    text = f"Written {done.out}: {done.num_frames} images, {done.frames_per_s:.1f} drawn a second"
+    text = f"Written {done.out}: {done.num_frames} images, rendered at {done.frames_per_s:.1f} per second"
     open_console().print(text, highlight=False, markup=False)
 
 
@@ -101,12 +101,12 @@ def mesh(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")],
     config: Annotated[MeshConfig, tyro.conf.arg(name="")] = WHOLE,
 ) -> None:
-    """Cut a mesh out of trained Gaussians, a neural field or a grid: their depth, fused from all cameras.
+    """Extract a mesh from trained Gaussians, a neural field or a grid, by fusing depth rendered from all cameras.
 
     Args:
         source: Output folder of `splat` or `nerf`, or a file of Gaussians with --cameras.
-        out: The mesh, a PLY file with colours.
-        config: From where, and how fine.
+        out: The mesh, a PLY file with colors.
+        config: Cameras and resolution.
     """
     from epipole.screen import open_console, progress_on_screen
 
@@ -117,7 +117,7 @@ def mesh(
     text = f"Written {out}: {len(found.vertices_in_world):,} vertices, {len(found):,} triangles"
     if found.num_removed:
         text += (
-            f"; removed {found.num_removed:,} of {found.num_components:,} components, which have fewer triangles than"
+            f"; removed {found.num_removed:,} of {found.num_components:,} components with fewer triangles than"
             f" {100 * config.least_component:g} % of the largest (--least-component)"
         )
     open_console().print(text, highlight=False, markup=False)
@@ -128,12 +128,12 @@ def compare_fields(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     config: Annotated[NerfConfig, tyro.conf.arg(name="")] = MARCHED,
 ) -> None:
-    """Train Gaussians and a neural field for the same time, and compare them: likeness, speed, and work for each pixel.
+    """Train Gaussians and a neural field for the same time, and compare their quality, speed, and work per pixel.
 
     Args:
-        source: As of `splat`: a folder of photographs or a video, an output folder of `reconstruct`, a COLMAP model, a transforms.json.
-        out: Output folder: splat, nerf, pictures/NAME.png (truth, Gaussians, field), compare.json.
-        config: Which field the Gaussians are compared with.
+        source: Photographs or a video, an output folder of `reconstruct`, a COLMAP model, or a transforms.json.
+        out: Output folder: splat, nerf, images/NAME.png (image, Gaussians, field), compare.json.
+        config: Options, including the field to compare with.
     """
     from epipole.screen import open_console, print_warnings, progress_on_screen
 
@@ -152,7 +152,7 @@ def compare_fields(
 def _compared(rows: dict[str, dict[str, Any]], kind: str) -> Table:
     from rich.table import Table
 
-    table = Table("", "PSNR", "SSIM", "trained", "images a second", "for each pixel")
+    table = Table("", "PSNR", "SSIM", "trained", "images per second", "per pixel")
     names = {"splat": "Gaussians", "nerf": "neural field" if kind == "hash" else "grid"}
     for name, row in rows.items():
         work = (
@@ -166,7 +166,7 @@ def _compared(rows: dict[str, dict[str, Any]], kind: str) -> Table:
 
 
 def _show(summary: dict[str, Any], warnings: Sequence[str], count: str, model: Path) -> None:
-    """What was trained and where it is; ends with the code of Ctrl-C where that ended it."""
+    """Print the result of a training; exits with the code of Ctrl-C if that ended it."""
     from rich.table import Table
 
     from epipole.screen import open_console, print_warnings
@@ -180,8 +180,8 @@ def _show(summary: dict[str, Any], warnings: Sequence[str], count: str, model: P
     if summary["psnr"] is not None:
         test, compared = summary["num_test"], summary["num_compared"]
         of_all = "" if compared == test else f"{compared} of "
-        held_out = f"{of_all}{test} image{'s that were' if test > 1 else ' that was'} held out"
-        table.add_row("likeness", f"PSNR {summary['psnr']:.2f} dB, SSIM {summary['ssim']:.3f} ({held_out})")
+        held_out = f"{of_all}{test} held-out image{'s' if test > 1 else ''}"
+        table.add_row("quality", f"PSNR {summary['psnr']:.2f} dB, SSIM {summary['ssim']:.3f} ({held_out})")
     if summary["interrupted"]:
         table.add_row("ended", "by Ctrl-C")
     console.print(table)
@@ -189,7 +189,7 @@ def _show(summary: dict[str, Any], warnings: Sequence[str], count: str, model: P
     console.print(f"written   {model}", highlight=False, markup=False)
     console.print(f"report    {model.parent / 'report.html'}", highlight=False, markup=False)
     folder = quote(str(model.parent))
-    console.print(f"look      epipole view {folder}", highlight=False, markup=False)
+    console.print(f"view      epipole view {folder}", highlight=False, markup=False)
     console.print(f"video     epipole render {folder} round.mp4", highlight=False, markup=False)
     if summary["interrupted"]:
         sys.exit(INTERRUPTED)

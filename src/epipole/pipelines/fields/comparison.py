@@ -1,4 +1,4 @@
-"""The job: Gaussians and a field that is marched through, trained for the same time on the same images and compared."""
+"""The `compare-fields` job: train Gaussians and a ray-marched field for the same time, and compare them."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ class Shown(NamedTuple):
 
     image: np.ndarray
     row: dict[str, float]
-    """Likeness, seconds (`s`), and work for each pixel."""
+    """PSNR and SSIM, seconds (`s`), and work per pixel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldComparison:
-    """Likeness, speed, and work for each pixel."""
+    """Quality, speed and work per pixel of both fields."""
 
     out: Path
     rows: dict[str, dict[str, Any]]
-    """Of `splat` and `nerf`: psnr, ssim, train_s, frames_s; evaluated and useful pairs a pixel, or queries a pixel."""
+    """For `splat` and `nerf`: psnr, ssim, train_s, frames_s; per pixel, evaluated and useful pairs, or queries."""
     warnings: tuple[str, ...]
     is_interrupted: bool
 
@@ -59,22 +59,22 @@ def compare_fields(
     progress: ProgressCallback = ignore_progress,
     **options: Unpack[NerfKeywords],
 ) -> FieldComparison:
-    """Train Gaussians, and a neural field or a grid, for the same time, and draw the same views with both.
+    """Train Gaussians and a neural field (or a grid) for the same time, and render the same views with both.
 
-    Views that were held out are compared; where none were, those that were trained on. With a time, as many of them, spread over all,
-    as a quarter of it is enough to render.
+    The views are the held-out ones or, if there are none, the training views. If a time is given, rendering takes at
+    most a quarter of it, with an evenly spaced subset of the views if necessary.
 
     Args:
-        source: as of `splat`.
-        out: output folder: `splat`, `nerf`, `images/NAME.png` (truth, Gaussians, field), `compare.json`.
-        config: which images, for how long, and which field Gaussians are compared with. The seed is that of both.
+        source: as for `splat`.
+        out: output folder: `splat`, `nerf`, `images/NAME.png` (image, Gaussians, field), `compare.json`.
+        config: images, training time, and the field to compare with; both trainings use its seed.
         progress: called with the progress of each stage.
         **options: single options by name, which override `config`: `time="1m"`.
 
     Raises:
-        NoModelError: the images give no cameras, or fewer than two can be used.
-        ConfigError: an option is unknown or makes no sense.
-        DegenerateGeometryError: the cameras see nothing in common, or look the same way.
+        NoModelError: the images cannot be reconstructed, or fewer than two can be used.
+        ConfigError: an option is unknown or invalid.
+        DegenerateGeometryError: the cameras see nothing in common, or all look in the same direction.
         FileFormatError: the source cannot be read.
         WorkspaceError: the output folder cannot be used.
     """
@@ -119,7 +119,7 @@ class _FieldRenderer:
     kind: Kind
 
     def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
-        """The image of a view, and how often the field was asked for it."""
+        """Image of a view, and number of evaluations."""
         rendered, _, count = self.kind.render(
             self.result.field, view.camera, view.cam_from_world, self.background
         )
@@ -129,9 +129,10 @@ class _FieldRenderer:
 def _of_field(
     field: FieldResult, kind: Kind, images: FieldImages, wanted: FieldOptions, run: Run
 ) -> tuple[list[TrainingView], Callable[[TrainingView], Shown]]:
-    """The views that are compared, and what the field shows in each.
+    """Views to compare, and a function that gives the field's render of each.
 
-    Held-out views are those that its job has rendered, a minute each perhaps; views of the training are rendered now.
+    Held-out views were already rendered by the field's job, which may take a minute each; training views are rendered
+    here.
     """
     if images.test:
         rows, files = _rows_of(field.out), rendered_names(images.test)
@@ -152,7 +153,7 @@ def _rendered(renderer: _FieldRenderer, view: TrainingView) -> Shown:
 def _read(
     folder: Path, files: Mapping[str, str], rows: Mapping[str, Mapping[str, Any]], view: TrainingView
 ) -> Shown:
-    """As the job has rendered and compared it."""
+    """Render and scores written by the field's job."""
     image, row = read_rgb(folder / "test" / files[view.name]), rows[view.name]
     scores = {name: np.nan if row[name] is None else row[name] for name in MEANS}  # JSON has no NaN
     figures = {"s": row["render_s"], "queries": row["count"] / image[..., 0].size}
@@ -170,7 +171,7 @@ def _splatted(gaussians: FieldResult, background: np.ndarray, view: TrainingView
 
 
 def _rows_of(folder: Path) -> dict[str, dict[str, Any]]:
-    """What a job has written of the held-out views that it has rendered, by their names."""
+    """Metrics of the held-out views that a job has rendered, by name."""
     return {row["name"]: row for row in read_json(folder / METRICS)["views"]}
 
 
@@ -182,9 +183,9 @@ def _compared(
     files: Mapping[str, str],
     run: Run,
 ) -> dict[str, dict[str, Any]]:
-    """Means of all views, which are written side by side."""
+    """Mean scores of all views; writes the renders side by side."""
     scores: dict[str, list[dict[str, float]]] = {SPLAT: [], NERF: []}
-    splatted(views[0])  # in the caches
+    splatted(views[0])  # warms the caches
     run.report("compare", 0, len(views))
     with run.stage("compare"), run.folder.publish(IMAGES) as aside:
         for n, view in enumerate(views):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from epipole._declared import check_options
+from epipole._checks import check_options
 from epipole.errors import ConfigError
 from epipole.fields.config import NerfTraining, SplatTraining
 
@@ -20,38 +20,38 @@ Background = Literal["auto", "white", "black"]
 
 @dataclass(frozen=True, kw_only=True)
 class FieldOptions:
-    """What is taken of the images, and for how long is trained."""
+    """Options for images and training time."""
 
     time: str | None = None
-    """How long to train: 30s, 5m or 1h; 5m unless steps are given. The result depends on the machine's speed."""
+    """Training time: 30s, 5m or 1h; 5m by default. The result depends on the speed of the machine."""
     steps: int | None = None
-    """Steps instead of a time: the same result on any machine."""
+    """Number of steps instead of a time: same result on any machine."""
     test_every: int = 8
-    """Every so many images one is held out and compared in the end; 0: none. Sets with a test split of their own keep it."""
+    """Hold out every n-th image for evaluation; 0: none. A dataset's own test split takes precedence."""
     test: str | None = None
-    """Names of images that are held out instead, separated by commas."""
+    """Names of the images to hold out instead, separated by commas."""
     max_side_px: int = 800
-    """Larger images are shrunk to this longest side."""
+    """Downscale larger images to this longest side."""
     background: Background = "auto"
-    """Colour behind everything: white for images with transparency, else black."""
+    """Background color: white if images are transparent, else black."""
     masks: Path | None = None
-    """Folder of masks, MASKS/NAME.png: where a mask is black an image is neither learnt from nor compared."""
+    """Folder of masks, MASKS/NAME.png; black pixels are neither trained on nor compared."""
     view: bool = False
-    """Watch the training in the browser; it takes at most a tenth of its time."""
+    """Watch the training in the browser; costs at most a tenth of the time."""
     port: int | None = None
-    """Of the live view; None: 8080, or the next free one."""
+    """Port of the live view; None: 8080, or the next free one."""
     host: str = "127.0.0.1"
-    """Address of the live view; 0.0.0.0 lets other machines in."""
+    """Address of the live view; 0.0.0.0 allows access from other machines."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range, or both time and steps are given.
         """
-        check_options(self, negative=("rotation_deg",))
+        check_options(self)
         if self.time is not None and self.steps is not None:
-            raise ConfigError("time and steps are two ways to say how long: give one")
+            raise ConfigError("time and steps exclude each other: give one of them")
         if self.steps is not None and not 1 <= self.steps < 10**9:
             raise ConfigError(f"steps must be 1 or more, got {self.steps}")
         if self.test_every < 0 or self.test_every == 1:
@@ -62,10 +62,10 @@ class FieldOptions:
 
     @property
     def seconds(self) -> float | None:
-        """For how long is trained; None where steps are counted.
+        """Training time in seconds; None if the number of steps is given.
 
         Raises:
-            ConfigError: the time is not understood.
+            ConfigError: the time has no unit or cannot be parsed.
         """
         if self.steps is not None:
             return None
@@ -76,7 +76,7 @@ class FieldOptions:
                 f"time needs a unit: {words}s for seconds, {words}m for minutes or {words}h for hours, got {words!r}"
             )
         if found is None or not 0 < float(found[1]) < 1e7:
-            raise ConfigError(f"time is a number with its unit, such as 30s, 5m or 1h, got {words!r}")
+            raise ConfigError(f"time must be a number with a unit, such as 30s, 5m or 1h, got {words!r}")
         return float(found[1]) * _UNITS_S[found[2]]
 
 
@@ -88,7 +88,7 @@ class SplatConfig(SplatTraining, FieldOptions):
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
         FieldOptions.__post_init__(self)
         SplatTraining.__post_init__(self)
@@ -102,7 +102,7 @@ class NerfConfig(NerfTraining, FieldOptions):
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
         FieldOptions.__post_init__(self)
         NerfTraining.__post_init__(self)
@@ -110,34 +110,34 @@ class NerfConfig(NerfTraining, FieldOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class RenderConfig:
-    """From where a field is drawn, and how large."""
+    """Options of `render`: cameras, image size and output."""
 
     cameras: Path | None = None
-    """Draw from these cameras: a transforms.json, a COLMAP model or an output folder; else on a circle around the scene."""
+    """Cameras to render from: transforms.json, COLMAP model or output folder; else an orbit around the scene."""
     frames: int = 120
-    """Images of the circle."""
+    """Number of images of the orbit."""
     rotation_deg: float = 360.0
-    """How far the circle goes round."""
+    """Angle of the orbit."""
     width: int | None = None
-    """Of the images; as the cameras' own, 800 for a circle."""
+    """Image width; that of the cameras, 800 for the orbit."""
     height: int | None = None
-    """Of the circle's images; 3/4 of the width."""
+    """Image height of the orbit; 3/4 of the width."""
     fov_deg: float = 50.0
-    """Across, of the circle's camera."""
+    """Horizontal field of view of the orbit."""
     fps: float = 30.0
-    """Images a second of a video."""
+    """Frames per second of a video."""
     background: Background = "auto"
-    """Colour behind everything: as it was trained, else black."""
+    """Background color: as in training, else black."""
     antialiased: bool | None = None
-    """With Mip-Splatting's filter; None: if it was trained with it."""
+    """Render with Mip-Splatting's filter; None: as in training."""
     output: Literal["colour", "depth", "normals", "coverage"] = "colour"
-    """What is drawn. Depth in colours, near blue, far red, the same for all images; normals as (n + 1) / 2 in the camera's axes."""
+    """What to render; depth has colors from near (blue) to far (red), normals are (n + 1) / 2 in the camera frame."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
         check_options(self, negative=("rotation_deg",))
         if not 1 <= self.frames <= 1_000_000:
@@ -156,30 +156,30 @@ class RenderConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class MeshConfig:
-    """From where a field's depth is drawn, and how fine the mesh is."""
+    """Options of `mesh`: cameras and resolution."""
 
     cameras: Path | None = None
-    """Draw depth from these cameras: a transforms.json, a COLMAP model or an output folder; else from those of the training."""
+    """Cameras to render depth from: transforms.json, COLMAP model or output folder; else those of the training."""
     voxels: int = 256
-    """Along the longest side of the box."""
+    """Voxels along the longest side of the box."""
     most_views: int = 100
-    """Cameras that are used, spread over all."""
+    """Maximum number of cameras, evenly spaced over all."""
     around: float = 0.98
-    """Share of what the field holds, along each axis, that the box takes in: the rest is far away or alone."""
+    """Fraction of the field, along each axis, inside the box; excludes distant and isolated parts."""
     box: tuple[float, float, float, float, float, float] | None = None
-    """Mesh this box of the world alone (x y z of its lowest corner, x y z of its highest), instead of --around."""
+    """Mesh only this box (lowest x y z, then highest x y z), instead of --around."""
     least_component: float = 0.01
     """Remove components with fewer triangles than this fraction of the largest one; 0 keeps all."""
     width: int | None = None
-    """Of the depth images; as the cameras' own."""
+    """Width of the depth images; that of the cameras."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
-        check_options(self, negative=("rotation_deg",))
+        check_options(self)
         if not 8 <= self.voxels <= 1024:
             raise ConfigError(f"voxels must be from 8 to 1024, got {self.voxels}")
         if self.most_views < 1:
@@ -190,7 +190,7 @@ class MeshConfig:
             raise ConfigError(f"least_component must be from 0 to 1, got {self.least_component}")
         if self.box is not None and not all(low < high for low, high in zip(self.box[:3], self.box[3:])):
             raise ConfigError(
-                f"box must be six numbers, the lowest x y z and then the highest, got {self.box}"
+                f"box must be six numbers, the lowest x y z and then the highest x y z, got {self.box}"
             )
         if self.width is not None and not 1 <= self.width <= 16384:
             raise ConfigError(f"width must be from 1 to 16384, got {self.width}")

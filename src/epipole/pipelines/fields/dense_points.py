@@ -1,7 +1,7 @@
-"""Points by stereo of neighbouring views: where a model has few, Gaussians begin at these, too.
+"""Points from stereo of neighboring views, as additional initial Gaussians where a model has few points.
 
-Images of a training are small, and a pair of them takes a tenth of a second: what is found so, is found before a training has begun
-to look for it (as EDGS does by a network; Kotovenko et al., 2025).
+At training resolution a pair takes a tenth of a second, so stereo finds these points faster than training would (EDGS
+does the same with a network; Kotovenko et al., 2025).
 """
 
 from __future__ import annotations
@@ -19,18 +19,20 @@ from epipole.fields.training_view import TrainingView
 from epipole.scene import StereoRig
 
 SIDE_PX = 480
-"""Of the images that are compared: larger ones are made smaller by a whole factor."""
-PARTNERS, BEST_DEG, SPREAD = 2, 8.0, 0.6
-"""Of each view, those that see most of its points from an angle nearest to that; one that is e^SPREAD times as large counts 0.6."""
+"""Maximum side of the matched images; larger ones are downscaled by an integer factor."""
+PARTNERS = 2
+"""Views that each view is paired with: those that see most of its points at a good triangulation angle."""
+BEST_DEG, SPREAD = 8.0, 0.6
+"""Best triangulation angle, and standard deviation of its logarithm in the score."""
 LEAST_SCORE, LEAST_POINTS = 0.1, 20
 RANGE_FRACTION, RANGE_PX = 0.15, 4.0
-"""How much farther than the known points disparities are searched, of their range and in pixels."""
+"""Margin of the disparity search around the known points: fraction of their range, and pixels."""
 MOST_ERROR = 0.01
-"""Standard deviation of a disparity, of the disparity: so much of its depth a point may be off."""
+"""Largest standard deviation of a disparity, relative to the disparity (and so of the depth)."""
 
 
 class DensePoints(NamedTuple):
-    """Points of the world and their colours."""
+    """Points in the world and their colors."""
 
     points_in_world: np.ndarray
     rgb: np.ndarray
@@ -39,20 +41,20 @@ class DensePoints(NamedTuple):
 def dense_points(
     views: Sequence[TrainingView], count: int, seed: int, progress: Callable[[int, int], None]
 ) -> DensePoints:
-    """At most so many points, drawn from all that neighbouring views find; none where no two fit.
+    """Random subset of at most `count` points found by stereo; empty if no pair of views works.
 
     Args:
-        views: pinhole cameras that know which of the model's points they show.
-        count: points.
-        seed: of the draw.
-        progress: called with pairs done and all pairs.
+        views: pinhole cameras with the model's points that they see.
+        count: maximum number of points.
+        seed: random seed.
+        progress: called with the number of pairs done and the number of all.
     """
     pairs, found = neighbours_of(views), list[DensePoints]()
     for n, (one, other) in enumerate(pairs):
         progress(n, len(pairs))
         try:
             found.append(_points_of_pair(views[one], views[other]))
-        except EpipoleError:  # one stands before the other, or they share no row: others may fit
+        except EpipoleError:  # one camera is in front of the other, or they share no row
             continue
     progress(len(pairs), len(pairs))
     if not found:
@@ -63,7 +65,7 @@ def dense_points(
 
 
 def neighbours_of(views: Sequence[TrainingView]) -> list[tuple[int, int]]:
-    """Pairs of views that see the same points from angles that tell their depth."""
+    """Pairs of views that see the same points at a good triangulation angle."""
     pairs = set[tuple[int, int]]()
     for one, view in enumerate(views):
         scores = np.array([_score(view, other) if other is not view else 0.0 for other in views])
@@ -74,7 +76,7 @@ def neighbours_of(views: Sequence[TrainingView]) -> list[tuple[int, int]]:
 
 
 def _score(view: TrainingView, other: TrainingView) -> float:
-    """Share of a view's points that the other sees, times how good the angle between them is."""
+    """Fraction of a view's points that the other sees, times the score of the angle between them."""
     points = _known(view)
     positions = other.cam_from_world.apply(points)
     pixels, size = other.camera.project(positions), np.array([other.camera.width, other.camera.height])
@@ -94,11 +96,11 @@ def _known(view: TrainingView) -> np.ndarray:
 
 
 def _points_of_pair(one: TrainingView, other: TrainingView) -> DensePoints:
-    """Points of the left of two views.
+    """Stereo points of a pair of views, from the left one.
 
     Raises:
-        DegenerateGeometryError: the two cannot be rectified.
-        ConfigError: or their disparities have no range.
+        DegenerateGeometryError: the pair cannot be rectified.
+        ConfigError: the disparity range is empty.
     """
     longest = max(one.camera.width, one.camera.height, other.camera.width, other.camera.height)
     left, right = (view.smaller(-(-longest // SIDE_PX)) for view in (one, other))
@@ -121,7 +123,7 @@ def _points_of_pair(one: TrainingView, other: TrainingView) -> DensePoints:
 
 
 def _range_of(flat: Rectification, positions: np.ndarray) -> DisparityConfig:
-    """Disparities of points (n, 3) in the left camera's axes, and some more."""
+    """Disparity range of points (n, 3) in the left camera's frame, with a margin."""
     depth = positions @ flat.rectified_from_left[2]
     disparities = flat.rig.focal_px * flat.rig.baseline / depth[depth > 0] - flat.rig.principal_offset_px
     low, high = np.quantile(disparities, [0.01, 0.99])
@@ -130,7 +132,7 @@ def _range_of(flat: Rectification, positions: np.ndarray) -> DisparityConfig:
 
 
 def _is_used(flat: Rectification, view: TrainingView) -> np.ndarray:
-    """(h, w) where a rectified left image shows what is neither masked nor transparent."""
+    """(h, w) whether a pixel of the rectified left image is neither masked nor transparent."""
     used = np.ones(view.image.shape[:2], bool) if view.used_mask is None else view.used_mask
     if view.image.shape[2] == 4:
         used = used & (view.image[..., 3] > 0)

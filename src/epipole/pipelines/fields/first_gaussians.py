@@ -1,4 +1,4 @@
-"""Where the first Gaussians are: at a model's points and those of stereo, in another field, or drawn where the cameras look."""
+"""Initial Gaussians: at the model's points, at stereo points, from another field, or at random."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from epipole.pipelines.fields.scene import gaussians_in
 from epipole.scene.gaussian_cloud import NUM_SH, GaussianCloud
 
 LEAST_POINTS = 100
-"""Of a model: with fewer the first Gaussians are drawn."""
+"""Minimum number of model points; with fewer, Gaussians start at random positions."""
 LEAST_IN_VIEW = 0.02
-"""Of the points: with fewer in most images the cameras look elsewhere."""
+"""Fraction of the points in most images below which the cameras look away from them."""
 FIRST_FRACTION = 0.1
-"""Of the Gaussians in the end, where they are drawn."""
+"""Initial number of random Gaussians, as a fraction of the maximum."""
 FILLED_FRACTION = 0.6
-"""Of the Gaussians in the end, which stereo fills up to."""
+"""Number of Gaussians that stereo points fill up to, as a fraction of the maximum."""
 
 
 class Start(NamedTuple):
-    """What the training begins with."""
+    """Initial Gaussians, and warnings."""
 
     cloud: GaussianCloud
     warnings: list[str]
@@ -41,17 +41,17 @@ class Start(NamedTuple):
 def first_gaussians(
     images: FieldImages, config: SplatTraining, most: int, progress: Callable[[int, int], None]
 ) -> Start:
-    """What the training begins with.
+    """Choose the initial Gaussians.
 
     Args:
         images: views to train on, and known points.
-        config: where to begin.
-        most: Gaussians in the end.
-        progress: called with the progress of stereo, where that is asked for.
+        config: options.
+        most: maximum number of Gaussians.
+        progress: called with the progress of stereo, if it runs.
 
     Raises:
-        DegenerateGeometryError: there is no point, and the cameras look away from each other's views.
-        FileFormatError: what it should begin with cannot be read.
+        DegenerateGeometryError: there are no points, and the cameras see nothing in common.
+        FileFormatError: the field in `start_from` cannot be read.
     """
     if config.start_from is not None:
         cloud = gaussians_in(config.start_from, most).relative_to(images.origin_in_world)
@@ -65,8 +65,8 @@ def first_gaussians(
     warnings = []
     if fraction_in_view(images.train, points) < LEAST_IN_VIEW:
         warnings.append(
-            "most cameras look away from the points: are their axes those of the format (OpenGL's in a transforms.json,"
-            " OpenCV's in a COLMAP model)?"
+            "most cameras look away from the points; check the camera axes (OpenGL's in a transforms.json, OpenCV's in a"
+            " COLMAP model)"
         )
     missing = int(FILLED_FRACTION * most) - len(points)
     if missing > 0 and config.start == "dense":
@@ -76,6 +76,6 @@ def first_gaussians(
 
 
 def _sampled(images: FieldImages, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where no silhouette is empty; of cameras that look the same way, at any depth."""
+    """Random points inside all silhouettes, or, if all cameras look in one direction, in their frusta."""
     render = points_in_frusta if have_one_direction(images.train) else points_in_silhouettes
     return render(images.train, count, seed)

@@ -1,4 +1,4 @@
-"""Held-out views of a trained field: rendered, as many as the time allows, written and compared with their images."""
+"""Render the held-out views of a trained field within a time limit, and compare them with their images."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ from epipole.runs import Run
 Found = TypeVar("Found")
 
 RENDER_FRACTION = 0.25
-"""Of the time of the training: rendering views afterwards takes no more, but for a single view."""
+"""Fraction of the training time that rendering views may take afterwards; one view is always rendered."""
 PROBED = 3
-"""Held-out views that are rendered along the way."""
+"""Held-out views that are rendered during training."""
 RAYS_OF_THREAD = 2048
-"""Pixels, for each thread, of the small image that shows how long a view takes: all threads have work."""
+"""Pixels per thread of the small image that is timed, so that all threads are busy."""
 
 
 @runtime_checkable
 class Renderer(Protocol):
-    """A field that is being trained."""
+    """A field in training."""
 
     @property
     def background(self) -> np.ndarray:
-        """(3,) the colour behind it."""
+        """(3,) background color."""
 
     def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
-        """(h, w, 3) the image of a view, and how often the field was asked for it."""
+        """(h, w, 3) render of a view, and the number of evaluations."""
 
 
 def seconds_of_view(renderer: Renderer, view: TrainingView) -> float:
-    """About how long it takes to render a view, by two that are smaller; compilation is not counted."""
+    """Estimated time to render a view, from two downscaled ones, without compilation."""
     pixels = view.camera.width * view.camera.height
     most = min(view.camera.width, view.camera.height)
     factor = min(max(1, int((pixels / (RAYS_OF_THREAD * num_threads())) ** 0.5)), most)
     small, smaller = view.smaller(factor), view.smaller(min(2 * factor, most))
-    timed(renderer, smaller)  # in the caches
+    timed(renderer, smaller)  # warms the caches
     (_, small_s, _), (_, smaller_s, _) = timed(renderer, small), timed(renderer, smaller)
     small_px, smaller_px = (each.camera.width * each.camera.height for each in (small, smaller))
     if small_px == smaller_px:
@@ -56,14 +56,14 @@ def seconds_of_view(renderer: Renderer, view: TrainingView) -> float:
 
 
 def timed(renderer: Renderer, view: TrainingView) -> tuple[np.ndarray, float, int]:
-    """The image, the seconds without compilation, and how often the field was asked."""
+    """The image, the time in seconds without compilation, and the number of evaluations."""
     start, compiled = perf_counter(), compile_seconds()
     image, count = renderer.render_counted(view)
     return image, max(perf_counter() - start - (compile_seconds() - compiled), 1e-9), count
 
 
 def rows_of_two_passes(count: int) -> list[int]:
-    """All rows in an order of which every beginning is spread over them: the ends, then the middles of what lies between."""
+    """Order of rows such that every prefix is spread evenly: both ends, then midpoints of the gaps."""
     order, gaps = [0, count - 1][:count], [(0, count - 1)]
     while gaps:
         halved = [(low, (low + high) // 2, high) for low, high in gaps if high - low > 1]
@@ -79,16 +79,16 @@ def in_time(
     report: Callable[[int, int], None],
     warnings: list[str],
 ) -> list[tuple[TrainingView, Found]]:
-    """Render the views, or as many of them, spread over all, as a share of the training's time is enough for; one at least.
+    """Render the views, or an evenly spaced subset that fits in a quarter of the training time; at least one.
 
-    A training of a number of steps has no time that could be kept: all its views are rendered.
+    If the training has a number of steps instead of a time, all views are rendered.
 
     Args:
-        views: the views.
-        wanted: the time.
-        render: what is to be done with a view.
-        report: called with the number that is done and that of all.
-        warnings: given one where not all are rendered.
+        views: views.
+        wanted: options with the training time.
+        render: called with each view.
+        report: called with the number of views done and the number of all.
+        warnings: gets a warning if not all views are rendered.
     """
     budget_s = np.inf if wanted.seconds is None else RENDER_FRACTION * wanted.seconds
     found: dict[int, Found] = {}
@@ -97,9 +97,9 @@ def in_time(
     for row in rows_of_two_passes(len(views)):
         if found and spent_s * (len(found) + 1) / len(found) > budget_s:
             warnings.append(
-                f"{len(found)} of {len(views)} views are rendered and compared: a view takes about "
-                f"{spent_s / len(found):.2g} s, and rendering may take {budget_s:.3g} s, a quarter of the training's time. A "
-                "longer time, a smaller max_side_px, or steps instead of a time compare more"
+                f"only {len(found)} of {len(views)} views were rendered and compared: a view takes about "
+                f"{spent_s / len(found):.2g} s, and rendering may take {budget_s:.3g} s, a quarter of the training time. "
+                "Train longer, reduce max_side_px, or give steps instead of a time to compare more"
             )
             report(len(found), len(found))
             break
@@ -113,7 +113,7 @@ def in_time(
 def compared(
     renderer: Renderer, test: Sequence[TrainingView], wanted: FieldOptions, run: Run
 ) -> list[dict[str, Any]]:
-    """Render the held-out views into `test`, as many as the time allows, and say how like they are."""
+    """Render the held-out views into `test`, within the time limit, and compute their scores."""
     files = rendered_names(test)
     with run.stage("test"), run.folder.publish("test") as aside:
 
@@ -130,7 +130,7 @@ def compared(
 
 
 def probed(renderer: Renderer, test: Sequence[TrainingView], most_s: float) -> float | None:
-    """Mean PSNR of some held-out views, spread over them; None where there are none, or it would take longer than that."""
+    """Mean PSNR of a few held-out views; None if there are none or it would take longer than `most_s`."""
     views = [test[row] for row in rows_of_two_passes(len(test))[:PROBED]]
     if not views or most_s <= 0 or len(views) * seconds_of_view(renderer, views[0]) > most_s:
         return None

@@ -1,4 +1,4 @@
-"""What a field is trained on: images without distortion, cameras, and points, from any of the formats here."""
+"""Training data of a field: undistorted images, cameras and points, from any supported format."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from epipole.scene import Reconstruction
 from epipole.scene.local_origin import local_origin
 
 SPLITS = ("transforms_train.json", "transforms_test.json")
-"""NeRF-synthetic's; a file of validation views is not used."""
+"""Splits of NeRF-synthetic scenes; the validation split is not used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldImages:
-    """Views to train on, views that are held out, and what is known of the scene."""
+    """Training views, held-out views, and known points."""
 
     train: list[TrainingView]
     test: list[TrainingView]
@@ -41,12 +41,12 @@ class FieldImages:
     rgb: np.ndarray
     has_alpha: bool
     problems: list[str]
-    """Images that are left out, and why."""
+    """Reasons why images are left out, and other warnings."""
     origin_in_world: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    """(3,) what the coordinates are relative to."""
+    """(3,) origin of the coordinates."""
 
     def about_origin(self) -> FieldImages:
-        """The same about an origin near the cameras, where these are far from that of the world: Gaussians are of single precision."""
+        """Shift the origin near the cameras if they are far from the world's, as Gaussians are single precision."""
         views = [*self.train, *self.test]
         origin = local_origin(np.stack([view.cam_from_world.inverse().translation for view in views]))
         if not origin.any():
@@ -70,7 +70,7 @@ def _relative_to(view: TrainingView, origin_in_world: np.ndarray) -> TrainingVie
 
 
 def is_model(source: Path) -> bool:
-    """Whether a source tells cameras; else it is photographs."""
+    """Whether a source has cameras; otherwise it is a folder of photographs or a video."""
     if source.suffix == ".json":
         return True
     if any((source / name).is_file() for name in (SPLITS[0], "transforms.json", LLFF)):
@@ -91,23 +91,25 @@ def gather_field_images(
     """Read cameras and images.
 
     Args:
-        source: an output folder of `reconstruct`, a COLMAP model with `images` beside it, a transforms.json, or a folder of one
-            or of LLFF's poses_bounds.npy.
-        options: which images are held out, and how large they may be.
-        photographs: where the images are, if not beside the model.
+        source: an output folder of `reconstruct`, a COLMAP model with `images` next to it, a transforms.json, or a
+            folder with one or with LLFF's poses_bounds.npy.
+        options: which images are held out, and their maximum size.
+        photographs: folder of the images, if not next to the model.
         progress: called after each image.
 
     Raises:
         FileFormatError: there is no model, or it is damaged.
         NoModelError: fewer than two images can be used.
-        ConfigError: an image that is to be held out has no camera.
+        ConfigError: an image to hold out has no camera.
     """
     problems: list[str] = []
     if (source / SPLITS[0]).is_file():
         parts = [_transforms_source(source / name, problems) for name in SPLITS if (source / name).is_file()]
         model = parts[0].model
         if any(part.splits for part in parts):
-            problems.append(f"lists of splits are not used, because {' and '.join(SPLITS)} are the splits")
+            problems.append(
+                f"the file's lists of splits are ignored, because {' and '.join(SPLITS)} define the splits"
+            )
         train = _views(parts[0], options, problems, progress)
         test = _views(parts[1], options, problems, progress) if len(parts) > 1 else []
     else:
@@ -116,9 +118,9 @@ def gather_field_images(
         train, test = _split(_views(found, options, problems, progress), found.splits, options, problems)
     if len(train) < 2:
         raise NoModelError(
-            f"{len(train)} of the images can be trained on, two are needed"
+            f"only {len(train)} images can be used for training, but two are needed"
             + "".join(f"; {p}" for p in problems[:3])
-            + ("; SLAM keeps no images beside its map" if results_of(source) == "slam" else "")
+            + ("; SLAM stores no images with its map" if results_of(source) == "slam" else "")
         )
     has_alpha = any(view.image.shape[2] == 4 for view in train)
     return FieldImages(train, test, model.points.xyz_in_world, model.points.rgb, has_alpha, problems)
@@ -126,17 +128,17 @@ def gather_field_images(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Source:
-    """A model, and what is known of its images."""
+    """A model and its images."""
 
     model: Reconstruction
     folder: Path
-    """Where the names of the images start from."""
+    """Folder that image names are relative to."""
     is_own: bool = False
-    """Whether a run of epipole made the model, which then describes upright images."""
+    """Whether epipole made the model, so that it describes upright images."""
     masks: Mapping[str, Path] = field(default_factory=dict)
-    """Of images, by their names."""
+    """Masks by image name."""
     splits: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Names of the images of the splits train, val and test."""
+    """Image names of the splits train, val and test."""
 
 
 def _split(
@@ -145,10 +147,10 @@ def _split(
     options: FieldOptions,
     problems: list[str],
 ) -> tuple[list[TrainingView], list[TrainingView]]:
-    """Views to train on and views that are held out: as asked for, else as the file says, else every n-th.
+    """Training and held-out views: as requested, else by the splits of the file, else every n-th.
 
     Raises:
-        ConfigError: a view that is asked for is not there.
+        ConfigError: a requested view has no camera.
     """
     names = [view.name for view in views]
     if options.test is not None:
@@ -156,7 +158,7 @@ def _split(
         if missing := sorted(test_names - set(names)):
             raise ConfigError(f"test names images that have no camera: {', '.join(missing[:4])}")
         if splits:
-            problems.append("the splits of the file are not used, because test names the held-out images")
+            problems.append("the splits of the file are ignored, because test names the held-out images")
     elif splits:
         return _split_of_file(views, splits, problems)
     else:
@@ -169,16 +171,16 @@ def _split(
 def _split_of_file(
     views: list[TrainingView], splits: Mapping[str, tuple[str, ...]], problems: list[str]
 ) -> tuple[list[TrainingView], list[TrainingView]]:
-    """Without a list of test images those for validation are held out; without one to train on, all others are."""
+    """Split by the file's lists; val stands in for a missing test list, and train defaults to all other images."""
     test_names = set(splits.get("test", splits.get("val", ())))
     others = {view.name for view in views} - test_names - set(splits.get("val", ()))
     wanted = set(splits.get("train", others))
     if both := sorted(wanted & test_names):
         problems.append(
-            f"{len(both)} images are both trained on and held out ({both[0]}), so their scores are too high"
+            f"{len(both)} images are both in the training and the test split ({both[0]}), so their scores are too high"
         )
     if unused := sorted({view.name for view in views} - wanted - test_names):
-        problems.append(f"{len(unused)} images are in no split that is used ({unused[0]})")
+        problems.append(f"{len(unused)} images are in neither the training nor the test split ({unused[0]})")
     return [view for view in views if view.name in wanted], [
         view for view in views if view.name in test_names
     ]
@@ -192,7 +194,7 @@ def _transforms_source(file: Path, problems: list[str]) -> _Source:
 
 
 def _source_of(source: Path, max_side_px: int, photographs: Path | None, problems: list[str]) -> _Source:
-    """A model of any format.
+    """Read a model of any format.
 
     Raises:
         FileFormatError: there is none, or it is damaged.
@@ -215,15 +217,15 @@ def _source_of(source: Path, max_side_px: int, photographs: Path | None, problem
 def _views(
     source: _Source, options: FieldOptions, problems: list[str], progress: ProgressCallback
 ) -> list[TrainingView]:
-    """By their names; an image that cannot be read is left out.
+    """Views sorted by name; images that cannot be read are left out with a warning.
 
     Raises:
-        ConfigError: there are masks, and of none of the images.
+        ConfigError: there are masks, but none for any image.
     """
     model = source.model
     out, cams_from_world = [], model.cams_from_world()
     if options.masks is not None and source.masks:
-        problems.append("the masks that the file names are not used, because masks is given")
+        problems.append("the masks in the file are ignored, because masks is given")
     rows = np.flatnonzero(model.is_registered())
     point = model.tracks.point_of_observation()
     files = ModelImages(model, source.folder, is_own=source.is_own)
@@ -240,17 +242,17 @@ def _views(
             if view.used_mask is None or view.used_mask.any():
                 out.append(view)
             else:
-                problems.append(f"{name} is left out: its mask leaves nothing of it")
+                problems.append(f"{name} is left out: its mask covers all of it")
         except EpipoleError as error:
             problems.append(f"{name} is left out: {error}")
         progress(Progress("load", n, len(rows)))
     if options.masks is not None and not any(mask_of(options.masks, name) for name in model.images.name):
-        raise ConfigError(f"no image has a mask in {options.masks} (NAME.png beside the image's name)")
+        raise ConfigError(f"masks {options.masks} has no mask for any image (expected NAME.png)")
     return out
 
 
 def _mask(source: _Source, options: FieldOptions, name: str, size: tuple[int, int]) -> np.ndarray | None:
-    """Of one image: from the folder of masks if there is one, else the mask that the file names."""
+    """Mask of an image, from the folder of masks if given, else from the file."""
     if options.masks is not None:
         return read_mask(options.masks, name, size=size)
     path = source.masks.get(name)
@@ -258,7 +260,7 @@ def _mask(source: _Source, options: FieldOptions, name: str, size: tuple[int, in
 
 
 def _grey_range(folder: Path, names: list[str]) -> GreyRange | None:
-    """Of all images together, where they are deep greyscale: a field has one brightness for all views."""
+    """Common gray range of all images, if they are deep grayscale, so that brightness is consistent across views."""
     paths = []
     for name in names:
         with suppress(EpipoleError):
@@ -275,7 +277,7 @@ def _view(
     points_in_world: np.ndarray,
     max_side_px: int,
 ) -> TrainingView:
-    """An image and its mask without distortion, in the size that is wanted, and its pinhole camera."""
+    """Undistorted view of the requested size."""
     pinhole = undistorted_camera(camera)
     pixels = _undistorted(pixels, camera, pinhole)
     fitted = _fitted(pinhole, max_side_px)
@@ -288,10 +290,10 @@ def _view(
 
 
 def _read(image: ModelImage, limits: GreyRange | None) -> np.ndarray:
-    """RGB, or RGBA where something is transparent.
+    """RGB, or RGBA if the image is partly transparent.
 
     Raises:
-        FileFormatError: it cannot be read.
+        FileFormatError: the image cannot be read.
     """
     rgba = read_rgba(image.path, orientation=image.orientation)
     pixels = image.read(limits=limits) if rgba is None else rgba
@@ -308,7 +310,7 @@ def _undistorted(pixels: np.ndarray, camera: Camera, pinhole: Camera) -> np.ndar
 
 
 def _fitted(camera: Camera, max_side_px: int) -> Camera:
-    """The same view with no side longer than that."""
+    """Scale a camera so that no side is longer than `max_side_px`."""
     factor = max(camera.width, camera.height) / max_side_px
     if factor <= 1:
         return camera

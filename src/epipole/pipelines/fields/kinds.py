@@ -1,4 +1,4 @@
-"""Fields that are marched through, behind one interface: an explicit grid, and a neural field."""
+"""Common interface of fields that are rendered by ray marching: explicit grids and neural fields."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ Field = Any
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kind:
-    """How a kind of field is trained, kept, and drawn."""
+    """Functions to train, store and render one kind of field."""
 
     file: str
-    """In an output folder."""
+    """File name in an output folder."""
     count: str
-    """What its size is called in a summary."""
+    """Name of its size in a summary."""
     trainer: Callable[[Sequence[TrainingView], np.ndarray, int], Trainer]
     write: Callable[[Path, Field], None]
     read: Callable[[Path], Field]
     render: Callable[[Field, Camera, Rigid3, np.ndarray], tuple[np.ndarray, np.ndarray, int]]
-    """The image, depth along rays times coverage, and how often the field was asked."""
+    """Image, depth along rays times coverage, and number of evaluations."""
     voxels: Callable[[Field], Voxels]
-    """As an explicit grid."""
+    """Conversion to an explicit grid."""
     positions: Callable[[Field], np.ndarray]
-    """(n, 3) middles of the cells in which something is."""
+    """(n, 3) centers of non-empty cells."""
 
 
 def kind_in(path: Path) -> tuple[Kind, Path] | None:
-    """The kind and the file of a trained field, itself or in an output folder; None where there is none."""
+    """Kind and file of a trained field, given its file or output folder; None if there is none."""
     for kind in KINDS.values():
         file = path if path.name == kind.file else path / kind.file
         if file.is_file():
@@ -55,7 +55,7 @@ def kind_in(path: Path) -> tuple[Kind, Path] | None:
 
 
 def read_voxels(path: Path) -> Voxels:
-    """A grid that `nerf` has written.
+    """Read a grid written by `nerf`.
 
     Raises:
         FileFormatError: the file is damaged.
@@ -64,7 +64,7 @@ def read_voxels(path: Path) -> Voxels:
     rows = int(corners_of(found.cells).sum())
     if rows != len(found.values):
         raise FileFormatError(
-            path, f"holds {len(found.values)} rows of values, its cells have {rows} corners"
+            path, f"has {len(found.values)} rows of values, but its cells have {rows} corners"
         )
     return voxels_on(found.cells, found.low, found.size, found.unit, found.values)
 
@@ -81,7 +81,7 @@ def _positions_of_voxels(voxels: Voxels) -> np.ndarray:
 
 
 def read_neural(path: Path) -> HashField:
-    """A neural field that `nerf` has written.
+    """Read a neural field written by `nerf`.
 
     Raises:
         FileFormatError: the file is damaged.
@@ -123,4 +123,4 @@ KINDS = {
         _positions_of_neural,
     ),
 }
-"""By the name of `NerfTraining.kind`."""
+"""Kinds by `NerfTraining.kind`."""

@@ -1,4 +1,4 @@
-"""The job: a mesh from a trained field, by its depth as the cameras see it."""
+"""The `mesh` job: extract a mesh from the depth of a trained field, rendered from its cameras."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ def mesh(
     progress: ProgressCallback = ignore_progress,
     **options: Unpack[MeshKeywords],
 ) -> Mesh:
-    """Cut a mesh out of trained Gaussians, a neural field or a grid.
+    """Extract a mesh from trained Gaussians, a neural field or a grid.
 
-    Depth is drawn from the cameras that the field was trained on, and fused into a volume of signed distances (`dense/tsdf.py`).
+    Renders depth from the training cameras and fuses it into a volume of signed distances (`dense/tsdf.py`).
 
     Args:
         source: an output folder of `splat` or `nerf`, or a file of Gaussians (with `cameras`).
-        out: the mesh, a PLY file with colours.
-        config: from where, and how fine; None for the defaults.
+        out: the mesh, a PLY file with colors.
+        config: cameras and resolution; None for the defaults.
         progress: called with the progress.
         **options: single options by name, which override `config`.
 
     Raises:
-        ConfigError: an option is unknown or makes no sense.
-        DegenerateGeometryError: no surface is seen.
-        FileFormatError: the source, or the cameras, cannot be read.
+        ConfigError: an option is unknown or invalid.
+        DegenerateGeometryError: no surface is visible.
+        FileFormatError: the source or the cameras cannot be read.
         NoModelError: there is no camera.
         WorkspaceError: the file exists and no earlier call wrote it, or it cannot be written.
     """
@@ -52,7 +52,7 @@ def mesh(
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
     if out.suffix.lower() != ".ply" or out.is_dir():
-        raise ConfigError(f"a mesh is written to a file that ends in .ply, not to {out}")
+        raise ConfigError(f"a mesh is written to a file that ends in .ply, got {out}")
     inputs = (source,) if wanted.cameras is None else (source, wanted.cameras)
     refuse_existing([out], "mesh", inputs)
     see, positions = seen_from(source)
@@ -70,7 +70,7 @@ def mesh(
 
 
 def _box(positions: np.ndarray, wanted: MeshConfig) -> tuple[np.ndarray, np.ndarray]:
-    """The lowest and the highest corner of what is meshed."""
+    """Lowest and highest corner of the volume."""
     if wanted.box is not None:
         return np.array(wanted.box[:3]), np.array(wanted.box[3:])
     low, high = np.quantile(positions, (0.5 - 0.5 * wanted.around, 0.5 + 0.5 * wanted.around), axis=0)
@@ -79,12 +79,12 @@ def _box(positions: np.ndarray, wanted: MeshConfig) -> tuple[np.ndarray, np.ndar
 
 
 def _views(source: Path, wanted: MeshConfig) -> list[RenderView]:
-    """Cameras that were asked for, or those of the training; spread over all where there are many."""
+    """The given cameras, or those of the training; an evenly spaced subset if there are too many."""
     cameras = wanted.cameras or (source if source.is_dir() else source.parent) / CAMERAS
     if wanted.cameras is None and not cameras.exists():
         raise NoModelError(
-            f"the cameras of {source} are unknown, for there is no {cameras}: give the cameras that look at the scene, a "
-            "transforms.json or a COLMAP model (cameras)"
+            f"the cameras of {source} are unknown, because {cameras} does not exist: give cameras that look at the scene,"
+            " a transforms.json or a COLMAP model (cameras)"
         )
     views = render_views_of_model(cameras, RenderConfig(width=wanted.width))
     rows = np.linspace(0, len(views) - 1, min(len(views), wanted.most_views)).astype(np.int64)

@@ -1,4 +1,4 @@
-"""The page of a trained field: held-out views beside their images, likeness against time, counts and timings."""
+"""The report of a trained field: held-out views next to their images, PSNR over time, counts and timings."""
 
 from __future__ import annotations
 
@@ -18,14 +18,16 @@ from epipole.report.charts import draw_curves, draw_timings
 from epipole.report.frame import render
 from epipole.report.images import jpeg_uri
 
-MOST_VIEWS, LARGEST_ERROR = 8, 0.25
-"""Views that are shown, spread over all; and the error that has the last colour, in shares of white."""
-COUNTS = {"num_gaussians": "Gaussians", "num_voxels": "corners of voxels", "num_parameters": "numbers learnt"}
+MOST_VIEWS = 8
+"""Views that are shown, at most, evenly spaced."""
+LARGEST_ERROR = 0.25
+"""Error at the end of the color scale, as a fraction of white."""
+COUNTS = {"num_gaussians": "Gaussians", "num_voxels": "voxel corners", "num_parameters": "parameters"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldPage:
-    """What the page is made of."""
+    """Contents of the page."""
 
     summary: dict[str, Any]
     scores: list[dict[str, Any]]
@@ -42,17 +44,17 @@ class _View:
     psnr: str
     ssim: str
     images: list[tuple[str, str]]
-    """Caption and data URI of truth, drawing and error."""
+    """Caption and data URI of image, render and error."""
 
 
 def rendered_names(views: Sequence[TrainingView]) -> dict[str, str]:
-    """The files of the renders of all held-out views, by the names of the views; the same where only some are rendered."""
+    """File name of the render of each held-out view, which does not depend on how many are rendered."""
     names = [view.name for view in views]
     return {name: f"{file}.png" for name, file in zip(names, flat_names(names))}
 
 
 def render_page(page: FieldPage) -> str:
-    """One HTML page with everything inside it."""
+    """One self-contained HTML page."""
     summary = page.summary
     rows = np.unique(np.linspace(0, len(page.scores) - 1, MOST_VIEWS).astype(np.int64)).tolist()
     views, files = {view.name: view for view in page.images.test}, rendered_names(page.images.test)
@@ -76,16 +78,16 @@ def render_page(page: FieldPage) -> str:
 def _figures(summary: dict[str, Any]) -> list[tuple[str, str]]:
     rows = [(words, f"{summary[name]:,}") for name, words in COUNTS.items() if name in summary]
     rows += [
-        ("images trained on", str(summary["num_train"])),
-        ("images held out", str(summary["num_test"])),
+        ("training images", str(summary["num_train"])),
+        ("held-out images", str(summary["num_test"])),
         ("steps", f"{summary['steps']:,}"),
-        ("seconds of training", f"{summary['train_s']:.1f}"),
+        ("training time, s", f"{summary['train_s']:.1f}"),
         ("background", summary["background"]),
     ]
     if summary["psnr"] is not None:
         rows += [
             ("PSNR, dB", f"{summary['psnr']:.2f}"),
-            ("PSNR after colours are matched, dB", f"{summary['psnr_matched']:.2f}"),
+            ("PSNR after color matching, dB", f"{summary['psnr_matched']:.2f}"),
             ("SSIM", f"{summary['ssim']:.4f}"),
         ]
     return rows
@@ -100,7 +102,7 @@ def _curves(page: FieldPage) -> list[Any]:
             held_out.append([page.summary["train_s"], page.summary["steps"], page.summary["psnr"]])
         seconds, _, psnr = zip(*held_out)
         charts.append(draw_curves({"held out": (seconds, psnr)}, "seconds", "PSNR, dB", even_y=True))
-    charts.append(draw_curves({"loss": (columns[0], columns[2])}, "seconds", "loss of a step"))
+    charts.append(draw_curves({"loss": (columns[0], columns[2])}, "seconds", "training loss"))
     return charts
 
 
@@ -109,6 +111,6 @@ def _view(page: FieldPage, view: TrainingView, file: str, score: dict[str, Any])
     charts = read_rgb(page.root / "test" / file)
     error = np.abs(charts.astype(np.float64) - truth).mean(axis=2) / 255
     heat = color_map(error, (0.0, LARGEST_ERROR))
-    captions = ("image", "drawn", "error")
+    captions = ("image", "render", "error")
     sources = [jpeg_uri(one) for one in (truth, charts, heat)]
     return _View(view.name, f"{score['psnr']:.2f}", f"{score['ssim']:.3f}", list(zip(captions, sources)))

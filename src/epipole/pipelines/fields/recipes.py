@@ -1,4 +1,4 @@
-"""What differs between training Gaussians and training a grid or hash field: the start, the files, the summary."""
+"""Differences between training Gaussians and training a grid or a hash field: start, files, summary."""
 
 from __future__ import annotations
 
@@ -28,38 +28,40 @@ from epipole.pipelines.fields.scene import (
 from epipole.runs import Run
 from epipole.scene.local_origin import ORIGIN
 
-BORNE, STEP_S = 3600.0, 0.02
-"""Gaussians that a second bears, which grow with the root of the time; and about how long a step takes."""
+BORNE = 3600.0
+"""Gaussians for a training of one second; the number grows with the square root of the time."""
+STEP_S = 0.02
+"""Typical time of a step."""
 PROGRAM_BYTES, WORK_BYTES, WORK_BYTES_OF_PIXEL = 230e6, 480, 200
-"""Memory of the program alone, and what a step, or writing the file, needs of each Gaussian, and a step of each pixel: measured."""
+"""Measured memory of the program, and working memory per Gaussian and per pixel."""
 PIXELS_OF_EACH = 80
-"""Pixels for each Gaussian, which has 59 numbers: with fewer, what few images show is learnt by heart."""
+"""Training pixels per Gaussian, which has 59 parameters; with fewer, few images are overfitted."""
 
 
 class Recipe(Protocol):
     """One way to train a field."""
 
     def prepared(self, images: FieldImages) -> FieldImages:
-        """The images as the trainer takes them."""
+        """Adapt the images to the trainer."""
 
     def start(self, images: FieldImages, background: np.ndarray, run: Run) -> tuple[Trainer, str]:
-        """The trainer before its first step, and a note for the progress bar."""
+        """Trainer before its first step, and a note for the progress bar."""
 
     def write(self, folder: Path, trainer: Any, images: FieldImages) -> Any:
-        """Write the field and its cameras; return the field."""
+        """Write the field and its cameras; returns the field."""
 
     def facts(self, trainer: Trainer, field: Any, images: FieldImages) -> dict[str, Any]:
-        """What the summary says of the field."""
+        """Entries of the summary."""
 
 
 @dataclass(frozen=True, slots=True)
 class GaussianRecipe:
-    """3D Gaussians: around a local origin, as many as the time, the pixels and the memory allow."""
+    """3D Gaussians around a local origin; their number depends on time, pixels and memory."""
 
     config: SplatConfig
 
     def prepared(self, images: FieldImages) -> FieldImages:
-        """With coordinates about a local origin: single precision is too coarse far from it."""
+        """Use coordinates around a local origin, because single precision is too coarse far from it."""
         return images.about_origin()
 
     def start(self, images: FieldImages, background: np.ndarray, run: Run) -> tuple[Trainer, str]:
@@ -73,7 +75,7 @@ class GaussianRecipe:
         return SplatTrainer(images.train, start.cloud, config, background), note
 
     def write(self, folder: Path, trainer: Any, images: FieldImages) -> Any:
-        """`splat.ply` and `cameras.json`, in the world's coordinates."""
+        """Write `splat.ply` and `cameras.json` in world coordinates."""
         cloud = replace(trainer.cloud, origin_in_world=images.origin_in_world)
         write_gaussian_ply(folder / SPLAT, cloud)
         write_cameras(folder / CAMERAS, trainer.posed_views, images.origin_in_world)
@@ -88,23 +90,23 @@ class GaussianRecipe:
 
 @dataclass(frozen=True, slots=True)
 class RayRecipe:
-    """A field that rays are marched through: an explicit grid, or hashed tables."""
+    """A field rendered by ray marching: an explicit grid or hashed tables."""
 
     config: NerfConfig
 
     def prepared(self, images: FieldImages) -> FieldImages:
-        """As they are."""
+        """Return the images unchanged."""
         return images
 
     def start(self, images: FieldImages, background: np.ndarray, run: Run) -> tuple[Trainer, str]:
-        """An empty field around what the cameras see."""
+        """Empty field around what the cameras see."""
         run.report("start", 0, 1)
         trainer = KINDS[self.config.kind].trainer(images.train, background, self.config.seed)
         run.report("start", 1, 1)
         return trainer, ""
 
     def write(self, folder: Path, trainer: Trainer, images: FieldImages) -> Any:
-        """`hash.npz` or `grid.npz`, and `cameras.json`."""
+        """Write `hash.npz` or `grid.npz`, and `cameras.json`."""
         kind = KINDS[self.config.kind]
         kind.write(folder / kind.file, trainer.field)
         write_cameras(folder / CAMERAS, images.train)
@@ -118,7 +120,7 @@ class RayRecipe:
 
 
 def _memory(images: FieldImages, count: int, sh_degree: int) -> float:
-    """Bytes that a training of so many Gaussians takes, with the images in three sizes and what their comparison needs."""
+    """Memory in bytes for training `count` Gaussians, including the images at three resolutions."""
     views = [*images.train, *images.test]
     num_bytes = sum(view.image.nbytes for view in views) * 21 / 16
     largest = max(view.camera.width * view.camera.height for view in views)
@@ -127,10 +129,10 @@ def _memory(images: FieldImages, count: int, sh_degree: int) -> float:
 
 
 def _fitting(config: SplatConfig, images: FieldImages) -> int:
-    """How many Gaussians there may be.
+    """Maximum number of Gaussians.
 
     Raises:
-        ConfigError: the memory is too small for the images, or for as many as are asked for.
+        ConfigError: the memory limit is too small for the images or for the requested number.
     """
     requested = config.max_gaussians
     most = _borne(images, config) if requested is None else requested
@@ -142,15 +144,15 @@ def _fitting(config: SplatConfig, images: FieldImages) -> int:
     if fits < (LEAST_POINTS if requested is None else requested):
         needs = _memory(images, LEAST_POINTS if requested is None else requested, config.sh_degree)
         raise ConfigError(
-            f"memory_gb is {config.memory_gb:g}, and {needs / 1e9:.2f} are needed for these images and"
-            f" {LEAST_POINTS if requested is None else requested:,} Gaussians: smaller images (max_side_px) or"
-            " fewer Gaussians take less"
+            f"memory_gb is {config.memory_gb:g}, but {needs / 1e9:.2f} GB are needed for these images and"
+            f" {LEAST_POINTS if requested is None else requested:,} Gaussians: reduce max_side_px or"
+            " max_gaussians"
         )
     return min(most, fits)
 
 
 def _borne(images: FieldImages, config: SplatConfig) -> int:
-    """As many Gaussians as the time bears, and as the images tell apart."""
+    """Number of Gaussians that the training time and the number of pixels allow."""
     seconds = STEP_S * (config.steps or 0) if config.seconds is None else config.seconds
     figures = sum(view.camera.width * view.camera.height for view in images.train) / PIXELS_OF_EACH
     return max(LEAST_POINTS, int(min(BORNE * seconds**0.5, figures)))

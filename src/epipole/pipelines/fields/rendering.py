@@ -1,4 +1,4 @@
-"""The job: a field drawn from given cameras, to images or a video."""
+"""The `render` job: render a field from given cameras to images or a video."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ from epipole.runs.folder import check_output_path
 
 @dataclass(frozen=True, slots=True)
 class RenderResult:
-    """What `render` has written."""
+    """Result of `render`."""
 
     out: Path
     num_frames: int
     frames_per_s: float
-    """Drawing alone, without writing."""
+    """Rendering speed, without writing files."""
 
 
 def render(
@@ -63,20 +63,20 @@ def render(
     progress: ProgressCallback = ignore_progress,
     **options: Unpack[RenderKeywords],
 ) -> RenderResult:
-    """Draw trained Gaussians, a trained grid or neural field.
+    """Render trained Gaussians, a trained grid or a neural field.
 
     Args:
         source: an output folder of `splat` or `nerf`, or a file of Gaussians.
-        out: a video (.mp4), or a new folder for PNG images; the video or folder of an earlier call is replaced.
-        config: from where, and how large; None for the defaults.
+        out: a video (.mp4), or a new folder for PNG images; output of an earlier call is replaced.
+        config: cameras and image size; None for the defaults.
         progress: called with the progress.
         **options: single options by name, which override `config`.
 
     Raises:
-        ConfigError: an option is unknown or makes no sense, the images of a video would differ in size, or `out` ends
-            like a file that is no .mp4.
-        FileFormatError: the source, or the cameras, cannot be read.
-        NoModelError: there is no camera with a pose.
+        ConfigError: an option is unknown or invalid, the images of a video would differ in size, or `out` has the
+            suffix of another file type.
+        FileFormatError: the source or the cameras cannot be read.
+        NoModelError: no camera has a pose.
         WorkspaceError: the output exists and no earlier call wrote it, or it cannot be written.
     """
     source, out = as_path(source), as_path(out)
@@ -92,7 +92,7 @@ def render(
     else:
         views = render_views_of_model(wanted.cameras, wanted)
         for loss in losses_in(wanted.cameras):
-            progress(Progress("draw", 0, len(views), loss))
+            progress(Progress("render", 0, len(views), loss))
     if wanted.output != "colour":
         image_of = _surface_drawer(source, wanted.output, views[0])
     spent = [0.0]
@@ -103,7 +103,7 @@ def render(
             rendered = image_of(render_view)
             spent[0] += perf_counter() - start
             yield render_view, np.rint(255 * np.clip(rendered, 0, 1)).astype(np.uint8)
-            progress(Progress("draw", n + 1, len(views)))
+            progress(Progress("render", n + 1, len(views)))
 
     if out.suffix.lower() == VIDEO_SUFFIX:
         with replacing_file(out, "render", inputs) as aside:
@@ -111,7 +111,7 @@ def render(
     else:
         settings = {**asdict(wanted), "cameras": None if wanted.cameras is None else str(wanted.cameras)}
         with open_run(Job(kind="render", inputs=(source,), settings=settings, progress=progress), out) as run:
-            with run.stage("draw"), run.folder.publish("images") as aside:
+            with run.stage("render"), run.folder.publish("images") as aside:
                 for render_view, image in images():
                     write_png(aside / f"{render_view.name}.png", image)
             run.finish()
@@ -119,20 +119,20 @@ def render(
 
 
 def _check_target(out: Path, inputs: tuple[Path, ...]) -> None:
-    """Before any work: the output is a video or a folder, and may be written.
+    """Check, before any work, that the output is a video or a folder and may be written.
 
     Raises:
-        ConfigError: it ends like a file of another kind.
-        WorkspaceError: it is there, and not ours.
+        ConfigError: it has the suffix of another file type.
+        WorkspaceError: it exists and was not written by `render`.
     """
     if out.suffix.lower() == VIDEO_SUFFIX:
         refuse_existing([out], "render", inputs)
         return
-    is_file_name = bool(out.suffix) and not out.suffix[1:].isdecimal()  # views_0.5 is a folder's name
+    is_file_name = bool(out.suffix) and not out.suffix[1:].isdecimal()  # views_0.5 is the name of a folder
     if is_file_name and not out.is_dir():
         raise ConfigError(
-            f"render writes a video that ends in {VIDEO_SUFFIX}, or a folder of PNG images: {out} is neither, as it ends "
-            f"in {out.suffix}"
+            f"render writes a video that ends in {VIDEO_SUFFIX}, or a folder of PNG images, but {out} ends in"
+            f" {out.suffix}"
         )
     check_output_path(out, "render", inputs[:1])
 
@@ -140,7 +140,7 @@ def _check_target(out: Path, inputs: tuple[Path, ...]) -> None:
 def _drawer(
     source: Path, wanted: RenderConfig, colour: np.ndarray
 ) -> tuple[Callable[[RenderView], np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """What draws a shot of Gaussians, or of a field that is marched through; and position, middle and up of its first view."""
+    """Function that renders a view of the field, and position, target and up vector of its first view."""
     found = kind_in(source)
     if found is not None:
         kind, file = found
@@ -163,7 +163,7 @@ def _drawer(
 
 
 def _surface_drawer(source: Path, output: str, first: RenderView) -> Callable[[RenderView], np.ndarray]:
-    """What draws depth, normals or coverage of a shot, as an image from 0 to 1."""
+    """Function that renders depth, normals or coverage of a view, as an image from 0 to 1."""
     see, _ = seen_from(source)
     limits = color_range(see(first).surface())
 
@@ -180,7 +180,7 @@ def _surface_drawer(source: Path, output: str, first: RenderView) -> Callable[[R
 
 
 def _background(source: Path, wanted: RenderConfig) -> float:
-    """As it was trained, where that is known."""
+    """Gray value of the background: as requested, as recorded by the training, or black."""
     if wanted.background != "auto":
         return BACKGROUNDS[wanted.background]
     return recorded_background((source if source.is_dir() else source.parent) / SUMMARY) or 0.0

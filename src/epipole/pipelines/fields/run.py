@@ -1,4 +1,4 @@
-"""The jobs `splat` and `nerf`: images to a trained field, with renderings of held-out views and figures, in one folder."""
+"""The jobs `splat` and `nerf`: from images to a trained field, with renders of held-out views and figures."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def splat(
     progress: ProgressCallback = ignore_progress,
     **options: Unpack[SplatKeywords],
 ) -> FieldResult:
-    """Train 3D Gaussians on images; Ctrl-C ends the training, and keeps what was learnt.
+    """Train 3D Gaussians on images. Ctrl-C ends the training and keeps the result.
 
-    Called again with the same options it goes on where it was; after a crash, where it was at most a minute before.
+    Called again with the same options, an interrupted training continues; a crash loses at most a minute.
 
     Args:
-        source: a folder of photographs or a video, whose cameras are found first (`OUT/sfm`); an output folder of
+        source: a folder of photographs or a video, which is reconstructed first (`OUT/sfm`); an output folder of
             `reconstruct`; a COLMAP model; or a transforms.json.
         out: output folder: `splat.ply`, `test/NAME.png`, `metrics.json`, `report.html`.
         config: options; None for the defaults.
@@ -68,8 +68,8 @@ def splat(
         **options: single options by name, which override `config`: `time="1m"`.
 
     Raises:
-        NoModelError: the images give no cameras, or fewer than two can be used.
-        ConfigError: an option is unknown or makes no sense.
+        NoModelError: the images cannot be reconstructed, or fewer than two can be used.
+        ConfigError: an option is unknown or invalid.
         DegenerateGeometryError: the cameras see nothing in common.
         FileFormatError: the source cannot be read.
         WorkspaceError: the output folder cannot be used.
@@ -85,22 +85,21 @@ def nerf(
     progress: ProgressCallback = ignore_progress,
     **options: Unpack[NerfKeywords],
 ) -> FieldResult:
-    """Train a neural field, or a grid of densities and colours, on images that surround a scene; Ctrl-C ends the training, and keeps what was learnt.
+    """Train a neural field or an explicit grid on images around a scene. Ctrl-C ends the training and keeps the result.
 
-    Called again with the same options it goes on where it was; after a crash, where it was at most a minute before.
+    Called again with the same options, an interrupted training continues; a crash loses at most a minute.
 
     Args:
-        source: as of `splat`: photographs, a video, an output folder of `reconstruct`, a COLMAP model, a transforms.json or
-            LLFF's poses_bounds.npy.
+        source: as for `splat`, or a folder with LLFF's poses_bounds.npy.
         out: output folder: `hash.npz` or `grid.npz`, `test/NAME.png`, `metrics.json`, `report.html`.
         config: options; None for the defaults.
         progress: called with the progress of each stage.
         **options: single options by name, which override `config`: `time="1m"`.
 
     Raises:
-        NoModelError: the images give no cameras, or fewer than two can be used.
-        ConfigError: an option is unknown or makes no sense.
-        DegenerateGeometryError: the cameras see nothing in common, or look the same way.
+        NoModelError: the images cannot be reconstructed, or fewer than two can be used.
+        ConfigError: an option is unknown or invalid.
+        DegenerateGeometryError: the cameras see nothing in common, or all look in the same direction.
         FileFormatError: the source cannot be read.
         WorkspaceError: the output folder cannot be used.
     """
@@ -111,7 +110,7 @@ def nerf(
 def train_field(
     given: Training[Any], recipe: GaussianRecipe | RayRecipe, images: FieldImages | None = None
 ) -> tuple[FieldResult, FieldImages]:
-    """Run a training, on images that were read before or on those of its source; returns the images, too."""
+    """Run a training on the given images, or on those of its source; returns the images, too."""
     with open_run(given.task, given.out) as run:
         with run.stage("read"):
             if images is None:

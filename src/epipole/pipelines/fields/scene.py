@@ -1,4 +1,4 @@
-"""What the viewer shows of trained Gaussians."""
+"""Scene of trained Gaussians for the viewer."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from epipole.scene.gaussian_cloud import GaussianCloud
 
 SUMMARY, CAMERAS = "summary.json", "cameras.json"
 FIRST_VIEW, ANTIALIASED = "first_view", "antialiased"
-"""Names in the summary."""
+"""Keys in the summary."""
 MOST_SHOWN = 800_000
-"""Gaussians of a grid."""
+"""Gaussians shown for a grid, at most."""
 BACKGROUNDS = {"white": 1.0, "black": 0.0}
 UNIT, UNIT_OF_FILE = "units of the cameras", "units of the file"
-"""Metres only where these are metric."""
+"""Units shown in the viewer; metres only if the cameras are metric."""
 
 
 def is_mine(path: Path) -> bool:
-    """Whether a folder holds trained Gaussians, a grid or an unpacked SOG, or a file is one of Gaussians."""
+    """Whether a path is a folder with Gaussians, a grid, a neural field or an unpacked SOG, or a file of Gaussians."""
     if path.suffix.lower() in (".spz", ".sog", ".splat") and path.is_file():
         return True
     if path.suffix.lower() == ".ply" and path.is_file():
@@ -50,9 +50,7 @@ def is_mine(path: Path) -> bool:
 
 
 def scene(path: Path) -> SpaceScene:
-    """The Gaussians of an output folder or a file, or those of a grid, from where one of their images was taken.
-
-    With the cameras of the training where they are known.
+    """Gaussians of an output folder or a file, or those that approximate a grid, with the training cameras if known.
 
     Raises:
         FileFormatError: a file is damaged.
@@ -66,7 +64,7 @@ def scene(path: Path) -> SpaceScene:
     if is_result and (folder / CAMERAS).is_file():
         views = render_views_of_model(folder / CAMERAS, RenderConfig())
     is_field = kind_in(path) is not None and not (path / SPLAT).is_file()
-    stands_for = " that stand for a radiance field, a coarse likeness of it" if is_field else ""
+    stands_for = " that coarsely approximate a radiance field" if is_field else ""
     return SpaceScene(
         title=path.resolve().name,
         words=f"{plural(len(cloud), 'Gaussian')}{stands_for}; {colours_in_words(cloud.sh_degree)}",
@@ -79,31 +77,31 @@ def scene(path: Path) -> SpaceScene:
 
 
 def seen_gaussians(path: Path) -> tuple[GaussianCloud, FirstView]:
-    """Gaussians of an output folder or a file, or those of a grid, and from where they are seen first.
+    """Gaussians of an output folder or a file, or those that approximate a grid, and the first view.
 
     Raises:
-        FileFormatError: a file is damaged, or holds none.
+        FileFormatError: a file is damaged, or has no Gaussians.
     """
     cloud, file = _gaussians_in(path, MOST_SHOWN)
     if not len(cloud):
-        raise FileFormatError(file, "holds no Gaussian")
+        raise FileFormatError(file, "has no Gaussians")
     known = recorded_first_view(file.with_name(SUMMARY))
     return cloud, FirstView(*(known or first_view_of_positions(cloud.centers_in_world)))
 
 
 def colours_in_words(degree: int) -> str:
-    """What of the harmonics a browser's view keeps."""
+    """Description of the harmonics that the browser renders."""
     if degree == 0:
-        return "colours are the same from all sides"
+        return "colors do not depend on the direction"
     if degree <= DEGREE_KEPT:
-        return "colours change with the direction, as trained"
-    return f"colours change with the direction by harmonics of degree {DEGREE_KEPT}, of {degree} that were trained"
+        return "view-dependent colors, as trained"
+    return f"view-dependent colors with harmonics up to degree {DEGREE_KEPT}, of {degree} in training"
 
 
 def cameras_of(
     views: Sequence[RenderView] | Sequence[TrainingView], origin_in_world: np.ndarray | None = None
 ) -> CameraLayer:
-    """Not shown at first: they stand before what they see. Relative to the origin of the Gaussians."""
+    """Camera layer, relative to the Gaussians' origin; hidden at first, as cameras occlude what they see."""
     origin = np.zeros(3) if origin_in_world is None else origin_in_world
     positions = [render_view.cam_from_world @ Rigid3(np.eye(3), origin) for render_view in views]
     return CameraLayer(
@@ -117,7 +115,7 @@ def cameras_of(
 
 
 def gaussians_in(path: Path, most: int) -> GaussianCloud:
-    """Gaussians of an output folder or a file; of a field, at most so many.
+    """Gaussians of an output folder or a file; of a field, at most `most`.
 
     Raises:
         FileFormatError: there is no such file, or it is damaged.
@@ -126,7 +124,7 @@ def gaussians_in(path: Path, most: int) -> GaussianCloud:
 
 
 def _gaussians_in(path: Path, most: int) -> tuple[GaussianCloud, Path]:
-    """And the file that they, or the field, are in."""
+    """Gaussians, and the file that they or the field are in."""
     found = kind_in(path)
     if found is not None:
         kind, file = found
@@ -136,7 +134,7 @@ def _gaussians_in(path: Path, most: int) -> tuple[GaussianCloud, Path]:
 
 
 def first_view_of_positions(positions: np.ndarray) -> list[np.ndarray]:
-    """Position, middle and up of a view of places (n, 3) whose images are not known: as most such files are, the world of a camera, y down."""
+    """Position, target and up vector for positions (n, 3) without images; assumes y down, as in most such files."""
     middle = np.median(positions, axis=0)
     size = float(np.percentile(np.linalg.norm(positions - middle, axis=1), 90.0))
     away = 2.5 * max(size, 1e-6) * np.array([0.0, -0.3, -1.0])
@@ -146,12 +144,12 @@ def first_view_of_positions(positions: np.ndarray) -> list[np.ndarray]:
 def first_view_of(
     positions: np.ndarray, views: Sequence[TrainingView], origin_in_world: np.ndarray | None = None
 ) -> dict[str, list[float]]:
-    """The place of the first view, the middle of what it sees, and what is up, for a job's summary.
+    """Position, target and up vector of the first view, for the summary.
 
     Args:
-        positions: (n, 3) of what is seen.
+        positions: (n, 3) positions in the scene.
         views: cameras.
-        origin_in_world: what both are relative to; the view is told in the world.
+        origin_in_world: origin of both; the result is in world coordinates.
     """
     origin = np.zeros(3) if origin_in_world is None else origin_in_world
     world_from_camera = views[0].cam_from_world.inverse()
@@ -165,12 +163,12 @@ def first_view_of(
 def write_cameras(
     path: Path, views: Sequence[TrainingView], origin_in_world: np.ndarray | None = None
 ) -> None:
-    """Cameras that a field was trained on, without distortion and in the size of the training, as a transforms.json.
+    """Write the undistorted training cameras, at the training resolution, as a transforms.json.
 
     Args:
         path: the file.
-        views: the cameras.
-        origin_in_world: what they are relative to; the file states it where it is not zero.
+        views: cameras.
+        origin_in_world: origin of their coordinates, recorded in the file if not zero.
 
     Raises:
         WorkspaceError: the file cannot be written.
@@ -190,7 +188,7 @@ def write_cameras(
 
 
 def recorded_background(summary: Path) -> float | None:
-    """The grey value behind everything as it was trained; None where no job has told it."""
+    """Gray value of the training background; None if not recorded."""
     recorded = _given(summary, "background")
     return BACKGROUNDS.get(recorded) if isinstance(recorded, str) else None
 
@@ -209,7 +207,7 @@ def _given(summary: Path, name: str) -> Any:
 
 
 def recorded_first_view(summary: Path) -> list[np.ndarray] | None:
-    """Position, what is looked at, and up; None where no job has told it, or not in three times three numbers."""
+    """Position, target and up vector; None if not recorded or invalid."""
     try:
         content: Any = read_json(summary)
         recorded = [np.array(content[FIRST_VIEW][name], np.float64) for name in ("position", "look_at", "up")]

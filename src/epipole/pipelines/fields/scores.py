@@ -1,4 +1,4 @@
-"""How like a drawing is to an image that was held out."""
+"""Scores of a render against a held-out image."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from epipole.fields.training_view import TrainingView
 
 
 def scores_of(rendered: np.ndarray, view: TrainingView, background: np.ndarray) -> dict[str, float]:
-    """PSNR in dB, SSIM, and PSNR after the map of colours that fits best (`psnr_matched`), where the image is used.
+    """PSNR in dB, SSIM, and PSNR after the best color transform (`psnr_matched`), over the used pixels.
 
     Args:
-        rendered: (h, w, 3) the drawing.
-        view: the image.
-        background: (3,) colour behind it.
+        rendered: (h, w, 3) render.
+        view: held-out view.
+        background: (3,) background color.
     """
     truth = view.over(background)
     used = np.ones(truth.shape[:2], bool) if view.used_mask is None else view.used_mask

@@ -1,4 +1,4 @@
-"""What cameras see of any trained field: depth, coverage and colour."""
+"""Depth, coverage and color of any trained field, as seen by a camera."""
 
 from __future__ import annotations
 
@@ -16,28 +16,30 @@ from epipole.pipelines.fields.cameras import RenderView
 from epipole.pipelines.fields.kinds import Kind, kind_in
 from epipole.pipelines.fields.scene import SUMMARY, recorded_antialiased
 
-LEAST_OPACITY, LEAST_COVERAGE = 0.1, 0.5
-"""Of Gaussians that tell how large the scene is, and of pixels that show a surface."""
+LEAST_OPACITY = 0.1
+"""Smallest opacity of Gaussians that define the extent of the scene."""
+LEAST_COVERAGE = 0.5
+"""Smallest coverage of pixels that show a surface."""
 
 
 class Seen(NamedTuple):
-    """A field from a camera."""
+    """Render of a field from a camera."""
 
     depth: np.ndarray
     """(h, w) along the optical axis, times coverage."""
     coverage: np.ndarray
     """(h, w)"""
     colour: np.ndarray
-    """(h, w, 3) times coverage."""
+    """(h, w, 3) color times coverage."""
 
     def surface(self) -> np.ndarray:
-        """(h, w) depth, NaN where there is more background than field."""
+        """(h, w) depth, NaN where the coverage is too small."""
         shown = self.coverage > LEAST_COVERAGE
         return np.where(shown, self.depth / np.maximum(self.coverage, LEAST_COVERAGE), np.nan)
 
 
 def seen_from(source: Path) -> tuple[Callable[[RenderView], Seen], np.ndarray]:
-    """What draws a shot, and places (n, 3) that say where the scene is.
+    """Function that renders a view, and positions (n, 3) that define the extent of the scene.
 
     Raises:
         FileFormatError: the field cannot be read.
@@ -63,7 +65,7 @@ def seen_from(source: Path) -> tuple[Callable[[RenderView], Seen], np.ndarray]:
 
 
 def _marched(kind: Kind, field: Any, render_view: RenderView) -> Seen:
-    """What is seen before white but not before black is background; depth along rays becomes that along the axis."""
+    """Render over black and white, whose difference is the transmittance; converts depth along rays to z-depth."""
     black, depth, _ = kind.render(
         field, render_view.camera, render_view.cam_from_world, np.zeros(3, np.float32)
     )
@@ -72,7 +74,7 @@ def _marched(kind: Kind, field: Any, render_view: RenderView) -> Seen:
 
 
 def _along_axis(camera: Camera) -> np.ndarray:
-    """(h, w) the share of a length along each pixel's ray that lies along the optical axis."""
+    """(h, w) ratio of z-depth to depth along the ray of each pixel."""
     matrix = camera.K
     v, u = np.mgrid[: camera.height, : camera.width]
     x, y = (u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1]

@@ -1,4 +1,4 @@
-"""What training any field has in common: images, the clock, Ctrl-C, and the comparison with views that were held out."""
+"""Code shared by all trainings of fields: images, clock, Ctrl-C, and comparison with held-out views."""
 
 from __future__ import annotations
 
@@ -31,21 +31,22 @@ C = TypeVar("C", SplatConfig, NerfConfig)
 MEANS = ("psnr", "ssim", "psnr_matched")
 CURVE_POINTS = 200
 WATCHING = ("view", "host", "port")
-"""Options of the live view, which change nothing in the result."""
-PROBES, PROBE_FRACTION = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85), 0.1
-"""At these shares of the training some held-out views are drawn and compared; their time is not counted, but where it is more than
-this share of the training's the comparison is left out: fog is slow to draw."""
+"""Options of the live view, which do not affect the result."""
+PROBES = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85)
+"""Fractions of the training at which some held-out views are rendered and compared; their time is not counted."""
+PROBE_FRACTION = 0.1
+"""Fraction of the training time that these comparisons may take; slower ones are skipped, as fog is slow to render."""
 
 
 @dataclass(frozen=True, slots=True)
 class Training(Generic[C]):
-    """A training as it was asked for."""
+    """A training job with its options."""
 
     source: Path
     out: Path
     config: C
     settings: dict[str, Any]
-    """For `config.json`; options of the live view are not among them."""
+    """Settings for `config.json`, without the options of the live view."""
     task: Job
 
 
@@ -56,18 +57,18 @@ def training_of(
     progress: ProgressCallback,
     options: Mapping[str, Any],
 ) -> Training[C]:
-    """Put together what a job is called with.
+    """Put together the arguments of a job.
 
     Args:
-        kind: of the job.
+        kind: kind of job.
         paths: source and output folder.
-        config: the class of the options, and the options given.
+        config: class of the options, and the options given.
         progress: called with the progress of each stage.
         options: single options by name.
 
     Raises:
-        ConfigError: an option is unknown or makes no sense.
-        FileFormatError: there is no source.
+        ConfigError: an option is unknown or invalid.
+        FileFormatError: the source does not exist.
     """
     found = options_of(*config, options, ["config", "progress"])
     source, out = (as_path(path) for path in paths)
@@ -80,19 +81,19 @@ def training_of(
 
 
 class Trained(NamedTuple):
-    """How a training went."""
+    """Outcome of a training."""
 
     curve: list[list[float]]
-    """Seconds, step, loss and size along the way."""
+    """Seconds, step, loss and size during training."""
     probes: list[list[float]]
     """Seconds, step and mean PSNR of some held-out views."""
     is_interrupted: bool
 
 
 def images_of(source: Path, run: Run, wanted: FieldOptions) -> FieldImages:
-    """Cameras and images of a source; those of photographs are found first, in a folder beside.
+    """Cameras and images of a source; photographs are reconstructed first, into a subfolder.
 
-    What is lost on the way stands among their problems.
+    Anything lost on the way is reported in `problems`.
     """
     model, photographs = source, None
     if is_model(source):
@@ -107,7 +108,7 @@ def images_of(source: Path, run: Run, wanted: FieldOptions) -> FieldImages:
 
 
 def background_of(wanted: FieldOptions, images: FieldImages) -> np.ndarray:
-    """(3,) white or black."""
+    """(3,) background color, white or black."""
     is_white = wanted.background == "white" or (wanted.background == "auto" and images.has_alpha)
     return np.full(3, 1.0 if is_white else 0.0, np.float32)
 
@@ -120,15 +121,16 @@ def train(
     note: str = "",
     checkpoint: Checkpoint | None = None,
 ) -> Trained:
-    """Steps until the time is over.
+    """Train until the time or the steps are used up.
 
-    Ctrl-C is heeded between two steps: in the middle of one the state would be torn. Pressed again it interrupts as usual.
+    The first Ctrl-C ends the training after the current step, so that its state stays consistent; the second
+    interrupts.
     """
     limit, curve, earlier, probes = wanted.seconds, list[list[float]](), 0.0, list[list[float]]()
     if checkpoint is not None:
         earlier, curve = checkpoint.restore()
     if trainer.num_steps:
-        run.warnings.append(f"an earlier training was ended at step {trainer.num_steps}, and goes on")
+        run.warnings.append(f"continued an earlier training from step {trainer.num_steps}")
     start, compiling, aside = perf_counter(), compile_seconds(), 0.0
 
     def seconds() -> float:
@@ -158,7 +160,7 @@ def train(
                 curve.append([seconds(), trainer.num_steps, loss, len(trainer)])
                 try:
                     run.report("train", min(round(100 * fraction), 99), 100)
-                except KeyboardInterrupt:  # by the caller's own callback
+                except KeyboardInterrupt:  # from the caller's own callback
                     is_over = True
             if checkpoint is not None and (is_over or checkpoint.is_due()):
                 _keep(checkpoint, seconds(), curve, run)
@@ -168,11 +170,11 @@ def train(
 
 
 def _keep(checkpoint: Checkpoint, seconds: float, curve: list[list[float]], run: Run) -> None:
-    """Write the state; where that fails the training goes on, for what is learnt is worth more."""
+    """Write a checkpoint; if that fails, the training continues with a warning."""
     try:
         checkpoint.save(seconds, curve)
     except WorkspaceError as error:
-        note = f"the training cannot be gone on with later: {error}"
+        note = f"no checkpoint was saved, so this training cannot be continued later: {error}"
         run.warnings += [] if note in run.warnings else [note]
 
 
@@ -184,7 +186,7 @@ def finished(
     run: Run,
     **more: Any,
 ) -> dict[str, Any]:
-    """Write `metrics.json` and `report.html` and end the run; the summary."""
+    """Write `metrics.json` and `report.html` and end the run; returns the summary."""
     run.warnings += note_on_poorer(run.root, "steps", trainer.num_steps, "steps of training")
     summary: dict[str, Any] = {
         **more,

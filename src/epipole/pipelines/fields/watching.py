@@ -1,4 +1,4 @@
-"""A training that is watched: what is learnt, for whoever has the page open."""
+"""Live view of a training in the browser."""
 
 from __future__ import annotations
 
@@ -26,25 +26,27 @@ from epipole.viewer.live import Budget, LivePage, LiveScene, opened_live
 from epipole.viewer.page_server import JPEG, Served
 from epipole.viewer.requested_views import RequestedViews
 
-FRACTION, PAUSE_S = 0.08, 0.25
-"""Fraction of the training's time, at most, for what is shown; and the shortest time between two updates."""
+FRACTION = 0.08
+"""Fraction of the training time spent on the live view, at most."""
+PAUSE_S = 0.25
+"""Shortest time between two updates."""
 SPLAT_PAUSE_S = 1.0
-"""The same for Gaussians: without a graphics card, a browser needs 45 ms to show even a new word above a large view."""
+"""The same for Gaussians: without a GPU, a browser needs 45 ms to show even a new word above a large view."""
 MOST_GAUSSIANS = 60_000
-"""Of an update: 2.6 MB."""
+"""Gaussians of an update, at most: 2.6 MB."""
 
 
 class Watch:
-    """Shows nothing: what a training without a viewer has."""
+    """Does nothing: for trainings without a live view."""
 
     def show(self, trainer: Trainer, fraction: float) -> None:
-        """A step was taken, at a fraction of the training."""
+        """Called after each step, with the fraction of the training that is done."""
 
 
 class BrowserWatch(Watch):
-    """Shows what is learnt, as often as its fraction of the time allows.
+    """Shows the field, as often as its time budget allows.
 
-    Gaussians are copied, and rendered by the page. Fields are rendered here, for the viewpoint of each tab.
+    Gaussians are sent to the page, which renders them. Other fields are rendered here, for the viewpoint of each tab.
     """
 
     def __init__(self, page: LiveScene, views: RequestedViews, scene: SpaceScene) -> None:
@@ -67,7 +69,7 @@ class BrowserWatch(Watch):
             self._spend(self.words_budget, lambda: self.page.publish(self._state(trainer)))
 
     def show_field(self, trainer: Trainer) -> None:
-        """The Gaussians of now, or one of the views that tabs wait for."""
+        """Send the current Gaussians, or one of the views that tabs wait for."""
         if isinstance(trainer, SplatTrainer):
             cloud = trainer.cloud
             self.page.publish(self._state(trainer), lambda: replace(self.scene, gaussians=_bounded(cloud)))
@@ -81,13 +83,13 @@ class BrowserWatch(Watch):
         return {"state": "Running", "words": words, "fraction": self.fraction}
 
     def _spend(self, budget: Budget, act: Callable[[], object]) -> None:
-        """Kernels that compile are no part of it: they do so once."""
+        """Charge the budget with the time of a call, without kernel compilation, which happens once."""
         start, compiling = perf_counter(), compile_seconds()
         act()
         budget.spend(perf_counter() - start - (compile_seconds() - compiling))
 
     def render_next(self, trainer: Trainer) -> bool:
-        """Render the view of a field that has waited longest, if there is one."""
+        """Render the view of a field that has waited longest, if any."""
 
         def render(camera: Camera, cam_from_world: Rigid3) -> np.ndarray:
             blank = np.zeros((camera.height, camera.width, 3), np.uint8)
@@ -98,7 +100,7 @@ class BrowserWatch(Watch):
 
 @contextmanager
 def open_watch(wanted: FieldOptions, images: FieldImages, trainer: Trainer, name: str) -> Iterator[Watch]:
-    """What shows the training of that name: a page in the browser, whose address is printed, or nothing.
+    """Open the live view of a training, whose address is printed, or a watch that does nothing.
 
     Raises:
         ConfigError: the port is in use or out of range.
@@ -118,7 +120,7 @@ def open_watch(wanted: FieldOptions, images: FieldImages, trainer: Trainer, name
 
 
 def _scene(images: FieldImages, trainer: Trainer, title: str) -> SpaceScene:
-    """Cameras, and the Gaussians of now if it trains some."""
+    """Cameras, and the current Gaussians if there are any."""
     view = first_view_of(_centers_of(images), images.train)
     return SpaceScene(
         title=title,
@@ -136,7 +138,7 @@ def _bounded(cloud: GaussianCloud) -> GaussianCloud:
 
 
 def _centers_of(images: FieldImages) -> np.ndarray:
-    """Known points, or where none are, what the first camera looks at from where the others stand."""
+    """Known points; if there are none, the center of the cameras."""
     points = images.points_in_world[np.isfinite(images.points_in_world).all(axis=1)]
     if len(points):
         return points

@@ -1,4 +1,4 @@
-"""The largest model in metres: by GPS of the images, measured places, known lengths, tags, boards or odometry."""
+"""Metric scale for the largest model, from GPS, measured positions, known lengths, tags, boards, odometry or an IMU."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ from epipole.scale import (
 )
 from epipole.scene import Reconstruction
 
-UP_TO_SCALE = "up to scale: images alone cannot tell lengths"
+UP_TO_SCALE = "up to scale: images alone do not determine lengths"
 
 
 def with_scale(
     solution: Solution, config: ReconstructConfig, progress: ProgressCallback
 ) -> tuple[Mapped, list[str]]:
-    """The models, the largest of them in metres where something tells its scale; and what does not tell it, in words.
+    """Scale the largest model to metres, if its scale can be determined; also returns warnings.
 
     Args:
         solution: the models.
-        config: what is known.
+        config: options with the known measurements.
         progress: called with each image that is searched for objects of known size.
 
     Raises:
-        FileFormatError: a file that was named cannot be read.
+        FileFormatError: a file given as an option cannot be read.
     """
     mapped, images = solution.mapped, solution.images
     model, gps = mapped.models[0], _gps_estimate(mapped, images, config)
@@ -85,7 +85,7 @@ def with_scale(
 
 
 def _moved(model: Reconstruction, found: Anchoring, config: ReconstructConfig) -> Reconstruction:
-    """In metres; with measured places once more adjusted, with them as factors."""
+    """Scale the model to metres; measured positions also enter another adjustment as factors."""
     model = model.transformed(_about_middle(model, found))
     if found.positions is None:
         return model
@@ -101,7 +101,7 @@ def _moved(model: Reconstruction, found: Anchoring, config: ReconstructConfig) -
 
 
 def _about_middle(model: Reconstruction, found: Anchoring) -> Similarity3:
-    """Without measured places the middle of the cameras stays, so that those that GPS has placed stay there."""
+    """Without measured positions, scale about the center of the cameras, to keep a GPS alignment in position."""
     if found.positions is not None:
         return found.world_from_model
     middle = np.nanmean(model.camera_centers_in_world(), axis=0)
@@ -114,7 +114,7 @@ def _of_gps(gps: ScaleEstimate | None) -> MetricScale | None:
 
 
 def _gps_estimate(mapped: Mapped, images: ImageSet, config: ReconstructConfig) -> ScaleEstimate | None:
-    """Of a model that GPS has made metric: a scale of about one, with its deviation."""
+    """Scale estimate of a model that GPS has made metric: one, with its standard deviation."""
     if mapped.gps[0] is None:
         return None
     centers, fixes = mapped.models[0].camera_centers_in_world(), gps_to_enu(images.lat_lon_alt)

@@ -1,4 +1,4 @@
-"""Which camera took which image, and what is known of its lens before anything is matched."""
+"""Group images by camera, with initial intrinsics from EXIF or from a calibration."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.scene import Cameras
 
 PRIOR_FOCAL = 1.2
-"""Focal length assumed where nothing is known, in units of the longer side."""
+"""Assumed focal length if nothing is known, in units of the longer side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroupedCameras:
-    """Cameras, and which image each of them took."""
+    """Cameras, and the camera of each image."""
 
     cameras: Cameras
     camera_of_image: Int32[np.ndarray, " n"]
     sources: tuple[str, ...]
-    """Where each camera's focal length comes from, in words."""
+    """Source of each camera's focal length, in words."""
     notes: tuple[str, ...] = ()
-    """How known parameters were fitted to the images, and what is odd about them."""
+    """How known parameters were adapted to the images, and warnings about them."""
 
 
 def group_cameras(headers: Mapping[str, PhotographHeader], config: ReconstructConfig) -> GroupedCameras:
     """Cameras of upright images, and the camera of each image.
 
-    Images of the same make, model, size and focal length share a camera; so do all of one size where none of
-    this is recorded. A known camera is turned and scaled with each image.
+    Images of the same make, model, size and focal length share a camera; without EXIF, images of the same size do. A
+    known camera is rotated and scaled to match each image.
 
     Raises:
-        ConfigError: the camera options do not fit the images.
+        ConfigError: the camera options do not match the images.
         FileFormatError: the calibration cannot be read.
     """
     if config.has_known_camera:
@@ -63,7 +63,7 @@ def group_cameras(headers: Mapping[str, PhotographHeader], config: ReconstructCo
     sources: list[str] = []
     rows: list[int] = []
     for header in headers.values():
-        # An image without camera and focal length in its EXIF may come from any camera: sizes decide.
+        # Without make, model and focal length in the EXIF, only the size distinguishes cameras.
         key = (header.make, header.model, header.width, header.height, round(header.focal_px or 0.0, 1))
         if key not in groups:
             groups[key] = len(cameras)
@@ -84,7 +84,7 @@ def _check_one_size(headers: Mapping[str, PhotographHeader]) -> None:
 
 
 def _known_cameras(headers: Mapping[str, PhotographHeader], config: ReconstructConfig) -> GroupedCameras:
-    """One camera per size and orientation of the images, all from the one that is known."""
+    """One camera per size and orientation of the images, all derived from the known one."""
     shapes = [_shape_of(header) for header in headers.values()]
     known, source, what = _known_camera(config, shapes)
     size = known.width, known.height
@@ -101,7 +101,7 @@ def _known_cameras(headers: Mapping[str, PhotographHeader], config: ReconstructC
 
 
 def _known_camera(config: ReconstructConfig, shapes: Sequence[ImageShape]) -> tuple[Camera, str, str]:
-    """The camera as it is given, where it comes from, and what holds it."""
+    """The given camera, the source of its focal length, and a name for messages."""
     if config.calibration is not None:
         what = f"calibration {config.calibration}"
         camera = camera_of_calibration(config.calibration, shapes[0].size(ImagePixels.STORED))

@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 DEFAULTS = ReconstructConfig()
 REASONS_SHOWN = 10
 STAGES = {
-    "video": "Taking frames",
+    "video": "Extracting frames",
     "read": "Reading headers",
     "digest": "Comparing files",
-    "features": "Finding features",
+    "features": "Detecting features",
     "compile": "Compiling kernels",
     "pair": "Choosing pairs",
     "match": "Matching pairs",
     "verify": "Verifying pairs",
-    "map": "Placing images",
+    "map": "Registering images",
     "adjust": "Adjusting the model",
-    "anchor": "Looking for the scale",
+    "anchor": "Determining the scale",
     "write": "Writing images",
 }
 
@@ -37,11 +37,11 @@ def reconstruct(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     config: Annotated[ReconstructConfig, tyro.conf.arg(name=""), tyro.conf.UseAppendAction] = DEFAULTS,
 ) -> None:
-    """Make a 3D model from photographs. A new user needs no option.
+    """Reconstruct a 3D model from photographs; the defaults suit most images.
 
     Args:
         images: Folder of photographs (sub-folders too), or a video file.
-        out: Output folder; a stopped run is continued.
+        out: Output folder; an interrupted run is continued.
         config: Options.
     """
     from epipole.screen import progress_on_screen
@@ -54,27 +54,25 @@ def reconstruct(
 
 
 def show_reconstruction(result: ReconstructionResult) -> None:
-    """Print what was made and where it is."""
+    """Print the result and its location."""
     from rich.table import Table
 
     from epipole.screen import open_console, print_warnings
 
     console, model, summary = open_console(), result.model, result.summary
     table = Table(box=None, show_header=False)
-    table.add_row("images placed", f"{summary['num_registered']} of {summary['num_images']}")
+    table.add_row("images registered", f"{summary['num_registered']} of {summary['num_images']}")
     table.add_row("points", f"{len(model.points):,} ({len(model.tracks.image):,} observations)")
     error_px = summary["mean_reprojection_error_px"]
     table.add_row("reprojection error", "unknown" if error_px is None else f"{error_px:.2f} px")
     table.add_row("scale", summary["scale"])
     if summary["median_gps_residual_m"] is not None:
-        table.add_row("GPS", f"{summary['median_gps_residual_m']:.1f} m from the fixes (median)")
+        table.add_row("GPS", f"{summary['median_gps_residual_m']:.1f} m from the GPS positions (median)")
     times = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result.timings_s.items())
-    earlier = ", with those of earlier runs" if sum(result.timings_s.values()) > summary["seconds"] else ""
+    earlier = ", including earlier runs" if sum(result.timings_s.values()) > summary["seconds"] else ""
     table.add_row("time", f"{summary['seconds']:.1f} s (stages{earlier}: {times})")
     if summary["compile_seconds"] > 1:
-        table.add_row(
-            "", f"of which compiling kernels, once on this machine: {summary['compile_seconds']:.0f} s"
-        )
+        table.add_row("", f"of which compiling kernels, once per machine: {summary['compile_seconds']:.0f} s")
     console.print(table)
     print_warnings(console, result.warnings)
     for name, reason in list(result.reasons.items())[:REASONS_SHOWN]:
@@ -86,4 +84,4 @@ def show_reconstruction(result: ReconstructionResult) -> None:
         highlight=False,
         markup=False,
     )
-    console.print(f"look    epipole view {quote(str(result.out))}", highlight=False, markup=False)
+    console.print(f"view    epipole view {quote(str(result.out))}", highlight=False, markup=False)

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from epipole._declared import check_options
+from epipole._checks import check_options
 from epipole.config import ANCHOR_FILES, AnchorOptions, FeatureConfig, MatchConfig, RansacConfig
 from epipole.errors import ConfigError
 
@@ -21,20 +21,19 @@ class PairingConfig:
     """Options for choosing which pairs of images are matched."""
 
     method: Literal["auto", "exhaustive", "sequential", "spatial", "retrieval"] = "auto"
-    """auto: sequential for video, else exhaustive up to exhaustive_limit images, else spatial with GPS, else
-    retrieval."""
+    """auto: sequential for video; else exhaustive for few images; else spatial or, without GPS, retrieval."""
     exhaustive_limit: int = 120
-    """auto: match all pairs of up to this many images."""
+    """auto: match all pairs for up to this many images."""
     neighbours: int = 30
     """retrieval and spatial: pairs per image."""
     overlap: int = 10
-    """sequential: match each image with this many that follow, and with similar images found by retrieval."""
+    """sequential: number of following images to match with each image, besides similar ones found by retrieval."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
         check_options(self)
         if min(self.neighbours, self.overlap, self.exhaustive_limit) < 1:
@@ -46,41 +45,41 @@ class MapperConfig:
     """Options of incremental mapping."""
 
     start_min_inliers: int = 100
-    """Matches that the initial pair must have; lowered when no pair has as many."""
+    """Matches of the initial pair; reduced if no pair has enough."""
     start_angle_deg: float = 16.0
-    """Initial pairs with a median triangulation angle above this are not preferred any further."""
+    """Median triangulation angle of the initial pair beyond which it is not preferred further."""
     start_trials: int = 30
-    """Largest number of initial pairs tried."""
+    """Maximum number of initial pairs tried."""
     probe_images: int = 5
-    """An initial pair is accepted or rejected when its model has grown to this many images."""
+    """Number of images of a growing model at which its initial pair is accepted or rejected."""
     min_match_agreement: float = 0.75
-    """Share of the matches between registered images that must be common points of the model at that size."""
+    """Fraction of the matches between registered images that must be points of the model at that size."""
     min_final_agreement: float = 0.6
-    """The same for a finished model; below it, mapping starts again from other initial pairs."""
+    """The same for a finished model; below it, mapping restarts from other initial pairs."""
     restarts: int = 3
-    """Largest number of restarts from other initial pairs."""
+    """Maximum number of restarts from other initial pairs."""
     image_fraction: float = 0.3
-    """An image is removed again if a smaller share of its matches agrees with the model."""
+    """An image is removed if a smaller fraction of its matches agrees with the model."""
     max_error_px: float = 4.0
-    """Observations with a larger reprojection error are dropped."""
+    """Observations with a larger reprojection error are removed."""
     min_angle_deg: float = 1.5
-    """Points with a smaller triangulation angle are dropped: their depth is not known."""
+    """Points with a smaller triangulation angle are removed, because their depth is unknown."""
     resection_max_error_px: float = 12.0
     """Resection: points with a larger reprojection error are outliers."""
     resection_min_inliers: int = 30
-    """Resection: inliers that an image must have to be registered."""
+    """Resection: inliers needed to register an image."""
     resection_min_ratio: float = 0.15
-    """Resection: share of the visible points that must be inliers."""
+    """Resection: fraction of the visible points that must be inliers."""
     min_observations: int = 15
-    """An image left with fewer observations is removed again."""
+    """An image with fewer observations is removed."""
     local_images: int = 6
     """Local bundle adjustment: images adjusted together after each new one."""
     global_growth: float = 1.25
     """Global bundle adjustment runs each time the model has grown by this factor."""
     final_rounds: int = 5
-    """Largest number of final rounds of adjusting, filtering and triangulating again."""
+    """Maximum number of final rounds of adjusting, filtering and re-triangulating."""
     converged_fraction: float = 5e-4
-    """The final rounds end when a smaller share of the observations changes."""
+    """Final rounds end if a smaller fraction of the observations changes."""
     final_loss: Literal["trivial", "huber", "soft_l1", "cauchy"] = "cauchy"
     """Robust loss of the last adjustment; before it, soft L1."""
     loss_scale_px: float = 1.0
@@ -88,13 +87,13 @@ class MapperConfig:
     final_scale_px: float = 0.5
     """Scale of the robust loss in the last adjustment."""
     refine_focal: bool = True
-    """Refine focal lengths that are not given as known."""
+    """Refine focal lengths that are not given."""
     refine_distortion: bool = True
-    """Refine distortion that is not given as known."""
+    """Refine distortion that is not given."""
     max_models: int = 10
-    """Largest number of models made when the images do not connect."""
+    """Maximum number of models if the images do not connect."""
     gps_sigma_m: float = 3.0
-    """Standard deviation of GPS positions, which enter the adjustment with Cauchy's loss."""
+    """Standard deviation of GPS positions, which are adjusted with Cauchy's loss."""
     use_gps: bool = True
     """Use GPS positions from EXIF as a robust prior and for the scale."""
     seed: int = 0
@@ -104,7 +103,7 @@ class MapperConfig:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value makes no sense.
+            ConfigError: a value is out of range.
         """
         check_options(self)
         for name, value in vars(self).items():
@@ -123,72 +122,67 @@ class MapperConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ReconstructConfig:
-    """Options of `epipole reconstruct`. A new user needs none."""
+    """Options of `epipole reconstruct`; the defaults suit most images."""
 
     camera_model: str | None = None
-    """SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV or OPENCV_FISHEYE (SIMPLE_RADIAL unless parameters are given)."""
+    """SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL (unless parameters are given), RADIAL, (FULL_)OPENCV, OPENCV_FISHEYE."""
     camera_params: str | None = None
-    """Known intrinsics, comma separated, in COLMAP's order; one camera took all images. The principal point
-    is counted from the top-left corner of the image, as COLMAP does (the centre of the first pixel is 0.5,
-    0.5)."""
+    """Known intrinsics of the camera in COLMAP's order, comma separated; the first pixel's center is (0.5, 0.5)."""
     calibration: Path | None = None
-    """Calibration file of the camera that took all images, as `epipole calibrate` writes it (OpenCV's, ROS' and
-    Kalibr's too)."""
+    """Calibration file of the camera, from `epipole calibrate`, OpenCV, ROS or Kalibr."""
     refine_known: bool = False
     """Refine known intrinsics too."""
     single_camera: bool = False
-    """One camera took all images."""
+    """All images were taken with one camera."""
     include: tuple[str, ...] = ()
-    """Take only images whose name, relative to the folder, fits one of these patterns, such as
-    "*.color.jpg"."""
+    """Use only images whose name, relative to the folder, matches one of these patterns, such as "*.color.jpg"."""
     exclude: tuple[str, ...] = ()
-    """Leave out images whose name fits one of these patterns, such as "depth/*"."""
+    """Leave out images whose name matches one of these patterns, such as "depth/*"."""
     masks: Path | None = None
-    """Folder of masks: MASKS/NAME.png; features where the mask is black are dropped."""
+    """Folder of masks, MASKS/NAME.png; features in black areas are dropped."""
     pairs: Path | None = None
-    """Text file of image pairs to match, two names a line."""
+    """Text file of image pairs to match, two names per line."""
     database: Path | None = None
-    """COLMAP database whose features and matches are used instead of computing them (its cameras too, unless
-    given here)."""
+    """COLMAP database with features and matches to use, and with cameras, unless given here."""
     max_frames: int = 200
-    """Largest number of frames taken from a video."""
+    """Maximum number of frames taken from a video."""
     executor: Literal["threads", "processes", "inline"] = "threads"
-    """What works on single images and pairs: threads, processes, or the calling thread (inline)."""
+    """Where images and pairs are processed: threads, processes, or the calling thread (inline)."""
     threads: int | None = None
-    """Number of threads; results do not depend on it. None: every processor."""
+    """Number of threads, which does not affect results. None: all processors."""
     seed: int = 0
-    """Random seed of the job, added to those of verification and mapper."""
+    """Random seed, added to those of verification and mapper."""
     features: FeatureConfig = field(default_factory=FeatureConfig)
     matching: MatchConfig = field(default_factory=MatchConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)
     verification: RansacConfig = field(default_factory=lambda: RansacConfig(min_inlier_ratio=0.3))
     mapper: MapperConfig = field(default_factory=MapperConfig)
     anchors: Annotated[AnchorOptions, tyro.conf.arg(name="")] = field(default_factory=AnchorOptions)
-    """What is known besides the images and fixes the scale."""
+    """Measurements besides the images that determine the scale."""
 
     def __post_init__(self) -> None:
-        """Check what can be checked without looking at the images.
+        """Check what does not depend on the images.
 
         Raises:
-            ConfigError: camera parameters are not numbers, options exclude each other, or threads is not positive.
+            ConfigError: camera parameters are not numbers, options exclude each other, or a value is out of range.
         """
         if isinstance(self.include, str) or isinstance(self.exclude, str):
-            raise ConfigError("include and exclude are tuples of patterns, not one string")
+            raise ConfigError("include and exclude must be tuples of patterns, not one string")
         check_options(self)
         self.known_params()
         if self.calibration is not None and (self.camera_params or self.camera_model):
             raise ConfigError(
-                "calibration tells model and parameters: give it, or camera_model and camera_params"
+                "calibration already has model and parameters: give either it or camera_model and camera_params"
             )
         if self.masks is not None and self.database is not None:
-            raise ConfigError("masks have no say over the features of a database: give one of the two")
+            raise ConfigError("masks cannot be combined with database: its features are already extracted")
         if self.max_frames < 2:
             raise ConfigError(f"max_frames must be at least 2, got {self.max_frames}")
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, got {self.threads}")
 
     def seeded(self) -> ReconstructConfig:
-        """The same with the job's seed in its parts."""
+        """Copy with the job's seed added to those of its parts."""
         return replace(
             self,
             verification=replace(self.verification, seed=self.verification.seed + self.seed),
@@ -196,24 +190,24 @@ class ReconstructConfig:
         )
 
     def named_files(self) -> list[Path]:
-        """Files that options name."""
+        """Files given as options."""
         mine = (self.calibration, self.pairs, self.database)
         anchors = (getattr(self.anchors, name) for name in ANCHOR_FILES)
         return [path for path in (*mine, *anchors) if path is not None]
 
     @property
     def has_known_camera(self) -> bool:
-        """The intrinsics are given, as numbers or as a file."""
+        """Whether the intrinsics are given, as numbers or as a file."""
         return self.camera_params is not None or self.calibration is not None
 
     def known_params(self) -> tuple[float, ...] | None:
-        """The numbers of `camera_params`; None when not given.
+        """Numbers of `camera_params`; None if not given.
 
         Raises:
-            ConfigError: not numbers, or not finite.
+            ConfigError: not finite numbers.
         """
         if self.camera_params is None:
             return None
-        from epipole.io.calibration.camera_params import params_of_text  # not for the command line's help
+        from epipole.io.calibration.camera_params import params_of_text  # not needed for --help
 
         return params_of_text(self.camera_params)

@@ -1,4 +1,4 @@
-"""Focal lengths from fundamental matrices: self-calibration of cameras about which nothing is known."""
+"""Self-calibration: focal lengths of unknown cameras from fundamental matrices."""
 
 from __future__ import annotations
 
@@ -11,46 +11,44 @@ from epipole.robust import PairKind
 from epipole.scene import Cameras, ViewGraph
 
 FACTORS = np.geomspace(0.25, 4.0, 49)
-"""Focal lengths tried, as factors of the guess: steps of 6 %."""
+"""Focal lengths that are tried, as factors of the guess, in steps of 6 %."""
 MIN_INLIERS = 50
 FULL_WEIGHT_INLIERS = 500
 WIDTHS = (0.1, 0.05, 0.02, 0.01)
-"""Disagreement at which a pair's vote is worth half: first wide, to find the maximum, then narrow, to refine
-it."""
+"""Disagreement at which a vote has half its weight: first wide, to find the maximum, then narrow, to refine it."""
 MAX_SWEEPS = 20
 MAX_PAIRS_OF_CAMERA = 40
 CLEAR_VOTE = 2.0
-"""A focal length is accepted when its vote is this many times the median vote of all factors."""
+"""A focal length is accepted if its votes are this many times the median over all factors."""
 PRIOR_VOTE, PRIOR_WIDTH = 50.0, 0.7
-"""The initial guess votes, too: like a pair with this many matches, worth half at a factor of e^width."""
+"""The initial guess votes like a pair with this many matches; its vote is halved at a factor of e^width."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ballot:
-    """The vote of one pair of images: its disagreement for every combination of both cameras' factors."""
+    """Vote of a pair of images: its disagreement for all combinations of both cameras' factors."""
 
     first: int
     second: int
     weight: float
     disagreement: np.ndarray
-    """(factors of first, factors of second); one column for a trusted second camera, one row for a first; (n, 1)
-    where both are the same camera."""
+    """(factors of first, factors of second), one row or column for a trusted camera; (n, 1) for a single camera."""
 
 
 def estimate_focals(
     cameras: Cameras, camera_of_image: np.ndarray, view_graph: ViewGraph
 ) -> tuple[Cameras, dict[int, float]]:
-    """Guess the focal lengths of untrusted cameras from the pairs of images that they took.
+    """Estimate the focal lengths of untrusted cameras from pairs of their images.
 
-    An essential matrix has two equal singular values (Huang and Faugeras, PAMI 1989), so that the focal lengths
-    of K2^T F K1 are right where they agree best. Every pair votes over a logarithmic range of both its cameras'
-    factors; the votes are weighted by inliers and bounded, so that planar and forward-moving pairs, whose votes
-    are flat or wrong, do not decide. (Searching in place of solving: Mendonca and Cipolla, CVPR 1999; all cameras
-    jointly and robustly: Fetzer, Reis, Stricker, WACV 2020.) Votes are climbed one camera at a time, and all by
-    one common factor, which is what pairs of similar cameras tell least about.
+    An essential matrix has two equal singular values (Huang and Faugeras, PAMI 1989), so the focal lengths in K2^T F K1
+    are right where these agree best. Every pair votes over a logarithmic range of both its cameras' factors; votes are
+    weighted by inliers and bounded, so that planar and forward-moving pairs, whose votes are flat or wrong, have little
+    influence. (Search instead of solving: Mendonca and Cipolla, CVPR 1999; all cameras jointly and robustly: Fetzer,
+    Reis, Stricker, WACV 2020.) The maximum is found by coordinate ascent, one camera at a time and then all by a common
+    factor, which pairs of similar cameras determine least.
 
     Returns:
-        Cameras with the new guesses, and the factor found for each camera that got one.
+        Cameras with the new estimates, and the factor of each camera that got one.
     """
     unknown = ~cameras.is_focal_trusted & ~cameras.is_constant
     ballots = ballots_of(cameras, camera_of_image, view_graph, unknown)
@@ -59,7 +57,7 @@ def estimate_focals(
     found = {}
     for c, index in sorted(chosen.items()):
         votes = _votes(c, chosen, of_camera[c], WIDTHS[-1])
-        # A flat vote carries no information: the guess stays.
+        # A flat vote has no information, so the guess is kept.
         if votes[index] >= CLEAR_VOTE * np.median(votes) and 0 < index < len(FACTORS) - 1:
             found[c] = float(FACTORS[index])
     params, trusted = cameras.params.copy(), cameras.is_focal_trusted.copy()
@@ -72,7 +70,7 @@ def estimate_focals(
 def climbed(
     ballots: list[Ballot], unknown: np.ndarray, start: int = len(FACTORS) // 2, factor: float = 1.0
 ) -> dict[int, int]:
-    """The factor, as a row of FACTORS, that each unknown camera gets by the votes; all begin at a row times a factor."""
+    """Factor with the most votes for each unknown camera, as a row of FACTORS; starts at row `start` times `factor`."""
     of_camera = _by_camera(ballots, unknown)
     first = int(np.argmin(np.abs(np.log(FACTORS / (factor * FACTORS[start])))))
     chosen = dict.fromkeys(sorted(of_camera, key=lambda c: -sum(b.weight for b in of_camera[c])), first)
@@ -93,7 +91,7 @@ def _by_camera(ballots: list[Ballot], unknown: np.ndarray) -> dict[int, list[Bal
 def ballots_of(
     cameras: Cameras, camera_of_image: np.ndarray, view_graph: ViewGraph, unknown: np.ndarray
 ) -> list[Ballot]:
-    """The votes of the pairs that have enough matches, strongest first, and at most MAX_PAIRS_OF_CAMERA of a camera."""
+    """Votes of pairs with enough matches, strongest first, and at most MAX_PAIRS_OF_CAMERA per camera."""
     first, second = camera_of_image[view_graph.image1], camera_of_image[view_graph.image2]
     inliers = view_graph.num_inliers()
     usable = (view_graph.kind == PairKind.UNCALIBRATED) & (inliers >= MIN_INLIERS)
@@ -103,7 +101,7 @@ def ballots_of(
     out = []
     for edge in np.flatnonzero(usable)[np.argsort(-inliers[usable], kind="stable")]:
         a, b = int(first[edge]), int(second[edge])
-        # The strongest pairs of a camera suffice.
+        # The strongest pairs of a camera are enough.
         if max(taken[a] if unknown[a] else 0, taken[b] if unknown[b] else 0) >= MAX_PAIRS_OF_CAMERA:
             continue
         taken[[a, b]] += 1
@@ -125,7 +123,7 @@ def singular_value_disagreement(
     factors1: np.ndarray,
     factors2: np.ndarray,
 ) -> np.ndarray:
-    """1 - s1 / s0 of E = K2^T F K1 with the focal lengths times these factors (broadcast together).
+    """1 - s1 / s0 of E = K2^T F K1 with the focal lengths multiplied by these factors (broadcast together).
 
     For rank two, s0^2 + s1^2 = |E|^2 and (s0 s1)^2 is the sum of the squares of all 2 x 2 minors of E.
     """
@@ -146,7 +144,7 @@ def singular_value_disagreement(
 def _climb(
     chosen: dict[int, int], ballots: list[Ballot], of_camera: dict[int, list[Ballot]], width: float
 ) -> None:
-    """Move each camera, then all together, to the factor with most votes until nothing moves."""
+    """Move each camera, then all together, to the factor with the most votes, until nothing changes."""
     for _ in range(MAX_SWEEPS if chosen else 0):
         before = dict(chosen)
         for c in chosen:
@@ -161,7 +159,7 @@ def _climb(
 
 
 def _votes(c: int, chosen: dict[int, int], ballots: list[Ballot], width: float) -> np.ndarray:
-    """Votes for every factor of camera c, the other cameras standing as chosen."""
+    """Votes for every factor of camera c, with the other cameras fixed."""
     votes = _prior_votes()
     for b in ballots:
         if b.first == b.second:
@@ -175,7 +173,7 @@ def _votes(c: int, chosen: dict[int, int], ballots: list[Ballot], width: float) 
 
 
 def _totals(chosen: dict[int, int], ballots: list[Ballot], width: float, shifts: np.ndarray) -> np.ndarray:
-    """All votes once every camera's factor is shifted by so many rows."""
+    """Total votes after shifting the factors of all cameras by each number of rows."""
     votes = _prior_votes()[np.array(list(chosen.values()))[:, None] + shifts].sum(axis=0)
     still = np.zeros(len(shifts), np.int64)
     for b in ballots:

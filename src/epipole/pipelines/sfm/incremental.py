@@ -1,4 +1,4 @@
-"""Incremental structure-from-motion: the algorithm, without files."""
+"""Incremental structure-from-motion, without file access."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from epipole.robust import PairKind
 from epipole.scene import ViewGraph
 
 MAX_PROBES = 8
-"""Largest number of initial pairs whose models are grown."""
+"""Maximum number of initial pairs whose models are grown."""
 
 Progress = Callable[[int, int], None]
-"""Called with what is done and what there is to do."""
+"""Called with the work done and the total work."""
 
 
 def _ignored(done: int, total: int) -> None:
-    """Nobody wants to know."""
+    """Do nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rejection:
-    """Why an image could not be placed."""
+    """Reason why an image could not be registered."""
 
     image: int
     num_points_in_sight: int
@@ -67,13 +67,13 @@ class IncrementalMapper:
     def run(self, usable: np.ndarray, progress: Progress = _ignored, adjusting: Progress = _ignored) -> bool:
         """Map the usable images (mask); False if no pair of them can start a model.
 
-        A finished model that disagrees with its own matches grew from a poor start (unknown focal lengths,
-        nearly parallel views): others are tried, and the model that explains most matches is kept.
+        A finished model that disagrees with its own matches grew from a poor start (unknown focal lengths, nearly
+        parallel views). Then other starts are tried, and the model that explains the most matches is kept.
 
         Args:
-            usable: the images.
-            progress: called with the images placed so far, and those that may be; 0 where it starts again.
-            adjusting: called with the rounds of the adjustment of a grown model.
+            usable: mask of images.
+            progress: called with the number of registered and of usable images; 0 at each new start.
+            adjusting: called with the rounds of the final adjustment.
         """
         best: tuple[int, Snapshot] | None = None
         num_rounds = self.config.final_rounds + 1
@@ -98,9 +98,9 @@ class IncrementalMapper:
         return True
 
     def finish(self) -> None:
-        """Adjust with a loss that ignores wrong matches, and again without the observations it rejected.
+        """Adjust with a loss that suppresses wrong matches, and again without the observations that it rejects.
 
-        Not earlier: a redescending loss cannot pull a bent chain of images together when a loop closes.
+        Only at the end, because a redescending loss cannot close the gap of a drifted loop.
         """
         last = BundleConfig(
             loss=Loss[self.config.final_loss.upper()],
@@ -113,7 +113,7 @@ class IncrementalMapper:
             self.model.filter(self.config.max_error_px, self._angle)
 
     def grow(self, usable: np.ndarray, limit: int, progress: Progress = _ignored) -> None:
-        """Place images one by one until `limit` are registered or none fits any more."""
+        """Register images one by one until `limit` are registered or none fits."""
         size_at_global = int(self.model.registered.sum())
         while self.model.registered.sum() < limit and (image := self.register_next(usable)) is not None:
             self.triangulate_around(image)
@@ -132,8 +132,8 @@ class IncrementalMapper:
     def start(self, usable: np.ndarray) -> bool:
         """Start from the pair whose model, grown to a few images, agrees with the matches.
 
-        Pairs are tried in falling order of inliers and angle. The first model that agrees is kept; if none does,
-        the one that agrees best (two nearly parallel views may start a mirrored model that fits both).
+        Pairs are tried in descending order of inliers and angle. The first model that agrees is kept or, if there is
+        none, the one that agrees best (two nearly parallel views may start a mirrored model that fits both).
         """
         best_fraction, best_edge, probes = 0.0, -1, 0
         for edge in self._ranked_starts(usable)[: self.config.start_trials]:
@@ -176,13 +176,13 @@ class IncrementalMapper:
             candidates = np.flatnonzero(fits & (g.num_inliers() >= least))
             if len(candidates):
                 break
-        # A restart must differ from those before.
+        # A restart must use another pair.
         known = np.isin(g.image1, list(self._started)) & np.isin(g.image2, list(self._started))
         candidates = candidates[~known[candidates]]
         return candidates[np.argsort(-(preference * g.num_inliers())[candidates], kind="stable")]
 
     def _take_out_if_wrong(self, image: int) -> None:
-        """Remove an image that sees its own matches as different points: its pose is wrong."""
+        """Remove an image whose matches are different points of the model, which means that its pose is wrong."""
         if not self.model.registered[image] or self.model.registered.sum() <= 3:
             return
         if self.consistency.of_image(self.model, image) < self.config.image_fraction:
@@ -212,7 +212,7 @@ class IncrementalMapper:
         return num_points >= max(20, min(self.config.start_min_inliers, int(0.3 * g.num_inliers()[edge])))
 
     def register_next(self, usable: np.ndarray) -> int | None:
-        """Place the image that sees most of the model, well spread; None when none of them fits."""
+        """Register the image with the most and best distributed visible points; None if none fits."""
         for image in self._ranked_candidates(usable):
             if self._register(int(image)):
                 self.rejections.pop(int(image), None)
@@ -229,12 +229,12 @@ class IncrementalMapper:
             rows = rows[seen[rows]]
             least, before = self.config.resection_min_inliers, self.rejections.get(int(image))
             was_tried = before is not None and before.num_points_in_sight >= least
-            # An image is tried again only when it sees more of the model than when it failed.
+            # An image is tried again only if more of the model is visible than at its last failure.
             stale = before is not None and was_tried and len(rows) <= 1.1 * before.num_points_in_sight
             if len(rows) >= least and not stale:
                 camera = model.cameras[int(model.camera_of_image[image])]
                 scores[n] = spread_score(model.row_pixel[rows], camera.width, camera.height)
-            elif not was_tried:  # what it sees grows with the model
+            elif not was_tried:  # the number of visible points grows with the model
                 self.rejections[int(image)] = Rejection(int(image), len(rows), 0)
         order = np.argsort(-scores, kind="stable")
         return waiting[order[scores[order] > 0]]
@@ -264,26 +264,26 @@ class IncrementalMapper:
         return True
 
     def triangulate_around(self, image: int) -> None:
-        """Extend the points an image sees and make new ones from its unused matches."""
+        """Extend points that are visible in an image, and triangulate new ones from its unused matches."""
         components = self._components_of(np.array([image]))
         self.model.extend(components, self.config.max_error_px)
         self.model.triangulate(components, self.config.max_error_px, self._angle)
 
     def adjust_globally(self, rounds: int, done: Callable[[int], None] = lambda _: None) -> None:
-        """Adjust everything, filter, triangulate again; repeat until little changes, `rounds` times at most.
+        """Adjust everything, filter and re-triangulate, until little changes, but at most `rounds` times.
 
         Args:
-            rounds: their largest number.
-            done: called after each with their number so far.
+            rounds: maximum number of rounds.
+            done: called after each round with the number of rounds so far.
         """
         model, config = self.model, self.config
         everything = np.arange(len(model.components))
-        for rotation in range(max(rounds, 1)):
+        for round_ in range(max(rounds, 1)):
             adjust_all(model, self._global_bundle(), self._freedom(), self.priors)
             dropped = model.filter(config.max_error_px, self._angle)
             self._drop_lost_images()
-            done(min(rotation + 1, rounds))
-            if rotation == rounds - 1 or rounds == 0:
+            done(min(round_ + 1, rounds))
+            if round_ == rounds - 1 or rounds == 0:
                 break
             added = model.extend(everything, config.max_error_px)
             added += model.triangulate(everything, config.max_error_px, self._angle)
@@ -318,7 +318,7 @@ class IncrementalMapper:
 
 
 def spread_score(pixels: np.ndarray, width: int, height: int, levels: int = 6) -> float:
-    """How many points an image sees and how evenly: cells hit on finer and finer grids, 4^level each.
+    """Number and distribution of visible points: occupied cells on finer and finer grids, weighted by 4^level.
 
     The visibility pyramid of Schoenberger and Frahm (CVPR 2016, section 4.2).
     """

@@ -1,4 +1,4 @@
-"""The mapping stage: models from a view graph, largest first, upright, and in metres where GPS allows."""
+"""Mapping stage: models from a view graph, largest first, upright, and metric if GPS allows."""
 
 from __future__ import annotations
 
@@ -31,27 +31,27 @@ from epipole.scene import Cameras, Reconstruction, ViewGraph
 GPS_OUTLIER_SIGMAS = 5.0
 UNKNOWN_ALTITUDE_SIGMA_M = 1e4
 VAGUE_UP_RAD = np.deg2rad(8.0)
-"""Standard deviation above which the direction of up is an assumption that is worth a warning."""
+"""Standard deviation of the up direction above which a warning is given."""
 NUM_NAMED = 3
 FEW_FEATURES = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mapped:
-    """The models, and why other images are in none of them."""
+    """The models, and why the other images are not registered."""
 
     models: tuple[Reconstruction, ...]
-    """Largest first; each lists all images."""
+    """Largest first; each has all images."""
     rejections: dict[int, Rejection]
     gps: tuple[GpsAlignment | None, ...]
-    """Of each model: how it fits the GPS positions of its images; None where it is not aligned with them."""
+    """Alignment of each model with the GPS positions of its images; None if it is not aligned."""
     agreements: tuple[float, ...]
-    """Of each model: the share of its own matches that it sees as common points (`MatchConsistency.overall`)."""
+    """Fraction of each model's matches that are points of the model (`MatchConsistency.overall`)."""
     scale: MetricScale | None = None
-    """What made the largest model metric; None where it is up to scale."""
+    """Scale of the largest model if it is metric; None if it is up to scale."""
 
     def num_registered(self) -> int:
-        """Images that have a place in any model."""
+        """Number of images that are registered in any model."""
         return sum(int(model.is_registered().sum()) for model in self.models)
 
 
@@ -64,7 +64,7 @@ def map_images(
     config: MapperConfig,
     progress: ProgressCallback,
 ) -> Mapped:
-    """Make a model of each connected component of the images."""
+    """Map each connected component of the images to a model."""
     starts = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
     components = connect_matches(view_graph, starts)
     positions = gps_to_enu(images.lat_lon_alt) if config.use_gps else np.full((len(images), 3), np.nan)
@@ -90,7 +90,7 @@ def map_images(
 
 
 def _counting(progress: ProgressCallback, remaining: np.ndarray) -> Callable[[int, int], None]:
-    """Progress over all images: those of earlier models, and of this attempt at this one."""
+    """Progress over all images: those of earlier models, and those of the current attempt."""
     earlier, best, num_attempts = int((~remaining).sum()), 0, 0
 
     def report(done: int, _: int) -> None:
@@ -116,7 +116,7 @@ def _publish(
     config: MapperConfig,
     adjusting: Callable[[int, int], None],
 ) -> GpsAlignment | None:
-    """Rotate the model upright; where GPS agrees, also to metres, east-north-up, and adjust it with the GPS."""
+    """Rotate the model upright; if GPS agrees, transform it to metres east-north-up, and adjust it with GPS."""
     model = mapper.model
     ups = up_directions(model.registered_poses(), up_in_cams[model.registered])
     reach_m = GPS_OUTLIER_SIGMAS * config.gps_sigma_m
@@ -140,7 +140,7 @@ def _publish(
 
 
 def gps_notes(images: ImageSet, mapped: Mapped, config: MapperConfig) -> list[str]:
-    """What is to be said of GPS: why it has not made the largest model metric, or which positions it contradicts."""
+    """Notes on GPS: why it did not make the largest model metric, or which positions contradict it."""
     has_gps = np.isfinite(images.lat_lon_alt[:, :2]).all(axis=1)
     if not (config.use_gps and mapped.models and has_gps.any()):
         return []
@@ -153,13 +153,13 @@ def gps_notes(images: ImageSet, mapped: Mapped, config: MapperConfig) -> list[st
     if len(fixes) < MIN_POSITIONS:
         verb = "carries" if len(fixes) == 1 else "carry"
         counts = f"{len(fixes) or 'none'} of the model's images {verb} GPS"
-        return [f"{unknown}: {counts}, at least {MIN_POSITIONS} are needed for metres"]
+        return [f"{unknown}: {counts}, but at least {MIN_POSITIONS} are needed for metres"]
     reach_m = GPS_OUTLIER_SIGMAS * config.gps_sigma_m
     if not is_wide_enough(fixes, reach_m):
         extent_m = float(np.linalg.norm(np.ptp(fixes[:, :2], axis=0)))
         return [
             f"{unknown}: the GPS positions lie within {metres_in_words(extent_m)}, "
-            f"and may be off by {metres_in_words(reach_m)}"
+            f"but may be off by {metres_in_words(reach_m)}"
         ]
     found = evidence_of(
         model.camera_centers_in_world(),
@@ -171,7 +171,7 @@ def gps_notes(images: ImageSet, mapped: Mapped, config: MapperConfig) -> list[st
 
 
 def _notes_on_positions(images: ImageSet, gps: GpsAlignment, config: MapperConfig) -> list[str]:
-    """Images that are far from their GPS position; and that up is assumed, where it is."""
+    """Images that are far from their GPS position, and a warning if the up direction is assumed."""
     out = []
     limit_m = max(GPS_OUTLIER_SIGMAS * config.gps_sigma_m, GPS_OUTLIER_SIGMAS * gps.median_m)
     far = np.flatnonzero(gps.residuals_m > limit_m)
@@ -184,8 +184,8 @@ def _notes_on_positions(images: ImageSet, gps: GpsAlignment, config: MapperConfi
         out.append(f"GPS positions that contradict the model are not used: {named}{more}")
     if gps.up_sigma_rad > VAGUE_UP_RAD:
         out.append(
-            "the GPS positions lie nearly on a line and do not determine which way is up: "
-            "the model is upright as its cameras were held"
+            "the GPS positions lie nearly on a line and do not determine the up direction, "
+            "which is assumed from the orientation of the cameras"
         )
     return out
 
@@ -197,7 +197,7 @@ def _distance_in_words(distance_m: float) -> str:
 def reasons_in_words(
     images: ImageSet, mapped: Mapped, view_graph: ViewGraph, keypoints: Sequence[np.ndarray], min_inliers: int
 ) -> dict[str, str]:
-    """Why each image that has no place has none, in words."""
+    """Reasons why images are not registered."""
     registered = np.zeros(len(images), bool)
     for model in mapped.models:
         registered |= model.is_registered()
@@ -219,40 +219,40 @@ def _reason(image: int, mapped: Mapped, view_graph: ViewGraph, num_features: int
         return f"{num_features} features, but no other image shares enough of them: no overlap"
     kinds = view_graph.kind[edges]
     if (kinds == PairKind.NO_MOTION).all():
-        return "the same image as another: without a change of place there is no depth"
+        return "identical to another image: without a translation of the camera there is no depth"
     if np.isin(kinds, (PairKind.ROTATION, PairKind.NO_MOTION)).all():
-        return "the camera only turned towards its neighbours: without a change of place there is no depth"
+        return "the camera only rotated relative to its neighbours: without a translation there is no depth"
     rejection = mapped.rejections.get(image)
     if not mapped.models:
-        return "no pair of images could start a model: too few matches, or seen under too narrow an angle"
+        return "no pair of images could start a model: too few matches, or too small a triangulation angle"
     if rejection is None or rejection.num_points_in_sight == 0:
-        return "its matches lead to no point of the model"
+        return "its matches belong to no point of the model"
     if rejection.num_inliers == 0:
         return f"sees only {rejection.num_points_in_sight} points of the model; at least {min_inliers} are needed"
-    return f"of {rejection.num_points_in_sight} points of the model in sight only {rejection.num_inliers} agree on a place"
+    return f"of {rejection.num_points_in_sight} visible points of the model, only {rejection.num_inliers} agree on a pose"
 
 
 def no_model_reason(images: ImageSet, keypoints: Sequence[np.ndarray], view_graph: ViewGraph) -> str:
-    """Why there is no model at all, in words, with advice."""
+    """Reason why there is no model at all, with advice."""
     if len(images) < 2:
-        return "one image cannot give depth; take at least two from different places"
+        return "one image cannot give depth; take at least two from different positions"
     covered = [bool(mask) and len(k) < FEW_FEATURES for mask, k in zip(images.mask_fingerprints, keypoints)]
     if sum(covered) > len(images) / 2:
         return (
-            f"the masks leave {sum(covered)} of {len(images)} images fewer than {FEW_FEATURES} features: what is black "
-            "in a mask is not used (are they inverted?)"
+            f"the masks leave {sum(covered)} of {len(images)} images fewer than {FEW_FEATURES} features: black areas of a mask"
+            " are not used (are the masks inverted?)"
         )
     if len(view_graph) == 0:
         return (
-            "no two images share enough features; take images that overlap by half or more, "
-            "sharp and of textured surfaces"
+            "no two images share enough features; take sharp images of textured surfaces "
+            "that overlap by half or more"
         )
     kinds = view_graph.kind
     if (kinds == PairKind.NO_MOTION).all():
-        return "the images are the same; take them from different places"
+        return "the images are the same; take them from different positions"
     if np.isin(kinds, (PairKind.ROTATION, PairKind.NO_MOTION)).all():
         return (
-            "the camera only turned: pure rotation shows no parallax, and no depth can be had from it; "
+            "the camera only rotated: pure rotation has no parallax, so depth cannot be measured; "
             "move sideways between images"
         )
-    return "no pair of images has enough matches under a wide enough angle to start a model"
+    return "no pair of images has enough matches at a large enough triangulation angle to start a model"

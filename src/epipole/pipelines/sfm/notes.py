@@ -1,4 +1,4 @@
-"""What is said of a finished run: notes and warnings in plain words, and the name of what was reconstructed."""
+"""Notes and warnings about a finished run, and its title."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ KINDS_OF_FOLDER = frozenset(
     {"color", "colour", "data", "frames", "image", "images", "img", "imgs", "input"}
     | {"photo", "photographs", "photos", "picture", "pictures", "rgb"}
 )
-"""Names of folders that tell nothing of what the images show."""
+"""Folder names that do not describe the content."""
 CAMERAS_SHOWN = 3
 
 
 def title_of(source: Path) -> str:
-    """What a run is called: its video, or its folder, or the one above where that is called `images`."""
+    """Title of a run: name of its video or folder, skipping generic folders such as `images`."""
     source = source.resolve()
     if is_video(source):
         return source.stem
@@ -33,18 +33,18 @@ def title_of(source: Path) -> str:
 
 
 def notes_on_choice_and_cameras(solution: Solution) -> list[str]:
-    """What was noticed about images and masks, and focal lengths that nobody gave."""
+    """Notes on the choice of images and masks, and on focal lengths that were not given."""
     return [*solution.images.notes, *_focal_notes(solution)]
 
 
 def warnings_of(solution: Solution, config: MapperConfig) -> list[str]:
-    """What may be wrong with the models."""
+    """Warnings about the models."""
     out, mapped = [], solution.mapped
     for number, agreement in enumerate(mapped.agreements):
         if agreement < config.min_final_agreement:
             out.append(
-                f"model {number} agrees with only {100 * agreement:.0f} % of its own matches: "
-                "parts of it are probably wrong (a wrong focal length, or things that look alike)"
+                f"model {number} agrees with only {100 * agreement:.0f} % of its matches: "
+                "parts of it are probably wrong (a wrong focal length, or similar-looking structures)"
             )
     for number, model in enumerate(mapped.models):
         used = np.unique(model.camera_of_image[model.is_registered()])
@@ -55,7 +55,7 @@ def warnings_of(solution: Solution, config: MapperConfig) -> list[str]:
 
 
 def _wrong_focals(solution: Solution) -> list[str]:
-    """Known focal lengths that the images contradict."""
+    """Warnings about known focal lengths that the images contradict."""
     known = solution.images.cameras.is_constant
     wrong = [
         f"{images_of_camera(solution, c)}: {focal.model_px:.0f} px is given, {_with_sigma(focal.focal_px, focal)} estimated"
@@ -65,13 +65,13 @@ def _wrong_focals(solution: Solution) -> list[str]:
     if not wrong:
         return []
     return [
-        f"the images contradict the known focal length ({_first_of(wrong)}): if it is wrong, the models are bent; check the size"
-        " of the images that it was measured with, or leave it out"
+        f"the images contradict the known focal length ({_first_of(wrong)}): if it is wrong, the models are distorted; check the"
+        " image size of the calibration, or leave it out"
     ]
 
 
 def absences_of(solution: Solution, reasons: Mapping[str, str]) -> list[str]:
-    """Images and models that are apart; the report says the same in its own words."""
+    """Images in no model, and models that do not connect; the report has its own text for these."""
     out, mapped, images = [], solution.mapped, solution.images
     if reasons:
         of_all = f"{len(reasons)} of {len(images) + len(images.left_out)} images"
@@ -83,7 +83,7 @@ def absences_of(solution: Solution, reasons: Mapping[str, str]) -> list[str]:
 
 
 def _focal_notes(solution: Solution) -> list[str]:
-    """Focal lengths that nobody gave: those that came out of the images, and those that did not."""
+    """Notes on focal lengths that were not given: estimated ones, and guesses."""
     found, unknown, doubtful = [], [], []
     for c in np.flatnonzero(
         ~(solution.images.cameras.is_focal_trusted | solution.images.cameras.is_constant)
@@ -106,33 +106,31 @@ def _focal_notes(solution: Solution) -> list[str]:
         words = "focal length" if len(found) == 1 else "focal lengths"
         warning = (
             f". The images do not determine {'it' if len(found) == 1 else 'all of them'} well (standard deviation of"
-            f" {_first_of(doubtful)}): angles and proportions may be wrong by as much. Known values are given by"
+            f" {_first_of(doubtful)}), so angles and proportions may be wrong by the same amount: give known values with"
             " --calibration or --camera-params"
         )
-        notes.append(
-            f"{words} found from the images themselves: {_first_of(found)}{warning if doubtful else ''}"
-        )
+        notes.append(f"{words} estimated from the images: {_first_of(found)}{warning if doubtful else ''}")
     if unknown:
         notes.append(
-            "nothing tells the focal length, and the images do not agree on one, so that it, and with it angles and "
-            f"proportions, may be wrong by several per cent: {_first_of(unknown)}. Known values are given by "
+            "the focal length is unknown, and the images do not agree on one, so it, and with it angles and "
+            f"proportions, may be wrong by several per cent: {_first_of(unknown)}. Give known values with "
             "--calibration or --camera-params"
         )
     return notes
 
 
 def focal_source(solution: Solution, camera: int) -> str:
-    """Where the focal length of a camera in the models comes from, in words."""
+    """Source of a camera's focal length, in words."""
     source = solution.images.focal_sources[camera]
     if solution.images.cameras.is_constant[camera]:
         return source
     if camera in solution.guessed_cameras:
-        return f"found from the images ({source} at first)"
-    return f"{source}, then adjusted with the model"
+        return f"estimated from the images ({source} at first)"
+    return f"{source}, then refined with the model"
 
 
 def _with_sigma(focal_px: float, accuracy: FocalAccuracy | None) -> str:
-    """A focal length and its standard deviation, where that is known."""
+    """A focal length and its standard deviation, if known."""
     if accuracy is None or not np.isfinite(accuracy.sigma_px):
         return f"{focal_px:.0f} px"
     return f"{focal_px:.0f} px +- {accuracy.sigma_px:.0f} px"
@@ -151,7 +149,7 @@ def _fraction_of(accuracy: FocalAccuracy | None) -> str:
 
 
 def _final_focal_px(solution: Solution, camera: int) -> float | None:
-    """As it is in the largest model that the camera has an image in."""
+    """Focal length in the largest model with an image of the camera; None if there is no such model."""
     for model in solution.mapped.models:
         if (model.is_registered() & (model.camera_of_image == camera)).any():
             return float(model.cameras[camera].focal_px)
@@ -164,7 +162,7 @@ def _first_of(cameras: list[str]) -> str:
 
 
 def images_of_camera(solution: Solution, camera: int) -> str:
-    """The images that a camera took: the first one, and how many more."""
+    """The first image of a camera, and how many more it has."""
     rows = np.flatnonzero(solution.images.camera_of_image == camera)
     if not len(rows):
         return "no image"

@@ -1,4 +1,4 @@
-"""The world frame of a model without GPS: upright, near the origin, of about unit size."""
+"""World frame of a model without GPS: upright, centered, and normalized in scale."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from epipole.pipelines.sfm.up_direction import UpDirection
 
 
 def upright_from_world(cams_from_world: Rigid3, points_in_world: np.ndarray, up: UpDirection) -> Similarity3:
-    """Rotate the model so that +z is up, centre it, and scale its points to a median distance of one."""
+    """Similarity that rotates +z up, centers the model, and scales the median distance of its points to one."""
     rotation = Rotation3.from_two_vectors(up.direction, np.array([0.0, 0.0, 1.0])).matrix
     centers = cams_from_world.centers()
     middle = np.median(points_in_world, axis=0) if len(points_in_world) else centers.mean(axis=0)

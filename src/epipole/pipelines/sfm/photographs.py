@@ -1,4 +1,4 @@
-"""The first stage: which images there are, and with what cameras they were taken."""
+"""First stage: list the images and group them by camera."""
 
 from __future__ import annotations
 
@@ -31,28 +31,28 @@ NAMES_SHOWN = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageSet:
-    """The images that take part, in order of their names."""
+    """The images that are used, sorted by name."""
 
     folder: Path
     names: tuple[str, ...]
     cameras: Cameras
     camera_of_image: Int32[np.ndarray, " n"]
     focal_sources: tuple[str, ...]
-    """Where each camera's focal length comes from, in words."""
+    """Source of each camera's focal length, in words."""
     lat_lon_alt: Float64[np.ndarray, "n 3"]
-    """GPS of the EXIF; NaN altitude where not recorded, NaN rows for none."""
+    """GPS from EXIF; NaN altitude if not recorded, NaN rows for none."""
     up_in_cams: Float64[np.ndarray, "n 3"]
-    """Direction of up in each camera's coordinates, as its gimbal measured it; NaN rows for none."""
+    """Up direction in camera coordinates, measured by a gimbal; NaN rows for none."""
     timestamps_s: Float64[np.ndarray, " n"]
     fingerprints: tuple[str, ...]
     """Digest of each image's file."""
     mask_fingerprints: tuple[str, ...]
     """Digest of each image's mask; empty for none."""
     left_out: dict[str, str]
-    """Images that cannot take part, and why."""
+    """Reason for each image that cannot be used."""
     is_video: bool = False
     notes: tuple[str, ...] = ()
-    """What was noticed about the choice of images and masks, in words."""
+    """Notes on the choice of images and masks."""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -63,7 +63,7 @@ class ImageSet:
         return sum(map(bool, self.mask_fingerprints))
 
     def without(self, failures: dict[int, str]) -> ImageSet:
-        """The set without the images of these rows."""
+        """Remove the images in these rows, with reasons."""
         if not failures:
             return self
         keep = np.array([i not in failures for i in range(len(self))], bool)
@@ -93,17 +93,17 @@ def read_image_set(
     """Read the headers of all images of a folder and group them by camera.
 
     Args:
-        folder: the images.
-        config: which of them, their cameras and masks.
-        memory: file that remembers what the images held, by size and time.
-        ignore: folders that are no images.
-        timestamps_s: of each frame of a video, by name.
-        video_orientation: EXIF orientation that made its frames upright.
-        progress: told how many headers are read.
+        folder: folder of the images.
+        config: options: which images, cameras and masks.
+        memory: file that caches the digests of images, by size and time.
+        ignore: subfolders to skip.
+        timestamps_s: time of each frame of a video, by name.
+        video_orientation: EXIF orientation with which its frames were made upright.
+        progress: called with the number of headers read.
 
     Raises:
-        NoModelError: there are no images that can be read.
-        ConfigError: the camera options do not fit, or patterns or masks fit no image.
+        NoModelError: no image can be read.
+        ConfigError: the camera options do not match, or patterns or masks match no image.
     """
     listed = list_photographs(folder, ignore=[*ignore, *config.named_files()])
     if not listed.names:
@@ -116,7 +116,7 @@ def read_image_set(
         notes.append(note)
     if listed.unusable:
         notes.append(f"{_counted(len(listed.unusable), 'file')} left out: {_some(listed.unusable)}")
-    if timestamps_s is None:  # beside the frames of a video lies nothing of the user's
+    if timestamps_s is None:  # the folder of video frames has no user files
         notes += listed.passed_over
     if not headers:
         reasons = "; ".join(f"{n}: {why}" for n, why in list(left_out.items())[:NAMES_SHOWN])
@@ -150,7 +150,7 @@ def _nothing_in(listed: PhotographList) -> str:
 def _read_headers(
     folder: Path, names: Sequence[str], progress: ProgressCallback, video_orientation: int
 ) -> tuple[dict[str, PhotographHeader], dict[str, str]]:
-    """Headers of the images that can be used, and why the others cannot."""
+    """Headers of usable images, and reasons for the others."""
     headers: dict[str, PhotographHeader] = {}
     left_out: dict[str, str] = {}
     progress(Progress("read", 0, len(names)))
@@ -160,7 +160,7 @@ def _read_headers(
             if video_orientation != 1:
                 header = replace(header, orientation=video_orientation)
             if min(header.width, header.height) < MIN_SIZE_PX:
-                left_out[name] = f"too small ({header.width}x{header.height}) to hold features"
+                left_out[name] = f"too small ({header.width}x{header.height}) for feature detection"
             else:
                 headers[name] = header
         except (FileFormatError, MissingDependencyError) as error:
@@ -170,20 +170,20 @@ def _read_headers(
 
 
 def _chosen(names: Sequence[str], config: ReconstructConfig) -> tuple[list[str], list[str]]:
-    """The names that the patterns take, and notes.
+    """Names that match the patterns, and notes.
 
     Raises:
-        ConfigError: a pattern to include fits no name, or no name is left.
+        ConfigError: a pattern in `include` matches no name, or no name is left.
     """
     there = f"there are {_some(names)}"
     for pattern in config.include:
         if not any(fits(name, pattern) for name in names):
-            raise ConfigError(f"include {pattern!r} fits none of the images: {there}")
+            raise ConfigError(f"include {pattern!r} matches none of the images: {there}")
     kept = [name for name in names if _is_wanted(name, config)]
     if not kept:
         raise ConfigError(f"exclude {' '.join(map(repr, config.exclude))} leaves no image: {there}")
     idle = [pattern for pattern in config.exclude if not any(fits(name, pattern) for name in names)]
-    return kept, [f"exclude {pattern!r} fits none of the images: {there}" for pattern in idle]
+    return kept, [f"exclude {pattern!r} matches none of the images: {there}" for pattern in idle]
 
 
 def _is_wanted(name: str, config: ReconstructConfig) -> bool:
@@ -192,14 +192,14 @@ def _is_wanted(name: str, config: ReconstructConfig) -> bool:
 
 
 def _take_out_depth(headers: dict[str, PhotographHeader]) -> str:
-    """Remove depth images from the headers; a note that says so, empty where there are none."""
+    """Remove depth images from the headers; returns a note, empty if there are none."""
     deep_grey = frozenset(name for name, header in headers.items() if header.is_deep_grey_png)
     depth = depth_among(tuple(headers), deep_grey)
     if not depth:
         return ""
     note = (
-        f"{len(depth)} of {len(headers)} images are 16-bit grey PNGs beside colour images of like names "
-        f"({_some(depth)}): taken for depth and left out (--include '*' takes all)"
+        f"{len(depth)} of {len(headers)} images are 16-bit gray PNGs next to color images of similar names "
+        f"({_some(depth)}): left out as depth images (--include '*' uses all)"
     )
     for name in depth:
         del headers[name]
@@ -207,10 +207,10 @@ def _take_out_depth(headers: dict[str, PhotographHeader]) -> str:
 
 
 def _masks_of(names: Sequence[str], masks: Path | None) -> tuple[dict[str, Path], str]:
-    """The mask of each image that has one, and a note where some have none.
+    """Mask of each image that has one, and a note if some have none.
 
     Raises:
-        ConfigError: no image has one.
+        ConfigError: no image has a mask.
     """
     if masks is None:
         return {}, ""
@@ -222,7 +222,7 @@ def _masks_of(names: Sequence[str], masks: Path | None) -> tuple[dict[str, Path]
         )
         there = f"there are {_some(present)}" if present else "it is empty"
         raise ConfigError(
-            f"masks {masks} holds none for any of the {_counted(len(names), 'image')}: looked for {first} or {second}, "
+            f"masks {masks} has no mask for any of the {_counted(len(names), 'image')}: looked for {first} or {second}, "
             f"and so on; {there}"
         )
     without = [name for name in names if name not in found]
@@ -230,12 +230,12 @@ def _masks_of(names: Sequence[str], masks: Path | None) -> tuple[dict[str, Path]
         return found, ""
     return (
         found,
-        f"masks for {len(found)} of {len(names)} images: the others are used whole ({_some(without)})",
+        f"masks for {len(found)} of {len(names)} images: the others are used without a mask ({_some(without)})",
     )
 
 
 def _some(names: Iterable[str]) -> str:
-    """The first few of many names."""
+    """The first few names, and how many more."""
     listed = list(names)
     more = len(listed) - NAMES_SHOWN
     return ", ".join(listed[:NAMES_SHOWN]) + (f" and {more} more" if more > 0 else "")

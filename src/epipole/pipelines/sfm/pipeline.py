@@ -1,7 +1,7 @@
-"""Structure-from-motion from a folder of photographs (or a video) to models, stage by stage.
+"""Structure-from-motion from a folder of photographs or a video to models, in stages.
 
-Each stage stores its results as files of units of work, from which a stopped run continues: images,
-features, matches, two-view geometries, models.
+Each stage (images, features, matches, two-view geometries, models) stores its results as files of units of work, from
+which an interrupted run continues.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ from epipole.runs import Run, Unit, load
 from epipole.scene import Cameras, ViewGraph
 
 FOCAL_CORRECTION = 0.1
-"""If mapping changes a trusted focal length by a larger factor, matching is repeated with the new one."""
+"""Relative change of a trusted focal length by mapping (logarithm) above which matching is repeated."""
 UNITS, FRAMES, DATABASE = "work", "work/frames", "database.db"
 CONTENTS = "work/contents.npz"
-"""Inside the output folder."""
+"""Paths in the output folder."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Matches, geometries and models, made with one set of intrinsics."""
+    """Matches, geometries and models, computed with one set of intrinsics."""
 
     images: ImageSet
     features: tuple[Unit, ...]
@@ -57,20 +57,20 @@ class Solution:
     cameras: Cameras
     view_graph: ViewGraph
     guessed_cameras: tuple[int, ...]
-    """Cameras whose focal lengths were estimated from the images themselves; `cameras` has the estimates."""
+    """Cameras whose focal lengths were estimated from the images; `cameras` has the estimates."""
     mapped: Mapped
     focals: Mapping[int, FocalAccuracy] = field(default_factory=dict)
-    """How well the models determine the focal length of each camera, by its row."""
+    """Accuracy of each camera's focal length in the models, by row."""
 
     def with_focals(self) -> Solution:
-        """The solution with the accuracy of its focal lengths, of each camera in the largest model that it is in."""
+        """Copy with the accuracy of the focal lengths, each from the largest model with that camera."""
         found: dict[int, FocalAccuracy] = {}
         for model in self.mapped.models:
             found = {**focal_accuracies(model), **found}
         return replace(self, focals=dict(sorted(found.items())))
 
     def worth(self) -> tuple[int, int]:
-        """Images and observations of the largest model."""
+        """Number of images and observations of the largest model."""
         if not self.mapped.models:
             return 0, 0
         return int(self.mapped.models[0].is_registered().sum()), len(self.mapped.models[0].tracks.image)
@@ -78,29 +78,29 @@ class Solution:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Detected:
-    """What matching starts from."""
+    """Input of matching."""
 
     features: tuple[Unit, ...]
     keypoints: tuple[np.ndarray, ...]
     colors: tuple[np.ndarray, ...]
     database: DatabaseSource | None
     given: dict[tuple[int, int], np.ndarray]
-    """Matches of the database; empty where they are to be found."""
+    """Matches of the database; empty if they are to be computed."""
     pairs: np.ndarray
-    """(p, 2), the pairs of images to compare."""
+    """(p, 2) pairs of images to match."""
 
 
 def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
-    """From images to models: read, detect, match, verify and map.
+    """Run all stages: read, detect, match, verify and map.
 
     Args:
         source: folder of photographs, or a video file.
-        run: the run: output folder, executor and progress.
+        run: output folder, executor and progress.
         config: options.
 
     Raises:
-        NoModelError: there are no usable images; the message says why. No model at all is no error here.
-        ConfigError: options that do not fit the images.
+        NoModelError: there are no usable images. A solution without a model is not an error here.
+        ConfigError: options do not match the images.
     """
     compiling = threading.Thread(target=warm_up, name="epipole-compile", daemon=True)
     compiling.start()
@@ -149,7 +149,7 @@ def _match_and_map(
         images = _without_contradictions(images, view_graph, config)
         todo = replace(todo, cameras=images.cameras, camera_of_image=images.camera_of_image)
         cameras, found = estimate_focals(todo.cameras, todo.camera_of_image, view_graph)
-        if found:  # focal lengths were guessed: repeat with those that the pairs agree on
+        if found:  # repeat with the estimated focal lengths
             again = folder.with_name(f"{folder.name}-calibrated")
             view_graph = _verify(replace(todo, cameras=cameras), matches, again, run, num_features)
     with run.stage("map"):
@@ -175,7 +175,7 @@ def _match_and_map(
 
 
 def _without_contradictions(images: ImageSet, view_graph: ViewGraph, config: ReconstructConfig) -> ImageSet:
-    """The images with a camera for each where one that they share for want of EXIF cannot have one focal length."""
+    """Give each image its own camera if the images of a camera without EXIF cannot share a focal length."""
     wrong = contradicted_cameras(images.cameras, images.camera_of_image, view_graph)
     if not wrong:
         return images
@@ -184,14 +184,17 @@ def _without_contradictions(images: ImageSet, view_graph: ViewGraph, config: Rec
     if config.single_camera or images.is_video:
         why = "single_camera" if config.single_camera else "a video"
         note = (
-            f"the images of {sizes} contradict one shared focal length, which {why} asks for: if the zoom changed, or they are of"
-            " several cameras, the models are bent"
+            f"the images of {sizes} contradict one shared focal length, as required by {why}: if the zoom changed, or"
+            " there are several cameras, the models are distorted"
         )
         return replace(images, notes=(*images.notes, note) if note not in images.notes else images.notes)
     cameras, camera_of_image = with_own_cameras(images.cameras, images.camera_of_image, wrong)
     first = {int(c): int(images.camera_of_image[row]) for row, c in enumerate(camera_of_image)}
     counts = [int((images.camera_of_image == c).sum()) for c in wrong]
-    note = f"{sum(counts)} images of {sizes} without a known focal length contradict a shared one: each has a camera of its own"
+    note = (
+        f"{sum(counts)} images of {sizes} without a known focal length contradict a shared one:"
+        " each gets its own camera"
+    )
     sources = tuple(images.focal_sources[first.get(c, c)] for c in range(len(cameras)))
     return replace(
         images,
@@ -227,9 +230,9 @@ def _wait_for(compiling: threading.Thread, run: Run) -> None:
 
 
 def _corrected_cameras(found: Solution) -> Cameras | None:
-    """The cameras as mapping found them, where a trusted focal length was wrong and images are missing; else None.
+    """Cameras as refined by mapping, if a trusted focal length was wrong and images are missing; else None.
 
-    Such a focal length has spoiled matches and geometries before any model could correct it.
+    Such a focal length has corrupted matches and geometries before a model could correct it.
     """
     first = found.images.cameras
     if not found.mapped.models:
@@ -248,7 +251,7 @@ def _read(source: Path, run: Run, config: ReconstructConfig) -> ImageSet:
     memory = run.root / CONTENTS
     if is_video(source):
         if config.include or config.exclude:
-            raise ConfigError(f"include and exclude choose images of a folder; {source} is a video")
+            raise ConfigError(f"include and exclude select images of a folder, but {source} is a video")
         folder = run.root / FRAMES
         frames = extract_frames(
             source,
@@ -276,18 +279,18 @@ def _read(source: Path, run: Run, config: ReconstructConfig) -> ImageSet:
 def _open_database(
     images: ImageSet, run: Run, config: ReconstructConfig
 ) -> tuple[DatabaseSource | None, ImageSet]:
-    """The database to start from, where one is given, and the images that it knows."""
+    """Open the given database, if any; also returns the images that it has."""
     if config.database is None:
         return None, images
     if config.database.resolve() == (run.root / DATABASE).resolve():
-        raise ConfigError(f"{config.database} is where this run writes its own; copy it elsewhere first")
+        raise ConfigError(f"{config.database} is overwritten by this run; copy it elsewhere first")
     return open_source(config.database, images, keep_cameras=config.has_known_camera)
 
 
 def _detect(
     images: ImageSet, run: Run, config: ReconstructConfig, database: DatabaseSource | None
 ) -> tuple[ImageSet, tuple[Unit, ...]]:
-    """Features of every image, found or from the database; damaged images leave the set."""
+    """Features of every image, detected or from the database; damaged images are removed from the set."""
     folder = run.root / UNITS / "features"
     if database is None:
         units = feature_units(images, folder, config.features, config.masks)
@@ -319,7 +322,7 @@ def _choose_pairs(
     config: ReconstructConfig,
     given: dict[tuple[int, int], np.ndarray],
 ) -> np.ndarray:
-    """The pairs to work on; of those with given matches, where there are any, the ones asked for."""
+    """Pairs to match: the requested ones, restricted to pairs with given matches, if there are any."""
     requested = read_pairs(config.pairs, images.names) if config.pairs is not None else None
     if given:
         kept = sorted(given) if requested is None else [p for p in _in_order(requested) if p in given]
@@ -335,7 +338,7 @@ def _in_order(pairs: np.ndarray) -> list[tuple[int, int]]:
 
 
 class _Descriptors(Sequence[np.ndarray]):
-    """Descriptors read from disk when asked for: exhaustive pairing asks for none."""
+    """Descriptors that are read from disk on access, since exhaustive pairing needs none."""
 
     def __init__(self, paths: list[Path]) -> None:
         self._paths = paths

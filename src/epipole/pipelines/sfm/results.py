@@ -1,4 +1,4 @@
-"""The files of a reconstruction: the database, the models, their points and their images."""
+"""Files of a reconstruction: database, models, points and images."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from epipole.runs import Run, load
 from epipole.scene import Frames, Images, Rigs, unregistered
 
 COPIES = f"{UNITS}/copied_pictures.json"
-"""In the output folder: which state of each image its copy was made of."""
+"""Record in the output folder of the image digest that each copy was made from."""
 
 
 def write_results(solution: Solution, run: Run) -> None:
     """Write `database.db`, then `sparse/`, `points.ply` and `images/`.
 
     Raises:
-        NoModelError: there is no model; the database is written all the same.
+        NoModelError: there is no model; the database is written nevertheless.
         WorkspaceError: the disk is full.
     """
     with run.folder.publish("database") as aside:
@@ -45,7 +45,7 @@ def write_results(solution: Solution, run: Run) -> None:
 
 
 def _write_images(solution: Solution, run: Run) -> None:
-    """Write the registered images, turned upright; copies of images that have not changed stay."""
+    """Write the registered images, rotated upright; copies of unchanged images are kept."""
     images, record = solution.images, run.root / COPIES
     registered = np.zeros(len(images), bool)
     for model in solution.mapped.models:
@@ -53,7 +53,7 @@ def _write_images(solution: Solution, run: Run) -> None:
     rows = np.flatnonzero(registered)
     copied = {images.names[i]: images.fingerprints[i] for i in rows}
     before = _read_record(record)
-    record.unlink(missing_ok=True)  # a stopped run leaves no record that is half true
+    record.unlink(missing_ok=True)  # an interrupted run must not leave an outdated record
     with run.folder.replacing("images", [f"images/{name}" for name in copied]):
         run.report("write", 0, len(copied))
         for n, (name, fingerprint) in enumerate(copied.items(), 1):
@@ -66,7 +66,7 @@ def _write_images(solution: Solution, run: Run) -> None:
 
 
 def _read_record(path: Path) -> dict[str, str]:
-    """Of which state of its image each copy was made; empty where that is not known."""
+    """Image digest of each copy; empty if there is no record."""
     try:
         content = read_json(path)
     except FileFormatError:
@@ -75,7 +75,7 @@ def _read_record(path: Path) -> dict[str, str]:
 
 
 def database_contents(solution: Solution) -> DatabaseContents:
-    """Features, putative matches and two-view geometries, as COLMAP stores them."""
+    """Features, putative matches and two-view geometries, in COLMAP's format."""
     images, cameras, keypoints = solution.images, solution.cameras, solution.keypoints
     n = len(images)
     offsets = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
@@ -95,6 +95,6 @@ def database_contents(solution: Solution) -> DatabaseContents:
 
 
 def _lacks_altitude(lat_lon_alt: np.ndarray) -> np.ndarray:
-    """(n, 3) mask of unknown altitudes: COLMAP's table takes numbers only, and COLMAP itself writes 0."""
+    """(n, 3) mask of unknown altitudes; COLMAP's table requires numbers, and COLMAP writes 0."""
     is_located = np.isfinite(lat_lon_alt[:, :2]).all(axis=1, keepdims=True)
     return is_located & ~np.isfinite(lat_lon_alt)

@@ -1,4 +1,4 @@
-"""The job: photographs or a video to models, points, a database and a report in one folder."""
+"""The `reconstruct` job: from photographs or a video to models, points, a database and a report."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from epipole.scene.notebook import table_html
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReconstructionResult:
-    """What `reconstruct` returns; everything is also in the output folder."""
+    """Result of `reconstruct`, which is also in the output folder."""
 
     out: Path
     models: tuple[Reconstruction, ...]
-    """Largest first; more than one when the images do not connect."""
+    """Largest first; more than one if the images do not connect."""
     reasons: dict[str, str]
-    """Why each image without a place has none."""
+    """Reason for each image that is not registered."""
     warnings: tuple[str, ...]
     timings_s: dict[str, float]
     summary: dict[str, Any]
@@ -63,22 +63,22 @@ def reconstruct(
     executor: ExecutorChoice | None = None,
     **options: Unpack[ReconstructKeywords],
 ) -> ReconstructionResult:
-    """Make a 3D model from a folder of photographs or a video, with a report; a stopped run continues.
+    """Reconstruct a 3D model from a folder of photographs or a video, with a report; an interrupted run continues.
 
     Args:
-        images: folder of photographs (JPEG, PNG, TIFF, WebP; sub-folders too) or a video file.
-        out: output folder, made if missing.
+        images: folder of photographs (JPEG, PNG, TIFF, WebP; including subfolders) or a video file.
+        out: output folder, created if missing.
         config: options; None for the defaults.
         progress: called with the progress of each stage.
-        executor: what works on single images and pairs, instead of the config's choice: a name or any
+        executor: executor for images and pairs, instead of the config's choice: a name or any
             `concurrent.futures.Executor`, such as Dask's `Client.get_executor()`.
-        **options: single options of the config by name, which override it: `single_camera=True`.
+        **options: single options by name, which override `config`: `single_camera=True`.
 
     Raises:
-        NoModelError: the images give no model; the message says why.
+        NoModelError: no model can be reconstructed; the message gives the reason.
         WorkspaceError: the output folder cannot be used.
-        ConfigError: an option is unknown, or does not fit the images.
-        FileFormatError: a file that was named is missing or cannot be read.
+        ConfigError: an option is unknown, or does not match the images.
+        FileFormatError: a file given as an option is missing or cannot be read.
     """
     config = options_of(ReconstructConfig, config, options, ["config", "progress", "executor"]).seeded()
     out, source = as_path(out), as_path(images)
@@ -108,7 +108,7 @@ def reconstruct(
         with run.stage("report"):
             content = page_content(solution, reasons, run, asdict(config))
             run.folder.write_text("report.html", render_report(content))
-        run.warnings += absences_of(solution, reasons)  # which the report tells in its own words
+        run.warnings += absences_of(solution, reasons)  # the report has its own text for these
         summary = _summary(solution, reasons, run.warnings, run.seconds, run.timings_s)
         run.finish(summary)
     return ReconstructionResult(
@@ -117,7 +117,7 @@ def reconstruct(
 
 
 def _check_inputs(source: Path, config: ReconstructConfig) -> None:
-    """Before any work: what was named is there."""
+    """Check, before any work, that all given files exist."""
     if not source.exists():
         hint = "; give the folder, and the pattern with --include" if set("*?[") & set(source.name) else ""
         raise NoModelError(f"{source} does not exist{hint}")
@@ -134,7 +134,7 @@ def _check_inputs(source: Path, config: ReconstructConfig) -> None:
 
 
 def _note_on_fewer(solution: Solution, out: Path) -> list[str]:
-    """A warning where the earlier result has more registered images."""
+    """Warning if an earlier result has more registered images."""
     num_registered = int(solution.mapped.models[0].is_registered().sum())
     return note_on_poorer(out, "num_registered", num_registered, "registered images")
 
@@ -200,5 +200,5 @@ def _summary(
 
 
 def _finite(value: float) -> float | None:
-    """JSON has no NaN."""
+    """None for NaN, which JSON does not have."""
     return value if math.isfinite(value) else None

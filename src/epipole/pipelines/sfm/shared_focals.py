@@ -1,4 +1,4 @@
-"""Whether images that share a camera for want of EXIF can have one focal length: if not, each gets a camera of its own."""
+"""Check whether images grouped into one camera for lack of EXIF fit one focal length; if not, split the camera."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from epipole.robust import PairKind
 from epipole.scene import Cameras, ViewGraph
 
 WIDTH = 0.05
-"""Disagreement at which a pair's vote for a focal length is worth half."""
+"""Disagreement at which a pair's vote for a focal length has half its weight."""
 MAX_RATIO = 0.75
-"""Of the votes for the best shared focal length to those for focal lengths of each image's own: below, the images contradict a shared
-one. With one camera it was 0.91 and more (photographs, video frames, noise of 1 px), with focal lengths that differ by 10 %
-0.7 and less."""
+"""Images contradict a shared focal length if its votes, divided by those for separate ones, are below this ratio. It
+was 0.91 or more with one camera (photographs, video frames, noise of 1 px), and 0.7 or less with focal lengths that
+differ by 10 %."""
 LEAST_PAIRS, LEAST_IMAGES, MAX_IMAGES = 3, 3, 20
-"""Pairs and images of a camera that can contradict a shared focal length; of more images those with most matches are looked at."""
+"""Minimum pairs and images of a camera for the check; of more images, those with the most matches are used."""
 STARTS = (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Factors of the best shared focal length from which those of single images are searched."""
+"""Factors of the best shared focal length at which the search for separate ones starts."""
 
 
 def contradicted_cameras(
@@ -28,8 +28,9 @@ def contradicted_cameras(
 ) -> list[int]:
     """Cameras of unknown focal length whose images cannot share one.
 
-    Every pair of images votes for the focal lengths that make its two cameras an essential matrix (see `estimate_focals`):
-    once for one focal length of all, once for one of each image. Images of one camera lose nearly nothing by sharing it.
+    Every pair of images votes for the focal lengths that give its two cameras an essential matrix (see
+    `estimate_focals`), once for a shared focal length and once for separate ones. Images of one camera lose almost
+    nothing by sharing it.
     """
     unknown = np.flatnonzero(~cameras.is_focal_trusted & ~cameras.is_constant)
     return [int(c) for c in unknown if _is_contradicted(int(c), cameras, camera_of_image, view_graph)]
@@ -57,7 +58,7 @@ def _is_contradicted(c: int, cameras: Cameras, camera_of_image: np.ndarray, view
 
 
 def _most_matched(rows: np.ndarray, view_graph: ViewGraph) -> np.ndarray:
-    """The images that share most matches with others of them."""
+    """The images with the most matches among each other."""
     inside = np.isin(view_graph.image1, rows) & np.isin(view_graph.image2, rows)
     inside &= view_graph.kind == PairKind.UNCALIBRATED
     matches = view_graph.num_inliers()[inside].astype(np.float64)
@@ -77,7 +78,7 @@ def _votes(ballots: list[Ballot], chosen: dict[int, int]) -> float:
 def with_own_cameras(
     cameras: Cameras, camera_of_image: Int32[np.ndarray, " n"], split: list[int]
 ) -> tuple[Cameras, Int32[np.ndarray, " n"]]:
-    """The cameras with one per image in place of those that are split: the first image keeps the row, others get new ones."""
+    """Replace each camera in `split` by one per image; the first image keeps the row, the others get new ones."""
     source, out = list(range(len(cameras))), camera_of_image.copy()
     for c in split:
         for image in np.flatnonzero(camera_of_image == c)[1:]:

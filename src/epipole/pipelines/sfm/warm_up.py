@@ -1,4 +1,4 @@
-"""Compile, or load from disk, every kernel of the main job while images are still being read."""
+"""Compile, or load from disk, every kernel of `reconstruct` while images are still being read."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ _ALONE = "from epipole.pipelines.sfm.warm_up import warm_up_verification; warm_u
 def warm_up() -> None:
     """Call every kernel with the types it will see.
 
-    On a machine without compiled kernels a second process compiles those of two-view geometry at the same time,
-    for Numba compiles one function at a time in a process. If it fails, they are compiled here.
+    Without cached kernels, a second process compiles those of two-view geometry at the same time, because Numba
+    compiles one function at a time per process. If that fails, they are compiled here.
     """
     helper = None
     if (
@@ -53,7 +53,7 @@ def warm_up() -> None:
 
 
 def warm_up_features() -> None:
-    """Features and matching, on noise and on a made-up scene of three cameras."""
+    """Features and matching, on noise and on a synthetic scene of three cameras."""
     random = np.random.default_rng(0)
     detect_features(random.integers(0, 255, (48, 64)).astype(np.uint8))
     camera, poses, keypoints = _made_up_scene()
@@ -68,7 +68,7 @@ def warm_up_features() -> None:
 
 
 def warm_up_verification() -> None:
-    """Essential and fundamental matrices, homographies and rotations, on two views of the made-up scene."""
+    """Essential and fundamental matrices, homographies and rotations, on two views of the synthetic scene."""
     camera, _poses, keypoints = _made_up_scene()
     config = RansacConfig(max_iterations=50)
     for is_calibrated in (False, True):
@@ -76,7 +76,7 @@ def warm_up_verification() -> None:
 
 
 def warm_up_mapping() -> None:
-    """Tracks, resection, triangulation and adjustment, on the made-up scene."""
+    """Tracks, resection, triangulation and adjustment, on the synthetic scene."""
     camera, poses, keypoints = _made_up_scene()
     view_graph = _view_graph(camera, poses)
     components = connect_matches(view_graph, np.arange(4, dtype=np.int64) * NUM_POINTS)
@@ -85,7 +85,7 @@ def warm_up_mapping() -> None:
 
 
 def _made_up_scene() -> tuple[Camera, Rigid3, list[np.ndarray]]:
-    """A camera, three poses of it (cam_from_world) and its views of points."""
+    """A camera, three poses (cam_from_world), and projections of points."""
     random = np.random.default_rng(0)
     camera = Camera(CameraModel.SIMPLE_RADIAL, 640, 480, np.array([500.0, 319.5, 239.5, 0.0]))
     points = random.uniform([-2, -1.5, 4], [2, 1.5, 7], (NUM_POINTS, 3))

@@ -1,1 +1,1 @@
-"""SLAM: the path of a moving camera and the map that it sees, frame by frame."""
+"""SLAM: the trajectory of a moving camera and a map of the scene, frame by frame."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 DEFAULTS = SlamConfig()
 LEAST_SHIFT_REPORTED_PX = 0.1
 INTERRUPTED = 130
-"""Exit code after Ctrl-C, as of every command."""
+"""Exit code after Ctrl-C, as in every command."""
 
 
 def slam(
@@ -28,10 +28,10 @@ def slam(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     config: Annotated[SlamConfig, tyro.conf.arg(name="")] = DEFAULTS,
 ) -> None:
-    """Follow a moving camera: its path, frame by frame, and the map that it sees. Ctrl-C ends it, and writes what there is.
+    """Track a moving camera and map the scene. Ctrl-C stops early and writes the results so far.
 
     Args:
-        source: A 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of images, a video, a recording of ROS
+        source: A 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of images, a video, a ROS bag
             (.bag, .db3, .mcap, or the folder of a ROS 2 bag), or the number of a camera, such as 0.
         out: Output folder.
         config: Options.
@@ -41,8 +41,8 @@ def slam(
     words = {
         **STAGES,
         "choose": "Choosing images",
-        "track": "Following the camera",
-        "adjust": "Adjusting the map",
+        "track": "Tracking the camera",
+        "adjust": "Optimizing the map",
     }
     with progress_on_screen(words) as progress:
         from epipole.pipelines.slam.run import slam as run
@@ -50,13 +50,13 @@ def slam(
         result = run(source, out, config, progress)
     show_slam(result)
     if result.summary["interrupted"] and not result.summary["is_live"]:
-        sys.exit(INTERRUPTED)  # what was asked for is not done; a camera ends in no other way
+        sys.exit(INTERRUPTED)  # incomplete, whereas a live camera always ends by Ctrl-C
     if config.view:
         _stay(result.out, config)
 
 
 def show_slam(result: SlamResult) -> None:
-    """Print how much of the path is known, and where it is."""
+    """Print the results of a run and where they are."""
     from rich.table import Table
 
     from epipole.screen import open_console, print_warnings
@@ -65,26 +65,26 @@ def show_slam(result: SlamResult) -> None:
     table = Table(box=None, show_header=False)
     causal = summary["num_localized_causal"]
     table.add_row(
-        "frames with a place",
-        f"{summary['num_localized']} of {summary['num_frames']} ({causal} as they came)",
+        "localized frames",
+        f"{summary['num_localized']} of {summary['num_frames']} ({causal} when they arrived)",
     )
     if summary["num_dropped"]:
         table.add_row("frames dropped", f"{summary['num_dropped']}, to keep up")
     if summary["interrupted"]:
-        table.add_row("ended", "by Ctrl-C")
+        table.add_row("stopped", "by Ctrl-C")
     table.add_row("map", f"{summary['num_keyframes']} keyframes, {summary['num_points']:,} points")
     if summary["mean_reprojection_error_px"] is not None:
         table.add_row("reprojection error", f"{summary['mean_reprojection_error_px']:.2f} px (mean)")
     closed = sum(loop["verdict"] == "accepted" for loop in summary["loops"])
     if closed:
-        table.add_row("places seen again", f"{closed} loops closed" if closed > 1 else "a loop closed")
+        table.add_row("loop closures", f"{closed}" if closed > 1 else "1")
     for number, part in enumerate(summary["submaps"], 1):
-        unit = ", in a unit of its own" if summary["is_metric"] and not part["is_metric"] else ""
-        words = f"{part['num_frames']} frames, tied to the first by no place{unit}: trajectory_submap_{number}.txt"
-        table.add_row("map of its own", words)
+        unit = ", up to scale" if summary["is_metric"] and not part["is_metric"] else ""
+        words = f"{part['num_frames']} frames, not connected to the first map{unit}: trajectory_submap_{number}.txt"
+        table.add_row("separate map", words)
     length = result.trajectory.path_length()
-    unit = "m" if summary["is_metric"] else "units of the map, not metres"
-    table.add_row("length of the path", f"{length:.4g} {unit}")
+    unit = "m" if summary["is_metric"] else "map units, not metres"
+    table.add_row("trajectory length", f"{length:.4g} {unit}")
     table.add_row("scale", summary["scale"])
     sigma = summary["sigma_position_median"]
     if sigma is not None and summary["is_metric"]:
@@ -99,38 +99,38 @@ def show_slam(result: SlamResult) -> None:
     ms = summary["ms_per_frame"]
     for name, found in summary.get("truth", {}).items():
         if name in ("final", "causal") and found is not None:
-            table.add_row(f"error, {name} path", _error_words(found, is_metric=summary["is_metric"]))
-    table.add_row("time for a frame", f"{ms['median']:.1f} ms (median), {ms['p95']:.1f} ms (95 %)")
+            table.add_row(f"error, {name} trajectory", _error_words(found, is_metric=summary["is_metric"]))
+    table.add_row("time per frame", f"{ms['median']:.1f} ms (median), {ms['p95']:.1f} ms (95 %)")
     console.print(table)
     for reason, count in summary["reasons"].items():
         console.print(
-            f"  {count} {'frame' if count == 1 else 'frames'} without a place as they came: {reason}",
+            f"  {count} {'frame' if count == 1 else 'frames'} without a pose when they arrived: {reason}",
             highlight=False,
             markup=False,
         )
     print_warnings(console, result.warnings, rest_in=str(result.out / "summary.json"))
-    console.print(f"path    {result.out / 'trajectory.txt'}", highlight=False, markup=False)
-    console.print(f"report  {result.out / 'report.html'}", highlight=False, markup=False)
-    console.print(f"look    epipole view {quote(str(result.out))}", highlight=False, markup=False)
+    console.print(f"trajectory  {result.out / 'trajectory.txt'}", highlight=False, markup=False)
+    console.print(f"report      {result.out / 'report.html'}", highlight=False, markup=False)
+    console.print(f"viewer      epipole view {quote(str(result.out))}", highlight=False, markup=False)
 
 
 def _source_rows(source: dict[str, Any]) -> list[tuple[str, str]]:
-    """Where the camera and the unit of depth come from."""
+    """Sources of the intrinsics and of the depth unit."""
     out = []
     if source.get("camera_source"):
-        out.append(("camera from", source["camera_source"]))
+        out.append(("camera source", source["camera_source"]))
     if "depth_scale" in source:
         out.append(
             (
                 "depth scale",
-                f"{source['depth_scale']:g} values for a metre, from {source['depth_scale_source']}",
+                f"{source['depth_scale']:g} values per metre, from {source['depth_scale_source']}",
             )
         )
     return out
 
 
 def _error_words(found: dict[str, Any], *, is_metric: bool) -> str:
-    """ATE and RPE with the alignment that the scale allows."""
+    """ATE and RPE, aligned with SE(3) for a metric trajectory and with Sim(3) otherwise."""
     score, alignment = (found["rigid"], "SE(3)") if is_metric else (found["similarity"], "Sim(3)")
     return (
         f"ATE {score['ate_rmse']:.4g} (rmse, {alignment}), RPE {score['step_rmse']:.3g}, in the truth's unit;"
@@ -139,7 +139,7 @@ def _error_words(found: dict[str, Any], *, is_metric: bool) -> str:
 
 
 def _stay(out: Path, job: JobOptions) -> None:
-    """Go on to show what was made, at the live view's address, until Ctrl-C."""
+    """Show the results at the address of the live view until Ctrl-C."""
     from epipole.errors import FileFormatError
     from epipole.pipelines.slam.output.scene import scene
     from epipole.viewer import view_scene

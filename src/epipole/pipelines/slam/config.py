@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from epipole._declared import check_options
+from epipole._checks import check_options
 from epipole.config import AnchorOptions, FlowConfig
 from epipole.errors import ConfigError
 
@@ -21,52 +21,52 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class OdometryConfig(FlowConfig):
-    """Options of `Slam`. A new user needs none."""
+    """Options of tracking and mapping."""
 
     num_features: int = 400
-    """Points followed at a time."""
+    """Number of points tracked at a time."""
     min_distance_px: int = 12
-    """Between points, at their begin."""
+    """Minimum distance between new points, in pixels."""
     corner_quality: float = 0.02
-    """Corners weaker than this share of the image's strongest are not taken."""
+    """Minimum strength of a corner, relative to the strongest corner of the image."""
     max_error_px: float = 3.0
-    """Points further from where the map says are mistakes."""
+    """Maximum reprojection error of an inlier, in pixels."""
     min_tracked: int = 15
-    """With fewer points of the map in agreement the camera is lost."""
+    """Number of inliers below which the camera is lost."""
     keyframe_fraction: float = 0.65
-    """A new keyframe is made when fewer of the last one's points are in sight."""
+    """Insert a keyframe when fewer than this fraction of the last keyframe's points are inliers."""
     keyframe_motion: float = 0.04
-    """... or when points have moved by more than this share of the image's width."""
+    """Insert a keyframe when the points have moved by this fraction of the image width."""
     keyframe_points: int = 150
-    """... or when fewer than this many points with a place are followed."""
+    """Insert a keyframe when fewer than this many triangulated points are inliers."""
     keyframe_gap: int = 20
-    """... or after so many frames."""
+    """Insert a keyframe after this many frames at the latest."""
     min_angle_deg: float = 0.5
-    """Two rays that meet under a narrower angle give no point."""
+    """Minimum triangulation angle, in degrees."""
     triangulation_angle_deg: float = 1.0
-    """... and under a wider one than this a point that only one keyframe has seen gets its place from a frame between."""
+    """Minimum angle to triangulate between a keyframe and an ordinary frame, in degrees."""
     start_angle_deg: float = 1.0
-    """One camera: median angle of the rays at which the map begins."""
+    """One camera: minimum median triangulation angle to initialize the map, in degrees."""
     lost_patience: int = 3
-    """Frames without a place after which a map of its own begins."""
+    """Number of frames without a pose after which a separate map is started."""
     window: int = 20
-    """Keyframes adjusted together after each new one; of one camera twice as many."""
+    """Keyframes in local bundle adjustment (twice as many with one camera)."""
     max_fixed: int = 12
-    """Further keyframes that hold the window in its place."""
+    """Maximum number of additional fixed keyframes in local bundle adjustment."""
     depth_sigma_px: float = 1.0
-    """Standard deviation of disparities, measured or made of a sensor's depth."""
+    """Standard deviation of disparities, measured or converted from sensor depth, in pixels."""
     sensor_baseline_m: float = 0.08
-    """Depth sensor: the baseline that its errors grow as of."""
+    """Depth sensor: baseline of a stereo pair whose depth errors grow alike, in metres."""
     focal_sigma: float | None = None
-    """Relative standard deviation of the calibrated focal length, for the covariances (None: 0.003 for stereo, 0.01 for depth sensors)."""
+    """Relative standard deviation of the focal length (None: 0.003 for stereo, 0.01 for depth sensors)."""
     center_sigma_px: float | None = None
     """Standard deviation of the principal point, in pixels (None: 1 for stereo, 3 for depth sensors)."""
     depth_sigma: float | None = None
-    """Relative standard deviation of the baseline or of measured depth (None: 0.003 for stereo, 0.015 for depth sensors)."""
+    """Relative standard deviation of baseline or depth (None: 0.003 for stereo, 0.015 for depth sensors)."""
     max_depth_baselines: float = 120.0
-    """Points that are further than so many baselines get no depth from a single frame."""
+    """Maximum distance for depth from a single frame, in baselines."""
     seed: int = 0
-    """Of all that is drawn at random: the same seed, the same path."""
+    """Random seed."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -86,27 +86,26 @@ class OdometryConfig(FlowConfig):
             value = getattr(self, name)
             if value is not None and not 0 <= value < (100 if name == "center_sigma_px" else 1):
                 raise ConfigError(
-                    f"{name} must not be negative, nor as large as the value itself, got {value}"
+                    f"{name} must be at least 0 and below 1 (center_sigma_px: below 100), got {value}"
                 )
         if not 0 < self.min_angle_deg <= self.start_angle_deg < 45:
-            raise ConfigError("min_angle_deg and start_angle_deg must be positive, the second not smaller")
+            raise ConfigError("min_angle_deg must be positive and at most start_angle_deg (below 45)")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraOptions:
-    """What is known of the camera, for folders that do not tell it."""
+    """Options of the camera, for sources without a calibration."""
 
     camera_model: str | None = None
-    """SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV or OPENCV_FISHEYE (PINHOLE unless given)."""
+    """SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV or OPENCV_FISHEYE (None: PINHOLE)."""
     camera_params: str | None = None
-    """Intrinsics, comma separated, in COLMAP's order, such as 525,525,320,240 (fx,fy,cx,cy): the principal point counts
-    from the image's corner, half a pixel more than from the first pixel's centre (OpenCV, ROS)."""
+    """Comma-separated intrinsics in COLMAP's order, such as 525,525,320,240 (fx,fy,cx,cy); cx,cy: OpenCV's plus 0.5."""
     calibration: Path | None = None
-    """Calibration file, as `epipole calibrate` writes it (OpenCV's, ROS' and Kalibr's too)."""
+    """Calibration file of `epipole calibrate`, OpenCV, ROS or Kalibr."""
     readout_s: float = 0.0
-    """Of a rolling shutter: seconds from the first row to the one after the last; 0: all rows at once."""
+    """Rolling shutter: seconds from the first row to the one after the last; 0: global shutter."""
     depth_scale: float | None = None
-    """Depth images: stored values for a metre, such as 1000 or 5000 (what the files and the layout say unless given)."""
+    """Depth images: stored values per metre, such as 1000 or 5000 (None: from the source)."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -118,13 +117,13 @@ class CameraOptions:
         if self.depth_scale is not None and not 0 < self.depth_scale < 1e6:
             raise ConfigError(f"depth_scale must be positive and below a million, got {self.depth_scale}")
         if not 0 <= self.readout_s < 1:
-            raise ConfigError(f"readout_s must be from 0 to below 1, got {self.readout_s}")
+            raise ConfigError(f"readout_s must be at least 0 and below 1, got {self.readout_s}")
 
     def camera(self, size: tuple[int, int]) -> Camera | None:
-        """The camera for images of this size, that are not turned; None where nothing is given.
+        """The camera for images of this size without EXIF orientation; None if no intrinsics are given.
 
         Raises:
-            ConfigError: the parameters are not those of the model, or the calibration does not fit the images.
+            ConfigError: the parameters do not fit the model, or the calibration does not fit the images.
             FileFormatError: the calibration cannot be read.
         """
         from epipole.cameras.image_fit import ImageShape
@@ -133,10 +132,10 @@ class CameraOptions:
         return None if found is None else found[0]
 
     def fitted_camera(self, shape: ImageShape) -> tuple[Camera, list[str]] | None:
-        """The camera of upright images of this shape, and how it was fitted to them; None where nothing is given.
+        """The camera for upright images of this shape, and notes on the fit; None if no intrinsics are given.
 
         Raises:
-            ConfigError: the parameters are not those of the model, or the calibration does not fit the images.
+            ConfigError: the parameters do not fit the model, or the calibration does not fit the images.
             FileFormatError: the calibration cannot be read.
         """
         from epipole.cameras.image_fit import (
@@ -150,7 +149,7 @@ class CameraOptions:
 
         if self.calibration is not None:
             if self.camera_params or self.camera_model:
-                raise ConfigError("calibration tells model and parameters: give it, or camera_params")
+                raise ConfigError("calibration is given: omit camera_model and camera_params")
             what = f"calibration {self.calibration}"
             found = camera_of_calibration(self.calibration, shape.size(ImagePixels.STORED))
         elif self.camera_params is not None:
@@ -164,15 +163,14 @@ class CameraOptions:
         return camera_of_image(found, shape, described), notes
 
     def rig(self, size: tuple[int, int]) -> StereoRig | None:
-        """The pair of cameras for images of this size; None where no calibration is given.
+        """The stereo rig for images of this size; None if no calibration is given.
 
         Raises:
-            ConfigError: camera_params, which are of one camera, are given.
-            ConfigError: the calibration does not fit the images.
+            ConfigError: camera_params are given, which describe one camera, or the calibration does not fit the images.
             FileFormatError: the calibration cannot be read, or is not of two cameras.
         """
         if self.camera_params is not None:
-            raise ConfigError("camera_params are of one camera: give a calibration of both")
+            raise ConfigError("camera_params describe one camera: pass a calibration of both")
         if self.calibration is None:
             return None
         from epipole.io.calibration.files import read_stereo_rig
@@ -182,43 +180,42 @@ class CameraOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class JobOptions:
-    """What the job takes of its source, how, and what it writes and shows."""
+    """Options of input and output."""
 
     sensor: Literal["auto", "mono", "stereo", "rgbd"] = "auto"
-    """What to use; auto takes depth, else a second camera, where there is one."""
+    """Sensor to use; auto uses depth, else a second camera, if there is one."""
     topics: str | None = None
-    """Recordings of ROS: the topic of the images; LEFT,RIGHT; or PICTURES,DEPTH (found by type and name unless given)."""
+    """ROS bags: image topic; LEFT,RIGHT; or IMAGES,DEPTH (None: found by type and name)."""
     start: int = 0
-    """First frame to follow: so many of the source before it are left out."""
+    """Number of frames to skip at the start."""
     stride: int = 1
-    """Follow every so-many-th frame from there on."""
+    """Track every N-th frame."""
     max_frames: int | None = None
-    """Frames to follow at most."""
+    """Maximum number of frames to track."""
     fps: float | None = None
-    """Folders of images without times: frames a second (30 unless given)."""
+    """Frame rate of image folders without timestamps (None: 30)."""
     masks: Path | None = None
-    """Folder of masks for a folder of images: MASKS/NAME.png; points where the mask is black are not used."""
+    """Folder of masks MASKS/NAME.png for image folders; points on black pixels are ignored."""
     realtime: bool = False
-    """Take frames as a camera gives them: those whose time passes while another is followed are dropped, and counted."""
+    """Replay in real time: drop frames that pass while another one is tracked."""
     trajectory_format: Literal["tum", "kitti", "euroc"] = "tum"
-    """Write the paths in this form, too, beside TUM's."""
+    """Also write the trajectories in this format."""
     map: Path | None = None
-    """Go on in the map of an earlier run (its output folder): the camera is found in it, and the map grows."""
+    """Continue in the map of an earlier run (its output folder)."""
     localize: bool = False
-    """Only find the camera in that map, which stays as it is."""
+    """Only localize the camera in that map, which does not change."""
     anchors: Annotated[AnchorOptions, tyro.conf.arg(name="")] = field(default_factory=AnchorOptions)
-    """One camera: what fixes its scale."""
+    """One camera: measurements that determine the scale."""
     truth: Path | None = None
-    """The true path, for errors in the summary and the report: a trajectory (TUM, KITTI or EuRoC), or a folder that
-    brings one (7-Scenes, TUM RGB-D, KITTI)."""
+    """True trajectory for error statistics: a TUM, KITTI or EuRoC file, or a 7-Scenes, TUM RGB-D or KITTI folder."""
     resume: bool = False
-    """Continue the run that was stopped in the output folder; one whose frames can be read again is started again."""
+    """Continue the stopped run of the output folder, or restart it if its frames can be read again."""
     view: bool = False
-    """Show path, map and image in the browser while it runs, and after it until Ctrl-C."""
+    """Show trajectory, map and image in the browser, until Ctrl-C."""
     port: int | None = None
-    """Of the live view; None: 8080, or the next free one."""
+    """Port of the live view (None: 8080 or the next free one)."""
     host: str = "127.0.0.1"
-    """Address of the live view; 0.0.0.0 lets other machines in."""
+    """Address of the live view; 0.0.0.0 accepts other machines."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -230,17 +227,17 @@ class JobOptions:
         if self.max_frames is not None and self.max_frames < 1:
             raise ConfigError(f"max_frames must be at least 1, got {self.max_frames}")
         if self.start < 0 or self.stride < 1:
-            raise ConfigError(f"start must be at least 0 and stride 1, got {self.start} and {self.stride}")
+            raise ConfigError(f"start must be >= 0 and stride >= 1, got {self.start} and {self.stride}")
         if self.fps is not None and not 0 < self.fps < 1e6:
             raise ConfigError(f"fps must be positive, got {self.fps}")
         if self.localize and self.map is None:
-            raise ConfigError("localize finds the camera in a map: give it, too (map)")
+            raise ConfigError("localize needs a map: pass map")
         if self.port is not None and not self.view:
-            raise ConfigError("port is that of the live view: it needs view")
+            raise ConfigError("port belongs to the live view: pass view")
 
     @property
     def topic_names(self) -> tuple[str, ...]:
-        """The topics asked for; empty where they are to be found."""
+        """The requested topics; empty if they are found automatically."""
         return tuple((self.topics or "").replace(",", " ").split())
 
 
@@ -259,5 +256,5 @@ class SlamConfig(OdometryConfig, CameraOptions, JobOptions):
 
     @property
     def odometry(self) -> OdometryConfig:
-        """The part that tracking and mapping depend on."""
+        """The options of tracking and mapping."""
         return OdometryConfig(**{each.name: getattr(self, each.name) for each in fields(OdometryConfig)})

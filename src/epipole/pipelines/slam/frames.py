@@ -1,4 +1,4 @@
-"""What goes into SLAM, and what comes out, frame by frame."""
+"""Input and output of SLAM: camera, frames and tracking results."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from enum import StrEnum
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
-from epipole._declared import check_fields
+from epipole._checks import check_fields
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
@@ -16,74 +16,74 @@ from epipole.image.pixels_without_ray import pixels_without_ray
 
 
 class TrackingState(StrEnum):
-    """What is known of the camera in a frame."""
+    """Tracking state of a frame."""
 
     STARTING = "starting"
-    """One camera: the map has not begun."""
+    """One camera: the map is not initialized."""
     TRACKING = "tracking"
     ROTATING = "turning"
-    """One camera that turns on the spot, or rests: its orientation is known, its place is the last known one."""
+    """One camera, at rest or in pure rotation: the orientation is known, the position is the last known one."""
     LOST = "lost"
     SUBMAP = "submap"
-    """Followed in a map of its own, begun after the camera was lost; its place in the first map is not known."""
+    """Tracked in a separate map, started after the camera was lost; the pose in the first map is unknown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthCamera:
-    """A depth sensor beside the camera: its lens, its place, and its unit."""
+    """A depth sensor: its intrinsics, pose and unit."""
 
     camera: Camera
     depth_from_color: Rigid3
-    """Identity for depth that was registered to the colour image already."""
+    """Identity if the depth is registered to the color image."""
     scale: float = 1.0
-    """Metres for each metre that it reports."""
+    """True metres per reported metre."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlamCamera:
-    """The camera whose path is followed, and what tells depth besides: a second camera, or a depth sensor."""
+    """The tracked camera, with a second camera or a depth sensor if depth is measured."""
 
     camera: Camera
     baseline: float | None = None
-    """Of a rectified pair, in metres; the right image has the left one's rows and camera matrix."""
+    """Baseline of a rectified pair in metres; the right image has the left one's rows and camera matrix."""
     depth: DepthCamera | None = None
     readout_s: float = 0.0
-    """Of a rolling shutter: from the first row to the one after the last; 0: all rows at once."""
+    """Rolling shutter: seconds from the first row to the one after the last; 0: global shutter."""
 
     def __post_init__(self) -> None:
         """Check the values.
 
         Raises:
-            ConfigError: the baseline is not positive, the readout negative, or there are two sources of depth.
+            ConfigError: the baseline or the readout is out of range, or there are two sources of depth.
         """
         check_fields(self)
         if self.baseline is not None and not 0 < self.baseline < np.inf:
             raise ConfigError(f"baseline must be positive and finite, got {self.baseline}")
         if self.baseline is not None and self.depth is not None:
-            raise ConfigError("give a baseline or depth, not both")
+            raise ConfigError("pass a baseline or depth, not both")
         if not 0 <= self.readout_s < 1:
-            raise ConfigError(f"readout_s must be from 0 to below 1, got {self.readout_s}")
+            raise ConfigError(f"readout_s must be at least 0 and below 1, got {self.readout_s}")
 
     @property
     def measures_depth(self) -> bool:
-        """Whether a single frame has depth."""
+        """Whether a single frame measures depth."""
         return self.depth is not None or self.baseline is not None
 
     def checked(self, frame: Frame, after_s: float = -np.inf) -> Frame:
-        """The frame, without the pixels that have no ray, once it is known to be this camera's and later than `after_s`.
+        """Check that the frame fits this camera and is later than `after_s`; pixels without a ray are masked.
 
         Raises:
-            ShapeError: the images are not of the camera's size.
-            ConfigError: the frame is not later, or lacks what tells depth.
+            ShapeError: the images do not have the camera's size.
+            ConfigError: the frame is not later, or lacks the right image or depth.
         """
         if frame.timestamp_s <= after_s:
-            raise ConfigError(f"a frame of {frame.timestamp_s:.6f} s comes after one of {after_s:.6f} s")
+            raise ConfigError(f"timestamps must increase: {frame.timestamp_s:.6f} s after {after_s:.6f} s")
         camera = self.camera
         if frame.grey.shape != (camera.height, camera.width):
             size = f"{frame.grey.shape[1]} x {frame.grey.shape[0]}"
-            raise ShapeError(f"the image is {size}, the camera's {camera.width} x {camera.height}")
+            raise ShapeError(f"the image is {size}, but the camera is {camera.width} x {camera.height}")
         if self.baseline is not None and frame.right_grey is None:
-            raise ConfigError("a frame of a stereo camera needs its right image")
+            raise ConfigError("a frame of a stereo camera needs a right image")
         self._check_depth(frame)
         blind = pixels_without_ray(camera)
         if blind is None:
@@ -95,61 +95,61 @@ class SlamCamera:
         if self.depth is None:
             if frame.depth is not None:
                 raise ConfigError(
-                    "the frame has depth, and the camera nothing that tells it: SlamCamera(lens, depth=...)"
+                    "the frame has depth, but the camera has no depth sensor: pass SlamCamera(camera, depth=...)"
                 )
             return
         if frame.depth is None:
-            raise ConfigError("a frame of a depth camera needs its depth")
+            raise ConfigError("a frame of a depth camera needs depth")
         sensor = self.depth.camera
         if frame.depth.shape != (sensor.height, sensor.width):
             size = f"{frame.depth.shape[1]} x {frame.depth.shape[0]}"
             raise ShapeError(
-                f"the depth is {size}, the depth camera's {sensor.width} x {sensor.height} (depth that is registered to the"
-                " image has its size)"
+                f"the depth is {size}, but the depth camera is {sensor.width} x {sensor.height} (registered depth has the size"
+                " of the image)"
             )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """Images of one instant."""
+    """Images taken at the same time."""
 
     timestamp_s: float
     grey: UInt8[np.ndarray, "h w"]
     right_grey: UInt8[np.ndarray, "h w"] | None = None
-    """Of a rectified pair."""
+    """Right image of a rectified pair."""
     depth: Float32[np.ndarray, "h2 w2"] | None = None
-    """Metres along the optical axis, at the depth camera's pixels; zero, NaN or infinite where not known."""
+    """Metres along the optical axis, at the depth camera's pixels; zero, NaN or infinite where unknown."""
     ignored_mask: Bool[np.ndarray, "h w"] | None = None
-    """True where the (left) image is not to be used: people, the vehicle itself."""
+    """True where the (left) image is ignored, such as people or the own vehicle."""
 
     def is_used(self, pixels: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-        """Which places in the image are to be used."""
+        """Whether pixels are outside `ignored_mask`."""
         return is_outside(self.ignored_mask, pixels)
 
     def __post_init__(self) -> None:
         """Check the images.
 
         Raises:
-            ShapeError: they are not of one size or kind.
-            ConfigError: the time is no number.
+            ShapeError: their sizes or types do not match.
+            ConfigError: the timestamp is not finite.
         """
         if isinstance(self.depth, np.ndarray) and self.depth.dtype.kind in "iu":
             raise ShapeError(
-                f"depth must be float32 in metres, got {self.depth.dtype}: sensors that count millimetres need"
+                f"depth must be float32 in metres, got {self.depth.dtype}: convert millimetres with"
                 " depth.astype(np.float32) / 1000"
             )
         try:
             check_fields(self)
         except ShapeError as error:
             raise ShapeError(
-                f"a frame's images must be of one size, grey of 8 bits, depth float32: {error}"
+                f"the images of a frame must have the same size, grey 8 bits and depth float32 ({error})"
             ) from None
         if not np.isfinite(self.timestamp_s):
             raise ConfigError(f"timestamp_s must be finite, got {self.timestamp_s}")
 
 
 def is_outside(mask: np.ndarray | None, pixels: np.ndarray) -> np.ndarray:
-    """(n,) which pixels are not under a mask (h, w); None is none."""
+    """(n,) whether pixels are outside a mask (h, w); None masks nothing."""
     if mask is None:
         return np.ones(len(pixels), bool)
     height, width = mask.shape
@@ -159,42 +159,42 @@ def is_outside(mask: np.ndarray | None, pixels: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingThing:
-    """Points of the map that moved together since the last keyframe, and otherwise than the scene."""
+    """Map points that moved together since the last keyframe, differently from the scene."""
 
     num_points: int
     low_px: tuple[float, float]
-    """Left and top of the rectangle that nearly all of them are in."""
+    """Left and top of the rectangle that contains nearly all points."""
     high_px: tuple[float, float]
-    """Right and bottom."""
+    """Right and bottom of the rectangle."""
     motion: Float64[np.ndarray, " 3"]
-    """Of their middle, in the map's world and unit; NaN where one camera cannot tell."""
+    """Motion of the center, in the map's world and unit; NaN if one camera cannot determine it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedFrame:
-    """What was known when a frame came."""
+    """Tracking result, as estimated when the frame arrived."""
 
     timestamp_s: float
     state: TrackingState
     reason: str
-    """Why there is no place, or why a keyframe was made; empty for nothing to say."""
+    """Why there is no pose, why the frame is a keyframe, or a warning; empty if there is nothing to report."""
     world_from_body: Rigid3 | None
-    """None where the place is not known."""
+    """None if the pose is unknown."""
     covariance: Float64[np.ndarray, "6 6"] | None
-    """Of xi = (translation, rotation) in body_from_world = exp(xi) @ what is stated."""
+    """Covariance of xi = (translation, rotation) in body_from_world = exp(xi) @ the estimate."""
     num_points: int
-    """Points of the map that agree."""
+    """Number of inlier map points."""
     is_keyframe: bool
     submap_from_body: Rigid3 | None = None
-    """The place in the map that the camera is followed in, where that is not the first one."""
+    """Pose in the separate map that the camera is tracked in; None in the first map."""
     moving: MovingThing | None = None
-    """A thing that moves besides the camera."""
+    """A moving object."""
     map_number: int = 0
     """Number of the map that the pose refers to, in order of initialization."""
 
     @property
     def has_pose(self) -> bool:
-        """Whether the pose in one of the maps is known."""
+        """Whether the pose is known in one of the maps."""
         return self.world_from_body is not None or self.submap_from_body is not None
 
     def with_words(self, words: str) -> TrackedFrame:

@@ -1,7 +1,7 @@
-"""Visual odometry in one map: `track` finds the pose of a frame, `extend_map` makes the map grow with it.
+"""Visual odometry in one map: `track` estimates the pose of a frame, `extend_map` extends the map with it.
 
-The two methods are the whole method, one line per step: predict, track points, estimate the pose, triangulate, decide on a
-keyframe, insert it, triangulate its points, optimize. What happens to maps (initialization, loss, loops) is in `slam.py`.
+These two methods have one line per step: predict, track points, estimate the pose, triangulate, decide on a keyframe, insert
+it, triangulate its points, optimize. Map management (initialization, loss, loops) is in `slam.py`.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ class Odometry:
         self.mapper = LocalMapper(model, camera, focal_baseline, config, imu)
 
     def track(self, previous: Frame, frame: Frame) -> tuple[RefinedPose, int] | None:
-        """The pose of a frame, and the number of points that agree with it; None if too few do.
+        """Pose of a frame and its number of inliers; None if there are too few.
 
-        The prediction is the previous pose: points that slip along edges stay where they are predicted, and with a constant
-        velocity that fraction of the error came back enlarged, from frame to frame.
+        The prediction is the previous pose. Points that slip along edges stay where they are predicted, and a constant-velocity
+        prediction would amplify this error from frame to frame.
         """
         predicted, tracked = self.cam_from_world, self.tracker.tracks.point
         last = self.tracker.track_points(previous, frame, predicted)
@@ -59,13 +59,13 @@ class Odometry:
     def extend_map(
         self, frame: Frame, refined: RefinedPose, num_agreeing: int, number: int, quality: FrameQuality
     ) -> str:
-        """Triangulate what the frame shows from a new side and, if the map needs it, make the frame a keyframe.
+        """Triangulate points with the frame and, if the map needs it, insert the frame as a keyframe.
 
         Args:
             frame: the images.
-            refined: its pose.
-            num_agreeing: points that agree with the pose.
-            number: of the frame.
+            refined: pose of the frame.
+            num_agreeing: number of inliers.
+            number: frame number.
             quality: a frame of low quality does not become a keyframe.
 
         Returns:
@@ -87,26 +87,26 @@ class Odometry:
     def stay_in_map(
         self, frame: Frame, refined: RefinedPose, num_agreeing: int, number: int, quality: FrameQuality
     ) -> None:
-        """As `extend_map`, of a map that does not change: instead of a new keyframe, its points in sight are tracked."""
+        """Like `extend_map` for a fixed map: instead of inserting a keyframe, track all map points in sight."""
         self.cam_from_world = refined.cam_from_world
         if self._why_keyframe(num_agreeing, number, quality):
             self.tracker.track_points_in_sight(frame, self.cam_from_world)
 
     def insert_keyframe(self, frame: Frame, number: int) -> None:
-        """Make the frame a keyframe at its present pose: tracked points, older ones that are redetected, and new ones."""
+        """Insert the frame as a keyframe at the current pose, with tracked, redetected and new points."""
         tracks, stale = self.tracker.tracks, self.tracker.stale
         self.tracker.start_from(
             self.mapper.insert_keyframe(frame, number, self.cam_from_world, tracks, stale)
         )
 
     def optimize_around_newest(self) -> None:
-        """Optimize the newest keyframe with those around it; the pose follows, and outliers are not tracked on."""
+        """Optimize the newest keyframe and those around it, update the pose and stop tracking outliers."""
         self.mapper.adjust_around(len(self.map.keyframes) - 1)
         self.tracker.remove_outliers()
         self.cam_from_world = self.map.keyframes[-1].cam_from_world
 
     def newest_keyframe(self) -> Keyframe:
-        """The last keyframe that sees points: keyframes of a pure rotation do not."""
+        """The last keyframe with points, which rotation-only keyframes do not have."""
         return next(k for k in reversed(self.map.keyframes) if len(k.point))
 
     def _why_keyframe(self, num_agreeing: int, number: int, quality: FrameQuality) -> str:

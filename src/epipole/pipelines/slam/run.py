@@ -1,4 +1,4 @@
-"""The job: frames to a trajectory, a map and a summary in one folder."""
+"""The `slam` job: from frames to an output folder with trajectory, map and report."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Unpack
 
-from epipole._checks import as_path
-from epipole._declared import checked
+from epipole._checks import as_path, checked
 from epipole._jit import compile_seconds
 from epipole.cameras import Camera
 from epipole.cameras.image_fit import ImageShape
@@ -66,23 +65,23 @@ def slam(
     progress: ProgressCallback = ignore_progress,
     **options: Unpack[SlamKeywords],
 ) -> SlamResult:
-    """Follow a camera through frames, and write its path and map.
+    """Track a camera, and write its trajectory and the map.
 
-    Ctrl-C ends the frames: what was followed by then is adjusted and written (`interrupted` in the summary).
+    Ctrl-C stops tracking; the frames tracked so far are optimized and written (`interrupted` in the summary).
 
     Args:
-        source: a 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of images, a video, a recording of ROS
-            (.bag, .db3, .mcap or the folder of a ROS 2 bag), or the number of a camera at this computer.
-        out: output folder, made if missing.
+        source: a 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of images, a video, a ROS bag
+            (.bag, .db3, .mcap or the folder of a ROS 2 bag), or the number of a local camera.
+        out: output folder, created if missing.
         config: options; None for the defaults.
         progress: called after each frame.
-        **options: single options by name, which override `config`: `sensor="mono"`.
+        **options: single options by name, such as `sensor="mono"`, which override `config`.
 
     Raises:
-        NoModelError: no frame got a place; the message says why.
-        ConfigError: options do not fit the frames.
-        FileFormatError: the source, or a file that is named, cannot be read.
-        WorkspaceError: the output folder cannot be used, or holds an earlier result with more frames.
+        NoModelError: no frame was localized; the message says why.
+        ConfigError: options do not fit the source.
+        FileFormatError: the source or a given file cannot be read.
+        WorkspaceError: the output folder cannot be used, or contains an earlier result with more frames.
     """
     wanted = _config_of(config, options)
     source, out = as_path(str(source)), as_path(out)
@@ -117,15 +116,15 @@ def slam(
 
 
 def _notes(found: FoundCamera | None, system: Slam) -> list[str]:
-    """What is odd about what was known besides the frames."""
+    """Notes on the estimated camera and on the IMU log."""
     return [*([] if found is None else found.notes()), *(() if system.imu is None else system.imu.log.notes)]
 
 
 def _check_target(source: Path, out: Path, job: JobOptions) -> None:
-    """Before any work: the output folder may be written, and its result is not replaced by fewer frames.
+    """Check the output folder before any work.
 
     Raises:
-        WorkspaceError: it is not ours, or its result has more frames than are asked for.
+        WorkspaceError: the folder was not created by epipole, or its result has more frames than `max_frames`.
     """
     check_output_path(out, "slam", (_input(source),))
     if job.max_frames is not None:
@@ -133,7 +132,7 @@ def _check_target(source: Path, out: Path, job: JobOptions) -> None:
 
 
 def _finish(stream: FrameStream, system: Slam, run: Run, is_stopped: Callable[[], bool]) -> None:
-    """The last adjustment; Ctrl-C ends it, unless it has ended the frames."""
+    """Final optimization; Ctrl-C stops it, unless it was already used to stop tracking."""
     total, was_stopped = LAST_STEPS * len(system.maps), stream.is_interrupted
 
     def goes_on(done: int, of: int) -> bool:
@@ -149,21 +148,21 @@ def _finish(stream: FrameStream, system: Slam, run: Run, is_stopped: Callable[[]
 def _anchored(
     system: Slam, options: AnchorOptions, records: list[FrameRecord], known: KnownMap | None, run: Run
 ) -> Anchoring | None:
-    """What made the map metric; None, and a warning that says why, where what is known does not tell the scale."""
+    """Make the map metric with the given measurements; None, with a warning, if they do not determine the scale."""
     if options.is_empty or not len(system.trajectory()):
         return None
     frames = {r.answer.timestamp_s: r.name for r in records if r.answer is not None}
     try:
         found = anchor_map(system, options, keyframe_names(system, records, known), frames)
     except DegenerateGeometryError as error:
-        run.warnings.append(f"the path stays up to scale: {error}")
+        run.warnings.append(f"the trajectory remains up to scale: {error}")
         return None
     run.warnings += [words for words in found.scale.warnings() if words not in run.warnings]
     return found
 
 
 def _config_of(config: SlamConfig | None, options: Mapping[str, Any]) -> SlamConfig:
-    """The options with those given by name; files may be given as text."""
+    """Override `config` with options given by name, in which files may be strings."""
     named = {
         name: as_path(value) if name in FILES and value is not None else value
         for name, value in options.items()
@@ -172,26 +171,26 @@ def _config_of(config: SlamConfig | None, options: Mapping[str, Any]) -> SlamCon
 
 
 def _check_source(source: Path, job: SlamConfig) -> None:
-    """Check that the options are of such a source.
+    """Check that the options fit the source.
 
     Raises:
-        ConfigError: one is not.
-        FileFormatError: what is given as a map is none.
+        ConfigError: an option does not fit.
+        FileFormatError: the known map is not a map.
     """
     if job.map is not None:
         require_map(job.map)
     check_anchor_files(job.anchors)
     if job.topics and not is_bag(source):
-        raise ConfigError("topics are of recordings of ROS (.bag, .db3, .mcap or the folder of a ROS 2 bag)")
+        raise ConfigError("topics is for ROS bags (.bag, .db3, .mcap or the folder of a ROS 2 bag)")
     if job.masks is not None and not source.is_dir():
-        raise ConfigError("masks are of folders of images")
+        raise ConfigError("masks is for folders of images")
     if not is_bag(source) and (camera_index(source) is not None or is_video(source)):
         if job.fps is not None:
-            raise ConfigError("fps is for folders of images without times: a video has its own")
+            raise ConfigError("fps is for folders of images without timestamps: a video has its own")
         if job.sensor not in ("auto", "mono"):
-            raise ConfigError("a video is of one camera")
+            raise ConfigError("a video has one camera: sensor must be auto or mono")
         if job.depth_scale is not None:
-            raise ConfigError("depth_scale is for sources with depth images: a video and a camera have none")
+            raise ConfigError("depth_scale is for depth images, which videos and cameras do not have")
 
 
 def _open(source: Path, job: JobOptions, given: CameraOptions, found: FoundCamera | None) -> FrameSource:
@@ -223,12 +222,12 @@ def _open_folder(folder: Path, job: JobOptions, given: CameraOptions, found: Cam
     camera, notes = (found, []) if found or known is None else known
     opened = open_sequence(sequence, job.sensor, camera, job.masks)
     if given.depth_scale is not None and opened.camera.depth is None:
-        raise ConfigError("depth_scale is given, but the depth images are not used (sensor)")
+        raise ConfigError("depth_scale is given, but depth images are not used: check sensor")
     return replace(opened, notes=lambda: [*notes, *opened.notes()])
 
 
 def _input(source: Path) -> Path:
-    """What the results are of."""
+    """Path of the source, for the output folder's record of its inputs."""
     index = camera_index(source)
     return source if index is None else Path(f"/dev/video{index}")
 
@@ -241,7 +240,7 @@ def _track(
     stands: Continued,
     known: KnownMap | None,
 ) -> list[FrameRecord]:
-    """Track every frame; one that cannot be read, or does not fit, is left out and named."""
+    """Track every frame; frames that cannot be read or do not fit are left out and reported."""
     records, before = stands.records, len(stands.records)
     for queued in stream:
         answer, problem, start, compiling = None, "", perf_counter(), compile_seconds()
@@ -259,5 +258,5 @@ def _track(
             live.show(system, frame, answer)
         progress(Progress("track", len(records), max(before + stream.num_expected, len(records))))
     stands.autosave.save_map(system, lambda: keyframe_names(system, records, known))
-    live.show_map(system, "Adjusting the map")
+    live.show_map(system, "Optimizing the map")
     return records

@@ -1,4 +1,4 @@
-"""SLAM in one class: `track` takes a frame and says where the camera is; the map grows behind it."""
+"""SLAM in one class: `track` estimates the pose of a frame and extends the map."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.geometry import Rigid3, Similarity3
 from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.frames import Frame, TrackedFrame, TrackingState
@@ -25,26 +25,26 @@ from epipole.pipelines.slam.start.two_view import Confirmation, Initialization, 
 from epipole.pipelines.slam.tracking.points import Tracks
 
 LOOP_ITERATIONS = 10
-"""Of the adjustment of the whole map after a loop; the last frame is followed by a longer one."""
+"""Iterations of global bundle adjustment after a loop; after the last frame there are more."""
 LEAST_KEYFRAMES = 3
-"""A map of its own with fewer is given up when the camera is lost again."""
+"""A separate map with fewer keyframes is discarded when the camera is lost again."""
 
 
 class Slam(SlamState):
-    """Follows a camera, frame by frame, and makes a map. The same frames give the same answers on any machine's load.
+    """Tracks a camera frame by frame and builds a map; results do not depend on the machine's load.
 
-    The world is the first frame's camera (of one camera, near it: nothing holds the map but itself); its unit is the metre
-    where the camera tells depth, else the median depth of the first points. A lost camera is sought in the map; meanwhile a
-    new one begins, and joins the first when a place is seen again. One camera that turns on the spot keeps its orientation.
+    The world is the first frame's camera (only approximately with one camera, whose map is not fixed to it). Its unit is the
+    metre if the camera measures depth, else the median depth of the first points. A lost camera is relocalized; meanwhile a
+    separate map is started, which a loop closure joins to the first. With one camera, pure rotation yields only orientation.
     """
 
     @checked
     def track(self, frame: Frame) -> TrackedFrame:
-        """Where the camera was when this frame was taken.
+        """Estimate the camera pose of the next frame.
 
         Raises:
-            ShapeError: the images are not of the camera's size.
-            ConfigError: the frame is not later than the one before, or lacks what tells depth.
+            ShapeError: the images do not have the camera's size.
+            ConfigError: the frame is not later than the previous one, or lacks the right image or depth.
         """
         frame = self.camera.checked(frame, self._time_s)
         self._quality = self._quality_monitor.assess(frame)
@@ -58,10 +58,10 @@ class Slam(SlamState):
         self._num_frames += 1
         return self._quality.with_quality(self._with_warnings(answer))
 
-    # The begin of a map.
+    # Initialization.
 
     def _initialize(self, frame: Frame) -> TrackedFrame:
-        """A map from this frame, where it tells depth; else with those that waited before it."""
+        """Initialize a map from this frame if it measures depth, else from it and earlier frames."""
         if not self.camera.measures_depth:
             return self._wait(frame)
         self.odometry.cam_from_world = Rigid3.identity()
@@ -71,10 +71,10 @@ class Slam(SlamState):
             return self._initialized(frame, np.zeros((6, 6)))
         self.map.clear()
         self.odometry.tracker.tracks = Tracks.none()
-        return self._no_pose(frame, "too few points with depth: blank, dark, or nothing in range")
+        return self._no_pose(frame, "too few points with depth: blank or dark image, or nothing in range")
 
     def _wait(self, frame: Frame) -> TrackedFrame:
-        """One camera: a map where it has moved enough; until then its orientation, where it only turns."""
+        """One camera: initialize a map once it has moved enough; before that, track a pure rotation."""
         initial = self._start.add(frame, self._num_frames, self._quality.problem)
         if not isinstance(initial, str):
             return self._start_with_one_camera(frame, initial)
@@ -85,7 +85,7 @@ class Slam(SlamState):
         return self._no_pose(frame, initial, len(self._start.tracks))
 
     def _start_with_one_camera(self, frame: Frame, initial: Initialization) -> TrackedFrame:
-        """The new map goes on in the world of the turns before it, where its first frame is one of them."""
+        """Add a monocular map, in the world of a preceding pure rotation if the map's first frame is part of it."""
         first, camera = initial.model.keyframes[0], self.camera.camera
         there, position = self._rotations.get(first.number), initial.cam_from_world
         if self.map is self.maps[0]:
@@ -113,17 +113,17 @@ class Slam(SlamState):
             describe_keyframe(keyframe)
         self._set_tracking()
         count = int(self.map.is_triangulated(self.odometry.tracker.tracks.point).sum())
-        reason = "the map begins" if self.map is self.maps[0] else "a new map begins"
+        reason = "the map was initialized" if self.map is self.maps[0] else "a separate map was initialized"
         return self._relative_to(self.odometry.newest_keyframe(), frame, covariance, count, reason)
 
     def _set_tracking(self) -> None:
         self.state = TrackingState.TRACKING if self.map is self.maps[0] else TrackingState.SUBMAP
         self._num_lost, self._rotation = 0, None
 
-    # A frame in the map.
+    # Tracking.
 
     def _track(self, frame: Frame) -> TrackedFrame:
-        """Follow the points, find the pose with which they agree, extend the map where it is needed."""
+        """Track the points, estimate the pose and extend the map."""
         assert self._before is not None
         found = self._quality.confirmed(self.odometry.track(self._before, frame), self.config)
         if found is None:
@@ -177,7 +177,7 @@ class Slam(SlamState):
         return self._find_pose(frame)
 
     def _localized(self, frame: Frame, refined: RefinedPose, num_agreeing: int) -> TrackedFrame:
-        """A frame with a known pose: the map grows, loops are closed, and what tells nothing new is culled."""
+        """Process a frame with a known pose: extend the map, close loops, refine past poses and cull."""
         known = frame, refined, num_agreeing, self._num_frames, self._quality
         reason = "" if self.is_map_fixed else self.odometry.extend_map(*known)
         if self.is_map_fixed:
@@ -189,11 +189,11 @@ class Slam(SlamState):
         own = own_covariance(refined, self.map, self._num_frames, measures_depth=self.camera.measures_depth)
         return self._relative_to(self.odometry.newest_keyframe(), frame, own, num_agreeing, reason)
 
-    # A camera that is lost.
+    # Relocalization and separate maps.
 
     def _find_pose(self, frame: Frame) -> TrackedFrame:
-        """The frame's place in one of the maps by what it looks like; else its turn, or a new map."""
-        reason = f"{len(self.odometry.tracker.tracks)} points are followed, too few agree with the map"
+        """Relocalize the frame in one of the maps; else track a pure rotation or start a separate map."""
+        reason = f"{len(self.odometry.tracker.tracks)} points are tracked, but too few agree with the map"
         if self.state in (TrackingState.TRACKING, TrackingState.SUBMAP):
             self._lose()
         for model in self.maps if self._quality.is_usable else ():
@@ -203,7 +203,7 @@ class Slam(SlamState):
         self._num_lost += 1
         rotated = None if self.camera.measures_depth or self.is_map_fixed else self._track_rotation(frame)
         if rotated is not None:
-            return self._rotated(frame, rotated, "the camera only turns: its place is the last known")
+            return self._rotated(frame, rotated, "the camera only rotates: last known position")
         self.state = TrackingState.LOST
         if self._num_lost <= self.config.lost_patience or self.is_map_fixed or not self._quality.is_usable:
             return self._no_pose(frame, reason)
@@ -242,10 +242,10 @@ class Slam(SlamState):
         self._enter(known)
         return self._no_pose(frame, f"{reason}; {answer.reason}", answer.num_points)
 
-    # Places seen again.
+    # Loop closure.
 
     def _close_loop(self) -> str:
-        """Correct the map, or join it to an older one, if the newest keyframe shows a place seen before."""
+        """Correct the map, or join two maps, if the newest keyframe closes a loop; returns the keyframe's reason."""
         describe_keyframe(self.map.keyframes[-1])
         for there in self.maps:
             constraint = self._closer.consider(self.map, there)
@@ -253,18 +253,18 @@ class Slam(SlamState):
                 self._joined(constraint) if there is not self.map else self._corrected(constraint)
             ):
                 self._closer.clear()
-                return "a place seen before"
+                return "a loop was closed"
         return ""
 
     def _corrected(self, constraint: LoopConstraint) -> bool:
         if not correct_drift(self.map, constraint, is_metric=self.camera.measures_depth):
-            self._closer.reject_last("the pose graph does not agree")
+            self._closer.reject_last("the pose graph contradicts the loop")
             return False
         self._refine_start()
         return True
 
     def _joined(self, constraint: LoopConstraint) -> bool:
-        """The younger map becomes part of the older one, in whose world all is told."""
+        """Merge the younger map into the older one, in whose world results are given."""
         here, there, tracks = self.map, constraint.there, self.odometry.tracker.tracks
         if self.maps.index(there) < self.maps.index(here):
             here.move(constraint.there_from_here)
@@ -281,7 +281,7 @@ class Slam(SlamState):
         return True
 
     def _refine_start(self) -> None:
-        """After a correction: what was seen twice becomes one, and the whole map is adjusted."""
+        """After a correction: fuse duplicate points and optimize the map."""
         newest = len(self.map.keyframes) - 1
         into = fuse(self.map, self.odometry.mapper.window_of(newest)[0][::-1], self.camera.camera)
         self.odometry.mapper.adjust_around(newest)
@@ -290,10 +290,10 @@ class Slam(SlamState):
         self.odometry.tracker.remove_outliers()
         self.odometry.cam_from_world = self.map.keyframes[-1].cam_from_world
 
-    # Turns.
+    # Pure rotation.
 
     def _track_rotation(self, frame: Frame) -> RotationEstimate | None:
-        """The frame's orientation, if the camera has only turned since its place was known."""
+        """Orientation of the frame, if the camera has only rotated since its last known position."""
         if self._rotation is None:
             first = self._first_to_rotate(frame)
             if first is None:
@@ -317,7 +317,7 @@ class Slam(SlamState):
         return rotated
 
     def _first_to_rotate(self, frame: Frame) -> Frame | None:
-        """The last frame with a known place, or the first of a world; None where a turn would be tied to nothing."""
+        """The last frame with a known pose, or the first of a world; None if the rotation would have no reference."""
         if self.map.num_points:
             return self._before if self._num_lost == 1 else None
         if self.map is not self.maps[0] or self._rotations:
@@ -337,10 +337,10 @@ class Slam(SlamState):
             self._rotations[self._num_frames] = rotated.cam_from_world
         return self._relative_to(rotated.keyframe, frame, rotated.covariance, rotated.num_points, reason)
 
-    # Answers.
+    # Final optimization.
 
     def finish(self, goes_on: Callable[[int, int], bool] = lambda *_: True) -> None:
-        """After the last frame: tie keyframes that see the same, adjust all maps; `goes_on(done, of)` may end it.
+        """After the last frame: connect keyframes that see the same and optimize all maps; `goes_on(done, of)` may stop it.
 
         The map with the most frames becomes the first one, unless a known map was given.
         """

@@ -1,4 +1,4 @@
-"""The state of SLAM: its maps, what it remembers of the previous frame, and how answers are stated."""
+"""State of SLAM: maps, previous frame, trajectory, and how tracking results are returned."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._checks import checked
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
 from epipole.inertial import MountedImu
@@ -32,13 +32,13 @@ class SlamState:
 
     Attributes:
         config: options.
-        camera: what is followed.
-        maps: the first, in whose world answers are given, and those that are not joined to it yet.
-        map: the one that the camera is followed in.
-        state: of the last frame.
-        loops: every place that looked like one seen before, and what came of it.
-        start_doubts: warnings about monocular maps whose initialization was contradicted or could not be confirmed.
-        first_number, first_frame: numbers of the first frame (after a known map's), and of the first in the world.
+        camera: the tracked camera.
+        maps: the first map, in whose world results are given, and separate maps that are not joined to it yet.
+        map: the map that the camera is tracked in.
+        state: tracking state of the last frame.
+        loops: all loop candidates and their verdicts.
+        start_warnings: warnings about monocular maps whose initialization was contradicted or could not be confirmed.
+        first_number, first_frame: numbers of the first frame (after those of a known map), and of the first in the world.
     """
 
     @checked
@@ -51,20 +51,21 @@ class SlamState:
         is_map_fixed: bool = False,
         imu: MountedImu | None = None,
     ) -> None:
-        """Begin, or go on in a map.
+        """Start without a map, or continue in a known one.
 
         Args:
-            camera: what is followed.
+            camera: the tracked camera.
             config: options.
-            known: a map from an earlier run, in whose world answers are given once the camera is recognised in it.
-            is_map_fixed: only find the camera in the known map, which stays as it is.
-            imu: of one camera: measurements by the frames' clock, which join adjustments; not in a known map, of other clocks.
+            known: map from an earlier run, in whose world results are given once the camera is relocalized in it.
+            is_map_fixed: only localize in the known map, without changing it.
+            imu: one camera: IMU measurements in the frames' clock, used in optimization; ignored with a known map, whose clock
+                differs.
 
         Raises:
-            ConfigError: depth of a camera that is no pinhole; a map that is to stay, and none is given.
+            ConfigError: a camera with depth is not a pinhole, or is_map_fixed is set without a known map.
         """
         if is_map_fixed and known is None:
-            raise ConfigError("a map that is to stay as it is must be given")
+            raise ConfigError("is_map_fixed=True needs a map: pass known=")
         self.config = (SlamConfig() if config is None else config).odometry
         self.camera, self.imu = camera, imu if known is None and not camera.measures_depth else None
         self.focal_baseline = focal_baseline_of(camera, self.config)
@@ -88,7 +89,7 @@ class SlamState:
         self._num_maps = 1
 
     def _enter(self, model: SlamMap, cam_from_world: Rigid3 | None = None) -> None:
-        """Continue in this map, from a pose; None: the last one."""
+        """Continue in this map from a pose (None: the last one)."""
         pose = self.odometry.cam_from_world if cam_from_world is None else cam_from_world
         self.map = model
         self.odometry: Odometry = Odometry(
@@ -96,14 +97,14 @@ class SlamState:
         )
 
     def continue_in(self, model: SlamMap, answers: Sequence[TrackedFrame]) -> None:
-        """Continue in a map after frames that another process tracked; the camera is to be relocalized in it.
+        """Continue in a map after frames that another process tracked; the camera must be relocalized in it.
 
-        Each frame keeps its motion relative to the last keyframe before it, as it was estimated when the frame came. Answers
-        in other maps lose their poses.
+        Each frame keeps its motion relative to the last keyframe before it, as estimated when the frame arrived. Frames that
+        were tracked in other maps lose their poses.
 
         Args:
-            model: the map; one without points if none was saved.
-            answers: of all frames that were tracked, in their order.
+            model: the map; without points if none was saved.
+            answers: results of all tracked frames, in order.
         """
         self.maps = [model]
         self._enter(model)
@@ -126,11 +127,11 @@ class SlamState:
             self.state, self._num_lost = TrackingState.LOST, 1
 
     def trajectory(self, number: int = 0) -> Trajectory:
-        """Every frame that has a place in one of the maps, the first by default, with the map as it is now."""
+        """Poses of all frames localized in one of the maps (by default the first), from its current state."""
         return self._path.trajectory(self.maps[number].keyframes)
 
     def snapshot(self) -> Snapshot:
-        """Map and followed points as they are now, to be shown."""
+        """Copy of the current map and tracked points, for display."""
         source = self.odometry.tracker if self.map.num_points else self._start
         return snapshot_of(self.map, self.state, source.tracks)
 
@@ -161,7 +162,7 @@ class SlamState:
         return TrackedFrame(frame.timestamp_s, self.state, reason, None, None, count, is_keyframe=False)
 
     def _with_warnings(self, answer: TrackedFrame) -> TrackedFrame:
-        """The answer, with the reasons to doubt its pose."""
+        """The result with warnings about its pose."""
         if not answer.has_pose:
             return answer
         if self._unconfirmed is not None:

@@ -1,4 +1,4 @@
-"""What there is to see of a map while it grows."""
+"""Snapshots of a growing map, for display."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from epipole.pipelines.slam.tracking.points import Tracks
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """Copies: the map goes on to change, they do not."""
+    """Copy of the visible state of a map."""
 
     state: TrackingState
     world_from_keyframes: Rigid3
-    """(k,), in order."""
+    """(k,) poses of the keyframes, in order."""
     points_in_world: Float64[np.ndarray, "p 3"]
-    """Those that have a place."""
+    """Triangulated points."""
     tracked_px: Float64[np.ndarray, "n 2"]
-    """Points followed in the last frame."""
+    """Points tracked in the last frame."""
     is_triangulated: Bool[np.ndarray, " n"]
-    """Which of them the map knows the place of."""
+    """Which of the tracked points are triangulated."""
 
     def __repr__(self) -> str:
         return (
             f"Snapshot({self.state.value}, {len(self.world_from_keyframes.rotation)}"
-            f" keyframes, {len(self.points_in_world)} points, {len(self.tracked_px)} followed)"
+            f" keyframes, {len(self.points_in_world)} points, {len(self.tracked_px)} tracked)"
         )
 
 
 def snapshot_of(model: SlamMap, state: TrackingState, tracks: Tracks) -> Snapshot:
-    """What there is to see."""
+    """Copy the visible state of a map."""
     keyframes = [keyframe.cam_from_world.inverse() for keyframe in model.keyframes]
     positions = Rigid3(
         np.array([position.rotation for position in keyframes]).reshape(-1, 3, 3),
         np.array([position.translation for position in keyframes]).reshape(-1, 3),
     )
-    # Before the begin of one camera's map the rows that are followed are not yet the map's.
+    # Before the map of one camera is initialized, tracked rows do not refer to its points.
     has_started = model.num_points > 0
     known = model.is_triangulated(tracks.point) if has_started else np.zeros(len(tracks), bool)
     points = model.xyz[np.isfinite(model.xyz[:, 0])]

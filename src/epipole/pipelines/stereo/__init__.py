@@ -1,1 +1,1 @@
-"""Stereo: two images of a rectified, calibrated or unknown pair to disparities, depth and points."""
+"""Stereo: disparities, depth and points from a rectified, calibrated or uncalibrated pair."""

@@ -1,7 +1,7 @@
 """Weighted least squares along rows and columns in turn (Min et al., Fast global image smoothing, TIP 2014).
 
-Along one line: minimise sum_i w_i (u_i - f_i)^2 + lambda sum_i e_i (u_i - u_i+1)^2, a tridiagonal system solved by elimination
-(Thomas). w is zero where nothing is known, e small across edges of the image.
+Each line minimizes sum_i w_i (u_i - f_i)^2 + lambda sum_i e_i (u_i - u_i+1)^2, a tridiagonal system solved by elimination (Thomas).
+w is zero for unknown pixels, e is small across image edges.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from epipole._jit import kernel
 
 @kernel
 def solve_line(weights, values, links, strength, upper, out):
-    """One line: u with the values f of weights w, neighbours tied by strength * links."""
+    """Solve one line: u from values f with weights w, smoothness strength * links between neighbors."""
     n = len(values)
     before, ahead, right = 0.0, 0.0, 0.0
     for i in range(n):
@@ -28,11 +28,11 @@ def solve_line(weights, values, links, strength, upper, out):
 
 @kernel(allocates=True)
 def smooth_rows(weights, values, links, strength, start, stop):
-    """Rows start..stop of values (h, w) replaced by their solutions, in place; weights likewise smoothed."""
+    """Smooth rows start..stop of values and weights (h, w) in place."""
     width = values.shape[1]
     upper, sums, fractions, ones = np.empty(width), np.empty(width), np.empty(width), np.ones(width)
     for y in range(start, stop):
-        # Numerator and denominator are smoothed alike, so that a line without any known value keeps none.
+        # Numerator and denominator are smoothed alike, so that a line without known values stays unknown.
         solve_line(ones, values[y], links[y], strength, upper, sums)
         solve_line(ones, weights[y], links[y], strength, upper, fractions)
         for x in range(width):

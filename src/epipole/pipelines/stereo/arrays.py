@@ -1,4 +1,4 @@
-"""Stereo on arrays: a rectified pair in, disparities out."""
+"""Stereo on arrays: disparities of a rectified pair."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def match_stereo(
         **options: single options by name, which override `config`: `max_disparity_px=128`.
 
     Raises:
-        ShapeError: the images are no pair.
-        ConfigError: an option is unknown, or the range of disparities does not fit the images.
+        ShapeError: the images have different sizes or unsupported types.
+        ConfigError: an option is unknown, or the disparity range does not fit the images.
     """
     return search.match_stereo(left, right, options_of(StereoConfig, config, options, ["config"]))

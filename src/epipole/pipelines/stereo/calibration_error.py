@@ -1,10 +1,10 @@
-"""What an uncertain calibration does to depth.
+"""Effect of calibration errors on depth.
 
-A pixel of the rectified left image and its match are two pixels that were measured; with another calibration their rays meet elsewhere.
-In rectified axes the left ray is (a_l, b_l, 1), the right one (a_r, b_r, 1) from the centre C, so that
+A pixel of the rectified left image and its match are two measured pixels, whose rays intersect elsewhere under a different calibration.
+In rectified axes the left ray is (a_l, b_l, 1) and the right one (a_r, b_r, 1) from the center C, so that
     1 / Z = (a_l - a_r) / (C_x - a_r C_z),
-which is (d / f) / B where nothing is wrong. The change of f B / Z under each column of the covariance's root is an error of the disparity;
-they add in quadrature. It is the same error for all pixels of a region: averaging does not lessen it.
+which is (d / f) / B for the true calibration. The change of f B / Z under each column of the covariance's root is a disparity error;
+they add in quadrature. The error is common to all pixels of a region, so averaging does not reduce it.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from epipole.errors import ShapeError
 from epipole.scene import StereoRig
 
 _COLUMNS, _ROWS, _STEPS = 17, 13, 5
-_SMALL = 1e-2  # of a standard deviation: derivatives are differences over it
+_SMALL = 1e-2  # step of the finite differences, in standard deviations
 
 
 def calibration_sigma(
     rig: StereoRig, rectification: Rectification, disparity_px: Float[np.ndarray, "h w"]
 ) -> Float64[np.ndarray, "h w"]:
-    """Standard deviation of each disparity, in pixels, that the calibration's own covariance causes; NaN where unknown.
+    """Standard deviation of each disparity, in pixels, due to the calibration's covariance; NaN where unknown.
 
-    Computed on a grid over image and disparity, and interpolated.
+    Interpolated from a grid over image and disparity.
 
     Raises:
         ShapeError: the rig has no covariance.
@@ -42,7 +42,7 @@ def calibration_sigma(
     x, y = np.linspace(0, width - 1, _COLUMNS), np.linspace(0, height - 1, _ROWS)
     d, v, u = np.meshgrid(steps, y, x, indexing="ij")
     sigma = _sigma_at(rig, rectification, u.ravel(), v.ravel(), d.ravel()).reshape(_STEPS, _ROWS, _COLUMNS)
-    sigma = np.where(np.isfinite(sigma), sigma, np.nanmax(sigma))  # beyond the image: as bad as anywhere
+    sigma = np.where(np.isfinite(sigma), sigma, np.nanmax(sigma))  # outside the image: the largest value
     rows, columns = np.nonzero(known)
     at = np.stack(
         [
@@ -83,7 +83,7 @@ def _sigma_at(
 def _disparity(
     rig: StereoRig, rectification: Rectification, left_px: np.ndarray, right_px: np.ndarray
 ) -> Float64[np.ndarray, " n"]:
-    """Disparity f B / Z of pixels that match, in the axes and with the f and B of the rectification."""
+    """Disparity f B / Z of matching pixels, in the axes and with f and B of the rectification."""
     rectified_from_left = rectification.rectified_from_left
     left = rig.left.unproject(left_px) @ rectified_from_left.T
     to_left = rig.right_from_left.inverse()

@@ -35,27 +35,29 @@ def stereo(
     model: Annotated[ModelPair, tyro.conf.arg(name="")] = NO_MODEL,
     strict: bool = False,
 ) -> None:
-    """Compute disparities of a pair with standard deviations; depth and points where the cameras are known.
+    """Compute disparities of a pair with standard deviations, and depth and points if the cameras are known.
 
-    LEFT and RIGHT are two images, two folders, or two videos (the same one twice if it holds both images
-    side by side). Without a calibration they count as rectified. With --workspace and --pair give OUT alone.
+    LEFT and RIGHT are two images, two folders, or two videos (the same one twice if it has both images
+    side by side). Without a calibration they must be rectified. With --workspace and --pair, pass only OUT.
 
     Args:
         left: Left image, whose pixels get the disparities (with --workspace: OUT).
         right: Right image.
         out: Output folder.
         config: Options.
-        rig: What is known of the cameras.
+        rig: The cameras.
         model: Two images of a reconstruction.
-        strict: Exit with code 3 if any pair of several could not be measured.
+        strict: Exit with code 3 if any of several pairs could not be measured.
     """
     paths = [path for path in (left, right, out) if path is not None]
     if model != NO_MODEL:
         if model.workspace is None or model.pair is None or len(paths) != 1:
-            raise ConfigError("a pair of a model is given as: --workspace W --pair A B OUT")
+            raise ConfigError(
+                "a pair of a reconstruction needs these arguments: --workspace W --pair A B OUT"
+            )
         if rig != NO_RIG:
             raise ConfigError(
-                "the model says where its cameras are: give no calibration, focal length or baseline"
+                "--workspace cannot be combined with a calibration, focal length or baseline: the model has its own cameras"
             )
         _measure_of_model(model.workspace, model.pair, left, config)
         return
@@ -72,16 +74,16 @@ def stereo_doctor(
     json: bool = False,
     strict: bool = False,
 ) -> None:
-    """Find what is wrong with a stereo pair: swapped, rows off and why, not synchronous, odd units.
+    """Diagnose a stereo pair: swapped images, misaligned rows and their cause, missing synchronization, wrong units.
 
-    Also prints the depth error to expect at each range. `epipole stereo doctor` is the same command.
+    Also prints the expected depth error at each depth. `epipole stereo doctor` is the same command.
 
     Args:
         left: Left image, folder or video.
         right: Right image, folder or video.
-        rig: What is known of the cameras.
+        rig: The cameras.
         json: Print JSON.
-        strict: Exit with code 3 if something is wrong.
+        strict: Exit with code 3 if there are problems.
     """
     is_healthy = _examine(left, right, rig, json)
     _exit_with(is_healthy or not strict)
@@ -95,7 +97,7 @@ def _exit_with(answer: bool) -> None:
 
 
 def _examine(left: Path, right: Path, options: RigOptions, as_json: bool) -> bool:
-    """Examine and print; whether nothing is wrong."""
+    """Examine and print; whether there are no problems."""
     from epipole.screen import working
 
     with working():
@@ -114,7 +116,7 @@ def _examine(left: Path, right: Path, options: RigOptions, as_json: bool) -> boo
 
 
 def _measure(left: Path, right: Path, out: Path, config: StereoConfig, options: RigOptions) -> bool:
-    """One pair, or many; whether all were measured."""
+    """Measure one pair or many; whether all succeeded."""
     from epipole.io.images.video import is_video
     from epipole.screen import progress_on_screen, working
 

@@ -1,4 +1,4 @@
-"""From disparities to metres: depth, its standard deviation, points and their covariances."""
+"""Depth from disparities, its standard deviation, and point covariances."""
 
 from __future__ import annotations
 
@@ -17,15 +17,13 @@ def depth_of(
     rig: RectifiedRig,
     calibration_sigma_px: Float64[np.ndarray, "h w"] | None = None,
 ) -> DepthMap:
-    """Z = f B / (d + o) and its first-order standard deviation Z^2 / (f B) sigma.
-
-    Points at infinity have neither.
+    """Z = f B / (d + o) and its first-order standard deviation Z^2 / (f B) sigma; NaN for points at infinity.
 
     Args:
         disparities: of the left image.
         rig: focal length, baseline and principal points.
-        calibration_sigma_px: what the calibration's errors come to in pixels of disparity
-            (`calibration_sigma`); None: from the rig's own standard deviations.
+        calibration_sigma_px: calibration error in pixels of disparity (`calibration_sigma`); None: from the rig's own
+            standard deviations.
     """
     depth = disparity_to_depth(disparities.disparity_px, rig.focal_px, rig.baseline, rig.principal_offset_px)
     depth = np.where(np.isfinite(depth), depth, np.nan)
@@ -44,8 +42,8 @@ def point_covariances(
 ) -> Float64[np.ndarray, "h w 3 3"]:
     """First-order covariance of every pixel's point, elongated along its ray.
 
-    X = Z r with r = ((x - cx) / f, (y - cy) / f, 1): r r^T sigma_Z^2, and Z^2 / f^2 times the variance of where in its pixel
-    the point lies (0.3 px: anywhere in it).
+    X = Z r with r = ((x - cx) / f, (y - cy) / f, 1): the covariance is r r^T sigma_Z^2, plus Z^2 / f^2 times the variance of the
+    position within the pixel (0.3 px: uniform).
 
     Raises:
         ConfigError: pixel_sigma_px is negative.

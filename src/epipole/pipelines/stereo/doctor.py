@@ -1,4 +1,4 @@
-"""What is wrong with a stereo pair: swapped, not rectified and why, not synchronous, odd units; and the depth error to expect."""
+"""Diagnosis of a stereo pair: swapped images, misaligned rows and their cause, synchronization, units, expected depth error."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from epipole.pipelines.stereo.rows import (
 from epipole.scene import RectifiedRig, StereoRig
 
 TYPICAL_SIGMA_PX = 0.25
-"""Standard deviation of a good disparity, from which the table of depth errors is computed."""
+"""Standard deviation of a good disparity, for the table of expected depth errors."""
 GOOD_PX, BAD_PX = 0.5, 1.0
-"""95th percentile and median of the vertical offset up to which rows count as matching."""
+"""Thresholds of the vertical offset's median and 95th percentile for aligned and misaligned rows."""
 _EXPLAINS, _LESS = 0.7, 0.9
 _LARGE_BASELINE, _SMALL_BASELINE = 5.0, 1e-3
 _UNSTEADY_PX, _UNSTEADY_SIGMAS = 0.3, 5.0
@@ -38,13 +38,13 @@ _GRID = 3
 
 
 class Cause(StrEnum):
-    """The likely cause of the vertical offsets, from their trend; the words stand after "likely cause"."""
+    """The likely cause of the vertical offsets, from their trend."""
 
     NONE = "rows match"
-    EXTRINSICS = "how the cameras stand to each other (rotation, principal point, focal length or the baseline's direction)"
+    EXTRINSICS = "the rig's geometry (rotation, principal point, focal length or direction of the baseline)"
     DISTORTION = "lens distortion"
-    UNCLEAR = "blur, rolling shutter or moving things, for neither the rig nor its lenses explain the offsets"
-    UNKNOWN = "too few features match to tell"
+    UNCLEAR = "blur, rolling shutter or moving objects (neither rig nor distortion explains the offsets)"
+    UNKNOWN = "too few feature matches"
 
 
 class _Finding(NamedTuple):
@@ -54,19 +54,19 @@ class _Finding(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthExpectation:
-    """Error of depth to expect at one range."""
+    """Expected depth error at one depth."""
 
     depth: float
     disparity_px: float
     from_matching: float
-    """Standard deviation from disparities alone."""
+    """Standard deviation due to disparity errors."""
     from_calibration: float
-    """From the calibration's covariance at the image's middle; NaN where it has none."""
+    """Standard deviation due to the calibration's covariance, at the image center; NaN without a covariance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:
-    """What was found; `problems` is empty for a healthy pair."""
+    """Result of `examine`; `problems` is empty for a healthy pair."""
 
     problems: tuple[str, ...]
     notes: tuple[str, ...]
@@ -75,28 +75,28 @@ class Diagnosis:
     """Of the absolute offset."""
     vertical_p95_px: float
     vertical_signed_px: float
-    """Median with its sign: positive where the right image lies lower."""
+    """Signed median, positive if features are lower in the right image."""
     vertical_map_px: Float64[np.ndarray, "3 3"]
-    """Median offset in each ninth of the image; NaN where nothing matches."""
+    """Median offset in each cell of a 3 x 3 grid; NaN without matches."""
     after_extrinsics_px: float
-    """Robust standard deviation left after the best rotation, scale and direction of the baseline."""
+    """Robust standard deviation after fitting rotation, scale and direction of the baseline."""
     after_distortion_px: float
-    """The same after radial distortion, too."""
+    """The same after also fitting radial distortion."""
     cause: Cause
     expectations: tuple[DepthExpectation, ...] = field(default=())
 
     @property
     def calibration_error_px(self) -> float:
-        """Deviation of the rows that the rig's own errors explain: columns probably are off by as much.
+        """Standard deviation of the vertical offsets explained by rig errors; horizontal ones are probably as large.
 
-        What `RectifiedRig.principal_offset_sigma_px` should be where a calibration comes without its errors.
+        Use it as `RectifiedRig.principal_offset_sigma_px` for a calibration without uncertainties.
         """
         total = 1.4826 * self.vertical_median_px
         return float(np.sqrt(max(total**2 - self.after_extrinsics_px**2, 0.0)))
 
     @property
     def is_healthy(self) -> bool:
-        """Whether nothing is wrong."""
+        """Whether there are no problems."""
         return not self.problems
 
     def __repr__(self) -> str:
@@ -110,11 +110,11 @@ def examine(
     """Examine one pair, or several of the same rig.
 
     Args:
-        pairs: images, (h, w) or (h, w, 3) of 8 bits; as taken for a `StereoRig`, else rectified.
-        rig: what is known of the cameras.
+        pairs: images, (h, w) or (h, w, 3), 8 bits; raw for a `StereoRig`, else rectified.
+        rig: the cameras, if known.
 
     Raises:
-        ShapeError: there is no pair, or images do not fit each other or the calibration.
+        ShapeError: there is no pair, or the sizes of the images do not match each other or the calibration.
     """
     if not pairs:
         raise ShapeError("there is no pair to examine")
@@ -173,7 +173,7 @@ def _match(pair: tuple[np.ndarray, np.ndarray], rectification: Rectification | N
         grey = list(rectification.apply(grey[0], grey[1]))
     elif grey[0].shape != grey[1].shape:
         raise ShapeError(
-            f"left is {_size(grey[0])} pixels and right {_size(grey[1])}: a rectified pair has one size"
+            f"left is {_size(grey[0])} pixels and right {_size(grey[1])}: the images of a rectified pair must have the same size"
         )
     found = match_features(grey[0], grey[1])
     if rectification is None or not len(found):
@@ -225,17 +225,19 @@ def _order(
     rectification: Rectification | None,
 ) -> list[_Finding]:
     if matched and all(is_swapped(m) for m in matched):
-        return [_Finding("left and right are swapped: features lie farther right in the right image", True)]
+        return [_Finding("left and right are swapped: features are farther right in the right image", True)]
     if rectification is None or not matched or _off_px(matched[0]) <= BAD_PX:
         return []
     left, right = pairs[0]
     if left.shape != right.shape or not _off_px(_match((right, left), rectification)) <= GOOD_PX:
         return []
-    return [_Finding("left and right are swapped: exchanged, their rows match by this calibration", True)]
+    return [
+        _Finding("left and right are swapped: when exchanged, their rows match with this calibration", True)
+    ]
 
 
 def _off_px(matches: RowMatches) -> float:
-    """Median vertical offset; infinite where little matches."""
+    """Median vertical offset; infinite if there are too few matches."""
     return float(np.median(np.abs(matches.vertical_px))) if len(matches) >= LEAST_FOR_TREND else np.inf
 
 
@@ -244,7 +246,7 @@ def _rows(matches: RowMatches, fits: tuple[float, float], num_pairs: int) -> lis
         return []
     if len(matches) < LEAST_FOR_TREND:
         found = f"{len(matches)} {'feature matches' if len(matches) == 1 else 'features match'}"
-        words = f"{found}, too few to say anything: the images are blank, blurred or of different things"
+        words = f"{found}, too few for a diagnosis: the images are blank, blurred or of different scenes"
         return [_Finding(words, True)]
     if np.median(np.hypot(matches.disparity_px, matches.vertical_px)) < SAME_PX:
         return [_Finding("left and right are the same image", True)]
@@ -252,7 +254,7 @@ def _rows(matches: RowMatches, fits: tuple[float, float], num_pairs: int) -> lis
     if cause is Cause.NONE:
         return []
     offset = np.abs(matches.vertical_px)
-    words = f"rows are off by {np.median(offset):.2f} px (median), {np.percentile(offset, 95):.2f} px (95 %); likely cause: {cause}"
+    words = f"rows are misaligned by {np.median(offset):.2f} px (median), {np.percentile(offset, 95):.2f} px (95 %); likely cause: {cause}"
     is_bad = np.median(offset) > GOOD_PX or np.percentile(offset, 95) > 2.0 * BAD_PX
     return [_Finding(words, is_bad)]
 
@@ -260,10 +262,10 @@ def _rows(matches: RowMatches, fits: tuple[float, float], num_pairs: int) -> lis
 def _steadiness(
     clean: Sequence[RowMatches], flat: RectifiedRig | None, size: tuple[int, int]
 ) -> list[_Finding]:
-    """A rigid rig has the same row trend in every pair; cameras that expose at different times do not."""
+    """Check that the row trend is the same in every pair, as with a rigid, synchronized rig."""
     good = [m for m in clean if len(m) >= LEAST_FOR_TREND]
     if len(good) < 2:
-        words = "whether both cameras expose at the same time shows only in several pairs taken while the rig moves"
+        words = "checking the synchronization needs several pairs taken while the rig moves"
         return [_Finding(words, False)]
     trends = [fit_trend(m.vertical_px, row_basis(m, flat, size)[0][:, :3]) for m in good]
     offset = np.array([t.coefficients[0] for t in trends])
@@ -278,16 +280,16 @@ def _steadiness(
 def _units(flat: RectifiedRig, matches: RowMatches) -> list[_Finding]:
     out = []
     if flat.baseline > _LARGE_BASELINE:
-        words = f"the baseline is {flat.baseline:g}: if that is in millimetres, depths come in millimetres; if in metres, it is very long"
+        words = f"the baseline is {flat.baseline:g}: if this is in millimeters, so are the depths; in meters it would be very long"
         out.append(_Finding(words, False))
     if flat.baseline < _SMALL_BASELINE:
         out.append(
-            _Finding(f"the baseline is {flat.baseline:g}: too short for metres; is its unit wrong?", True)
+            _Finding(f"the baseline is {flat.baseline:g}: too short for meters; is its unit wrong?", True)
         )
     shifted = matches.disparity_px + flat.principal_offset_px
     if len(matches) >= LEAST_FOR_TREND and np.median(shifted) > 0.5:
         depth = flat.focal_px * flat.baseline / np.median(shifted)
-        words = f"half of the features lie nearer than {depth:.3g} (in the baseline's unit): does that fit the scene?"
+        words = f"half of the features are nearer than {depth:.3g} (in the baseline's unit): is that plausible for the scene?"
         out.append(_Finding(words, False))
     return out
 

@@ -1,4 +1,4 @@
-"""The files of a measured pair: written, and read back."""
+"""Reading and writing the files of a measured pair."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ REASON_COLORS = np.array(
     ],
     np.uint8,
 )
-"""Colours of the values of `StereoReason` in `reasons.png`; white: known."""
+"""Colors of the values of `StereoReason` in `reasons.png`; white: known."""
 
 
 def write_stereo(result: StereoResult, folder: Path) -> None:
     """Write `disparity.pfm`, `disparity.png`, `sigma_disparity.pfm`, `reasons.png`, and more.
 
     With a rig also `depth.pfm`, `sigma_depth.pfm`, `cloud.ply`, `rig.json` and the rectified pair, `left.png` and
-    `right.png`; of an uncalibrated pair the rectified pair and `homographies.json`.
+    `right.png`; for an uncalibrated pair also the rectified pair and `homographies.json`.
 
     Raises:
         WorkspaceError: the output folder cannot be used.
@@ -82,7 +82,7 @@ def write_image(path: Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StereoFiles:
-    """What `write_stereo` wrote of a pair with a rig."""
+    """The files that `write_stereo` writes for a pair with a rig."""
 
     left_rgb: UInt8[np.ndarray, "h w 3"]
     depths: Float32[np.ndarray, "h w"]
@@ -91,14 +91,14 @@ class StereoFiles:
 
 
 def read_stereo(out: Path) -> StereoFiles:
-    """Read depth back.
+    """Read the depth of a pair.
 
     Raises:
-        FileFormatError: there is none, because the pair had no rig, or a file is damaged.
+        FileFormatError: there is none, since the pair had no rig, or a file is damaged.
     """
     if not (out / "depth.pfm").is_file():
         raise FileFormatError(
-            out, "it holds disparities but no depth: give focal length and baseline, or a calibration"
+            out, "it holds disparities but no depth: pass focal length and baseline, or a calibration"
         )
     try:
         K = np.array(read_json(out / "rig.json")["K"], np.float64).reshape(3, 3)
@@ -110,7 +110,7 @@ def read_stereo(out: Path) -> StereoFiles:
         read_rgb(out / "left.png"), read_pfm(out / "depth.pfm"), read_pfm(out / "sigma_depth.pfm"), K
     )
     if not files.left_rgb.shape[:2] == files.depths.shape == files.sigma_depth.shape:
-        raise FileFormatError(out, "its images and maps are not of one size")
+        raise FileFormatError(out, "its images and maps have different sizes")
     return files
 
 

@@ -1,4 +1,4 @@
-"""Guesses for unknown pixels; a filled pixel has no standard deviation, and stays marked."""
+"""Interpolation of unknown pixels, which have no standard deviation and are marked by a mask."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ class FilledDisparities:
     """Disparities without holes."""
 
     disparity_px: Float32[np.ndarray, "h w"]
-    """The known ones as they were; NaN only where the whole image has none."""
+    """Known values are unchanged; all NaN if none is known."""
     filled_mask: Bool[np.ndarray, "h w"]
-    """Pixels that are guessed."""
+    """Interpolated pixels."""
 
     def __repr__(self) -> str:
         height, width = self.filled_mask.shape
-        return f"FilledDisparities({width} x {height}, {100 * self.filled_mask.mean():.1f} % guessed)"
+        return f"FilledDisparities({width} x {height}, {100 * self.filled_mask.mean():.1f} % filled)"
 
 
 def fill_disparities(found: DisparityMap, left: Any, strength: float = 10.0) -> FilledDisparities:
-    """Fill by weighted least squares guided by the image; occluded pixels take what lies behind.
+    """Fill unknown pixels by weighted least squares guided by the image; occluded pixels get the background.
 
-    A pixel hidden from the right camera belongs to the farther of the surfaces beside it (Hirschmueller, PAMI 2008, section 2.5):
-    where matching failed for that reason the smaller of the nearest known disparities in the row is taken as seen, with the weight of an error of a third of a pixel.
-    All else is the smoothest surface that bends at edges of the image.
+    A pixel occluded in the right image belongs to the farther of the surfaces beside it (Hirschmueller, PAMI 2008, section 2.5): the
+    smaller of the nearest known disparities in its row is used as an observation with a standard deviation of a third of a pixel.
+    Elsewhere the surface is smooth except at image edges.
 
     Args:
         found: the disparities; known pixels are weighted by the inverse of their variance.
-        left: (h, w) or (h, w, 3) of 8 bits.
+        left: (h, w) or (h, w, 3), 8 bits.
         strength: weight of the smoothness term.
 
     Raises:
-        ShapeError: the image does not fit.
+        ShapeError: the image does not match the disparities.
         ConfigError: the strength is not positive.
     """
     if not strength > 0:
@@ -56,7 +56,7 @@ def fill_disparities(found: DisparityMap, left: Any, strength: float = 10.0) -> 
     image = np.ascontiguousarray(left)
     if image.dtype != np.uint8 or image.shape[:2] != found.reason.shape:
         raise ShapeError(
-            f"left must be of 8 bits and {found.reason.shape}, is {image.shape} of {image.dtype}"
+            f"left must be an 8-bit image of shape {found.reason.shape}, got {image.shape} of {image.dtype}"
         )
     known = np.isfinite(found.disparity_px)
     if not known.any():
@@ -77,7 +77,7 @@ def fill_disparities(found: DisparityMap, left: Any, strength: float = 10.0) -> 
 def _smoothed(
     weight: np.ndarray, weighted: np.ndarray, grey: np.ndarray, strength: float
 ) -> Float32[np.ndarray, "h w"]:
-    """Quotient of the smoothed weighted values and weights, with less strength each round (equation 16 of the paper)."""
+    """Smoothed weighted values over smoothed weights, with decreasing strength (Min et al., TIP 2014, equation 16)."""
     across = np.exp(-np.abs(np.diff(grey, axis=1)) / 255.0 * _SHARPNESS)
     down = np.exp(-np.abs(np.diff(grey, axis=0)) / 255.0 * _SHARPNESS)
     along = [np.pad(across, ((0, 0), (0, 1))), np.ascontiguousarray(np.pad(down, ((0, 1), (0, 0))).T)]
@@ -96,7 +96,7 @@ def _smooth_rows(weight: np.ndarray, weighted: np.ndarray, links: np.ndarray, st
 
 
 def _farther_neighbour(disparity: np.ndarray) -> Float32[np.ndarray, "h w"]:
-    """The smaller of the nearest known disparities to the left and to the right in the row; NaN where there is neither."""
+    """The smaller of the nearest known disparities to the left and right in the row; NaN if there is none."""
     width = disparity.shape[1]
     known = np.isfinite(disparity)
     column = np.arange(width)

@@ -1,4 +1,4 @@
-"""What the page of a stereo pair shows: images, disparities, what is unknown and why, error against range."""
+"""The page of a stereo pair: images, disparities, reasons for unknown pixels, depth error against range."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from epipole.scene import StereoReason
 
 _REASONS = {
     StereoReason.OK: "known",
-    StereoReason.OCCLUDED: "the other image does not confirm it (hidden there, or mistaken)",
-    StereoReason.OUT_OF_VIEW: "its match lies beyond the other image",
+    StereoReason.OCCLUDED: "not confirmed by the other image (occluded or mismatched)",
+    StereoReason.OUT_OF_VIEW: "the match is outside the other image",
     StereoReason.AMBIGUOUS: "another disparity fits nearly as well",
-    StereoReason.SPECKLE: "it stands alone among others",
-    StereoReason.TEXTURELESS: "nothing around it changes along the row",
-    StereoReason.UNCERTAIN: "its standard deviation is larger than was asked for",
+    StereoReason.SPECKLE: "an isolated small region",
+    StereoReason.TEXTURELESS: "no texture along the row",
+    StereoReason.UNCERTAIN: "the standard deviation exceeds --max-sigma-px",
 }
 
 
 def render_page(result: StereoResult) -> str:
-    """One HTML page with everything inside it."""
+    """A self-contained HTML page."""
     found = result.disparities
     known = np.isfinite(found.disparity_px)
     return render(
@@ -46,14 +46,13 @@ def render_page(result: StereoResult) -> str:
 
 
 def _images(result: StereoResult) -> list[tuple[str, str]]:
-    """Caption and data URI of each image."""
     found = result.disparities
     images = [
         ("left", png_uri(result.left_rgb)),
         ("right", png_uri(result.right_rgb)),
         (f"disparity, {color_range_text(found.disparity_px)} px", color_map_uri(found.disparity_px)),
         (f"its standard deviation, {color_range_text(found.sigma_px)} px", color_map_uri(found.sigma_px)),
-        ("what is not known, and why", png_uri(REASON_COLORS[found.reason])),
+        ("unknown pixels by reason", png_uri(REASON_COLORS[found.reason])),
     ]
     if result.depths is not None:
         depth = result.depths.depth
@@ -62,7 +61,6 @@ def _images(result: StereoResult) -> list[tuple[str, str]]:
 
 
 def _reasons(result: StereoResult) -> list[tuple[str, str, str]]:
-    """Colour, words and share in percent of each reason."""
     counts = np.bincount(result.disparities.reason.ravel(), minlength=len(StereoReason))
     return [
         (f"rgb({red},{green},{blue})", words, f"{100 * counts[reason] / counts.sum():.1f}")
@@ -76,7 +74,7 @@ def _median_sigma_px(result: StereoResult) -> float:
 
 
 def _ranges(result: StereoResult) -> list[tuple[float, float, float]]:
-    """Depth, disparity and error of depth at the median standard deviation of this pair's disparities."""
+    """(depth, disparity, depth error) at the median standard deviation of this pair's disparities."""
     if result.rig is None:
         return []
     rig, sigma = result.rig, _median_sigma_px(result)

@@ -1,4 +1,4 @@
-"""A pair of images to disparities, depth and points: the method, without files."""
+"""Disparities, depth and points of a pair of images in memory."""
 
 from __future__ import annotations
 
@@ -38,22 +38,22 @@ class StereoResult:
     """Result of `stereo` for one pair."""
 
     left_rgb: UInt8[np.ndarray, "h w 3"]
-    """Rectified, like all maps."""
+    """Rectified, as are all maps."""
     right_rgb: UInt8[np.ndarray, "h w 3"]
     disparities: DisparityMap
     rig: RectifiedRig | None
-    """The rectified cameras; None: there are disparities but no depth."""
+    """The rectified cameras; None: there is no depth."""
     depths: DepthMap | None
     rectification: Rectification | UncalibratedRectification | None
-    """None for a pair that came rectified."""
+    """None for a pair that was already rectified."""
     warnings: tuple[str, ...]
     num_points: int
     filled: FilledDisparities | None = None
-    """With guesses for unknown pixels, if `StereoConfig.fill` is set."""
+    """Disparities with interpolated unknown pixels, if `StereoConfig.fill` is set."""
     out: Path | None = None
-    """Folder it was written to."""
+    """Output folder."""
     unit: str = "the baseline's unit"
-    """Of the depths, in words."""
+    """Unit of the depths, as text."""
 
     @property
     def error_model(self) -> str:
@@ -104,9 +104,9 @@ def measure_pair(
     """Rectify if the rig is a calibration, match, and compute depth if the rig is known.
 
     Raises:
-        ShapeError: the images are no pair, or not of the calibration's size.
-        ConfigError: left and right are swapped in the calibration, the range of disparities does not fit, or an uncalibrated
-            pair has a rig.
+        ShapeError: the sizes of the images do not match each other or the calibration.
+        ConfigError: left and right are swapped in the calibration, the disparity range is invalid, or `uncalibrated` is
+            combined with a rig.
         DegenerateGeometryError: the pair cannot be rectified.
     """
     left, right, flat, rectification = _rectified(left_rgb, right_rgb, config, rig)
@@ -129,7 +129,7 @@ def measure_pair(
         num_points = int(np.isfinite(depths.depth).sum())
         if not num_points and disparities.density > 0:
             warnings.append(
-                "no depth is positive and finite: every disparity plus the principal offset is zero or less"
+                "no depth is positive and finite: every disparity plus the principal offset is at most zero"
             )
     filled = fill_disparities(disparities, left) if config.fill else None
     return StereoResult(
@@ -149,9 +149,7 @@ def _rectified(
 ) -> _RectifiedPair:
     if config.uncalibrated:
         if rig is not None:
-            raise ConfigError(
-                "uncalibrated means that nothing is known of the cameras: give no calibration with it"
-            )
+            raise ConfigError("uncalibrated cannot be combined with a calibration: remove one of them")
         unknown = rectify_uncalibrated(left, right)
         return _RectifiedPair(*unknown.apply(left, right), None, unknown)
     if isinstance(rig, StereoRig):
@@ -163,34 +161,31 @@ def _rectified(
         return _RectifiedPair(*rectification.apply(left, right), rectification.rig, rectification)
     if left.shape != right.shape:
         (h1, w1), (h2, w2) = left.shape[:2], right.shape[:2]
-        raise ShapeError(f"left is {w1} x {h1} pixels and right {w2} x {h2}: a rectified pair has one size")
+        raise ShapeError(
+            f"left is {w1} x {h1} pixels and right {w2} x {h2}: the images of a rectified pair must have the same size"
+        )
     return _RectifiedPair(left, right, rig, None)
 
 
 def _limits(config: StereoConfig, rig: RectifiedRig | StereoRig | None) -> list[str]:
-    """Warnings about what these settings cannot give."""
     out = []
     default = StereoConfig()
     matters = [name for name in _FITTED_WITH if name != "block_px" or config.method == "block"]
     changed = [name for name in matters if getattr(config, name) != getattr(default, name)]
     if changed:
-        words = (
-            f"the error bars were fitted with the default {', '.join(changed)}; with yours they are rougher"
-        )
+        words = f"standard deviations are calibrated for the default {', '.join(changed)}; with other values they are less accurate"
         out.append(words)
     if config.uncalibrated:
         out.append(
-            "without a calibration disparities stand for depth up to a projective change of space, which may turn its order"
+            "without a calibration, disparities determine depth only up to a projective transformation, which may reverse its order"
         )
     if isinstance(rig, StereoRig) and rig.covariance is None:
-        out.append(
-            "errors of the cameras' places are not known: sigma_depth is that of the disparities alone"
-        )
+        out.append("the calibration has no covariance: sigma_depth includes disparity errors only")
     return out
 
 
 def _down_to_infinity(config: StereoConfig, rig: RectifiedRig | None) -> StereoConfig:
-    """The config with the disparity of infinity as minimum, which a principal offset makes negative."""
+    """The config with the disparity of infinity as minimum, which is negative for a positive principal offset."""
     if rig is None or config.min_disparity_px != 0 or rig.principal_offset_px <= 0:
         return config
     return replace(config, min_disparity_px=-int(np.ceil(rig.principal_offset_px)))

@@ -1,4 +1,4 @@
-"""The two image files of a pair, in the pixels and at the scale that their cameras describe."""
+"""The image files of a pair, with the orientation and scale of their calibration."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from epipole.pipelines.stereo.rows import match_features
 from epipole.scene import RectifiedRig, StereoRig
 
 LEAST_MATCHES, CLEAR, SLACK_PX = 20, 2.0, 2.0
-"""Matches that agree with the rig if its calibration is of these pixels: the least, how many times those of the other pixels, and
-what they may be off by."""
+"""Matches that agree with the rig decide on the orientation: fewest matches, smallest ratio to the other orientation, and tolerance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,13 +30,13 @@ class PairFiles:
     orientations: tuple[int | None, int | None] = (None, None)
     """EXIF orientations to apply; None: the file's own."""
     notes: tuple[str, ...] = ()
-    """How the calibration was fitted to the files, in words."""
+    """Notes on how the calibration was adapted to the files."""
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:
         """Both images as RGB.
 
         Raises:
-            FileFormatError: one is damaged.
+            FileFormatError: an image is damaged.
         """
         left, right = self.orientations
         return read_rgb(self.left, orientation=left), read_rgb(self.right, orientation=right)
@@ -46,12 +45,12 @@ class PairFiles:
 def files_of_pair(left: Path, right: Path, rig: RectifiedRig | StereoRig | None) -> PairFiles:
     """The files of a pair, and its calibration at their scale.
 
-    The sizes decide whether a calibration is of stored or of upright pixels; where they fit both ways, the matches that agree with
-    it; where these do not decide either, files that are turned differently are taken as stored. A calibration that fits
-    neither way is left as it is: measuring refuses it.
+    The image sizes decide whether the calibration describes stored or upright pixels. If both fit, the number of matches that agree
+    with it decides; if that is inconclusive, files with different orientations are taken as stored. A calibration that fits neither
+    is returned unchanged, and measuring rejects it.
 
     Raises:
-        FileFormatError: one cannot be read.
+        FileFormatError: an image cannot be read.
     """
     if not isinstance(rig, StereoRig):
         return PairFiles(left, right, rig)
@@ -86,17 +85,17 @@ def _fitted(
     notes = []
     scaled = rig.scaled_to(shapes[0].size(pixels), shapes[1].size(pixels))
     if scaled is not rig:
-        notes.append(f"the calibration is of {_sizes(rig)} images: it is scaled to {_sizes(scaled)}")
+        notes.append(f"the calibration is for {_sizes(rig)} images: it is scaled to {_sizes(scaled)}")
     is_stored = pixels is ImagePixels.STORED and {s.orientation for s in shapes} != {1}
     if is_stored:
         notes.append(
-            "the calibration is taken to describe the stored pixels: EXIF orientations are not applied"
+            "the calibration is assumed to describe the stored pixels: EXIF orientations are not applied"
         )
     return PairFiles(left, right, scaled, (1, 1) if is_stored else (None, None), tuple(notes))
 
 
 def _num_agreeing(files: PairFiles) -> int:
-    """Matches that lie in one row, before the cameras, once the pair is rectified; 0 where it cannot be."""
+    """Number of matches in the same row and in front of the cameras after rectification; 0 if that fails."""
     assert isinstance(files.rig, StereoRig)
     try:
         found = rectify(files.rig)

@@ -1,4 +1,4 @@
-"""Many pairs one after the other: folders and stereo video."""
+"""Processing of many pairs: folders and stereo video."""
 
 from __future__ import annotations
 
@@ -24,32 +24,32 @@ class StereoBatch:
 
     out: Path
     done: tuple[str, ...]
-    """Names of the pairs that were measured; each has a folder of its own."""
+    """Names of the pairs that were measured, which are also the names of their folders."""
     earlier: tuple[str, ...]
-    """Names of those that an earlier run with the same settings had measured."""
+    """Names of the pairs measured by an earlier run with the same settings."""
     problems: dict[str, str]
-    """Why the others were not measured."""
+    """Reasons why the others were not measured."""
     warnings: dict[str, tuple[str, ...]]
-    """Warnings of those that were measured, now or by an earlier run."""
+    """Warnings of the measured pairs, including those of earlier runs."""
     known: dict[str, float]
-    """Share of known pixels of each."""
+    """Fraction of known pixels of each."""
 
     def __repr__(self) -> str:
         return f"StereoBatch({len(self.done)} done, {len(self.earlier)} done earlier, {len(self.problems)} failed, in {self.out})"
 
 
 def is_many(left: Path, right: Path) -> bool:
-    """Whether these are folders or videos, not two images."""
+    """Whether these are folders or videos instead of two images."""
     return left.is_dir() or right.is_dir() or is_video(left) or is_video(right)
 
 
 def list_pairs(
     left: Path, right: Path, out: Path, max_frames: int, progress: ProgressCallback = ignore_progress
 ) -> dict[str, tuple[Path, Path]]:
-    """Pairs of two folders, by name where the names agree, else by order; or of stereo video. A file may not exist.
+    """Pairs of two folders, by name if the names agree, else by order; or of stereo video. Files may be missing.
 
     Raises:
-        FileFormatError: there are none, or the folders do not fit.
+        FileFormatError: there are none, or the folders do not match.
     """
     if is_video(left) or is_video(right):
         pairs = extract_pairs(
@@ -63,7 +63,7 @@ def list_pairs(
     for folder in (left, right):
         if not folder.is_dir():
             raise FileFormatError(
-                folder, "it is not a folder but the other one is: give images, folders or videos"
+                folder, "it is not a folder but the other one is: pass two images, two folders or two videos"
             )
     found = pair_folders(left, right, ignore=[out])
     return _by_folder([pair for _, pair in found], [name for name, _ in found])
@@ -76,12 +76,12 @@ def run_batch(
     measure: Callable[[Path, Path, Path], StereoResult],
     progress: ProgressCallback = ignore_progress,
 ) -> StereoBatch:
-    """Measure each pair into a folder of its name; one that cannot be read does not stop the others.
+    """Measure each pair into a folder of its name; a pair that fails does not stop the others.
 
     Args:
-        pairs: as of `list_pairs`.
-        out: the folder of the folders.
-        settings: what the results of two images depend on: a pair that was measured with the same is not measured again.
+        pairs: from `list_pairs`.
+        out: parent folder of the results.
+        settings: settings for two images; a pair that was measured with the same settings is skipped.
         measure: called with (left, right, folder).
         progress: called after each pair.
     """
@@ -109,7 +109,7 @@ def run_batch(
 def summary_of(
     batch: StereoBatch, pairs: dict[str, tuple[Path, Path]], before: dict[str, Any]
 ) -> dict[str, Any]:
-    """The summary of many pairs, including what earlier runs said of theirs."""
+    """The summary of many pairs, including those of earlier runs."""
     kept = {
         part: {n: v for n, v in before.get(part, {}).items() if n in batch.earlier}
         for part in ("known", "warnings")
@@ -125,7 +125,7 @@ def summary_of(
 
 
 def read_summary(out: Path) -> dict[str, Any]:
-    """What an earlier run over many pairs has written of them; empty where there was none, or it is damaged."""
+    """The summary of an earlier run over many pairs; empty if missing or damaged."""
     try:
         content = read_json(out / "summary.json", allow_nan=True)
     except FileFormatError:
@@ -136,7 +136,7 @@ def read_summary(out: Path) -> dict[str, Any]:
 
 
 def _by_folder(pairs: Sequence[tuple[Path, Path]], names: Sequence[str]) -> dict[str, tuple[Path, Path]]:
-    """By names without suffix; folders stay folders, and no two pairs have one name."""
+    """Pairs by unique name without suffix; subfolders are kept."""
     short = [Path(name).with_suffix("").as_posix() for name in names]
     count = Counter(own.casefold() for own in short)
     keys = [

@@ -1,4 +1,4 @@
-"""The two cameras of a pair: from options, from calibration files, and as a rectified rig where they already stand so."""
+"""The cameras of a pair: from options or calibration files, and as a rectified rig if already rectified."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from epipole.pipelines.stereo.config import RigOptions
 from epipole.scene import RectifiedRig, StereoRig
 
 _SIGMAS = ("focal_sigma_px", "baseline_sigma", "principal_offset_sigma_px")
-_MAX_FOCAL = 1000.0  # times the longer side; beyond, a number was mistyped
+_MAX_FOCAL = 1000.0  # times the longer side; larger values are typing errors
 _SAME = 1e-6  # relative: a thousandth of a pixel across an image
 
 
 def rig_of(left: Path, right: Path, options: RigOptions) -> RectifiedRig | StereoRig | None:
-    """The rig that the options and files describe.
+    """The rig from options and calibration files.
 
     Raises:
-        ConfigError: both a calibration and a rectified rig are given, or a part of the latter is missing.
+        ConfigError: both a calibration and a rectified rig are given, or a parameter of the latter is missing.
         FileFormatError: a calibration cannot be read.
     """
     files = options.calibration
     if options.cameras and not files:
-        raise ConfigError("--cameras chooses two cameras of a calibration: give --calibration, too")
+        raise ConfigError("--cameras selects two cameras of a calibration: pass --calibration too")
     if len(files) > 2:
-        raise ConfigError(f"a calibration is one file or two, got {len(files)}")
+        raise ConfigError(f"--calibration takes one or two files, got {len(files)}")
     if files:
         sigmas = {name: getattr(options, name) for name in _SIGMAS}
         known = replace(options, focal_sigma_px=0.0, baseline_sigma=0.0, principal_offset_sigma_px=0.0)
         if known != RigOptions(calibration=files, cameras=options.cameras):
             raise ConfigError(
-                "give a calibration, or focal_px, baseline and the like of a rectified pair, not both"
+                "pass either a calibration, or focal_px, baseline and other parameters of a rectified pair, not both"
             )
         rig = read_stereo_rig(*files, size=_size_of_first(left), cameras=options.cameras)
         if not any(sigmas.values()):
@@ -45,7 +45,7 @@ def rig_of(left: Path, right: Path, options: RigOptions) -> RectifiedRig | Stere
         flat = rectified_rig_of(rig)
         if flat is None:
             raise ConfigError(
-                "standard deviations are for calibrations whose cameras stand side by side already, without covariance"
+                "standard deviations can only be given for a calibration that is already rectified and has no covariance"
             )
         return replace(flat, **sigmas)
     if options.focal_px is None and options.baseline is None:
@@ -54,7 +54,7 @@ def rig_of(left: Path, right: Path, options: RigOptions) -> RectifiedRig | Stere
 
 
 def _size_of_first(path: Path) -> tuple[int, int] | None:
-    """Width and height of an image, or of the first of a folder; None for video."""
+    """Width and height of an image, of the first image of a folder, or of a video; None for an empty folder."""
     if is_video(path):
         return frame_size(path)
     if path.is_dir():
@@ -67,19 +67,19 @@ def _size_of_first(path: Path) -> tuple[int, int] | None:
 
 
 def rig_from_options(options: RigOptions, size: tuple[int, int]) -> RectifiedRig | None:
-    """The rig of a rectified pair whose images have a width and height; None where nothing of it is known.
+    """The rig of a rectified pair with this image size; None if neither focal length nor baseline is given.
 
     Raises:
-        ConfigError: one of focal length and baseline is missing, or no camera can have it.
+        ConfigError: only one of focal length and baseline is given, or the focal length is implausible.
     """
     if options.focal_px is None and options.baseline is None:
         return None
     if options.focal_px is None or options.baseline is None:
         given = "focal_px" if options.baseline is None else "baseline"
-        raise ConfigError(f"depth needs both focal_px and baseline, and only {given} was given")
+        raise ConfigError(f"depth needs both focal_px and baseline, but only {given} was given")
     if options.focal_px > _MAX_FOCAL * max(size):
         raise ConfigError(
-            f"focal_px = {options.focal_px:g} cannot be of images of {size[0]}x{size[1]} pixels: it is in pixels"
+            f"focal_px = {options.focal_px:g} is too large for images of {size[0]}x{size[1]} pixels: give it in pixels"
         )
     cx, cy = options.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
     return RectifiedRig(
@@ -95,9 +95,9 @@ def rig_from_options(options: RigOptions, size: tuple[int, int]) -> RectifiedRig
 
 
 def rectified_rig_of(rig: StereoRig) -> RectifiedRig | None:
-    """The same as a rectified pair, where the cameras already stand so (KITTI, Middlebury): nothing needs resampling.
+    """The rig as a rectified pair if it already is one (KITTI, Middlebury), so that images need no resampling.
 
-    None for any other rig, and for one with a covariance, which needs the cameras' own parameters.
+    None for any other rig, and for one with a covariance, which refers to the parameters of both cameras.
     """
     left, right, motion = rig.left, rig.right, rig.right_from_left
     if rig.covariance is not None or (left.width, left.height) != (right.width, right.height):

@@ -1,4 +1,4 @@
-"""Do the rows of a rectified pair match? Vertical offsets of features, their trend, and the images' order."""
+"""Row alignment of a rectified pair: vertical offsets of features, their trend, and the order of the images."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from epipole.scene import RectifiedRig
 _MOST_OFFSET = 0.1  # of the image's height: matches with larger vertical offsets are wrong
 _ROUNDS = 20
 LEAST_FOR_TREND = 50
-_KEPT = 3.0  # robust deviations: matches farther from the trend are mistakes
+_KEPT = 3.0  # robust standard deviations: matches farther from the trend are outliers
 SAME_PX = 0.02
-"""Features that move by less in the median show the same image twice."""
+"""Median feature motion below which both images are the same."""
 _LEAST_MATCHES = 30
 _SPARSE, _FEW = 0.3, 0.2
 _AGREES_PX, _MOST_BEYOND = 2.0, 0.1
-_NEAR_PX = 1.0  # a disparity of less says nothing of the order of the images
+_NEAR_PX = 1.0  # smaller disparities do not indicate the order of the images
 _SWAPPED_FRACTION = 0.8
 _MOST_OFF_PX = 1.0
-"""A median vertical offset beyond this spoils matching by rows."""
+"""Median vertical offset beyond which row-wise matching fails."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowMatches:
-    """Features of a pair that match, wherever they lie."""
+    """Feature matches of a pair."""
 
     left_px: Float64[np.ndarray, "n 2"]
     right_px: Float64[np.ndarray, "n 2"]
     num_features: int = 0
-    """Features of the image that has fewer."""
+    """Number of features in the image with fewer."""
 
     @property
     def vertical_px(self) -> Float64[np.ndarray, " n"]:
@@ -56,23 +56,23 @@ class RowMatches:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowTrend:
-    """Vertical offsets as a smooth function of the place in the image: what a wrong calibration leaves."""
+    """Vertical offsets as a smooth function of the image position, as caused by a wrong calibration."""
 
     coefficients: Float64[np.ndarray, " p"]
     sigma: Float64[np.ndarray, " p"]
     rms_px: float
-    """Robust standard deviation of the offsets about the trend."""
+    """Robust standard deviation of the offsets from the trend."""
 
 
 def match_features(
     left: UInt8[np.ndarray, "h w"], right: UInt8[np.ndarray, "h w"], kind: Literal["sift", "orb"] = "sift"
 ) -> RowMatches:
-    """Matches of a pair whose vertical offset is below a tenth of the height, mutual and by the ratio test.
+    """Mutual matches by the ratio test with a vertical offset below a tenth of the image height.
 
     Args:
         left: grey.
-        right: grey, of the same size.
-        kind: SIFT is accurate to a fifth of a pixel; ORB to one, and needs no compiled kernels of ours to find.
+        right: grey, the same size.
+        kind: SIFT is accurate to 0.2 pixels; ORB to 1 pixel, and needs no compiled kernels.
     """
     config = FeatureConfig(kind=kind, max_features=4000 if kind == "sift" else 2000)
     one, two = detect_features(left, config), detect_features(right, config)
@@ -85,27 +85,27 @@ def match_features(
 
 @dataclass(frozen=True, slots=True)
 class MatchedPair:
-    """The range that was searched in a pair, and the result."""
+    """Search range and density of a matched pair."""
 
     density: float
-    """Share of the pixels for which a disparity was found."""
+    """Fraction of the pixels with a disparity."""
     search_px: tuple[float, float]
-    """First and last disparity looked for; infinite where the images themselves set the end."""
+    """Smallest and largest disparity searched; infinite if determined from the images."""
     is_calibrated: bool
 
 
 def quick_warnings(left_rgb: np.ndarray, right_rgb: np.ndarray, found: MatchedPair) -> tuple[str, ...]:
-    """What is obviously wrong with a rectified pair: swapped, rows off, a range too small, nothing in common.
+    """Warnings about obvious problems of a rectified pair: swapped, misaligned rows, too small a range, nothing in common.
 
     Args:
         left_rgb: (h, w, 3).
         right_rgb: the same size.
-        found: what was asked and came of it.
+        found: search range and result.
     """
     grey = [cv2.cvtColor(np.ascontiguousarray(p), cv2.COLOR_RGB2GRAY) for p in (left_rgb, right_rgb)]
     matches = match_features(grey[0], grey[1], "orb")
     if len(matches) and np.median(np.abs(matches.vertical_px)) > _MOST_OFF_PX:
-        # Rows are off, or most matches are mistakes (a chessboard's): better features tell.
+        # Either rows are misaligned or most matches are wrong (e.g. on a chessboard): decide with better features.
         matches = without_mistakes(match_features(grey[0], grey[1]), None)
     few = f"only {100 * found.density:.1f} % of the pixels are known"
     if len(matches) < _LEAST_MATCHES:
@@ -114,35 +114,35 @@ def quick_warnings(left_rgb: np.ndarray, right_rgb: np.ndarray, found: MatchedPa
         if matches.num_features < _LEAST_MATCHES:
             return (f"{few}: the images are blank, dark or blurred",)
         return (
-            f"{few}, and hardly any feature of one image is found in the other: do they show the same thing?",
+            f"{few}, and hardly any feature of one image is found in the other: do they show the same scene?",
         )
     if np.median(np.hypot(matches.disparity_px, matches.vertical_px)) < SAME_PX:
-        return ("left and right are the same image: there is no depth in it",)
+        return ("left and right are the same image, which gives no depth",)
     out = []
     low, high = found.search_px
     span = f"from {low:g} px on" if np.isinf(high) else f"{low:g} to {high:g} px"
     agrees = np.abs(matches.vertical_px - np.median(matches.vertical_px)) < _AGREES_PX
     beyond = (matches.disparity_px < low - _NEAR_PX) | (matches.disparity_px > high + _NEAR_PX)
     if low >= 0 and is_swapped(matches):
-        where = "nearly all features lie farther right in the right image"
+        where = "nearly all features are farther right in the right image"
         out.append(
-            f"the calibration seems to be of another pair, or of this one exchanged: {where}"
+            f"the calibration seems to be of another pair, or left and right are swapped: {where}"
             if found.is_calibrated
-            else f"left and right look swapped: {where}. Exchange the two images"
+            else f"left and right look swapped: {where}. Swap the two images"
         )
     elif agrees.any() and beyond[agrees].mean() > _MOST_BEYOND:
         out.append(
-            f"{100 * beyond[agrees].mean():.0f} % of the features have disparities beyond the range looked for, {span}: "
-            "what is known there is wrong"
+            f"{100 * beyond[agrees].mean():.0f} % of the features have disparities outside the search range, {span}: "
+            "disparities found there are wrong"
         )
     offset = float(np.median(np.abs(matches.vertical_px)))
     if offset > _MOST_OFF_PX:
         advice = (
-            "the calibration does not fit these images" if found.is_calibrated else "give its calibration"
+            "the calibration does not fit these images" if found.is_calibrated else "pass its calibration"
         )
         out.append(
-            f"the pair is not rectified: features lie {offset:.1f} px off their rows (median); {advice}. "
-            "`epipole stereo doctor` says more"
+            f"the pair is not rectified: features are {offset:.1f} px off their rows (median); {advice}. "
+            "`epipole stereo doctor` gives details"
         )
     if found.density < _FEW and not out:
         out.append(few)
@@ -150,17 +150,17 @@ def quick_warnings(left_rgb: np.ndarray, right_rgb: np.ndarray, found: MatchedPa
 
 
 def is_swapped(matches: RowMatches) -> bool:
-    """Whether nearly all disparities that say something are negative."""
+    """Whether nearly all significant disparities are negative."""
     telling = np.abs(matches.disparity_px) > _NEAR_PX
     if telling.sum() < _LEAST_MATCHES:
         return False
-    # Half of the matches may be mistakes: the sign of what agrees in its row counts.
+    # Up to half of the matches may be wrong: use the sign of those with consistent rows.
     agrees = telling & (np.abs(matches.vertical_px - np.median(matches.vertical_px)) < _AGREES_PX)
     return bool(agrees.any() and (matches.disparity_px[agrees] < 0).mean() > _SWAPPED_FRACTION)
 
 
 def fit_trend(offsets: Float64[np.ndarray, " n"], basis: Float64[np.ndarray, "n p"]) -> RowTrend:
-    """Least squares with Cauchy's weights, scaled by the median deviation."""
+    """Least squares with Cauchy weights, scaled by the median absolute deviation."""
     coefficients = np.zeros(basis.shape[1])
     coefficients[0] = np.median(offsets)
     scale = 1.0
@@ -179,10 +179,10 @@ def fit_trend(offsets: Float64[np.ndarray, " n"], basis: Float64[np.ndarray, "n 
 def row_basis(
     matches: RowMatches, flat: RectifiedRig | None, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What a small error of the rig does to the rows, and what one of the lenses adds.
+    """Basis functions of the vertical offsets caused by small errors of the rig; and with those of distortion appended.
 
-    With x, y from the principal point over f: pitch 1 + y^2, yaw x y, roll x, scale y; a wrong direction of the baseline d and y d;
-    wrong radial distortion y r^2, y r^4 in one lens, x y d in both alike.
+    With x, y relative to the principal point and divided by f: pitch 1 + y^2, yaw x y, roll x, scale y; baseline direction d and y d;
+    radial distortion y r^2 and y r^4 in one camera, x y d in both alike.
     """
     focal, cx, cy = (flat.focal_px, flat.cx, flat.cy) if flat else (size[0], size[0] / 2, size[1] / 2)
     x, y = (matches.right_px[:, 0] - cx) / focal, (matches.right_px[:, 1] - cy) / focal
@@ -193,7 +193,7 @@ def row_basis(
 
 
 def without_mistakes(matches: RowMatches, flat: RectifiedRig | None) -> RowMatches:
-    """Those within three robust deviations of a trend that errors of the rig and of the lenses explain; all where they are few."""
+    """Matches within three robust standard deviations of the trend from rig and distortion errors; all matches if there are few."""
     if len(matches) < LEAST_FOR_TREND:
         return matches
     extent = np.maximum(matches.left_px.max(axis=0), matches.right_px.max(axis=0))

@@ -1,4 +1,4 @@
-"""The jobs of a stereo pair: measured, many of them, two images of a model, and the doctor."""
+"""The stereo jobs: one pair, many pairs, two images of a model, and the diagnosis of a pair."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from epipole._checks import as_path
-from epipole._declared import checked
+from epipole._checks import as_path, checked
 from epipole.config import options_of
 from epipole.disparity_search.rectification import is_right_of_left
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
@@ -46,20 +45,20 @@ def stereo(
     rig: RectifiedRig | StereoRig | None = None,
     **options: Unpack[StereoKeywords],
 ) -> StereoResult:
-    """Disparities of a pair with standard deviations, with a rig also depth and points, and a report.
+    """Compute disparities with standard deviations, with a rig also depth and points, and write a report.
 
     Args:
-        left: image whose pixels get a disparity.
-        right: the other.
-        out: output folder, made if missing.
+        left: left image, whose pixels get a disparity.
+        right: right image.
+        out: output folder, created if missing.
         config: options; None for the defaults.
-        rig: two calibrated cameras, by which the pair is rectified first; or what is known of a rectified pair;
-            None: the pair counts as rectified, and there are disparities but no depth.
+        rig: two calibrated cameras, by which the pair is rectified first; or the parameters of a rectified pair;
+            None: the pair is assumed to be rectified, and there is no depth.
         **options: single options of the config by name, which override it: `max_disparity_px=96`.
 
     Raises:
         FileFormatError: an image cannot be read.
-        ShapeError: the images are no pair, or not of the calibration's size.
+        ShapeError: the sizes of the images do not match each other or the calibration.
         ConfigError: an option is unknown, or left and right are swapped in the calibration.
         DegenerateGeometryError: the pair cannot be rectified.
         WorkspaceError: the output folder cannot be used.
@@ -71,7 +70,6 @@ def stereo(
 
 
 def _measured(files: PairFiles, out: Path, config: StereoConfig, settings: dict[str, Any]) -> StereoResult:
-    """The job of a pair."""
     job = Job(kind="stereo", inputs=(files.left, files.right), settings=settings)
     with open_run(job, out) as run:
         measured = measure_pair(*files.read(), config, files.rig)
@@ -103,8 +101,8 @@ def stereo_many(
 ) -> StereoBatch:
     """`stereo` for every pair of two folders or of stereo video.
 
-    A video with both images side by side is given twice. A pair that cannot be measured is reported with its
-    reason and does not stop the others; a stopped run continues.
+    Pass a video with both images side by side twice. A pair that fails is reported with its reason and does not stop the others;
+    a stopped run can be continued.
 
     Raises:
         FileFormatError: there are no pairs.
@@ -139,19 +137,19 @@ def stereo_of_model(
     config: StereoConfig | None = None,
     **options: Unpack[StereoKeywords],
 ) -> StereoResult:
-    """`stereo` for two images of a finished reconstruction, rectified by their places; depth in the model's unit.
+    """`stereo` for two images of a finished reconstruction, rectified by their poses; depth in the model's unit.
 
     Args:
         workspace: output folder of `reconstruct`.
-        first: name of the image whose pixels get depth (the other one's do if it stands left of this one).
-        second: name of the other.
+        first: name of the image whose pixels get depth, unless it is to the right of the other one.
+        second: name of the other image.
         out: output folder.
         config: options.
         **options: single options of the config by name, which override it.
 
     Raises:
         FileFormatError: there is no model.
-        ConfigError: an image has no place in it.
+        ConfigError: an image is not registered in it.
         DegenerateGeometryError: the two images cannot be rectified.
         WorkspaceError: the output folder cannot be used.
     """
@@ -164,7 +162,7 @@ def stereo_of_model(
         if name not in rows or not registered[rows[name]]:
             near = [each for each in rows if Path(each).stem == name]
             hint = f"; did you mean {near[0]}?" if near else ""
-            raise ConfigError(f"{name} has no place in the model in {workspace}{hint}")
+            raise ConfigError(f"{name} is not registered in the model in {workspace}{hint}")
     if first == second:
         raise DegenerateGeometryError("the two images of a pair must differ")
     files = ModelImages(model, workspace / "images", is_own=has_own_model(workspace))
@@ -173,7 +171,7 @@ def stereo_of_model(
     note: tuple[str, ...] = ()
     if is_right_of_left(rig):
         rig, left, right, first, second = rig.swapped(), right, left, second, first
-        note = (f"{first} stands left of {second}: the depth is that of its pixels",)
+        note = (f"{first} is to the left of {second}, so its pixels get the depth",)
     pair = PairFiles(left.path, right.path, rig, (left.orientation, right.orientation), note)
     settings = _settings(config, rig, left.path, right.path)
     return replace(_measured(pair, as_path(out), config, settings), unit="the model's unit")
@@ -183,11 +181,11 @@ def stereo_of_model(
 def examine_stereo(
     left: str | Path, right: str | Path, rig: RectifiedRig | StereoRig | None = None, max_frames: int = 8
 ) -> Diagnosis:
-    """Find what is wrong with a pair, or with several of one rig: swapped, rows off, not synchronous.
+    """Diagnose a pair, or several of one rig: swapped images, misaligned rows, missing synchronization.
 
     Args:
         left: an image, a folder or a video.
-        right: the other.
+        right: the same for the right camera.
         rig: as for `stereo`.
         max_frames: largest number of pairs examined.
 
@@ -212,13 +210,13 @@ def examine_stereo(
             except FileFormatError as error:
                 unread.append(str(error))
         if not read:
-            raise FileFormatError(left, "no pair of it can be read")
+            raise FileFormatError(left, "none of its pairs can be read")
         found = examine(read, files.rig)
         return replace(found, notes=(*found.notes, *files.notes, *unread))
 
 
 def _settings(config: StereoConfig, rig: RectifiedRig | StereoRig | None, *images: Path) -> dict[str, Any]:
-    """All that the result depends on: other images or another calibration of the same name are not the same pair."""
+    """Everything that the result depends on, including the contents of the calibration and the state of the image files."""
     described: Any = asdict(rig) if isinstance(rig, RectifiedRig) else rig
     if isinstance(rig, StereoRig):
         described = {

@@ -1,4 +1,4 @@
-"""What the viewer shows of a measured pair."""
+"""Viewer scene of a measured pair."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ from epipole.report.space_scene import CameraLayer, FirstView, PointLayer, Point
 from epipole.scene import DepthMap, RectifiedRig, depth_map_to_point_cloud
 
 UNIT = "the unit of the baseline"
-"""Metres where that was told in metres."""
+"""Meters if the baseline was specified in meters."""
 
 
 def is_mine(path: Path) -> bool:
-    """Whether a folder holds a measured pair, or several."""
+    """Whether a folder has the results of one or several pairs."""
     return (path / "disparity.pfm").is_file() or "done" in read_summary(path)
 
 
 def scene(path: Path) -> SpaceScene:
-    """The points of a pair, before the camera that saw them.
+    """The points of a pair and its left camera.
 
     Raises:
-        FileFormatError: the folder holds several pairs, or one without depth.
+        FileFormatError: the folder has several pairs, or a pair without depth.
     """
     if not (path / "disparity.pfm").is_file():
         done = read_summary(path)["done"]
-        hint = f": choose one, {path / str(done[0])} for one" if done else "; none was measured"
+        hint = f": choose one, e.g. {path / str(done[0])}" if done else "; none was measured"
         raise FileFormatError(path, f"it holds several pairs{hint}")
     return scene_of_pair(read_stereo(path), path.resolve().name)
 
 
 def is_pair_file(path: Path) -> bool:
-    """Whether a file is one of a measured pair with depth, which tells more than the file alone."""
+    """Whether a file belongs to the results of a pair with depth."""
     own = path.name in ("depth.pfm", "disparity.pfm", "cloud.ply", "rig.json")
     return own and path.is_file() and (path.parent / "rig.json").is_file()
 
 
 def scene_of_file(path: Path) -> SpaceScene:
-    """The pair that a file is of.
+    """The pair that a file belongs to.
 
     Raises:
         FileFormatError: a file is damaged.
@@ -53,7 +53,7 @@ def scene_of_file(path: Path) -> SpaceScene:
 
 
 def scene_of_pair(files: StereoFiles, title: str) -> SpaceScene:
-    """Points with their errors, and the left camera.
+    """Points with their uncertainties, and the left camera.
 
     Raises:
         FileFormatError: no pixel has a depth.
@@ -83,22 +83,22 @@ def scene_of_pair(files: StereoFiles, title: str) -> SpaceScene:
 def points_of_depths(
     depths: np.ndarray, sigma: np.ndarray | None, K: np.ndarray, rgb: np.ndarray
 ) -> PointLayer:
-    """A depth map's points, in the camera's frame, with errors where they are known."""
+    """The points of a depth map in the camera frame, with uncertainties if known."""
     cloud = depth_map_to_point_cloud(depths, K)
     depth = depths[cloud.mask].astype(np.float64)
     measures: tuple[PointMeasure, ...] = (PointMeasure("depth", depth),)
     covariances, words = None, ""
     if sigma is not None:
         relative = np.where(sigma[cloud.mask] > 0, sigma[cloud.mask], np.nan) / depth
-        measures = (PointMeasure("error of depth", 100.0 * relative.astype(np.float64), "% of it"), *measures)
+        measures = (PointMeasure("depth error", 100.0 * relative.astype(np.float64), "% of depth"), *measures)
         known = DepthMap(depths.astype(np.float64), sigma.astype(np.float64), np.zeros(depths.shape))
         covariances = point_covariances(known, RectifiedRig(K[0, 0], K[0, 2], K[1, 2], 1.0))[cloud.mask]
-        words = "as the disparities' errors tell"
+        words = "from the disparity errors"
     return PointLayer("Points", cloud.points_in_cam, rgb[cloud.mask], measures, covariances, words)
 
 
 def view_of_depths(points_in_cam: np.ndarray) -> FirstView:
-    """From beside the camera, on what is half as far as the rest."""
+    """View from beside the camera towards the median depth."""
     middle = float(np.median(points_in_cam[:, 2])) if len(points_in_cam) else 1.0
     position = middle * np.array([-0.25, -0.25, -0.2])
     return FirstView(position, np.array([0.0, 0.0, middle]), np.array([0.0, -1.0, 0.0]))

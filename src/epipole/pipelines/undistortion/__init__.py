@@ -1,1 +1,1 @@
-"""Undistortion: a model and its images as pinhole cameras would have taken them."""
+"""Undistortion of a model and its images to pinhole cameras."""

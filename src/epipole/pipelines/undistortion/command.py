@@ -15,12 +15,12 @@ def undistort(
     target: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[DEST]")] = None,
     model: int | None = None,
 ) -> None:
-    """Write images without distortion and a PINHOLE model, for splat trainers and MVS.
+    """Write undistorted images and a PINHOLE model, for splat trainers and MVS.
 
     Args:
         out: Output folder of a reconstruction, or one of its models (OUT/sparse/1).
-        target: Where to write; OUT/undistorted if not given, OUT/undistorted-1 for model 1.
-        model: Number of the model in OUT/sparse, of several; the largest is 0.
+        target: Where to write; default OUT/undistorted, or OUT/undistorted-1 for model 1.
+        model: Number of the model in OUT/sparse, if there are several; the largest is 0.
     """
     from epipole.screen import progress_on_screen
 

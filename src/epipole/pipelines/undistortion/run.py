@@ -1,4 +1,4 @@
-"""The job: images without distortion and a PINHOLE model, as splat trainers and MVS read them."""
+"""The undistortion job: undistorted images and a PINHOLE model, for splat trainers and MVS."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._checks import as_path
-from epipole._declared import checked
+from epipole._checks import as_path, checked
 from epipole.cameras import Camera
 from epipole.errors import FileFormatError
 from epipole.image import undistort_image, undistorted_camera
@@ -31,27 +30,27 @@ def undistort(
     target: str | Path | None = None,
     model: int | None = None,
 ) -> Path:
-    """Write images without distortion and a PINHOLE model, as splat trainers and MVS read them.
+    """Write undistorted images and a PINHOLE model, for splat trainers and MVS.
 
     Args:
         out: output folder of a reconstruction, or a model in it (`OUT/sparse/1`).
         progress: called with the progress.
-        target: where to write; None: `OUT/undistorted`, of a further model `OUT/undistorted-1` and so on.
+        target: where to write; None: `OUT/undistorted`, or `OUT/undistorted-1` for model 1 and so on.
         model: number of the model in `OUT/sparse`; None: the largest, 0.
 
     Returns:
-        The folder: `images/` and `sparse/0/`.
+        The folder, with `images/` and `sparse/0/`.
 
     Raises:
-        FileFormatError: there is no such model, an image is missing, does not fit its camera, or its format cannot be written.
-        DegenerateGeometryError: the distortion of a camera describes nearly nothing of its images.
-        WorkspaceError: the folder holds something else, or cannot be written.
+        FileFormatError: there is no such model, an image is missing or does not fit its camera, or its format cannot be written.
+        DegenerateGeometryError: a camera's distortion is invalid over almost all of its images.
+        WorkspaceError: the folder contains something else, or cannot be written.
     """
     given = as_path(out)
     folder = find_model(given) if model is None else _model_numbered(given, model)
     workspace = _workspace_of(folder, given)
     if not (workspace / "images").is_dir():
-        raise FileFormatError(workspace, with_what_it_is("has no folder images beside its model", workspace))
+        raise FileFormatError(workspace, with_what_it_is("has no images folder next to its model", workspace))
     found = read_colmap_model(folder)
     registered = np.flatnonzero(found.is_registered())
     names = [found.images.name[image] for image in registered]
@@ -83,7 +82,7 @@ def _pinholes(model: Reconstruction, registered: np.ndarray, images: Sequence[Mo
 
     Raises:
         FileFormatError: images of one camera have different sizes.
-        DegenerateGeometryError: the distortion of one describes nearly nothing of its images.
+        DegenerateGeometryError: a camera's distortion is invalid over almost all of its images.
     """
     used: dict[int, Camera] = {}
     for row, image in zip(registered, images):
@@ -92,7 +91,7 @@ def _pinholes(model: Reconstruction, registered: np.ndarray, images: Sequence[Mo
             raise FileFormatError(
                 image.path,
                 f"is {own.width} x {own.height}, but other images of its camera are {first.width} x {first.height}: scale all"
-                " of them alike",
+                " images of a camera to the same size",
             )
     out = []
     for c in range(len(model.cameras)):
@@ -103,7 +102,6 @@ def _pinholes(model: Reconstruction, registered: np.ndarray, images: Sequence[Mo
 
 
 def _model_numbered(workspace: Path, number: int) -> Path:
-    """The folder of one of several models."""
     folder = workspace / "sparse" / str(number)
     if not folder.is_dir():
         there = sorted(path.name for path in (workspace / "sparse").glob("*") if path.is_dir())
@@ -115,14 +113,14 @@ def _model_numbered(workspace: Path, number: int) -> Path:
 
 
 def _workspace_of(folder: Path, given: Path) -> Path:
-    """The folder with the images: what was given, or the one that the model lies in."""
+    """The folder with the images: the given one, or a parent of the model's folder."""
     at = folder.resolve()
     positions = (given, folder, at.parent, at.parent.parent)
     return next((position for position in positions if (position / "images").is_dir()), given)
 
 
 def without_distortion(model: Reconstruction, pinholes: list[Camera]) -> Reconstruction:
-    """The same model with its keypoints and cameras undistorted."""
+    """The model with undistorted keypoints and cameras."""
     pixels = model.images.keypoints_px.copy()
     for image in range(len(model.images)):
         c = int(model.camera_of_image[image])

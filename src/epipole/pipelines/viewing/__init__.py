@@ -1,1 +1,1 @@
-"""Whatever a folder holds, in the browser."""
+"""Viewing the content of any result folder or file in the browser."""

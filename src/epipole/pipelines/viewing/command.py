@@ -18,13 +18,13 @@ def view(
     share: Path | None = None,
     share_max: int = USUAL_SHARED,
 ) -> None:
-    """Show any result or file in the browser: a model, a path with its map, depth, Gaussians, points, triangles, a calibration.
+    """Show any result or file in the browser: model, trajectory with map, depth, Gaussians, points, mesh, calibration.
 
     Args:
         out: Output folder of a job, a COLMAP model, or a file: PLY, SPZ, SOG (or its meta.json), .splat, depth map (PFM, 16-bit PNG), trajectory, map, calibration.
         port: The port to listen on; None: 8080, or the next free one if it is in use.
-        host: The address to listen on; 0.0.0.0 lets other machines in.
-        share: Write one .html file that shows it in any browser instead, and start no server.
+        host: The address to listen on; 0.0.0.0 allows connections from other machines.
+        share: Write a single .html file that any browser can show instead, and start no server.
         share_max: Most points (sampled evenly) and Gaussians (merged) in that file.
     """
     import threading

@@ -1,4 +1,4 @@
-"""What the viewer shows of single files that are of no job: points, triangles and depth maps."""
+"""Scenes of single files that belong to no job: points, triangles and depth maps."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from epipole.scene import Curve, extent_of
 UNIT, FARTHEST = "units of the file", 1e30
 GREY = 190
 WIDTH_DEG = 60.0
-"""Taken to be across a depth map's image, where no lens is told."""
+"""Assumed horizontal field of view of a depth map, whose intrinsics are unknown."""
 
 
 def is_ply(path: Path) -> bool:
-    """Whether a path is that of a PLY file."""
+    """Whether a path is a PLY file."""
     return path.suffix.lower() == ".ply" and path.is_file()
 
 
 def scene_of_ply(path: Path) -> SpaceScene:
-    """Points, or triangles where the file has faces.
+    """A scene with points, or with triangles if the file has faces.
 
     Raises:
-        FileFormatError: the file is damaged, or holds no point.
+        FileFormatError: the file is damaged, or has no points.
     """
     found = read_mesh_ply(path)
     xyz, n = found.xyz, len(found.xyz)
     rendered = (np.abs(xyz) < FARTHEST).all(axis=1)
     if not rendered.any():
-        raise FileFormatError(path, "holds no point that can be drawn: finite, and nearer than 1e30")
+        raise FileFormatError(path, "it has no finite points with coordinates below 1e30")
     if not rendered.all():
         xyz = np.where(rendered[:, None], xyz, np.nan)
     num_cameras = num_cameras_of_scene(path)
@@ -46,7 +46,7 @@ def scene_of_ply(path: Path) -> SpaceScene:
         return _scene_of_model(path, xyz, found.rgb, num_cameras)
     rgb = found.rgb if found.rgb is not None else np.full((n, 3), GREY, np.uint8)
     extent = extent_of(xyz[:: max(1, n // 200_000)], np.zeros((0, 3)), 95.0)
-    # Most such files are of a camera's world, y down; a model of one's own may stand otherwise.
+    # Most such files are in a camera's world, y down; other models may have other axes.
     away = extent.radius * np.array([-0.9, -1.1, -2.2])
     view = FirstView(extent.focus + away, extent.focus, np.array([0.0, -1.0, 0.0]))
     title = path.resolve().name
@@ -58,7 +58,7 @@ def scene_of_ply(path: Path) -> SpaceScene:
 
 
 def _scene_of_model(path: Path, xyz: np.ndarray, rgb: np.ndarray, num_cameras: int) -> SpaceScene:
-    """A model that was written as PLY: its cameras are lines, and no points; +z is up."""
+    """The scene of a model written as PLY: its cameras are lines, not points; +z is up."""
     n = len(xyz) - 5 * num_cameras
     lines = Curve("Cameras", frustum_segments(xyz[n:].reshape(-1, 5, 3)), CAMERA_RGB)
     words = f"{plural(n, 'point')} and {plural(num_cameras, 'camera')}"
@@ -67,19 +67,19 @@ def _scene_of_model(path: Path, xyz: np.ndarray, rgb: np.ndarray, num_cameras: i
 
 
 def is_depth_map(path: Path) -> bool:
-    """Whether a path is that of a PFM or a 16-bit PNG."""
+    """Whether a path is a PFM or PNG file."""
     return path.suffix.lower() in (".pfm", ".png") and path.is_file()
 
 
 def scene_of_depth_map(path: Path) -> SpaceScene:
-    """A depth map's points in the colours of their depths; the lens is not told by such a file.
+    """A depth map's points, colored by depth; the field of view is assumed, since such files have no intrinsics.
 
     Raises:
         FileFormatError: the file is damaged, or no pixel has a depth.
     """
     if "disparity" in path.stem.lower():
-        hint = "`epipole stereo` with --focal-px and --baseline, or --calibration, gives depths"
-        raise FileFormatError(path, f"holds disparities by its name, and no depths: {hint}")
+        hint = "`epipole stereo` with --focal-px and --baseline, or --calibration, writes depths"
+        raise FileFormatError(path, f"by its name, it has disparities instead of depths: {hint}")
     is_png = path.suffix.lower() == ".png"
     depths = (read_png16 if is_png else read_pfm)(path)
     depths = np.where(np.isfinite(depths) & (depths > 0), depths, np.nan)
@@ -92,8 +92,8 @@ def scene_of_depth_map(path: Path) -> SpaceScene:
     camera = CameraLayer("Camera", ("camera",), Rigid3.identity(1), K[None], np.array([[width, height]]))
     words = (
         f"{plural(len(layer.xyz_in_world), 'pixel')} of {width} x {height}, its values "
-        f"{f'divided by {PNG_SCALE:g}, as KITTI stores them, ' if is_png else ''}taken as depths; "
-        f"its lens is not told: drawn as if it were {WIDTH_DEG:.0f} degrees wide"
+        f"{f'divided by {PNG_SCALE:g}, as in KITTI, ' if is_png else ''}interpreted as depths; "
+        f"its intrinsics are unknown, so a horizontal field of view of {WIDTH_DEG:.0f} degrees is assumed"
     )
     return SpaceScene(
         path.resolve().name, words, UNIT, (layer,), camera, view=view_of_depths(layer.xyz_in_world)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from epipole._checks import as_path
-from epipole._declared import checked
+from epipole._checks import as_path, checked
 from epipole.errors import FileFormatError
 from epipole.io.calibration.files import read_calibration
 from epipole.io.convert import read_model

@@ -1,4 +1,4 @@
-"""What the viewer shows of a path, and what a page of its own does: the job that it is of knows."""
+"""The viewing job: chooses how to show a path, and writes self-contained pages."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from epipole._checks import as_path
-from epipole._declared import checked
+from epipole._checks import as_path, checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.contents_in_words import with_what_it_is
 from epipole.pipelines.calibration import scene as calibration
@@ -34,16 +33,16 @@ KINDS: tuple[tuple[Callable[[Path], bool], Callable[[Path], SpaceScene]], ...] =
     (slam.is_trajectory, slam.scene_of_trajectory),
     (calibration.is_mine, calibration.scene),
 )
-"""Asked in this order; what is none of these is a model, or nothing."""
+"""Checked in this order; anything else is a model, or cannot be shown."""
 
 
 @dataclass(frozen=True, slots=True)
 class SharedPage:
-    """A page that `share` wrote."""
+    """Result of `share`."""
 
     file: Path
     shown: str
-    """What it shows, and of how much, in words."""
+    """Description of what the page shows."""
     num_bytes: int
 
 
@@ -55,32 +54,32 @@ def view(
 
     Args:
         out: output folder of a job, a COLMAP model, a transforms.json, a PLY file (points, triangles or Gaussians),
-            other files of Gaussians, a depth map (PFM, 16-bit PNG), a trajectory (TUM, KITTI, EuRoC), a map of SLAM, or
+            other files of Gaussians, a depth map (PFM, 16-bit PNG), a trajectory (TUM, KITTI, EuRoC), a SLAM map, or
             a calibration.
-        port: where to listen; None: 8080, or the next free port if that is in use, which the handle's note says.
-        host: the address to listen on; "0.0.0.0" lets other machines in.
-        block: return only when the user interrupts with Ctrl-C.
+        port: the port to listen on; None: 8080, or the next free port if that is in use (see the handle's note).
+        host: the address to listen on; "0.0.0.0" allows connections from other machines.
+        block: return only after Ctrl-C.
 
     Raises:
-        FileFormatError: the path holds nothing that can be shown, or is damaged.
-        ConfigError: the port is in use or out of range, or the host is no address of this machine.
+        FileFormatError: the path contains nothing that can be shown, or is damaged.
+        ConfigError: the port is in use or out of range, or the host is not an address of this machine.
     """
     return view_scene(scene_of(as_path(out)), port=port, host=host, block=block)
 
 
 @checked
 def share(out: str | Path, file: str | Path, *, share_max: int = USUAL_SHARED) -> Path:
-    """Write one HTML page that shows a result or a file in any browser, without a server and with nothing loaded from elsewhere.
+    """Write a self-contained HTML page that shows a result or a file in any browser, without a server.
 
     Args:
-        out: as of `view`.
-        file: the page; one that an earlier call wrote is replaced.
-        share_max: the page holds at most this many points, sampled evenly, and Gaussians, into which the others are merged.
+        out: as in `view`.
+        file: the page; one written by an earlier call is replaced.
+        share_max: largest number of points (sampled evenly) and of Gaussians (merged) in the page.
 
     Raises:
-        FileFormatError: the path holds nothing that can be shown, is damaged, or is not there.
+        FileFormatError: the path does not exist, contains nothing that can be shown, or is damaged.
         ConfigError: the page's name does not end in .html.
-        WorkspaceError: the page cannot be written, or exists and no earlier call wrote it.
+        WorkspaceError: the page cannot be written, or exists and was not written by an earlier call.
     """
     return write_page(out, file, share_max).file
 
@@ -89,7 +88,7 @@ def write_page(out: str | Path, file: str | Path, share_max: int) -> SharedPage:
     """`share`, and what the page shows."""
     path, page_file = as_path(out), as_path(file)
     if page_file.suffix.lower() not in PAGE_SUFFIXES:
-        raise ConfigError(f"share writes a page: its name must end in .html, got {page_file.name!r}")
+        raise ConfigError(f"share writes an HTML page, so its name must end in .html, got {page_file.name!r}")
     if not 1 <= share_max <= MOST_SHARED:
         raise ConfigError(f"share_max must be from 1 to {MOST_SHARED}, got {share_max}")
     scene = scene_of(path)
@@ -103,15 +102,15 @@ def write_page(out: str | Path, file: str | Path, share_max: int) -> SharedPage:
 
 
 def scene_of(path: Path) -> SpaceScene:
-    """What there is to see of a path.
+    """The scene of a path.
 
     Raises:
-        FileFormatError: nothing, or it is damaged.
+        FileFormatError: there is nothing to show, or it is damaged.
     """
     if not path.exists():
         raise FileFormatError(path, "there is no such file or folder")
     make = next((make for is_mine, make in KINDS if is_mine(path)), None)
     if make is None and path.is_file() and path.suffix.lower() != ".json":
         advice = "`epipole view --help` lists what can be shown"
-        raise FileFormatError(path, with_what_it_is("is no file that can be shown", path, advice))
+        raise FileFormatError(path, with_what_it_is("not a file that can be shown", path, advice))
     return (make or sfm.scene)(path)

@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.special import bdtrc
 
-from epipole._checks import as_points, require_same_length
-from epipole._declared import checked
+from epipole._checks import as_points, checked, require_same_length
 from epipole.cameras import Camera
 from epipole.config import RansacConfig, options_of
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1

@@ -1,12 +1,12 @@
-"""The similarity from a model to the GPS positions of its images.
+"""Similarity that aligns a model with the GPS positions of its images.
 
-GPS determines scale, heading and position, and, where the images do not lie along a line, also which way is up. The
-cameras propose directions of up, each with an uncertainty; one least-squares fit weighs them against the positions:
+GPS determines scale, heading and position and, unless the images lie on a line, also the up direction. The cameras
+suggest up directions, each with an uncertainty. A least-squares fit weighs them against the positions:
 
     min over (s, R, t) of  sum_i rho(|s R c_i + t - g_i|^2 / sigma^2)  +  min_k angle(R up_k, z)^2 / sigma_k^2
 
-with Cauchy's rho, for horizontal and vertical residuals apart. So the cameras decide where GPS cannot, and cannot
-override it where it can.
+with Cauchy's rho, applied separately to horizontal and vertical residuals. So the cameras determine what GPS cannot,
+and do not override GPS where it can.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from epipole.robust import estimate_similarity, estimate_upright_similarity
 MIN_POSITIONS = 3
 """Two positions give scale, heading and translation; a third checks them."""
 VERTICAL_TO_HORIZONTAL = 2.0
-"""GPS measures altitude about half as well as latitude and longitude."""
+"""Ratio of the standard deviations of altitude and of a horizontal coordinate."""
 MAX_PRIOR_DEVIATIONS = 3.0
-"""A direction of up that is farther off than this has no further say."""
+"""Up directions that deviate by more standard deviations have no further influence."""
 TO_SIGMA = 1.4826
-"""From the median absolute value of a normal distribution to its standard deviation."""
+"""Standard deviation of a normal distribution, divided by its median absolute deviation."""
 Z_AXIS = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GpsAlignment:
-    """How a model fits the GPS positions of its images."""
+    """Alignment of a model with the GPS positions of its images."""
 
     enu_from_world: Similarity3
     residuals_m: np.ndarray
-    """(n,) distance of each image from its GPS position, horizontal where no altitude is known; NaN where there is none."""
+    """(n,) distance of each image from its GPS position, horizontal if the altitude is unknown; NaN without GPS."""
     up_sigma_rad: float
-    """Standard deviation of the direction of up, from the positions and the cameras together."""
+    """Standard deviation of the up direction, from positions and cameras together."""
 
     @property
     def median_m(self) -> float:
@@ -57,17 +57,17 @@ def align_to_gps(
     max_error_m: float,
     seed: int = 0,
 ) -> GpsAlignment | None:
-    """The similarity from the model to the GPS positions of its images; None where they do not determine it.
+    """Align a model with the GPS positions of its images; None if they do not determine the similarity.
 
-    None also where positions like these would fit any model as well (`gps_evidence`).
+    None also if the positions would fit any model equally well (`gps_evidence`).
 
     Args:
-        centers_in_world: (n, 3), NaN rows for images without a pose.
-        up_directions: the likeliest first.
-        positions_enu: (n, 3) metres east, north, up; NaN rows for none, NaN up where no altitude is known.
-        sigma_m: standard deviation of a horizontal coordinate; larger residuals enlarge it.
-        max_error_m: positions farther off are outliers.
-        seed: of the sampling.
+        centers_in_world: (n, 3) camera centers, NaN rows for images without a pose.
+        up_directions: possible up directions, most likely first.
+        positions_enu: (n, 3) metres east, north, up; NaN rows without GPS, NaN up if the altitude is unknown.
+        sigma_m: standard deviation of a horizontal coordinate; increased if the residuals are larger.
+        max_error_m: distance beyond which positions are outliers.
+        seed: random seed.
     """
     usable = np.flatnonzero(
         np.isfinite(positions_enu[:, :2]).all(axis=1) & np.isfinite(centers_in_world).all(axis=1)
@@ -92,7 +92,7 @@ def align_to_gps(
 
 
 def gps_distances(centers_enu: np.ndarray, positions_enu: np.ndarray) -> np.ndarray:
-    """(n,) distance of each camera from its GPS position, horizontal where no altitude is known; NaN for none."""
+    """(n,) distance of each camera from its GPS position, horizontal if the altitude is unknown; NaN without GPS."""
     off = centers_enu - positions_enu
     off[~np.isfinite(positions_enu[:, 2]) & np.isfinite(off[:, 0]), 2] = 0.0
     return np.linalg.norm(off, axis=1)
@@ -101,12 +101,12 @@ def gps_distances(centers_enu: np.ndarray, positions_enu: np.ndarray) -> np.ndar
 def evidence_of(
     centers_in_world: np.ndarray, up_directions: Sequence[UpDirection], positions_enu: np.ndarray, seed: int
 ) -> GpsEvidence:
-    """How well the positions fit the model, for any of the directions."""
+    """How well the positions fit the model, for any of the up directions."""
     return gps_evidence(centers_in_world, positions_enu, [up.direction for up in up_directions], seed)
 
 
 def is_wide_enough(positions_enu: np.ndarray, max_error_m: float) -> bool:
-    """Whether there are enough positions, farther apart than they may be off; a few gross errors do not widen them."""
+    """Whether there are enough positions, and their spread exceeds their error; robust against a few gross errors."""
     if len(positions_enu) < MIN_POSITIONS:
         return False
     offsets = positions_enu[:, :2] - np.median(positions_enu[:, :2], axis=0)
@@ -121,7 +121,7 @@ def _starts(
     max_error_m: float,
     seed: int,
 ) -> list[Similarity3]:
-    """Robust similarities: one for each direction of up, and one in 3D that assumes none."""
+    """Robust similarities to start from: one per up direction, and one in 3D without an up direction."""
     config = RansacConfig(max_error_px=max_error_m, min_inliers=2, min_inlier_ratio=0.0, seed=seed)
     has_altitude = np.isfinite(target[:, 2])
     flat = np.where(has_altitude[:, None], target, target * [1, 1, 0])
@@ -148,8 +148,8 @@ def _refine(
     up_directions: Sequence[UpDirection],
     sigma_m: float,
 ) -> tuple[float, float, Similarity3] | None:
-    """The cost, the standard deviation of up, and the refined similarity; None where the model shrinks to a point."""
-    from scipy.optimize import least_squares  # a tenth of a second to import, for sets with GPS only
+    """Cost, standard deviation of up, and refined similarity; None if the model collapses to a point."""
+    from scipy.optimize import least_squares  # slow to import, and needed for GPS only
 
     has_value = np.isfinite(target)
     goal, middle = np.where(has_value, target, 0.0), source.mean(axis=0)
@@ -177,7 +177,7 @@ def _refine(
 
 
 def _without_outliers(off: np.ndarray, target: np.ndarray, max_error_m: float) -> np.ndarray:
-    """The positions, with NaN for those that are off horizontally, and for altitudes that are off."""
+    """Positions with NaN for horizontal outliers and for outlying altitudes."""
     flat, high = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
     limit_m = max(max_error_m, 3.0 * _median(flat))
     near = np.where((flat <= limit_m)[:, None], target, np.nan)
@@ -186,26 +186,26 @@ def _without_outliers(off: np.ndarray, target: np.ndarray, max_error_m: float) -
 
 
 def _sigma_of(off: np.ndarray, sigma_m: float) -> np.ndarray:
-    """(3,) standard deviations: at least the given one, or what the residuals of a first fit show."""
+    """(3,) standard deviations: the given one, or a larger one if the residuals of a first fit show it."""
     horizontal = max(sigma_m, TO_SIGMA * _median(np.abs(off[:, :2])))
     vertical = max(VERTICAL_TO_HORIZONTAL * sigma_m, TO_SIGMA * _median(np.abs(off[:, 2])))
     return np.array([horizontal, horizontal, vertical])
 
 
 def _median(values: np.ndarray) -> float:
-    """Of the finite ones; 0 without any."""
+    """Median of the finite values; 0 if there are none."""
     finite = values[np.isfinite(values)]
     return float(np.median(finite)) if len(finite) else 0.0
 
 
 def _robust(whitened: np.ndarray) -> np.ndarray:
-    """Vectors (n, d) whose squares are Cauchy's loss, log(1 + r^2), of those given."""
+    """Vectors (n, d) whose squared norms are Cauchy's loss log(1 + r^2) of the given ones."""
     squared = (whitened**2).sum(axis=1, keepdims=True)
     return whitened * np.sqrt(np.where(squared > 1e-12, np.log1p(squared) / np.maximum(squared, 1e-12), 1.0))
 
 
 def _prior_of(start: Similarity3, up_directions: Sequence[UpDirection]) -> tuple[UpDirection | None, float]:
-    """The direction of up nearest to a start, or none and its cost where all are too far off."""
+    """Up direction nearest to a start, or None if all deviate too much, and its cost."""
     best, least = None, MAX_PRIOR_DEVIATIONS
     for up in up_directions:
         angle = float(np.arccos(np.clip((start.rotation @ up.direction)[2], -1.0, 1.0)))
@@ -215,7 +215,7 @@ def _prior_of(start: Similarity3, up_directions: Sequence[UpDirection]) -> tuple
 
 
 def _tilt_sigma_rad(jacobian: np.ndarray) -> float:
-    """Standard deviation of the tilt that is known worst, all other unknowns being free."""
+    """Standard deviation of the least certain tilt, marginalized over all other unknowns."""
     information = jacobian.T @ jacobian
     tilts, others = [1, 2], [0, 3, 4, 5, 6]
     shared = information[np.ix_(tilts, others)]

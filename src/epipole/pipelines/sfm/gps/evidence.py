@@ -1,16 +1,15 @@
-"""Do GPS positions belong to the images that carry them? A robust fit, compared with fits of shuffled positions.
+"""Test whether GPS positions belong to the images: a robust fit, compared with fits of shuffled positions.
 
-A similarity between a model and GPS positions fits some part of any positions at all. They are believed where the model
-fits them much better than their own spread and, with enough of them to measure chance, much better than it fits the same
-positions shuffled among the images (a permutation test: Fisher, The Design of Experiments, 1935). Two kinds of fit are
-tried, each against its own shuffles:
+Some similarity always fits part of any set of positions. GPS is trusted if the model fits much better than the spread
+of the positions and, with enough of them, much better than the same positions shuffled among the images (a permutation
+test: Fisher, The Design of Experiments, 1935). Two kinds of fit are tried, each against its own shuffles:
 
-- in 3D, free of any assumption about up: three images determine a similarity;
-- horizontally, for each direction that may be up: two images determine scale, heading and translation. This one needs no
+- in 3D, without an assumption about the up direction: three images determine a similarity;
+- horizontally, for each possible up direction: two images determine scale, heading and translation. This needs no
   altitudes, which GPS measures worst.
 
-Both minimise the median distance over samples (Rousseeuw, Least Median of Squares, JASA 1984), so that many positions may
-be wrong; the 3D fit is then refined by concentration steps (Rousseeuw and Van Driessen, FAST-LTS, 2006).
+Both minimize the median distance over samples (Rousseeuw, Least Median of Squares, JASA 1984), which tolerates many
+wrong positions; the 3D fit is then refined by concentration steps (Rousseeuw and Van Driessen, FAST-LTS, 2006).
 """
 
 from __future__ import annotations
@@ -25,18 +24,18 @@ from jaxtyping import Float64
 from epipole.geometry import Rotation3
 
 MAX_POSITIONS = 60
-"""More are thinned evenly: the test is decided long before."""
+"""Positions that are used, at most; more are thinned evenly, as they do not change the result."""
 MAX_SAMPLES = 100
-"""Pairs or triples of images that propose a similarity."""
+"""Pairs or triples of images that are sampled, at most."""
 NUM_SHUFFLES = 199
 NUM_CONCENTRATIONS = 3
 MIN_TO_SHUFFLE = 7
-"""Fewer images have too few orders to measure chance."""
+"""Fewer images have too few permutations for the test."""
 MIN_DEVIATIONS = 4.0
-"""The logarithm of a believable fit lies this many standard deviations below the mean of the shuffled fits."""
+"""Standard deviations by which the logarithm of a convincing fit lies below the mean of the shuffled fits."""
 MAX_RESIDUAL_TO_SPREAD = 0.5
 MAX_RESIDUAL_TO_SPREAD_OF_FEW = 0.3
-"""Without shuffles: one or two in a hundred sets of random positions fit as well."""
+"""Limit without shuffles; one or two in a hundred sets of random positions fit as well."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,23 +44,23 @@ class GpsEvidence:
 
     num_positions: int
     residual_m: float
-    """More than half of the images lie within this distance of their GPS position, after the best fit."""
+    """More than half of the images are within this distance of their GPS position, after the best fit."""
     spread_m: float
     """Median horizontal distance of the GPS positions from their median."""
     deviations: float
-    """How far the fit lies below shuffled fits, in standard deviations of their logarithm; NaN for few positions."""
+    """Distance of the fit below shuffled fits, in standard deviations of their logarithm; NaN for few positions."""
 
     @property
     def is_convincing(self) -> bool:
-        """Whether the positions are where the images were taken."""
+        """Whether the positions belong to the images."""
         if self.num_positions < MIN_TO_SHUFFLE:
             return self.residual_m <= MAX_RESIDUAL_TO_SPREAD_OF_FEW * self.spread_m
         return self.residual_m <= MAX_RESIDUAL_TO_SPREAD * self.spread_m and self.deviations >= MIN_DEVIATIONS
 
     def in_words(self) -> str:
-        """What was found, for a reader who learns that the GPS positions are not used."""
+        """Explanation of why the GPS positions are not used."""
         words = (
-            f"after the best fit about half of the {self.num_positions} images lie {metres_in_words(self.residual_m)} or more "
+            f"after the best fit about half of the {self.num_positions} images are {metres_in_words(self.residual_m)} or more "
             f"from their GPS positions, which spread over {metres_in_words(self.spread_m)}"
         )
         if self.deviations < MIN_DEVIATIONS:
@@ -70,7 +69,7 @@ class GpsEvidence:
 
 
 def metres_in_words(length_m: float) -> str:
-    """To two digits, for lengths below ten metres too."""
+    """Length with two digits if below ten metres."""
     return f"{length_m:.0f} m" if length_m >= 10.0 else f"{length_m:.2g} m"
 
 
@@ -80,13 +79,13 @@ def gps_evidence(
     up_directions: Sequence[Float64[np.ndarray, 3]],
     seed: int = 0,
 ) -> GpsEvidence:
-    """Compare GPS positions with camera centres; rows without a centre or a horizontal position do not count.
+    """Compare GPS positions with camera centers; rows without a center or a horizontal position are ignored.
 
     Args:
-        centers: in the model's own coordinates, any scale and orientation.
-        positions_enu: metres east, north and up; up is NaN where no altitude was recorded.
-        up_directions: unit vectors in the model's coordinates that may be up, the likeliest first.
-        seed: of samples and shuffles.
+        centers: camera centers in the model's coordinates, of any scale and orientation.
+        positions_enu: metres east, north and up; up is NaN without a recorded altitude.
+        up_directions: possible up directions in the model's coordinates, as unit vectors, most likely first.
+        seed: random seed.
     """
     usable = np.flatnonzero(np.isfinite(centers).all(axis=1) & np.isfinite(positions_enu[:, :2]).all(axis=1))
     num_positions = len(usable)
@@ -100,7 +99,7 @@ def gps_evidence(
     can_shuffle = num_positions >= MIN_TO_SHUFFLE
     num_shuffles = NUM_SHUFFLES if can_shuffle else 0
     orders = _orders(len(usable), num_shuffles, seed)
-    # Each direction that is tried gives chance another try: few positions are compared with the likeliest alone.
+    # Each further direction is another try for chance, so few positions are compared for the most likely one only.
     directions = up_directions if can_shuffle else up_directions[:1]
     fits = [_horizontal_fits(source, target[:, :2], up, orders, seed) for up in directions]
     has_altitude = np.isfinite(target[:, 2])
@@ -112,28 +111,28 @@ def gps_evidence(
 
 
 def _orders(count: int, num_shuffles: int, seed: int) -> np.ndarray:
-    """(1 + shuffles, count): the given order, then random ones."""
+    """(1 + shuffles, count): the identity, then random permutations."""
     random = np.random.default_rng(seed)
     return np.stack([np.arange(count), *(random.permutation(count) for _ in range(num_shuffles))])
 
 
 def _deviations(fits: np.ndarray) -> float:
-    """Of the first fit from the others, by logarithm."""
+    """Deviation of the first fit from the others, in standard deviations of their logarithms."""
     if len(fits) < 2:
         return float("nan")
     if not np.isfinite(fits).all():
-        return 0.0  # a model without extent fits nothing
+        return 0.0  # a model without extent does not fit
     logs = np.log(np.maximum(fits, 1e-12 * max(float(fits.max()), 1e-300)))
     return float((logs[1:].mean() - logs[0]) / max(float(logs[1:].std()), 1e-9))
 
 
 def _middle(count: int) -> int:
-    """Index of the residual that is minimised: two others at least agree with a sample, of four."""
+    """Index of the residual to minimize; with four images, at least two besides a sample must agree."""
     return min((count + 4) // 2, count) - 1
 
 
 def _samples(count: int, size: int, seed: int) -> np.ndarray:
-    """(k, size): all subsets where they are few, else random ones."""
+    """(k, size) all subsets if there are few, else random ones."""
     random = np.random.default_rng(seed)
     if count <= 12:
         every = np.array(list(combinations(range(count), size)))
@@ -148,7 +147,7 @@ def _samples(count: int, size: int, seed: int) -> np.ndarray:
 def _horizontal_fits(
     source: np.ndarray, target: np.ndarray, up: np.ndarray, orders: np.ndarray, seed: int
 ) -> np.ndarray:
-    """For each order the least median distance, over similarities of the plane through two images (complex numbers)."""
+    """Least median distance of each permutation, over 2D similarities through two images (as complex numbers)."""
     level = source @ Rotation3.from_two_vectors(up, np.array([0.0, 0.0, 1.0])).matrix.T
     a, b = level[:, :2] @ (1, 1j), (target @ (1, 1j))[orders]
     reach, middle = np.abs(a - a.mean()).max(), _middle(len(a))
@@ -164,7 +163,7 @@ def _horizontal_fits(
 
 
 def _spatial_fits(source: np.ndarray, target: np.ndarray, orders: np.ndarray, seed: int) -> np.ndarray:
-    """For each order the least median distance, over similarities through three images, refined on the nearer half."""
+    """Least median distance of each permutation, over similarities through three images, refined on the nearer half."""
     middle, samples = _middle(len(source)), _samples(len(source), 3, seed)
     targets = target[orders]
     best, kept = np.full(len(orders), np.inf), np.zeros((len(orders), middle + 1), np.int64)
@@ -186,7 +185,7 @@ def _better(
     best: np.ndarray,
     kept: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Least median distance and nearer half of each order, after a fit to the chosen images of each."""
+    """Least median distance and nearer half of each permutation, after a fit to its chosen images."""
     residuals = _residuals(source, targets, chosen, rows)
     nearest = np.argpartition(residuals, middle, axis=1)[:, : middle + 1]
     fits = np.take_along_axis(residuals, nearest, axis=1).max(axis=1)
@@ -195,7 +194,7 @@ def _better(
 
 
 def _residuals(source: np.ndarray, targets: np.ndarray, chosen: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """(orders, n) distances after the least-squares similarity of the chosen rows (Umeyama, PAMI 1991), batched."""
+    """(orders, n) distances after the batched least-squares similarity of the chosen rows (Umeyama, PAMI 1991)."""
     a, b = source[chosen], targets[rows, chosen]
     mean_a, mean_b = a.mean(axis=1, keepdims=True), b.mean(axis=1, keepdims=True)
     centred = a - mean_a

@@ -1,4 +1,4 @@
-"""An existing COLMAP database in place of detection and matching."""
+"""Use an existing COLMAP database instead of detection and matching."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared.tables import Arrays
+from epipole._checks.tables import Arrays
 from epipole.errors import ConfigError
 from epipole.io.colmap.database import DatabaseContents, read_database
 from epipole.io.images.photographs import read_header
@@ -24,7 +24,7 @@ Matches = dict[tuple[int, int], np.ndarray]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GivenFeatures:
-    """What the unit of one image needs: its file, and its rows of the database."""
+    """Input of the unit of one image: its file, and its rows of the database."""
 
     path: Path
     max_size_px: int
@@ -34,14 +34,14 @@ class GivenFeatures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DatabaseSource:
-    """A database, and the image of it that each image is."""
+    """A database, and its row for each image."""
 
     path: Path
     contents: DatabaseContents
     row_of_name: dict[str, int]
 
     def matches(self, names: Sequence[str]) -> Matches:
-        """Matches between these images: before verification where the database has them, else verified ones."""
+        """Matches between these images, before verification if the database has them, else verified ones."""
         position = {self.row_of_name[name]: i for i, name in enumerate(names)}
         found: Matches = dict(self.contents.matches)
         graph = self.contents.view_graph
@@ -60,26 +60,26 @@ class DatabaseSource:
 
 
 def open_source(path: Path, images: ImageSet, *, keep_cameras: bool) -> tuple[DatabaseSource, ImageSet]:
-    """Read a database and match its images to the images of a folder, by name.
+    """Read a database and match its images by name to those of a folder.
 
     Args:
         path: the database.
-        images: the images of the folder.
-        keep_cameras: cameras were given on the command line; else the database's are used.
+        images: images of the folder.
+        keep_cameras: whether to keep the cameras of `images`, because they were given; else the database's are used.
 
     Returns:
-        The source, and the images that the database knows; the others are left out with the reason.
+        The source, and the images that are in the database; others are left out with the reason.
 
     Raises:
-        FileFormatError: it is no such database.
-        ConfigError: no image is in it, or an image has another size there.
+        FileFormatError: it is not a COLMAP database.
+        ConfigError: none of the images is in it, or an image has another size there.
     """
     contents = read_database(path)
     row_of_name = {str(name): row for row, name in enumerate(contents.images.name)}
     source = DatabaseSource(path, contents, row_of_name)
     missing = {i: f"not in {path.name}" for i, n in enumerate(images.names) if n not in source.row_of_name}
     if len(missing) == len(images):
-        raise ConfigError(f"{path} knows none of the images in {images.folder}: names must be the same")
+        raise ConfigError(f"{path} has none of the images in {images.folder}: image names must be the same")
     images = images.without(missing)
     rows = np.array([source.row_of_name[name] for name in images.names])
     camera_rows = contents.rigs.sensor_camera[contents.images.sensor[rows]]
@@ -102,21 +102,21 @@ def open_source(path: Path, images: ImageSet, *, keep_cameras: bool) -> tuple[Da
 
 
 def _refuse_rotated(path: Path, images: ImageSet) -> None:
-    """A database from elsewhere may be of stored pixels (COLMAP ignores EXIF orientation); images are worked on upright.
+    """Reject images with an EXIF orientation, as keypoints may refer to stored pixels (COLMAP ignores the orientation).
 
-    Where EXIF turns by 90 degrees, the sizes have told already.
+    Rotations by 90 degrees are already detected by the image size.
     """
     for name in images.names:
         header = read_header(images.folder / name)
         if header.orientation in (2, 3, 4) or (header.orientation != 1 and header.width == header.height):
             raise ConfigError(
-                f"{name} has EXIF orientation {header.orientation}, and the keypoints in {path} may be of its stored pixels:"
+                f"{name} has EXIF orientation {header.orientation}, so the keypoints in {path} may refer to its stored pixels:"
                 " store the images upright, without orientation, and extract features again"
             )
 
 
 def feature_units(source: DatabaseSource, images: ImageSet, folder: Path, max_size_px: int) -> list[Unit]:
-    """One unit per image: the database's features with the image's colours."""
+    """One unit per image, with the database's features and colors from the image."""
     contents, units = source.contents, []
     for name, fingerprint in zip(images.names, images.fingerprints):
         row = source.row_of_name[name]
@@ -130,7 +130,7 @@ def feature_units(source: DatabaseSource, images: ImageSet, folder: Path, max_si
 
 
 def features_with_colors(payload: GivenFeatures) -> dict[str, np.ndarray]:
-    """The unit's arrays; for a damaged image the reason instead."""
+    """Arrays of the unit; if the image is damaged, the reason instead."""
     image = read_image(payload.path, payload.max_size_px)
     if isinstance(image, str):
         return {"failure": np.array(image)}
@@ -139,7 +139,7 @@ def features_with_colors(payload: GivenFeatures) -> dict[str, np.ndarray]:
 
 
 def match_units(matches: Matches, folder: Path) -> list[Unit]:
-    """Units that hold the database's matches, in the blocks of the matching stage."""
+    """Units with the database's matches, in the blocks of the matching stage."""
     pairs = sorted(matches)
     keys = [digest("database matches", FORMAT, matches[pair]) for pair in pairs]
     return block_units(
@@ -148,5 +148,5 @@ def match_units(matches: Matches, folder: Path) -> list[Unit]:
 
 
 def given_matches(block: PairBlock) -> Arrays:
-    """The matches as the matching stage would store them."""
+    """Matches in the format of the matching stage."""
     return filled(block, lambda positions: [{"matches": block.task[n]} for n in positions])

@@ -1,4 +1,4 @@
-"""The second stage: features of every image, one file each."""
+"""Second stage: features of every image, one file each."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.runs import Unit, digest, load
 
 FORMAT = 4
-"""Raise when the meaning of the files changes."""
+"""Increase when the contents of the files change."""
 THUMBNAIL_PX = 320
 
 
 @dataclass(frozen=True, slots=True)
 class FeaturePayload:
-    """What the unit of one image needs."""
+    """Input of the unit of one image."""
 
     path: Path
     name: str
@@ -45,7 +45,7 @@ def feature_units(images: ImageSet, folder: Path, config: FeatureConfig, masks: 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Image:
-    """An image as it is worked on, and its full size."""
+    """A downscaled image, and its full size."""
 
     rgb: np.ndarray
     width: int
@@ -53,7 +53,7 @@ class Image:
 
 
 def read_image(path: Path, max_size_px: int) -> Image | str:
-    """Read an image, reduced to `max_size_px`; for a damaged one the reason instead."""
+    """Read an image, downscaled to `max_size_px`; returns the reason if it is damaged."""
     try:
         header = read_header(path)
         return Image(read_rgb(path, max_size_px), header.width, header.height)
@@ -62,7 +62,7 @@ def read_image(path: Path, max_size_px: int) -> Image | str:
 
 
 def detect_in_file(payload: FeaturePayload) -> dict[str, np.ndarray]:
-    """Features of one image, their colours and a thumbnail; for a damaged image the reason instead."""
+    """Features of an image, their colors, and a thumbnail; if the image is damaged, the reason instead."""
     image = read_image(payload.path, payload.config.max_size_px)
     if isinstance(image, str):
         return {"failure": np.array(image)}
@@ -72,7 +72,7 @@ def detect_in_file(payload: FeaturePayload) -> dict[str, np.ndarray]:
             mask = read_mask(payload.masks, payload.name, size=(image.width, image.height))
     except (FileFormatError, MissingDependencyError) as error:
         return {"failure": np.array(str(error))}
-    cv2.setNumThreads(1)  # images are the unit of parallel work
+    cv2.setNumThreads(1)  # images are processed in parallel
     small = detect_features(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), payload.config)
     stretch = np.array([image.width / rgb.shape[1], image.height / rgb.shape[0]])
     pixels = ((small.pixels + 0.5) * stretch - 0.5).astype(np.float32)
@@ -87,7 +87,7 @@ def detect_in_file(payload: FeaturePayload) -> dict[str, np.ndarray]:
 def as_unit_arrays(
     image: Image, pixels: np.ndarray, scale_px: np.ndarray, angle_rad: np.ndarray, descriptors: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Features, their colours and a thumbnail of the image, as a unit stores them."""
+    """Arrays stored by a unit: features, their colors, and a thumbnail."""
     rgb = image.rgb
     shrink = np.array([rgb.shape[1] / image.width, rgb.shape[0] / image.height])
     at = np.clip(np.rint((pixels + 0.5) * shrink - 0.5).astype(int), 0, [rgb.shape[1] - 1, rgb.shape[0] - 1])
@@ -107,7 +107,7 @@ def as_unit_arrays(
 
 
 def load_features(path: Path) -> Features:
-    """The features of a unit's file; those of the last images asked for are kept in memory."""
+    """Features in a unit's file; the most recent ones are cached."""
     return _remembered(path, path.stat().st_mtime_ns)
 
 

@@ -1,4 +1,4 @@
-"""Matching and verification of pairs of images, block by block."""
+"""Match and verify pairs of images, block by block."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int32
 
-from epipole._declared.tables import Arrays
+from epipole._checks.tables import Arrays
 from epipole.cameras import Camera
 from epipole.config import MatchConfig, RansacConfig
 from epipole.features import Features, match_along_epipolar_lines, match_descriptors
+from epipole.features.kinds import SIFT, kind_of
 from epipole.geometry import Rigid3
 from epipole.pipelines.sfm.matching.feature_stage import load_features
 from epipole.pipelines.sfm.matching.pair_blocks import PairBlock, PairResult, block_units, filled, result_of
@@ -27,24 +28,24 @@ MIN_PREEMPTIVE = 768
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchTask:
-    """What matching and verification need of the images of a block."""
+    """Input for matching and verifying a block."""
 
     feature_files: dict[int, Path]
     cameras: dict[int, Camera]
-    """Of each image in the block."""
+    """Camera of each image in the block."""
     is_trusted: dict[int, bool]
-    """Whether each image's focal length is known."""
+    """Whether the focal length of each image is known."""
     seeds: tuple[int, ...]
-    """Of each pair: made of what its images hold, so that neither order of work nor other images matter."""
+    """Random seed of each pair, derived from its images only, so that the order of work does not matter."""
     matching: MatchConfig
     verification: RansacConfig
     match_file: Path | None = None
-    """For verification: the file that holds the matches."""
+    """File with the matches, for verification."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairWork:
-    """What matching and verification work on."""
+    """Input for matching and verification."""
 
     pairs: Int32[np.ndarray, "p 2"]
     features: Sequence[Unit]
@@ -96,7 +97,7 @@ def _units(
 
 
 def _pair_keys(todo: PairWork, pairs: Sequence[tuple[int, int]], what: str) -> Iterator[str]:
-    """A digest of what the result of each pair depends on: its images, their cameras and the options."""
+    """Digest of what the result of each pair depends on: images, cameras and options."""
     common = digest(what, FORMAT, asdict(todo.matching), asdict(todo.verification))
     trusted = todo.cameras.is_focal_trusted | todo.cameras.is_constant
     of_camera = [
@@ -107,12 +108,12 @@ def _pair_keys(todo: PairWork, pairs: Sequence[tuple[int, int]], what: str) -> I
 
 
 def _seed(first: str, second: str) -> int:
-    """31 bits of the keys of two images' features."""
+    """31-bit seed from the keys of two images' features."""
     return int(digest(first, second)[:8], 16) >> 1
 
 
 def match_block(block: PairBlock) -> Arrays:
-    """Putative matches of a block of pairs."""
+    """Match a block of pairs."""
     return filled(block, lambda positions: _matched(block, positions))
 
 
@@ -127,15 +128,19 @@ def _matched(block: PairBlock, positions: Sequence[int]) -> list[PairResult]:
 
 
 def match_pair(first: Features, second: Features, i: int, j: int, seed: int, task: MatchTask) -> np.ndarray:
-    """Matches of one pair: the largest features with each other; then the rest along the epipolar lines that these give.
+    """Match the largest features of a pair exhaustively, then the rest along the resulting epipolar lines.
 
-    Comparing n with n features costs n^2; n / 4 of them and one band around each epipolar line cost about a tenth of
-    it and find more matches, since fewer wrong candidates compete (preemptive matching: Wu, 3DV 2013; guided
-    matching: HZ section 11.6).
+    Exhaustive matching of n features costs n^2. Matching n / 4 of them, and then a band around each epipolar line,
+    costs about a tenth of that and finds more matches, since fewer wrong candidates compete (preemptive matching: Wu,
+    3DV 2013; guided matching: HZ section 11.6).
     """
     config = task.matching
     preemptive = min(config.preemptive_features, max(MIN_PREEMPTIVE, max(len(first), len(second)) // 3))
-    if first.descriptors.shape[1] != 128 or preemptive == 0 or max(len(first), len(second)) <= preemptive:
+    if (
+        kind_of(first.descriptors) is not SIFT
+        or preemptive == 0
+        or max(len(first), len(second)) <= preemptive
+    ):
         return match_descriptors(first.descriptors, second.descriptors, config)
     matches = match_descriptors(first.descriptors[:preemptive], second.descriptors[:preemptive], config)
     if len(matches) < config.preemptive_min_matches:
@@ -155,7 +160,7 @@ def match_pair(first: Features, second: Features, i: int, j: int, seed: int, tas
 
 
 def verify_block(block: PairBlock) -> Arrays:
-    """Geometry of a block of matched pairs."""
+    """Verify a block of matched pairs."""
     return filled(block, lambda positions: _verified(block, positions))
 
 
@@ -197,10 +202,10 @@ def _verified(block: PairBlock, positions: Sequence[int]) -> list[PairResult]:
 
 
 def load_putative(units: Sequence[Unit], num_features: Sequence[int]) -> dict[tuple[int, int], np.ndarray]:
-    """Putative matches of every pair that has any, between images with so many features.
+    """Putative matches of every pair that has any; `num_features` of each image.
 
     Raises:
-        WorkspaceError: a file is damaged, or a match has no feature.
+        WorkspaceError: a file is damaged, or a match refers to a missing feature.
     """
     out = {}
     for unit in units:
@@ -214,10 +219,10 @@ def load_putative(units: Sequence[Unit], num_features: Sequence[int]) -> dict[tu
 
 
 def load_view_graph(units: Sequence[Unit], num_features: Sequence[int]) -> ViewGraph:
-    """All verified pairs, without the degenerate ones, between images with so many features.
+    """All verified pairs except degenerate ones; `num_features` of each image.
 
     Raises:
-        WorkspaceError: a file is damaged, or a match has no feature.
+        WorkspaceError: a file is damaged, or a match refers to a missing feature.
     """
     blocks = [load(unit.path, GEOMETRIES, p=len(unit.payload.pairs)) for unit in units]
     for unit, stored in zip(units, blocks):

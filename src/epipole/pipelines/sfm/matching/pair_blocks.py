@@ -1,7 +1,7 @@
-"""Pairs of images in blocks, one file each, in which every pair keeps a key of its own.
+"""Pairs of images in blocks, one file each, with a key for every pair.
 
-Blocks are cut from the list of pairs, which one image more or less shifts. So a block takes the results of pairs that
-files of an earlier list hold, and works on the others only.
+Adding or removing an image shifts the blocks. Therefore a block reuses results of pairs from files of earlier lists,
+and computes only the others.
 """
 
 from __future__ import annotations
@@ -13,34 +13,34 @@ from typing import Any
 
 import numpy as np
 
-from epipole._declared.tables import Arrays, Table
+from epipole._checks.tables import Arrays, Table
 from epipole.errors import WorkspaceError
 from epipole.runs import Unit, digest, is_done, load, stored_key
 
 PairResult = Arrays
-"""What was found for one pair: `matches` (m, 2), and further arrays or numbers."""
+"""Result of one pair: `matches` (m, 2), and further arrays or numbers."""
 
 MOST_BLOCKS, MOST_BLOCK_PAIRS = 64, 64
-"""Pairs are cut into about this many blocks: enough for many workers, not too many files."""
+"""Approximate number of blocks, and pairs per block at most: enough for many workers, but not too many files."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairBlock:
-    """What the unit of one block needs."""
+    """Input of the unit of one block."""
 
     pairs: tuple[tuple[int, int], ...]
     keys: tuple[str, ...]
-    """Of each pair: a digest of everything that its result depends on."""
+    """Digest of everything that the result of each pair depends on."""
     blocks: dict[int, tuple[Path, int]]
-    """Pairs of the block whose results are there already: file and place in it."""
+    """File and row of pairs whose results exist already."""
     table: Table
-    """What the file of the block holds, and those that hold its pairs."""
+    """Arrays of the block's file and of the files in `blocks`."""
     task: Any
-    """What the work on the other pairs needs."""
+    """Input for computing the other pairs."""
 
 
 def block_slices(num_pairs: int) -> list[slice]:
-    """Pairs in order, cut into blocks."""
+    """Consecutive pairs, divided into blocks."""
     size = max(1, min(MOST_BLOCK_PAIRS, -(-num_pairs // MOST_BLOCKS)))
     return [slice(start, start + size) for start in range(0, num_pairs, size)]
 
@@ -53,15 +53,15 @@ def block_units(
     table: Table,
     task_of: Callable[[slice], Any],
 ) -> list[Unit]:
-    """Units of the blocks of pairs.
+    """Units for blocks of pairs.
 
     Args:
-        pairs: pairs of images, in order.
-        keys: a digest of everything that the result of each pair depends on.
-        folder: where the files go; those there already may hold results.
-        work: makes the file of a block.
-        table: what this file holds.
-        task_of: what the work needs for the pairs of a slice.
+        pairs: pairs of images, sorted.
+        keys: digest of everything that the result of each pair depends on.
+        folder: folder of the files, including those with earlier results.
+        work: function that makes the file of a block.
+        table: arrays of this file.
+        task_of: gives the input for the pairs of a slice.
     """
     slices = block_slices(len(pairs))
     names = [f"{digest(list(keys[block]))}.npz" for block in slices]
@@ -77,25 +77,25 @@ def block_units(
 
 
 def _blocks_in(folder: Path, planned: set[str], table: Table) -> dict[str, tuple[Path, int]]:
-    """Where the results of pairs are, by key, in the files of earlier lists of pairs."""
+    """File and row of existing results, by the key of the pair."""
     blocks: dict[str, tuple[Path, int]] = {}
     for path in sorted(folder.glob("*.npz")):
         if path.name in planned or not is_done(path, stored_key(path)):
             continue
         try:
             keys = load(path, table)["pair_keys"]
-        except WorkspaceError:  # of another kind, or not to be used
+        except WorkspaceError:  # another kind of file, or a damaged one
             continue
         blocks.update({str(key): (path, n) for n, key in enumerate(keys)})
     return blocks
 
 
 def filled(block: PairBlock, make: Callable[[list[int]], Sequence[PairResult]]) -> Arrays:
-    """The file of a block.
+    """Make the file of a block.
 
     Args:
-        block: its pairs.
-        make: the results of the pairs in these places of the block, which no file holds.
+        block: the block.
+        make: computes the pairs with the given indices in the block, which have no result yet.
     """
     results: dict[int, PairResult] = {}
     for path in {path: None for path, _ in block.blocks.values()}:
@@ -116,7 +116,7 @@ def filled(block: PairBlock, make: Callable[[list[int]], Sequence[PairResult]]) 
 
 
 def result_of(stored: Arrays, index: int) -> PairResult:
-    """The result of one pair of a block's file."""
+    """Result of one pair in a block's file."""
     others = [name for name in stored if name not in ("pair_keys", "offsets", "matches")]
     start, end = stored["offsets"][index : index + 2]
     return {"matches": stored["matches"][start:end], **{name: stored[name][index] for name in others}}

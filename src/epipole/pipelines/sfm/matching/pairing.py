@@ -1,4 +1,4 @@
-"""The third stage: which pairs of images are compared."""
+"""Third stage: choose the pairs of images to match."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def choose_pairs(
     """Pairs (i, j), i < j, sorted.
 
     Raises:
-        ConfigError: spatial pairs are asked for but the images carry no GPS.
+        ConfigError: spatial pairs are requested, but fewer than two images have GPS.
     """
     n = len(descriptors)
     has_gps = np.isfinite(lat_lon_alt[:, :2]).all(axis=1)
@@ -62,23 +62,23 @@ def _similar_images(descriptors: Sequence[np.ndarray], count: int) -> list[tuple
 def _spatial(lat_lon_alt: np.ndarray, has_gps: np.ndarray, count: int) -> list[tuple[int, int]]:
     rows = np.flatnonzero(has_gps)
     east_north = gps_to_enu(lat_lon_alt[rows])[:, :2]
-    from scipy.spatial import cKDTree  # a sixth of a second to import, for sets with GPS only
+    from scipy.spatial import cKDTree  # slow to import, and needed for GPS only
 
     _, near = cKDTree(east_north).query(east_north, k=min(count + 1, len(rows)))
     return [(int(rows[a]), int(rows[b])) for a in range(len(rows)) for b in np.atleast_1d(near[a]) if a != b]
 
 
 def sorted_pairs(pairs: Sequence[tuple[int, int]]) -> Int32[np.ndarray, "p 2"]:
-    """Each pair once, smaller index first, in order."""
+    """Unique pairs, smaller index first, sorted."""
     unique = sorted({(min(i, j), max(i, j)) for i, j in pairs if i != j})
     return np.array(unique, np.int32).reshape(-1, 2)
 
 
 def read_pairs(path: Path, names: Sequence[str]) -> Int32[np.ndarray, "p 2"]:
-    """Pairs from a text file: two names a line; blank lines and lines that start with # are skipped.
+    """Read pairs from a text file with two names per line; blank lines and lines that start with # are skipped.
 
     Raises:
-        FileFormatError: no such file, a line without two names, or an unknown image.
+        FileFormatError: the file cannot be read, a line does not have two names, or an image is unknown.
     """
     row = {name: i for i, name in enumerate(names)}
     try:

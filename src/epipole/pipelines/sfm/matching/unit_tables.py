@@ -1,4 +1,4 @@
-"""What the files of SfM's units hold: they may have been written by others, and kernels would read beyond arrays that do not fit."""
+"""Arrays in the files of SfM's units; they are checked because kernels would read out of bounds otherwise."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole._declared.tables import TEXT, Expected, Table
+from epipole._checks.tables import TEXT, Expected, Table
 from epipole.errors import WorkspaceError
 from epipole.robust import PairKind
 
@@ -39,13 +39,13 @@ GEOMETRIES: Table = {
 
 
 def check_matches(path: Path, matches: np.ndarray, num_features: Sequence[int]) -> None:
-    """Check that matches (m, 2) are between features that two images have.
+    """Check that the features of matches (m, 2) exist in both images.
 
     Raises:
-        WorkspaceError: one is not.
+        WorkspaceError: a feature does not exist.
     """
     if len(matches) and (matches.max(axis=0) >= num_features).any():
         counts = " and ".join(map(str, num_features))
         raise WorkspaceError(
-            f"{path} matches features that its images, with {counts}, do not have; delete it and run the command again"
+            f"{path} refers to features that its images, with {counts}, do not have; delete it and run the command again"
         )

@@ -1,4 +1,4 @@
-"""What the report of a reconstruction is made of: data only, gathered from a run."""
+"""Contents of the report of a reconstruction, gathered from a run."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ImageRow:
     mean_error_px: float
     """Mean reprojection error of its observations; NaN where there are none."""
     reason: str = ""
-    """Why the image has no place, in words; empty when it has one."""
+    """Why the image is not registered; empty if it is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,18 +52,18 @@ class ReportContent:
     timings: Mapping[str, float] = field(default_factory=dict)
     """Seconds of each stage, in order."""
     compile_seconds: float = 0.0
-    """Part of the timings that compiling kernels took; 0 when they came from the cache."""
+    """Part of the timings spent on compiling kernels; 0 if they came from the cache."""
     warnings: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     thumbnails: Mapping[str, bytes] = field(default_factory=dict)
     """Image name to a small JPEG."""
     inliers: Mapping[str, Float[np.ndarray, "k 2"]] = field(default_factory=dict)
-    """Image name to positions of features that see a point, as fractions of width and height."""
+    """Image name to positions of features with a 3D point, as fractions of width and height."""
     scale_note: str = UP_TO_SCALE
     is_metric: bool = False
-    """World coordinates are metres."""
+    """Whether world coordinates are metres."""
     truth_errors: Mapping[str, str] = field(default_factory=dict)
-    """Comparisons with ground truth: what was compared, and the result with its unit."""
+    """Comparisons with ground truth: name, and result with its unit."""
 
     @property
     def unit(self) -> str:
@@ -126,7 +126,7 @@ def page_content(
 
 
 def _camera_line(solution: Solution, camera: int) -> str:
-    """Whose a camera is, what became of it, and where its focal length came from."""
+    """Images of a camera, its final parameters, and the source of its focal length."""
     first_px, accuracy = solution.images.cameras[camera].focal_px, solution.focals.get(camera)
     verdict = "" if accuracy is None else f"; {focal_verdict(accuracy)}"
     return (

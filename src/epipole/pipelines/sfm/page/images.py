@@ -1,4 +1,4 @@
-"""The table of images: thumbnails with the features that see points, numbers, and reasons in words."""
+"""The table of images: thumbnails with the features that have 3D points, numbers, and reasons."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class ImageLine:
     reason: str
     thumbnail: Thumbnail | None
     numbers: tuple[tuple[str, str], ...]
-    """What to sort by, empty for unknown, and what to show."""
+    """Sort key, empty for unknown, and text."""
 
 
 def image_lines(content: ReportContent) -> list[ImageLine]:
-    """The lines in order; images without a place come first."""
+    """The lines in order; unregistered images come first."""
     return [_line(row, content) for row in sorted(content.image_rows, key=lambda row: row.is_registered)]
 
 

@@ -1,4 +1,4 @@
-"""What a reader should know before trusting the model, in plain words."""
+"""Notes that a reader should know before trusting the model."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ def notes_of(content: ReportContent, statistics: Statistics) -> tuple[tuple[str,
     if not statistics.num_registered:
         return (
             *notes,
-            ("There is no model: no image could be placed.", True),
+            ("There is no model: no image could be registered.", True),
         )
     notes.append((_scale(content.scale_note), False))
     notes += [(text, False) for text in (_parallax(content, statistics), _two_view(statistics)) if text]
     notes.append(
         (
-            "The reprojection error tells how well the model explains the images it was made from. "
-            "It is not the model's accuracy; only a comparison with something measured gives that.",
+            "The reprojection error shows how well the model explains the images it was made from. "
+            "It is not the model's accuracy, which only a comparison with independent measurements shows.",
             False,
         )
     )
@@ -39,12 +39,9 @@ def _absent(content: ReportContent) -> str:
     absent = sum(not row.is_registered for row in content.image_rows)
     if not absent:
         return ""
-    verb = "has" if absent == 1 else "have"
+    verb = "is" if absent == 1 else "are"
     total = plural(len(content.image_rows), "image")
-    return (
-        f"{count(absent)} of {total} {verb} no place in the model. "
-        "The table of images gives each one's reason."
-    )
+    return f"{count(absent)} of {total} {verb} not registered. The table of images gives the reason for each."
 
 
 def _components(content: ReportContent) -> str:
@@ -54,12 +51,12 @@ def _components(content: ReportContent) -> str:
     sizes = f"{', '.join(count(n) for n in others[:-1])} and {count(others[-1])}"
     if len(others) == 1:
         return (
-            f"The images fell into two models that are not tied to each other: this one and another of "
+            f"The images fell into two models that are not connected: this one and another of "
             f"{plural(others[0], 'image')}. More images between the two would join them."
         )
     return (
-        f"The images fell into {len(others) + 1} models that are not tied to each other. "
-        f"This page shows the largest; the others hold {sizes} images. "
+        f"The images fell into {len(others) + 1} models that are not connected. "
+        f"This page shows the largest; the others have {sizes} images. "
         "More images between them would join them."
     )
 
@@ -74,7 +71,7 @@ def _parallax(content: ReportContent, statistics: Statistics) -> str:
         sentences.append(
             f"{count(low)} of {plural(pairs, 'verified pair')} {'sees its' if low == 1 else 'see their'} "
             f"common points under a median angle below {limit}: "
-            "such pairs fix directions well and depth poorly."
+            "such pairs determine rotations well and depth poorly."
         )
     if narrow:
         fraction = 100 * narrow / len(angles)

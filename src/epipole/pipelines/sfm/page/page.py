@@ -1,4 +1,4 @@
-"""The page of a reconstruction: the values that its template shows, in reading order."""
+"""The report of a reconstruction: values for its template, in reading order."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from epipole.report.space_scene import METRES, NO_UNIT
 
 
 def render_report(content: ReportContent) -> str:
-    """One HTML page with everything inside it: no file, font or script from elsewhere."""
+    """One self-contained HTML page, without external files, fonts or scripts."""
     model, graph = content.reconstruction, content.view_graph
     statistics = statistics_of(model)
     is_registered = model.is_registered()
@@ -58,11 +58,11 @@ def _space(content: ReportContent) -> SpaceData:
 
 
 def _tiles(content: ReportContent, statistics: Statistics, total: int) -> list[tuple[str, str, str]]:
-    """Name, value and unit of the large numbers."""
+    """Name, value and unit of the key figures."""
     has_errors = len(statistics.error_px) > 0
     time = seconds(sum(content.timings.values())) if content.timings else number(float("nan"))
     return [
-        ("Images placed", count(statistics.num_registered), f"of {count(total)}"),
+        ("Images registered", count(statistics.num_registered), f"of {count(total)}"),
         ("Points", count(statistics.num_points), ""),
         ("Observations", count(statistics.num_observations), ""),
         ("Mean reprojection error", number(statistics.mean_error_px), "px" if has_errors else ""),
@@ -73,20 +73,20 @@ def _tiles(content: ReportContent, statistics: Statistics, total: int) -> list[t
 
 
 def _histograms(statistics: Statistics) -> list[tuple[str, object, str]]:
-    """Title, drawing and caption of each distribution; none of a model without observations."""
+    """Title, chart and caption of each distribution; empty for a model without observations."""
     if not statistics.num_observations:
         return []
     angles = np.rad2deg(statistics.finite_angle_rad)
     charts = (
         ("Reprojection error", histogram_of(statistics.error_px, "pixels, per observation"), 2),
         ("Track length", histogram_of_integers(statistics.track_length, "images that see a point"), 0),
-        ("Triangulation angle", histogram_of(angles, "degrees, the widest of each point"), 1),
+        ("Triangulation angle", histogram_of(angles, "degrees, largest of each point"), 1),
     )
     return [(title, draw_histogram(chart, digits), _shown(chart)) for title, chart, digits in charts]
 
 
 def _shown(histogram: Histogram) -> str:
-    beyond = f"; {count(histogram.num_beyond)} further right" if histogram.num_beyond else ""
+    beyond = f"; {count(histogram.num_beyond)} beyond the right edge" if histogram.num_beyond else ""
     return f"{plural(int(histogram.counts.sum()), 'value')} shown{beyond}"
 
 

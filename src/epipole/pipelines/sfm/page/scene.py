@@ -1,4 +1,4 @@
-"""What the viewer shows of a reconstruction."""
+"""Scene of a reconstruction for the viewer."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ IMAGE_PX = 640
 
 
 def scene(path: Path) -> SpaceScene:
-    """The points of a model, its cameras and its images.
+    """Points, cameras and images of a model.
 
     Raises:
         FileFormatError: there is no model.
@@ -42,18 +42,18 @@ def scene(path: Path) -> SpaceScene:
     if not others:
         return found
     return replace(
-        found, words=f"{found.words}; the first of {len(others) + 1} models: {others[0]} is another"
+        found, words=f"{found.words}; the first of {len(others) + 1} models (see also {others[0]})"
     )
 
 
 def _title(path: Path) -> str:
-    """A folder's name; of OUT/sparse/0 all three."""
+    """Name of the folder; the last three parts for OUT/sparse/0."""
     whole = path.resolve()
     return "/".join(whole.parts[-3:]) if whole.parent.name == "sparse" else whole.name
 
 
 def _summary(path: Path) -> dict[str, Any]:
-    """A workspace's; empty where there is none."""
+    """Summary of a workspace; empty if there is none."""
     try:
         summary = read_json(path / "summary.json")
     except FileFormatError:
@@ -64,12 +64,12 @@ def _summary(path: Path) -> dict[str, Any]:
 def image_loader(
     folder: Path, model: Reconstruction | None = None, *, is_own: bool = False
 ) -> Callable[[str], np.ndarray | None]:
-    """Reads an image by its name; gives None for one that cannot be read.
+    """Function that reads an image by name and returns None if it cannot be read.
 
     Args:
-        folder: of the images.
-        model: whose cameras describe them; None: they are read upright.
-        is_own: the model was made here.
+        folder: folder of the images.
+        model: model whose cameras describe them; None: images are read upright.
+        is_own: whether epipole made the model.
     """
     if model is not None:
         return ModelImages(model, folder, is_own=is_own).loader(IMAGE_PX)

@@ -1,4 +1,4 @@
-"""The numbers of a reconstruction that a report shows."""
+"""Statistics of a reconstruction for its report."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxtyping import Float64, Int64
 from epipole.scene import Reconstruction, ViewGraph
 
 LOW_PARALLAX_RAD = np.deg2rad(2.0)
-"""Below this triangulation angle depth is weak."""
+"""Triangulation angle below which depth is poorly determined."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,10 +22,10 @@ class Statistics:
     num_points: int
     num_observations: int
     error_px: Float64[np.ndarray, " k"]
-    """Reprojection error of every observation with a finite one."""
+    """Finite reprojection errors of all observations."""
     track_length: Int64[np.ndarray, " n"]
     angle_rad: Float64[np.ndarray, " n"]
-    """Widest triangulation angle of every point; NaN where it has none."""
+    """Largest triangulation angle of each point; NaN if it has none."""
 
     @property
     def mean_error_px(self) -> float:
@@ -34,17 +34,17 @@ class Statistics:
 
     @property
     def mean_track_length(self) -> float:
-        """Mean number of images in which a point is seen; NaN without points."""
+        """Mean number of observations per point; NaN without points."""
         return float(self.track_length.mean()) if len(self.track_length) else float("nan")
 
     @property
     def finite_angle_rad(self) -> Float64[np.ndarray, " m"]:
-        """The angles that exist."""
+        """Finite triangulation angles."""
         return self.angle_rad[np.isfinite(self.angle_rad)]
 
 
 def statistics_of(reconstruction: Reconstruction) -> Statistics:
-    """Count and measure a model; an empty one has empty distributions."""
+    """Statistics of a model; distributions of an empty one are empty."""
     errors = reconstruction.reprojection_errors_px() if len(reconstruction.tracks.image) else np.zeros(0)
     return Statistics(
         num_images=len(reconstruction.images),
@@ -58,10 +58,10 @@ def statistics_of(reconstruction: Reconstruction) -> Statistics:
 
 
 def widest_angles_rad(reconstruction: Reconstruction) -> Float64[np.ndarray, " n"]:
-    """The greatest angle between any two rays of each point's track; NaN for fewer than two rays.
+    """Largest angle between any two rays of each point's track; NaN for fewer than two rays.
 
-    The angle between unit vectors a, b is 2 atan2(|a - b|, |a + b|), exact for small angles too. The pair is
-    sought by the smallest cosine.
+    The angle between unit vectors a, b is 2 atan2(|a - b|, |a + b|), which is accurate for small angles; the pair with
+    the smallest cosine is used.
     """
     tracks = reconstruction.tracks
     out = np.full(len(tracks), np.nan)
@@ -91,6 +91,6 @@ def _widest_in_bundles(rays: Float64[np.ndarray, "n l 3"]) -> Float64[np.ndarray
 
 
 def num_low_parallax_pairs(view_graph: ViewGraph) -> int:
-    """Pairs whose common points are seen under a small median angle."""
+    """Number of pairs with a small median triangulation angle."""
     angles = view_graph.median_angle_rad
     return int((angles[np.isfinite(angles)] < LOW_PARALLAX_RAD).sum())

@@ -1,4 +1,4 @@
-"""Places seen again: looked for at every keyframe, believed only after several keyframes tell the same, all written down."""
+"""Loop detection at every keyframe: several keyframes must confirm a loop, and all candidates are logged."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
 
 CANDIDATES = 3
 CONFIRMATIONS = 3
-"""Keyframes that must tell the same motion between what is remembered and what is seen."""
+"""Keyframes that must agree on the motion between the two visits."""
 PATIENCE = 4
-"""Keyframes that may tell nothing in between."""
+"""Keyframes without confirmation after which a candidate is dropped."""
 LOCAL_POINTS = 10
-"""Keyframes that share as many points are neighbours: to see a neighbour again tells nothing."""
+"""Keyframes with this many points in common are neighbors, which are no loop candidates."""
 MIN_APART = 10
-"""Keyframes between, at least."""
+"""Fewest keyframes between the two visits."""
 LARGEST_SCALE = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class LoopCandidate:
-    """A line of the ledger: a place that looked like one seen before."""
+    """Entry of the ledger: an image similar to an earlier one."""
 
     frame: int
-    """Number of the frame that saw it."""
+    """Frame number."""
     keyframe: int
-    """Number of the frame that had seen it before."""
+    """Frame number of the earlier image."""
     verdict: str
-    """accepted, waiting (for more keyframes that tell the same), or rejected."""
+    """accepted, waiting (for confirmation by more keyframes), or rejected."""
     reason: str
     num_matches: int
     num_agreeing: int
@@ -49,11 +49,11 @@ class LoopCandidate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopConstraint:
-    """Two places of maps that are one."""
+    """A confirmed loop: the same scene in one map or in two."""
 
     there: SlamMap
     keyframe: int
-    """In `there`."""
+    """Index in `there`."""
     there_from_here: Similarity3
     found: Recognition
 
@@ -68,7 +68,7 @@ class _Hypothesis:
 
 
 class LoopCloser:
-    """Looks for places seen before, at every keyframe, in the map itself and in maps from before the camera was lost."""
+    """Searches loops at every keyframe, in the present map and in maps from before tracking was lost."""
 
     def __init__(self, camera: Camera, config: OdometryConfig, *, is_metric: bool) -> None:
         self.camera, self.config, self.is_metric = camera, config, is_metric
@@ -76,15 +76,15 @@ class LoopCloser:
         self._waiting: list[_Hypothesis] = []
 
     def clear(self) -> None:
-        """Give up what waits for confirmation: the map has changed."""
+        """Drop candidates that wait for confirmation, after the map has changed."""
         self._waiting.clear()
 
     def reject_last(self, reason: str) -> None:
-        """What was accepted last does not fit after all."""
+        """Mark the last accepted loop as rejected."""
         self.ledger[-1] = replace(self.ledger[-1], verdict="rejected", reason=reason)
 
     def consider(self, here: SlamMap, there: SlamMap) -> LoopConstraint | None:
-        """Whether the newest keyframe of `here` shows a place of `there`; None until it is sure."""
+        """The loop between the newest keyframe of `here` and `there`; None until it is confirmed."""
         newest = here.keyframes[-1]
         view = describe_keyframe(newest)
         excluded, unwanted = self._surroundings(here, there)
@@ -107,7 +107,7 @@ class LoopCloser:
         return self._believe(here, there, plausible)
 
     def _surroundings(self, here: SlamMap, there: SlamMap) -> tuple[np.ndarray, np.ndarray | None]:
-        """Keyframes of `there` around the newest of `here`, and the points that they see."""
+        """Mask of the keyframes of `there` that are neighbors of the newest of `here`, and the points of these."""
         if there is not here:
             return np.zeros(len(there.keyframes), bool), None
         count = len(here.keyframes)
@@ -119,7 +119,7 @@ class LoopCloser:
         return excluded, points
 
     def _implausible(self, here: SlamMap, there: SlamMap, found: Recognition) -> str:
-        """Why a place cannot be the same: the way between would have to be wrong by more than it can be."""
+        """Why a loop is implausible: it would imply more drift than possible; empty if it is plausible."""
         if there is not here:
             return ""
         trajectory, rotation = _motion_since(here, found.keyframe)
@@ -130,9 +130,9 @@ class LoopCloser:
         )
         fraction, depth = (0.06 if self.is_metric else 0.3), _median_depth(here)
         if off > fraction * trajectory + 0.05 * depth:
-            return f"the way of {trajectory:.3g} since would be wrong by {off:.3g}"
+            return f"the trajectory of length {trajectory:.3g} since then would have an error of {off:.3g}"
         if rotated > 5.0 + 0.04 * rotation:
-            return f"the turns of {rotation:.0f} degrees since would be wrong by {rotated:.0f}"
+            return f"the rotation of {rotation:.0f} degrees since then would have an error of {rotated:.0f}"
         return ""
 
     def _believe(self, here: SlamMap, there: SlamMap, plausible: list[Recognition]) -> LoopConstraint | None:
@@ -141,7 +141,7 @@ class LoopCloser:
             return None
         best = max(plausible, key=lambda f: len(f.points))
         if rival_of(best, plausible, there, self.camera) is not None:
-            self._note(newest, there, best, "rejected", "two places look like this one")
+            self._note(newest, there, best, "rejected", "two different poses match this image")
             return None
         motion = self._motion(newest, here, there, best)
         if not 1 / LARGEST_SCALE < float(motion.scale) < LARGEST_SCALE:
@@ -159,12 +159,12 @@ class LoopCloser:
             hypothesis = _Hypothesis(there, best.keyframe, motion, 1, 0)
             self._waiting.append(hypothesis)
         is_certain = hypothesis.count >= CONFIRMATIONS
-        words = f"told by {hypothesis.count} keyframes of {CONFIRMATIONS}"
+        words = f"confirmed by {hypothesis.count} of {CONFIRMATIONS} keyframes"
         self._note(newest, there, best, "accepted" if is_certain else "waiting", words)
         return LoopConstraint(there, best.keyframe, motion, best) if is_certain else None
 
     def _motion(self, newest: Keyframe, here: SlamMap, there: SlamMap, found: Recognition) -> Similarity3:
-        """From the world of `here` to that of `there`; of one camera the unit, too, by the depths of the same points."""
+        """Motion from the world of `here` to that of `there`; for a single camera the scale comes from the depths of common points."""
         scale = 1.0
         if not self.is_metric:
             rows = paired_rows(newest, found.pixels)
@@ -187,7 +187,7 @@ class LoopCloser:
 
 
 def paired_rows(keyframe: Keyframe, pixels: np.ndarray, radius_px: float = 2.0) -> np.ndarray:
-    """(n,) the keyframe's observation nearest to each pixel; -1 where none is near."""
+    """(n,) the keyframe's observation nearest to each pixel; -1 if none is within the radius."""
     if not len(keyframe.pixels) or not len(pixels):
         return np.full(len(pixels), -1)
     apart = np.linalg.norm(keyframe.pixels[None] - pixels[:, None], axis=2)
@@ -196,7 +196,7 @@ def paired_rows(keyframe: Keyframe, pixels: np.ndarray, radius_px: float = 2.0) 
 
 
 def _motion_since(model: SlamMap, keyframe: int) -> tuple[float, float]:
-    """Length of the way from a keyframe to the newest, and degrees turned on it."""
+    """Length of the trajectory from a keyframe to the newest, and the sum of its rotations in degrees."""
     positions = [k.cam_from_world for k in model.keyframes[keyframe:]]
     steps = [b @ a.inverse() for a, b in pairwise(positions)]
     trajectory = sum(float(np.linalg.norm(s.translation)) for s in steps)

@@ -1,4 +1,4 @@
-"""A loop is closed: its drift is spread over the way by a pose graph, and what was seen twice becomes one."""
+"""Loop closure: a pose graph distributes the drift over the trajectory, and duplicate points are merged."""
 
 from __future__ import annotations
 
@@ -13,29 +13,28 @@ from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
 from epipole.pipelines.slam.tracking.redetection import redetect
 
-EDGES_EACH, EDGE_POINTS = 5, 30
-"""Every keyframe is tied to so many that share most points with it, if they share enough."""
+EDGES_EACH = 5
+"""Edges of a keyframe, to those with most points in common."""
+EDGE_POINTS = 30
+"""Fewest shared points of an edge."""
+# Standard deviations of the edges. Drift is systematic and overlapping edges are redundant, so with the actual precision of single
+# edges the graph would be too stiff. Drift grows with an edge's length, so its deviation must too: equal deviations would make the
+# long edges forbid what the short ones allow.
 LENGTH_FRACTION, DEPTH_FRACTION, ROTATION_RAD, SCALE = 0.03, 0.005, 0.01, 0.03
-"""Standard deviations: a share of an edge's length; for each keyframe that it goes over, a share of the scene's depth, rotation,
-and logarithm of the scale.
-
-Drift is systematic, and edges that overlap repeat each other: a graph of edges as good as they are alone would not bend. An even
-drift grows with an edge, and so must its deviation: with the same for all, the long ones forbid what the short ones allow.
-"""
+"""As a fraction of the edge's length; and per keyframe spanned, as a fraction of the scene depth, in rotation, and in log scale."""
 CONFIDENCE = 1.0 - 1e-9
-"""A loop that bends the way by more than these deviations allow is rejected. What is usual is no measure: drift is not noise."""
+"""A loop that exceeds these deviations is rejected. The usual confidence is too low, since drift is not noise."""
 LOOP_DEPTH_FRACTION, LOOP_ROTATION_RAD, LOOP_SCALE = 0.002, 0.002, 0.01
 
 
 def correct_drift(model: SlamMap, constraint: LoopConstraint, *, is_metric: bool) -> bool:
-    """Move keyframes and points so that the newest keyframe lies where the loop says.
+    """Correct keyframes and points so that the newest keyframe satisfies the loop constraint.
 
-    Every keyframe is tied to those that it shares points with by the motion between them as it is, and to the place seen
-    again by the loop, which graduated non-convexity may reject. Without a metre the edges are similarities (Strasdat,
-    Montiel and Davison, RSS 2010).
+    Pose graph whose edges are the present motions between keyframes with points in common, and the loop, which graduated
+    non-convexity may reject. Without metric scale the edges are similarities (Strasdat, Montiel and Davison, RSS 2010).
 
     Returns:
-        whether the loop fits the edges; nothing is moved if not.
+        whether the loop fits the edges; if not, nothing is changed.
     """
     positions = _positions(model)
     world_from_cam = positions.inverse()
@@ -89,7 +88,7 @@ def _median_depth(model: SlamMap) -> float:
 
 
 def _edges(model: SlamMap) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs (older, newer) of keyframes that follow each other or share many points."""
+    """Pairs (older, newer) of keyframes that are consecutive or share many points."""
     n = len(model.keyframes)
     point = np.concatenate([k.point for k in model.keyframes])
     view = np.repeat(np.arange(n), [len(k.point) for k in model.keyframes])
@@ -105,7 +104,7 @@ def _edges(model: SlamMap) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _move(model: SlamMap, before: Rigid3, after: Rigid3 | Similarity3) -> None:
-    """Every point goes with the keyframe that saw it first."""
+    """Set the keyframes' poses; each point moves with its anchor keyframe."""
     n = len(model.keyframes)
     scale = after.scale if isinstance(after, Similarity3) else np.ones(n)
     moved = Similarity3(scale, after.rotation, after.translation)
@@ -118,10 +117,10 @@ def _move(model: SlamMap, before: Rigid3, after: Rigid3 | Similarity3) -> None:
 
 
 def fuse(model: SlamMap, keyframes: list[int], camera: Camera) -> np.ndarray:
-    """Show keyframes all points that should be in sight: those that they know under another row become one point.
+    """Add observations of all map points in sight of the keyframes, and merge duplicate points.
 
     Returns:
-        (p,) what each row of the map's points has become.
+        (p,) new row of each of the map's points.
     """
     into = np.arange(model.num_points)
     for k in keyframes:
@@ -136,7 +135,7 @@ def fuse(model: SlamMap, keyframes: list[int], camera: Camera) -> np.ndarray:
         rows = paired_rows(keyframe, pixels)
         fresh = rows < 0
         keyframe.add(pixels[fresh], np.full(int(fresh.sum()), np.nan), points[fresh])
-        # The one that was there first stays.
+        # The older point stays.
         one, other = points[~fresh], keyframe.point[rows[~fresh]]
         pairs = np.stack([np.maximum(one, other), np.minimum(one, other)])
         _, firsts = np.unique(pairs[0], return_index=True)

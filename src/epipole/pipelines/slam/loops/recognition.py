@@ -1,4 +1,4 @@
-"""Which place of a map an image shows: images that look alike, points that match, and a pose with which they agree."""
+"""Relocalization of an image in a map: similar images, matching points, and the pose from them."""
 
 from __future__ import annotations
 
@@ -21,17 +21,19 @@ from epipole.robust import estimate_absolute_pose
 
 WORDS = Path(__file__).parent / "assets" / "words.npy"
 NEIGHBOURS = 3
-"""Further keyframes whose points are compared together with those of one that looks alike."""
-MIN_SAMPLE, MIN_FRACTION = 12, 0.25
-"""Fewest matches, and the share of them, that a pose must agree with. Patches that look alike by chance agree less."""
+"""Neighbors of a similar keyframe whose points are compared too."""
+MIN_SAMPLE = 12
+"""Fewest inliers among the matches."""
+MIN_FRACTION = 0.25
+"""Smallest fraction of inliers among the matches; chance matches reach less."""
 SAME_POSITION_PX, RIVAL_FRACTION = 12.0, 0.6
 ROUNDS, RIM_PX = 2, 5.0
 MIN_AGREEING = 30
-"""... and fewest points when those that only the pose lets find are counted, too."""
+"""Fewest inliers after the search of all points in sight at the pose."""
 
 
 class View(NamedTuple):
-    """An image to be recognised."""
+    """A described image."""
 
     grey: np.ndarray
     pixels: np.ndarray  # (n, 2)
@@ -41,18 +43,18 @@ class View(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recognition:
-    """What came of comparing an image with a place of the map."""
+    """Result of matching an image to a keyframe."""
 
     keyframe: int
-    """The keyframe that looks alike."""
+    """Index of the keyframe."""
     num_matches: int
     reason: str
-    """Why it is not the same place; empty if it is."""
+    """Why the image does not match; empty if it does."""
     cam_from_world: Rigid3
     pixels: np.ndarray
-    """(n, 2) of points in agreement."""
+    """(n, 2) of the inliers."""
     points: np.ndarray
-    """(n,) rows of the map."""
+    """(n,) their rows in the map."""
 
 
 @cache
@@ -61,12 +63,12 @@ def _words() -> np.ndarray:
 
 
 def descriptor_size() -> int:
-    """Numbers of the vector that an image is compared by."""
+    """Length of an image's global descriptor."""
     return _words().size
 
 
 def view_of(grey: np.ndarray, pixels: np.ndarray) -> View:
-    """An image described at its corners."""
+    """Describe an image at its corners."""
     descriptors = describe_upright(grey, pixels)
     return View(grey, pixels, descriptors, describe_image(descriptors, _words()))
 
@@ -85,13 +87,13 @@ def describe_keyframe(keyframe: Keyframe) -> View:
 def most_alike(
     descriptor: np.ndarray, model: SlamMap, excluded: np.ndarray, count: int
 ) -> list[tuple[int, float]]:
-    """(keyframe, cosine) of the keyframes that look most like an image, best first.
+    """(keyframe, cosine) of the keyframes most similar to an image, best first.
 
     Args:
-        descriptor: of the image.
+        descriptor: global descriptor of the image.
         model: the map.
-        excluded: (k,) keyframes not to be considered.
-        count: how many.
+        excluded: (k,) mask of keyframes to skip.
+        count: number of keyframes.
     """
     numbers = [k for k in np.flatnonzero(~excluded) if model.keyframes[k].descriptor is not None]
     if not numbers:
@@ -108,17 +110,17 @@ def recognize(
     config: OdometryConfig,
     unwanted: np.ndarray | None = None,
 ) -> Recognition:
-    """Compare an image with a keyframe and its neighbours.
+    """Match an image to a keyframe and its neighbors.
 
-    Descriptors are matched, P3P in RANSAC finds a pose, and at this pose all points that should be in sight are looked for.
+    Descriptors are matched, P3P in RANSAC estimates a pose, and all points in sight at this pose are searched.
 
     Args:
         view: the image.
         model: the map.
-        number: of the keyframe.
-        camera: of both.
+        number: index of the keyframe.
+        camera: of both images.
         config: thresholds.
-        unwanted: rows of points that are not to be used: those of the image's own surroundings.
+        unwanted: rows of points to ignore, namely those around the image's own keyframe.
     """
     points, descriptors = _points_around(model, number, unwanted)
     matches = match_descriptors(view.descriptors, descriptors, MatchConfig(max_ratio=0.85))
@@ -136,7 +138,7 @@ def recognize(
     refined = refine_pose(model.xyz[rows], pixels, camera, sought.model)
     agrees = refined.error_sq <= limit**2
     if agrees.sum() < max(MIN_SAMPLE, MIN_FRACTION * len(matches)):
-        words = f"a pose agrees with {int(agrees.sum())} of {len(matches)} matches only"
+        words = f"the best pose agrees with only {int(agrees.sum())} of {len(matches)} matches"
         return Recognition(number, len(matches), words, *none)
     return _grown(
         view,
@@ -150,14 +152,14 @@ def recognize(
 def _grown(
     view: View, model: SlamMap, found: Recognition, camera: Camera, config: OdometryConfig
 ) -> Recognition:
-    """All points that should be in sight at a pose and look so, and the pose that agrees with them."""
+    """Search all points in sight at a pose by their patches, and refine the pose with them."""
     position, points = found.cam_from_world, found.points
     in_cam = position.apply(model.xyz[points])
     pixels = camera.project(in_cam)
     size = np.array([camera.width, camera.height])
     inside = (in_cam[:, 2] > 0) & (pixels >= RIM_PX).all(axis=1) & (pixels < size - RIM_PX).all(axis=1)
     points, pixels = points[inside], pixels[inside]
-    # A few rounds: each is held to where a better pose foretells it.
+    # Each round starts from the projections of a better pose.
     agrees = np.zeros(len(points), bool)
     for _ in range(ROUNDS):
         aligned, is_same, is_stale = align_to_reference_patch(
@@ -165,7 +167,7 @@ def _grown(
         )
         is_alike = is_same & ~is_stale
         if is_alike.sum() < MIN_AGREEING:
-            words = f"{int(is_alike.sum())} of {len(points)} points look the same there, {MIN_AGREEING} are needed"
+            words = f"only {int(is_alike.sum())} of {len(points)} patches match at this pose, {MIN_AGREEING} are needed"
             return replace(found, reason=words, pixels=aligned[is_alike], points=points[is_alike])
         refined = refine_pose(model.xyz[points[is_alike]], aligned[is_alike], camera, position)
         position = refined.cam_from_world
@@ -174,14 +176,14 @@ def _grown(
         pixels = camera.project(position.apply(model.xyz[points]))
     reason = ""
     if agrees.sum() < MIN_AGREEING:
-        reason = f"{int(agrees.sum())} points that look the same agree, {MIN_AGREEING} are needed"
+        reason = f"only {int(agrees.sum())} points with matching patches agree, {MIN_AGREEING} are needed"
     return replace(
         found, reason=reason, cam_from_world=position, pixels=aligned[agrees], points=points[agrees]
     )
 
 
 def is_same_position(cam_from_world: Rigid3, found: Recognition, model: SlamMap, camera: Camera) -> bool:
-    """Whether another pose sees the recognised points where they were seen."""
+    """Whether another pose projects the inliers to the same pixels."""
     points = model.xyz[found.points]
     one = camera.project(cam_from_world.apply(points))
     off = np.linalg.norm(one - camera.project(found.cam_from_world.apply(points)), axis=1)
@@ -191,7 +193,7 @@ def is_same_position(cam_from_world: Rigid3, found: Recognition, model: SlamMap,
 def rival_of(
     best: Recognition, others: list[Recognition], model: SlamMap, camera: Camera
 ) -> Recognition | None:
-    """Another place with which nearly as many points agree: of two that look alike neither can be believed."""
+    """A different pose with nearly as many inliers, which makes the best one ambiguous; None if there is none."""
     for other in others:
         is_near = len(other.points) > RIVAL_FRACTION * len(best.points)
         if is_near and not is_same_position(other.cam_from_world, best, model, camera):
@@ -200,7 +202,7 @@ def rival_of(
 
 
 def _points_around(model: SlamMap, number: int, unwanted: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """(points, descriptors) of a keyframe, and those of its neighbours that it does not see itself."""
+    """(points, descriptors) of a keyframe, and those of its neighbors that it does not observe itself."""
     shared = model.num_shared([number])
     shared[number] = np.iinfo(np.int64).max
     taken = np.zeros(model.num_points, bool)

@@ -1,4 +1,4 @@
-"""Where a lost camera is: the places of the map that look most like its image are compared with it."""
+"""Relocalization of a lost camera by the most similar keyframes."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ from epipole.pipelines.slam.loops.recognition import Recognition, most_alike, re
 from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.tracking.corners import new_corners
 
-LATEST, ALIKE = 2, 4
-"""Keyframes that are compared with each lost frame: the last ones, and those that look most alike."""
+LATEST = 2
+"""Newest keyframes to which each lost frame is matched."""
+ALIKE = 4
+"""Most similar keyframes to which each lost frame is matched."""
 
 
 def relocalize(
     grey: np.ndarray, model: SlamMap, camera: Camera, config: OdometryConfig
 ) -> Recognition | None:
-    """The place of an image in a map, by the keyframe with most points in agreement.
-
-    None if none has enough, or if two places look like it.
-    """
+    """The pose of an image in a map, by the keyframe with most inliers; None if too few or ambiguous."""
     corners = new_corners(grey, np.zeros((0, 2)), config)
     if not len(corners):
         return None

@@ -1,6 +1,6 @@
-"""How well places are known in the map's world: the map's own error, and that of the frame before the map.
+"""Pose covariances in the map's world: the error of the map plus that of the frame relative to it.
 
-Cameras that tell depth alone: of one camera the scale is open, and its frames tell their own part only.
+Only cameras that measure depth have both. A single camera leaves the scale open, so its frames report their own part only.
 """
 
 from __future__ import annotations
@@ -32,44 +32,46 @@ class CalibrationSigma(NamedTuple):
     """Standard deviations of a calibration."""
 
     focal_fraction: float
-    """Relative, of the focal length."""
+    """Of the focal length, relative."""
     center_px: float
-    """Of the principal point."""
+    """Of the principal point, in pixels."""
     depth_fraction: float
-    """Relative, of the baseline or of measured depth."""
+    """Of the baseline or of the measured depth, relative."""
 
     @staticmethod
     def of(sensor: SlamCamera, config: OdometryConfig) -> CalibrationSigma:
-        """From the options; default values where they are None."""
+        """From the options; None selects the default."""
         usual = OF_PAIR if sensor.depth is None else OF_SENSOR
         given = config.focal_sigma, config.center_sigma_px, config.depth_sigma
         return CalibrationSigma(*(u if g is None else g for u, g in zip(usual, given)))
 
     def in_words(self) -> str:
-        """For the summary."""
+        """Text for the summary."""
         return (
             f"{100 * self.focal_fraction:g} % of the focal length, {self.center_px:g} px of the principal point,"
             f" {100 * self.depth_fraction:g} % of depth"
         )
 
 
-OF_PAIR, OF_SENSOR = CalibrationSigma(3e-3, 1.0, 3e-3), CalibrationSigma(1e-2, 3.0, 1.5e-2)
-"""Rectified pairs are usually calibrated with a board. Depth sensors often come with the manufacturer's values: the three sensors of
-TUM RGB-D differ by 3 % in focal length, 16 px in the principal point and 3 % in depth scale."""
+OF_PAIR = CalibrationSigma(3e-3, 1.0, 3e-3)
+"""Rectified pairs are usually calibrated with a board."""
+OF_SENSOR = CalibrationSigma(1e-2, 3.0, 1.5e-2)
+"""Depth sensors often come with the manufacturer's values: the three sensors of TUM RGB-D differ by 3 % in focal length, 16 px in
+the principal point and 3 % in depth scale."""
 LEAST_NOISE_PX = 0.01
 SHARED_PX = 0.02
-"""What all disparities are off by together: patches hold more than their points. On rendered pairs they were 0.003 to 0.036 px
-too large, most at edges."""
+"""Bias common to all disparities: a patch covers more than its point. On rendered pairs disparities were 0.003 to 0.036 px too
+large, most at edges."""
 
 
 def own_covariance(refined: RefinedPose, model: SlamMap, number: int, *, measures_depth: bool) -> np.ndarray:
-    """(6, 6) of a frame's place before the map: none where it has become a keyframe, which knows its own.
+    """(6, 6) covariance of a frame's pose relative to the map; zero if the frame became a keyframe, which has its own covariance.
 
     Args:
-        refined: the frame's place.
+        refined: pose of the frame.
         model: the map.
-        number: of the frame.
-        measures_depth: whether the map knows its error: then the noise is that which the frame's own errors show, else a pixel.
+        number: frame number.
+        measures_depth: whether the map has covariances: the noise is then estimated from the frame's residuals, else it is one pixel.
     """
     if not measures_depth:
         return refined.covariance()
@@ -80,12 +82,12 @@ def own_covariance(refined: RefinedPose, model: SlamMap, number: int, *, measure
 
 
 def by_errors(refined: RefinedPose) -> np.ndarray:
-    """(6, 6) of a place by the errors of its points, which are never none."""
+    """(6, 6) covariance of a pose with the noise estimated from the residuals of its points, with a lower bound."""
     return refined.covariance_by_errors() + LEAST_NOISE_PX**2 * refined.covariance()
 
 
 def carry_covariance(model: SlamMap, refined: RefinedPose) -> None:
-    """Give the newest keyframe the covariance of the one before, carried along, and its own part, until an adjustment knows."""
+    """Propagate the covariance of the previous keyframe to the newest one, until an adjustment computes it."""
     before, newest = model.keyframes[-2:]
     if before.covariance.any():
         between = newest.cam_from_world @ before.cam_from_world.inverse()
@@ -95,7 +97,7 @@ def carry_covariance(model: SlamMap, refined: RefinedPose) -> None:
 def with_map_error(
     keyframe_covariance: np.ndarray, cam_from_keyframe: Rigid3, covariance: np.ndarray
 ) -> np.ndarray:
-    """(..., 6, 6) of places told from keyframes: Ad C_keyframe Ad^T, and their own part.
+    """(..., 6, 6) covariance of poses stored relative to keyframes: Ad C_keyframe Ad^T plus their own part.
 
     Args:
         keyframe_covariance: (..., 6, 6).
@@ -113,17 +115,17 @@ def learn_covariances(
     result: BundleResult,
     config: BundleConfig,
 ) -> None:
-    """Give the adjusted keyframes the covariances of their places in the world.
+    """Set the covariances of the adjusted keyframes' poses in the world.
 
-    What the adjustment tells given the held keyframes, with errors that go on from keyframe to keyframe and one that all
-    disparities share, plus the covariance of the newest held keyframe, carried along rigidly.
+    The covariance of the adjustment, conditional on the fixed keyframes and with errors correlated along tracks, plus the effect of
+    a bias common to all disparities, plus the covariance of the newest fixed keyframe, propagated rigidly.
 
     Args:
-        keyframes: those of the problem's frames, in their order.
-        num_free: how many of the first were adjusted.
-        problem: what was adjusted.
+        keyframes: of the problem's frames, in their order.
+        num_free: number of keyframes at the start of the sequence that were adjusted.
+        problem: the adjusted problem.
         result: its minimum.
-        config: the loss that was minimised.
+        config: of the adjustment.
     """
     try:
         own = bundle_covariance(problem, result, config, clustered=True).rig_from_world
@@ -153,10 +155,10 @@ def add_calibration_error(
     Each parameter is changed by one standard deviation and the poses are optimized again; their change xi adds xi xi^T.
 
     Args:
-        keyframes: those of the problem's frames, in their order.
-        problem: what was adjusted.
+        keyframes: of the problem's frames, in their order.
+        problem: the adjusted problem.
         result: its minimum.
-        config: the loss that was minimised.
+        config: of the adjustment.
         sigma: standard deviations of the parameters.
     """
     if not any(sigma):
@@ -172,7 +174,7 @@ def add_calibration_error(
 
 
 def _off_calibrations(problem: BundleProblem, sigma: CalibrationSigma) -> Iterator[BundleProblem]:
-    """The problem with one parameter of both cameras changed by a standard deviation; last, with another baseline."""
+    """The problem with one parameter of both cameras changed by one standard deviation; last, the baseline."""
     params = problem.camera_params
     for columns, step in (
         (slice(0, 2), sigma.focal_fraction * params[:, :2]),
@@ -188,7 +190,7 @@ def _off_calibrations(problem: BundleProblem, sigma: CalibrationSigma) -> Iterat
 
 
 def _by_shared_error(problem: BundleProblem, result: BundleResult, config: BundleConfig) -> np.ndarray:
-    """(f, 6) where the frames would go, as xi of exp(xi) @ cam_from_world, were all disparities smaller by `SHARED_PX`."""
+    """(f, 6) change xi of the poses, in exp(xi) @ cam_from_world, if all disparities were smaller by `SHARED_PX`."""
     found = with_result(problem, result)
     params = found.camera_params.copy()
     params[1, 2] += SHARED_PX
@@ -200,6 +202,6 @@ def _by_shared_error(problem: BundleProblem, result: BundleResult, config: Bundl
 
 
 def _of_poses(problem: BundleProblem) -> BundlePriors | None:
-    """The priors, without those of parameters, which are held."""
+    """The priors without those of the camera parameters, which are fixed here."""
     known = problem.priors
     return None if known is None else replace(known, params_expected=None, params_sigma=None)

@@ -1,4 +1,4 @@
-"""Keyframes and points that tell nothing new are forgotten: a place that is seen for hours costs no more than one seen once."""
+"""Culling of redundant keyframes and points, so that revisiting a scene for hours does not enlarge the map."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from epipole.pipelines.slam.map.trajectory import Path
 from epipole.pipelines.slam.tracking.tracker import PointTracker
 
 MOST_IN_SIGHT = 40
-"""Keyframes that share points with the newest; of more the one that tells least is forgotten."""
+"""Keyframes with points in common with the newest; beyond that number, redundant ones are culled."""
 MOST_TAKEN = 2
-"""At a time: with one for each new keyframe their number would never fall where it has grown."""
+"""Keyframes culled at a time: with one per new keyframe their number would never fall."""
 SHARED_POINTS = 15
 LATEST = 8
-"""Keyframes that are still in use."""
+"""Newest keyframes that are never culled, since they are still in use."""
 OFTEN = 3
-"""A point that so many other keyframes see does not need this one."""
+"""A keyframe is not needed for a point that more than OFTEN keyframes observe."""
 LEAST_REDUNDANT = 0.8
 SPARE_ROWS = 2.0
-"""Rows of points are put together when there are so many times more than points in use."""
+"""Unused rows are removed when the number of rows exceeds that of used points by this factor."""
 
 
 def cull(model: SlamMap, path: Path, tracker: PointTracker) -> None:
-    """Let go of what tells nothing new; frames and followed points are told from what stays."""
+    """Cull redundant keyframes and unused points; trajectory and tracker are updated."""
     for _ in range(MOST_TAKEN):
         taken = cull_redundant_keyframe(model)
         if taken is None:
@@ -36,13 +36,13 @@ def cull(model: SlamMap, path: Path, tracker: PointTracker) -> None:
 
 
 def cull_redundant_keyframe(model: SlamMap) -> tuple[Keyframe, Keyframe] | None:
-    """Take the latest of the redundant keyframes around the newest out of the map, if they are too many.
+    """Remove the latest redundant keyframe near the newest one, if there are too many.
 
-    Those of the first visit stay, and hold the later ones: were they taken, the map would be made anew with every visit, from what
-    the last one left, and would wander (the rendered room, 50 times round: 37 mm).
+    Keyframes of the first visit stay and constrain later ones. Without them every visit would rebuild the map from the previous
+    one, and it would drift (37 mm after 50 rounds of the rendered room).
 
     Returns:
-        the keyframe that was taken out, and the one that shares most points with it; None where none was.
+        the removed keyframe, and the one with most points in common with it; None if nothing was removed.
     """
     count = len(model.keyframes)
     shared = model.num_shared([count - 1])
@@ -64,17 +64,17 @@ def cull_redundant_keyframe(model: SlamMap) -> tuple[Keyframe, Keyframe] | None:
 
 
 def _redundancy(model: SlamMap, number: int, seen: np.ndarray) -> float:
-    """Share of a keyframe's points that enough others see."""
+    """Fraction of a keyframe's points that enough others observe."""
     points = model.keyframes[number].point
     points = points[model.is_triangulated(points)]
     return float((seen[points] > OFTEN).mean()) if len(points) else 1.0
 
 
 def drop_unused_points(model: SlamMap, tracked: np.ndarray) -> np.ndarray | None:
-    """Give up the rows of points that no keyframe sees and that are not followed, where they are many.
+    """Remove the rows of points that are neither observed by a keyframe nor tracked, if they are many.
 
     Returns:
-        (p,) what each row has become, -1 for those that are gone; None where nothing was done.
+        (p,) new row of each point, -1 if removed; None if nothing was done.
     """
     used = model.counts(list(range(len(model.keyframes)))) > 0
     used[tracked] = True

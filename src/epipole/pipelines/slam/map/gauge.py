@@ -1,4 +1,4 @@
-"""The gauge of a map that nothing holds: it stays where it was, as near as it can."""
+"""Gauge of an unconstrained map: adjustments leave it as close as possible to where it was."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from epipole.geometry import Rigid3, Similarity3, align_points
 
 
 def align_gauge(after: Rigid3, before: Rigid3) -> Similarity3:
-    """before_from_after of cameras (n,) that leave place and scale open, by their centres and orientations alike."""
+    """before_from_after of cameras (n,) whose gauge is free, from both their centres and their orientations."""
     marks = []
     for cams in (after, before):
         centers = cams.centers()

@@ -1,4 +1,4 @@
-"""An inertial unit's measurements between keyframes, as factors of every adjustment once they agree with the path."""
+"""IMU factors between keyframes, used in every adjustment once the IMU agrees with the trajectory."""
 
 from __future__ import annotations
 
@@ -22,22 +22,28 @@ from epipole.optim import BundleConfig, BundleProblem, BundleResult, bundle_vari
 from epipole.pipelines.slam.map.slam_map import Keyframe
 from epipole.scale import ScaleEstimate
 
-LONGEST_S, SHORTEST_S = 2.0, 0.02
-"""Between keyframes: over more the biases carry the unit too far, over less there is hardly a measurement."""
-LEAST, MOST_ALIGNED, MOST_CONSTRAINED = 10, 60, 80
-"""Keyframes in a row: for a factor, for an alignment, and in one factor, whose cost grows with their cube."""
+LONGEST_S = 2.0
+"""Longest interval between keyframes: over longer ones the integrated biases are too large."""
+SHORTEST_S = 0.02
+"""Shortest interval between keyframes: shorter ones contain hardly any samples."""
+LEAST = 10
+"""Fewest consecutive keyframes of a factor or an alignment."""
+MOST_ALIGNED = 60
+"""Most consecutive keyframes of an alignment."""
+MOST_CONSTRAINED = 80
+"""Most keyframes in one factor, whose cost grows with their cube."""
 LARGEST_MISFIT = 5.0
-"""Times the noise that is stated: on EuRoC's flights it is 1.3 to 3.5, with the log of another path 30."""
+"""Ratio to the specified noise: 1.3 to 3.5 on the EuRoC flights, 30 with the log of a different trajectory."""
 LEAST_NOISE_PX = 0.05
 
 
 class InertialConstraints:
-    """What a unit says of the keyframes of one map.
+    """IMU constraints on the keyframes of one map.
 
     Attributes:
-        imu: as stated.
-        aligned: scale, gravity and biases of some keyframes; None until they can be told.
-        noise: densities, as large as adjusted paths have shown.
+        imu: log, mounting and specified noise.
+        aligned: scale, gravity and biases of some keyframes; None until they are observable.
+        noise: noise densities, at least the specified ones, raised to what the adjusted trajectory shows.
     """
 
     def __init__(self, imu: MountedImu) -> None:
@@ -46,7 +52,7 @@ class InertialConstraints:
         self.noise = imu.noise
 
     def learn(self, keyframes: Sequence[Keyframe]) -> None:
-        """Align the newest keyframes in a row, until they tell a scale once: from then on factors find it."""
+        """Align the newest consecutive keyframes to the IMU, until it succeeds once; from then on the factors estimate the scale."""
         if self.aligned is not None:
             return
         rows = [own[-MOST_ALIGNED:] for own in self._in_a_row(keyframes)]
@@ -62,11 +68,11 @@ class InertialConstraints:
                 continue
 
     def factors(self, keyframes: Sequence[Keyframe], variance_px: float) -> tuple[ImuFactors, ...]:
-        """Factors between keyframes, named by their places in the sequence; none before the first alignment.
+        """Factors between keyframes, by their index in the sequence; none before the first alignment.
 
         Args:
-            keyframes: those that are adjusted, or held.
-            variance_px: of a pixel.
+            keyframes: adjusted or fixed.
+            variance_px: variance of a pixel coordinate, in square pixels.
         """
         if self.aligned is None:
             return ()
@@ -80,11 +86,11 @@ class InertialConstraints:
         return tuple(out)
 
     def agrees(self, factors: Sequence[ImuFactors], cam_from_world: Rigid3) -> bool:
-        """Whether adjusted poses bear the unit out; then its noise is taken for as large as they show, else it counts no more.
+        """Whether the IMU agrees with the adjusted poses; if so its noise is rescaled to their residuals, else the alignment is dropped.
 
         Args:
-            factors: one or more, with which the poses were adjusted.
-            cam_from_world: the poses.
+            factors: one or more factors of the adjustment.
+            cam_from_world: adjusted poses.
         """
         given = np.array([one.variance_factors(cam_from_world[one.frames]) for one in factors])
         gyro, accel = np.average(given, axis=0, weights=[len(one.frames) for one in factors])
@@ -99,7 +105,7 @@ class InertialConstraints:
         return True
 
     def _in_a_row(self, keyframes: Sequence[Keyframe]) -> list[np.ndarray]:
-        """Places of keyframes, by their times, that follow each other within the log."""
+        """Indices of consecutive keyframes, in the order of time, between which the log has no gap."""
         log = self.imu.log.timestamp_s
         if len(log) < 2:
             return []
@@ -119,16 +125,16 @@ class InertialConstraints:
 def scale_by_factors(
     problem: BundleProblem, result: BundleResult, config: BundleConfig, imu: MountedImu
 ) -> ScaleEstimate | None:
-    """The scale that an adjustment with inertial factors found, with its deviation; None where there were none.
+    """Scale and its standard deviation from an adjustment with IMU factors; None without factors.
 
     Args:
-        problem: what was adjusted, with the factors among its priors.
+        problem: the adjusted problem, with the factors among its priors.
         result: its minimum.
-        config: how.
-        imu: the unit.
+        config: of the adjustment.
+        imu: the IMU.
 
     Raises:
-        DegenerateGeometryError: something is not determined.
+        DegenerateGeometryError: the problem is underdetermined.
     """
     logs, variances = [], []
     for path in () if problem.priors is None else problem.priors.paths:
@@ -147,7 +153,7 @@ def scale_by_factors(
 
 
 def pixel_variance(problem: BundleProblem, camera: Camera) -> float:
-    """Of a pixel coordinate, by the median of one camera's residuals as they are."""
+    """Variance of a pixel coordinate, in square pixels, from the median of one camera's current residuals."""
     point = np.repeat(np.arange(len(problem.points_in_world)), np.diff(problem.offsets))
     there = problem.rig_from_world[problem.frame].apply(problem.points_in_world[point])
     squared = ((camera.project(there) - problem.pixels) ** 2).sum(axis=1)
@@ -156,7 +162,6 @@ def pixel_variance(problem: BundleProblem, camera: Camera) -> float:
 
 
 def _path(keyframes: Sequence[Keyframe]) -> tuple[np.ndarray, Rigid3]:
-    """Times, and world_from_camera."""
     positions = [k.cam_from_world for k in keyframes]
     there = Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))
     return np.array([k.timestamp_s for k in keyframes]), there.inverse()

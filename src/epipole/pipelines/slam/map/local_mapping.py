@@ -1,4 +1,4 @@
-"""The map grows and settles: triangulation, adjustment over a window of keyframes, and what does not fit is forgotten."""
+"""Local mapping: new keyframes and points, bundle adjustment of a window of keyframes, removal of outliers."""
 
 from __future__ import annotations
 
@@ -38,32 +38,33 @@ from epipole.pipelines.slam.tracking.redetection import link_tracks, redetect
 
 LOSS_SCALE_PX = 1.0
 LAST_SCALES_PX = (8.0, 2.0, 1.0)
-"""Of the loss, in the last rounds: wide at first, so that what has drifted apart is drawn together."""
-FIRST_OPTIMIZED, GROWTH = 6, 1.25
-"""Keyframes at the begin of a map, and by how much more all of them are adjusted again."""
+"""Loss scales of the last rounds: wide at first, to pull together what has drifted apart."""
+FIRST_OPTIMIZED = 6
+"""Keyframes of a new map."""
+GROWTH = 1.25
+"""All keyframes are adjusted again when their number has grown by this factor."""
 LAST_STEPS = 1 + 2 * len(LAST_SCALES_PX)
 COVARIANCES_EVERY = 3
-"""Keyframes: those between carry the covariance of the one before on, and their own part."""
+"""Keyframes between computations of the covariances, which are propagated meanwhile."""
 MOST_CONSTRAINED = 30
-"""Keyframes of one camera's map that are all tied together again: 12 ms for each."""
+"""Largest single-camera map in which all keyframes are linked to the points in sight again, at 12 ms each."""
 LEAST_TOGETHER = 8
-"""Keyframes, adjusted all together, that tell where the second camera's principal point lies."""
+"""Fewest keyframes, adjusted jointly, from which the second camera's principal point is estimated."""
 SHIFT_SIGMA_PX = 0.3
-"""Deviation of a pair's rectification along the rows."""
+"""Standard deviation of a pair's rectification along the rows."""
 
 
 class Adjusted(NamedTuple):
-    """What was adjusted, in the map's world, and how."""
+    """An adjusted problem, in the map's world."""
 
     problem: BundleProblem
     result: BundleResult
     config: BundleConfig
     views: list[int]
-    """Rows of the keyframes."""
 
 
 class LocalMapper:
-    """Adjusts a map. Depth of a single frame, where there is any, enters as the pixel of a second camera beside the first."""
+    """Extends and adjusts a map. Measured depth enters as an observation of a second camera beside the first."""
 
     def __init__(
         self,
@@ -75,25 +76,25 @@ class LocalMapper:
     ) -> None:
         self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera, config
         self.focal_baseline = focal_baseline
-        """Focal length times baseline; None for one camera."""
+        """Focal length times baseline; None for a single camera."""
         self.positions: dict[int, np.ndarray] = {}
-        """Measured places of keyframes in the world, by the frames' numbers; used where all are adjusted."""
+        """Measured camera positions in the world by frame number; used when all keyframes are adjusted."""
         self.position_sigma = 1.0
         self.inertial = None if imu is None else InertialConstraints(imu)
         self._num_optimized = FIRST_OPTIMIZED
-        """Keyframes when all were adjusted last."""
+        """Number of keyframes when all were last adjusted."""
 
     def insert_keyframe(
         self, frame: Frame, number: int, position: Rigid3, tracks: Tracks, stale: np.ndarray
     ) -> Tracks:
-        """A keyframe: points that are followed, older ones found again, and new ones; all of them are followed on.
+        """Add a keyframe with its tracked, re-detected and new points; returns the tracks of all of them.
 
         Args:
             frame: the images.
-            number: of the frame.
+            number: frame number.
             position: cam_from_world.
-            tracks: points that are followed.
-            stale: rows of points that look otherwise by now: they are known by their present look from here on.
+            tracks: tracked points.
+            stale: rows of points whose appearance has changed; their reference patches are replaced.
         """
         if self.map.keyframes:
             tracks.add(*redetect(self.map, self.camera, frame.grey, position, tracks.point))
@@ -131,7 +132,7 @@ class LocalMapper:
         return disparities_of(frame, pixels, guess, self.sensor, self.config)
 
     def _from_depth(self, pixels: np.ndarray, disparity: np.ndarray, position: Rigid3) -> np.ndarray:
-        """Places of points by their disparities; NaN without one, or where it says little."""
+        """(n, 3) points in the world from their disparities; NaN without a disparity, or beyond `max_depth_baselines`."""
         if self.focal_baseline is None:
             return np.full((len(pixels), 3), np.nan)
         most = self.config.max_depth_baselines
@@ -140,8 +141,8 @@ class LocalMapper:
         return position.inverse().apply(in_cam)
 
     def window_of(self, newest: int) -> tuple[list[int], list[int]]:
-        """Keyframes that share most points with the newest, and those that share points with these."""
-        # One camera's scale drifts in a narrow window.
+        """Keyframes with most points in common with the newest, and the fixed ones with points in common with these."""
+        # The scale of a single camera drifts in a narrow window.
         width = self.config.window * (2 if self.focal_baseline is None else 1)
         shared = self.map.num_shared([newest])
         shared[newest] = len(self.map.xyz) + 1
@@ -153,11 +154,11 @@ class LocalMapper:
         return window, sorted(int(k) for k in order if shared[k] > 0)
 
     def adjust_around(self, newest: int) -> None:
-        """Adjust the window of the newest keyframe; keyframes outside hold it.
+        """Adjust the window of the newest keyframe, with the keyframes around it fixed.
 
-        Each time that the map has grown by a quarter all of it is adjusted: for a keyframe that is five times its share of
-        the whole, whatever the map's size. One camera's keyframes, in a larger map the new ones, are then shown all points in
-        sight: only what is seen from many sides keeps its scale.
+        Each time the map has grown by a quarter, all of it is adjusted: amortized, five adjustments per keyframe at any map size.
+        For a single camera, keyframes (in a large map only the new ones) are first linked to all points in sight, since only
+        points seen from many sides preserve the scale.
         """
         if len(self.map.keyframes) >= GROWTH * self._num_optimized:
             since, self._num_optimized = self._num_optimized, len(self.map.keyframes)
@@ -171,19 +172,19 @@ class LocalMapper:
         self.adjust(window, fixed, 8)
 
     def adjust_all(self, loss_scale_px: float = LOSS_SCALE_PX, max_iterations: int = 40) -> Adjusted | None:
-        """Adjust every keyframe and every point."""
+        """Adjust all keyframes and points."""
         return self.adjust(list(range(len(self.map.keyframes))), [], max_iterations, loss_scale_px)
 
     def adjust_for_good(self, number: int, count: int, goes_on: Callable[[int, int], bool]) -> bool:
-        """After the last frame: tie keyframes together that see the same, and adjust all, again and again.
+        """Final adjustment after the last frame: alternately link keyframes to the points in sight and adjust everything.
 
         Args:
-            number: of the map among all that are adjusted.
-            count: of them.
-            goes_on: called with the steps done and those of all maps; where it returns False the rest is left out.
+            number: index of the map among those adjusted.
+            count: number of those maps.
+            goes_on: called with the number of finished steps and of all steps; returning False stops the adjustment.
 
         Returns:
-            whether all was done.
+            whether all steps were done.
         """
         if len(self.map.keyframes) < 2:
             return True
@@ -206,12 +207,12 @@ class LocalMapper:
     def adjust(
         self, window: list[int], fixed: list[int], max_iterations: int, loss_scale_px: float = LOSS_SCALE_PX
     ) -> Adjusted | None:
-        """Adjust keyframes and the points that they see, with others held, and forget observations that do not fit.
+        """Adjust a window of keyframes and their points with other keyframes fixed, and remove outliers.
 
         Returns:
-            what was adjusted, and its minimum; None where there was nothing.
+            the adjusted problem and its minimum; None if there was nothing to adjust.
         """
-        # Rotation-only keyframes see no point with a place.
+        # Rotation-only keyframes observe no triangulated point.
         window = [k for k in window if self.map.is_triangulated(self.map.keyframes[k].point).any()]
         if len(window) < 2:
             return None
@@ -231,7 +232,7 @@ class LocalMapper:
         is_outside, result = self._adjusted(is_outside, views, config)
         if self.focal_baseline is not None:
             self.map.right_shift_px = float(result.camera_params[1, 2] - self.camera.params[2])
-        # Where nothing is held the map stays as near to where it was as can be: places that were told stay true.
+        # Align an unconstrained map to its previous poses, so that poses already returned stay valid.
         if self.focal_baseline is None and not fixed and not self.positions:
             back = align_gauge(result.rig_from_world, positions_of(self.map, window))
             result = replace(
@@ -249,7 +250,7 @@ class LocalMapper:
         return Adjusted(is_outside, result, config, views)
 
     def cost_of(self, window: list[int]) -> float:
-        """What is left over after an adjustment of keyframes, which the map does not learn of."""
+        """Final cost of an adjustment of keyframes; the map is not changed."""
         window = [k for k in window if self.map.is_triangulated(self.map.keyframes[k].point).any()]
         rows, is_outside = self._built(window, window)
         if not len(rows):
@@ -258,7 +259,7 @@ class LocalMapper:
         return adjust_bundle(is_outside, config).final_cost
 
     def _built(self, window: list[int], views: list[int]) -> tuple[np.ndarray, BundleProblem]:
-        """Rows of the points that take part, and the problem of the views, of which the first are free."""
+        """Rows of the points that take part, and the problem of the views, of which those in the window are free."""
         is_seen = (self.map.counts(window) > 0) & np.isfinite(self.map.xyz[:, 0])
         frame, point, pixels, disparity = self._observations(views, is_seen)
         enough = np.bincount(point, 1.0 + np.isfinite(disparity), len(is_seen)) >= 2
@@ -268,7 +269,7 @@ class LocalMapper:
         return rows, self._fixed(self._problem(views, len(window), rows, seen))
 
     def _fixed(self, problem: BundleProblem) -> BundleProblem:
-        """With what the images leave open held: one place, and the scale where nothing tells it."""
+        """The problem with its gauge fixed: one pose, and for a single camera the scale."""
         is_fixed = (~problem.frame_free.any(axis=1)).any()
         if self.focal_baseline is None:
             return with_fixed_gauge(problem)
@@ -279,7 +280,7 @@ class LocalMapper:
     def _adjusted(
         self, problem: BundleProblem, views: list[int], config: BundleConfig
     ) -> tuple[BundleProblem, BundleResult]:
-        """With what an inertial unit tells of the motion between the views, unless they contradict each other."""
+        """Adjust with the IMU factors between the views, or without them if they contradict the images."""
         if self.inertial is None:
             return adjust_pair(problem, config)
         keyframes = [self.map.keyframes[k] for k in views]
@@ -293,7 +294,7 @@ class LocalMapper:
         return adjust_pair(problem, config)
 
     def learn_inertial(self) -> None:
-        """Align the map with the inertial unit, where there is one."""
+        """Align the map with the IMU, if any."""
         if self.inertial is not None:
             self.inertial.learn([k for k in self.map.keyframes if self.map.is_triangulated(k.point).any()])
 
@@ -350,10 +351,10 @@ class LocalMapper:
     def _right_camera(
         self, params: np.ndarray, views: list[int], num_free: int
     ) -> tuple[np.ndarray, np.ndarray, BundlePriors | None]:
-        """Parameters of both cameras, which of them are free, and what is known of these.
+        """Parameters of both cameras, which of them are free, and their priors.
 
-        A constant error of all disparities bends the scene, and the frames' motion shows it: where a pair's images are
-        adjusted all together, the second one's principal point is found, too.
+        A bias of all disparities bends the scene, which makes it observable from the motion: if all keyframes of a pair are
+        adjusted jointly, so is the second camera's principal point.
         """
         shifted, free = params.copy(), np.zeros((2, params.shape[1]))
         shifted[1, 2] += self.map.right_shift_px
@@ -374,7 +375,7 @@ class LocalMapper:
         return BundlePriors(position_in_world=measured, position_sigma=self.position_sigma)
 
     def remove_outliers(self, keyframes: list[int], max_error_px: float) -> None:
-        """Drop observations that are off by more, and points that are behind a camera that saw them."""
+        """Remove observations with a larger reprojection error or with the point behind the camera."""
         for k in keyframes:
             own = self.map.keyframes[k]
             localized = self.map.is_triangulated(own.point)
@@ -386,14 +387,14 @@ class LocalMapper:
 
 
 def focal_baseline_of(sensor: SlamCamera, config: OdometryConfig) -> float | None:
-    """Focal length times baseline, of a depth sensor that of a pair with errors like its own; None for one camera.
+    """Focal length times baseline, for a depth sensor that of an equivalent pair; None for a single camera.
 
     Raises:
-        ConfigError: the camera tells depth and is no pinhole: a second one beside it has not the same rows.
+        ConfigError: the camera measures depth and is not a pinhole, so that its pair would have no common rows.
     """
     baseline = sensor.baseline if sensor.depth is None else config.sensor_baseline_m
     if baseline is None:
         return None
     if sensor.camera.model != CameraModel.PINHOLE:
-        raise ConfigError("with depth, or a second camera, images are undistorted and the camera a PINHOLE")
+        raise ConfigError("depth and stereo images need a PINHOLE camera: undistort the images first")
     return sensor.camera.focal_px * baseline

@@ -1,4 +1,4 @@
-"""A pair of cameras, adjusted with the second one's principal point; a shift that is too small to be told is none."""
+"""Bundle adjustment of a stereo pair including the second camera's principal point; insignificant shifts are set to zero."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 from epipole.optim import BundleConfig, BundleProblem, BundleResult, adjust_bundle
 
 LEAST_SHIFT_PX = 0.1
-"""Places in the right image that patches are found at are off by hundredths of a pixel, all to one side: on rendered pairs,
-whose principal points are known, shifts of 0.04 px were found, and made the path 0.2 % too short."""
+"""Patch matches in the right image have a bias of hundredths of a pixel: on rendered pairs, whose principal points are known, it
+was mistaken for a shift of 0.04 px, which made the trajectory 0.2 % too short."""
 
 
 def adjust_pair(problem: BundleProblem, config: BundleConfig) -> tuple[BundleProblem, BundleResult]:
-    """Adjust; where the second camera's principal point is free and is found to be all but where it was said, once more without.
+    """Adjust; if the second camera's free principal point barely moves, fix it and adjust again.
 
     Args:
-        problem: in which parameters other than that one are held.
+        problem: in which all camera parameters except that principal point are fixed.
         config: of both adjustments.
 
     Returns:
-        what was adjusted last, and its minimum.
+        the problem that was adjusted last, and its minimum.
     """
     result = adjust_bundle(problem, config)
     if not problem.params_free.any() or problem.priors is None or problem.priors.params_expected is None:

@@ -1,4 +1,4 @@
-"""Frames between keyframes are placed again once the map around them has settled: when they came it had not."""
+"""Poses of frames between keyframes are estimated again once the map around them has converged."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from epipole.pipelines.slam.tracking.points import SeenFrame
 from epipole.pipelines.slam.tracking.tracker import PointTracker
 
 KEYFRAMES_LATER = 5
-"""After a frame, when the map around it has settled."""
+"""Keyframes after a frame until the map around it is assumed to have converged."""
 
 
 def refine_past_poses(path: Path, tracker: PointTracker, *, is_last: bool = False) -> None:
-    """Find the places of frames that have waited long enough, by what they saw, in the map as it is now.
+    """Estimate the poses of waiting frames again from their observations and the present map.
 
     Args:
-        path: where they are told from their keyframes, and will be.
-        tracker: of the map, with the frames that wait.
-        is_last: none comes after them: all have waited long enough.
+        path: trajectory with the poses, updated in place.
+        tracker: of the map, with the waiting frames.
+        is_last: whether the sequence has ended, so that no frame waits any longer.
     """
     if not tracker.waiting:
         return
     numbers = [keyframe.number for keyframe in tracker.map.keyframes]
-    converged = numbers[-min(KEYFRAMES_LATER, len(numbers))]
-    done = [seen for seen in tracker.waiting if is_last or seen.number < converged]
-    tracker.waiting = [seen for seen in tracker.waiting if not (is_last or seen.number < converged)]
+    newest_done = numbers[-min(KEYFRAMES_LATER, len(numbers))]
+    done = [seen for seen in tracker.waiting if is_last or seen.number < newest_done]
+    tracker.waiting = [seen for seen in tracker.waiting if not (is_last or seen.number < newest_done)]
     for seen in done:
         stored = path.stored(seen.number)
         if stored is not None and stored[0].number != seen.number:
@@ -41,7 +41,7 @@ def refine_past_poses(path: Path, tracker: PointTracker, *, is_last: bool = Fals
 def _localized(
     seen: SeenFrame, tracker: PointTracker, start: Rigid3, covariance: np.ndarray
 ) -> tuple[Rigid3, np.ndarray]:
-    """The place, and its covariance before the map; as they were where they cannot be told again."""
+    """The pose and its covariance relative to the map; unchanged if they cannot be estimated."""
     localized = tracker.map.is_triangulated(seen.point)
     points, pixels = tracker.map.xyz[seen.point[localized]], seen.pixels[localized]
     readout, config = tracker.sensor.readout_s, tracker.config

@@ -1,4 +1,4 @@
-"""The map: keyframes, and points with the keyframes that saw them; it grows, is adjusted, and forgets."""
+"""The map: keyframes and the points that they observe."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ class Observations(NamedTuple):
 
     pixels: np.ndarray  # (n, 2)
     disparity_px: np.ndarray  # (n,); NaN for none
-    point: np.ndarray  # (n,) int64, row of the map's points, each at most once
+    point: np.ndarray  # (n,) int64, rows of the map's points, without duplicates
 
 
 class Keyframe:
-    """A frame that stays: its image, its place, and what it saw of the map.
+    """A frame kept in the map: its image, pose and observations.
 
     Attributes:
-        number: of the frame in the sequence.
-        timestamp_s: its time.
-        grey: its image.
-        cam_from_world: its place, which adjustments change.
-        pixels: (n, 2) of its observations.
-        disparity_px: (n,) of them, NaN for none.
-        motion: (12,) the camera's speed and its change, where it has a rolling shutter.
-        shift_px: (n, 3) from pixels and disparities to what a shutter of one instant would have seen; zero where it is one.
-        point: (n,) rows of the map's points, each at most once.
-        descriptors: (n, 128) of them, zeros where none was made.
-        look: the whole image as one vector, for finding images that look alike; None before it is made.
-        unit: by what lengths around it were multiplied since it was made.
-        ignored_mask: where nothing may be seen in its image, as in `Frame`; None of a map that was read from a file.
-        covariance: (6, 6) of xi = (translation, rotation) in exp(xi) @ cam_from_world; zero where it is not known.
+        number: frame number in the sequence.
+        timestamp_s: time of the frame.
+        grey: grey image.
+        cam_from_world: pose, changed by adjustments.
+        pixels: (n, 2) observations.
+        disparity_px: (n,) their disparities; NaN for none.
+        motion: (12,) velocity and acceleration of a camera with a rolling shutter.
+        shift_px: (n, 3) correction of pixels and disparities to those of a global shutter; zero for a global shutter.
+        point: (n,) rows of the map's points, without duplicates.
+        descriptors: (n, 128) of the observations; zeros if not computed.
+        descriptor: global descriptor of the image, for finding similar images; None until computed.
+        unit: scale factor applied to the map around the keyframe since it was created.
+        ignored_mask: masked pixels, as in `Frame`; None for a map read from a file.
+        covariance: (6, 6) of xi = (translation, rotation) in exp(xi) @ cam_from_world; zero if unknown.
     """
 
     def __init__(
@@ -54,16 +54,16 @@ class Keyframe:
 
     @property
     def straight_px(self) -> np.ndarray:
-        """(n, 2) where a shutter of one instant would have seen the points."""
+        """(n, 2) pixels corrected to a global shutter."""
         return self.pixels + self.shift_px[:, :2]
 
     @property
     def straight_disparity_px(self) -> np.ndarray:
-        """(n,) disparities that it would have seen."""
+        """(n,) disparities corrected to a global shutter."""
         return self.disparity_px + self.shift_px[:, 2]
 
     def keep(self, mask: np.ndarray) -> None:
-        """Forget the other observations."""
+        """Remove the other observations."""
         self.pixels, self.disparity_px = self.pixels[mask], self.disparity_px[mask]
         self.point, self.descriptors = self.point[mask], self.descriptors[mask]
         self.shift_px = self.shift_px[mask]
@@ -79,11 +79,11 @@ class Keyframe:
 
 
 class SlamMap:
-    """Keyframes and points. A point without a place yet (NaN) is one that was seen, but under too narrow an angle."""
+    """Keyframes and points. A point is NaN until it is seen under a large enough angle to be triangulated."""
 
     def __init__(self, number: int = 0) -> None:
         self.number = number
-        """Of the map, in order of initialization."""
+        """Of the map, in the order of initialization."""
         self.keyframes: list[Keyframe] = []
         self._xyz = np.empty((4096, 3))
         self._anchor = np.empty(4096, np.int64)
@@ -91,13 +91,13 @@ class SlamMap:
         self._num_agreed = np.empty(4096, np.int64)
         self.num_points = 0
         self.motion, self.recent = NO_MOTION, RecentMotion()
-        """Of the camera in the last frame, and before it, where it has a rolling shutter."""
+        """Motion of a rolling-shutter camera in the last frame, and before it."""
         self.right_shift_px = 0.0
-        """By how much further to the right than it was said the principal point of a pair's second camera lies."""
+        """Estimated offset to the right of the second camera's principal point from its calibrated value (stereo pairs)."""
 
     @property
     def xyz(self) -> np.ndarray:
-        """(p, 3) points in the world; NaN without a place. May be written to."""
+        """(p, 3) points in the world; NaN if not triangulated. Writable."""
         return self._xyz[: self.num_points]
 
     @property
@@ -107,16 +107,16 @@ class SlamMap:
 
     @property
     def anchor_px(self) -> np.ndarray:
-        """(p, 2) where in that keyframe. May be written to, with `anchor`."""
+        """(p, 2) pixels in that keyframe. Writable, together with `anchor`."""
         return self._anchor_px[: self.num_points]
 
     @property
     def num_agreed(self) -> np.ndarray:
-        """(p,) in how many frames each point was where the others foretold it. May be written to."""
+        """(p,) number of frames in which each point was an inlier of the pose. Writable."""
         return self._num_agreed[: self.num_points]
 
     def add_points(self, xyz: np.ndarray, pixels: np.ndarray, keyframe: int | np.ndarray) -> np.ndarray:
-        """Rows of new points, first seen in a keyframe at these pixels."""
+        """Add points first seen in a keyframe at these pixels; returns their rows."""
         first, self.num_points = self.num_points, self.num_points + len(xyz)
         if self.num_points > len(self._xyz):
             more = max(self.num_points, 2 * len(self._xyz)) - len(self._xyz)
@@ -130,23 +130,23 @@ class SlamMap:
         return np.arange(first, self.num_points)
 
     def is_triangulated(self, points: np.ndarray) -> np.ndarray:
-        """Which of the points have a place."""
+        """Which of the points are triangulated."""
         return np.isfinite(self.xyz[points, 0])
 
     def counts(self, keyframes: list[int]) -> np.ndarray:
-        """(p,) in how many of these keyframes each point is seen."""
+        """(p,) number of these keyframes that observe each point."""
         out = np.zeros(self.num_points, np.int64)
         for k in keyframes:
             out[self.keyframes[k].point] += 1
         return out
 
     def num_shared(self, keyframes: list[int]) -> np.ndarray:
-        """Of every keyframe, how many placed points it shares with any of these."""
+        """For every keyframe, the number of triangulated points that it shares with any of these."""
         is_theirs = (self.counts(keyframes) > 0) & np.isfinite(self.xyz[:, 0])
         return np.array([int(is_theirs[k.point].sum()) for k in self.keyframes], np.int64)
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Remove everything."""
         self.keyframes.clear()
         self.motion, self.recent = NO_MOTION, RecentMotion()
         self.num_points = 0
@@ -156,7 +156,7 @@ class SlamMap:
         self.move(Similarity3(np.array(factor), np.eye(3), np.zeros(3)))
 
     def move(self, new_from_old: Similarity3) -> None:
-        """Tell everything in another world's coordinates."""
+        """Transform everything to another world frame."""
         self.xyz[:] = new_from_old.apply(self.xyz)
         grown = np.tile(np.repeat([float(new_from_old.scale), 1.0], 3), 2)
         for keyframe in self.keyframes:
@@ -167,9 +167,9 @@ class SlamMap:
         self.recent.grow(float(new_from_old.scale))
 
     def absorb(self, other: SlamMap) -> int:
-        """Take over keyframes and points of a map in the same coordinates; returns what to add to its points' rows.
+        """Move keyframes and points of a map in the same coordinates into this one; returns the offset of its points' rows.
 
-        Keyframes stay in the order of their frames, so that the newest is the last.
+        Keyframes stay sorted by frame number: the newest is the last.
         """
         offset, before = self.num_points, len(self.keyframes)
         rows = self.add_points(other.xyz, other.anchor_px, other.anchor + before)
@@ -184,20 +184,20 @@ class SlamMap:
         return offset
 
     def merge_points(self, gone: np.ndarray, kept: np.ndarray) -> np.ndarray:
-        """Points that are the same thing become one, with the observations of both.
+        """Merge duplicate points and their observations.
 
         Args:
-            gone: (n,) rows, each at most once and none of them in `kept`.
-            kept: (n,) rows that they become.
+            gone: (n,) rows to merge, without duplicates and disjoint from `kept`.
+            kept: (n,) rows into which they are merged.
 
         Returns:
-            (p,) what each row has become.
+            (p,) new row of each point.
         """
         into = np.arange(self.num_points)
         into[gone] = kept
         for keyframe in self.keyframes:
             point = into[keyframe.point]
-            # Where a keyframe saw both, the observation that was the kept point's already stays.
+            # If a keyframe observes both, the observation of the kept point stays.
             order = np.lexsort((point != keyframe.point, point))
             first = np.ones(len(point), bool)
             first[order[1:]] = point[order[1:]] != point[order[:-1]]
@@ -208,7 +208,7 @@ class SlamMap:
         return into
 
     def remove_keyframe(self, number: int) -> None:
-        """Take a keyframe out; points that were first seen in it are known by another one that sees them, or are gone."""
+        """Remove a keyframe; points anchored in it are anchored in another one that observes them, or become NaN."""
         gone = self.keyframes.pop(number)
         orphans = self.anchor == number
         self.anchor[self.anchor > number] -= 1
@@ -222,7 +222,7 @@ class SlamMap:
         gone.keep(np.zeros(len(gone.point), bool))
 
     def keep_points(self, mask: np.ndarray) -> np.ndarray:
-        """Give up the rows of other points, which no keyframe may see; returns what each row has become, -1 for gone."""
+        """Remove the rows of other points, which no keyframe may observe; returns the new row of each point, -1 if removed."""
         into = np.where(mask, np.cumsum(mask) - 1, -1)
         for name in ("_xyz", "_anchor", "_anchor_px", "_num_agreed"):
             setattr(self, name, getattr(self, name)[: self.num_points][mask].copy())

@@ -1,4 +1,4 @@
-"""The path: every frame is told from a keyframe, which goes on to be adjusted."""
+"""Trajectory of a map: frames are stored relative to their keyframe, so later optimization moves them too."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from epipole.pipelines.slam.map.slam_map import Keyframe
 from epipole.scene import Trajectory
 
 BLOCK = 512
-"""Frames in one array: those of full arrays are replaced, not written to."""
+"""Frames per array. Full arrays are replaced, never written to."""
 _TIME, KEYFRAME, _UNIT = 0, 1, 2
 _ROTATION, _TRANSLATION, _COVARIANCE = slice(3, 12), slice(12, 15), slice(15, 51)
 _COLUMNS = 51
@@ -20,14 +20,12 @@ _NONE = -1.0
 
 
 class Path:
-    """Places of frames, 408 bytes for each.
+    """Poses of frames, 408 bytes each.
 
-    A row holds a frame's time, the number of its keyframe in a list, that keyframe's unit then, cam_from_keyframe and the
-    covariance.
+    A row has the frame's time, the index of its keyframe, that keyframe's unit at the time, cam_from_keyframe and its covariance.
     """
 
     def __init__(self, first: int = 0) -> None:
-        """No frame yet; the first one has this number."""
         self.first = first
         self._keyframes: list[Keyframe | None] = []
         self._full: list[np.ndarray] = []
@@ -36,7 +34,7 @@ class Path:
     def add(
         self, number: int, timestamp_s: float, keyframe: Keyframe, position: Rigid3, covariance: np.ndarray
     ) -> None:
-        """A frame's cam_from_world, told from a keyframe."""
+        """Store a frame's cam_from_world relative to a keyframe."""
         relative = position @ keyframe.cam_from_world.inverse()
         row = np.empty(_COLUMNS)
         row[_TIME], row[KEYFRAME], row[_UNIT] = timestamp_s, self._number_of(keyframe), keyframe.unit
@@ -53,7 +51,7 @@ class Path:
             self._open[position_in_block] = row
 
     def stored(self, number: int) -> tuple[Keyframe, Rigid3, np.ndarray] | None:
-        """A frame's keyframe, cam_from_keyframe and its covariance, in the unit of now; None for one without a place."""
+        """A frame's keyframe, cam_from_keyframe and its covariance, in the present unit; None for a frame without a pose."""
         block, position_in_block = divmod(number - self.first, BLOCK)
         if not 0 <= block <= len(self._full):
             return None
@@ -66,7 +64,7 @@ class Path:
         return keyframe, relative, _scaled(row[_COVARIANCE].reshape(1, 6, 6), np.array([grown]))[0]
 
     def retell(self, gone: Keyframe, heir: Keyframe) -> None:
-        """Frames that were told from a keyframe are told from another one from here on."""
+        """Store the frames of a removed keyframe relative to another one."""
         old = next((k for k, one in enumerate(self._keyframes) if one is gone), None)
         if old is None:
             return
@@ -87,7 +85,7 @@ class Path:
         self._keyframes[old] = None
 
     def clear(self, keyframes: Sequence[Keyframe]) -> None:
-        """Frames that are told from these have no place any more."""
+        """Remove the poses of the frames of these keyframes."""
         gone = {id(k) for k in keyframes}
         for number, one in enumerate(self._keyframes):
             if one is not None and id(one) in gone:
@@ -96,7 +94,7 @@ class Path:
                 self._keyframes[number] = None
 
     def trajectory(self, keyframes: Sequence[Keyframe]) -> Trajectory:
-        """The frames that are told from these keyframes, as they are now."""
+        """The frames of these keyframes, with the keyframes' present poses."""
         known = {id(k) for k in keyframes}
         used = [n for n, k in enumerate(self._keyframes) if k is not None and id(k) in known]
         rows = np.concatenate([*self._full, self._open])
@@ -117,7 +115,7 @@ class Path:
         return Trajectory(rows[:, _TIME].copy(), positions, with_map_error(of_map, relative, own))
 
     def _number_of(self, keyframe: Keyframe) -> int:
-        """In the list, where it is put if it is not there; the newest are asked for most."""
+        """Index in the list, to which it is appended if missing. The search starts at the newest, which are requested most."""
         for number in range(len(self._keyframes) - 1, -1, -1):
             if self._keyframes[number] is keyframe:
                 return number
@@ -125,7 +123,7 @@ class Path:
         return len(self._keyframes) - 1
 
     def _blocks_of(self, keyframe: int) -> list[np.ndarray]:
-        """The blocks with frames that are told from a keyframe, to be written to."""
+        """Writable blocks with frames of a keyframe."""
         out = []
         for n, rows in enumerate(self._full):
             if (rows[:, KEYFRAME] == keyframe).any():
@@ -139,6 +137,6 @@ def _empty() -> np.ndarray:
 
 
 def _scaled(covariance: np.ndarray, grown: np.ndarray) -> np.ndarray:
-    """(n, 6, 6) of places whose unit has changed."""
+    """(n, 6, 6) covariances of poses after a change of unit."""
     unit = np.repeat(np.stack([grown, np.ones(len(grown))], axis=1), 3, axis=1)
     return covariance * unit[:, :, None] * unit[:, None, :]

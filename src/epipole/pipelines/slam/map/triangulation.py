@@ -1,4 +1,4 @@
-"""Places of points that one camera has followed: from keyframes, and from the frames between them."""
+"""Triangulation of points tracked by one camera, from keyframes and from the frames between them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from epipole.robust import triangulate_points
 
 
 def triangulate(model: SlamMap, camera: Camera, config: OdometryConfig, newest: int) -> int:
-    """Give places to points of the newest keyframe that have none yet; returns their number."""
+    """Triangulate the remaining points of the newest keyframe; returns their number."""
     keyframe = model.keyframes[newest]
     points = keyframe.point[~model.is_triangulated(keyframe.point)]
     if not len(points):
@@ -46,12 +46,12 @@ def triangulate(model: SlamMap, camera: Camera, config: OdometryConfig, newest: 
 def triangulate_between_keyframes(
     model: SlamMap, sensor: SlamCamera, config: OdometryConfig, cam_from_world: Rigid3, tracks: Tracks
 ) -> int:
-    """Give places to points of one keyframe that a frame at a known place sees from another side; returns their number.
+    """Triangulate tracked points from their anchor keyframes and a frame with a known pose; returns their number.
 
-    The next keyframe is too late for them: a fast camera would have run out of points until then.
+    The next keyframe would be too late: a fast camera runs out of points before.
     """
     if sensor.readout_s:
-        return 0  # where a shutter of one instant would have seen them is known in keyframes alone
+        return 0  # the rolling-shutter correction is known in keyframes only
     points, pixels = tracks.point, tracks.pixels
     lacking = np.flatnonzero(~model.is_triangulated(points))
     anchors, count = model.anchor[points[lacking]], 0

@@ -1,1 +1,1 @@
-"""What a run writes: results, checks, pages, and the files that a stopped run is continued from."""
+"""Output of a SLAM run: results, checks, report, and checkpoints for resuming."""

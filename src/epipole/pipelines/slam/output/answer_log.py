@@ -1,4 +1,4 @@
-"""The log of a live run: a line of JSON per frame with what was known when the frame came."""
+"""Log of a live run: one JSON line per frame with the result estimated when the frame arrived."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ROTATION_TOLERANCE = 1e-6
 
 
 def line_of(record: FrameRecord) -> bytes:
-    """A frame as a line: a checksum and JSON. Poses in separate maps and moving objects are not in it."""
+    """One line of the log: a checksum and JSON. Poses in separate maps and moving objects are not stored."""
     answer = record.answer
     content: dict[str, Any] = {
         "number": record.number,
@@ -48,10 +48,10 @@ def line_of(record: FrameRecord) -> bytes:
 
 
 def read_answers(path: Path) -> list[FrameRecord]:
-    """The frames of a log. A last line that is cut off, by a kill or a full disk, is ignored.
+    """Read the frames of a log; a truncated last line (killed process, full disk) is ignored.
 
     Raises:
-        FileFormatError: there is no such file, or a line before the last one is damaged or out of order.
+        FileFormatError: the file does not exist, or a line before the last one is damaged or out of order.
     """
     out: list[FrameRecord] = []
     time_s = -np.inf
@@ -63,27 +63,27 @@ def read_answers(path: Path) -> list[FrameRecord]:
         except (EpipoleError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             if number == len(lines):
                 break
-            raise FileFormatError(path, f"is damaged in line {number}: {error}") from error
+            raise FileFormatError(path, f"line {number} is damaged ({error})") from error
         out.append(record)
     return out
 
 
 def _time_after(record: FrameRecord, number: int, time_s: float) -> float:
-    """Time of the last frame that was tracked, once the frame is known to be later than the one before."""
+    """Check that the frame is later than the previous one; returns the timestamp of the last tracked frame."""
     if record.number <= number:
-        raise ValueError("the frame is not later than the one before")
+        raise ValueError("the frame number does not increase")
     if record.answer is None:
         return time_s
     if record.answer.timestamp_s <= time_s:
-        raise ValueError("the time is not later than the one before")
+        raise ValueError("the timestamp does not increase")
     return record.answer.timestamp_s
 
 
 def _record_of(path: Path, line: bytes) -> FrameRecord:
-    """A frame, checked value by value: anybody can compute the checksum."""
+    """Parse one line and check every value: a valid checksum does not make the content trustworthy."""
     checksum, _, text = line.partition(b" ")
     if int(checksum, 16) != zlib.crc32(text):
-        raise ValueError("the line is cut off")
+        raise ValueError("the checksum does not match")
     content = json_values(path, text.decode(), allow_nan=True)
     seconds, problem = float(content["seconds"]), _text(content["problem"])
     answer = None if content["answer"] is None else _answer_of(content["answer"])
@@ -93,7 +93,7 @@ def _record_of(path: Path, line: bytes) -> FrameRecord:
 def _answer_of(content: Any) -> TrackedFrame:
     timestamp_s = float(content["timestamp_s"])
     if not np.isfinite(timestamp_s):
-        raise ValueError("the time is not finite")
+        raise ValueError("the timestamp is not finite")
     covariance = None if content["covariance"] is None else np.array(content["covariance"], np.float64)
     if covariance is not None and covariance.shape != (6, 6):
         raise ValueError("a covariance must be 6 x 6")
@@ -114,19 +114,19 @@ def _answer_of(content: Any) -> TrackedFrame:
 def _pose(rotation: Any, translation: Any) -> Rigid3:
     matrix, vector = np.array(rotation, np.float64), np.array(translation, np.float64)
     if matrix.shape != (3, 3) or vector.shape != (3,) or not np.isfinite(vector).all():
-        raise ValueError("a pose must be finite numbers, 3 x 3 and 3")
+        raise ValueError("a pose must be a 3 x 3 rotation and a finite translation of 3 values")
     if not np.allclose(matrix @ matrix.T, np.eye(3), atol=_ROTATION_TOLERANCE) or np.linalg.det(matrix) < 0:
-        raise ValueError("the matrix is not a rotation")
+        raise ValueError("the 3 x 3 matrix is not a rotation")
     return Rigid3(matrix, vector)
 
 
 def _count(value: Any) -> int:
     if type(value) is not int or not 0 <= value < 1 << 53:
-        raise ValueError("not a count")
+        raise ValueError("expected a non-negative integer")
     return value
 
 
 def _text(value: Any) -> str:
     if not isinstance(value, str):
-        raise TypeError("not a text")
+        raise TypeError("expected a string")
     return value

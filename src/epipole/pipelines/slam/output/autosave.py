@@ -1,4 +1,4 @@
-"""What a run saves while it tracks: its trajectory so far and, where frames come only once, its answers and its map."""
+"""Checkpoints during tracking: the trajectory and, if the frames cannot be read again, tracking results and map."""
 
 from __future__ import annotations
 
@@ -20,36 +20,36 @@ from epipole.pipelines.slam.slam import Slam
 
 FOLDER = Path("checkpoint")
 KEY = "key.json"
-"""Which run the folder belongs to."""
+"""Identifies the run that the folder belongs to."""
 TRAJECTORY = "trajectory_causal.txt"
 SAVED_MAP = "map-{}.npz"
-"""With the map's number."""
+"""File name, with the number of the map."""
 MAX_TIME_FRACTION = 0.03
-"""Of the run's time spent on saving the map."""
+"""Largest fraction of the run time spent on saving the map."""
 MIN_INTERVAL_S = 1.0
 MAX_INTERVAL_S = 30.0
-"""Between two saved maps, even if they take a larger fraction of the time."""
+"""The map is saved at least this often, even if that exceeds `MAX_TIME_FRACTION`."""
 _HEADER = b"# timestamp tx ty tz qx qy qz qw\n"
 
 
 class Autosave:
-    """Files in the checkpoint folder, from which `resuming` continues a run.
+    """Writes the checkpoint files from which `resuming` continues a run.
 
-    The trajectory and the answers get a line per frame, which reaches the operating system at once: a killed process loses
-    none. The map is written in one step, from time to time, and whenever the world changes.
+    The trajectory and the log get one unbuffered line per frame, so that a killed process loses none. The map is written
+    atomically, at intervals and whenever the world frame changes.
 
     Attributes:
-        seconds: time spent here.
+        seconds: time spent on saving.
         num_maps_saved: how often the map was written.
     """
 
     def __init__(self, folder: Path, body_from_camera: Rigid3, *, can_repeat: bool) -> None:
-        """Start in a folder that exists.
+        """Start in an existing folder.
 
         Args:
-            folder: of the checkpoint.
+            folder: the checkpoint folder.
             body_from_camera: transforms the tracked poses into those of the written trajectory.
-            can_repeat: whether the source can give its frames again: then only the trajectory is saved.
+            can_repeat: whether the frames can be read again; if so, only the trajectory is saved.
         """
         self.folder, self.can_repeat = folder, can_repeat
         self.seconds, self.num_maps_saved = 0.0, 0
@@ -61,7 +61,7 @@ class Autosave:
         self._cost_s = 0.0
 
     def start(self, system: Slam, records: Sequence[FrameRecord]) -> None:
-        """Write what is known of the frames that an earlier process tracked.
+        """Write the results of the frames that an earlier process tracked.
 
         Raises:
             WorkspaceError: the files cannot be written.
@@ -75,12 +75,12 @@ class Autosave:
             self._answers = FileIO(self.folder / ANSWERS, "ab")
 
     def add(self, system: Slam, records: Sequence[FrameRecord], names: Callable[[], list[str]]) -> None:
-        """Save the last of the frames, and the map if it is time.
+        """Save the last frame, and the map if a save is due.
 
         Args:
-            system: after this frame.
-            records: of all frames.
-            names: gives the names of the images of the main map's keyframes.
+            system: SLAM after this frame.
+            records: records of all frames.
+            names: returns the image names of the main map's keyframes.
 
         Raises:
             WorkspaceError: the disk is full.
@@ -102,7 +102,7 @@ class Autosave:
             self.save_map(system, names)
 
     def save_map(self, system: Slam, names: Callable[[], list[str]]) -> None:
-        """Write the main map, unless the frames can be repeated, or the map is empty or not to be changed.
+        """Write the main map, unless the frames can be read again or the map is empty or fixed.
 
         Raises:
             WorkspaceError: the disk is full.
@@ -135,7 +135,7 @@ class Autosave:
         return is_urgent or now - self._last_s >= min(pause_s, MAX_INTERVAL_S)
 
     def _write_trajectory(self, system: Slam, records: Sequence[FrameRecord]) -> None:
-        """Write the trajectory in the present world, in one step, and open it for the frames that follow."""
+        """Atomically write the trajectory in the current world frame, and open it for appending."""
         self._world = _world_of(system)
         tracked = [record.answer for record in records if record.answer is not None]
         own = tracked[system.first_frame - system.first_number :]
@@ -160,13 +160,13 @@ class Autosave:
 
 
 def remove_checkpoint(folder: Path) -> None:
-    """Remove what a run has saved, and the folder if it holds nothing else.
+    """Remove the files of a checkpoint, and the folder if it is empty then.
 
     Raises:
-        WorkspaceError: it is not a folder that epipole made.
+        WorkspaceError: the path is not a folder that epipole created.
     """
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise WorkspaceError(f"{folder} is not a folder that epipole made: choose another output folder")
+        raise WorkspaceError(f"{folder} was not created by epipole: choose another output folder")
     if not folder.exists():
         return
     with reporting(folder, "remove the files in"):
@@ -178,7 +178,7 @@ def remove_checkpoint(folder: Path) -> None:
 
 
 def write_all(file: FileIO, data: bytes) -> None:
-    """Write to an unbuffered file: a disk that is nearly full takes a part, and reports the error at the next write.
+    """Write everything to an unbuffered file: a nearly full disk takes a part and fails at the next write.
 
     Raises:
         OSError: the disk is full.
@@ -189,5 +189,5 @@ def write_all(file: FileIO, data: bytes) -> None:
 
 
 def _world_of(system: Slam) -> tuple[int, int]:
-    """Changes when the main map starts again."""
+    """Identifies the world frame, which changes when the main map is initialized again."""
     return system.first_frame, system.maps[0].number

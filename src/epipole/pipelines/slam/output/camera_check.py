@@ -1,11 +1,11 @@
-"""Whether the images agree with the lens that was given: the finished map is adjusted once more with the lens free.
+"""Check the given intrinsics against the images: bundle adjustment of the finished map with free intrinsics.
 
-A wrong focal length is partly absorbed by path and points (all of it, where the camera goes straight ahead), and so is a
-wrong distortion. What they cannot absorb is what tells: the covariance says how much that is (Triggs et al. 2000,
-section 9). It knows nothing of what the model lacks (rows that are read one after another, higher terms of the lens), nor of
-the observations that were given up because they did not fit the lens that was given; on real sequences the focal length
-found differs by 1 to 3 % from the true one, many times the formal deviation. `FOCAL_ERROR` is for these. A focal length
-counts as wrong where the images disagree with it both with the principal point as given and with it free.
+The trajectory and the points absorb a wrong focal length or distortion in part (the focal length completely in straight
+forward motion). The rest determines the intrinsics, and the covariance says how well (Triggs et al. 2000, section 9). It
+ignores model errors (rolling shutter, higher distortion terms) and the observations that were rejected because they did not
+fit the given intrinsics: on real sequences the estimated focal length is 1 to 3 % off, many formal standard deviations.
+`FOCAL_ERROR` accounts for these. A focal length counts as wrong only if the images contradict it both with the principal
+point as given and with it free.
 """
 
 from __future__ import annotations
@@ -31,76 +31,77 @@ from epipole.optim import (
 from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
 
 MOST_KEYFRAMES = 60
-"""Looked at: those in a row among which the camera turns most."""
+"""Consecutive keyframes that are adjusted: those with the largest total rotation."""
 LEAST_KEYFRAMES, LEAST_OBSERVATIONS = 4, 500
 LEAST_VIEWS = 3
-"""Keyframes that see a point: with two all that is wrong with the lens goes into the points."""
+"""Keyframes that must see a point: with two, the point absorbs all errors of the intrinsics."""
 MAX_ITERATIONS = 40
 WIDEST = 1.5
-"""Tangent of the widest angle from the axis, in x and y: beyond, pixels without distortion have other errors."""
-FOCAL_ERROR, K1_ERROR = 0.02, 0.015
-"""Deviation of what is found, as a share of the focal length (k1: of the radius at the image's edge), besides the formal."""
+"""Tangent of the largest angle from the axis, in x and y: beyond it, undistorted pixels have other errors."""
+FOCAL_ERROR = 0.02
+"""Relative standard deviation of the focal length due to model errors, added to the formal one."""
+K1_ERROR = 0.015
+"""The same for k1, as the relative change of the radius near the image's edge."""
 EDGE = 0.8
-"""Of half the image's diagonal: the radius at which a distortion is told in pixels."""
+"""Radius at which distortion is reported in pixels, as a fraction of half the image diagonal."""
 MOST_SIGMAS = 3.0
 MOST_SHIFT_PX = 1.0
-"""By which the principal point of a pair's second camera may be off, once it was rectified."""
+"""Tolerated principal point error of a rectified pair's second camera."""
 FOCAL, CX, CY, K1, K2 = range(5)
-"""Columns of RADIAL's parameters."""
+"""Columns of the RADIAL parameters."""
 
 
 @dataclass(frozen=True, slots=True)
 class CameraCheck:
-    """The focal length and the first radial term that the images agree with best, besides the distortion given."""
+    """Focal length and remaining radial distortion that fit the images best."""
 
     given_focal_px: float
     focal_px: float
     focal_sigma_px: float
     k1: float
-    """In x (1 + k1 r^2) of what the lens given leaves: 0 for one that is right."""
+    """Remaining distortion x (1 + k1 r^2) after undistortion with the given intrinsics; 0 if these are right."""
     k1_sigma: float
     edge: float
-    """Radius r near the image's edge."""
+    """Normalized radius r near the image's edge."""
     sigmas_off: float
-    """Between the focal length given and the one found, in standard deviations: with the principal point as given, or, where that
-    is wrong, the smaller one of that and of a lens whose principal point is free."""
+    """Difference between given and estimated focal length in standard deviations: with the given principal point or, if that is
+    too large, the smaller of the differences with the given and with a free principal point."""
 
     @property
     def is_focal_wrong(self) -> bool:
-        """Whether the images agree with another focal length than the one given, whatever else of the lens is free."""
+        """Whether the images contradict the given focal length."""
         return self.sigmas_off > MOST_SIGMAS
 
     @property
     def is_distortion_wrong(self) -> bool:
-        """Whether the lens has a radial distortion that the one given has not."""
+        """Whether the images contradict the given radial distortion."""
         return abs(self.k1) > MOST_SIGMAS * self.k1_sigma
 
     def warnings(self) -> list[str]:
-        """What is wrong with the lens, in words; empty where nothing is seen to be."""
+        """Warnings about wrong intrinsics."""
         found = f"{self.focal_px:.0f} +- {self.focal_sigma_px:.0f} px"
         shift_px = abs(self.k1) * self.edge**3 * self.focal_px
         out = []
         if self.is_focal_wrong:
             out.append(
-                f"the focal length given is {self.given_focal_px:.0f} px, the images agree better with"
-                f" {found}: if it is wrong, path and map are bent; a calibration tells (epipole calibrate). Rows that are read"
-                " one after another (a rolling shutter) look like that, too"
+                f"the given focal length is {self.given_focal_px:.0f} px, but the images fit {found} better: a wrong focal"
+                " length bends trajectory and map. Calibrate the camera (epipole calibrate); a rolling shutter can look the"
+                " same"
             )
         if self.is_distortion_wrong:
             out.append(
-                f"the images are distorted otherwise than the lens given: by a further k1 = {self.k1:.3f} +-"
-                f" {self.k1_sigma:.3f} (of RADIAL, OPENCV), {shift_px:.0f} px near the edge; calibrate the camera (epipole"
-                " calibrate)"
+                f"the images do not fit the given distortion: they need a further k1 = {self.k1:.3f} +- {self.k1_sigma:.3f}"
+                f" (as in RADIAL, OPENCV), {shift_px:.0f} px near the edge. Calibrate the camera (epipole calibrate)"
             )
         return out
 
 
 def check_camera(model: SlamMap, camera: Camera) -> CameraCheck | None:
-    """The lens that the finished map agrees with best; None where the map is too small to tell.
+    """Estimate the intrinsics that fit the finished map best; None if the map is too small.
 
     Args:
-        model: which stays as it is.
-        camera: as given, of any model.
+        model: the map, which is not changed.
+        camera: the given intrinsics, any model.
     """
     seen = _observations(_most_rotated(model), model, camera)
     if seen is None:
@@ -129,7 +130,7 @@ def check_camera(model: SlamMap, camera: Camera) -> CameraCheck | None:
 
 
 class _CameraFit(NamedTuple):
-    """What an adjustment finds, and its formal deviations."""
+    """Estimated parameters and their formal standard deviations."""
 
     focal_px: float
     focal_sigma_px: float
@@ -138,16 +139,16 @@ class _CameraFit(NamedTuple):
 
     @property
     def whole_sigma_px(self) -> float:
-        """Deviation of the focal length, with what the model lacks."""
+        """Standard deviation of the focal length, including model errors."""
         return float(np.hypot(self.focal_sigma_px, FOCAL_ERROR * self.focal_px))
 
     def sigmas_off(self, given_focal_px: float) -> float:
-        """Deviations between the focal length found and one that was given."""
+        """Difference between estimated and given focal length, in standard deviations."""
         return abs(self.focal_px - given_focal_px) / self.whole_sigma_px
 
 
 def _adjusted(problem: BundleProblem, free: tuple[int, ...]) -> _CameraFit | None:
-    """The lens, with these of its parameters free; None where they are not determined."""
+    """Adjust with these intrinsics free; None if they are not determined."""
     params_free = np.zeros_like(problem.params_free)
     params_free[0, list(free)] = 1.0
     problem = replace(problem, params_free=params_free)
@@ -168,7 +169,7 @@ def _adjusted(problem: BundleProblem, free: tuple[int, ...]) -> _CameraFit | Non
 
 
 class _Seen(NamedTuple):
-    """Observations in pixels of a pinhole without distortion, from its principal point."""
+    """Observations in undistorted pixels relative to the principal point."""
 
     views: list[Keyframe]
     frame: np.ndarray
@@ -177,7 +178,7 @@ class _Seen(NamedTuple):
 
 
 def _most_rotated(model: SlamMap) -> list[Keyframe]:
-    """So many keyframes in a row, with points: a camera that turns as it moves tells its focal length."""
+    """The `MOST_KEYFRAMES` consecutive keyframes that determine the focal length best: those with most rotation."""
     views = [k for k in model.keyframes if model.is_triangulated(k.point).any()]
     if len(views) <= MOST_KEYFRAMES:
         return views
@@ -206,7 +207,7 @@ def _observations(views: list[Keyframe], model: SlamMap, camera: Camera) -> _See
 
 
 def _problem(seen: _Seen, model: SlamMap, focal_px: float) -> BundleProblem:
-    """One lens for all, about the principal point given; lengths have no unit."""
+    """One camera for all keyframes, with pixels relative to the given principal point; lengths have no unit."""
     rows, point = np.unique(seen.point, return_inverse=True)
     order = np.argsort(point, kind="stable")
     none = np.zeros(len(order), np.int32)
@@ -233,16 +234,16 @@ def _problem(seen: _Seen, model: SlamMap, focal_px: float) -> BundleProblem:
 
 
 def camera_warnings(found: CameraCheck | None, right_shift_px: float) -> list[str]:
-    """What is wrong with lens or pair, in words; empty where nothing is seen to be.
+    """Warnings about wrong intrinsics or a wrong stereo calibration.
 
     Args:
-        found: of the finished map.
-        right_shift_px: by how much the principal point of a pair's second camera was found to be off.
+        found: result for the finished map.
+        right_shift_px: estimated principal point error of a pair's second camera.
     """
     out = [] if found is None else found.warnings()
     if not out and abs(right_shift_px) > MOST_SHIFT_PX:
         out.append(
-            f"all disparities of the pair are off by {right_shift_px:.1f} px: its calibration, or its rectification, is not that"
-            " of these images"
+            f"all stereo disparities are off by {right_shift_px:.1f} px: the calibration or the rectification does not match"
+            " these images"
         )
     return out

@@ -1,4 +1,4 @@
-"""The map as a reconstruction of the keyframes, as every other command takes it."""
+"""Export of the map as a `Reconstruction`."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs,
 
 
 def reconstruction_of(model: SlamMap, camera: Camera, names: Sequence[str]) -> Reconstruction:
-    """Keyframes as images, with the points that at least two of them see.
+    """Reconstruction of the keyframes and of the points that at least two of them see.
 
     Args:
         model: the map.
-        camera: of all keyframes.
-        names: of the keyframes' images.
+        camera: camera of all keyframes.
+        names: image names of the keyframes.
     """
-    keyframes = [k for k in model.keyframes if len(k.point)]  # not those of turns, which see no point
+    keyframes = [k for k in model.keyframes if len(k.point)]  # rotation-only keyframes see no points
     n, counts = len(keyframes), model.counts(list(range(len(model.keyframes))))
     rows = np.flatnonzero((counts >= 2) & np.isfinite(model.xyz[:, 0]))
     column = np.full(model.num_points, -1)
@@ -63,7 +63,7 @@ def reconstruction_of(model: SlamMap, camera: Camera, names: Sequence[str]) -> R
 
 
 def _mean_errors_px(model: Reconstruction) -> np.ndarray:
-    """(p,) mean reprojection error of each point's observations; NaN where none is in front of its camera."""
+    """(p,) mean reprojection error of each point; NaN if it is in front of none of its cameras."""
     errors, n = model.reprojection_errors_px(), len(model.points)
     point = np.repeat(np.arange(n), np.diff(model.tracks.offsets))
     is_seen = np.isfinite(errors)

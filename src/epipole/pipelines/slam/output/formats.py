@@ -1,4 +1,4 @@
-"""Paths in KITTI's or EuRoC's form, beside TUM's."""
+"""Trajectories in KITTI or EuRoC format, in addition to TUM."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _SUFFIXES = {"kitti": "_kitti.txt", "euroc": "_euroc.csv"}
 def write_in_format(
     paths: Sequence[Trajectory], names: Sequence[str], format: TrajectoryFormat, folder: Path
 ) -> None:
-    """Write paths in another form than TUM's: trajectory_kitti.txt, trajectory_euroc.csv.
+    """Write trajectories in a format other than TUM, such as trajectory_kitti.txt or trajectory_euroc.csv.
 
     Args:
-        paths: the paths.
-        names: of TUM's files of them.
-        format: nothing is written for TUM.
-        folder: where to.
+        paths: the trajectories.
+        names: names of their TUM files.
+        format: the format; nothing is written for "tum".
+        folder: output folder.
 
     Raises:
         WorkspaceError: a file cannot be written.
@@ -31,9 +31,9 @@ def write_in_format(
 
 
 def missing_rows(path: Trajectory, num_frames: int, format: TrajectoryFormat) -> list[str]:
-    """A warning where KITTI's form, which counts frames by lines, lacks some."""
+    """Warn if frames are missing in a KITTI file, whose line numbers are frame numbers."""
     if format != "kitti" or len(path) == num_frames:
         return []
     return [
-        f"KITTI's form tells no times, and {num_frames - len(path)} frames have no place: its lines are not frames"
+        f"KITTI files have no timestamps, and {num_frames - len(path)} frames have no pose: lines are not frame numbers"
     ]

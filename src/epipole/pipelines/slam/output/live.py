@@ -1,4 +1,4 @@
-"""The run in the browser while it goes on."""
+"""Live view of a run in the browser."""
 
 from __future__ import annotations
 
@@ -27,33 +27,35 @@ from epipole.report.space_scene import METRES, NO_UNIT, CameraLayer, FirstView, 
 from epipole.scene import Curve, frustum_corners_in_cam
 from epipole.viewer.live import Budget, LivePage, LiveScene, opened_live
 
-FRACTION, PAUSE_S = 0.05, 0.4
-"""Fraction of the run's time, at most, for copies of what is shown; and the shortest time between two."""
+FRACTION = 0.05
+"""Largest fraction of the run time spent on copying data for the view."""
+PAUSE_S = 0.4
+"""Shortest time between two updates."""
 IMAGE_WIDTH_PX = 480
 LOCALIZED_RGB, WAITING_RGB = (60, 220, 110), (255, 170, 60)
 POINT_RGB, NOW_RGB = (200, 200, 200), (240, 170, 40)
 NOW_SIZE = 0.12
-"""Size of the current camera: fraction of the median distance to the points."""
+"""Size of the current camera, as a fraction of the median distance to the points."""
 FROM_BEHIND = np.array([-0.25, -0.9, -1.3])
-"""First viewpoint, seen from the camera: beside, above and behind, in median distances to the points."""
+"""Initial viewpoint relative to the camera (beside, above and behind it), in median distances to the points."""
 UP = np.array([0.0, -1.0, 0.0])
-CAPTION = "Points in the map are green, others orange"
+CAPTION = "Triangulated points are green, others orange"
 
 
 class LiveView:
-    """Shows nothing: what a run without a viewer has."""
+    """Shows nothing: the view of a run without a viewer."""
 
     def show(self, system: Slam, frame: Frame, answer: TrackedFrame) -> None:
-        """A frame was tracked."""
+        """Show a tracked frame."""
 
     def show_map(self, system: Slam, words: str) -> None:
-        """All frames were tracked, or the run has ended."""
+        """Show the map after the last frame, or at the end of the run."""
 
 
 class BrowserView(LiveView):
-    """Shows the run to whoever has its page open.
+    """Shows the run in a web page.
 
-    The thread of the run copies what is shown, for at most `FRACTION` of its time; threads of the server make bytes of it.
+    The run's thread copies the data, for at most `FRACTION` of its time; the server's threads encode it.
     """
 
     def __init__(self, page: LiveScene, num_frames: int) -> None:
@@ -61,7 +63,7 @@ class BrowserView(LiveView):
         self.budget, self.depth = Budget(FRACTION, PAUSE_S), 0.0
 
     def show(self, system: Slam, frame: Frame, answer: TrackedFrame) -> None:
-        """Image, state, trajectory and map, if a tab is open and the budget allows it."""
+        """Publish image, state, trajectory and map, if a tab is open and the time budget allows it."""
         self.count += 1
         if not (self.page.is_watched and self.budget.allows()):
             return
@@ -76,7 +78,7 @@ class BrowserView(LiveView):
         self.budget.spend(perf_counter() - start)
 
     def show_map(self, system: Slam, words: str) -> None:
-        """Trajectory and map. Whether or not a tab is open: one may be, before the next state."""
+        """Publish trajectory and map, even if no tab is open yet."""
         path = system.trajectory().world_from_body
         newest = path[-1] if len(path.translation) else None
         state = {"state": words, "words": f"{self.count} frames", "fraction": None}
@@ -105,7 +107,7 @@ class BrowserView(LiveView):
 
 @contextmanager
 def open_live(system: Slam, num_frames: int, job: JobOptions, name: str) -> Iterator[LiveView]:
-    """What shows the run of that name: a page in the browser, whose address is printed, or nothing.
+    """Open the live view of a run and print its address; without `job.view`, a view that shows nothing.
 
     Raises:
         ConfigError: the port is in use or out of range.
@@ -127,7 +129,7 @@ def image_with_points(
     pixels: Float64[np.ndarray, "n 2"],
     is_triangulated: Bool[np.ndarray, " n"],
 ) -> UInt8[np.ndarray, "h2 w2 3"]:
-    """The image, `IMAGE_WIDTH_PX` wide, with points that are in the map in green, and others in orange."""
+    """The image, `IMAGE_WIDTH_PX` wide, with triangulated points in green and others in orange."""
     scale = min(1.0, IMAGE_WIDTH_PX / grey.shape[1])
     size = (max(1, round(scale * grey.shape[1])), max(1, round(scale * grey.shape[0])))
     small = cv2.cvtColor(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2RGB)
@@ -148,7 +150,7 @@ def _view(position: Float64[np.ndarray, " 3"], depth: float) -> FirstView:
 
 
 def _camera(camera: Camera, world_from_camera: Rigid3 | None, size: float) -> dict[str, list[float] | None]:
-    """The current camera's position and the edges of its frustum; None if its pose is unknown."""
+    """Position and frustum edges of the current camera; None if its pose is unknown."""
     if world_from_camera is None:
         return {"position": None, "camera": None}
     corners_in_cam = frustum_corners_in_cam(camera.K, camera.width, camera.height)
@@ -159,7 +161,7 @@ def _camera(camera: Camera, world_from_camera: Rigid3 | None, size: float) -> di
 
 
 def _scene(system: Slam, now: Snapshot, curves: tuple[Curve, ...], view: FirstView) -> SpaceScene:
-    """Of the same layers at all times. The current camera is in the state, and the first pose is known before any frame."""
+    """Scene with the same layers at all times: without keyframes, one camera at the origin. The state has the current camera."""
     camera = system.camera.camera
     cams_from_world = now.world_from_keyframes.inverse()
     if not len(cams_from_world.translation):
@@ -186,7 +188,7 @@ def _scene(system: Slam, now: Snapshot, curves: tuple[Curve, ...], view: FirstVi
 
 
 def _loop_pieces(system: Slam) -> Float64[np.ndarray, "l 2 3"]:
-    """Between the keyframes of accepted loops."""
+    """Line segments between the keyframes of accepted loops."""
     center = {k.number: k.cam_from_world.inverse().translation for k in system.map.keyframes}
     pieces = [
         (center[loop.frame], center[loop.keyframe])

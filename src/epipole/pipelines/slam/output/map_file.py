@@ -1,4 +1,4 @@
-"""Maps on disk: one file, whole or not there, from which SLAM goes on or finds its place."""
+"""Map files, written atomically, in which SLAM can continue or localize later."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole._checks import as_path
-from epipole._declared.tables import TEXT, Arrays, Expected, Table
+from epipole._checks.tables import TEXT, Arrays, Expected, Table
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, EpipoleError, FileFormatError, ShapeError
 from epipole.geometry import Rigid3
@@ -43,20 +43,20 @@ TABLE: Table = {
     "anchor_px": Expected("float64", "p 2"),
     "num_agreed": Expected("int64", "p", least=0),
 }
-"""What the file holds: k keyframes, n observations, p points."""
+"""Arrays of the file: k keyframes, n observations, p points."""
 
 
 class KnownMap(NamedTuple):
-    """A map from disk."""
+    """A map from a file."""
 
     model: SlamMap
     names: tuple[str, ...]
-    """Of the keyframes' images."""
+    """Image names of the keyframes."""
     numbers: tuple[int, ...]
-    """Of the keyframes' frames."""
+    """Frame numbers of the keyframes."""
     is_metric: bool
     scale: str = ""
-    """Where its metres come from, in the words of the run that found them; empty where that is not told."""
+    """Source of the metric scale, as described by the run that made the map; empty if unknown."""
 
 
 def write_slam_map(
@@ -66,13 +66,13 @@ def write_slam_map(
 
     Args:
         path: the file.
-        model: the map; keyframes of turns, which see no point, are left out.
-        names: of the keyframes' images, a name for each of the model's keyframes.
-        sensor: whose map it is.
-        scale: where its metres come from, in words; empty: it is up to scale, unless the camera tells depth.
+        model: the map; rotation-only keyframes, which see no points, are not written.
+        names: image names, one for each of the model's keyframes.
+        sensor: camera of the map.
+        scale: source of the metric scale; if empty, the map is metric only if the camera measures depth.
 
     Raises:
-        WorkspaceError: the place is not writable.
+        WorkspaceError: the file cannot be written.
     """
     number = {id(k): n for n, k in enumerate(k for k in model.keyframes if len(k.point))}
     keyframes = [k for k in model.keyframes if len(k.point)]
@@ -105,28 +105,28 @@ def write_slam_map(
 
 
 class MapSummary(NamedTuple):
-    """What there is to see of a map."""
+    """The visible content of a map."""
 
     camera: Camera
     names: tuple[str, ...]
-    """Of the keyframes' images."""
+    """Image names of the keyframes."""
     cams_from_world: Rigid3
     grey: np.ndarray
     """Images of the keyframes (k, h, w)."""
     xyz_in_world: np.ndarray
-    """Points that have a place (n, 3)."""
+    """Triangulated points (n, 3)."""
     num_agreed: np.ndarray
     is_metric: bool
 
 
 def summary_of_map(path: str | Path) -> MapSummary:
-    """A map as it can be drawn, without what is needed to go on in it.
+    """Read the visible content of a map, without what SLAM needs to continue in it.
 
     Args:
         path: the file, the folder `map`, or the output folder of a run.
 
     Raises:
-        FileFormatError: it is no map, or damaged.
+        FileFormatError: the file is not a map, or damaged.
     """
     arrays = _arrays(_file_of(as_path(path)))
     localized = np.isfinite(arrays["xyz"]).all(axis=1) & (arrays["anchor"] >= 0)
@@ -142,22 +142,22 @@ def summary_of_map(path: str | Path) -> MapSummary:
 
 
 def camera_of_map(path: str | Path) -> Camera:
-    """The lens of the camera that made a map.
+    """Intrinsics of the camera that made a map.
 
     Args:
         path: the file, the folder `map`, or the output folder of a run.
 
     Raises:
-        FileFormatError: it is no map, or damaged.
+        FileFormatError: the file is not a map, or damaged.
     """
     return _camera_of(_arrays(_file_of(as_path(path))))
 
 
 def require_map(path: Path) -> None:
-    """Check that a path is a map, or holds one.
+    """Check that a path is a map or a folder with one.
 
     Raises:
-        FileFormatError: it is none, of another version, or damaged.
+        FileFormatError: there is no map, or it is damaged or of another version.
     """
     file = _file_of(as_path(path))
     if not is_done(file, VERSION):
@@ -169,24 +169,24 @@ def _file_of(path: Path) -> Path:
 
 
 def load_slam_map(path: str | Path) -> SlamMap:
-    """Read a map without a camera that is to be localized in it.
+    """Read a map without a camera to localize in it.
 
     Raises:
-        FileFormatError: it is no map, or damaged.
+        FileFormatError: the file is not a map, or damaged.
     """
     return _model_of(_arrays(_file_of(as_path(path))))
 
 
 def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
-    """Read a map, and make its keyframes ready to be recognised.
+    """Read a map and describe its keyframes for relocalization.
 
     Args:
         path: the file, the folder `map`, or the output folder of a run.
-        sensor: the camera that is to be followed in it.
+        sensor: the camera to localize in the map.
 
     Raises:
-        FileFormatError: it is no map, or damaged.
-        ConfigError: it is the map of another camera, or its unit is not this camera's.
+        FileFormatError: the file is not a map, or damaged.
+        ConfigError: the map was made with another camera, or is up to scale although this camera measures depth.
     """
     path = _file_of(as_path(path))
     arrays = _arrays(path)
@@ -194,12 +194,12 @@ def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
     size, params = arrays["size"], arrays["camera_params"]
     if (int(size[0]), int(size[1])) != (camera.width, camera.height):
         raise ConfigError(
-            f"{path} is of images of {size[0]}x{size[1]}, these are {camera.width}x{camera.height}"
+            f"the map {path} was made from images of {size[0]}x{size[1]}, but these are {camera.width}x{camera.height}"
         )
     if int(arrays["camera_model"]) != int(camera.model) or not np.allclose(params, camera.params, rtol=0.02):
-        raise ConfigError(f"{path} is the map of another camera: {params} against {camera.params}")
+        raise ConfigError(f"{path} is the map of another camera: {params} instead of {camera.params}")
     if sensor.measures_depth and not arrays["is_metric"]:
-        raise ConfigError(f"{path} has no metre, one camera made it: go on in it with one camera, too")
+        raise ConfigError(f"the map {path} is up to scale: use it with one camera")
     scale = arrays.get("scale")
     return KnownMap(
         _model_of(arrays),
@@ -211,24 +211,24 @@ def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
 
 
 def _arrays(path: Path) -> Arrays:
-    """What the file of a map holds, checked.
+    """Read and check the arrays of a map file.
 
     Raises:
-        FileFormatError: it is no map, damaged, or its arrays do not fit each other.
+        FileFormatError: the file is not a map or damaged, or its arrays do not fit each other.
     """
     if not is_done(path, VERSION):
         key = stored_key(path) if path.is_file() else ""
-        why = f"it is of another version ({key})" if key not in ("", VERSION) else "it is no map, or damaged"
+        why = f"the version is not supported ({key})" if key not in ("", VERSION) else "not a map, or damaged"
         if not path.is_file():
-            why = f"holds no map of SLAM ({MAP_FILE})"
-        advice = "give the output folder of an earlier `epipole slam`"
+            why = f"contains no SLAM map ({MAP_FILE})"
+        advice = "pass the output folder of an earlier `epipole slam`"
         raise FileFormatError(path, with_what_it_is(why, path, advice))
     try:
         arrays = load(path, TABLE)
         _check(arrays)
         _camera_of(arrays)
     except (EpipoleError, ValueError) as error:
-        raise FileFormatError(path, f"its arrays are no map's: {error}") from error
+        raise FileFormatError(path, f"the arrays are not those of a map ({error})") from error
     return arrays
 
 
@@ -238,22 +238,22 @@ def _camera_of(arrays: Arrays) -> Camera:
 
 
 def _check(arrays: Arrays) -> None:
-    """Check what the table does not say.
+    """Check what the table does not cover.
 
     Raises:
-        ShapeError: the images are not of the camera's size, or a keypoint is outside its image.
+        ShapeError: the images do not have the camera's size, or a keypoint is outside its image.
     """
     width, height = arrays["size"].tolist()
     if arrays["grey"].shape[1:] != (height, width):
-        raise ShapeError(f"grey must be images of {width} x {height}, got {arrays['grey'].shape}")
+        raise ShapeError(f"grey must contain images of {width} x {height}, got {arrays['grey'].shape}")
     for name in ("pixels", "anchor_px"):
         if not ((arrays[name] > -1.0) & (arrays[name] < arrays["size"])).all():
-            raise ShapeError(f"{name} must be within the image")
+            raise ShapeError(f"{name} must be inside the image")
 
 
 def _model_of(arrays: Arrays) -> SlamMap:
     model, offsets = SlamMap(), arrays["offsets"]
-    # Points that were first seen in a keyframe that is not there are of no use.
+    # Points whose anchor keyframe was not saved cannot be used.
     xyz = np.where(arrays["anchor"][:, None] >= 0, arrays["xyz"], np.nan)
     rows = model.add_points(xyz, arrays["anchor_px"], np.maximum(arrays["anchor"], 0))
     model.num_agreed[rows] = arrays["num_agreed"]

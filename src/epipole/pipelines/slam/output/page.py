@@ -1,4 +1,4 @@
-"""The page of a followed camera: the values that its template shows, in reading order."""
+"""Report page of a SLAM run: the values that its template shows, in reading order."""
 
 from __future__ import annotations
 
@@ -34,13 +34,15 @@ from epipole.report.space_model import MAX_POINTS, scene_of_model
 from epipole.report.space_scene import METRES, NO_UNIT, SpaceScene
 from epipole.scene import Curve, Reconstruction, Trajectory
 
-MOST_STRETCHES, MOST_LOOPS = 40, 200
-"""Rows of the tables."""
+MOST_STRETCHES = 40
+"""Largest number of rows in the table of states."""
+MOST_LOOPS = 200
+"""Largest number of rows in the table of loops."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlamPage:
-    """All that the page shows."""
+    """Content of the page."""
 
     title: str
     summary: Mapping[str, Any]
@@ -61,12 +63,12 @@ class SlamPage:
 
     @property
     def unit(self) -> str:
-        """Of lengths of the map."""
+        """Unit of lengths in the map."""
         return "m" if self.is_metric else "map units, up to scale"
 
 
 def render_page(page: SlamPage) -> str:
-    """One HTML page with everything inside it: no file, font or script from elsewhere."""
+    """Render a self-contained HTML page."""
     errors = _errors(page)
     upright = upright_from_world(page.final.world_from_body)
     curves = [curve.transformed(upright) for curve in _curves(page, errors)]
@@ -112,7 +114,7 @@ def _scene(page: SlamPage, model: Reconstruction, curves: Sequence[Curve]) -> Sp
 
 
 def _errors(page: SlamPage) -> tuple[PathErrors | None, PathErrors | None]:
-    """Of the final path and of the causal one."""
+    """Errors of the final and of the causal trajectory."""
     if page.truth is None:
         return None, None
     with_scale = not page.is_metric
@@ -123,7 +125,7 @@ def _errors(page: SlamPage) -> tuple[PathErrors | None, PathErrors | None]:
 
 
 def _curves(page: SlamPage, errors: tuple[PathErrors | None, PathErrors | None]) -> list[Curve]:
-    """Final, causal, truth and loops, in the colours' order of the drawings."""
+    """Final, causal and true trajectory and loops, in the color order of the charts."""
     out = [
         path_curve(FINAL, page.final, FINAL_RGB),
         path_curve(CAUSAL, page.causal, CAUSAL_RGB, is_shown=False),
@@ -143,15 +145,15 @@ def _curves(page: SlamPage, errors: tuple[PathErrors | None, PathErrors | None])
 
 
 def _tiles(page: SlamPage) -> list[tuple[str, str, str]]:
-    """Name, value and unit of the large numbers."""
+    """Name, value and unit of the headline numbers."""
     summary = page.summary
     tiles = [
-        ("Frames with a place", count(summary["num_localized"]), f"of {count(summary['num_frames'])}"),
+        ("Localized frames", count(summary["num_localized"]), f"of {count(summary['num_frames'])}"),
         ("Keyframes", count(summary["num_keyframes"]), ""),
         ("Points", count(summary["num_points"]), ""),
         ("Mean reprojection error", number(_or_nan(summary["mean_reprojection_error_px"])), "px"),
-        ("Length of the path", f"{page.final.path_length():.4g}", "m" if page.is_metric else "up to scale"),
-        ("Time for a frame", number(summary["ms_per_frame"]["median"], 1), "ms, median"),
+        ("Trajectory length", f"{page.final.path_length():.4g}", "m" if page.is_metric else "up to scale"),
+        ("Time per frame", number(summary["ms_per_frame"]["median"], 1), "ms, median"),
     ]
     final = (summary.get("truth") or {}).get("final")
     if final is not None:
@@ -166,7 +168,7 @@ def _or_nan(value: float | None) -> float:
 
 
 def _scores(page: SlamPage) -> list[tuple[str, str, list[str], bool]]:
-    """Rows of the table of errors: path, alignment, numbers, and whether it is the row to read."""
+    """Rows of the error table: trajectory, alignment, numbers, and whether the row is highlighted."""
     rows = []
     for name, words in (("final", FINAL), ("causal", CAUSAL)):
         found = (page.summary.get("truth") or {}).get(name)
@@ -189,7 +191,7 @@ def _scores(page: SlamPage) -> list[tuple[str, str, list[str], bool]]:
 
 
 def _error_chart(page: SlamPage, errors: tuple[PathErrors | None, PathErrors | None]) -> Markup:
-    """Distance from the truth, frame by frame."""
+    """Chart of each frame's distance from the truth."""
     given = [(r.answer.timestamp_s, r.number) for r in page.records if r.answer is not None]
     times, numbers = (np.array(column, np.float64) for column in zip(*given))
     lines = []

@@ -1,4 +1,4 @@
-"""What the page shows of single frames: states, points in agreement, how sure each place is, time."""
+"""Charts of the report page over the frames: states, inliers, position uncertainty, time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PERCENTILES = (50, 90, 95, 99, 100)
 
 
 def state_strip(records: Sequence[FrameRecord]) -> Markup:
-    """States of all frames, with the keyframes as ticks."""
+    """Strip of the states of all frames, with keyframes as ticks."""
     bands = []
     for part in stretches(records):
         frames = f"frame {part.first}" if part.count == 1 else f"frames {part.first} to {part.last}"
@@ -25,7 +25,7 @@ def state_strip(records: Sequence[FrameRecord]) -> Markup:
 
 
 def keyframe_reasons(records: Sequence[FrameRecord]) -> list[tuple[str, int]]:
-    """Why keyframes were made, and how many; most first."""
+    """Reasons for keyframes and their counts, most frequent first."""
     out: dict[str, int] = {}
     for record in records:
         if record.answer is not None and record.answer.is_keyframe:
@@ -35,7 +35,7 @@ def keyframe_reasons(records: Sequence[FrameRecord]) -> list[tuple[str, int]]:
 
 
 def frame_charts(records: Sequence[FrameRecord], unit: str) -> list[tuple[str, Markup, str]]:
-    """Title, drawing and caption of each chart over the frames."""
+    """Title, SVG and caption of each chart over the frames."""
     numbers = np.array([record.number for record in records], np.float64)
     span = _span(records)
     points = np.array([_num_points(record) for record in records])
@@ -43,30 +43,31 @@ def frame_charts(records: Sequence[FrameRecord], unit: str) -> list[tuple[str, M
     sigma = np.array([record.sigma_position for record in records])
     charts = (
         (
-            "Points in agreement",
+            "Inliers",
             Line("", numbers, points),
             "points",
-            "Points of the map that agree with the frame's place. A gap is a frame without one.",
+            "Map points that agree with the frame's pose. Gaps are frames without a pose.",
         ),
         (
-            "How sure the place is",
+            "Position uncertainty",
             Line("", numbers, sigma),
             f"1 sigma of the position ({unit})",
-            "With depth, by the frame's points and the map's own error; of one camera by the frame's points alone, without drift.",
+            "If the camera measures depth, from the frame's points and the map's error; with one camera, from the frame's points"
+            " only, without drift.",
         ),
-        ("Time for a frame", Line("", numbers, ms), "ms", _time_words(ms)),
+        ("Time per frame", Line("", numbers, ms), "ms", _time_words(ms)),
     )
     rendered = [(title, draw_lines([line], span, label), words) for title, line, label, words in charts]
     return [row for row in rendered if row[1]]
 
 
 def _time_words(ms: np.ndarray) -> str:
-    """Percentiles of the time for a frame."""
+    """Percentiles of the time per frame."""
     names = ("median", *(f"{p} %" for p in PERCENTILES[1:-1]), "longest")
     given = ", ".join(f"{name} {value:.1f}" for name, value in zip(names, np.percentile(ms, PERCENTILES)))
     return (
-        f"{given} ms. To follow a frame, with the keyframe and the local adjustment that it may bring; not to read its"
-        " file, nor to compile what a first run has to."
+        f"{given} ms. Includes tracking, keyframe insertion and local bundle adjustment; excludes reading files and"
+        " compilation in a first run."
     )
 
 

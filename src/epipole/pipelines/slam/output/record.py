@@ -1,4 +1,4 @@
-"""What is kept of each frame: its answer, its image's name, and the time that it took."""
+"""Records of the frames: tracking result, image name and time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from epipole.pipelines.slam.frames import TrackedFrame
 
 LEFT_OUT = "left out"
-"""In the place of a state, for a frame that could not be read or did not fit."""
+"""State of a frame that could not be read or did not fit."""
 COLUMNS = ("frame", "timestamp_s", "image", "state", "has_pose", "keyframe", "points", "ms", "reason")
 
 
@@ -22,19 +22,19 @@ class FrameRecord:
     """One frame of the source."""
 
     number: int
-    """In the source, from 0."""
+    """Number in the source, from 0."""
     name: str
-    """Of its image."""
+    """Image name."""
     seconds: float
-    """Of tracking, without reading the files."""
+    """Tracking time, without reading files."""
     answer: TrackedFrame | None
-    """None for a frame that was left out."""
+    """None if the frame was left out."""
     problem: str = ""
-    """Why it was left out."""
+    """Why the frame was left out."""
 
     @property
     def state(self) -> str:
-        """The state of tracking, or that the frame was left out."""
+        """Tracking state, or `LEFT_OUT`."""
         return LEFT_OUT if self.answer is None else self.answer.state.value
 
     @property
@@ -48,7 +48,7 @@ class FrameRecord:
 
     @property
     def sigma_position(self) -> float:
-        """Standard deviation of the position, as the frame's own points tell it; NaN for none."""
+        """Standard deviation of the position, from the frame's own points; NaN if unknown."""
         if self.answer is None or self.answer.covariance is None:
             return float("nan")
         variance = float(np.trace(self.answer.covariance[:3, :3]))
@@ -56,7 +56,7 @@ class FrameRecord:
 
 
 def write_records(records: Sequence[FrameRecord], path: Path) -> None:
-    """A table with a line for each frame, as it was when the frame came."""
+    """Write a CSV table with the result of each frame as estimated when it arrived."""
     with path.open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(COLUMNS)
@@ -84,28 +84,28 @@ def write_records(records: Sequence[FrameRecord], path: Path) -> None:
 
 
 def without_numbers(reason: str) -> str:
-    """What reasons that differ in numbers alone have in common."""
+    """The reason with # for each number, to group reasons that differ only in numbers."""
     return re.sub(r"\d+(\.\d+)?", "#", reason)
 
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Frames in a row of which the same is to be said."""
+    """Consecutive frames with the same state and reason."""
 
     first: int
     last: int
     state: str
     reason: str
-    """That of the last of them: numbers in it may differ from those of the others."""
+    """Reason of the last frame; its numbers may differ from those of the others."""
 
     @property
     def count(self) -> int:
-        """Frames."""
+        """Number of frames."""
         return self.last - self.first + 1
 
 
 def stretches(records: Sequence[FrameRecord]) -> list[Stretch]:
-    """Runs of frames of one state and, where they have no place, of one reason (its numbers apart)."""
+    """Group consecutive frames by state and, if they have no pose, by reason (ignoring numbers)."""
     out: list[Stretch] = []
     words = ""
     for record in records:

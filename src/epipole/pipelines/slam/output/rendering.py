@@ -1,4 +1,4 @@
-"""Paths and loops as lines, in an upright world: for the report and for the viewer."""
+"""Trajectories and loops as curves in an upright world, for the report and the viewer."""
 
 from __future__ import annotations
 
@@ -11,18 +11,20 @@ from epipole.geometry import Rigid3, Rotation3, Similarity3
 from epipole.scene import Curve, Reconstruction, Trajectory, path_segments
 
 FINAL_RGB, CAUSAL_RGB, TRUTH_RGB, LOOP_RGB = (31, 138, 176), (150, 150, 160), (226, 134, 42), (196, 62, 142)
-FINAL, CAUSAL, TRUTH, LOOPS = "final", "as it came", "truth", "loops"
-GAP, TRUTH_GAP = 1.5, 20.0
-"""Instants further apart than so many usual steps of time are not joined: the place between them is not known."""
+FINAL, CAUSAL, TRUTH, LOOPS = "final", "causal", "truth", "loops"
+GAP = 1.5
+"""Poses are not connected if their time difference exceeds this multiple of the median step."""
+TRUTH_GAP = 20.0
+"""The same for the true trajectory."""
 
 
 def upright_from_world(world_from_body: Rigid3) -> Similarity3:
-    """The turn that makes +z up and leaves the first camera's forward direction along +y.
+    """Rotation into a world with +z up and the first camera's forward direction along +y.
 
-    Up is the mean of the images' upward directions: cameras are held level, or turned to all sides.
+    Up is the mean upward direction of the images, which is right for level cameras and for cameras rolled to all sides.
     """
     up = -world_from_body.rotation[:, :, 1].mean(axis=0) if len(world_from_body.rotation) else np.zeros(3)
-    # A level camera (x right, y down, z forward) as the start: z to y, -y to z.
+    # For a level camera (x right, y down, z forward): z to y, -y to z.
     start = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     up = start @ up
     size = float(np.linalg.norm(up))
@@ -35,7 +37,7 @@ def upright_from_world(world_from_body: Rigid3) -> Similarity3:
 def path_curve(
     name: str, path: Trajectory, rgb: tuple[int, int, int], gap: float = GAP, *, is_shown: bool = True
 ) -> Curve:
-    """A path, broken where the place was not known for a while."""
+    """Curve of a trajectory, broken at time gaps."""
     steps = np.diff(path.timestamp_s, prepend=path.timestamp_s[:1])
     usual = float(np.median(steps[1:])) if len(steps) > 1 else 0.0
     return Curve(name, path_segments(path.world_from_body.translation, steps <= gap * usual), rgb, is_shown)
@@ -45,9 +47,9 @@ def loop_curve(loops: Sequence[Mapping[str, Any]], model: Reconstruction, number
     """Lines between the keyframes of accepted loops.
 
     Args:
-        loops: the summary's.
-        model: its images are the keyframes.
-        numbers: of the keyframes' frames in the source.
+        loops: loops of the summary.
+        model: reconstruction whose images are the keyframes.
+        numbers: frame numbers of the keyframes in the source.
     """
     centers = model.camera_centers_in_world()
     frames, pieces = np.array(numbers, np.int64), []

@@ -1,4 +1,4 @@
-"""What a run of SLAM writes: paths, map, table of frames, summary and report."""
+"""Results of a SLAM run: trajectories, map, table of frames, summary and report."""
 
 from __future__ import annotations
 
@@ -44,25 +44,25 @@ from epipole.scene.notebook import table_html
 
 TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"
 CAMERA = "camera.json"
-LOCALIZED, LOCALIZED_WORDS = "num_localized", "localized frames"
-"""What `summary.json` calls their number."""
-
+LOCALIZED = "num_localized"
+"""Key of the number of localized frames in `summary.json`."""
+LOCALIZED_WORDS = "localized frames"
 IN_OTHER_MAP = "tracked in a separate map that is not connected to the main one"
 WARM = 2
-"""Keyframes after which all that is needed was loaded: the largest times are those of later frames."""
+"""After this many keyframes all code is loaded and compiled; 95th percentile and maximum of the times start there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlamResult:
-    """What `slam` returns; everything is also in the output folder."""
+    """Result of `slam`; everything is also in the output folder."""
 
     out: Path
     trajectory: Trajectory
-    """Every frame that has a place, by the whole map."""
+    """Poses of all localized frames, estimated with the final map."""
     causal: Trajectory
-    """What was known when each frame came."""
+    """Poses as estimated when each frame arrived."""
     summary: dict[str, Any]
-    """As in `summary.json`."""
+    """Content of `summary.json`."""
     warnings: tuple[str, ...]
 
     def __repr__(self) -> str:
@@ -75,16 +75,16 @@ class SlamResult:
 
 
 class RunInputs(NamedTuple):
-    """What was known besides the frames."""
+    """Inputs of a run besides the frames."""
 
     truth: Truth | None
-    """The true path, to compare with."""
+    """True trajectory to compare with."""
     map: KnownMap | None
-    """The map that the run went on in."""
+    """Map that the run continued in."""
     anchoring: Anchoring | None
-    """What made the map metric."""
+    """How the map became metric."""
     camera: FoundCamera | None = None
-    """The camera, where it was found from the images."""
+    """The camera, if it was estimated from the images."""
 
 
 def write_results(
@@ -95,24 +95,24 @@ def write_results(
     job: JobOptions,
     run: Run,
 ) -> SlamResult:
-    """Write what was found, and tell it.
+    """Write the results of a run.
 
     Args:
-        stream: where the frames came from.
-        system: what followed them.
-        records: what became of each frame.
-        given: what was known besides the frames.
-        job: what is written.
+        stream: source of the frames.
+        system: SLAM after the last frame.
+        records: one record per frame.
+        given: inputs besides the frames.
+        job: options of the output.
         run: the output folder.
 
     Raises:
-        NoModelError: no frame got a place.
+        NoModelError: no frame was localized.
     """
     source, truth = stream.source, given.truth
     tracked = [record.answer for record in records if record.answer is not None]
     problems = [record.problem for record in records if record.problem] + stream.notes()
     if not len(system.trajectory()):
-        raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
+        raise NoModelError(f"no frame was localized: {_last_reason(tracked, problems)}")
     came, anchoring = _causal(system, tracked), given.anchoring
     if anchoring is not None:
         came = moved_path(came, anchoring.world_from_model)
@@ -150,7 +150,7 @@ def write_results(
 
 
 def keep_better(system: Slam, run: Run, *, can_repeat: bool) -> None:
-    """Refuse to replace a result that has more frames; frames that cannot be read again are written, with a warning.
+    """Refuse to replace a result with more localized frames; if the frames cannot be read again, warn instead.
 
     Raises:
         WorkspaceError: an earlier result has more frames, and these can be read again.
@@ -163,7 +163,7 @@ def keep_better(system: Slam, run: Run, *, can_repeat: bool) -> None:
 
 
 def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, run: Run) -> dict[str, Any]:
-    """Facts for the summary, and warnings, of what may be wrong with lens, images and scene."""
+    """Check intrinsics, images and scene: returns facts for the summary and adds warnings to the run."""
     with run.stage("check"):
         model, config = system.maps[0], system.config
         mapper = LocalMapper(model, system.camera, system.focal_baseline, config)
@@ -211,7 +211,7 @@ def _median_sigma(path: Trajectory) -> float | None:
 
 
 def keyframe_names(system: Slam, records: Sequence[FrameRecord], known: KnownMap | None) -> list[str]:
-    """Names of the images of the first map's keyframes."""
+    """Image names of the first map's keyframes."""
     names = [record.name for record in records if record.answer]
     named = {} if known is None else dict(zip(known.numbers, known.names))
     named |= {system.first_number + n: name for n, name in enumerate(names)}
@@ -219,7 +219,7 @@ def keyframe_names(system: Slam, records: Sequence[FrameRecord], known: KnownMap
 
 
 def _causal(system: Slam, tracked: Sequence[TrackedFrame]) -> Trajectory:
-    """The poses in the main map as they were estimated when the frames came."""
+    """Poses in the main map as estimated when the frames arrived."""
     first = system.first_frame - system.first_number
     own = [t for t in tracked[first:] if t.map_number == system.maps[0].number]
     rows = [
@@ -239,7 +239,7 @@ def _causal(system: Slam, tracked: Sequence[TrackedFrame]) -> Trajectory:
 
 
 def _of_body(trajectory: Trajectory, source: FrameSource) -> Trajectory:
-    """The path of the camera that took the images, not of its rectified image."""
+    """Transform a trajectory of the rectified camera into that of the camera that took the images."""
     rotated = source.body_from_camera
     if np.array_equal(rotated.rotation, np.eye(3)) and not rotated.translation.any():
         return trajectory
@@ -306,7 +306,7 @@ def _summary(
 
 
 def _submap_words(slam: Slam, number: int) -> dict[str, Any]:
-    """A part of the path that no place seen again ties to the first map."""
+    """Summary of a submap that no loop connects to the first map."""
     path = slam.trajectory(number)
     return {
         "num_frames": len(path),
@@ -318,7 +318,7 @@ def _submap_words(slam: Slam, number: int) -> dict[str, Any]:
 
 
 def _metres(given: RunInputs, source: FrameSource, *, is_map_fixed: bool) -> tuple[str, dict[str, Any]]:
-    """Where the map's metres come from, for its file (empty: it is up to scale), and the same for this run's summary."""
+    """Source of the metric scale for the map's file (empty if up to scale), and the scale entries of this run's summary."""
     known, more = given.map, {}
     if given.anchoring is not None:
         words = scale = given.anchoring.scale.in_words()
@@ -329,7 +329,7 @@ def _metres(given: RunInputs, source: FrameSource, *, is_map_fixed: bool) -> tup
         whence = f" ({known.scale.removeprefix('metres, ')})" if known.scale else ""
         words, scale = known.scale or "metres", f"metres, as in the known map{whence}"
     else:
-        words, scale = "", "up to scale: one camera cannot tell lengths"
+        words, scale = "", "up to scale: one camera cannot measure lengths"
     return words, {"scale": scale, "is_metric": bool(words), **more}
 
 
@@ -340,7 +340,7 @@ def _scale_words(source: FrameSource) -> str:
 
 
 def _reasons(tracked: Sequence[TrackedFrame]) -> dict[str, int]:
-    """Why frames had no place when they came, and how many; reasons that differ in numbers alone are told by the last."""
+    """Count the reasons why frames had no pose when they arrived; of those that differ only in numbers, keep the last."""
     last: dict[str, str] = {}
     count: dict[str, int] = {}
     for frame in tracked:

@@ -1,7 +1,7 @@
-"""Continuing a run that was stopped.
+"""Continue a run that was stopped.
 
-Frames that can be read again (folders, videos, recordings) are tracked again from the first one, which gives the result of an
-undisturbed run. A live run keeps the answers that it saved, and the camera is relocalized in the saved map.
+If the frames can be read again (folders, videos, recordings), tracking starts again from the first one, with the result of an
+undisturbed run. A live run keeps its saved results, and the camera is relocalized in the saved map.
 """
 
 from __future__ import annotations
@@ -27,41 +27,41 @@ from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame
 from epipole.runs import digest
 
 _FREE_OPTIONS = ("resume", "max_frames", "trajectory_format", "truth", "map", "view", "port", "host")
-"""Options of the job that may differ: no answer depends on them, or their content is compared."""
+"""Options that may differ when a run continues: tracking does not depend on them, or their content is compared."""
 
 STARTED_AGAIN = (
     "the stopped run was started again from its first frame: the source's frames can be read again"
 )
 
 Key = dict[str, str]
-"""Everything that the answers depend on, by names."""
+"""Everything that tracking depends on, by name."""
 
 
 class Continued(NamedTuple):
-    """A run where it continues, or starts."""
+    """A run that starts or continues."""
 
     autosave: Autosave
     records: list[FrameRecord]
-    """Of the frames that an earlier process tracked."""
+    """Records of the frames that an earlier process tracked."""
     source: FrameSource
-    """With the frames that are left."""
+    """Source of the remaining frames."""
     job: JobOptions
-    """For the frames that are left."""
+    """Options for the remaining frames."""
     first_number: int
     """Number of the source's next frame, if it counts from zero again."""
     num_dropped: int
-    """Frames that were dropped before."""
+    """Frames dropped by an earlier process."""
     notes: tuple[str, ...] = ()
-    """What the user should know of it."""
+    """Notes for the user."""
 
 
 def key_of(fingerprint: Sequence[str], source: FrameSource, system: Slam, job: JobOptions) -> Key:
-    """What identifies a live run: another source, camera, map, version or option gives other answers.
+    """Key that identifies a live run by its source, camera, map, version and options.
 
     Args:
-        fingerprint: of the source's files; not used for a camera, which has none.
-        source: the frames.
-        system: its camera, options and known map.
+        fingerprint: fingerprint of the source's files; not used for a camera, which has none.
+        source: source of the frames.
+        system: SLAM with its camera, options and known map.
         job: options.
     """
     camera, depth = source.camera, source.camera.depth
@@ -96,19 +96,19 @@ def key_of(fingerprint: Sequence[str], source: FrameSource, system: Slam, job: J
 def start_or_continue(
     folder: Path, key: Key, system: Slam, source: FrameSource, job: JobOptions
 ) -> Continued:
-    """Continue the live run that was stopped in a folder if `job.resume` asks for it, or start one.
+    """Continue the stopped live run of a folder if `job.resume` is set; otherwise start a new run.
 
     Args:
-        folder: of the checkpoint.
-        key: of this run.
-        system: SLAM before its first frame; it is given the saved map.
-        source: all frames.
+        folder: the checkpoint folder.
+        key: key of this run.
+        system: SLAM before its first frame; continuing gives it the saved map.
+        source: source of all frames.
         job: options.
 
     Raises:
         ConfigError: the stopped run had another source or other options, or would be lost.
-        FileFormatError: what it saved is damaged.
-        WorkspaceError: the folder is not ours, or cannot be written.
+        FileFormatError: the saved files are damaged.
+        WorkspaceError: the folder was not created by epipole, or cannot be written.
     """
     can_repeat = not (source.is_live or job.realtime)
     records = _saved(folder, key, system, job) if not can_repeat else []
@@ -135,7 +135,7 @@ def start_or_continue(
 
 @contextmanager
 def completing(folder: Path, key: Key, *, is_complete: bool) -> Iterator[None]:
-    """Write the results in the block; afterwards, a run that has tracked all of its frames cannot be continued.
+    """Results are written inside this block; afterwards a complete run cannot be continued.
 
     Raises:
         WorkspaceError: the folder is not writable.
@@ -143,7 +143,7 @@ def completing(folder: Path, key: Key, *, is_complete: bool) -> Iterator[None]:
     no_model = None
     try:
         yield
-    except NoModelError as error:  # there is nothing to write
+    except NoModelError as error:  # nothing to write
         no_model = error
     if is_complete:
         remove_checkpoint(folder)
@@ -154,7 +154,7 @@ def completing(folder: Path, key: Key, *, is_complete: bool) -> Iterator[None]:
 
 
 def mark_checkpoint(folder: Path, key: Key, *, is_written: bool) -> None:
-    """Write which run the checkpoint belongs to, and whether the results of all its frames have been written.
+    """Write the key of the run, and whether the results of all its frames have been written.
 
     Raises:
         WorkspaceError: the folder is not writable.
@@ -164,11 +164,11 @@ def mark_checkpoint(folder: Path, key: Key, *, is_written: bool) -> None:
 
 
 def _saved(folder: Path, key: Key, system: Slam, job: JobOptions) -> list[FrameRecord]:
-    """The frames of a stopped live run, after its map was given to `system`; empty if there is none to continue.
+    """Restore a stopped live run in `system` and return its frames; empty if there is no run to continue.
 
     Raises:
-        ConfigError: the folder holds a run that is not this one, and must not be lost.
-        FileFormatError: what is there is damaged.
+        ConfigError: the folder contains another run, which must not be lost.
+        FileFormatError: the saved files are damaged.
     """
     if not (folder / KEY).is_file() or not (folder / ANSWERS).is_file():
         return []
@@ -182,13 +182,13 @@ def _saved(folder: Path, key: Key, system: Slam, job: JobOptions) -> list[FrameR
         if is_written:
             return []
         raise ConfigError(
-            f"{folder} holds a trajectory whose frames cannot be read again, of a run that was stopped: continue it with"
-            " --resume, or choose another output folder"
+            f"{folder} contains the trajectory of a stopped run whose frames cannot be read again: continue it with --resume,"
+            " or choose another output folder"
         )
     other = [name for name in {**before, **key} if before.get(name) != key.get(name)]
     if other:
         differences = "; ".join(_difference(name, before.get(name), key.get(name)) for name in other)
-        raise ConfigError(f"{folder} is of a run that cannot be continued like this: {differences}; {advice}")
+        raise ConfigError(f"the run in {folder} cannot be continued: {differences}; {advice}")
     try:
         records = read_answers(folder / ANSWERS)
         _restore(folder, system, records)
@@ -198,14 +198,14 @@ def _saved(folder: Path, key: Key, system: Slam, job: JobOptions) -> list[FrameR
 
 
 def _restore(folder: Path, system: Slam, records: Sequence[FrameRecord]) -> None:
-    """Continue in the saved map; a camera whose map was not saved yet starts a new one.
+    """Continue in the saved map, or in a new one if none was saved yet.
 
     Raises:
         FileFormatError: the map is damaged.
-        ConfigError: it is the map of another camera.
+        ConfigError: the map was made with another camera.
     """
     tracked = [record.answer for record in records if record.answer is not None]
-    # A kill between writing a map and removing the one before leaves two.
+    # A process killed between writing a map and removing the previous one leaves two.
     stems = [path.stem.partition("-")[2] for path in folder.glob(SAVED_MAP.format("*"))]
     numbers = [int(stem) for stem in stems if stem.isdecimal() and len(stem) < 16]
     if numbers:
@@ -219,11 +219,11 @@ def _restore(folder: Path, system: Slam, records: Sequence[FrameRecord]) -> None
 def _difference(name: str, then: str | None, now: str | None) -> str:
     if not name.startswith("--") and name != "the version of epipole":
         return f"{name} have changed" if name.endswith("files") else f"{name} has changed"
-    return f"{name} was {then or 'not given'}, and is {now or 'not given'} now"
+    return f"{name} was {then or 'not given'} and is now {now or 'not given'}"
 
 
 def _after(source: FrameSource, last: int) -> FrameSource:
-    """The frames after one that was tracked."""
+    """The frames after the given one."""
     frames = source.frames()
     for queued in frames:
         if queued.number == last:
@@ -236,7 +236,7 @@ def _no_frames() -> Generator[QueuedFrame, None, None]:
 
 
 def _flat(options: dict[str, Any], before: str = "") -> list[tuple[str, Any]]:
-    """Options of options by names with a dot."""
+    """Nested options as dotted names and values."""
     out: list[tuple[str, Any]] = []
     for name, value in options.items():
         own = f"{before}{name}"

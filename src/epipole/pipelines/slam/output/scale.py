@@ -1,4 +1,4 @@
-"""What makes the map of one camera metric: places, lengths, objects or odometry that are known besides its images."""
+"""Metric scale for the map of one camera, from known positions, lengths, objects, odometry or IMU data."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ from epipole.scene import Trajectory
 def anchor_map(
     system: Slam, options: AnchorOptions, keyframe_names: Sequence[str], frame_names: Mapping[float, str]
 ) -> Anchoring:
-    """Tell the first map in metres; with measured places in their world, and adjusted with them as factors.
+    """Scale the first map to metres; with measured positions, also align it to them and use them as factors.
 
     Args:
-        system: of one camera, after its last frame.
-        options: what is known.
-        keyframe_names: of the first map's keyframes.
-        frame_names: of every frame, by its time.
+        system: SLAM of one camera, after its last frame.
+        options: the measurements.
+        keyframe_names: image names of the first map's keyframes.
+        frame_names: image name of every frame, by timestamp.
 
     Raises:
-        ConfigError: the camera is metric already.
-        DegenerateGeometryError: nothing that is known tells the scale; the message says why.
-        FileFormatError: a file that was named cannot be read.
+        ConfigError: the camera measures depth, so its map is metric already.
+        DegenerateGeometryError: the measurements do not determine the scale; the message says why.
+        FileFormatError: a given file cannot be read.
     """
     check_one_camera(options, measures_depth=system.camera.measures_depth)
     model, camera = system.maps[0], system.camera.camera
     keyframes = [k for k in model.keyframes if len(k.point)]
     views = views_of_model(reconstruction_of(model, camera, keyframe_names), lambda row: keyframes[row].grey)
-    # What is known is told by the clock and the names of this run: keyframes of a known map have others.
+    # Measurements refer to the clock and image names of this run, not to those of a known map's keyframes.
     is_old = np.array([k.number < system.first_number for k in keyframes], bool)
     views = replace(
         views,
@@ -75,7 +75,7 @@ def anchor_map(
 
 
 def scale_by_imu(system: Slam) -> ScaleEstimate | None:
-    """By an adjustment with the inertial unit's factors; None where they have none: the path's alignment says why."""
+    """Scale from an adjustment with IMU factors; None if they do not determine it (`anchor_model` then says why)."""
     if system.imu is None:
         return None
     mapper = LocalMapper(system.maps[0], system.camera, system.focal_baseline, system.config, system.imu)
@@ -88,23 +88,23 @@ def scale_by_imu(system: Slam) -> ScaleEstimate | None:
 
 
 def check_one_camera(options: AnchorOptions, *, measures_depth: bool) -> None:
-    """Check that there is a scale to be told.
+    """Check that options that set the scale are given for one camera only.
 
     Raises:
-        ConfigError: the camera has its metres from its own depth.
+        ConfigError: the camera measures depth, so its map is metric already.
     """
     if measures_depth and not options.is_empty:
         raise ConfigError(
-            "positions, lengths, tags, boards and odometry tell the scale of one camera; this one has its metres from its "
-            "own depth"
+            "positions, lengths, tags, boards and odometry set the scale of one camera, but this camera measures depth and is"
+            " metric already"
         )
 
 
 def check_known_map(options: AnchorOptions, known: KnownMap | None, *, is_map_fixed: bool) -> None:
-    """Check that the unit of a map that is gone on in may be changed, where something is given that would.
+    """Check that the scale of a known map may change, if the options would change it.
 
     Raises:
-        ConfigError: the map is in metres already, or is to stay as it is.
+        ConfigError: the map is metric already, or fixed.
     """
     if known is None or options.is_empty:
         return
@@ -112,13 +112,13 @@ def check_known_map(options: AnchorOptions, known: KnownMap | None, *, is_map_fi
     if known.is_metric:
         whence = f" ({known.scale})" if known.scale else ""
         raise ConfigError(
-            f"the map is in metres already{whence}: {given} would change its unit. Leave that out, or begin a new map "
-            "(without map)"
+            f"the known map is metric already{whence}: {given} would change its scale. Omit that, or start a new map (without"
+            " map)"
         )
     if is_map_fixed:
         raise ConfigError(
-            f"localize leaves the map as it is, and it is up to scale: {given} would change its unit. Go on in it once "
-            "without localize: the map that this writes is in metres"
+            f"localize does not change the known map, which is up to scale: {given} would change its scale. Run once without"
+            " localize to write a metric map"
         )
 
 
@@ -127,7 +127,7 @@ def _centers(system: Slam) -> np.ndarray:
 
 
 def _views_of_path(path: Trajectory, names: Mapping[float, str], keyframes: AnchorViews) -> AnchorViews:
-    """Every frame that has a place."""
+    """All localized frames as views."""
     count, known = len(path), path.covariance
     covariance = np.zeros((count, 6, 6)) if known is None else known
     return AnchorViews(
@@ -141,7 +141,7 @@ def _views_of_path(path: Trajectory, names: Mapping[float, str], keyframes: Anch
 
 
 def moved_path(path: Trajectory, world_from_model: Similarity3) -> Trajectory:
-    """A path told in the metres and the world that were found afterwards."""
+    """Transform a trajectory and its covariances into the metric world."""
     positions, scale = path.world_from_body, float(world_from_model.scale)
     moved = Rigid3(
         world_from_model.rotation @ positions.rotation, world_from_model.apply(positions.translation)

@@ -1,4 +1,4 @@
-"""What the viewer shows of a followed camera: its path, keyframes, points and loops."""
+"""Viewer scenes of SLAM results: trajectory, keyframes, points and loops."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ MANY_POSITIONS = 300
 
 
 def is_mine(path: Path) -> bool:
-    """Whether a folder holds the path of a followed camera."""
+    """Whether a folder contains the results of a SLAM run."""
     return (path / CAUSAL_TRAJECTORY).is_file() and (path / TRAJECTORY).is_file()
 
 
 def scene(path: Path) -> SpaceScene:
-    """The map's points, keyframes with their images where they are still there, the path and the loops.
+    """Points, keyframes (with images that still exist), trajectories and loops of a run.
 
     Raises:
         FileFormatError: there is no map, or a file is damaged.
     """
     if not (path / "sparse" / "0").is_dir():
-        raise FileFormatError(path, "holds a path, but no map: a single keyframe has none")
+        raise FileFormatError(path, "contains no map, as after a run with a single keyframe")
     model = read_model(path / "sparse" / "0")
     final, causal = read_trajectory(path / TRAJECTORY), read_trajectory(path / CAUSAL_TRAJECTORY)
     numbers = _frame_numbers(path)
@@ -73,7 +73,7 @@ def scene(path: Path) -> SpaceScene:
 
 
 def is_trajectory(path: Path) -> bool:
-    """Whether a file is a path of TUM's, KITTI's or EuRoC's form."""
+    """Whether a file is a trajectory in TUM, KITTI or EuRoC format."""
     if path.suffix.lower() not in (".txt", ".csv", ".tum", ".kitti") or not path.is_file():
         return False
     try:
@@ -84,17 +84,17 @@ def is_trajectory(path: Path) -> bool:
 
 
 def scene_of_trajectory(path: Path) -> SpaceScene:
-    """A path alone, with its places in the colours of their times.
+    """Positions of a trajectory, colored by time.
 
-    A world that begins at the first body is seen upright by the bodies, taken to be cameras; in any other, a map's or a
-    survey's, +z is up.
+    If the first pose is the identity, the bodies are assumed to be cameras whose images are upright on average; in any other
+    world (of a map, of a survey) +z is up.
 
     Raises:
-        FileFormatError: the file is damaged, or holds no place.
+        FileFormatError: the file is damaged, or contains no pose.
     """
     found = read_trajectory(path)
     if not len(found):
-        raise FileFormatError(path, "holds no place")
+        raise FileFormatError(path, "contains no pose")
     starts_at_first = np.abs(found.world_from_body[0].as_matrix() - np.eye(4)).max() < 1e-3
     upright = upright_from_world(found.world_from_body).rotation if starts_at_first else None
     covariances = None
@@ -102,43 +102,43 @@ def scene_of_trajectory(path: Path) -> SpaceScene:
         rotated = found.world_from_body.rotation
         covariances = rotated @ found.covariance[:, :3, :3] @ np.swapaxes(rotated, 1, 2)
     times = found.timestamp_s - found.timestamp_s[0]
-    has_times = trajectory_format(path) != "kitti"  # its lines are numbered alone
+    has_times = trajectory_format(path) != "kitti"  # which has line numbers only
     instants = PointLayer(
-        "Places",
+        "Positions",
         found.world_from_body.translation,
         color_map(times),
         (PointMeasure("time", times, "s") if has_times else PointMeasure("number", times),),
         covariances,
-        "as the file tells",
+        "as given in the file",
     )
     over = f" over {times[-1]:.1f} s" if has_times else ""
     return SpaceScene(
         title=path.resolve().name,
-        words=f"{plural(len(found), 'place')}{over}, a way of {found.path_length():.4g}",
+        words=f"{plural(len(found), 'pose')}{over}, trajectory length {found.path_length():.4g}",
         unit=UNIT_OF_FILE,
         points=(instants,),
-        # Many places are a line by themselves, in their colours, which one drawn over them would hide.
-        curves=(path_curve("path", found, FINAL_RGB, is_shown=len(found) < MANY_POSITIONS),),
+        # Many positions form a line, and a curve on top would hide their colors.
+        curves=(path_curve("trajectory", found, FINAL_RGB, is_shown=len(found) < MANY_POSITIONS),),
         upright_from_world=upright,
     )
 
 
 def is_map(path: Path) -> bool:
-    """Whether a path is that of a map's file, or of the folder that holds it alone."""
+    """Whether a path is a map file, or the `map` folder of a run."""
     return (path.is_file() and path.suffix == ".npz") or (path / MAP_FILE.name).is_file()
 
 
 def scene_of_map(path: Path) -> SpaceScene:
-    """Points and keyframes of a map, with the images that it keeps of them.
+    """Points and keyframes of a map, with the keyframe images that it stores.
 
     Raises:
-        FileFormatError: it is no map, or damaged.
+        FileFormatError: the file is not a map, or damaged.
     """
     found = summary_of_map(path)
     upright = upright_from_world(found.cams_from_world.inverse()).rotation
     points = found.xyz_in_world
     rgb = np.full((len(points), 3), 200, np.uint8)
-    agreed = PointMeasure("keyframes that agree", found.num_agreed.astype(np.float64), "", is_at_least=True)
+    agreed = PointMeasure("agreeing frames", found.num_agreed.astype(np.float64), "", is_at_least=True)
     images = dict(zip(found.names, found.grey))
     n = len(found.names)
     keyframes = CameraLayer(
@@ -156,7 +156,7 @@ def scene_of_map(path: Path) -> SpaceScene:
 
 
 def image_loader(out: Path) -> Callable[[str], np.ndarray | None]:
-    """Reads a keyframe's image from the frames that the path was made from; gives None where they are gone."""
+    """Function that reads a keyframe's image from the run's source, or returns None if it is gone."""
     mark = read_mark(out)
     files: dict[str, Path] = {}
     if mark is not None and mark.source.paths:
@@ -181,13 +181,13 @@ def _summary(path: Path) -> dict[str, Any]:
 
 
 def _loops(summary: dict[str, Any]) -> list[dict[str, Any]]:
-    """None where it has none."""
+    """Loops of the summary; empty if it has none."""
     loops = summary.get("loops", [])
     return [loop for loop in loops if isinstance(loop, dict)] if isinstance(loops, list) else []
 
 
 def _frame_numbers(path: Path) -> dict[str, int]:
-    """Numbers of the frames by their images' names; those that were dropped or left out are not counted."""
+    """Frame numbers by image name; dropped and left-out frames are not counted."""
     if not (path / FRAME_TABLE).is_file():
         return {}
     table = read_frame_table(path / FRAME_TABLE)

@@ -1,4 +1,4 @@
-"""The path against a known one."""
+"""Comparison of trajectories with the truth."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from epipole.pipelines.slam.output.record import FrameRecord
 from epipole.scene import Trajectory
 
 MAX_DIFFERENCE_S = 0.01
-"""Frames and truth further apart in time are not compared."""
+"""Largest time difference between a frame and its true pose."""
 LEAST_COVERAGE = 0.2
-"""Share of the frames, or of the truth where that has fewer rows, below which no error is told."""
+"""Smallest fraction of the frames, or of the truth if it has fewer rows, that must be compared to report errors."""
 
 
 def truth_at_frames(truth: Truth, records: Sequence[FrameRecord]) -> Trajectory:
-    """The truth with the frames' times, where it brings none: its rows are those of all frames of the source.
+    """The truth, with the timestamps of the frames if it has none (one row for each frame of the source).
 
     Raises:
-        ConfigError: there are not as many rows, and the images are not named by the rows' numbers either.
+        ConfigError: the numbers of rows and frames differ, and the image names are not row numbers.
     """
     if truth.has_times:
         times = np.array([r.answer.timestamp_s if r.answer else np.nan for r in records])
@@ -40,8 +40,8 @@ def truth_at_frames(truth: Truth, records: Sequence[FrameRecord]) -> Trajectory:
         rows = np.array([int(stem) if stem.isdecimal() else -1 for stem in stems])
         if not len(rows) or rows.min() < 0 or rows.max() >= len(truth.trajectory):
             raise ConfigError(
-                f"the truth holds no times (KITTI's form) and {len(truth.trajectory)} rows for"
-                f" {len(records)} frames: which belong together cannot be told"
+                f"the truth has no timestamps (KITTI format) and {len(truth.trajectory)} rows for"
+                f" {len(records)} frames: rows and frames cannot be matched"
             )
     given = [(row, record.answer.timestamp_s) for row, record in zip(rows, records) if record.answer]
     positions = truth.trajectory.world_from_body[np.array([row for row, _ in given], np.int64)]
@@ -50,17 +50,17 @@ def truth_at_frames(truth: Truth, records: Sequence[FrameRecord]) -> Trajectory:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathErrors:
-    """Distances of a path from the truth, instant by instant."""
+    """Distances of a trajectory from the truth at each timestamp."""
 
     timestamp_s: np.ndarray
     distance: np.ndarray
     """In the truth's unit, after the alignment."""
     estimate_from_truth: Similarity3
-    """Brings the truth into the path's world, with the same alignment."""
+    """Transforms the truth into the trajectory's world, by the same alignment."""
 
 
 def errors_of(estimate: Trajectory, truth: Trajectory, *, with_scale: bool) -> PathErrors | None:
-    """Errors after an alignment, with scale for a path of unknown scale; None where none can be made."""
+    """Errors after alignment, with scale for a trajectory of unknown scale; None if they cannot be computed."""
     try:
         rows, rows_of_truth = associate(estimate, truth, MAX_DIFFERENCE_S)
         ours, theirs = estimate.world_from_body[rows], truth.world_from_body[rows_of_truth]
@@ -73,13 +73,13 @@ def errors_of(estimate: Trajectory, truth: Trajectory, *, with_scale: bool) -> P
 def truth_summary(
     truth: Truth, known: Trajectory, paths: tuple[Trajectory, Trajectory], num_frames: int
 ) -> tuple[dict[str, Any], list[str]]:
-    """What the summary says of a known path, and warnings.
+    """Errors for the summary, and warnings.
 
     Args:
-        truth: as read.
-        known: it, at the frames' times.
-        paths: the final one, and the causal one.
-        num_frames: of the source.
+        truth: the truth as read.
+        known: the truth at the timestamps of the frames.
+        paths: final and causal trajectory.
+        num_frames: frames of the source.
     """
     out: dict[str, Any] = {
         "source": str(truth.path),
@@ -92,17 +92,17 @@ def truth_summary(
             found = score_trajectory(path, known, MAX_DIFFERENCE_S)
             if found.num_compared < LEAST_COVERAGE * min(found.num_instants, found.num_truth):
                 raise DegenerateGeometryError(
-                    f"{found.num_compared} of {found.num_instants} places have a true one within {MAX_DIFFERENCE_S:g} s: are "
-                    "the clocks and their units the same?"
+                    f"{found.num_compared} of {found.num_instants} poses have a true pose within {MAX_DIFFERENCE_S:g} s;"
+                    " check that both use the same clock and unit"
                 )
         except DegenerateGeometryError as error:
             out[name] = None
-            warnings.append(f"the {name} path is not compared with the truth: {error}")
+            warnings.append(f"the {name} trajectory is not compared with the truth: {error}")
             continue
         out[name] = {**asdict(found), "coverage": found.num_compared / num_frames}
         if name == "final" and 2 * found.num_compared < min(found.num_instants, found.num_truth):
             warnings.append(
-                f"{found.num_compared} of {found.num_instants} places have a true one within"
-                f" {MAX_DIFFERENCE_S:g} s: are the clocks and their units the same?"
+                f"{found.num_compared} of {found.num_instants} poses have a true pose within"
+                f" {MAX_DIFFERENCE_S:g} s; check that both use the same clock and unit"
             )
     return out, warnings

@@ -1,4 +1,4 @@
-"""What a finished run says besides its path: images that told little, things that moved, a camera that rests."""
+"""Warnings of a finished run: poor images, moving objects, a camera at rest."""
 
 from __future__ import annotations
 
@@ -14,22 +14,24 @@ from epipole.pipelines.slam.tracking.static_points import CAMERA_AT_REST, MOVES_
 from epipole.scene import Trajectory
 
 _IMAGE = re.compile(r"the (?:left |right )?image is (?:blurred|dark|overexposed|of one shade)")
-LEAST_MOVING, MOVING_FRACTION = 5, 0.05
-"""Frames with something that moves, at least so many and such a share, are worth a warning."""
+LEAST_MOVING = 5
+"""Number of frames with a moving object from which on a warning is given ..."""
+MOVING_FRACTION = 0.05
+"""... if they are also this fraction of all frames."""
 REST_SIGMAS = 4.0
-"""A camera that is never further from its first place, in deviations, rests as far as can be told."""
+"""A camera that stays within this many standard deviations of its first position counts as at rest."""
 LEAST_RESTING, MOST_REST_DEG = 5, 0.5
 LEAST_RESTED = 3
-"""Frames with a static part that is assumed to be the scene, for a warning."""
+"""Number of frames with a static part assumed to be the scene from which on a warning is given."""
 
 
 def poor_images(tracked: Sequence[TrackedFrame]) -> dict[str, int]:
-    """In how many frames an image was blurred, dark, ...; by the words of the reason."""
+    """Number of frames with a blurred, dark, ... image, by the wording of the reason."""
     return dict(Counter(words for frame in tracked for words in _IMAGE.findall(frame.reason)))
 
 
 def moving_things(tracked: Sequence[TrackedFrame]) -> dict[str, Any] | None:
-    """The frames in which something moved besides the camera, and that with most of its points; None for none."""
+    """Number of frames with a moving object, and the frame with most of its points; None if there are none."""
     seen = [(row, frame.moving) for row, frame in enumerate(tracked) if frame.moving is not None]
     if not seen:
         return None
@@ -44,7 +46,7 @@ def moving_things(tracked: Sequence[TrackedFrame]) -> dict[str, Any] | None:
 
 
 def rest(path: Trajectory) -> str:
-    """In words, that the path is no longer than its places are uncertain; empty for one that is."""
+    """Warning if the camera moved no further than its position uncertainty; else empty."""
     if len(path) < LEAST_RESTING or path.covariance is None:
         return ""
     positions = path.world_from_body
@@ -57,18 +59,18 @@ def rest(path: Trajectory) -> str:
         np.linalg.norm((positions.inverse() @ positions[0]).log()[:, 3:], axis=1).max()
     )
     if rotations_deg > MOST_REST_DEG:
-        return f"the camera only turns, by up to {rotations_deg:.3g} degrees: no place differs from the first"
-    return f"the camera rests: no place is further than {furthest:.2g} from the first, or turned by more than {rotations_deg:.2g} degrees"
+        return f"the camera only rotates, by up to {rotations_deg:.3g} degrees: no position differs from the first"
+    return f"the camera is at rest: it stays within {furthest:.2g} of its first position and {rotations_deg:.2g} degrees of its first orientation"
 
 
 def warnings(tracked: Sequence[TrackedFrame], path: Trajectory) -> list[str]:
-    """Warnings of a finished run, in words."""
+    """Warnings about images, moving objects and a camera at rest."""
     out = [f"in {count} of {len(tracked)} frames {words}" for words, count in poor_images(tracked).items()]
     moving = moving_things(tracked)
     if moving and moving["num_frames"] >= max(LEAST_MOVING, MOVING_FRACTION * len(tracked)):
         (left, top), (right, bottom) = moving["low_px"], moving["high_px"]
         out.append(
-            f"something moves besides the camera in {moving['num_frames']} of {len(tracked)} frames (at most"
+            f"an object moves in {moving['num_frames']} of {len(tracked)} frames (at most"
             f" {moving['most_points']} points, at {moving['at_s']:.2f} s in columns {left:.0f} to {right:.0f}, rows"
             f" {top:.0f} to {bottom:.0f}): its points are not used"
         )

@@ -1,1 +1,1 @@
-"""Rolling shutters: the motion during the readout, and a check for one that nobody mentioned."""
+"""Rolling shutters: motion during the readout, and detection of an unknown readout."""

@@ -1,4 +1,4 @@
-"""Whether a map's images were read out row by row, and how long the readout takes."""
+"""Detection of a rolling shutter from a finished map, and estimation of its readout time."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ from epipole.scene import Trajectory
 
 LEAST_KEYFRAMES, MOST_KEYFRAMES = 10, 60
 TRIED = (0.5, 0.25, 0.75, 1.0)
-"""Readouts, as shares of the time between two frames."""
+"""Readout times that are tried, as fractions of the frame interval."""
 NEAR = 0.1
-"""Further ones, around the best."""
+"""Distance from the best to two further readout times that are tried, as a fraction of the frame interval."""
 LEAST_GAIN = 0.1
-"""Of the cost: what is left over must fall by that share before a readout is believed."""
+"""Fraction by which the cost must fall for a readout to be accepted."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReadoutFound:
-    """A rolling shutter."""
+    """A detected rolling shutter."""
 
     readout_s: float
     """From the first row to the one after the last."""
     gain: float
-    """Share of the cost that goes with it."""
+    """Fraction of the cost that modelling the readout removes."""
 
     def warning(self) -> str:
-        """What that means, in words."""
+        """Warning for the user."""
         return (
-            f"the rows of the images are read one after another, in {1e3 * self.readout_s:.1f} ms, and the path is bent by "
-            f"it: follow again with --readout-s {self.readout_s:.4f}"
+            f"the images have a rolling shutter with a readout of {1e3 * self.readout_s:.1f} ms, which bends the trajectory:"
+            f" run again with --readout-s {self.readout_s:.4f}"
         )
 
 
 @contextmanager
 def with_readout(mapper: LocalMapper, path: Trajectory, readout_s: float) -> Iterator[None]:
-    """The map's keyframes as a shutter of one instant would have seen them, inside the block.
+    """Inside the block, shift the keyframes' observations to those of a global shutter.
 
     Args:
-        mapper: of the map.
-        path: of all its frames.
-        readout_s: from the first row to the one after the last; 0 leaves the keyframes as they are.
+        mapper: mapper of the map.
+        path: trajectory of all its frames.
+        readout_s: from the first row to the one after the last; 0 changes nothing.
     """
     keyframes = [keyframe for keyframe in mapper.map.keyframes if len(keyframe.point)]
     kept = [keyframe.shift_px for keyframe in keyframes]
@@ -60,15 +60,15 @@ def with_readout(mapper: LocalMapper, path: Trajectory, readout_s: float) -> Ite
 
 
 def find_readout(mapper: LocalMapper, path: Trajectory) -> ReadoutFound | None:
-    """The readout with which a map's keyframes fit best; None for a shutter of one instant, or too little motion.
+    """The readout time that fits the keyframes best; None for a global shutter or too little motion.
 
-    Images that are read out row by row leave residuals that go with the row and the motion. Each readout tried takes the
-    motion out of the pixels, by the frames beside each keyframe, and adjusts the map; the best of a parabola through the
-    costs is told.
+    A rolling shutter leaves residuals that depend on the row and the motion. For each readout time, the pixels are corrected
+    by the motion between the frames around each keyframe and the map is adjusted; the result is the minimum of a parabola
+    through the costs.
 
     Args:
-        mapper: of the map, which is left as it is.
-        path: of all its frames.
+        mapper: mapper of the map, which is not changed.
+        path: trajectory of all its frames.
     """
     keyframes = [k for k in mapper.map.keyframes if len(k.point)][:MOST_KEYFRAMES]
     if len(keyframes) < LEAST_KEYFRAMES or len(path) < LEAST_KEYFRAMES:
@@ -102,7 +102,7 @@ def find_readout(mapper: LocalMapper, path: Trajectory) -> ReadoutFound | None:
 
 
 def _lowest(costs: dict[float, float]) -> float:
-    """Where a parabola through the lowest cost and those beside it is lowest."""
+    """Minimum of a parabola through the lowest cost and its neighbors."""
     fractions = np.array(sorted(costs))
     values = np.array([costs[fraction] for fraction in fractions])
     middle = int(np.clip(np.argmin(values), 1, len(fractions) - 2))

@@ -1,4 +1,4 @@
-"""Images that are read out row by row: what the motion did to them, and how long the readout takes."""
+"""Rolling shutter: correction of observations by the camera's motion, and joint estimation of pose and motion."""
 
 from __future__ import annotations
 
@@ -14,20 +14,24 @@ from epipole.pipelines.slam.shutter.recent_motion import AROUND, motion_among
 from epipole.pipelines.slam.tracking.depth import points_by_disparity
 from epipole.scene import Trajectory
 
-UNKNOWN_SIGMA, FORETOLD_SIGMA, CONVERGED_SIGMA = (0.5, 15.0), (0.3, 8.0), (0.01, 0.3)
-"""Of a frame's speed, and of its change, in radians, or depths of the scene, per second (squared): where nothing is known of it,
-against that by the frames before, and by those on both sides. A looser one lets a bent map, and motions that undo it, agree."""
+UNKNOWN_SIGMA = (0.5, 15.0)
+"""Standard deviations of a frame's velocity and acceleration, in radians or scene depths per second (squared), without a prior.
+Looser values let a bent map agree with motions that compensate it."""
+FORETOLD_SIGMA = (0.3, 8.0)
+"""The same relative to the motion predicted from the previous frames."""
+CONVERGED_SIGMA = (0.01, 0.3)
+"""The same relative to the motion interpolated from the frames on both sides."""
 STEPS, CONVERGED = 8, 1e-7
 LONGEST_GAP = 3.0
-"""Between a keyframe and the frames beside it, in median gaps: over a longer one its motion is not known."""
+"""Largest gap between the frames around a keyframe, in median gaps, for which its motion is known."""
 
 
 def motions_at(path: Trajectory, keyframes: Sequence[Keyframe]) -> np.ndarray:
-    """(k, 12) of keyframes' motions by the frames around; NaN where these are too far in time.
+    """(k, 12) motions of keyframes from the frames around them; NaN where these are too far apart in time.
 
     Args:
-        path: of all frames.
-        keyframes: some of them.
+        path: trajectory of all frames.
+        keyframes: keyframes among them.
     """
     out = np.full((len(keyframes), 12), np.nan)
     if len(path) < AROUND:
@@ -46,16 +50,15 @@ def motions_at(path: Trajectory, keyframes: Sequence[Keyframe]) -> np.ndarray:
 def shutter_shifts(
     model: SlamMap, keyframe: Keyframe, motion: np.ndarray, camera: Camera, readout_s: float
 ) -> np.ndarray:
-    """(n, 3) from where, and at what disparity, a keyframe's points were seen to what a shutter of one instant would have seen.
+    """(n, 3) shifts of a keyframe's pixels and disparities to those that a global shutter would have observed.
 
-    Points without a place are taken to be as far as the others (median).
-
-    A row is read at readout (v / height - 1 / 2) after the frame's time, by when the camera has moved on.
+    Row v is read at readout (v / height - 1 / 2) after the frame's time. Points that are not triangulated get the median depth
+    of the others.
 
     Args:
         model: the map.
-        keyframe: one of it.
-        motion: (12,) its speed and the change of it, per second and second squared.
+        keyframe: one of its keyframes.
+        motion: (12,) velocity and acceleration, per second and second squared.
         camera: any model.
         readout_s: from the first row to the one after the last.
     """
@@ -76,7 +79,7 @@ def shutter_shifts(
 def at_middle(
     in_cam: np.ndarray, pixels: np.ndarray, motion: np.ndarray, camera: Camera, readout_s: float
 ) -> np.ndarray:
-    """(n, 3) points by depth, seen when their rows were read, in the camera in the middle of the readout."""
+    """(n, 3) transform points from the camera when their rows were read to the camera in the middle of the readout."""
     if readout_s == 0 or not motion.any():
         return in_cam
     late = _late(pixels, camera, readout_s)
@@ -91,15 +94,15 @@ def points_by_depth(
     focal_baseline: float,
     most_baselines: float,
 ) -> np.ndarray:
-    """(n, 3) points in the camera in the middle of the readout, by their disparities; NaN without one, or further than that.
+    """(n, 3) points from disparities, in the camera in the middle of the readout; NaN without a disparity or too far away.
 
     Args:
-        model: the map, of a pair with its second camera's principal point.
-        seen: pixels and disparities as they were read.
-        motion: (12,) of the camera.
-        sensor: what tells depth.
+        model: the map, with the principal point shift of a pair's second camera.
+        seen: pixels and disparities as observed.
+        motion: (12,) motion of the camera.
+        sensor: the camera with its source of depth.
         focal_baseline: focal length times baseline.
-        most_baselines: distance beyond which a disparity says little.
+        most_baselines: largest distance, in baselines.
     """
     disparity = seen.disparity_px + model.right_shift_px
     in_cam = points_by_disparity(seen.pixels, disparity, sensor.camera, focal_baseline, most_baselines)
@@ -109,10 +112,10 @@ def points_by_depth(
 def straighten(
     model: SlamMap, keyframe: Keyframe, camera: Camera, readout_s: float, least_points: int
 ) -> None:
-    """What a shutter of one instant would have seen, by a keyframe's motion with the map as it is.
+    """Shift a keyframe's observations to those of a global shutter, by its motion.
 
-    What the rows tell of the motion refines it, within what the frames around it allow; it is not kept, for a map that bends,
-    and a motion that bends with it, would follow each other.
+    The motion is refined from the rows within `CONVERGED_SIGMA`, but the refined motion is not stored: otherwise a bent map and
+    the motion could drift together.
     """
     motion, localized = keyframe.motion, model.is_triangulated(keyframe.point)
     if localized.sum() >= least_points and motion.any():
@@ -123,8 +126,8 @@ def straighten(
 
 
 def straighten_recent(model: SlamMap, camera: Camera, readout_s: float) -> None:
-    """Tell the last keyframes' motions by the frames around them."""
-    motions = model.recent.converged()
+    """Update the motions and shifts of the last keyframes from the frames around them."""
+    motions = model.recent.final_motions()
     for keyframe in model.keyframes[-AROUND:]:
         motion = motions.get(keyframe.timestamp_s)
         if motion is not None and motion.any():
@@ -142,19 +145,19 @@ def refine_while_moving(
     *,
     sigma: tuple[float, float] = UNKNOWN_SIGMA,
 ) -> tuple[Rigid3, np.ndarray, np.ndarray]:
-    """Pose and motion of a frame whose rows were read one after another, by robust least squares of both.
+    """Pose and motion of a frame with a rolling shutter, jointly by robust least squares.
 
-    With X' = exp(late xi) T X both change the projection alike, the motion by how late a row is: J = (A, late A) with A the
-    derivative by the pose. Where the points tell the motion badly it stays near the one given.
+    With X' = exp(late xi) T X, where `late` is the time of a row after the middle of the readout, the Jacobian is (A, late A) with
+    A the derivative by the pose. Where the points determine the motion badly it stays near the given one.
 
     Args:
         points_in_world: (n, 3).
-        pixels: (n, 2) where they are seen.
+        pixels: (n, 2) observations.
         camera: any model.
-        start: cam_from_world thought likely.
-        motion: (12,) speed and its change thought likely.
+        start: initial cam_from_world.
+        motion: (12,) predicted velocity and acceleration.
         readout_s: from the first row to the one after the last.
-        sigma: of the motion's speed, and of its change, in radians, or depths of the scene, per second (squared).
+        sigma: standard deviations of velocity and acceleration, in radians or scene depths per second (squared).
 
     Returns:
         cam_from_world in the middle of the readout, the motion, and the squared errors (n,).
@@ -170,7 +173,7 @@ def refine_while_moving(
         off = camera.project(moved) - pixels
         error_sq = (off**2).sum(axis=1)
         seen = np.isfinite(error_sq) & (moved[:, 2] > 0)
-        weight = np.where(seen, 1.0 / (1.0 + np.where(seen, error_sq, 0.0)), 0.0)  # Cauchy's, of a pixel
+        weight = np.where(seen, 1.0 / (1.0 + np.where(seen, error_sq, 0.0)), 0.0)  # Cauchy loss, 1 px
         by_pose = _by_pose(camera, np.where(seen[:, None], moved, [0.0, 0.0, depth]))
         when = late[:, None, None]
         jacobian = np.concatenate([by_pose, when * by_pose, 0.5 * when**2 * by_pose], axis=2)
@@ -192,12 +195,12 @@ def _late(pixels: np.ndarray, camera: Camera, readout_s: float) -> np.ndarray:
 
 
 def _moved(motion: np.ndarray, late: np.ndarray) -> np.ndarray:
-    """(n, 6) tangents of the motion by then: speed, and half its change."""
+    """(n, 6) tangents of the motion at these times, from velocity and acceleration."""
     return late[:, None] * motion[:6] + 0.5 * late[:, None] ** 2 * motion[6:]
 
 
 def _by_pose(camera: Camera, in_cam: np.ndarray) -> np.ndarray:
-    """(n, 2, 6) derivative of pixels by exp(xi), through that by the point, by differences."""
+    """(n, 2, 6) derivative of pixels by the pose, exp(xi); numerical by the point."""
     size = 1e-6 * in_cam[:, 2:]
     by_point = np.stack(
         [

@@ -1,4 +1,4 @@
-"""How a camera with a rolling shutter moves at present, by the frames around: what a single frame tells of it may bend the map."""
+"""Current motion of a rolling shutter camera from several frames, since the motion from a single frame could bend the map."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ import numpy as np
 from epipole.geometry import Rigid3
 
 LONGEST_STEP_S = 0.5
-"""Between two frames of which the motion is told."""
+"""Longest time between two frames for estimating the motion."""
 FASTEST = 10.0
-"""Depths of the scene, or radians, per second: faster is a jump of the map."""
+"""Scene depths or radians per second; anything faster is a jump of the map."""
 AROUND = 5
-"""Frames, with itself, by which a frame's motion is told: a hand shakes, and three are too few for that."""
+"""Frames, including itself, that determine a frame's motion; three are too few for a shaking hand."""
 BEFORE = 3
-"""Frames, with itself, of which that of the last one is told: more make more of their errors."""
+"""Frames, including itself, that determine the motion of the last frame; more amplify their errors."""
 NO_MOTION = np.zeros(12)
 
 
 class RecentMotion:
-    """The camera's steps from frame to frame, as many as tell its motion.
+    """Relative poses of the last frames.
 
     Attributes:
-        times: of the frames, seconds.
-        steps: from each camera to the next, one fewer.
-        has_dropped: earlier ones were forgotten.
+        times: timestamps of the frames, in seconds.
+        steps: transforms from each camera to the next, one fewer.
+        has_dropped: whether earlier frames were dropped.
     """
 
     def __init__(self) -> None:
@@ -32,7 +32,7 @@ class RecentMotion:
         self.has_dropped = False
 
     def start_at(self, timestamp_s: float) -> RecentMotion:
-        """The same where this was the last frame; else one that begins with it."""
+        """This object if the last frame has this timestamp; else a new one that starts with it."""
         if self.times and self.times[-1] == timestamp_s:
             return self
         out = RecentMotion()
@@ -40,7 +40,7 @@ class RecentMotion:
         return out
 
     def with_step(self, timestamp_s: float, step: Rigid3, depth: float) -> RecentMotion:
-        """The same and one more step; none at all where it is long, or too fast for a scene at that depth."""
+        """A copy with one more step; empty if the step is too long, or too fast for a scene at this depth."""
         out, seconds = RecentMotion(), timestamp_s - self.times[-1] if self.times else np.inf
         speed = np.abs(step.log() / np.repeat([depth, 1.0], 3)).max() / max(seconds, 1e-9)
         if seconds <= LONGEST_STEP_S and speed <= FASTEST:
@@ -49,11 +49,11 @@ class RecentMotion:
         return out
 
     def grow(self, factor: float) -> None:
-        """Tell lengths in another unit."""
+        """Multiply lengths by a factor."""
         self.steps = [Rigid3(step.rotation, step.translation * factor) for step in self.steps]
 
     def motion(self, frame: int, first: int = 0) -> np.ndarray:
-        """(12,) of one of the frames, by those from the first one on; zero if it is alone."""
+        """(12,) motion of a frame, from the frames from `first` on; zero if there is only one."""
         if len(self.times) - first < 2:
             return NO_MOTION
         cams = [Rigid3.identity()]
@@ -63,24 +63,24 @@ class RecentMotion:
         return motion_among(np.array(self.times[first:]), there, frame - first)
 
     def newest(self) -> np.ndarray:
-        """(12,) of the last frame."""
+        """(12,) motion of the last frame."""
         return self.motion(len(self.times) - 1, max(len(self.times) - BEFORE, 0))
 
-    def converged(self) -> dict[float, np.ndarray]:
-        """Motions (12,) of frames of which as much is known as ever will be, by their times; at first of all frames."""
+    def final_motions(self) -> dict[float, np.ndarray]:
+        """Final motions (12,) by timestamp: of the middle frame, or of all frames while none was dropped."""
         frames = [AROUND // 2] if self.has_dropped else range(len(self.times))
         return {self.times[frame]: self.motion(frame) for frame in frames}
 
 
 def motion_among(times: np.ndarray, cams_from_world: Rigid3, frame: int) -> np.ndarray:
-    """(12,) speed of a frame's camera per second, and its change: cam(t + dt) = exp(dt xi + dt^2 / 2 xi') cam(t).
+    """(12,) velocity and acceleration of a frame's camera: cam(t + dt) = exp(dt xi + dt^2 / 2 xi') cam(t).
 
-    Of the polynomial through the places of all frames in the tangent space at this one.
+    They are the coefficients of the polynomial through the poses of all frames, in the tangent space at this frame.
 
     Args:
-        times: (m,) of the frames, at least two; those of a small readout, m no more than 5.
-        cams_from_world: (m,) their places.
-        frame: which of them.
+        times: (m,) timestamps of the frames, with m from 2 to 5.
+        cams_from_world: (m,) their poses.
+        frame: index of the frame.
     """
     there = cams_from_world[frame].inverse()
     others = np.flatnonzero(np.arange(len(times)) != frame)

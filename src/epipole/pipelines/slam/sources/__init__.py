@@ -1,1 +1,1 @@
-"""Where frames and cameras come from."""
+"""Sources of frames and camera intrinsics."""

@@ -1,4 +1,4 @@
-"""Frames of any source: what they are made of, and the camera that they are of; and those of folders."""
+"""Frame sources: cameras and frames of any source, and reading them from folders."""
 
 from __future__ import annotations
 
@@ -28,61 +28,61 @@ from epipole.scene import StereoRig
 ReadImage = Callable[[Path], UInt8[np.ndarray, "h w"]]
 
 FAR_MM = 65535
-"""What depth cameras write where they see nothing, besides zero."""
+"""Value for unknown depth, besides zero."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QueuedFrame:
-    """A frame whose images are read when its turn has come."""
+    """A frame whose images are read on demand."""
 
     number: int
-    """In its source, from 0."""
+    """Number in the source, from 0."""
     timestamp_s: float
     name: str
-    """Of the image."""
+    """Image name."""
     read: Callable[[], Frame]
-    """Raises an EpipoleError where files are damaged, or do not fit each other."""
+    """Reads the images; raises an EpipoleError if files are damaged or do not fit each other."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameSource:
-    """Frames to be followed, one after the other."""
+    """A sequence of frames and its camera."""
 
     camera: SlamCamera
     num_frames: int
-    """As announced; 0 for a camera, which does not end."""
+    """Announced number of frames; 0 for a live camera."""
     frames: Callable[[], Generator[QueuedFrame, None, None]]
-    """As they come; raises an EpipoleError where the source is damaged from there on."""
+    """Yields the frames in order; raises an EpipoleError if the rest of the source is damaged."""
     body_from_camera: Rigid3
-    """From the camera that is followed (rectified, where it is one of two) to the one that took the images."""
+    """From the tracked camera (rectified, if it is one of a pair) to the camera that took the images."""
     notes: Callable[[], Sequence[str]] = tuple
-    """What is odd about the frames that were read so far, in words."""
+    """Warnings about the frames read so far."""
     is_live: bool = False
-    """A camera, that gives each frame once, at its time."""
+    """Whether this is a live camera, whose frames cannot be read again."""
     about: Mapping[str, Any] = field(default_factory=dict)
-    """For the summary: the layout, and where the camera and the unit of the depth come from."""
+    """For the summary: layout, and sources of the intrinsics and of the depth unit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Preparation:
-    """How images become frames of a camera without distortion, where depth is told."""
+    """Converts images to frames, which are free of distortion if there is depth or a second camera."""
 
     camera: SlamCamera
     body_from_camera: Rigid3
     frame: Callable[..., Frame]
-    """Of seconds, the grey image, and the right grey image or depth in metres."""
+    """Makes a frame of seconds, the grey image, and the right grey image or depth in metres."""
     notes: Callable[[], Sequence[str]] = tuple
     flat: Callable[[np.ndarray], np.ndarray] = np.asarray
-    """Of a grey image of the (left) camera, as the frame has it."""
+    """Undistorts or rectifies a grey image of the (left) camera in the same way."""
 
 
 def of_one_camera(intrinsics: Camera) -> Preparation:
-    """Images as they are."""
+    """Use the images of one camera unchanged."""
     return Preparation(SlamCamera(intrinsics), Rigid3.identity(), Frame)
 
 
 def of_pair(rig: StereoRig) -> Preparation:
-    """Images of two cameras, rectified unless they are already."""
+    """Rectify the images of two cameras, unless they are rectified already."""
     is_flat = (
         rig.left.model == rig.right.model == CameraModel.PINHOLE
         and np.array_equal(rig.left.params, rig.right.params)
@@ -107,12 +107,12 @@ def of_pair(rig: StereoRig) -> Preparation:
 
 
 def of_depth(intrinsics: Camera, sensor: Camera | None, depth_from_color: Rigid3 | None) -> Preparation:
-    """Images with depth, undistorted.
+    """Undistort images with depth.
 
     Args:
-        intrinsics: of the images.
-        sensor: of the depth; None: registered to the images, with their distortion.
-        depth_from_color: None: registered, or of one place.
+        intrinsics: intrinsics of the images.
+        sensor: intrinsics of the depth images; None if they are registered to the images, with the same distortion.
+        depth_from_color: pose of the color camera in the depth camera; None for the identity.
     """
     flat = intrinsics if intrinsics.model == CameraModel.PINHOLE else undistorted_camera(intrinsics)
     table = None if flat is intrinsics else undistortion_map_px(intrinsics, flat)
@@ -140,20 +140,20 @@ def open_sequence(
     camera: Camera | None,
     masks: Path | None = None,
 ) -> FrameSource:
-    """The frames of a folder.
+    """Open the frames of a folder.
 
     Args:
         sequence: the folder's files.
-        sensor: what to use of them; auto takes depth, else the second camera, where there is one.
-        camera: given intrinsics, instead of the folder's.
-        masks: folder of masks, MASKS/NAME.png, black where an image is not to be used; None for none.
+        sensor: what to use of them; auto uses depth, else the second camera, if there is one.
+        camera: intrinsics that replace the folder's.
+        masks: folder of masks, MASKS/NAME.png, black where an image is ignored; None for no masks.
 
     Raises:
-        ConfigError: the intrinsics are not known, the sensor asked for is not there, or no image has a mask.
+        ConfigError: the intrinsics are unknown, the requested sensor is missing, or no image has a mask.
     """
     kind = _kind_of(sequence, sensor)
     if masks is not None and not any(mask_of(masks, files.image.name) for files in sequence.frames):
-        raise ConfigError(f"no image has a mask in {masks} (NAME.png beside the image's name)")
+        raise ConfigError(f"no image has a mask in {masks}: expected NAME.png for the image NAME")
     intrinsics = sequence.camera if camera is None else camera
     if intrinsics is None:
         why = sequence.camera_problem or next((w for w in sequence.warnings if CALIBRATION_NOT_USED in w), "")
@@ -164,7 +164,7 @@ def open_sequence(
     notes = [] if camera is not None else _fit_to_folder(sequence, intrinsics)
     if kind == "stereo":
         if camera is not None:
-            raise ConfigError("the folder's calibration of both cameras is used: give no other")
+            raise ConfigError("stereo uses the folder's calibration: pass no other")
         assert sequence.rig is not None
         made, read = of_pair(sequence.rig), _read_pair
     elif kind == "mono":
@@ -177,7 +177,7 @@ def open_sequence(
     read = partial(read, made)
 
     def frames() -> Generator[QueuedFrame, None, None]:
-        # All frames are mapped alike: tracking compares their grey.
+        # All frames get the same mapping to 8 bits, since tracking compares their grey values.
         limits = common_range([files.image for files in sequence.frames])
         rotation_tracker = _ImageRotation(sequence.frames[0], limits)
         for number, files in enumerate(sequence.frames):
@@ -196,7 +196,7 @@ def open_sequence(
 
 
 def _about(sequence: ImageSequence, kind: str, *, is_camera_given: bool) -> dict[str, Any]:
-    """What was assumed of the folder, for the summary."""
+    """Assumptions about the folder, for the summary."""
     out: dict[str, Any] = {"layout": sequence.kind.value, "sensor": kind}
     out["camera_source"] = "given" if is_camera_given else sequence.camera_source
     if kind == "rgbd" and sequence.depth is not None:
@@ -207,10 +207,10 @@ def _about(sequence: ImageSequence, kind: str, *, is_camera_given: bool) -> dict
 
 
 def _fit_to_folder(sequence: ImageSequence, intrinsics: Camera) -> list[str]:
-    """Check that a camera of the folder is of its upright images; one image alone may be damaged. Gives what is odd about it.
+    """Check the folder's intrinsics against sample images, some of which may be damaged; returns warnings.
 
     Raises:
-        ConfigError: it is of another size than all that were looked at.
+        ConfigError: the camera's size differs from that of all samples.
     """
     shapes = []
     for row in sorted({0, len(sequence) // 2, len(sequence) - 1}):
@@ -223,7 +223,7 @@ def _fit_to_folder(sequence: ImageSequence, intrinsics: Camera) -> list[str]:
     if sizes and (intrinsics.width, intrinsics.height) not in sizes:
         size = " x ".join(map(str, sizes.pop()))
         raise ConfigError(
-            f"the camera ({sequence.camera_source}) is of images of {intrinsics.width} x {intrinsics.height} pixels, but these are {size}: pass"
+            f"the camera ({sequence.camera_source}) is for images of {intrinsics.width} x {intrinsics.height} pixels, but these are {size}: pass"
             " --camera-params fx,fy,cx,cy or --calibration FILE"
         )
     return fit_notes(intrinsics, shapes[:1], ImagePixels.UPRIGHT, f"the camera ({sequence.camera_source})")
@@ -236,7 +236,7 @@ def _with_mask(plain: Callable[[], Frame], made: Preparation, masks: Path, image
         return frame
     ignored_mask = made.flat(np.where(used_mask, 0, 255).astype(np.uint8)) > 0
     if ignored_mask.shape != frame.grey.shape:
-        raise ShapeError(f"the mask of {image.name} is not of its size")
+        raise ShapeError(f"the mask of {image.name} does not have the image's size")
     return replace(frame, ignored_mask=ignored_mask)
 
 
@@ -244,19 +244,19 @@ def _kind_of(sequence: ImageSequence, sensor: str) -> str:
     has_right = sequence.rig is not None and sequence.frames[0].right is not None
     if sensor == "stereo" and not has_right:
         why = f": {sequence.camera_problem}" if sequence.camera_problem else ""
-        raise ConfigError(f"there is no second camera with a calibration in these frames{why}")
+        raise ConfigError(f"these frames have no calibrated second camera{why}")
     if sensor == "rgbd" and sequence.depth is None:
         why = "".join(
             f"; {words}" for words in sequence.warnings if words.startswith("the depth images are not used")
         )
-        raise ConfigError(f"there are no depth images in these frames{why}")
+        raise ConfigError(f"these frames have no depth images{why}")
     if sensor != "auto":
         return sensor
     return "rgbd" if sequence.depth is not None else "stereo" if has_right else "mono"
 
 
 class _ImageRotation:
-    """Reads the images of each camera turned as its first one: a sensor stays as it is mounted, whatever EXIF says later."""
+    """Reads all images of a camera with the EXIF orientation of its first one, since its mounting does not change."""
 
     def __init__(self, first: FrameFiles, limits: GreyRange | None) -> None:
         self._first = first
@@ -282,7 +282,7 @@ class _ImageRotation:
 
 
 def _orientation_of(path: Path) -> int | None:
-    """None where it cannot be read: each image is turned by its own, then."""
+    """EXIF orientation; None if it cannot be read, and each image then uses its own."""
     try:
         return read_header(path).orientation
     except EpipoleError:
@@ -315,7 +315,7 @@ def _rectified(
 
 
 def _require_size(what: str, image: np.ndarray, camera: Camera) -> None:
-    """A table of pixels would read others of an image of another size."""
+    """Check the size, since lookup tables would read wrong pixels in an image of another size."""
     if image.shape != (camera.height, camera.width):
         size = f"{image.shape[1]} x {image.shape[0]}"
-        raise ShapeError(f"the {what} is {size}, its camera's {camera.width} x {camera.height}")
+        raise ShapeError(f"the {what} is {size}, but its camera is {camera.width} x {camera.height}")

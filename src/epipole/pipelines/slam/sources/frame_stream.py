@@ -1,4 +1,4 @@
-"""Which frames of a source are followed: all of them; in real time the newest; until there are enough, or Ctrl-C."""
+"""Select the frames of a source to track: all, or the newest in real time, up to a maximum number or Ctrl-C."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame
 
 
 class Clock:
-    """What tells and takes time; time as it is."""
+    """The system's clock."""
 
     def now_s(self) -> float:
-        """Seconds, from any begin."""
+        """Seconds since an arbitrary start."""
         return time.perf_counter()
 
     def wait(self, seconds: float) -> None:
-        """Let time pass."""
+        """Sleep."""
         time.sleep(seconds)
 
 
 class FrameStream:
-    """The frames that are followed, and what became of the others."""
+    """The frames to track, with a count of the dropped ones."""
 
     def __init__(
         self,
@@ -37,10 +37,10 @@ class FrameStream:
     ) -> None:
         self.source, self.job = source, job
         self.num_dropped = num_dropped
-        """Frames whose time passed while another was followed."""
+        """Frames whose time passed while another one was tracked."""
         self.is_interrupted = False
         self.problems: list[str] = []
-        """Why the source ended before its end."""
+        """Why the source ended early."""
         self._is_stopped = is_stopped
         self._clock = Clock() if clock is None else clock
 
@@ -70,16 +70,16 @@ class FrameStream:
 
     @property
     def num_expected(self) -> int:
-        """Frames that will be followed, as far as the source tells."""
+        """Number of frames to track, if the source announces its frames."""
         wanted = len(range(self.job.start, self.source.num_frames, self.job.stride))
         return min(wanted, self.job.max_frames or wanted)
 
     def notes(self) -> list[str]:
-        """What is odd about the source, in words."""
+        """Warnings about the source."""
         return [*self.problems, *self.source.notes()]
 
     def summary(self) -> dict[str, Any]:
-        """Facts for the job's summary."""
+        """Entries for the summary."""
         return {
             "num_dropped": self.num_dropped,
             "interrupted": self.is_interrupted,
@@ -92,9 +92,9 @@ class FrameStream:
         return self.job.realtime and not self.source.is_live
 
     def _in_real_time(self, frames: Iterator[QueuedFrame]) -> Iterator[QueuedFrame]:
-        """The newest frame that a camera would have given by now; waits for the next where none is new.
+        """Yield the newest frame that a live camera would have delivered by now; wait for the next if there is none.
 
-        Time begins when the first frame is done, for it loads and compiles what is needed.
+        The clock starts after the first frame, which includes loading and compilation.
         """
         first = next(frames, None)
         if first is None:

@@ -1,4 +1,4 @@
-"""The camera of frames that nothing tells about: some of them are reconstructed as photographs are, and their lens with them."""
+"""Estimation of unknown intrinsics by reconstructing some of the frames with structure from motion."""
 
 from __future__ import annotations
 
@@ -37,45 +37,46 @@ from epipole.runs import Progress, ProgressCallback
 
 MOST_IMAGES, LEAST_IMAGES = 30, 8
 MOST_FRAMES = 1500
-"""That are looked at."""
+"""Largest number of frames that are considered."""
 APART = 0.12
-"""Of the image's width: what points move by from one image to the next that is taken."""
+"""Median motion of the points from one selected image to the next, as a fraction of the image width."""
 LEAST_TRACKED = 80
 MOST_SIGMA = 0.005
-"""Of the focal length, as a share of it. In rooms and on an arc it was 0.1 to 0.3 %. On a street and before a cube it was 0.8 and 0.9 %, and
-the focal lengths were 3 and 8 % off: the lens has more than one number of distortion, its middle is not the image's."""
-ADVICE = "give camera_params (fx,fy,cx,cy), or a calibration"
+"""Largest relative standard deviation of an accepted focal length. In rooms and on an arc it was 0.1 to 0.3 %. On a street and in
+front of a cube it was 0.8 and 0.9 %, and the focal lengths were 3 and 8 % off: these cameras have several distortion parameters
+and an off-center principal point."""
+ADVICE = "pass camera_params (fx,fy,cx,cy) or a calibration"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundCamera:
-    """A camera, and what it was found from."""
+    """An estimated camera, or the camera of a known map."""
 
     camera: Camera
     num_images: int
-    """0 where it is that of the map that is gone on in."""
+    """Images that the estimate is based on; 0 for the camera of a known map."""
     sigma_px: float
-    """Standard deviation of its focal length."""
+    """Standard deviation of the focal length."""
     losses: tuple[str, ...] = ()
-    """Warnings of the reconstruction that it was found by."""
+    """Warnings of the reconstruction."""
 
     def notes(self) -> list[str]:
-        """What a user should know."""
+        """Notes for the user."""
         if not self.num_images:
-            return ["nothing tells the camera: it is taken to be that which made the map"]
+            return ["the camera intrinsics are unknown: those of the known map are used"]
         return [
-            f"nothing tells the camera: it was found from {self.num_images} of the images ({self.camera}; focal length "
-            f"+- {self.sigma_px:.1f} px). A calibration is more accurate",
+            f"the camera intrinsics are unknown: they were estimated from {self.num_images} of the images ({self.camera};"
+            f" focal length +- {self.sigma_px:.1f} px). A calibration is more accurate",
             *(f"estimating the camera: {loss}" for loss in self.losses),
         ]
 
     @property
     def source(self) -> str:
-        """Where it comes from, in words."""
-        return f"found from {self.num_images} of the images" if self.num_images else "that of the known map"
+        """Source of the intrinsics, for the summary."""
+        return f"estimated from {self.num_images} of the images" if self.num_images else "the known map"
 
     def summary(self) -> dict[str, Any]:
-        """For the run's summary."""
+        """Entries for the summary."""
         return {
             "camera": repr(self.camera),
             "images": self.num_images,
@@ -84,7 +85,7 @@ class FoundCamera:
         }
 
     def write(self, path: Path) -> None:
-        """Write a calibration, for the next run."""
+        """Write a calibration file for the next run."""
         intrinsics = CalibrationFile((self.camera,), Rigid3.identity(1))
         write_calibration(
             path, intrinsics, {"found_from_pictures": self.num_images, "focal_sigma_px": self.sigma_px}
@@ -98,23 +99,23 @@ class _Image(NamedTuple):
 
 class _Images(NamedTuple):
     num: int
-    """As announced."""
+    """Announced number of images."""
     each: Generator[_Image, None, None]
 
 
 def find_camera(
     source: Path, job: JobOptions, given: CameraOptions, progress: ProgressCallback
 ) -> FoundCamera | None:
-    """The camera of a video, or of a folder of images; None where it is told, or the source is of another kind.
+    """Estimate the camera of a video or a folder of images; None if it is known, or for other sources.
 
     Args:
-        source: of the frames.
-        job: which of them.
-        given: what is known of the camera.
-        progress: of the reconstruction.
+        source: source of the frames.
+        job: selection of the frames.
+        given: given camera options.
+        progress: called during the reconstruction.
 
     Raises:
-        ConfigError: the images do not tell their camera; the message says why.
+        ConfigError: the images do not determine the intrinsics; the message says why.
         FileFormatError: the source cannot be read.
     """
     if given.camera_params or given.calibration or is_bag(source) or camera_index(source) is not None:
@@ -128,14 +129,14 @@ def find_camera(
 
 
 def _images(source: Path, job: JobOptions) -> _Images | None:
-    """The images of a video or a folder; None of a folder that tells its camera, or is not of one camera."""
+    """The images of a video or a folder; None if the folder has a calibration, or more than one camera is used."""
     if is_video(source):
         return _Images(count_frames(source)[0], _of_video(opened_video(source)))
     sequence = read_sequence(source, job.fps)
     is_known = sequence.camera or sequence.camera_problem or sequence.rig or sequence.depth
     if job.sensor not in ("auto", "mono") or is_known:
-        return None  # what lies beside the images but does not fit them is refused where they are opened
-    read_header(sequence.frames[0].image)  # an image of another kind is refused with the reason
+        return None  # a calibration that does not fit the images is rejected later, when they are opened
+    read_header(sequence.frames[0].image)  # rejects an unsupported image with the reason
     return _Images(len(sequence), _of_files([frame.image for frame in sequence.frames]))
 
 
@@ -155,7 +156,7 @@ def _of_files(files: Iterable[Path]) -> Generator[_Image, None, None]:
         try:
             yield _Image(read_grey(file), file)
         except EpipoleError:
-            continue  # it is named when its turn comes to be followed
+            continue  # tracking reports it
 
 
 def _camera_of(
@@ -170,15 +171,15 @@ def _camera_of(
         progress(Progress("choose", num, num))
         if len(selected) < LEAST_IMAGES:
             raise ConfigError(
-                f"nothing tells the camera, and {len(selected)} images are too few to find it ({LEAST_IMAGES} are needed): "
-                f"{ADVICE}"
+                f"the camera intrinsics are unknown, and {len(selected)} images are too few to estimate them ({LEAST_IMAGES} are"
+                f" needed): {ADVICE}"
             )
         model: dict[str, Any] = {} if given.camera_model is None else {"camera_model": given.camera_model}
         try:
             found = reconstruct(folder, Path(name) / "model", progress=progress, single_camera=True, **model)
         except NoModelError as error:
             raise ConfigError(
-                f"nothing tells the camera, and the images give no model: {error}: {ADVICE}"
+                f"the camera intrinsics are unknown, and the images cannot be reconstructed ({error}): {ADVICE}"
             ) from error
         losses = []
         for loss in losses_of(found.summary, None):
@@ -195,10 +196,10 @@ def _counted(images: Iterable[_Image], num: int, progress: ProgressCallback) -> 
 
 
 def _select(images: Iterable[_Image], usual: int, folder: Path) -> dict[str, str]:
-    """Write every so-many-th of the images, and those between where the points have moved by a part of the width.
+    """Write every `usual`-th image, and images in between once the points have moved far enough.
 
     Returns:
-        The name in the source (of a video: the number of the image, of those looked at) of each file that is written.
+        The source name of each written file; for a video, the number among the considered images.
     """
     view, since = _View(), 0
     selected: dict[str, str] = {}
@@ -210,7 +211,7 @@ def _select(images: Iterable[_Image], usual: int, folder: Path) -> dict[str, str
         if file is None:
             name.write_bytes(encoded_image(".png", grey))
         else:
-            copyfile(file, name)  # with what it says of its lens
+            copyfile(file, name)  # keeps EXIF
         view.start(grey)
         selected[name.name], since = f"image {number}" if file is None else file.name, 0
         if len(selected) == MOST_IMAGES:
@@ -219,7 +220,7 @@ def _select(images: Iterable[_Image], usual: int, folder: Path) -> dict[str, str
 
 
 class _View:
-    """Points of the image that was taken last, followed."""
+    """Tracks the points of the image that was selected last."""
 
     def __init__(self) -> None:
         self._config = OdometryConfig()
@@ -231,7 +232,7 @@ class _View:
         self._initialize = self._now = new_corners(grey, np.zeros((0, 2)), self._config)
 
     def is_apart(self, grey: np.ndarray) -> bool:
-        """Whether the points have moved, or are gone; the next image in turn."""
+        """Track the points into the next image; whether they have moved far enough or are lost."""
         if self._before is None or self._before.shape != grey.shape:
             return self._before is None
         there, found_mask = track_points(self._before, grey, self._now, None, self._config)
@@ -241,7 +242,7 @@ class _View:
 
 
 def _judged(found: ReconstructionResult, losses: Iterable[str]) -> FoundCamera:
-    """The camera, where the images tell its focal length.
+    """The camera, if the images determine its focal length well enough.
 
     Raises:
         ConfigError: they do not.
@@ -249,7 +250,7 @@ def _judged(found: ReconstructionResult, losses: Iterable[str]) -> FoundCamera:
     count = int(found.model.is_registered().sum())
     if count < LEAST_IMAGES:
         raise ConfigError(
-            f"nothing tells the camera, and only {count} of the images that should tell it fit together: {ADVICE}"
+            f"the camera intrinsics are unknown, and only {count} of the selected images could be registered: {ADVICE}"
         )
     config, problem = BundleConfig(loss=Loss.CAUCHY), with_fixed_gauge(bundle_problem_of(found.model))
     result = adjust_bundle(problem, config)
@@ -257,15 +258,15 @@ def _judged(found: ReconstructionResult, losses: Iterable[str]) -> FoundCamera:
     intrinsics = found.model.cameras[0]
     sigma_px = float(np.sqrt(spread))
     if not sigma_px <= MOST_SIGMA * intrinsics.focal_px:
-        known = f"to {sigma_px / intrinsics.focal_px:.1%} alone" if np.isfinite(sigma_px) else "not at all"
+        known = f"only to {sigma_px / intrinsics.focal_px:.1%}" if np.isfinite(sigma_px) else "not at all"
         raise ConfigError(
-            f"nothing tells the camera, and the images tell its focal length {known}: {ADVICE}. What they agree with best is "
-            f"--camera-model {intrinsics.model.name} --camera-params {text_of_camera(intrinsics)}"
+            f"the camera intrinsics are unknown, and the images determine the focal length {known}: {ADVICE}. The best fit is"
+            f" --camera-model {intrinsics.model.name} --camera-params {text_of_camera(intrinsics)}"
         )
     return FoundCamera(intrinsics, count, _honest_sigma_px(found, sigma_px), tuple(losses))
 
 
 def _honest_sigma_px(found: ReconstructionResult, formal_px: float) -> float:
-    """The deviation of the focal length that the reconstruction tells, with what its lens lacks; else the formal one."""
+    """Standard deviation of the focal length from the reconstruction, which includes model errors; at least the formal one."""
     given = [focal["sigma_px"] for focal in found.summary.get("focals", []) if focal["camera"] == 0]
     return max(formal_px, float(given[0])) if given and given[0] is not None else formal_px

@@ -1,4 +1,4 @@
-"""Frames of videos, of recordings of ROS, and of a camera."""
+"""Frames of videos, ROS bags and live cameras."""
 
 from __future__ import annotations
 
@@ -31,27 +31,27 @@ from epipole.pipelines.slam.sources.folder import (
 _USUAL_HZ = 30.0
 _GIVEN = "given"
 _WHOLE = 0.98
-"""Share of the announced frames with which a video or a recording counts as whole: containers round."""
+"""Fraction of the announced frames from which on a video or bag counts as complete: containers round the number."""
 
 
 def camera_index(source: Path) -> int | None:
-    """The number of a camera, where the source is one of at most three digits and no file is called so."""
+    """Camera number, if the source is a number of at most three digits and not an existing file; else None."""
     text = str(source)
     is_number = len(text) <= 3 and text.isascii() and text.isdecimal()
     return int(text) if is_number and not source.exists() else None
 
 
 def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = None) -> FrameSource:
-    """The frames of a video.
+    """Open the frames of a video.
 
     Args:
         path: the file.
-        given: what is known of the camera.
-        found: the camera, where it was found from the images.
+        given: given camera options.
+        found: the camera, if it was estimated from the images.
 
     Raises:
-        ConfigError: the intrinsics are not given.
-        FileFormatError: it is no video, or none of its frames can be read.
+        ConfigError: the intrinsics are unknown.
+        FileFormatError: the file is not a video, or none of its frames can be read.
     """
     capture = opened_video(path)
     is_read, first = capture.read()
@@ -64,7 +64,7 @@ def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = N
     known = (found, []) if found else given.fitted_camera(shape)
     if known is None:
         raise ConfigError(
-            "nothing tells the camera of a video: give camera_params (fx,fy,cx,cy), or a calibration"
+            "unknown camera intrinsics of the video: pass camera_params (fx,fy,cx,cy) or a calibration"
         )
     rate = rate if 0 < rate < 1e4 else _USUAL_HZ
     intrinsics, notes = known
@@ -94,17 +94,17 @@ def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = N
 
 
 def open_bag_frames(path: Path, job: JobOptions, given: CameraOptions) -> FrameSource:
-    """The frames of a recording of ROS.
+    """Open the frames of a ROS bag.
 
     Raises:
-        ConfigError: the topics asked for are not there, several could be meant, or the intrinsics are not known.
-        FileFormatError: the recording cannot be read.
+        ConfigError: the topics are missing or ambiguous, or the intrinsics are unknown.
+        FileFormatError: the bag cannot be read.
         MissingDependencyError: the package rosbags is not installed.
     """
     bag = read_bag(path, job.sensor, job.topic_names)
     made, factor = _preparation_of(bag, given), _depth_factor(bag, given)
-    what = "could be read" if bag.sensor == "mono" else "have a partner in the other topic, by their stamps"
-    counted = _Counted(bag.num_frames, f"{{}} of {{}} frames of the recording {what}")
+    what = "could be read" if bag.sensor == "mono" else "have a matching time stamp in the other topic"
+    counted = _Counted(bag.num_frames, f"{{}} of {{}} frames of the bag {what}")
 
     def frames() -> Generator[QueuedFrame, None, None]:
         for frame in bag_frames(bag):
@@ -122,27 +122,27 @@ def open_bag_frames(path: Path, job: JobOptions, given: CameraOptions) -> FrameS
 def open_camera(
     index: int, given: CameraOptions, capture: Any = None, clock: Callable[[], float] = time.time
 ) -> FrameSource:
-    """The frames of a camera at this computer, from now on; a slow tracker gets the newest, and drops are counted.
+    """Open the frames of a live camera; slow tracking gets the newest frame, and dropped frames are counted.
 
     Args:
-        index: its number, as OpenCV counts.
-        given: its intrinsics.
-        capture: what gives the images (`read`, `release`); None opens the camera.
-        clock: seconds.
+        index: number of the camera, as in OpenCV.
+        given: intrinsics of the camera.
+        capture: source of the images (`read`, `release`); None opens the camera.
+        clock: returns the time in seconds.
 
     Raises:
-        ConfigError: there is no such camera, or its intrinsics are not given.
+        ConfigError: there is no such camera, or its intrinsics are unknown.
     """
     capture = _opened_camera(index) if capture is None else capture
     is_read, first = capture.read()
     if not is_read:
         capture.release()
-        raise ConfigError(f"camera {index} gives no image: another program may use it")
+        raise ConfigError(f"camera {index} delivers no image: another program may use it")
     intrinsics = given.camera((first.shape[1], first.shape[0]))
     if intrinsics is None:
         capture.release()
         raise ConfigError(
-            "nothing tells the intrinsics of a camera: give camera_params (fx,fy,cx,cy), or a calibration"
+            "unknown intrinsics of the live camera: pass camera_params (fx,fy,cx,cy) or a calibration"
         )
     made, newest = of_one_camera(intrinsics), _Newest(capture, clock)
 
@@ -155,20 +155,20 @@ def open_camera(
 
 
 class _Counted:
-    """How many frames came, of those announced."""
+    """Counts the frames and compares them with the announced number."""
 
     def __init__(self, announced: int, words: str) -> None:
         self.announced, self.words, self.num, self.is_over = announced, words, 0, False
 
     def notes(self) -> list[str]:
-        """A warning where a source that was read to its end has fewer."""
+        """A warning if a source that was read to its end has fewer frames than announced."""
         if not self.is_over or self.num >= _WHOLE * self.announced - 1:
             return []
         return [self.words.format(self.num, self.announced)]
 
 
 class _Newest:
-    """Images of a camera, read by a thread as they come: the queues of drivers would hand out old ones."""
+    """Newest image of a camera, read in a thread because driver queues deliver old images."""
 
     def __init__(self, capture: Any, clock: Callable[[], float]) -> None:
         self._capture, self._clock = capture, clock
@@ -177,14 +177,14 @@ class _Newest:
         self._is_over = False
 
     def images(self) -> Iterator[tuple[int, float, np.ndarray]]:
-        """Number, seconds and pixels of the newest image, each once, until the camera ends or the caller does."""
+        """Yield number, seconds and pixels of the newest image, until the camera or the caller stops."""
         thread = threading.Thread(target=self._read, daemon=True)
         thread.start()
         try:
             while True:
                 with self._changed:
                     while self._newest is None and not self._is_over:
-                        self._changed.wait(0.2)  # in parts, so that Ctrl-C is heard on every system
+                        self._changed.wait(0.2)  # short waits, so that Ctrl-C works on every system
                     taken, self._newest = self._newest, None
                 if taken is None:
                     return
@@ -210,13 +210,13 @@ class _Newest:
 
 def _opened_camera(index: int) -> Any:
     before = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the error below says it in one line
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the error below is enough
     try:
         capture = cv2.VideoCapture(index)
     finally:
         cv2.utils.logging.setLogLevel(before)
     if not capture.isOpened():
-        raise ConfigError(f"camera {index} cannot be opened: there is none, or another program uses it")
+        raise ConfigError(f"camera {index} cannot be opened: it does not exist, or another program uses it")
     return capture
 
 
@@ -225,13 +225,13 @@ def _preparation_of(bag: BagSequence, given: CameraOptions) -> Preparation:
         rig = given.rig(bag.size) or bag.rig
         if rig is None:
             raise ConfigError(
-                f"no CameraInfo of {bag.path} tells both cameras and the baseline: give a calibration of both"
+                f"{bag.path} has no CameraInfo with both cameras and the baseline: pass a calibration of both"
             )
         return of_pair(rig)
     intrinsics = given.camera(bag.size) or bag.camera
     if intrinsics is None:
         raise ConfigError(
-            f"no CameraInfo of {bag.path} tells the camera: give camera_params, or a calibration"
+            f"{bag.path} has no CameraInfo with the intrinsics: pass camera_params or a calibration"
         )
     if bag.sensor == "mono":
         return of_one_camera(intrinsics)
@@ -251,15 +251,15 @@ def _of_bag(made: Preparation, depth_factor: float, frame: BagFrame) -> Frame:
 
 
 def _depth_factor(bag: BagSequence, given: CameraOptions) -> float:
-    """Metres for each metre that the depth would be by its encoding.
+    """Factor that corrects depth decoded with the encoding's unit to the given depth scale.
 
     Raises:
-        ConfigError: a depth scale is given, and no depth is used.
+        ConfigError: a depth scale is given, but no depth is used.
     """
     if given.depth_scale is None:
         return 1.0
     if bag.depth_values_per_m is None:
-        raise ConfigError(f"depth_scale is given, but no depth of {bag.path} is used (sensor, topics)")
+        raise ConfigError(f"depth_scale is given, but the depth of {bag.path} is not used: check sensor")
     return bag.depth_values_per_m / given.depth_scale
 
 

@@ -1,1 +1,1 @@
-"""How the map of one camera is initialized."""
+"""Initialization of the map of a single camera."""

@@ -1,4 +1,4 @@
-"""The begin of one camera's map: it is adjusted, made straight where rows are read one after another, and its frames get places."""
+"""First adjustment of a single camera's map, with rolling-shutter correction and the poses of the frames so far."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from epipole.pipelines.slam.shutter.recent_motion import AROUND, NO_MOTION, moti
 from epipole.pipelines.slam.start.two_view import Initialization, initialize_map
 
 ROUNDS = 4
-"""Motions follow from the map, and the map from the motions."""
+"""Alternations between the map and the motions of its frames."""
 
 
 def bootstrap_map(
     mapper: LocalMapper, initial: Initialization
 ) -> list[tuple[int, float, Keyframe, Rigid3, np.ndarray]]:
-    """Adjust a map that has just begun, and make the median depth of its first points the unit.
+    """Adjust a new map and scale it to a median depth of 1 of its first points.
 
     Args:
         mapper: of the map, with the present frame as its newest keyframe.
         initial: the frames before it.
 
     Returns:
-        of these: number, time, keyframe, cam_from_world and covariance.
+        number, time, keyframe, cam_from_world and covariance of each of these frames.
     """
     model = mapper.map
     mapper.adjust_all()
@@ -43,9 +43,9 @@ def bootstrap_map(
 
 
 def _straighten(mapper: LocalMapper, initial: Initialization) -> dict[float, Rigid3]:
-    """Adjust the map with its keyframes' motions by all frames up to its begin; cam_from_world of these, by their times.
+    """Adjust the map with the rolling-shutter motions of its keyframes; returns cam_from_world of all frames so far, by time.
 
-    The first images bend the map, and the map the places of the frames, but all alike: the motion between them is nearly right.
+    The rolling shutter distorts the map and the poses alike, so the motion between frames is nearly right from the start.
     """
     model, motions = mapper.map, dict[float, np.ndarray]()
     for _ in range(ROUNDS):
@@ -62,7 +62,7 @@ def _straighten(mapper: LocalMapper, initial: Initialization) -> dict[float, Rig
 
 
 def _motions(positions: dict[float, Rigid3]) -> dict[float, np.ndarray]:
-    """(12,) of each frame by those around it."""
+    """(12,) motion of each frame, by time, from the frames around it."""
     times, there = np.array(list(positions)), list(positions.values())
     if len(times) < 2:
         return {}
@@ -78,7 +78,7 @@ def _motions(positions: dict[float, Rigid3]) -> dict[float, np.ndarray]:
 def _positions(
     mapper: LocalMapper, initial: Initialization, motions: dict[float, np.ndarray]
 ) -> dict[float, Rigid3]:
-    """cam_from_world of the frames before the begin, and of its own, by their times."""
+    """cam_from_world, by time, of the waiting frames and of the newest keyframe."""
     model, camera = mapper.map, mapper.camera
     newest = model.keyframes[-1]
     seen = [(one.frame.timestamp_s, *initial.seen_by(one)) for one in initial.waiting]

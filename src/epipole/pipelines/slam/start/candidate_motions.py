@@ -38,7 +38,7 @@ class Judged(NamedTuple):
 
     cam_from_first: Rigid3
     loss: float
-    """Mean of log(1 + e^2) over the frames and the JUDGED_SHARE best points, e in pixels."""
+    """Mean of log(1 + e^2) over the frames and the best JUDGED_FRACTION of the points, e in pixels."""
     median_angle_deg: float
     """Median triangulation angle."""
 

@@ -1,4 +1,4 @@
-"""One camera that only turns: directions are its landmarks, and its orientation is known although no depth is."""
+"""Tracking of a single camera in pure rotation: directions are the landmarks, and only the orientation is estimated."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
 from epipole.pipelines.slam.tracking.points import Tracks, predict_pixels
 from epipole.pipelines.slam.tracking.redetection import redetect
 
-AGREEING_PX, AGREEING_FRACTION, LEAST_POINTS = 0.7, 0.8, 40
-"""A turn explains the images if so many points, and such a share of them, are as near to where it says.
-
-The place is then wrong by less than AGREEING_PX / f of the scene's depth. Of turns the errors are 0.1 px; a walk shows as more
-at the second frame.
-"""
+AGREEING_PX = 0.7
+"""Largest error of an inlier. The position error is then below AGREEING_PX / f of the scene depth. Pure rotation gives errors of
+0.1 px; translation exceeds the limit at the second frame."""
+AGREEING_FRACTION = 0.8
+"""Smallest fraction of inliers for which a rotation explains a frame."""
+LEAST_POINTS = 40
+"""Fewest inliers for which a rotation explains a frame."""
 SCALES_PX = (15.0, 5.0, 2.0, 2.0, 2.0)
-"""Of Cauchy's loss, round by round."""
+"""Scales of the Cauchy loss, round by round."""
 KEYFRAME_FRACTION, KEYFRAME_SHIFT = 0.7, 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RotationEstimate:
-    """A frame of a turning camera."""
+    """A frame of a rotating camera."""
 
     keyframe: Keyframe
-    """The rotation-only keyframe that it is told from."""
+    """The rotation-only keyframe to which the frame is relative."""
     cam_from_world: Rigid3
     covariance: np.ndarray
-    """(6, 6); infinite for the translation, which only shows with depth."""
+    """(6, 6); infinite for the translation, which is unobservable without depth."""
     num_points: int
     is_keyframe: bool
 
 
 class RotationTracker:
-    """Follows directions from a first frame on, whose place is given.
+    """Tracks directions from a first frame with a given pose.
 
-    The points lie on a sphere of radius 1 around the camera, and keyframes all stand in its middle, so that everything that
-    finds points of a map again works here, too.
+    Points lie on a unit sphere with all keyframes at its center, so that re-detection works as in any other map.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class RotationTracker:
     ) -> None:
         self.camera, self.config, self.start = camera, config, cam_from_world
         self.keyframes: list[Keyframe] = []
-        """In the world, without points: what became of the directions' keyframes."""
+        """The keyframes in the world frame, without points."""
         self._sphere = SlamMap()
         self._tracks = Tracks.none()
         self._cam_from_sphere = Rigid3.identity()
@@ -62,11 +62,11 @@ class RotationTracker:
 
     @property
     def is_rich(self) -> bool:
-        """Whether there are points enough to follow."""
+        """Whether there are enough points to track."""
         return len(self._tracks) >= LEAST_POINTS
 
     def track(self, frame: Frame, number: int) -> RotationEstimate | None:
-        """The frame's orientation; None where a turn does not explain it."""
+        """The frame's orientation; None if a rotation does not explain it."""
         tracks, camera, position = self._tracks, self.camera, self._cam_from_sphere
         guess = predict_pixels(tracks.pixels, self._sphere.xyz[tracks.point], position, position, camera)
         tracks.track(self._before.grey, frame.grey, guess, self.config, and_back=True)
@@ -125,9 +125,9 @@ class RotationTracker:
 def _fit_rotation(
     directions: np.ndarray, rays: np.ndarray, start: np.ndarray, focal_px: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(rotation, errors in pixels, information) of least sum of Cauchy(|ray - R direction| f).
+    """(rotation, errors in pixels, information) that minimizes the sum of Cauchy(f |ray - R direction|).
 
-    Wahba's problem (SIAM Review 1965) by the SVD (Markley 1988), weights found anew in each round.
+    Wahba's problem (SIAM Review 1965) solved by SVD (Markley 1988), iteratively reweighted.
     """
     rotated, weight = start, np.ones(len(rays))
     for scale in SCALES_PX:

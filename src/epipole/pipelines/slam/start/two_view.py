@@ -1,4 +1,4 @@
-"""How the map of one camera begins: two frames apart enough, told from a turning and from a resting camera."""
+"""Initialization of a single camera's map from two frames, unless the camera is at rest or only rotates."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from epipole.robust import PairKind, triangulate_points, verify_pair
 
 MIN_POINTS = 50
 LEAST_SHIFT = 0.015
-"""Median shift of the points, as a share of the image's width, below which nothing is tried."""
+"""Median shift of the points, as a fraction of the image width, below which no initialization is tried."""
 START_KEYFRAMES = 6
 CONFIRMING_ANGLE = 2.0
 """Later frames confirm the initialization at this multiple of `OdometryConfig.start_angle_deg`."""
 MAX_CONFIRMING_FRAMES = 24
 MIN_CONFIRMING = 30
-"""Points of the first frame that are needed to confirm it."""
+"""Points of the first frame that are needed to confirm the initialization."""
 MOVING_QUANTILE = 0.75
 """A frame moved if this quantile of its points' shifts exceeds MOVING_PX."""
 MAX_ROTATION_DEG, MAX_DIRECTION_DEG = 1.5, 15.0
@@ -45,48 +45,48 @@ MAX_ROTATION_DEG, MAX_DIRECTION_DEG = 1.5, 15.0
 MAX_EPIPOLAR_PX, MAX_EPIPOLAR_RATIO = 1.0, 3.0
 """A map is contradicted if its epipolar error (median) exceeds both this and this multiple of the independent estimate's."""
 MOST_WAITING = 300
-"""Frames before the map's begin that are kept, to get their places once it has begun."""
+"""Frames kept before the initialization; their poses are estimated after it."""
 LEAST_ANGLE_DEG = 0.3
-"""Points whose rays meet under a narrower angle get no place at the begin."""
+"""Smallest triangulation angle of the initialization."""
 LEAST_KEPT = 0.4
-"""With a smaller share of the first frame's points still followed, another frame becomes the first."""
+"""If a smaller fraction of the first frame's points is still tracked, the present frame becomes the first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Start:
-    """The begin of a map, or what it waits for."""
+    """A two-view initialization, or the reason why there is none."""
 
     reason: str
-    """Empty for a begin."""
+    """Empty for an initialization."""
     cam_from_first: Rigid3 | None = None
-    """With the median depth of the points at 1."""
+    """Scaled to a median depth of 1."""
     points_in_first: np.ndarray | None = None
-    """(n, 3), NaN for points under too narrow an angle, or that do not fit."""
+    """(n, 3); NaN for points with too small a triangulation angle or too large an error."""
 
 
 def try_start(first_px: np.ndarray, pixels: np.ndarray, camera: Camera, config: OdometryConfig) -> Start:
-    """Whether two frames make a begin.
+    """Try to initialize a map from two frames.
 
-    Epipolar geometry, a plane, a rotation and no motion compete (Torr's GRIC, in `verify_pair`); the rays must then meet
-    under a wide enough median angle.
+    Epipolar geometry, a plane, a rotation and no motion compete (Torr's GRIC, in `verify_pair`); the median triangulation angle
+    must then be large enough.
 
     Args:
-        first_px: (n, 2) where the points were in the first frame.
-        pixels: where they are now.
+        first_px: (n, 2) in the first frame.
+        pixels: (n, 2) the same points now.
         camera: any model.
-        config: the angle.
+        config: the smallest median angle.
     """
     if len(pixels) < MIN_POINTS:
-        return Start(f"{len(pixels)} points are followed, {MIN_POINTS} are needed: blank, dark or blurred")
+        return Start(f"{len(pixels)} points are tracked, {MIN_POINTS} are needed: blank, dark or blurred")
     shift = float(np.median(np.linalg.norm(pixels - first_px, axis=1)))
     if shift < LEAST_SHIFT * camera.width:
         return Start(f"the points have moved by {shift:.1f} px: the camera hardly moves")
     ransac = RansacConfig(max_error_px=1.5, min_inliers=MIN_POINTS, seed=config.seed)
     found = verify_pair(first_px, pixels, camera, camera, is_calibrated=True, config=ransac)
     if found.kind in (PairKind.ROTATION, PairKind.NO_MOTION):
-        return Start("the camera only turns: no depth can be had from that; move it sideways")
+        return Start("the camera only rotates, which gives no depth: move it sideways")
     if found.kind not in (PairKind.GENERAL, PairKind.PLANAR):
-        return Start("the points do not move as those of one rigid scene")
+        return Start("the points do not move like those of one rigid scene")
     angle = np.degrees(found.median_angle_rad)
     if not angle >= config.start_angle_deg:
         return _too_narrow(angle, config)
@@ -94,7 +94,9 @@ def try_start(first_px: np.ndarray, pixels: np.ndarray, camera: Camera, config: 
     assert started.points_in_first is not None
     count = int(np.isfinite(started.points_in_first[:, 0]).sum())
     return (
-        started if count >= MIN_POINTS else Start(f"only {count} points get a place, {MIN_POINTS} are needed")
+        started
+        if count >= MIN_POINTS
+        else Start(f"only {count} points are triangulated, {MIN_POINTS} are needed")
     )
 
 
@@ -135,39 +137,39 @@ class Confirmation(Enum):
 
 
 class WaitingFrame(NamedTuple):
-    """A frame before the map's begin."""
+    """A frame before the initialization."""
 
     frame: Frame
     number: int
-    pixels: np.ndarray  # (n, 2) of the points that are followed
-    track: np.ndarray  # (n,) their numbers
+    pixels: np.ndarray  # (n, 2) of the tracked points
+    track: np.ndarray  # (n,) their indices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Initialization:
-    """A map of one camera that has just begun, without the present frame and not adjusted yet."""
+    """A new map of a single camera, not adjusted yet and without the present frame."""
 
     model: SlamMap
     tracks: Tracks
-    """Points that are followed in the present frame."""
+    """Points tracked in the present frame."""
     cam_from_world: Rigid3
     """Of the present frame."""
     waiting: list[WaitingFrame]
     row_of_track: np.ndarray
-    """Of each track the map's point, -1 for none."""
+    """The map's point of each track; -1 for none."""
 
     def seen_by(self, one: WaitingFrame) -> tuple[np.ndarray, np.ndarray]:
-        """Where a frame before the begin saw the map's points: pixels (n, 2) and rows (n,) of the points."""
+        """A waiting frame's observations of the map: pixels (n, 2) and rows (n,) of the points."""
         rows = self.row_of_track[one.track]
         return one.pixels[rows >= 0], rows[rows >= 0]
 
     def locate_waiting(
         self, model: SlamMap, camera: Camera, config: OdometryConfig
     ) -> list[tuple[WaitingFrame, Keyframe, Rigid3, np.ndarray]]:
-        """Frames before the begin: each with the keyframe before it, cam_from_world, and its covariance.
+        """The waiting frames with their preceding keyframes, cam_from_world and covariances.
 
         Args:
-            model: the map that the points are in by now.
+            model: the map that has the points.
             camera: any model.
             config: thresholds.
         """
@@ -185,7 +187,7 @@ class Initialization:
 
 
 class OneCameraStart:
-    """Frames of one camera until a map can begin."""
+    """Collects frames of a single camera until a map can be initialized."""
 
     def __init__(self, camera: Camera, config: OdometryConfig) -> None:
         self.camera, self.config = camera, config
@@ -194,9 +196,9 @@ class OneCameraStart:
         self._num_at_start = 0
 
     def add(self, frame: Frame, number: int, problem: str = "") -> Initialization | str:
-        """The map, if it begins with this frame; else what it waits for: an image with a problem begins none."""
+        """The map if it can be initialized with this frame, else the reason why not; never from an image with a problem."""
         if not self._waiting:
-            return self._wait_from(frame, number, "the first frame: depth needs a second place")
+            return self._wait_from(frame, number, "the first frame: depth needs a second position")
         self._track(frame)
         tracks = self.tracks
         started = try_start(tracks.start_px, tracks.pixels, self.camera, self.config)
@@ -266,7 +268,7 @@ class OneCameraStart:
         tracks.keep(frame.is_used(tracks.pixels))
 
     def _wait_from(self, frame: Frame, number: int, reason: str) -> str:
-        """Begin to wait for a second place, apart from this frame's."""
+        """Make this frame the first of a new attempt."""
         corners = new_corners(frame.grey, np.zeros((0, 2)), self.config, frame.ignored_mask)
         self.tracks = Tracks(corners, np.arange(len(corners)), corners)
         self._num_at_start = len(corners)
@@ -276,7 +278,7 @@ class OneCameraStart:
     def _may_rest(self) -> str:
         """Why the camera may have been at rest since the first frame while an object moved; empty if it cannot.
 
-        Points that were lost on the way count with their last pixel, since the object gradually occludes the static scene.
+        Lost points count with their last pixel, since the object gradually occludes the static scene.
         """
         last = self._waiting[0].pixels.copy()
         for one in self._waiting:
@@ -311,7 +313,7 @@ class OneCameraStart:
         return start_by(best.cam_from_first, self.tracks.start_px, self.tracks.pixels, self.camera)
 
     def _judged(self, motions: list[Rigid3]) -> list[Judged]:
-        """These motions, followed by those that a plane allows, optimized with the frames since the first."""
+        """These motions and those that a plane allows, in this order, optimized with the frames since the first."""
         now, camera, waiting = self.tracks, self.camera, self._waiting
         of_plane = motions_of_plane(now.start_px, now.pixels, camera, self.config.seed)
         used = np.unique(np.linspace(0, len(waiting) - 1, START_KEYFRAMES).astype(int))
@@ -320,7 +322,7 @@ class OneCameraStart:
         return [judge(motion, pixels, camera) for motion in (*motions, *of_plane)]
 
     def _initialize(self, started: Start) -> Initialization:
-        """Keyframes from the first frame on: at a narrow angle those between tell as much as the two at the ends."""
+        """Create the map, with keyframes in between: at small angles they contribute as much as the two ends."""
         assert started.cam_from_first is not None and started.points_in_first is not None
         model, waiting = SlamMap(), list(self._waiting)
         points = model.add_points(started.points_in_first, self.tracks.start_px, 0)
@@ -342,7 +344,9 @@ class OneCameraStart:
 
 
 def _too_narrow(angle_deg: float, config: OdometryConfig) -> Start:
-    return Start(f"the rays meet at {angle_deg:.2f} degrees, {config.start_angle_deg:g} are needed: move on")
+    return Start(
+        f"triangulation angle {angle_deg:.2f} degrees, {config.start_angle_deg:g} are needed: keep moving"
+    )
 
 
 def initialize_map(
@@ -353,7 +357,7 @@ def initialize_map(
     camera: Camera,
     config: OdometryConfig,
 ) -> RefinedPose | None:
-    """The pose with which points of a map agree, by pixels alone; None if too few do."""
+    """The pose of a frame from its pixels alone; None if there are too few inliers."""
     kept = model.is_triangulated(rows)
     found = locate(model.xyz[rows[kept]], pixels[kept], camera, start, None, config)
     return None if found is None else found[0]

@@ -1,1 +1,1 @@
-"""Tracking: where the points of the map are in a frame, and the pose that follows."""
+"""Tracking of the map's points in a frame, and pose estimation from them."""

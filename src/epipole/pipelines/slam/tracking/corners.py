@@ -1,4 +1,4 @@
-"""Where new points begin: corners that stand out of the image's noise, away from those that are there."""
+"""Detection of new corners that exceed the image noise, away from existing points."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from epipole.pipelines.slam.config import OdometryConfig
 
 BLOCK_PX = 5
 NOISE_FACTOR = 7.0
-"""A corner's smaller eigenvalue over that of noise alone. At seven the noise moves it by a quarter of a pixel."""
+"""Smallest ratio of a corner's smaller eigenvalue to that of noise alone. At 7, noise moves a corner by a quarter of a pixel."""
 LEAST_NOISE = 0.5
-"""Grey levels: rounding alone makes a third."""
+"""In grey levels. Rounding alone contributes a third."""
 
 
 def new_corners(
     grey: np.ndarray, present_px: np.ndarray, config: OdometryConfig, ignored_mask: np.ndarray | None = None
 ) -> np.ndarray:
-    """(n, 2) corners (Shi and Tomasi, CVPR 1994) to a fraction of a pixel, strongest first, up to the number asked for."""
+    """(n, 2) corners (Shi and Tomasi, CVPR 1994), strongest first, to fill up the present ones to `num_features`."""
     wanted = config.num_features - len(present_px)
     if wanted <= 0:
         return np.zeros((0, 2))
@@ -40,12 +40,12 @@ def new_corners(
 def noise_of(grey: np.ndarray) -> float:
     """Standard deviation of an image's noise in grey levels, from its smoothest quarter.
 
-    By the second difference along rows and columns, which is zero for planes (Immerkaer, CVIU 1996); the lower quartile of
-    its absolute value instead of the mean, so that texture does not count.
+    Uses the second difference along rows and columns, which is zero for planes (Immerkaer, CVIU 1996), with the lower quartile of
+    its absolute value instead of the mean, so that texture has no effect.
     """
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     difference = np.abs(cv2.filter2D(grey, cv2.CV_32F, kernel)[::4, ::4]).astype(np.int64)
-    # Differences are whole numbers, each of which stands for half of one to both sides.
+    # Differences are integers; each represents an interval of +-0.5.
     fraction = np.cumsum(np.bincount(difference.ravel())) / difference.size
     ends = np.arange(len(fraction) + 1) - 0.5
     ends[0] = 0.0
@@ -54,6 +54,6 @@ def noise_of(grey: np.ndarray) -> float:
 
 
 def _strength_of_noise(sigma: float) -> float:
-    """What OpenCV's smaller eigenvalue is for white noise: 12 sigma^2 for each Sobel gradient, summed over the block."""
+    """OpenCV's smaller eigenvalue for white noise: 12 sigma^2 for each Sobel gradient, summed over the block."""
     scale = 1.0 / (4.0 * BLOCK_PX * 255.0)
     return BLOCK_PX**2 * 12.0 * sigma**2 * scale**2

@@ -1,4 +1,4 @@
-"""Disparities of points in a single frame: from a second camera, or from a depth sensor."""
+"""Disparities of points in a single frame, from a second camera or from a depth sensor."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
 
 ROWS_PX = 1.0
-"""A point of the right image is at most so far off its row."""
+"""Largest distance of a match in the right image from its row."""
 LEAST_SCORE = 0.7
 LEAST_LEAD = 0.05
-"""Of the best place in a row over others."""
+"""Score of the best match in a row minus that of the second best."""
 LARGEST_FRACTION = 0.2
-"""Largest disparity that is sought, as a share of the image's width."""
+"""Largest disparity searched, as a fraction of the image width."""
 GUESS_LEVELS = 2
 ROUNDS = 4
 SMOOTH = 0.03
-"""Depths around a point differ by at most this share: else it lies on an edge, and its depth may be another thing's."""
+"""Largest relative difference of the depths around a point; beyond it the point is on an edge and its depth ambiguous."""
 
 
 def disparities_of(
     frame: Frame, pixels: np.ndarray, guess_px: np.ndarray, camera: SlamCamera, config: OdometryConfig
 ) -> np.ndarray:
-    """(n,) disparity f B / Z of points; NaN where there is none.
+    """(n,) disparity f B / Z of points, in pixels; NaN if not measured.
 
     Args:
         frame: the images.
-        pixels: (n, 2) where the points are in the left, or colour, image.
-        guess_px: (n,) disparities thought likely; NaN for no idea.
-        camera: what tells depth.
-        config: the sensor's baseline.
+        pixels: (n, 2) in the left, or color, image.
+        guess_px: (n,) initial disparities; NaN if unknown.
+        camera: cameras of the pair or of the depth sensor.
+        config: the depth sensor's equivalent baseline.
     """
     none = np.full(len(pixels), np.nan)
     if frame.depth is not None:
@@ -53,7 +53,7 @@ def disparities_of(
 
 
 def _best_shifts(left: np.ndarray, right: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """(n,) disparities to two pixels by a search along the whole row, at half the size; NaN where two places look alike."""
+    """(n,) disparities within two pixels, from a search along the row at half resolution; NaN if ambiguous."""
     most = int(left.shape[1] * LARGEST_FRACTION / 2)
     shift, score, rival = find_along_rows(cv2.pyrDown(left), cv2.pyrDown(right), pixels / 2, most)
     return np.where((score > LEAST_SCORE) & (score - rival > LEAST_LEAD), 2 * shift, np.nan)
@@ -62,7 +62,7 @@ def _best_shifts(left: np.ndarray, right: np.ndarray, pixels: np.ndarray) -> np.
 def points_by_disparity(
     pixels: np.ndarray, disparity: np.ndarray, camera: Camera, focal_baseline: float, most_baselines: float
 ) -> np.ndarray:
-    """(n, 3) points in the camera, at depth f B / d; NaN without a disparity, or further than so many baselines."""
+    """(n, 3) points in the camera frame, at depth f B / d; NaN without a disparity, or beyond `most_baselines` baselines."""
     out = np.full((len(pixels), 3), np.nan)
     near = np.flatnonzero(disparity >= camera.focal_px / most_baselines)
     rays = camera.unproject(pixels[near])
@@ -71,10 +71,10 @@ def points_by_disparity(
 
 
 def depth_at(depth: np.ndarray, pixels: np.ndarray, camera: Camera, sensor: DepthCamera) -> np.ndarray:
-    """(n,) depth of points of the colour image in its camera, NaN where the sensor sees none, or an edge.
+    """(n,) depth of pixels of the color image in its camera's frame; NaN if not measured, or at an edge.
 
-    A point of depth z is where the sensor sees it; what the sensor says there is the next z. Sensors are centimetres from
-    their colour cameras, so that a few rounds settle.
+    Fixed-point iteration: a point at depth z projects into the depth image, whose value there is the next z. It converges in a
+    few rounds, since sensors are centimeters from their color cameras.
     """
     rays = camera.unproject(pixels)
     rays = rays / rays[:, 2:]
@@ -84,14 +84,14 @@ def depth_at(depth: np.ndarray, pixels: np.ndarray, camera: Camera, sensor: Dept
     for _ in range(ROUNDS):
         at = sensor.camera.project(moved.apply(rays * z[:, None]))
         read = sensor.scale * _smooth_depth(depth, np.where(np.isfinite(at), at, -1.0))
-        # The sensor's axis is turned against the camera's: one depth is not quite the other.
+        # The optical axes are not parallel, so the two depths differ slightly.
         in_sensor = moved.apply(rays * z[:, None])[:, 2]
         z = np.where(np.isfinite(read), read * z / np.maximum(in_sensor, 1e-6), z)
     return np.where(np.isfinite(read), z, np.nan)
 
 
 def _smooth_depth(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Depth at pixels of the sensor; NaN outside, where there is none, and at edges."""
+    """Depth at pixels of the sensor; NaN outside the image, where unmeasured, and at edges."""
     height, width = depth.shape
     column, row = np.rint(pixels).astype(int).T
     inside = (column >= 1) & (column < width - 1) & (row >= 1) & (row < height - 1)
@@ -101,5 +101,5 @@ def _smooth_depth(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     )
     around[~((around > 0) & (around < np.inf))] = np.nan
     middle = around[4]
-    spread = np.max(np.abs(around - middle), axis=0)  # NaN where any is not known
+    spread = np.max(np.abs(around - middle), axis=0)  # NaN if any is unknown
     return np.where(inside & (spread <= SMOOTH * middle), middle, np.nan)

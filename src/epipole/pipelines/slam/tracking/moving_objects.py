@@ -1,4 +1,4 @@
-"""Things that move: points that disagree with the camera's place, but agree among each other on another one."""
+"""Moving objects: points that disagree with the camera's pose but agree with each other on a different one."""
 
 from __future__ import annotations
 
@@ -13,28 +13,31 @@ from epipole.robust import estimate_absolute_pose, estimate_homography
 
 LEAST_POINTS = 15
 LEAST_FRACTION = 0.5
-"""Of the points that disagree: chance mistakes do not agree on anything."""
+"""Of the points that disagree. Random mismatches do not agree with each other."""
 MAX_ERROR_PX = 1.5
 MAX_ITERATIONS = 300
-OFF_PX, ROUGH_PX = 4.0, 3.0
-"""One camera: further than this from where a point of the scene can be; and what a homography leaves of a thing with depth."""
+OFF_PX = 4.0
+"""Smallest distance of a moving point from its epipolar segment (single camera)."""
+ROUGH_PX = 3.0
+"""Largest residual of a homography for an object with depth (single camera)."""
 NEAREST = 0.2
-"""Of the scene's median depth: nearer than that nothing of it is."""
-MOST_ROTATION_DEG, MOST_SHIFT = 20.0, 0.3
-"""From one image to the next a thing turns by no more, and moves by no larger share of its distance."""
+"""Nearest depth of the scene, as a fraction of its median depth."""
+MOST_ROTATION_DEG = 20.0
+"""Largest rotation of an object between two images."""
+MOST_SHIFT = 0.3
+"""Largest motion of an object between two images, as a fraction of its distance."""
 
 
 def find_moving_object(
     points_in_world: np.ndarray, pixels: np.ndarray, camera: Camera, position: Rigid3, config: OdometryConfig
 ) -> MovingThing | None:
-    """What points show that were followed into a frame but are not where its place foretells them; None for nothing.
+    """The rigid object that explains tracked points which disagree with the frame's pose; None if there is none.
 
-    A rigid thing that moves is to the camera as if the camera were elsewhere: its points agree on another place (P3P in
-    RANSAC).
+    A moving rigid object is equivalent to a different camera pose, which is estimated from its points (P3P in RANSAC).
 
     Args:
-        points_in_world: (n, 3) where they were in the last keyframe.
-        pixels: (n, 2) where they are seen.
+        points_in_world: (n, 3) positions in the last keyframe.
+        pixels: (n, 2) observations in the frame.
         camera: any model.
         position: cam_from_world of the frame.
         config: the seed.
@@ -67,14 +70,14 @@ def find_moving_object(
 def off_px_of_scene(
     pixels_then: np.ndarray, pixels: np.ndarray, camera: Camera, now_from_then: Rigid3, depth: float
 ) -> np.ndarray:
-    """(n,) how far points are from where a point of the scene can be, whatever its depth.
+    """(n,) distance of points from their epipolar segments, on which a static point of any depth projects, in pixels.
 
     Args:
         pixels_then: (n, 2) in an earlier image.
-        pixels: where they are seen.
+        pixels: (n, 2) in the present image.
         camera: any model.
-        now_from_then: between the images.
-        depth: of the scene, in the middle.
+        now_from_then: motion between the images.
+        depth: median depth of the scene.
     """
     rays = camera.unproject(pixels_then)
     rays = rays / np.maximum(rays[:, 2:], 1e-6)
@@ -95,15 +98,15 @@ def find_moving_object_in_image(
     depth: float,
     seed: int,
 ) -> MovingThing | None:
-    """The same of one camera's points that have no place: they are where no point of the scene can be, whatever its depth.
+    """The moving object that explains a single camera's untriangulated points away from their epipolar segments; None if none.
 
     Args:
         pixels_then: (n, 2) in the last keyframe.
-        pixels: (n, 2) where they are seen.
+        pixels: (n, 2) in the frame.
         camera: any model.
-        now_from_then: from the keyframe to the frame.
-        depth: of the scene, in the middle.
-        seed: of the samples.
+        now_from_then: motion from the keyframe to the frame.
+        depth: median depth of the scene.
+        seed: random seed of RANSAC.
     """
     if len(pixels) < LEAST_POINTS:
         return None

@@ -1,4 +1,4 @@
-"""Points held to the look that they had when they were first seen, so that following them does not drift."""
+"""Alignment of tracked points to their reference patches, so that tracking does not drift."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STEPS_PX = STEP_PX * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]
 LEAST_SCORE = 0.6
 FURTHEST_PX = 4.0
 LARGEST_SCALE, LEAST_FRESH_SCORE = 1.8, 0.65
-"""Beyond, a point is given its present look instead."""
+"""Limits beyond which the reference patch of a point is replaced by the present one."""
 
 
 def align_to_reference_patch(
@@ -26,18 +26,18 @@ def align_to_reference_patch(
     points: np.ndarray,
     pixels: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels of points by the images in which they were first seen; which are the same things still; which look otherwise.
+    """Refine pixels of points by aligning the present image to the patches in which they were first seen.
 
     Args:
         model: the map.
         camera: any model.
         grey: the present image.
-        cam_from_world: about where it was taken.
+        cam_from_world: its approximate pose.
         points: (n,) rows of the map.
-        pixels: (n, 2) where they are thought to be, to a few pixels.
+        pixels: (n, 2) predicted, to a few pixels.
 
     Returns:
-        Pixels; a mask of those whose patch correlates; a mask of those that should be given a new look.
+        Pixels; a mask of those whose patch correlates; a mask of those whose reference patch should be replaced.
     """
     out, score = pixels.copy(), np.full(len(points), np.nan)
     warps = warps_of(model, camera, cam_from_world, points)
@@ -51,12 +51,12 @@ def align_to_reference_patch(
     is_same = (score >= LEAST_SCORE) & near
     scale = np.sqrt(np.abs(np.linalg.det(warps)))
     is_stale = (scale > LARGEST_SCALE) | (scale < 1 / LARGEST_SCALE) | (score < LEAST_FRESH_SCORE)
-    # A patch at the image's edge cannot be compared: it is taken as it was followed.
+    # A patch at the image border cannot be compared: keep the tracked pixel.
     return np.where(is_same[:, None], out, pixels), is_same | np.isnan(score), is_stale
 
 
 def warps_of(model: SlamMap, camera: Camera, cam_from_world: Rigid3, points: np.ndarray) -> np.ndarray:
-    """(n, 2, 2) d(pixel now) / d(pixel when first seen), for small surfaces that faced the camera then."""
+    """(n, 2, 2) d(pixel now) / d(pixel when first seen), for patches that faced the camera then."""
     anchors, which = np.unique(model.anchor[points], return_inverse=True)
     then = [model.keyframes[int(k)].cam_from_world for k in anchors]
     return warps_between(then, which, model.anchor_px[points], model.xyz[points], camera, cam_from_world)
@@ -70,13 +70,13 @@ def warps_between(
     camera: Camera,
     cam_from_world: Rigid3,
 ) -> np.ndarray:
-    """(n, 2, 2) d(pixel now) / d(pixel then), for small surfaces that faced the camera then.
+    """(n, 2, 2) d(pixel now) / d(pixel then), for patches that faced the camera then.
 
     Args:
         then: cam_from_world of other images.
-        which: (n,) of these.
-        pixels: (n, 2) in them.
-        points_in_world: (n, 3); NaN: as far as the others (median).
+        which: (n,) index into `then`.
+        pixels: (n, 2) in those images.
+        points_in_world: (n, 3); for NaN the median depth of the others is used.
         camera: any model.
         cam_from_world: of the present image.
     """

@@ -1,4 +1,4 @@
-"""The place of a frame: points followed from the one before, and the map that they are points of."""
+"""Tracked points, and the pose of a frame from them."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from epipole.pipelines.slam.config import OdometryConfig
 from epipole.robust import estimate_absolute_pose
 
 COARSE_PX = 15.0
-"""Scale of the loss in a first refinement: at the final one a prediction that is far off ends in a wrong minimum."""
+"""Scale of the loss in the first refinement: with the final one a poor prediction ends in a local minimum."""
 LEAST_PROVEN = 40
-FEW, LARGEST_ROTATION_DEG = 2, 0.75
-"""With points fewer than so many times the least: the standard deviation of a frame's orientation, for points that are off by
-a pixel, beyond which it has no place."""
+FEW = 2
+"""Below this multiple of the minimum number of points, the orientation's uncertainty is checked."""
+LARGEST_ROTATION_DEG = 0.75
+"""Its largest standard deviation, for a noise of one pixel; beyond it the pose is rejected."""
 AGREEING_FRACTION = 0.7
-"""With a smaller share of the points in agreement the predicted place is not trusted, and one is sought anew."""
+"""With a smaller fraction of inliers the predicted pose is not trusted, and RANSAC searches a new one."""
 
 
 class Tracks:
-    """Points that are followed at present.
+    """The tracked points.
 
     Attributes:
         pixels: (n, 2) in the last image.
@@ -43,17 +44,17 @@ class Tracks:
         return Tracks(np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros((0, 2)))
 
     def keep(self, mask: np.ndarray) -> None:
-        """Give up the other points."""
+        """Drop the other points."""
         self.pixels, self.point, self.start_px = self.pixels[mask], self.point[mask], self.start_px[mask]
 
     def add(self, pixels: np.ndarray, point: np.ndarray) -> None:
-        """Follow more points from here on."""
+        """Start tracking more points."""
         self.pixels = np.concatenate([self.pixels, pixels])
         self.point = np.concatenate([self.point, point])
         self.start_px = np.concatenate([self.start_px, pixels])
 
     def keep_first(self) -> None:
-        """Follow each point once."""
+        """Drop duplicate tracks of a point."""
         _, first = np.unique(self.point, return_index=True)
         self.keep(np.isin(np.arange(len(self.point)), first))
 
@@ -66,28 +67,28 @@ class Tracks:
         *,
         and_back: bool,
     ) -> None:
-        """Find the points in the next image; those that are not found are given up."""
+        """Find the points in the next image; those that are not found are dropped."""
         pixels, found = track_points(before, now, self.pixels, guess, config, and_back=and_back)
         self.pixels = pixels
         self.keep(found)
 
     def shift_px(self) -> float:
-        """Median motion since the last keyframe."""
+        """Median motion since the last keyframe, in pixels."""
         return (
             float(np.median(np.linalg.norm(self.pixels - self.start_px, axis=1))) if len(self.pixels) else 0.0
         )
 
 
 class SeenFrame:
-    """What a frame saw of the map.
+    """A frame's observations of the map.
 
     Attributes:
-        number: of the frame.
-        timestamp_s: its time.
-        pixels: (n, 2) of the points that agreed.
+        number: frame number.
+        timestamp_s: time of the frame.
+        pixels: (n, 2) of the inliers.
         point: (n,) their rows.
-        disparity_px: (n,) by a depth sensor, NaN for none; None without one.
-        motion: (12,) of a camera with a rolling shutter, by the frames around; None before they have come.
+        disparity_px: (n,) from a depth sensor, NaN for none; None without a sensor.
+        motion: (12,) of a rolling-shutter camera, from the neighboring frames; None until these are known.
     """
 
     def __init__(
@@ -101,7 +102,7 @@ class SeenFrame:
 def predict_pixels(
     pixels: np.ndarray, points_in_world: np.ndarray, before: Rigid3, now: Rigid3, camera: Camera
 ) -> np.ndarray:
-    """Where points will be after a motion: by their places, or, where they have none, as if at the others' median depth."""
+    """(n, 2) pixels of points after a motion; untriangulated points are assumed at the median depth of the others."""
     in_cam = now.apply(points_in_world)
     localized = np.isfinite(in_cam[:, 0]) & (in_cam[:, 2] > 0)
     depth = np.median(before.apply(points_in_world[localized])[:, 2]) if localized.any() else 1.0
@@ -121,11 +122,10 @@ def locate(
     config: OdometryConfig,
     is_proven: np.ndarray | None = None,
 ) -> tuple[RefinedPose, np.ndarray] | None:
-    """The pose of a frame and the points that agree; None if too few do.
+    """The pose of a frame and its inliers; None if there are too few.
 
-    From the predicted place by robust least squares; where too few of the points agree with what comes, from P3P in
-    RANSAC. Points that have agreed with others before decide, where they are enough: fresh ones may lie on something that
-    moves, and be more.
+    Robust least squares from the predicted pose; if too few points agree, P3P in RANSAC. If there are enough proven points, they
+    alone determine the pose: new points may lie on a moving object and outnumber them.
     """
     if is_proven is None or is_proven.sum() < LEAST_PROVEN or is_proven.all():
         return _search(points_in_world, pixels, camera, predicted, disparities, config)
@@ -172,7 +172,7 @@ def _search(
 
 
 def is_certain(refined: RefinedPose, agrees: np.ndarray, config: OdometryConfig) -> bool:
-    """Whether points are many, or the few lie so that a pixel's error turns the camera little."""
+    """Whether there are many inliers, or few that constrain the orientation well."""
     if agrees.sum() >= FEW * config.min_tracked:
         return True
     variance = np.linalg.eigvalsh(refined.covariance()[3:, 3:])[-1]

@@ -1,4 +1,4 @@
-"""Points of the map that should be in sight, but are not followed: found again by the images of older keyframes."""
+"""Re-detection of map points in sight that are not tracked, by patches of older keyframes."""
 
 from __future__ import annotations
 
@@ -16,13 +16,15 @@ from epipole.pipelines.slam.tracking.patches import align_to_reference_patch, wa
 
 MOST_KEYFRAMES = 4
 LARGEST_SCALE, LEAST_COSINE = 1.6, math.cos(math.radians(35.0))
-"""Beyond, a patch of the older image does not look like the new one's."""
+"""Limits of the change of scale and viewing direction beyond which patches do not match."""
 HALF_PX = 10
 LEAST_SCORE = 0.8
 REACH_PX = 2.0
-"""From so far a patch is found without halving the image."""
-SEARCH_PX, DRIFT_PX = 8.0, 25.0
-"""How far from where the map says a point may be found: at once, and after the last frame."""
+"""Search radius of a patch at full resolution."""
+SEARCH_PX = 8.0
+"""Largest distance of a re-detected point from its prediction while tracking."""
+DRIFT_PX = 25.0
+"""The same when keyframes are linked, to cover drift."""
 
 
 def redetect(
@@ -33,7 +35,7 @@ def redetect(
     tracked: np.ndarray,
     search_px: float = SEARCH_PX,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(pixels, points) of points that are in sight and not followed, by patches of the keyframes that see most of them."""
+    """(pixels, points) of points in sight that are not tracked, found by patches of the keyframes that observe most of them."""
     pixels, points = [np.zeros((0, 2))], [np.zeros(0, np.int64)]
     missing = np.isfinite(model.xyz[:, 0])
     missing[tracked] = False
@@ -73,7 +75,7 @@ def redetect(
 
 
 def _usable(keyframe: Keyframe, model: SlamMap, missing: np.ndarray, cam_from_world: Rigid3) -> np.ndarray:
-    """Observations of missing points that a like view of the scene made: as near, and from as much the same side."""
+    """Observations of missing points from a similar distance and direction."""
     own = np.flatnonzero(missing[keyframe.point])
     if not len(own):
         return own
@@ -87,9 +89,9 @@ def _usable(keyframe: Keyframe, model: SlamMap, missing: np.ndarray, cam_from_wo
 
 
 def link_tracks(model: SlamMap, camera: Camera, keyframes: Sequence[Keyframe]) -> int:
-    """Let keyframes see all points of the map that are in its image; returns the number of new observations.
+    """Add observations of all map points in sight of the keyframes; returns their number.
 
-    While the camera moves a point is looked for near its place alone; here also where drift has moved it to.
+    The search radius is larger than during tracking, to find points despite drift.
     """
     count = 0
     for keyframe in keyframes:

@@ -1,4 +1,4 @@
-"""A pair whose left image shows nothing (a covered lens): the points of the map are followed in the right one."""
+"""Tracking in the right image of a stereo pair whose left image shows nothing, e.g. because the camera is covered."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ def pose_from_right_image(
     points: np.ndarray,
     config: OdometryConfig,
 ) -> tuple[RefinedPose, Tracks] | None:
-    """The pose of the left camera of a frame, and the points that agree where it would see them; None if too few do.
+    """Pose of the left camera, and the inliers at their projections into its image; None if there are too few.
 
     Args:
         model: the map.
         sensor: the pair.
-        frames: the one before, and this one.
-        position: cam_from_world of the one before.
-        points: (n,) rows of the map's points that were followed.
+        frames: the previous and the present frame.
+        position: cam_from_world of the previous frame.
+        points: (n,) rows of the tracked points.
         config: thresholds.
     """
     before, frame = frames
@@ -50,7 +50,7 @@ def pose_from_right_image(
         return None
     refined, agrees = located
     here = right_from_left.inverse() @ refined.cam_from_world
-    # exp(xi) right_from_left = right_from_left exp(Ad xi): the information turns with it.
+    # exp(xi) right_from_left = right_from_left exp(Ad xi): transform the information accordingly.
     adjoint = right_from_left.adjoint()
     refined = replace(refined, cam_from_world=here, information=adjoint.T @ refined.information @ adjoint)
     seen = sensor.camera.project(here.apply(model.xyz[points[agrees]]))

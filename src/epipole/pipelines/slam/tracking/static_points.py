@@ -22,7 +22,7 @@ MIN_ERROR_PX = 0.5
 MIN_ERROR_RATIO = 3.0
 """... and this many times as far as the moving points are from their predictions (median)."""
 COLUMNS, ROWS = 8, 6
-"""Grid cells of the image. Cells are counted, since a textured object has more points than its share of the image."""
+"""Grid cells of the image. Cells are counted instead of points, since textured objects have more points per area."""
 MIN_FRACTION = 0.1
 """Smaller static fractions of the occupied cells are ignored."""
 SCENE_FRACTION = 0.3

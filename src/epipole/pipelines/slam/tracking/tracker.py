@@ -1,4 +1,4 @@
-"""A frame in a map: points are followed into it, held to their first looks, and a pose is found with which they agree."""
+"""Tracking of a frame in a map: optical flow, alignment to reference patches, and pose estimation."""
 
 from __future__ import annotations
 
@@ -36,22 +36,22 @@ from epipole.pipelines.slam.tracking.right_image import pose_from_right_image
 from epipole.pipelines.slam.tracking.static_points import StaticPart, find_static_part
 
 SHUTTER_ROUNDS = 3
-"""A frame's motion follows from its place, and its place from the motion."""
+"""Alternations between a frame's pose and its motion during the readout."""
 STEP_PX = 0.7
 """A moving object moves at least this far from one frame to the next, in pixels."""
 PROVEN_FRAMES = 3
-"""In so many a point must have agreed with the others before it decides where the camera is."""
+"""Frames in which a point must have been an inlier before it determines the pose."""
 
 
 class PointTracker:
-    """Follows points of one map.
+    """Tracks points of one map.
 
     Attributes:
-        tracks: the points that are followed.
-        stale: rows of those that look otherwise than when they were first seen.
-        moving: what moves in the last frame besides the camera.
+        tracks: the tracked points.
+        stale: rows of those whose appearance has changed since they were first seen.
+        moving: moving object in the last frame.
         static_part: the static part of the last image, if it contradicts the motion of the other points.
-        waiting: frames that are to be placed again when the map has settled.
+        waiting: frames whose poses are estimated again when the map has converged.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class PointTracker:
         return refined, len(self.tracks)
 
     def take_up(self, frame: Frame, recognized: Recognition) -> tuple[RefinedPose, int] | None:
-        """The pose of a frame that was recognised; its points are followed from here on."""
+        """Start tracking from a relocalized frame; returns its pose."""
         self._pose_before = None
         self.start_from(Tracks(recognized.pixels, recognized.points, recognized.pixels))
         return self.estimate_pose(frame, recognized.cam_from_world)
@@ -134,11 +134,11 @@ class PointTracker:
     def estimate_pose(
         self, frame: Frame, predicted: Rigid3, last: Tracks | None = None
     ) -> tuple[RefinedPose, int] | None:
-        """The frame's pose; points that do not agree are given up.
+        """Estimate the frame's pose and drop outliers.
 
         Args:
             frame: the images.
-            predicted: a place near it.
+            predicted: initial pose.
             last: the same points in the previous frame, if they were tracked from there; needed to detect motion of objects.
         """
         tracks, self.moving, self.static_part = self.tracks, None, None
@@ -200,7 +200,7 @@ class PointTracker:
         points: np.ndarray,
         pixels: np.ndarray,
     ) -> tuple[RefinedPose, np.ndarray]:
-        """The pose in the middle of the readout, found with the motion, and which points agree then; as before if too few."""
+        """The pose in the middle of the readout, estimated with the motion, and its inliers; unchanged if these are too few."""
         refined, agreed = located
         readout, position = self.sensor.readout_s, refined.cam_from_world
         for _ in range(SHUTTER_ROUNDS):
@@ -221,15 +221,15 @@ class PointTracker:
             return refined, agreed
         self.map.recent = self._recent_at(frame, position, self.map.xyz[points])
         straighten_recent(self.map, self.camera, readout)
-        motions = self.map.recent.converged()
+        motions = self.map.recent.final_motions()
         for one in self.waiting:
             one.motion = motions.get(one.timestamp_s, one.motion)
         self.map.motion = motion
         return replace(refined, cam_from_world=position), agrees
 
     def _straighten_start(self, recent: RecentMotion) -> None:
-        """Place the first keyframe's points anew: nothing was known of its motion when they were made."""
-        first, motions = self.map.keyframes[0], recent.converged()
+        """Triangulate the first keyframe's points again, now that its motion is known."""
+        first, motions = self.map.keyframes[0], recent.final_motions()
         if len(self.map.keyframes) > 1 or self.focal_baseline is None or first.timestamp_s not in motions:
             return
         camera = self.camera, self.sensor.readout_s
@@ -241,7 +241,7 @@ class PointTracker:
         first.shift_px = shutter_shifts(self.map, first, first.motion, *camera)
 
     def _recent_at(self, frame: Frame, position: Rigid3, points: np.ndarray) -> RecentMotion:
-        """The motion up to a frame that is at this place."""
+        """The motion up to a frame with this pose."""
         if self._pose_before is None:
             return RecentMotion().start_at(frame.timestamp_s)
         step, depth = position @ self._pose_before.inverse(), float(np.median(position.apply(points)[:, 2]))
@@ -250,7 +250,7 @@ class PointTracker:
     def _what_moves(
         self, last: Tracks, points: np.ndarray, pixels: np.ndarray, agrees: np.ndarray, position: Rigid3
     ) -> MovingThing | None:
-        """A thing that moves besides the camera; not told where rows are read one after another, which bends all that is near."""
+        """The moving object in the frame; None with a rolling shutter, whose distortion near the camera looks the same."""
         if self.sensor.readout_s:
             return None
         fresh = ~agrees & (self.map.anchor[points] == len(self.map.keyframes) - 1)
@@ -297,36 +297,36 @@ class PointTracker:
         return find_moving_object_in_image(then, now, self.camera, now_from_then, depth, self.config.seed)
 
     def remember(self, number: int) -> None:
-        """The frame that was placed last has this number, and is to be placed again later."""
+        """Queue the last localized frame, under this number, for another pose estimate later."""
         if self._seen is not None:
             self._seen.number = number
             self.waiting.append(self._seen)
             self._seen = None
 
     def rename(self, into: np.ndarray) -> None:
-        """Points that have become others; of two that are one now, one is followed on."""
+        """Apply a merge of points; of two tracks of the same point, one is kept."""
         self.move_rows(into)
         self.tracks.keep_first()
 
     def move_rows(self, into: np.ndarray) -> None:
-        """Points have other rows from here on."""
+        """Renumber points, given the new row of each."""
         self.tracks.point = into[self.tracks.point]
         for seen in self.waiting:
             seen.point = into[seen.point]
 
     def start_from(self, tracks: Tracks) -> None:
-        """Follow these from here on."""
+        """Replace the tracks."""
         self.tracks, self.stale = tracks, np.zeros(0, np.int64)
         self._num_at_start = max(int(self.map.is_triangulated(tracks.point).sum()), 1)
 
     def track_points_in_sight(self, frame: Frame, position: Rigid3) -> None:
-        """Take up all points of the map that are in sight."""
+        """Start tracking all points of the map that are in sight."""
         tracks = self.tracks
         tracks.add(*redetect(self.map, self.camera, frame.grey, position, tracks.point))
         self.start_from(Tracks(tracks.pixels, tracks.point, tracks.pixels.copy()))
 
     def why_keyframe(self, num_agreeing: int, age: int) -> str:
-        """Why the present frame, so many after the last keyframe, should be one; empty if it need not."""
+        """Why the present frame, `age` frames after the last keyframe, should become one; empty if it need not."""
         if num_agreeing < self.config.keyframe_fraction * self._num_at_start:
             return "fewer points in sight"
         if num_agreeing < self.config.keyframe_points and age >= 3:
@@ -336,5 +336,5 @@ class PointTracker:
         return "time has passed" if age >= self.config.keyframe_gap else ""
 
     def remove_outliers(self) -> None:
-        """Stop following points whose observation in the newest keyframe was a mistake."""
+        """Stop tracking points whose observation in the newest keyframe was removed as an outlier."""
         self.tracks.keep(np.isin(self.tracks.point, self.map.keyframes[-1].point))

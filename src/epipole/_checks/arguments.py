@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from epipole._declared.values import refuse_address
+from epipole._checks.values import refuse_address
 from epipole.errors import ConfigError, ShapeError
 
 MOST_PIXELS = 1 << 28

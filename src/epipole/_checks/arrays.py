@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from epipole._declared.kinds import Convert, Sizes
+from epipole._checks.kinds import Convert, Sizes
 from epipole.errors import ShapeError
 
 _WORDS = {"f": "numbers", "i": "whole numbers", "u": "whole numbers", "b": "True or False"}

@@ -14,7 +14,7 @@ from inspect import get_annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
-from epipole._declared.kinds import Convert, Sizes
+from epipole._checks.kinds import Convert, Sizes
 from epipole.errors import ConfigError, EpipoleError
 
 _LARGEST = 2**63 - 1
@@ -33,7 +33,7 @@ def converter_of(annotation: Any) -> Convert | None:
     if annotation is Any or annotation is object or isinstance(annotation, TypeVar):
         return None
     if hasattr(annotation, "dim_str"):  # jaxtyping: NumPy is loaded only for such annotations
-        from epipole._declared.arrays import array_converter
+        from epipole._checks.arrays import array_converter
 
         return array_converter(annotation)
     if origin in (Union, types.UnionType):

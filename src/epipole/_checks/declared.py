@@ -13,8 +13,8 @@ from functools import wraps
 from inspect import CO_VARKEYWORDS, Parameter, get_annotations, signature, unwrap
 from typing import Any, NamedTuple, TypeVar, cast
 
-from epipole._declared.kinds import Convert, Sizes
-from epipole._declared.values import converter_of
+from epipole._checks.kinds import Convert, Sizes
+from epipole._checks.values import converter_of
 from epipole.errors import ArgumentError, ConfigError
 
 _LARGEST_COUNT, _SMALLEST_NUMBER, _LARGEST_NUMBER = 2**31 - 1, 1e-30, 1e30

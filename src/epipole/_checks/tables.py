@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from epipole._declared.arrays import as_array, check_axes
-from epipole._declared.kinds import Sizes
+from epipole._checks.arrays import as_array, check_axes
+from epipole._checks.kinds import Sizes
 from epipole.errors import ShapeError
 
 TEXT = "str"
