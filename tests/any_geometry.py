@@ -28,10 +28,6 @@ def turns(draw: st.DrawFn, largest_rad: float = 3.1) -> np.ndarray:
     )
 
 
-def rotations() -> st.SearchStrategy[Rotation3]:
-    return turns().map(Rotation3.exp)
-
-
 @st.composite
 def twists(draw: st.DrawFn) -> np.ndarray:
     return np.concatenate([draw(vectors(3, 10.0)), draw(turns())])

@@ -1,6 +1,5 @@
 """Files that are cut, flipped, grown, repeated or full of impossible numbers, and what a reader may do with them."""
 
-import re
 import struct
 import threading
 import time
@@ -10,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hypothesis import strategies as st
 
 from epipole.errors import EpipoleError
 
@@ -33,81 +31,6 @@ WORDS = (
     *(struct.pack("<d", v) for v in (0.0, -1.0, 1e-320, 1e160, -1e308, float("inf"), float("nan"))),
 )
 """What stands in the place of a count or a value of a binary file."""
-_NUMBER = re.compile(rb"[-+]?\d[\d.]*(?:[eE][-+]?\d+)?")
-_LINE = re.compile(rb"[^\n]*\n?")
-
-
-@st.composite
-def _cut(draw: st.DrawFn, data: bytes) -> bytes:
-    return data[: draw(st.integers(0, len(data)))]
-
-
-@st.composite
-def _flip(draw: st.DrawFn, data: bytes) -> bytes:
-    out = bytearray(data)
-    for _ in range(draw(st.integers(1, 4)) if out else 0):
-        out[draw(st.integers(0, len(out) - 1))] ^= draw(st.integers(1, 255))
-    return bytes(out)
-
-
-@st.composite
-def _grow(draw: st.DrawFn, data: bytes) -> bytes:
-    at = draw(st.integers(0, len(data)))
-    return data[:at] + draw(st.binary(min_size=1, max_size=20) | st.sampled_from(WORDS)) + data[at:]
-
-
-@st.composite
-def _piece(draw: st.DrawFn, data: bytes) -> tuple[int, int]:
-    first = draw(st.integers(0, len(data)))
-    return first, min(len(data), first + draw(st.integers(0, 200)))
-
-
-@st.composite
-def _repeat(draw: st.DrawFn, data: bytes) -> bytes:
-    first, last = draw(_piece(data))
-    return data[:last] + data[first:last] * draw(st.integers(1, 3)) + data[last:]
-
-
-@st.composite
-def _leave_out(draw: st.DrawFn, data: bytes) -> bytes:
-    first, last = draw(_piece(data))
-    return data[:first] + data[last:]
-
-
-@st.composite
-def _other_word(draw: st.DrawFn, data: bytes) -> bytes:
-    word = draw(st.sampled_from(WORDS))
-    at = draw(st.integers(0, max(0, len(data) - len(word))))
-    return data[:at] + word + data[at + len(word) :]
-
-
-@st.composite
-def _other_number(draw: st.DrawFn, data: bytes) -> bytes:
-    found = list(_NUMBER.finditer(data))
-    if not found:
-        return data
-    position = draw(st.sampled_from(found))
-    return data[: position.start()] + draw(st.sampled_from(NUMBERS)).encode() + data[position.end() :]
-
-
-@st.composite
-def _other_line(draw: st.DrawFn, data: bytes) -> bytes:
-    """A line once more, left out, or in the place of another."""
-    lines = _LINE.findall(data)
-    taken, put = (draw(st.integers(0, len(lines) - 1)) for _ in range(2))
-    keep = draw(st.integers(0, 2))
-    lines[put : put + 1] = [lines[put], lines[taken]][: keep + 1] if keep else []
-    return b"".join(lines)
-
-
-@st.composite
-def spoilt(draw: st.DrawFn, data: bytes, *, is_text: bool) -> bytes:
-    """The bytes of a valid file after one to three kinds of damage."""
-    common = [_cut, _flip, _grow, _repeat, _leave_out]
-    own = [_other_number, _other_number, _other_number, _other_line] if is_text else [_other_word] * 4
-    for _ in range(draw(st.integers(1, 3))):
-        data = draw(draw(st.sampled_from([*common, *own]))(data))
-    return data
 
 
 def read_or_refuse(read: Callable[..., Any], *arguments: Any, names: str = "") -> Any | None:

@@ -93,6 +93,8 @@ _YAML = (
 def damaged(rng: Random, data: bytes, kind: str) -> bytes:
     """One to three kinds of damage, most of them such as leave the frame of the format whole."""
     own = _OWN.get(kind)
+    if kind == "exif":
+        return _exif(rng, data)
     if own is not None and rng.random() < 0.7:
         with suppress(*_UNREADABLE):
             return own(rng, data)
@@ -251,6 +253,12 @@ def _ply(rng: Random, data: bytes) -> bytes:
     return _as_text(rng, data[:end]) + data[end:]
 
 
+def _pfm(rng: Random, data: bytes) -> bytes:
+    """Three lines of text, and numbers."""
+    head = b"".join(_LINE.findall(data)[:3])
+    return _as_text(rng, head) + data[len(head) :]
+
+
 def png_chunk(kind: bytes, data: bytes) -> bytes:
     """A chunk with the sum that belongs to it."""
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
@@ -309,6 +317,16 @@ def _jpeg(rng: Random, data: bytes) -> bytes:
         segments[k] = (segments[k][0], content[:65000])
     head = b"".join(b"\xff" + m + struct.pack(">H", len(c) + 2) + c for m, c in segments)
     return data[:2] + head + data[at:] * rng.choice((1, 1, 1, 2, 30))
+
+
+def _exif(rng: Random, data: bytes) -> bytes:
+    """The EXIF block of a JPEG alone, in a segment that holds it."""
+    start = data.index(b"Exif\0\0")
+    end = start - 2 + int.from_bytes(data[start - 2 : start], "big")
+    block = data[start + 6 : end]
+    for _ in range(rng.randint(1, 3)):
+        block = rng.choice(_COMMON + _OF_BYTES)(rng, block)[:60000]
+    return data[: start - 2] + (len(block) + 8).to_bytes(2, "big") + b"Exif\0\0" + block + data[end:]
 
 
 def _zip(rng: Random, data: bytes) -> bytes:
@@ -485,6 +503,6 @@ def _sqlite(rng: Random, data: bytes) -> bytes:
 
 _OWN: dict[str, Callable[[Random, bytes], bytes]] = {
     **{"json": _json, "yaml": _yaml, "bz2": _bz2, "ply": _ply, "png": _png, "jpeg": _jpeg, "zip": _zip},
-    "sqlite": _sqlite,
+    **{"sqlite": _sqlite, "pfm": _pfm},
     **{"sealed": _sealed, "answers": _answer_lines},
 }

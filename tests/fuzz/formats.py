@@ -5,8 +5,8 @@ import io
 import json
 import os
 import shutil
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,26 +15,33 @@ import cv2
 import numpy as np
 import yaml
 from bag_writing import Recorded
-from PIL import Image, features
-from sealed_formats import SEALED
-from spz_writing import write_packed_whole, write_streams
-from test_io_colmap_database import PAIRS, make_contents
-from test_io_hostile_calibrations import (
+from example_files import (
+    BAL,
     CAMODOCAL,
     EUROC,
+    GPS,
+    GRAPHS,
     KALIBR,
     KITTI,
     KITTI_ROWS,
     LENS,
     MIDDLEBURY,
+    MIDDLEBURY_PAR,
     MRCAL,
     OPENVINS,
     PAIR,
+    RGB,
+    STRECHA,
+    TEXT_MESH,
+    TEXT_PLY,
     XML,
+    graph_of,
+    transforms_text,
 )
-from test_io_hostile_models import BAL, GRAPHS, STRECHA, TEXT_MESH, TEXT_PLY, graph_of, transforms_text
-from test_io_hostile_models import MIDDLEBURY as MIDDLEBURY_PAR
-from test_io_hostile_pictures import GPS, RGB
+from PIL import Image, features
+from sealed_formats import SEALED
+from spz_writing import write_packed_whole, write_streams
+from test_io_colmap_database import PAIRS, make_contents
 
 from epipole._checks.tables import TEXT, Expected
 from epipole.cameras import Camera
@@ -42,7 +49,7 @@ from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
 from epipole.fields.nerf.hash_field import query_density
 from epipole.fields.nerf.hash_files import HashContents, read_hash, write_hash
 from epipole.fields.nerf.voxel_files import GridContents, read_grid, write_grid
-from epipole.geometry import Rigid3, Rotation3
+from epipole.geometry import Rigid2, Rigid3, Rotation3
 from epipole.io import (
     read_bal,
     read_colmap_model,
@@ -91,7 +98,7 @@ from epipole.pipelines.sfm.matching.pairing import read_pairs
 from epipole.pipelines.slam.frames import SlamCamera, TrackedFrame, TrackingState
 from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.output.answer_log import ANSWERS, line_of, read_answers
-from epipole.pipelines.slam.output.map_file import read_slam_map, write_slam_map
+from epipole.pipelines.slam.output.map_file import load_slam_map, read_slam_map, write_slam_map
 from epipole.pipelines.slam.output.record import FrameRecord
 from epipole.pipelines.stereo.files import read_stereo, write_image
 from epipole.pipelines.stereo.pairs import read_summary
@@ -117,15 +124,28 @@ class Format:
     read: Callable[[Path], None]
     """Reads from the folder, and asserts that what comes is sound."""
     readers: tuple[str, ...]
-    """Public functions that `read` calls."""
+    """Public functions that `read` and `also` call."""
     weight: float = 1.0
     """Share of the cases."""
     must_name: bool = True
     """Whether an error names the folder."""
+    most_mib: int = 96
+    """Of memory that it may come to use."""
     may_ask: bool = False
     """Whether it may ask for memory that it does not come to use."""
     may_be_refused: bool = False
     """Whether the example may be refused: a file of another program, of a kind that is not read."""
+    also: tuple[Callable[[Path], None], ...] = ()
+    """Further ways to read it, which go on where `read` has refused it."""
+
+
+@contextmanager
+def _never_refused() -> Iterator[None]:
+    """What is read here is done anew, or passed over, where it is damaged."""
+    try:
+        yield
+    except EpipoleError as error:
+        raise AssertionError(f"refused: {error}") from error
 
 
 def _put(name: str, data: bytes) -> Callable[[Path], None]:
@@ -327,6 +347,7 @@ def _put_slam_map(folder: Path) -> None:
 def _slam_map(folder: Path) -> None:
     try:
         known = read_slam_map(folder / "map.npz", SLAM_CAMERA)
+        assert len(load_slam_map(folder / "map.npz").keyframes) == len(known.names)
     except ConfigError:  # the map of another camera
         return
     assert len(known.names) == len(known.model.keyframes)
@@ -450,6 +471,12 @@ def _put_llff(folder: Path) -> None:
         Image.new("RGB", (40, 30)).save(folder / "images" / name)
 
 
+def _put_llff_points(folder: Path) -> None:
+    _put_llff(folder)
+    (folder / "sparse").mkdir(exist_ok=True)
+    write_colmap_model(small_model(), folder / "sparse" / "0")
+
+
 def _bal(name: str) -> Callable[[Path], None]:
     def read(folder: Path) -> None:
         found = read_bal(folder / name)
@@ -462,15 +489,25 @@ def _bal(name: str) -> Callable[[Path], None]:
 def _graph(folder: Path) -> None:
     found = read_g2o(folder / "graph.g2o").graph
     assert len(found.first) == len(found.second) == len(found.information)
+    if not isinstance(found.world_from_body, Rigid2):
+        for motions in (found.world_from_body, found.first_from_second):
+            assert np.isfinite(motions.rotation).all()
+            assert_motions(motions)
+
+
+SIZE = (1242, 375)
+"""Of the images, which some calibrations leave out."""
 
 
 def _calibration(*names: str, size: tuple[int, int] | None = None) -> Callable[[Path], None]:
     def read(folder: Path) -> None:
         found = read_calibration(*(folder / name for name in names), size=size)
-        assert len(found.cameras) == len(found.cam_from_rig)
+        assert len(found.cameras) == len(found.cam_from_rig) > 0
+        assert np.isfinite(found.cam_from_rig.as_matrix()).all()
         assert_motions(found.cam_from_rig)
         for camera in found.cameras:
-            assert camera.width > 0 and camera.height > 0 and np.isfinite(camera.params).all()
+            assert all(0 < side <= 1 << 20 for side in (camera.width, camera.height))
+            assert np.isfinite(camera.params).all()
         if len(found.cameras) > 1:
             assert_motions(read_stereo_rig(*(folder / name for name in names), size=size).right_from_left)
 
@@ -504,7 +541,9 @@ def _body(folder: Path) -> None:
 
 def _map(read: Callable[[Path], np.ndarray], name: str) -> Callable[[Path], None]:
     def run(folder: Path) -> None:
-        assert read(folder / name).ndim == 2
+        found = read(folder / name)
+        assert found.ndim == 2 and not np.isinf(found).any()
+        assert read is not read_pfm or found.size * 4 <= (folder / name).stat().st_size
 
     return run
 
@@ -531,13 +570,32 @@ def _photograph(folder: Path) -> None:
     assert header.width > 0 and header.height > 0 and 1 <= header.orientation <= 8
     assert header.focal_px is None or 0 < header.focal_px < np.inf
     assert header.gps is None or (abs(header.gps.lat_deg) <= 90 and abs(header.gps.lon_deg) <= 180)
+    assert header.gps is None or header.gps.alt_m is None or np.isfinite(header.gps.alt_m)
+
+
+def _pixels(folder: Path) -> None:
+    path = folder / "photograph"
     rgb = read_rgb(path)
     assert rgb.shape[2] == 3 and rgb.dtype == np.uint8
     rgba = read_rgba(path)
     assert rgba is None or rgba.shape[2] == 4
-    grey = read_grey(path, 16)
-    assert grey.ndim == 2 and max(grey.shape) <= 16
+
+
+def _small_pixels(folder: Path) -> None:
+    path = folder / "photograph"
+    for found, axes in ((read_grey(path, 16), 2), (read_rgb(path, 16), 3)):
+        assert found.ndim == axes and max(found.shape) <= 16 and found.dtype == np.uint8
     copy_or_rotate(path, folder / "copy.jpg")
+
+
+def _exif(folder: Path) -> None:
+    """A damaged block tells less, or nothing: the image itself is sound and stays readable."""
+    with _never_refused():
+        _photograph(folder)
+        header = read_header(folder / "photograph")
+        assert {header.width, header.height} == {24, 32}
+        assert header.focal_px is None or 0.2 * 32 <= header.focal_px <= 20 * 32
+        assert read_rgb(folder / "photograph").size == RGB.size
 
 
 def _mask(folder: Path) -> None:
@@ -565,6 +623,14 @@ def _listed(folder: Path) -> None:
     extract_frames(folder / "video.avi", folder / "frames", max_frames=2)
 
 
+def _listed_frames(folder: Path) -> None:
+    """A damaged list is read anew from the video, or its frames are there; never a file outside of the folder."""
+    with _never_refused():
+        _frames(folder)
+        found = extract_frames(folder / "video.avi", folder / "frames", max_frames=2)
+        assert all(Path(name).name == name for name in found.name)
+
+
 def _pairs_of_video(folder: Path) -> None:
     path = folder / "video.avi"
     assert 1 <= len(extract_pairs(path, path, folder / "pairs", 2)) <= 2
@@ -584,7 +650,9 @@ def _depths(folder: Path) -> None:
 
 
 def _summary(folder: Path) -> None:
-    assert isinstance(read_summary(folder), dict)
+    with _never_refused():
+        found = read_summary(folder)
+    assert isinstance(found, dict) and isinstance(found.get("known", {}), dict)
 
 
 UNIT = {
@@ -595,7 +663,8 @@ UNIT = {
 
 
 def _unit(folder: Path) -> None:
-    assert isinstance(stored_key(folder / "unit.npz"), str)
+    with _never_refused():  # without its key it is made again
+        assert isinstance(stored_key(folder / "unit.npz"), str)
     found = load(folder / "unit.npz", UNIT)
     assert np.isfinite(found["pixels"]).all() and found["rows"].max(initial=-1) < len(found["pixels"])
 
@@ -606,17 +675,23 @@ def _write_unit(folder: Path) -> None:
 
 
 def _marked(folder: Path) -> None:
-    OutputFolder(folder, "reconstruct", Source(("here",), ("0123456789abcdef",))).save()
+    marked = OutputFolder(folder, "reconstruct", Source(("here",), ("0123456789abcdef",)))
+    marked.write_json("summary.json", {"num_images": 3})
+    marked.timings_s = {"read": 0.25}
+    marked.save()
 
 
 def _mark(folder: Path) -> None:
     found = read_mark(folder)
-    assert found is None or isinstance(found.kind, str)
+    if found is not None:
+        assert isinstance(found.kind, str)
+        assert all(isinstance(name, str) for names in found.files.values() for name in names)
+        assert all(isinstance(seconds, float) for seconds in found.timings_s.values())
 
 
 def _list_of_pairs(folder: Path) -> None:
     found = read_pairs(folder / "pairs.txt", ["a.jpg", "b.jpg", "c.jpg"])
-    assert found.shape[1] == 2 and (found < 3).all()
+    assert found.shape[1] == 2 and ((found >= 0) & (found < 3)).all()
 
 
 def _colmap(name: str) -> Format:
@@ -630,12 +705,14 @@ def _colmap(name: str) -> Format:
 
 def _calibrated(kind: str, write: Callable[[Path], None], *names: str, size: Any = None) -> Format:
     readers = ("read_calibration", "read_stereo_rig")
-    return Format(write, names[0], kind, _calibration(*names, size=size), readers)
+    also = () if size else (_calibration(*names, size=SIZE),)
+    return Format(write, names[0], kind, _calibration(*names, size=size), readers, also=also)
 
 
 def _pictured(kind: str, damage: str = "binary") -> Format:
     readers = ("read_header", "read_rgb", "read_rgba", "read_grey", "copy_or_rotate")
-    return Format(_put("photograph", _image(kind)), "photograph", damage, _photograph, readers)
+    also = (_pixels, _small_pixels)
+    return Format(_put("photograph", _image(kind)), "photograph", damage, _photograph, readers, also=also)
 
 
 def _points(folder: Path) -> None:
@@ -653,7 +730,6 @@ def _transforms_file(known: str) -> Callable[[Path], None]:
     return write
 
 
-_PAR = MIDDLEBURY_PAR.replace(b"0.0254 0.0084 0.9996 1 0 0 0 1 0 0", b"1 0 0 0 1 0 0 0 1")
 _PARTS = ("cameras", "rigs", "frames", "images", "points3D")
 
 FORMATS: dict[str, Format] = {
@@ -770,7 +846,7 @@ FORMATS: dict[str, Format] = {
         ),
         *("a.yaml", "text", _imu_mounting, ("read_camera_from_imu",)),
     ),
-    "slam-map": Format(_put_slam_map, "map.npz", "sealed", _slam_map, ("read_slam_map",)),
+    "slam-map": Format(_put_slam_map, "map.npz", "sealed", _slam_map, ("read_slam_map", "load_slam_map")),
     "slam-answers": Format(_put_answers, ANSWERS, "answers", _answers, ("read_answers",)),
     "pose-matrix": Format(
         _put("a.pose.txt", b"0 -1 0 5\n1 0 0 6\n0 0 1 7\n0 0 0 1\n"),
@@ -781,7 +857,9 @@ FORMATS: dict[str, Format] = {
         *("frames.csv", "text", _frame_table, ("read_frame_table",)),
     ),
     "truth-strecha": Format(_put("a.png.camera", STRECHA), "a.png.camera", "text", _truth, ("read_truth",)),
-    "truth-middlebury": Format(_put("t_par.txt", _PAR), "t_par.txt", "text", _truth, ("read_truth",)),
+    "truth-middlebury": Format(
+        _put("t_par.txt", MIDDLEBURY_PAR), "t_par.txt", "text", _truth, ("read_truth",)
+    ),
     "ply": Format(
         lambda folder: write_points_ply(folder / "cloud.ply", np.ones((6, 3)), np.zeros((6, 3), np.uint8)),
         *("cloud.ply", "ply", _cloud, ("read_points_ply",)),
@@ -791,6 +869,9 @@ FORMATS: dict[str, Format] = {
     "grid": Format(_put_grid, "grid.npz", "zip", _grid, ("read_grid", "read_voxels")),
     "hash": Format(_put_hash, "hash.npz", "zip", _hash, ("read_hash", "read_neural")),
     "llff": Format(_put_llff, "poses_bounds.npy", "binary", _llff, ("read_llff",)),
+    "llff-points": Format(
+        *(_put_llff_points, "sparse/0/points3D.bin", "binary", _llff, ("read_llff", "read_binary_points"))
+    ),
     **{name: _splats(name) for name in ("a.compressed.ply", "a.spz", "a.sog", "a.splat")},
     "splat": Format(_put_gaussians, "splat.ply", "ply", _gaussians, ("read_gaussian_ply",)),
     "ply-text": Format(_put("cloud.ply", TEXT_PLY), "cloud.ply", "text", _cloud, ("read_points_ply",)),
@@ -822,11 +903,11 @@ FORMATS: dict[str, Format] = {
     ),
     "calibration-xml": _calibrated("text", _put("a.xml", XML), "a.xml"),
     "calibration-kitti": _calibrated("text", _put("calib.txt", KITTI), "calib.txt"),
-    "calibration-kitti-rows": _calibrated("text", _put("c.txt", KITTI_ROWS), "c.txt", size=(1242, 375)),
+    "calibration-kitti-rows": _calibrated("text", _put("c.txt", KITTI_ROWS), "c.txt", size=SIZE),
     "calibration-middlebury": _calibrated("text", _put("calib.txt", MIDDLEBURY), "calib.txt"),
     "pfm": Format(
         lambda folder: write_pfm(folder / "map.pfm", np.arange(12.0).reshape(3, 4)),
-        *("map.pfm", "binary", _map(read_pfm, "map.pfm"), ("read_pfm",)),
+        *("map.pfm", "pfm", _map(read_pfm, "map.pfm"), ("read_pfm",)),
     ),
     "png16": Format(
         lambda folder: write_png16(folder / "map.png", np.arange(1.0, 13.0).reshape(3, 4)),
@@ -836,14 +917,18 @@ FORMATS: dict[str, Format] = {
     **{f"picture-{kind}": _pictured(kind, "png") for kind in ("PNG", "APNG", "PNG-deep")},
     **{f"picture-{kind}": _pictured(kind, "jpeg") for kind in ("JPEG", "progressive")},
     **({"picture-AVIF": _pictured("AVIF")} if features.check("avif") else {}),
+    "exif": Format(_put("photograph", _image("JPEG")), "photograph", "exif", _exif, ("read_header",)),
     "mask": Format(
         _put("a.jpg.png", _image("PNG")), "a.jpg.png", "png", _mask, ("read_mask", "read_mask_file")
     ),
     "video": Format(_video, "video.avi", "binary", _frames, ("extract_frames", "frame_size"), weight=0.3),
     "video-pairs": Format(_video, "video.avi", "binary", _pairs_of_video, ("extract_pairs",), weight=0.3),
-    "video-list": Format(_listed, "frames/frames.json", "json", _frames, ("extract_frames",), weight=0.3),
+    "video-list": Format(
+        _listed, "frames/frames.json", "json", _listed_frames, ("extract_frames",), weight=0.3
+    ),
     "stereo-rig": Format(_stereo, "rig.json", "json", _depths, ("read_stereo",)),
-    "stereo-depth": Format(_stereo, "depth.pfm", "binary", _depths, ("read_stereo",)),
+    "stereo-depth": Format(_stereo, "depth.pfm", "pfm", _depths, ("read_stereo",)),
+    "stereo-sigma": Format(_stereo, "sigma_depth.pfm", "pfm", _depths, ("read_stereo",)),
     "stereo-picture": Format(_stereo, "left.png", "png", _depths, ("read_stereo",)),
     "stereo-summary": Format(
         _put("summary.json", b'{"done": ["a"], "known": {"a": 0.5}, "warnings": {}, "problems": {"b": "c"}}'),
@@ -857,7 +942,10 @@ FORMATS: dict[str, Format] = {
     ),
 }
 FORMATS |= {
-    name: Format(write, file, "sealed", read, ("load_features", "load_putative", "load_view_graph"), weight)
+    name: Format(
+        *(write, file, "sealed", read, ("load_features", "load_putative", "load_view_graph"), weight),
+        most_mib=160,  # trainings go on in some
+    )
     for name, (write, file, read, weight) in SEALED.items()
 }
 

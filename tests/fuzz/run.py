@@ -19,6 +19,8 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 WALL_SECONDS = 30.0
 """A process that says nothing for so long hangs."""
+PREPARING_SECONDS = 300.0
+"""The same where examples are written first, for which kernels are compiled."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,9 @@ def _worker(*options: str, report: int | None = None, stderr: object = None) -> 
         HERE.parent,
         *(HERE.parent / room for room in ("io", "fields", "slam")),
     ]
-    quiet = {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_FFMPEG_LOGLEVEL": "-8", "MALLOC_ARENA_MAX": "2"}
+    quiet = {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_FFMPEG_LOGLEVEL": "-8", "MALLOC_ARENA_MAX": "2"} | {
+        "MALLOC_MMAP_THRESHOLD_": "131072"
+    }
     one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
     env = os.environ | quiet | one | {"PYTHONPATH": os.pathsep.join(map(str, folders))}
     env |= {} if report is None else {"FUZZ_REPORT": str(report)}
@@ -81,7 +85,7 @@ def _one_process(tasks: list[list], keep: Path | None) -> tuple[list[Finding], l
         worker.stdin.write("".join(json.dumps(task) + "\n" for task in tasks).encode())
         worker.stdin.close()
         found, last, hangs = [], ("nothing", -1), False
-        while lines := _read_lines(source, WALL_SECONDS) or []:
+        while lines := _read_lines(source, WALL_SECONDS if last[0] == "begin" else PREPARING_SECONDS) or []:
             for line in lines:
                 what, name, case, *rest = line.split(" ", 3)
                 last = (what if what != "wrong" else "begin", (name, int(case)))

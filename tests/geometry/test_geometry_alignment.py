@@ -51,12 +51,15 @@ def test_mirrored_points_are_not_mirrored_back(rng: np.random.Generator) -> None
     assert_local_minimum(found, source, target, rng)
 
 
-def test_exact_plane(rng: np.random.Generator) -> None:
-    source = rng.normal(size=(10, 3)) * [1, 1, 0]
-    truth = Similarity3.exp([1.0, 2.0, 3.0, 0.4, -2.0, 1.0, -0.7])
-    found = align_points(source, truth.apply(source))
-    np.testing.assert_allclose(found.rotation, truth.rotation, atol=1e-12)
-    np.testing.assert_allclose(found.scale, truth.scale)
+@pytest.mark.parametrize("flatness", [1, 0])
+def test_exact_points_give_the_similarity_that_moved_them(flatness: int, rng: np.random.Generator) -> None:
+    for _ in range(20):
+        source = rng.normal(size=(5, 3)) * [1, 1, flatness]
+        truth = Similarity3.exp(rng.normal(size=7) * [10, 10, 10, 1, 1, 1, 1])
+        found = align_points(source, truth.apply(source))
+        np.testing.assert_allclose(found.rotation, truth.rotation, atol=1e-12)
+        np.testing.assert_allclose(found.scale, truth.scale)
+        np.testing.assert_allclose(found.translation, truth.translation, atol=1e-11)
 
 
 def test_rotation_equals_scipy(rng: np.random.Generator) -> None:

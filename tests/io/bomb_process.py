@@ -1,6 +1,6 @@
 """Reads the files of a table in a process with little memory and time; says how each ended.
 
-Each line of standard input is (what, reader, paths). The reader is a name of `READERS`.
+Each line of standard input is (reader, paths, most MiB that it may take). The reader is a name of `READERS`.
 """
 
 import json
@@ -31,7 +31,6 @@ from epipole.io.truth import read_truth
 from epipole.pipelines.stereo.files import read_stereo
 
 SECONDS = 10
-RESIDENT_KIB = 400 << 10
 
 READERS: dict[str, Callable[..., Any]] = {
     "calibration": calibration_files.read_calibration,
@@ -63,6 +62,14 @@ READERS: dict[str, Callable[..., Any]] = {
 }
 
 
+CLEAR, STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")
+
+
+def resident_kib(what: str) -> int:
+    """Of this process: VmRSS now, VmHWM at most."""
+    return int(STATUS.read_text().split(what + ":")[1].split()[0])
+
+
 def _stop(number: int, frame: FrameType | None) -> None:
     raise TimeoutError(f"more than {SECONDS} s")
 
@@ -75,9 +82,10 @@ def _has_no_memory(error: BaseException) -> bool:
     return is_own or (cause is not None and _has_no_memory(cause))
 
 
-def ending(read: Callable[..., Any], paths: list[Path]) -> str:
+def ending(read: Callable[..., Any], paths: list[Path], most_mib: int) -> str:
     """How a call ends: 'read', 'refused: ...', or what must not be."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    before = resident_kib("VmRSS")
+    CLEAR.write_text("5")  # the peak begins anew
     signal.alarm(SECONDS)
     try:
         read(*paths)
@@ -96,8 +104,8 @@ def ending(read: Callable[..., Any], paths: list[Path]) -> str:
         said = f"{type(error).__name__}: {error}"[:1000]
     finally:
         signal.alarm(0)
-    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak
-    return f"took {grown >> 10} MB" if grown > RESIDENT_KIB else said
+    grown = resident_kib("VmHWM") - before
+    return f"took {grown >> 10} MB" if grown > most_mib << 10 else said
 
 
 def main() -> None:
@@ -107,8 +115,8 @@ def main() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (pages + (1 << 30),) * 2)
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     for line in sys.stdin:
-        reader, paths = json.loads(line)
-        answers.write(json.dumps(ending(READERS[reader], [Path(p) for p in paths])) + "\n")
+        reader, paths, most_mib = json.loads(line)
+        answers.write(json.dumps(ending(READERS[reader], [Path(p) for p in paths], most_mib)) + "\n")
 
 
 if __name__ == "__main__":

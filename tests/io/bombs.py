@@ -15,6 +15,7 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
+from example_files import TEXT_PLY
 from PIL import Image
 
 from epipole.io import write_colmap_model, write_database
@@ -79,6 +80,8 @@ XML_FILES = {
         "", '<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]>', "&b;"
     ).encode(),
     "deep marks": b"<opencv_storage>" + b"<a>" * 300_000,
+    "a drawing": b"<?xml version='1.0'?><svg></svg>",
+    "a file cut off": XML.format("", "", "<image_width>640</image_width>")[:60].encode(),
     "very many marks": b"<opencv_storage>" + b"<a/>" * 3_000_000 + b"</opencv_storage>",
 }
 
@@ -107,6 +110,13 @@ def encoded(kind: str, size: tuple[int, int] = (32, 24), **options: object) -> b
     stream = io.BytesIO()
     Image.new("RGB", size, (200, 100, 50)).save(stream, kind, **options)
     return stream.getvalue()
+
+
+def large_jpeg(mark: bytes, **options: object) -> bytes:
+    """A small JPEG whose header promises a gigapixel."""
+    data = encoded("JPEG", **options)
+    start = data.index(mark) + 5
+    return data[:start] + struct.pack(">HH", 32000, 32000) + data[start + 4 :]
 
 
 def tiff(width: int, height: int, compression: int, channels: int = 3, bits: int = 8) -> bytes:
@@ -151,6 +161,8 @@ ANIMATION = png_chunk(b"acTL", struct.pack(">II", 2, 0)) + png_chunk(
 )
 IMAGES: dict[str, Callable[[], bytes]] = {
     "PNG of 3.5 GB": lambda: png(30000, 30000, 16, 2),
+    "PNG of 16-bit greys": lambda: png(30000, 30000, 16),
+    "PNG of a million rows": lambda: png(32, 1_000_000, 8, 2, extra=png_chunk(b"teXt", bytes(5000))),
     "PNG of 144 megapixels in 143 bytes": lambda: png(12000, 12000, 16, 6),
     "PNG with a chunk of 640 MB": lambda: (
         (d := png(4, 3, 16, 0, rows=bytes(5)))[:33] + struct.pack(">I", 640 << 20) + d[37:]
@@ -173,11 +185,8 @@ IMAGES: dict[str, Callable[[], bytes]] = {
     "PPM with an endless header": lambda: b"P6\n" + b"9" * 5_000_000,
     "PPM with endless comments": lambda: b"P6\n" + b"#\n" * 500_000,
     "PFM": lambda: b"Pf\n16384 16384\n-1.0\n" + bytes(100),
-    "JPEG of a gigapixel": lambda: (
-        (d := encoded("JPEG"))[: (k := d.index(b"\xff\xc0")) + 5]
-        + struct.pack(">HH", 32000, 32000)
-        + d[k + 9 :]
-    ),
+    "JPEG of a gigapixel": lambda: large_jpeg(b"\xff\xc0"),
+    "JPEG of a progressive gigapixel": lambda: large_jpeg(b"\xff\xc2", progressive=True),
     "JPEG of many scans": lambda: many_scans(3000),
 }
 BZ2 = {
@@ -204,6 +213,7 @@ TRANSFORMS = {
     "an endless angle": json.dumps({"w": 640, "h": 480, "camera_angle_x": 1e308, "frames": [FRAME]}).encode(),
     "NaN": transforms({"fl_x": float("nan")}),
     "Infinity": transforms({"cx": float("inf")}),
+    "an endless width": transforms({"w": float("inf")}),
     "NaN in a matrix": transforms(transform_matrix=[[float("nan")] * 4] * 4),
     "a number of 5000 digits": transforms().replace(b"640", b"9" * 5000),
     "a size of 10^12": transforms({"w": 10**12}),
@@ -217,6 +227,7 @@ TRANSFORMS = {
     "a name of lists": transforms(file_path=[[["a"]]]),
     "a name that is a number": transforms(file_path=7),
     "no text": b'{"frames": "\xff\xfe"}',
+    "points of a long name": transforms({"ply_file_path": "a" * 5000}),
     "points with a zero": transforms({"ply_file_path": "a\0.ply"}),
     "points with a surrogate": transforms({"ply_file_path": "\ud800.ply"}),
     "points in a device": transforms({"ply_file_path": "/dev/zero"}),
@@ -497,17 +508,41 @@ def lz4(data: bytes) -> bytes:
     return lz4.frame.compress(data)
 
 
+def holding(content: str | bytes) -> Callable[[Path], None]:
+    """A file of that content."""
+    return lambda path: path.write_bytes(content.encode() if isinstance(content, str) else content) and None
+
+
+DIGITS = "9" * 4300
+"""The longest number that Python reads; twice as much it does not print."""
 PACKED = {
-    "a grid of 2048^3 empty cells": (
+    "BAL of endless counts": ("bal", "a.txt", holding(f"{DIGITS} {DIGITS} {DIGITS}")),
+    "BAL of a negative count": ("bal", "a.txt", holding("-1 1 1 0")),
+    "BAL of 2^40 cameras": ("bal", "a.txt", holding("1099511627776 0 0")),
+    "BAL of half an index": ("bal", "a.txt", holding("1 1 1 0.5 0 1 2" + 12 * " 1")),
+    "BAL of an endless turn": ("bal", "a.txt", holding("1 1 1 0 0 1 2 1e160" + 11 * " 1")),
+    "PFM of endless sides": ("pfm", "a.pfm", holding(f"Pf\n{DIGITS} {DIGITS}\n-1\n")),
+    "PFM of negative sides": ("pfm", "a.pfm", holding("Pf\n-1 -1\n-1\n0000")),
+    "PFM of no byte order": ("pfm", "a.pfm", holding("Pf\n1 1\nnan\n0000")),
+    **{
+        f"a whole number that is {value}": (
+            *("ply", "a.ply"),
+            holding(
+                TEXT_PLY.replace(b"property float x", b"property int x").replace(b"0.5 1.5", value + b" 1.5")
+            ),
+        )
+        for value in (b"inf", b"nan", b"1e300")
+    },
+    "a grid of 1024^3 empty cells": (
         *("grid", "grid.npz"),
         arrays(
-            **GRID | {"shape": np.array([2048] * 3, "i4"), "cells": zeros("u1", 1 << 30)},
+            **GRID | {"shape": np.array([1024] * 3, "i4"), "cells": zeros("u1", 1 << 27)},
             values=zeros("f2", 0, 13),
         ),
     ),
-    "a grid of 2^26 rows": ("grid", "grid.npz", arrays(**GRID, values=zeros("f2", 1 << 26, 13))),
+    "a grid of 2^23 rows": ("grid", "grid.npz", arrays(**GRID, values=zeros("f2", 1 << 23, 13))),
     "a grid whose header lies": ("grid", "grid.npz", promising),
-    "tables of 2^26 rows": ("hash", "hash.npz", arrays(**HASH, tables=zeros("f2", 1, 1 << 26, 4))),
+    "tables of 2^24 rows": ("hash", "hash.npz", arrays(**HASH, tables=zeros("f2", 1, 1 << 24, 4))),
     "tables of doubles": ("hash", "hash.npz", arrays(**HASH, tables=zeros("f8", 1, 1 << 16, 4))),
     "SPZ of 2^24 Gaussians": ("gaussians", "a.spz", spz(1 << 24, zstd)),
     "SPZ of frames that boast": ("gaussians", "a.spz", spz(4, boasting)),

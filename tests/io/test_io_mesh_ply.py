@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_io_hostile_models import TEXT_MESH
+from example_files import TEXT_MESH
 
 from epipole.errors import FileFormatError
 from epipole.io.meshes.mesh_ply import read_mesh_ply, write_mesh_ply

@@ -7,9 +7,6 @@ from hypothesis import strategies as st
 from any_geometry import calibration_matrices, numbers, points_ahead, steps_aside, twists, vectors
 from epipole.geometry import (
     Rigid3,
-    Rotation3,
-    choose_by_cheirality,
-    decompose_essential_matrix,
     decompose_homography,
     essential_from_cam2_from_cam1,
     essential_from_fundamental,
@@ -18,7 +15,6 @@ from epipole.geometry import (
     sampson_error,
     to_homogeneous,
     triangulate_linear,
-    triangulate_two_view,
 )
 
 K = calibration_matrices()
@@ -44,41 +40,6 @@ def test_matching_pixels_meet_the_fundamental_matrix(motion, points, K1, K2) -> 
     singular = np.linalg.svd(balanced @ F @ balanced, compute_uv=False)
     assert singular[2] <= 1e-13 * singular[0] and singular[1] > 1e-4 * singular[0]
     np.testing.assert_allclose(essential_from_fundamental(F, K1, K2), essential, atol=1e-10)
-
-
-@given(steps_aside())
-def test_an_essential_matrix_has_two_equal_singular_values_and_none(motion: Rigid3) -> None:
-    singular = np.linalg.svd(essential_from_cam2_from_cam1(motion), compute_uv=False)
-    length = np.linalg.norm(motion.translation)
-    np.testing.assert_allclose(singular, [length, length, 0.0], atol=1e-13 * length)
-
-
-@given(steps_aside(), points_ahead(least=3), st.sampled_from([1.0, -1.0, 1e-3, -1e4]))
-def test_motion_to_essential_matrix_and_back(motion: Rigid3, points: np.ndarray, factor: float) -> None:
-    in_cam2 = motion.apply(points)
-    parallax = np.linalg.norm(np.cross(points @ motion.rotation.T, in_cam2), axis=1)
-    assume((in_cam2[:, 2] > 1).all() and (parallax > 1e-2).all())
-    candidates = decompose_essential_matrix(factor * essential_from_cam2_from_cam1(motion))
-    index, in_front, _ = choose_by_cheirality(candidates, points, in_cam2)
-    found, length = candidates[index], np.linalg.norm(motion.translation)
-    assert in_front.all()
-    np.testing.assert_allclose(found.rotation, motion.rotation, atol=1e-9)
-    np.testing.assert_allclose(found.translation, motion.translation / length, atol=1e-9)
-
-
-@given(steps_aside(), points_ahead(least=2))
-def test_triangulation_of_exact_rays_and_back(motion: Rigid3, points: np.ndarray) -> None:
-    in_cam2 = motion.apply(points)
-    sine = np.linalg.norm(np.cross(points @ motion.rotation.T, in_cam2), axis=1)
-    sine /= np.linalg.norm(points, axis=1) * np.linalg.norm(in_cam2, axis=1)
-    assume((sine > 1e-3).all())
-    found, depth1, depth2 = triangulate_two_view(motion, points, in_cam2)
-    np.testing.assert_allclose(found, points, atol=1e-9)
-    np.testing.assert_allclose(depth1, np.linalg.norm(points, axis=1), atol=1e-9)
-    np.testing.assert_allclose(depth2, np.linalg.norm(in_cam2, axis=1), atol=1e-9)
-    both = Rigid3(np.stack([np.eye(3), motion.rotation]), np.stack([np.zeros(3), motion.translation]))
-    for point, other in zip(points, in_cam2):
-        np.testing.assert_allclose(triangulate_linear(both, np.stack([point, other])), point, atol=1e-7)
 
 
 @given(st.lists(twists(), min_size=3, max_size=6), vectors(3, 5.0))
@@ -126,11 +87,3 @@ def test_a_plane_gives_a_homography_whose_motions_hold_the_truth(motion, plane, 
         for k in range(len(found))
     ]
     assert min(errors) < 1e-6
-
-
-@given(vectors(3, 1.0), K, K)
-def test_a_turn_alone_is_told_from_a_plane(turn, K1, K2) -> None:
-    rotation = Rotation3.exp(0.3 * turn).matrix
-    found = decompose_homography(K2 @ rotation @ np.linalg.inv(K1), K1, K2)
-    assert len(found) == 1 and not found.cam2_from_cam1.translation.any()
-    np.testing.assert_allclose(found.cam2_from_cam1.rotation[0], rotation, atol=1e-9)

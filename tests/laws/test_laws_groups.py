@@ -9,20 +9,21 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation as ScipyRotation
 
-from epipole.geometry import Rigid3, Rotation3, Similarity3, skew
+from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3, skew
 
-BATCHES = [(), (1,), (3, 1, 2), (0,)]
+BATCHES = [(), (1,), (10, 1, 2), (0,)]
 SAMPLES = ["random", "near identity", "near pi", "zero"]
 
 
 @dataclass(frozen=True)
 class Group:
-    """One of the three groups: its type, the length of its tangents and their 4x4 generator."""
+    """One of the groups: its type, the length of its tangents and their generator as a homogeneous matrix."""
 
     kind: Any
     tangent_size: int
     angle: slice
     hat: Callable[[np.ndarray], np.ndarray]
+    dimension: int = 3
 
     def identity(self, *batch: int) -> Any:
         return self.kind.identity(*batch)
@@ -49,16 +50,24 @@ def hat_of_similarity(xi: np.ndarray) -> np.ndarray:
     return out
 
 
+def hat_of_plane(xi: np.ndarray) -> np.ndarray:
+    out = np.zeros((*xi.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 1, 0] = -xi[..., 2], xi[..., 2]
+    out[..., :2, 2] = xi[..., :2]
+    return out
+
+
 ROTATION = Group(Rotation3, 3, slice(0, 3), hat_of_rotation)
 RIGID = Group(Rigid3, 6, slice(3, 6), hat_of_rigid)
 SIMILARITY = Group(Similarity3, 7, slice(3, 6), hat_of_similarity)
-GROUPS = [pytest.param(g, id=g.kind.__name__) for g in (ROTATION, RIGID, SIMILARITY)]
+PLANE = Group(Rigid2, 3, slice(2, 3), hat_of_plane, 2)
+GROUPS = [pytest.param(g, id=g.kind.__name__) for g in (ROTATION, RIGID, SIMILARITY, PLANE)]
 
 
 def tangents(group: Group, sample: str, batch: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
     """Tangents with a rotation angle below pi."""
     xi = rng.normal(size=(*batch, group.tangent_size))
-    axis = rng.normal(size=(*batch, 3))
+    axis = rng.normal(size=(*batch, group.angle.stop - group.angle.start))
     axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
     largest = {"random": 3.1, "near identity": 1e-7, "near pi": np.pi - 1e-7, "zero": 0.0}[sample]
     angle = largest * (rng.uniform(size=(*batch, 1)) if sample == "random" else 1.0)
@@ -69,14 +78,20 @@ def tangents(group: Group, sample: str, batch: tuple[int, ...], rng: np.random.G
     return xi
 
 
+def rotation_of(element: Any) -> np.ndarray:
+    found = element.matrix if isinstance(element, Rotation3) else element.rotation
+    return found() if callable(found) else found
+
+
 def matrix_of(element: Any) -> np.ndarray:
-    """The homogeneous 4x4 matrix, written out here again."""
-    rotation = element.matrix if isinstance(element, Rotation3) else element.rotation
+    """The homogeneous matrix, written out here again."""
+    rotation = rotation_of(element)
+    size = rotation.shape[-1]
     scale = element.scale if isinstance(element, Similarity3) else np.ones(rotation.shape[:-2])
-    out = np.zeros((*rotation.shape[:-2], 4, 4))
-    out[..., :3, :3] = scale[..., None, None] * rotation
-    out[..., :3, 3] = 0.0 if isinstance(element, Rotation3) else element.translation
-    out[..., 3, 3] = 1.0
+    out = np.zeros((*rotation.shape[:-2], size + 1, size + 1))
+    out[..., :size, :size] = scale[..., None, None] * rotation
+    out[..., :size, size] = 0.0 if isinstance(element, Rotation3) else element.translation
+    out[..., size, size] = 1.0
     return out
 
 
@@ -99,10 +114,9 @@ class TestAxioms:
     ) -> None:
         other = group.exp(tangents(group, "random", batch, rng))
         product = group.exp(xi) @ other
-        rotation = product.matrix if group is ROTATION else product.rotation
-        np.testing.assert_allclose(
-            rotation @ np.swapaxes(rotation, -1, -2), np.broadcast_to(np.eye(3), rotation.shape), atol=1e-13
-        )
+        rotation = rotation_of(product)
+        one = np.broadcast_to(np.eye(group.dimension), rotation.shape)
+        np.testing.assert_allclose(rotation @ np.swapaxes(rotation, -1, -2), one, atol=1e-13)
         np.testing.assert_allclose(np.linalg.det(rotation), np.ones(batch), atol=1e-13)
         np.testing.assert_allclose(
             matrix_of(product), matrix_of(group.exp(xi)) @ matrix_of(other), rtol=1e-13, atol=1e-13
@@ -124,7 +138,7 @@ class TestAxioms:
 
     def test_exp_is_the_matrix_exponential(self, group: Group, xi: np.ndarray) -> None:
         hats = group.hat(xi)
-        expected = np.array([expm(m) for m in hats.reshape(-1, 4, 4)]).reshape(hats.shape)
+        expected = np.array([expm(m) for m in hats.reshape(-1, *hats.shape[-2:])]).reshape(hats.shape)
         np.testing.assert_allclose(matrix_of(group.exp(xi)), expected, rtol=1e-12, atol=1e-12)
 
     def test_log_undoes_exp(self, group: Group, xi: np.ndarray, sample: str) -> None:
@@ -143,20 +157,22 @@ class TestAxioms:
         moved = (moving.adjoint() @ xi[..., None])[..., 0]
         assert moving.adjoint().shape == (*batch, group.tangent_size, group.tangent_size)
         assert_same(moving @ group.exp(xi) @ moving.inverse(), group.exp(moved), 1e-10)
+        expected = moving.adjoint() @ group.exp(xi).adjoint()
+        np.testing.assert_allclose((moving @ group.exp(xi)).adjoint(), expected, rtol=1e-11, atol=1e-11)
 
     def test_action_is_compatible_with_the_product(
         self, group: Group, xi: np.ndarray, batch: tuple[int, ...], rng: np.random.Generator
     ) -> None:
         a, b = group.exp(xi), group.exp(tangents(group, "random", batch, rng))
-        points = rng.normal(size=(*batch, 3))
+        points = rng.normal(size=(*batch, group.dimension))
         np.testing.assert_allclose((a @ b).apply(points), a.apply(b.apply(points)), rtol=1e-11, atol=1e-11)
         np.testing.assert_allclose(a.inverse().apply(a.apply(points)), points, rtol=1e-11, atol=1e-11)
         homogeneous = np.concatenate([points, np.ones((*batch, 1))], axis=-1)[..., None]
-        expected = (matrix_of(a) @ homogeneous)[..., :3, 0]
+        expected = (matrix_of(a) @ homogeneous)[..., :-1, 0]
         np.testing.assert_allclose(a.apply(points), expected, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize("group", GROUPS[:3])
 def test_axis_turned_by_pi_comes_back_up_to_sign(group: Group, rng: np.random.Generator) -> None:
     xi = tangents(group, "random", (20,), rng)
     axis = xi[:, group.angle]
@@ -224,6 +240,19 @@ def test_rigid_motions_are_the_similarities_of_scale_one(rng: np.random.Generato
     similarity = Similarity3.exp(np.concatenate([xi, np.zeros((6, 1))], axis=1))
     assert_same(similarity, Rigid3.exp(xi), 1e-13)
     np.testing.assert_allclose(similarity.log()[:, :6], Rigid3.exp(xi).log(), atol=1e-12)
+
+
+def test_a_similarity_moves_a_camera_with_its_world(rng: np.random.Generator) -> None:
+    """The camera sees each moved point in the direction in which it saw the point."""
+    points = np.array([[1.0, 2.0, 3.0], [-4.0, 0.5, 2.0], [0.0, 0.0, 0.0]])
+    for sample in 20 * SAMPLES:
+        cam_from_world = RIGID.exp(10 * tangents(RIGID, sample, (), rng))
+        moved_from_world = SIMILARITY.exp(tangents(SIMILARITY, sample, (), rng))
+        moved_cam = moved_from_world.move_cam_from_source(cam_from_world)
+        expected = float(moved_from_world.scale) * cam_from_world.apply(points)
+        np.testing.assert_allclose(
+            moved_cam.apply(moved_from_world.apply(points)), expected, rtol=1e-11, atol=1e-9
+        )
 
 
 @pytest.mark.parametrize("group", GROUPS)

@@ -52,7 +52,7 @@ class Scene:
         return from_homogeneous(self.rays2 @ K2.T)
 
 
-@pytest.fixture(params=range(6))
+@pytest.fixture(params=range(16))
 def scene(request: pytest.FixtureRequest) -> Scene:
     rng = np.random.default_rng(request.param)
     motion = Rigid3.exp(np.concatenate([rng.normal(size=3), 0.3 * rng.normal(size=3)]))

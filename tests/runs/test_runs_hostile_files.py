@@ -1,27 +1,21 @@
 """What a run leaves behind, damaged: units are redone, marks are refused, summaries are taken for missing."""
 
 import io
-import json
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from epipole._checks.tables import Expected
 from epipole.errors import FileFormatError, WorkspaceError
-from epipole.io.images.depth_maps import write_pfm
-from epipole.io.images.photographs import write_jpeg_with_exif
-from epipole.pipelines.sfm.matching.pairing import read_pairs
 from epipole.pipelines.stereo.files import read_stereo
 from epipole.pipelines.stereo.pairs import read_summary
 from epipole.runs import claim, store, stored_key
 from epipole.runs.folder import MARK, read_mark
 from epipole.runs.units import load
-from hostile_bytes import NUMBERS, read_or_refuse, spoil_one, spoilt
+from hostile_bytes import NUMBERS, read_or_refuse, spoil_one
 
 
 @pytest.fixture(scope="module")
@@ -36,17 +30,6 @@ def mark(folder: Path) -> bytes:
     claimed.timings_s = {"read": 0.25}
     claimed.save()
     return (folder / "claimed" / MARK).read_bytes()
-
-
-@given(data=st.data())
-def test_the_mark_of_a_folder(folder: Path, mark: bytes, data: st.DataObject) -> None:
-    """Refused, or names and numbers of their kinds."""
-    where = folder / "marked"
-    spoil_one(where, {MARK: mark}, MARK, data.draw(spoilt(mark, is_text=True)))
-    found = read_or_refuse(read_mark, where, names=where.name)
-    if found is not None:
-        assert all(isinstance(name, str) for names in found.files.values() for name in names)
-        assert all(isinstance(seconds, float) for seconds in found.timings_s.values())
 
 
 def test_a_sound_mark_is_read(folder: Path, mark: bytes) -> None:
@@ -64,15 +47,6 @@ def test_a_sound_mark_is_read(folder: Path, mark: bytes) -> None:
 UNIT = {"keypoints": np.arange(12.0).reshape(6, 2), "descriptors": np.zeros((6, 128), np.uint8)}
 
 
-@given(data=st.data())
-def test_units(folder: Path, data: st.DataObject) -> None:
-    """A damaged unit has another key or none, and is done again; never an error."""
-    path = folder / "unit.npz"
-    store(path, "0123456789abcdef", UNIT)
-    path.write_bytes(data.draw(spoilt(path.read_bytes(), is_text=False)))
-    assert isinstance(read_or_refuse(stored_key, path), str)
-
-
 def test_a_unit_whose_key_claims_to_be_of_any_size_takes_no_memory(folder: Path) -> None:
     """The header of its key says 2^36 letters."""
     path = folder / "claims.npz"
@@ -82,44 +56,6 @@ def test_a_unit_whose_key_claims_to_be_of_any_size_takes_no_memory(folder: Path)
     assert b"'<U20'" in data
     path.write_bytes(data.replace(b"'shape': (), }         ", b"'shape': (68719476736,),"))
     assert read_or_refuse(stored_key, path) == ""
-
-
-def stereo_files() -> dict[str, bytes]:
-    """A folder as `epipole stereo` leaves it, as far as it is read back."""
-    K = [[500.0, 0.0, 3.5], [0.0, 500.0, 2.5], [0.0, 0.0, 1.0]]
-    return {"rig.json": json.dumps({"K": K, "baseline": 0.1}, indent=1).encode()}
-
-
-@pytest.mark.parametrize("name", ["rig.json", "depth.pfm", "sigma_depth.pfm", "left.png"])
-@given(data=st.data())
-def test_depth_read_back(folder: Path, name: str, data: st.DataObject) -> None:
-    where = folder / "stereo"
-    where.mkdir(exist_ok=True)
-    for pfm in ("depth.pfm", "sigma_depth.pfm"):
-        write_pfm(where / pfm, np.ones((6, 8)))
-    write_jpeg_with_exif(where / "left.png", np.zeros((6, 8, 3), np.uint8))
-    valid = stereo_files() | {p.name: p.read_bytes() for p in sorted(where.iterdir()) if p.name != "rig.json"}
-    spoil_one(where, valid, name, data.draw(spoilt(valid[name], is_text=name == "rig.json")))
-    found = read_or_refuse(read_stereo, where, names=where.name)
-    if found is not None:
-        assert found.K.shape == (3, 3) and np.isfinite(found.K).all()
-        assert found.depths.shape == found.left_rgb.shape[:2]
-
-
-@given(data=st.data())
-def test_the_summary_of_many_pairs(folder: Path, data: st.DataObject) -> None:
-    valid = json.dumps({"done": ["a"], "known": {"a": 0.9}, "warnings": {}, "problems": {}}).encode()
-    (folder / "summary.json").write_bytes(data.draw(spoilt(valid, is_text=True)))
-    found = read_or_refuse(read_summary, folder)
-    assert isinstance(found, dict) and isinstance(found.get("known", {}), dict)
-
-
-@given(data=st.data())
-def test_lists_of_pairs(folder: Path, data: st.DataObject) -> None:
-    path = folder / "pairs.txt"
-    path.write_bytes(data.draw(spoilt(b"# pairs\na.jpg b.jpg\nb.jpg c.jpg\n\nc.jpg a.jpg\n", is_text=True)))
-    found = read_or_refuse(read_pairs, path, ["a.jpg", "b.jpg", "c.jpg"], names=path.name)
-    assert found is None or ((found >= 0) & (found < 3)).all()
 
 
 def test_deep_and_endless_summaries(folder: Path) -> None:
