@@ -147,7 +147,7 @@ def test_wrong_files(tmp_path, rng):
     np.savez(
         tmp_path / "c.npz",
         shape=np.array([10**9] * 3, np.int32),
-        position=np.ones(5),
+        place=np.ones(5),
         cells=np.zeros(1, np.uint8),
         values=np.zeros((1, 13), np.float16),
     )
@@ -174,7 +174,7 @@ def test_wrong_neural_files(tmp_path, rng):
             {"cells": np.array([4]), "tables": good["tables"][:1]},
             "shapes of the network's layers do not match",
         ),
-        ({"cells": np.array([4, 0])}, "levels must be within"),
+        ({"cells": np.array([4, 0])}, "levels must be from"),
         ({"tables": rng.normal(size=(2, 63, 4)).astype(np.float32)}, "not a power of two"),
         ({"weights": good["weights"][:1] * 5}, "shapes of the network's layers do not match"),
         ({"tables": np.full((2, 64, 4), np.nan, np.float32)}, "tables must be finite"),

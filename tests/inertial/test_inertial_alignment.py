@@ -90,7 +90,7 @@ def test_stretches_give_one_scale_and_what_drifts_is_told_by_the_deviation():
     found = fit_scale_to_imu(path.timestamp_s, path.world_from_camera, path.log, path.camera_from_imu)
     assert found.note == "the IMU (5 of 5 segments)" and found.shared_sigma == 0.01
     assert abs(found.scale / path.scale - 1) < 2 * found.fraction < 0.03
-    with pytest.raises(DegenerateGeometryError, match="no 12 poses"):
+    with pytest.raises(DegenerateGeometryError, match="no 12 consecutive poses"):
         fit_scale_to_imu(path.timestamp_s + 900.0, path.world_from_camera, path.log, path.camera_from_imu)
 
 

@@ -48,7 +48,7 @@ def test_the_camera_of_a_portrait_video_is_turned_with_it(tmp_path, angle_deg):
     assert (camera.width, camera.height) == (H, W)
     cx, cy = (H - 30.0, 50.0) if angle_deg == 90 else (30.0, W - 50.0)
     np.testing.assert_allclose(camera.params, [81.0, 80.0, cx - 0.5, cy - 0.5])
-    assert any("as they are stored" in note for note in source.notes())
+    assert any("the stored pixels" in note for note in source.notes())
     portrait = open_video_frames(path, CameraOptions(camera_params="80,81,30,50"))
     np.testing.assert_allclose(portrait.camera.camera.params, [80.0, 81.0, 29.5, 49.5])
     assert portrait.notes() == []

@@ -72,7 +72,7 @@ def test_too_little_is_refused(rng):
     cams, cameras, pixels, _ = seen(BAR, rng)
     with pytest.raises(DegenerateGeometryError, match="seen in 1 posed image"):
         fit_scale_to_object(BAR, cams[:1], cameras[:1], pixels[:1], 1.0)
-    with pytest.raises(DegenerateGeometryError, match="no image"):
+    with pytest.raises(DegenerateGeometryError, match="no posed image"):
         fit_scale_to_object(BAR, cams, cameras, np.full_like(pixels, np.nan), 1.0)
     one_place = seen(BAR, rng, reach=0.0, sigma=0.1)
     still = stacked([one_place[0][0]] * 8)

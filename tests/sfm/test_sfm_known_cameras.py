@@ -48,7 +48,7 @@ def test_every_second_image_turned(calibration, rotated):
         camera = found.cameras[int(found.camera_of_image[image])]
         assert (camera.width, camera.height) == (expected.width, expected.height)
         np.testing.assert_allclose(camera.params, expected.params)
-    assert "stored pixels" in found.notes[0]
+    assert "the stored pixels" in found.notes[0]
 
 
 @pytest.mark.parametrize("rotated", [3, 6])

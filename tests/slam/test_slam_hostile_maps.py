@@ -39,7 +39,7 @@ def at(name, where, value):
     [
         (at("point", 0, 10**6), "point must be from"),
         (at("point", 0, -1), "point must be from"),
-        (at("anchor", 0, 99), "anchor must be within"),
+        (at("anchor", 0, 99), "anchor must be from"),
         (at("offsets", 1, 10**9), "offsets must increase"),
         (at("pixels", (0, 0), 1e9), "inside the image"),
         (at("rotation", (0, 0, 0), 2.0), "rotation matrices"),
@@ -48,7 +48,7 @@ def at(name, where, value):
         (lambda arrays: arrays.update(grey=arrays["grey"].astype(np.float32)), "grey must be"),
         (lambda arrays: arrays.update(camera_params=np.ones(1)), "not those of a map"),
         (lambda arrays: arrays.update(point=arrays["point"].astype(np.float64)), "point must be"),
-        (lambda arrays: arrays.update(other=np.ones(1)), "not known"),
+        (lambda arrays: arrays.update(other=np.ones(1)), "is unknown"),
     ],
 )
 def test_maps_whose_arrays_do_not_fit_are_refused(change, words, tmp_path):

@@ -60,7 +60,7 @@ def test_a_calibration_is_turned_and_scaled_and_said(tmp_path):
     assert notes == [f"calibration {path} is for images of {2 * W}x{2 * H} and was scaled to {W}x{H}"]
     camera, notes = options.fitted_camera(ImageShape(2 * H, 2 * W, 8))
     np.testing.assert_allclose(camera.params, [122.0, 120.0, 40.0, 2 * W - 1 - 70])
-    assert "as they are stored" in notes[0]
+    assert "the stored pixels" in notes[0]
     with pytest.raises(ConfigError, match=f"is for images of {2 * W}x{2 * H}, but these are {H}x{W}"):
         options.camera((H, W))
 
@@ -71,4 +71,4 @@ def test_the_source_of_a_scaled_camera_is_said_beside_its_note(tmp_path, rng):
     write_calibration(path, CalibrationFile((camera,), Rigid3.identity(1)))
     source = run._open(folder, JobOptions(), CameraOptions(calibration=path), None)
     assert source.about["camera_source"] == "given" and source.camera.camera.width == W
-    assert any(f"it is scaled to {W}x{H}" in note for note in source.notes())
+    assert any(f"was scaled to {W}x{H}" in note for note in source.notes())
