@@ -250,7 +250,7 @@ def test_intrinsics_beside_images_are_used(tmp_path, data_dir):
         ("0.9 0.9 0.5 0.5\n", "is not plausible for a camera"),
         ("500 500 320\n", "3 numbers"),
         ("fx 500\n", "could not convert"),
-        ("500 500 320 nan\n", "not a finite number"),
+        ("500 500 320 nan\n", "must be finite"),
         ("-500 500 320 240\n", "must be positive"),
     ],
 )

@@ -127,7 +127,7 @@ def test_the_path_goes_along_into_another_world_and_unit(rng):
     np.testing.assert_allclose(variances[:3], np.tile([0.16, 0.16, 0.16, 1.0, 1.0, 1.0], (3, 1)))
     np.testing.assert_allclose(variances[3:], 1.0)
     assert len(path.trajectory(model.keyframes[1:])) == 3
-    path.cull(model.keyframes[:1])
+    path.clear(model.keyframes[:1])
     np.testing.assert_allclose(path.trajectory(model.keyframes).timestamp_s, [0.3, 0.4, 0.5])
     assert len(path.trajectory([])) == 0
 
@@ -284,7 +284,7 @@ def test_what_is_told_differently_each_time_or_too_seldom_is_not_believed(rng, m
             id(there): [newest.cam_from_world @ Rigid3.exp(np.array([0.5 * number, 0, 0, 0, 0, 0]))]
         }
         assert sought.consider(here, there) is None
-    sought.cull()
+    sought.clear()
     for number in range(30, 60):  # the same, with more silence in between than is waited
         newest = add_keyframe(rng, here, number)
         is_alike.poses = {id(there): [newest.cam_from_world]} if number % 6 == 0 else {}

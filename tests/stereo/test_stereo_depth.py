@@ -17,6 +17,7 @@ from epipole.pipelines.stereo.config import RigOptions, StereoConfig
 from epipole.pipelines.stereo.depth import depth_of, point_covariances
 from epipole.pipelines.stereo.pair import measure_pair
 from epipole.pipelines.stereo.rigs import rectified_rig_of, rig_from_options
+from epipole.pipelines.stereo.run import examine_stereo
 from epipole.scene import DisparityMap, RectifiedRig, StereoReason, StereoRig
 from epipole.synthetic.stereo_rooms import stereo_room
 
@@ -170,7 +171,7 @@ def test_a_calibration_of_rectified_cameras_resamples_nothing(pair_files, tmp_pa
     assert found.rectification is None and found.left_rgb.shape[:2] == (height, width)
     assert found.rig.principal_offset_px == pytest.approx(3.0)
     assert any("the calibration has no covariance" in words for words in found.warnings)
-    for other in ({"turn": 1e-4}, {"k1": 1e-3}, {"covariance": np.zeros((30, 30))}):
+    for other in ({"rotation": 1e-4}, {"k1": 1e-3}, {"covariance": np.zeros((30, 30))}):
         assert rectified_rig_of(flat_rig(pair, **other)) is None
 
 
@@ -182,7 +183,7 @@ def test_a_calibration_of_another_size_is_refused(pair_files, tmp_path):
     with pytest.raises(ShapeError, match="its calibration is for"):
         api.stereo(left, right, tmp_path / "out", StereoConfig(max_disparity_px=40), wrong)
     with pytest.raises(ShapeError, match="its calibration is for"):
-        api.examine_stereo(left, right, wrong)
+        examine_stereo(left, right, wrong)
 
 
 def test_far_things_are_found_where_principal_points_differ(tmp_path):

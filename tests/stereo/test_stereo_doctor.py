@@ -17,6 +17,7 @@ from epipole.pipelines.calibration.config import CalibrationConfig
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.doctor import TYPICAL_SIGMA_PX, Cause, examine
 from epipole.pipelines.stereo.pair import measure_pair
+from epipole.pipelines.stereo.run import examine_stereo
 from epipole.scene import RectifiedRig, StereoRig
 from epipole.synthetic.stereo_rooms import stereo_room
 
@@ -132,7 +133,7 @@ def test_odd_units_and_unusable_input(cones):
 
 def test_the_call_on_files(data_dir):
     folder = data_dir / "stereo" / "middlebury_2003" / "cones"
-    assert api.examine_stereo(folder / "im2.png", folder / "im6.png").is_healthy
+    assert examine_stereo(folder / "im2.png", folder / "im6.png").is_healthy
 
 
 def test_pictures_exchanged_under_their_calibration_are_told(data_dir):
