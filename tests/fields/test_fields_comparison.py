@@ -4,19 +4,11 @@ import json
 
 import numpy as np
 import pytest
-from fields_scenes import camera, frames_of, views
+from fields_scenes import views
 
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.images.photographs import read_rgb
 from epipole.pipelines.fields.comparison import compare_fields
-
-
-@pytest.fixture(scope="module")
-def source(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("compare") / "scene"
-    folder.mkdir()
-    (folder / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(views(), folder)}))
-    return folder
 
 
 def test_both_are_trained_and_drawn(source, tmp_path):

@@ -1,10 +1,8 @@
 """Meshes: depth images fused into distances, surfaces against known ones, and `epipole.mesh` of every kind of field."""
 
-import json
-
 import numpy as np
 import pytest
-from fields_scenes import CAMERA, camera, frames_of, views
+from fields_scenes import CAMERA
 from plyfile_of import mesh_in
 
 from epipole import mesh, nerf, splat
@@ -101,14 +99,6 @@ def test_files_hold_the_triangles(tmp_path):
     with pytest.raises(ShapeError, match="rgb"):
         write_mesh_ply(tmp_path / "b.ply", vertices, faces, np.zeros((3, 3), np.uint8))
     assert not (tmp_path / "b.ply").exists()
-
-
-@pytest.fixture(scope="module")
-def source(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("mesh") / "scene"
-    folder.mkdir()
-    (folder / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(views(), folder)}))
-    return folder
 
 
 @pytest.mark.parametrize("kind", ["splat", "grid"])

@@ -27,14 +27,6 @@ DARKEST = {"grid": 0.7, "hash": 0.8}
 MOST_LEVELS = {"grid": 2, "hash": 4}
 
 
-@pytest.fixture(scope="module")
-def source(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("nerf") / "scene"
-    folder.mkdir()
-    (folder / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(views(), folder)}))
-    return folder
-
-
 @pytest.fixture(scope="module", params=list(KINDS))
 def result(request, source, tmp_path_factory):
     return nerf(

@@ -6,21 +6,13 @@ from shutil import copytree
 
 import numpy as np
 import pytest
-from fields_scenes import CAMERA, camera, frames_of, views
+from fields_scenes import CAMERA, camera, views
 
 from epipole import nerf, splat
 from epipole.cameras import Camera
 from epipole.pipelines.fields import held_out
 from epipole.pipelines.fields.comparison import compare_fields
 from epipole.pipelines.fields.config import FieldOptions
-
-
-@pytest.fixture(scope="module")
-def source(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("time") / "scene"
-    folder.mkdir()
-    (folder / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(views(), folder)}))
-    return folder
 
 
 class Slow:

@@ -27,15 +27,6 @@ OPTIONS = {"steps": 80, "max_gaussians": 400, "sh_degree": 1}
 
 
 @pytest.fixture(scope="module")
-def source(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("splat") / "scene"
-    folder.mkdir()
-    content = camera() | {"frames": frames_of(views(), folder)}
-    (folder / "transforms.json").write_text(json.dumps(content))
-    return folder
-
-
-@pytest.fixture(scope="module")
 def result(source, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(training, "PROBE_FRACTION", np.inf)

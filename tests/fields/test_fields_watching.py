@@ -1,13 +1,12 @@
 """A training that is watched: what the page shows, within its fraction of the time."""
 
-import json
 import threading
 import time
 
 import numpy as np
 import pytest
 from browser_tab import BROWSER, open_tab
-from fields_scenes import CAMERA, WHITE, camera, frames_of, scene, views
+from fields_scenes import CAMERA, WHITE, scene, views
 
 from epipole import nerf, splat
 from epipole.errors import ConfigError
@@ -86,14 +85,6 @@ def test_nothing_is_opened_that_nobody_asked_for():
         assert type(watch) is Watch
 
 
-@pytest.fixture
-def source(tmp_path):
-    folder = tmp_path / "scene"
-    folder.mkdir()
-    (folder / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(views(), folder)}))
-    return folder
-
-
 def test_a_port_in_use_is_told(source, tmp_path):
     server = PageServer({"": fixed("text/html", b"")}, "127.0.0.1", port_for("127.0.0.1", None))
     try:
@@ -103,7 +94,7 @@ def test_a_port_in_use_is_told(source, tmp_path):
         server.stop()
 
 
-def watched(job, out, options, act, tab):
+def watched(job, source, out, options, act, tab):
     """Train with a tab open from a tenth of the training on; `act` looks at the final page."""
     port, is_listening, is_open = port_for("127.0.0.1", None), threading.Event(), threading.Event()
     results, problems = [], []
@@ -115,9 +106,7 @@ def watched(job, out, options, act, tab):
 
     def train():
         try:
-            results.append(
-                job(out.parent / "scene", out, view=True, port=port, progress=wait_for_the_tab, **options)
-            )
+            results.append(job(source, out, view=True, port=port, progress=wait_for_the_tab, **options))
         except BaseException as error:
             problems.append(error)
             raise
@@ -152,7 +141,7 @@ def test_a_page_renders_the_gaussians_as_they_are_trained(source, tmp_path):
             assert "The training has ended" in text and f"{len(result.cloud):,} Gaussians" in text
             assert tab.image({"x": 300, "y": 200, "width": 200, "height": 300}).std() > 5
 
-        watched(splat, tmp_path / "out", BLOBS, descriptor, tab)
+        watched(splat, source, tmp_path / "out", BLOBS, descriptor, tab)
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
@@ -165,4 +154,4 @@ def test_a_field_is_rendered_for_the_viewpoint_of_the_tab(source, tmp_path):
             tab.wait_until("document.getElementById('space').dataset.settled === 'yes'")
             assert tab.image({"x": 300, "y": 200, "width": 200, "height": 300}).std() > 5
 
-        watched(nerf, tmp_path / "out", {"kind": "grid", "steps": 100}, descriptor, tab)
+        watched(nerf, source, tmp_path / "out", {"kind": "grid", "steps": 100}, descriptor, tab)

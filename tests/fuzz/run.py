@@ -41,7 +41,7 @@ def _worker(*options: str, report: int | None = None, stderr: object = None) -> 
     folders = [
         HERE.parents[1] / "src",
         HERE.parent,
-        *(HERE.parent / room for room in ("io", "fields", "slam")),
+        *(HERE.parent / room for room in ("io", "fields", "sfm", "slam")),
     ]
     quiet = {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_FFMPEG_LOGLEVEL": "-8", "MALLOC_ARENA_MAX": "2"} | {
         "MALLOC_MMAP_THRESHOLD_": "131072"

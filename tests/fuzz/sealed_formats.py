@@ -6,49 +6,27 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from fields_scenes import WHITE
 from fields_scenes import views as field_views
+from fields_trainers import trainer_of
+from sfm_units import COUNTS, features, geometries, matches, put, use_graph, use_putative
 from slam_rides import STEREO, ride
 
 from epipole.cameras import Camera
 from epipole.features import Features
-from epipole.fields.config import SplatTraining
-from epipole.fields.nerf.hash_trainer import HashTrainer
-from epipole.fields.nerf.voxel_trainer import VoxelTrainer
-from epipole.fields.splat.starting import cloud_of_points, points_in_silhouettes
-from epipole.fields.splat.trainer import SplatTrainer
 from epipole.pipelines.fields.checkpoints import CHECKPOINT, Checkpoint
 from epipole.pipelines.sfm.matching.feature_stage import load_features
-from epipole.pipelines.sfm.matching.match_stage import load_putative, load_view_graph
-from epipole.pipelines.sfm.matching.pair_blocks import PairBlock, filled
-from epipole.pipelines.sfm.matching.unit_tables import GEOMETRIES, MATCHES
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.output.map_file import read_slam_map, summary_of_map, write_slam_map
 from epipole.pipelines.slam.slam import Slam
 from epipole.runs.contents import content_digests
-from epipole.runs.units import Unit, store
 
 SMALL = Camera("PINHOLE", 160, 120, [130.0, 130.0, 79.5, 59.5])
 SENSOR = SlamCamera(SMALL, STEREO.baseline)
-VIEWS = 4
-
-
-@cache
-def trainer_of(kind: str) -> SplatTrainer | HashTrainer | VoxelTrainer:
-    """Before its first step."""
-    views = field_views()[:VIEWS]
-    if kind == "splat":
-        start = cloud_of_points(*points_in_silhouettes(views, 60, seed=1))
-        options = SplatTraining(max_gaussians=80, exposure=True, refine_poses=True, sh_degree=1)
-        made: SplatTrainer | HashTrainer | VoxelTrainer = SplatTrainer(views, start, options, WHITE)
-    else:
-        made = (HashTrainer if kind == "hash" else VoxelTrainer)(views, WHITE)
-    return made
 
 
 def checkpoint_of(kind: str, folder: Path) -> Checkpoint:
     """Of a trainer that may be changed."""
-    return Checkpoint(folder, {"kind": kind}, field_views()[:VIEWS], copy.deepcopy(trainer_of(kind)))
+    return Checkpoint(folder, {"kind": kind}, field_views()[:4], copy.deepcopy(trainer_of(kind)))
 
 
 def put_checkpoint(kind: str) -> Callable[[Path], None]:
@@ -105,57 +83,21 @@ def go_on_in_map(folder: Path) -> None:
         system.track(frame)
 
 
-FEATURES = {"pixels": np.arange(12, dtype=np.float32).reshape(6, 2), "scale_px": np.ones(6, np.float32)}
-FEATURES |= {"angle_rad": np.ones(6, np.float32), "descriptors": np.ones((6, 128), np.uint8)}
-
-
-def put_features(folder: Path) -> None:
-    """Of one image."""
-    others = {
-        "colors": np.zeros((6, 3), np.uint8),
-        "thumbnail": np.zeros(9, np.uint8),
-        "failure": np.array(""),
-    }
-    store(folder / "a.npz", "key", FEATURES | others)
-
-
 def use_features(folder: Path) -> None:
     """Read them."""
     found = load_features(folder / "a.npz")
     assert isinstance(found, Features) and np.isfinite(found.pixels).all()
 
 
-def _block(table: object) -> PairBlock:
-    return PairBlock(((0, 1), (1, 2)), ("a", "b"), {}, table, None)
-
-
-def put_matches(folder: Path) -> None:
-    """Of two pairs of images."""
-    rows = np.array([[0, 1], [2, 3]], np.int32)
-    store(
-        folder / "a.npz",
-        "key",
-        filled(_block(MATCHES), lambda positions: [{"matches": rows}] * len(positions)),
-    )
-
-
 def use_matches(folder: Path) -> None:
-    """Read them."""
-    found = load_putative([Unit(folder / "a.npz", "key", use_matches, _block(MATCHES))], [6, 5, 4])
-    assert all((rows >= 0).all() and (rows < 6).all() for rows in found.values())
-
-
-def put_geometries(folder: Path) -> None:
     """Of two pairs of images."""
-    one = {"matches": np.array([[0, 1], [2, 3]], np.int32), "median_angle_rad": np.array(0.1)}
-    one |= {"kind": np.array(1, np.int32), "num_putative": np.array(3, np.int32), "translation": np.ones(3)}
-    one |= {name: np.eye(3) for name in ("rotation", "essential", "fundamental", "homography")}
-    store(folder / "a.npz", "key", filled(_block(GEOMETRIES), lambda positions: [one] * len(positions)))
+    for (first, second), rows in use_putative(folder / "a.npz").items():
+        assert (rows >= 0).all() and (rows < [COUNTS[first], COUNTS[second]]).all()
 
 
 def use_geometries(folder: Path) -> None:
-    """Read them, and the block that takes them over."""
-    found = load_view_graph([Unit(folder / "a.npz", "key", use_geometries, _block(GEOMETRIES))], [6, 5, 4])
+    """Of two pairs of images."""
+    found = use_graph(folder / "a.npz")
     assert (found.keypoint1 >= 0).all() and (found.keypoint1 < 6).all() and (found.keypoint2 < 5).all()
 
 
@@ -177,9 +119,9 @@ SEALED: dict[str, tuple[Callable[[Path], None], str, Callable[[Path], None], flo
         for kind, weight in (("splat", 1.0), ("hash", 0.1), ("grid", 0.3))
     },
     "slam-map-going-on": (put_map, "map.npz", go_on_in_map, 0.7),
-    "unit-features": (put_features, "a.npz", use_features, 1.0),
-    "unit-matches": (put_matches, "a.npz", use_matches, 1.0),
-    "unit-geometries": (put_geometries, "a.npz", use_geometries, 1.0),
+    "unit-features": (lambda folder: put(folder / "a.npz", features()), "a.npz", use_features, 1.0),
+    "unit-matches": (lambda folder: put(folder / "a.npz", matches()), "a.npz", use_matches, 1.0),
+    "unit-geometries": (lambda folder: put(folder / "a.npz", geometries()), "a.npz", use_geometries, 1.0),
     "contents": (put_contents, "contents.npz", use_contents, 0.5),
 }
 """What writes the file, its name, what reads it and goes on, and its share of the cases."""

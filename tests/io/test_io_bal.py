@@ -50,26 +50,6 @@ def test_snavelys_camera_is_ours_turned_around(tmp_path, text, suffix):
     np.testing.assert_allclose(camera.project(in_cam[None])[0], expected * [1, -1], rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["out.txt", "out.txt.bz2"])
-def test_what_is_written_is_read_again(tmp_path, text, name):
-    source = tmp_path / "in.txt"
-    source.write_text(text[0])
-    first = read_bal(source)
-    write_bal(tmp_path / name, first)
-    again = read_bal(tmp_path / name)
-    for attribute in (
-        "frame",
-        "camera",
-        "offsets",
-        "pixels",
-        "points_in_world",
-        "camera_params",
-        "params_free",
-    ):
-        np.testing.assert_allclose(getattr(again, attribute), getattr(first, attribute), rtol=1e-14)
-    np.testing.assert_allclose(again.rig_from_world.rotation, first.rig_from_world.rotation, atol=1e-14)
-
-
 def test_what_the_format_does_not_hold_raises(tmp_path, text):
     source = tmp_path / "in.txt"
     source.write_text(text[0])

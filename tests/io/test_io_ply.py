@@ -11,17 +11,6 @@ from epipole.io import read_points_ply, write_points_ply, write_scene_ply
 from io_models import small_model
 
 
-@pytest.mark.parametrize("n", [0, 1, 100])
-def test_round_trip(tmp_path: Path, n: int) -> None:
-    rng = np.random.default_rng(0)
-    xyz, rgb = rng.normal(size=(n, 3)), rng.integers(0, 256, (n, 3)).astype(np.uint8)
-    write_points_ply(tmp_path / "x.ply", xyz, rgb)
-    read = read_points_ply(tmp_path / "x.ply")
-    np.testing.assert_array_equal(read.xyz, xyz.astype(np.float32))
-    np.testing.assert_array_equal(read.rgb, rgb)
-    assert (tmp_path / "x.ply").read_bytes()[:40].startswith(b"ply\nformat binary_little_endian 1.0\n")
-
-
 def test_trimesh_reads_what_we_write(tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
     rng = np.random.default_rng(0)

@@ -40,5 +40,6 @@ def test_a_point_at_infinity_does_not_hide_the_offset(tmp_path: Path) -> None:
 def test_points_near_the_origin_stay_in_single_precision(tmp_path: Path) -> None:
     xyz = np.random.default_rng(2).normal(size=(50, 3)) * 100.0 + 300.0
     write_points_ply(tmp_path / "p.ply", xyz, np.zeros((50, 3), np.uint8))
-    assert b"property float x" in (tmp_path / "p.ply").read_bytes()[:200]
+    head = (tmp_path / "p.ply").read_bytes()[:200]
+    assert head.startswith(b"ply\nformat binary_little_endian 1.0\n") and b"property float x" in head
     np.testing.assert_array_equal(read_points_ply(tmp_path / "p.ply").xyz, xyz.astype(np.float32))

@@ -42,17 +42,21 @@ def test_a_box_that_walks_does_not_take_the_camera_along(kind, alignment, most_m
     assert "an object moves in" in warning
 
 
-@pytest.mark.parametrize("shade", [0, 3, 255])
-def test_while_the_lens_is_covered_nothing_is_claimed(shade):
-    frames = ride().frames("stereo")[:16]
+@pytest.mark.parametrize(("kind", "shade"), [("stereo", 0), ("rgbd", 3), ("stereo", 255)])
+def test_while_the_lens_is_covered_nothing_is_claimed(kind, shade):
+    frames = ride().frames(kind)[:16]
     covered = list(frames)
     noise = np.random.default_rng(4)
     for n in range(6, 9):
-        pair = (noise.normal(shade, 2.0, frames[n].grey.shape) for _ in range(2))
-        covered[n] = Frame(frames[n].timestamp_s, *(p.clip(0, 255).astype(np.uint8) for p in pair))
-    slam, answers = tracked(covered, STEREO)
+        pair = [
+            noise.normal(shade, 2.0, frames[n].grey.shape).clip(0, 255).astype(np.uint8) for _ in range(2)
+        ]
+        right = pair[1] if kind == "stereo" else None
+        covered[n] = Frame(frames[n].timestamp_s, pair[0], right, frames[n].depth)
+    slam, answers = tracked(covered, STEREO if kind == "stereo" else RGBD)
     assert [a.state for a in answers[6:9]] == [TrackingState.LOST] * 3
     assert all(a.world_from_body is None and a.covariance is None for a in answers[6:9])
+    assert all("agree with the map" in a.reason for a in answers[6:9])
     assert [a.state for a in answers[9:]] == [TrackingState.TRACKING] * 7  # at once
     rows = np.r_[0:6, 9:16]
     path = slam.trajectory()

@@ -11,7 +11,6 @@ from epipole.solvers import (
     solve_fundamental_seven_point,
     solve_homography_dlt,
     solve_homography_four_point,
-    solve_p3p,
 )
 
 
@@ -81,22 +80,3 @@ def test_homography_of_collinear_points_is_none():
     assert len(solve_homography_four_point(line, line)) == 0
     with pytest.raises(DegenerateGeometryError):
         solve_homography_dlt(np.stack([np.arange(9.0)] * 2, axis=1), np.stack([np.arange(9.0)] * 2, axis=1))
-
-
-def test_p3p_contains_the_truth_and_reprojects(rng):
-    for _ in range(100):
-        motion, in_cam = Rigid3.exp(rng.normal(size=6)), points_before_camera(rng, 3)
-        points = motion.inverse().apply(in_cam)
-        found = solve_p3p(in_cam, points)
-        assert 1 <= len(found) <= 4
-        assert min(np.abs((found[i].inverse() @ motion).log()).max() for i in range(len(found))) < 1e-6
-        for i in range(len(found)):
-            rays = found[i].apply(points)
-            np.testing.assert_allclose(np.cross(rays, in_cam), 0, atol=1e-7)
-            assert (rays[:, 2] > 0).all()
-
-
-def test_p3p_of_collinear_or_equal_points_is_none(rng):
-    line = np.array([[0, 0, 4.0], [1, 0, 4], [2, 0, 4]])
-    assert len(solve_p3p(line, line)) == 0
-    assert len(solve_p3p(line[[0, 0, 1]], line[[0, 0, 1]])) == 0

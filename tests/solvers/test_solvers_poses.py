@@ -57,6 +57,7 @@ def test_collinear_points_give_p3p_nothing(rng):
     points = np.outer([1.0, 2.0, 3.0], [1.0, 1.0, 1.0]) + np.array([0, 0, 4.0])
     assert len(solve_p3p(points, points)) == 0
     assert len(solve_p3p(points, np.ones((3, 3)))) == 0
+    assert len(solve_p3p(points[[0, 0, 1]], points[[0, 0, 1]])) == 0
 
 
 def test_generalized_p3p_contains_the_truth(rng):
