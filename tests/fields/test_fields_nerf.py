@@ -170,7 +170,10 @@ def test_wrong_neural_files(tmp_path, rng):
     np.testing.assert_allclose(field.tables, good["tables"], atol=3e-3)
     for change, words in (
         ({"size": 0.0}, "not positive"),
-        ({"cells": np.array([4]), "tables": good["tables"][:1]}, "shapes of the network's layers do not match"),
+        (
+            {"cells": np.array([4]), "tables": good["tables"][:1]},
+            "shapes of the network's layers do not match",
+        ),
         ({"cells": np.array([4, 0])}, "levels must be within"),
         ({"tables": rng.normal(size=(2, 63, 4)).astype(np.float32)}, "not a power of two"),
         ({"weights": good["weights"][:1] * 5}, "shapes of the network's layers do not match"),
