@@ -147,7 +147,7 @@ def test_wrong_files(tmp_path, rng):
     np.savez(
         tmp_path / "c.npz",
         shape=np.array([10**9] * 3, np.int32),
-        position=np.ones(5),
+        place=np.ones(5),
         cells=np.zeros(1, np.uint8),
         values=np.zeros((1, 13), np.float16),
     )
