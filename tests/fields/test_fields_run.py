@@ -142,7 +142,7 @@ def test_masks_lie_beside_by_name(source, tmp_path):
     small = gather_field_images(source, replace(options, max_side_px=32))
     half = next(view for view in small.train if view.name == "images/03.png").used_mask
     assert half.shape == (24, 32) and not half[:, :10].any() and half[:, 10:].all()
-    found = splat(source, tmp_path / "out", job=options, **OPTIONS | {"steps": 3})
+    found = splat(source, tmp_path / "out", masks=options.masks, **OPTIONS | {"steps": 3, "test_every": 7})
     fixed = json.loads((found.out / "metrics.json").read_text())["views"][0]
     assert fixed["name"] == "images/00.png" and np.isfinite([fixed["psnr"], fixed["psnr_matched"]]).all()
     (tmp_path / "other").mkdir()

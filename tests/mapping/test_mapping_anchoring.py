@@ -169,7 +169,7 @@ def test_places_between_instants():
         ({"board": "9x6"}, "square_m"),
         ({"tag_size_m": -1.0}, "tag_size_m"),
         ({"tag_family": "35h9"}, "unknown dictionary"),
-        ({"size_sigma": 2.0}, "share"),
+        ({"size_sigma": 2.0}, "size_sigma is a fraction"),
         ({"odometry_mounting": Path("sensor.yaml")}, "give odometry, too"),
     ],
 )

@@ -70,7 +70,7 @@ def test_what_tells_no_scale_is_refused(finished, rng, tmp_path):
     with pytest.raises(DegenerateGeometryError):
         anchored(copy.deepcopy(finished), still, 1.0, tmp_path)
     later = log_of(rng, shift_s=100.0)
-    with pytest.raises(DegenerateGeometryError, match="0 places"):
+    with pytest.raises(DegenerateGeometryError, match="0 positions"):
         anchored(copy.deepcopy(finished), later, SIGMA, tmp_path)
     metric, _ = tracked(ride().frames("rgbd")[:6], RGBD)
     with pytest.raises(ConfigError, match="one camera"):
@@ -163,7 +163,7 @@ def test_files_that_cannot_be_read_are_told_before_any_frame(images, tmp_path, n
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "no instant"),
+        ("", "it contains no poses"),
         ("0 1 2\n", "3 columns"),
         ("0 1 2 x\n", "x"),
         ("1 0 0 0\n1 0 0 0\n", "time"),

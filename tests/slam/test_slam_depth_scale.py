@@ -57,7 +57,7 @@ def test_a_depth_scale_without_depth_is_refused(tmp_path):
     known = {"camera_params": PARAMS, "depth_scale": 5000.0}
     with pytest.raises(ConfigError, match="depth_scale is given"):
         run_slam(folder, tmp_path / "out", **known, sensor="mono")
-    with pytest.raises(ConfigError, match="has no depth images"):
+    with pytest.raises(ConfigError, match="needs depth images"):
         run_slam(folder / "rgb", tmp_path / "out", **known)
     with pytest.raises(ConfigError, match="which videos and cameras do not have"):
         run_slam("0", tmp_path / "out", **known)

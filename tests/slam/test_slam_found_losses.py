@@ -37,6 +37,6 @@ def test_losses_have_the_names_of_the_source(tmp_path, monkeypatch):
         "shot_028.png is not registered: is truncated",
     ):
         assert words in said
-    assert "focal length of shot_000.png" in said and "2 models that do not connect" in said
+    assert "focal length of shot_000.png" in said and "2 disconnected models" in said
     assert "/tmp" not in said and "00000" not in said
     assert found.summary()["warnings"] == list(found.losses)

@@ -90,7 +90,7 @@ def test_a_recording_that_was_cut_off_gives_the_path_before(tmp_path):
     file.write_bytes(data[: int(0.7 * len(data))])
     result = run_slam(path, tmp_path / "out")
     assert 8 <= result.summary["num_localized"] < 20
-    assert any("cut off" in warning for warning in result.warnings)
+    assert any("before the damage or truncation" in warning for warning in result.warnings)
     assert error_m(result.trajectory) < 0.02
 
 

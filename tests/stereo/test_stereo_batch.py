@@ -83,7 +83,7 @@ def test_pairs_by_name_and_by_order(tmp_path, pair):
     twins = list_pairs(tmp_path / "x", tmp_path / "y", tmp_path / "out", 5)
     assert sorted(twins) == ["same.bmp", "same.png"]
     saved(tmp_path / "right" / "r3.png", pair.right)
-    with pytest.raises(FileFormatError, match="which belong together"):
+    with pytest.raises(FileFormatError, match="do not match the 2 in"):
         list_pairs(tmp_path / "left", tmp_path / "right", tmp_path / "out", 5)
     (tmp_path / "empty").mkdir()
     with pytest.raises(FileFormatError, match="no image"):
@@ -164,7 +164,10 @@ def test_two_pictures_of_a_model(tmp_path, pair):
     assert known.mean() > 0.5
     np.testing.assert_allclose(found.depths.depth[known], expected[known], rtol=1e-4)
     assert found.unit == "the model's unit"
-    for second, words in (("c.png", r"c\.png has no place .*/w$"), ("b", r"b has no place .*mean b\.png\?")):
+    for second, words in (
+        ("c.png", r"c\.png is not registered in the model in .*/w$"),
+        ("b", r"b is not registered .*mean b\.png\?"),
+    ):
         with pytest.raises(ConfigError, match=words):
             stereo_of_model(tmp_path / "w", "a.png", second, tmp_path / "out", CONFIG)
     with pytest.raises(DegenerateGeometryError, match="must differ"):
