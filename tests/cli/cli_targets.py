@@ -19,7 +19,7 @@ from epipole.io.gaussians.files import write_gaussians
 from io_models import mappable_model
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fields"))
-from fields_scenes import frames_of, lens, scene, views
+from fields_scenes import camera, frames_of, scene, views
 
 
 @dataclass(frozen=True)
@@ -91,15 +91,15 @@ def make_inputs(root: Path) -> None:
         (root / name).parent.mkdir(exist_ok=True)
         Image.fromarray(np.full((48, 64, 3), 90, np.uint8)).save(root / name)
     (root / "scene").mkdir()
-    content = lens() | {"frames": frames_of(views(4), root / "scene")}
+    content = camera() | {"frames": frames_of(views(4), root / "scene")}
     (root / "scene" / "transforms.json").write_text(json.dumps(content))
     write_gaussians(root / "field.ply", scene())
     model = mappable_model()
     write_colmap_model(model, root / "model" / "sparse" / "0")
     (root / "model" / "images").mkdir()
     for row, name in enumerate(model.images.name):
-        camera = model.cameras[int(model.camera_of_image[row])]
-        Image.fromarray(np.full((camera.height, camera.width, 3), 90, np.uint8)).save(
+        one = model.cameras[int(model.camera_of_image[row])]
+        Image.fromarray(np.full((one.height, one.width, 3), 90, np.uint8)).save(
             root / "model" / "images" / name
         )
 
