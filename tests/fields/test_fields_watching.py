@@ -11,6 +11,7 @@ from fields_scenes import CAMERA, WHITE, scene, views
 from epipole import nerf, splat
 from epipole.errors import ConfigError
 from epipole.fields.splat.rasterizer import render
+from epipole.fields.trainer import Trainer
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.images import FieldImages
 from epipole.pipelines.fields.scene import cameras_of
@@ -54,7 +55,7 @@ class Slow(RequestedViews):
         return True
 
 
-class Known:
+class Known(Trainer):
     """A trainer that has learnt."""
 
     num_steps, background = 7, WHITE
