@@ -11,7 +11,6 @@ from fields_scenes import CAMERA, WHITE, scene, views
 from epipole import nerf, splat
 from epipole.errors import ConfigError
 from epipole.fields.splat.rasterizer import render
-from epipole.fields.trainer import Trainer
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.images import FieldImages
 from epipole.pipelines.fields.scene import cameras_of
@@ -55,10 +54,11 @@ class Slow(RequestedViews):
         return True
 
 
-class Known(Trainer):
+class Known:
     """A trainer that has learnt."""
 
-    num_steps, background = 7, WHITE
+    num_steps, background, field, table = 7, WHITE, None, {}
+    step = render_counted = state = restore = __len__ = lambda self, *_: 0
 
     def render(self, view):
         return render(scene(), view.camera, view.cam_from_world).over(WHITE)
