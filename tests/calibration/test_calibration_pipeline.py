@@ -41,7 +41,7 @@ def test_folders_of_sides_and_single_cameras(tmp_path):
     assert not sides[0][2].exists() and sides[1][2].exists()
     for name in ("cam0/a.png", "cam0/b.png", "cam1/c.png"):
         saved(tmp_path / "three" / name)
-    with pytest.raises(FileFormatError, match="which belong together"):
+    with pytest.raises(FileFormatError, match="do not match the 2 in"):
         images_of_cameras(tmp_path / "three")
 
 

@@ -94,7 +94,7 @@ def test_files_hold_the_triangles(tmp_path):
     np.testing.assert_allclose(found[0], vertices)
     np.testing.assert_array_equal(found[1], faces)
     np.testing.assert_array_equal(found[2], np.arange(12).reshape(4, 3))
-    with pytest.raises(ShapeError, match="not there"):
+    with pytest.raises(ShapeError, match="a missing vertex"):
         write_mesh_ply(tmp_path / "b.ply", vertices, faces + 1, np.zeros((4, 3), np.uint8))
     with pytest.raises(ShapeError, match="rgb"):
         write_mesh_ply(tmp_path / "b.ply", vertices, faces, np.zeros((3, 3), np.uint8))

@@ -130,7 +130,7 @@ def test_what_does_not_fit(splats, tmp_path):
         frame | camera() | {"w": 64 - 8 * k} for k, frame in enumerate(frames_of(views()[:2], tmp_path))
     ]
     (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
-    with pytest.raises(ConfigError, match="one size"):
+    with pytest.raises(ConfigError, match="the same size"):
         render(splats, tmp_path / "a.mp4", cameras=tmp_path / "transforms.json")
     assert not (tmp_path / "a.mp4").exists()
     (tmp_path / "full").mkdir()

@@ -80,7 +80,9 @@ class Blocks(HTMLParser):
 def test_a_page_holds_the_cloud_and_nothing_from_elsewhere(result: Path, tmp_path: Path) -> None:
     done = write_page(result, tmp_path / "page.html", 500_000)
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert done.num_bytes == len(text.encode()) and done.shown.startswith("80 Gaussians; colours")
+    assert done.num_bytes == len(text.encode()) and done.shown.startswith(
+        "80 Gaussians; view-dependent colors"
+    )
     assert sorted(p.name for p in tmp_path.iterdir()) == ["page.html", "result"]
     blocks = Blocks(text)
     rows = np.frombuffer(base64.b64decode(blocks.scripts["space-gaussians"]), ROW)
