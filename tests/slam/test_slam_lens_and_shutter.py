@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from epipole.cameras import Camera
+from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.output import results
 from epipole.pipelines.slam.output.camera_check import CameraCheck
 from epipole.pipelines.slam.shutter import check as shutter_check
@@ -28,7 +29,7 @@ def mapper():
 
 def test_shifts_are_there_inside_and_gone_after(mapper, monkeypatch):
     monkeypatch.setattr(shutter_check, "motions_at", lambda path, keyframes: [None] * len(keyframes))
-    monkeypatch.setattr(shutter_check, "shutter_shifts", lambda *given: np.full((3, 3), given[-1]))
+    monkeypatch.setattr(shutter_check, "shutter_shifts", lambda *given: np.full((3, 3), given[-1].readout_s))
     (first, empty), path = mapper.map.keyframes, None
     with with_readout(mapper, path, 0.0):
         assert not first.shift_px.any()
@@ -43,7 +44,6 @@ def test_shifts_are_there_inside_and_gone_after(mapper, monkeypatch):
 def test_both_are_said(mapper, monkeypatch, has_shutter, given_px, is_wrong):
     found, readouts = ReadoutFound(0.02, 0.3) if has_shutter else None, []
     lens = CameraCheck(given_px, 507.0, 8.0, 0.0, 0.03, 0.6, abs(507.0 - given_px) / 8.0)
-    monkeypatch.setattr(results, "LocalMapper", lambda *_: mapper)
     monkeypatch.setattr(results, "find_readout", lambda *_: found)
     monkeypatch.setattr(results, "check_camera", lambda *_: lens)
     monkeypatch.setattr(
@@ -52,9 +52,9 @@ def test_both_are_said(mapper, monkeypatch, has_shutter, given_px, is_wrong):
     for name in ("warnings", "poor_images", "moving_things"):
         monkeypatch.setattr(results, name, lambda *_: [])
     pinhole = Camera("PINHOLE", 640, 480, [given_px, given_px, 319.5, 239.5])
-    camera = SimpleNamespace(readout_s=0.0, camera=pinhole)
+    camera = SlamCamera(pinhole)
     system = SimpleNamespace(
-        maps=[mapper.map], camera=camera, config=None, focal_baseline=None, trajectory=lambda: None
+        maps=[mapper.map], camera=camera, local_mapper=lambda _: mapper, trajectory=lambda: None
     )
     run = SimpleNamespace(stage=lambda _: nullcontext(), warnings=[])
     facts = results._checked(system, [], None, run)

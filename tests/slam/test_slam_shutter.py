@@ -12,11 +12,13 @@ from epipole.geometry import Rigid3
 from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.shutter.check import find_readout
-from epipole.pipelines.slam.shutter.motion import at_middle, refine_while_moving, shutter_shifts
+from epipole.pipelines.slam.shutter.motion import shutter_shifts
 from epipole.pipelines.slam.shutter.recent_motion import RecentMotion, motion_among
+from epipole.pipelines.slam.shutter.shutter import Shutter
 from epipole.pipelines.slam.slam import Slam
 
 CAMERA, READOUT_S = Camera("PINHOLE", 640, 480, [450.0, 450.0, 319.5, 239.5]), 0.03
+SHUTTER = Shutter(CAMERA, READOUT_S)
 BY_THE_FRAMES = 0.09
 """Frames of the ride are 1/30 s apart, and told to be 1/10 s apart."""
 MOTION = np.array([0.4, -0.2, 0.3, 0.2, 0.5, -0.3, 2.0, 1.0, -1.0, 3.0, -5.0, 2.0])
@@ -43,13 +45,13 @@ def test_shifts_undo_the_motion(seen):
     keyframe = Keyframe(
         0, 0.0, np.zeros((480, 640), np.uint8), position, Observations(pixels, 45.0 / moved[:, 2], rows)
     )
-    keyframe.shift_px = shutter_shifts(model, keyframe, MOTION, CAMERA, READOUT_S)
+    keyframe.shift_px = shutter_shifts(model, keyframe, MOTION, SHUTTER)
     assert np.abs(keyframe.shift_px).max() > 3
     straight = position.apply(points)
     np.testing.assert_allclose(keyframe.straight_px, CAMERA.project(straight), atol=1e-6)
     np.testing.assert_allclose(keyframe.straight_disparity_px, 45.0 / straight[:, 2], rtol=1e-9)
-    assert not shutter_shifts(model, keyframe, MOTION, CAMERA, 0.0).any()
-    straight = at_middle(moved, pixels, MOTION, CAMERA, READOUT_S)
+    assert not shutter_shifts(model, keyframe, MOTION, Shutter(CAMERA, 0.0)).any()
+    straight = SHUTTER.at_middle(moved, pixels, MOTION)
     np.testing.assert_allclose(straight, position.apply(points), atol=1e-9)
 
 
@@ -58,7 +60,7 @@ def test_pose_and_motion_are_found_together(seen, rng):
     pixels = pixels + 0.1 * rng.normal(size=pixels.shape)
     pixels[:30] += 40.0  # mistakes
     start = Rigid3.exp(np.array([0.02, -0.02, 0.01, 0.01, 0.01, -0.01])) @ position
-    found, motion, error_sq = refine_while_moving(points, pixels, CAMERA, start, np.zeros(12), READOUT_S)
+    found, motion, error_sq = SHUTTER.refine(points, pixels, start, np.zeros(12))
     off = (found @ position.inverse()).log()
     assert np.linalg.norm(off[:3]) < 0.02 and np.degrees(np.linalg.norm(off[3:])) < 0.15
     np.testing.assert_allclose(motion[3:6], MOTION[3:6], atol=0.12)

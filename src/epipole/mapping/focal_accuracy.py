@@ -174,7 +174,5 @@ def _even_images(camera: np.ndarray, images: np.ndarray) -> np.ndarray:
         own = images[camera == c]
         # Bit-reversed order: any first few images are spread evenly.
         spread = np.argsort([int(f"{k:020b}"[::-1], 2) for k in range(len(own))], kind="stable")
-        order += [
-            (rotation, int(c), int(own[k])) for rotation, k in enumerate(np.argsort(spread, kind="stable"))
-        ]
+        order += [(rank, int(c), int(own[k])) for rank, k in enumerate(np.argsort(spread, kind="stable"))]
     return np.array([image for _, _, image in sorted(order)[:MAX_IMAGES]])

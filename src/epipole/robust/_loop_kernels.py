@@ -20,7 +20,7 @@ WIDE_STEPS, LOCAL_STEPS, FINAL_STEPS = 4, 8, 30
 WIDE = 2.0  # threshold factor at the start of local optimization
 NEAR = 3.0  # items beyond this many thresholds are ignored in it
 PROMISING = 0.8  # fraction of the best sample's gain above which a model is also optimized locally
-MOST_SECONDS = 10  # number of such additional optimizations
+MOST_OTHERS = 10  # number of such additional optimizations
 TEST_BLOCK, MOST_TESTED = 32, 512
 SOFT, REACH = (
     3.0,
@@ -282,7 +282,7 @@ def ransac(
         progress = _start_of_ranked(n, size)
     models, refined = np.empty((MOST_MODELS, MODEL_SIZE)), np.empty((4, MODEL_SIZE))
     worst = n * threshold_sq
-    best_score, best_gain, fraction, iteration, seconds = math.inf, ROUNDING * worst, 0.0, 0, 0
+    best_score, best_gain, fraction, iteration, num_others = math.inf, ROUNDING * worst, 0.0, 0, 0
     # An inlier ratio below this counts as failure, so there is no need to search for it.
     needed = _iterations_needed(min_fraction, size, confidence, min_iterations, max_iterations)
     while iteration < needed:
@@ -297,9 +297,9 @@ def ransac(
             for c in range(problem.refine(sample, models[k], refined, work)):
                 model = refined[c]
                 gain = worst - problem.score(model, threshold_sq, worst - PROMISING * best_gain)
-                if gain <= PROMISING * best_gain or (gain <= best_gain and seconds == MOST_SECONDS):
+                if gain <= PROMISING * best_gain or (gain <= best_gain and num_others == MOST_OTHERS):
                     continue
-                seconds += 1 if gain <= best_gain else 0
+                num_others += 1 if gain <= best_gain else 0
                 best_gain = max(best_gain, gain)
                 this = optimize_locally(problem, model, threshold_sq)
                 if this < best_score:

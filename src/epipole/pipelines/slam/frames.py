@@ -13,6 +13,7 @@ from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.image.pixels_without_ray import pixels_without_ray
+from epipole.pipelines.slam.shutter.shutter import Shutter
 
 
 class TrackingState(StrEnum):
@@ -63,6 +64,11 @@ class SlamCamera:
             raise ConfigError("pass a baseline or depth, not both")
         if not 0 <= self.readout_s < 1:
             raise ConfigError(f"readout_s must be at least 0 and below 1, got {self.readout_s}")
+
+    @property
+    def shutter(self) -> Shutter:
+        """Times at which rows are read."""
+        return Shutter(self.camera, self.readout_s)
 
     @property
     def measures_depth(self) -> bool:

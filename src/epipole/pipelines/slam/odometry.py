@@ -7,13 +7,11 @@ it, triangulate its points, optimize. Map management (initialization, loss, loop
 from __future__ import annotations
 
 from epipole.geometry import Rigid3
-from epipole.inertial import MountedImu
 from epipole.mapping import RefinedPose
-from epipole.pipelines.slam.config import OdometryConfig
-from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.map.covariance import carry_covariance
 from epipole.pipelines.slam.map.local_mapping import LocalMapper
-from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
+from epipole.pipelines.slam.map.slam_map import Keyframe
 from epipole.pipelines.slam.map.triangulation import triangulate, triangulate_between_keyframes
 from epipole.pipelines.slam.tracking.frame_quality import FrameQuality
 from epipole.pipelines.slam.tracking.tracker import PointTracker
@@ -29,19 +27,11 @@ class Odometry:
         mapper: inserts keyframes and optimizes the map.
     """
 
-    def __init__(
-        self,
-        model: SlamMap,
-        camera: SlamCamera,
-        focal_baseline: float | None,
-        config: OdometryConfig,
-        imu: MountedImu | None,
-        cam_from_world: Rigid3,
-    ) -> None:
-        self.map, self.camera, self.config = model, camera, config
+    def __init__(self, mapper: LocalMapper, cam_from_world: Rigid3) -> None:
+        self.map, self.camera, self.config = mapper.map, mapper.sensor, mapper.config
         self.cam_from_world = cam_from_world
-        self.tracker = PointTracker(model, camera, focal_baseline, config)
-        self.mapper = LocalMapper(model, camera, focal_baseline, config, imu)
+        self.tracker = PointTracker(self.map, self.camera, mapper.focal_baseline, self.config)
+        self.mapper = mapper
 
     def track(self, previous: Frame, frame: Frame) -> tuple[RefinedPose, int] | None:
         """Pose of a frame and its number of inliers; None if there are too few.

@@ -104,7 +104,7 @@ class Slam(SlamState):
         self.odometry.cam_from_world = now.cam_from_world
         here = initialize_map(self.map, now.point, now.pixels, now.cam_from_world, camera, self.config)
         # A rolling shutter displaces the points, and the check does not model it.
-        self._unconfirmed = None if self.camera.readout_s else self._start
+        self._unconfirmed = None if self.camera.shutter.is_rolling else self._start
         self._start, self._rotations = OneCameraStart(camera, self.config), {}
         return self._initialized(frame, np.full((6, 6), np.inf) if here is None else here.covariance())
 

@@ -14,7 +14,7 @@ from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, TrackingState
 from epipole.pipelines.slam.loops.closing import LoopCloser
 from epipole.pipelines.slam.map.covariance import with_map_error
-from epipole.pipelines.slam.map.local_mapping import focal_baseline_of
+from epipole.pipelines.slam.map.local_mapping import LocalMapper, focal_baseline_of
 from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
 from epipole.pipelines.slam.map.trajectory import Path
 from epipole.pipelines.slam.odometry import Odometry
@@ -92,9 +92,11 @@ class SlamState:
         """Continue in this map from a pose (None: the last one)."""
         pose = self.odometry.cam_from_world if cam_from_world is None else cam_from_world
         self.map = model
-        self.odometry: Odometry = Odometry(
-            model, self.camera, self.focal_baseline, self.config, self.imu, cam_from_world=pose
-        )
+        self.odometry: Odometry = Odometry(self.local_mapper(model), pose)
+
+    def local_mapper(self, model: SlamMap) -> LocalMapper:
+        """A new local mapper of one of the maps."""
+        return LocalMapper(model, self.camera, self.focal_baseline, self.config, self.imu)
 
     def continue_in(self, model: SlamMap, answers: Sequence[TrackedFrame]) -> None:
         """Continue in a map after frames that another process tracked; the camera must be relocalized in it.

@@ -71,11 +71,11 @@ def _fit_rotation(pairs, p, chosen, rays1, rays2, scale_px, rotation):
     m, u, s, v = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     for i in range(9):
         rotation[i] = 1.0 if i % 4 == 0 else 0.0
-    for step_rotation in range(8):
+    for iteration in range(8):
         clear_rows(m)
         for c in range(len(chosen)):
             weight = 1.0
-            if step_rotation > 0:
+            if iteration > 0:
                 error = _rotation_error_sq(pairs, p, chosen[c], rotation, rays1[c])
                 weight = 1.0 / (1.0 + error / scale_px**2)
             if weight > 0.0:
@@ -98,7 +98,7 @@ def _fit_rotating_camera(rays1, rays2, focal_px, variance, rotation):
     """
     a, b, step = np.empty((4, 4)), np.empty(4), np.empty((2, 4))
     rotated, r, g = np.empty(9), rotation.copy(), 1.0
-    for step_rotation in range(ROTATION_STEPS + 1):
+    for iteration in range(ROTATION_STEPS + 1):
         total = 0.0
         clear_rows(a)
         clear(b)
@@ -125,7 +125,7 @@ def _fit_rotating_camera(rays1, rays2, focal_px, variance, rotation):
                 b[i] -= weight * (step[0, i] * eu + step[1, i] * ev)
                 for j in range(4):
                     a[i, j] += weight * (step[0, i] * step[0, j] + step[1, i] * step[1, j])
-        if step_rotation == ROTATION_STEPS:
+        if iteration == ROTATION_STEPS:
             break
         for i in range(4):
             a[i, i] += 1e-9 * a[i, i] + 1e-15

@@ -306,12 +306,10 @@ def _has_rival(
 ) -> bool:
     """Whether a motion in another direction explains the matches equally well, searching the full sphere."""
     index = np.arange(NUM_DIRECTIONS) + 0.5
-    height, step_rotation = (
-        1.0 - 2.0 * index / NUM_DIRECTIONS,
-        np.pi * (1.0 + np.sqrt(5.0)) * index,
-    )  # Fibonacci sphere
+    # Fibonacci sphere
+    height, azimuth = 1.0 - 2.0 * index / NUM_DIRECTIONS, np.pi * (1.0 + np.sqrt(5.0)) * index
     flat = np.sqrt(1.0 - height**2)
-    t = np.stack([flat * np.cos(step_rotation), flat * np.sin(step_rotation), height], axis=1)
+    t = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), height], axis=1)
     r = np.broadcast_to(rotation, (NUM_DIRECTIONS, 3, 3))
     weight = _weights(matches, rotation, translation, model)
     for _ in range(SEARCH_STEPS):

@@ -10,6 +10,7 @@ from epipole.geometry import Rigid2, Rigid3, Similarity3
 from epipole.optim import PoseGraph, PoseGraphConfig, optimize_pose_graph_robustly
 from epipole.pipelines.slam.loops.closing import LoopConstraint, paired_rows
 from epipole.pipelines.slam.map.slam_map import SlamMap
+from epipole.pipelines.slam.map.triangulation import positions_of
 from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
 from epipole.pipelines.slam.tracking.redetection import redetect
 
@@ -36,7 +37,7 @@ def correct_drift(model: SlamMap, constraint: LoopConstraint, *, is_metric: bool
     Returns:
         whether the loop fits the edges; if not, nothing is changed.
     """
-    positions = _positions(model)
+    positions = positions_of(model, range(len(model.keyframes)))
     world_from_cam = positions.inverse()
     first, second = _edges(model)
     newest = len(model.keyframes) - 1
@@ -71,11 +72,6 @@ def correct_drift(model: SlamMap, constraint: LoopConstraint, *, is_metric: bool
     assert not isinstance(found.world_from_body, Rigid2)
     _move(model, positions, found.world_from_body)
     return True
-
-
-def _positions(model: SlamMap) -> Rigid3:
-    positions = [k.cam_from_world for k in model.keyframes]
-    return Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))
 
 
 def _median_depth(model: SlamMap) -> float:

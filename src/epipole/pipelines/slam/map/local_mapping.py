@@ -112,8 +112,7 @@ class LocalMapper:
         seen = Observations(pixels, disparity, points)
         keyframe = Keyframe(number, frame.timestamp_s, frame.grey, position, seen)
         keyframe.motion, keyframe.ignored_mask = self.map.motion, frame.ignored_mask
-        shutter = keyframe.motion, self.camera, self.sensor.readout_s
-        keyframe.shift_px = shutter_shifts(self.map, keyframe, *shutter)
+        keyframe.shift_px = shutter_shifts(self.map, keyframe, keyframe.motion, self.sensor.shutter)
         self.map.keyframes.append(keyframe)
         anew = np.isin(points, stale)
         self.map.anchor[points[anew]], self.map.anchor_px[points[anew]] = index, pixels[anew]
@@ -217,9 +216,9 @@ class LocalMapper:
         if len(window) < 2:
             return None
         views = [*window, *fixed]
-        if self.sensor.readout_s:
+        if self.sensor.shutter.is_rolling:
             for keyframe in (self.map.keyframes[k] for k in views):
-                straighten(self.map, keyframe, self.camera, self.sensor.readout_s, self.config.min_tracked)
+                straighten(self.map, keyframe, self.sensor.shutter, self.config.min_tracked)
         rows, is_outside = self._built(window, views)
         if not len(rows):
             return None

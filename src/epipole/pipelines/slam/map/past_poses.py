@@ -8,7 +8,7 @@ from epipole.geometry import Rigid3
 from epipole.mapping import Disparities, refine_pose
 from epipole.pipelines.slam.map.covariance import by_errors
 from epipole.pipelines.slam.map.trajectory import Path
-from epipole.pipelines.slam.shutter.motion import CONVERGED_SIGMA, refine_while_moving
+from epipole.pipelines.slam.shutter.shutter import CONVERGED_SIGMA
 from epipole.pipelines.slam.tracking.points import SeenFrame
 from epipole.pipelines.slam.tracking.tracker import PointTracker
 
@@ -44,13 +44,12 @@ def _localized(
     """The pose and its covariance relative to the map; unchanged if they cannot be estimated."""
     localized = tracker.map.is_triangulated(seen.point)
     points, pixels = tracker.map.xyz[seen.point[localized]], seen.pixels[localized]
-    readout, config = tracker.sensor.readout_s, tracker.config
-    if len(points) < config.min_tracked or (readout and seen.motion is None):
+    shutter, config = tracker.sensor.shutter, tracker.config
+    if len(points) < config.min_tracked or (shutter.is_rolling and seen.motion is None):
         return start, covariance
-    if readout:
+    if shutter.is_rolling:
         assert seen.motion is not None
-        known = tracker.camera, start, seen.motion, readout
-        return refine_while_moving(points, pixels, *known, sigma=CONVERGED_SIGMA)[0], covariance
+        return shutter.refine(points, pixels, start, seen.motion, sigma=CONVERGED_SIGMA)[0], covariance
     deep = None
     if tracker.focal_baseline is not None and seen.disparity_px is not None:
         deep = Disparities(seen.disparity_px[localized], tracker.focal_baseline, config.depth_sigma_px)

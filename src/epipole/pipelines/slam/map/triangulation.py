@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from epipole.cameras import Camera
@@ -50,7 +52,7 @@ def triangulate_between_keyframes(
 
     The next keyframe would be too late: a fast camera runs out of points before.
     """
-    if sensor.readout_s:
+    if sensor.shutter.is_rolling:
         return 0  # the rolling-shutter correction is known in keyframes only
     points, pixels = tracks.point, tracks.pixels
     lacking = np.flatnonzero(~model.is_triangulated(points))
@@ -75,7 +77,7 @@ def triangulate_between_keyframes(
     return count
 
 
-def positions_of(model: SlamMap, keyframes: list[int]) -> Rigid3:
+def positions_of(model: SlamMap, keyframes: Iterable[int]) -> Rigid3:
     """cam_from_world of keyframes."""
     positions = [model.keyframes[k].cam_from_world for k in keyframes]
     return Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))

@@ -21,7 +21,6 @@ from epipole.pipelines.slam.config import JobOptions
 from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
 from epipole.pipelines.slam.loops.recognition import MIN_SAMPLE
 from epipole.pipelines.slam.map.covariance import CalibrationSigma
-from epipole.pipelines.slam.map.local_mapping import LocalMapper
 from epipole.pipelines.slam.output.camera_check import camera_warnings, check_camera
 from epipole.pipelines.slam.output.export import reconstruction_of
 from epipole.pipelines.slam.output.formats import missing_rows, write_in_format
@@ -165,9 +164,9 @@ def keep_better(system: Slam, run: Run, *, can_repeat: bool) -> None:
 def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, run: Run) -> dict[str, Any]:
     """Check intrinsics, images and scene: returns facts for the summary and adds warnings to the run."""
     with run.stage("check"):
-        model, config = system.maps[0], system.config
-        mapper = LocalMapper(model, system.camera, system.focal_baseline, config)
-        shutter = None if system.camera.readout_s else find_readout(mapper, system.trajectory())
+        model = system.maps[0]
+        mapper = system.local_mapper(model)
+        shutter = None if system.camera.shutter.is_rolling else find_readout(mapper, system.trajectory())
         with with_readout(mapper, system.trajectory(), 0.0 if shutter is None else shutter.readout_s):
             camera = check_camera(model, system.camera.camera)
         blind = pixels_without_ray(system.camera.camera)

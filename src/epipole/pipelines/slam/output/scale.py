@@ -11,7 +11,6 @@ from epipole.config import AnchorOptions
 from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.geometry import Rigid3, Similarity3
 from epipole.pipelines.slam.map.imu import scale_by_factors
-from epipole.pipelines.slam.map.local_mapping import LocalMapper
 from epipole.pipelines.slam.output.export import reconstruction_of
 from epipole.pipelines.slam.output.map_file import KnownMap
 from epipole.pipelines.slam.slam import Slam
@@ -62,7 +61,7 @@ def anchor_map(
     positions = anchoring.positions
     if positions is not None:
         before = _centers(system)
-        mapper = LocalMapper(model, system.camera, system.focal_baseline, system.config, system.imu)
+        mapper = system.local_mapper(model)
         known = np.isfinite(positions.positions[:, 0])
         mapper.positions = {
             k.number: p for k, p, is_known in zip(keyframes, positions.positions, known) if is_known
@@ -78,7 +77,7 @@ def scale_by_imu(system: Slam) -> ScaleEstimate | None:
     """Scale from an adjustment with IMU factors; None if they do not determine it (`anchor_model` then says why)."""
     if system.imu is None:
         return None
-    mapper = LocalMapper(system.maps[0], system.camera, system.focal_baseline, system.config, system.imu)
+    mapper = system.local_mapper(system.maps[0])
     mapper.learn_inertial()
     adjusted = mapper.adjust_all()
     try:

@@ -10,6 +10,7 @@ import numpy as np
 
 from epipole.pipelines.slam.map.local_mapping import LocalMapper
 from epipole.pipelines.slam.shutter.motion import motions_at, shutter_shifts
+from epipole.pipelines.slam.shutter.shutter import Shutter
 from epipole.scene import Trajectory
 
 LEAST_KEYFRAMES, MOST_KEYFRAMES = 10, 60
@@ -50,9 +51,9 @@ def with_readout(mapper: LocalMapper, path: Trajectory, readout_s: float) -> Ite
     keyframes = [keyframe for keyframe in mapper.map.keyframes if len(keyframe.point)]
     kept = [keyframe.shift_px for keyframe in keyframes]
     try:
-        if readout_s > 0:
+        if (shutter := Shutter(mapper.camera, readout_s)).is_rolling:
             for keyframe, motion in zip(keyframes, motions_at(path, keyframes)):
-                keyframe.shift_px = shutter_shifts(mapper.map, keyframe, motion, mapper.camera, readout_s)
+                keyframe.shift_px = shutter_shifts(mapper.map, keyframe, motion, shutter)
         yield
     finally:
         for keyframe, shift in zip(keyframes, kept):
@@ -79,10 +80,9 @@ def find_readout(mapper: LocalMapper, path: Trajectory) -> ReadoutFound | None:
     kept = [k.shift_px for k in keyframes]
 
     def cost(fraction: float) -> float:
+        shutter = Shutter(mapper.camera, fraction * interval)
         for keyframe, motion in zip(keyframes, motions):
-            keyframe.shift_px = shutter_shifts(
-                mapper.map, keyframe, motion, mapper.camera, fraction * interval
-            )
+            keyframe.shift_px = shutter_shifts(mapper.map, keyframe, motion, shutter)
         return mapper.cost_of(numbers)
 
     try:

@@ -7,8 +7,8 @@ import numpy as np
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.map.local_mapping import LocalMapper
 from epipole.pipelines.slam.map.slam_map import Keyframe
-from epipole.pipelines.slam.shutter.motion import CONVERGED_SIGMA, refine_while_moving
 from epipole.pipelines.slam.shutter.recent_motion import AROUND, NO_MOTION, motion_among
+from epipole.pipelines.slam.shutter.shutter import CONVERGED_SIGMA
 from epipole.pipelines.slam.start.two_view import Initialization, initialize_map
 
 ROUNDS = 4
@@ -29,7 +29,7 @@ def bootstrap_map(
     """
     model = mapper.map
     mapper.adjust_all()
-    positions = _straighten(mapper, initial) if mapper.sensor.readout_s else {}
+    positions = _straighten(mapper, initial) if mapper.sensor.shutter.is_rolling else {}
     first = next(k for k in model.keyframes if k.number == initial.waiting[0].number)
     unit = 1.0 / float(np.nanmedian(first.cam_from_world.apply(model.xyz[initial.tracks.point])[:, 2]))
     model.rescale(unit)
@@ -90,8 +90,8 @@ def _positions(
         out[time] = start = found.cam_from_world
         if time in motions:
             kept = model.is_triangulated(rows)
-            known = camera, start, motions[time], mapper.sensor.readout_s
-            out[time], _, _ = refine_while_moving(
-                model.xyz[rows[kept]], pixels[kept], *known, sigma=CONVERGED_SIGMA
+            xyz, motion = model.xyz[rows[kept]], motions[time]
+            out[time], _, _ = mapper.sensor.shutter.refine(
+                xyz, pixels[kept], start, motion, sigma=CONVERGED_SIGMA
             )
     return out

@@ -12,15 +12,9 @@ from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.frames import Frame, MovingThing, SlamCamera
 from epipole.pipelines.slam.loops.recognition import Recognition
 from epipole.pipelines.slam.map.slam_map import Observations, SlamMap
-from epipole.pipelines.slam.shutter.motion import (
-    FORETOLD_SIGMA,
-    UNKNOWN_SIGMA,
-    points_by_depth,
-    refine_while_moving,
-    shutter_shifts,
-    straighten_recent,
-)
+from epipole.pipelines.slam.shutter.motion import points_by_depth, shutter_shifts, straighten_recent
 from epipole.pipelines.slam.shutter.recent_motion import RecentMotion
+from epipole.pipelines.slam.shutter.shutter import FORETOLD_SIGMA, UNKNOWN_SIGMA
 from epipole.pipelines.slam.tracking.depth import disparities_of
 from epipole.pipelines.slam.tracking.frame_quality import shows_something
 from epipole.pipelines.slam.tracking.moving_objects import (
@@ -156,7 +150,7 @@ class PointTracker:
         if last is not None:
             found, self.static_part = self._unless_at_rest(found, rows, localized, predicted, deep)
         refined, agrees = found
-        if self.sensor.readout_s:
+        if self.sensor.shutter.is_rolling:
             refined, agrees = self._while_moving(frame, found, rows, pixels)
         measured = None if measured is None else measured[agrees]
         self._seen = SeenFrame(frame.timestamp_s, pixels[agrees], rows[agrees], measured)
@@ -202,16 +196,14 @@ class PointTracker:
     ) -> tuple[RefinedPose, np.ndarray]:
         """The pose in the middle of the readout, estimated with the motion, and its inliers; unchanged if these are too few."""
         refined, agreed = located
-        readout, position = self.sensor.readout_s, refined.cam_from_world
+        shutter, position = self.sensor.shutter, refined.cam_from_world
         for _ in range(SHUTTER_ROUNDS):
             recent = self._recent_at(frame, position, self.map.xyz[points])
-            position, motion, error_sq = refine_while_moving(
+            position, motion, error_sq = shutter.refine(
                 self.map.xyz[points],
                 pixels,
-                self.camera,
                 position,
                 recent.newest(),
-                readout,
                 sigma=FORETOLD_SIGMA if recent.steps else UNKNOWN_SIGMA,
             )
             self._straighten_start(recent)
@@ -220,7 +212,7 @@ class PointTracker:
             self.map.recent = RecentMotion()
             return refined, agreed
         self.map.recent = self._recent_at(frame, position, self.map.xyz[points])
-        straighten_recent(self.map, self.camera, readout)
+        straighten_recent(self.map, shutter)
         motions = self.map.recent.final_motions()
         for one in self.waiting:
             one.motion = motions.get(one.timestamp_s, one.motion)
@@ -232,13 +224,12 @@ class PointTracker:
         first, motions = self.map.keyframes[0], recent.final_motions()
         if len(self.map.keyframes) > 1 or self.focal_baseline is None or first.timestamp_s not in motions:
             return
-        camera = self.camera, self.sensor.readout_s
         first.motion = motions[first.timestamp_s]
         seen = Observations(first.pixels, first.disparity_px, first.point)
         most = self.config.max_depth_baselines
         in_cam = points_by_depth(self.map, seen, first.motion, self.sensor, self.focal_baseline, most)
         self.map.xyz[first.point] = first.cam_from_world.inverse().apply(in_cam)
-        first.shift_px = shutter_shifts(self.map, first, first.motion, *camera)
+        first.shift_px = shutter_shifts(self.map, first, first.motion, self.sensor.shutter)
 
     def _recent_at(self, frame: Frame, position: Rigid3, points: np.ndarray) -> RecentMotion:
         """The motion up to a frame with this pose."""
@@ -251,7 +242,7 @@ class PointTracker:
         self, last: Tracks, points: np.ndarray, pixels: np.ndarray, agrees: np.ndarray, position: Rigid3
     ) -> MovingThing | None:
         """The moving object in the frame; None with a rolling shutter, whose distortion near the camera looks the same."""
-        if self.sensor.readout_s:
+        if self.sensor.shutter.is_rolling:
             return None
         fresh = ~agrees & (self.map.anchor[points] == len(self.map.keyframes) - 1)
         fresh = self._moving_now(fresh, last, points, pixels, position)
