@@ -14,7 +14,7 @@ from typing import Any
 
 import jaxtyping
 
-FIRST, EVERY = 50, 50
+FIRST, EVERY = 10, 200
 """So many calls of a function are checked in each test, and of later ones every so-many-th."""
 _real: Any = jaxtyping.jaxtyped
 
