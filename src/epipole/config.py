@@ -252,6 +252,7 @@ class BoardConfig:
     """Layout of a calibration board."""
 
     kind: Literal["chessboard", "charuco", "apriltag"] = "chessboard"
+    """Kind of the board."""
     columns: int = 9
     """Inner corners per row of a chessboard, squares of a ChArUco board, or tags of an AprilTag grid."""
     rows: int = 6

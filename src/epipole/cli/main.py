@@ -14,11 +14,12 @@ import warnings
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from types import NoneType
-from typing import Any, NoReturn, get_args, get_origin
+from typing import Annotated, Any, Literal, NoReturn, get_args, get_origin
 
 import tyro
 
 from epipole._terminal import one_line, say
+from epipole.cli.help import ALL, command_list, help_text, is_asked_for
 from epipole.errors import ConfigError, EpipoleError
 
 COMMANDS = (
@@ -38,12 +39,13 @@ COMMANDS = (
     "epipole.pipelines.evaluation.command:evaluate",
     "epipole.pipelines.undistortion.command:undistort",
     "epipole.pipelines.conversion.command:convert",
+    "epipole.cli.main:completion",
     "epipole.cli.main:version",
 )
 """Module and function of every command."""
-ANSWERING = ("stereo-doctor", "lesson", "view", "evaluate", "version")
+ANSWERING = ("stereo-doctor", "lesson", "view", "evaluate", "completion", "version")
 """Commands whose output is their result, which --quiet keeps."""
-WRITING_NOTHING = ("stereo-doctor", "evaluate", "version")
+WRITING_NOTHING = ("stereo-doctor", "evaluate", "completion", "version")
 """Commands that never write files."""
 EVERYWHERE = {
     **{"-q": "quiet", "--quiet": "quiet"},
@@ -52,11 +54,6 @@ EVERYWHERE = {
     "--overwrite": "overwrite",
 }
 """Options of all commands, before or after the command's name."""
-EVERYWHERE_HELP = (
-    "All commands accept -q, --quiet (print only errors, and the results of commands such as evaluate),"
-    " -v, --verbose (print each unit of work with its time, and tracebacks),"
-    " and --overwrite (replace your own files)."
-)
 WRONG_USAGE = 2
 
 logger = logging.getLogger("epipole")
@@ -67,6 +64,15 @@ def version() -> None:
     from epipole._version import __version__
 
     say(f"epipole {__version__}")
+
+
+def completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional]) -> None:
+    """Print a script with which a shell completes commands and options.
+
+    Args:
+        shell: Your shell.
+    """
+    _parsed_by_tyro(["--tyro-print-completion", shell], _functions())
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -194,6 +200,19 @@ def _functions() -> dict[str, Callable[..., None]]:
 def _parsed(words: list[str]) -> Callable[[], None]:
     """Parse the words into a call; prints help, and explains wrong usage."""
     functions = _functions()
+    if words[:1] in (["-h"], ["--help"], [ALL]):
+        say(command_list(functions))
+        sys.exit(0)
+    if is_asked_for(words, functions):
+        text = help_text(
+            words[0], lambda: _parsed_by_tyro([words[0], "--help"], functions), is_whole=ALL in words
+        )
+        say(text)
+        sys.exit(0)
+    return _parsed_by_tyro(words, functions)
+
+
+def _parsed_by_tyro(words: list[str], functions: dict[str, Callable[..., None]]) -> Callable[[], None]:
     calls: list[Callable[[], None]] = []
     app: Any = tyro.extras.SubcommandApp()
     for function in functions.values():
@@ -203,7 +222,6 @@ def _parsed(words: list[str]) -> Callable[[], None]:
         with contextlib.redirect_stderr(said), _unwrapped():
             app.cli(
                 prog="epipole",
-                description=f"Turn photographs into 3D models. {EVERYWHERE_HELP}",
                 args=words,
                 registry=_registry(),
             )

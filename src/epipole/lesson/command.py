@@ -8,7 +8,7 @@ from epipole._terminal import say
 
 
 def lesson(export: Path | None = None, port: int | None = None, host: str = "127.0.0.1") -> None:
-    """Show the lesson on depth from images in the browser, as interactive pages; or write the pages as files.
+    """Open the lesson on 3D vision in the browser; or write its pages as files.
 
     Args:
         export: Write the pages to this folder instead, in English and Chinese; they need no server.

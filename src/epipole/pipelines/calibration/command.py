@@ -24,11 +24,11 @@ def calibrate(
     right: Path | None = None,
     strict: bool = False,
 ) -> None:
-    """Calibrate a camera, or a pair of cameras, from images of a chessboard, ChArUco board or AprilTag grid.
+    """Calibrate one or two cameras from images of a board: a chessboard, a ChArUco board or an AprilTag grid.
 
-    The images of a pair are in sub-folders left and right, or named left01.jpg and right01.jpg. The principal
-    point (cx, cy) is printed and written with the center of the first pixel at (0, 0), as in OpenCV; the line for
-    `epipole reconstruct --camera-params` counts it from the corner of the image, half a pixel more.
+    The images of a pair are in sub-folders left and right, or named left01.jpg and right01.jpg. Principal points
+    have the center of the first pixel at (0, 0), as in OpenCV, except in the line for `epipole reconstruct`, where
+    they count from the corner of the image, as in COLMAP.
 
     Args:
         images: Folder of images.

@@ -13,7 +13,7 @@ def convert(
     target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")],
     format: Literal["txt", "bin", "ply", "transforms", "bundler", "splat"] | None = None,
 ) -> None:
-    """Write a model in another format.
+    """Convert a model or a splat to another format.
 
     Args:
         source: Output folder of a reconstruction, a COLMAP model, or a transforms.json; for splat a file of Gaussians.

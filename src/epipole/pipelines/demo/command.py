@@ -19,7 +19,7 @@ def demo(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")] = Path("demo"),
     num_views: int = 24,
 ) -> None:
-    """Render photographs of a synthetic courtyard, reconstruct it, and compare with the exact truth.
+    """Reconstruct a rendered scene, and compare with the truth.
 
     Args:
         out: Output folder.

@@ -21,7 +21,7 @@ def evaluate(
     max_difference_s: float = 0.01,
     json: bool = False,
 ) -> None:
-    """Compare a model's cameras, or a trajectory, with ground truth.
+    """Compare camera poses or a trajectory with the truth.
 
     Args:
         out: Output folder, a COLMAP model, or a trajectory (TUM, KITTI or EuRoC).

@@ -33,7 +33,7 @@ def splat(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     config: Annotated[SplatConfig, tyro.conf.arg(name="")] = DEFAULTS,
 ) -> None:
-    """Train 3D Gaussians on images, without a GPU. Ctrl-C ends the training and keeps the result.
+    """Train Gaussian splats on images, without a GPU. Ctrl-C ends the training and keeps the result.
 
     Args:
         source: Photographs or a video (reconstructed first), an output folder of `reconstruct`, a COLMAP model with its
@@ -55,7 +55,7 @@ def nerf(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     config: Annotated[NerfConfig, tyro.conf.arg(name="")] = MARCHED,
 ) -> None:
-    """Train a neural field or a grid on images around a scene, without a GPU. Ctrl-C ends the training and keeps the result.
+    """Train a radiance field on images, without a GPU. The field is a neural one, or a grid. Ctrl-C ends the training and keeps the result.
 
     Args:
         source: Photographs or a video, an output folder of `reconstruct`, a COLMAP model, or a transforms.json.
@@ -79,7 +79,7 @@ def render(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     config: Annotated[RenderConfig, tyro.conf.arg(name="")] = CIRCLE,
 ) -> None:
-    """Render trained Gaussians, a neural field or a grid, from an orbit or given cameras, to a video or images.
+    """Render splats or a radiance field: to a video or images, along the given cameras or an orbit.
 
     Args:
         source: Output folder of `splat` or `nerf`, or a file of Gaussians (.ply, .compressed.ply, .spz, .sog, .splat).
@@ -101,7 +101,7 @@ def mesh(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")],
     config: Annotated[MeshConfig, tyro.conf.arg(name="")] = WHOLE,
 ) -> None:
-    """Extract a mesh from trained Gaussians, a neural field or a grid, by fusing depth rendered from all cameras.
+    """Extract a mesh from splats or a radiance field, by fusing the depth rendered from all cameras.
 
     Args:
         source: Output folder of `splat` or `nerf`, or a file of Gaussians with --cameras.
@@ -128,7 +128,7 @@ def compare_fields(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     config: Annotated[NerfConfig, tyro.conf.arg(name="")] = MARCHED,
 ) -> None:
-    """Train Gaussians and a neural field for the same time, and compare their quality, speed, and work per pixel.
+    """Compare splats with a radiance field: quality, speed and work per pixel after the same training time.
 
     Args:
         source: Photographs or a video, an output folder of `reconstruct`, a COLMAP model, or a transforms.json.

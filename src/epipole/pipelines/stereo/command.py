@@ -35,7 +35,7 @@ def stereo(
     model: Annotated[ModelPair, tyro.conf.arg(name="")] = NO_MODEL,
     strict: bool = False,
 ) -> None:
-    """Compute disparities of a pair with standard deviations, and depth and points if the cameras are known.
+    """Compute disparity and depth of a pair of images. Each value has a standard deviation; depth needs known cameras.
 
     LEFT and RIGHT are two images, two folders, or two videos (the same one twice if it has both images
     side by side). Without a calibration they must be rectified. With --workspace and --pair, pass only OUT.

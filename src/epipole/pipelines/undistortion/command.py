@@ -15,7 +15,7 @@ def undistort(
     target: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[DEST]")] = None,
     model: int | None = None,
 ) -> None:
-    """Write undistorted images and a PINHOLE model, for splat trainers and MVS.
+    """Undistort images: write them with a PINHOLE model, for splat trainers and MVS.
 
     Args:
         out: Output folder of a reconstruction, or one of its models (OUT/sparse/1).
