@@ -57,7 +57,7 @@ def test_the_report_shows_what_was_held_out(result):
         metrics["psnr"], abs=3.0
     )
     page = (result.out / "report.html").read_text()
-    assert f"{metrics['psnr']:.2f} dB on held-out images" in page
+    assert f"{metrics['psnr']:.1f} dB on held-out views" in page
     assert page.count("data:image/png") == 3 * 2 and "images/07.png" in page and "PSNR, dB" in page
 
 

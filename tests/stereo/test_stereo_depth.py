@@ -153,7 +153,7 @@ def test_a_page_of_nothing(tmp_path):
     Image.new("L", (60, 40), 128).save(tmp_path / "blank.png")
     found = api.stereo(tmp_path / "blank.png", tmp_path / "blank.png", tmp_path / "out", rig=RIG)
     assert found.disparities.density == 0 and found.num_points == 0
-    assert "0.0 % of the left" in (tmp_path / "out" / "report.html").read_text()
+    assert "disparity of 0.0 % of the pixels" in (tmp_path / "out" / "report.html").read_text()
 
 
 def flat_rig(pair, offset_px=3.0, rotation=0.0, k1=0.0, covariance=None):

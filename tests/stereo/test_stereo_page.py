@@ -25,7 +25,7 @@ def page_of(warnings: tuple[str, ...] = (), rig: RectifiedRig | None = None) -> 
 
 def test_shares_and_pictures() -> None:
     page = page_of()
-    assert "<h1>Stereo pair: 50.0 % of the left image's pixels known</h1>" in page
+    assert "<h1>Stereo pair: disparity of 50.0 % of the pixels</h1>" in page
     rows = re.findall(r"<td>([^<]*)</td><td>([\d.]+) %</td>", page)
     assert len(rows) == len(StereoReason) and rows[0] == ("known", "50.0")
     assert sum(float(fraction) for _, fraction in rows) == pytest.approx(100)

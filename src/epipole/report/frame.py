@@ -16,7 +16,7 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, PrefixLoader, Stric
 from markupsafe import Markup
 
 from epipole._version import __version__
-from epipole.report.markup import bytes_block, count, escape, json_block, number, plural, seconds
+from epipole.report.markup import bytes_block, count, escape, json_block, number, plural, seconds, sentence
 
 _PACKAGE = "epipole.report"
 GENERATOR = 'name="generator" content="epipole"'
@@ -55,7 +55,7 @@ def _environment(package: str) -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    words = (count, plural, number, seconds)
+    words = (count, plural, number, seconds, sentence)
     for function in (*words, json_block, bytes_block, joined_assets, content_hash):
         environment.globals[function.__name__] = function
     environment.globals["version"] = __version__

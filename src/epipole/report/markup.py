@@ -50,6 +50,13 @@ def count(value: int) -> str:
     return f"{value:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
+def sentence(text: str) -> str:
+    """A message as a sentence of a page: with a capital letter, unless it starts with a file or an option, and with a ± sign."""
+    first = text.split(" ", 1)[0].rstrip(",:;")
+    start = text[:1].upper() if first.isalpha() else text[:1]
+    return start + text[1:].replace("+-", "\N{PLUS-MINUS SIGN}")
+
+
 def plural(value: int, singular: str, many: str | None = None) -> str:
     """A count and its noun: "1 image", "4 images"."""
     return f"{count(value)} {singular if value == 1 else many or singular + 's'}"

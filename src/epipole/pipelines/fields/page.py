@@ -17,11 +17,15 @@ from epipole.pipelines.fields.images import FieldImages
 from epipole.report.charts import draw_curves, draw_timings
 from epipole.report.frame import render
 from epipole.report.images import jpeg_uri
+from epipole.report.space import space_data
+from epipole.report.space_scene import SpaceScene
 
 MOST_VIEWS = 8
 """Views that are shown, at most, evenly spaced."""
 LARGEST_ERROR = 0.25
 """Error at the end of the color scale, as a fraction of white."""
+MOST_GAUSSIANS = 30_000
+"""Gaussians in the 3D view of the page; more are merged."""
 COUNTS = {"num_gaussians": "Gaussians", "num_voxels": "voxel corners", "num_parameters": "parameters"}
 
 
@@ -35,6 +39,8 @@ class FieldPage:
     background: np.ndarray
     tables: dict[str, dict[str, list[Any]]]
     root: Path
+    scene: SpaceScene | None
+    """Gaussians; None for a radiance field, whose conversion takes as long as a training."""
     warnings: Sequence[str]
 
 
@@ -63,8 +69,9 @@ def render_page(page: FieldPage) -> str:
     return render(
         __package__,
         "field.html.jinja",
-        title="Radiance field",
-        psnr=None if summary["psnr"] is None else f"{summary['psnr']:.2f}",
+        title="Gaussian splat" if "num_gaussians" in summary else "Radiance field",
+        psnr=None if summary["psnr"] is None else f"{summary['psnr']:.1f}",
+        space=None if page.scene is None else space_data(page.scene, most_gaussians=MOST_GAUSSIANS),
         warnings=list(page.warnings),
         figures=_figures(summary),
         curves=_curves(page),

@@ -76,6 +76,20 @@ def scene(path: Path) -> SpaceScene:
     )
 
 
+def scene_of_training(path: Path, first_view: dict[str, list[float]], background: float) -> SpaceScene:
+    """The same for an output folder whose summary is not written yet.
+
+    Args:
+        path: output folder with the field and its cameras.
+        first_view: from `first_view_of`.
+        background: grey value from 0 to 1.
+    """
+    found = scene(path)
+    origin = np.zeros(3) if found.gaussians is None else found.gaussians.origin_in_world
+    position, target, up = (np.array(first_view[name]) for name in ("position", "look_at", "up"))
+    return replace(found, view=FirstView(position - origin, target - origin, up), background=background)
+
+
 def seen_gaussians(path: Path) -> tuple[GaussianCloud, FirstView]:
     """Gaussians of an output folder or a file, or those that approximate a grid, and the first view.
 

@@ -21,6 +21,7 @@ from epipole.pipelines.fields.config import FieldOptions, NerfConfig, SplatConfi
 from epipole.pipelines.fields.held_out import probed
 from epipole.pipelines.fields.images import FieldImages, gather_field_images, is_model
 from epipole.pipelines.fields.page import FieldPage, render_page
+from epipole.pipelines.fields.scene import FIRST_VIEW, SPLAT, scene_of_training
 from epipole.pipelines.fields.watching import open_watch
 from epipole.pipelines.sfm.run import reconstruct
 from epipole.runs import Job, ProgressCallback, Run, graceful_interrupt
@@ -206,7 +207,12 @@ def finished(
         "held_out": {"columns": ["s", "step", "psnr"], "rows": trained.probes if images.test else []},
     }
     run.folder.write_json(METRICS, {**summary, "views": scores, **tables})
-    page = render_page(FieldPage(summary, scores, images, trainer.background, tables, run.root, run.warnings))
+    shown = None
+    if (run.root / SPLAT).is_file():
+        shown = scene_of_training(run.root, summary[FIRST_VIEW], float(trainer.background[0]))
+    page = render_page(
+        FieldPage(summary, scores, images, trainer.background, tables, run.root, shown, run.warnings)
+    )
     run.folder.write_text(REPORT, page)
     run.finish(summary)
     return summary

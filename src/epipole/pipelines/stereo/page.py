@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from epipole.pipelines.stereo.files import REASON_COLORS
+from epipole.pipelines.stereo.files import REASON_COLORS, StereoFiles
 from epipole.pipelines.stereo.pair import StereoResult
+from epipole.pipelines.stereo.scene import scene_of_pair
 from epipole.report.charts import draw_histogram, histogram_of
 from epipole.report.frame import render
 from epipole.report.images import color_map_uri, color_range_text, png_uri
+from epipole.report.space import SpaceData, space_data
+from epipole.report.space_model import MAX_POINTS
 from epipole.scene import StereoReason
 
 _REASONS = {
@@ -33,6 +36,7 @@ def render_page(result: StereoResult) -> str:
         percent=f"{100 * found.density:.1f}",
         warnings=result.warnings,
         images=_images(result),
+        space=_space(result),
         reasons=_reasons(result),
         histograms=[
             draw_histogram(histogram_of(found.disparity_px[known], "disparity, px")),
@@ -43,6 +47,15 @@ def render_page(result: StereoResult) -> str:
         sigma_px=f"{_median_sigma_px(result):.3f}",
         ranges=_ranges(result),
     )
+
+
+def _space(result: StereoResult) -> SpaceData | None:
+    """The points in 3D; None without depth."""
+    if result.depths is None or result.rig is None or not np.isfinite(result.depths.depth).any():
+        return None
+    depth, sigma = (part.astype(np.float32) for part in (result.depths.depth, result.depths.sigma))
+    files = StereoFiles(result.left_rgb, depth, sigma, result.rig.K)
+    return space_data(scene_of_pair(files, "Stereo pair"), MAX_POINTS)
 
 
 def _images(result: StereoResult) -> list[tuple[str, str]]:

@@ -75,7 +75,8 @@ def _parallax(content: ReportContent, statistics: Statistics) -> str:
         )
     if narrow:
         fraction = 100 * narrow / len(angles)
-        sentences.append(f"{fraction:.0f} % of the points have no two rays that meet at {limit} or more.")
+        shown = "less than 1" if fraction < 1 else f"{fraction:.0f}"
+        sentences.append(f"{shown} % of the points have no two rays that meet at {limit} or more.")
     return " ".join(sentences)
 
 
