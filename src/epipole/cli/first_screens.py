@@ -56,7 +56,7 @@ FIRST_SCREENS = {
             "epipole render OUT video.mp4",
             "epipole render OUT images --cameras scene/transforms.json",
         ),
-        "--cameras --frames --width --height --fps --background --output",
+        "--cameras --path --frames --width --height --fps --background --output",
     ),
     "mesh": FirstScreen(
         (

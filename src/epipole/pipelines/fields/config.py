@@ -113,9 +113,11 @@ class RenderConfig:
     """Options of `render`: cameras, image size and output."""
 
     cameras: Path | None = None
-    """Cameras to render from: transforms.json, COLMAP model or output folder; else an orbit around the scene."""
+    """Cameras to render from: transforms.json, COLMAP model or output folder."""
+    path: Literal["auto", "cameras", "orbit"] = "auto"
+    """Without `cameras`: smoothly along the training cameras, or an orbit; auto: cameras if they are known."""
     frames: int = 120
-    """Number of images of the orbit."""
+    """Number of images of the path."""
     rotation_deg: float = 360.0
     """Angle of the orbit."""
     width: int | None = None

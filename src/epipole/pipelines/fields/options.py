@@ -55,6 +55,7 @@ class RenderKeywords(TypedDict, total=False):
     """Fields of `RenderConfig`, each optional."""
 
     cameras: str | Path | None
+    path: Literal["auto", "cameras", "orbit"]
     frames: int
     rotation_deg: float
     width: int | None

@@ -20,14 +20,17 @@ from epipole.image import color_map, color_range
 from epipole.io.images.rgba import write_png
 from epipole.io.images.video_files import VIDEO_SUFFIX, write_video
 from epipole.io.models.losses import losses_in
+from epipole.pipelines.fields.camera_path import path_along
 from epipole.pipelines.fields.cameras import RenderView, orbit, render_views_of_model
 from epipole.pipelines.fields.config import RenderConfig
 from epipole.pipelines.fields.kinds import kind_in
 from epipole.pipelines.fields.options import RenderKeywords
 from epipole.pipelines.fields.scene import (
     BACKGROUNDS,
+    CAMERAS,
     SUMMARY,
     first_view_of_positions,
+    is_result,
     recorded_antialiased,
     recorded_background,
     recorded_first_view,
@@ -88,7 +91,7 @@ def render(
     colour = np.full(3, _background(source, wanted), np.float32)
     image_of, first_view = _drawer(source, wanted, colour)
     if wanted.cameras is None:
-        views = orbit(*first_view, wanted)
+        views = _path(source, wanted) or orbit(*first_view, wanted)
     else:
         views = render_views_of_model(wanted.cameras, wanted)
         for loss in losses_in(wanted.cameras):
@@ -116,6 +119,22 @@ def render(
                     write_png(aside / f"{render_view.name}.png", image)
             run.finish()
     return RenderResult(out, len(views), len(views) / max(spent[0], 1e-9))
+
+
+def _path(source: Path, wanted: RenderConfig) -> list[RenderView]:
+    """Views along the training cameras; empty for an orbit.
+
+    Raises:
+        ConfigError: the path of the cameras is requested, but they are not known.
+    """
+    if wanted.path == "orbit":
+        return []
+    known = (source if source.is_dir() else source.parent) / CAMERAS
+    if is_result(source) and known.is_file():
+        return path_along(render_views_of_model(known, wanted), wanted.frames)
+    if wanted.path == "cameras":
+        raise ConfigError(f"path=cameras needs {known}, which a training writes, but there is none")
+    return []
 
 
 def _check_target(out: Path, inputs: tuple[Path, ...]) -> None:

@@ -59,9 +59,8 @@ def scene(path: Path) -> SpaceScene:
     origin = cloud.origin_in_world
     view = replace(view, position=view.position - origin, look_at=view.look_at - origin)
     folder = path if path.is_dir() else path.parent
-    is_result = path.is_dir() or path.name == SPLAT or kind_in(path) is not None
     views: list[RenderView] = []
-    if is_result and (folder / CAMERAS).is_file():
+    if is_result(path) and (folder / CAMERAS).is_file():
         views = render_views_of_model(folder / CAMERAS, RenderConfig())
     is_field = kind_in(path) is not None and not (path / SPLAT).is_file()
     stands_for = " that coarsely approximate a radiance field" if is_field else ""
@@ -88,6 +87,11 @@ def scene_of_training(path: Path, first_view: dict[str, list[float]], background
     origin = np.zeros(3) if found.gaussians is None else found.gaussians.origin_in_world
     position, target, up = (np.array(first_view[name]) for name in ("position", "look_at", "up"))
     return replace(found, view=FirstView(position - origin, target - origin, up), background=background)
+
+
+def is_result(path: Path) -> bool:
+    """Whether a path is the output of a training, beside whose files its cameras are."""
+    return path.is_dir() or path.name == SPLAT or kind_in(path) is not None
 
 
 def seen_gaussians(path: Path) -> tuple[GaussianCloud, FirstView]:
