@@ -48,6 +48,23 @@ def test_all_options_are_in_the_whole_help(name, capsys):
     assert shown == set(option_names(command_line._functions()[name]))
 
 
+def test_options_have_titles(capsys):
+    text = printed("reconstruct --help-all", capsys)
+    titles = re.findall(r"^(\S.*):$", text, re.MULTILINE)
+    assert titles == [
+        "examples",
+        "arguments",
+        "options",
+        "camera",
+        "scale",
+        "features",
+        "matching",
+        "pairing",
+        "verification",
+        "mapper",
+    ]
+
+
 def test_groups_name_options():
     known = {option for f in command_line._functions().values() for option in option_names(f)}
     grouped = [option for options in GROUPS.values() for option in options.split()]

@@ -138,7 +138,7 @@ def parsed(printed: str) -> Help:
     entries: list[Entry] | None = None
     lines = [line.rstrip() for line in printed.splitlines()[1:]]
     for line, following in zip(lines, [*lines[1:], ""]):
-        if _is_rule(following) and not _is_rule(line):
+        if _is_rule(following) and re.match(r" \S", line):
             title = line.strip()
             entries = arguments if title == "positional arguments" else groups.setdefault(title, [])
         elif line and not _is_rule(line) and entries is None:
