@@ -210,7 +210,8 @@ def test_wrong_camera_params(rendered, tmp_path, params, word):
     assert not (tmp_path / "out").exists()
 
 
-def test_options_that_make_no_sense(few, tmp_path):
+def test_options_that_make_no_sense(rendered, tmp_path):
+    two = copied(rendered, tmp_path / "photographs", 2)
     with pytest.raises(ConfigError, match="numbers"):
         ReconstructConfig(camera_params="a,b")
     with pytest.raises(ConfigError, match="seed must not be negative"):
@@ -221,15 +222,15 @@ def test_options_that_make_no_sense(few, tmp_path):
         RansacConfig(seed=-1)
     for name in ("pairs", "database", "calibration"):
         with pytest.raises(FileFormatError, match=f"no such file .{name}"):
-            reconstruct(few, tmp_path / "out", ReconstructConfig(**{name: tmp_path / "nosuch"}))
+            reconstruct(two, tmp_path / "out", ReconstructConfig(**{name: tmp_path / "nosuch"}))
     with pytest.raises(ConfigError, match="unknown camera model"):
-        reconstruct(few, tmp_path / "out", ReconstructConfig(camera_model="LENS"))
+        reconstruct(two, tmp_path / "out", ReconstructConfig(camera_model="LENS"))
     with pytest.raises(ConfigError, match="GPS"):
-        reconstruct(few, tmp_path / "out2", ReconstructConfig(pairing=PairingConfig(method="spatial")))
+        reconstruct(two, tmp_path / "out2", ReconstructConfig(pairing=PairingConfig(method="spatial")))
     pairs = tmp_path / "pairs.txt"
     pairs.write_text("view_00.jpg nothing.jpg\n")
     with pytest.raises(FileFormatError, match="line 1"):
-        reconstruct(few, tmp_path / "out3", ReconstructConfig(pairs=pairs))
+        reconstruct(two, tmp_path / "out3", ReconstructConfig(pairs=pairs))
 
 
 def test_masks_remove_features(few, tmp_path):
