@@ -119,9 +119,20 @@ def assert_same(
         np.testing.assert_allclose(found, expected, rtol=rtol, atol=atol)
 
 
+def _copied(value: Any) -> Any:
+    """Arguments as the kernel was compiled for: read-only arrays stay read-only."""
+    if isinstance(value, tuple):
+        parts = [_copied(part) for part in value]
+        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
+    copy = deepcopy(value)
+    if isinstance(value, np.ndarray):
+        copy.flags.writeable = value.flags.writeable
+    return copy
+
+
 def both_ways(kernel: Any, *arguments: Any) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
     """What a kernel and its Python form return, and their arguments as they are afterwards, each on copies."""
-    ours, theirs = deepcopy(arguments), deepcopy(arguments)
+    ours, theirs = _copied(arguments), _copied(arguments)
     found = kernel(*ours)
     with plain_python():
         plain = _plain_function(kernel) if hasattr(kernel, "py_func") else kernel
@@ -156,7 +167,7 @@ def record_calls(monkeypatch: pytest.MonkeyPatch, module: ModuleType, kernel: An
     name = python_form(kernel).__name__
 
     def spy(*arguments: Any) -> Any:
-        calls.append(deepcopy(arguments))
+        calls.append(_copied(arguments))
         return kernel(*arguments)
 
     for alias, value in list(vars(module).items()):

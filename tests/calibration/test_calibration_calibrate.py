@@ -46,9 +46,9 @@ def test_fisheye_is_found():
 
 @pytest.mark.usefixtures("unchecked")
 def test_standard_deviations_are_those_of_repeated_calibrations():
-    """Normalised errors of all parameters and of the rig's motion over 30 calibrations: the mean square is one."""
+    """Normalised errors of all parameters and of the rig's motion over 10 calibrations: the mean square is one."""
     squares = []
-    for seed in range(30):
+    for seed in range(10):
         found = calibrate_views(
             seen_by([LENS, OTHER], 100 + seed, count=12, noise_px=0.2), [SIZE, SIZE], CONFIG
         )
@@ -63,14 +63,14 @@ def test_standard_deviations_are_those_of_repeated_calibrations():
             ]
         )
         squares.append(error @ np.linalg.solve(known, error) / 22)
-    assert 0.8 < np.mean(squares) < 1.25
+    assert 0.8 < np.mean(squares) < 1.25  # of 10 x 22 unknowns: 1 +- 0.095
 
 
 @pytest.mark.usefixtures("unchecked")
 def test_projected_uncertainty_is_that_of_repeated_calibrations():
     """The spread of a point fixed to the boards, which is what the boards' places carry along."""
     at, errors, sigmas = np.array([[100.0, 80.0], [320.0, 240.0], [560.0, 400.0]]), [], []
-    for seed in range(40):
+    for seed in range(20):
         rng = np.random.default_rng(7)
         positions = board_places(rng, 12)
         rng = np.random.default_rng(500 + seed)
@@ -161,14 +161,14 @@ def test_a_healthy_calibration_passes_and_poor_ones_say_why():
 def test_halves_that_disagree_widen_the_standard_deviations():
     """Where the model holds chance explains the halves' difference; where it does not, errors are as large as they say."""
     disagreements = []
-    for seed in range(6):
-        views = seen_by([LENS, OTHER], seed, count=16)
+    for seed in range(3):
+        views = seen_by([LENS, OTHER], seed, count=12)
         check = cross_check(views, calibrate_views(views, [SIZE] * 2, CONFIG))
         assert check is not None and check.num_unknowns == 22 and check.widening == 1.0
         disagreements.append(check.disagreement)
-    assert 0.7 < np.mean(disagreements) < 1.35  # of 6 x 22 unknowns: 1 +- 0.12
+    assert 0.7 < np.mean(disagreements) < 1.35  # of 3 x 22 unknowns: 1 +- 0.17
     config = CalibrationConfig(board=BOARD, model="PINHOLE")
-    views = seen_by([LENS], 3, count=24)
+    views = seen_by([LENS], 3, count=16)
     stiff = calibrate_views(views, [SIZE], config)
     check = cross_check(views, stiff)
     assert check is not None and check.widening > 2.0

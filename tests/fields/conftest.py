@@ -1,6 +1,7 @@
 """A scene as a file, with its images."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,3 +16,12 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder.mkdir()
     (folder / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(views(), folder)}))
     return folder
+
+
+@pytest.fixture(scope="module")
+def small_hash() -> Iterator[None]:
+    """Neural fields of this file cost a sixth."""
+    from fields_trainers import small_neural_fields
+
+    with small_neural_fields():
+        yield

@@ -12,7 +12,7 @@ from epipole.pipelines.fields.comparison import compare_fields
 
 
 def test_both_are_trained_and_drawn(source, tmp_path):
-    result = compare_fields(source, tmp_path / "out", test_every=7, steps=60, kind="grid")
+    result = compare_fields(source, tmp_path / "out", test_every=7, steps=40, kind="grid")
     given = json.loads((result.out / "compare.json").read_text())
     assert given["held_out"] and given["views"] == 2 and given["kind"] == "grid" and not result.is_interrupted
     for name in ("splat", "nerf"):
@@ -31,6 +31,7 @@ def test_both_are_trained_and_drawn(source, tmp_path):
     )
 
 
+@pytest.mark.usefixtures("small_hash")
 def test_without_held_out_views_those_of_the_training_are_compared(source, tmp_path):
     result = compare_fields(source, tmp_path / "out", test_every=0, steps=2, kind="hash")
     given = json.loads((result.out / "compare.json").read_text())

@@ -25,6 +25,8 @@ SEEN = look_at((0.4, -3.0, 0.5), (0, 0, 0))
 SMALL = Camera("PINHOLE", 9, 7, [12.0, 12.0, 4.0, 3.0])
 CELLS = np.array([4, 7, 13])
 
+pytestmark = pytest.mark.usefixtures("small_hash")
+
 
 def field_of(rng, holes=0.0, shape=(12, 10, 14)):
     """Three levels, the first read directly, the others hashed."""
@@ -142,7 +144,7 @@ def test_steps_are_adams(rng):
     assert not by.any()
 
 
-def trained(steps=150, threads=None, seed=0):
+def trained(steps, threads=None, seed=0):
     _parallel.set_num_threads(threads)
     try:
         trainer = HashTrainer(views()[2:], WHITE, seed)
@@ -155,7 +157,7 @@ def trained(steps=150, threads=None, seed=0):
 
 @pytest.fixture(scope="module")
 def learnt():
-    return trained(300)
+    return trained(100)
 
 
 def test_views_that_were_held_out_are_drawn(learnt):

@@ -27,6 +27,7 @@ def test_a_state_is_restored(kind, tmp_path):
     assert restored(kind, tmp_path, lambda arrays: None) == (1.5, [[0.0] * 4] * 2)
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("kind", ["splat", "hash", "grid"])
 def test_every_array_is_checked(kind, tmp_path):
     """Missing, of another length, of another kind; and one that is not known."""

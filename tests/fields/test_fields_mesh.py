@@ -47,16 +47,15 @@ def volume_of(positions, voxels=48):
 
 @reference_of(_tsdf_kernels.fuse)
 def test_distances_are_means_of_what_pictures_say():
-    volume = volume_of(AROUND[:3], 12)
+    volume, images = volume_of(AROUND[:3], 12), [sphere_seen(position) for position in AROUND[:3]]
     total, count = np.zeros((12,) * 3), np.zeros((12,) * 3)
     for i, j, k in np.ndindex(12, 12, 12):
         place_in_world = -1.0 + (np.array([i, j, k]) + 0.5) / 6.0
-        for position in AROUND[:3]:
+        for position, (depth, seen, _) in zip(AROUND[:3], images):
             x, y, z = position.apply(place_in_world[None])[0]
             column, row = np.floor([150.0 * x / z + 80.0, 150.0 * y / z + 60.0]).astype(int)
             if not (0 <= row < 120 and 0 <= column < 160):
                 continue
-            depth, seen, _ = sphere_seen(position)
             ahead = (depth[row, column] - z) / (BAND / 6.0) if seen[row, column] else 1.0
             if ahead >= -1.0:
                 total[i, j, k] += min(ahead, 1.0)
@@ -104,9 +103,9 @@ def test_files_hold_the_triangles(tmp_path):
 @pytest.mark.parametrize("kind", ["splat", "grid"])
 def test_a_trained_field_has_a_surface(source, tmp_path, kind):
     if kind == "splat":
-        splat(source, tmp_path / "out", steps=200, max_gaussians=500, test_every=0)
+        splat(source, tmp_path / "out", steps=80, max_gaussians=500, test_every=0)
     else:
-        nerf(source, tmp_path / "out", steps=150, kind=kind, test_every=0)
+        nerf(source, tmp_path / "out", steps=60, kind=kind, test_every=0)
     found = mesh(tmp_path / "out", tmp_path / "mesh.ply", voxels=48)
     vertices, faces, _ = mesh_in(tmp_path / "mesh.ply")
     assert len(faces) == len(found) > 500 and len(vertices) == len(found.vertices_in_world)

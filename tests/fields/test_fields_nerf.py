@@ -19,7 +19,9 @@ from epipole.pipelines.fields.kinds import KINDS, kind_in, read_neural, read_vox
 from epipole.pipelines.fields.scene import is_mine, seen_gaussians
 from epipole.pipelines.viewing.run import write_page
 
-STEPS = 120
+pytestmark = pytest.mark.usefixtures("small_hash")
+
+STEPS = 80
 LEAST_PSNR = {"grid": 20, "hash": 18}
 MOST_OFF = {"grid": 5e-3, "hash": 2e-2}
 """Of a pixel, after the rounding of a field's file: the network adds up what its tables lose."""
@@ -57,11 +59,11 @@ def test_what_was_interrupted_goes_on_with_the_same_bits(source, tmp_path, kind)
         if progress.stage == "train" and progress.done > 55:
             raise KeyboardInterrupt
 
-    options = {"test_every": 7, "steps": 24, "kind": kind}
+    options = {"test_every": 7, "steps": 12, "kind": kind}
     whole = nerf(source, tmp_path / "whole", **options)
     first = nerf(source, tmp_path / "out", progress=stop, **options)
     assert first.summary["interrupted"] and (tmp_path / "out" / "checkpoint.npz").is_file()
-    assert 12 < first.summary["steps"] < 24
+    assert 6 < first.summary["steps"] < 12
     found = nerf(source, tmp_path / "out", **options)
     assert f"continued an earlier training from step {first.summary['steps']}" in found.warnings[0]
     file = KINDS[kind].file

@@ -140,6 +140,7 @@ def test_cameras_find_their_places(rng):
         assert view.cam_from_world is seen.cam_from_world
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_camera_that_is_off_comes_back(rng):
     view = views()[5]
     poses = PoseSteps([moved(view, rng, 0.03, 0.05).cam_from_world], 0.5)
@@ -166,6 +167,7 @@ def test_a_row_moves_as_adam_says():
     np.testing.assert_allclose(adam.step(0, gradients[0], 1.0), [-0.01, 0.01], rtol=1e-12)
 
 
+@pytest.mark.usefixtures("small_hash")
 def test_what_is_masked_is_neither_learnt_nor_compared(rng):
     mask = np.ones((CAMERA.height, CAMERA.width), bool)
     mask[10:30, 20:44] = False

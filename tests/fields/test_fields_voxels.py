@@ -149,7 +149,7 @@ def test_silhouettes_leave_what_is_in_all_of_them():
     assert may_be_full(silhouettes_of(views(with_alpha=False)), around, 0.05).all()
 
 
-def trained(steps=200, threads=None, seed=0):
+def trained(steps, threads=None, seed=0):
     _parallel.set_num_threads(threads)
     try:
         trainer = VoxelTrainer(views()[2:], WHITE, seed)
@@ -161,7 +161,7 @@ def trained(steps=200, threads=None, seed=0):
 
 
 def test_views_that_were_held_out_are_drawn():
-    trainer = trained()
+    trainer = trained(60)
     for view in views()[:2]:
         blank = psnr(np.ones_like(view.over(WHITE)), view.over(WHITE))
         assert psnr(trainer.render(view), view.over(WHITE)) > max(23.0, blank + 8.0)
@@ -183,7 +183,7 @@ def test_finer_voxels_show_the_same(monkeypatch):
 
 
 def test_any_number_of_threads_gives_the_same():
-    one, other = trained(25, 1), trained(25, 3)
+    one, other = trained(12, 1), trained(12, 3)
     np.testing.assert_array_equal(one.field.values, other.field.values)
     assert len(trained(3, seed=3).field.values) > 0  # too few steps to see anything
     assert not np.array_equal(trained(2).field.values, trained(2, seed=3).field.values)

@@ -25,7 +25,7 @@ from epipole.robust import (
 from epipole.synthetic.problems import absolute_pose_problem, dominant_plane_problem, two_view_problem
 
 CAMERA = Camera(CameraModel.PINHOLE, 1280, 960, np.array([800.0, 800.0, 639.5, 479.5]))
-TRIALS = 150
+TRIALS = 100
 
 
 def angle_deg(a, b):
@@ -54,7 +54,7 @@ def test_covariance_of_a_relative_pose_covers_the_truth():
     """Of matches that are all right: wrong ones that lie on their line by chance are in no covariance."""
     squared = []
     for seed in range(TRIALS):
-        p = two_view_problem(200, 0.0, 0.7, seed)
+        p = two_view_problem(100, 0.0, 0.7, seed)
         found = estimate_relative_pose(
             p.pixels1, p.pixels2, p.camera1, p.camera2, RansacConfig(max_error_px=3)
         )

@@ -37,7 +37,7 @@ def wide_views(seed, half_deg, noise_px=1.0, outliers=0.3, count=800, baseline=1
 def test_a_wide_lens_keeps_its_rim(half_deg, bound_deg):
     """On the plane z = 1 four in ten matches of a lens of 88 degrees were lost, and none could lie beyond 90."""
     errors, fractions = [], []
-    for seed in range(10):
+    for seed in range(6):
         x1, x2, truth, motion, camera = wide_views(seed, half_deg)
         found = estimate_relative_pose(x1, x2, camera, camera, RansacConfig(max_error_px=2.0))
         assert found.success

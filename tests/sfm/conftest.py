@@ -1,3 +1,4 @@
+import shutil
 from pathlib import Path
 
 import pytest
@@ -10,3 +11,27 @@ def rendered(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("rendered") / "photographs"
     render_to(folder, neighbouring_views(6))
     return folder
+
+
+@pytest.fixture(scope="session")
+def few(rendered, tmp_path_factory) -> Path:
+    """A folder of the first four."""
+    folder = tmp_path_factory.mktemp("few") / "photographs"
+    folder.mkdir()
+    for path in sorted(rendered.iterdir())[:4]:
+        shutil.copy2(path, folder / path.name)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def reconstructed(rendered, tmp_path_factory):
+    """The result of the six, in a folder that no test changes."""
+    from epipole import reconstruct
+
+    return reconstruct(rendered, tmp_path_factory.mktemp("reconstructed") / "out")
+
+
+@pytest.fixture
+def out_of_six(reconstructed, tmp_path) -> Path:
+    """A copy of the folder, with the features and matches."""
+    return Path(shutil.copytree(reconstructed.out, tmp_path / "out"))

@@ -6,7 +6,6 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from photographs import neighbouring_views, render_to
 
 from epipole import reconstruct
 
@@ -43,20 +42,13 @@ def _hand_over(done: Future, future: Future) -> None:
         future.set_result(pickle.loads(done.result()))
 
 
-@pytest.fixture(scope="module")
-def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("rendered")
-    render_to(folder, neighbouring_views(5))
-    return folder
-
-
-def test_the_same_bytes_from_an_executor_of_the_users(rendered: Path, tmp_path: Path) -> None:
-    here = reconstruct(rendered, tmp_path / "here")
+def test_the_same_bytes_from_an_executor_of_the_users(few: Path, tmp_path: Path) -> None:
+    here = reconstruct(few, tmp_path / "here")
     executor = Elsewhere()
-    there = reconstruct(rendered, tmp_path / "there", executor=executor)
-    assert executor.num_tasks >= 5 + 1 + 1  # an image each, and blocks of pairs
+    there = reconstruct(few, tmp_path / "there", executor=executor)
+    assert executor.num_tasks >= 4 + 1 + 1  # an image each, and blocks of pairs
     assert not executor.is_shut
-    assert here.summary["num_registered"] == there.summary["num_registered"] == 5
+    assert here.summary["num_registered"] == there.summary["num_registered"] == 4
     files = sorted(p.relative_to(here.out) for p in (here.out / "sparse").rglob("*.bin"))
     assert {"cameras.bin", "images.bin", "points3D.bin"} <= {path.name for path in files}
     for name in [*files, Path("points.ply")]:
@@ -64,7 +56,7 @@ def test_the_same_bytes_from_an_executor_of_the_users(rendered: Path, tmp_path: 
     executor.shutdown()
 
 
-def test_an_error_elsewhere_reaches_the_caller(rendered: Path, tmp_path: Path) -> None:
+def test_an_error_elsewhere_reaches_the_caller(few: Path, tmp_path: Path) -> None:
     class Broken(Elsewhere):
         def submit(self, function: Callable, /, *args: object, **kwargs: object) -> Future:
             future: Future = Future()
@@ -72,4 +64,4 @@ def test_an_error_elsewhere_reaches_the_caller(rendered: Path, tmp_path: Path) -
             return future
 
     with pytest.raises(ConnectionError, match="the scheduler has gone"):
-        reconstruct(rendered, tmp_path / "out", executor=Broken())
+        reconstruct(few, tmp_path / "out", executor=Broken())

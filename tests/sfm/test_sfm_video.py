@@ -10,12 +10,12 @@ from epipole.geometry import Rotation3, align_points
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.synthetic import courtyard, courtyard_views, render
 
-NUM_FRAMES, FPS = 9, 4.0
+NUM_FRAMES, FPS = 6, 4.0
 
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory):
-    """Nine frames along forty degrees of the arc, as motion JPEG, without any EXIF."""
+    """Six frames along thirty degrees of the arc, as motion JPEG, without any EXIF."""
     path = tmp_path_factory.mktemp("film") / "courtyard.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), FPS, (WIDTH, HEIGHT))
     views = courtyard_views(24)[np.arange(6, 6 + NUM_FRAMES)]

@@ -52,7 +52,7 @@ def test_focal_lengths_are_said_of_pictures_with_their_final_values(given):
     assert abs(final_px - CAMERA.focal_px) < 0.1 * CAMERA.focal_px
 
 
-def test_where_focal_lengths_come_from(given, tmp_path, rendered):
+def test_where_focal_lengths_come_from(given, tmp_path, reconstructed):
     result, _, folder = given
     (source,) = result.summary["focal_sources"][:1]
     assert source == "estimated from the images (assumed 1.2 x the longer side at first)"
@@ -62,9 +62,8 @@ def test_where_focal_lengths_come_from(given, tmp_path, rendered):
     two = reconstruct(tmp_path / "two", tmp_path / "out")
     is_found = "estimated from the images" in two.summary["focal_sources"][0]
     assert is_found != any("the focal length is unknown" in w for w in two.warnings)
-    known = reconstruct(rendered, tmp_path / "known")
-    assert known.summary["focal_sources"] == ["EXIF, 35 mm equivalent, then refined with the model"]
-    assert not any("focal" in w for w in known.warnings)
+    assert reconstructed.summary["focal_sources"] == ["EXIF, 35 mm equivalent, then refined with the model"]
+    assert not any("focal" in w for w in reconstructed.warnings)
 
 
 def test_the_report_has_the_name_of_the_source_and_says_things_once(given):

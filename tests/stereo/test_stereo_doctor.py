@@ -148,7 +148,7 @@ def test_repeated_corners_do_not_spoil_the_rows(data_dir):
     """Most features of a chessboard match wrongly: that is no fault of the calibration."""
     folder = data_dir / "calibration" / "opencv_stereo"
     views = [
-        [find_board(read_grey(folder / f"{side}{k:02d}.jpg"), BOARD) for k in (1, 2, 3, 5, 6, 8)]
+        [find_board(read_grey(folder / f"{side}{k:02d}.jpg"), BOARD) for k in (1, 2, 3, 5)]
         for side in ("left", "right")
     ]
     rig = calibrate_views(views, [(640, 480)] * 2, CalibrationConfig(board=BOARD)).rig()

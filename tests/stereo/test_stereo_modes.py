@@ -56,9 +56,9 @@ def test_blocks_are_right_where_there_is_texture(pair):
 
 
 def test_coarse_to_fine_finds_what_the_full_search_finds():
-    big = stereo_room(5, (1000, 800))
+    big = stereo_room(5, (700, 560))
     full, tiled = (
-        match_stereo(big.left, big.right, StereoConfig(max_disparity_px=180, search=search))
+        match_stereo(big.left, big.right, StereoConfig(max_disparity_px=126, search=search))
         for search in ("full", "coarse_to_fine")
     )
     assert abs(full.density - tiled.density) < 0.01

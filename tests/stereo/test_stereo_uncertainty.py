@@ -15,7 +15,7 @@ from epipole.synthetic.stereo_rooms import stereo_room
 def unseen():
     """Errors and sigmas of rendered rooms of odd number: the constants come from even ones."""
     errors, sigmas = [], []
-    for seed in range(10_001, 10_025, 2):
+    for seed in range(10_001, 10_017, 2):
         pair = stereo_room(seed, (320, 240))
         found = match_stereo(
             pair.left, pair.right, StereoConfig(max_disparity_px=int(np.nanmax(pair.disparity_px)) + 8)
@@ -44,7 +44,7 @@ def test_the_most_certain_pixels_are_the_best(unseen):
 def test_other_ways_of_matching_keep_the_bars(options):
     """They were fitted with the defaults."""
     within = []
-    for seed in range(10_001, 10_013, 2):
+    for seed in range(10_001, 10_007, 2):
         pair = stereo_room(seed, (320, 240))
         config = StereoConfig(max_disparity_px=int(np.nanmax(pair.disparity_px)) + 8, **options)
         found = match_stereo(pair.left, pair.right, config)
