@@ -196,6 +196,13 @@ def splats(folder: Path) -> None:
     epipole.splat(folder / "SCENE", folder / "PATH", steps=20, max_gaussians=500)
 
 
+def trained_splats(folder: Path) -> None:
+    """The same in OUT, beside a transforms.json."""
+    splats(folder)
+    (folder / "PATH").rename(folder / "OUT")
+    shutil.copy(folder / "SCENE" / "transforms.json", folder)
+
+
 def nothing(_: Path) -> None:
     """The lines name no file."""
 
@@ -228,6 +235,7 @@ WORLDS: dict[str, Callable[[Path], None]] = {
     "coming_from/opencv-0": pair,
     "coming_from/orb_slam3-0": from_orb_slam,
     "fields-0": fields_of_all_kinds,
+    "fields-1": trained_splats,
     "install-0": nothing,
     "install-1": nothing,
     "reconstruction-0": walk,
@@ -237,6 +245,7 @@ WORLDS: dict[str, Callable[[Path], None]] = {
     "slam-2": stopped_ride,
     "slam-3": metres_for_slam,
     "slam-4": maps,
+    "stereo-0": pair,
     "viewer-0": splats,
 }
 """The same in an empty folder."""
