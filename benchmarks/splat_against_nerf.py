@@ -47,7 +47,7 @@ def measured(source: Path, time: str, folder: Path) -> dict[str, Any]:
     """A row of the field, and one of each number of Gaussians."""
     views = gather_field_images(source, FieldOptions()).test
     field = epipole.nerf(source, folder / "nerf", time=time, kind="hash")
-    white, draw = np.ones(3, np.float32), KINDS["hash"].draw
+    white, draw = np.ones(3, np.float32), KINDS["hash"].render
     speed = frames_a_second(lambda view: draw(field.field, view.camera, view.cam_from_world, white), views)
     nerf, rows = {"psnr": field.summary["psnr"], "frames_s": speed}, []
     for count in COUNTS:

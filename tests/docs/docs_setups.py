@@ -210,5 +210,5 @@ PREPARED: dict[str, Callable[[Path], dict[str, Any]]] = {
     "triangulation": tracks,
 }
 """By the page's path below docs/ without .md: makes its files in a folder and returns its names."""
-IN_PLACE = ("README", "first_model")
+IN_PLACE = ("README", "first_model", "command_line")
 """Pages that reconstruct IMAGES into OUT: they run where that has been done, and go on from there."""

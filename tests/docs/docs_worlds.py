@@ -214,7 +214,7 @@ def no_cloud(folder: Path) -> None:
 
 AFTER_RECONSTRUCTING: dict[str, Callable[[Path], None]] = {
     "README-0": nothing,
-    "README-2": results,
+    "command_line-1": results,
     "first_model-0": nothing,
     "first_model-1": nothing,
     "first_model-2": no_cloud,
@@ -222,11 +222,11 @@ AFTER_RECONSTRUCTING: dict[str, Callable[[Path], None]] = {
 }
 """By the page and the number of its block: where IMAGES are six photographs, OUT their reconstruction and DIR the true cameras."""
 WORLDS: dict[str, Callable[[Path], None]] = {
-    "README-1": large_photographs,
-    "README-3": pair,
-    "README-4": known_ride,
-    "README-5": field_sources("SOURCE", model="MODEL"),
-    "README-6": nothing,
+    "README-1": pair,
+    "README-2": known_ride,
+    "README-3": field_sources(),
+    "README-4": nothing,
+    "command_line-0": nothing,
     "calibration-0": boards,
     "calibration-1": pair,
     "coming_from/colmap-0": from_colmap,
@@ -238,6 +238,7 @@ WORLDS: dict[str, Callable[[Path], None]] = {
     "fields-1": trained_splats,
     "install-0": nothing,
     "install-1": nothing,
+    "install-2": nothing,
     "reconstruction-0": walk,
     "scale-0": metres_for_photographs,
     "slam-0": sources_of_slam,

@@ -91,7 +91,7 @@ def test_command_lines_run(
     for line in BLOCKS[block]:
         command, *words = shlex.split(line)[1:]
         named = list(itertools.takewhile(lambda word: not word.startswith("-"), words))
-        if command in MAKING:
+        if command in MAKING and named:
             job = [command, *named[:-1]]
             if made.setdefault(named[-1], job) != job:
                 shutil.rmtree(named[-1])  # lines with one OUT are alternatives
