@@ -419,7 +419,7 @@ def _features() -> Iterator[Row]:
 
 
 def _imu_log() -> inertial.ImuLog:
-    times = np.arange(0.0, 4.0, 0.01)
+    times = np.arange(0.0, 3.3, 0.02)
     gradient = -4.0 * np.sin(2.0 * (times - 0.2))[:, None] * np.array([1.0, 0.5, 0.2]) + np.array(
         [0.0, 0.0, 9.81]
     )

@@ -5,6 +5,7 @@ import shutil
 import sys
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import cv2
@@ -86,14 +87,21 @@ def grey(image: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
 
 
-def images(folder: Path, numbers: slice = slice(None), ending: str = ".png") -> list[str]:
-    """A folder of images; their names."""
+def images(
+    folder: Path, numbers: slice = slice(None), ending: str = ".png", is_half: bool = False
+) -> list[str]:
+    """A folder of images, of half the width and height if asked for; their names."""
     folder.mkdir(parents=True)
     names = []
     for n, image in enumerate(ride().left[numbers]):
         names.append(f"{n:03d}{ending}")
-        cv2.imwrite(str(folder / names[-1]), image[..., ::-1])
+        cv2.imwrite(str(folder / names[-1]), (half(image) if is_half else image)[..., ::-1])
     return names
+
+
+def half(image: np.ndarray) -> np.ndarray:
+    """Of half the width and height."""
+    return cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
 
 
 def many_pictures(folder: Path, at_rest: int) -> list[str]:
@@ -123,7 +131,23 @@ def lengths(path: Path, names: list[str], numbers: slice) -> None:
 
 
 def video(path: Path) -> None:
-    write_video(path, ride().left, HZ)
+    path.write_bytes(_encoded(False))
+
+
+def short_video(path: Path) -> None:
+    """Every third frame, small."""
+    path.write_bytes(_encoded(True))
+
+
+@cache
+def _encoded(is_short: bool) -> bytes:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "a.mp4"
+        if is_short:
+            write_video(path, [half(image) for image in ride().left[::3]], HZ / 3)
+        else:
+            write_video(path, ride().left, HZ)
+        return path.read_bytes()
 
 
 def kitti(folder: Path) -> None:

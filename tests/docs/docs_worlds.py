@@ -45,8 +45,8 @@ def large_photographs(folder: Path) -> None:
     small = Camera("PINHOLE", 480, 320, [431.25, 431.25, 239.5, 159.5])
     (folder / "IMAGES").mkdir()
     (folder / "MASKS").mkdir()
-    views = courtyard_views(24)[np.arange(6, 10)]
-    for n in range(4):
+    views = courtyard_views(24)[np.arange(6, 9)]
+    for n in range(3):
         rendered = render(courtyard(), small, views[n], noise_sigma=1.5, seed=n)
         image = cv2.resize(rendered.rgb, (LARGE.width, LARGE.height), interpolation=cv2.INTER_CUBIC)
         name = f"view_{n}.color.jpg"
@@ -61,7 +61,7 @@ def large_photographs(folder: Path) -> None:
 def from_colmap(folder: Path) -> None:
     """IMAGES, and a database of their features and matches."""
     large_photographs(folder)
-    epipole.reconstruct(folder / "IMAGES", folder / "before")
+    epipole.reconstruct(folder / "IMAGES", folder / "before", max_size_px=480)
     shutil.copy(folder / "before" / "database.db", folder)
 
 
@@ -79,7 +79,7 @@ def results(folder: Path) -> None:
 
 def walk(folder: Path) -> None:
     photographs(folder)
-    docs_ride.video(folder / "walk.mp4")
+    docs_ride.short_video(folder / "walk.mp4")
 
 
 def pair(folder: Path) -> None:
@@ -143,7 +143,7 @@ def metres_for_photographs(folder: Path) -> None:
     names = docs_ride.images(folder / "photos", docs_ride.FEW)
     docs_ride.positions(folder / "places.txt", names, docs_ride.FEW)
     docs_ride.lengths(folder / "lengths.txt", names, docs_ride.FEW)
-    docs_ride.video(folder / "walk.mp4")
+    docs_ride.short_video(folder / "walk.mp4")
     docs_ride.euroc(folder / "flight")
     metres(folder)
 
@@ -163,7 +163,7 @@ def field_sources(*names: str, model: str | None = None) -> Callable[[Path], Non
     """PHOTOS of the ride, an output of a reconstruction, and images with cameras as NeRF writes them."""
 
     def prepare(folder: Path) -> None:
-        docs_ride.images(folder / "PHOTOS", docs_ride.FEW, ".jpg")
+        docs_ride.images(folder / "PHOTOS", docs_ride.FEW, ".jpg", is_half=True)
         if model is not None:
             PREPARED["fields"](folder)
             (folder / "MODEL").rename(folder / model)

@@ -2,6 +2,7 @@
 
     python -m tests.fuzz.interruptions                          # every job, every file operation
     python -m tests.fuzz.interruptions --job undistort --every 5
+    python -m tests.fuzz.interruptions --points 3               # every job, at three of its file operations
     python -m tests.fuzz.interruptions --random 100             # and killed at random moments, with two threads
 
 After kill -9 the same command must end with the files that it makes without one, and leave nothing else. With a full
@@ -23,6 +24,7 @@ import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -71,8 +73,16 @@ def _photographs(folder: Path) -> None:
 
 
 def _model(folder: Path) -> None:
-    _photographs(folder)
-    _reconstruct(folder)
+    shutil.copytree(_reconstructed().name, folder, copy_function=shutil.copy2)
+
+
+@cache
+def _reconstructed() -> tempfile.TemporaryDirectory[str]:
+    """Made once; it is removed when this process ends."""
+    made = tempfile.TemporaryDirectory()
+    _photographs(Path(made.name))
+    _reconstruct(Path(made.name))
+    return made
 
 
 def _reconstruct(folder: Path) -> object:
@@ -171,6 +181,11 @@ class Trials:
         child = self._fork(lambda: _interrupt_after(after_s), num_threads=2)
         os.waitpid(child, 0)
         return self._do_again()
+
+    def spread(self, count: int) -> list[tuple[Callable[[int], list[str]], int]]:
+        """So many operations, evenly spread; killed and out of space by turns."""
+        operations = [self.num_operations * (2 * k + 1) // (2 * count) + 1 for k in range(count)]
+        return [((self.kill, self.fill)[k % 2], n) for k, n in enumerate(operations)]
 
     def _set_up(self) -> None:
         shutil.rmtree(self.position)
@@ -271,6 +286,7 @@ def main() -> None:
     )
     parser.add_argument("--job", choices=JOBS, nargs="*", default=list(JOBS))
     parser.add_argument("--every", type=int, default=1, help="try every so-manieth operation")
+    parser.add_argument("--points", type=int, default=0, help="instead, so many operations of each job")
     parser.add_argument("--random", type=int, default=0, help="instead, kill so many times at random moments")
     given = parser.parse_args()
     num_wrong = 0
@@ -279,6 +295,8 @@ def main() -> None:
             trials = Trials(name, Path(folder))
             operations = range(1, trials.num_operations + 1, given.every)
             trial = [(what, n) for n in operations for what in (trials.kill, trials.fill)]
+            if given.points:
+                trial = trials.spread(given.points)
             if given.random:
                 trial = [(trials.kill_at_random, seed) for seed in range(given.random)]
             for what, n in trial:

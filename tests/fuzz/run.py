@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -56,6 +57,7 @@ def _worker(*options: str, report: int | None = None, stderr: object = None) -> 
     )
 
 
+@cache
 def formats() -> dict[str, tuple[float, list[str]]]:
     """Share and readers of every format."""
     out, _ = _worker("--list").communicate()

@@ -4,6 +4,7 @@
 """
 
 import inspect
+import re
 import sys
 import warnings
 from collections.abc import Callable
@@ -20,9 +21,10 @@ import valid_files
 import valid_jobs
 from epipole.errors import EpipoleError
 from valid_calls import ROOMS, Call, valid_calls
+from whole import IS_WHOLE
 from wrong_arguments import describe, made, wrong_values
 
-OF_EACH_ARGUMENT = 5
+OF_EACH_ARGUMENT = 5 if IS_WHOLE else 2
 JOBS = {name for name, _, _ in valid_jobs.calls()}
 CALCULATING = [call for call in valid_calls() if call.name not in JOBS]
 """Jobs run kernels of many kinds, on inputs that are found too poor."""
@@ -120,6 +122,7 @@ def _wide(array: np.ndarray) -> np.ndarray:
     return array.astype({"f": np.float64, "i": np.int64}.get(array.dtype.kind, array.dtype))
 
 
+_OF_KERNELS = re.compile(r"epipole\..*_kernels$")
 FORMS = (_read_only, _scattered, _swapped, _narrow, _wide)
 
 
@@ -136,7 +139,7 @@ def in_form(value: Any, form: Callable[[np.ndarray], np.ndarray]) -> Any:
 
 def compiled() -> dict[str, int]:
     """Of each kernel that is loaded the number of types it was compiled for."""
-    modules = [(name, module) for name, module in sys.modules.items() if name.startswith("epipole")]
+    modules = [(name, module) for name, module in sys.modules.items() if _OF_KERNELS.match(name)]
     return {
         f"{name}.{kernel}": len(value.signatures)
         for name, module in modules
