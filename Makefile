@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 # Kernels are compiled once, for both workers of the tests.
 WARM_UP := $(BIN)/python tests/warm_up.py
 
-.PHONY: demo test docs test-numba fuzz clean
+.PHONY: demo test test-whole docs test-numba fuzz clean
 
 demo: $(STAMP)
 	$(BIN)/epipole demo
@@ -19,6 +19,11 @@ test: $(STAMP)
 	$(BIN)/mypy & types=$$!; $(WARM_UP) && wait $$types
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+# All combinations of inputs, of which `make test` takes a sample.
+test-whole: $(STAMP)
+	$(WARM_UP)
+	EPIPOLE_WHOLE_TESTS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
 # The pages under docs/, the command line, the API and the benchmarks as a site in build/site, which opens from disk.
 docs: $(STAMP)
