@@ -39,10 +39,31 @@ def run(*arguments, expect=0):
     return done.stdout + done.stderr
 
 
+@pytest.fixture
+def here(capsys, unchecked):
+    """The same in this process, which has loaded what the command needs."""
+
+    def run_here(*arguments, expect=0):
+        code = 0
+        try:
+            main([*map(str, arguments)])
+        except SystemExit as stopped:
+            code = int(stopped.code or 0)
+        said = capsys.readouterr()
+        assert code == expect, said.out + said.err
+        return said.out + said.err
+
+    return run_here
+
+
+COUNT = 5
+"""Of photographs."""
+
+
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cli")
-    views = neighbouring_views(8)
+    views = neighbouring_views(COUNT)
     names = render_to(folder / "photographs", views)
     printed = run("reconstruct", folder / "photographs", folder / "out")
     return folder, names, views, printed
@@ -58,7 +79,7 @@ def test_demo_leaves_other_peoples_folders_alone(tmp_path):
 
 def test_reconstruct_places_every_photograph_near_the_truth(workspace):
     folder, names, views, printed = workspace
-    assert "8 of 8" in printed and "report.html" in printed
+    assert f"{COUNT} of {COUNT}" in printed and "report.html" in printed
     model = read_colmap_model(folder / "out" / "sparse" / "0")
     assert model.images.name == tuple(names)
     errors = camera_errors(model.cams_from_world(), views)
@@ -75,7 +96,7 @@ def test_reconstruct_places_every_photograph_near_the_truth(workspace):
         "images/view_00.jpg",
     ):
         assert (folder / "out" / name).is_file(), name
-    assert json.loads((folder / "out" / "summary.json").read_text())["num_registered"] == 8
+    assert json.loads((folder / "out" / "summary.json").read_text())["num_registered"] == COUNT
 
 
 def test_again_it_redoes_nothing_and_gives_the_same_bytes(workspace):
@@ -95,14 +116,14 @@ def test_one_thread_gives_the_same_bytes(workspace):
         assert a.read_bytes() == b.read_bytes(), name
 
 
-def test_a_changed_option_redoes_only_what_depends_on_it(workspace):
+def test_a_changed_option_redoes_only_what_depends_on_it(workspace, here):
     folder, _, _, _ = workspace
     stamps = {p.name: p.stat().st_mtime_ns for p in (folder / "one" / "work" / "features").iterdir()}
-    run("reconstruct", folder / "photographs", folder / "one", "--matching.max-ratio", "0.7")
+    here("reconstruct", folder / "photographs", folder / "one", "--matching.max-ratio", "0.7")
     assert stamps == {p.name: p.stat().st_mtime_ns for p in (folder / "one" / "work" / "features").iterdir()}
 
 
-def test_evaluate_undistort_and_convert(workspace):
+def test_evaluate_undistort_and_convert(workspace, here):
     folder, names, views, _ = workspace
     model = read_colmap_model(folder / "out" / "sparse" / "0")
     from dataclasses import replace
@@ -112,15 +133,15 @@ def test_evaluate_undistort_and_convert(workspace):
     )
     write_colmap_model(truth, folder / "truth")
     result = json.loads(run("evaluate", folder / "out", "--truth", folder / "truth", "--json"))
-    assert result["num_registered"] == 8 and result["position_mean"] < 0.02 and result["auc"]["5"] > 0.95
-    assert "8 of 8" in run("evaluate", folder / "out", "--truth", folder / "truth")
-    run("undistort", folder / "out")
+    assert result["num_registered"] == COUNT and result["position_mean"] < 0.02 and result["auc"]["5"] > 0.95
+    assert f"{COUNT} of {COUNT}" in here("evaluate", folder / "out", "--truth", folder / "truth")
+    here("undistort", folder / "out")
     flat = read_colmap_model(folder / "out" / "undistorted" / "sparse" / "0")
     assert flat.cameras[0].model.name == "PINHOLE"
     assert len(list((folder / "out" / "undistorted" / "images").iterdir())) == len(names)
     assert flat.mean_reprojection_error_px() < 0.8
     for form in ("txt", "bin", "ply", "transforms", "bundler"):
-        run("convert", folder / "out", folder / f"as_{form}", "--format", form)
+        here("convert", folder / "out", folder / f"as_{form}", "--format", form)
 
 
 def test_errors_are_one_line_and_a_code(tmp_path):
@@ -130,7 +151,7 @@ def test_errors_are_one_line_and_a_code(tmp_path):
     assert "epipole" in run("version")
 
 
-def test_stereo_of_two_files(tmp_path):
+def test_stereo_of_two_files(tmp_path, here):
     pair = stereo_room(9, (240, 180))
     left, right = tmp_path / "left.png", tmp_path / "right.png"
     Image.fromarray(pair.left).save(left)
@@ -144,9 +165,9 @@ def test_stereo_of_two_files(tmp_path):
     )
     both = np.isfinite(found) & np.isfinite(truth)
     assert both.mean() > 0.6 and np.median(np.abs(found / truth - 1)[both]) < 0.05
-    said = run("stereo", left, right, tmp_path / "two", "--focal-px", 500, expect=2)
+    said = here("stereo", left, right, tmp_path / "two", "--focal-px", 500, expect=2)
     assert "depth needs both --focal-px and --baseline, but only --focal-px was given" in said
-    assert "no such file" in run("stereo", left, tmp_path / "none.png", tmp_path / "two", expect=1).lower()
+    assert "no such file" in here("stereo", left, tmp_path / "none.png", tmp_path / "two", expect=1).lower()
     assert not (tmp_path / "two").exists()
 
 
@@ -156,6 +177,8 @@ def test_help_is_quick_and_loads_nothing_heavy():
         start = time.perf_counter()
         printed = run("--help")
         times.append(time.perf_counter() - start)
+        if times[-1] < 0.6:  # a busy machine may be slow now and then
+            break
     assert "reconstruct" in printed
     assert min(times) < 0.6
     loaded = subprocess.run(
@@ -184,25 +207,25 @@ def saved_pair(folder, size=(200, 150)):
     return pair, str(folder / "left.png"), str(folder / "right.png")
 
 
-def test_stereo_by_a_calibration_and_the_doctor(tmp_path):
+def test_stereo_by_a_calibration_and_the_doctor(tmp_path, here):
     pair, left, right = saved_pair(tmp_path)
     motion = Rigid3(np.stack([np.eye(3)] * 2), np.array([[0.0, 0, 0], [-pair.baseline, 0, 0]]))
     known = tmp_path / "rig.json"
     write_calibration(known, CalibrationFile((pair.camera, pair.camera), motion, np.diag(np.full(30, 1e-8))))
-    printed = run("stereo", left, right, tmp_path / "out", "--calibration", known)
+    printed = here("stereo", left, right, tmp_path / "out", "--calibration", known)
     assert "points" in printed
     assert {"depth.pfm", "rig.json", "left.png", "cloud.ply"} <= {
         p.name for p in (tmp_path / "out").iterdir()
     }
-    printed = run("stereo", "doctor", left, right, "--calibration", known, "--json")
+    printed = here("stereo", "doctor", left, right, "--calibration", known, "--json")
     given = json.loads(printed[printed.index("{") : printed.rindex("}") + 1])
     assert given["problems"] == [] and given["expectations"][0]["from_calibration"] > 0
-    assert "swapped" in run("stereo-doctor", right, left)
+    assert "swapped" in here("stereo-doctor", right, left)
     both = ("--calibration", known, "--focal-px", "3")
-    assert "not both" in run("stereo", left, right, tmp_path / "x", *both, expect=2)
+    assert "not both" in here("stereo", left, right, tmp_path / "x", *both, expect=2)
 
 
-def test_stereo_says_what_it_needs(tmp_path):
+def test_stereo_says_what_it_needs(tmp_path, here):
     _, left, right = saved_pair(tmp_path, (120, 90))
     for arguments, words, code in (
         ((left, right), "needs LEFT RIGHT OUT, got ", 2),
@@ -210,13 +233,13 @@ def test_stereo_says_what_it_needs(tmp_path):
         ((left, tmp_path, tmp_path / "out"), "not a folder", 1),
         ((left, right, tmp_path / "out", "--calibration", left), "neither JSON nor YAML", 1),
     ):
-        printed = run("stereo", *arguments, expect=code)
+        printed = here("stereo", *arguments, expect=code)
         assert words in printed and "Traceback" not in printed
 
 
-def test_calibrate_names_what_is_wrong(tmp_path):
+def test_calibrate_names_what_is_wrong(tmp_path, here):
     saved_pair(tmp_path, (120, 90))
-    printed = run("calibrate", tmp_path, tmp_path / "out", "--columns", "9", "--rows", "6", expect=1)
+    printed = here("calibrate", tmp_path, tmp_path / "out", "--columns", "9", "--rows", "6", expect=1)
     assert "no board found in the" in printed and "Traceback" not in printed
 
 

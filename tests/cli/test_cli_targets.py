@@ -11,6 +11,7 @@ from cli_targets import EXISTING, MAY_SUCCEED, PAGE, TARGETS, Target, make_input
 
 from epipole.cli import main as command_line
 from epipole.cli.main import main
+from whole import IS_WHOLE
 
 CASES = [pytest.param(t, id=t.words.replace("OUT", t.name)) for all_of in TARGETS.values() for t in all_of]
 FILES = [case for case in CASES if case.values[0].is_file]
@@ -50,7 +51,10 @@ def test_every_command_has_its_targets_listed() -> None:
 
 @pytest.mark.parametrize("target", CASES)
 def test_what_is_there_stays_as_it_is(target: Target, work: Path, tmp_path: Path, capfd) -> None:
+    row = [case.values[0] for case in CASES].index(target)
     for number, (what, make) in enumerate(EXISTING.items()):
+        if not IS_WHOLE and (row + number) % 3:
+            continue
         own = tmp_path / f"{number}"
         own.mkdir()
         make(own / target.name)

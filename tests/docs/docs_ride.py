@@ -27,6 +27,8 @@ from bag_writing import Recorded
 LENS = Camera("PINHOLE", 640, 480, [500.0, 500.0, 319.5, 239.5])
 """`--camera-params 500,500,320,240`."""
 COUNT, HZ, KITTI_HZ, BASELINE = 18, 30.0, 10.0, 0.12
+PAIRS = 8
+"""How many of the first frames have a right image."""
 FEW = slice(1, None, 3)
 """Frames that are taken as photographs."""
 RIGHT_FROM_LEFT = Rigid3(np.eye(3), np.array([-BASELINE, 0.0, 0.0]))
@@ -38,6 +40,7 @@ class Ride(NamedTuple):
     left: list[np.ndarray]
     """(h, w, 3) RGB."""
     right: list[np.ndarray]
+    """Of the first PAIRS frames."""
     depth: list[np.ndarray]
     """(h, w) metres, 0 where there is none."""
     cams_from_world: Rigid3
@@ -57,7 +60,7 @@ def ride() -> Ride:
     positions = [look_at(center, (-0.2, 0.4, 0.6)) for center in centers]
     scene = _scene(float(angles[COUNT // 2]))
     left = [render(scene, LENS, position) for position in positions]
-    right = [render(scene, LENS, RIGHT_FROM_LEFT @ position).rgb for position in positions]
+    right = [render(scene, LENS, RIGHT_FROM_LEFT @ position).rgb for position in positions[:PAIRS]]
     depth = [np.nan_to_num(image.depth, nan=0.0).astype(np.float32) for image in left]
     together = Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))
     return Ride([image.rgb for image in left], right, depth, together)
@@ -151,7 +154,7 @@ def _encoded(is_short: bool) -> bytes:
 
 
 def kitti(folder: Path) -> None:
-    for name, seen in (("image_0", ride().left), ("image_1", ride().right)):
+    for name, seen in (("image_0", ride().left[:PAIRS]), ("image_1", ride().right)):
         (folder / name).mkdir(parents=True)
         for n, image in enumerate(seen):
             cv2.imwrite(str(folder / name / f"{n:06d}.png"), grey(image))
@@ -198,7 +201,7 @@ def euroc(folder: Path) -> None:
 def recording(folder: Path, kind: str, name: str = "ride") -> Path:
     """Of ROS: NAME.bag, or the folder NAME, of a pair of cameras."""
     out, size = Recorded(kind), (LENS.width, LENS.height)
-    for n in range(COUNT):
+    for n in range(PAIRS):
         ns = 1_500_000_000 * 10**9 + round(1e9 * n / HZ)
         for side, seen, corner in (("left", ride().left, 0.0), ("right", ride().right, -500.0 * BASELINE)):
             P = np.column_stack([LENS.K, [corner, 0, 0]])

@@ -1,6 +1,7 @@
 """A video replaces nothing unless it reads back as it was written."""
 
 import resource
+import shutil
 from pathlib import Path
 
 import cv2
@@ -24,19 +25,28 @@ def lengths(path: Path) -> int:
     return count
 
 
-@pytest.fixture
-def earlier(tmp_path: Path) -> Path:
-    with atomic_write(tmp_path / "a.mp4") as part:
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with an earlier video, and with what is to replace it."""
+    folder = tmp_path_factory.mktemp("written")
+    with atomic_write(folder / "a.mp4") as part:
         write_video(part, frames(3), 30.0)
-    assert lengths(tmp_path / "a.mp4") == 3
-    return tmp_path / "a.mp4"
+    assert lengths(folder / "a.mp4") == 3
+    write_video(folder / "whole.mp4", frames(12, 1), 30.0)
+    return folder
+
+
+@pytest.fixture
+def earlier(written: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copy(written / "a.mp4", tmp_path))
 
 
 @pytest.mark.parametrize("fraction", [0.02, 0.3, 0.9, 0.999])
-def test_a_full_disk_is_an_error_and_keeps_the_earlier_video(earlier: Path, fraction: float) -> None:
+def test_a_full_disk_is_an_error_and_keeps_the_earlier_video(
+    earlier: Path, written: Path, fraction: float
+) -> None:
     before = earlier.read_bytes()
-    write_video(earlier.with_name("whole.mp4"), frames(12, 1), 30.0)
-    room = int(fraction * earlier.with_name("whole.mp4").stat().st_size)
+    room = int(fraction * (written / "whole.mp4").stat().st_size)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))  # writing beyond fails, as on a full disk
     try:
@@ -45,7 +55,7 @@ def test_a_full_disk_is_an_error_and_keeps_the_earlier_video(earlier: Path, frac
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert earlier.read_bytes() == before
-    assert sorted(path.name for path in earlier.parent.iterdir()) == ["a.mp4", "whole.mp4"]
+    assert sorted(path.name for path in earlier.parent.iterdir()) == ["a.mp4"]
 
 
 class Writer:

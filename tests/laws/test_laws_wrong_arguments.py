@@ -86,8 +86,8 @@ def test_wrong_arguments_are_refused_or_harmless(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)  # a wrong argument may be a name to write to
-    random = Random(call.name)
     for name, valid in call.arguments.items():
+        random = Random(f"{call.name}: {name}")
         values = wrong_values(valid, random)
         for value in random.sample(values, min(OF_EACH_ARGUMENT, len(values))):
             try:
