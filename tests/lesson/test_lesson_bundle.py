@@ -1,13 +1,12 @@
 """The page on bundle adjustment: every step against the same with the whole matrix, the end against the library's."""
 
-import itertools
-
 import numpy as np
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Rotation3, align_points
 from epipole.lesson.scenes import ring
 from epipole.optim import BundleConfig, BundleProblem, adjust_bundle
+from pairwise import pairwise
 
 CAMERA = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5])
 
@@ -43,13 +42,14 @@ def linearized(cams, points, seen, pixels, *, hold_first=True):
     rows = np.zeros((len(there), 2, 3))
     rows[:, 0, 0] = rows[:, 1, 1] = 520.0 / z
     rows[:, 0, 2], rows[:, 1, 2] = -520.0 * x / z**2, -520.0 * y / z**2
-    J = np.zeros((len(there), 2, 6 * len(cams) + 3 * len(points)))
-    for k, (j, c) in enumerate(zip(point, camera)):
-        J[k, :, 6 * c : 6 * c + 6] = np.hstack([rows[k], np.cross(there[k], rows[k])])
-        J[k, :, 6 * len(cams) + 3 * j :][:, :3] = rows[k] @ cams.rotation[c]
+    k = np.arange(len(there))
+    of_cameras = np.zeros((len(there), 2, len(cams), 6))
+    of_cameras[k, :, camera] = np.concatenate([rows, np.cross(there[:, None], rows)], axis=2)
     if hold_first:
-        J[:, :, :6] = 0.0
-    return left.ravel(), J.reshape(-1, J.shape[2])
+        of_cameras[:, :, 0] = 0.0
+    of_points = np.zeros((len(there), 2, len(points), 3))
+    of_points[k, :, point] = rows @ cams.rotation[camera]
+    return left.ravel(), np.hstack([part.reshape(left.size, -1) for part in (of_cameras, of_points)])
 
 
 def whole_adjustment(cams, points, seen, pixels, count):
@@ -114,7 +114,7 @@ def close(found, wanted, size=1.0):
 def test_every_step_is_that_of_the_whole_matrix(tab):
     tab.open("08_bundle.html")
     scene = ring()
-    for visible, s, off in itertools.product((55.0, 80.0), (0.25, 2.0), (0.1, 0.5)):
+    for visible, s, off in pairwise((55.0, 80.0), (0.25, 2.0), (0.1, 0.5)):
         seen, pixels = observed(scene, visible, s)
         start = disturbed(scene, off)
         steps = whole_adjustment(*start, seen, pixels, 12)
@@ -133,7 +133,7 @@ def test_it_ends_where_the_library_ends(tab):
     tab.open("08_bundle.html")
     scene = ring()
     # Twelve steps bring a start to its end to nine digits where the noise is not large.
-    for visible, s, off in itertools.product((65.0, 80.0), (0.25, 1.0), (0.1, 0.3)):
+    for visible, s, off in pairwise((65.0, 80.0), (0.25, 1.0), (0.1, 0.3)):
         seen, pixels = observed(scene, visible, s)
         tab.set(step=12, visible=visible, s=s, off=off)
         problem = problem_of(*disturbed(scene, off), seen, pixels)

@@ -1,6 +1,5 @@
 """What pages show against what the library says, over grids of inputs."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +25,7 @@ from epipole.optim import BundleConfig, BundleProblem, adjust_bundle
 from epipole.robust import PairKind, point_covariances, triangulate_points, verify_pair
 from epipole.robust.pairs._model_selection_kernels import _gric
 from epipole.solvers import solve_fundamental_eight_point, solve_homography_dlt
+from pairwise import pairwise
 
 CAMERA = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5])
 
@@ -37,7 +37,7 @@ def close(found, wanted, size=1.0):
 
 def test_disparity(tab):
     tab.open("01_disparity.html")
-    for Z, X, B, f, e in itertools.product(
+    for Z, X, B, f, e in pairwise(
         (0.5, 2.4, 24.0, 40.0), (-0.4, 0.13), (0.02, 0.12, 0.5), (200.0, 800.0), (0.05, 1.0, 3.0)
     ):
         tab.set(Z=Z, X=X, B=B, f=f, e=e)
@@ -74,13 +74,13 @@ def test_the_object_is_dragged(tab):
 def test_epipolar_lines(tab):
     tab.open("02_epipolar.html")
     K = CAMERA.K
-    positions = itertools.product((0.0, 400.0, 639.0), (300.0,), (0.8, 4.5), (-20.0, 0.0))
     motions = (
         (1.0, 0.0, 0.2, -10.0, 0.0, 0.0),
         (-0.3, 0.7, 0.4, 15.0, -20.0, 5.0),
         (0.0, 0.1, 1.0, 0.0, 3.0, -40.0),
     )
-    for (u, v, Z, off), (tx, ty, tz, yaw, pitch, roll) in itertools.product(positions, motions):
+    cases = pairwise((0.0, 400.0, 639.0), (300.0,), (0.8, 4.5), (-20.0, 0.0), motions)
+    for u, v, Z, off, (tx, ty, tz, yaw, pitch, roll) in cases:
         tab.set(u=u, v=v, Z=Z, off=off, tx=tx, ty=ty, tz=tz, yaw=yaw, pitch=pitch, roll=roll)
         rotated = Rotation3.exp(np.deg2rad([-pitch, yaw, roll])).matrix
         motion = Rigid3(rotated, np.array([tx, ty, tz])).inverse()
@@ -125,9 +125,7 @@ def test_no_way_between_the_cameras_is_no_line(tab):
 
 def test_four_candidates(tab):
     tab.open("03_candidates.html")
-    for tx, tz, yaw, far, sigma in itertools.product(
-        (0.05, 1.0), (0.0, -0.6), (-12.0, 25.0), (3.0, 12.0), (0.0, 4.0)
-    ):
+    for tx, tz, yaw, far, sigma in pairwise((0.05, 1.0), (0.0, -0.6), (-12.0, 25.0), (3.0, 12.0), (0.0, 4.0)):
         tab.set(tx=tx, tz=tz, yaw=yaw, far=far, noise=sigma)
         shown = tab.shown()
         motion = Rigid3(Rotation3.exp(np.deg2rad([0.0, yaw, 0.0])).matrix, np.array([tx, 0.0, tz])).inverse()
@@ -165,9 +163,7 @@ def test_four_candidates(tab):
 def test_the_pictures_know_no_size(tab):
     tab.open("04_scale.html")
     rotated = Rotation3.exp(np.deg2rad([0.0, -10.0, 0.0])).matrix
-    for k, B, W, anchor in itertools.product(
-        (0.3, 1.0, 3.0), (0.2, 1.7), (0.5, 11.0), ("none", "baseline", "width")
-    ):
+    for k, B, W, anchor in pairwise((0.3, 1.0, 3.0), (0.2, 1.7), (0.5, 11.0), ("none", "baseline", "width")):
         tab.page.locator(f"input[value={anchor}]").check()
         tab.set(k=k, B=B, W=W)
         disabled = [tab.page.locator(f"#{name}").is_disabled() for name in "BW"]
@@ -189,9 +185,7 @@ def test_the_pictures_know_no_size(tab):
 
 def test_points_and_their_ellipse(tab):
     tab.open("05_triangulation.html")
-    for B, A, Z, X, s, n in itertools.product(
-        (0.3, 4.0), (0.0, 3.5), (5.0, 12.0), (-1.0, 2.0), (0.1, 4.0), (0, 39)
-    ):
+    for B, A, Z, X, s, n in pairwise((0.3, 4.0), (0.0, 3.5), (5.0, 12.0), (-1.0, 2.0), (0.1, 4.0), (0, 39)):
         tab.set(B=B, A=A, Z=Z, X=X, s=s, n=n)
         shown, truth = tab.shown(), np.array([X, 0.2, Z])
         cams = Rigid3(np.stack([np.eye(3)] * 2), np.array([[0.0, 0.0, 0.0], [-B, 0.0, -A]]))
@@ -288,8 +282,6 @@ def test_a_camera_on_its_way(tab):
         (6, 0.0, 30),
         (13, 1.0, 60),
         (7, 1.5, 12),
-        (7, 1.5, 20),
-        (3, 2.0, 6),
     ):
         tab.set(step=step, s=s, most=most)
         shown, (truth, cameras, known, used) = tab.shown(), trajectory(step, s, most)
@@ -329,7 +321,9 @@ def test_which_model(tab):
     tab.open("07_models.html")
     positions, noise_px = wall()
     chosen = {"H": PairKind.PLANAR, "R": PairKind.ROTATION, "E": PairKind.GENERAL, "S": PairKind.NO_MOTION}
-    for relief, tx, yaw, s in itertools.product((0.0, 0.4, 3.0), (0.0, 1.5), (0.0, -8.0), (0.25, 2.0)):
+    known = ((0.0, 1.5, -8.0), (3.0, 0.0, -8.0), (3.0, 1.5, -8.0), (3.0, 0.0, 0.0))
+    sampled = pairwise((0.0, 0.4, 3.0), (0.0, 1.5), (0.0, -8.0), (0.25, 2.0))
+    for relief, tx, yaw, s in {*sampled, *((*one, 0.25) for one in known)}:
         at = {"relief": relief, "tx": tx, "yaw": yaw, "s": s}
         tab.set(**at)
         shown = tab.shown()
@@ -374,5 +368,5 @@ def test_which_model(tab):
         close(shown["gric-E"], float(_gric.py_func(rest, len(one), 3.0, 5.0)))
         best = min(criteria, key=criteria.get)
         assert tab.page.locator(f"#verdict-{best}").inner_text() == "chosen"
-        if (relief, tx, yaw) in ((0.0, 1.5, -8.0), (3.0, 0.0, -8.0), (3.0, 1.5, -8.0), (3.0, 0.0, 0.0)):
+        if (relief, tx, yaw) in known:
             assert verify_pair(one, two, CAMERA, CAMERA, is_calibrated=True).kind is chosen[best]

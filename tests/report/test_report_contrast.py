@@ -17,6 +17,7 @@ from epipole.pipelines.sfm.page.content import ReportContent
 from epipole.pipelines.sfm.page.page import render_report
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.scene import RectifiedRig
+from pairwise import pairwise
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "calibration"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fields"))
@@ -51,12 +52,12 @@ def reports(
     tmp_path_factory: pytest.TempPathFactory, content: ReportContent, empty_content: ReportContent
 ) -> dict[str, Path]:
     root = tmp_path_factory.mktemp("pages")
-    ride = write_pairs(root / "ride", 12)
+    ride = write_pairs(root / "ride", 6)
     run_slam(ride, root / "slam", truth=ride)
     (root / "photos").mkdir()
-    transforms = camera() | {"frames": frames_of(views(8), root / "photos")}
+    transforms = camera() | {"frames": frames_of(views(6), root / "photos")}
     (root / "photos" / "transforms.json").write_text(json.dumps(transforms))
-    splat(root / "photos", root / "splat", steps=12, max_gaussians=200, sh_degree=0, test_every=3)
+    splat(root / "photos", root / "splat", steps=6, max_gaussians=200, sh_degree=0, test_every=3)
     (root / "workspace").mkdir()
     api.share(workspace(root / "workspace"), root / "scene.html")
     pages = {
@@ -87,7 +88,7 @@ def tab(request: pytest.FixtureRequest, browser: Any) -> Iterator[Any]:
 
 def check(tab: Any, file: Path, least_in_charts: int) -> None:
     tab.goto(file.as_uri())
-    tab.wait_for_timeout(150)
+    tab.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
     texts = tab.evaluate(SCRIPT)
     known = [text for text in texts if text["isKnown"]]
     poor = [text for text in known if text["contrast"] < text["needed"]]
@@ -113,9 +114,13 @@ def test_reports(name: str, reports: dict[str, Path], tab: Any) -> None:
     check(tab, reports[name], PAGES[name])
 
 
+@pytest.mark.parametrize("tab", ["light"], indirect=True)
 def test_the_lesson(lesson_pages: list[Path], tab: Any) -> None:
-    for file in lesson_pages:
-        check(tab, file, 0)
+    """Each page in both languages and in both themes."""
+    english = [file for file in lesson_pages if ".zh." not in file.name]
+    for file, ending, theme in pairwise(english, (".html", ".zh.html"), ("light", "dark")):
+        tab.emulate_media(color_scheme=theme)
+        check(tab, file.with_name(file.name.replace(".html", ending)), 0)
 
 
 BROKEN = """<!doctype html><body style="background:#fff;color:#222">

@@ -1,0 +1,22 @@
+"""Combinations of values of which every pair occurs together."""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from whole import IS_WHOLE
+
+
+def pairs_of(row: Sequence[int]) -> set[tuple[tuple[int, int], ...]]:
+    return set(itertools.combinations(enumerate(row), 2))
+
+
+def pairwise(*values: Sequence[Any]) -> Iterator[tuple[Any, ...]]:
+    """A sample of their product in which every two values of different factors occur together; all of it where the tests are whole."""
+    rows = list(itertools.product(*map(range, map(len, values))))
+    left = set().union(*map(pairs_of, rows))
+    while rows and (left or IS_WHOLE):
+        row = rows[0] if IS_WHOLE else max(rows, key=lambda row: len(pairs_of(row) & left))
+        rows.remove(row)
+        left -= pairs_of(row)
+        yield tuple(given[k] for given, k in zip(values, row))
