@@ -232,11 +232,11 @@ WORLDS: dict[str, Callable[[Path], None]] = {
     "install-1": nothing,
     "reconstruction-0": walk,
     "scale-0": metres_for_photographs,
-    "slam-0": sources_of_slam,
-    "slam-1": stopped_ride,
-    "slam-2": stopped_ride,
-    "slam-3": metres_for_slam,
-    "slam-4": maps,
+    "slam-0": stopped_ride,
+    "slam-1": metres_for_slam,
+    "slam_maps-0": maps,
+    "slam_maps-1": stopped_ride,
+    "slam_sources-0": sources_of_slam,
     "viewer-0": splats,
 }
 """The same in an empty folder."""
