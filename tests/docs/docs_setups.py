@@ -17,6 +17,9 @@ from epipole.geometry import Rigid3, Rotation3
 from epipole.io import write_colmap_model, write_g2o
 from epipole.io.calibration.files import CalibrationFile, write_calibration
 from epipole.optim import PoseGraph
+from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
+from epipole.pipelines.slam.output.map_file import write_slam_map
+from epipole.pipelines.slam.slam import Slam
 from epipole.synthetic import courtyard, look_at, render
 from epipole.synthetic.problems import absolute_pose_problem, bundle_problem, two_view_problem
 from epipole.synthetic.stereo_rooms import stereo_room
@@ -133,6 +136,24 @@ def ride_folder(folder: Path, count: int) -> None:
     (folder / "calib.txt").write_text(text)
 
 
+def pair_ride(folder: Path) -> dict[str, Any]:
+    ride_folder(folder / "SOURCE", 4)
+    return {}
+
+
+def mapped_ride(folder: Path) -> dict[str, Any]:
+    """The ride of the depth camera, and its map in OUT."""
+    names = ride(folder)
+    names["slam_camera"] = SlamCamera(names["camera"], depth=DepthCamera(names["camera"], Rigid3.identity()))
+    slam = Slam(names["slam_camera"])
+    for seconds, grey, depth in names["images"]:
+        slam.track(Frame(seconds, grey, depth=depth))
+    (folder / "OUT" / "map").mkdir(parents=True)
+    keyframes = [str(keyframe.number) for keyframe in slam.maps[0].keyframes]
+    write_slam_map(folder / "OUT" / "map" / "map.npz", slam.maps[0], keyframes, names["slam_camera"])
+    return names
+
+
 def known_points(_: Path) -> dict[str, Any]:
     problem = absolute_pose_problem(100, outlier_ratio=0.2, noise_px=0.5)
     return {name: getattr(problem, name) for name in ("points_in_world", "pixels", "camera")}
@@ -204,7 +225,9 @@ PREPARED: dict[str, Callable[[Path], dict[str, Any]]] = {
     "pairs": lambda _: two_views(),
     "pose_graphs": pose_graph,
     "relative_pose": lambda _: two_views(),
-    "slam": ride,
+    "slam": pair_ride,
+    "slam_live": ride,
+    "slam_maps": mapped_ride,
     "scale": lambda _: {},
     "stereo": stereo_pair,
     "triangulation": tracks,
