@@ -41,8 +41,6 @@ REPEATED = (
     "first_model-0",
     "first_model-1",
     "index-0",
-    "slam-2",
-    "slam-4",
 )
 """Blocks whose commands, with the same options, others have; these run where all is tested."""
 INTERRUPTED = 130
