@@ -6,7 +6,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from tests.slam.slam_rides import CAMERA, MONO, RGBD, ride, tracked
+from slam_rides import CAMERA, MONO, RGBD, ride, tracked
 
 from epipole.config import AnchorOptions
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.slam.slam_rides import RGBD, ride, tracked
+from slam_rides import RGBD, ride, tracked
 
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.config import SlamConfig

@@ -6,7 +6,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from tests.slam.slam_rides import errors, rendered
+from slam_rides import errors, rendered
 
 from epipole.config import AnchorOptions
 from epipole.geometry import Rigid3, Rotation3

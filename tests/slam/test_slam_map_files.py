@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.slam.slam_rides import CAMERA, MONO, RGBD, STEREO, ride, tracked
+from slam_rides import CAMERA, MONO, RGBD, STEREO, ride, tracked
 
 from epipole import Slam
 from epipole.cameras import Camera
