@@ -1,18 +1,12 @@
 """A page in a headless browser with WebGL in software: its images, its errors, and hands on it."""
 
 import base64
-import shutil
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import cv2
 import numpy as np
-import pytest
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-SOFTWARE_GL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 LONGEST_S = 60.0
 
 
@@ -57,13 +51,3 @@ class Tab:
 
     def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
-
-
-@contextmanager
-def open_tab() -> Iterator[Tab]:
-    """A browser of its own, which ends with the block."""
-    playwright = pytest.importorskip("playwright.sync_api")
-    with playwright.sync_playwright() as started:
-        opened = started.chromium.launch(executable_path=BROWSER, args=["--no-sandbox", *SOFTWARE_GL])
-        yield Tab(opened.new_page())
-        opened.close()

@@ -9,15 +9,17 @@ from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from browser_tab import BROWSER, Tab, open_tab
+from browser_tab import Tab
 from fields_scenes import scene, views
 
 from epipole import share
 from epipole.cameras import Camera
+from epipole.cli.main import main
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.fields.splat.rasterizer import render
 from epipole.io.gaussians.files import write_gaussians
@@ -33,7 +35,6 @@ HOSTILE = "<img src=x onerror=alert(1)>.ply"
 CONVERGED = "document.getElementById('space').dataset.settled === 'yes'"
 LEAST_DB = 40.0
 """Of the page's drawing against the rasteriser's: 8 bits of each layer leave about 50."""
-needs_browser = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome to draw the page with")
 
 
 def seen_from_all_sides(num_sh: int = 4) -> GaussianCloud:
@@ -43,11 +44,10 @@ def seen_from_all_sides(num_sh: int = 4) -> GaussianCloud:
     return replace(scene(), sh=np.concatenate([scene().sh, more], axis=1))
 
 
-@pytest.fixture
-def result(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An output folder of `splat`, before white, with two cameras of which the second leans."""
-    folder = tmp_path / "result"
-    folder.mkdir()
+    folder = tmp_path_factory.mktemp("result")
     cloud, seen = seen_from_all_sides(), list(views()[:2])
     seen[1] = replace(seen[1], cam_from_world=look_at((0.0, -3.0, 0.5), (0, 0, 0), (0.3, 0.1, 1.0)))
     write_gaussians(folder / "splat.ply", cloud)
@@ -55,6 +55,14 @@ def result(tmp_path: Path) -> Path:
     (folder / "summary.json").write_text(json.dumps(given))
     write_cameras(folder / "cameras.json", seen)
     return folder
+
+
+@pytest.fixture(scope="module")
+def page(result: Path) -> str:
+    """The address of its page."""
+    file = result.with_name("page.html")
+    share(result, file)
+    return file.as_uri()
 
 
 class Blocks(HTMLParser):
@@ -83,7 +91,7 @@ def test_a_page_holds_the_cloud_and_nothing_from_elsewhere(result: Path, tmp_pat
     assert done.num_bytes == len(text.encode()) and done.shown.startswith(
         "80 Gaussians; view-dependent colors"
     )
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["page.html", "result"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["page.html"]
     blocks = Blocks(text)
     rows = np.frombuffer(base64.b64decode(blocks.scripts["space-gaussians"]), ROW)
     assert np.array_equal(rows["mean"], read_gaussian_ply(result / "splat.ply").means_in_world)
@@ -148,21 +156,29 @@ def test_what_cannot_be_shared(result: Path, tmp_path: Path) -> None:
         share(result, tmp_path / "new.html")
 
 
-def test_the_command_writes_the_page_and_starts_no_server(result: Path, tmp_path: Path) -> None:
+def test_the_command_writes_the_page_and_starts_no_server(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     page = tmp_path / "page.html"
-    command = [sys.executable, "-m", "epipole", "view", str(result), "--share", str(page)]
+    given = ["view", str(result), "--share", str(page)]
     done = subprocess.run(
-        [*command, "--share-max", "50"], capture_output=True, text=True, timeout=120, check=True
+        [sys.executable, "-m", "epipole", *given, "--share-max", "50"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
     )
     assert "page.html" in done.stdout and "80 Gaussians merged into 50" in done.stdout and page.is_file()
-    refused = subprocess.run([*command, "--share-max", "0"], capture_output=True, text=True, timeout=120)
-    assert refused.returncode == 2 and "--share-max must be" in refused.stderr
+    with pytest.raises(SystemExit) as refused:
+        main([*given, "--share-max", "0"])
+    assert refused.value.code == 2 and "--share-max must be" in capsys.readouterr().err
 
 
 @pytest.fixture
-def tab() -> Iterator[Tab]:
-    with open_tab() as opened:
-        yield opened
+def tab(browser: Any) -> Iterator[Tab]:
+    opened = Tab(browser.new_page())
+    yield opened
+    opened.page.close()
 
 
 def drawn_by(tab: Tab) -> np.ndarray:
@@ -190,31 +206,27 @@ def likeness_db(
     return float(-10 * np.log10(((found - wanted) ** 2).mean()))
 
 
-@needs_browser
-def test_the_page_draws_as_the_rasteriser_does(result: Path, tmp_path: Path, tab: Tab) -> None:
+def test_the_page_draws_as_the_rasteriser_does(page: str, tab: Tab) -> None:
     """From a side, from above with a lean, from within; and the same without a worker."""
-    share(result, tmp_path / "page.html")
     for position, middle, up, degrees in [
         ((2.0, 1.5, 0.7), (0.1, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0),
         ((0.2, -0.1, 2.5), (0.0, 0.2, 0.0), (0.3, -1.0, 0.1), 60.0),
         ((0.1, 0.3, 0.2), (1.0, 0.2, 0.1), (0.0, -1.0, 0.0), 90.0),
     ]:
         address = f"#view={','.join(map(str, (*position, *middle, *up, degrees)))}"
-        tab.open((tmp_path / "page.html").as_uri() + address)
+        tab.open(page + address, 480, 400)
         assert likeness_db(tab, seen_from_all_sides(), position, middle, up, degrees, 1.0) > LEAST_DB
         seen = tab.image()
-        assert seen.shape == (600, 800, 3) and seen[100:500].std() > 5
+        assert seen.shape == (400, 480, 3) and seen[100:300].std() > 5
     tab.call("Page.addScriptToEvaluateOnNewDocument", source="Worker = undefined;")
-    tab.open((tmp_path / "page.html").as_uri() + address, 500, 700)
+    tab.open(page + address, 350, 480)
     assert likeness_db(tab, seen_from_all_sides(), position, middle, up, degrees, 1.0) > LEAST_DB
     assert tab.problems == []
 
 
-@needs_browser
-def test_hands_and_keys_and_cameras(result: Path, tmp_path: Path, tab: Tab) -> None:
-    share(result, tmp_path / "page.html")
+def test_hands_and_keys_and_cameras(result: Path, page: str, tab: Tab) -> None:
     tab.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-reduced-motion", "value": "reduce"}])
-    tab.open((tmp_path / "page.html").as_uri())
+    tab.open(page)
     first = drawn_by(tab)
     given = json.loads((result / "summary.json").read_text())["first_view"]
     degrees = np.rad2deg(2 * np.arctan(0.75 * np.tan(np.deg2rad(25.0))))
@@ -259,11 +271,9 @@ def test_hands_and_keys_and_cameras(result: Path, tmp_path: Path, tab: Tab) -> N
     assert tab.problems == []
 
 
-@needs_browser
-def test_a_double_click_looks_at_a_place(result: Path, tmp_path: Path, tab: Tab) -> None:
-    share(result, tmp_path / "page.html")
+def test_a_double_click_looks_at_a_place(page: str, tab: Tab) -> None:
     tab.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-reduced-motion", "value": "reduce"}])
-    tab.open((tmp_path / "page.html").as_uri())
+    tab.open(page)
     tab.wait_until(CONVERGED)
     before = tab.value("space.then(s => s.view.eye())")
     for clicks in (1, 2):
@@ -274,19 +284,15 @@ def test_a_double_click_looks_at_a_place(result: Path, tmp_path: Path, tab: Tab)
     assert np.linalg.norm(focus) < 1.2  # on the ball of Gaussians
 
 
-@needs_browser
-def test_a_browser_without_webgl_says_so(result: Path, tmp_path: Path, tab: Tab) -> None:
-    share(result, tmp_path / "page.html")
+def test_a_browser_without_webgl_says_so(page: str, tab: Tab) -> None:
     source = "HTMLCanvasElement.prototype.getContext = () => null;"
     tab.call("Page.addScriptToEvaluateOnNewDocument", source=source)
-    tab.open((tmp_path / "page.html").as_uri())
+    tab.open(page)
     assert "no WebGL2" in tab.value("document.getElementById('no-drawing').innerText")
 
 
-@needs_browser
-def test_the_page_fits_a_phone(result: Path, tmp_path: Path, tab: Tab) -> None:
-    share(result, tmp_path / "page.html")
-    tab.open((tmp_path / "page.html").as_uri(), 390, 844)
+def test_the_page_fits_a_phone(page: str, tab: Tab) -> None:
+    tab.open(page, 390, 844)
     tab.wait_until(CONVERGED)
     width, height = tab.value("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
     assert width <= 390 and height <= 844

@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 import pytest
-from browser_tab import BROWSER, open_tab
+from browser_tab import Tab
 from fields_scenes import CAMERA, WHITE, scene, views
 
 from epipole import nerf, splat
@@ -22,7 +22,7 @@ from epipole.viewer.ports import port_for
 from epipole.viewer.requested_views import RequestedViews
 
 FINAL = "document.documentElement.dataset.live === 'final'"
-BLOBS = {"sh_degree": 0, "max_gaussians": 300, "steps": 60}
+BLOBS = {"sh_degree": 0, "max_gaussians": 300, "steps": 30}
 LONGEST_S = 60.0
 
 
@@ -130,29 +130,30 @@ def watched(job, source, out, options, act, tab):
     assert tab.problems == []
 
 
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
-def test_a_page_renders_the_gaussians_as_they_are_trained(source, tmp_path):
-    with open_tab() as tab:
-
-        def descriptor(result):
-            assert tab.value("space.then(s => s.drawn.gaussians.numbers.count)") == len(result.cloud)
-            means = tab.value("space.then(s => Array.from(s.drawn.gaussians.places))")
-            np.testing.assert_allclose(np.reshape(means, (-1, 3)), result.cloud.means_in_world, atol=1e-5)
-            text = tab.value("document.body.innerText")
-            assert "The training has ended" in text and f"{len(result.cloud):,} Gaussians" in text
-            assert tab.image({"x": 300, "y": 200, "width": 200, "height": 300}).std() > 5
-
-        watched(splat, source, tmp_path / "out", BLOBS, descriptor, tab)
+@pytest.fixture
+def tab(browser):
+    opened = Tab(browser.new_page())
+    yield opened
+    opened.page.close()
 
 
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
-def test_a_field_is_rendered_for_the_viewpoint_of_the_tab(source, tmp_path):
-    with open_tab() as tab:
+def test_a_page_renders_the_gaussians_as_they_are_trained(source, tmp_path, tab):
+    def descriptor(result):
+        assert tab.value("space.then(s => s.drawn.gaussians.numbers.count)") == len(result.cloud)
+        means = tab.value("space.then(s => Array.from(s.drawn.gaussians.places))")
+        np.testing.assert_allclose(np.reshape(means, (-1, 3)), result.cloud.means_in_world, atol=1e-5)
+        text = tab.value("document.body.innerText")
+        assert "The training has ended" in text and f"{len(result.cloud):,} Gaussians" in text
+        assert tab.image({"x": 300, "y": 200, "width": 200, "height": 300}).std() > 5
 
-        def descriptor(result):
-            o = tab.value("space.then(s => s.view.basis().o)")
-            assert tab.value("space.then(s => s.drawn.backdrop.place)") == o
-            tab.wait_until("document.getElementById('space').dataset.settled === 'yes'")
-            assert tab.image({"x": 300, "y": 200, "width": 200, "height": 300}).std() > 5
+    watched(splat, source, tmp_path / "out", BLOBS, descriptor, tab)
 
-        watched(nerf, source, tmp_path / "out", {"kind": "grid", "steps": 100}, descriptor, tab)
+
+def test_a_field_is_rendered_for_the_viewpoint_of_the_tab(source, tmp_path, tab):
+    def descriptor(result):
+        o = tab.value("space.then(s => s.view.basis().o)")
+        assert tab.value("space.then(s => s.drawn.backdrop.place)") == o
+        tab.wait_until("document.getElementById('space').dataset.settled === 'yes'")
+        assert tab.image({"x": 300, "y": 200, "width": 200, "height": 300}).std() > 5
+
+    watched(nerf, source, tmp_path / "out", {"kind": "grid", "steps": 40}, descriptor, tab)

@@ -60,21 +60,25 @@ def position(n: int, kind: str) -> Rigid3:
 
 
 @cache
+def rendered_frame(n: int, kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Left and right image and depth, rendered once for all tests of a process."""
+    seen = position(n, kind)
+    image = render(courtyard(), CAMERA, seen, noise_sigma=1.5, seed=2 * n)
+    left = cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY)
+    right = left
+    if kind == "arc":
+        other = render(courtyard(), CAMERA, RIGHT_FROM_LEFT @ seen, noise_sigma=1.5, seed=2 * n + 1)
+        right = cv2.cvtColor(other.rgb, cv2.COLOR_RGB2GRAY)
+    return left, right, np.nan_to_num(image.depth, nan=0.0).astype(np.float32)
+
+
+@cache
 def ride(kind: str = "arc", count: int = 30) -> Ride:
-    """Rendered once for all tests of a process."""
+    """Its first frames."""
     positions = [position(n, kind) for n in range(count)]
-    left, right, depth = [], [], []
-    for n, seen in enumerate(positions):
-        image = render(courtyard(), CAMERA, seen, noise_sigma=1.5, seed=2 * n)
-        left.append(cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY))
-        depth.append(np.nan_to_num(image.depth, nan=0.0).astype(np.float32))
-        if kind == "arc":
-            other = render(courtyard(), CAMERA, RIGHT_FROM_LEFT @ seen, noise_sigma=1.5, seed=2 * n + 1)
-            right.append(cv2.cvtColor(other.rgb, cv2.COLOR_RGB2GRAY))
-        else:
-            right.append(left[-1])
+    left, right, depth = zip(*(rendered_frame(n, kind) for n in range(count)), strict=True)
     together = Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))
-    return Ride(tuple(left), tuple(right), tuple(depth), together)
+    return Ride(left, right, depth, together)
 
 
 def tracked(frames: list[Frame], camera: SlamCamera, config=None) -> tuple[Slam, list]:
@@ -85,16 +89,17 @@ def tracked(frames: list[Frame], camera: SlamCamera, config=None) -> tuple[Slam,
 
 def write_pairs(folder: Path, count: int = 12) -> Path:
     """A KITTI-like folder of rendered pairs, with `poses.txt`, which KITTI keeps elsewhere."""
-    for name, images in (("image_0", ride().left), ("image_1", ride().right)):
+    shown = ride("arc", count)
+    for name, images in (("image_0", shown.left), ("image_1", shown.right)):
         (folder / name).mkdir(parents=True)
-        for n, image in enumerate(images[:count]):
+        for n, image in enumerate(images):
             cv2.imwrite(str(folder / name / f"{n:06d}.png"), image)
     f, _, cx, cy = CAMERA.params
     rows = [[f, 0, cx, x, 0, f, cy, 0, 0, 0, 1, 0] for x in (0.0, -f * BASELINE)]
     (folder / "calib.txt").write_text(
         "".join(f"P{k}: {' '.join(map(str, row))}\n" for k, row in enumerate(rows))
     )
-    truth = Trajectory(np.arange(count) * 0.1, ride().truth()[np.arange(count)])
+    truth = Trajectory(np.arange(count) * 0.1, shown.truth())
     write_trajectory(truth, folder / "poses.txt", "kitti")
     return folder
 

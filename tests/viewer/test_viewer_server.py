@@ -16,6 +16,7 @@ from contextlib import contextmanager
 import pytest
 from viewer_scenes import OPEN, free_port, three_cameras
 
+from epipole.cli.main import main
 from epipole.errors import ConfigError
 from epipole.io import write_colmap_model
 from epipole.report.space_model import scene_of_model
@@ -123,17 +124,19 @@ def test_the_usual_port_may_be_stepped_over_and_that_is_said(monkeypatch):
         assert handle.url == f"http://127.0.0.1:{port}" and handle.note == ""
 
 
-def test_the_command_says_in_one_sentence_what_is_wrong_with_a_port(tmp_path):
+def test_the_command_says_in_one_sentence_what_is_wrong_with_a_port(tmp_path, capsys):
     write_colmap_model(three_cameras(), tmp_path)
-    command = [sys.executable, "-m", "epipole", "view", str(tmp_path), "--port"]
+    given = ["view", str(tmp_path), "--port"]
     with taken() as port:
         for requested, words in ((80000, "between 1 and 65535, got 80000"), (port, f"port {port} is in use")):
-            done = subprocess.run([*command, str(requested)], capture_output=True, text=True, timeout=60)
-            assert done.returncode == 2 and done.stderr.count("\n") == 1 and not done.stdout
-            assert done.stderr.startswith("epipole: ") and words in done.stderr
+            with pytest.raises(SystemExit) as ended:
+                main([*given, str(requested)])
+            out, err = capsys.readouterr()
+            assert ended.value.code == 2 and err.count("\n") == 1 and not out
+            assert err.startswith("epipole: ") and words in err
     # A background job ignores Ctrl-C.
     heeding = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    command.append(str(free_port()))
+    command = [sys.executable, "-m", "epipole", *given, str(free_port())]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, preexec_fn=heeding) as running:
         stop = threading.Timer(60, running.kill)
         stop.start()
