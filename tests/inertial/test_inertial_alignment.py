@@ -32,7 +32,7 @@ def test_scale_gravity_and_biases_are_found(seed):
     assert 0.7 < found.misfit < 4
 
 
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [0, 2])
 def test_constant_velocity_names_no_metre(seed):
     with pytest.raises(DegenerateGeometryError, match="constant velocity"):
         aligned(inertial_path(seed, seconds=6.0, constant_velocity=True))

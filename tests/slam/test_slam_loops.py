@@ -78,10 +78,10 @@ def test_the_ledger_says_what_came_of_every_place(closed_and_open):
 
 
 def tiled():
-    return rendered("tiled_room", 216, 6)
+    return rendered("tiled_room", 216, 6, with_right=True)
 
 
-@pytest.mark.parametrize("kind", ["rgbd", "mono"])
+@pytest.mark.parametrize("kind", ["rgbd", "stereo", "mono"])
 def test_places_that_only_look_the_same_are_never_tied(kind):
     """Four sides alike, more than half a turn: every loop that might be closed is false."""
     slam = Slam(tiled().sensor(kind))
