@@ -42,6 +42,7 @@ PAGES = (
     Page("failures", ("linear.js", "failures.js"), is_recorded=True),
     Page("fields", ("linear.js", "fields.js"), is_recorded=True),
     Page("questions", ()),
+    Page("terms", ()),
 )
 """Pages in the order of the lesson."""
 
