@@ -76,6 +76,7 @@ TARGETS: dict[str, tuple[Target, ...]] = {
             for name in ("a.ply", "a.compressed.ply", "a.spz", "a.sog", "a.splat")
         ),
     ),
+    "completion": (),
     "version": (),
 }
 """Of every command of the command line; a command without a row fails the tests."""
