@@ -83,3 +83,5 @@ def test_what_the_log_does_not_cover_is_refused(log):
         ImuLog(TIMES[::-1].copy(), log.gyro_rad_s, log.accel_m_s2)
     with pytest.raises(ConfigError, match="gyro_walk"):
         ImuNoise(gyro_walk=0.0)
+    with pytest.raises(ConfigError, match="accel_gain_sigma must be positive and below"):
+        ImuNoise(accel_gain_sigma=1e308)

@@ -65,6 +65,7 @@ def test_spacing_in_seconds_and_its_limit(tmp_path):
     assert len(spaced) == 8
     limited = extract_frames(video, tmp_path / "b", every_s=0.05, max_frames=5)
     assert len(limited) == 5
+    assert len(extract_frames(video, tmp_path / "tiny", every_s=5e-324, max_frames=5)) == 5
     assert limited.index[-1] > 60
     everything = extract_frames(video, tmp_path / "c", max_frames=1000)
     np.testing.assert_array_equal(everything.index, np.arange(80))

@@ -11,6 +11,9 @@ from epipole._checks import Declared, check_fields
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 
+LARGEST_NOISE = 1e6
+"""Limit of noise parameters, in their units: beyond it, squares overflow."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuLog(Declared):
@@ -71,12 +74,14 @@ class ImuNoise:
         """Check the ranges.
 
         Raises:
-            ConfigError: a value is not positive.
+            ConfigError: a value is not positive, or no sensor is that bad.
         """
         check_fields(self)
         for name in self.__slots__:
-            if not 0 < getattr(self, name) < np.inf:
-                raise ConfigError(f"{name} must be positive and finite, got {getattr(self, name)}")
+            if not 0 < getattr(self, name) < LARGEST_NOISE:
+                raise ConfigError(
+                    f"{name} must be positive and below {LARGEST_NOISE:g}, got {getattr(self, name)}"
+                )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -219,7 +219,7 @@ def _extract(
     if every_s is not None:
         if fps is None:
             raise ConfigError(f"Unknown frame rate of {video}: pass max_frames instead of every_s")
-        num_slots = min(max_frames, max(1, round(num_frames / (fps * every_s))))
+        num_slots = round(min(max_frames, max(1.0, num_frames / max(fps * every_s, 1e-12))))
     windows = slot_bounds(num_frames, min(num_slots, num_frames))
     names, indices, times = [], [], []
     if progress is not None:
