@@ -47,7 +47,9 @@ def test_eight_views_take_a_tenth_of_their_pngs(tmp_path: Path) -> None:
     tables = {"curve": {"rows": [[0.0, 1, 0.5, 1]]}, "held_out": {"rows": []}}
     scores = [{"name": view.name, "psnr": 20.0, "ssim": 0.5} for view in own]
     images = FieldImages(own[:2], own, np.zeros((0, 3)), np.zeros((0, 3), np.uint8), False, [])
-    html = render_page(FieldPage(summary, scores, images, np.zeros(3, np.float32), tables, tmp_path, ()))
+    html = render_page(
+        FieldPage(summary, scores, images, np.zeros(3, np.float32), tables, tmp_path, None, ())
+    )
     shown = re.findall(r"data:image/(jpeg|png);base64,([A-Za-z0-9+/=]+)", html)
     assert len(shown) == 24 and len(html.encode()) < 5e6  # 41e6 as PNGs of 800 pixels
     for n in range(8):
