@@ -367,6 +367,6 @@ def test_which_model(tab):
         rest = np.minimum(sampson_error(F, one, two) ** 2 / s**2, 2.0).sum()
         close(shown["gric-E"], float(_gric.py_func(rest, len(one), 3.0, 5.0)))
         best = min(criteria, key=criteria.get)
-        assert tab.page.locator(f"#verdict-{best}").inner_text() == "chosen"
+        assert tab.page.locator(f"#verdict-{best}").inner_text() == "selected"
         if (relief, tx, yaw) in known:
             assert verify_pair(one, two, CAMERA, CAMERA, is_calibrated=True).kind is chosen[best]
