@@ -2,11 +2,13 @@
 
 import re
 import shlex
+import sys
 
 import pytest
 
 from epipole.cli import main as command_line
 from epipole.cli.first_screens import FIRST_SCREENS, GROUPS
+from epipole.cli.help import help_text
 from epipole.cli.main import main
 from epipole.cli.options import option_names
 
@@ -63,6 +65,22 @@ def test_options_have_titles(capsys):
         "verification",
         "mapper",
     ]
+
+
+def test_flags_that_are_on_name_their_negation(capsys):
+    text = " ".join(printed("reconstruct --help-all", capsys).split())
+    assert "(default: yes; --mapper.no-use-gps: no)" in text and "default: True" not in text
+
+
+def test_stereo_says_when_its_paths_are_required(capsys):
+    text = " ".join(printed("stereo --help", capsys).split())
+    assert text.count("(required, except with --workspace)") == 2
+
+
+def test_another_layout_of_the_parser_is_printed_unchanged():
+    assert help_text(
+        "slam", lambda: sys.stdout.write("usage: other\n\n| --x | y |\n"), is_whole=False
+    ).startswith("usage: other")
 
 
 def test_groups_name_options():

@@ -2,17 +2,14 @@
 
 import ast
 import json
-import os
 import re
-import select
-import subprocess
-import sys
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
+from answering_process import AnsweringProcess
 from whole import IS_WHOLE
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
@@ -21,52 +18,24 @@ LONGEST_S = 300
 """With kernels that are not compiled yet; each takes a few seconds with them."""
 
 
-class Programs:
-    """A process that runs examples one after the other; where all is tested, a new one for each."""
-
-    def __init__(self) -> None:
-        self.process: subprocess.Popen | None = None
-
-    def close(self) -> None:
-        if self.process is not None:
-            self.process.kill()
-            self.process.communicate()
-            self.process = None
-
-    def __call__(self, path: Path, folder: Path, out: Path) -> tuple[bool, str]:
-        if self.process is None:
-            own = {"PYTHONOPTIMIZE": "", "PYTHONWARNINGS": "error::DeprecationWarning:__main__"}
-            self.process = subprocess.Popen(
-                [sys.executable, str(Path(__file__).with_name("example_process.py"))],
-                env=os.environ | own,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                text=True,
-            )
-        assert self.process.stdin is not None and self.process.stdout is not None
-        self.process.stdin.write(json.dumps([str(path), str(folder), str(out)]) + "\n")
-        self.process.stdin.flush()
-        is_ready, _, _ = select.select([self.process.stdout], [], [], LONGEST_S)
-        line = self.process.stdout.readline() if is_ready else ""
-        if IS_WHOLE or not line:
-            self.close()
-        assert line, f"{path.name} ended the process, or took more than {LONGEST_S} s"
-        is_well, text = json.loads(line)
-        return is_well, text
-
-
 @pytest.fixture(scope="module")
-def programs() -> Iterator[Programs]:
-    made = Programs()
-    yield made
-    made.close()
+def programs() -> Iterator[AnsweringProcess]:
+    """A process that runs examples one after the other."""
+    env = {"PYTHONOPTIMIZE": "", "PYTHONWARNINGS": "error::DeprecationWarning:__main__"}
+    process = AnsweringProcess(Path(__file__).with_name("example_process.py"), env)
+    yield process
+    process.close()
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_runs(path, tmp_path, programs):
     here, out = tmp_path / "here", tmp_path / "out"
     here.mkdir()
-    is_well, printed = programs(path, here, out)
+    line = programs.ask([str(path), str(here), str(out)], LONGEST_S)
+    if IS_WHOLE:
+        programs.close()  # no example may depend on what an earlier one has imported
+    assert line, f"{path.name} ended the process ({programs.died_with}), or took more than {LONGEST_S} s"
+    is_well, printed = json.loads(line)
     assert is_well, printed
     assert printed.strip()
     assert not list(here.iterdir()), "it writes beside the folder that it is given"

@@ -1,8 +1,12 @@
 """The default camera path: along the training cameras, smooth, in their order or a shorter one."""
 
+import json
+
 import numpy as np
 import pytest
-from fields_scenes import scene
+from fields_scenes import CAMERA as CAMERA_OF_SCENE
+from fields_scenes import camera, frames_of, scene, views
+from PIL import Image
 
 from epipole.cameras import Camera
 from epipole.errors import ConfigError
@@ -10,7 +14,9 @@ from epipole.geometry import Rigid3
 from epipole.io.gaussians.ply import write_gaussian_ply
 from epipole.pipelines.fields.camera_path import path_along
 from epipole.pipelines.fields.cameras import RenderView
+from epipole.pipelines.fields.config import RenderConfig
 from epipole.pipelines.fields.rendering import render
+from epipole.pipelines.fields.run import splat
 from epipole.synthetic import look_at
 
 CAMERA = Camera("PINHOLE", 64, 48, [60.0, 60.0, 31.5, 23.5])
@@ -69,3 +75,24 @@ def test_a_file_without_cameras_has_no_such_path(tmp_path):
     with pytest.raises(ConfigError, match="path=cameras needs"):
         render(tmp_path / "cloud.ply", tmp_path / "out", path="cameras")
     assert render(tmp_path / "cloud.ply", tmp_path / "out", frames=2, width=32).num_frames == 2
+
+
+@pytest.mark.parametrize("option", [{"rotation_deg": 90.0}, {"fov_deg": 70.0}, {"height": 24}])
+def test_options_of_the_orbit_ask_for_an_orbit(option):
+    assert RenderConfig(**option).orbit_options == tuple(option) and not RenderConfig(width=32).orbit_options
+    with pytest.raises(ConfigError, match="is an option of the orbit"):
+        RenderConfig(path="cameras", **option)
+
+
+def test_a_training_is_rendered_along_its_cameras_or_from_an_orbit(tmp_path):
+    (tmp_path / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(views(), tmp_path)}))
+    result = splat(tmp_path, tmp_path / "result", steps=2, max_gaussians=200)
+    sizes = {}
+    for name, options in {"along": {}, "around": {"path": "orbit"}, "turned": {"rotation_deg": 90.0}}.items():
+        render(result.out, tmp_path / name, frames=2, **options)
+        sizes[name] = Image.open(tmp_path / name / "00000.png").size
+    assert sizes == {
+        "along": (CAMERA_OF_SCENE.width, CAMERA_OF_SCENE.height),
+        "around": (800, 600),
+        "turned": (800, 600),
+    }

@@ -1,56 +1,33 @@
 """Small files that stand for much: refused clearly, or read, in little memory and time, in a process that survives."""
 
 import json
-import select
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import bombs
 import pytest
 
+from answering_process import AnsweringProcess
+
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is limited as on Linux")
 
 Read = Callable[..., str]
 
 
-class Reading:
-    """A process that reads; a new one where the last one died or hung."""
+@pytest.fixture(scope="module")
+def read() -> Iterator[Read]:
+    """Read a file in another process; says what became of it."""
+    process = AnsweringProcess(Path(__file__).with_name("bomb_process.py"), stderr=subprocess.DEVNULL)
 
-    def __init__(self) -> None:
-        self.process: subprocess.Popen | None = None
-
-    def close(self) -> None:
-        if self.process is not None:
-            self.process.kill()
-            self.process.communicate()
-            self.process = None
-
-    def __call__(self, reader: str, *paths: Path, most_mib: int = 400) -> str:
-        if self.process is None:
-            program = [sys.executable, str(Path(__file__).with_name("bomb_process.py"))]
-            pipe = subprocess.PIPE
-            self.process = subprocess.Popen(program, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
-        assert self.process.stdin is not None and self.process.stdout is not None
-        self.process.stdin.write(json.dumps([reader, [str(p) for p in paths], most_mib]).encode() + b"\n")
-        self.process.stdin.flush()
-        if not select.select([self.process.stdout], [], [], 30)[0]:
-            self.close()
-            return "hangs"
-        line = self.process.stdout.readline()
+    def read(reader: str, *paths: Path, most_mib: int = 400) -> str:
+        line = process.ask([reader, [str(path) for path in paths], most_mib], 30)
         if not line:
-            code = self.process.wait()
-            self.close()
-            return f"dies with {code}"
+            return "hangs" if process.died_with is None else f"dies with {process.died_with}"
         return json.loads(line)
 
-
-@pytest.fixture(scope="module")
-def read() -> Iterator[Reading]:
-    reading = Reading()
-    yield reading
-    reading.close()
+    yield read
+    process.close()
 
 
 def refuses(said: str) -> None:

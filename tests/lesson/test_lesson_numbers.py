@@ -26,6 +26,7 @@ from epipole.robust import PairKind, point_covariances, triangulate_points, veri
 from epipole.robust.pairs._model_selection_kernels import _gric
 from epipole.solvers import solve_fundamental_eight_point, solve_homography_dlt
 from pairwise import pairwise
+from whole import IS_WHOLE
 
 CAMERA = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5])
 
@@ -282,6 +283,7 @@ def test_a_camera_on_its_way(tab):
         (6, 0.0, 30),
         (13, 1.0, 60),
         (7, 1.5, 12),
+        *(((7, 1.5, 20), (3, 2.0, 6)) if IS_WHOLE else ()),
     ):
         tab.set(step=step, s=s, most=most)
         shown, (truth, cameras, known, used) = tab.shown(), trajectory(step, s, most)

@@ -24,6 +24,8 @@ class Entry:
     name: str
     """Option and value: `--max-frames INT`."""
     text: str
+    negation: str = ""
+    """Of a flag: the option that switches it off."""
 
     @property
     def option(self) -> str:
@@ -87,13 +89,17 @@ def help_text(command: str, print_help: Callable[[], object], *, is_whole: bool)
         print_help: prints the parser's own help.
         is_whole: all options, not only the first screen.
     """
-    found = parsed(_printed(print_help))
+    printed = _printed(print_help)
+    found = parsed(printed)
+    if not (found.arguments or found.groups):
+        return printed.strip()  # another version of the parser prints another layout
     width = min(shutil.get_terminal_size().columns, WIDEST)
     first = FIRST_SCREENS.get(command, FirstScreen(()))
     options = first.options.split()
     spelled = _spelled(command)
     arguments = "".join(f" {entry.name}" for entry in found.arguments)
-    parts = [f"usage: epipole {spelled}{arguments} [options]", textwrap.fill(found.summary, width)]
+    end = " [options]" if found.groups else ""
+    parts = [f"usage: epipole {spelled}{arguments}{end}", textwrap.fill(found.summary, width)]
     if found.details and (is_whole or not options):
         parts += [textwrap.fill(paragraph, width) for paragraph in found.details.split("\n")]
     if first.examples:
@@ -146,7 +152,9 @@ def parsed(printed: str) -> Help:
         elif line and not _is_rule(line) and entries is not None:
             _add(entries, line, is_argument=entries is arguments)
     groups = {title: [e for e in entries if e.option != "-h,"] for title, entries in groups.items()}
-    return Help(paragraphs[0], "\n".join(paragraphs[1:]), arguments, {t: e for t, e in groups.items() if e})
+    return Help(
+        "".join(paragraphs[:1]), "\n".join(paragraphs[1:]), arguments, {t: e for t, e in groups.items() if e}
+    )
 
 
 def _is_rule(line: str) -> bool:
@@ -157,17 +165,21 @@ def _add(entries: list[Entry], line: str, *, is_argument: bool) -> None:
     """Add a line: an option starts after two spaces, its description is further to the right."""
     start = re.match(r"  (?P<name>\S.*?)(?: {2,}(?P<text>.*))?$", line)
     if start and (is_argument or start["name"].startswith("-")):
-        entries.append(Entry(_plain_name(start["name"]), _plain_text(start["text"] or "")))
+        entries.append(_entry(start["name"], start["text"] or ""))
     elif entries and line.startswith("        "):
         last = entries.pop()
-        entries.append(Entry(last.name, _plain_text(f"{last.text} {line.strip()}".strip())))
+        name = f"{last.name}, {last.negation}" if last.negation else last.name
+        entries.append(_entry(name, f"{last.text} {line.strip()}".strip()))
 
 
-def _plain_name(name: str) -> str:
-    """Without the word None among the values, and without the negation of a flag."""
+def _entry(name: str, text: str) -> Entry:
+    """An entry without the word None, and with the negation of a flag only if that changes the default."""
     name = name.replace("{None}|", "").replace("{None,", "{")
-    flag = re.fullmatch(r"(--[\w.-]+), --[\w.-]*no-[\w.-]+", name)
-    return flag[1] if flag else name
+    flag = re.fullmatch(r"(--[\w.-]+), (--[\w.-]*no-[\w.-]+)", name)
+    if not flag:
+        return Entry(name, _plain_text(text))
+    text = text.replace("(default: True)", f"(default: yes; {flag[2]}: no)")
+    return Entry(flag[1], _plain_text(text), flag[2])
 
 
 def _plain_text(text: str) -> str:

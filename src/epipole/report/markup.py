@@ -54,7 +54,7 @@ def sentence(text: str) -> str:
     """A message as a sentence of a page: with a capital letter, unless it starts with a file or an option, and with a ± sign."""
     first = text.split(" ", 1)[0].rstrip(",:;")
     start = text[:1].upper() if first.isalpha() else text[:1]
-    return start + text[1:].replace("+-", "\N{PLUS-MINUS SIGN}")
+    return start + text[1:].replace(" +- ", " \N{PLUS-MINUS SIGN} ")  # with spaces, so not in names of files
 
 
 def plural(value: int, singular: str, many: str | None = None) -> str:

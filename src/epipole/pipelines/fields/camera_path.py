@@ -22,7 +22,8 @@ def path_along(views: Sequence[RenderView], frames: int) -> list[RenderView]:
 
     Positions and rotations are averages of the cameras', weighted by a Gaussian of their distance along the path
     (kernel regression; Nadaraya 1964), so every view lies between views that were seen. The cameras keep their order,
-    unless a nearest-neighbor tour is much shorter, as for photographs taken in any order.
+    unless a nearest-neighbor tour is much shorter, as for photographs taken in any order. All views have the intrinsics
+    of the first camera.
 
     Args:
         views: cameras, sorted by name.

@@ -115,7 +115,7 @@ class RenderConfig:
     cameras: Path | None = None
     """Cameras to render from: transforms.json, COLMAP model or output folder."""
     path: Literal["auto", "cameras", "orbit"] = "auto"
-    """Without `cameras`: smoothly along the training cameras, or an orbit; auto: cameras if they are known."""
+    """Without `cameras`: a smooth path along the training cameras, or an orbit; auto: an orbit if its options are given."""
     frames: int = 120
     """Number of images of the path."""
     rotation_deg: float = 360.0
@@ -135,6 +135,12 @@ class RenderConfig:
     output: Literal["colour", "depth", "normals", "coverage"] = "colour"
     """What to render; depth has colors from near (blue) to far (red), normals are (n + 1) / 2 in the camera frame."""
 
+    @property
+    def orbit_options(self) -> tuple[str, ...]:
+        """Options that only an orbit has, as far as they differ from the defaults."""
+        names = ("rotation_deg", "height", "fov_deg")
+        return tuple(name for name in names if getattr(self, name) != getattr(RenderConfig, name, None))
+
     def __post_init__(self) -> None:
         """Check the ranges.
 
@@ -142,6 +148,10 @@ class RenderConfig:
             ConfigError: a value is out of range.
         """
         check_options(self, negative=("rotation_deg",))
+        if self.orbit_options and (self.path == "cameras" or self.cameras is not None):
+            raise ConfigError(
+                f"{self.orbit_options[0]} is an option of the orbit: leave it out, or render an orbit (path=orbit, no cameras)"
+            )
         if not 1 <= self.frames <= 1_000_000:
             raise ConfigError(f"frames must be from 1 to a million, got {self.frames}")
         for name in ("width", "height"):

@@ -127,7 +127,7 @@ def _path(source: Path, wanted: RenderConfig) -> list[RenderView]:
     Raises:
         ConfigError: the path of the cameras is requested, but they are not known.
     """
-    if wanted.path == "orbit":
+    if wanted.path == "orbit" or wanted.orbit_options:
         return []
     known = (source if source.is_dir() else source.parent) / CAMERAS
     if is_result(source) and known.is_file():

@@ -12,7 +12,7 @@ from epipole.geometry import Rigid3, skew
 UNKNOWN_SIGMA = (0.5, 15.0)
 """Standard deviations of a frame's velocity and acceleration, in radians or scene depths per second (squared), without a prior.
 Looser values let a bent map agree with motions that compensate it."""
-FORETOLD_SIGMA = (0.3, 8.0)
+PREDICTED_SIGMA = (0.3, 8.0)
 """The same relative to the motion predicted from the previous frames."""
 CONVERGED_SIGMA = (0.01, 0.3)
 """The same relative to the motion interpolated from the frames on both sides."""

@@ -14,7 +14,7 @@ from epipole.pipelines.slam.loops.recognition import Recognition
 from epipole.pipelines.slam.map.slam_map import Observations, SlamMap
 from epipole.pipelines.slam.shutter.motion import points_by_depth, shutter_shifts, straighten_recent
 from epipole.pipelines.slam.shutter.recent_motion import RecentMotion
-from epipole.pipelines.slam.shutter.shutter import FORETOLD_SIGMA, UNKNOWN_SIGMA
+from epipole.pipelines.slam.shutter.shutter import PREDICTED_SIGMA, UNKNOWN_SIGMA
 from epipole.pipelines.slam.tracking.depth import disparities_of
 from epipole.pipelines.slam.tracking.frame_quality import shows_something
 from epipole.pipelines.slam.tracking.moving_objects import (
@@ -204,7 +204,7 @@ class PointTracker:
                 pixels,
                 position,
                 recent.newest(),
-                sigma=FORETOLD_SIGMA if recent.steps else UNKNOWN_SIGMA,
+                sigma=PREDICTED_SIGMA if recent.steps else UNKNOWN_SIGMA,
             )
             self._straighten_start(recent)
         agrees = error_sq <= self.config.max_error_px**2
