@@ -1,6 +1,7 @@
 """The page on bundle adjustment: every step against the same with the whole matrix, the end against the library's."""
 
 import numpy as np
+import pytest
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Rotation3, align_points
@@ -8,6 +9,7 @@ from epipole.lesson.scenes import ring
 from epipole.optim import BundleConfig, BundleProblem, adjust_bundle
 from pairwise import pairwise
 
+pytestmark = pytest.mark.usefixtures("unchecked_module")
 CAMERA = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5])
 
 

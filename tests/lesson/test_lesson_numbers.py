@@ -28,6 +28,7 @@ from epipole.solvers import solve_fundamental_eight_point, solve_homography_dlt
 from pairwise import pairwise
 from whole import IS_WHOLE
 
+pytestmark = pytest.mark.usefixtures("unchecked_module")
 CAMERA = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5])
 
 

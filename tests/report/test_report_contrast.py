@@ -30,6 +30,7 @@ from test_calibration_page import page as calibration_page
 from test_stereo_page import page_of
 from test_viewer_kinds import workspace
 
+pytestmark = pytest.mark.usefixtures("unchecked_module")
 PAGES = {
     "reconstruction": 2,
     "nothing-reconstructed": 0,
