@@ -247,13 +247,16 @@ def _noted(function: Callable[..., None], calls: list[Callable[[], None]]) -> Ca
 def _why_stopped(words: list[str], stopped: SystemExit, said: str) -> str:
     """Reason why the parser stopped: a config rejected its values, or the words are wrong."""
     from epipole.cli.mistakes import in_one_sentence
+    from epipole.cli.options import required_arguments
 
     cause: BaseException | None = stopped
     while cause is not None:
         if isinstance(cause, ConfigError):
             return _as_options(cause, words, while_parsing=True)
         cause = cause.__cause__ or cause.__context__
-    return in_one_sentence(said, words, list(_functions()))
+    functions = _functions()
+    required = required_arguments(functions[words[0]]) if words and words[0] in functions else []
+    return in_one_sentence(said, words, list(functions), required)
 
 
 def _as_options(error: EpipoleError, words: list[str], *, while_parsing: bool) -> str:

@@ -9,13 +9,16 @@ from difflib import get_close_matches
 _BOX = "╭╮╰╯─│- "
 
 
-def in_one_sentence(said: str, words: Sequence[str], commands: Sequence[str]) -> str:
+def in_one_sentence(
+    said: str, words: Sequence[str], commands: Sequence[str], required: Sequence[str] = ()
+) -> str:
     """The parser's message, with similar options or a pointer to the command's help.
 
     Args:
         said: output of the parser: a title, the message, and sections with similar options.
         words: command line.
         commands: names of all commands.
+        required: names of the command's required arguments.
     """
     command = words[0] if words else ""
     if command not in commands:
@@ -29,6 +32,9 @@ def in_one_sentence(said: str, words: Sequence[str], commands: Sequence[str]) ->
             sections[-1].append(words_of_line)
         elif sections[-1]:
             sections.append([])
+    if required and "".join(sections[0][:1]).startswith("Missing from"):
+        given = " ".join(words[1:]) or "nothing"
+        return f"`epipole {command}` needs {' '.join(required)}, got {given}; see `epipole {command} --help`"
     text = " ".join(sections[0]) or "the arguments cannot be understood"
     near = _similar(sections, command)
     end = f"; did you mean {' or '.join(near)}?" if near else f"; see `epipole {command} --help`"

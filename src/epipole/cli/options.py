@@ -22,6 +22,24 @@ def option_names(function: Callable[..., Any]) -> dict[str, str]:
     return found
 
 
+def required_arguments(function: Callable[..., Any]) -> list[str]:
+    """Names such as `SOURCE` or `--truth` of what a command cannot do without, in order.
+
+    Arguments whose default is None are required unless their name is in brackets: `stereo` takes fewer only with --workspace.
+    """
+    hints, found = get_type_hints(function, include_extras=True), []
+    for name, parameter in inspect.signature(function).parameters.items():
+        _, marks = _without_marks(hints[name])
+        is_required = parameter.default is inspect.Parameter.empty
+        if tyro.conf.Positional in marks:
+            metavar = next((m.metavar for m in marks if getattr(m, "metavar", None)), name.upper())
+            if is_required or (parameter.default is None and not metavar.startswith("[")):
+                found.append(metavar)
+        elif is_required:
+            found.append(f"--{_dashed(name)}")
+    return found
+
+
 def _names_in(config: Any, prefix: str, *, is_flat: bool) -> Iterator[tuple[str, str]]:
     hints = get_type_hints(config, include_extras=True)
     for field in fields(config):
