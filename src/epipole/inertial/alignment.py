@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse.linalg
 from jaxtyping import Float64
 
 from epipole._checks import Declared, checked
+from epipole._damped import minimize
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.inertial._inertial_problem import InertialProblem, States
@@ -213,25 +215,21 @@ def _linear_start(
 
 
 def _minimum(problem: InertialProblem, states: States) -> States:
-    """Gauss-Newton with Levenberg damping."""
-    cost, damping = problem.cost(states), 1e-6
-    for _ in range(MOST_STEPS):
-        normal, gradient = problem.normal_equations(states)
-        while True:
-            damped = normal + scipy.sparse.diags(damping * normal.diagonal() + 1e-12, format="csc")
-            step = _solved(damped, gradient)
-            moved = states if step is None else problem.moved(states, -step)
-            after = np.inf if step is None else problem.cost(moved)
-            if after <= cost or damping > 1e8:
-                break
-            damping *= 10.0
-        if not after <= cost:
-            break
-        gain, states, cost = cost - after, moved, after
-        damping = max(damping / 10.0, 1e-12)
-        if gain <= CONVERGED * cost:
-            break
-    return states
+    def step(states: States, equations: tuple[Any, np.ndarray], damping: float) -> States | None:
+        normal, gradient = equations
+        damped = normal + scipy.sparse.diags(damping * normal.diagonal() + 1e-12, format="csc")
+        found = _solved(damped, gradient)
+        return None if found is None else problem.moved(states, -found)
+
+    return minimize(
+        states,
+        problem.cost,
+        problem.normal_equations,
+        step,
+        damping=1e-6,
+        tolerance=CONVERGED,
+        max_steps=MOST_STEPS,
+    )
 
 
 def _sigma_of_log_scale(problem: InertialProblem, states: States) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from epipole._checks import Declared, checked
+from epipole._damped import minimize
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, Rotation3, Similarity3, align_points
@@ -185,34 +186,41 @@ def _why_no_points(reason: np.ndarray, seen: _Seen) -> str:
 
 def _fit(shape: np.ndarray, seen: _Seen) -> tuple[Similarity3, float, np.ndarray]:
     """The similarity, the standard deviation of its log scale, and each view's rms error in standard deviations."""
-    found, damping = _start(shape, seen), DAMPING
-    residual, jacobian, sizes = _equations(found, shape, seen)
-    for _ in range(MAX_STEPS):
-        normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
-        damped = normal + damping * np.diag(np.maximum(np.diag(normal), 1e-12 * normal.max()))
-        step = -np.linalg.solve(damped, gradient)
-        tried = Similarity3(
-            np.asarray(float(found.scale) * np.exp(np.clip(step[6], -1.0, 1.0))),
-            found.rotation @ Rotation3.exp(step[3:6]).matrix,
-            found.translation + step[:3],
-        )
-        again = _equations(tried, shape, seen)
-        if np.isfinite(again[0]).all() and again[0] @ again[0] <= residual @ residual:
-            gain = residual @ residual - again[0] @ again[0]
-            found, damping = tried, max(damping / 10.0, 1e-12)
-            residual, jacobian, sizes = again
-            if gain <= 1e-10 * (1.0 + residual @ residual):
-                break
-        else:
-            damping *= 10.0
-            if damping > 1e8:
-                break
+    start = _start(shape, seen)
+    found, residual, jacobian, sizes = minimize(
+        (start, *_equations(start, shape, seen)),
+        cost=lambda state: float(state[1] @ state[1]),
+        linearize=lambda state: (state[2].T @ state[2], state[2].T @ state[1]),
+        step=lambda state, equations, damping: _moved(state[0], equations, damping, shape, seen),
+        damping=DAMPING,
+        tolerance=1e-10,
+        max_steps=MAX_STEPS,
+    )
     normal = jacobian.T @ jacobian
     unit = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     inverse = np.linalg.pinv(normal * unit[:, None] * unit, rcond=1e-12, hermitian=True)
     freedom = len(residual) - np.linalg.matrix_rank(normal * unit[:, None] * unit, tol=1e-9, hermitian=True)
     excess = max(1.0, float(residual @ residual) / freedom) if freedom > 0 else 1.0
     return found, float(np.sqrt(excess * inverse[6, 6]) * unit[6]), sizes
+
+
+def _moved(
+    found: Similarity3,
+    equations: tuple[np.ndarray, np.ndarray],
+    damping: float,
+    shape: np.ndarray,
+    seen: _Seen,
+) -> tuple[Similarity3, np.ndarray, np.ndarray, np.ndarray]:
+    """The similarity after a damped step, with its equations."""
+    normal, gradient = equations
+    damped = normal + damping * np.diag(np.maximum(np.diag(normal), 1e-12 * normal.max()))
+    step = -np.linalg.solve(damped, gradient)
+    moved = Similarity3(
+        np.asarray(float(found.scale) * np.exp(np.clip(step[6], -1.0, 1.0))),
+        found.rotation @ Rotation3.exp(step[3:6]).matrix,
+        found.translation + step[:3],
+    )
+    return moved, *_equations(moved, shape, seen)
 
 
 def _equations(

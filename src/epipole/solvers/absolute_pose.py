@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole._checks import as_directions, as_points, as_table, require_same_length
+from epipole._damped import minimize
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, Rotation3, skew
 from epipole.solvers import _absolute_pose_kernels as kernels
@@ -160,19 +161,17 @@ def solve_pnp(rays_in_cam: Any, points_in_world: Any) -> Rigid3:
 
 def _descend(omega: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """Levenberg-Marquardt on r^T Omega r with steps exp(phi) R."""
-    damping, cost = 1e-6, float(rotation.ravel() @ omega @ rotation.ravel())
-    for _ in range(50):
+
+    def cost(rotation: np.ndarray) -> float:
+        return float(rotation.ravel() @ omega @ rotation.ravel())
+
+    def linearize(rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         tangent = np.stack([(skew(axis) @ rotation).ravel() for axis in np.eye(3)], axis=1)
-        gradient, curvature = tangent.T @ omega @ rotation.ravel(), tangent.T @ omega @ tangent
-        step = -np.linalg.solve(curvature + (damping * np.trace(curvature) + 1e-300) * np.eye(3), gradient)
-        tried = Rotation3.exp(step).matrix @ rotation
-        after = float(tried.ravel() @ omega @ tried.ravel())
-        if after < cost:
-            gain, cost, rotation, damping = cost - after, after, tried, 0.1 * damping
-            if gain <= 1e-14 * cost or np.abs(step).max() < 1e-12:
-                break
-        else:
-            damping = max(10.0 * damping, 1e-6)
-            if damping > 1e6:
-                break
-    return rotation
+        return tangent.T @ omega @ tangent, tangent.T @ omega @ rotation.ravel()
+
+    def step(rotation: np.ndarray, equations: tuple[np.ndarray, np.ndarray], damping: float) -> np.ndarray:
+        curvature, gradient = equations
+        damped = curvature + (damping * np.trace(curvature) + 1e-300) * np.eye(3)
+        return Rotation3.exp(-np.linalg.solve(damped, gradient)).matrix @ rotation
+
+    return minimize(rotation, cost, linearize, step, damping=1e-6, tolerance=1e-14, max_steps=50)
