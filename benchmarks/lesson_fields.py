@@ -114,7 +114,7 @@ def splatted(rendered: Rendering, camera: Camera, pixel: tuple[int, int]) -> dic
     """The Gaussians of a pixel's tile, the nearest first, as this pixel sees them; distances are along its ray."""
     column, row = pixel
     longer = float(np.linalg.norm(np.linalg.solve(camera.K, [column, row, 1.0])))
-    tiles = rendered.tiles
+    tiles = rendered.record
     tile = row // TILE * tiles.num_across + column // TILE
     e = tiles.ellipses[tiles.pairs_of_tile[tiles.start[tile] : tiles.start[tile + 1], 0]]
     e = e[:, : DEPTH + 1].astype(np.float64)

@@ -17,13 +17,10 @@ from rich.table import Table
 
 import epipole
 from benchmarks.measure import REPOSITORY, describe_machine
+from epipole.fields.splat.numba_backend import blend, gradient_of, sums_of_pairs, tiles_of
 from epipole.fields.splat.rasterizer import (
     RenderOptions,
     arrays_of,
-    blend,
-    gradient_of,
-    sums_of_pairs,
-    tiles_of,
     view_of,
 )
 from epipole.io.gaussians.files import read_gaussians
@@ -83,9 +80,9 @@ def measured(cloud: GaussianCloud, shots: list[RenderView]) -> dict[str, Any]:
         blended = perf_counter()
         by_pair = sums_of_pairs(rendered, rendered.colour)
         back = perf_counter()
-        gradient_of(arrays, view, rendered.tiles, by_pair)
+        gradient_of(arrays, view, rendered.record, by_pair)
         end = perf_counter()
-        pairs = rendered.tiles.num_evaluated
+        pairs = rendered.num_evaluated
         rows.append((pairs, sorted_at - start, blended - sorted_at, back - blended, end - back))
     pairs, prepare, forward, backward, gather = (float(median(column)) for column in zip(*rows[1:]))
     return {

@@ -24,6 +24,7 @@ import epipole
 from benchmarks.measure import REPOSITORY, describe_machine
 from benchmarks.rasterizer import FLOPS
 from epipole.fields.config import SplatTraining
+from epipole.fields.splat import numba_backend
 from epipole.fields.splat import trainer as splat_trainer
 from epipole.fields.splat.gaussian_adam import GaussianAdam
 from epipole.fields.splat.trainer import SplatTrainer
@@ -39,11 +40,18 @@ PEAK = 157e9
 PHASES = {
     "tiles_of": "project, sort, give to tiles",
     "blend": "blend",
-    "likeness": "compare (L1, SSIM)",
+    "photometric_loss": "compare (L1, SSIM)",
     "depth_loss": "known depths",
     "sums_of_pairs": "blend, back",
-    "move": "project, back, and Adam",
+    "gradient_of": "project, back",
+    "adam": "Adam",
 }
+PARTS = {name: (numba_backend, name) for name in ("tiles_of", "blend", "sums_of_pairs", "gradient_of")} | {
+    "photometric_loss": (splat_trainer, "photometric_loss"),
+    "depth_loss": (splat_trainer, "depth_loss"),
+    "adam": (GaussianAdam, "step"),
+}
+"""Module or class, and function, of each phase."""
 
 
 def timed(function: Callable[..., Any], name: str, spent: dict[str, float]) -> Callable[..., Any]:
@@ -54,7 +62,7 @@ def timed(function: Callable[..., Any], name: str, spent: dict[str, float]) -> C
         answer = function(*given, **options)
         spent[name] += perf_counter() - start
         if name == "blend":
-            spent["pairs"] += answer.tiles.num_evaluated
+            spent["pairs"] += answer.num_evaluated
         return answer
 
     return called
@@ -74,21 +82,19 @@ def trained(model: Path, photographs: Path, width: int, steps: int) -> SplatTrai
 def measured(trainer: SplatTrainer, rounds: int) -> dict[str, Any]:
     """Medians of a step's phases in milliseconds, and its pairs."""
     spent: dict[str, float] = defaultdict(float)
-    kept = {name: getattr(splat_trainer, name) for name in PHASES if name != "move"}
-    move, rows = GaussianAdam.move, []
+    kept = {name: getattr(owner, function) for name, (owner, function) in PARTS.items()}
+    rows = []
     try:
-        for name, function in kept.items():
-            setattr(splat_trainer, name, timed(function, name, spent))
-        GaussianAdam.move = timed(move, "move", spent)  # type: ignore[method-assign]
+        for name, (owner, function) in PARTS.items():
+            setattr(owner, function, timed(kept[name], name, spent))
         for _ in range(rounds):
             spent.clear()
             start = perf_counter()
             trainer.step(0.95)
-            rows.append({"step": perf_counter() - start, **spent})
+            rows.append({**spent, "step": perf_counter() - start})
     finally:
-        GaussianAdam.move = move  # type: ignore[method-assign]
-        for name, function in kept.items():
-            setattr(splat_trainer, name, function)
+        for name, (owner, function) in PARTS.items():
+            setattr(owner, function, kept[name])
     middle = {name: median(row[name] for row in rows) for name in ("step", "pairs", *PHASES)}
     pairs = middle.pop("pairs")
     return {

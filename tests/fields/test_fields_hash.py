@@ -10,6 +10,7 @@ from test_fields_voxels import direction_of
 from epipole import _parallel
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError
+from epipole.fields import _adam_kernels
 from epipole.fields.nerf import _hash_kernels, hash_trainer
 from epipole.fields.nerf.hash_field import HashField, Room, new_weights, query_density, render_hash, voxels_of
 from epipole.fields.nerf.hash_trainer import HashTrainer
@@ -128,16 +129,16 @@ def test_derivatives_are_those_of_differences(rng):
             assert gradient[where] == pytest.approx(slope, rel=2e-2, abs=3e-3 * scale)
 
 
-@reference_of(_hash_kernels.move)
+@reference_of(_adam_kernels.move_touched)
 def test_steps_are_adams(rng):
     values, gradient = rng.normal(size=(2, 20)).astype(np.float32)
     gradient[3] = 0.0
     mean, square = np.zeros(20, np.float32), np.zeros(20, np.float32)
     moved, by = values.copy(), gradient.copy()
-    rates = np.float32(0.01), np.float32(0.9), np.float32(0.99)
-    _hash_kernels.move(moved, by, mean, square, *rates)
+    rates = np.float32(0.01), np.ones(2, np.float32)
+    _adam_kernels.move_touched(moved, by, mean, square, *rates)
     np.testing.assert_allclose(values - moved, 0.01 * np.sign(gradient), atol=1e-6)
-    _hash_kernels.move(moved, 2 * gradient, mean, square, *rates)
+    _adam_kernels.move_touched(moved, 2 * gradient, mean, square, *rates)
     first, second = 0.9 * 0.1 * gradient + 0.1 * 2 * gradient, (0.99 + 4) * 0.01 * gradient**2
     wanted = np.divide(first, np.sqrt(second), out=np.zeros(20), where=second > 0)
     np.testing.assert_allclose(values - moved, 0.01 * (np.sign(gradient) + wanted), atol=1e-6)

@@ -12,17 +12,15 @@ from epipole.fields.splat import (
     _gradient_kernels,
     _projection_kernels,
     _tile_kernels,
-    rasterizer,
+    numba_backend,
 )
+from epipole.fields.splat.numba_backend import useful_pairs
 from epipole.fields.splat.rasterizer import (
     RenderOptions,
     arrays_of,
-    blend,
-    gradient_of,
+    backward,
     render,
-    sums_of_pairs,
-    tiles_of,
-    useful_pairs,
+    render_view,
     view_of,
 )
 from epipole.geometry import Rigid3
@@ -77,7 +75,7 @@ def test_the_nearest_come_first_and_equal_ones_in_their_order(rng, n):
     depths[rng.random(n) < 0.3] = rng.choice([0.0, 1.0, 2.0])
     rows = np.flatnonzero(depths)
     wanted = rows[np.argsort(depths[rows], kind="stable")]
-    np.testing.assert_array_equal(rasterizer._by_depth(depths), wanted)
+    np.testing.assert_array_equal(numba_backend._by_depth(depths), wanted)
 
 
 @reference_of(_blend_kernels.count_useful)
@@ -91,7 +89,7 @@ def test_useful_pairs_are_those_of_the_equations(rng):
         count += ((alone > 0) & (through > 1e-4)).sum()
         through *= 1 - alone
     assert useful_pairs(found) == pytest.approx(count, rel=2e-3)
-    assert 0 < useful_pairs(found) < found.tiles.num_evaluated and (through <= 1e-4).any()
+    assert 0 < useful_pairs(found) < found.num_evaluated and (through <= 1e-4).any()
 
 
 @reference_of(_blend_kernels.blend_tiles_backward, _gradient_kernels.gather)
@@ -100,12 +98,12 @@ def test_useful_pairs_are_those_of_the_equations(rng):
 def test_derivatives_are_those_of_differences(rng, num_sh, antialiased):
     cloud, options = cloud_of(rng, 30, num_sh), RenderOptions(antialiased=antialiased)
     arrays, view = arrays_of(cloud), view_of(CAMERA, SEEN, options)
-    rendered = blend(tiles_of(arrays, view), view)
+    rendered = render_view(arrays, view)
     wanted = [
         rng.normal(size=part.shape).astype(np.float32)
         for part in (rendered.colour, rendered.depth, rendered.coverage)
     ]
-    found, by_pose = gradient_of(arrays, view, rendered.tiles, sums_of_pairs(rendered, *wanted))
+    found, _, by_pose = backward(arrays, view, rendered, *wanted)
 
     def loss(parts, position):
         rendered = plain_render(parts, CAMERA, position, antialiased=antialiased)
@@ -138,9 +136,8 @@ def test_any_number_of_threads_gives_the_same(rng):
     for threads in (1, 3):
         _parallel.set_num_threads(threads)
         view, arrays = view_of(CAMERA, SEEN, RenderOptions()), arrays_of(cloud)
-        rendered = blend(tiles_of(arrays, view), view)
-        sums = sums_of_pairs(rendered, rendered.colour)
-        results.append((rendered.colour, *gradient_of(arrays, view, rendered.tiles, sums)[0]))
+        rendered = render_view(arrays, view)
+        results.append((rendered.colour, *backward(arrays, view, rendered, rendered.colour).cloud))
     _parallel.set_num_threads(None)
     for one, other in zip(*results):
         np.testing.assert_array_equal(one, other)
@@ -167,10 +164,10 @@ def test_what_is_behind_beside_or_transparent_is_not_drawn(rng):
     ):
         found = render(other, CAMERA, SEEN)
         np.testing.assert_array_equal(found.coverage, empty)
-        sums = sums_of_pairs(found, np.ones_like(found.colour))
         view = view_of(CAMERA, SEEN, RenderOptions())
-        gradient, by_pose = gradient_of(arrays_of(other), view, found.tiles, sums)
-        assert not any(part.any() for part in gradient) and not by_pose.any()
+        gradient = backward(arrays_of(other), view, found, np.ones_like(found.colour))
+        assert not any(part.any() for part in gradient.cloud) and not gradient.by_pose.any()
+        assert not gradient.is_visible.any()
 
 
 def test_what_does_not_fit_is_refused(rng):

@@ -7,9 +7,9 @@ from fields_scenes import CAMERA, WHITE, scene, views
 from epipole import _parallel
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
+from epipole.fields import _adam_kernels
 from epipole.fields.config import SplatTraining
 from epipole.fields.photometric import psnr
-from epipole.fields.splat import _gradient_kernels
 from epipole.fields.splat.gaussian_adam import GaussianAdam, Rates
 from epipole.fields.splat.growing_cloud import GrowingCloud
 from epipole.fields.splat.growth import FAINTER, Growth, split
@@ -17,11 +17,9 @@ from epipole.fields.splat.rasterizer import (
     Cloud,
     RenderOptions,
     arrays_of,
-    blend,
-    gradient_of,
+    backward,
     render,
-    sums_of_pairs,
-    tiles_of,
+    render_view,
     view_of,
 )
 from epipole.fields.splat.starting import cloud_of_points, points_in_silhouettes
@@ -39,27 +37,22 @@ def with_harmonics(rng, num_sh):
     return cloud._replace(sh=sh.astype(np.float32))
 
 
-@reference_of(_gradient_kernels.gather_and_move)
+@reference_of(_adam_kernels.move_gaussians)
 @pytest.mark.parametrize("num_sh", [1, 9])
 def test_adam_moves_what_was_seen_as_the_paper_says(rng, num_sh):
     view = view_of(CAMERA, views()[0].cam_from_world, RenderOptions())
     cloud = with_harmonics(rng, num_sh)
-    rendered = blend(tiles_of(cloud, view), view)
-    by_pair = sums_of_pairs(rendered, rng.normal(size=rendered.colour.shape).astype(np.float32))
-    gradient, by_pose = gradient_of(cloud, view, rendered.tiles, by_pair)
+    rendered = render_view(cloud, view)
+    gradient, is_seen, _ = backward(
+        cloud, view, rendered, rng.normal(size=rendered.colour.shape).astype(np.float32)
+    )
     adam, moved = GaussianAdam(cloud), Cloud(*(part.copy() for part in cloud))
     for part in adam.mean:
         part[:] = 0.1 * rng.normal(size=part.shape)
     for part in adam.square:
         part[:] = rng.uniform(0.1, 1, part.shape)
     mean, square = (Cloud(*(part.astype(float) for part in one)) for one in (adam.mean, adam.square))
-    grad2d, also = adam.move(
-        moved, view, rendered.tiles, by_pair, Rates(1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3), 7
-    )
-    np.testing.assert_allclose(also, by_pose, rtol=1e-9)
-    seen = rendered.tiles.gaussian
-    np.testing.assert_allclose(grad2d, np.linalg.norm(gradient.center[seen], axis=1), rtol=1e-5)
-    is_seen = np.isin(np.arange(80), seen)
+    adam.step(moved, gradient, is_seen, Rates(1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3), 7)
     assert is_seen.sum() > 10
     for name, rate in zip(Cloud._fields, (1e-3, 2e-3, 3e-3, 4e-3, 5e-3)):
         g, start, end = (getattr(one, name).astype(float) for one in (gradient, cloud, moved))
@@ -77,15 +70,15 @@ def test_a_gaussian_that_is_left_out_is_not_drawn_and_others_make_up_for_it(rng)
     cloud = with_harmonics(rng, 4)
     cloud.logits[:] = rng.uniform(-2, 1, len(cloud.logits))
     shown = np.where(rng.uniform(size=len(cloud.means)) < 0.3, 0.0, 1.25).astype(np.float32)
-    found = blend(tiles_of(cloud, view, shown), view)
+    found = render_view(cloud, view, shown)
     opacity = 1.25 / (1 + np.exp(-cloud.logits.astype(float)))
     left = Cloud(*(part[shown > 0] for part in cloud))
     logits = np.log(opacity / np.maximum(1 - opacity, 1e-3))[shown > 0].astype(np.float32)
-    wanted = blend(tiles_of(left._replace(logits=logits), view), view)
+    wanted = render_view(left._replace(logits=logits), view)
     can_tell = opacity[shown > 0].max() < 0.99
     assert can_tell
     np.testing.assert_allclose(found.colour, wanted.colour, atol=2e-3)
-    assert not np.isin(np.flatnonzero(shown == 0), found.tiles.gaussian).any()
+    assert not np.isin(np.flatnonzero(shown == 0), found.record.gaussian).any()
 
 
 def trained(steps=260, threads=None, **options):
@@ -126,9 +119,9 @@ def test_what_pulls_is_split_and_what_is_faint_goes():
     cloud = arrays_of(scene())
     cloud.logits[:5] = -9.0
     growth, count = Growth(len(cloud.means)), len(cloud.means)
-    grad2d = np.zeros(count, np.float32)
-    grad2d[[10, 20, 3]] = 5.0, 1.0, 9.0
-    growth.add(grad2d, np.arange(count), 64)
+    by_center = np.zeros((count, 2), np.float32)
+    by_center[[10, 20, 3]] = (3.0, 4.0), (0.0, -1.0), (9.0, 0.0)
+    growth.add(by_center, np.ones(count, bool), 64)
     rows, stays = growth.changes(cloud, count)
     assert rows.tolist() == [10, 20] and not stays[:5].any() and stays[5:].all()
     assert growth.changes(cloud, count - 4)[0].tolist() == [10]

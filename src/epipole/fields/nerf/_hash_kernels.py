@@ -220,19 +220,3 @@ def limit_change(by, value):
     for i in range(len(one)):
         if not other[i] > np.float32(0.0):
             one[i] = np.float32(0.0)
-
-
-@kernel
-def move(values, gradient, mean, square, rate, momentum, squares):
-    """Adam step of flat numbers with a nonzero gradient, which is cleared (Kingma and Ba, ICLR 2015).
-
-    Without bias correction, the first step of a number has the size of the learning rate for betas of 0.9 and 0.99.
-    """
-    one = np.float32(1.0)
-    for i in range(len(values)):
-        g = gradient[i]
-        if g != np.float32(0.0):
-            mean[i] = momentum * mean[i] + (one - momentum) * g
-            square[i] = squares * square[i] + (one - squares) * g * g
-            values[i] -= rate * mean[i] / (np.float32(math.sqrt(square[i])) + np.float32(1e-15))
-            gradient[i] = np.float32(0.0)

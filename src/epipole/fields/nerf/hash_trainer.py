@@ -12,6 +12,7 @@ from epipole import _parallel
 from epipole._checks import check_fraction, check_seed, checked
 from epipole._checks.tables import Expected, Table, check_arrays
 from epipole.errors import ShapeError
+from epipole.fields._adam_kernels import move_touched
 from epipole.fields.nerf import _hash_kernels as kernels
 from epipole.fields.nerf.hash_field import (
     DELTA,
@@ -29,7 +30,6 @@ from epipole.fields.nerf.hash_field import (
 )
 from epipole.fields.random_state import STATE, set_state, state_of
 from epipole.fields.rays import blocks_of, pixels_to_render, rays_of
-from epipole.fields.splat._simd_kernels import MOMENTUM, SQUARES
 from epipole.fields.splat.starting import first_cells
 from epipole.fields.training_view import TrainingView
 
@@ -51,6 +51,8 @@ LONGEST = 256
 """Samples of a ray, at most."""
 TABLE_RATE, LAYER_RATE = 0.1, 0.004
 """Initial learning rates of tables and layers."""
+NO_BIAS = np.ones(2, np.float32)
+"""No bias correction: the first step of a number then has the size of the learning rate."""
 LAST_RATES = 0.1
 """Factor of the learning rates at the end."""
 SIDE = 128
@@ -258,7 +260,7 @@ class HashTrainer:
 
     def _adam(self, n: int, values: np.ndarray, rate: float, at: int | slice) -> None:
         parts = (values, self._gradient[n][at], self._mean[n][at], self._square[n][at])
-        kernels.move(*(part.reshape(-1) for part in parts), np.float32(rate), MOMENTUM, SQUARES)
+        move_touched(*(part.reshape(-1) for part in parts), np.float32(rate), NO_BIAS)
 
     def _update_occupancy(self) -> None:
         """Query the density in some cells, and mark cells empty whose alpha has been low for long."""

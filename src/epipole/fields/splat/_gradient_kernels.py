@@ -2,8 +2,6 @@
 
 import math
 
-import numpy as np
-
 from epipole._jit import kernel
 from epipole.fields.splat._projection_kernels import (
     axes_of,
@@ -16,7 +14,7 @@ from epipole.fields.splat._projection_kernels import (
     in_camera,
     seen_covariance,
 )
-from epipole.fields.splat._simd_kernels import LEAST, MOMENTUM, SQUARES, SUMS
+from epipole.fields.splat._simd_kernels import SUMS
 
 G, GX, GXX, GY, GXY, GYY, BY_RED, BY_DEPTH = 0, 1, 2, 3, 4, 5, 6, 9
 
@@ -34,67 +32,6 @@ def gather(view, cloud, ellipse, pair, by_pair, start, stop, gradient, by_pose, 
             continue
         _add_pairs(by_pair, pair[e], pair[e + 1], work.total)
         _one(view, cloud, n, gradient, n, by_pose, work)
-
-
-@kernel
-def gather_and_move(view, cloud, ellipse, pair, by_pair, start, stop, adam, by_pose, work):
-    """Like `gather`, with an Adam step of each Gaussian right away; adam.grad2d (ellipses,) gets |dL/d center|."""
-    one = work.one
-    for n in range(start, stop):
-        e = ellipse[n]
-        if e < 0:
-            continue
-        _add_pairs(by_pair, pair[e], pair[e + 1], work.total)
-        _one(view, cloud, n, one, 0, by_pose, work)
-        adam.grad2d[e] = math.sqrt(one.center[0, 0] * one.center[0, 0] + one.center[0, 1] * one.center[0, 1])
-        mean, square, rates = adam.mean, adam.square, adam.rates
-        _move(cloud.means[n], one.means[0], mean.means[n], square.means[n], rates[0], adam.unbias)
-        _move(
-            cloud.log_scales[n],
-            one.log_scales[0],
-            mean.log_scales[n],
-            square.log_scales[n],
-            rates[1],
-            adam.unbias,
-        )
-        _move(
-            cloud.quats_wxyz[n],
-            one.quats_wxyz[0],
-            mean.quats_wxyz[n],
-            square.quats_wxyz[n],
-            rates[2],
-            adam.unbias,
-        )
-        _move(
-            cloud.logits[n : n + 1],
-            one.logits,
-            mean.logits[n : n + 1],
-            square.logits[n : n + 1],
-            rates[3],
-            adam.unbias,
-        )
-        _move(cloud.sh[n, 0], one.sh[0, 0], mean.sh[n, 0], square.sh[n, 0], rates[4], adam.unbias)
-        if cloud.sh.shape[1] > 1:
-            _move(
-                cloud.sh[n, 1:].reshape(-1),
-                one.sh[0, 1:].reshape(-1),
-                mean.sh[n, 1:].reshape(-1),
-                square.sh[n, 1:].reshape(-1),
-                rates[5],
-                adam.unbias,
-            )
-
-
-@kernel(fuse=True)
-def _move(values, gradient, mean, square, rate, unbias):
-    """Adam step; unbias (2,) is 1 / (1 - beta^t) of both moments."""
-    one = np.float32(1.0)
-    for k in range(values.size):
-        g = gradient[k]
-        m = MOMENTUM * mean[k] + (one - MOMENTUM) * g
-        v = SQUARES * square[k] + (one - SQUARES) * g * g
-        mean[k], square[k] = m, v
-        values[k] -= rate * m * unbias[0] / (np.float32(math.sqrt(v * unbias[1])) + LEAST)
 
 
 @kernel(fuse=True)

@@ -13,6 +13,7 @@ from numba import types
 from numba.core import cgutils
 
 from epipole._simd_kernels import row_intrinsic
+from epipole.fields._adam_kernels import LEAST, MOMENTUM, SQUARES
 from epipole.fields.nerf._vector_kernels import (
     LANES,
     Row,
@@ -26,8 +27,6 @@ from epipole.fields.nerf._vector_kernels import (
 
 SIDE = 4
 """Pixels along the side of a block, which has as many pixels as a vector has lanes."""
-MOMENTUM, SQUARES, LEAST = np.float32(0.9), np.float32(0.99), np.float32(1e-15)
-"""Adam's betas and epsilon (Kingma and Ba, ICLR 2015)."""
 ROW = 16
 """Floats of a voxel: one cache line."""
 ACROSS = 4

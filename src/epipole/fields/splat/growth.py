@@ -30,10 +30,11 @@ class Growth:
     def __init__(self, count: int) -> None:
         self.grad2d, self.views = np.zeros(count, np.float32), np.zeros(count, np.float32)
 
-    def add(self, grad2d: np.ndarray, seen: np.ndarray, width: int) -> None:
-        """Add the gradients of a view, in units of half the image width, so that resolutions can be mixed."""
-        self.grad2d[seen] += np.float32(0.5 * width) * grad2d
-        self.views[seen] += 1.0
+    def add(self, by_center: np.ndarray, is_visible: np.ndarray, width: int) -> None:
+        """Add the norms of a view's gradients (n, 2), in units of half the image width, so that resolutions can be mixed."""
+        x, y = by_center[is_visible].T
+        self.grad2d[is_visible] += np.float32(0.5 * width) * np.sqrt(x * x + y * y)
+        self.views[is_visible] += 1.0
 
     def changes(self, cloud: Cloud, wanted: int) -> tuple[np.ndarray, np.ndarray]:
         """Rows to split, largest mean gradient first, and a mask of rows to keep; at most `wanted` Gaussians result."""

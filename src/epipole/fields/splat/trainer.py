@@ -22,12 +22,12 @@ from epipole.fields.splat.growing_cloud import GrowingCloud
 from epipole.fields.splat.growth import Growth, split
 from epipole.fields.splat.rasterizer import (
     Cloud,
+    CloudGradient,
     Rendering,
     RenderOptions,
     arrays_of,
-    blend,
-    sums_of_pairs,
-    tiles_of,
+    backward,
+    render_view,
     view_of,
 )
 from epipole.fields.training_view import TrainingView
@@ -117,6 +117,7 @@ class SplatTrainer:
         self._depths: dict[tuple[int, int], PointDepths] = {}
         self._growth, self._num_changes = Growth(len(start)), 0
         self._order: list[int] = []
+        self._gradient: CloudGradient | None = None
         self._smaller: dict[tuple[int, int], TrainingView] = {}
 
     def _set_arrays(self, *clouds: Cloud) -> None:
@@ -225,8 +226,8 @@ class SplatTrainer:
     def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
         """(h, w, 3) render of a view, and the number of Gaussian-pixel pairs that were evaluated."""
         seen = view_of(view.camera, view.cam_from_world, self.options)
-        rendered = blend(tiles_of(self._arrays, seen), seen)
-        return rendered.over(self.background), rendered.tiles.num_evaluated
+        rendered = render_view(self._arrays, seen)
+        return rendered.over(self.background), rendered.num_evaluated
 
     @checked
     def step(self, progress: float) -> float:
@@ -254,16 +255,25 @@ class SplatTrainer:
         """Update the Gaussians visible in a view, with images downscaled by `factor`; returns the loss."""
         of = self._view(number, factor)
         view = view_of(of.camera, of.cam_from_world, self.options)
-        rendered = blend(tiles_of(self._arrays, view, self._shown(progress)), view)
+        rendered = render_view(self._arrays, view, self._shown(progress))
         loss, by_colour, by_coverage = self._compare(number, of, rendered, progress)
         depths = depth_loss(rendered, self._known(number, factor), self.config.depth_weight)
-        by_pair = sums_of_pairs(rendered, by_colour, depths.by_depth, by_coverage + depths.by_coverage)
-        grad2d, by_pose = self._adam.move(
-            self._arrays, view, rendered.tiles, by_pair, self._rates(progress), self.num_steps + 1
+        found = backward(
+            self._arrays,
+            view,
+            rendered,
+            by_colour,
+            depths.by_depth,
+            by_coverage + depths.by_coverage,
+            reused=self._gradient,
         )
-        self._growth.add(grad2d, rendered.tiles.gaussian, view.width)
+        self._gradient = found.cloud
+        self._adam.step(
+            self._arrays, found.cloud, found.is_visible, self._rates(progress), self.num_steps + 1
+        )
+        self._growth.add(found.cloud.center, found.is_visible, view.width)
         if self._poses is not None:
-            self._poses.move(number, by_pose, progress)
+            self._poses.move(number, found.by_pose, progress)
         return loss + depths.loss
 
     def _compare(

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple, Unpack
 import numpy as np
 
 from epipole._jit import compile_seconds
-from epipole.fields.splat.rasterizer import render, useful_pairs
+from epipole.fields.splat.numba_backend import useful_pairs
+from epipole.fields.splat.rasterizer import render
 from epipole.fields.training_view import TrainingView
 from epipole.io.files import read_json
 from epipole.io.images.photographs import read_rgb
@@ -165,7 +166,7 @@ def _splatted(gaussians: FieldResult, background: np.ndarray, view: TrainingView
     rendered = render(gaussians.cloud, view.camera, view.cam_from_world)
     image = rendered.over(background)
     seconds = perf_counter() - start - (compile_seconds() - compiled)
-    pairs = {"evaluated": rendered.tiles.num_evaluated, "useful": useful_pairs(rendered)}
+    pairs = {"evaluated": rendered.num_evaluated, "useful": useful_pairs(rendered)}
     each = {name: count / image[..., 0].size for name, count in pairs.items()}
     return Shown(image, {**scores_of(image, view, background), "s": seconds, **each})
 
