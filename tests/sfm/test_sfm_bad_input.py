@@ -20,7 +20,7 @@ from epipole.config import RansacConfig
 from epipole.errors import ConfigError, FileFormatError, NoModelError, WorkspaceError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.pipelines.sfm.config import MapperConfig, PairingConfig, ReconstructConfig
-from whole import IS_WHOLE
+from whole import IS_WHOLE, in_whole_run
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -293,14 +293,12 @@ for out in outs:
 """
 
 
-ROOMS = (1_000, 600_000) if IS_WHOLE else (600_000,)
-
-
+@in_whole_run
 @pytest.mark.skipif(sys.platform == "win32", reason="file size limits are POSIX")
 def test_where_files_cannot_grow_the_run_says_so_and_goes_on_later(rendered, tmp_path):
     """A full disk as a program sees it: a write in the middle of a file fails. The limits stop detection and the database."""
     images = copied(rendered, tmp_path / "photographs", 3)
-    outs = {room: tmp_path / f"out_{room}" for room in ROOMS}
+    outs = {room: tmp_path / f"out_{room}" for room in (1_000, 600_000)}
     command = [sys.executable, "-c", WITH_LITTLE_ROOM, str(images), *map(str, outs.values())]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
