@@ -1,7 +1,5 @@
 """Rows of a made-up image against the interpreter, for every lens, shape and texture, and of nothing."""
 
-from itertools import cycle, product
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,7 @@ from epipole.cameras import Camera, CameraModel
 from epipole.synthetic import Box, HeightField, Plane, Sphere, SyntheticScene, Texture, look_at
 from epipole.synthetic import _render_kernels as kernels
 from kernel_references import assert_same_as_python, reference_of
-from whole import IS_WHOLE
+from whole import in_whole_run
 
 WIDTH, HEIGHT = 6, 4
 CAMERAS = {
@@ -40,10 +38,9 @@ def scene(texture: Texture) -> SyntheticScene:
     )
 
 
-CASES = list(product(CAMERAS, Texture) if IS_WHOLE else zip(cycle(CAMERAS), Texture))
-
-
-@pytest.mark.parametrize(("lens", "texture"), CASES)
+@in_whole_run
+@pytest.mark.parametrize("lens", list(CAMERAS))
+@pytest.mark.parametrize("texture", list(Texture))
 @reference_of(kernels.render_rows)
 def test_rows_are_drawn(lens: str, texture: Texture) -> None:
     camera, shown = CAMERAS[lens], scene(texture)
