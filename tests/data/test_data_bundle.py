@@ -28,7 +28,7 @@ def test_minima_are_those_of_ceres_or_lower(data_dir, name, solver):
 def test_a_robust_loss_leaves_most_observations_better(data_dir):
     problem = read_bal(data_dir / "bundle" / "problem-21-11315-pre.txt.bz2")
     plain = adjust_bundle(problem)
-    for loss in (Loss.HUBER, Loss.CAUCHY, Loss.TUKEY):
+    for loss in [Loss.CAUCHY] + IS_WHOLE * [Loss.HUBER, Loss.TUKEY]:
         result = adjust_bundle(problem, BundleConfig(loss=loss, loss_scale_px=1.0, max_iterations=100))
         assert result.final_cost < 0.7 * plain.final_cost
 

@@ -12,6 +12,7 @@ from epipole.inertial._inertial_problem import InertialProblem, States
 from epipole.io.sequences.imu_logs import read_camera_from_imu, read_imu
 from epipole.scale import fit_scale_to_imu
 from epipole.synthetic.inertial import InertialPath, inertial_path
+from whole import IS_WHOLE, in_whole_run
 
 
 def aligned(path: InertialPath, **options):
@@ -20,7 +21,7 @@ def aligned(path: InertialPath, **options):
     )
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(3 if IS_WHOLE else 1))
 def test_scale_gravity_and_biases_are_found(seed):
     path = inertial_path(seed)
     found = aligned(path)
@@ -32,12 +33,13 @@ def test_scale_gravity_and_biases_are_found(seed):
     assert 0.7 < found.misfit < 4
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [2] + IS_WHOLE * [0])
 def test_constant_velocity_names_no_metre(seed):
     with pytest.raises(DegenerateGeometryError, match="constant velocity"):
         aligned(inertial_path(seed, seconds=6.0, constant_velocity=True))
 
 
+@in_whole_run
 def test_without_noise_the_scale_is_exact():
     quiet = ImuNoise(
         *(), gyro_density=1e-7, accel_density=1e-6, gyro_walk=1e-8, accel_walk=1e-7, accel_gain_sigma=1e-9
@@ -94,6 +96,7 @@ def test_stretches_give_one_scale_and_what_drifts_is_told_by_the_deviation():
         fit_scale_to_imu(path.timestamp_s + 900.0, path.world_from_camera, path.log, path.camera_from_imu)
 
 
+@in_whole_run
 def test_a_real_unit_on_a_drone_with_its_true_path(data_dir):
     """EuRoC V1_01: sensitivity, vibration and clock as they are; the truth is the path by a laser tracker's motion capture."""
     log, noise = read_imu(data_dir / "slam" / "euroc_static" / "mav0" / "imu0")

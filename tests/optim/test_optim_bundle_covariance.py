@@ -19,6 +19,7 @@ from epipole.optim import (
     bundle_covariance,
     with_fixed_gauge,
 )
+from whole import IS_WHOLE
 
 EXACT = BundleConfig(function_tolerance=1e-12)
 
@@ -128,7 +129,7 @@ def along_a_row(rng, persistence):
 
 
 @pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize("persistence", [0.0, 0.9])
+@pytest.mark.parametrize("persistence", [0.9] + IS_WHOLE * [0.0])
 def test_errors_that_go_on_from_frame_to_frame_are_told_by_the_points_scores(persistence):
     """Means of normalised squared errors of the frames between, over sixty draws; 6 is right."""
     clustered, plain = [], []

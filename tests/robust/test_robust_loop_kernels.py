@@ -35,6 +35,7 @@ from epipole.robust.pairs import two_view
 from epipole.robust.pairs._fundamental_kernels import EPIPOLE, SENSE
 from epipole.robust.pairs._wide_pair_kernels import fit_wide_motions
 from kernel_references import assert_same, assert_same_as_python, both_ways, record_calls, reference_of
+from whole import IS_WHOLE
 
 PINHOLE = Camera(CameraModel.PINHOLE, 1000, 800, np.array([900.0, 900.0, 499.5, 399.5]))
 FISHEYE = Camera(CameraModel.OPENCV_FISHEYE, 1000, 800, np.array([300.0, 310.0, 500.0, 400.0, 0.01, 0, 0, 0]))
@@ -131,7 +132,7 @@ CALLERS = {
 }
 
 
-@pytest.mark.parametrize("name", list(PROBLEMS))
+@pytest.mark.parametrize("name", [name for name in PROBLEMS if IS_WHOLE or name != "wide motion"])
 @reference_of(
     loop.ransac,
     pair_kernels.fit_motions,

@@ -23,9 +23,10 @@ from epipole.robust import (
     estimate_upright_similarity,
 )
 from epipole.synthetic.problems import absolute_pose_problem, dominant_plane_problem, two_view_problem
+from whole import IS_WHOLE
 
 CAMERA = Camera(CameraModel.PINHOLE, 1280, 960, np.array([800.0, 800.0, 639.5, 479.5]))
-TRIALS = 100
+TRIALS = 100 if IS_WHOLE else 50
 
 
 def angle_deg(a, b):

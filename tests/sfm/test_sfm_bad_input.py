@@ -20,6 +20,9 @@ from epipole.config import RansacConfig
 from epipole.errors import ConfigError, FileFormatError, NoModelError, WorkspaceError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.pipelines.sfm.config import MapperConfig, PairingConfig, ReconstructConfig
+from whole import IS_WHOLE, in_whole_run
+
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 
 def copied(rendered: Path, folder: Path, count: int = 6) -> Path:
@@ -47,16 +50,6 @@ def test_a_mistyped_folder_leaves_the_output_free(rendered, tmp_path):
         reconstruct(copied(rendered, tmp_path / "right", 1), tmp_path / "out")
 
 
-def test_a_replaced_picture_replaces_its_copy(rendered, tmp_path):
-    folder = copied(rendered, tmp_path / "photographs", 3)
-    changed = folder / "view_02.jpg"
-    reconstruct(folder, tmp_path / "out")
-    changed.unlink()
-    shutil.copy(rendered / "view_05.jpg", changed)
-    reconstruct(folder, tmp_path / "out")
-    assert (tmp_path / "out" / "images" / "view_02.jpg").read_bytes() == changed.read_bytes()
-
-
 KILLED_WHILE_WRITING = """
 import os, signal, sys
 from epipole.io.atomic import atomic_write
@@ -67,7 +60,7 @@ with atomic_write(sys.argv[1]) as aside:
 """
 
 
-@pytest.mark.parametrize("is_rotated", [False, True])
+@pytest.mark.parametrize("is_rotated", [False] + IS_WHOLE * [True])
 def test_an_older_picture_replaces_the_newer_one(rendered, tmp_path, is_rotated):
     """Which file is older says nothing: `cp -p`, an unpacked archive or a backup bring old dates."""
     folder = copied(rendered, tmp_path / "photographs", 3)
@@ -300,6 +293,7 @@ for out in outs:
 """
 
 
+@in_whole_run
 @pytest.mark.skipif(sys.platform == "win32", reason="file size limits are POSIX")
 def test_where_files_cannot_grow_the_run_says_so_and_goes_on_later(rendered, tmp_path):
     """A full disk as a program sees it: a write in the middle of a file fails. The limits stop detection and the database."""

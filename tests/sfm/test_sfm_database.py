@@ -12,9 +12,11 @@ from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rotation3
 from epipole.pipelines.sfm.config import ReconstructConfig
 
+pytestmark = pytest.mark.usefixtures("unchecked_module")
+
 
 @pytest.fixture(scope="module")
-def first(few, tmp_path_factory):
+def first(few, tmp_path_factory, unchecked_module):
     return reconstruct(few, tmp_path_factory.mktemp("first") / "out")
 
 

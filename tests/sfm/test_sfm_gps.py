@@ -101,7 +101,7 @@ def test_fixes_that_cannot_tell_give_nothing(case: str) -> None:
 
 
 @pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize("count", [3, 4, 5, 8, 40, 200] if IS_WHOLE else [3, 4, 8, 40])
+@pytest.mark.parametrize("count", [3, 4, 5, 8, 40, 200] if IS_WHOLE else [4, 40])
 def test_random_fixes_are_not_believed(count: int) -> None:
     """Places within 111 m that have nothing to do with the images: one set in twenty deceives, at most."""
     believed, trials = 0, 20 if count > 6 else 60
@@ -113,8 +113,11 @@ def test_random_fixes_are_not_believed(count: int) -> None:
     assert believed <= trials // 20
 
 
+BELIEVED = [(5, 20, 17), (40, 8, 8)] + IS_WHOLE * [(3, 20, 12), (8, 12, 12)]
+
+
 @pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize(("count", "trials", "least"), [(3, 20, 12), (5, 20, 17), (8, 12, 12), (40, 8, 8)])
+@pytest.mark.parametrize(("count", "trials", "least"), BELIEVED)
 def test_noisy_fixes_are_believed(count: int, trials: int, least: int) -> None:
     """Fixes of 3 m along a path of a hundred; one of eight is far off."""
     believed = 0
@@ -204,7 +207,7 @@ def align_flight(kind: str, seed: int, case: str = ""):
 @pytest.mark.parametrize(("kind", "case"), FLIGHTS)
 def test_flights_are_aligned_whichever_way_they_look(kind: str, case: str) -> None:
     """GPS of 1 m (2 m in altitude) over 100 m by 75 m fixes up to a degree or so, the scale to 2 %."""
-    trials = [align_flight(kind, seed, case) for seed in range(8)]
+    trials = [align_flight(kind, seed, case) for seed in range(8 if IS_WHOLE else 4)]
     assert all(found is not None for found, _ in trials)
     assert max(tilt_deg for _, tilt_deg in trials) < 7.0
     assert np.median([tilt_deg for _, tilt_deg in trials]) < 1.5
@@ -216,7 +219,7 @@ def test_flights_are_aligned_whichever_way_they_look(kind: str, case: str) -> No
 
 
 @pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize("kind", ["nadir", "oblique"])
+@pytest.mark.parametrize("kind", ["nadir", "oblique"] if IS_WHOLE else ["oblique"])
 def test_random_positions_of_a_flight_are_refused(kind: str) -> None:
     assert all(align_flight(kind, seed, "random")[0] is None for seed in range(10))
 

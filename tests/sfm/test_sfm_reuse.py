@@ -10,8 +10,24 @@ import pytest
 
 from epipole import ReconstructionResult, reconstruct
 from epipole.pipelines.sfm.matching import feature_stage, match_stage, pair_blocks
+from whole import in_whole_run
 
 Counts = Counter
+pytestmark = pytest.mark.usefixtures("unchecked_module")
+
+
+@pytest.fixture(scope="module")
+def stored(rendered: Path, tmp_path_factory: pytest.TempPathFactory, unchecked_module: None) -> Path:
+    """A folder to work in, and beside it four of the six rendered images, without the first, with their run."""
+    folder = tmp_path_factory.mktemp("reuse") / "now"
+    (folder / "images").mkdir(parents=True)
+    for path in sorted(rendered.iterdir())[1:5]:
+        shutil.copy(path, folder / "images" / path.name)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pair_blocks, "MOST_BLOCKS", 4)
+        reconstruct(folder / "images", folder / "out")
+    folder.rename(folder.with_name("stored"))
+    return folder
 
 
 @pytest.fixture
@@ -27,7 +43,7 @@ def work(monkeypatch: pytest.MonkeyPatch) -> Counts:
 
         return call
 
-    monkeypatch.setattr(feature_stage, "detect_features", counted("pictures", detect))
+    monkeypatch.setattr(feature_stage, "detect_features", counted("images", detect))
     monkeypatch.setattr(match_stage, "match_pair", counted("matched", match))
     monkeypatch.setattr(
         match_stage, "verify_pairs", counted("verified", verify, lambda pairs, *_: len(pairs))
@@ -37,13 +53,11 @@ def work(monkeypatch: pytest.MonkeyPatch) -> Counts:
 
 
 @pytest.fixture
-def images(rendered: Path, tmp_path: Path) -> Path:
-    """Four of the six rendered images, without the first."""
-    folder = tmp_path / "pictures"
-    folder.mkdir()
-    for path in sorted(rendered.iterdir())[1:5]:
-        shutil.copy(path, folder / path.name)
-    return folder
+def images(stored: Path) -> Path:
+    """The four images, with the finished run beside them."""
+    shutil.rmtree(stored, ignore_errors=True)
+    shutil.copytree(stored.with_name("stored"), stored)
+    return stored / "images"
 
 
 def assert_as_fresh(result: ReconstructionResult, images: Path, tmp_path: Path) -> None:
@@ -65,54 +79,51 @@ def assert_same_files(one: Path, two: Path) -> None:
 def test_one_picture_more_before_all_others(
     work: Counts, images: Path, rendered: Path, tmp_path: Path
 ) -> None:
-    reconstruct(images, tmp_path / "out")
-    assert work == {"pictures": 4, "matched": 6, "verified": 6}
     first = sorted(rendered.iterdir())[0]
     shutil.copy(first, images / first.name)
-    work.clear()
-    result = reconstruct(images, tmp_path / "out")
-    assert work == {"pictures": 1, "matched": 4, "verified": 4}
+    result = reconstruct(images, images.parent / "out")
+    assert work == {"images": 1, "matched": 4, "verified": 4}
     assert result.summary["num_registered"] == 5
+    work.clear()
     assert_as_fresh(result, images, tmp_path)
+    assert work == {"images": 5, "matched": 10, "verified": 10}
 
 
 def test_one_picture_less_and_one_renamed(work: Counts, images: Path, tmp_path: Path) -> None:
-    reconstruct(images, tmp_path / "out")
+    out = images.parent / "out"
     names = sorted(path.name for path in images.iterdir())
     (images / names[1]).unlink()
     (images / names[3]).rename(images / "z.jpg")  # the last as before
-    work.clear()
-    result = reconstruct(images, tmp_path / "out")
+    result = reconstruct(images, out)
     assert not work
     assert_as_fresh(result, images, tmp_path)
     (images / "z.jpg").rename(images / "a.jpg")  # the first now: its pairs are the other way round
     work.clear()
-    assert_as_fresh(reconstruct(images, tmp_path / "out"), images, tmp_path / "again")
-    assert work["pictures"] <= 3 and work["matched"] == 2 + 3  # with those of the fresh run
+    assert_as_fresh(reconstruct(images, out), images, tmp_path / "again")
+    assert work["images"] <= 3 and work["matched"] == 2 + 3  # with those of the fresh run
 
 
+@in_whole_run
 def test_the_same_pictures_copied_again(work: Counts, images: Path, tmp_path: Path) -> None:
     """A new folder at the old place, with new times."""
-    out = reconstruct(images, tmp_path / "out").out
+    out = images.parent / "out"
     shutil.copytree(out, tmp_path / "first")
     images.rename(tmp_path / "earlier")
     shutil.copytree(tmp_path / "earlier", images, copy_function=shutil.copy)
-    work.clear()
     reconstruct(images, out)
     assert not work
     assert_same_files(out, tmp_path / "first")
 
 
-def test_another_option_and_back_leaves_no_files_behind(work: Counts, images: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
+def test_another_option_and_back_leaves_no_files_behind(work: Counts, images: Path) -> None:
+    out = images.parent / "out"
 
     def files() -> list[str]:
         return sorted(path.name for path in (out / "work").rglob("*.npz"))
 
-    reconstruct(images, out)
     before = files()
     reconstruct(images, out, max_features=1500)
     assert len(files()) == len(before) and set(files()) & set(before) == {"contents.npz"}
     work.clear()
     reconstruct(images, out)
-    assert work["pictures"] == 4 and files() == before
+    assert work["images"] == 4 and files() == before

@@ -9,6 +9,7 @@ from epipole import reconstruct
 from epipole.geometry import Rotation3, align_points
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.synthetic import courtyard, courtyard_views, render
+from whole import in_whole_run
 
 NUM_FRAMES, FPS = 6, 4.0
 
@@ -56,6 +57,7 @@ def test_the_lens_is_found_without_exif(result) -> None:
     assert result.model.cameras[0].focal_px == pytest.approx(CAMERA.focal_px, rel=0.03)
 
 
+@in_whole_run
 def test_frames_of_a_video_that_ends_early_are_enough(film, tmp_path) -> None:
     """A film cut off in its last third still gives the frames before."""
     data = film[0].read_bytes()

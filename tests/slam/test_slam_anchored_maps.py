@@ -16,6 +16,7 @@ from epipole.pipelines.slam.output.map_file import MAP_FILE, TABLE, VERSION, rea
 from epipole.pipelines.slam.output.scale import anchor_map
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.runs.units import load, store
+from whole import IS_WHOLE
 
 OLD, NEW = slice(0, 18), slice(8, 30)
 GIVEN = {"camera_params": "260,260,160,120", "fps": 10.0}
@@ -133,7 +134,7 @@ def test_what_is_known_makes_a_map_metric_that_is_gone_on_in(runs, tmp_path, nam
         assert np.abs(there - truth(np.array([k.number for k in keyframes]))).max() < 0.1
 
 
-@pytest.mark.parametrize("write", [write_places, write_named_places])
+@pytest.mark.parametrize("write", [write_named_places] + IS_WHOLE * [write_places])
 def test_pictures_of_the_map_are_not_taken_for_those_of_this_run(runs, tmp_path, write):
     """They have the same names and times as other ones."""
     system = Slam(MONO, known=read_slam_map(runs / "scaleless", MONO).model)

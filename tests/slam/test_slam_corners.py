@@ -7,9 +7,10 @@ from slam_rides import ride
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.tracking.corners import LEAST_NOISE, new_corners, noise_of
 from epipole.synthetic import courtyard, render
+from whole import IS_WHOLE
 
 NONE = np.zeros((0, 2))
-SIGMAS = [1.0, 1.25, 1.3, 1.7, 2.0, 3.0, 5.0, 7.0, 10.0]
+SIGMAS = [1.0, 1.25, 1.3, 1.7, 2.0, 3.0, 5.0, 7.0, 10.0] if IS_WHOLE else [1.0, 1.3, 3.0, 10.0]
 
 
 def noisy(grey: np.ndarray, sigma: float, seed: int) -> np.ndarray:

@@ -9,10 +9,9 @@ from epipole.metrics import absolute_error
 from epipole.pipelines.slam.frames import Frame, TrackingState
 from epipole.pipelines.slam.output.warnings import warnings
 from epipole.pipelines.slam.slam import Slam
+from whole import IS_WHOLE
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")  # long rides; others have had the types checked
-
-KINDS = ["rgbd", "mono"]
 
 
 def walking():
@@ -20,7 +19,7 @@ def walking():
 
 
 @pytest.mark.parametrize(
-    ("kind", "alignment", "most_m"), [("rgbd", "none", 0.01), ("mono", "similarity", 0.02)]
+    ("kind", "alignment", "most_m"), [("rgbd", "none", 0.01)] + IS_WHOLE * [("mono", "similarity", 0.02)]
 )
 def test_a_box_that_walks_does_not_take_the_camera_along(kind, alignment, most_m):
     """It covers up to a third of the image, with more corners than the room behind; it goes 3 m, the camera 1.7."""
@@ -42,7 +41,7 @@ def test_a_box_that_walks_does_not_take_the_camera_along(kind, alignment, most_m
     assert "an object moves in" in warning
 
 
-@pytest.mark.parametrize(("kind", "shade"), [("stereo", 0), ("rgbd", 3), ("stereo", 255)])
+@pytest.mark.parametrize(("kind", "shade"), [("stereo", 0), ("rgbd", 3)] + IS_WHOLE * [("stereo", 255)])
 def test_while_the_lens_is_covered_nothing_is_claimed(kind, shade):
     frames = ride().frames(kind)[:16]
     covered = list(frames)
@@ -64,7 +63,7 @@ def test_while_the_lens_is_covered_nothing_is_claimed(kind, shade):
     assert absolute_error(path.world_from_body, ride().truth()[rows], "none").position.max < 0.03
 
 
-@pytest.mark.parametrize("gain", [0.4, 1.5])
+@pytest.mark.parametrize("gain", [0.4] + IS_WHOLE * [1.5])
 def test_exposure_may_jump(gain):
     """From one image to the next, and back again."""
     frames = []
@@ -76,7 +75,7 @@ def test_exposure_may_jump(gain):
     assert errors(slam, ride().truth(), "none").position.max < 0.02
 
 
-@pytest.mark.parametrize("gap", [3, 6])
+@pytest.mark.parametrize("gap", [6] + IS_WHOLE * [3])
 def test_frames_may_be_missing(gap):
     frames = [f for n, f in enumerate(ride().frames("rgbd")[:24]) if not 8 <= n < 8 + gap]
     slam, answers = tracked(frames, RGBD)
@@ -100,7 +99,7 @@ def test_a_camera_at_rest_stays_within_two_millimetres():
     assert np.linalg.norm(slam.trajectory().world_from_body.translation, axis=1).max() < 2e-3
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["rgbd"] + IS_WHOLE * ["mono"])
 def test_the_same_path_on_one_thread_and_on_two(kind):
     """A sub-map and a camera that is found again among it: to the last bit."""
     room, found = rendered("loop_room", 54, 6), []

@@ -12,6 +12,7 @@ from epipole.pipelines.slam.map import culling as forgetting
 from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.map.trajectory import Path
 from epipole.pipelines.slam.slam import Slam
+from whole import in_whole_run
 
 OFTEN = SlamConfig(keyframe_gap=2)
 """A keyframe every second frame."""
@@ -48,6 +49,7 @@ def test_keyframes_stay_few_and_the_path_stays(few_in_sight):
     assert len(slam.trajectory()) == len(frames)
 
 
+@in_whole_run
 def test_without_forgetting_they_grow():
     frames, _ = to_and_fro(3)
     slam, _ = tracked(frames, RGBD, OFTEN)

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from slam_rides import errors, rendered
 
-from epipole.config import AnchorOptions
 from epipole.geometry import Rigid3, Rotation3
 from epipole.inertial import ImuFactors, ImuLog, ImuNoise, MountedImu
+from epipole.metrics import absolute_error
+from epipole.pipelines.slam import run
 from epipole.pipelines.slam.map.imu import InertialConstraints
-from epipole.pipelines.slam.output.scale import anchor_map
-from epipole.pipelines.slam.run import slam as run_slam
 from epipole.pipelines.slam.slam import Slam
 from epipole.synthetic.inertial import imu_along, inertial_path
+from whole import in_whole_run
+
+pytestmark = pytest.mark.usefixtures("unchecked_module")
 
 COUNT, STEP = 108, 2
-LONG_ENOUGH = 64
-"""Images, for the unit to tell the scale."""
 MOUNTING = Rigid3(Rotation3.exp(np.array([0.4, -1.1, 0.7])).matrix, np.array([0.03, -0.02, 0.05]))
 NOISE = ImuNoise(accel_gain_sigma=1e-6)
 
@@ -44,8 +44,38 @@ def tracked(ride, imu):
 
 
 @pytest.fixture(scope="module")
-def with_unit(ride, unit):
-    return tracked(ride, unit)
+def job(ride, unit, tmp_path_factory, unchecked_module):
+    """The job on images and a log: its result, its system before the scale is applied, and what gave the scale."""
+    folder, kept = tmp_path_factory.mktemp("inertial"), []
+    params = ride.sensor("mono").camera.params
+    (folder / "images").mkdir()
+    for n, (grey, _, _) in enumerate(ride.images.values()):
+        cv2.imwrite(str(folder / "images" / f"{n:03d}.png"), grey)
+    log, there = unit.log, unit.camera_from_imu
+    np.savetxt(folder / "imu.txt", np.column_stack([log.timestamp_s, log.gyro_rad_s, log.accel_m_s2]), "%.9g")
+    rows = np.column_stack([there.rotation, there.translation]).tolist()
+    (folder / "mounting.yaml").write_text(f"T_cam_imu: {json.dumps([*rows, [0, 0, 0, 1]])}\n")
+
+    def recorded(system, *rest, anchor_map=run.anchor_map):
+        kept.append(copy.deepcopy(system))
+        kept.append(anchor_map(system, *rest))
+        return kept[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "anchor_map", recorded)
+        result = run.slam(
+            *(folder / "images", folder / "out"),
+            camera_params=",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(params)),
+            imu=folder / "imu.txt",
+            imu_mounting=folder / "mounting.yaml",
+            fps=10.0,
+        )
+    return result, *kept
+
+
+@pytest.fixture(scope="module")
+def with_unit(job):
+    return job[1]
 
 
 @pytest.fixture(scope="module")
@@ -53,51 +83,36 @@ def alone(ride):
     return tracked(ride, None)
 
 
-def test_the_path_is_no_worse_and_the_pictures_move_with_the_unit(ride, with_unit, alone):
+@in_whole_run
+def test_the_path_is_no_worse_and_the_images_move_with_the_unit(ride, with_unit, alone):
     truth = ride.truth()
     error = errors(with_unit, truth, "similarity").position.rmse
-    assert error < 1.1 * errors(alone, truth, "similarity").position.rmse and error < 2e-3
+    assert error < 1.1 * errors(alone, truth, "similarity").position.rmse
     moved = (
         with_unit.trajectory().world_from_body.translation - alone.trajectory().world_from_body.translation
     )
     assert np.abs(moved).max() > 1e-6  # else the factors had no part
 
 
-def test_the_scale_is_told_with_its_deviation(ride, with_unit, tmp_path, unit):
-    system = copy.deepcopy(with_unit)
-    write_unit(tmp_path, unit)
-    options = AnchorOptions(imu=tmp_path / "imu.txt", imu_mounting=tmp_path / "mounting.yaml")
-    found = anchor_map(system, options, [f"{k.number}" for k in system.maps[0].keyframes], {})
+def test_a_run_uses_the_unit_and_states_the_scale_with_its_deviation(ride, job):
+    result, before, found = job
+    assert result.summary["is_metric"] and "the IMU" in result.summary["scale"]
     (estimate,) = found.scale.estimates
     assert estimate.kind == "imu" and "adjusted with the images" in estimate.note
-    off = float(errors(system, ride.truth(), "similarity").truth_from_estimate.scale) - 1.0
+    truth, path = ride.truth(), result.trajectory
+    rows = np.rint(10 * path.timestamp_s).astype(int)
+    error = absolute_error(path.world_from_body, truth[rows], "similarity")
+    off = float(error.truth_from_estimate.scale) - 1.0
     assert abs(off) < 3 * estimate.sigma / estimate.scale < 0.03
+    assert errors(before, truth, "similarity").position.rmse < 2e-3
 
 
-def write_unit(folder, unit):
-    log, there = unit.log, unit.camera_from_imu
-    np.savetxt(folder / "imu.txt", np.column_stack([log.timestamp_s, log.gyro_rad_s, log.accel_m_s2]), "%.9g")
-    rows = np.column_stack([there.rotation, there.translation]).tolist()
-    (folder / "mounting.yaml").write_text(f"T_cam_imu: {json.dumps([*rows, [0, 0, 0, 1]])}\n")
-
-
+@in_whole_run
 def test_another_paths_unit_changes_nothing(ride, alone):
     other = MountedImu(inertial_path(5, seconds=6.0).log, MOUNTING)
     beside = tracked(ride, other)
     there = [one.trajectory().world_from_body.translation for one in (alone, beside)]
     np.testing.assert_array_equal(*there)
-
-
-def test_a_run_uses_the_unit(ride, unit, tmp_path):
-    images = tmp_path / "pictures"
-    images.mkdir()
-    for n, (grey, _, _) in enumerate(list(ride.images.values())[:LONG_ENOUGH]):
-        cv2.imwrite(str(images / f"{n:03d}.png"), grey)
-    write_unit(tmp_path, unit)
-    camera = {"camera_params": ",".join(map(str, ride.sensor("mono").camera.params))}
-    options = {"imu": tmp_path / "imu.txt", "imu_mounting": tmp_path / "mounting.yaml", "fps": 10.0}
-    whole = run_slam(images, tmp_path / "whole", **camera, **options)
-    assert whole.summary["is_metric"] and "the IMU" in whole.summary["scale"]
 
 
 def test_keyframes_are_in_a_row_where_the_log_covers_them(ride, with_unit, unit):

@@ -21,6 +21,7 @@ from epipole.pipelines.slam.output.answer_log import ANSWERS, read_answers
 from epipole.pipelines.slam.output.resuming import STARTED_AGAIN
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame
+from whole import IS_WHOLE
 
 WRITTEN = ("trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt", "map/map.npz")
 
@@ -68,7 +69,9 @@ def written(out):
     return [(out / name).read_bytes() for name in WRITTEN]
 
 
-@pytest.mark.parametrize("options", [{}, {"start": 5, "stride": 3}])
+@pytest.mark.parametrize(
+    "options", [{}, {"start": 5, "stride": 3}] if IS_WHOLE else [{"start": 5, "stride": 3}]
+)
 def test_frames_that_can_be_read_again_are_tracked_again(options, source):
     """The result is that of an undisturbed run, and the trajectory so far can be read after the crash."""
     position = source("stereo")
@@ -86,7 +89,7 @@ def test_frames_that_can_be_read_again_are_tracked_again(options, source):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL there")
 def test_a_killed_process_leaves_its_trajectory(tmp_path):
-    folder, out = write_pairs(tmp_path / "ride", 30), tmp_path / "out"
+    folder, out = write_pairs(tmp_path / "ride", 16), tmp_path / "out"
     command = [sys.executable, "-m", "epipole", "slam", str(folder), str(out)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     path = out / "checkpoint" / "trajectory_causal.txt"
@@ -94,7 +97,7 @@ def test_a_killed_process_leaves_its_trajectory(tmp_path):
         time.sleep(0.001)
     process.kill()
     assert process.wait() == -signal.SIGKILL
-    assert 6 <= len(read_trajectory(path)) < 30 and not (out / "trajectory.txt").exists()
+    assert 6 <= len(read_trajectory(path)) < 16 and not (out / "trajectory.txt").exists()
     run_slam(folder, out)
     run_slam(folder, tmp_path / "whole")
     assert written(out) == written(tmp_path / "whole")
@@ -110,7 +113,7 @@ def test_a_camera_that_starts_late_has_dropped_nothing(source):
     assert found.summary["num_dropped"] == 0
 
 
-@pytest.mark.parametrize("interval_s", [0.0, 3600.0])
+@pytest.mark.parametrize("interval_s", [0.0, 3600.0] if IS_WHOLE else [0.0])
 def test_the_trajectory_of_a_camera_is_kept(interval_s, source):
     """Its frames come once: those of the first run are kept, and the second one continues in the map of the first."""
     position = source("stereo", interval_s=interval_s, is_live=True)
@@ -133,7 +136,7 @@ def test_the_trajectory_of_a_camera_is_kept(interval_s, source):
         assert absolute_error(path.world_from_body, truth, "none").position.rmse < 0.02
 
 
-@pytest.mark.parametrize("kind", ["rgbd", "mono"])
+@pytest.mark.parametrize("kind", ["rgbd", "mono"] if IS_WHOLE else ["mono"])
 def test_other_cameras_are_continued_too(kind, source):
     position = source(kind, is_live=True)
     with pytest.raises(CrashError):

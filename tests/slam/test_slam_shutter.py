@@ -16,6 +16,7 @@ from epipole.pipelines.slam.shutter.motion import shutter_shifts
 from epipole.pipelines.slam.shutter.recent_motion import RecentMotion, motion_among
 from epipole.pipelines.slam.shutter.shutter import Shutter
 from epipole.pipelines.slam.slam import Slam
+from whole import in_whole_run
 
 CAMERA, READOUT_S = Camera("PINHOLE", 640, 480, [450.0, 450.0, 319.5, 239.5]), 0.03
 SHUTTER = Shutter(CAMERA, READOUT_S)
@@ -102,6 +103,7 @@ def test_the_motion_is_told_by_the_frames_around():
     assert recent.start_at(times[4]) is recent and recent.start_at(7.0).times == [7.0]
 
 
+@in_whole_run
 @pytest.mark.usefixtures("unchecked_module")
 def test_one_camera_s_map_is_straight_from_its_begin():
     ride = rendered("shuttered", COUNT, 1)

@@ -12,6 +12,7 @@ from epipole.metrics import absolute_error
 from epipole.pipelines.slam.frames import TrackingState
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.pipelines.slam.slam import Slam
+from whole import in_whole_run
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")  # long rides; others have had the types checked
 
@@ -19,8 +20,8 @@ STEP, BLANK, TEXTURE = 4, 97, 118
 """Frames 97 to 118 of the ride show the white wall alone."""
 
 
-def corridor():
-    return rendered("corridor", 620, STEP)
+def corridor(count=620):
+    return rendered("corridor", count, STEP)
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +30,7 @@ def whole(unchecked_module):
     return slam, [slam.track(frame) for frame in corridor().frames("rgbd")]
 
 
+@in_whole_run
 def test_the_loss_is_said_at_the_blank_wall(whole):
     _, answers = whole
     first = next(n for n, a in enumerate(answers) if a.state is TrackingState.LOST)
@@ -41,6 +43,7 @@ def test_the_loss_is_said_at_the_blank_wall(whole):
     assert "blank" in answers[TEXTURE // STEP].reason
 
 
+@in_whole_run
 def test_meanwhile_places_are_those_of_a_map_of_its_own(whole):
     _, answers = whole
     away = [a for a in answers if a.state is TrackingState.SUBMAP]
@@ -55,6 +58,7 @@ def test_meanwhile_places_are_those_of_a_map_of_its_own(whole):
     )  # its world is its first frame
 
 
+@in_whole_run
 def test_seeing_the_begin_again_joins_it(whole):
     slam, answers = whole
     assert len(slam.maps) == 1 and answers[-1].state is TrackingState.TRACKING
@@ -70,6 +74,7 @@ def test_seeing_the_begin_again_joins_it(whole):
     assert errors(slam, truth, "none").position.rmse < 0.05
 
 
+@in_whole_run
 def test_one_camera_is_in_maps_of_its_own_units():
     slam = Slam(corridor().sensor("mono"))
     frames = corridor().frames("mono")[:75]
@@ -87,12 +92,13 @@ def test_one_camera_is_in_maps_of_its_own_units():
 
 def test_a_map_that_is_never_joined_has_its_own_file(tmp_path):
     """The ride ends on the way: its parts are paths of their own, the longer one in the first file."""
-    numbers = [n for n in corridor().images if 40 <= n < 200]
+    ride = corridor(200)
+    numbers = range(40, 200, STEP)
     source, out = tmp_path / "ride", tmp_path / "out"
     (source / "rgb").mkdir(parents=True)
     (source / "depth").mkdir()
     rows = {"rgb": [], "depth": []}
-    for frame in corridor().frames("rgbd", numbers):
+    for frame in ride.frames("rgbd", numbers):
         name = f"{frame.timestamp_s:.6f}.png"
         cv2.imwrite(str(source / "rgb" / name), frame.grey)
         cv2.imwrite(str(source / "depth" / name), np.rint(5000 * frame.depth).astype(np.uint16))
@@ -100,7 +106,7 @@ def test_a_map_that_is_never_joined_has_its_own_file(tmp_path):
             lines.append(f"{frame.timestamp_s:.6f} {kind}/{name}")
     for kind, lines in rows.items():
         (source / f"{kind}.txt").write_text("\n".join(lines) + "\n")
-    camera = corridor().ride.camera
+    camera = ride.ride.camera
     params = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(camera.params))
     result = run_slam(source, out, camera_params=params)
     summary = json.loads((out / "summary.json").read_text())
@@ -118,6 +124,6 @@ def test_a_map_that_is_never_joined_has_its_own_file(tmp_path):
         path.timestamp_s
     )
     assert summary["states"]["submap"] >= len(main) and summary["states"]["lost"] > 0
-    truth = corridor().truth(numbers)
+    truth = ride.truth(numbers)
     rows = np.rint(10 * path.timestamp_s).astype(int)
     assert absolute_error(path.world_from_body, truth[rows], "rigid").position.rmse < 0.02

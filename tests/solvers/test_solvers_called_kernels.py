@@ -12,6 +12,7 @@ from epipole.solvers import _focal_motion_kernels as focal_motion
 from epipole.solvers import _more_pose_kernels as more
 from epipole.solvers import _two_view_kernels as two_view
 from kernel_references import assert_same_as_python, plain_python, python_form, reference_of
+from whole import IS_WHOLE, in_whole_run
 
 # Whole powers are multiplied out by the compiler and not by Python; the roots of a polynomial of degree 15 feel that.
 POWERS = {"rtol": 1e-7, "of_largest": 1e-7}
@@ -63,7 +64,7 @@ def shapes(room: Any) -> Any:
     return tuple(map(shapes, room)) if isinstance(room, tuple) else (room.dtype, room.shape)
 
 
-@pytest.mark.parametrize("trial", range(6))
+@pytest.mark.parametrize("trial", range(6 if IS_WHOLE else 2))
 @reference_of(absolute.p3p)
 def test_p3p(trial: int) -> None:
     rng = np.random.default_rng(trial)
@@ -78,7 +79,8 @@ def test_p3p(trial: int) -> None:
         assert_same_as_python(absolute.p3p, rows, in_cam, out, work)
 
 
-@pytest.mark.parametrize("trial", range(4))
+@in_whole_run
+@pytest.mark.parametrize("trial", range(4 if IS_WHOLE else 2))
 @reference_of(more.generalized_p3p, more.p4pf, more.upright_p2p)
 def test_poses(trial: int) -> None:
     rng = np.random.default_rng(trial)
@@ -114,7 +116,8 @@ def normalized(matrix: np.ndarray) -> np.ndarray:
     return matrix.ravel() / np.linalg.norm(matrix)
 
 
-@pytest.mark.parametrize("trial", range(4))
+@in_whole_run
+@pytest.mark.parametrize("trial", range(4 if IS_WHOLE else 2))
 @reference_of(
     five_point.essential_five_point, two_view.fundamental_seven_point, two_view.homography_four_point
 )
@@ -143,7 +146,7 @@ def test_two_views(trial: int) -> None:
         assert not assert_same_as_python(two_view.homography_four_point, rows, x1, out)[0]
 
 
-@pytest.mark.parametrize("trial", range(3))
+@pytest.mark.parametrize("trial", range(3 if IS_WHOLE else 2))
 @reference_of(more.upright_relative_three_point, focal_motion.shared_focal_six_point)
 def test_two_views_of_other_cameras(trial: int) -> None:
     rng = np.random.default_rng(trial)

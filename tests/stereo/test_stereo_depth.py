@@ -20,6 +20,7 @@ from epipole.pipelines.stereo.rigs import rectified_rig_of, rig_from_options
 from epipole.pipelines.stereo.run import examine_stereo
 from epipole.scene import DisparityMap, RectifiedRig, StereoReason, StereoRig
 from epipole.synthetic.stereo_rooms import stereo_room
+from whole import IS_WHOLE
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.12)
 
@@ -56,7 +57,7 @@ def test_covariances_are_those_of_simulated_pixels(rng):
 def test_depth_errors_lie_within_their_bars_near_and_far():
     """Z^2 / (f B) sigma_d against what is true, in fifths of rising depth."""
     ratios, depths = [], []
-    for seed in range(20_001, 20_021, 2):
+    for seed in range(20_001, 20_021 if IS_WHOLE else 20_011, 2):
         pair = stereo_room(seed, (320, 240))
         rig = RectifiedRig(pair.camera.K[0, 0], pair.camera.K[0, 2], pair.camera.K[1, 2], pair.baseline)
         config = StereoConfig(max_disparity_px=int(np.nanmax(pair.disparity_px)) + 8)

@@ -7,6 +7,7 @@ from epipole.cameras import Camera, CameraModel
 from epipole.synthetic import Box, HeightField, Plane, Sphere, SyntheticScene, Texture, look_at
 from epipole.synthetic import _render_kernels as kernels
 from kernel_references import assert_same_as_python, reference_of
+from whole import in_whole_run
 
 WIDTH, HEIGHT = 6, 4
 CAMERAS = {
@@ -37,6 +38,7 @@ def scene(texture: Texture) -> SyntheticScene:
     )
 
 
+@in_whole_run
 @pytest.mark.parametrize("lens", list(CAMERAS))
 @pytest.mark.parametrize("texture", list(Texture))
 @reference_of(kernels.render_rows)
