@@ -20,3 +20,16 @@ def pairwise(*values: Sequence[Any]) -> Iterator[tuple[Any, ...]]:
         rows.remove(row)
         left -= pairs_of(row)
         yield tuple(given[k] for given, k in zip(values, row))
+
+
+def each_once(*values: Sequence[Any]) -> Iterator[tuple[Any, ...]]:
+    """Rows in which every value occurs, the others counting through their product; all of it where the tests are whole."""
+    if IS_WHOLE:
+        yield from itertools.product(*values)
+        return
+    for row in range(max(map(len, values))):
+        digits, left = [], row
+        for given in values[1:]:
+            digits.append(given[left % len(given)])
+            left //= len(given)
+        yield values[0][row % len(values[0])], *digits

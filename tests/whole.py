@@ -2,4 +2,7 @@
 
 import os
 
+import pytest
+
 IS_WHOLE = bool(os.environ.get("EPIPOLE_WHOLE_TESTS"))
+in_whole_run = pytest.mark.skipif(not IS_WHOLE, reason="in `make test-whole`")

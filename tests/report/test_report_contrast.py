@@ -17,7 +17,7 @@ from epipole.pipelines.sfm.page.content import ReportContent
 from epipole.pipelines.sfm.page.page import render_report
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.scene import RectifiedRig
-from pairwise import pairwise
+from pairwise import each_once
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "calibration"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fields"))
@@ -117,9 +117,9 @@ def test_reports(name: str, reports: dict[str, Path], tab: Any) -> None:
 
 @pytest.mark.parametrize("tab", ["light"], indirect=True)
 def test_the_lesson(lesson_pages: list[Path], tab: Any) -> None:
-    """Each page in both languages and in both themes."""
+    """Each page; both languages and both themes occur together, in the whole run for each page."""
     english = [file for file in lesson_pages if ".zh." not in file.name]
-    for file, ending, theme in pairwise(english, (".html", ".zh.html"), ("light", "dark")):
+    for file, ending, theme in each_once(english, (".zh.html", ".html"), ("light", "dark")):
         tab.emulate_media(color_scheme=theme)
         check(tab, file.with_name(file.name.replace(".html", ending)), 0)
 
