@@ -1,5 +1,6 @@
 """Every kind of path in a headless browser: it is drawn, says no error and loads nothing from elsewhere; and as one file."""
 
+import base64
 import io
 import json
 import time
@@ -198,11 +199,12 @@ class Opened:
     def rendered(self) -> np.ndarray:
         """(h, w, 3) the canvas alone."""
         self.improve()
-        blob = self.page.evaluate(
-            """() => space.then(s => new Promise(done => s.snapshot(async blob =>
-            done([...new Uint8Array(await blob.arrayBuffer())]))))"""
+        address = self.page.evaluate(
+            """() => space.then(s => new Promise(done => s.snapshot(blob => { const reader = new FileReader();
+            reader.onload = () => done(reader.result); reader.readAsDataURL(blob); })))"""
         )
-        return np.asarray(Image.open(io.BytesIO(bytes(blob))).convert("RGB")).astype(float)
+        png = base64.b64decode(address.partition(",")[2])
+        return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(float)
 
     def close(self) -> None:
         self.page.close()
