@@ -22,14 +22,15 @@ def pairwise(*values: Sequence[Any]) -> Iterator[tuple[Any, ...]]:
         yield tuple(given[k] for given, k in zip(values, row))
 
 
-def each_once(*values: Sequence[Any]) -> Iterator[tuple[Any, ...]]:
-    """Rows in which every value occurs, the others counting through their product; all of it where the tests are whole."""
+def each_once(*values: Sequence[Any]) -> list[tuple[Any, ...]]:
+    """A row for each of the first values, in which the others count through their product; all of it where the tests are whole."""
     if IS_WHOLE:
-        yield from itertools.product(*values)
-        return
-    for row in range(max(map(len, values))):
-        digits, left = [], row
+        return list(itertools.product(*values))
+    rows = []
+    for number, first in enumerate(values[0]):
+        digits, left = [], number
         for given in values[1:]:
             digits.append(given[left % len(given)])
             left //= len(given)
-        yield values[0][row % len(values[0])], *digits
+        rows.append((first, *digits))
+    return rows

@@ -6,6 +6,7 @@ import time
 import pytest
 
 from epipole.lesson.pages import LANGUAGES, PAGES, lesson_pages, texts
+from page_contrast import check_contrast
 from pairwise import each_once
 
 FILES = tuple(lesson_pages())
@@ -96,9 +97,10 @@ def check_narrow_layout(tab, name):
 
 
 @pytest.mark.parametrize(("tab", "name"), SEEN, indirect=["tab"])
-def test_a_page_loads_nothing_else_is_accessible_and_fits_a_phone(tab, name):
+def test_a_page_loads_nothing_else_is_accessible_readable_and_fits_a_phone(tab, name):
     check_loading(tab, name)
     check_accessibility(tab)
+    check_contrast(tab.page, name, 0)
     check_narrow_layout(tab, name)
 
 
