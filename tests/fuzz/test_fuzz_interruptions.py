@@ -10,7 +10,7 @@ import pytest
 
 from whole import IS_WHOLE
 
-POINTS = 6 if IS_WHOLE else 3
+POINTS = 6 if IS_WHOLE else 2
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the trials fork")
