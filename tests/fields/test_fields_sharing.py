@@ -176,9 +176,12 @@ def test_the_command_writes_the_page_and_starts_no_server(
 
 @pytest.fixture
 def tab(browser: Any) -> Iterator[Tab]:
-    opened = Tab(browser.new_page())
+    opened = Tab(browser.new_page(viewport=SMALL))
     yield opened
     opened.page.close()
+
+
+SMALL = {"width": 480, "height": 400}
 
 
 def drawn_by(tab: Tab) -> np.ndarray:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from whole import IS_WHOLE
+from whole import IS_WHOLE, in_whole_run
 
 POINTS = 6 if IS_WHOLE else 2
 
@@ -20,6 +20,7 @@ def test_killed_and_out_of_space() -> None:
         assert re.search(rf"^{job}: \d+ file operations, {POINTS} trials$", printed, re.MULTILINE), job
 
 
+@in_whole_run
 def test_two_at_once() -> None:
     assert "1 of 1 ended" in run("tests.fuzz.two_processes", "--times", "1")
 

@@ -121,7 +121,7 @@ def test_every_step_is_that_of_the_whole_matrix(tab):
         start = disturbed(scene, off)
         steps = whole_adjustment(*start, seen, pixels, 12)
         tab.set(visible=visible, s=s, off=off)
-        for step in (0, 1, 2, 4, 12):
+        for step in (0, 3, 12):
             tab.set(step=step)
             shown, (cost, damping) = tab.shown(), steps[step]
             close(shown["cost"], cost)
