@@ -1,4 +1,4 @@
-"""Wrong calls, the same in every run, in a process of their own."""
+"""A thousand wrong calls, the same in every run, in a process of their own."""
 
 import sys
 from pathlib import Path
@@ -8,13 +8,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 from wrong_calls import Call, Case, failure_of, run_cases
 
 from epipole.errors import ConfigError
-from whole import IS_WHOLE
-
-COUNT = 1000 if IS_WHOLE else 200
+from whole import in_whole_run
 
 
-def test_wrong_calls_give_results_or_our_errors() -> None:
-    assert run_cases(range(COUNT), seed=7) == []
+@in_whole_run
+def test_a_thousand_wrong_calls_give_results_or_our_errors() -> None:
+    assert run_cases(range(1000), seed=7) == []
 
 
 def test_other_errors_are_findings() -> None:
