@@ -550,7 +550,7 @@ PACKED = {
     "SPZ of gzip": (
         *("gaussians", "a.spz"),
         lambda path: path.write_bytes(
-            gzip.compress(struct.pack("<4sIIBBBB", b"NGSP", 3, 1 << 24, 0, 12, 0, 0) + bytes(20 << 24))
+            gzip.compress(struct.pack("<4sIIBBBB", b"NGSP", 3, 1 << 24, 0, 12, 0, 0) + bytes(20 << 24), 1)
         ),
     ),
     "MCAP of zstd": ("bag", "ride.mcap", mcap("zstd", zstd_frame)),
