@@ -73,9 +73,9 @@ BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "
 SOFTWARE_GL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
-    """Headless, with WebGL in software; ends with the file: while it runs, no other asyncio loop can begin in this thread."""
+    """Headless, with WebGL in software: one for all files of a process, in whose main thread no other asyncio loop can run then."""
     if BROWSER is None:
         pytest.skip("no Chromium on this machine")
     playwright = pytest.importorskip("playwright.sync_api")

@@ -20,3 +20,17 @@ def pairwise(*values: Sequence[Any]) -> Iterator[tuple[Any, ...]]:
         rows.remove(row)
         left -= pairs_of(row)
         yield tuple(given[k] for given, k in zip(values, row))
+
+
+def each_once(*values: Sequence[Any]) -> list[tuple[Any, ...]]:
+    """A row for each of the first values, in which the others count through their product; all of it where the tests are whole."""
+    if IS_WHOLE:
+        return list(itertools.product(*values))
+    rows = []
+    for number, first in enumerate(values[0]):
+        digits, left = [], number
+        for given in values[1:]:
+            digits.append(given[left % len(given)])
+            left //= len(given)
+        rows.append((first, *digits))
+    return rows

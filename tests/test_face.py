@@ -27,6 +27,7 @@ from epipole.pipelines.stereo.run import stereo_many, stereo_of_model
 from epipole.robust import PairMatches, verify_pairs
 from epipole.scene import depth_map_to_point_cloud, extent_of
 from epipole.synthetic.problems import two_view_problem
+from whole import in_whole_run
 
 MOST_NAMES = 60
 
@@ -85,12 +86,14 @@ def test_every_class_of_a_signature_can_be_imported_from_the_package() -> None:
 
 
 def test_the_typed_keywords_are_the_options_of_the_configs() -> None:
+    assert (Path(epipole.__file__).parent / "py.typed").is_file()
     for pipeline in option_types.PIPELINES:
         written = option_types.path_of(pipeline).read_text(encoding="utf-8")
         wanted = option_types.source_of(pipeline)
         assert ast.dump(ast.parse(written)) == ast.dump(ast.parse(wanted)), "python -m tests.option_types"
 
 
+@in_whole_run
 def test_a_type_checker_sees_options_and_arrays(tmp_path: Path) -> None:
     file = tmp_path / "use.py"
     file.write_text(USE)

@@ -15,6 +15,7 @@ from epipole._jit import mode
 from epipole._jit.as_python import MATH
 from epipole._jit.mode import VARIABLE, KernelMode, kernel_mode
 from epipole.errors import ConfigError
+from whole import IS_WHOLE
 
 SCRIPT = Path(__file__).with_name("kernel_mode_jobs.py")
 LAST_DIGITS = 1e-7
@@ -23,9 +24,8 @@ two views that stand close hang on the last digits of their pixels."""
 
 
 JOBS = ("cameras", "homography", "adjustment", "stereo")
-IS_WHOLE = bool(os.environ.get("EPIPOLE_WHOLE_TESTS"))
-"""Set by `make test-numba`: the robust loop and bundle adjustment take half a minute to compile in the plain mode."""
-PLAIN_JOBS = JOBS if IS_WHOLE else ("cameras", "stereo")
+PLAIN_JOBS = JOBS if IS_WHOLE else ("cameras",)
+"""Other kernels than those of cameras take half a minute to compile in the plain mode."""
 
 
 @cache

@@ -69,11 +69,11 @@ def workspace(tmp_path_factory):
     return folder, names, views, printed
 
 
-def test_demo_leaves_other_peoples_folders_alone(tmp_path):
+def test_demo_leaves_other_peoples_folders_alone(tmp_path, here):
     mine = tmp_path / "photographs" / "IMG_1.jpg"
     mine.parent.mkdir()
     mine.write_text("precious")
-    assert "was not written by epipole" in run("demo", tmp_path, expect=1)
+    assert "was not written by epipole" in here("demo", tmp_path, expect=1)
     assert mine.read_text() == "precious"
 
 
@@ -99,18 +99,18 @@ def test_reconstruct_places_every_photograph_near_the_truth(workspace):
     assert json.loads((folder / "out" / "summary.json").read_text())["num_registered"] == COUNT
 
 
-def test_again_it_redoes_nothing_and_gives_the_same_bytes(workspace):
+def test_again_it_redoes_nothing_and_gives_the_same_bytes(workspace, here):
     folder, _, _, _ = workspace
     before = (folder / "out" / "sparse" / "0" / "points3D.bin").read_bytes()
     stamps = {p: p.stat().st_mtime_ns for p in (folder / "out" / "work").rglob("*.npz")}
-    run("reconstruct", folder / "photographs", folder / "out")
+    here("reconstruct", folder / "photographs", folder / "out")
     assert (folder / "out" / "sparse" / "0" / "points3D.bin").read_bytes() == before
     assert stamps == {p: p.stat().st_mtime_ns for p in (folder / "out" / "work").rglob("*.npz")}
 
 
-def test_one_thread_gives_the_same_bytes(workspace):
+def test_one_thread_gives_the_same_bytes(workspace, here):
     folder, _, _, _ = workspace
-    run("reconstruct", folder / "photographs", folder / "one", "--threads", "1")
+    here("reconstruct", folder / "photographs", folder / "one", "--threads", "1")
     for name in ("cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin"):
         a, b = (folder / out / "sparse" / "0" / name for out in ("out", "one"))
         assert a.read_bytes() == b.read_bytes(), name
@@ -132,7 +132,7 @@ def test_evaluate_undistort_and_convert(workspace, here):
         model, frames=replace(model.frames, rig_from_world=Rigid3(views.rotation, views.translation))
     )
     write_colmap_model(truth, folder / "truth")
-    result = json.loads(run("evaluate", folder / "out", "--truth", folder / "truth", "--json"))
+    result = json.loads(here("evaluate", folder / "out", "--truth", folder / "truth", "--json"))
     assert result["num_registered"] == COUNT and result["position_mean"] < 0.02 and result["auc"]["5"] > 0.95
     assert f"{COUNT} of {COUNT}" in here("evaluate", folder / "out", "--truth", folder / "truth")
     here("undistort", folder / "out")
@@ -144,11 +144,11 @@ def test_evaluate_undistort_and_convert(workspace, here):
         here("convert", folder / "out", folder / f"as_{form}", "--format", form)
 
 
-def test_errors_are_one_line_and_a_code(tmp_path):
+def test_errors_are_one_line_and_a_code(tmp_path, here):
     printed = run("reconstruct", tmp_path / "nothing", tmp_path / "out", expect=1)
     assert printed.count("Traceback") == 0 and "does not exist" in printed
-    assert "contains no model" in run("view", tmp_path, expect=1)
-    assert "epipole" in run("version")
+    assert "contains no model" in here("view", tmp_path, expect=1)
+    assert "epipole" in here("version")
 
 
 def test_stereo_of_two_files(tmp_path, here):
@@ -157,7 +157,7 @@ def test_stereo_of_two_files(tmp_path, here):
     Image.fromarray(pair.left).save(left)
     Image.fromarray(pair.right).save(right)
     known = ("--focal-px", pair.camera.K[0, 0], "--baseline", pair.baseline)
-    printed = run("stereo", left, right, tmp_path / "out", *known)
+    printed = here("stereo", left, right, tmp_path / "out", *known)
     assert "of the pixels known" in printed and "points" in printed
     found, truth = (
         read_pfm(tmp_path / "out" / "depth.pfm"),

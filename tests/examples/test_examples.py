@@ -14,6 +14,9 @@ from whole import IS_WHOLE
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
 EXAMPLES = sorted(FOLDER.glob("*.py"))
+TRAINING = ("12_gaussian_splats", "13_radiance_field")
+"""Trainings for longer than what the tests of fields train; these run in the whole run."""
+QUICK = [path for path in EXAMPLES if path.stem not in TRAINING]
 LONGEST_S = 300
 """With kernels that are not compiled yet; each takes a few seconds with them."""
 
@@ -27,7 +30,7 @@ def programs() -> Iterator[AnsweringProcess]:
     process.close()
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", EXAMPLES if IS_WHOLE else QUICK, ids=lambda path: path.stem)
 def test_an_example_runs(path, tmp_path, programs):
     here, out = tmp_path / "here", tmp_path / "out"
     here.mkdir()
@@ -60,5 +63,7 @@ def test_an_example_has_the_form_of_a_page(path):
     for (a, b), (is_prose_a, is_prose_b) in zip(pairwise(lines), pairwise(prose)):
         assert is_prose_a == is_prose_b or not a or not b, f"prose beside code: {a!r}, {b!r}"
     assert sum(prose) >= 6
+    imports = [node for node in ast.parse(text).body if isinstance(node, ast.Import | ast.ImportFrom)]
+    exec(compile(ast.Module(imports, []), path.name, "exec"), {})  # names that are there
     asserts = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Assert)]
     assert len(asserts) >= 4, "each step shows what was learnt"

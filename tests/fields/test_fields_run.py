@@ -23,6 +23,7 @@ from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.images import gather_field_images
 from epipole.pipelines.fields.scene import is_mine, seen_gaussians
 
+pytestmark = pytest.mark.usefixtures("unchecked_module")
 OPTIONS = {"steps": 80, "max_gaussians": 400, "sh_degree": 1}
 
 

@@ -176,9 +176,12 @@ def test_the_command_writes_the_page_and_starts_no_server(
 
 @pytest.fixture
 def tab(browser: Any) -> Iterator[Tab]:
-    opened = Tab(browser.new_page())
+    opened = Tab(browser.new_page(viewport=SMALL))
     yield opened
     opened.page.close()
+
+
+SMALL = {"width": 480, "height": 400}
 
 
 def drawn_by(tab: Tab) -> np.ndarray:
@@ -214,12 +217,12 @@ def test_the_page_draws_as_the_rasteriser_does(page: str, tab: Tab) -> None:
         ((0.1, 0.3, 0.2), (1.0, 0.2, 0.1), (0.0, -1.0, 0.0), 90.0),
     ]:
         address = f"#view={','.join(map(str, (*position, *middle, *up, degrees)))}"
-        tab.open(page + address, 480, 400)
+        tab.open(page + address, 240, 200)
         assert likeness_db(tab, seen_from_all_sides(), position, middle, up, degrees, 1.0) > LEAST_DB
         seen = tab.image()
-        assert seen.shape == (400, 480, 3) and seen[100:300].std() > 5
+        assert seen.shape == (200, 240, 3) and seen[50:150].std() > 5
     tab.call("Page.addScriptToEvaluateOnNewDocument", source="Worker = undefined;")
-    tab.open(page + address, 350, 480)
+    tab.open(page + address, 175, 240)
     assert likeness_db(tab, seen_from_all_sides(), position, middle, up, degrees, 1.0) > LEAST_DB
     assert tab.problems == []
 

@@ -118,7 +118,7 @@ def watched(job, source, out, options, act, tab):
     training.start()
     try:
         assert is_listening.wait(LONGEST_S) and not problems
-        tab.open(f"http://127.0.0.1:{port}/")
+        tab.open(f"http://127.0.0.1:{port}/", 480, 400)
         tab.wait_until("document.documentElement.dataset.live === 'running'")
         is_open.set()
         tab.wait_until(FINAL)
@@ -144,7 +144,7 @@ def test_a_page_renders_the_gaussians_as_they_are_trained(source, tmp_path, tab)
         np.testing.assert_allclose(np.reshape(means, (-1, 3)), result.cloud.means_in_world, atol=1e-5)
         text = tab.value("document.body.innerText")
         assert "The training has ended" in text and f"{len(result.cloud):,} Gaussians" in text
-        assert tab.image({"x": 300, "y": 200, "width": 200, "height": 300}).std() > 5
+        assert tab.image({"x": 180, "y": 130, "width": 120, "height": 200}).std() > 5
 
     watched(splat, source, tmp_path / "out", BLOBS, descriptor, tab)
 
@@ -154,6 +154,6 @@ def test_a_field_is_rendered_for_the_viewpoint_of_the_tab(source, tmp_path, tab)
         o = tab.value("space.then(s => s.view.basis().o)")
         assert tab.value("space.then(s => s.drawn.backdrop.place)") == o
         tab.wait_until("document.getElementById('space').dataset.settled === 'yes'")
-        assert tab.image({"x": 300, "y": 200, "width": 200, "height": 300}).std() > 5
+        assert tab.image({"x": 180, "y": 130, "width": 120, "height": 200}).std() > 5
 
     watched(nerf, source, tmp_path / "out", {"kind": "grid", "steps": 40}, descriptor, tab)

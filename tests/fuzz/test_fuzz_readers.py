@@ -10,12 +10,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import run
 
-from whole import IS_WHOLE
+from whole import IS_WHOLE, in_whole_run
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is limited as on Linux")
 
 SOURCES = Path(__file__).parents[2] / "src" / "epipole"
-CASES = 5000 if IS_WHOLE else 1000
+CASES = 5000 if IS_WHOLE else 200
 SEED = 1
 WITHOUT_FILES = {"pair_folders", "pair_within", "list_photographs"}
 """They list folders, and read none of the files in them."""
@@ -76,6 +76,7 @@ def test_no_reader_is_left_out() -> None:
     assert {"read_colmap_model", "read_database", "read_calibration"} <= names & known
 
 
+@in_whole_run
 def test_a_case_is_repeated_to_the_byte(searched: tuple[list[run.Finding], Path], tmp_path: Path) -> None:
     format_, file = "transforms-all", Path("transforms-all") / "transforms.json"
     last = next(stop - 1 for name, _, _, stop in run.tasks_of(CASES, SEED) if name == format_)

@@ -8,8 +8,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 from wrong_calls import Call, Case, failure_of, run_cases
 
 from epipole.errors import ConfigError
+from whole import in_whole_run
 
 
+@in_whole_run
 def test_a_thousand_wrong_calls_give_results_or_our_errors() -> None:
     assert run_cases(range(1000), seed=7) == []
 

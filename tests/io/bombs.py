@@ -175,7 +175,7 @@ IMAGES: dict[str, Callable[[], bytes]] = {
     "TIFF of zeros": lambda: tiff(12000, 12000, 8),
     "TIFF of 2^31 channels": lambda: tiff(2000, 2000, 8, channels=65535),
     "TIFF of 4 gigapixels": lambda: tiff(65535, 65535, 5),
-    "WebP of one colour": lambda: encoded("WEBP", (16383, 9000), lossless=True),
+    "WebP of one colour": lambda: encoded("WEBP", (16383, 9000), lossless=True, quality=0, method=0),
     "BMP": lambda: encoded("BMP")[:18] + struct.pack("<ii", 12000, 12000) + encoded("BMP")[26:],
     "BMP of negative size": lambda: (
         encoded("BMP")[:18] + struct.pack("<ii", -5, -(2**31)) + encoded("BMP")[26:]
@@ -550,7 +550,7 @@ PACKED = {
     "SPZ of gzip": (
         *("gaussians", "a.spz"),
         lambda path: path.write_bytes(
-            gzip.compress(struct.pack("<4sIIBBBB", b"NGSP", 3, 1 << 24, 0, 12, 0, 0) + bytes(20 << 24))
+            gzip.compress(struct.pack("<4sIIBBBB", b"NGSP", 3, 1 << 24, 0, 12, 0, 0) + bytes(20 << 24), 1)
         ),
     ),
     "MCAP of zstd": ("bag", "ride.mcap", mcap("zstd", zstd_frame)),

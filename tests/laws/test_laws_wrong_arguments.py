@@ -114,6 +114,13 @@ def _swapped(array: np.ndarray) -> np.ndarray:
     return array.astype(array.dtype.newbyteorder())
 
 
+def _foreign(array: np.ndarray) -> np.ndarray:
+    """The three at once."""
+    out = _scattered(_swapped(array)).view()
+    out.flags.writeable = False
+    return out
+
+
 def _narrow(array: np.ndarray) -> np.ndarray:
     return array.astype({"f": np.float32, "i": np.int32}.get(array.dtype.kind, array.dtype))
 
@@ -123,7 +130,7 @@ def _wide(array: np.ndarray) -> np.ndarray:
 
 
 _OF_KERNELS = re.compile(r"epipole\..*_kernels$")
-FORMS = (_read_only, _scattered, _swapped, _narrow, _wide)
+FORMS = (_read_only, _scattered, _swapped, _narrow, _wide) if IS_WHOLE else (_foreign, _narrow, _wide)
 
 
 def in_form(value: Any, form: Callable[[np.ndarray], np.ndarray]) -> Any:

@@ -13,7 +13,7 @@ class Tab:
     """A page of the lesson, what it says of errors and what it asks for from elsewhere."""
 
     def __init__(self, page: Any, folder: Path) -> None:
-        self.page, self.folder, self.problems, self.loaded = page, folder, [], []
+        self.page, self.folder, self.problems, self.loaded, self.num_moves = page, folder, [], [], 0
         page.on("pageerror", lambda error: self.problems.append(str(error)))
         page.on("console", lambda said: self.problems.append(said.text) if said.type == "error" else None)
         page.on("request", lambda request: self.loaded.append(request.url))
@@ -23,14 +23,15 @@ class Tab:
         self.page.goto((self.folder / name).as_uri())
 
     def set(self, **values: float) -> None:
-        """Move sliders as a hand does: each tells that it was moved."""
+        """Move sliders; one of them, another each time, has the event of the last move, for all are read at each."""
+        self.num_moves += 1
         self.page.evaluate(
-            """values => { for (const [name, value] of Object.entries(values)) {
-                const input = document.getElementById(name);
-                input.value = value;
-                input.dispatchEvent(new Event("input"));
-            } }""",
-            {name: repr(float(value)) for name, value in values.items()},
+            """([values, number]) => {
+                for (const [name, value] of Object.entries(values)) document.getElementById(name).value = value;
+                const names = Object.keys(values);
+                document.getElementById(names[number % names.length]).dispatchEvent(new Event("input"));
+            }""",
+            [{name: repr(float(value)) for name, value in values.items()}, self.num_moves],
         )
 
     def shown(self) -> dict[str, float]:
@@ -54,11 +55,24 @@ def lesson(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return export_lesson(tmp_path_factory.mktemp("lesson")).folder
 
 
-@pytest.fixture(params=["light"])
-def tab(request: pytest.FixtureRequest, browser: Any, lesson: Path) -> Iterator[Tab]:
-    """A tab of its own; it must say no error, and ask for nothing but pages of the lesson."""
-    page = browser.new_page(viewport={"width": 1000, "height": 900}, color_scheme=request.param)
-    tab = Tab(page, lesson)
-    yield tab
+SIZE = {"width": 1000, "height": 900}
+
+
+@pytest.fixture(scope="module")
+def tab_of_file(browser: Any, lesson: Path) -> Iterator[Tab]:
+    """One tab for all tests of a file: each loads its page anew."""
+    page = browser.new_page(viewport=SIZE)
+    yield Tab(page, lesson)
     page.close()
-    assert not tab.problems
+
+
+@pytest.fixture(params=["light"])
+def tab(request: pytest.FixtureRequest, tab_of_file: Tab) -> Iterator[Tab]:
+    """A tab in one theme; it must say no error, and ask for nothing but pages of the lesson."""
+    tab_of_file.page.goto("about:blank")
+    tab_of_file.page.emulate_media(color_scheme=request.param)
+    tab_of_file.page.set_viewport_size(SIZE)
+    tab_of_file.page.mouse.move(0, 0)
+    yield tab_of_file
+    problems, tab_of_file.problems[:] = list(tab_of_file.problems), []
+    assert not problems

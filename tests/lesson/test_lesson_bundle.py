@@ -1,5 +1,7 @@
 """The page on bundle adjustment: every step against the same with the whole matrix, the end against the library's."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -7,10 +9,15 @@ from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Rotation3, align_points
 from epipole.lesson.scenes import ring
 from epipole.optim import BundleConfig, BundleProblem, adjust_bundle
-from pairwise import pairwise
+from whole import IS_WHOLE
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")
 CAMERA = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5])
+
+
+def sampled(*values):
+    """Every value once; all combinations in the whole run."""
+    return list(product(*values) if IS_WHOLE else zip(*values, strict=True))
 
 
 def observed(scene, visible, s):
@@ -116,12 +123,12 @@ def close(found, wanted, size=1.0):
 def test_every_step_is_that_of_the_whole_matrix(tab):
     tab.open("08_bundle.html")
     scene = ring()
-    for visible, s, off in pairwise((55.0, 80.0), (0.25, 2.0), (0.1, 0.5)):
+    for visible, s, off in sampled((55.0, 80.0), (0.25, 2.0), (0.5, 0.1)):
         seen, pixels = observed(scene, visible, s)
         start = disturbed(scene, off)
         steps = whole_adjustment(*start, seen, pixels, 12)
         tab.set(visible=visible, s=s, off=off)
-        for step in (0, 1, 2, 4, 12):
+        for step in (0, 3, 12):
             tab.set(step=step)
             shown, (cost, damping) = tab.shown(), steps[step]
             close(shown["cost"], cost)
@@ -135,7 +142,7 @@ def test_it_ends_where_the_library_ends(tab):
     tab.open("08_bundle.html")
     scene = ring()
     # Twelve steps bring a start to its end to nine digits where the noise is not large.
-    for visible, s, off in pairwise((65.0, 80.0), (0.25, 1.0), (0.1, 0.3)):
+    for visible, s, off in sampled((65.0, 80.0), (0.25, 1.0), (0.3, 0.1)):
         seen, pixels = observed(scene, visible, s)
         tab.set(step=12, visible=visible, s=s, off=off)
         problem = problem_of(*disturbed(scene, off), seen, pixels)

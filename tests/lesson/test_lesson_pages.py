@@ -6,15 +6,16 @@ import time
 import pytest
 
 from epipole.lesson.pages import LANGUAGES, PAGES, lesson_pages, texts
-from pairwise import pairwise
+from page_contrast import check_contrast
+from pairwise import each_once
 
 FILES = tuple(lesson_pages())
 ENGLISH = [name for name in FILES if ".zh." not in name]
 SEEN = [
     (theme, name.replace(".html", ending))
-    for name, ending, theme in pairwise(ENGLISH, (".html", ".zh.html"), ("light", "dark"))
+    for name, ending, theme in each_once(ENGLISH, (".html", ".zh.html"), ("light", "dark"))
 ]
-"""Each page in both languages and in both themes."""
+"""Each page; both languages and both themes occur together, in the whole run for each page."""
 WCAG = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]
 MOST_BYTES, MOST_SECONDS, PHONE = 1_500_000, 1.0, 390
 NAMES = ("page", "function")
@@ -96,9 +97,10 @@ def check_narrow_layout(tab, name):
 
 
 @pytest.mark.parametrize(("tab", "name"), SEEN, indirect=["tab"])
-def test_a_page_loads_nothing_else_is_accessible_and_fits_a_phone(tab, name):
+def test_a_page_loads_nothing_else_is_accessible_readable_and_fits_a_phone(tab, name):
     check_loading(tab, name)
     check_accessibility(tab)
+    check_contrast(tab.page, name, 0)
     check_narrow_layout(tab, name)
 
 

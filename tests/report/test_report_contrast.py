@@ -1,4 +1,4 @@
-"""Every page that epipole writes can be read in both themes: contrast of its text, also of the text in charts."""
+"""Every report can be read in both themes: contrast of its text, also of the text in charts."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import pytest
 
 import epipole
 from epipole import api, splat
-from epipole.lesson.run import export_lesson
 from epipole.pipelines.sfm.page.content import ReportContent
 from epipole.pipelines.sfm.page.page import render_report
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.scene import RectifiedRig
-from pairwise import pairwise
+from page_contrast import SCRIPT, check_contrast
+from pairwise import each_once
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "calibration"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fields"))
@@ -45,7 +45,6 @@ TEMPLATES = {
     "reconstruction": ("reconstruction", "nothing-reconstructed"),
     **{name: (name,) for name in ("slam", "stereo", "calibration", "field", "scene")},
 }
-SCRIPT = (Path(__file__).parent / "text_contrast.js").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -74,31 +73,17 @@ def reports(
 
 
 @pytest.fixture(scope="module")
-def lesson_pages(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    done = export_lesson(tmp_path_factory.mktemp("lesson"))
-    return [done.folder / name for name in done.pages]
-
-
-@pytest.fixture(params=["light", "dark"])
-def tab(request: pytest.FixtureRequest, browser: Any) -> Iterator[Any]:
-    page = browser.new_page(viewport={"width": 1200, "height": 900}, color_scheme=request.param)
+def tab_of_file(browser: Any) -> Iterator[Any]:
+    page = browser.new_page(viewport={"width": 1200, "height": 900})
     page.set_default_timeout(60_000)
     yield page
     page.close()
 
 
-def check(tab: Any, file: Path, least_in_charts: int) -> None:
-    tab.goto(file.as_uri())
-    tab.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
-    texts = tab.evaluate(SCRIPT)
-    known = [text for text in texts if text["isKnown"]]
-    poor = [text for text in known if text["contrast"] < text["needed"]]
-    assert not poor, (file.name, poor)
-    assert len(known) >= 0.6 * len(texts) and len(known) >= 8, (file.name, len(known), len(texts))
-    in_charts = [text for text in known if text["isSvg"]]
-    assert len(in_charts) >= least_in_charts, file.name
-    unknown = [text for text in texts if text["isSvg"] and not (text["isKnown"] or text["isOverPicture"])]
-    assert len(unknown) <= len(in_charts), (file.name, unknown)
+@pytest.fixture(params=["light", "dark"])
+def tab(request: pytest.FixtureRequest, tab_of_file: Any) -> Any:
+    tab_of_file.emulate_media(color_scheme=request.param)
+    return tab_of_file
 
 
 def test_every_template_of_a_page_is_here() -> None:
@@ -110,18 +95,10 @@ def test_every_template_of_a_page_is_here() -> None:
     )
 
 
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize(("name", "tab"), each_once([*PAGES], ("light", "dark")), indirect=["tab"])
 def test_reports(name: str, reports: dict[str, Path], tab: Any) -> None:
-    check(tab, reports[name], PAGES[name])
-
-
-@pytest.mark.parametrize("tab", ["light"], indirect=True)
-def test_the_lesson(lesson_pages: list[Path], tab: Any) -> None:
-    """Each page in both languages and in both themes."""
-    english = [file for file in lesson_pages if ".zh." not in file.name]
-    for file, ending, theme in pairwise(english, (".html", ".zh.html"), ("light", "dark")):
-        tab.emulate_media(color_scheme=theme)
-        check(tab, file.with_name(file.name.replace(".html", ending)), 0)
+    tab.goto(reports[name].as_uri())
+    check_contrast(tab, name, PAGES[name])
 
 
 BROKEN = """<!doctype html><body style="background:#fff;color:#222">

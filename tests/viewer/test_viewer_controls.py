@@ -23,14 +23,38 @@ from epipole.viewer.scene_page import scene_page
 RGB = np.full((2, 3), 255, np.uint8)
 
 
-@pytest.fixture
-def tab(browser: Any, tmp_path: Path) -> Iterator[Opened]:
-    """A workspace of two cameras and forty points in a row."""
-    handle = api.view(workspace(tmp_path), port=free_port(), block=False)
-    opened = Opened(browser, handle.url, 600, 500)
+SIZE = {"width": 600, "height": 500}
+
+
+@pytest.fixture(scope="module")
+def tab_of_file(browser: Any) -> Iterator[Opened]:
+    """One tab for all tests: each loads its page anew."""
+    opened = Opened(browser, None, **SIZE)
     yield opened
     opened.close()
+
+
+@pytest.fixture
+def empty_tab(tab_of_file: Opened) -> Iterator[Opened]:
+    """A tab of its usual size, which must say no error."""
+    tab_of_file.page.set_viewport_size(SIZE)
+    yield tab_of_file
+    assert tab_of_file.problems == []
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Of a workspace of two cameras and forty points in a row."""
+    handle = api.view(workspace(tmp_path_factory.mktemp("workspace")), port=free_port(), block=False)
+    yield handle.url
     handle.stop()
+
+
+@pytest.fixture
+def tab(address: str, empty_tab: Opened) -> Opened:
+    """The page of the workspace."""
+    empty_tab.open(address)
+    return empty_tab
 
 
 def lit(rendered: np.ndarray) -> int:
@@ -114,7 +138,7 @@ def test_a_camera_is_looked_through_and_its_picture_shown(tab: Opened) -> None:
     assert tab.page.inner_text("#camera-name") == ""
 
 
-def test_the_distance_of_two_points_and_its_deviation(browser: Any) -> None:
+def test_the_distance_of_two_points_and_its_deviation(empty_tab: Opened) -> None:
     """Clicked in the browser; by the same covariances as the library's."""
     base = three_cameras(2)
     noisy = replace(
@@ -123,7 +147,8 @@ def test_the_distance_of_two_points_and_its_deviation(browser: Any) -> None:
     layer = points_of_model(noisy)
     assert layer.covariances is not None
     handle = view_scene(scene_of_model(noisy, title="two", unit="m"), port=free_port(), block=False)
-    tab = Opened(browser, handle.url)
+    tab = empty_tab
+    tab.open(handle.url)
     origin = np.array(
         tab.page.evaluate("JSON.parse(document.getElementById('space-data').textContent).origin")
     )
@@ -138,7 +163,6 @@ def test_the_distance_of_two_points_and_its_deviation(browser: Any) -> None:
     assert float(given.get_attribute("data-sigma")) == pytest.approx(sigma, rel=1e-5)
     assert given.inner_text().startswith("3.0 ± ") and " m, one standard deviation" in given.inner_text()
     tab.page.keyboard.press("Escape")
-    tab.close()
     handle.stop()
 
 
@@ -158,12 +182,16 @@ def test_the_deviation_holds_over_many_draws(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize(("unit", "words"), [("", "10, up to scale"), ("m", "10 m;")])
-def test_a_distance_says_what_it_does_not_know(unit: str, words: str, browser: Any, tmp_path: Path) -> None:
+def test_a_distance_says_what_it_does_not_know(
+    unit: str, words: str, empty_tab: Opened, tmp_path: Path
+) -> None:
     xyz = np.array([[0.0, 0, 0], [10, 0, 0]])
     page = tmp_path / "page.html"
     scene = SpaceScene("two", "two points", unit, (PointLayer("Points", xyz, RGB),))
     page.write_text(scene_page(scene, 10).html, encoding="utf-8")
-    tab = Opened(browser, page.as_uri(), 390, 844)
+    tab = empty_tab
+    tab.page.set_viewport_size({"width": 390, "height": 844})
+    tab.open(page.as_uri())
     origin = np.array(
         tab.page.evaluate("JSON.parse(document.getElementById('space-data').textContent).origin")
     )
@@ -173,15 +201,15 @@ def test_a_distance_says_what_it_does_not_know(unit: str, words: str, browser: A
     text = tab.page.inner_text("#measured")
     assert text.startswith(words) and "how exact is not known" in text
     assert tab.page.evaluate("document.documentElement.scrollWidth") <= 390
-    tab.close()
 
 
-def test_the_picture_is_saved_under_a_safe_name(browser: Any, tmp_path: Path) -> None:
+def test_the_picture_is_saved_under_a_safe_name(empty_tab: Opened, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     xyz = np.array([[0.0, 0, 0], [10, 0, 0]])
     scene = SpaceScene("../a b<script>", "two points", "", (PointLayer("Points", xyz, RGB),))
     page.write_text(scene_page(scene, 10).html, encoding="utf-8")
-    tab = Opened(browser, page.as_uri())
+    tab = empty_tab
+    tab.open(page.as_uri())
     with tab.page.expect_download() as given:
         tab.page.click("#save-picture")
     assert given.value.suggested_filename == "a_b_script_.png"
@@ -190,12 +218,9 @@ def test_the_picture_is_saved_under_a_safe_name(browser: Any, tmp_path: Path) ->
         "[document.getElementById('space').width, document.getElementById('space').height]"
     )
     assert list(saved.size) == size and lit(np.asarray(saved.convert("RGB")).astype(float)) > 0
-    tab.close()
 
 
-def test_no_barrier_is_known_to_axe(browser: Any, tmp_path: Path) -> None:
-    page = api.share(workspace(tmp_path), tmp_path / "page.html")
-    tab = Opened(browser, page.as_uri())
+def test_no_barrier_is_known_to_axe(tab: Opened) -> None:
     tab.page.click("summary:has-text('Layers')")
     tab.page.click("#measure")
     wanted = {"runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"]}
@@ -203,7 +228,7 @@ def test_no_barrier_is_known_to_axe(browser: Any, tmp_path: Path) -> None:
         tab.page.emulate_media(color_scheme=scheme)
         found = Axe().run(tab.page, options=wanted)
         assert found.violations_count == 0, (scheme, found.generate_report())
-    tab.close()
+    tab.page.emulate_media(color_scheme="light")
 
 
 def test_keys_turn_and_measure(tab: Opened) -> None:
@@ -218,12 +243,14 @@ def test_keys_turn_and_measure(tab: Opened) -> None:
     assert tab.page.inner_text("#measured") != ""
 
 
-def test_of_many_points_a_part_is_drawn_while_the_eye_moves_and_all_at_rest(browser: Any) -> None:
+def test_of_many_points_a_part_is_drawn_while_the_eye_moves_and_all_at_rest(empty_tab: Opened) -> None:
     n = 400_000
     xyz = np.random.default_rng(0).uniform(-1, 1, (n, 3)).astype(np.float32)
     layer = PointLayer("Points", xyz, np.full((n, 3), 200, np.uint8))
     handle = view_scene(SpaceScene("many", "many points", "m", (layer,)), port=free_port(), block=False)
-    tab = Opened(browser, handle.url, 500, 400)
+    tab = empty_tab
+    tab.page.set_viewport_size({"width": 500, "height": 400})
+    tab.open(handle.url)
     assert tab.page.evaluate("document.getElementById('space').dataset.points") == str(n)
     counts = tab.page.evaluate(
         """async () => { const { view } = await space, counts = [];
@@ -242,5 +269,4 @@ def test_of_many_points_a_part_is_drawn_while_the_eye_moves_and_all_at_rest(brow
     whole = tab.rendered()
     middle = np.s_[120:260, 100:400]
     assert np.abs(gathered[middle] - whole[middle]).mean() < 1.0
-    tab.close()
     handle.stop()

@@ -230,7 +230,7 @@ def test_views_are_rendered_by_the_job_and_a_few_may_wait() -> None:
 def test_a_page_follows_the_job_to_its_end(browser: object) -> None:
     port = free_port()
     with live(port) as page:
-        tab = Opened(browser, f"http://127.0.0.1:{port}/", 500, 400)
+        tab = Opened(browser, f"http://127.0.0.1:{port}/", 240, 180)
         tab.page.wait_for_selector("html[data-live=running]")
         assert tab.page.inner_text("h1") == HOSTILE
         edges = np.arange(48.0) / 24 - 1
@@ -247,7 +247,7 @@ def test_a_page_follows_the_job_to_its_end(browser: object) -> None:
         tab.page.wait_for_selector("progress:not([hidden])")
         assert tab.page.inner_text("#live-state") == HOSTILE and tab.page.inner_text("#live-words") == "one"
         wait_for(tab, "space.then(s => s.data.points[0].count === 2000 && s.view.eye().focus[2] === 1)")
-        late = Opened(browser, f"http://127.0.0.1:{port}/", 500, 400)
+        late = Opened(browser, f"http://127.0.0.1:{port}/", 240, 180)
         wait_for(late, "space.then(s => s.data.points[0].count === 2000)")
         late.page.click("#follow-camera")
         page.publish({"position": [0, 0, 2]}, lambda: scene(3000))
