@@ -19,6 +19,7 @@ import epipole
 from benchmarks.measure import REPOSITORY, describe_machine
 from epipole.fields.splat.numba_backend import blend, gradient_of, sums_of_pairs, tiles_of
 from epipole.fields.splat.rasterizer import (
+    ImageGradient,
     RenderOptions,
     arrays_of,
     view_of,
@@ -78,7 +79,7 @@ def measured(cloud: GaussianCloud, shots: list[RenderView]) -> dict[str, Any]:
         sorted_at = perf_counter()
         rendered = blend(tiles, view)
         blended = perf_counter()
-        by_pair = sums_of_pairs(rendered, rendered.colour)
+        by_pair = sums_of_pairs(rendered, ImageGradient(rendered.colour))
         back = perf_counter()
         gradient_of(arrays, view, rendered.record, by_pair)
         end = perf_counter()

@@ -18,6 +18,7 @@ from epipole.fields.pose_steps import PoseSteps
 from epipole.fields.rays import pixels_to_render, rays_of
 from epipole.fields.rows_adam import RowsAdam
 from epipole.fields.splat.rasterizer import (
+    ImageGradient,
     Rendering,
     RenderOptions,
     arrays_of,
@@ -147,7 +148,9 @@ def test_a_camera_that_is_off_comes_back(rng):
         seen = view_of(CAMERA, poses.cams_from_world[0], RenderOptions())
         rendered = render_view(arrays_of(scene()), seen)
         by_image = photometric_loss(rendered.over(WHITE), view.over(WHITE)).by_image
-        found = backward(arrays_of(scene()), seen, rendered, by_image, None, -(by_image @ WHITE))
+        found = backward(
+            arrays_of(scene()), seen, rendered, ImageGradient(by_image, None, -(by_image @ WHITE))
+        )
         poses.move(0, found.by_pose, step / 400)
     assert off_px(poses.cams_from_world[0], view.cam_from_world) < 0.1 * before
 

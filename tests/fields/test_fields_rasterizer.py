@@ -16,6 +16,7 @@ from epipole.fields.splat import (
 )
 from epipole.fields.splat.numba_backend import useful_pairs
 from epipole.fields.splat.rasterizer import (
+    ImageGradient,
     RenderOptions,
     arrays_of,
     backward,
@@ -103,7 +104,7 @@ def test_derivatives_are_those_of_differences(rng, num_sh, antialiased):
         rng.normal(size=part.shape).astype(np.float32)
         for part in (rendered.colour, rendered.depth, rendered.coverage)
     ]
-    found, _, by_pose = backward(arrays, view, rendered, *wanted)
+    found, _, by_pose = backward(arrays, view, rendered, ImageGradient(*wanted))
 
     def loss(parts, position):
         rendered = plain_render(parts, CAMERA, position, antialiased=antialiased)
@@ -137,7 +138,9 @@ def test_any_number_of_threads_gives_the_same(rng):
         _parallel.set_num_threads(threads)
         view, arrays = view_of(CAMERA, SEEN, RenderOptions()), arrays_of(cloud)
         rendered = render_view(arrays, view)
-        results.append((rendered.colour, *backward(arrays, view, rendered, rendered.colour).cloud))
+        results.append(
+            (rendered.colour, *backward(arrays, view, rendered, ImageGradient(rendered.colour)).cloud)
+        )
     _parallel.set_num_threads(None)
     for one, other in zip(*results):
         np.testing.assert_array_equal(one, other)
@@ -165,7 +168,7 @@ def test_what_is_behind_beside_or_transparent_is_not_drawn(rng):
         found = render(other, CAMERA, SEEN)
         np.testing.assert_array_equal(found.coverage, empty)
         view = view_of(CAMERA, SEEN, RenderOptions())
-        gradient = backward(arrays_of(other), view, found, np.ones_like(found.colour))
+        gradient = backward(arrays_of(other), view, found, ImageGradient(np.ones_like(found.colour)))
         assert not any(part.any() for part in gradient.cloud) and not gradient.by_pose.any()
         assert not gradient.is_visible.any()
 

@@ -15,6 +15,7 @@ from epipole.fields.splat.growing_cloud import GrowingCloud
 from epipole.fields.splat.growth import FAINTER, Growth, split
 from epipole.fields.splat.rasterizer import (
     Cloud,
+    ImageGradient,
     RenderOptions,
     arrays_of,
     backward,
@@ -44,7 +45,7 @@ def test_adam_moves_what_was_seen_as_the_paper_says(rng, num_sh):
     cloud = with_harmonics(rng, num_sh)
     rendered = render_view(cloud, view)
     gradient, is_seen, _ = backward(
-        cloud, view, rendered, rng.normal(size=rendered.colour.shape).astype(np.float32)
+        cloud, view, rendered, ImageGradient(rng.normal(size=rendered.colour.shape).astype(np.float32))
     )
     adam, moved = GaussianAdam(cloud), Cloud(*(part.copy() for part in cloud))
     for part in adam.mean:

@@ -14,7 +14,7 @@ from epipole.fields.splat import _projection_kernels as projection_kernels
 from epipole.fields.splat import _tile_kernels as tile_kernels
 from epipole.fields.splat._simd_kernels import PLANE, SUMS
 from epipole.fields.splat._tile_kernels import TILE
-from epipole.fields.splat.rasterizer import Cloud, CloudGradient, Gradient, Rendering, View
+from epipole.fields.splat.rasterizer import Cloud, CloudGradient, Gradient, ImageGradient, Rendering, View
 
 LEAST_TOGETHER = 1024
 """Gaussians processed as one task, at least."""
@@ -51,13 +51,11 @@ def backward(
     cloud: Cloud,
     view: View,
     rendering: Rendering,
-    by_colour: np.ndarray,
-    by_depth: np.ndarray | None = None,
-    by_coverage: np.ndarray | None = None,
+    by_image: ImageGradient,
     reused: CloudGradient | None = None,
 ) -> Gradient:
     """See `rasterizer.backward`; the result does not depend on the number of threads."""
-    by_pair = sums_of_pairs(rendering, by_colour, by_depth, by_coverage)
+    by_pair = sums_of_pairs(rendering, by_image)
     return gradient_of(cloud, view, rendering.record, by_pair, reused)
 
 
@@ -174,27 +172,14 @@ def gradient_like(count: int, num_sh: int) -> CloudGradient:
     return CloudGradient(*(np.zeros(shape, np.float32) for shape in shapes))
 
 
-def sums_of_pairs(
-    rendering: Rendering,
-    by_colour: np.ndarray,
-    by_depth: np.ndarray | None = None,
-    by_coverage: np.ndarray | None = None,
-) -> np.ndarray:
-    """Contribution of each ellipse-tile pair to the derivatives of its Gaussian, (pairs, SUMS).
-
-    Args:
-            rendering: render.
-            by_colour: (h, w, 3) derivative of the loss w.r.t. `rendering.colour`.
-            by_depth: (h, w) w.r.t. `rendering.depth`; None: zero.
-            by_coverage: (h, w) w.r.t. `rendering.coverage`; None: zero.
-    """
+def sums_of_pairs(rendering: Rendering, by_image: ImageGradient) -> np.ndarray:
+    """Contribution of each ellipse-tile pair to the derivatives of its Gaussian, (pairs, SUMS)."""
     none, tiles = np.zeros_like(rendering.coverage), rendering.record
     wanted = Wanted(
         rendering.colour,
         rendering.depth,
         rendering.coverage,
-        np.ascontiguousarray(by_colour),
-        *(none if part is None else np.ascontiguousarray(part) for part in (by_depth, by_coverage)),
+        *(none if part is None else np.ascontiguousarray(part) for part in by_image),
     )
     by_pair = np.empty((len(tiles.pairs_of_tile), SUMS), np.float32)
 

@@ -106,6 +106,17 @@ class Rendering(Declared):
         return out
 
 
+class ImageGradient(NamedTuple):
+    """Derivatives of a loss w.r.t. a render; None: zero."""
+
+    colour: np.ndarray
+    """(h, w, 3)"""
+    depth: np.ndarray | None = None
+    """(h, w)"""
+    coverage: np.ndarray | None = None
+    """(h, w)"""
+
+
 class CloudGradient(NamedTuple):
     """Derivatives of a loss w.r.t. the arrays of a cloud; zero for invisible Gaussians."""
 
@@ -140,9 +151,7 @@ class Backend(Protocol):
         cloud: Cloud,
         view: View,
         rendering: Rendering,
-        by_colour: np.ndarray,
-        by_depth: np.ndarray | None,
-        by_coverage: np.ndarray | None,
+        by_image: ImageGradient,
         reused: CloudGradient | None,
     ) -> Gradient:
         """Differentiate."""
@@ -235,10 +244,7 @@ def backward(
     cloud: Cloud,
     view: View,
     rendering: Rendering,
-    by_colour: np.ndarray,
-    by_depth: np.ndarray | None = None,
-    by_coverage: np.ndarray | None = None,
-    *,
+    by_image: ImageGradient,
     reused: CloudGradient | None = None,
     backend: str = "numba",
 ) -> Gradient:
@@ -248,11 +254,9 @@ def backward(
         cloud: Gaussians that were rendered.
         view: camera and pose.
         rendering: their render by the same backend.
-        by_colour: (h, w, 3) derivative of the loss w.r.t. `rendering.colour`.
-        by_depth: (h, w) w.r.t. `rendering.depth`; None: zero.
-        by_coverage: (h, w) w.r.t. `rendering.coverage`; None: zero.
+        by_image: derivatives of the loss w.r.t. the render.
         reused: an earlier gradient of as many Gaussians, whose memory is written again; rows of Gaussians that are
             invisible now keep their old values.
         backend: one of BACKENDS.
     """
-    return backend_of(backend).backward(cloud, view, rendering, by_colour, by_depth, by_coverage, reused)
+    return backend_of(backend).backward(cloud, view, rendering, by_image, reused)

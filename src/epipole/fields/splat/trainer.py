@@ -23,6 +23,7 @@ from epipole.fields.splat.growth import Growth, split
 from epipole.fields.splat.rasterizer import (
     Cloud,
     CloudGradient,
+    ImageGradient,
     Rendering,
     RenderOptions,
     arrays_of,
@@ -262,10 +263,8 @@ class SplatTrainer:
             self._arrays,
             view,
             rendered,
-            by_colour,
-            depths.by_depth,
-            by_coverage + depths.by_coverage,
-            reused=self._gradient,
+            ImageGradient(by_colour, depths.by_depth, by_coverage + depths.by_coverage),
+            self._gradient,
         )
         self._gradient = found.cloud
         self._adam.step(
