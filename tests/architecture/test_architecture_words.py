@@ -5,8 +5,14 @@ import io
 import re
 import tokenize
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
+import pytest
+import yaml
 from architecture_sources import Source, sources
+
+REPOSITORY = Path(__file__).parents[2]
 
 NAMES = {
     **dict.fromkeys(("picture", "pictures"), "image"),
@@ -111,6 +117,63 @@ def test_texts_are_of_the_field() -> None:
                     for m in re.finditer(phrase, text, re.IGNORECASE)
                 ]
     assert not wrong, f"{len(wrong)} phrases\n" + "\n".join(sorted(set(wrong)))
+
+
+PAGES = ("*.md", "docs/**/*.md", "docs/**/*.py", "benchmarks/**/*.py", "benchmarks/*.md", "examples/*.py")
+"""Files of the repository that people read, besides the source and the lesson."""
+CODE = r"```.*?```|`[^`\n]*`|\]\([^)]*\)|\{[^}\n]*\}"
+"""In Markdown: blocks and spans of code, targets of links, attributes."""
+PLAIN = {r"\bturns\b(?= (its|photographs|images|points|pixels|a|the)\b)": ""}
+"""`turns photographs into models` is what the word means."""
+
+
+def page_texts(path: Path) -> Iterator[tuple[int, str]]:
+    """Line and text of a page, or of the strings and comments of a script."""
+    text = path.read_text()
+    if path.suffix == ".py":
+        yield from texts_of(Source(path, text, ast.parse(text)))
+        return
+    yield 1, re.sub(CODE, lambda m: "\n" * m.group().count("\n"), text, flags=re.DOTALL)
+
+
+def phrases_in(text: str) -> Iterator[tuple[re.Match[str], str]]:
+    for phrase in PLAIN:
+        text = re.sub(phrase, "makes", text)
+    for phrase, better in TEXTS.items():
+        for match in re.finditer(phrase, text, re.IGNORECASE):
+            yield match, better
+
+
+@pytest.mark.parametrize("pattern", PAGES)
+def test_pages_are_of_the_field(pattern: str) -> None:
+    paths = sorted(REPOSITORY.glob(pattern))
+    assert paths
+    wrong = [
+        f"{path.relative_to(REPOSITORY)}:{line + text[: m.start()].count(chr(10))} {m.group()!r} -> {better}"
+        for path in paths
+        for line, text in page_texts(path)
+        for m, better in phrases_in(text)
+    ]
+    assert not wrong, f"{len(wrong)} phrases\n" + "\n".join(wrong)
+
+
+def english_of(value: Any, at: str) -> Iterator[tuple[str, str]]:
+    """Key and English text of everything below a part of the lesson's texts."""
+    if isinstance(value, dict) and set(value) == {"en", "zh"}:
+        yield at, value["en"]
+    elif isinstance(value, dict | list):
+        for key, part in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from english_of(part, f"{at}.{key}")
+
+
+def test_the_lesson_is_of_the_field() -> None:
+    wrong = [
+        f"{at} {m.group()!r} -> {better}"
+        for path in sorted((REPOSITORY / "src" / "epipole" / "lesson" / "texts").glob("*.yaml"))
+        for at, text in english_of(yaml.safe_load(path.read_text()), path.stem)
+        for m, better in phrases_in(text)
+    ]
+    assert not wrong, "\n".join(wrong)
 
 
 def test_the_check_finds_what_it_looks_for() -> None:
