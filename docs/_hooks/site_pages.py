@@ -5,7 +5,7 @@ There `+name` stands for all generated pages of a folder.
 
 from __future__ import annotations
 
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from api_pages import api_pages
@@ -33,6 +33,13 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for path, text in config.extra.pop("generated").items():
         files.append(File.generated(config, path, content=text))
     return files
+
+
+def on_post_build(config: MkDocsConfig) -> None:
+    """Write the search index as a script, too: pages opened from disk may not fetch files."""
+    folder = Path(config.site_dir) / "search"
+    index = (folder / "search_index.json").read_text(encoding="utf-8")
+    (folder / "search_index.js").write_text(f"var __index = {index}", encoding="utf-8")
 
 
 def _filled(entries: Any, pages: list[str]) -> list[Any]:
