@@ -6,7 +6,7 @@ import time
 import pytest
 
 from epipole.lesson.pages import LANGUAGES, PAGES, lesson_pages, texts
-from page_contrast import check_contrast
+from page_checks import PHONE, check_accessibility, check_contrast, check_nothing_cut
 from pairwise import each_once
 
 FILES = tuple(lesson_pages())
@@ -16,8 +16,7 @@ SEEN = [
     for name, ending, theme in each_once(ENGLISH, (".html", ".zh.html"), ("light", "dark"))
 ]
 """Each page; both languages and both themes occur together, in the whole run for each page."""
-WCAG = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]
-MOST_BYTES, MOST_SECONDS, PHONE = 1_500_000, 1.0, 390
+MOST_BYTES, MOST_SECONDS = 1_500_000, 1.0
 NAMES = ("page", "function")
 """Of a question: not words, but what it leads to."""
 
@@ -72,23 +71,10 @@ def check_loading(tab, name):
         assert tab.page.evaluate("document.documentElement.dataset.ready") == "yes"
 
 
-def check_accessibility(tab):
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
-    options = {"runOnly": {"type": "tag", "values": WCAG}, "resultTypes": ["violations"]}
-    found = axe.run(tab.page, options=options).response["violations"]
-    assert not [(v["id"], [node["html"][:120] for node in v["nodes"]]) for v in found]
-
-
 def check_narrow_layout(tab, name):
-    tab.page.set_viewport_size({"width": PHONE, "height": 844})
+    tab.page.set_viewport_size(PHONE)
     tab.open(name)
-    assert tab.page.evaluate("document.scrollingElement.scrollWidth") <= PHONE
-    cut = tab.page.evaluate(
-        """() => [...document.querySelectorAll("main *:not(svg *)")]
-            .filter(e => !e.closest(".scroll, pre, .told") && e.getBoundingClientRect().right > innerWidth + 0.5)
-            .map(e => e.outerHTML.slice(0, 100))"""
-    )
-    assert cut == []
+    check_nothing_cut(tab.page, name)
     small = tab.page.evaluate(
         """() => [...document.querySelectorAll("input, button")]
             .filter(e => e.checkVisibility() && e.getBoundingClientRect().height < 44).length"""
@@ -99,7 +85,7 @@ def check_narrow_layout(tab, name):
 @pytest.mark.parametrize(("tab", "name"), SEEN, indirect=["tab"])
 def test_a_page_loads_nothing_else_is_accessible_readable_and_fits_a_phone(tab, name):
     check_loading(tab, name)
-    check_accessibility(tab)
+    check_accessibility(tab.page)
     check_contrast(tab.page, name, 0)
     check_narrow_layout(tab, name)
 

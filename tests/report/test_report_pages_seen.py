@@ -1,4 +1,4 @@
-"""Every report can be read in both themes: contrast of its text, also of the text in charts."""
+"""Every report can be read in both themes and two widths: contrast (also in charts), accessibility, nothing cut off."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from epipole.pipelines.sfm.page.content import ReportContent
 from epipole.pipelines.sfm.page.page import render_report
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.scene import RectifiedRig
-from page_contrast import SCRIPT, check_contrast
+from page_checks import DESK, PHONE, SCRIPT, check_accessibility, check_contrast, check_nothing_cut
 from pairwise import each_once
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "calibration"))
@@ -74,8 +74,11 @@ def reports(
 
 @pytest.fixture(scope="module")
 def tab_of_file(browser: Any) -> Iterator[Any]:
-    page = browser.new_page(viewport={"width": 1200, "height": 900})
+    page = browser.new_page(viewport=DESK)
     page.set_default_timeout(60_000)
+    page.problems = []
+    page.on("pageerror", lambda error: page.problems.append(str(error)))
+    page.on("console", lambda said: page.problems.append(said.text) if said.type == "error" else None)
     yield page
     page.close()
 
@@ -83,6 +86,7 @@ def tab_of_file(browser: Any) -> Iterator[Any]:
 @pytest.fixture(params=["light", "dark"])
 def tab(request: pytest.FixtureRequest, tab_of_file: Any) -> Any:
     tab_of_file.emulate_media(color_scheme=request.param)
+    tab_of_file.set_viewport_size(DESK)
     return tab_of_file
 
 
@@ -97,8 +101,14 @@ def test_every_template_of_a_page_is_here() -> None:
 
 @pytest.mark.parametrize(("name", "tab"), each_once([*PAGES], ("light", "dark")), indirect=["tab"])
 def test_reports(name: str, reports: dict[str, Path], tab: Any) -> None:
+    tab.problems.clear()
     tab.goto(reports[name].as_uri())
     check_contrast(tab, name, PAGES[name])
+    for size in (DESK, PHONE):
+        tab.set_viewport_size(size)
+        check_accessibility(tab)
+        check_nothing_cut(tab, name)
+    assert not tab.problems
 
 
 BROKEN = """<!doctype html><body style="background:#fff;color:#222">
