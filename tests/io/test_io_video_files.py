@@ -2,16 +2,19 @@
 
 import resource
 import shutil
+from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from epipole.errors import ConfigError, WorkspaceError
 from epipole.io.atomic import atomic_write
 from epipole.io.images import video_files
 from epipole.io.images.video_files import write_video
+from epipole.io.seals import add_seal, sealed_by
 from whole import IS_WHOLE
 
 
@@ -26,14 +29,23 @@ def lengths(path: Path) -> int:
     return count
 
 
+@pytest.fixture(params=["h264", "vp9"])
+def encoder(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """PyAV, or OpenCV as where PyAV is not installed."""
+    if request.param == "vp9":
+        monkeypatch.setattr(video_files, "find_spec", lambda name: None)
+    elif find_spec("av") is None:
+        pytest.skip("PyAV is not installed")
+    return request.param
+
+
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with an earlier video, and with what is to replace it."""
+    """A folder with an earlier video."""
     folder = tmp_path_factory.mktemp("written")
     with atomic_write(folder / "a.mp4") as part:
         write_video(part, frames(3), 30.0)
     assert lengths(folder / "a.mp4") == 3
-    write_video(folder / "whole.mp4", frames(12, 1), 30.0)
     return folder
 
 
@@ -43,11 +55,13 @@ def earlier(written: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("fraction", [0.02, 0.3, 0.9, 0.999] if IS_WHOLE else [0.02, 0.9])
+@pytest.mark.usefixtures("encoder")
 def test_a_full_disk_is_an_error_and_keeps_the_earlier_video(
-    earlier: Path, written: Path, fraction: float
+    earlier: Path, fraction: float, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    before = earlier.read_bytes()
-    room = int(fraction * (written / "whole.mp4").stat().st_size)
+    before, complete = earlier.read_bytes(), tmp_path_factory.mktemp("complete") / "a.mp4"
+    write_video(complete, frames(12, 1), 30.0)
+    room = int(fraction * complete.stat().st_size)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))  # writing beyond fails, as on a full disk
     try:
@@ -62,7 +76,7 @@ def test_a_full_disk_is_an_error_and_keeps_the_earlier_video(
 class Writer:
     """An encoder that loses, repeats or spoils frames, and says nothing."""
 
-    def __init__(self, inner: cv2.VideoWriter, fault: str) -> None:
+    def __init__(self, inner: video_files.VideoWriter, fault: str) -> None:
         self.inner, self.fault, self.count = inner, fault, 0
 
     def write(self, frame: np.ndarray) -> None:
@@ -76,16 +90,18 @@ class Writer:
         self.inner.release()
 
 
+@pytest.mark.usefixtures("encoder")
 @pytest.mark.parametrize("fault", ["lost", "repeated", "black 1", "black 5"])
 def test_frames_are_counted_and_looked_at(fault: str, earlier: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    opened = video_files._opened
-    monkeypatch.setattr(video_files, "_opened", lambda *args: Writer(opened(*args), fault))
+    opened = video_files._writer_of
+    monkeypatch.setattr(video_files, "_writer_of", lambda *args: Writer(opened(*args), fault))
     before = earlier.read_bytes()
     with pytest.raises(WorkspaceError, match=r"frames? "), atomic_write(earlier) as part:
         write_video(part, frames(5, 2), 30.0)
     assert earlier.read_bytes() == before
 
 
+@pytest.mark.usefixtures("encoder")
 @pytest.mark.parametrize("size", [(16, 16), (17, 33), (2, 2), (481, 270)])
 def test_sizes(size: tuple[int, int], tmp_path: Path) -> None:
     image = np.full((size[1], size[0], 3), (200, 30, 90), np.uint8)
@@ -95,3 +111,36 @@ def test_sizes(size: tuple[int, int], tmp_path: Path) -> None:
     assert frame.shape == (size[1] & ~1, size[0] & ~1, 3)
     with pytest.raises(ConfigError, match="needs at least one image"):
         write_video(tmp_path / "b.mp4", [], 25.0)
+
+
+def test_the_codec_is_the_one_that_most_players_know(encoder: str, tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mp4", frames(4), 12.5)
+    video = cv2.VideoCapture(str(tmp_path / "a.mp4"))
+    codec = int(video.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little").decode()
+    assert codec in {"h264": ("h264", "avc1"), "vp9": ("vp09", "VP90")}[encoder]
+    assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(12.5)
+
+
+def test_a_gif_has_all_frames_and_their_times(tmp_path: Path) -> None:
+    shades = [np.full((31, 45, 3), value, np.uint8) for value in (10, 90, 170, 250)]
+    write_video(tmp_path / "a.gif", shades, 20.0)
+    with Image.open(tmp_path / "a.gif") as gif:
+        assert gif.size == (45, 31) and gif.n_frames == 4
+        for number, shade in enumerate(shades):
+            gif.seek(number)
+            assert gif.info["duration"] == 50
+            np.testing.assert_allclose(np.asarray(gif.convert("RGB")), shade, atol=4)
+
+
+def test_a_gif_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(WorkspaceError, match="cannot write"):
+        write_video(tmp_path / "nowhere" / "a.gif", frames(2), 10.0)
+
+
+def test_a_gif_keeps_its_seal(tmp_path: Path) -> None:
+    path = tmp_path / "a.gif"
+    write_video(path, frames(2), 10.0)
+    add_seal(path, "render")
+    assert sealed_by(path) == "render"
+    with Image.open(path) as gif:
+        assert gif.n_frames == 2

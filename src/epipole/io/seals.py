@@ -100,6 +100,16 @@ def _append_to_mp4(path: Path, seal: bytes) -> None:
         stream.write((8 + len(seal)).to_bytes(4, "big") + b"free" + seal)
 
 
+def _append_to_gif(path: Path, seal: bytes) -> None:
+    """Put a comment extension before the trailer (GIF89a, section 24)."""
+    with path.open("r+b") as stream:
+        stream.seek(-1, 2)
+        if stream.read(1) != b";":
+            return
+        stream.seek(-1, 2)
+        stream.write(b"!\xfe" + bytes([len(seal)]) + seal + b"\0;")
+
+
 def _insert_into_ply(path: Path, seal: bytes) -> None:
     with path.open("rb") as stream:
         head = stream.read(_SEARCHED_BYTES)
@@ -136,6 +146,7 @@ def _replace_head(path: Path, size: int, head: bytes) -> None:
 _FORMATS: tuple[tuple[Callable[[bytes], bool], Callable[[Path, bytes], None]], ...] = (
     (lambda head: head.lower().startswith(b"<!doctype html"), _append_to_html),
     (lambda head: head[4:8] == b"ftyp", _append_to_mp4),
+    (lambda head: head.startswith(b"GIF89a"), _append_to_gif),
     (lambda head: head.startswith((b"ply\n", b"ply\r\n")), _insert_into_ply),
     (lambda head: head.startswith(b"PK\x03\x04"), _comment_on_zip),
     (lambda head: head.startswith(b"\x1f\x8b\x08\x00"), _comment_on_gzip),

@@ -83,7 +83,7 @@ def render(
 
     Args:
         source: Output folder of `splat` or `nerf`, or a file of Gaussians (.ply, .compressed.ply, .spz, .sog, .splat).
-        out: A video (.mp4), or a folder for PNG images.
+        out: A video (.mp4, or .gif), or a folder for PNG images.
         config: Cameras and image size.
     """
     from epipole.screen import open_console, progress_on_screen

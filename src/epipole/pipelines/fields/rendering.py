@@ -18,7 +18,7 @@ from epipole.fields.splat.rasterizer import RenderOptions
 from epipole.fields.splat.rasterizer import render as rasterize
 from epipole.image import color_map, color_range
 from epipole.io.images.rgba import write_png
-from epipole.io.images.video_files import VIDEO_SUFFIX, write_video
+from epipole.io.images.video_files import GIF_SUFFIX, VIDEO_SUFFIX, write_video
 from epipole.io.models.losses import losses_in
 from epipole.pipelines.fields.camera_path import path_along
 from epipole.pipelines.fields.cameras import RenderView, orbit, render_views_of_model
@@ -48,6 +48,9 @@ from epipole.runs import (
 )
 from epipole.runs.folder import check_output_path
 
+FILES = (VIDEO_SUFFIX, GIF_SUFFIX)
+"""Suffixes of what is one file; anything else is a folder of images."""
+
 
 @dataclass(frozen=True, slots=True)
 class RenderResult:
@@ -70,7 +73,7 @@ def render(
 
     Args:
         source: an output folder of `splat` or `nerf`, or a file of Gaussians.
-        out: a video (.mp4), or a new folder for PNG images; output of an earlier call is replaced.
+        out: a video (.mp4, or .gif), or a new folder for PNG images; output of an earlier call is replaced.
         config: cameras and image size; None for the defaults.
         progress: called with the progress.
         **options: single options by name, which override `config`.
@@ -108,7 +111,7 @@ def render(
             yield render_view, np.rint(255 * np.clip(rendered, 0, 1)).astype(np.uint8)
             progress(Progress("render", n + 1, len(views)))
 
-    if out.suffix.lower() == VIDEO_SUFFIX:
+    if out.suffix.lower() in FILES:
         with replacing_file(out, "render", inputs) as aside:
             write_video(aside, (image for _, image in images()), wanted.fps)
     else:
@@ -144,13 +147,13 @@ def _check_target(out: Path, inputs: tuple[Path, ...]) -> None:
         ConfigError: it has the suffix of another file type.
         WorkspaceError: it exists and was not written by `render`.
     """
-    if out.suffix.lower() == VIDEO_SUFFIX:
+    if out.suffix.lower() in FILES:
         refuse_existing([out], "render", inputs)
         return
     is_file_name = bool(out.suffix) and not out.suffix[1:].isdecimal()  # views_0.5 is the name of a folder
     if is_file_name and not out.is_dir():
         raise ConfigError(
-            f"render writes a video that ends in {VIDEO_SUFFIX}, or a folder of PNG images, but {out} ends in"
+            f"render writes a video ({VIDEO_SUFFIX}), a {GIF_SUFFIX}, or a folder of PNG images, but {out} ends in"
             f" {out.suffix}"
         )
     check_output_path(out, "render", inputs[:1])
