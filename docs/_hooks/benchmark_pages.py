@@ -53,8 +53,8 @@ def sfm(content: Any) -> str:
         for name, row in content["summary"].items()
         if name != "pycolmap-best"
     }
-    given = f"{content['pictures']} images; given to each program: {content['told']}."
-    return "\n\n".join([given, table(rows, SFM_COLUMNS), standing(rows, SFM_MEASURES)])
+    summary = f"{content['pictures']} images; given to each program: {content['told']}."
+    return "\n\n".join([summary, table(rows, SFM_COLUMNS), standing(rows, SFM_MEASURES)])
 
 
 def estimation(content: Any) -> str:
@@ -73,8 +73,10 @@ def estimation(content: Any) -> str:
         Measure("p90_error", "90th percentile of the error"),
         Measure("failed", "failures"),
     )
-    given = f"{content['problems']} problems, given to every program."
-    return "\n\n".join([given, table(content["programs"], columns), standing(content["programs"], measures)])
+    summary = f"{content['problems']} problems, given to every program."
+    return "\n\n".join(
+        [summary, table(content["programs"], columns), standing(content["programs"], measures)]
+    )
 
 
 def bundle(content: Any) -> str:
@@ -99,7 +101,7 @@ def slam(content: Any) -> str:
     if "summary" not in content:
         return anything(content)
     sensors = dict.fromkeys(name.split()[0] for name in content["summary"])
-    words = {"rgbd": "depth camera", "stereo": "stereo", "mono": "one camera"}
+    titles = {"rgbd": "depth camera", "stereo": "stereo", "mono": "one camera"}
     parts = []
     for sensor in sensors:
         rows = {
@@ -110,7 +112,7 @@ def slam(content: Any) -> str:
             for name, row in content["summary"].items()
             if name.split()[0] == sensor
         }
-        parts += [f"### {words.get(sensor, sensor)}", *_slam_tables(rows, sensor)]
+        parts += [f"### {titles.get(sensor, sensor)}", *_slam_tables(rows, sensor)]
     return "\n\n".join(parts)
 
 
@@ -120,19 +122,19 @@ def _slam_tables(rows: Mapping[str, Mapping[str, Any]], sensor: str) -> list[str
     errors = [k for k in keys if k.endswith((aligned, "made_up_max", "turn_max_deg"))]
     columns = [Column("runs", "runs")]
     measures = []
-    for when, words in (("final", "final trajectory"), ("causal", "causal poses")):
-        columns.append(Column(f"{when} coverage", f"{words}: localized frames, %", 100))
-        measures.append(Measure(f"{when} coverage", f"{words}: localized frames", higher_is_better=True))
-        for key in (k for k in errors if k.startswith(when)):
+    for variant, label in (("final", "final trajectory"), ("causal", "causal poses")):
+        columns.append(Column(f"{variant} coverage", f"{label}: localized frames, %", 100))
+        measures.append(Measure(f"{variant} coverage", f"{label}: localized frames", higher_is_better=True))
+        for key in (k for k in errors if k.startswith(variant)):
             truth, kind = key.split()[1], key.split()[2]
             against = "" if truth == "exact" else f" against {truth}"
-            error, unit, factor = {
+            heading, measure, factor = {
                 aligned: ("position error, RMS, mm", "position error", 1000.0),
                 "made_up_max": ("spurious translation, maximum", "spurious translation", 1.0),
                 "turn_max_deg": ("rotation error, maximum, degrees", "rotation error", 1.0),
             }[kind]
-            columns.append(Column(key, f"{words}: {error}{against}", factor))
-            measures.append(Measure(key, f"{words}: {unit}{against}"))
+            columns.append(Column(key, f"{label}: {heading}{against}", factor))
+            measures.append(Measure(key, f"{label}: {measure}{against}"))
     columns += [
         Column("ms_median", "time per frame, median, ms"),
         Column("ms_p95", "time per frame, 95th percentile, ms"),
@@ -173,11 +175,11 @@ def solvers(content: Any) -> str:
     shared = [row for row in rows.values() if "PoseLib call us" in row]
     faster = sum(row["call us"] < row["PoseLib call us"] for row in shared)
     right = sum(row["right"] >= row["PoseLib right"] for row in shared)
-    given = (
+    summary = (
         f"{content['count']:,} exact problems per solver. PoseLib has {len(shared)} of these solvers. A call from Python is faster in epipole"
         f" for {faster} of them, and finds the true solution at least as often for {right}."
     )
-    return "\n\n".join([given, table(rows)])
+    return "\n\n".join([summary, table(rows)])
 
 
 def anything(content: Any) -> str:

@@ -29,7 +29,7 @@ class Measure:
     """Value by which programs are compared."""
 
     key: str
-    words: str
+    label: str
     higher_is_better: bool = False
 
 
@@ -102,7 +102,7 @@ def standing(rows: Rows, measures: Sequence[Measure], ours: str | None = None) -
             if theirs is not None and (name, measure.key) not in NOT_COMPARED:
                 names[_compare(own, theirs, measure)].append(name)
         if any(names.values()):
-            lines.append(f"| {measure.words} | " + " | ".join(", ".join(v) for v in names.values()) + " |")
+            lines.append(f"| {measure.label} | " + " | ".join(", ".join(v) for v in names.values()) + " |")
     if not lines:
         return ""
     return "\n".join([f"| {mine} is | better than | level with | worse than |", "|---|---|---|---|", *lines])
@@ -123,21 +123,21 @@ def medians(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def machine_line(name: str, content: Any) -> str:
     """Markdown line with the file, the machine, the versions and the commit of a result."""
-    words = [f"`benchmarks/results/{name}`"]
+    parts = [f"`benchmarks/results/{name}`"]
     machine = content.get("machine") if isinstance(content, dict) else None
     if machine:
         cores = f"{machine['cpus_usable']} processors" if machine.get("cpus_usable") else ""
         threads = (
             f"{machine['threads']} thread{'s' * (machine['threads'] > 1)}" if machine.get("threads") else ""
         )
-        words += [part for part in (machine.get("cpu", ""), cores, threads) if part]
-        words.append(f"Python {machine['python']}")
-        words += [f"{package} {version}" for package, version in machine.get("versions", {}).items()]
+        parts += [text for text in (machine.get("cpu", ""), cores, threads) if text]
+        parts.append(f"Python {machine['python']}")
+        parts += [f"{package} {version}" for package, version in machine.get("versions", {}).items()]
         commit = machine.get("commit") or ""
-        words.append(f"commit {commit[:10]}" + (" with changes" if commit.endswith("+") else ""))
+        parts.append(f"commit {commit[:10]}" + (" with changes" if commit.endswith("+") else ""))
     peers = {**content.get("versions", {}), **_versions_of_runs(content)} if isinstance(content, dict) else {}
-    words += [f"{peer} {version}" for peer, version in peers.items() if peer != OURS]
-    return "*" + ", ".join(words) + "*"
+    parts += [f"{peer} {version}" for peer, version in peers.items() if peer != OURS]
+    return "*" + ", ".join(parts) + "*"
 
 
 def _versions_of_runs(content: Mapping[str, Any]) -> dict[str, str]:

@@ -29,7 +29,7 @@ def tutorial(path: Path) -> str:
     parts = [f"# {title.strip().rstrip('.')}", _prose(intro.strip())]
     for kind, text in blocks(source):
         parts.append(_prose(text) if kind == "prose" else f"```python\n{text}\n```")
-    parts.append(f"The complete file is `examples/{path.name}`. Run it with `python examples/{path.name}`.")
+    parts.append(f"The whole file is `examples/{path.name}`. Run it with `python examples/{path.name}`.")
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
