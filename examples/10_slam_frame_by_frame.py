@@ -33,7 +33,7 @@ for n in range(0, len(ride), 2):
     if found.world_from_body is None:
         print(f"frame {n}: {found.state.value} ({found.reason})")
 
-# The first camera frame is the world, so the first pose is the identity.
+# The world frame is the camera of the first frame, so the first pose is the identity.
 
 first = results[0][1]
 assert np.allclose(first.world_from_body.as_matrix(), np.eye(4))

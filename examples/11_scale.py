@@ -23,7 +23,7 @@ print(model)
 
 # For your own images, use `model = epipole.reconstruct("IMAGES", "OUT").model`. With the arguments
 # `positions="positions.txt", lengths="lengths.txt", tag_size_m=0.12`, `reconstruct` estimates the scale from
-# files.
+# these references.
 
 # Measured positions: GPS or a total station measures the camera positions with a standard deviation of 3 cm
 # per coordinate. `fit_scale_to_positions` fits a similarity (Umeyama 1991) and computes the standard

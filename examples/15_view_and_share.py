@@ -69,7 +69,7 @@ ply, spz = ((out / name).stat().st_size for name in ("scene.ply", "scene.spz"))
 print(f"ply {ply / 1e6:.1f} MB, spz {spz / 1e6:.1f} MB")
 assert spz < 0.3 * ply
 
-# Write the page. If there are more than `share_max` Gaussians, `share` merges them.
+# Write the page. If there are more than `share_max` Gaussians, `share` merges them down to this number.
 
 page = epipole.share(out / "scene.ply", out / "scene.html")
 html, num_bytes = page.read_text(encoding="utf-8"), page.stat().st_size
