@@ -1,8 +1,8 @@
 """Which model: homography, F or E?
 
-Two images may show a scene with depth, a plane, or a camera that only turned. A fundamental matrix "fits"
-all three, and is meaningless in two of them. `verify_pairs` lets the models compete, and names the one that
-explains the matches.
+Two images may show a scene with depth, a plane, or a pure rotation of the camera. A fundamental matrix fits
+all three, but is meaningless for a plane and for a rotation. `verify_pairs` compares the models and selects
+the one that explains the matches best.
 """
 
 import numpy as np
@@ -18,70 +18,70 @@ from epipole.robust import (
 )
 from epipole.synthetic.problems import two_view_problem
 
-# Four pairs of images with known answers: 300 matches, one in five wrong, half a pixel of noise. With
-# photographs, the pixels are those of matched keypoints, as on the page on epipolar geometry.
+# Generate four image pairs with known solutions: 300 matches, 20 % outliers and half a pixel of noise. With
+# photographs, use the pixels of matched keypoints, as on the page on epipolar geometry.
 
 problems = {
-    "with depth": two_view_problem(300, 0.2, 0.5, seed=1, kind="general"),
-    "a plane": two_view_problem(300, 0.2, 0.5, seed=2, kind="planar"),
-    "turned": two_view_problem(300, 0.2, 0.5, seed=3, kind="rotation"),
-    "ahead": two_view_problem(300, 0.2, 0.5, seed=4, kind="forward"),
+    "depth": two_view_problem(300, 0.2, 0.5, seed=1, kind="general"),
+    "plane": two_view_problem(300, 0.2, 0.5, seed=2, kind="planar"),
+    "rotation": two_view_problem(300, 0.2, 0.5, seed=3, kind="rotation"),
+    "forward": two_view_problem(300, 0.2, 0.5, seed=4, kind="forward"),
 }
 pairs = [PairMatches(p.pixels1, p.pixels2, p.camera1, p.camera2) for p in problems.values()]
 geometries = dict(zip(problems, verify_pairs(pairs)))
 for name, geometry in geometries.items():
     print(f"{name:10s} {geometry}")
 
-# The kind is what the matches say, not what was hoped for.
+# Each pair is classified correctly.
 
-assert geometries["with depth"].kind is PairKind.GENERAL
-assert geometries["a plane"].kind is PairKind.PLANAR
-assert geometries["turned"].kind is PairKind.ROTATION
-assert geometries["ahead"].kind is PairKind.GENERAL
+assert geometries["depth"].kind is PairKind.GENERAL
+assert geometries["plane"].kind is PairKind.PLANAR
+assert geometries["rotation"].kind is PairKind.ROTATION
+assert geometries["forward"].kind is PairKind.GENERAL
 
-# Models are compared by Torr's criterion (GRIC, 1998): squared residuals over the noise, each at most a
-# bound, plus a price for the dimension of what the model allows and one for its parameters. Lower is better;
-# NaN means that the model was not found.
+# `verify_pairs` compares the models by Torr's criterion (GRIC, 1998): the squared residuals over the noise,
+# each with an upper bound, plus penalties for the dimension of the model and for its number of parameters.
+# Lower is better. NaN means that the model was not found.
 
 for name, geometry in geometries.items():
-    print(f"{name:10s} epipolar, plane, rotation, rest: {geometry.costs.round(0)}")
-assert np.nanargmin(geometries["with depth"].costs) == 0
-assert np.nanargmin(geometries["a plane"].costs) == 1
-assert np.nanargmin(geometries["turned"].costs) == 2
+    print(f"{name:10s} cost of F or E, H, rotation, no motion: {geometry.costs.round(0)}")
+assert np.nanargmin(geometries["depth"].costs) == 0
+assert np.nanargmin(geometries["plane"].costs) == 1
+assert np.nanargmin(geometries["rotation"].costs) == 2
 
-# A pair with depth gives a motion. One that only turned gives a rotation and no translation at all, instead
-# of a random one.
+# For a scene with depth, the result is a relative pose. For a pure rotation, the translation is exactly zero
+# instead of a random direction.
 
-rotated, problem = geometries["turned"].cam2_from_cam1, problems["turned"]
+rotated, problem = geometries["rotation"].cam2_from_cam1, problems["rotation"]
 difference = Rotation3(rotated.rotation) @ Rotation3(problem.cam2_from_cam1.rotation).inverse()
-print(f"the rotation is off by {np.degrees(difference.angle_rad()):.3f} degrees")
+print(f"rotation error {np.degrees(difference.angle_rad()):.3f} degrees")
 assert np.degrees(difference.angle_rad()) < 0.1 and not rotated.translation.any()
 
-# What goes wrong without the question: on the plane a whole family of fundamental matrices fits, and the
-# estimator says that it cannot choose. The homography is exact there.
+# For a plane, a whole family of fundamental matrices fits the matches. `estimate_fundamental_matrix` detects
+# this and fails. The homography is unique.
 
-plane = problems["a plane"]
+plane = problems["plane"]
 fundamental = estimate_fundamental_matrix(plane.pixels1, plane.pixels2)
 homography = estimate_homography(plane.pixels1, plane.pixels2)
 print("F of a plane:", fundamental.reason.value)
 print("H of a plane:", homography)
 assert not fundamental.success and homography.success
 
-# A homography between known lenses still holds the motion: up to four of them, of which the true one is among
-# these.
+# With known intrinsics, a homography also determines the relative pose. Decomposing it gives up to four
+# candidates, and the true pose is among them.
 
 motions = decompose_homography(homography.model, plane.camera1.K, plane.camera2.K).cam2_from_cam1
 rotations = [
     np.degrees((Rotation3(m.rotation) @ Rotation3(plane.cam2_from_cam1.rotation).inverse()).angle_rad())
     for m in motions
 ]
-print("candidates off by", np.round(rotations, 2), "degrees")
+print("rotation errors of the candidates", np.round(rotations, 2), "degrees")
 assert min(rotations) < 1.0
 
-# Where a focal length is only a guess, a pair is UNCALIBRATED: its matrix is right, its motion waits for the
-# lens.
+# If the focal length is only a guess, set `is_calibrated=False`. The pair is then classified as UNCALIBRATED:
+# its fundamental matrix is valid, but its relative pose needs the intrinsics.
 
-general = problems["with depth"]
+general = problems["depth"]
 guessed = verify_pair(general.pixels1, general.pixels2, general.camera1, general.camera2, is_calibrated=False)
-print("with guessed lenses:", guessed.kind.name)
+print("with guessed intrinsics:", guessed.kind.name)
 assert guessed.kind is PairKind.UNCALIBRATED

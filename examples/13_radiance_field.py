@@ -1,8 +1,8 @@
-"""A radiance field, and one ray by hand
+"""A radiance field and one ray in NumPy
 
-A field of density and colour in space, drawn by marching along rays: what a pixel sees is the sum of the
-colours on its way, each weighed by how much light gets through to it. Here the field is a grid of voxels,
-learnt from images; then one pixel is computed again in plain NumPy.
+A radiance field stores density and colour in space. To render a pixel, sample the field along its ray, and
+sum the colours, each weighted by the fraction of light that reaches the camera. This page trains a voxel grid
+on images, and then computes one pixel in plain NumPy.
 """
 
 import numpy as np
@@ -14,10 +14,10 @@ from epipole.fields.photometric import psnr
 from epipole.fields.training_view import TrainingView
 from epipole.synthetic import Box, Sphere, SyntheticScene, look_at, render
 
-# A box and two balls before nothing: where the rendering has no depth, images are transparent. Such
-# silhouettes tell at once where nothing is.
+# The scene is a box and two spheres without a background. Pixels without depth are transparent, which marks
+# their rays as empty.
 
-things = SyntheticScene.of(
+scene = SyntheticScene.of(
     [
         Box(
             center=(0.0, 0.0, -0.1),
@@ -32,75 +32,76 @@ things = SyntheticScene.of(
 )
 camera = epipole.Camera("PINHOLE", 96, 96, [110.0, 110.0, 47.5, 47.5])
 
-# Thirty views from all around. With photographs: `epipole.nerf("PHOTOS", "OUT", kind="grid")`, or
-# `kind="hash"` for a neural field of hashed tables.
+# Render 30 views from all sides. For photographs, use `epipole.nerf("PHOTOS", "OUT", kind="grid")`, or
+# `kind="hash"` for a neural field with hash tables.
 
 views = []
 for n in range(30):
     angle, up = 2.399963 * n, -0.6 + 1.3 * (n + 0.5) / 30
-    position = look_at(2.4 * np.array([np.cos(angle), np.sin(angle), up]), (0.0, 0.0, 0.0))
-    image = render(things, camera, position)
+    cam_from_world = look_at(2.4 * np.array([np.cos(angle), np.sin(angle), up]), (0.0, 0.0, 0.0))
+    image = render(scene, camera, cam_from_world)
     alpha = np.where(np.isfinite(image.depth), 255, 0).astype(np.uint8)
-    views.append(TrainingView(f"{n:02d}.png", np.dstack([image.rgb, alpha]), camera, position))
-held_out, learnt = views[15], views[:15] + views[16:]
+    views.append(TrainingView(f"{n:02d}.png", np.dstack([image.rgb, alpha]), camera, cam_from_world))
+held_out, training_views = views[15], views[:15] + views[16:]
 
-# Train: each step follows 4096 rays of all images, and moves densities and colours against the error.
+# Train the grid. Each step renders 4096 rays of the training views and updates densities and colours with the
+# gradient of the error.
 
 white, steps = np.ones(3, np.float32), 200
-trainer = VoxelTrainer(learnt, white)
+trainer = VoxelTrainer(training_views, white)
 errors = [trainer.step(step / steps) for step in range(steps)]
-print(f"mean squared error {errors[0]:.4f} at first, {np.mean(errors[-10:]):.5f} at the end")
+print(f"mean squared error {errors[0]:.4f} in the first step, {np.mean(errors[-10:]):.5f} in the last ten")
 assert np.mean(errors[-10:]) < 0.2 * errors[0]
 
-# The view that was held out.
+# Render the held-out view.
 
 truth = held_out.over(white)
 rendered = trainer.render(held_out)
-empty = psnr(np.broadcast_to(white, truth.shape).astype(np.float32), truth)
-print(f"held-out view: {psnr(rendered, truth):.1f} dB; a white image: {empty:.1f} dB")
-assert psnr(rendered, truth) > empty + 8
+white_db = psnr(np.broadcast_to(white, truth.shape).astype(np.float32), truth)
+print(f"held-out view: {psnr(rendered, truth):.1f} dB; a white image: {white_db:.1f} dB")
+assert psnr(rendered, truth) > white_db + 8
 
-# Now one pixel by hand: the ray through the middle of that image, in the grid's own coordinates.
+# Next, compute one pixel near the centre of this view by hand, with its ray in grid coordinates.
 
 grid = trainer.field
 column, row = 47, 50
 direction = held_out.cam_from_world.inverse().rotation @ camera.unproject([[column, row]])[0]
 origin = (held_out.cam_from_world.centers() - grid.low) / grid.size
 cells = np.array(grid.occupied.shape)
-walls = np.stack([-origin / direction, (cells - 1e-3 - origin) / direction])
-near, far = max(0.0, walls.min(axis=0).max()), walls.max(axis=0).min()
+bounds = np.stack([-origin / direction, (cells - 1e-3 - origin) / direction])
+near, far = max(0.0, bounds.min(axis=0).max()), bounds.max(axis=0).min()
 
-# Samples stand 0.7 voxels apart. Between the eight corners of its cell a sample's density and colour are
-# interpolated; colours depend on the direction by harmonics of degree one. Density sigma lets exp(-sigma
-# delta) of the light through: alpha = 1 - exp(-sigma delta). What is stored goes through a softplus, shifted
-# by 4.6 so that what is not known lets 99 in 100 through. The pixel is the sum of T alpha c with T the light
-# that is left, until that is a thousandth, and T of the background.
+# Sample the ray every 0.7 voxels, and interpolate density and colour between the eight corners of the cell.
+# Colours depend on the direction through spherical harmonics of degree one. A softplus maps the stored value
+# to the density sigma. Its shift of 4.6 makes an untrained voxel transmit 99 % of the light. The opacity of a
+# sample is alpha = 1 - exp(-sigma delta). The pixel is the sum of T alpha c, where T is the transmittance in
+# front of the sample, plus T times the background. The summation stops once T is below 0.001.
 
 x, y, z = direction
 basis = np.array([0.28209479, -0.48860251 * y, 0.48860251 * z, -0.48860251 * x])
-left, colour, num_samples = 1.0, np.zeros(3), 0
+transmittance, colour, num_samples = 1.0, np.zeros(3), 0
 for t in np.arange(near + 0.35, far, 0.7):
-    at = origin + t * direction
-    i, j, k = cell = at.astype(int)
+    sample = origin + t * direction
+    i, j, k = cell = sample.astype(int)
     if not grid.occupied[i, j, k]:
         continue
     values = np.zeros(16)
     for corner in np.ndindex(2, 2, 2):
-        weight = np.prod(np.where(corner, at - cell, 1 - (at - cell)))
+        weight = np.prod(np.where(corner, sample - cell, 1 - (sample - cell)))
         values += weight * grid.values[grid.row_of[tuple(cell + corner)]]
     sigma = np.logaddexp(0.0, values[0] - 4.6)
     alpha = 1.0 - np.exp(-sigma * float(grid.delta))
-    colour += left * alpha * np.maximum(0.5 + basis @ values[1:13].reshape(4, 3), 0.0)
-    left *= 1.0 - alpha
+    colour += transmittance * alpha * np.maximum(0.5 + basis @ values[1:13].reshape(4, 3), 0.0)
+    transmittance *= 1.0 - alpha
     num_samples += 1
-    if left < 1e-3:
+    if transmittance < 1e-3:
         break
-colour += left * white
+colour += transmittance * white
 
-# The kernel that drew the image says the same.
+# The compiled kernel that rendered the image computes the same value.
 
 image, _, total = render_voxels(grid, camera, held_out.cam_from_world, white)
-print(f"by hand {colour.round(4)} from {num_samples} samples, drawn {image[row, column].round(4)}")
-print(f"{total / (96 * 96):.1f} samples a pixel; {100 * left:.1f} % of the background shows through this one")
-assert num_samples > 0 and left < 0.5
+print(f"by hand {colour.round(4)} from {num_samples} samples, rendered {image[row, column].round(4)}")
+print(f"{total / (96 * 96):.1f} samples per pixel; transmittance of this pixel {100 * transmittance:.1f} %")
+assert num_samples > 0 and transmittance < 0.5
 assert np.allclose(colour, image[row, column], atol=2e-3)

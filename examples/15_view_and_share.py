@@ -1,7 +1,7 @@
-"""View and share
+"""View and share results
 
-`epipole.view` shows whatever a folder holds in the browser. `epipole.share` writes a page of its own: one
-HTML file with the scene in it, which loads nothing, needs no server, and can be sent to anybody.
+`epipole.view` shows a result in the browser. `epipole.share` writes a self-contained HTML file, which you can
+send to others: it needs no server and loads no other files.
 """
 
 import sys
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import epipole
-from epipole.fields.splat.rasterizer import render as draw
+from epipole.fields.splat.rasterizer import render as render_splats
 from epipole.io.gaussians.ply import read_gaussian_ply, write_gaussian_ply
 from epipole.scene import depth_map_to_point_cloud
 from epipole.scene.gaussian_cloud import DC, GaussianCloud
@@ -20,8 +20,8 @@ from epipole.synthetic import courtyard, courtyard_views, render
 out = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 out.mkdir(parents=True, exist_ok=True)
 
-# A scene to show. `epipole.splat` trains one from photographs; to be quick, Gaussians are put here on the
-# surfaces that five rendered images see: one for each ninth pixel.
+# Create a scene. Usually `epipole.splat` trains the Gaussians from photographs. To save time, this page puts
+# one Gaussian on the surface at every ninth pixel of five rendered images.
 
 camera = epipole.Camera("PINHOLE", 320, 240, [250.0, 250.0, 159.5, 119.5])
 views = courtyard_views(5)
@@ -34,8 +34,8 @@ for view in views:
     colours.append(image.rgb[surface.mask][::9] / 255)
     sizes.append(1.5 * points_in_cam[:, 2] / camera.focal_px)
 
-# A Gaussian is a place, three deviations (as logarithms), a rotation, an opacity (as a logit) and a colour in
-# spherical harmonics, of which degree 0 is the same from everywhere.
+# A Gaussian has a mean, three standard deviations (as logarithms), a rotation, an opacity (as a logit) and a
+# colour in spherical harmonics. Degree 0 is the same in all directions.
 
 means = np.concatenate(positions)
 n = len(means)
@@ -48,19 +48,19 @@ cloud = GaussianCloud(
 )
 print(cloud)
 
-# It looks like the scene: drawn from between the cameras, most of the image is covered, with the right
+# Render the Gaussians from a viewpoint between the cameras. They cover most of the image, with the right
 # colours.
 
-between = courtyard_views(9)[3]
-rendered = draw(cloud, camera, between)
-truth = render(courtyard(), camera, between).rgb / 255
-full = rendered.coverage > 0.9
-off = np.abs(rendered.colour[full] - truth[full]).mean()
-print(f"{100 * full.mean():.0f} % covered, colours off by {off:.3f} of 1")
-assert full.mean() > 0.5 and off < 0.15
+novel_view = courtyard_views(9)[3]
+rendered = render_splats(cloud, camera, novel_view)
+truth = render(courtyard(), camera, novel_view).rgb / 255
+is_covered = rendered.coverage > 0.9
+error = np.abs(rendered.colour[is_covered] - truth[is_covered]).mean()
+print(f"{100 * is_covered.mean():.0f} % covered, mean colour error {error:.3f}")
+assert is_covered.mean() > 0.5 and error < 0.15
 
-# Files of Gaussians that other programs read: `.ply` here; `epipole.convert` makes `.spz`, `.sog`, `.splat`
-# and compressed PLY.
+# Write the Gaussians to a `.ply` file that other programs can read. `epipole.convert` also writes `.spz`,
+# `.sog`, `.splat` and compressed PLY.
 
 write_gaussian_ply(out / "scene.ply", cloud)
 assert len(read_gaussian_ply(out / "scene.ply")) == n
@@ -69,7 +69,7 @@ ply, spz = ((out / name).stat().st_size for name in ("scene.ply", "scene.spz"))
 print(f"ply {ply / 1e6:.1f} MB, spz {spz / 1e6:.1f} MB")
 assert spz < 0.3 * ply
 
-# The page. It holds the Gaussians themselves, the most visible if there are more than `share_max`.
+# Write the page. If there are more than `share_max` Gaussians, `share` merges them down to this number.
 
 page = epipole.share(out / "scene.ply", out / "scene.html")
 html, num_bytes = page.read_text(encoding="utf-8"), page.stat().st_size
@@ -80,10 +80,10 @@ assert 'src="http' not in html and 'import("http' not in html
 smaller = epipole.share(out / "scene.ply", out / "small.html", share_max=2000)
 assert smaller.stat().st_size < 0.5 * num_bytes
 
-# The viewer in the browser shows models of `reconstruct`, paths of `slam`, depth of `stereo` and Gaussians
-# alike. It listens on this machine alone; `block=False` gives the script its handle back.
+# The viewer shows models, trajectories, depth maps and Gaussians. It listens on localhost only. With
+# `block=False`, `view` returns a handle immediately.
 
 handle = epipole.view(out / "scene.ply", block=False)
-print("watch at", handle.url)
+print("viewer:", handle.url)
 assert handle.url.startswith("http://127.0.0.1:")
 handle.stop()

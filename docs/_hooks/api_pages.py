@@ -1,4 +1,4 @@
-"""The API reference: a page for each public package, with what its __init__ hands on; mkdocstrings writes the rest."""
+"""Generates the API reference: one page per public package, with directives that mkdocstrings expands."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ MODULES = {
     ),
     "fields": ("fields.splat.rasterizer", "io.gaussians.ply", "io.gaussians.files", "dense.tsdf"),
 }
-"""Pages of single modules that the other pages speak of."""
+"""Modules outside the public packages that other pages refer to, by page."""
 HEAD = """# API reference
 
-`import epipole` loads and compiles nothing; every name is imported on first use. `epipole.NAME` is `epipole.api.NAME`: one function
-for each job. The other packages are the parts, on plain arrays.
+`epipole.NAME` is the same as `epipole.api.NAME`: one function per task. The other packages contain the individual steps, which work
+on plain arrays. `import epipole` is fast, because each name is imported on first use.
 
 | page | |
 |---|---|
@@ -30,7 +30,7 @@ for each job. The other packages are the parts, on plain arrays.
 
 
 def api_pages() -> dict[str, str]:
-    """Markdown by path."""
+    """Markdown of the API pages by path."""
     pages: dict[str, str] = {}
     rows = []
     for name in PACKAGES:
@@ -42,7 +42,7 @@ def api_pages() -> dict[str, str]:
         pages[f"api/{name}.md"] = "\n\n".join(parts) + "\n"
     for page, modules in MODULES.items():
         rows.append(f"| [{page}](of_{page}.md) | {', '.join(f'`epipole.{m}`' for m in modules)} |")
-        parts = [f"# Modules of {page}"]
+        parts = [f"# Modules for {page}"]
         for module in modules:
             tree = _tree(module)
             parts += [f"## epipole.{module}", ast.get_docstring(tree) or ""]
@@ -51,12 +51,12 @@ def api_pages() -> dict[str, str]:
     return {"api/index.md": HEAD + "\n".join(rows) + "\n", **pages}
 
 
-def _described(package: str, positions: list[str]) -> list[str]:
-    """What is at home here; what another page describes is a link."""
-    elsewhere = [p for p in positions if (home := p.split(".")[1]) in PACKAGES and home != package]
-    links = ", ".join(f"[`{position.rsplit('.', 1)[1]}`][{position}]" for position in elsewhere)
-    here = [f"::: {position}" for position in positions if position not in elsewhere]
-    return [*([f"From here, too: {links}."] if links else []), *here]
+def _described(package: str, paths: list[str]) -> list[str]:
+    """Directives for names of this package, and links to names that another package documents."""
+    elsewhere = [p for p in paths if (home := p.split(".")[1]) in PACKAGES and home != package]
+    links = ", ".join(f"[`{path.rsplit('.', 1)[1]}`][{path}]" for path in elsewhere)
+    here = [f"::: {path}" for path in paths if path not in elsewhere]
+    return [*([f"Also exported: {links}."] if links else []), *here]
 
 
 def _tree(name: str) -> ast.Module:
@@ -66,15 +66,15 @@ def _tree(name: str) -> ast.Module:
 
 
 def _names(name: str, tree: ast.Module) -> list[str]:
-    """Where the names stand that a package hands on; of a module its own."""
-    handed_on = [
+    """Dotted paths of the names that a package re-exports, or that a module defines."""
+    exported = [
         f"{node.module}.{alias.name}"
         for node in tree.body
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
         if alias.asname == alias.name
     ]
-    return handed_on or [f"epipole.{name}.{own}" for own in _own_names(tree)]
+    return exported or [f"epipole.{name}.{own}" for own in _own_names(tree)]
 
 
 def _own_names(tree: ast.Module) -> list[str]:

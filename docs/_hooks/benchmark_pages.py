@@ -1,4 +1,4 @@
-"""The pages of measured results, one for each family of files in benchmarks/results, and the protocol."""
+"""Generates the benchmark pages: one per family of files in benchmarks/results, and the protocol."""
 
 from __future__ import annotations
 
@@ -13,17 +13,20 @@ from benchmark_tables import Column, Measure, flat, machine_line, medians, stand
 RESULTS = Path(__file__).resolve().parents[2] / "benchmarks" / "results"
 HEAD = """# Benchmarks
 
-Every number that stands in `benchmarks/results`, losses included; these pages are made of those files. What is measured and how is
-told in the [protocol](protocol.md). Values are medians where a file holds several runs. Under each comparison a table says with
-which programs epipole is better, level (within 2 %) or worse, measure by measure. Each section names its file, the machine,
-the versions and the commit: sections of different days are not comparable to the digit.
+These pages are generated from `benchmarks/results` and show all numbers, including those where other programs are better. The
+[protocol](protocol.md) describes what is measured and how. If a file has several runs, the values are medians. A table below each
+comparison lists the programs than which epipole is better, level (within 2 %) or worse. Each section names its file, machine, versions and
+commit. Small differences between sections of different days are not significant.
 
 | page | files |
 |---|---|
 """
 SFM_COLUMNS = (
-    Column("registered", "images placed"),
-    *(Column("position_mean", "position error, mean, mm", 1000), Column("position_max", "largest, mm", 1000)),
+    Column("registered", "registered images"),
+    *(
+        Column("position_mean", "position error, mean, mm", 1000),
+        Column("position_max", "position error, maximum, mm", 1000),
+    ),
     Column("rotation_mean_deg", "rotation error, mean, degrees"),
     *(Column(f"auc_{n}", f"AUC at {n} degree{'s' * (n > 1)}, %", 100) for n in (1, 3, 5)),
     Column("gps_median_m", "to the GPS fixes, median, m"),
@@ -32,7 +35,7 @@ SFM_COLUMNS = (
     *(Column("wall_s", "seconds"), Column("peak_memory_mb", "memory, MB")),
 )
 SFM_MEASURES = (
-    Measure("registered", "images placed", higher_is_better=True),
+    Measure("registered", "registered images", higher_is_better=True),
     Measure("position_mean", "mean position error"),
     Measure("rotation_mean_deg", "mean rotation error"),
     Measure("auc_1", "AUC at 1 degree", higher_is_better=True),
@@ -44,45 +47,47 @@ ERROR_UNITS = {"relative": "degrees", "absolute": "degrees", "fundamental": "px"
 
 
 def sfm(content: Any) -> str:
-    """Medians of all runs of each program on one set."""
+    """Tables of structure-from-motion: medians of all runs of each program on one set."""
     rows = {
         name: {key: value["median"] for key, value in row.items()}
         for name, row in content["summary"].items()
         if name != "pycolmap-best"
     }
-    given = f"{content['pictures']} images; the programs are told: {content['told']}."
-    return "\n\n".join([given, table(rows, SFM_COLUMNS), standing(rows, SFM_MEASURES)])
+    summary = f"{content['pictures']} images; given to each program: {content['told']}."
+    return "\n\n".join([summary, table(rows, SFM_COLUMNS), standing(rows, SFM_MEASURES)])
 
 
 def estimation(content: Any) -> str:
-    """Times and errors of every program on one task."""
+    """Tables of one estimation task: times and errors of each program."""
     unit = ERROR_UNITS[content["task"].split("-")[0]]
     columns = (
         Column("median_ms", "time, median, ms"),
-        Column("p90_ms", "90 %, ms"),
+        Column("p90_ms", "time, 90th percentile, ms"),
         Column("median_error", f"error, median, {unit}"),
-        Column("p90_error", f"90 %, {unit}"),
+        Column("p90_error", f"error, 90th percentile, {unit}"),
         Column("failed", "failed"),
     )
     measures = (
         Measure("median_ms", "time"),
         Measure("median_error", "median error"),
-        Measure("p90_error", "error at 90 %"),
+        Measure("p90_error", "90th percentile of the error"),
         Measure("failed", "failures"),
     )
-    given = f"{content['problems']} problems, each sent to every program."
-    return "\n\n".join([given, table(content["programs"], columns), standing(content["programs"], measures)])
+    summary = f"{content['problems']} problems, given to every program."
+    return "\n\n".join(
+        [summary, table(content["programs"], columns), standing(content["programs"], measures)]
+    )
 
 
 def bundle(content: Any) -> str:
-    """Time and cost of every adjuster, problem by problem."""
+    """Tables of bundle adjustment: time and cost of each program, one section per problem."""
     columns = (
-        Column("seconds_solve", "time of the solve, s"),
-        Column("seconds_build", "of making the problem, s"),
+        Column("seconds_solve", "solve time, s"),
+        Column("seconds_build", "setup time, s"),
         Column("num_iterations", "iterations"),
         Column("final_cost", "final cost"),
     )
-    measures = (Measure("seconds_solve", "time of the solve"), Measure("final_cost", "final cost"))
+    measures = (Measure("seconds_solve", "solve time"), Measure("final_cost", "final cost"))
     parts = []
     for name, problem in content.items():
         if isinstance(problem, dict) and "programs" in problem:
@@ -92,11 +97,11 @@ def bundle(content: Any) -> str:
 
 
 def slam(content: Any) -> str:
-    """Every sensor: how much of the path is known, how wrong it is, and the time of a frame."""
+    """Tables of SLAM, one section per sensor: localized frames, errors, and time per frame."""
     if "summary" not in content:
         return anything(content)
     sensors = dict.fromkeys(name.split()[0] for name in content["summary"])
-    words = {"rgbd": "depth camera", "stereo": "stereo", "mono": "one camera"}
+    titles = {"rgbd": "depth camera", "stereo": "stereo", "mono": "one camera"}
     parts = []
     for sensor in sensors:
         rows = {
@@ -107,7 +112,7 @@ def slam(content: Any) -> str:
             for name, row in content["summary"].items()
             if name.split()[0] == sensor
         }
-        parts += [f"### {words.get(sensor, sensor)}", *_slam_tables(rows, sensor)]
+        parts += [f"### {titles.get(sensor, sensor)}", *_slam_tables(rows, sensor)]
     return "\n\n".join(parts)
 
 
@@ -117,36 +122,42 @@ def _slam_tables(rows: Mapping[str, Mapping[str, Any]], sensor: str) -> list[str
     errors = [k for k in keys if k.endswith((aligned, "made_up_max", "turn_max_deg"))]
     columns = [Column("runs", "runs")]
     measures = []
-    for when, words in (("final", "final path"), ("causal", "as frames came")):
-        columns.append(Column(f"{when} coverage", f"{words}: frames with a place, %", 100))
-        measures.append(Measure(f"{when} coverage", f"{words}: frames with a place", higher_is_better=True))
-        for key in (k for k in errors if k.startswith(when)):
+    for variant, label in (("final", "final trajectory"), ("causal", "causal poses")):
+        columns.append(Column(f"{variant} coverage", f"{label}: localized frames, %", 100))
+        measures.append(Measure(f"{variant} coverage", f"{label}: localized frames", higher_is_better=True))
+        for key in (k for k in errors if k.startswith(variant)):
             truth, kind = key.split()[1], key.split()[2]
             against = "" if truth == "exact" else f" against {truth}"
-            error, unit, factor = {
-                aligned: ("error, rms, mm", "error", 1000.0),
-                "made_up_max": ("place made up, at most", "place made up", 1.0),
-                "turn_max_deg": ("error of the turn, at most, degrees", "error of the turn", 1.0),
+            heading, measure, factor = {
+                aligned: ("position error, RMS, mm", "position error", 1000.0),
+                "made_up_max": ("spurious translation, maximum", "spurious translation", 1.0),
+                "turn_max_deg": ("rotation error, maximum, degrees", "rotation error", 1.0),
             }[kind]
-            columns.append(Column(key, f"{words}: {error}{against}", factor))
-            measures.append(Measure(key, f"{words}: {unit}{against}"))
-    columns += [Column("ms_median", "time of a frame, median, ms"), Column("ms_p95", "95 %, ms")]
-    measures += [Measure("ms_median", "time of a frame, median"), Measure("ms_p95", "time of a frame, 95 %")]
+            columns.append(Column(key, f"{label}: {heading}{against}", factor))
+            measures.append(Measure(key, f"{label}: {measure}{against}"))
+    columns += [
+        Column("ms_median", "time per frame, median, ms"),
+        Column("ms_p95", "time per frame, 95th percentile, ms"),
+    ]
+    measures += [
+        Measure("ms_median", "time per frame, median"),
+        Measure("ms_p95", "time per frame, 95th percentile"),
+    ]
     return [table(rows, columns), standing(rows, measures)]
 
 
 def splats(content: Any) -> str:
-    """Medians over the seeds of each training."""
+    """Table of radiance fields: medians over the seeds of each training."""
     columns = (
         Column("runs", "seeds"),
         *(Column("psnr", "PSNR, dB"), Column("ssim", "SSIM"), Column("steps", "steps")),
-        *(Column("train_s", "trained, s"), Column("size", "Gaussians, numbers or corners")),
+        *(Column("train_s", "training time, s"), Column("size", "Gaussians, parameters or grid corners")),
     )
     return table({name: medians(runs) for name, runs in content["tasks"].items()}, columns)
 
 
 def compared(*measures: Measure) -> Callable[[Any], str]:
-    """Sections with a row for each program, compared by these measures."""
+    """Renderer of sections with one row per program, compared by these measures."""
 
     def sections(content: Any) -> str:
         parts = []
@@ -159,20 +170,20 @@ def compared(*measures: Measure) -> Callable[[Any], str]:
 
 
 def solvers(content: Any) -> str:
-    """Each minimal solver, alone and beside PoseLib's where that has one."""
+    """Table of the minimal solvers, compared with PoseLib where it has the same solver."""
     rows = {name: row for name, row in content.items() if isinstance(row, dict) and name != "machine"}
-    beside = [row for row in rows.values() if "PoseLib call us" in row]
-    faster = sum(row["call us"] < row["PoseLib call us"] for row in beside)
-    right = sum(row["right"] >= row["PoseLib right"] for row in beside)
-    given = (
-        f"{content['count']:,} exact problems each. A call from Python is faster than PoseLib's in {faster} of {len(beside)} solvers"
-        f" that both have; the truth is among the answers at least as often in {right}."
+    shared = [row for row in rows.values() if "PoseLib call us" in row]
+    faster = sum(row["call us"] < row["PoseLib call us"] for row in shared)
+    right = sum(row["right"] >= row["PoseLib right"] for row in shared)
+    summary = (
+        f"{content['count']:,} exact problems per solver. PoseLib has {len(shared)} of these solvers. A call from Python is faster in epipole"
+        f" for {faster} of them, and finds the true solution at least as often for {right}."
     )
-    return "\n\n".join([given, table(rows)])
+    return "\n\n".join([summary, table(rows)])
 
 
 def anything(content: Any) -> str:
-    """Whatever a file holds: rows as tables, with headings for what they belong to."""
+    """Tables of a file of unknown layout, with its keys as headings."""
     content = {"": content} if isinstance(content, list) else content
     parts, single = [], {}
     for name, value in content.items():
@@ -196,7 +207,7 @@ def anything(content: Any) -> str:
 
 @dataclass(frozen=True)
 class Family:
-    """Files that share a page."""
+    """Result files that share a page."""
 
     page: str
     title: str
@@ -215,11 +226,11 @@ FAMILIES = (
         "Stereo",
         ("stereo.json",),
         compared(
-            Measure("density %", "share of pixels answered", higher_is_better=True),
-            Measure("bad 1 %", "answers off by more than 1 px"),
-            Measure("bad 2 %", "answers off by more than 2 px"),
-            Measure("bad 1 % with holes", "off by more than 1 px, holes counted"),
-            Measure("average px", "average error"),
+            Measure("density %", "density", higher_is_better=True),
+            Measure("bad 1 %", "pixels with an error above 1 px"),
+            Measure("bad 2 %", "pixels with an error above 2 px"),
+            Measure("bad 1 % with holes", "pixels with an error above 1 px or without a disparity"),
+            Measure("average px", "mean error"),
             SECONDS,
         ),
     ),
@@ -227,30 +238,28 @@ FAMILIES = (
     Family("fields", "Radiance fields", ("splats.json",), splats),
     Family(
         "fields_more",
-        "Radiance fields: speed and growth",
+        "Radiance fields: speed and scaling",
         ("splat_", "rasterizer", "field_", "lesson_fields"),
     ),
-    Family(
-        "pose_graphs", "Pose graphs", ("pose_graphs",), compared(SECONDS, Measure("cost", "cost at the end"))
-    ),
+    Family("pose_graphs", "Pose graphs", ("pose_graphs",), compared(SECONDS, Measure("cost", "final cost"))),
     Family(
         "many",
-        "Many pairs, many points",
+        "Image pairs and triangulation",
         ("throughput", "triangulation"),
         compared(
-            Measure("all", "pairs explained rightly", higher_is_better=True),
+            Measure("all", "correctly classified pairs", higher_is_better=True),
             Measure("mean error", "mean error"),
             Measure("median error", "median error"),
-            Measure("found", "points found", higher_is_better=True),
+            Measure("found", "triangulated points", higher_is_better=True),
             SECONDS,
         ),
     ),
-    Family("solvers", "Single solvers", ("solvers",), solvers),
+    Family("solvers", "Minimal solvers", ("solvers",), solvers),
     Family(
         "calibration",
         "Calibration",
         ("calibration",),
-        compared(Measure("rms px", "rms of residuals"), SECONDS),
+        compared(Measure("rms px", "RMS of the residuals"), SECONDS),
     ),
     Family("scale", "Scale", ("anchors", "inertial")),
     Family("more", "Other measurements", ("",)),
@@ -258,15 +267,15 @@ FAMILIES = (
 
 
 def benchmark_pages(results: Path = RESULTS) -> dict[str, str]:
-    """Markdown by path: the list, the protocol, and a page for each family that has files."""
-    left = sorted(results.glob("*.json"))
+    """Markdown by path: the index, the protocol, and a page for each family that has files."""
+    remaining = sorted(results.glob("*.json"))
     pages: dict[str, str] = {}
     rows = []
     for family in FAMILIES:
-        files = [path for path in left if path.name.startswith(family.prefixes)]
-        left = [path for path in left if path not in files]
+        files = [path for path in remaining if path.name.startswith(family.prefixes)]
+        remaining = [path for path in remaining if path not in files]
         if files:
-            parts = [f"# {family.title}", "What is measured, and how: [protocol](protocol.md)."]
+            parts = [f"# {family.title}", "The [protocol](protocol.md) describes what is measured and how."]
             for path in files:
                 content = json.loads(path.read_text(encoding="utf-8"))
                 parts += [f"## {_title(path.stem, family)}", machine_line(path.name, content)]
@@ -276,11 +285,11 @@ def benchmark_pages(results: Path = RESULTS) -> dict[str, str]:
     protocol = (
         (results.parent / "README.md").read_text(encoding="utf-8").replace("# Benchmarks", "# Protocol", 1)
     )
-    listed = HEAD + "\n".join(rows) + "\n"
-    return {"benchmarks/index.md": listed, "benchmarks/protocol.md": protocol, **pages}
+    index = HEAD + "\n".join(rows) + "\n"
+    return {"benchmarks/index.md": index, "benchmarks/protocol.md": protocol, **pages}
 
 
 def _title(stem: str, family: Family) -> str:
-    """The file's name without the words that the page's own title says."""
+    """File name without the prefix of its family."""
     short = next((stem.removeprefix(p) for p in family.prefixes if p and p.endswith("_")), stem)
     return short.replace("_", " ")

@@ -1,4 +1,4 @@
-"""Numbers, tables and standings of the benchmark pages."""
+"""Formats the numbers and tables of the benchmark pages."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from statistics import median
 from typing import Any
 
 LEVEL = 0.02
-"""Values that differ by no more than this share of the greater one count as level."""
+"""Largest difference of two equal results, relative to the larger value."""
 OURS = "epipole"
 NOT_COMPARED = {("PoseLib (pose alone)", "all"), ("pycolmap, 20000 points", "seconds")}
-"""Program and measure: it does not do this, or did it for another number of items."""
+"""Pairs of program and measure that are not comparable: a missing feature, or a different number of items."""
 Rows = Mapping[str, Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a table: where its value is, its heading, and a factor for its unit."""
+    """Column of a table: key of the value, heading, and unit conversion factor."""
 
     key: str
     heading: str
@@ -26,15 +26,15 @@ class Column:
 
 @dataclass(frozen=True)
 class Measure:
-    """What programs are compared by."""
+    """Value by which programs are compared."""
 
     key: str
-    words: str
+    label: str
     higher_is_better: bool = False
 
 
 def number(value: Any) -> str:
-    """A value as it stands in a table: four digits, and thousands apart."""
+    """Format a value with up to four digits and thousands separators."""
     if value is None:
         return ""
     if isinstance(value, bool):
@@ -53,7 +53,7 @@ def number(value: Any) -> str:
 
 
 def flat(values: Any, prefix: str = "") -> dict[str, Any]:
-    """Numbers and words of nested dictionaries by their joined keys; long lists are left out."""
+    """Flatten nested dictionaries by joining their keys; skip lists of more than three numbers."""
     found: dict[str, Any] = {}
     for key, value in values.items():
         name = f"{prefix} {key}".strip().replace("_", " ")
@@ -67,7 +67,7 @@ def flat(values: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def table(rows: Rows, columns: Sequence[Column] | None = None, first: str = "") -> str:
-    """Markdown of rows by their names; without columns, of all that any row has."""
+    """Markdown table with one line per row name; without `columns`, of all keys of all rows."""
     if columns is None:
         columns = [Column(key, key) for key in dict.fromkeys(key for row in rows.values() for key in row)]
     used = [c for c in columns if any(row.get(c.key) is not None for row in rows.values())]
@@ -88,7 +88,7 @@ def _scaled(value: Any, column: Column) -> str:
 
 
 def standing(rows: Rows, measures: Sequence[Measure], ours: str | None = None) -> str:
-    """Where epipole is better than the others, level with them, or worse, measure by measure; empty where none is there."""
+    """Markdown table of the programs that epipole is better than, level with and worse than; empty without a comparison."""
     mine = ours or next((name for name in rows if name.startswith(OURS)), None)
     others = [name for name in rows if not name.startswith(OURS)]
     lines = []
@@ -96,50 +96,48 @@ def standing(rows: Rows, measures: Sequence[Measure], ours: str | None = None) -
         own = None if mine is None else rows[mine].get(measure.key)
         if own is None:
             continue
-        positions: dict[str, list[str]] = {"better": [], "level": [], "worse": []}
+        names: dict[str, list[str]] = {"better": [], "level": [], "worse": []}
         for name in others:
             theirs = rows[name].get(measure.key)
             if theirs is not None and (name, measure.key) not in NOT_COMPARED:
-                positions[_position(own, theirs, measure)].append(name)
-        if any(positions.values()):
-            lines.append(
-                f"| {measure.words} | " + " | ".join(", ".join(v) for v in positions.values()) + " |"
-            )
+                names[_compare(own, theirs, measure)].append(name)
+        if any(names.values()):
+            lines.append(f"| {measure.label} | " + " | ".join(", ".join(v) for v in names.values()) + " |")
     if not lines:
         return ""
     return "\n".join([f"| {mine} is | better than | level with | worse than |", "|---|---|---|---|", *lines])
 
 
-def _position(own: float, theirs: float, measure: Measure) -> str:
+def _compare(own: float, theirs: float, measure: Measure) -> str:
     if abs(own - theirs) <= LEVEL * max(abs(own), abs(theirs)):
         return "level"
     return "better" if (own > theirs) == measure.higher_is_better else "worse"
 
 
 def medians(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """The median of each number over runs, and how many there are."""
+    """Median of each number over the runs, and the number of runs."""
     keys = dict.fromkeys(key for run in runs for key, value in run.items() if isinstance(value, int | float))
     found = {key: median(run[key] for run in runs if run.get(key) is not None) for key in keys}
     return {"runs": len(runs), **found}
 
 
 def machine_line(name: str, content: Any) -> str:
-    """From which file, on what machine, with which versions, of which commit."""
-    words = [f"`benchmarks/results/{name}`"]
+    """Markdown line with the file, the machine, the versions and the commit of a result."""
+    parts = [f"`benchmarks/results/{name}`"]
     machine = content.get("machine") if isinstance(content, dict) else None
     if machine:
         cores = f"{machine['cpus_usable']} processors" if machine.get("cpus_usable") else ""
         threads = (
             f"{machine['threads']} thread{'s' * (machine['threads'] > 1)}" if machine.get("threads") else ""
         )
-        words += [part for part in (machine.get("cpu", ""), cores, threads) if part]
-        words.append(f"Python {machine['python']}")
-        words += [f"{package} {version}" for package, version in machine.get("versions", {}).items()]
+        parts += [text for text in (machine.get("cpu", ""), cores, threads) if text]
+        parts.append(f"Python {machine['python']}")
+        parts += [f"{package} {version}" for package, version in machine.get("versions", {}).items()]
         commit = machine.get("commit") or ""
-        words.append(f"commit {commit[:10]}" + (" with changes" if commit.endswith("+") else ""))
+        parts.append(f"commit {commit[:10]}" + (" with changes" if commit.endswith("+") else ""))
     peers = {**content.get("versions", {}), **_versions_of_runs(content)} if isinstance(content, dict) else {}
-    words += [f"{peer} {version}" for peer, version in peers.items() if peer != OURS]
-    return "*" + ", ".join(words) + "*"
+    parts += [f"{peer} {version}" for peer, version in peers.items() if peer != OURS]
+    return "*" + ", ".join(parts) + "*"
 
 
 def _versions_of_runs(content: Mapping[str, Any]) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""The command reference, read off the command line's own parser."""
+"""Generates the command reference from the parsers of the command line."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from epipole.cli import main as command_line
 
 HEAD = """# Command reference
 
-Written from the command line itself: `epipole COMMAND --help` says the same. Paths are given in order, options anywhere;
-an option that is left out has the default of the table. Every command takes `-q`, `--quiet` (errors alone, and the answer of
-commands that give one) and `-v`, `--verbose` (each unit of work, and where an error comes from). Commands that write take
-`--overwrite`, which replaces existing files that epipole did not write; without it they are refused ([promises](promises.md)).
+These pages are generated from the command line and match `epipole COMMAND --help`. Paths have a fixed order; options can be anywhere.
+Every command accepts `-q`, `--quiet` (print only errors, and the results of commands such as `evaluate`) and `-v`, `--verbose` (print
+each unit of work with its time, and tracebacks of errors). Commands that write files accept `--overwrite`, which allows them to replace
+files that epipole did not write ([promises](promises.md)).
 
 | exit code | |
 |---|---|
-| 0 | done |
-| 1 | an error, told in one line |
-| 2 | words or options that cannot be used |
-| 3 | a check (`--strict`) says no |
-| 130 | stopped by Ctrl-C; what was finished is kept |
+| 0 | success |
+| 1 | error, with a one-line message |
+| 2 | invalid arguments or options |
+| 3 | a `--strict` check failed |
+| 130 | stopped by Ctrl-C; finished work is kept |
 
 | command | |
 |---|---|
@@ -33,7 +33,7 @@ commands that give one) and `-v`, `--verbose` (each unit of work, and where an e
 
 
 def command_pages() -> dict[str, str]:
-    """Markdown by path: one page for each command, and their list."""
+    """Markdown by path: an index and one page per command."""
     functions = command_line._functions()
     pages = {f"commands/{name}.md": _page(name, function) for name, function in functions.items()}
     rows = [
@@ -67,7 +67,7 @@ def _parser(name: str, function: Callable[..., None]) -> argparse.ArgumentParser
 def _tables(
     parser: argparse.ArgumentParser,
 ) -> tuple[list[argparse.Action], list[tuple[str, str | None, list[argparse.Action]]]]:
-    """The paths, and the options by their groups."""
+    """Positional paths, and (title, description, options) of each group."""
     paths: list[argparse.Action] = []
     groups = []
     for group in parser._action_groups:
@@ -80,7 +80,7 @@ def _tables(
 
 
 def _table(actions: list[argparse.Action]) -> str:
-    """Name, value, default and meaning of each option."""
+    """Markdown table with the name, value, default and meaning of each option."""
     rows = ["| option | value | default | meaning |", "|---|---|---|---|"]
     for action in actions:
         text, default = _described(action)
@@ -101,7 +101,7 @@ def _value(action: argparse.Action) -> str:
 
 
 def _described(action: argparse.Action) -> tuple[str, str]:
-    """The help without the default at its end, and the default."""
+    """Split the help text into the description and the default."""
     text = " ".join((action.help or "").replace("%%", "%").split())
     found = re.search(r"\s*\((default: (?P<default>.*)|required[^)]*|repeatable)\)$", text)
     if found is None:

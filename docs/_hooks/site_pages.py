@@ -1,6 +1,6 @@
-"""Adds the generated pages to the site, and fills the navigation of mkdocs.yml.
+"""MkDocs hooks that add the generated pages to the site and to the navigation.
 
-There `+name` stands for all generated pages of a folder.
+In the navigation of mkdocs.yml, `+name` stands for all generated pages of the folder `name`.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from tutorial_pages import tutorial_pages
 
 
 def generated() -> dict[str, str]:
-    """Markdown of all generated pages by path, in the order of the navigation."""
+    """Markdown of all generated pages by path, in navigation order."""
     return {**tutorial_pages(), **command_pages(), **api_pages(), **benchmark_pages()}
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Make the pages, and put them in the places of the navigation that ask for them."""
+    """Generate the pages and replace the `+name` entries of the navigation."""
     config.extra["generated"] = generated()
     config.nav = _filled(config.nav, list(config.extra["generated"]))
     return config
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages to those on disk."""
+    """Add the generated pages to the files on disk."""
     for path, text in config.extra.pop("generated").items():
         files.append(File.generated(config, path, content=text))
     return files
@@ -43,7 +43,7 @@ def on_post_build(config: MkDocsConfig) -> None:
 
 
 def _filled(entries: Any, pages: list[str]) -> list[Any]:
-    """Navigation with all marks replaced."""
+    """Replace each `+name` entry by the pages of that folder."""
     found: list[Any] = []
     for entry in entries:
         title, value = next(iter(entry.items())) if isinstance(entry, dict) else (None, entry)

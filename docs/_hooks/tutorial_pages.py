@@ -1,8 +1,7 @@
-"""Tutorials made of examples/NN_name.py.
+"""Generates the tutorial pages from examples/NN_name.py.
 
-The first line of the module's docstring is the title, the rest the introduction. A comment at the margin with an empty line (or the
-end) after it is prose, Markdown included: images and links are written from the repository's root, `docs/pictures/name.jpg`. All
-else, comments that belong to a line of code included, is shown as code.
+The module docstring is the title (first line) and the introduction. An unindented comment that precedes a blank line or the end of
+the file is Markdown prose, with links relative to the repository root (`docs/pictures/name.jpg`). Everything else is code.
 """
 
 from __future__ import annotations
@@ -17,25 +16,25 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
 def tutorial_pages(examples: Path = EXAMPLES) -> dict[str, str]:
-    """Markdown by path, in the order of the numbers."""
+    """Markdown of all tutorials by page path, ordered by example number."""
     files = sorted(examples.glob("[0-9][0-9]_*.py"))
     return {f"tutorials/{path.stem}.md": tutorial(path) for path in files}
 
 
 def tutorial(path: Path) -> str:
-    """One example as a page."""
+    """Convert one example to Markdown."""
     source = path.read_text(encoding="utf-8")
-    words = (ast.get_docstring(ast.parse(source)) or path.stem).strip()
-    title, _, intro = words.partition("\n")
+    docstring = (ast.get_docstring(ast.parse(source)) or path.stem).strip()
+    title, _, intro = docstring.partition("\n")
     parts = [f"# {title.strip().rstrip('.')}", _prose(intro.strip())]
     for kind, text in blocks(source):
         parts.append(_prose(text) if kind == "prose" else f"```python\n{text}\n```")
-    parts.append(f"The whole file is `examples/{path.name}`; `python examples/{path.name}` runs it.")
+    parts.append(f"The whole file is `examples/{path.name}`. Run it with `python examples/{path.name}`.")
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
 def blocks(source: str) -> list[tuple[str, str]]:
-    """Prose and code after the module's docstring, in order."""
+    """Split the source after the module docstring into ("prose" or "code", text) blocks, in order."""
     lines = source.splitlines()
     module = ast.parse(source).body
     first = module[0].end_lineno or 0 if module and ast.get_docstring(ast.parse(source)) else 0
@@ -52,7 +51,7 @@ def blocks(source: str) -> list[tuple[str, str]]:
 
 
 def _prose_lines(source: str, first: int) -> set[int]:
-    """Numbers, from 0, of the lines of comments that stand by themselves at the margin."""
+    """Zero-based numbers of the comment lines that are prose."""
     lines = source.splitlines()
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
     comments = {
@@ -60,8 +59,8 @@ def _prose_lines(source: str, first: int) -> set[int]:
     }
     prose: set[int] = set()
     for n in sorted(comments, reverse=True):
-        alone = n + 1 >= len(lines) or not lines[n + 1].strip() or n + 1 in prose
-        if n >= first and alone:
+        is_last = n + 1 >= len(lines) or not lines[n + 1].strip() or n + 1 in prose
+        if n >= first and is_last:
             prose.add(n)
     return prose
 
