@@ -146,7 +146,7 @@ def test_no_folder_is_made_under_the_name_of_a_file(target: Target, name: str, w
 @pytest.mark.parametrize("name", ["out.webm", "out.xyz", "out.MP3", "a.b.mp44"])
 def test_a_render_is_a_video_or_a_folder(name: str, work: Path, capsys) -> None:
     assert run(TARGETS["render"][1], name) == 2 and not Path(name).exists()
-    assert ".mp4, or a folder" in capsys.readouterr().err
+    assert ".gif, or a folder" in capsys.readouterr().err
     assert run(TARGETS["render"][1], "views_0.5") == 0 and Path("views_0.5").is_dir()
 
 
