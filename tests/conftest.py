@@ -80,6 +80,8 @@ def browser() -> Iterator[Any]:
         pytest.skip("no Chromium on this machine")
     playwright = pytest.importorskip("playwright.sync_api")
     with playwright.sync_playwright() as started:
-        opened = started.chromium.launch(executable_path=BROWSER, args=["--no-sandbox", *SOFTWARE_GL])
+        opened = started.chromium.launch(
+            executable_path=BROWSER, args=["--no-sandbox", "--force-prefers-reduced-motion", *SOFTWARE_GL]
+        )
         yield opened
         opened.close()

@@ -133,6 +133,7 @@ def test_a_camera_is_looked_through_and_its_picture_shown(tab: Opened) -> None:
     before = tab.rendered()
     set_slider(tab, "#picture-opacity", 1.0)
     assert np.abs(tab.rendered() - before).mean() > 20
+    tab.page.click("summary:has-text('More')")
     tab.page.click("#reset-view")
     tab.improve()
     assert tab.page.inner_text("#camera-name") == ""
@@ -199,8 +200,67 @@ def test_a_distance_says_what_it_does_not_know(
     for position in xyz:
         tab.page.mouse.click(*pixel_of(tab, position - origin))
     text = tab.page.inner_text("#measured")
-    assert text.startswith(words) and "how exact is not known" in text
+    assert text.startswith(words) and "its error is unknown" in text
     assert tab.page.evaluate("document.documentElement.scrollWidth") <= 390
+    check_own_scale(tab, has_unit=bool(unit))
+
+
+def check_own_scale(tab: Opened, has_unit: bool) -> None:
+    """A scene without a unit gets one from a length that a person knows; the browser keeps it until it is undone."""
+    if has_unit:
+        assert tab.page.locator("#set-scale").count() == 0
+        return
+    tab.page.fill("#true-length", "2.5")
+    tab.page.click("#set-scale button")
+    assert tab.page.inner_text("#measured").startswith("2.5 m, with the scale set here")
+    tab.page.reload()
+    tab.page.wait_for_function("space.then(s => s !== null)")
+    assert tab.page.evaluate(
+        "ownScale(readJson('space-data'), () => {}).inMetres({length: 4, sigma: null})"
+    ) == {
+        "length": 1.0,
+        "sigma": None,
+        "unit": "m",
+        "words": ", with the scale set here",
+    }
+    tab.page.evaluate("document.getElementById('unset-scale').click()")
+    assert (
+        tab.page.evaluate("ownScale(readJson('space-data'), () => {}).inMetres({length: 4, sigma: 1}).unit")
+        == ""
+    )
+
+
+def test_the_error_of_the_known_length_is_added(tab: Opened) -> None:
+    """Two independent relative errors of 3 % and 4 % give 5 %."""
+    tab.page.evaluate("localStorage.clear()")
+    key = "`epipole-scale ${location.pathname} ${readJson('space-data').title}`"
+    tab.page.evaluate(f"localStorage.setItem({key}, JSON.stringify({{metres: 2, relative: 0.04}}))")
+    make = "document.body.insertAdjacentHTML('beforeend', '<form id=set-scale><b id=unset-scale></b></form>')"
+    if tab.page.locator("#set-scale").count() == 0:
+        tab.page.evaluate(make)
+    found = tab.page.evaluate("ownScale(readJson('space-data'), () => {}).inMetres({length: 10, sigma: 0.3})")
+    tab.page.evaluate("localStorage.clear()")
+    assert (found["length"], found["sigma"]) == (pytest.approx(20.0), pytest.approx(1.0))
+
+
+def test_a_page_of_one_view_turns_until_it_is_touched(tab: Opened) -> None:
+    yaw = "space.then(s => s.view.eye().yaw)"
+    at_rest = tab.page.evaluate(yaw)
+    tab.page.emulate_media(reduced_motion="no-preference")
+    tab.page.reload()
+    tab.page.wait_for_function(f"Promise.resolve({yaw}).then(now => Math.abs(now - {at_rest}) > 0.01)")
+    tab.page.mouse.click(5 + tab.page.locator("#space").bounding_box()["x"], 300)
+    touched = tab.page.evaluate(yaw)
+    tab.page.evaluate("() => new Promise(done => setTimeout(done, 150))")
+    assert tab.page.evaluate(yaw) == touched
+    tab.page.emulate_media(reduced_motion="reduce")
+
+
+def test_the_legend_names_colors(tab: Opened) -> None:
+    assert tab.page.locator("#legend li").count() == 0
+    tab.page.click("summary:has-text('Layers')")
+    tab.page.select_option("#point-colour", "1")
+    assert "px" in tab.page.inner_text("#legend")
 
 
 def test_the_picture_is_saved_under_a_safe_name(empty_tab: Opened, tmp_path: Path) -> None:
@@ -210,6 +270,7 @@ def test_the_picture_is_saved_under_a_safe_name(empty_tab: Opened, tmp_path: Pat
     page.write_text(scene_page(scene, 10).html, encoding="utf-8")
     tab = empty_tab
     tab.open(page.as_uri())
+    tab.page.click("summary:has-text('More')")
     with tab.page.expect_download() as given:
         tab.page.click("#save-picture")
     assert given.value.suggested_filename == "a_b_script_.png"

@@ -70,12 +70,12 @@ function orbitEye(
     eye = goal;
     redraw();
   }
-  function flyTo(goal) {
+  function flyTo(goal, { ms = 600, then = null } = {}) {
     const from = eye,
       begin = performance.now(),
       mine = ++flight;
     isFlying = true;
-    const length = matchMedia("(prefers-reduced-motion: reduce)").matches ? 1 : 600;
+    const length = matchMedia("(prefers-reduced-motion: reduce)").matches ? 1 : ms;
     const nearest = (angle) => Math.atan2(Math.sin(angle), Math.cos(angle));
     const turn = nearest(goal.yaw - from.yaw),
       lean = nearest(goal.roll - from.roll);
@@ -94,6 +94,7 @@ function orbitEye(
       isFlying = t < 1;
       redraw();
       if (isFlying) requestAnimationFrame(step);
+      else if (then) then();
     })(begin);
   }
 
@@ -124,6 +125,8 @@ function orbitEye(
     moved = 0;
     span = 0;
     active = true;
+    flight++; // a hand takes over
+    isFlying = false;
     if (leave) leave(event);
   });
   canvas.addEventListener("pointermove", (event) => {

@@ -10,6 +10,7 @@ const EVERYWHERE = { low: [-1e30, -1e30, -1e30], high: [1e30, 1e30, 1e30] };
 const [FIRST_PORTION, LEAST_PORTION] = [30000, 8000]; // points
 const REST_TIMES = 6; // portions a frame when nothing moves
 const [QUICK_MS, SLOW_MS] = [22, 33];
+const [SWAY, SWAY_MS] = [0.25, 3500]; // radians, milliseconds
 const FINE_POINTS = 50000; // of a scene whose lines are worth four samples a pixel
 
 async function spaceView(canvas, data) {
@@ -394,11 +395,20 @@ async function spaceView(canvas, data) {
     },
     snapshot,
   });
+  /* A page that is one 3D view shows its depth at the start: a slow turn to one side and back, until a hand takes over. */
+  function sway() {
+    const from = start(),
+      aside = { ...from, yaw: from.yaw + SWAY };
+    if (canvas.dataset.whole !== "yes" || data.live || /^#view=/.test(location.hash)) return;
+    if (matchMedia("(prefers-reduced-motion: reduce)").matches) return;
+    view.flyTo(aside, { ms: SWAY_MS, then: () => view.flyTo(from, { ms: SWAY_MS }) });
+  }
   addEventListener("hashchange", toViewOfAddress);
   new ResizeObserver(redraw).observe(canvas);
   darkScheme.addEventListener("change", redraw);
   toViewOfAddress();
   redraw();
+  sway();
   return {
     ...{ gl, data, view, drawn, look, placeAt, toCamera, tools, snapshot, redraw, update, settled, start },
     portion: () => portion,

@@ -8,7 +8,7 @@ const AXES = [
   ["z", "#9dbcf5"],
 ];
 
-/* A number in so many digits as are worth saying. */
+/* A number rounded to significant digits. */
 function inDigits(value, digits) {
   if (!Number.isFinite(value)) return "\u221e";
   return Number(value.toPrecision(digits)).toString();
@@ -25,10 +25,82 @@ function besideItsError(length, sigma) {
 }
 function lengthInWords({ length, sigma }, unit, scale, errorWords) {
   const named = unit ? ` ${unit}` : "";
-  if (sigma === null) return `${inDigits(length, 4)}${named}${scale}; how exact is not known here`;
-  if (sigma === Infinity) return `${inDigits(length, 4)}${named}${scale}; the images do not hold it fast`;
+  if (sigma === null) return `${inDigits(length, 4)}${named}${scale}; its error is unknown`;
+  if (sigma === Infinity) return `${inDigits(length, 4)}${named}${scale}; the images do not determine it`;
   const why = errorWords ? ` (${errorWords})` : "";
   return `${besideItsError(length, sigma)} \u00b1 ${inDigits(sigma, 2)}${named}${scale}, one standard deviation${why}`;
+}
+
+/* The scale that a person has set on this page: metres per unit, and its relative error. The browser keeps it. */
+function ownScale(data, changed) {
+  const form = byId("set-scale"),
+    key = `epipole-scale ${location.pathname} ${data.title}`;
+  let scale = null;
+  const keep = (value) => {
+    scale = value;
+    try {
+      if (value) localStorage.setItem(key, JSON.stringify(value));
+      else localStorage.removeItem(key);
+    } catch {
+      // A browser may refuse to store anything for a page from disk.
+    }
+    if (form) byId("unset-scale").hidden = !value;
+    changed();
+  };
+  const inMetres = ({ length, sigma }) => {
+    if (!scale) return { length, sigma, unit: data.unit, words: data.scaleWords };
+    const own = scale.metres * length,
+      known = sigma === null ? null : Math.hypot(scale.metres * sigma, scale.relative * own);
+    return { length: own, sigma: known, unit: "m", words: ", with the scale set here" };
+  };
+  if (form) {
+    try {
+      scale = JSON.parse(localStorage.getItem(key));
+    } catch {
+      scale = null;
+    }
+    if (!(scale && scale.metres > 0 && scale.relative >= 0)) scale = null;
+    byId("unset-scale").hidden = !scale;
+    byId("unset-scale").addEventListener("click", () => keep(null));
+  }
+  /* `found` is the distance between two points, in the scene's unit. */
+  const offer = (found) => {
+    if (!form) return;
+    form.hidden = !(found && found.length > 0);
+    if (form.hidden) return;
+    form.onsubmit = (event) => {
+      event.preventDefault();
+      const metres = Number(byId("true-length").value) / found.length;
+      if (!(metres > 0 && Number.isFinite(metres))) return;
+      const relative = found.sigma === null || found.sigma === Infinity ? 0 : found.sigma / found.length;
+      keep({ metres, relative });
+    };
+  };
+  return { inMetres, offer };
+}
+
+/* What the colours of lines and of coloured points mean. */
+function fillLegend(list, data, look) {
+  const rows = data.curves
+    .map((curve, k) => ({ curve, isShown: look.shown[`curve-${k}`] }))
+    .filter(({ isShown }) => isShown)
+    .map(({ curve }) => [`rgb(${curve.rgb.join(",")})`, curve.name]);
+  const measure = look.colourBy > 0 && data.points.map((p) => p.measures && p.measures[look.colourBy - 1]).find(Boolean);
+  if (measure) {
+    const stops = Array.from({ length: 16 }, (_, k) => data.ramp.slice(3 * k, 3 * k + 3)),
+      css = stops.map((rgb) => `rgb(${rgb.map((v) => Math.round(255 * v)).join(",")})`).join(",");
+    const ends = [measure.low, measure.high].map((value) => inDigits(value, 3)).join(" to ");
+    rows.push([`linear-gradient(90deg,${css})`, `${measure.name}, ${ends} ${measure.unit}`.trim()]);
+  }
+  list.replaceChildren(
+    ...rows.map(([background, text]) => {
+      const row = document.createElement("li"),
+        swatch = document.createElement("i");
+      swatch.style.background = background;
+      row.append(swatch, text);
+      return row;
+    }),
+  );
 }
 
 function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, above, snapshot }) {
@@ -36,12 +108,15 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
     measured = byId("measured"),
     measureButton = byId("measure");
   let ends = [];
+  const own = ownScale(data, () => showLength());
+  const legend = () => fillLegend(byId("legend"), data, look);
 
   const each = (selector, act) => document.querySelectorAll(selector).forEach(act);
   each(".show-layer", (box) => {
     look.shown[box.dataset.layer] = box.checked; // a browser may keep them over a reload
     box.addEventListener("input", () => {
       look.shown[box.dataset.layer] = box.checked;
+      legend();
       redraw();
     });
   });
@@ -57,7 +132,11 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
   follow("point-size", (value) => (look.pointPx = value));
   follow("frustum-size", (value) => (look.frustum = value));
   follow("picture-opacity", (value) => (look.opacity = value));
-  follow("point-colour", (value) => (look.colourBy = value));
+  follow("point-colour", (value) => {
+    look.colourBy = value;
+    legend();
+  });
+  legend();
 
   /* One slider a measure, from its least to its largest value; beyond the last step is everything. */
   each(".point-limit", (slider) => {
@@ -105,27 +184,34 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
   function setMeasuring(is) {
     measureButton.setAttribute("aria-pressed", String(is));
     ends = [];
-    measured.textContent = is ? "Click a place, then another (or Enter, for the middle of the view)." : "";
+    own.offer(null);
+    measured.textContent = is ? "Click a point, then another (or press Enter for the middle of the view)." : "";
     redraw();
   }
   measureButton.addEventListener("click", () => setMeasuring(!isMeasuring()));
   function measureAt(x, y) {
     const hit = placeAt(x, y);
     if (!hit) {
-      measured.textContent = "There is nothing at that place.";
+      measured.textContent = "There is nothing at this pixel.";
       return;
     }
     ends = ends.length === 2 ? [hit] : [...ends, hit];
     if (ends.length === 1) {
+      own.offer(null);
       const place = hit.place.map((v, k) => placeInWords(v + data.origin[k], data.radius)).join(", ");
       measured.textContent = `From (${place}) to \u2026`;
     } else {
-      const found = distanceBetween(...ends);
-      measured.textContent = lengthInWords(found, data.unit, data.scaleWords, ends[0].errorWords);
-      measured.dataset.length = found.length;
-      measured.dataset.sigma = found.sigma === null ? "" : found.sigma;
+      own.offer(distanceBetween(...ends));
+      showLength();
     }
     redraw();
+  }
+  function showLength() {
+    if (ends.length < 2) return;
+    const found = own.inMetres(distanceBetween(...ends));
+    measured.textContent = lengthInWords(found, found.unit, found.words, ends[0].errorWords);
+    measured.dataset.length = found.length;
+    measured.dataset.sigma = found.sigma === null ? "" : found.sigma;
   }
   canvas.addEventListener("keydown", (event) => {
     if (event.key === "Enter" && isMeasuring())
@@ -139,6 +225,11 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
   }
   byId("reset-view").addEventListener("click", reset);
   byId("view-above").addEventListener("click", above);
+  const drawers = document.querySelectorAll(".stage .drawer");
+  for (const drawer of drawers)
+    drawer.addEventListener("toggle", () => {
+      if (drawer.open) drawers.forEach((other) => other !== drawer && (other.open = false));
+    });
   byId("full-screen").hidden = !document.fullscreenEnabled;
   byId("full-screen").addEventListener("click", () => fullScreen(canvas.parentElement));
   byId("save-picture").addEventListener("click", () =>
