@@ -102,7 +102,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Pose graphs: epipole and GTSAM side by side.")
     parser.add_argument("--graph", nargs="+", choices=list(GRAPHS), default=list(GRAPHS))
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     arguments = parser.parse_args()
     folder = data_root(arguments.data).resolve() / "posegraph"
     report: dict[str, Any] = {"machine": describe_machine(1)}

@@ -84,7 +84,7 @@ def _arguments() -> argparse.Namespace:
     default = Limits()
     parser.add_argument("--set", nargs="+", choices=list(SETS), default=list(SETS), metavar="SET")
     parser.add_argument("--runs", type=int, default=3, help="runs of each program, taken in turn")
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
     parser.add_argument("--max-image-size", type=int, default=default.max_image_size)
     parser.add_argument("--max-features", type=int, default=default.max_num_features)

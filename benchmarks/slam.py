@@ -88,7 +88,7 @@ def _arguments() -> argparse.Namespace:
         help="give pyorbslam3 the frames so many times slower than the camera; several are compared",
     )  # fmt: skip
     parser.add_argument("--rounds", type=int, default=5, help="runs of each program, taken in turn")
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
     parser.add_argument(
         "--cache", type=Path, default=Path(tempfile.gettempdir()) / "epipole-slam-frames",

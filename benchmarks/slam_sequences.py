@@ -102,7 +102,7 @@ def main() -> None:
     """Run the sequences and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--set", nargs="+", choices=list(SEQUENCES), default=list(SEQUENCES))
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     arguments = parser.parse_args()
     data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
     report: dict[str, Any] = {"machine": describe_machine(2), "sets": {}}

@@ -171,7 +171,7 @@ def main() -> None:
     parser.add_argument("--program", nargs="+", help="only those whose names begin so")
     parser.add_argument("--large", action="store_true", help="the rendered pair of 12 megapixels instead")
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
     arguments = parser.parse_args()
     if arguments.large:

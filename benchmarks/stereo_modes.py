@@ -93,7 +93,7 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description="Modes of dense stereo.")
     parser.add_argument("--large", action="store_true", help="both searches on a large rendered pair instead")
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
     arguments = parser.parse_args()
     _parallel.set_num_threads(2)

@@ -106,7 +106,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Error bars of disparities.")
     parser.add_argument("--fit", action="store_true")
     parser.add_argument("--pandora", action="store_true", help="areas of pandora's confidence beside ours")
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
     arguments = parser.parse_args()
     if arguments.fit:

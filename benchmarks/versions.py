@@ -60,7 +60,7 @@ def main() -> None:
     parser.add_argument("--other", type=Path, required=True, help="folder whose src is the other version")
     parser.add_argument("--pairs", type=int, default=5)
     parser.add_argument("--job", nargs="+", choices=list(JOBS), default=list(JOBS))
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     arguments = parser.parse_args()
     data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
     both = {"this": REPOSITORY, "other": arguments.other.resolve()}
