@@ -60,7 +60,7 @@ def views_around(source: Path, size: tuple[int, int], rounds: int) -> list[Rende
     return orbit(known.position, known.look_at, known.up, job)
 
 
-def test_views(source: Path, side: int, rounds: int) -> list[RenderView]:
+def held_out_views(source: Path, side: int, rounds: int) -> list[RenderView]:
     """Test views of a data set, scaled to `side` x `side` pixels."""
     views, shots = gather_field_images(source, FieldOptions()).test, []
     for k in range(rounds):
@@ -120,7 +120,7 @@ def main() -> None:
         "guitar multiplied, 800 x 800": measured(
             multiplied(guitar, 500_000), views_around(source, (800, 800), rounds)
         ),
-        "lego, 800 x 800": measured(scene, test_views(lego, 800, rounds)),
+        "lego, 800 x 800": measured(scene, held_out_views(lego, 800, rounds)),
     }
     RESULTS.write_text(json.dumps({"machine": describe_machine(2), "rows": rows}, indent=1) + "\n")
     table = Table(
