@@ -106,7 +106,7 @@ def _cpu_name() -> str:
 
 
 def _commit() -> str:
-    """The commit, followed by "+" if the working tree has changes; "unknown" outside a git checkout."""
+    """The commit, with "+" appended if the working tree has changes; "unknown" outside a git checkout."""
     try:
         commit, changes = (
             subprocess.run(["git", *words], cwd=REPOSITORY, check=True, capture_output=True, text=True).stdout
