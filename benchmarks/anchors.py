@@ -117,9 +117,9 @@ def four_lengths(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
     assert options.lengths is not None
     lines = options.lengths.read_text().splitlines()
     wrong = [line.split() for line in lines if line.startswith("L2 ")]
-    kept = [line for line in lines if not line.startswith("L2 ")]
+    others = [line for line in lines if not line.startswith("L2 ")]
     bad = [" ".join([w[0], f"{1.2 * float(w[1]):.6f}", *w[2:]]) for w in wrong]
-    return views, AnchorOptions(lengths=trial.write("l.txt", kept + bad))
+    return views, AnchorOptions(lengths=trial.write("l.txt", others + bad))
 
 
 def _facing(trial: Trial) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -159,8 +159,8 @@ def tags(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
     """Three AprilTags in rendered images, one printed 10 % too large; the given side has an error of 0.3 %."""
     right, down, _, rows = _facing(trial)
     side, things = 0.25, []
-    for n, (aside, size) in enumerate(((-0.5, side), (0.0, side), (0.5, 1.1 * side))):
-        things += tag_sheet(7 + n, size, _vector(aside * right), _vector(right), _vector(down))
+    for n, (offset, size) in enumerate(((-0.5, side), (0.0, side), (0.5, 1.1 * side))):
+        things += tag_sheet(7 + n, size, _vector(offset * right), _vector(right), _vector(down))
     stated = side * (1.0 + 0.003 * trial.rng.normal())
     return _sampled(trial, things, rows), AnchorOptions(tag_size_m=stated)
 

@@ -63,11 +63,13 @@ def run_task(
                 continue
             runs.setdefault(peer.name, []).append(run_peer(peer, task, limits, timeout_s))
     for name, found in runs.items():
-        good = [run for run in found if not isinstance(run, str)]
-        if not good:
+        successful = [run for run in found if not isinstance(run, str)]
+        if not successful:
             out[name] = {"message": found[0]}
             continue
-        out[name] = asdict(good[0]) | {"seconds_solve": statistics.median(run.seconds_solve for run in good)}
+        out[name] = asdict(successful[0]) | {
+            "seconds_solve": statistics.median(run.seconds_solve for run in successful)
+        }
     ceres = [run for name, run in out.items() if name.startswith("py") and "final_cost" in run]
     if ceres and "epipole" in out:
         target = max(run["final_cost"] for run in ceres)
@@ -110,7 +112,7 @@ def print_table(report: dict[str, Any], names: list[str]) -> None:
 
 def main() -> None:
     """Run the tasks and print the table."""
-    parser = argparse.ArgumentParser(description="Bundle adjustment: epipole, Ceres and GTSAM side by side.")
+    parser = argparse.ArgumentParser(description="Bundle adjustment: epipole, Ceres and GTSAM.")
     names = list(tasks(Path()))
     parser.add_argument("--task", nargs="+", choices=names, default=names)
     parser.add_argument("--program", nargs="+", help="programs to run (default: all)")

@@ -40,9 +40,9 @@ def opencv_pair(connection: Any, pixels: list[list[np.ndarray]]) -> None:
     boards = [board] * len(pixels[0])
     start = time.perf_counter()
     flags = cv2.CALIB_FIX_K3
-    one, two = (cv2.calibrateCamera(boards, own, SIZE, None, None, flags=flags) for own in pixels)
+    left, right = (cv2.calibrateCamera(boards, corners, SIZE, None, None, flags=flags) for corners in pixels)
     found = cv2.stereoCalibrate(
-        *(boards, pixels[0], pixels[1], one[1], one[2], two[1], two[2], SIZE),
+        *(boards, pixels[0], pixels[1], left[1], left[2], right[1], right[2], SIZE),
         flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS,
         criteria=(3, 200, 1e-9),
     )
@@ -77,7 +77,7 @@ def our_pair(views: list[list[BoardView]], config: CalibrationConfig) -> dict[st
 
 def spoiled(views: list[list[BoardView]]) -> list[list[BoardView]]:
     """Ten views, three of them wrong: corners in reverse order, a later image of the right camera, 5 px of noise."""
-    out = [list(own[:10]) for own in views]
+    out = [list(of_camera[:10]) for of_camera in views]
     first, second, third = SPOILED
     out[0][first] = replace(out[0][first], pixels=out[0][first].pixels[::-1].copy())
     out[1][second] = out[1][second + 1]
@@ -96,13 +96,13 @@ def desk_rows(folder: Path) -> dict[str, dict[str, float]]:
     rows = {}
     for model in ("RADIAL", "OPENCV"):
         found = calibrate_views([views], [DESK_SIZE], CalibrationConfig(board=DESK, model=model))
-        whole = projection_difference(given, found.cameras[0]).distance_px
-        seen = projection_difference(given, found.cameras[0], covered_pixels(found, 0)).distance_px
+        everywhere = projection_difference(given, found.cameras[0]).distance_px
+        covered = projection_difference(given, found.cameras[0], covered_pixels(found, 0)).distance_px
         rows[model] = {
             "rms px": found.rms_px,
             "fx": found.cameras[0].K[0, 0],
-            "difference px, whole image": float(np.nanmedian(whole)),
-            "where corners were seen": float(np.nanmedian(seen)),
+            "difference px, whole image": float(np.nanmedian(everywhere)),
+            "where corners were seen": float(np.nanmedian(covered)),
         }
     return rows
 
@@ -121,7 +121,7 @@ def main() -> None:
     default = CalibrationConfig(board=PAIR)
     our_pair(views, default)
     ours, theirs = get_context("spawn").Pipe()
-    pixels = [[v.pixels.astype(np.float32) for v in own] for own in views]
+    pixels = [[view.pixels.astype(np.float32) for view in of_camera] for of_camera in views]
     process = get_context("spawn").Process(target=opencv_pair, args=(theirs, pixels))
     process.start()
     rows = {"OpenCV, 13 views": ours.recv()}
@@ -131,7 +131,7 @@ def main() -> None:
         "epipole": our_pair(views, default),
         "epipole, 10 views, 3 spoiled": our_pair(spoiled(views), default),
         "epipole, those 7 alone": our_pair(
-            [[v for k, v in enumerate(own[:10]) if k not in SPOILED] for own in views], default
+            [[v for k, v in enumerate(of_camera[:10]) if k not in SPOILED] for of_camera in views], default
         ),
     }
     desk = desk_rows(data / "slam" / "ar_cube")

@@ -26,7 +26,7 @@ OURS = "epipole"
 WARM_UP = 3
 """Problems solved before the measurement."""
 RESAMPLES = 2000
-"""Of the bootstrap."""
+"""Number of bootstrap resamples."""
 FAILED = 1e6
 """Error of a problem without a solution."""
 AUC_DEG = (5.0, 10.0, 20.0)
@@ -89,8 +89,8 @@ def _measure(
     errors: dict[str, list[float]] = {w.name: [] for w in workers}
     for problem in problems:
         for worker in workers:
-            took, model = worker.solve(problem, task.limits)
-            seconds[worker.name].append(took)
+            median_s, model = worker.solve(problem, task.limits)
+            seconds[worker.name].append(median_s)
             errors[worker.name].append(error_of(problem, model))
     for worker in workers:
         worker.close()

@@ -106,8 +106,8 @@ def main() -> None:
     smallest, largest = by_count[0], by_count[-1]
     memory = (largest["bytes"] - smallest["bytes"]) / (largest["gaussians"] - smallest["gaussians"])
     lines = {"gaussians": fit_line(by_count[1:], "gaussians"), "pixels": fit_line(by_side, "pixels")}
-    given = {"by_gaussians": by_count, "by_pixels": by_side, "lines": lines, "bytes_per_gaussian": memory}
-    RESULTS.write_text(json.dumps({"machine": describe_machine(2), **given}, indent=1) + "\n")
+    results = {"by_gaussians": by_count, "by_pixels": by_side, "lines": lines, "bytes_per_gaussian": memory}
+    RESULTS.write_text(json.dumps({"machine": describe_machine(2), **results}, indent=1) + "\n")
     table = Table("Gaussians", "pixels", "ms per step", "memory, MB")
     for row in (*by_count, *by_side):
         table.add_row(

@@ -14,9 +14,9 @@ from epipole.io.images.photographs import read_header
 from epipole.scene import Reconstruction
 
 MAX_TRIPLES = 2000
-"""Samples of the robust alignment."""
+"""Maximum number of samples in the robust alignment."""
 MIN_STEP_M = 3.0
-"""Fixes in steps of 0.1 arc seconds are on a grid of about three metres; smaller steps with_fix no direction."""
+"""Fixes in steps of 0.1 arc seconds are on a grid of about three metres; smaller steps have no direction."""
 
 
 def score_gps(task: SfmTask, model: Reconstruction) -> dict[str, float]:

@@ -39,10 +39,10 @@ UNIT = 2.5
 MOUNTING_SIGMA = np.array([0.05, 0.05, 0.05, 1.0, 1.0, 1.0])
 """Standard deviations of the IMU's pose on the camera, in metres and radians."""
 RIDES = 8
-"""SLAM runs with an IMU."""
+"""Number of SLAM runs with an IMU."""
 
 Trial = tuple[float, float, float] | None
-"""True scale, estimated scale and its standard deviation; None if the estimator refused."""
+"""True scale, estimated scale and its standard deviation; None if there is no estimate."""
 
 
 def synthetic(count: int, *, constant_velocity: bool) -> Iterator[Trial]:

@@ -1,6 +1,6 @@
 """Whether COLMAP can continue from epipole's output: `python -m benchmarks.interop`.
 
-For each set, epipole reconstructs; then pycolmap, in its own process, reads and adjusts the model and maps from the database.
+epipole reconstructs each set. Then pycolmap, in its own process, reads and adjusts the model and maps from the database.
 """
 
 from __future__ import annotations

@@ -37,9 +37,9 @@ from epipole.synthetic.scene import Box, Sphere, SyntheticScene
 
 RECORD = REPOSITORY / "src" / "epipole" / "lesson" / "assets" / "fields.json"
 SIDE = 200
-"""Width and height of the images in pixels."""
+"""Width and height of an image in pixels."""
 SUPERSAMPLING = 3
-"""Images are rendered larger by this factor and reduced, against aliasing."""
+"""Images are rendered larger by this factor, then reduced to avoid aliasing."""
 NUM_VIEWS = 72
 FOCAL = 1.3
 """Focal length in image widths."""

@@ -1,6 +1,6 @@
 """Record the replays of the lesson's page on failures: SLAM runs on rendered sequences. `python -m benchmarks.lesson_replays`.
 
-Only rendered images become part of the package; of 7-Scenes' kitchen, it has only errors.
+The package contains only rendered images; for 7-Scenes' kitchen, it contains only the errors.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from epipole.synthetic.ride import Ride, Shutter
 
 RECORD = REPOSITORY / "src" / "epipole" / "lesson" / "assets" / "failures.json"
 SIZE = (320, 240)
-"""Of the images that SLAM gets."""
+"""Size of the images that SLAM gets."""
 SHOWN_SIZE = (176, 132)
-"""Of the images on the page."""
+"""Size of the images on the page."""
 MAX_SHOWN = 26
-"""Images of one run on the page."""
+"""Maximum number of images of one run on the page."""
 QUALITY = 40
-"""Of the WebP images, to keep the package small."""
+"""WebP quality of the images; low, to keep the package small."""
 
 
 class Sight(NamedTuple):
@@ -75,7 +75,7 @@ def failures() -> dict[str, dict[str, Sight]]:
 
 
 def frames_of(sight: Sight) -> Iterable[tuple[int, Frame]]:
-    """Number and frame, with the timestamps of the sequence."""
+    """Number and image data of each frame, with the timestamps of the sequence."""
     for number in range(0, len(sight.ride), sight.every):
         left = sight.ride.left(number)
         depth = left.depth if sight.sensor == "rgbd" else None
@@ -154,7 +154,7 @@ def encoded(grey: np.ndarray) -> str:
 
 
 def without_repeats(runs: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Remove the images of runs that show the same ones as the first run."""
+    """Remove the images of a run if they are the same as those of the first run."""
     first, *others = runs.values()
     for run in others:
         if run["pictures"] == first["pictures"]:
@@ -195,11 +195,11 @@ def main() -> None:
         if arguments.only and name not in arguments.only:
             continue
         record[name] = without_repeats({run: recorded(sight) for run, sight in runs.items()})
-        for run, given in record[name].items():
-            states = {state: given["state"].count(state) for state in dict.fromkeys(given["state"])}
-            final = [(p, t) for p, t in zip(given["final"], given["truth"]) if p]
+        for run, frames in record[name].items():
+            states = {state: frames["state"].count(state) for state in dict.fromkeys(frames["state"])}
+            final = [(p, t) for p, t in zip(frames["final"], frames["truth"]) if p]
             errors = [np.linalg.norm(np.subtract(p, t)) for p, t in final] or [np.nan]
-            loops = dict(Counter(verdict for _, verdict in given["loops"]))
+            loops = dict(Counter(verdict for _, verdict in frames["loops"]))
             console.print(
                 f"{name}, {run}: {states}, loops {loops}, {100 * np.sqrt(np.mean(np.square(errors))):.2f} cm"
             )

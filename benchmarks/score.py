@@ -56,12 +56,12 @@ def largest_model(sparse: Path) -> tuple[Reconstruction | None, int]:
 
 def count_under_filter(model: Reconstruction) -> Score:
     """Points and observations with a reprojection error of at most 4 px, in tracks of at least two images."""
-    good = model.reprojection_errors_px() <= MAX_REPROJECTION_PX
-    point, image = model.tracks.point_of_observation()[good], model.tracks.image[good]
+    is_inlier = model.reprojection_errors_px() <= MAX_REPROJECTION_PX
+    point, image = model.tracks.point_of_observation()[is_inlier], model.tracks.image[is_inlier]
     seen = np.unique(np.stack([point, image]), axis=1)[0]
     lengths = np.bincount(seen, minlength=len(model.points))
-    kept = lengths >= MIN_TRACK_LENGTH
-    return {"points": int(kept.sum()), "observations": int(lengths[kept].sum())}
+    is_long = lengths >= MIN_TRACK_LENGTH
+    return {"points": int(is_long.sum()), "observations": int(lengths[is_long].sum())}
 
 
 def _score_truth(task: SfmTask, model: Reconstruction | None) -> Score:

@@ -275,8 +275,8 @@ def _table(task: SfmTask, report: dict[str, Any], peers: list[SfmPeer]) -> Table
 def _cell(figure: dict[str, float] | None) -> str:
     if figure is None:
         return ""
-    middle, low, high = (_short(figure[key]) for key in ("median", "min", "max"))
-    return middle if low == high else f"{middle} ({low}-{high})"
+    median, low, high = (_short(figure[key]) for key in ("median", "min", "max"))
+    return median if low == high else f"{median} ({low}-{high})"
 
 
 def _short(value: float) -> str:

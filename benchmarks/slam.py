@@ -164,9 +164,9 @@ def _summary(runs: list[Run]) -> dict[str, dict[str, dict[str, float]]]:
         out[key] = {}
         for figure in dict.fromkeys(name for row in rows for name in row):
             values = [row[figure] for row in rows if figure in row]
-            middle = statistics.median(values)
+            median = statistics.median(values)
             out[key][figure] = {
-                "median": middle,
+                "median": median,
                 "min": min(values),
                 "max": max(values),
                 "runs": len(values),

@@ -26,9 +26,9 @@ from epipole.synthetic.ride import Ride, Shutter
 
 SIZE = (320, 240)
 NUM_FRAMES = 40
-"""Of each run."""
+"""Number of frames in each run."""
 NOISE = 2.0
-"""Standard deviation in grey levels."""
+"""Standard deviation of the image noise in grey levels."""
 SHOWN = (2, 5, 10, 20, 30, 39)
 """Frames in the table."""
 RIDES = {

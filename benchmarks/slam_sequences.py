@@ -28,7 +28,7 @@ from epipole.scene import Trajectory
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "slam_sequences.json"
 MAX_TIME_DIFFERENCE_S = 0.03
-"""Between a frame and its ground truth."""
+"""Largest time between a frame and its ground truth."""
 GROSS_ERROR_DEG = 3.0
 """Rotation errors between neighboring frames above this are gross errors, not noise."""
 

@@ -49,7 +49,7 @@ class Case:
     loop: Callable[..., None]
     """Solves all problems in a compiled loop."""
     poselib: Callable[[Any], Callable[..., Iterable[np.ndarray]]] | None = None
-    """From the module `poselib` to a function like `call`."""
+    """Takes the module `poselib` and returns a function like `call`."""
 
 
 @numba.njit

@@ -22,7 +22,7 @@ RESULTS = REPOSITORY / "benchmarks" / "results" / "splats.json"
 PLOT = REPOSITORY / "docs" / "pictures" / "field_curves.png"
 
 SIZES = ("num_gaussians", "num_voxels", "num_parameters")
-"""Keys of the summary that have the size of a field."""
+"""Keys under which the summary of a run has the size of its field."""
 
 
 class Task(NamedTuple):

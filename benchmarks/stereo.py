@@ -161,8 +161,8 @@ def at_density(found: np.ndarray, task: StereoTask, density: float) -> dict[str,
     disparity, sigma = found
     order = np.sort(sigma[task.seen & np.isfinite(disparity)])
     count = min(len(order), round(density / 100.0 * int(task.seen.sum())))
-    kept = figures(np.where(sigma <= order[count - 1], disparity, np.nan), task)
-    return {f"our surest: {name}": kept[name] for name in ("density %", "bad 1 %", "bad 2 %")}
+    selected = figures(np.where(sigma <= order[count - 1], disparity, np.nan), task)
+    return {f"our surest: {name}": selected[name] for name in ("density %", "bad 1 %", "bad 2 %")}
 
 
 def main() -> None:

@@ -30,11 +30,11 @@ from epipole.synthetic.stereo_rooms import stereo_street
 
 STREETS, BINS, NEAR_M, FAR_M = 24, 8, 2.0, 30.0
 MAX_ERROR_PX = 1.5
-"""Reprojection error of triangulated features."""
+"""Largest reprojection error of an observation in the triangulation."""
 WINDOW = 5
 """Frames before and after the current one from which features are triangulated."""
 MIN_VIEWS = 5
-"""Observations of a triangulated feature."""
+"""Minimum number of observations of a triangulated feature."""
 
 
 def range_rows(num_streets: int = STREETS) -> dict[str, dict[str, float]]:

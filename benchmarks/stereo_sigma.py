@@ -28,11 +28,11 @@ QUANTUM_PX = {"cones": 0.25, "teddy": 0.25, "motorcycle": 0.0, "aloe": 1.0}
 """Quantization step of the ground truth, whose standard deviation is added in quadrature."""
 NUM_ROOMS = 300
 KNOTS = 16
-"""Entries of the fitted table."""
+"""Number of entries in the fitted table."""
 PIXELS_PER_ROOM = 10_000
-"""For the fit."""
+"""Number of pixels of each room in the fit."""
 QUANTILE = 0.68
-"""Of the errors, which the table gives as standard deviation."""
+"""The table gives this quantile of the errors as standard deviation."""
 MIN_ERROR_PX = 0.03
 """Added to the errors, so that small ones do not dominate the logarithmic fit."""
 

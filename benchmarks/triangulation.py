@@ -21,9 +21,9 @@ from epipole.geometry import Rigid3
 
 NOISE_PX = 1.0
 MAX_ERROR_PX = 4.0
-"""Threshold of the robust estimators."""
+"""Inlier threshold of the robust estimators."""
 OUTLIERS = 0.1
-"""Fraction of the pixels in the five-view problem."""
+"""Fraction of outlier pixels in the five-view problem."""
 NUM_LOOPED = 20_000
 """Points that pycolmap triangulates one by one."""
 CAMERA = Camera(CameraModel.PINHOLE, 1280, 960, np.array([800.0, 800.0, 639.5, 479.5]))

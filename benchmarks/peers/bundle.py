@@ -378,9 +378,9 @@ class Gtsam(BundlePeer):
 
     package = "gtsam"
     _GAUGE_PRECISION = 1e10
-    """Of priors on the gauge, whose cost is zero at the start; with weaker ones, convergence is slow."""
+    """Precision of the priors that fix the gauge; weaker ones slow convergence."""
     _FIXED_PRECISION = 1e12
-    """Of priors that fix k2."""
+    """Precision of the priors that fix k2."""
 
     def __init__(self, optimizer: Literal["LevenbergMarquardt", "SfmLevenbergMarquardt"]) -> None:
         self.optimizer = optimizer

@@ -19,10 +19,10 @@ class SlamFrames:
     """width, height, params (fx, fy, cx, cy), baseline_m, depth_factor (depth values per metre), ..."""
     timestamp_s: np.ndarray
     left: np.ndarray
-    """(n, h, w) grey."""
+    """(n, h, w), grayscale."""
     right: np.ndarray | None
     depth: np.ndarray | None
-    """(n, h, w) of 16 bits; 0 is unknown."""
+    """(n, h, w), 16 bits; 0 is unknown."""
 
     def __len__(self) -> int:
         return len(self.timestamp_s)

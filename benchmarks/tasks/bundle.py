@@ -190,24 +190,24 @@ def _looking_along(direction: np.ndarray) -> np.ndarray:
 
 
 _SPACING_M = 0.5
-"""Between images along a street."""
+"""Distance between images along a street."""
 _YAWS_DEG = (60.0, 0.0, -60.0, 0.0)
-"""Of consecutive images, to the left of the driving direction; the forward ones connect both sides of the street."""
+"""Yaw of consecutive images, to the left of the driving direction; forward images connect both sides of the street."""
 _PITCH_DEG = 10.0
 _MIN_BLOCK_M = 40.0
 _HALF_STREET_M, _CAMERA_HEIGHT_M, _ROOF_M, _BAY_DEPTH_M = 8.0, 2.0, 14.0, 0.6
 _BEYOND_M = 30.0
 """Length of the facades beyond the last crossing."""
 _MAX_DISTANCE_M = 40.0
-"""From a camera to the points that it observes."""
+"""Largest distance from a camera to a point that it observes."""
 _VIEW_CENTER_M = 10.0
 """Distance from a camera to the center of its view."""
 _CITY_SIZE = (1600.0, 1200.0)
 _CITY_PARAMS = (900.0, 800.0, 600.0, -0.05, 0.0)
 _CANDIDATES = 24
-"""Frames near a point that may observe it."""
+"""Number of frames near a point that may observe it."""
 _TRIES_PER_FRAME = 20
-"""After this number of rays, points are generated from other frames."""
+"""After this number of unsuccessful rays, a point gets another frame."""
 _CHUNK_POINTS = 100_000
 
 

@@ -24,9 +24,9 @@ from epipole.synthetic.problems import absolute_pose_problem, dominant_plane_pro
 
 Kind = Literal["relative_pose", "absolute_pose", "fundamental", "homography"]
 MIN_MATCHES = 15
-"""Of an image pair."""
+"""Image pairs with fewer matches are skipped."""
 MISLABELED = ("Brussels", "Dresden", "Leuven1")
-"""Pairs of kusvod2 with putative matches of other images, which are matched again."""
+"""Pairs of kusvod2 whose files have putative matches of other images; they are matched again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,7 +183,7 @@ def _clicked(kind: Literal["fundamental", "homography"]) -> Callable[[Path, int]
             validation = np.ascontiguousarray(clicked[[0, 1, 3, 4]].T)
             if kind == "fundamental" and name in MISLABELED:
                 images = [next(file.parent.glob(f"{name}{side}.*")) for side in "AB"]
-                first, second = _own_matches(*images)
+                first, second = _sift_matches(*images)
             else:
                 rows = np.loadtxt(file)
                 rows = rows[rows[:, -1] == 0]
@@ -196,7 +196,7 @@ def _clicked(kind: Literal["fundamental", "homography"]) -> Callable[[Path, int]
     return make
 
 
-def _own_matches(one: Path, two: Path) -> tuple[np.ndarray, np.ndarray]:
+def _sift_matches(one: Path, two: Path) -> tuple[np.ndarray, np.ndarray]:
     """Pixels of SIFT matches that pass Lowe's ratio test."""
     features = [detect_features(read_grey(path), FeatureConfig()) for path in (one, two)]
     matches = match_descriptors(features[0].descriptors, features[1].descriptors)
@@ -216,7 +216,7 @@ def _graf(folder: Path, number: int) -> EstimationProblem:
     inside = ((moved > 0) & (moved < (width, height))).all(axis=1)
     return EstimationProblem(
         "homography",
-        *_own_matches(folder / "img1.ppm", folder / f"img{number}.ppm"),
+        *_sift_matches(folder / "img1.ppm", folder / f"img{number}.ppm"),
         np.eye(3),
         (width, height),
         None,

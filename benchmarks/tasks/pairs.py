@@ -18,17 +18,17 @@ from epipole.synthetic.scene import Plane, SyntheticScene
 KINDS = ("general", "planar", "rotation", "rest")
 NOISE_PX = 1.0
 SENSOR_NOISE = 4.0
-"""Grey levels of 255."""
+"""Standard deviation of the image noise in grey levels (of 255)."""
 
 
 class KnownPair(NamedTuple):
-    """Matches, and the kind of motion or scene."""
+    """Matches of an image pair, and its kind of motion or scene."""
 
     pixels1: np.ndarray
     pixels2: np.ndarray
     kind: str
     camera: Camera
-    """Of both images."""
+    """Camera of both images."""
 
 
 def synthetic_pairs(count: int, num_matches: int, outliers: float) -> list[KnownPair]:

@@ -26,14 +26,14 @@ class SfmTask:
     """Fixed intrinsics; None: each program estimates them."""
     truth: Path | None = None
     unit: str = ""
-    """Of the ground truth."""
+    """Unit of length of the ground truth."""
     has_gps: bool = False
 
 
 def data_root(requested: Path | None = None) -> Path:
     """The data folder: `requested`, `$EPIPOLE_DATA`, or ../shared/data next to the repository."""
-    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
-    return requested or Path(os.environ.get("EPIPOLE_DATA", beside))
+    default = Path(__file__).resolve().parents[3] / "shared" / "data"
+    return requested or Path(os.environ.get("EPIPOLE_DATA", default))
 
 
 def prepare(name: str, data: Path, work: Path) -> SfmTask:

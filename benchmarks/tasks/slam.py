@@ -24,7 +24,7 @@ from epipole.synthetic.ride import Ride
 DEPTH_FACTOR = 5000.0
 """Rendered depth is stored as 16 bits in steps of 0.2 mm, up to 13 m."""
 FORMAT = 1
-"""Increase it to replace cached frames."""
+"""Version of the cached files; increase it to replace them."""
 
 
 @dataclass(frozen=True)
