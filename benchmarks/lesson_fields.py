@@ -1,4 +1,4 @@
-"""Record the data of the lesson's page on fields: one rendered scene as Gaussians and as a neural field. `python -m benchmarks.lesson_fields`."""
+"""Record the lesson's page on fields: a rendered scene as Gaussians and as a neural field. `python -m benchmarks.lesson_fields`."""
 
 from __future__ import annotations
 

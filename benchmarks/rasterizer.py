@@ -1,4 +1,4 @@
-"""Speed of the rasterizer: Gaussian-pixel pairs per second, forward and backward, and frames per second. `python -m benchmarks.rasterizer`."""
+"""Speed of the rasterizer in Gaussian-pixel pairs and frames per second. `python -m benchmarks.rasterizer`."""
 
 from __future__ import annotations
 
