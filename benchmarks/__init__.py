@@ -1,1 +1,1 @@
-"""Comparisons of epipole with other programs: the same images, the same limits, quality and time in one row."""
+"""Benchmarks of epipole, alone and against other programs on the same data under the same limits."""

@@ -1,9 +1,7 @@
-"""Whether a scale lies where it is said to lie. `python -m benchmarks.anchors`.
+"""Errors of the estimated scale against its stated standard deviation. `python -m benchmarks.anchors`.
 
-Each trial is a ring of cameras around points, seen with noise, adjusted, and moved by a similarity that nobody is told: its
-places have the errors that an adjustment leaves. Then one thing is known besides, with noise of the stated size, and goes
-the way of the command line: files and images to one scale. The truth is the scale of the similarity that best moves the
-adjusted cameras onto the true ones.
+Each trial adjusts a ring of cameras with noisy observations, applies a random similarity, and recovers the scale from one
+kind of measurement. The true scale is that of the similarity that best aligns the adjusted cameras with the true ones.
 """
 
 from __future__ import annotations
@@ -41,33 +39,33 @@ RESULTS = REPOSITORY / "benchmarks" / "results" / "anchors.json"
 
 @dataclass(frozen=True)
 class Trial:
-    """A model up to scale, the truth, and a folder for files."""
+    """A model with unknown scale, its ground truth, and a folder for input files."""
 
     model: Reconstruction
     truth: Reconstruction
     metres: float
-    """Of the model's unit."""
+    """Metres per unit of the model."""
     rng: np.random.Generator
     folder: Path
 
     def views(self, image: Callable[[int], np.ndarray | None] = lambda _: None) -> AnchorViews:
-        """The model's images."""
+        """Views of the model, with images from `image`."""
         return views_of_model(self.model, image)
 
     def write(self, name: str, lines: list[str]) -> Path:
-        """A file of these lines."""
+        """Write the lines to a file of this name and return its path."""
         path = self.folder / name
         path.write_text("\n".join(lines) + "\n")
         return path
 
     @property
     def centers(self) -> np.ndarray:
-        """Where the cameras were."""
+        """True camera centers (n, 3)."""
         return self.truth.camera_centers_in_world()
 
 
 def trial_of(seed: int, folder: Path) -> Trial:
-    """An adjusted ring, moved."""
+    """An adjusted ring of cameras after a random similarity."""
     rng = np.random.default_rng([7, seed])
     truth = bundle_problem(VIEWS, POINTS, TRACK, NOISE_PX, seed).truth
     frames = replace(truth.frames, timestamp_s=np.arange(VIEWS) * 0.5)
@@ -81,7 +79,7 @@ def trial_of(seed: int, folder: Path) -> Trial:
 
 
 def positions(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
-    """Every third image's place, 5 cm wrong, by name."""
+    """Positions of every third image, by name, with 5 cm of noise."""
     rows = np.arange(0, VIEWS, 3)
     positions = trial.centers[rows] + 0.05 * trial.rng.normal(size=(len(rows), 3))
     names = trial.truth.images.name
@@ -90,7 +88,7 @@ def positions(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
 
 
 def timed_positions(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
-    """Places by time, with a tenth of them metres off."""
+    """Positions of all images, by time; one in ten is off by metres."""
     positions = trial.centers + 0.05 * trial.rng.normal(size=(VIEWS, 3))
     positions[::10] += 3.0 * trial.rng.normal(size=positions[::10].shape)
     path = trial.write("p.txt", [f"{0.5 * n} {x} {y} {z}" for n, (x, y, z) in enumerate(positions)])
@@ -98,7 +96,7 @@ def timed_positions(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
 
 
 def lengths(trial: Trial, count: int = 1) -> tuple[AnchorViews, AnchorOptions]:
-    """Lengths in the scene, clicked in four images with an error of a pixel, and measured to 2 mm."""
+    """Lengths in the scene, measured to 2 mm; their ends are clicked in four images with an error of a pixel."""
     camera, lines = trial.truth.cameras[0], []
     cams = trial.truth.cams_from_world()
     for n in range(count):
@@ -114,18 +112,18 @@ def lengths(trial: Trial, count: int = 1) -> tuple[AnchorViews, AnchorOptions]:
 
 
 def four_lengths(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
-    """The same of four, one of which is written down 20 % wrong."""
+    """Four lengths, one of them 20 % too long in the file."""
     views, options = lengths(trial, 4)
     assert options.lengths is not None
     lines = options.lengths.read_text().splitlines()
     wrong = [line.split() for line in lines if line.startswith("L2 ")]
-    kept = [line for line in lines if not line.startswith("L2 ")]
+    others = [line for line in lines if not line.startswith("L2 ")]
     bad = [" ".join([w[0], f"{1.2 * float(w[1]):.6f}", *w[2:]]) for w in wrong]
-    return views, AnchorOptions(lengths=trial.write("l.txt", kept + bad))
+    return views, AnchorOptions(lengths=trial.write("l.txt", others + bad))
 
 
 def _facing(trial: Trial) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Right, down and towards of a sheet that some of the cameras face, and these cameras' rows."""
+    """Axes (right, down, normal) of a sheet, and the rows of the cameras that face it."""
     angle = trial.rng.uniform(0, 2 * np.pi)
     towards = np.array([np.cos(angle), np.sin(angle), 0.0])
     right, down = np.array([-np.sin(angle), np.cos(angle), 0.0]), np.array([0.0, 0.0, -1.0])
@@ -136,7 +134,7 @@ def _facing(trial: Trial) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
 
 
 def _sampled(trial: Trial, things: list[Any], rows: np.ndarray) -> AnchorViews:
-    """Views that see a scene in small images."""
+    """Views with small rendered images of a scene, for the cameras in `rows`."""
     scene = SyntheticScene.of(things, light=(0.3, 0.3, 0.9))
     camera = trial.truth.cameras[0].scaled_to(*SMALL)
     cams = trial.truth.cams_from_world()
@@ -158,17 +156,17 @@ def _vector(values: np.ndarray) -> tuple[float, float, float]:
 
 
 def tags(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
-    """Three AprilTags in rendered images, one printed 10 % too large; the sides are stated 0.3 % wrong."""
+    """Three AprilTags in rendered images, one printed 10 % too large; the given side has an error of 0.3 %."""
     right, down, _, rows = _facing(trial)
     side, things = 0.25, []
-    for n, (aside, size) in enumerate(((-0.5, side), (0.0, side), (0.5, 1.1 * side))):
-        things += tag_sheet(7 + n, size, _vector(aside * right), _vector(right), _vector(down))
+    for n, (offset, size) in enumerate(((-0.5, side), (0.0, side), (0.5, 1.1 * side))):
+        things += tag_sheet(7 + n, size, _vector(offset * right), _vector(right), _vector(down))
     stated = side * (1.0 + 0.003 * trial.rng.normal())
     return _sampled(trial, things, rows), AnchorOptions(tag_size_m=stated)
 
 
 def board(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
-    """A chessboard in rendered images; the side of its squares is stated 0.3 % wrong."""
+    """A chessboard in rendered images; the given side of its squares has an error of 0.3 %."""
     right, down, _, rows = _facing(trial)
     things = chessboard_sheet(8, 5, 0.1, (0.0, 0.0, 0.0), _vector(right), _vector(down))
     stated = 0.1 * (1.0 + 0.003 * trial.rng.normal())
@@ -176,7 +174,7 @@ def board(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
 
 
 def wheels(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
-    """Distances travelled: wheels 0.5 % wrong as a whole, 2 % of scatter a step, slip in a tenth of the steps."""
+    """Wheel odometry as distances: a common error of 0.5 %, 2 % of noise per step, and slip in a tenth of the steps."""
     fine = np.linspace(0, VIEWS - 1, 20 * VIEWS)
     angles = 2 * np.pi * fine / VIEWS
     radius = float(np.hypot(*trial.centers[0, :2]))
@@ -191,8 +189,8 @@ def wheels(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
     return trial.views(), AnchorOptions(odometry=trial.write("o.txt", lines), odometry_sigma=0.005)
 
 
-def wheel_places(trial: Trial, behind: float = 0.0) -> tuple[AnchorViews, AnchorOptions]:
-    """Places by odometry, which drift, as a trajectory; wheels 0.5 % wrong as a whole, and so far behind the camera."""
+def wheel_positions(trial: Trial, behind: float = 0.0) -> tuple[AnchorViews, AnchorOptions]:
+    """Wheel odometry as a drifting trajectory, with a common error of 0.5 %; `behind`: metres from camera to wheels."""
     positions = trial.truth.cams_from_world().inverse().apply(np.array([0.0, 0.0, -behind]))
     steps = np.diff(positions, axis=0) * (1.0 + 0.005 * trial.rng.normal())
     steps *= 1.0 + 0.02 * trial.rng.normal(size=(len(steps), 1))
@@ -207,8 +205,8 @@ def wheel_places(trial: Trial, behind: float = 0.0) -> tuple[AnchorViews, Anchor
 
 
 def wheels_behind(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
-    """The same of wheels half a metre behind the camera, which looks inward."""
-    return wheel_places(trial, 0.5)
+    """`wheel_positions` with the wheels half a metre behind the camera, which looks inward."""
+    return wheel_positions(trial, behind=0.5)
 
 
 ANCHORS: dict[str, Callable[[Trial], tuple[AnchorViews, AnchorOptions]]] = {
@@ -219,17 +217,16 @@ ANCHORS: dict[str, Callable[[Trial], tuple[AnchorViews, AnchorOptions]]] = {
     "three tags, one too large": tags,
     "chessboard": board,
     "distances travelled, slip": wheels,
-    "places by odometry": wheel_places,
+    "places by odometry": wheel_positions,
     "places by odometry, 0.5 m behind": wheels_behind,
 }
 
-
-DRAWN = ("three tags, one too large", "chessboard")
-"""Anchors that are found in rendered images."""
+RENDERED = ("three tags, one too large", "chessboard")
+"""Anchors that are detected in rendered images."""
 
 
 def measured(name: str, count: int) -> dict[str, Any]:
-    """Error and stated deviation of the scale over trials, and how many times nothing was found."""
+    """Errors and stated standard deviations of the scale over the trials, and the trials without a scale."""
     errors, sigmas, refused, start = [], [], [], time.perf_counter()
     for seed in range(count):
         with tempfile.TemporaryDirectory() as folder:
@@ -237,30 +234,32 @@ def measured(name: str, count: int) -> dict[str, Any]:
             views, options = ANCHORS[name](trial)
             try:
                 found = anchor_model(views, options).scale
-            except DegenerateGeometryError as error:
-                refused.append(str(error))
+            except DegenerateGeometryError as problem:
+                refused.append(str(problem))
                 continue
             errors.append(found.scale / trial.metres - 1.0)
             sigmas.append(found.relative_sigma)
-    off, sigma = np.array(errors), np.array(sigmas)
+    error, sigma = np.array(errors), np.array(sigmas)
     return {
         "trials": count,
         "refused": refused,
-        "within 2 sigma %": 100.0 * float((np.abs(off) <= 2.0 * sigma).sum()) / count,
-        "within 2 %": 100.0 * float((np.abs(off) <= 0.02).sum()) / count,
-        "rms error %": 100.0 * float(np.sqrt((off**2).mean())) if len(off) else None,
-        "largest error %": 100.0 * float(np.abs(off).max()) if len(off) else None,
-        "median sigma %": 100.0 * float(np.median(sigma)) if len(off) else None,
-        "rms error / sigma": float(np.sqrt(((off / sigma) ** 2).mean())) if len(off) else None,
+        "within 2 sigma %": 100.0 * float((np.abs(error) <= 2.0 * sigma).sum()) / count,
+        "within 2 %": 100.0 * float((np.abs(error) <= 0.02).sum()) / count,
+        "rms error %": 100.0 * float(np.sqrt((error**2).mean())) if len(error) else None,
+        "largest error %": 100.0 * float(np.abs(error).max()) if len(error) else None,
+        "median sigma %": 100.0 * float(np.median(sigma)) if len(error) else None,
+        "rms error / sigma": float(np.sqrt(((error / sigma) ** 2).mean())) if len(error) else None,
         "seconds": time.perf_counter() - start,
     }
 
 
 def main() -> None:
-    """Run all anchors and print the table."""
-    parser = argparse.ArgumentParser(description="Scales by anchors against the truth.")
+    """Run the anchors and print the table."""
+    parser = argparse.ArgumentParser(description="Estimated scales against the true scale.")
     parser.add_argument("--anchor", nargs="+", choices=list(ANCHORS), default=list(ANCHORS))
-    parser.add_argument("--trials", type=int, default=200, help="a quarter of them where images are drawn")
+    parser.add_argument(
+        "--trials", type=int, default=200, help="trials per anchor; a quarter of them if images are rendered"
+    )
     arguments = parser.parse_args()
     report: dict[str, Any] = {"machine": describe_machine(1), "anchors": {}}
     table = Table(title="scale")
@@ -275,7 +274,7 @@ def main() -> None:
     for column in ("anchor", "trials", *shown, "refused"):
         table.add_column(column, justify="left" if column == "anchor" else "right")
     for name in arguments.anchor:
-        row = report["anchors"][name] = measured(name, arguments.trials // (4 if name in DRAWN else 1))
+        row = report["anchors"][name] = measured(name, arguments.trials // (4 if name in RENDERED else 1))
         values = ["" if row[key] is None else f"{row[key]:.3g}" for key in shown]
         table.add_row(name, str(row["trials"]), *values, str(len(row["refused"])))
     Console(width=150).print(table)

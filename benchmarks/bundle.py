@@ -1,7 +1,6 @@
-"""Bundle adjustment against Ceres (by pycolmap and pyceres) and GTSAM: `python -m benchmarks.bundle`.
+"""Bundle adjustment compared with Ceres (through pycolmap and pyceres) and GTSAM: `python -m benchmarks.bundle`.
 
-BAL problems, rings of cameras, and a city of any size. Each program runs in a process of its own, in turn, warm; the table
-shows the median time of the rounds, and how long epipole took to Ceres' final cost. Read GTSAM's costs with its soft gauge in mind.
+Each program runs in its own process, in turn. The table has median times, and the time epipole takes to reach Ceres' final cost.
 """
 
 from __future__ import annotations
@@ -23,12 +22,14 @@ from benchmarks.peers.bundle import PEERS, BundleLimits, BundleRun, run_peer
 from benchmarks.tasks.bundle import BundleTask, bal_task, city_task, ring_task
 from benchmarks.tasks.sfm import data_root
 
-_MAX_DENSE_FRAMES, _SMALL = 600, 200
-"""Frames beyond which Ceres' dense and iterative solvers are left out: minutes each; and beyond which GTSAM is."""
+_MAX_DENSE_FRAMES = 600
+"""With more frames, pycolmap and Ceres' dense and iterative solvers take minutes and are skipped."""
+_MAX_ITERATIVE_FRAMES = 200
+"""From this number of frames on, Ceres' iterative solver takes minutes and is skipped."""
 
 
 def tasks(data: Path) -> dict[str, Callable[[], BundleTask]]:
-    """The problems by name."""
+    """Functions that make the problems, by name."""
     bundle = data.resolve() / "bundle"
     return {
         "bal-16-22106": partial(bal_task, bundle / "problem-16-22106-pre.txt.bz2"),
@@ -42,14 +43,14 @@ def tasks(data: Path) -> dict[str, Callable[[], BundleTask]]:
 
 
 def seconds_to(run: BundleRun, cost: float) -> float | None:
-    """When a run first reached a cost; None: never."""
+    """Seconds until a run first reached a cost; None if it never did."""
     return next((seconds for seconds, at in run.costs_over_time or () if at <= cost), None)
 
 
 def run_task(
     task: BundleTask, limits: BundleLimits, rounds: int, timeout_s: float, wanted: list[str] | None
 ) -> dict[str, Any]:
-    """Every program on one task: median seconds with the costs and iterations of the first round."""
+    """Run every program on one task: median seconds, and the costs and iterations of the first round."""
     frames = len(task.rotation)
     out: dict[str, Any] = {}
     runs: dict[str, list[BundleRun | str]] = {}
@@ -58,15 +59,17 @@ def run_task(
             heavy = "DENSE" in peer.name or "ITERATIVE" in peer.name or peer.name == "pycolmap"
             if (wanted and peer.name not in wanted) or (heavy and frames > _MAX_DENSE_FRAMES):
                 continue
-            if "ITERATIVE" in peer.name and frames >= _SMALL:
+            if "ITERATIVE" in peer.name and frames >= _MAX_ITERATIVE_FRAMES:
                 continue
             runs.setdefault(peer.name, []).append(run_peer(peer, task, limits, timeout_s))
     for name, found in runs.items():
-        good = [run for run in found if not isinstance(run, str)]
-        if not good:
+        successful = [run for run in found if not isinstance(run, str)]
+        if not successful:
             out[name] = {"message": found[0]}
             continue
-        out[name] = asdict(good[0]) | {"seconds_solve": statistics.median(run.seconds_solve for run in good)}
+        out[name] = asdict(successful[0]) | {
+            "seconds_solve": statistics.median(run.seconds_solve for run in successful)
+        }
     ceres = [run for name, run in out.items() if name.startswith("py") and "final_cost" in run]
     if ceres and "epipole" in out:
         target = max(run["final_cost"] for run in ceres)
@@ -80,7 +83,7 @@ def run_task(
 
 
 def print_table(report: dict[str, Any], names: list[str]) -> None:
-    """One row for each program and task."""
+    """Print one row for each program and task."""
     table = Table(title=f"bundle adjustment, {report['limits']['num_threads']} thread(s)")
     for column in (
         "task",
@@ -88,7 +91,7 @@ def print_table(report: dict[str, Any], names: list[str]) -> None:
         "solve s",
         "final cost",
         "steps",
-        "us / obs. and step",
+        "us / (obs. x step)",
         "to Ceres' cost",
     ):
         table.add_column(column, justify="right")
@@ -109,14 +112,14 @@ def print_table(report: dict[str, Any], names: list[str]) -> None:
 
 def main() -> None:
     """Run the tasks and print the table."""
-    parser = argparse.ArgumentParser(description="Bundle adjustment: epipole, Ceres and GTSAM side by side.")
+    parser = argparse.ArgumentParser(description="Bundle adjustment: epipole, Ceres and GTSAM.")
     names = list(tasks(Path()))
     parser.add_argument("--task", nargs="+", choices=names, default=names)
-    parser.add_argument("--program", nargs="+", help="only these")
+    parser.add_argument("--program", nargs="+", help="programs to run (default: all)")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--timeout", type=float, default=600.0, help="seconds a program may take")
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--timeout", type=float, default=600.0, help="time limit of a program, seconds")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     arguments = parser.parse_args()
     limits = BundleLimits(num_threads=arguments.threads)
     report: dict[str, Any] = {"machine": describe_machine(arguments.threads), "limits": asdict(limits)}

@@ -1,7 +1,4 @@
-"""Calibration of real cameras beside OpenCV's. `python -m benchmarks.calibration`.
-
-The corners are the same for both; OpenCV runs in a process of its own.
-"""
+"""Calibration of real cameras compared with OpenCV's, from the same corners. `python -m benchmarks.calibration`."""
 
 from __future__ import annotations
 
@@ -32,19 +29,20 @@ PAIR = BoardConfig(columns=9, rows=6, square=0.025)
 DESK = BoardConfig(columns=9, rows=6, square=0.04)
 SIZE, DESK_SIZE = (640, 480), (752, 480)
 SPOILED = (2, 5, 8)
+"""Views that `spoiled` replaces."""
 
 
 def opencv_pair(connection: Any, pixels: list[list[np.ndarray]]) -> None:
-    """cv2.calibrateCamera for each camera, then cv2.stereoCalibrate of all; k1, k2, p1, p2."""
+    """Calibrate with OpenCV: each camera alone, then the pair, with k1, k2, p1 and p2."""
     import cv2
 
     board = corners_on_board(PAIR).astype(np.float32)
     boards = [board] * len(pixels[0])
     start = time.perf_counter()
     flags = cv2.CALIB_FIX_K3
-    one, two = (cv2.calibrateCamera(boards, own, SIZE, None, None, flags=flags) for own in pixels)
+    left, right = (cv2.calibrateCamera(boards, corners, SIZE, None, None, flags=flags) for corners in pixels)
     found = cv2.stereoCalibrate(
-        *(boards, pixels[0], pixels[1], one[1], one[2], two[1], two[2], SIZE),
+        *(boards, pixels[0], pixels[1], left[1], left[2], right[1], right[2], SIZE),
         flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS,
         criteria=(3, 200, 1e-9),
     )
@@ -60,7 +58,7 @@ def opencv_pair(connection: Any, pixels: list[list[np.ndarray]]) -> None:
 
 
 def our_pair(views: list[list[BoardView]], config: CalibrationConfig) -> dict[str, float]:
-    """The same figures, with standard deviations."""
+    """Calibrate with epipole: the figures of `opencv_pair`, and standard deviations."""
     start = time.perf_counter()
     found = calibrate_views(views, [SIZE] * 2, config)
     seconds = time.perf_counter() - start
@@ -78,8 +76,8 @@ def our_pair(views: list[list[BoardView]], config: CalibrationConfig) -> dict[st
 
 
 def spoiled(views: list[list[BoardView]]) -> list[list[BoardView]]:
-    """Ten views; one counted from the other end, one taken later by the right camera, one blurred by 5 px."""
-    out = [list(own[:10]) for own in views]
+    """Ten views, three of them wrong: corners in reverse order, a later image of the right camera, 5 px of noise."""
+    out = [list(of_camera[:10]) for of_camera in views]
     first, second, third = SPOILED
     out[0][first] = replace(out[0][first], pixels=out[0][first].pixels[::-1].copy())
     out[1][second] = out[1][second + 1]
@@ -89,7 +87,7 @@ def spoiled(views: list[list[BoardView]]) -> list[list[BoardView]]:
 
 
 def desk_rows(folder: Path) -> dict[str, dict[str, float]]:
-    """Difference of projections from a given lens, over the image and where corners were seen."""
+    """Projection differences from the given intrinsics, over the whole image and where corners were observed."""
     views = [find_board(read_grey(path), DESK) for path in sorted((folder / "images").iterdir())]
     K, (k1, k2) = np.loadtxt(folder / "K.txt"), np.loadtxt(folder / "D.txt")
     f = K[0, 0]
@@ -98,48 +96,48 @@ def desk_rows(folder: Path) -> dict[str, dict[str, float]]:
     rows = {}
     for model in ("RADIAL", "OPENCV"):
         found = calibrate_views([views], [DESK_SIZE], CalibrationConfig(board=DESK, model=model))
-        whole = projection_difference(given, found.cameras[0]).distance_px
-        seen = projection_difference(given, found.cameras[0], covered_pixels(found, 0)).distance_px
+        everywhere = projection_difference(given, found.cameras[0]).distance_px
+        covered = projection_difference(given, found.cameras[0], covered_pixels(found, 0)).distance_px
         rows[model] = {
             "rms px": found.rms_px,
             "fx": found.cameras[0].K[0, 0],
-            "difference px, whole image": float(np.nanmedian(whole)),
-            "where corners were seen": float(np.nanmedian(seen)),
+            "difference px, whole image": float(np.nanmedian(everywhere)),
+            "where corners were seen": float(np.nanmedian(covered)),
         }
     return rows
 
 
 def main() -> None:
-    """Print both tables."""
-    parser = argparse.ArgumentParser(description="Calibration.")
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    """Print both tables and write the results."""
+    parser = argparse.ArgumentParser(description="Camera calibration: epipole and OpenCV.")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
     arguments = parser.parse_args()
     data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
     folder = data / "calibration" / "opencv_stereo"
     numbers = [f"{k:02d}.jpg" for k in range(1, 15) if k != 10]
     views = [[find_board(read_grey(folder / f"{s}{n}"), PAIR) for n in numbers] for s in ("left", "right")]
-    every = CalibrationConfig(board=PAIR, outlier_factor=1e6, max_view_factor=1e6)
-    usual = CalibrationConfig(board=PAIR)
-    our_pair(views, usual)
+    without_rejection = CalibrationConfig(board=PAIR, outlier_factor=1e6, max_view_factor=1e6)
+    default = CalibrationConfig(board=PAIR)
+    our_pair(views, default)
     ours, theirs = get_context("spawn").Pipe()
-    pixels = [[v.pixels.astype(np.float32) for v in own] for own in views]
+    pixels = [[view.pixels.astype(np.float32) for view in of_camera] for of_camera in views]
     process = get_context("spawn").Process(target=opencv_pair, args=(theirs, pixels))
     process.start()
     rows = {"OpenCV, 13 views": ours.recv()}
     process.join()
     rows |= {
-        "epipole, all corners": our_pair(views, every),
-        "epipole": our_pair(views, usual),
-        "epipole, 10 views, 3 spoiled": our_pair(spoiled(views), usual),
+        "epipole, all corners": our_pair(views, without_rejection),
+        "epipole": our_pair(views, default),
+        "epipole, 10 views, 3 spoiled": our_pair(spoiled(views), default),
         "epipole, those 7 alone": our_pair(
-            [[v for k, v in enumerate(own[:10]) if k not in SPOILED] for own in views], usual
+            [[v for k, v in enumerate(of_camera[:10]) if k not in SPOILED] for of_camera in views], default
         ),
     }
     desk = desk_rows(data / "slam" / "ar_cube")
     console = Console(width=160)
-    console.print(table_of("13 views of a board by a pair of cameras", rows))
-    console.print(table_of("37 views of a desk: against its given lens", desk))
+    console.print(table_of("13 views of a board by a stereo pair", rows))
+    console.print(table_of("37 views of a desk, against its given intrinsics", desk))
     arguments.results.mkdir(parents=True, exist_ok=True)
     report = {"machine": describe_machine(2), "pair": rows, "desk": desk}
     (arguments.results / "calibration.json").write_text(json.dumps(report, indent=1) + "\n")

@@ -1,6 +1,6 @@
-"""The first call of each public estimator on a machine without compiled kernels: `python -m benchmarks.compile_times`.
+"""Time of the first call of each public estimator, without compiled kernels: `python -m benchmarks.compile_times`.
 
-Each runs in a process of its own with an empty kernel folder; the second call shows what is left.
+Each estimator runs in its own process with an empty kernel folder; the second call shows the time without compilation.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ CALLS = {
 
 
 def first_and_second_call(call: str) -> list[float]:
-    """Seconds of both calls in a fresh process with an empty kernel folder."""
+    """Seconds of two calls in a new process with an empty kernel folder."""
     with tempfile.TemporaryDirectory() as folder:
         code = f"{PREPARE}\ntimed(lambda: {call})"
         done = subprocess.run(
@@ -63,7 +63,7 @@ def first_and_second_call(call: str) -> list[float]:
 
 
 def main() -> None:
-    """Time every estimator and print the table."""
+    """Time every estimator, print the table and write the results."""
     table = Table(title="first call without compiled kernels")
     for column in ("estimator", "first call (s)", "second call (ms)"):
         table.add_column(column, justify="right")

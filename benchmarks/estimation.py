@@ -1,7 +1,6 @@
-"""Robust estimators side by side: the same problems, threshold, confidence and cap, one thread each.
+"""Robust estimators compared on the same problems with the same limits and one thread each.
 
-`python -m benchmarks.estimation --task relative-500-70` sends every problem to each program in turn, each in a
-process of its own, and prints times, errors, and the bootstrap interval of our error over the best program's.
+`python -m benchmarks.estimation --task relative-500-70` prints times, errors, and ratios with bootstrap intervals.
 """
 
 from __future__ import annotations
@@ -25,20 +24,24 @@ from epipole.metrics import area_under_recall
 
 OURS = "epipole"
 WARM_UP = 3
+"""Problems solved before the measurement."""
 RESAMPLES = 2000
+"""Number of bootstrap resamples."""
 FAILED = 1e6
+"""Error of a problem without a solution."""
 AUC_DEG = (5.0, 10.0, 20.0)
-KNOW_LENSES = ("epipole", "poselib", "pycolmap")
+WITH_CAMERA_MODELS = ("epipole", "poselib", "pycolmap")
+"""Packages that support cameras other than pinholes."""
 
 
 def main() -> None:
-    """Run the tasks asked for and print a table for each."""
+    """Run the chosen tasks and print a table for each."""
     arguments = _arguments()
     console = Console(width=max(120, Console().width))
     for name in arguments.task:
         task = TASKS[name]
         seconds, errors = _measure(task, arguments, console)
-        report = {"task": name, "limits": vars_of(task), "machine": describe_machine(1)} | summarise(
+        report = {"task": name, "limits": limits_of(task), "machine": describe_machine(1)} | summarise(
             task, seconds, errors
         )
         arguments.results.mkdir(parents=True, exist_ok=True)
@@ -47,18 +50,18 @@ def main() -> None:
         console.print(_table(task, report))
 
 
-def vars_of(task: EstimationTask) -> dict[str, Any]:
-    """The limits as a dictionary."""
+def limits_of(task: EstimationTask) -> dict[str, Any]:
+    """The limits of a task as a dictionary."""
     limits = task.limits
     return {name: getattr(limits, name) for name in limits.__slots__}
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="Robust estimators side by side.")
+    parser = argparse.ArgumentParser(description="Robust estimators: epipole and other programs.")
     parser.add_argument("--task", nargs="+", choices=list(TASKS), default=list(TASKS), metavar="TASK")
-    parser.add_argument("--count", type=int, default=200, help="paired problems")
+    parser.add_argument("--count", type=int, default=200, help="minimum number of problems per task")
     parser.add_argument("--peer", nargs="+", default=[peer.name for peer in PEERS])
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
     return parser.parse_args()
 
@@ -73,12 +76,12 @@ def _measure(
             continue
         if peer.version() is None:
             console.print(f"{peer.name}: not installed")
-        elif problems[0].camera != "PINHOLE" and peer.package not in KNOW_LENSES:
-            console.print(f"{peer.name}: knows no {problems[0].camera}")
+        elif problems[0].camera != "PINHOLE" and peer.package not in WITH_CAMERA_MODELS:
+            console.print(f"{peer.name}: does not support {problems[0].camera}")
         elif peer.package != "pydegensac" or task.kind in ("fundamental", "homography"):
             workers.append(Worker(peer, task.kind))
     if not workers:
-        sys.exit("no program to run")
+        sys.exit("No program to run: the chosen ones are not installed or do not support the task.")
     for worker in workers:
         for problem in problems[:WARM_UP]:
             worker.solve(problem, task.limits)
@@ -86,8 +89,8 @@ def _measure(
     errors: dict[str, list[float]] = {w.name: [] for w in workers}
     for problem in problems:
         for worker in workers:
-            took, model = worker.solve(problem, task.limits)
-            seconds[worker.name].append(took)
+            median_s, model = worker.solve(problem, task.limits)
+            seconds[worker.name].append(median_s)
             errors[worker.name].append(error_of(problem, model))
     for worker in workers:
         worker.close()
@@ -95,7 +98,7 @@ def _measure(
 
 
 def error_of(problem: EstimationProblem, model: Model) -> float:
-    """Degrees for poses; median pixels at the true matches for F (Sampson) and H (transfer)."""
+    """Degrees for poses; median Sampson (F) or transfer (H) error of the true matches in pixels."""
     if model is None:
         return FAILED
     if problem.motion is not None:
@@ -112,7 +115,7 @@ def error_of(problem: EstimationProblem, model: Model) -> float:
 
 
 def _motion_error(problem: EstimationProblem, R: np.ndarray, t: np.ndarray) -> float:
-    """The greater of the rotation error and the direction error; of the rotation error alone for absolute poses."""
+    """The larger of rotation and direction error in degrees; for absolute poses the rotation error."""
     true = problem.motion
     assert true is not None
     cosine = np.clip(0.5 * (np.trace(R @ true.rotation.T) - 1.0), -1.0, 1.0)
@@ -130,7 +133,7 @@ def _motion_error(problem: EstimationProblem, R: np.ndarray, t: np.ndarray) -> f
 def summarise(
     task: EstimationTask, seconds: dict[str, np.ndarray], errors: dict[str, np.ndarray]
 ) -> dict[str, Any]:
-    """Figures of every program, and our errors over each other's with a 95 % bootstrap interval over problems."""
+    """Figures of every program, and the ratios of epipole's figures to its own with 95 % bootstrap intervals."""
     rows = {}
     for name, e in errors.items():
         ms = 1e3 * seconds[name]
@@ -151,7 +154,7 @@ def summarise(
 def ratios(
     our_s: np.ndarray, their_s: np.ndarray, ours: np.ndarray, theirs: np.ndarray
 ) -> dict[str, list[float]]:
-    """Ratio, lower and upper bound (95 %) of median time, median error and 90 % error; problems are resampled."""
+    """[ratio, lower bound, upper bound] (95 %) of median time, median error and 90 % error, resampling problems."""
     rng = np.random.default_rng(0)
     chosen = rng.integers(len(ours), size=(RESAMPLES, len(ours)))
     out = {}

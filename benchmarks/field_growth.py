@@ -1,6 +1,6 @@
-"""Seconds a step and memory against Gaussians and pixels, at harmonics of degree 3. `python -m benchmarks.field_growth`.
+"""Time and memory of a training step against Gaussians and pixels (harmonics of degree 3). `python -m benchmarks.field_growth`.
 
-Each count is measured in its own process, whose memory is what it adds to that of a thousand Gaussians.
+Each size runs in its own process. Memory per Gaussian is the difference from a process with a thousand Gaussians.
 """
 
 from __future__ import annotations
@@ -31,17 +31,22 @@ from epipole.pipelines.fields.config import RenderConfig
 from epipole.pipelines.fields.scene import seen_gaussians
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "field_growth.json"
-LEAST = 1000
-COUNTS, SIDES = (100_000, 200_000, 400_000, 700_000, 1_000_000), (200, 400, 600, 800)
-USUAL_COUNT, USUAL_SIDE = 200_000, 400
-VIEWS, GROWING = 8, 40
-"""Images, and steps in which Gaussians are still split and dropped."""
+SMALLEST_COUNT = 1000
+COUNTS = (100_000, 200_000, 400_000, 700_000, 1_000_000)
+"""Gaussians, at DEFAULT_SIDE."""
+SIDES = (200, 400, 600, 800)
+"""Pixels per side of the images, at DEFAULT_COUNT."""
+DEFAULT_COUNT = 200_000
+DEFAULT_SIDE = 400
+NUM_VIEWS = 8
+GROWING_STEPS = 40
+"""Steps in which Gaussians are split and removed, before the measured ones."""
 
 
 def measured(source: Path, count: int, side: int, steps: int) -> dict[str, float]:
-    """Median seconds of a step of so many Gaussians and pixels, and the most memory that was used, in bytes."""
+    """Median seconds of a step with `count` Gaussians and images of `side` x `side`, and peak memory in bytes."""
     (_, known), guitar = seen_gaussians(source), read_gaussians(source)
-    job = RenderConfig(frames=VIEWS, width=side, height=side)
+    job = RenderConfig(frames=NUM_VIEWS, width=side, height=side)
     shots = orbit(known.position, known.look_at, known.up, job)
     views = []
     for shot in shots:
@@ -50,19 +55,19 @@ def measured(source: Path, count: int, side: int, steps: int) -> dict[str, float
         views.append(TrainingView(shot.name, image, shot.camera, shot.cam_from_world))
     config = SplatTraining(max_gaussians=count)
     trainer = SplatTrainer(views, multiplied(guitar, count // 4), config, np.zeros(3, np.float32))
-    for step in range(GROWING):
-        trainer.step(0.599 * step / GROWING)
+    for step in range(GROWING_STEPS):
+        trainer.step(0.599 * step / GROWING_STEPS)
     seconds = []
     for _ in range(steps):
         start = perf_counter()
         trainer.step(0.9)
         seconds.append(perf_counter() - start)
-    most = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return {"gaussians": len(trainer), "pixels": side * side, "step_s": median(seconds), "bytes": most}
+    peak = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return {"gaussians": len(trainer), "pixels": side * side, "step_s": median(seconds), "bytes": peak}
 
 
-def apart(data: Path, count: int, side: int, steps: int) -> dict[str, float]:
-    """The same, in a process of its own."""
+def measured_in_process(data: Path, count: int, side: int, steps: int) -> dict[str, float]:
+    """`measured` in a new process, because peak memory never decreases."""
     command = [sys.executable, "-m", "benchmarks.field_growth", "--data", str(data)]
     command += ["--one", str(count), str(side), "--steps", str(steps)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -70,15 +75,15 @@ def apart(data: Path, count: int, side: int, steps: int) -> dict[str, float]:
     return found
 
 
-def line(rows: list[dict[str, float]], name: str) -> dict[str, float]:
-    """Seconds at 0, seconds more for a million, and the share of the variance that a straight line explains."""
+def fit_line(rows: list[dict[str, float]], name: str) -> dict[str, float]:
+    """Straight line of seconds against a quantity: value at 0, slope per million, and R^2."""
     x, y = (np.array([row[part] for row in rows]) for part in (name, "step_s"))
     slope, start = np.polyfit(x, y, 1)
-    rest = y - start - slope * x
+    residuals = y - start - slope * x
     return {
         "start_s": float(start),
         "s_per_million": 1e6 * float(slope),
-        "explained": 1 - float(rest.var() / y.var()),
+        "explained": 1 - float(residuals.var() / y.var()),
     }
 
 
@@ -86,22 +91,24 @@ def main() -> None:
     """Measure, print the table and write the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=15)
-    parser.add_argument("--one", type=int, nargs=2, metavar=("COUNT", "SIDE"), help="measure this alone")
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--one", type=int, nargs=2, metavar=("COUNT", "SIDE"), help="measure one size only")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     arguments = parser.parse_args()
     data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
     if arguments.one:
         source = data / "fields" / "splats" / "guitar.compressed.ply"
         print(json.dumps(measured(source, *arguments.one, arguments.steps)))
         return
-    by_count = [apart(data, count, USUAL_SIDE, arguments.steps) for count in (LEAST, *COUNTS)]
-    by_side = [apart(data, USUAL_COUNT, side, arguments.steps) for side in SIDES]
-    empty, whole = by_count[0], by_count[-1]
-    memory = (whole["bytes"] - empty["bytes"]) / (whole["gaussians"] - empty["gaussians"])
-    lines = {"gaussians": line(by_count[1:], "gaussians"), "pixels": line(by_side, "pixels")}
-    given = {"by_gaussians": by_count, "by_pixels": by_side, "lines": lines, "bytes_per_gaussian": memory}
-    RESULTS.write_text(json.dumps({"machine": describe_machine(2), **given}, indent=1) + "\n")
-    table = Table("Gaussians", "pixels", "ms a step", "memory, MB")
+    by_count = [
+        measured_in_process(data, count, DEFAULT_SIDE, arguments.steps) for count in (SMALLEST_COUNT, *COUNTS)
+    ]
+    by_side = [measured_in_process(data, DEFAULT_COUNT, side, arguments.steps) for side in SIDES]
+    smallest, largest = by_count[0], by_count[-1]
+    memory = (largest["bytes"] - smallest["bytes"]) / (largest["gaussians"] - smallest["gaussians"])
+    lines = {"gaussians": fit_line(by_count[1:], "gaussians"), "pixels": fit_line(by_side, "pixels")}
+    results = {"by_gaussians": by_count, "by_pixels": by_side, "lines": lines, "bytes_per_gaussian": memory}
+    RESULTS.write_text(json.dumps({"machine": describe_machine(2), **results}, indent=1) + "\n")
+    table = Table("Gaussians", "pixels", "ms per step", "memory, MB")
     for row in (*by_count, *by_side):
         table.add_row(
             f"{row['gaussians']:,.0f}",
@@ -112,9 +119,9 @@ def main() -> None:
     console = Console()
     console.print(table)
     for name, found in lines.items():
-        explained = f"{100 * found['explained']:.1f} % of the variance"
-        console.print(f"a million {name} more: {found['s_per_million']:.3f} s a step ({explained} on a line)")
-    console.print(f"memory: {memory / 1e3:.2f} GB for a million Gaussians")
+        explained = f"a line explains {100 * found['explained']:.1f} % of the variance"
+        console.print(f"per million {name}: {found['s_per_million']:.3f} s per step ({explained})")
+    console.print(f"memory: {memory / 1e3:.2f} GB per million Gaussians")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How well a model of photographs with GPS fits the fixes, which are metres away from the truth themselves."""
+"""Agreement of a reconstruction with the GPS fixes of its photographs, which are accurate to a few metres."""
 
 from __future__ import annotations
 
@@ -14,40 +14,41 @@ from epipole.io.images.photographs import read_header
 from epipole.scene import Reconstruction
 
 MAX_TRIPLES = 2000
+"""Maximum number of samples in the robust alignment."""
 MIN_STEP_M = 3.0
-"""Fixes written with 0.1 second of arc are on a grid of about three metres; smaller steps have no direction."""
+"""Fixes in steps of 0.1 arc seconds are on a grid of about three metres; smaller steps have no direction."""
 
 
 def score_gps(task: SfmTask, model: Reconstruction) -> dict[str, float]:
-    """Median distance to the fixes after a robust similarity, and median angle of axes against motion.
+    """Median distance to the fixes after a robust similarity, and median angle between optical axis and motion.
 
-    The axis of image i is compared with the way from its fix to the next image's, in the horizontal plane.
+    The motion is the horizontal direction from an image's fix to that of the next image.
     """
     enu = _fixes(task)
     registered = np.flatnonzero(model.is_registered())
     row_of = {model.images.name[i]: i for i in registered}
-    have = [k for k, name in enumerate(task.image_names) if name in row_of and np.isfinite(enu[k]).all()]
-    rows = [row_of[task.image_names[k]] for k in have]
+    with_fix = [k for k, name in enumerate(task.image_names) if name in row_of and np.isfinite(enu[k]).all()]
+    rows = [row_of[task.image_names[k]] for k in with_fix]
     centers = model.camera_centers_in_world()[rows]
-    enu_from_world = align_robustly(centers, enu[have])
+    enu_from_world = align_robustly(centers, enu[with_fix])
     if enu_from_world is None:
         return {}
-    residuals = np.linalg.norm(enu_from_world.apply(centers) - enu[have], axis=1)
+    residuals = np.linalg.norm(enu_from_world.apply(centers) - enu[with_fix], axis=1)
     score = {"gps_median_m": float(np.median(residuals))}
     axes = (enu_from_world.rotation @ model.cams_from_world().rotation[rows].transpose(0, 2, 1))[:, :, 2]
     steps = np.full((len(enu), 2), np.nan)
     steps[:-1] = enu[1:, :2] - enu[:-1, :2]
-    orientations = steps[have]
-    moving = np.linalg.norm(orientations, axis=1) >= MIN_STEP_M
+    directions = steps[with_fix]
+    moving = np.linalg.norm(directions, axis=1) >= MIN_STEP_M
     if moving.any():
-        a, b = axes[moving, :2], orientations[moving]
+        a, b = axes[moving, :2], directions[moving]
         angles = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
         score["axis_to_motion_median_deg"] = float(np.degrees(np.median(np.abs(angles))))
     return score
 
 
 def align_robustly(source: np.ndarray, target: np.ndarray) -> Similarity3 | None:
-    """target_from_source of least median distance over triples, refined on the points that agree with it.
+    """target_from_source with the least median distance over samples of three points, refined on its inliers.
 
     None for fewer than three points or points on a line (Rousseeuw, Least Median of Squares, JASA 1984).
     """
@@ -66,8 +67,8 @@ def align_robustly(source: np.ndarray, target: np.ndarray) -> Similarity3 | None
         if best is None:
             return None
         distances = np.linalg.norm(best.apply(source) - target, axis=1)
-        near = distances <= max(2.5 * np.median(distances), 1e-12)
-        best = _align(source[near], target[near]) or best
+        inliers = distances <= max(2.5 * np.median(distances), 1e-12)
+        best = _align(source[inliers], target[inliers]) or best
     return best
 
 
@@ -79,7 +80,7 @@ def _align(source: np.ndarray, target: np.ndarray) -> Similarity3 | None:
 
 
 def _fixes(task: SfmTask) -> np.ndarray:
-    """East, north, up of every image in metres; NaN where it has no fix."""
+    """East, north and up of every image in metres; NaN if it has no fix."""
     table = np.full((len(task.image_names), 3), np.nan)
     for k, name in enumerate(task.image_names):
         fix = read_header(task.images / name).gps

@@ -1,7 +1,6 @@
-"""How time and memory of bundle adjustment grow: cities of more and more cameras. `python -m benchmarks.growth`.
+"""Time and memory of bundle adjustment against the number of cameras in a city. `python -m benchmarks.growth`.
 
-Each size runs in a process of its own. Seconds are those of the adjustment alone, its layout included; memory is the greatest
-resident size of the process, the problem itself included.
+Each size runs in its own process. Time is that of the adjustment; memory is the peak resident size, including the problem.
 """
 
 from __future__ import annotations
@@ -24,10 +23,11 @@ from benchmarks.tasks.bundle import city_task
 SIZES = (250, 500, 1000, 2000, 4000, 10_000)
 POINTS_PER_FRAME, OBSERVATIONS_PER_POINT = 500, 5
 _UNIT = 1 if sys.platform == "darwin" else 1024
+"""Bytes per unit of `ru_maxrss`."""
 
 
 def adjust_city(num_frames: int, *, single_precision: bool) -> dict[str, Any]:
-    """One city: what it took, and how far the cost is from what the noise alone would leave."""
+    """Adjust one city: time, memory, and the ratio of the final cost to that expected from the noise."""
     num_points = POINTS_PER_FRAME * num_frames
     task = city_task(num_frames, num_points, OBSERVATIONS_PER_POINT * num_points)
     peer, limits = Epipole(), BundleLimits()
@@ -54,20 +54,20 @@ def _serve(num_frames: int, single_precision: bool, connection: Any) -> None:
 
 
 def main() -> None:
-    """Run the sizes and print the table."""
-    parser = argparse.ArgumentParser(description="Growth of bundle adjustment with the size of a city.")
+    """Run the sizes, print the table and write the results."""
+    parser = argparse.ArgumentParser(description="Bundle adjustment of cities of different sizes.")
     parser.add_argument("--frames", type=int, nargs="+", default=SIZES)
-    parser.add_argument("--single", action="store_true", help="eliminated points in single precision")
+    parser.add_argument("--single", action="store_true", help="eliminate points in single precision")
     arguments = parser.parse_args()
     context = get_context("spawn")
     rows = []
-    table = Table(title="a city, 500 points a frame, 5 observations a point")
+    table = Table(title="a city, 500 points per frame, 5 observations per point")
     for column in (
         "frames",
         "observations",
         "seconds",
         "steps",
-        "us / obs. and step",
+        "us / (obs. x step)",
         "peak GB",
         "cost / floor",
     ):

@@ -1,7 +1,6 @@
-"""Whether COLMAP's programs can go on from what epipole wrote: `python -m benchmarks.interop`.
+"""Whether COLMAP can continue from epipole's output: `python -m benchmarks.interop`.
 
-Per set: epipole runs, then pycolmap, in a process of its own, reads the model, adjusts it and maps from the
-database.
+epipole reconstructs each set. Then pycolmap, in its own process, reads and adjusts the model and maps from the database.
 """
 
 from __future__ import annotations
@@ -24,10 +23,10 @@ from benchmarks.tasks.sfm import SETS, data_root, prepare
 
 
 def run_set(name: str, data: Path) -> dict[str, Any]:
-    """Reconstruct the set, then let pycolmap loose on the output.
+    """Reconstruct the set with epipole, then run pycolmap on the output.
 
     Raises:
-        subprocess.CalledProcessError: one of them failed.
+        subprocess.CalledProcessError: one of the programs failed.
     """
     with tempfile.TemporaryDirectory() as folder:
         out, result = Path(folder) / "out", Path(folder) / "result.json"
@@ -44,39 +43,40 @@ def run_set(name: str, data: Path) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Run the sets, print a table, keep the JSON."""
+    """Run the sets, print the table and write the results."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--set", nargs="+", default=list(SETS), choices=list(SETS))
-    parser.add_argument("--data", type=Path)
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results")
     arguments = parser.parse_args()
     columns = (
         "set",
         "registered",
-        "read: points, observations",
-        "its adjustment gains",
-        "mapped from the database",
+        "points, observations read",
+        "cost reduction by its adjustment",
+        "images mapped from the database",
     )
     table = Table(*columns)
     rows = []
     for name in arguments.set:
         row = run_set(name, data_root(arguments.data))
         ours, theirs = row["epipole"], row["pycolmap"]
-        free = theirs["adjusted_with_lenses"]
+        with_free_intrinsics = theirs["adjusted_with_lenses"]
         same = ours["num_points"] == theirs["read"]["points"]
         same &= ours["num_observations"] == theirs["read"]["observations"]
         table.add_row(
             name,
             f"{ours['num_registered']} of {ours['num_images']}",
             f"{theirs['read']['points']}, {theirs['read']['observations']} ({'the same' if same else 'NOT the same'})",
-            f"{theirs['adjusted']['gain']:.1e}" + (f"; lenses free {free['gain']:.1e}" if free else ""),
-            f"{theirs['mapped']['models']} images",
+            f"{theirs['adjusted']['gain']:.1e}"
+            + (f"; free intrinsics {with_free_intrinsics['gain']:.1e}" if with_free_intrinsics else ""),
+            str(theirs["mapped"]["models"]),
         )
         rows.append(row)
     Console().print(table)
     arguments.results.mkdir(parents=True, exist_ok=True)
-    kept = {"machine": describe_machine(2), "rows": rows}
-    (arguments.results / "interop.json").write_text(json.dumps(kept, indent=2) + "\n", encoding="utf-8")
+    report = {"machine": describe_machine(2), "rows": rows}
+    (arguments.results / "interop.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Record the replays of the lesson's page on failures: the library's own SLAM on drawn rides. `python -m benchmarks.lesson_replays`.
+"""Record the replays of the lesson's page on failures: SLAM runs on rendered sequences. `python -m benchmarks.lesson_replays`.
 
-Images are drawn, so that none of anybody else's is in the package; of the kitchen of 7-Scenes only figures are kept.
+The package contains only rendered images; for 7-Scenes' kitchen, it contains only the errors.
 """
 
 from __future__ import annotations
@@ -30,42 +30,52 @@ from epipole.synthetic import rides
 from epipole.synthetic.ride import Ride, Shutter
 
 RECORD = REPOSITORY / "src" / "epipole" / "lesson" / "assets" / "failures.json"
-SIZE, SHOWN_SIZE, SHOWN, QUALITY = (320, 240), (176, 132), 26, 40
-"""Of the images that are followed, and that are shown; how many of these, at most; and how well."""
+SIZE = (320, 240)
+"""Size of the images that SLAM gets."""
+SHOWN_SIZE = (176, 132)
+"""Size of the images on the page."""
+MAX_SHOWN = 26
+"""Maximum number of images of one run on the page."""
+QUALITY = 40
+"""WebP quality of the images; low, to keep the package small."""
 
 
 class Sight(NamedTuple):
-    """A ride as one sensor sees it."""
+    """A rendered sequence and the sensor that records it."""
 
     ride: Ride
     every: int
+    """Use every n-th frame."""
     sensor: str
     readout_s: float = 0.0
-    """That the SLAM is told of."""
+    """Readout time of the rolling shutter that SLAM is given."""
 
 
 def blurred(exposure_s: float) -> Ride:
-    """A hand's shake with so long an exposure."""
+    """A shaking hand-held camera with this exposure time."""
     shutter = Shutter(exposure_s=exposure_s, num_exposures=16)
     return replace(rides.shuttered(240, SIZE, 0.0), shutter=shutter)
 
 
 def failures() -> dict[str, dict[str, Sight]]:
-    """What is recorded: for each failure one run or two, by name."""
-    bent = rides.shuttered(240, SIZE)
+    """The runs to record: one or two by name for each failure."""
+    rolling_shutter = rides.shuttered(240, SIZE)
     rotating, walking = rides.rotate_only(200, SIZE), rides.walking_box(240, SIZE)
     return {
         "wall": {"rgbd": Sight(rides.corridor(620, SIZE), 4, "rgbd")},
         "tiles": {"rgbd": Sight(rides.tiled_room(400, SIZE), 4, "rgbd")},
         "moving": {"rgbd": Sight(walking, 4, "rgbd"), "mono": Sight(walking, 4, "mono")},
         "blur": {"long": Sight(blurred(0.12), 3, "mono"), "short": Sight(blurred(0.01), 3, "mono")},
-        "shutter": {"untold": Sight(bent, 3, "mono"), "told": Sight(bent, 3, "mono", 0.03)},
+        "shutter": {
+            "untold": Sight(rolling_shutter, 3, "mono"),
+            "told": Sight(rolling_shutter, 3, "mono", readout_s=0.03),
+        },
         "rotation": {"mono": Sight(rotating, 4, "mono"), "rgbd": Sight(rotating, 4, "rgbd")},
     }
 
 
 def frames_of(sight: Sight) -> Iterable[tuple[int, Frame]]:
-    """As the sensor gives them, at the ride's own times."""
+    """Number and image data of each frame, with the timestamps of the sequence."""
     for number in range(0, len(sight.ride), sight.every):
         left = sight.ride.left(number)
         depth = left.depth if sight.sensor == "rgbd" else None
@@ -73,14 +83,14 @@ def frames_of(sight: Sight) -> Iterable[tuple[int, Frame]]:
 
 
 def camera_of(sight: Sight) -> SlamCamera:
-    """Told its readout where the run is."""
+    """The camera, with the readout time that SLAM is given."""
     camera = sight.ride.camera
     depth = DepthCamera(camera, Rigid3.identity()) if sight.sensor == "rgbd" else None
     return SlamCamera(camera, None, depth, readout_s=sight.readout_s)
 
 
 def recorded(sight: Sight) -> dict[str, Any]:
-    """Every frame of a run: what it said as the frame came, and where that is against the truth."""
+    """Run SLAM: state, message and position of every frame as it arrived, final positions, and the ground truth."""
     slam, answers, images, numbers = Slam(camera_of(sight)), list[TrackedFrame](), list[np.ndarray](), []
     for number, frame in frames_of(sight):
         answers.append(slam.track(frame))
@@ -92,7 +102,7 @@ def recorded(sight: Sight) -> dict[str, Any]:
     rows = np.searchsorted([a.timestamp_s for a in answers], final.timestamp_s - 1e-6)
     known = [k for k, a in enumerate(answers) if a.world_from_body is not None]
     causal = np.array([answers[k].world_from_body.translation for k in known]).reshape(-1, 3)
-    shown = np.unique(np.linspace(0, len(answers) - 1, SHOWN).astype(int))
+    shown = np.unique(np.linspace(0, len(answers) - 1, MAX_SHOWN).astype(int))
     moving = [[*a.moving.low_px, *a.moving.high_px] if a.moving else None for a in answers]
     return {
         "state": [a.state.value for a in answers],
@@ -101,21 +111,21 @@ def recorded(sight: Sight) -> dict[str, Any]:
         "moving": [box and [round(v / SIZE[0], 4) for v in box] for box in moving],
         "truth": rounded(truth.translation),
         "place": scattered(
-            known, onto(causal, truth.translation[known], sight.sensor, truth[0]), len(answers)
+            known, aligned(causal, truth.translation[known], sight.sensor, truth[0]), len(answers)
         ),
         "final": scattered(
             rows,
-            onto(final.world_from_body.translation, truth.translation[rows], sight.sensor, truth[0]),
+            aligned(final.world_from_body.translation, truth.translation[rows], sight.sensor, truth[0]),
             len(answers),
         ),
         "loops": [[loop.frame, loop.verdict] for loop in slam.loops],
         "shown": shown.tolist(),
-        "pictures": [small(images[k]) for k in shown],
+        "pictures": [encoded(images[k]) for k in shown],
     }
 
 
-def onto(positions: np.ndarray, truth: np.ndarray, sensor: str, first: Rigid3) -> np.ndarray:
-    """Places in the true world: from the first frame on, or by the best similarity where the scale is not known."""
+def aligned(positions: np.ndarray, truth: np.ndarray, sensor: str, first: Rigid3) -> np.ndarray:
+    """Positions in the true world frame: by the pose of the first frame, or by the best similarity if the scale is unknown."""
     if sensor == "rgbd":
         return np.asarray(first.apply(positions))
     if len(positions) < 3 or np.ptp(truth, axis=0).max() < 1e-6 or np.ptp(positions, axis=0).max() < 1e-6:
@@ -124,7 +134,7 @@ def onto(positions: np.ndarray, truth: np.ndarray, sensor: str, first: Rigid3) -
 
 
 def scattered(rows: Any, positions: np.ndarray, count: int) -> list[list[float] | None]:
-    """A place for each frame; None where there is none."""
+    """A position for each frame; None if unknown."""
     out: list[list[float] | None] = [None] * count
     for row, position in zip(rows, rounded(positions)):
         out[int(row)] = position
@@ -132,19 +142,19 @@ def scattered(rows: Any, positions: np.ndarray, count: int) -> list[list[float] 
 
 
 def rounded(positions: np.ndarray) -> Any:
-    """To a millimetre."""
+    """Nested lists, rounded to a millimetre."""
     return np.round(positions, 3).tolist()
 
 
-def small(grey: np.ndarray) -> str:
-    """An image as the page shows it."""
-    shrunk = cv2.resize(grey, SHOWN_SIZE, interpolation=cv2.INTER_AREA)
-    _, encoded = cv2.imencode(".webp", shrunk, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
-    return base64.b64encode(encoded.tobytes()).decode("ascii")
+def encoded(grey: np.ndarray) -> str:
+    """A reduced image as base64 of WebP, as the page shows it."""
+    reduced = cv2.resize(grey, SHOWN_SIZE, interpolation=cv2.INTER_AREA)
+    _, data = cv2.imencode(".webp", reduced, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
+    return base64.b64encode(data.tobytes()).decode("ascii")
 
 
 def without_repeats(runs: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Images that the first run has, too, are kept there alone."""
+    """Remove the images of a run if they are the same as those of the first run."""
     first, *others = runs.values()
     for run in others:
         if run["pictures"] == first["pictures"]:
@@ -153,30 +163,30 @@ def without_repeats(runs: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]
 
 
 def kitchen(folder: Path) -> dict[str, Any]:
-    """How far a run of ours is from each of the two truths of 7-Scenes' kitchen, image by image."""
+    """Distances per image between epipole's trajectory and the two ground truths of 7-Scenes' kitchen."""
     with tempfile.TemporaryDirectory(prefix="epipole-kitchen-") as out:
-        path = epipole.slam(folder, out, sensor="rgbd").trajectory
-    numbers = np.rint(30 * path.timestamp_s).astype(int)
+        trajectory = epipole.slam(folder, out, sensor="rgbd").trajectory
+    numbers = np.rint(30 * trajectory.timestamp_s).astype(int)
     by_number = {int(row[0]): row[1:4] for row in np.loadtxt(folder / "poses_sfm.txt")}
     sfm = np.array([by_number[n] for n in numbers])
     fusion = np.array([read_pose_matrix(folder / f"frame-{n:06d}.pose.txt").translation for n in numbers])
-    ours = path.world_from_body.translation
-    apart = {
+    ours = trajectory.world_from_body.translation
+    pairs = {
         "ours_sfm": (ours, sfm),
         "ours_fusion": (ours, fusion),
         "sfm_fusion": (sfm, fusion),
     }
     return {"number": numbers.tolist()} | {
         name: rounded(np.linalg.norm(align_points(a, b, with_scale=False).apply(a) - b, axis=1))
-        for name, (a, b) in apart.items()
+        for name, (a, b) in pairs.items()
     }
 
 
 def main() -> None:
-    """Run, say how each went, and write the record."""
+    """Run SLAM, print a line for each run, and write the record."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", nargs="+", help="failures to record anew, or kitchen; else all")
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--only", nargs="+", help="failures to record again, or kitchen (default: all)")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     arguments = parser.parse_args()
     data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
     record = json.loads(RECORD.read_text()) if RECORD.is_file() else {}
@@ -185,13 +195,13 @@ def main() -> None:
         if arguments.only and name not in arguments.only:
             continue
         record[name] = without_repeats({run: recorded(sight) for run, sight in runs.items()})
-        for run, given in record[name].items():
-            states = {state: given["state"].count(state) for state in dict.fromkeys(given["state"])}
-            final = [(p, t) for p, t in zip(given["final"], given["truth"]) if p]
-            off = [np.linalg.norm(np.subtract(p, t)) for p, t in final] or [np.nan]
-            loops = dict(Counter(verdict for _, verdict in given["loops"]))
+        for run, frames in record[name].items():
+            states = {state: frames["state"].count(state) for state in dict.fromkeys(frames["state"])}
+            final = [(p, t) for p, t in zip(frames["final"], frames["truth"]) if p]
+            errors = [np.linalg.norm(np.subtract(p, t)) for p, t in final] or [np.nan]
+            loops = dict(Counter(verdict for _, verdict in frames["loops"]))
             console.print(
-                f"{name}, {run}: {states}, loops {loops}, {100 * np.sqrt(np.mean(np.square(off))):.2f} cm"
+                f"{name}, {run}: {states}, loops {loops}, {100 * np.sqrt(np.mean(np.square(errors))):.2f} cm"
             )
     if not arguments.only or "kitchen" in arguments.only:
         record["kitchen"] = kitchen(data / "slam" / "7scenes")

@@ -1,4 +1,4 @@
-"""Wall time and peak memory of a program with all its children, and what the machine is."""
+"""Wall time and peak memory of a program with its child processes, and a description of the machine."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ _SAMPLE_EVERY_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class ProcessMeasure:
-    """What one run of a program cost, from its start to its end."""
+    """Time and memory of one run of a program."""
 
     exit_code: int
     wall_s: float
     peak_memory_mb: float | None
-    """Greatest sum of resident memory over the process tree, seen 20 times a second; None without psutil."""
+    """Largest resident memory of the process tree, sampled 20 times a second; None without psutil."""
 
 
 def run_measured(
     command: list[str], log: Path, num_threads: int, limit_s: float = math.inf
 ) -> ProcessMeasure:
-    """Run a command from the repository's root with its output in `log`, holding its libraries to `num_threads`.
+    """Run a command from the root of the repository with its libraries limited to `num_threads`, and write its output to `log`.
 
-    It is ended after `limit_s`; its exit code is then that of a killed process.
+    The command is killed after `limit_s` seconds.
     """
     threads = {name: str(num_threads) for name in ("EPIPOLE_NUM_THREADS", "OMP_NUM_THREADS")}
     blas = {name: str(num_threads) for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
@@ -60,7 +60,7 @@ def run_measured(
 
 
 def _tree_memory(pid: int) -> int:
-    """Resident bytes of a process and its descendants; 0 where it is gone or psutil is not installed."""
+    """Resident bytes of a process and its descendants; 0 if it has ended or psutil is not installed."""
     if util.find_spec("psutil") is None:
         return 0
     import psutil
@@ -76,7 +76,7 @@ def _tree_memory(pid: int) -> int:
 
 
 def describe_machine(num_threads: int) -> dict[str, object]:
-    """The machine, the interpreter, the versions that matter and the repository's commit."""
+    """The machine, the Python interpreter, package versions and the commit of the repository."""
     return {
         "cpu": _cpu_name(),
         "cpus_usable": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
@@ -106,13 +106,12 @@ def _cpu_name() -> str:
 
 
 def _commit() -> str:
-    """The commit, with "+" behind it where the tree differs from it; "unknown" outside a git checkout."""
+    """The commit, with "+" appended if the working tree has changes; "unknown" outside a git checkout."""
     try:
-        requested = [["rev-parse", "HEAD"], ["status", "--porcelain"]]
-        commit, changed = (
-            subprocess.run(["git", *what], cwd=REPOSITORY, check=True, capture_output=True, text=True).stdout
-            for what in requested
+        commit, changes = (
+            subprocess.run(["git", *words], cwd=REPOSITORY, check=True, capture_output=True, text=True).stdout
+            for words in (["rev-parse", "HEAD"], ["status", "--porcelain"])
         )
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
-    return commit.strip() + ("+" if changed.strip() else "")
+    return commit.strip() + ("+" if changes.strip() else "")

@@ -1,7 +1,6 @@
-"""Pose graphs against GTSAM: `python -m benchmarks.pose_graphs`. Each program in a process of its own, in turn.
+"""Pose graph optimization compared with GTSAM, each in its own process: `python -m benchmarks.pose_graphs`.
 
-Time is that of the optimisation, from the guess in the file, after one step as a warm-up; both costs are GTSAM's (half the sum of r^T Omega r), GTSAM's with
-the first place held by a prior that costs nothing.
+Time is that of the optimization. Costs are half the sum of r^T Omega r; GTSAM fixes the first pose by a prior.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ GRAPHS = (
 
 
 def with_epipole(path: str) -> tuple[float, float, int]:
-    """(seconds, cost, iterations) from the guess in the file."""
+    """(seconds, cost, iterations) from the initial values in the file."""
     from epipole.io import read_g2o
     from epipole.optim import PoseGraphConfig, optimize_pose_graph
 
@@ -46,7 +45,7 @@ def with_epipole(path: str) -> tuple[float, float, int]:
 
 
 def with_epipole_chordal(path: str) -> tuple[float, float, int]:
-    """(seconds, cost, iterations) from the edges alone, the start's time included."""
+    """(seconds, cost, iterations) from the edges only, including the initialization."""
     from epipole.io import read_g2o
     from epipole.optim import PoseGraphConfig, initialize_pose_graph, optimize_pose_graph
 
@@ -58,15 +57,15 @@ def with_epipole_chordal(path: str) -> tuple[float, float, int]:
 
 
 def with_gtsam(path: str) -> tuple[float, float, int]:
-    """(seconds, cost, iterations) of its Levenberg-Marquardt at its defaults."""
+    """(seconds, cost, iterations) of GTSAM's Levenberg-Marquardt with default options."""
     import gtsam
     import numpy as np
 
-    flat = "SE2" in Path(path).read_text(encoding="utf-8")[:40]
-    graph, initial = gtsam.readG2o(path, not flat)
+    is_planar = "SE2" in Path(path).read_text(encoding="utf-8")[:40]
+    graph, initial = gtsam.readG2o(path, not is_planar)
     first = min(initial.keys())
-    noise = gtsam.noiseModel.Diagonal.Variances(np.full(3 if flat else 6, 1e-6))
-    if flat:
+    noise = gtsam.noiseModel.Diagonal.Variances(np.full(3 if is_planar else 6, 1e-6))
+    if is_planar:
         graph.add(gtsam.PriorFactorPose2(first, initial.atPose2(first), noise))
     else:
         graph.add(gtsam.PriorFactorPose3(first, initial.atPose3(first), noise))
@@ -87,7 +86,7 @@ def _serve(run: Any, path: str, connection: Any) -> None:
 
 
 def in_own_process(run: Any, path: str) -> Any:
-    """What a program makes of a file."""
+    """Run a program on a file in a new process: its result, or the message of its exception."""
     context = get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_serve, args=(run, path, theirs))
@@ -98,11 +97,11 @@ def in_own_process(run: Any, path: str) -> Any:
 
 
 def main() -> None:
-    """Run every graph and print the table."""
-    parser = argparse.ArgumentParser(description="Pose graphs: epipole and GTSAM side by side.")
+    """Run every graph, print the table and write the results."""
+    parser = argparse.ArgumentParser(description="Pose graphs: epipole and GTSAM.")
     parser.add_argument("--graph", nargs="+", choices=list(GRAPHS), default=list(GRAPHS))
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     arguments = parser.parse_args()
     folder = data_root(arguments.data).resolve() / "posegraph"
     report: dict[str, Any] = {"machine": describe_machine(1)}

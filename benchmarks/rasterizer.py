@@ -1,4 +1,4 @@
-"""Pairs of a pixel and a Gaussian that are blended a second, forward and back, and frames a second. `python -m benchmarks.rasterizer`."""
+"""Speed of the rasterizer in Gaussian-pixel pairs and frames per second. `python -m benchmarks.rasterizer`."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ from epipole.scene.gaussian_cloud import GaussianCloud
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "rasterizer.json"
 FLOPS = (32, 58)
-"""Of a pair, forward and back: counted in `epipole.fields.splat._simd_kernels`, a product with a sum as two, the exponential as 12."""
+"""Operations per pair, forward and backward, counted in `epipole.fields.splat._simd_kernels`: a fused multiply-add is two, exp is 12."""
 SCENE_STEPS = 600
-"""Of training the Gaussians of a scene: enough for their number to be reached."""
+"""Training steps, after which lego has its final number of Gaussians."""
 
 
 def multiplied(cloud: GaussianCloud, count: int) -> GaussianCloud:
-    """So many Gaussians: copies beside, each smaller, so that the surface stays covered as it was."""
+    """A cloud of `count` Gaussians: jittered copies, reduced in size so that the coverage stays the same."""
     rng = np.random.default_rng(0)
     rows = np.concatenate([np.arange(len(cloud)), rng.integers(0, len(cloud), max(0, count - len(cloud)))])
     rows = rows[:count]
@@ -53,15 +53,15 @@ def multiplied(cloud: GaussianCloud, count: int) -> GaussianCloud:
     )
 
 
-def around(source: Path, size: tuple[int, int], rounds: int) -> list[RenderView]:
-    """Of a circle around a model."""
+def views_around(source: Path, size: tuple[int, int], rounds: int) -> list[RenderView]:
+    """Views on a circle around a model."""
     _, known = seen_gaussians(source)
     job = RenderConfig(frames=rounds, width=size[0], height=size[1])
     return orbit(known.position, known.look_at, known.up, job)
 
 
-def of_scene(source: Path, side: int, rounds: int) -> list[RenderView]:
-    """Test views of a set, so many pixels wide and high."""
+def held_out_views(source: Path, side: int, rounds: int) -> list[RenderView]:
+    """Test views of a data set, scaled to `side` x `side` pixels."""
     views, shots = gather_field_images(source, FieldOptions()).test, []
     for k in range(rounds):
         view = views[k % len(views)]
@@ -70,21 +70,21 @@ def of_scene(source: Path, side: int, rounds: int) -> list[RenderView]:
 
 
 def measured(cloud: GaussianCloud, shots: list[RenderView]) -> dict[str, Any]:
-    """Medians over views."""
+    """Median times and rates over the views, without the first one."""
     arrays, rows = arrays_of(cloud), []
     for shot in shots:
         view = view_of(shot.camera, shot.cam_from_world, RenderOptions())
         start = perf_counter()
         tiles = tiles_of(arrays, view)
-        sorted_at = perf_counter()
+        tiled = perf_counter()
         rendered = blend(tiles, view)
         blended = perf_counter()
         by_pair = sums_of_pairs(rendered, ImageGradient(rendered.colour))
-        back = perf_counter()
+        summed = perf_counter()
         gradient_of(arrays, view, rendered.record, by_pair)
         end = perf_counter()
         pairs = rendered.num_evaluated
-        rows.append((pairs, sorted_at - start, blended - sorted_at, back - blended, end - back))
+        rows.append((pairs, tiled - start, blended - tiled, summed - blended, end - summed))
     pairs, prepare, forward, backward, gather = (float(median(column)) for column in zip(*rows[1:]))
     return {
         "gaussians": len(cloud),
@@ -106,7 +106,7 @@ def main() -> None:
     """Measure, print the table and write the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=24)
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     arguments = parser.parse_args()
     data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
     source = data / "fields" / "splats" / "guitar.compressed.ply"
@@ -115,16 +115,16 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="epipole-rasterizer-") as folder:
         scene = epipole.splat(lego, Path(folder), steps=SCENE_STEPS, max_gaussians=500_000).cloud
     rows = {
-        "guitar, 640 x 480": measured(guitar, around(source, (640, 480), rounds)),
-        "guitar, 800 x 800": measured(guitar, around(source, (800, 800), rounds)),
+        "guitar, 640 x 480": measured(guitar, views_around(source, (640, 480), rounds)),
+        "guitar, 800 x 800": measured(guitar, views_around(source, (800, 800), rounds)),
         "guitar multiplied, 800 x 800": measured(
-            multiplied(guitar, 500_000), around(source, (800, 800), rounds)
+            multiplied(guitar, 500_000), views_around(source, (800, 800), rounds)
         ),
-        "lego, 800 x 800": measured(scene, of_scene(lego, 800, rounds)),
+        "lego, 800 x 800": measured(scene, held_out_views(lego, 800, rounds)),
     }
     RESULTS.write_text(json.dumps({"machine": describe_machine(2), "rows": rows}, indent=1) + "\n")
     table = Table(
-        "scene", "Gaussians", "M pairs", "forward G pairs/s", "back / forward", "GFLOP/s", "frames/s"
+        "scene", "Gaussians", "M pairs", "forward G pairs/s", "backward / forward", "GFLOP/s", "frames/s"
     )
     for name, row in rows.items():
         table.add_row(
@@ -132,7 +132,7 @@ def main() -> None:
             f"{row['gaussians']:,}",
             f"{row['pairs'] / 1e6:.1f}",
             f"{row['forward_pairs_s'] / 1e9:.2f}",
-            f"{row['backward_over_forward']:.2f} ({row['whole_backward_over_forward']:.2f} with all steps)",
+            f"{row['backward_over_forward']:.2f} ({row['whole_backward_over_forward']:.2f} with all stages)",
             f"{row['gflops'][0]:.0f}, {row['gflops'][1]:.0f}",
             f"{row['frames_s']:.1f}",
         )

@@ -1,4 +1,4 @@
-"""What a COLMAP model is worth: the same reader, the same filter and the same truth for every program."""
+"""Scores of a COLMAP model, computed in the same way for every program."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Score = dict[str, float]
 
 
 def score_models(task: SfmTask, sparse: Path) -> Score:
-    """Score the largest model under `sparse`; a metric that does not apply to the task is absent."""
+    """Score the largest model under `sparse`; metrics that do not apply to the task are missing."""
     model, num_unreadable = largest_model(sparse)
     score: Score = {"pictures": len(task.image_names), "registered": 0, "points": 0, "observations": 0}
     if model is not None:
@@ -39,9 +39,9 @@ def score_models(task: SfmTask, sparse: Path) -> Score:
 
 
 def largest_model(sparse: Path) -> tuple[Reconstruction | None, int]:
-    """The model with most registered images (then points) in the folders under `sparse`, None where there is none.
+    """The model under `sparse` with the most registered images, then points; None if there is none.
 
-    Also the number of models that are no geometry (a negative focal length, say) and are left out.
+    The second value is the number of models excluded as invalid (for example with a negative focal length).
     """
     folders = [p.parent for p in sorted(sparse.glob("*/images.*")) if p.suffix in (".bin", ".txt")]
     models, num_unreadable = [], 0
@@ -55,17 +55,17 @@ def largest_model(sparse: Path) -> tuple[Reconstruction | None, int]:
 
 
 def count_under_filter(model: Reconstruction) -> Score:
-    """Points and observations with at most 4 px of reprojection error, in tracks of at least two images."""
-    good = model.reprojection_errors_px() <= MAX_REPROJECTION_PX
-    point, image = model.tracks.point_of_observation()[good], model.tracks.image[good]
+    """Points and observations with a reprojection error of at most 4 px, in tracks of at least two images."""
+    is_inlier = model.reprojection_errors_px() <= MAX_REPROJECTION_PX
+    point, image = model.tracks.point_of_observation()[is_inlier], model.tracks.image[is_inlier]
     seen = np.unique(np.stack([point, image]), axis=1)[0]
     lengths = np.bincount(seen, minlength=len(model.points))
-    kept = lengths >= MIN_TRACK_LENGTH
-    return {"points": int(kept.sum()), "observations": int(lengths[kept].sum())}
+    is_long = lengths >= MIN_TRACK_LENGTH
+    return {"points": int(is_long.sum()), "observations": int(lengths[is_long].sum())}
 
 
 def _score_truth(task: SfmTask, model: Reconstruction | None) -> Score:
-    """Errors after the best similarity, and areas under the recall curve over all pairs of true images."""
+    """Errors after the best similarity, and areas under the recall curve over all image pairs with ground truth."""
     auc_names = [f"auc_{threshold:g}" for threshold in AUC_THRESHOLDS_DEG]
     if model is None or task.truth is None:
         return dict.fromkeys(auc_names, 0.0)
@@ -84,12 +84,12 @@ def _score_truth(task: SfmTask, model: Reconstruction | None) -> Score:
 
 
 def cams_in_order(model: Reconstruction, names: tuple[str, ...]) -> Rigid3:
-    """cams_from_world of the named images, NaN where the model does not hold one."""
+    """cams_from_world of the named images; NaN if the model does not have one."""
     cams_from_world = model.cams_from_world()
     row_of = {name: row for row, name in enumerate(model.images.name)}
     rotation, translation = np.full((len(names), 3, 3), np.nan), np.full((len(names), 3), np.nan)
-    for position, name in enumerate(names):
+    for k, name in enumerate(names):
         if name in row_of:
-            rotation[position] = cams_from_world.rotation[row_of[name]]
-            translation[position] = cams_from_world.translation[row_of[name]]
+            rotation[k] = cams_from_world.rotation[row_of[name]]
+            translation[k] = cams_from_world.translation[row_of[name]]
     return Rigid3(rotation, translation)

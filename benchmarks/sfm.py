@@ -1,7 +1,6 @@
-"""Structure-from-motion against COLMAP, on the same images, under the same limits, scored by the same code.
+"""Structure from motion compared with COLMAP on the same images: `python -m benchmarks.sfm --set fountain-P11 lund_gps`.
 
-`python -m benchmarks.sfm --set fountain-P11 lund_gps` runs each program in a process of its own, in turn
-(A B A B ...), and prints median and range for every figure; the runs go to benchmarks/results/sfm_SET.json.
+Each program runs in its own process, in turn. Runs and medians go to benchmarks/results/sfm_SET.json.
 """
 
 from __future__ import annotations
@@ -26,8 +25,9 @@ from benchmarks.peers.pycolmap_sfm import PycolmapSfm
 from benchmarks.score import score_models
 from benchmarks.tasks.sfm import SETS, SfmTask, data_root, prepare
 
-WARM_UP_PICTURES = 4
+NUM_WARM_UP_IMAGES = 4
 BEST = "pycolmap-best"
+"""Name of the better one of pycolmap's mappers in each run."""
 ROWS = {
     "registered": "images registered",
     "position_mean": "position mean",
@@ -37,12 +37,12 @@ ROWS = {
     "auc_1": "AUC @ 1 deg",
     "auc_3": "AUC @ 3 deg",
     "auc_5": "AUC @ 5 deg",
-    "gps_median_m": "to GPS, median (m)",
+    "gps_median_m": "distance to GPS, median (m)",
     "axis_to_motion_median_deg": "axis to motion (deg)",
     "points": "points",
     "observations": "observations",
-    "unreadable_models": "models left out",
-    "wall_s": "whole run (s)",
+    "unreadable_models": "invalid models",
+    "wall_s": "total time (s)",
     "peak_memory_mb": "peak memory (MB)",
 }
 
@@ -50,7 +50,7 @@ Run = dict[str, Any]
 
 
 def main() -> None:
-    """Run the sets asked for and print a table for each."""
+    """Run the chosen sets and print a table for each."""
     arguments = _arguments()
     console = Console(width=max(110, Console().width))
     limits = Limits(arguments.max_image_size, arguments.max_features, arguments.threads)
@@ -80,59 +80,61 @@ def main() -> None:
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="Structure-from-motion: epipole and pycolmap side by side.")
+    parser = argparse.ArgumentParser(description="Structure from motion: epipole and pycolmap.")
     default = Limits()
     parser.add_argument("--set", nargs="+", choices=list(SETS), default=list(SETS), metavar="SET")
-    parser.add_argument("--runs", type=int, default=3, help="runs of each program, taken in turn")
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--runs", type=int, default=3, help="runs of each program")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
     parser.add_argument("--max-image-size", type=int, default=default.max_image_size)
     parser.add_argument("--max-features", type=int, default=default.max_num_features)
     parser.add_argument("--threads", type=int, default=default.num_threads)
-    parser.add_argument("--cold", action="store_true", help="no warm-up: the first run compiles kernels")
     parser.add_argument(
-        "--shared-camera", action="store_true", help="tell pycolmap that one camera took all images"
+        "--cold", action="store_true", help="skip the warm-up; the first run compiles kernels"
+    )
+    parser.add_argument(
+        "--shared-camera", action="store_true", help="make pycolmap use one camera for all images"
     )
     return parser.parse_args()
 
 
 def _warm_up(task: SfmTask, peers: list[SfmPeer], limits: Limits, work: Path) -> None:
-    """One run of each program on a few images, not counted: libraries are read, kernels compiled.
+    """Run each program on a few images, so that libraries are loaded and kernels are compiled.
 
-    It may fail (a few images need not give a model); a program that starts from another's files has no need of it.
+    The run may fail, because a few images do not always give a model. Programs that start from another one's files are skipped.
     """
-    few = work / "warm-up" / "images"
-    few.mkdir(parents=True)
-    names = task.image_names[:WARM_UP_PICTURES]
+    images = work / "warm-up" / "images"
+    images.mkdir(parents=True)
+    names = task.image_names[:NUM_WARM_UP_IMAGES]
     for name in names:
-        shutil.copyfile(task.images / name, few / name)
+        shutil.copyfile(task.images / name, images / name)
     for peer in peers:
         if peer.needs is None:
             out = work / "warm-up" / peer.name
-            command = peer.command(replace(task, images=few, image_names=names), out, limits)
+            command = peer.command(replace(task, images=images, image_names=names), out, limits)
             run_measured(command, out.with_suffix(".log"), limits.num_threads)
 
 
 def _interleaved(
     task: SfmTask, peers: list[SfmPeer], limits: Limits, work: Path, num_runs: int, console: Console
 ) -> list[Run]:
-    """A B C A B C ...: what slows the machine for a while slows every program."""
+    """Run the programs in turn (A B C A B C), so that load on the machine affects all of them."""
     runs = []
     for number in range(num_runs):
         folder = work / f"run{number}"
         for peer in peers:
             run = {"run": number, "peer": peer.name} | _one_run(task, peer, limits, folder)
-            console.print(f"{task.name} run {number + 1}/{num_runs} {peer.name}: {_in_a_line(run)}")
+            console.print(f"{task.name} run {number + 1}/{num_runs} {peer.name}: {_summary_line(run)}")
             runs.append(run)
         shutil.rmtree(folder, ignore_errors=True)
     return runs
 
 
 def _one_run(task: SfmTask, peer: SfmPeer, limits: Limits, folder: Path) -> Run:
-    """Cost and score of one run; a program that fails keeps its exit code and the end of its output."""
+    """Run a program once: time, memory and score; after a failure also the exit code and the end of the output."""
     out, log = folder / peer.name, folder / f"{peer.name}.log"
     if peer.needs is not None and not (folder / peer.needs / "summary.json").is_file():
-        return {"exit_code": None, "error": f"{peer.needs} left nothing to start from"}
+        return {"exit_code": None, "error": f"{peer.needs} wrote no summary to start from"}
     measure = run_measured(peer.command(task, out, limits), log, limits.num_threads)
     run: Run = asdict(measure)
     summary = out / "summary.json"
@@ -149,7 +151,7 @@ def _one_run(task: SfmTask, peer: SfmPeer, limits: Limits, folder: Path) -> Run:
     return run | {"score": score_models(task, out / "sparse")}
 
 
-def _in_a_line(run: Run) -> str:
+def _summary_line(run: Run) -> str:
     if run["exit_code"] != 0:
         return f"failed (exit {run['exit_code']}): {run['error'].strip().splitlines()[-1:]}"
     score = run["score"]
@@ -157,26 +159,26 @@ def _in_a_line(run: Run) -> str:
 
 
 def value_of(run: Run, metric: str) -> float | None:
-    """One figure of a run: its cost or its score; None where it has none."""
+    """A figure of a run (time, memory or part of the score); None if the run does not have it."""
     if metric in ("wall_s", "peak_memory_mb"):
         return run.get(metric) if run["exit_code"] == 0 else None
     return run.get("score", {}).get(metric)
 
 
 def best_mapper(candidates: list[Run]) -> Run | None:
-    """The better of one peer's mappers in a run: more images, then nearer the truth, then more observations."""
+    """The best of several runs: more registered images, then a smaller position error, then more observations."""
 
-    def merit(run: Run) -> tuple[float, float, float]:
-        position = value_of(run, "position_mean")
-        nearness = -position if position is not None else -math.inf
-        return value_of(run, "registered") or 0, nearness, value_of(run, "observations") or 0
+    def rank(run: Run) -> tuple[float, float, float]:
+        error = value_of(run, "position_mean")
+        accuracy = -error if error is not None else -math.inf
+        return value_of(run, "registered") or 0, accuracy, value_of(run, "observations") or 0
 
-    done = [run for run in candidates if run["exit_code"] == 0]
-    return max(done, key=merit, default=None)
+    successful = [run for run in candidates if run["exit_code"] == 0]
+    return max(successful, key=rank, default=None)
 
 
 def summarise(runs: list[Run]) -> dict[str, dict[str, float]]:
-    """Median, least and greatest of every figure over the runs of one program."""
+    """Median, minimum and maximum of every figure over the runs of one program."""
     out = {}
     for metric in ROWS:
         values = sorted(v for run in runs if (v := value_of(run, metric)) is not None)
@@ -186,7 +188,7 @@ def summarise(runs: list[Run]) -> dict[str, dict[str, float]]:
 
 
 def paired_ratios(ours: list[Run], theirs: list[Run]) -> dict[str, dict[str, float]]:
-    """Ours over theirs for every figure, between runs of the same number; median, least and greatest."""
+    """Ratios of our figures to theirs in runs with the same number: median, minimum and maximum."""
     partner, out = {run["run"]: run for run in theirs}, {}
     for metric in ROWS:
         ratios = []
@@ -217,7 +219,7 @@ def _report(
         "told": task.known,
         "unit": task.unit,
         "limits": asdict(limits),
-        "warm_up": "none" if arguments.cold else f"one run on {WARM_UP_PICTURES} images, not counted",
+        "warm_up": "none" if arguments.cold else f"one run on {NUM_WARM_UP_IMAGES} images, not counted",
         "pycolmap_shared_camera": arguments.shared_camera,
         "machine": describe_machine(limits.num_threads),
         "versions": {peer.name: peer.version() for peer in peers},
@@ -233,7 +235,7 @@ def _report(
 
 
 def _without_paths(text: str, task: SfmTask, work: Path) -> str:
-    """Results are for other machines too: folders of this one are named by what they are."""
+    """Replace paths of this machine by placeholders."""
     for folder, name in (
         (task.images, "IMAGES"),
         (work, "WORK"),
@@ -245,16 +247,16 @@ def _without_paths(text: str, task: SfmTask, work: Path) -> str:
 
 
 def _table(task: SfmTask, report: dict[str, Any], peers: list[SfmPeer]) -> Table:
-    """One row per figure, one column per program, and the ratio to pycolmap's better mapper."""
+    """One row per figure, one column per program, and the ratio of epipole to pycolmap's better mapper."""
     num_runs = max((run["run"] for run in report["runs"]), default=-1) + 1
     title = (
-        f"{task.name}: {len(task.image_names)} images, told {task.known}; median (range) of {num_runs} runs"
+        f"{task.name}: {len(task.image_names)} images, given: {task.known}; median (range) of {num_runs} runs"
     )
     table = Table(title=title, title_justify="left")
     table.add_column("", no_wrap=True)
     for peer in peers:
         table.add_column(f"{peer.name} {peer.version() or ''}", justify="right")
-    table.add_column("epipole / better", justify="right")
+    table.add_column("epipole / best", justify="right")
     ratios = report["epipole_over"].get(BEST, {})
     for metric, label in ROWS.items():
         unit = f" ({task.unit})" if metric.startswith("position") and task.unit else ""
@@ -273,8 +275,8 @@ def _table(task: SfmTask, report: dict[str, Any], peers: list[SfmPeer]) -> Table
 def _cell(figure: dict[str, float] | None) -> str:
     if figure is None:
         return ""
-    middle, low, high = (_short(figure[key]) for key in ("median", "min", "max"))
-    return middle if low == high else f"{middle} ({low}-{high})"
+    median, low, high = (_short(figure[key]) for key in ("median", "min", "max"))
+    return median if low == high else f"{median} ({low}-{high})"
 
 
 def _short(value: float) -> str:

@@ -1,6 +1,6 @@
-"""Whole calls of several programs in turn, each in a process of its own, after a warm-up.
+"""Time several programs in turn, each in its own process, after a warm-up.
 
-Short calls are made again until a third of a second is over, and their median counts: of single ones of 10 ms the threads' start and fresh memory are half.
+Short calls are repeated, because the start of threads and new memory take half of a single call of 10 ms.
 """
 
 from __future__ import annotations
@@ -15,25 +15,26 @@ from typing import Any
 from rich.table import Table
 
 ENOUGH_S = 1 / 3
+"""Time for which short calls are repeated; the result is the median."""
 
 
 def _timed(run: Callable[..., Any], data: Any, threads: int, connection: Any) -> None:
     os.environ["OMP_NUM_THREADS"] = "1"
     try:
-        warm = data[:8] if isinstance(data, list) else data[:, :100]
-        run(warm, threads)
-        begin, took = time.perf_counter(), []
-        while not took or time.perf_counter() - begin < ENOUGH_S:
+        warm_up = data[:8] if isinstance(data, list) else data[:, :100]
+        run(warm_up, threads)
+        first_start, seconds = time.perf_counter(), []
+        while not seconds or time.perf_counter() - first_start < ENOUGH_S:
             start = time.perf_counter()
             out = run(data, threads)
-            took.append(time.perf_counter() - start)
-        connection.send((statistics.median(took), out))
+            seconds.append(time.perf_counter() - start)
+        connection.send((statistics.median(seconds), out))
     except (ImportError, AttributeError, TypeError) as error:
         connection.send((float("nan"), repr(error)))
 
 
 def in_own_process(run: Callable[..., Any], data: Any, threads: int) -> tuple[float, Any]:
-    """(median seconds, result) after a warm-up; NaN and the words of the error if the program is not there."""
+    """(median seconds, result) after a warm-up; (NaN, error message) if the program is not installed."""
     context = get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_timed, args=(run, data, threads, theirs))
@@ -49,13 +50,13 @@ def compare(
     rounds: int,
     judge: Callable[[Any], dict[str, float]],
 ) -> dict[str, Any]:
-    """Median seconds of every program (function and number of threads) and what `judge` says of its last answer."""
+    """Median seconds of every program (function, number of threads), and `judge` of its last result."""
     seconds: dict[str, list[float]] = {name: [] for name in programs}
     out: dict[str, Any] = {}
     for _ in range(rounds):
         for name, (run, threads) in programs.items():
-            took, found = in_own_process(run, data, threads)
-            seconds[name].append(took)
+            one_call, found = in_own_process(run, data, threads)
+            seconds[name].append(one_call)
             out[name] = {"error": found} if isinstance(found, str) else judge(found)
     for name, figures in out.items():
         figures["seconds"] = statistics.median(seconds[name])
@@ -63,7 +64,7 @@ def compare(
 
 
 def table_of(name: str, rows: dict[str, Any]) -> Table:
-    """A row for each program."""
+    """A table with one row per program."""
     table = Table(title=name)
     columns = list(dict.fromkeys(key for row in rows.values() for key in row))
     for column in ("program", *columns):

@@ -1,6 +1,6 @@
-"""SLAM of epipole beside ORB-SLAM3, on the same frames, scored by the same code. `python -m benchmarks.slam`.
+"""SLAM compared with ORB-SLAM3 on the same frames. `python -m benchmarks.slam`.
 
-Each program runs in a process of its own, in turn; results/slam_SET.json is written after every run.
+Each program runs in its own process, in turn; results/slam_SET.json is written after every run.
 """
 
 from __future__ import annotations
@@ -24,21 +24,22 @@ from benchmarks.slam_score import score_run
 from benchmarks.tasks.slam import TASKS, prepare, truths_of
 
 LIMIT_S = 900.0
+"""Time limit of a run."""
 THREADS = 2
 FIGURES = {
     "coverage": "frames %",
     "se3_m": "SE(3) cm",
     "sim3_m": "Sim(3) cm",
     "sim3_scale": "scale",
-    "made_up_max": "made up cm",
-    "turn_max_deg": "turn off deg",
+    "made_up_max": "false motion cm",
+    "turn_max_deg": "rotation deg",
 }
 
 Run = dict[str, Any]
 
 
 def main() -> None:
-    """Run the sequences asked for and print a table for each."""
+    """Run the chosen sequences and print a table for each."""
     arguments = _arguments()
     console = Console(width=max(170, Console().width))
     data = (
@@ -50,7 +51,7 @@ def main() -> None:
     peers = [p for p in peers if not arguments.program or p.name.split()[0] in arguments.program]
     for peer in peers:
         if peer.version() is None:
-            console.print(f"{peer.name} is left out: it, or what it needs, is not installed", style="yellow")
+            console.print(f"{peer.name} is skipped: it or its data are not installed", style="yellow")
     peers = [peer for peer in peers if peer.version() is not None]
     arguments.results.mkdir(parents=True, exist_ok=True)
     arguments.cache.mkdir(parents=True, exist_ok=True)
@@ -58,7 +59,7 @@ def main() -> None:
         try:
             frames = prepare(name, data, arguments.cache.resolve())
         except FileNotFoundError as error:
-            console.print(f"{name} is left out: {error}", style="yellow")
+            console.print(f"{name} is skipped: {error}", style="yellow")
             continue
         file = arguments.results / f"slam_{name}.json"
         report = _kept(file, name)
@@ -79,41 +80,42 @@ def main() -> None:
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="SLAM: epipole and ORB-SLAM3 side by side.")
+    parser = argparse.ArgumentParser(description="SLAM: epipole and ORB-SLAM3.")
     parser.add_argument("--set", nargs="+", choices=list(TASKS), default=list(TASKS), metavar="SET")
     parser.add_argument("--sensor", nargs="+", choices=["stereo", "rgbd", "mono"])
     parser.add_argument("--program", nargs="+", choices=["epipole", "pyorbslam3"])
     parser.add_argument(
         "--slower", nargs="+", type=float, default=[1.0], metavar="FACTOR",
-        help="give pyorbslam3 the frames so many times slower than the camera; several are compared",
+        help="slow the frames for pyorbslam3 down by these factors",
     )  # fmt: skip
-    parser.add_argument("--rounds", type=int, default=5, help="runs of each program, taken in turn")
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--rounds", type=int, default=5, help="runs of each program")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
     parser.add_argument(
         "--cache", type=Path, default=Path(tempfile.gettempdir()) / "epipole-slam-frames",
-        help="folder for frames, which are drawn or decoded once (3 GB)",
+        help="folder for rendered and decoded frames (3 GB)",
     )  # fmt: skip
     parser.add_argument(
-        "--orbslam-python", type=Path, default=Path(sys.executable), help="interpreter that has pyorbslam3"
+        "--orbslam-python", type=Path, default=Path(sys.executable), help="Python interpreter with pyorbslam3"
     )
     return parser.parse_args()
 
 
 def _kept(file: Path, name: str) -> dict[str, Any]:
-    """The report of earlier runs, of other sensors and programs."""
+    """A new report with the runs of an earlier call."""
     runs = json.loads(file.read_text())["runs"] if file.is_file() else []
     return {"set": name, "machine": describe_machine(THREADS), "runs": runs, "summary": {}}
 
 
 def _forget(report: dict[str, Any], sensor: str, programs: list[str]) -> None:
+    """Remove the runs that are about to be repeated."""
     report["runs"] = [
         run for run in report["runs"] if run["sensor"] != sensor or run["program"] not in programs
     ]
 
 
 def _one_run(peer: EpipoleSlam | Pyorbslam3Slam, frames: Path, sensor: str) -> Run:
-    """Cost and score of one run; one that fails keeps its exit code and the end of its output."""
+    """Run a program once: time, memory and score; after a failure also the exit code and the end of the output."""
     with tempfile.TemporaryDirectory(prefix="epipole-bench-") as scratch:
         out, log = Path(scratch) / "out", Path(scratch) / "log"
         out.mkdir()
@@ -147,13 +149,13 @@ def _line(run: Run) -> str:
 def _write(file: Path, report: dict[str, Any]) -> None:
     report["summary"] = _summary(report["runs"])
     text = json.dumps(report, indent=1).replace(str(REPOSITORY), "REPOSITORY").replace(str(Path.home()), "~")
-    aside = file.with_suffix(".part")
-    aside.write_text(text + "\n")
-    aside.replace(file)
+    temporary = file.with_suffix(".part")
+    temporary.write_text(text + "\n")
+    temporary.replace(file)
 
 
 def _summary(runs: list[Run]) -> dict[str, dict[str, dict[str, float]]]:
-    """Median, least and greatest of every figure, by "SENSOR PROGRAM"."""
+    """Median, minimum and maximum of every figure, by "SENSOR PROGRAM"."""
     grouped: dict[str, list[dict[str, float]]] = {}
     for run in runs:
         grouped.setdefault(f"{run['sensor']} {run['program']}", []).append(_flat(run.get("score", {})))
@@ -162,9 +164,9 @@ def _summary(runs: list[Run]) -> dict[str, dict[str, dict[str, float]]]:
         out[key] = {}
         for figure in dict.fromkeys(name for row in rows for name in row):
             values = [row[figure] for row in rows if figure in row]
-            middle = statistics.median(values)
+            median = statistics.median(values)
             out[key][figure] = {
-                "median": middle,
+                "median": median,
                 "min": min(values),
                 "max": max(values),
                 "runs": len(values),
@@ -172,21 +174,22 @@ def _summary(runs: list[Run]) -> dict[str, dict[str, dict[str, float]]]:
     return out
 
 
-def _flat(score: dict[str, Any], before: str = "") -> dict[str, float]:
+def _flat(score: dict[str, Any], prefix: str = "") -> dict[str, float]:
+    """Numbers of nested dictionaries, by their joined keys."""
     out: dict[str, float] = {}
     for key, value in score.items():
         if isinstance(value, dict):
-            out |= _flat(value, f"{before}{key} ")
+            out |= _flat(value, f"{prefix}{key} ")
         elif isinstance(value, int | float):
-            out[before + key] = float(value)
+            out[prefix + key] = float(value)
     return out
 
 
 def _table(name: str, report: dict[str, Any]) -> Table:
-    """A row for each sensor, program and truth: medians, of what was known when the frames came and at the end."""
+    """One row per sensor, program and ground truth: medians of the poses on arrival (causal) and after the run (final)."""
     count = max((run["run"] for run in report["runs"]), default=-1) + 1
     table = Table(title=f"{name}: medians of up to {count} runs; causal / final", title_justify="left")
-    for column in ("sensor", "program", "truth", *FIGURES.values(), "pieces", "ms", "ms 95 %", "failed"):
+    for column in ("sensor", "program", "truth", *FIGURES.values(), "segments", "ms", "ms 95 %", "failed"):
         table.add_column(column, justify="right")
     for key, figures in report["summary"].items():
         sensor, program = key.split(" ", 1)

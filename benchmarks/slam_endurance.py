@@ -1,7 +1,6 @@
-"""Hours of SLAM: time and memory of twenty thousand frames, with the checkpoint. `python -m benchmarks.slam_endurance`.
+"""Time and memory of SLAM over 20,000 frames of laps around the rendered room. `python -m benchmarks.slam_endurance`.
 
-The rendered room is walked round and round; each thousand frames are a row. Memory is the process's own (Linux: RssAnon, without the
-frames, which are read from a mapped file).
+Each row is a thousand frames. On Linux, memory is RssAnon, which does not include the memory-mapped frames.
 """
 
 from __future__ import annotations
@@ -37,11 +36,14 @@ from epipole.pipelines.slam.slam import Slam
 from epipole.runs import thread_scope
 
 ROW = 1000
+"""Frames per row."""
 _UNIT = 1 if sys.platform == "darwin" else 1024
+"""Bytes per unit of `ru_maxrss`."""
+HEADINGS = {"placed": "localized"}
 
 
 def main() -> None:
-    """Follow the frames, write a row for each thousand, and print the table."""
+    """Track the frames, write a row for each thousand, and print the table."""
     arguments = _arguments()
     arguments.cache.mkdir(parents=True, exist_ok=True)
     folder = prepare("loop_room", Path(), arguments.cache.resolve())
@@ -63,15 +65,15 @@ def main() -> None:
     Console(width=120).print(_table(report))
 
 
-def _track(folder: Path, sensor: str, count: int, position: Path) -> Iterator[dict[str, Any]]:
-    """Facts of every thousand frames."""
+def _track(folder: Path, sensor: str, count: int, checkpoint: Path) -> Iterator[dict[str, Any]]:
+    """Track the frames and yield the figures of every thousand."""
     frames = load_frames(folder)
     truth = read_trajectory(folder / "truth_exact.txt").world_from_body
     truth = truth[0].inverse() @ truth
-    system, records, ms, off = Slam(camera_of(frames, sensor)), list[FrameRecord](), [], []
-    autosave, spent = Autosave(position, Rigid3.identity(), can_repeat=False), 0.0
+    system, records, ms, errors = Slam(camera_of(frames, sensor)), list[FrameRecord](), [], []
+    autosave, saved_s = Autosave(checkpoint, Rigid3.identity(), can_repeat=False), 0.0
     autosave.start(system, records)
-    begin, num_maps = time.process_time(), 0
+    cpu_start, num_maps = time.process_time(), 0
     for number, frame in enumerate(_laps(frames, sensor, count)):
         start = time.perf_counter()
         answer = system.track(frame)
@@ -80,8 +82,8 @@ def _track(folder: Path, sensor: str, count: int, position: Path) -> Iterator[di
         autosave.add(system, records, lambda: keyframe_names(system, records, None))
         ms.append(1e3 * seconds)
         if answer.world_from_body is not None:
-            there = truth[number % len(frames)].translation
-            off.append(float(np.linalg.norm(answer.world_from_body.translation - there)))
+            true_position = truth[number % len(frames)].translation
+            errors.append(float(np.linalg.norm(answer.world_from_body.translation - true_position)))
         if len(records) % ROW == 0 or len(records) == count:
             cpu = time.process_time()
             yield {
@@ -89,24 +91,24 @@ def _track(folder: Path, sensor: str, count: int, position: Path) -> Iterator[di
                 "ms_mean": float(np.mean(ms)),
                 "ms_median": float(np.median(ms)),
                 "ms_p95": float(np.percentile(ms, 95)),
-                "cpu_ms_mean": 1e3 * (cpu - begin) / len(ms),
-                "checkpoint_ms_mean": 1e3 * (autosave.seconds - spent) / len(ms),
+                "cpu_ms_mean": 1e3 * (cpu - cpu_start) / len(ms),
+                "checkpoint_ms_mean": 1e3 * (autosave.seconds - saved_s) / len(ms),
                 "num_maps_saved": autosave.num_maps_saved - num_maps,
                 "memory_mb": _memory_bytes() / 1e6,
-                "checkpoint_mb": sum(p.stat().st_size for p in position.iterdir()) / 1e6,
+                "checkpoint_mb": sum(p.stat().st_size for p in checkpoint.iterdir()) / 1e6,
                 "keyframes": len(system.map.keyframes),
                 "points": system.map.num_points,
                 "places_compared": len(system.loops),
-                "placed": len(off),
-                "largest_error_m": max(off, default=None),
+                "placed": len(errors),
+                "largest_error_m": max(errors, default=None),
             }
-            ms, off, spent, num_maps = [], [], autosave.seconds, autosave.num_maps_saved
-            begin = time.process_time()
+            ms, errors, saved_s, num_maps = [], [], autosave.seconds, autosave.num_maps_saved
+            cpu_start = time.process_time()
     autosave.close()
 
 
 def _laps(frames: SlamFrames, sensor: str, count: int) -> Iterator[Frame]:
-    """Round and round, at the ride's rate."""
+    """Repeat the sequence, with timestamps at its frame rate."""
     step, number = float(frames.timestamp_s[1] - frames.timestamp_s[0]), 0
     while number < count:
         for frame in frames_of(frames, sensor, min(len(frames), count - number)):
@@ -124,24 +126,26 @@ def _memory_bytes() -> int:
 
 
 def _growth(rows: list[dict[str, Any]]) -> float | None:
-    """Bytes of memory for each frame, by a line through the second half."""
-    later = rows[len(rows) // 2 :]
-    if len(later) < 3:
+    """Bytes of memory per frame: slope of a line through the second half of the rows."""
+    last_half = rows[len(rows) // 2 :]
+    if len(last_half) < 3:
         return None
-    return float(1e6 * np.polyfit([r["frames"] for r in later], [r["memory_mb"] for r in later], 1)[0])
+    return float(
+        1e6 * np.polyfit([r["frames"] for r in last_half], [r["memory_mb"] for r in last_half], 1)[0]
+    )
 
 
 def _table(report: dict[str, Any]) -> Table:
     growth = report["bytes_per_frame"]
-    words = "" if growth is None else f", {growth:.0f} bytes a frame in the second half"
-    table = Table(title=f"the room, round and round, {report['sensor']}{words}")
+    words = "" if growth is None else f", {growth:.0f} bytes per frame in the second half"
+    table = Table(title=f"laps around the room, {report['sensor']}{words}")
     columns = {
         **{"frames": ",", "ms_mean": ".1f", "ms_median": ".1f", "ms_p95": ".0f", "cpu_ms_mean": ".1f"},
         **{"checkpoint_ms_mean": ".2f", "memory_mb": ".0f", "checkpoint_mb": ".0f", "keyframes": "d"},
         **{"points": ",", "placed": "d", "largest_error_m": ".4f"},
     }
     for name in columns:
-        table.add_column(name.replace("_", " "), justify="right")
+        table.add_column(HEADINGS.get(name, name.replace("_", " ")), justify="right")
     for row in report["rows"]:
         table.add_row(
             *("" if row[name] is None else format(row[name], form) for name, form in columns.items())
@@ -154,7 +158,10 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--frames", type=int, default=20_000)
     parser.add_argument("--sensor", choices=("stereo", "rgbd", "mono"), default="stereo")
     parser.add_argument(
-        "--cache", type=Path, default=Path(tempfile.gettempdir()) / "epipole-slam-frames", help="drawn frames"
+        "--cache",
+        type=Path,
+        default=Path(tempfile.gettempdir()) / "epipole-slam-frames",
+        help="folder for rendered frames",
     )
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
     return parser.parse_args()

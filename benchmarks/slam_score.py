@@ -1,4 +1,4 @@
-"""What a path is worth against the truth; the same code for every program."""
+"""Errors of a SLAM trajectory against ground truth, computed in the same way for every program."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from epipole.io.trajectories.files import read_trajectory
 from epipole.metrics import absolute_error, associate
 from epipole.scene import Trajectory
 
-STANDS_M = 1e-6
-"""A true path that reaches no farther is a turn on the spot."""
+PURE_ROTATION_M = 1e-6
+"""Motion with a smaller extent counts as pure rotation."""
 
 
 def score_run(out: Path, frames: Path, truths: dict[str, Path]) -> dict[str, Any]:
-    """Figures of one run, of what `save_answers` and the program itself left in a folder."""
+    """Figures of one run, from the files of `save_answers` and the program's final trajectory."""
     answers = np.load(out / "causal.npz")
     times, ms = np.load(frames / "times.npy"), answers["ms"]
     causal = _localized(times[: len(ms)], answers["world_from_camera"])
@@ -28,23 +28,23 @@ def score_run(out: Path, frames: Path, truths: dict[str, Path]) -> dict[str, Any
         "ms_p95": float(np.percentile(ms, 95)),
         "segments": _num_segments(answers["world_from_camera"]),
     }
-    for when, path in (("causal", causal), ("final", _final(out))):
-        score[when] = {"coverage": 0.0 if path is None else len(path) / len(times)}
-        if path is not None:
-            score[when] |= {name: score_path(path, read_trajectory(file)) for name, file in truths.items()}
+    for when, poses in (("causal", causal), ("final", _final(out))):
+        score[when] = {"coverage": 0.0 if poses is None else len(poses) / len(times)}
+        if poses is not None:
+            score[when] |= {name: score_path(poses, read_trajectory(file)) for name, file in truths.items()}
     return score
 
 
 def score_path(path: Trajectory, truth: Trajectory) -> dict[str, Any]:
-    """Root mean squares after both alignments; of a turn on the spot, the motion that was made up."""
+    """Root mean square errors after rigid and similarity alignment; for pure rotation, the false motion."""
     try:
         rows, of_truth = associate(path, truth)
     except EpipoleError as error:
         return {"error": str(error)}
     estimate, true = path.world_from_body[rows], truth.world_from_body[of_truth]
     score: dict[str, Any] = {"compared": len(rows)}
-    if np.linalg.norm(true.translation - true.translation[0], axis=1).max() < STANDS_M:
-        return score | _made_up(estimate, true)
+    if np.linalg.norm(true.translation - true.translation[0], axis=1).max() < PURE_ROTATION_M:
+        return score | _false_motion(estimate, true)
     for name, alignment in (("se3", "rigid"), ("sim3", "similarity")):
         try:
             error = absolute_error(estimate, true, alignment)
@@ -57,12 +57,12 @@ def score_path(path: Trajectory, truth: Trajectory) -> dict[str, Any]:
     return score
 
 
-def _made_up(estimate: Rigid3, true: Rigid3) -> dict[str, float]:
-    """Distance and turn of each place from the first one, against the truth: nothing, and the true turn."""
-    from_first = estimate[0].inverse() @ estimate
-    true_turn = Rotation3(true[0].rotation).inverse() @ Rotation3(true.rotation)
-    rotation = true_turn.inverse() @ Rotation3(from_first.rotation)
-    distance, angle = np.linalg.norm(from_first.translation, axis=1), np.degrees(rotation.angle_rad())
+def _false_motion(estimate: Rigid3, true: Rigid3) -> dict[str, float]:
+    """Distance from the first pose, which should be zero, and error of the rotation since then."""
+    first_from_pose = estimate[0].inverse() @ estimate
+    true_rotation = Rotation3(true[0].rotation).inverse() @ Rotation3(true.rotation)
+    error = true_rotation.inverse() @ Rotation3(first_from_pose.rotation)
+    distance, angle = np.linalg.norm(first_from_pose.translation, axis=1), np.degrees(error.angle_rad())
     return {
         "made_up_rms": float(np.sqrt(np.mean(distance**2))),
         "made_up_max": float(distance.max()),
@@ -71,12 +71,13 @@ def _made_up(estimate: Rigid3, true: Rigid3) -> dict[str, float]:
     }
 
 
-def _localized(times: np.ndarray, positions: np.ndarray) -> Trajectory | None:
-    known = np.isfinite(positions).all(axis=(1, 2))
+def _localized(times: np.ndarray, poses: np.ndarray) -> Trajectory | None:
+    """The frames with a pose; None if there are none."""
+    known = np.isfinite(poses).all(axis=(1, 2))
     if not known.any():
         return None
-    rotation = Rotation3.nearest(positions[known, :3, :3]).matrix
-    return Trajectory(times[known], Rigid3(rotation, positions[known, :3, 3].copy()))
+    rotation = Rotation3.nearest(poses[known, :3, :3]).matrix
+    return Trajectory(times[known], Rigid3(rotation, poses[known, :3, 3].copy()))
 
 
 def _final(out: Path) -> Trajectory | None:
@@ -85,18 +86,13 @@ def _final(out: Path) -> Trajectory | None:
         if not file.is_file():
             continue
         try:
-            return read_trajectory(file) if name == "final.txt" else _euroc(file)
+            return read_trajectory(file) if name == "final.txt" else read_trajectory(file, "euroc")
         except EpipoleError:
             return None
     return None
 
 
-def _euroc(file: Path) -> Trajectory:
-    """EuRoC's columns, nanoseconds first; some programs put blanks and no header where the set has commas."""
-    return read_trajectory(file, "euroc")
-
-
-def _num_segments(positions: np.ndarray) -> int:
-    """Runs of frames with a place, one after the other."""
-    known = np.isfinite(positions).all(axis=(1, 2))
+def _num_segments(poses: np.ndarray) -> int:
+    """Number of sections of consecutive frames with a pose."""
+    known = np.isfinite(poses).all(axis=(1, 2))
     return int(known[0]) + int((~known[:-1] & known[1:]).sum()) if len(known) else 0

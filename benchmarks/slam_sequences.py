@@ -1,8 +1,6 @@
-"""Real sequences against their truth: errors, wrong turns, and how often the stated covariances hold.
+"""epipole's SLAM on real sequences: errors, and coverage of the covariances. `python -m benchmarks.slam_sequences`.
 
-`python -m benchmarks.slam_sequences` runs epipole alone (`benchmarks.slam` compares it with other programs). A covariance holds
-at 68.3 % where e^T C^-1 e of the position, after the rigid alignment with the truth, is below that quantile of chi-square with
-three degrees of freedom. The default calibration errors of the covariances were chosen on hololens, kitchen and kitti06.
+The default calibration errors in the covariances were chosen on hololens, kitchen and kitti06.
 """
 
 from __future__ import annotations
@@ -29,24 +27,27 @@ from epipole.metrics import absolute_error, associate
 from epipole.scene import Trajectory
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "slam_sequences.json"
-LARGEST_DIFFERENCE_S = 0.03
-REFUTED_DEG = 3.0
-"""A motion between neighbouring frames that is off by more is wrong, not noisy."""
+MAX_TIME_DIFFERENCE_S = 0.03
+"""Largest time between a frame and its ground truth."""
+GROSS_ERROR_DEG = 3.0
+"""Rotation errors between neighboring frames above this are gross errors, not noise."""
 
 
 @dataclass(frozen=True)
 class Sequence:
-    """A folder of frames with its true path."""
+    """A folder of frames with its ground truth and options for SLAM."""
 
     folder: str
     truth: str
     options: dict[str, Any] = field(default_factory=dict)
     truth_hz: float = 1.0
-    """Of truths that are numbered by frames."""
+    """Frame rate, if the ground truth has frame numbers instead of times."""
 
 
-LENS = {"camera_model": "PINHOLE", "camera_params": "495.5678,495.4820,270.0029,169.6941"}
-HOLOLENS: dict[str, Any] = LENS
+HOLOLENS: dict[str, Any] = {
+    "camera_model": "PINHOLE",
+    "camera_params": "495.5678,495.4820,270.0029,169.6941",
+}
 SEQUENCES = {
     "hololens": Sequence("hololens", "groundtruth.txt", HOLOLENS),
     "hololens-mono": Sequence("hololens", "groundtruth.txt", {**HOLOLENS, "sensor": "mono"}),
@@ -59,36 +60,36 @@ SEQUENCES = {
 
 
 def measured(sequence: Sequence, data: Path, out: Path) -> dict[str, Any]:
-    """Figures of one run; positions in metres after a rigid alignment, of one camera after a similarity."""
+    """Figures of one run; position errors are after rigid alignment, for one camera after a similarity."""
     start = time.perf_counter()
     folder = data / "slam" / sequence.folder
     result = epipole.slam(folder, out, **sequence.options)
-    path, known = result.trajectory, true_path_at(folder / sequence.truth).trajectory
+    estimate, truth = result.trajectory, true_path_at(folder / sequence.truth).trajectory
     figures: dict[str, Any] = {
         "frames": result.summary["num_frames"],
-        "with_pose": len(path),
+        "with_pose": len(estimate),
         "seconds": time.perf_counter() - start,
         "warnings": list(result.warnings),
     }
-    if known.is_timed:
-        known = Trajectory(known.timestamp_s / sequence.truth_hz, known.world_from_body)
-    rows, of_truth = associate(path, known, LARGEST_DIFFERENCE_S)
-    ours, true = path.world_from_body[rows], known.world_from_body[of_truth]
+    if truth.is_timed:
+        truth = Trajectory(truth.timestamp_s / sequence.truth_hz, truth.world_from_body)
+    rows, of_truth = associate(estimate, truth, MAX_TIME_DIFFERENCE_S)
+    ours, true = estimate.world_from_body[rows], truth.world_from_body[of_truth]
     is_metric = sequence.options.get("sensor") != "mono"
     figures["position_rms_m"] = absolute_error(
         ours, true, "rigid" if is_metric else "similarity"
     ).position.rmse
-    rotated = (ours[:-1].inverse() @ ours[1:]).inverse() @ (true[:-1].inverse() @ true[1:])
-    wrong = np.degrees(Rotation3(rotated.rotation).angle_rad())
-    figures["largest_turn_error_deg"] = float(wrong.max())
-    figures["refuted_turns"] = int((wrong > REFUTED_DEG).sum())
-    if is_metric and path.covariance is not None:
-        figures["coverage"] = coverage(ours, true, path.covariance[rows])
+    motion_error = (ours[:-1].inverse() @ ours[1:]).inverse() @ (true[:-1].inverse() @ true[1:])
+    rotation_error_deg = np.degrees(Rotation3(motion_error.rotation).angle_rad())
+    figures["largest_turn_error_deg"] = float(rotation_error_deg.max())
+    figures["refuted_turns"] = int((rotation_error_deg > GROSS_ERROR_DEG).sum())
+    if is_metric and estimate.covariance is not None:
+        figures["coverage"] = coverage(ours, true, estimate.covariance[rows])
     return figures
 
 
 def coverage(ours: epipole.Rigid3, true: epipole.Rigid3, covariance: np.ndarray) -> dict[str, float]:
-    """Fractions of the position errors that lie within the regions of 68.3 % and 95.4 %."""
+    """Fractions of the position errors within the 68.3 % and 95.4 % regions, after rigid alignment with the truth."""
     ours_from_true = align_points(true.translation, ours.translation, with_scale=False)
     error = ours.translation - ours_from_true.apply(true.translation)
     in_body = np.einsum("nji,nj->ni", ours.rotation, error)[1:]
@@ -102,7 +103,7 @@ def main() -> None:
     """Run the sequences and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--set", nargs="+", choices=list(SEQUENCES), default=list(SEQUENCES))
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     arguments = parser.parse_args()
     data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
     report: dict[str, Any] = {"machine": describe_machine(2), "sets": {}}
@@ -111,8 +112,8 @@ def main() -> None:
         "set",
         "poses",
         "position RMS",
-        "largest turn error",
-        f"> {REFUTED_DEG:g} deg",
+        "largest rotation error",
+        f"> {GROSS_ERROR_DEG:g} deg",
         "within 68.3 / 95.4 %",
         "time",
     ):
@@ -120,13 +121,13 @@ def main() -> None:
     for name in arguments.set:
         with tempfile.TemporaryDirectory() as folder:
             row = report["sets"][name] = measured(SEQUENCES[name], data, Path(folder) / "out")
-        fixed = " / ".join(f"{100 * fraction:.0f}" for fraction in row.get("coverage", {}).values())
+        within = " / ".join(f"{100 * fraction:.0f}" for fraction in row.get("coverage", {}).values())
         table.add_row(
             *(name, f"{row['with_pose']} of {row['frames']}", f"{100 * row['position_rms_m']:.2f} cm"),
             *(
                 f"{row['largest_turn_error_deg']:.2f} deg",
                 str(row["refuted_turns"]),
-                fixed,
+                within,
                 f"{row['seconds']:.0f} s",
             ),
         )

@@ -1,6 +1,6 @@
-"""Train the words by which SLAM finds places that look alike: `python -m benchmarks.slam_words DATA`.
+"""Train the visual words with which SLAM finds similar images: `python -m benchmarks.slam_words DATA`.
 
-From photographs of buildings, statues and rooms; no sequence that SLAM is measured on is among them.
+The training images are photographs of buildings, statues and rooms. None is from a sequence on which SLAM is measured.
 """
 
 from __future__ import annotations
@@ -21,16 +21,15 @@ NUM_WORDS = 64
 
 
 def main(data: Path) -> None:
-    """Describe corners of all photographs, and cluster them."""
+    """Cluster the descriptors of corners in all photographs, and save the words."""
     described = []
     for folder in SETS:
         for path in sorted(
             p for p in (data / folder).rglob("*") if p.suffix.lower() in (".jpg", ".png", ".ppm")
         ):
             grey = read_grey(path)
-            grey = np.ascontiguousarray(
-                grey[:: max(1, grey.shape[1] // 640), :: max(1, grey.shape[1] // 640)]
-            )
+            step = max(1, grey.shape[1] // 640)
+            grey = np.ascontiguousarray(grey[::step, ::step])
             corners = new_corners(grey, np.zeros((0, 2)), SlamConfig())
             described.append(describe_upright(grey, corners))
     words = train_vocabulary(described, NUM_WORDS, rounds=50)

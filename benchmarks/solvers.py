@@ -1,7 +1,7 @@
-"""Minimal solvers: microseconds a call, and how often the truth is among the answers. `python -m benchmarks.solvers`.
+"""Minimal solvers: time per call, and how often the true solution is among the results. `python -m benchmarks.solvers`.
 
-Exact problems of random cameras. `loop` is the time inside a compiled loop, as the robust estimators call them; `call`
-that of the public function from Python. PoseLib is called from Python alone, in the same process.
+`loop` is the time in a compiled loop, as in the robust estimators; `call` is that of the public function. PoseLib is called
+from Python in the same process.
 """
 
 from __future__ import annotations
@@ -28,27 +28,28 @@ from epipole.solvers import _focal_motion_kernels as focal_motion
 from epipole.solvers import _more_pose_kernels as more
 from epipole.solvers import _two_view_kernels as two_view
 
-RIGHT = 1e-5
-"""Largest difference of an entry of a rotation, or of a matrix of length one, from the truth."""
-UPRIGHT = np.array([0.0, 1.0, 0.0])
+MAX_DIFFERENCE = 1e-5
+"""Largest difference between the elements of a correct matrix and the true one, both with norm 1."""
+VERTICAL = np.array([0.0, 1.0, 0.0])
 
 Columns = tuple[np.ndarray, ...]
 
 
 @dataclass(frozen=True)
 class Case:
-    """A solver, its problems, and its rivals."""
+    """A solver, its problems, and PoseLib's solver for them."""
 
     name: str
     columns: Columns
-    """Arguments, one row a problem."""
+    """Arguments, one row per problem."""
     truth: np.ndarray
-    """(n, 3, 3)."""
+    """(n, 3, 3) matrices."""
     call: Callable[..., Iterable[np.ndarray]]
-    """Candidates for the truth, from Python."""
+    """Solves one problem from Python and returns all solutions."""
     loop: Callable[..., None]
-    """All problems in one compiled loop."""
+    """Solves all problems in a compiled loop."""
     poselib: Callable[[Any], Callable[..., Iterable[np.ndarray]]] | None = None
+    """Takes the module `poselib` and returns a function like `call`."""
 
 
 @numba.njit
@@ -107,7 +108,7 @@ def _p2p(rays, points, out):
 
 def _motions(rng: np.random.Generator, count: int, upright: bool = False) -> Rigid3:
     rotations = (
-        rng.uniform(-1.0, 1.0, (count, 1)) * UPRIGHT if upright else 0.4 * rng.standard_normal((count, 3))
+        rng.uniform(-1.0, 1.0, (count, 1)) * VERTICAL if upright else 0.4 * rng.standard_normal((count, 3))
     )
     motion = Rigid3.exp(np.concatenate([rng.standard_normal((count, 3)), rotations], axis=1))
     return Rigid3(
@@ -116,7 +117,7 @@ def _motions(rng: np.random.Generator, count: int, upright: bool = False) -> Rig
 
 
 def _seen(rng: np.random.Generator, motion: Rigid3, points: int) -> Columns:
-    """Points in both cameras, before both."""
+    """Random points in the coordinates of both cameras, in front of both."""
     x1 = rng.uniform(-1, 1, (len(motion), points, 3)) * [2, 2, 1] + [0, 0, 6]
     return x1, np.einsum("nij,nkj->nki", motion.rotation, x1) + motion.translation[:, None]
 
@@ -130,12 +131,12 @@ def _on_plane(x: np.ndarray) -> np.ndarray:
 
 
 def two_view_cases(rng: np.random.Generator, count: int) -> list[Case]:
-    """Five, seven, four and six points, and three with a known vertical."""
+    """Cases for two views: 5, 7, 4 and 6 points, and 3 points with a known vertical."""
     motion = _motions(rng, count)
     essential = essential_from_cam2_from_cam1(motion) / np.sqrt(2.0)
     five, seven = _seen(rng, motion, 5), _seen(rng, motion, 7)
     flat = tuple(_on_plane(x) for x in seven)
-    camera = np.diag([1.0, 1.0, 1.3])  # the matrix of F from that of E: f^-1 moved to the third axis
+    camera = np.diag([1.0, 1.0, 1.3])  # proportional to the inverse of K, with a focal length of 1.3
     six = tuple(_on_plane(x) * [1.3, 1.3, 1.0] for x in _seen(rng, motion, 6))
     fundamental = camera @ essential @ camera
     upright = _motions(rng, count, upright=True)
@@ -185,7 +186,7 @@ def _matrix_of(pair: Any) -> np.ndarray:
 
 
 def absolute_cases(rng: np.random.Generator, count: int) -> list[Case]:
-    """Three and four points, three of a rig, two with a known vertical."""
+    """Cases for absolute poses: 3 and 4 points, 3 points of a rig, and 2 points with a known vertical."""
     motion, upright = _motions(rng, count), _motions(rng, count, upright=True)
     three, four, two = _seen(rng, motion, 3), _seen(rng, motion, 4), _seen(rng, upright, 2)
     pixels = 1.3 * from_homogeneous(four[1])
@@ -220,51 +221,53 @@ def absolute_cases(rng: np.random.Generator, count: int) -> list[Case]:
 
 def _microseconds(run: Callable[[], object], count: int, rounds: int) -> float:
     run()
-    taken = []
+    seconds = []
     for _ in range(rounds):
         start = time.perf_counter()
         run()
-        taken.append(time.perf_counter() - start)
-    return 1e6 * float(np.median(taken)) / count
+        seconds.append(time.perf_counter() - start)
+    return 1e6 * float(np.median(seconds)) / count
 
 
-def _share_right(case: Case, call: Callable[..., Iterable[np.ndarray]]) -> float:
-    right = 0
+def _fraction_correct(case: Case, call: Callable[..., Iterable[np.ndarray]]) -> float:
+    """Fraction of the problems with the true matrix among the solutions, up to sign."""
+    correct = 0
     for n, truth in enumerate(case.truth):
         true = truth / np.linalg.norm(truth)
         found = [np.asarray(m) / np.linalg.norm(m) for m in call(*(c[n] for c in case.columns))]
-        right += (
-            min((min(np.abs(m - true).max(), np.abs(m + true).max()) for m in found), default=1.0) < RIGHT
+        correct += (
+            min((min(np.abs(m - true).max(), np.abs(m + true).max()) for m in found), default=1.0)
+            < MAX_DIFFERENCE
         )
-    return right / len(case.truth)
+    return correct / len(case.truth)
 
 
 def measure(case: Case, poselib: Any, rounds: int) -> dict[str, float]:
-    """Times and successes of one solver."""
+    """Time per call and fraction of correct results of one solver."""
     count = len(case.truth)
     columns = [np.ascontiguousarray(c) for c in case.columns]
 
-    def every(call: Callable[..., object]) -> Callable[[], object]:
+    def for_all(call: Callable[..., object]) -> Callable[[], object]:
         return lambda: [call(*row) for row in zip(*columns)]
 
     row = {
         "loop us": _microseconds(lambda: case.loop(*columns), count, rounds),
-        "call us": _microseconds(every(case.call), count, rounds),
-        "right": _share_right(case, case.call),
+        "call us": _microseconds(for_all(case.call), count, rounds),
+        "right": _fraction_correct(case, case.call),
     }
     if poselib is not None and case.poselib is not None:
         theirs = case.poselib(poselib)
         row |= {
-            "PoseLib call us": _microseconds(every(theirs), count, rounds),
-            "PoseLib right": _share_right(case, theirs),
+            "PoseLib call us": _microseconds(for_all(theirs), count, rounds),
+            "PoseLib right": _fraction_correct(case, theirs),
         }
     return row
 
 
 def main() -> None:
-    """Measure every solver and print the table."""
+    """Measure every solver, print the table and write the results."""
     parser = argparse.ArgumentParser(description="Minimal solvers.")
-    parser.add_argument("--count", type=int, default=2000, help="problems")
+    parser.add_argument("--count", type=int, default=2000, help="problems per solver")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
     arguments = parser.parse_args()

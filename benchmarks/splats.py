@@ -1,6 +1,6 @@
-"""How like their images splats, grids and neural fields are after a given time, from cameras or photographs. `python -m benchmarks.splats`.
+"""PSNR and SSIM of held-out views after a given training time of splats, grids and neural fields. `python -m benchmarks.splats`.
 
-Held-out views alone are compared. The rates of the training were chosen on lego's test views: that row is in-sample.
+The learning rates were chosen on lego's test views, so its rows are in-sample.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ import epipole
 from benchmarks.measure import REPOSITORY, describe_machine
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "splats.json"
-PICTURE = REPOSITORY / "docs" / "pictures" / "field_curves.png"
+PLOT = REPOSITORY / "docs" / "pictures" / "field_curves.png"
 
 SIZES = ("num_gaussians", "num_voxels", "num_parameters")
-"""What the size of a field is called."""
+"""Keys under which the summary of a run has the size of its field."""
 
 
 class Task(NamedTuple):
-    """Images, and for how long is trained on them."""
+    """Images, training time and options."""
 
     folder: str
     time: str
@@ -51,19 +51,19 @@ TASKS = {
 
 
 def trained(task: Task, data: Path, seed: int) -> dict[str, Any]:
-    """Figures of one training; of photographs the seconds of finding their cameras are apart."""
+    """Train once and return the figures; reconstruction of the cameras is not part of the training time."""
     with tempfile.TemporaryDirectory(prefix="epipole-splats-") as folder:
         job = getattr(epipole, task.job)
         found = job(data / task.folder, Path(folder) / "out", time=task.time, seed=seed, **task.options)
-        kept = ("psnr", "ssim", "steps", "train_s", "timings_s")
-        given = {name: found.summary[name] for name in kept}
+        names = ("psnr", "ssim", "steps", "train_s", "timings_s")
+        figures = {name: found.summary[name] for name in names}
         size = next(found.summary[name] for name in SIZES if name in found.summary)
-        along = json.loads((found.out / "metrics.json").read_text())["held_out"]["rows"]
-        return {"seed": seed, **given, "size": size, "held_out_along": along}
+        curve = json.loads((found.out / "metrics.json").read_text())["held_out"]["rows"]
+        return {"seed": seed, **figures, "size": size, "held_out_along": curve}
 
 
 def draw_curves(known: dict[str, list[dict[str, Any]]], path: Path) -> None:
-    """PSNR against seconds of the median runs: of three held-out views along the way, of all at the end."""
+    """Plot PSNR against time for the median runs: three held-out views during training, all at its end."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -71,11 +71,11 @@ def draw_curves(known: dict[str, list[dict[str, Any]]], path: Path) -> None:
 
     figure, axes = plt.subplots(figsize=(8, 4.5))
     for name, runs in known.items():
-        middle = runs[len(runs) // 2]
-        if middle.get("held_out_along"):
-            along = [(row[0], row[2]) for row in middle["held_out_along"]]
-            seconds, photometric_loss = zip(*along, (middle["train_s"], middle["psnr"]))
-            axes.plot(seconds, photometric_loss, marker="o", markersize=3, label=name)
+        median_run = runs[len(runs) // 2]
+        if median_run.get("held_out_along"):
+            curve = [(row[0], row[2]) for row in median_run["held_out_along"]]
+            seconds, psnr = zip(*curve, (median_run["train_s"], median_run["psnr"]))
+            axes.plot(seconds, psnr, marker="o", markersize=3, label=name)
     axes.set(xscale="log", xlabel="seconds of training", ylabel="PSNR of held-out views, dB")
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
@@ -84,11 +84,11 @@ def draw_curves(known: dict[str, list[dict[str, Any]]], path: Path) -> None:
 
 
 def main() -> None:
-    """Train, print the table and write the results."""
+    """Train, plot the curves, print the table and write the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--task", nargs="+", choices=list(TASKS), default=list(TASKS), metavar="TASK")
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     arguments = parser.parse_args()
     data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
     known = json.loads(RESULTS.read_text())["tasks"] if RESULTS.is_file() else {}
@@ -96,17 +96,17 @@ def main() -> None:
         runs = [trained(TASKS[name], data, seed) for seed in range(arguments.seeds)]
         known[name] = sorted(runs, key=lambda run: run["psnr"])
         RESULTS.write_text(json.dumps({"machine": describe_machine(2), "tasks": known}, indent=1) + "\n")
-    draw_curves(known, PICTURE)
-    table = Table("task", "seeds", "PSNR (median)", "least", "most", "SSIM", "steps", "ms a step", "size")
+    draw_curves(known, PLOT)
+    table = Table("task", "seeds", "PSNR (median)", "min", "max", "SSIM", "steps", "ms per step", "size")
     for name, runs in known.items():
-        middle = runs[len(runs) // 2]
-        ends = (f"{run['psnr']:.2f}" for run in (middle, runs[0], runs[-1]))
+        median_run = runs[len(runs) // 2]
+        psnrs = (f"{run['psnr']:.2f}" for run in (median_run, runs[0], runs[-1]))
         more = (
-            f"{middle['ssim']:.3f}",
-            str(middle["steps"]),
-            f"{1e3 * middle['train_s'] / middle['steps']:.1f}",
+            f"{median_run['ssim']:.3f}",
+            str(median_run["steps"]),
+            f"{1e3 * median_run['train_s'] / median_run['steps']:.1f}",
         )
-        table.add_row(name, str(len(runs)), *ends, *more, f"{middle['size']:,}")
+        table.add_row(name, str(len(runs)), *psnrs, *more, f"{median_run['size']:,}")
     Console(width=140).print(table)
 
 

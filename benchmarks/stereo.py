@@ -1,6 +1,6 @@
-"""Disparities of real pairs against their truth, and the time they take. `python -m benchmarks.stereo`.
+"""Accuracy and time of dense stereo on real pairs, compared with OpenCV and pandora. `python -m benchmarks.stereo`.
 
-Each program runs in a process of its own, in turn, after a warm-up; the table shows the median of the rounds.
+Each program runs in its own process, in turn, after a warm-up; the table has medians of the rounds.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ from benchmarks.side_by_side import compare, table_of
 from benchmarks.tasks.stereo import StereoTask, figures, stereo_tasks
 
 Pairs = list[tuple[np.ndarray, np.ndarray, int]]
+"""Left image, right image, number of disparities."""
 
 
 def match_with_epipole(paths: int, left_right: str, pairs: Pairs, threads: int) -> list[np.ndarray]:
-    """match_stereo: disparities and their standard deviations, (2, h, w)."""
+    """Match with `match_stereo`: disparities and their standard deviations, (2, h, w)."""
     from epipole import _parallel
     from epipole.disparity_search.search import match_stereo
     from epipole.pipelines.stereo.config import StereoConfig
@@ -41,7 +42,7 @@ def match_with_epipole(paths: int, left_right: str, pairs: Pairs, threads: int) 
 
 
 def match_with_opencv(mode: str, block: int, pairs: Pairs, threads: int) -> list[np.ndarray]:
-    """cv2.StereoSGBM (P1 = 8, P2 = 32 times the window's area, as its documentation says) or StereoBM."""
+    """Match with cv2.StereoBM or StereoSGBM, whose penalties are those of the documentation (8 and 32 times the block's area)."""
     import cv2
 
     cv2.setNumThreads(threads)
@@ -61,9 +62,9 @@ def match_with_opencv(mode: str, block: int, pairs: Pairs, threads: int) -> list
 
 
 def match_with_pandora(pairs: Pairs, threads: int, with_confidence: bool = False) -> list[np.ndarray]:
-    """Pandora with libSGM: census 5 x 5, eight paths, V-fit, median, accurate cross-check.
+    """Match with pandora and libSGM: 5 x 5 census, eight paths, V-fit, median, accurate cross-check.
 
-    With its confidence from ambiguity, (2, h, w), where asked for.
+    With `with_confidence`, the result has the disparities and their ambiguity, (2, h, w).
     """
     import pandora
     import xarray as xr
@@ -102,7 +103,7 @@ def match_with_pandora(pairs: Pairs, threads: int, with_confidence: bool = False
             PandoraMachine(), dataset(left, 1 - count, 0), dataset(right, 0, count - 1), {"pipeline": steps}
         )
         bits = found["validity_mask"].data.astype(int)
-        # Bits 0, 1, 6 to 11: no data, no disparity, occluded, mismatched and the like; 2 to 5 are warnings.
+        # Bits 0, 1 and 6 to 11 mark invalid pixels (no data, occluded, mismatched); 2 to 5 are warnings.
         invalid = (bits & 0b111111000011) != 0
         disparity = np.where(invalid, np.nan, -found["disparity_map"].data)
         if with_confidence:
@@ -131,7 +132,7 @@ PROGRAMS: dict[str, tuple[Callable[..., Any], int]] = {
 
 
 def large_pair(connection: Any) -> None:
-    """A rendered pair of 4000 x 3000 pixels and 256 disparities: seconds, peak memory of the process, errors."""
+    """Match a rendered pair of 4000 x 3000 pixels with 256 disparities; send time, peak memory and errors."""
     import resource
     import time
 
@@ -155,23 +156,23 @@ def large_pair(connection: Any) -> None:
     )
 
 
-def surest(found: np.ndarray, task: StereoTask, density: float) -> dict[str, float]:
-    """Wrong answers among the surest pixels of our best mode, as many as the other program answers."""
+def at_density(found: np.ndarray, task: StereoTask, density: float) -> dict[str, float]:
+    """Error rates of our disparities with the smallest standard deviations, at the density of another program."""
     disparity, sigma = found
     order = np.sort(sigma[task.seen & np.isfinite(disparity)])
     count = min(len(order), round(density / 100.0 * int(task.seen.sum())))
-    kept = figures(np.where(sigma <= order[count - 1], disparity, np.nan), task)
-    return {f"our surest: {name}": kept[name] for name in ("density %", "bad 1 %", "bad 2 %")}
+    selected = figures(np.where(sigma <= order[count - 1], disparity, np.nan), task)
+    return {f"our surest: {name}": selected[name] for name in ("density %", "bad 1 %", "bad 2 %")}
 
 
 def main() -> None:
     """Match every pair with every program and print the tables."""
-    parser = argparse.ArgumentParser(description="Dense stereo.")
-    parser.add_argument("--set", nargs="+")
-    parser.add_argument("--program", nargs="+", help="only those whose names begin so")
-    parser.add_argument("--large", action="store_true", help="the rendered pair of 12 megapixels instead")
+    parser = argparse.ArgumentParser(description="Dense stereo: epipole, OpenCV and pandora.")
+    parser.add_argument("--set", nargs="+", help="pairs to match (default: all)")
+    parser.add_argument("--program", nargs="+", help="prefixes of the programs to run (default: all)")
+    parser.add_argument("--large", action="store_true", help="match a rendered pair of 12 megapixels instead")
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
     arguments = parser.parse_args()
     if arguments.large:
@@ -193,20 +194,20 @@ def main() -> None:
         if arguments.set and name not in arguments.set:
             continue
         pair = (task.left, task.right, task.num_disparities)
-        ours: list[np.ndarray] = []
+        found_by_us: list[np.ndarray] = []
 
         def judge(
-            out: list[np.ndarray], task: StereoTask = task, ours: list[np.ndarray] = ours
+            out: list[np.ndarray], task: StereoTask = task, found_by_us: list[np.ndarray] = found_by_us
         ) -> dict[str, float]:
             if out[0].ndim == 3:
-                ours.append(out[0])
+                found_by_us.append(out[0])
                 return figures(out[0][0], task)
             return figures(out[0], task)
 
         rows = compare(chosen, [pair], arguments.rounds, judge)
         for program, row in rows.items():
-            if ours and "density %" in row and not program.startswith("epipole"):
-                row |= surest(ours[0], task, row["density %"])
+            if found_by_us and "density %" in row and not program.startswith("epipole"):
+                row |= at_density(found_by_us[0], task, row["density %"])
         for row in rows.values():
             row["s/Mpx at 128"] = row["seconds"] / (task.left.size / 1e6) * (128 / task.num_disparities)
         report[name] = rows

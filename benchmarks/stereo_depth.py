@@ -1,8 +1,6 @@
-"""Does depth's error bar hold in metres? `python -m benchmarks.stereo_depth`.
+"""Errors of stereo depth against their standard deviations. `python -m benchmarks.stereo_depth`.
 
-Rendered streets with a rig of 800 px and 0.12 m: measured error of depth from 2 to 30 m against Z^2 / (f B) sigma_d.
-KITTI 06: depth of features against their triangulation from the truth's poses, in joint standard deviations. Its calibration
-comes without errors, and its rows are off by a third of a pixel: what the doctor makes of the rows is taken for the columns too.
+Rendered streets have exact depth from 2 to 30 m. On KITTI 06, the reference is the triangulation of features with the true poses.
 """
 
 from __future__ import annotations
@@ -31,14 +29,16 @@ from epipole.scene import RectifiedRig
 from epipole.synthetic.stereo_rooms import stereo_street
 
 STREETS, BINS, NEAR_M, FAR_M = 24, 8, 2.0, 30.0
-MOST_ERROR_PX = 1.5
+MAX_ERROR_PX = 1.5
+"""Largest reprojection error of an observation in the triangulation."""
 WINDOW = 5
-"""Frames before and after that triangulate a feature."""
-LEAST_VIEWS = 5
+"""Frames before and after the current one from which features are triangulated."""
+MIN_VIEWS = 5
+"""Minimum number of observations of a triangulated feature."""
 
 
 def range_rows(num_streets: int = STREETS) -> dict[str, dict[str, float]]:
-    """Of each range: 68 % of the errors are below `measured`; `predicted` is the median of Z^2 / (f B) sigma_d."""
+    """For each range, the 68 % quantile of the errors, and the predicted one: the median of Z^2 / (f B) sigma_d."""
     edges = np.geomspace(NEAR_M, FAR_M, BINS + 1)
     errors: list[list[np.ndarray]] = [[] for _ in range(BINS)]
     sigmas: list[list[np.ndarray]] = [[] for _ in range(BINS)]
@@ -49,11 +49,11 @@ def range_rows(num_streets: int = STREETS) -> dict[str, dict[str, float]]:
         found = depth_of(match_stereo(pair.left, pair.right, StereoConfig(max_disparity_px=63)), rig)
         true = focal * pair.baseline / pair.disparity_px
         error = np.abs(found.depth - true)
-        known, position = np.isfinite(error), np.digitize(true, edges) - 1
+        known, bins = np.isfinite(error), np.digitize(true, edges) - 1
         for k in range(BINS):
-            own = known & (position == k)
-            errors[k].append(error[own])
-            sigmas[k].append(found.sigma[own])
+            in_bin = known & (bins == k)
+            errors[k].append(error[in_bin])
+            sigmas[k].append(found.sigma[in_bin])
     rows = {}
     for k in range(BINS):
         error, sigma = np.concatenate(errors[k]), np.concatenate(sigmas[k])
@@ -68,7 +68,11 @@ def range_rows(num_streets: int = STREETS) -> dict[str, dict[str, float]]:
 
 
 def kitti_rows(folder: Path) -> dict[str, dict[str, float]]:
-    """Normalised differences of stereo depth and triangulated depth of features, over all frames."""
+    """Normalized differences between stereo depth and triangulated depth of features, over all frames.
+
+    KITTI has no standard deviations of its calibration. Rows are off by a third of a pixel, measured by `examine`; columns are
+    assumed to be off by the same amount.
+    """
     lefts, rights = (sorted((folder / side).iterdir()) for side in ("image_l", "image_r"))
     projections = np.loadtxt(folder / "calib.txt").reshape(2, 3, 4)
     focal, cx, cy = projections[0, 0, 0], projections[0, 0, 2], projections[0, 1, 2]
@@ -78,10 +82,10 @@ def kitti_rows(folder: Path) -> dict[str, dict[str, float]]:
     height, width = read_grey(lefts[0]).shape
     camera = Camera(CameraModel.PINHOLE, width, height, np.array([focal, focal, cx, cy]))
     features = [detect_features(read_grey(path)) for path in lefts]
-    some = [(read_grey(a), read_grey(b)) for a, b in zip(lefts[::8], rights[::8])]
-    offset_px = examine(some, rig).calibration_error_px
-    honest = replace(rig, principal_offset_sigma_px=offset_px)
-    ratios, naive, depths = [], [], []
+    image_pairs = [(read_grey(a), read_grey(b)) for a, b in zip(lefts[::8], rights[::8])]
+    offset_px = examine(image_pairs, rig).calibration_error_px
+    uncertain_rig = replace(rig, principal_offset_sigma_px=offset_px)
+    ratios, ratios_exact_rig, depths = [], [], []
     for frame in range(WINDOW, len(lefts) - WINDOW):
         views = range(frame - WINDOW, frame + WINDOW + 1)
         pixels = np.full((len(views), len(features[frame]), 2), np.nan)
@@ -91,50 +95,54 @@ def kitti_rows(folder: Path) -> dict[str, dict[str, float]]:
                 continue
             pairs = match_descriptors(features[frame].descriptors, features[view].descriptors)
             pixels[k, pairs[:, 0]] = features[view].pixels[pairs[:, 1]]
-        enough = np.isfinite(pixels[:, :, 0]).sum(axis=0) >= LEAST_VIEWS
-        pixels, positions = pixels[:, enough], cam_from_world[list(views)]
-        truth = triangulate_points(positions, camera, pixels, max_error_px=MOST_ERROR_PX)
+        enough = np.isfinite(pixels[:, :, 0]).sum(axis=0) >= MIN_VIEWS
+        pixels, poses = pixels[:, enough], cam_from_world[list(views)]
+        truth = triangulate_points(poses, camera, pixels, max_error_px=MAX_ERROR_PX)
         seen = truth.inlier_mask
-        good = truth.success_mask & (seen.sum(axis=0) >= LEAST_VIEWS) & seen[WINDOW]
+        good = truth.success_mask & (seen.sum(axis=0) >= MIN_VIEWS) & seen[WINDOW]
         points = truth.points_in_world[good]
-        noise_px = feature_noise_px(positions, camera, pixels[:, good], points, seen[:, good])
-        covariance = point_covariances(positions, camera, points, seen[:, good], noise_px)
-        here = cam_from_world[frame]
-        triangulated = here.apply(points)[:, 2]
-        axis = here.rotation[2]
-        their_sigma = np.sqrt(np.einsum("i,nij,j->n", axis, covariance, axis))
+        noise_px = feature_noise_px(poses, camera, pixels[:, good], points, seen[:, good])
+        covariance = point_covariances(poses, camera, points, seen[:, good], noise_px)
+        pose = cam_from_world[frame]
+        triangulated = pose.apply(points)[:, 2]
+        axis = pose.rotation[2]
+        triangulated_sigma = np.sqrt(np.einsum("i,nij,j->n", axis, covariance, axis))
         found = match_stereo(read_grey(lefts[frame]), read_grey(rights[frame]), StereoConfig())
-        depth, alone = depth_of(found, honest), depth_of(found, rig)
+        with_offset, exact_rig = depth_of(found, uncertain_rig), depth_of(found, rig)
         column, row = np.rint(pixels[WINDOW, good]).astype(int).T
-        ours, our_sigma = depth.depth[row, column], depth.sigma[row, column]
-        usable = np.isfinite(ours) & (their_sigma < our_sigma)  # else their error is what is measured
-        difference = ours - triangulated
-        ratios.append((difference / np.hypot(our_sigma, their_sigma))[usable])
-        naive.append((difference / np.hypot(alone.sigma[row, column], their_sigma))[usable])
+        stereo, stereo_sigma = with_offset.depth[row, column], with_offset.sigma[row, column]
+        usable = np.isfinite(stereo) & (
+            triangulated_sigma < stereo_sigma
+        )  # the reference must be more accurate
+        difference = stereo - triangulated
+        ratios.append((difference / np.hypot(stereo_sigma, triangulated_sigma))[usable])
+        exact_sigma = np.hypot(exact_rig.sigma[row, column], triangulated_sigma)
+        ratios_exact_rig.append((difference / exact_sigma)[usable])
         depths.append(triangulated[usable])
     ratio, depth = np.concatenate(ratios), np.concatenate(depths)
     rows = {
-        f"all, calibration to {offset_px:.2f} px": _normalised(ratio),
-        "all, calibration taken as exact": _normalised(np.concatenate(naive)),
+        f"all, calibration to {offset_px:.2f} px": _coverage(ratio),
+        "all, calibration taken as exact": _coverage(np.concatenate(ratios_exact_rig)),
     }
     for part in np.array_split(np.argsort(depth), 4):
-        rows[f"{depth[part].min():.0f} to {depth[part].max():.0f} m"] = _normalised(ratio[part])
+        rows[f"{depth[part].min():.0f} to {depth[part].max():.0f} m"] = _coverage(ratio[part])
     return rows
 
 
 def feature_noise_px(
-    positions: Rigid3, camera: Camera, pixels: np.ndarray, points: np.ndarray, seen: np.ndarray
+    poses: Rigid3, camera: Camera, pixels: np.ndarray, points: np.ndarray, seen: np.ndarray
 ) -> float:
-    """Standard deviation of a feature's coordinate: the median of what triangulation leaves, for the unknowns it had."""
-    left = [
-        (camera.project(positions[k].apply(points)) - pixels[k])[seen[k]].ravel() for k in range(len(pixels))
+    """Robust standard deviation of feature coordinates, from the residuals of triangulation and their degrees of freedom."""
+    by_view = [
+        (camera.project(poses[k].apply(points)) - pixels[k])[seen[k]].ravel() for k in range(len(pixels))
     ]
-    residuals = np.concatenate(left)
+    residuals = np.concatenate(by_view)
     freedom = 1.0 - 3.0 * len(points) / len(residuals)
     return float(1.4826 * np.median(np.abs(residuals)) / np.sqrt(freedom))
 
 
-def _normalised(ratio: np.ndarray) -> dict[str, float]:
+def _coverage(ratio: np.ndarray) -> dict[str, float]:
+    """Coverage of normalized errors."""
     return {
         "features": float(len(ratio)),
         "within one sigma %": 100.0 * float((np.abs(ratio) <= 1).mean()),
@@ -144,17 +152,17 @@ def _normalised(ratio: np.ndarray) -> dict[str, float]:
 
 
 def main() -> None:
-    """Print both tables."""
-    parser = argparse.ArgumentParser(description="Error bars of depth.")
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    """Print both tables and write the results."""
+    parser = argparse.ArgumentParser(description="Standard deviations of stereo depth.")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
     arguments = parser.parse_args()
     data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
     streets = range_rows()
     kitti = kitti_rows(data / "slam" / "kitti06_stereo")
     console = Console(width=120)
-    console.print(table_of("error of depth against range, rendered streets", streets))
-    console.print(table_of("KITTI 06: depth against triangulation with the truth's poses", kitti))
+    console.print(table_of("depth error against range, rendered streets", streets))
+    console.print(table_of("KITTI 06: depth against triangulation with the true poses", kitti))
     arguments.results.mkdir(parents=True, exist_ok=True)
     report = {"machine": describe_machine(2), "streets": streets, "kitti06": kitti}
     (arguments.results / "stereo_depth.json").write_text(json.dumps(report, indent=1) + "\n")

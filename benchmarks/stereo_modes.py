@@ -1,6 +1,6 @@
-"""What each option of matching gains and costs on the real pairs, and what filling guesses. `python -m benchmarks.stereo_modes`.
+"""Gain and cost of each option of dense stereo on the real pairs, and errors of hole filling. `python -m benchmarks.stereo_modes`.
 
-Two threads, in this process: the median of the calls that fit in a second. `--large` compares both searches on a rendered pair of 6.6 megapixels.
+Times are medians of the calls in one second, with two threads.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ from epipole.scene import DisparityMap
 from epipole.synthetic.stereo_rooms import stereo_room
 
 ENOUGH_S = 1.0
-LARGE, LARGE_DISPARITIES = (3000, 2200), 512
+"""Time for which calls are repeated."""
+LARGE_SIZE = (3000, 2200)
+LARGE_DISPARITIES = 512
 MODES: dict[str, dict[str, object]] = {
     "as it comes": {},
     "fast check": {"left_right": "fast"},
@@ -44,18 +46,18 @@ MODES: dict[str, dict[str, object]] = {
 
 
 def timed(left: np.ndarray, right: np.ndarray, config: StereoConfig) -> tuple[float, DisparityMap]:
-    """(median seconds, what was found)."""
-    match_stereo(left, right, config)  # compiled, and its memory taken
-    begin, took = time.perf_counter(), []
-    while not took or time.perf_counter() - begin < ENOUGH_S:
+    """(median seconds, disparities)."""
+    match_stereo(left, right, config)  # compiles the kernels and allocates memory
+    first_start, seconds = time.perf_counter(), []
+    while not seconds or time.perf_counter() - first_start < ENOUGH_S:
         start = time.perf_counter()
         found = match_stereo(left, right, config)
-        took.append(time.perf_counter() - start)
-    return statistics.median(took), found
+        seconds.append(time.perf_counter() - start)
+    return statistics.median(seconds), found
 
 
 def mode_rows(name: str, task: StereoTask) -> dict[str, dict[str, float]]:
-    """Of every mode: errors, time, errors within one standard deviation; and of the guesses of filling."""
+    """Errors, time and coverage of the standard deviations for every mode, and errors of hole filling."""
     rows = {}
     for mode, options in MODES.items():
         config = StereoConfig(max_disparity_px=task.num_disparities - 1, **options)
@@ -68,16 +70,16 @@ def mode_rows(name: str, task: StereoTask) -> dict[str, dict[str, float]]:
         }
         if mode == "as it comes":
             filled = fill_disparities(found, task.left)
-            guessed = filled.filled_mask & np.isfinite(task.truth)
-            wrong = np.abs(filled.disparity_px - task.truth)[guessed] > 2
-            guesses = {"density %": 100.0 * float(guessed.mean()), "bad 2 %": 100.0 * float(wrong.mean())}
-    rows["guesses of filling (of all pixels)"] = guesses
+            scored = filled.filled_mask & np.isfinite(task.truth)
+            wrong = np.abs(filled.disparity_px - task.truth)[scored] > 2
+            filling = {"density %": 100.0 * float(scored.mean()), "bad 2 %": 100.0 * float(wrong.mean())}
+    rows["guesses of filling (of all pixels)"] = filling
     return rows
 
 
 def large_rows() -> dict[str, dict[str, float]]:
-    """Both searches over a large range of disparities."""
-    pair = stereo_room(5, LARGE)
+    """Time and errors of both searches over a large range of disparities."""
+    pair = stereo_room(5, LARGE_SIZE)
     rows = {}
     for search in ("full", "coarse_to_fine"):
         seconds, found = timed(
@@ -90,16 +92,18 @@ def large_rows() -> dict[str, dict[str, float]]:
 
 
 def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description="Modes of dense stereo.")
-    parser.add_argument("--large", action="store_true", help="both searches on a large rendered pair instead")
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    """Print the tables and write the results."""
+    parser = argparse.ArgumentParser(description="Options of dense stereo.")
+    parser.add_argument(
+        "--large", action="store_true", help="compare both searches on a large rendered pair instead"
+    )
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
     arguments = parser.parse_args()
     _parallel.set_num_threads(2)
     console = Console(width=150)
     if arguments.large:
-        title = f"{LARGE[0]} x {LARGE[1]} pixels, {LARGE_DISPARITIES} disparities"
+        title = f"{LARGE_SIZE[0]} x {LARGE_SIZE[1]} pixels, {LARGE_DISPARITIES} disparities"
         console.print(table_of(title, large_rows()))
         return
     data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))

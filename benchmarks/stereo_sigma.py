@@ -1,7 +1,6 @@
-"""Whether the error bars of disparities hold. `python -m benchmarks.stereo_sigma`; `--fit` prints the constants anew.
+"""Errors of disparities against their standard deviations. `python -m benchmarks.stereo_sigma`; `--fit` recomputes the constants.
 
-Fitted on rendered rooms of even number; shown for rooms of odd number and for the real pairs. The truth's own quantisation
-is added in quadrature.
+The constants are fitted on rendered rooms with even seeds; the table is for odd seeds and the real pairs.
 """
 
 from __future__ import annotations
@@ -26,20 +25,28 @@ from epipole.pipelines.stereo.config import StereoConfig
 from epipole.synthetic.stereo_rooms import stereo_room
 
 QUANTUM_PX = {"cones": 0.25, "teddy": 0.25, "motorcycle": 0.0, "aloe": 1.0}
-ROOMS, KNOTS, PER_ROOM, WITHIN = 300, 16, 10_000, 0.68
-LEAST_ERROR_PX = 0.03
+"""Quantization step of the ground truth, whose standard deviation is added in quadrature."""
+NUM_ROOMS = 300
+KNOTS = 16
+"""Number of entries in the fitted table."""
+PIXELS_PER_ROOM = 10_000
+"""Number of pixels of each room in the fit."""
+QUANTILE = 0.68
+"""The table gives this quantile of the errors as standard deviation."""
+MIN_ERROR_PX = 0.03
+"""Added to the errors, so that small ones do not dominate the logarithmic fit."""
 
 
 def coverage(error: np.ndarray, sigma: np.ndarray, quantum_px: float) -> dict[str, float]:
-    """Shares of errors within one sigma, overall and in fifths of rising sigma; area under the sparsification curve."""
+    """Fractions of errors within one sigma, overall and for each fifth by sigma, and area under the sparsification error."""
     within = error <= np.hypot(sigma, quantum_px / np.sqrt(12.0))
     order = np.argsort(sigma, kind="stable")
     fifths = {
         f"fifth {k + 1} %": 100.0 * float(within[part].mean())
         for k, part in enumerate(np.array_split(order, 5))
     }
-    kept = np.arange(1, len(error) + 1)
-    curve, best = np.cumsum(error[order]) / kept, np.cumsum(np.sort(error)) / kept
+    count = np.arange(1, len(error) + 1)
+    curve, best = np.cumsum(error[order]) / count, np.cumsum(np.sort(error)) / count
     return {
         "within %": 100.0 * float(within.mean()),
         **fifths,
@@ -50,34 +57,34 @@ def coverage(error: np.ndarray, sigma: np.ndarray, quantum_px: float) -> dict[st
 
 
 def room_config(disparity: np.ndarray) -> StereoConfig:
-    """The range of a rendered pair."""
+    """Options with the disparity range of a rendered pair."""
     return StereoConfig(max_disparity_px=int(np.nanmax(disparity)) + 8)
 
 
 def fit() -> None:
-    """Print weights and table fitted on the even rooms."""
+    """Fit the weights and the table on rooms with even seeds, and print them."""
     rows, errors = [], []
-    for seed in range(0, ROOMS, 2):
+    for seed in range(0, NUM_ROOMS, 2):
         pair = stereo_room(seed)
         found, evidence = match_with_evidence(pair.left, pair.right, room_config(pair.disparity_px))
         error = np.abs(found.disparity_px - pair.disparity_px)
         known = np.isfinite(error)
-        some = np.random.default_rng(seed).permutation(int(known.sum()))[:PER_ROOM]
-        rows.append(uncertainty.cues(evidence)[:, known].T[some].astype(np.float64))
-        errors.append(error[known][some])
+        sample = np.random.default_rng(seed).permutation(int(known.sum()))[:PIXELS_PER_ROOM]
+        rows.append(uncertainty.cues(evidence)[:, known].T[sample].astype(np.float64))
+        errors.append(error[known][sample])
     cues, error = np.concatenate(rows), np.concatenate(errors)
     design = np.concatenate([np.ones((len(cues), 1)), cues, cues * cues], axis=1)
-    weights, *_ = np.linalg.lstsq(design, np.log(error + LEAST_ERROR_PX), rcond=None)
+    weights, *_ = np.linalg.lstsq(design, np.log(error + MIN_ERROR_PX), rcond=None)
     scores = design @ weights
     order = np.array_split(np.argsort(scores), KNOTS)
     knots = [float(np.median(scores[part])) for part in order]
-    sigmas = np.maximum.accumulate([np.quantile(error[part], WITHIN) for part in order])
+    sigmas = np.maximum.accumulate([np.quantile(error[part], QUANTILE) for part in order])
     for name, values in (("WEIGHTS", weights), ("SCORES", knots), ("LOG_SIGMAS", np.log(sigmas))):
         print(f"{name} = np.array({np.round(values, 4).tolist()})")
 
 
 def pandora_areas(connection: Any, data: Path) -> None:
-    """Areas under the sparsification curve of pandora's disparities, sorted by its own confidence (ambiguity)."""
+    """Send the areas under the sparsification error of pandora's disparities, sorted by pandora's confidence (ambiguity)."""
     from benchmarks.stereo import match_with_pandora
 
     rows = {}
@@ -86,7 +93,7 @@ def pandora_areas(connection: Any, data: Path) -> None:
         disparity, confidence = match_with_pandora([pair], 2, with_confidence=True)[0]
         error = np.abs(disparity - task.truth)
         known = np.isfinite(error) & np.isfinite(confidence)
-        # Whichever order serves it better: its ambiguity is given as confidence in some versions, as doubt in others.
+        # The better sign of two: the ambiguity is a confidence in some versions and an uncertainty in others.
         both = [coverage(error[known], sign * confidence[known], 0.0) for sign in (-1.0, 1.0)]
         found = min(both, key=lambda figures: figures["AUSE px"])
         rows[name] = {key: found[key] for key in ("AUSE px", "average px")}
@@ -94,7 +101,7 @@ def pandora_areas(connection: Any, data: Path) -> None:
 
 
 def opencv_offset_px(task: StereoTask) -> float:
-    """Median difference of StereoBM's disparities and the truth where they nearly agree: a truth cut to whole pixels lies low."""
+    """Median offset of StereoBM's disparities from the truth where they nearly agree: the bias of a truncated ground truth."""
     grey = [np.ascontiguousarray(image) for image in (task.left, task.right)]
     disparity = cv2.StereoBM_create(-(-task.num_disparities // 16) * 16, 15).compute(*grey) / 16.0
     error = (disparity - task.truth)[disparity > 0]
@@ -102,11 +109,11 @@ def opencv_offset_px(task: StereoTask) -> float:
 
 
 def main() -> None:
-    """Print how many errors lie within their bars."""
-    parser = argparse.ArgumentParser(description="Error bars of disparities.")
-    parser.add_argument("--fit", action="store_true")
-    parser.add_argument("--pandora", action="store_true", help="areas of pandora's confidence beside ours")
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    """Print the fractions of errors within their standard deviations and write the results."""
+    parser = argparse.ArgumentParser(description="Standard deviations of disparities.")
+    parser.add_argument("--fit", action="store_true", help="fit the constants and print them")
+    parser.add_argument("--pandora", action="store_true", help="also evaluate pandora's confidence")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
     arguments = parser.parse_args()
     if arguments.fit:
@@ -114,7 +121,7 @@ def main() -> None:
         return
     rows: dict[str, Any] = {}
     errors, sigmas = [], []
-    for seed in range(1, ROOMS, 2):
+    for seed in range(1, NUM_ROOMS, 2):
         pair = stereo_room(seed)
         found = match_stereo(pair.left, pair.right, room_config(pair.disparity_px))
         error = np.abs(found.disparity_px - pair.disparity_px)

@@ -1,6 +1,6 @@
-"""Verifying a thousand pairs, and the verdicts on rendered ones. `python -m benchmarks.throughput`.
+"""Geometric verification of many image pairs: time, and fraction classified correctly. `python -m benchmarks.throughput`.
 
-Each program runs in a process of its own, in turn, after a warm-up; the table shows the median of the rounds.
+Each program runs in its own process, in turn, after a warm-up; the table has medians of the rounds.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from rich.console import Console
 
 from benchmarks.measure import REPOSITORY, describe_machine
 from benchmarks.side_by_side import compare, table_of
-from benchmarks.tasks.pairs import KINDS, KnownPair, made_up_pairs, rendered_pairs
+from benchmarks.tasks.pairs import KINDS, KnownPair, rendered_pairs, synthetic_pairs
 
 MAX_ERROR_PX = 4.0
 
 
 def verify_with_epipole(problems: list[KnownPair], threads: int) -> list[str]:
-    """verify_pairs, with as many threads as asked."""
+    """Kinds of the pairs by epipole's `verify_pairs`."""
     from epipole import _parallel
     from epipole.robust import PairKind, PairMatches, RansacConfig, verify_pairs
 
     _parallel.set_num_threads(threads)
-    words = {
+    names = {
         PairKind.GENERAL: "general",
         PairKind.PLANAR: "planar",
         PairKind.ROTATION: "rotation",
@@ -36,32 +36,32 @@ def verify_with_epipole(problems: list[KnownPair], threads: int) -> list[str]:
     found = verify_pairs(
         pairs, RansacConfig(max_error_px=MAX_ERROR_PX, confidence=0.999, min_inlier_ratio=0.25)
     )
-    return [words.get(g.kind, "none") for g in found]
+    return [names.get(g.kind, "none") for g in found]
 
 
 def verify_with_pycolmap(problems: list[KnownPair], _threads: int) -> list[str]:
-    """E, F and H with its own selection at its own settings. It has no word for a camera at rest."""
+    """Kinds of the pairs by pycolmap's two-view geometry with default options, which has no kind for a static camera."""
     import pycolmap
 
     options = pycolmap.TwoViewGeometryOptions()
     options.ransac.max_error = MAX_ERROR_PX
-    options.compute_relative_pose = True  # without it a plane and a rotation are one
+    options.compute_relative_pose = True  # needed to distinguish planes from rotations
     options.ransac.random_seed = 0
-    words = {2: "general", 3: "general", 4: "planar", 5: "rotation", 6: "planar"}
+    names = {2: "general", 3: "general", 4: "planar", 5: "rotation", 6: "planar"}
     out = []
-    for a, b, _, known in problems:
-        params = [*known.params[:2], *(known.params[2:] + 0.5)]  # its image's corner is at (0, 0)
-        camera = pycolmap.Camera(model="PINHOLE", width=known.width, height=known.height, params=params)
+    for a, b, _, ours in problems:
+        params = [*ours.params[:2], *(ours.params[2:] + 0.5)]  # COLMAP's image corner is (0, 0)
+        camera = pycolmap.Camera(model="PINHOLE", width=ours.width, height=ours.height, params=params)
         rows = np.repeat(np.arange(len(a), dtype=np.uint32)[:, None], 2, axis=1)
         found = pycolmap.estimate_calibrated_two_view_geometry(
             camera, a + 0.5, camera, b + 0.5, rows, options
         )
-        out.append(words.get(int(found.config), "none"))
+        out.append(names.get(int(found.config), "none"))
     return out
 
 
 def verify_with_poselib(problems: list[KnownPair], _threads: int) -> list[str]:
-    """Relative pose alone: it says nothing of the kind."""
+    """Relative poses by PoseLib, which does not determine the kind."""
     import poselib
 
     options = {
@@ -70,16 +70,16 @@ def verify_with_poselib(problems: list[KnownPair], _threads: int) -> list[str]:
         "max_iterations": 10_000,
         "success_prob": 0.999,
     }
-    for a, b, _, known in problems:
-        size = {"width": known.width, "height": known.height}
-        camera = {"model": "PINHOLE", **size, "params": list(known.params)}
+    for a, b, _, ours in problems:
+        size = {"width": ours.width, "height": ours.height}
+        camera = {"model": "PINHOLE", **size, "params": list(ours.params)}
         poselib.estimate_relative_pose(a, b, camera, camera, options, {})
     return ["none"] * len(problems)
 
 
 def main() -> None:
-    """Run both comparisons and print their tables."""
-    parser = argparse.ArgumentParser(description="Verification of many pairs at once.")
+    """Run both comparisons, print their tables and write the results."""
+    parser = argparse.ArgumentParser(description="Geometric verification of many image pairs.")
     parser.add_argument("--pairs", type=int, default=1000)
     parser.add_argument("--matches", type=int, default=1000)
     parser.add_argument("--outliers", type=float, default=0.4)
@@ -95,7 +95,7 @@ def main() -> None:
     }
     report: dict[str, Any] = {"machine": describe_machine(2)}
     for name, problems, rounds in (
-        ("verify", made_up_pairs(arguments.pairs, arguments.matches, arguments.outliers), arguments.rounds),
+        ("verify", synthetic_pairs(arguments.pairs, arguments.matches, arguments.outliers), arguments.rounds),
         ("verify rendered", rendered_pairs(arguments.rendered), 1),
     ):
         truth = [pair.kind for pair in problems]
@@ -108,7 +108,7 @@ def main() -> None:
 
 
 def _agreement(found: list[str], truth: list[str]) -> dict[str, float]:
-    """Share of right words; a camera at rest may be called a rotation, which by nothing it is."""
+    """Fraction of correct kinds; for a static camera, "rotation" (by zero degrees) is correct, too."""
     out = {}
     for kind in KINDS:
         pairs = [(f, t) for f, t in zip(found, truth) if t == kind]

@@ -1,6 +1,6 @@
-"""Triangulating a million points from two views, and many points from five. `python -m benchmarks.triangulation`.
+"""Triangulation of a million points from two views, and of points with outliers from five. `python -m benchmarks.triangulation`.
 
-Each program runs in a process of its own, in turn, after a warm-up; the table shows the median of the rounds.
+Each program runs in its own process, in turn, after a warm-up; the table has medians of the rounds.
 """
 
 from __future__ import annotations
@@ -19,8 +19,13 @@ from benchmarks.side_by_side import compare, table_of
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3
 
-NOISE_PX, MAX_ERROR_PX, WRONG = 1.0, 4.0, 0.1
-LOOPED = 20_000
+NOISE_PX = 1.0
+MAX_ERROR_PX = 4.0
+"""Inlier threshold of the robust estimators."""
+OUTLIERS = 0.1
+"""Fraction of outlier pixels in the five-view problem."""
+NUM_LOOPED = 20_000
+"""Points that pycolmap triangulates one by one."""
 CAMERA = Camera(CameraModel.PINHOLE, 1280, 960, np.array([800.0, 800.0, 639.5, 479.5]))
 VIEWS = Rigid3.exp(
     np.array(
@@ -32,19 +37,19 @@ VIEWS = Rigid3.exp(
 )
 
 
-def made_up_views(num_views: int, count: int, wrong: float) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (v, n, 2) of points in the first views, a share of them anywhere, and the points."""
+def synthetic_views(num_views: int, count: int, outliers: float) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (v, n, 2) of points in the first views, with a fraction of outliers, and the points (n, 3)."""
     rng = np.random.default_rng(0)
     points = rng.uniform([-2, -1.5, 4], [2, 1.5, 9], (count, 3))
     pixels = np.stack([CAMERA.project(VIEWS[k].apply(points)) for k in range(num_views)])
     pixels += NOISE_PX * rng.standard_normal(pixels.shape)
-    anywhere = rng.random((num_views, count)) < wrong
-    pixels[anywhere] = rng.uniform(0, (1280, 960), (int(anywhere.sum()), 2))
+    is_outlier = rng.random((num_views, count)) < outliers
+    pixels[is_outlier] = rng.uniform(0, (1280, 960), (int(is_outlier.sum()), 2))
     return pixels, points
 
 
 def triangulate_with_epipole(pixels: np.ndarray, threads: int) -> np.ndarray:
-    """triangulate_points."""
+    """Triangulate with `epipole.robust.triangulate_points`."""
     from epipole import _parallel
     from epipole.robust import triangulate_points
 
@@ -53,7 +58,7 @@ def triangulate_with_epipole(pixels: np.ndarray, threads: int) -> np.ndarray:
 
 
 def triangulate_with_opencv(pixels: np.ndarray, threads: int) -> np.ndarray:
-    """cv2.triangulatePoints."""
+    """Triangulate with `cv2.triangulatePoints`."""
     import cv2
 
     cv2.setNumThreads(threads)
@@ -65,17 +70,17 @@ def triangulate_with_opencv(pixels: np.ndarray, threads: int) -> np.ndarray:
 
 
 def triangulate_with_pycolmap(pixels: np.ndarray, _threads: int) -> np.ndarray:
-    """pycolmap.triangulate_point in a loop over the first points: it has no call for many."""
+    """Triangulate the first points one by one with `pycolmap.triangulate_point`, which has no batched variant."""
     import pycolmap
 
     one, two = (VIEWS[k].as_matrix()[:3] for k in range(2))
-    a, b = ((p[:LOOPED] - CAMERA.K[:2, 2]) / 800.0 for p in pixels)
+    a, b = ((p[:NUM_LOOPED] - CAMERA.K[:2, 2]) / 800.0 for p in pixels)
     found = [pycolmap.triangulate_point(one, two, u, v) for u, v in zip(a, b)]
     return np.array([np.full(3, np.nan) if x is None else np.ravel(x) for x in found])
 
 
 def robustly_with_epipole(pixels: np.ndarray, threads: int) -> np.ndarray:
-    """triangulate_points with a threshold."""
+    """Triangulate robustly with `epipole.robust.triangulate_points`."""
     from epipole import _parallel
     from epipole.robust import triangulate_points
 
@@ -85,7 +90,7 @@ def robustly_with_epipole(pixels: np.ndarray, threads: int) -> np.ndarray:
 
 
 def robustly_with_pycolmap(pixels: np.ndarray, _threads: int) -> np.ndarray:
-    """pycolmap.estimate_triangulation, point by point, with the same threshold in pixels."""
+    """Triangulate robustly with `pycolmap.estimate_triangulation`, point by point, with the same threshold."""
     import pycolmap
 
     params = [*CAMERA.params[:2], *(CAMERA.params[2:] + 0.5)]
@@ -104,8 +109,8 @@ def robustly_with_pycolmap(pixels: np.ndarray, _threads: int) -> np.ndarray:
 
 
 def main() -> None:
-    """Run both comparisons and print their tables."""
-    parser = argparse.ArgumentParser(description="Triangulation of many points at once.")
+    """Run both comparisons, print their tables and write the results."""
+    parser = argparse.ArgumentParser(description="Triangulation of many points.")
     parser.add_argument("--points", type=int, default=1_000_000)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
@@ -116,7 +121,7 @@ def main() -> None:
         "epipole, 1 thread": (triangulate_with_epipole, 1),
         "OpenCV, 1 thread": (triangulate_with_opencv, 1),
         "OpenCV, 2 threads": (triangulate_with_opencv, 2),
-        f"pycolmap, {LOOPED} points": (triangulate_with_pycolmap, 1),
+        f"pycolmap, {NUM_LOOPED} points": (triangulate_with_pycolmap, 1),
     }
     five_views: dict[str, tuple[Callable[..., Any], int]] = {
         "epipole, 2 threads": (robustly_with_epipole, 2),
@@ -124,8 +129,8 @@ def main() -> None:
         "pycolmap": (robustly_with_pycolmap, 1),
     }
     for name, programs, data in (
-        ("two views", two_views, made_up_views(2, arguments.points, 0.0)),
-        ("five views, a tenth of the pixels wrong", five_views, made_up_views(5, LOOPED, WRONG)),
+        ("two views", two_views, synthetic_views(2, arguments.points, 0.0)),
+        ("five views, a tenth of the pixels wrong", five_views, synthetic_views(5, NUM_LOOPED, OUTLIERS)),
     ):
         pixels, points = data
         report[name] = compare(
@@ -137,13 +142,13 @@ def main() -> None:
 
 
 def _errors(found: np.ndarray, points: np.ndarray) -> dict[str, float]:
-    apart = np.linalg.norm(found - points[: len(found)], axis=1)
-    known = apart[np.isfinite(apart)]
+    distances = np.linalg.norm(found - points[: len(found)], axis=1)
+    known = distances[np.isfinite(distances)]
     return {
         "mean error": float(known.mean()),
         "median error": float(np.median(known)),
         "90 % error": float(np.quantile(known, 0.9)),
-        "found": len(known) / len(apart),
+        "found": len(known) / len(distances),
     }
 
 

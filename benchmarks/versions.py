@@ -1,7 +1,6 @@
-"""This version beside another one: whole commands in turn, wall and processor time, medians of pairs.
+"""Time of epipole's commands compared with another version: `python -m benchmarks.versions --other CHECKOUT`.
 
-`python -m benchmarks.versions --other CHECKOUT`, where CHECKOUT holds the other version's `src` (`git worktree add`). Both run
-with this interpreter and its packages; kernels are compiled in a first run of each that does not count.
+CHECKOUT contains the other version's `src` (`git worktree add`). Both versions run in turn in this environment, after a warm-up.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ JOBS = {
     "splat": ("splat", "MODEL", "OUT", "--steps", "200"),
     "aloe": ("stereo", "DATA/stereo/aloe/aloeL.jpg", "DATA/stereo/aloe/aloeR.jpg", "OUT"),
 }
-"""OUT is a new folder, MODEL the fountain as this version reconstructs it."""
+"""Arguments of the commands; OUT is a new folder, MODEL this version's reconstruction of fountain-P11."""
 
 
 def timed(checkout: Path, job: tuple[str, ...], data: Path, model: Path) -> tuple[float, float]:
-    """Seconds of the clock and of the processor.
+    """Wall time and processor time of a command in seconds.
 
     Raises:
         SystemExit: the command fails.
@@ -55,12 +54,12 @@ def timed(checkout: Path, job: tuple[str, ...], data: Path, model: Path) -> tupl
 
 
 def main() -> None:
-    """Run the pairs and print the table."""
+    """Run both versions in turn and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--other", type=Path, required=True, help="folder whose src is the other version")
+    parser.add_argument("--other", type=Path, required=True, help="checkout of the other version")
     parser.add_argument("--pairs", type=int, default=5)
     parser.add_argument("--job", nargs="+", choices=list(JOBS), default=list(JOBS))
-    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     arguments = parser.parse_args()
     data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
     both = {"this": REPOSITORY, "other": arguments.other.resolve()}

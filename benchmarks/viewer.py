@@ -1,8 +1,8 @@
-"""The viewer without a graphics card: seconds to see a large cloud, and frames a second while it turns.
+"""Loading time and frame time of the viewer with large point clouds, without a GPU.
 
     python -m benchmarks.viewer [--points N ...]
 
-Headless Chromium with WebGL in software (SwiftShader) on the same cores. Needs Playwright and a Chromium.
+The browser is headless Chromium with software WebGL (SwiftShader) on the same cores; the benchmark needs Playwright and Chromium.
 """
 
 from __future__ import annotations
@@ -32,9 +32,11 @@ SOFTWARE_GL = (
     "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
 )
-FRAMES, SKIPPED = 150, 30
-"""Rotated by hand, one step per frame; the first frames, while the number of points settles, do not count."""
-TURN = """async ([frames, skipped]) => {
+NUM_FRAMES = 150
+"""Frames while the camera rotates around the cloud."""
+NUM_SKIPPED = 30
+"""First frames, which are not counted because the viewer still adapts the number of points."""
+ROTATE = """async ([frames, skipped]) => {
   const canvas = document.getElementById("space"), { view } = await space, times = [], counts = [];
   for (let k = 0, last = performance.now(); k < frames; k++) {
     view.jumpTo({ ...view.eye(), yaw: view.eye().yaw + 0.02 });
@@ -49,7 +51,7 @@ STATE = "[Number(document.getElementById('space').dataset.points || 0), document
 
 
 def cloud(path: Path, n: int) -> None:
-    """A wavy ring of so many points with colours."""
+    """Write a wavy ring of `n` points with colors."""
     rng = np.random.default_rng(0)
     around, up = rng.uniform(0, 2 * np.pi, n), rng.uniform(-1, 1, n)
     radius = 3 + 0.3 * np.sin(5 * around) + 0.2 * np.cos(21 * up)
@@ -60,7 +62,7 @@ def cloud(path: Path, n: int) -> None:
 
 
 def measured(browser: Any, path: Path) -> dict[str, float]:
-    """One opening of a file, and one turn around it."""
+    """Open a file once, rotate the camera around it, and measure both."""
     start = time.perf_counter()
     handle = epipole.view(path, block=False)
     served = time.perf_counter()
@@ -68,13 +70,13 @@ def measured(browser: Any, path: Path) -> dict[str, float]:
     page.goto(handle.url)
     found: dict[str, float] = {"read_s": served - start}
     while "all_s" not in found:
-        points, converged = page.evaluate(STATE)
+        points, is_complete = page.evaluate(STATE)
         if points and "first_picture_s" not in found:
             found["first_picture_s"] = time.perf_counter() - served
-        if converged == "yes":
+        if is_complete == "yes":
             found["all_s"] = time.perf_counter() - served
         time.sleep(0.01)
-    times, counts = page.evaluate(TURN, [FRAMES, SKIPPED])
+    times, counts = page.evaluate(ROTATE, [NUM_FRAMES, NUM_SKIPPED])
     page.close()
     handle.stop()
     return found | {
@@ -104,8 +106,8 @@ def main() -> None:
         rows.append({"points": n} | {name: statistics.median(run[name] for run in runs) for name in runs[0]})
     content = {"machine": describe_machine(2), "window": SIZE, "num_runs": arguments.runs, "clouds": rows}
     RESULTS.write_text(json.dumps(content, indent=1) + "\n")
-    heads = ("read, s", "first image, s", "all points, s", "ms a frame", "95 %", "points a frame")
-    table = Table("points", *heads)
+    headings = ("read, s", "first image, s", "all points, s", "ms per frame", "95 %", "points per frame")
+    table = Table("points", *headings)
     for row in rows:
         seconds = (f"{row[name]:.2f}" for name in ("read_s", "first_picture_s", "all_s"))
         frames = (f"{row[name]:.0f}" for name in ("frame_ms", "frame_ms_p95"))

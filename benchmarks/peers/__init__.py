@@ -1,1 +1,1 @@
-"""The programs compared, one class each, each run in a process of its own."""
+"""The compared programs, one class each; each runs in its own process."""

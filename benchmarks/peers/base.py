@@ -1,4 +1,4 @@
-"""What every program compared must offer."""
+"""Interface of the compared structure-from-motion programs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from benchmarks.tasks.sfm import SfmTask
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The same bounds for every program."""
+    """Limits that are the same for every program."""
 
     max_image_size: int = 3200
     max_num_features: int = 8192
@@ -19,14 +19,14 @@ class Limits:
 
 
 class SfmPeer(Protocol):
-    """A program that turns images into a COLMAP model under `out/sparse`."""
+    """A program that reconstructs images and writes a COLMAP model under `out/sparse`."""
 
     name: str
     needs: str | None
-    """The peer whose run just before left `database.db`, which this one starts from; None: starts from images."""
+    """Name of the peer whose `database.db` this one starts from; None: it starts from the images."""
 
     def version(self) -> str | None:
-        """The installed version; None where it is not installed."""
+        """The installed version; None if it is not installed."""
 
     def command(self, task: SfmTask, out: Path, limits: Limits) -> list[str]:
-        """The command line of one whole run, in a process of its own."""
+        """The command line of one complete run."""

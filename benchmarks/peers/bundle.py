@@ -1,8 +1,6 @@
-"""Bundle adjusters of the field, each behind one function, task, limits -> solution, in a process of its own.
+"""Bundle adjusters with a common interface: `solve(task, limits)` returns a solution, and each runs in its own process.
 
-All minimise the same sum from the same start, stop at the same relative decrease of it and at nothing else, and are
-judged by `benchmarks.tasks.bundle.cost` of the arrays they hand back. The gauge is left to the damping, which takes Ceres
-and epipole fewer steps than holding a frame (7 instead of 12 or 13 on problem-16-22106); GTSAM needs priors.
+All minimize the same sum from the same start and stop only at the same relative decrease. Only GTSAM fixes the gauge (by priors).
 """
 
 from __future__ import annotations
@@ -25,41 +23,41 @@ import numpy as np
 from benchmarks.tasks.bundle import BundleTask, LossName, cost, ring_task
 
 _THREAD_VARIABLES = ("EPIPOLE_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_AGREE = 1e-6
-"""Relative difference of a library's own final cost and the yardstick's above which the message tells it."""
+_MAX_COST_DIFFERENCE = 1e-6
+"""Relative difference between a library's own final cost and ours above which the message mentions it."""
 
 
 @dataclass(frozen=True, slots=True)
 class BundleLimits:
-    """The same bounds for every library."""
+    """Limits that are the same for every library."""
 
     loss: LossName = "trivial"
     loss_scale_px: float = 1.0
     max_iterations: int = 100
     function_tolerance: float = 1e-6
-    """Stop when a step lowers the cost by less than this share of it."""
+    """Stop when the relative decrease of the cost in one step is smaller."""
     num_threads: int = 1
 
 
 @dataclass(frozen=True, slots=True)
 class BundleRun:
-    """How a library fared."""
+    """Time and cost of one library on one task."""
 
     seconds_build: float
-    """Making the library's own problem of the arrays."""
+    """Time to convert the arrays into the library's own problem."""
     seconds_solve: float
     initial_cost: float
     final_cost: float
     num_iterations: int
-    """Steps solved for, the last one included (GTSAM: accepted ones)."""
+    """Linear solves, including the last one (GTSAM: accepted steps)."""
     costs_over_time: list[tuple[float, float]] | None
-    """(seconds from the start of the solve, the library's own cost) after each iteration."""
+    """(seconds since the start of the solve, the library's own cost) after each iteration."""
     message: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleSolution:
-    """What a library hands back; arrays as in `BundleTask`."""
+    """Result of a library; arrays as in `BundleTask`."""
 
     rotation: np.ndarray
     translation: np.ndarray
@@ -74,13 +72,13 @@ class BundleSolution:
 
 
 class BundlePeer(ABC):
-    """A library; `solve()` is called in a process of its own."""
+    """A library. `solve` runs in a new process."""
 
     name: str
     package: str
 
     def version(self) -> str | None:
-        """The installed version; None where it is not installed."""
+        """The installed version; None if it is not installed."""
         try:
             return metadata.version(self.package)
         except metadata.PackageNotFoundError:
@@ -88,7 +86,7 @@ class BundlePeer(ABC):
 
     @abstractmethod
     def solve(self, task: BundleTask, limits: BundleLimits) -> BundleSolution:
-        """Adjust everything that the task leaves free."""
+        """Optimize all free parameters of the task."""
 
 
 class Epipole(BundlePeer):
@@ -97,15 +95,15 @@ class Epipole(BundlePeer):
     name, package = "epipole", "epipole"
 
     def solve(self, task: BundleTask, limits: BundleLimits) -> BundleSolution:
-        """Adjust everything that the task leaves free; compiled code is loaded before the clock starts."""
-        small = ring_task(6, 60) if not _own_cameras(task) else task
+        """Optimize all free parameters of the task; compiled code is loaded before the clock starts."""
+        small = ring_task(6, 60) if not _has_camera_per_frame(task) else task
         self.adjust(small, replace(limits, max_iterations=1))
         return self.adjust(task, limits)
 
     def adjust(
         self, task: BundleTask, limits: BundleLimits, *, single_precision: bool = False
     ) -> BundleSolution:
-        """As `solve`, cold."""
+        """`solve` without the warm-up."""
         from epipole.optim import BundleConfig, Loss, adjust_bundle
 
         start = time.perf_counter()
@@ -163,7 +161,7 @@ class Epipole(BundlePeer):
 
 
 class _ColmapProblem:
-    """A task as a pycolmap reconstruction with its bundle adjuster; identifiers are indices plus one."""
+    """A task as a pycolmap reconstruction with its bundle adjuster; COLMAP's ids are our indices plus one."""
 
     def __init__(self, task: BundleTask, limits: BundleLimits) -> None:
         import pycolmap
@@ -179,7 +177,7 @@ class _ColmapProblem:
         )
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The reconstruction as it stands now."""
+        """Poses, camera parameters and points of the reconstruction."""
         task, found = self.task, self.reconstruction
         motion = np.array([found.image(f + 1).cam_from_world().matrix() for f in range(len(task.rotation))])
         params = task.params.copy()
@@ -229,7 +227,7 @@ def _add_colmap_points(out: Any, task: BundleTask, index_in_image: np.ndarray) -
         seen = zip((task.frame[rows] + 1).tolist(), index_in_image[rows].tolist())
         identifier = out.add_point3D(xyz, Track([TrackElement(image, index) for image, index in seen]))
         if identifier != j + 1:
-            raise RuntimeError(f"pycolmap calls point {j} {identifier}")
+            raise RuntimeError(f"pycolmap gave point {j} the id {identifier}, not {j + 1}.")
 
 
 def _colmap_options(limits: BundleLimits) -> Any:
@@ -252,30 +250,30 @@ def _limit_ceres(options: Any, limits: BundleLimits) -> None:
 
 
 def _ceres_message(summary: Any) -> str:
-    """Why it stopped and with which linear solver."""
+    """Reason for stopping, and linear solver."""
     return f"{summary.termination_type.name}, {summary.linear_solver_type_used.name}: {summary.message}"
 
 
 class Pycolmap(BundlePeer):
-    """COLMAP's adjuster (Ceres) through pycolmap, with the linear solver that COLMAP picks for the size."""
+    """COLMAP's bundle adjuster (Ceres) through pycolmap, with the linear solver that COLMAP selects for the size."""
 
     name, package = "pycolmap", "pycolmap"
 
     def solve(self, task: BundleTask, limits: BundleLimits) -> BundleSolution:
-        """Adjust everything that the task leaves free."""
+        """Optimize all free parameters of the task."""
         from pycolmap.pyceres import LoggingType
 
         start = time.perf_counter()
         problem = _ColmapProblem(task, limits)
         built = time.perf_counter()
-        # Ceres tells the progress only on standard output, which pycolmap has no callbacks for.
+        # pycolmap has no callback for Ceres' progress, so it is parsed from standard output.
         solver = problem.adjuster.options.ceres.solver_options
         solver.logging_type = LoggingType.PER_MINIMIZER_ITERATION
         solver.minimizer_progress_to_stdout = True
         with _standard_output() as lines:
-            begin = time.perf_counter()
+            solve_start = time.perf_counter()
             solved: Any = problem.adjuster.solve()
-            seconds = time.perf_counter() - begin
+            seconds = time.perf_counter() - solve_start
         summary, progress = solved.ceres_summary, _ceres_progress(lines)
         return BundleSolution(
             **problem.arrays(),
@@ -290,7 +288,7 @@ class Pycolmap(BundlePeer):
 
 @contextmanager
 def _standard_output() -> Iterator[list[str]]:
-    """The lines that this process, its C++ included, writes to standard output meanwhile."""
+    """Capture the lines that this process, including C++ code, writes to standard output."""
     lines: list[str] = []
     sys.stdout.flush()
     before = os.dup(1)
@@ -306,7 +304,7 @@ def _standard_output() -> Iterator[list[str]]:
 
 
 def _ceres_progress(lines: list[str]) -> list[tuple[float, float]]:
-    """(total time, cost) of Ceres' table of iterations: number, cost, eight columns, total time."""
+    """(total time, cost) of each row in Ceres' table of iterations."""
     rows = [line.split() for line in lines]
     return [(float(row[-1]), float(row[1])) for row in rows if len(row) == 10 and row[0].isdecimal()]
 
@@ -317,8 +315,8 @@ LinearSolver = Literal["DENSE_SCHUR", "SPARSE_SCHUR", "ITERATIVE_SCHUR"]
 class Pyceres(BundlePeer):
     """The Ceres Solver through pyceres on COLMAP's cost functions, with a given linear solver.
 
-    The problem is pycolmap's, since pyceres has no manifold for COLMAP's poses of seven numbers; both
-    packages must be built with the same version of Ceres.
+    pycolmap builds the problem, because pyceres has no manifold for COLMAP's poses of seven numbers. Both packages must
+    be built with the same version of Ceres.
     """
 
     package = "pyceres"
@@ -328,12 +326,15 @@ class Pyceres(BundlePeer):
         self.name = f"pyceres-{linear_solver}"
 
     def solve(self, task: BundleTask, limits: BundleLimits) -> BundleSolution:
-        """Adjust everything that the task leaves free."""
-        import pyceres  # before pycolmap, which then makes problems of its type
+        """Optimize all free parameters of the task."""
+        import pyceres  # before pycolmap, whose problems then have pyceres' type
         import pycolmap
 
         if pyceres.__ceres_version__ != pycolmap.__ceres_version__:
-            raise RuntimeError(f"Ceres {pyceres.__ceres_version__} and {pycolmap.__ceres_version__}")
+            raise RuntimeError(
+                f"pyceres was built with Ceres {pyceres.__ceres_version__} and pycolmap with "
+                f"{pycolmap.__ceres_version__}: install builds with the same version."
+            )
         start = time.perf_counter()
         problem = _ColmapProblem(task, limits)
         ceres_problem = problem.adjuster.problem
@@ -353,12 +354,12 @@ class Pyceres(BundlePeer):
         )
 
     def _options(self, limits: BundleLimits) -> tuple[Any, list[tuple[float, float]]]:
-        """Options, and the list that a solve with them fills with its progress."""
+        """Options, and a list that the solve fills with (time, cost)."""
         import pyceres
 
         progress: list[tuple[float, float]] = []
 
-        class Note(pyceres.IterationCallback):
+        class RecordProgress(pyceres.IterationCallback):
             def __call__(self, iteration: Any) -> Any:
                 progress.append((iteration.cumulative_time_in_seconds, iteration.cost))
                 return pyceres.CallbackReturnType.SOLVER_CONTINUE
@@ -368,26 +369,26 @@ class Pyceres(BundlePeer):
         if self.linear_solver == "ITERATIVE_SCHUR":
             out.preconditioner_type = pyceres.PreconditionerType.SCHUR_JACOBI
         _limit_ceres(out, limits)
-        out.callbacks = [Note()]
+        out.callbacks = [RecordProgress()]
         return out, progress
 
 
 class Gtsam(BundlePeer):
-    """GTSAM's Levenberg-Marquardt at its defaults: the general one, or the one for structure from motion."""
+    """GTSAM's Levenberg-Marquardt with default options: the general variant, or that for structure from motion."""
 
     package = "gtsam"
     _GAUGE_PRECISION = 1e10
-    """Of priors at the start that cost nothing; weak ones make the damping creep."""
-    _HELD_PRECISION = 1e12
-    """Of k2 where it is held."""
+    """Precision of the priors that fix the gauge; weaker ones slow convergence."""
+    _FIXED_PRECISION = 1e12
+    """Precision of the priors that fix k2."""
 
     def __init__(self, optimizer: Literal["LevenbergMarquardt", "SfmLevenbergMarquardt"]) -> None:
         self.optimizer = optimizer
         self.name = f"gtsam-{optimizer}"
 
     def solve(self, task: BundleTask, limits: BundleLimits) -> BundleSolution:
-        """Adjust everything that the task leaves free."""
-        if hasattr(os, "sched_setaffinity"):  # it takes all processors that it sees and has no setting
+        """Optimize all free parameters of the task."""
+        if hasattr(os, "sched_setaffinity"):  # GTSAM has no option for the number of threads
             os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: limits.num_threads])
         import gtsam
 
@@ -417,37 +418,37 @@ class Gtsam(BundlePeer):
         )
 
     def _add_priors(self, graph: Any, values: Any, task: BundleTask) -> None:
-        """Hold one pose and one coordinate of another's place, as COLMAP does, and k2 where it is held."""
+        """Fix one pose and one coordinate of another one's position, as COLMAP does, and k2 if the task fixes it."""
         import gtsam
 
-        own = _own_cameras(task)
+        per_frame = _has_camera_per_frame(task)
         precisions = np.zeros((len(task.rotation), 9))
         first, second, axis = _gauge(task)
         precisions[first, :6] = precisions[second, 3 + axis] = self._GAUGE_PRECISION
-        if own and task.num_distortion == 1:
-            precisions[:, 8] = self._HELD_PRECISION
+        if per_frame and task.num_distortion == 1:
+            precisions[:, 8] = self._FIXED_PRECISION
         noise = gtsam.noiseModel.Diagonal.Precisions
         for f in np.flatnonzero(precisions.any(axis=1)):
             key = gtsam.symbol("x", f)
-            if own:
+            if per_frame:
                 camera = values.atPinholeCameraCal3Bundler(key)
                 graph.add(gtsam.PriorFactorPinholeCameraCal3Bundler(key, camera, noise(precisions[f])))
             else:
                 graph.add(gtsam.PriorFactorPose3(key, values.atPose3(key), noise(precisions[f, :6])))
-        if not own and task.num_distortion == 1:
-            fixed = noise(np.array([0.0, 0.0, self._HELD_PRECISION]))
+        if not per_frame and task.num_distortion == 1:
+            fixed = noise(np.array([0.0, 0.0, self._FIXED_PRECISION]))
             for c in range(len(task.params)):
                 key = gtsam.symbol("k", c)
                 graph.add(gtsam.PriorFactorCal3Bundler(key, values.atCal3Bundler(key), fixed))
 
 
-def _own_cameras(task: BundleTask) -> bool:
-    """Whether each frame has a camera of its own, which GTSAM keeps in one variable with the pose."""
+def _has_camera_per_frame(task: BundleTask) -> bool:
+    """Whether each frame has its own camera, which GTSAM stores in one variable with the pose."""
     return np.array_equal(task.camera_of_frame, np.arange(len(task.params)))
 
 
 def _gauge(task: BundleTask) -> tuple[int, int, int]:
-    """The frame with most observations, the one farthest from it, and its axis most along their line."""
+    """The frame with the most observations, the one farthest from it, and the latter's axis closest to their baseline."""
     centers = -np.einsum("fji,fj->fi", task.rotation, task.translation)
     first = int(np.argmax(np.bincount(task.frame)))
     second = int(np.argmax(np.linalg.norm(centers - centers[first], axis=1)))
@@ -465,7 +466,7 @@ def _gtsam_graph(task: BundleTask, limits: BundleLimits) -> Any:
     graph = gtsam.NonlinearFactorGraph()
     x, landmark, k = (gtsam.symbol(letter, 0) for letter in "xlk")
     rows = zip(task.frame.tolist(), task.point.tolist(), task.pixels)
-    if _own_cameras(task):
+    if _has_camera_per_frame(task):
         for f, j, pixel in rows:
             graph.push_back(gtsam.GeneralSFMFactorCal3Bundler(pixel, noise, x + f, landmark + j))
     else:
@@ -481,12 +482,12 @@ def _gtsam_values(task: BundleTask) -> Any:
 
     values = gtsam.Values()
     cameras = [gtsam.Cal3Bundler(f, k1, k2, cx, cy) for f, cx, cy, k1, k2 in task.params.tolist()]
-    own = _own_cameras(task)
+    per_frame = _has_camera_per_frame(task)
     for f, (rotation, translation) in enumerate(zip(task.rotation, task.translation)):
         pose = gtsam.Pose3(gtsam.Rot3(rotation), translation).inverse()
         key = gtsam.symbol("x", f)
-        values.insert(key, gtsam.PinholeCameraCal3Bundler(pose, cameras[f]) if own else pose)
-    if not own:
+        values.insert(key, gtsam.PinholeCameraCal3Bundler(pose, cameras[f]) if per_frame else pose)
+    if not per_frame:
         for c, camera in enumerate(cameras):
             values.insert(gtsam.symbol("k", c), camera)
     first = gtsam.symbol("l", 0)
@@ -498,9 +499,8 @@ def _gtsam_values(task: BundleTask) -> Any:
 def _gtsam_arrays(task: BundleTask, values: Any) -> dict[str, np.ndarray]:
     import gtsam
 
-    own = _own_cameras(task)
     keys = [gtsam.symbol("x", f) for f in range(len(task.rotation))]
-    if own:
+    if _has_camera_per_frame(task):
         cameras = [values.atPinholeCameraCal3Bundler(key) for key in keys]
         poses, calibrations = [c.pose() for c in cameras], [c.calibration() for c in cameras]
     else:
@@ -529,7 +529,7 @@ PEERS: tuple[BundlePeer, ...] = (
 def run_peer(
     peer: BundlePeer, task: BundleTask, limits: BundleLimits, timeout_s: float | None = None
 ) -> BundleRun | str:
-    """Solve a task in a new process; a string tells why there is nothing to report."""
+    """Solve a task in a new process; a string is the reason for a failure."""
     if peer.version() is None:
         return f"{peer.package} is not installed"
     context = get_context("spawn")
@@ -539,7 +539,7 @@ def run_peer(
         process.start()
     theirs.close()
     try:
-        return ours.recv() if ours.poll(timeout_s) else f"not done within {timeout_s:.0f} s"
+        return ours.recv() if ours.poll(timeout_s) else f"did not finish within {timeout_s:.0f} s"
     except EOFError:
         process.join(10)
         return f"the process ended with exit code {process.exitcode}"
@@ -550,7 +550,7 @@ def run_peer(
 
 @contextmanager
 def _thread_variables(num_threads: int) -> Iterator[None]:
-    """Set what libraries read as they are loaded, for processes started meanwhile."""
+    """Set the environment variables that libraries read at import, for processes started in this context."""
     before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, str(num_threads)))
     try:
@@ -565,23 +565,23 @@ def _thread_variables(num_threads: int) -> Iterator[None]:
 
 def _serve(peer: BundlePeer, task: BundleTask, limits: BundleLimits, connection: Connection) -> None:
     try:
-        connection.send(_judged(task, limits, peer.solve(task, limits)))
-    except Exception as error:  # noqa: BLE001 - a peer that raises has failed at the task
+        connection.send(_evaluated(task, limits, peer.solve(task, limits)))
+    except Exception as error:  # noqa: BLE001 - any exception of a peer is a failure
         connection.send(repr(error))
 
 
-def _judged(task: BundleTask, limits: BundleLimits, found: BundleSolution) -> BundleRun:
-    def judge(*arrays: np.ndarray) -> float:
+def _evaluated(task: BundleTask, limits: BundleLimits, found: BundleSolution) -> BundleRun:
+    def cost_of(*arrays: np.ndarray) -> float:
         return cost(task, *arrays, loss=limits.loss, loss_scale_px=limits.loss_scale_px)
 
-    final = judge(found.rotation, found.translation, found.params, found.points)
+    final = cost_of(found.rotation, found.translation, found.params, found.points)
     message = found.message
-    if not abs(final - found.own_cost) <= _AGREE * final:
+    if not abs(final - found.own_cost) <= _MAX_COST_DIFFERENCE * final:
         message += f"; its own final cost is {found.own_cost:.9g}"
     return BundleRun(
         seconds_build=found.seconds_build,
         seconds_solve=found.seconds_solve,
-        initial_cost=judge(task.rotation, task.translation, task.params, task.points),
+        initial_cost=cost_of(task.rotation, task.translation, task.params, task.points),
         final_cost=final,
         num_iterations=found.num_iterations,
         costs_over_time=found.costs_over_time,

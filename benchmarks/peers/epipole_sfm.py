@@ -1,4 +1,4 @@
-"""epipole itself, through its command line, as a user runs it."""
+"""epipole's structure from motion, run through its command line."""
 
 from __future__ import annotations
 
@@ -11,34 +11,31 @@ from benchmarks.tasks.sfm import SfmTask
 
 
 class EpipoleSfm:
-    """`epipole reconstruct IMAGES OUT` from the environment that runs the benchmark.
-
-    Its threads come from `$EPIPOLE_NUM_THREADS`.
-    """
+    """`epipole reconstruct IMAGES OUT` in the environment of the benchmark, with `$EPIPOLE_NUM_THREADS` threads."""
 
     name = "epipole"
     needs = None
 
     def version(self) -> str | None:
-        """The installed version; None where the command is not installed."""
+        """The installed version; None if the command is not installed."""
         try:
             return metadata.version("epipole") if self._program().exists() else None
         except metadata.PackageNotFoundError:
             return None
 
     def command(self, task: SfmTask, out: Path, limits: Limits) -> list[str]:
-        """The command line of one whole run."""
+        """The command line of one complete run."""
         known = []
         if task.camera_model is not None and task.camera_params is not None:
             params = ",".join(map(repr, task.camera_params))
             known = ["--camera-model", task.camera_model, "--camera-params", params]
-        bounds = [
+        limit_options = [
             "--features.max-features",
             str(limits.max_num_features),
             "--features.max-size-px",
             str(limits.max_image_size),
         ]
-        return [str(self._program()), "reconstruct", str(task.images), str(out), *known, *bounds]
+        return [str(self._program()), "reconstruct", str(task.images), str(out), *known, *limit_options]
 
     @staticmethod
     def _program() -> Path:

@@ -1,4 +1,4 @@
-"""epipole's `Slam` over a sequence, frame by frame: `python -m benchmarks.peers.epipole_slam FRAMES SENSOR OUT`."""
+"""Run epipole's `Slam` on a sequence: `python -m benchmarks.peers.epipole_slam FRAMES SENSOR OUT`."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ WARM_UP_FRAMES = 12
 
 
 class EpipoleSlam:
-    """`Slam` of the environment that runs the benchmark. Frames come as fast as it takes them: no answer depends on time."""
+    """epipole's `Slam`, which gets frames as fast as it processes them because its results do not depend on time."""
 
     name = "epipole"
 
     def version(self) -> str | None:
-        """The installed version; None where it is not installed."""
+        """The installed version; None if it is not installed."""
         try:
             return metadata.version("epipole")
         except metadata.PackageNotFoundError:
@@ -34,7 +34,7 @@ class EpipoleSlam:
 
 
 def main() -> None:
-    """Track every frame, then adjust the map; write the path as it was known then, and the final one."""
+    """Track every frame, then finish the map; write the poses as estimated on arrival and the final trajectory."""
     folder, sensor, out = Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3])
     from epipole.io.trajectories.files import write_trajectory
     from epipole.pipelines.slam.shutter.check import find_readout
@@ -42,10 +42,10 @@ def main() -> None:
 
     frames = load_frames(folder)
     camera = camera_of(frames, sensor)
-    for few in (Slam(camera),):  # kernels are compiled, or read from disk
-        for frame in frames_of(frames, sensor, WARM_UP_FRAMES):
-            few.track(frame)
-        few.finish()
+    warm_up = Slam(camera)  # compiles the kernels, or reads them from disk
+    for frame in frames_of(frames, sensor, WARM_UP_FRAMES):
+        warm_up.track(frame)
+    warm_up.finish()
     slam, ms, causal = Slam(camera), [], []
     states: Counter[str] = Counter()
     reasons: Counter[str] = Counter()
@@ -60,22 +60,22 @@ def main() -> None:
     start = time.perf_counter()
     slam.finish()
     finish_s = time.perf_counter() - start
-    path = slam.trajectory()
-    readout = None if camera.readout_s else find_readout(slam.odometry.mapper, path)
-    if len(path):
-        write_trajectory(path, out / "final.txt")
-    more = {
+    trajectory = slam.trajectory()
+    readout = None if camera.readout_s else find_readout(slam.odometry.mapper, trajectory)
+    if len(trajectory):
+        write_trajectory(trajectory, out / "final.txt")
+    summary = {
         "states": states,
         "reasons": reasons,
         "finish_s": finish_s,
         "num_keyframes": len(slam.map.keyframes),
         "readout_found_s": None if readout is None else readout.readout_s,
     }
-    save_answers(out, ms, causal, **more)
+    save_answers(out, ms, causal, **summary)
 
 
 def camera_of(frames: SlamFrames, sensor: str):
-    """The camera of a sequence, for `Slam`."""
+    """The camera of a sequence as `Slam` takes it."""
     from epipole.cameras import Camera, CameraModel
     from epipole.geometry import Rigid3
     from epipole.pipelines.slam.frames import DepthCamera, SlamCamera
@@ -88,15 +88,16 @@ def camera_of(frames: SlamFrames, sensor: str):
         return SlamCamera(camera, about["baseline_m"], readout_s=readout_s)
     if sensor == "mono":
         return SlamCamera(camera, readout_s=readout_s)
-    given, depth = about.get("depth_sensor"), DepthCamera(camera, Rigid3.identity())
-    if given is not None:
-        position = Rigid3.from_matrix(np.array(given["depth_from_color"]))
-        depth = DepthCamera(Camera(CameraModel.PINHOLE, *size, np.array(given["params"])), position)
+    depth_sensor, depth = about.get("depth_sensor"), DepthCamera(camera, Rigid3.identity())
+    if depth_sensor is not None:
+        depth_from_color = Rigid3.from_matrix(np.array(depth_sensor["depth_from_color"]))
+        depth_camera = Camera(CameraModel.PINHOLE, *size, np.array(depth_sensor["params"]))
+        depth = DepthCamera(depth_camera, depth_from_color)
     return SlamCamera(camera, None, depth, readout_s)
 
 
 def frames_of(frames: SlamFrames, sensor: str, count: int) -> Iterator:
-    """The first frames, for `Slam`."""
+    """The first `count` frames as `Slam` takes them."""
     from epipole.pipelines.slam.frames import Frame
 
     factor = frames.about.get("depth_sensor", {}).get("factor", frames.about.get("depth_factor"))

@@ -1,6 +1,6 @@
-"""Robust estimators of the field, each behind one function: problem, limits -> model; each in a process of its own.
+"""Robust estimators with a common interface: a function from problem and limits to a model, run in its own process.
 
-A model is a motion (R, t) for the pose problems and a 3 x 3 matrix for F and H; None is a failure.
+A model is (R, t) for pose problems and a 3 x 3 matrix for F and H; None is a failure.
 """
 
 from __future__ import annotations
@@ -21,17 +21,20 @@ from benchmarks.tasks.estimation import EstimationLimits, EstimationProblem, Kin
 
 Model = tuple[np.ndarray, np.ndarray] | np.ndarray | None
 Estimator = Callable[[EstimationProblem, EstimationLimits], Model]
-_REPEATS, _LONG_ENOUGH_S = 3, 0.1
+_REPEATS = 3
+"""Calls per problem."""
+_LONG_ENOUGH_S = 0.1
+"""After this time, a problem is not repeated."""
 
 
 class EstimationPeer(ABC):
-    """A library; `estimators()` is called in its own process and makes one function for each kind it can do."""
+    """A library. `estimators` runs in the library's own process."""
 
     name: str
     package: str
 
     def version(self) -> str | None:
-        """The installed version; None where it is not installed."""
+        """The installed version; None if it is not installed."""
         try:
             return metadata.version(self.package)
         except metadata.PackageNotFoundError:
@@ -171,7 +174,7 @@ class Poselib(EstimationPeer):
 
 
 class OpenCv(EstimationPeer):
-    """OpenCV with one of its USAC settings."""
+    """OpenCV with one of its USAC methods."""
 
     package = "opencv-python-headless"
 
@@ -226,7 +229,7 @@ class OpenCv(EstimationPeer):
 
 
 class Pycolmap(EstimationPeer):
-    """COLMAP through pycolmap; its pixels have the image's corner at (0, 0), which no figure here depends on."""
+    """COLMAP through pycolmap. Its pixel coordinates are shifted by half a pixel, which does not affect the errors."""
 
     name, package = "pycolmap", "pycolmap"
 
@@ -277,7 +280,7 @@ class Pycolmap(EstimationPeer):
 
 
 class Pydegensac(EstimationPeer):
-    """The authors' DEGENSAC and LO-RANSAC."""
+    """DEGENSAC and LO-RANSAC by their authors."""
 
     name, package = "pydegensac", "pydegensac"
 
@@ -310,7 +313,7 @@ PEERS: tuple[EstimationPeer, ...] = (
 
 
 class Worker:
-    """A peer in a process of its own that solves the problems it is sent, one at a time."""
+    """A process in which a peer solves one problem at a time."""
 
     def __init__(self, peer: EstimationPeer, kind: Kind) -> None:
         self.name = peer.name
@@ -320,7 +323,7 @@ class Worker:
         self._process.start()
 
     def solve(self, problem: EstimationProblem, limits: EstimationLimits) -> tuple[float, Model]:
-        """Median seconds of three calls (fewer where they are long), and the model of the last."""
+        """Median seconds of three calls (fewer if they are long), and the model of the last one."""
         self._connection.send((problem, limits))
         return self._connection.recv()
 
@@ -340,7 +343,7 @@ def _serve(peer: EstimationPeer, kind: Kind, connection: Connection) -> None:
             start = time.perf_counter()
             try:
                 model = estimate(*message)
-            except Exception:  # noqa: BLE001 - a peer that raises has failed at the problem
+            except Exception:  # noqa: BLE001 - any exception of a peer is a failure
                 model = None
             seconds.append(time.perf_counter() - start)
             if sum(seconds) > _LONG_ENOUGH_S:

@@ -1,8 +1,7 @@
-"""What pycolmap makes of a folder that epipole wrote: `python -m benchmarks.peers.pycolmap_reads OUT RESULT.json`.
+"""Use epipole's output in pycolmap: `python -m benchmarks.peers.pycolmap_reads OUT RESULT.json`.
 
-It reads the model, adjusts it with the loss that epipole ended with, and maps from the database. Where lenses
-were not known it adjusts twice: with them held, which is the same problem, and with them free, which is another
-one, for epipole expects lenses to be like other lenses where few points see them.
+pycolmap reads the model, adjusts it with epipole's final loss, and maps from the database. If the intrinsics were unknown, the
+adjustment runs twice: with fixed and with free intrinsics (a different problem, because epipole has a prior on them).
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 FINAL_LOSS_SCALE_PX = 0.5
+"""Scale of the Cauchy loss in epipole's last adjustment."""
 
 
 def examine(out: Path) -> dict[str, Any]:
@@ -35,15 +35,15 @@ def examine(out: Path) -> dict[str, Any]:
     return {
         "intrinsics_held": is_known,
         "read": read,
-        "adjusted": _adjust(pycolmap, model(), refine_lenses=False),
-        "adjusted_with_lenses": None if is_known else _adjust(pycolmap, model(), refine_lenses=True),
+        "adjusted": _adjust(pycolmap, model(), refine_intrinsics=False),
+        "adjusted_with_lenses": None if is_known else _adjust(pycolmap, model(), refine_intrinsics=True),
         "mapped": _map(pycolmap, out, is_known),
     }
 
 
-def _adjust(pycolmap: Any, model: Any, *, refine_lenses: bool) -> dict[str, Any]:
+def _adjust(pycolmap: Any, model: Any, *, refine_intrinsics: bool) -> dict[str, Any]:
     options = pycolmap.BundleAdjustmentOptions()
-    options.refine_focal_length = options.refine_extra_params = refine_lenses
+    options.refine_focal_length = options.refine_extra_params = refine_intrinsics
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     options.ceres.loss_function_scale = FINAL_LOSS_SCALE_PX
     config = pycolmap.BundleAdjustmentConfig()

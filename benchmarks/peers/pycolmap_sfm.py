@@ -1,8 +1,6 @@
-"""COLMAP through pycolmap: SIFT, exhaustive matching, then its incremental or its global mapper.
+"""COLMAP's structure from motion through pycolmap: `python -m benchmarks.peers.pycolmap_sfm IMAGES OUT MAPPER`.
 
-`python -m benchmarks.peers.pycolmap_sfm IMAGES OUT` runs it; the class makes that command line.
-The global mapper starts from the database that the incremental run left, and its time is given as the time of
-that run's features and matches plus its own process.
+The global mapper starts from the database of the incremental run.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ from benchmarks.tasks.sfm import SfmTask
 
 
 class PycolmapSfm:
-    """pycolmap's mapper of that kind ("incremental" or "global")."""
+    """pycolmap with its "incremental" or "global" mapper."""
 
     def __init__(self, mapper: str, needs: str | None = None, *, shared_camera: bool = False) -> None:
         self.mapper = mapper
@@ -32,14 +30,14 @@ class PycolmapSfm:
         self.needs = needs
 
     def version(self) -> str | None:
-        """The installed version of pycolmap; None where it is not installed."""
+        """The installed version of pycolmap; None if it is not installed."""
         try:
             return metadata.version("pycolmap")
         except metadata.PackageNotFoundError:
             return None
 
     def command(self, task: SfmTask, out: Path, limits: Limits) -> list[str]:
-        """The command line of one whole run."""
+        """The command line of one complete run."""
         known = []
         if task.camera_model is not None and task.camera_params is not None:
             params = ",".join(map(repr, task.camera_params))
@@ -47,9 +45,9 @@ class PycolmapSfm:
         if self.shared_camera:
             known.append("--shared-camera")
         database = ["--database", str(out.parent / self.needs / "database.db")] if self.needs else []
-        bounds = [str(limits.max_image_size), str(limits.max_num_features), str(limits.num_threads)]
+        numbers = [str(limits.max_image_size), str(limits.max_num_features), str(limits.num_threads)]
         module = [sys.executable, "-m", "benchmarks.peers.pycolmap_sfm"]
-        return [*module, str(task.images), str(out), self.mapper, "--limits", *bounds, *known, *database]
+        return [*module, str(task.images), str(out), self.mapper, "--limits", *numbers, *known, *database]
 
 
 def _arguments() -> argparse.Namespace:
@@ -60,13 +58,13 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--limits", type=int, nargs=3, default=(3200, 8192, 2))
     parser.add_argument("--camera-model")
     parser.add_argument("--camera-params", default="")
-    parser.add_argument("--shared-camera", action="store_true", help="one camera took all images")
+    parser.add_argument("--shared-camera", action="store_true", help="use one camera for all images")
     parser.add_argument("--database", type=Path)
     return parser.parse_args()
 
 
 def main() -> None:
-    """Run one mapper on one folder; the model goes to OUT/sparse, the stages' seconds to OUT/summary.json."""
+    """Run one mapper on a folder; write models to OUT/sparse and the time of each stage to OUT/summary.json."""
     import pycolmap
 
     arguments = _arguments()
@@ -99,8 +97,8 @@ def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
 def _front_end(
     pycolmap: Any, arguments: argparse.Namespace, database: Path, limits: Limits, seconds: dict[str, float]
 ) -> None:
-    """Features and verified matches of all pairs, on the CPU."""
-    from benchmarks.tasks.sfm import PICTURE_SUFFIXES
+    """Extract features and match all pairs, on the CPU."""
+    from benchmarks.tasks.sfm import IMAGE_SUFFIXES
 
     reader, is_known = pycolmap.ImageReaderOptions(), arguments.camera_model is not None
     if is_known:
@@ -110,7 +108,7 @@ def _front_end(
     extraction.max_image_size, extraction.num_threads = limits.max_image_size, limits.num_threads
     extraction.sift.max_num_features = limits.max_num_features
     matching.num_threads = limits.num_threads
-    names = sorted(p.name for p in arguments.images.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES)
+    names = sorted(p.name for p in arguments.images.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES)
     device = pycolmap.Device.cpu
     with _timed(seconds, "features"):
         pycolmap.extract_features(
@@ -141,7 +139,7 @@ def _incremental(
 def _global(
     pycolmap: Any, database: Path, images: Path, sparse: Path, limits: Limits, is_known: bool
 ) -> dict[int, Any]:
-    """The global mapper; without a calibration, focal lengths come from the view graph first, as it advises."""
+    """Run the global mapper, after view-graph calibration if no calibration is given, as COLMAP recommends."""
     options = pycolmap.GlobalPipelineOptions()
     options.num_threads = options.mapper.num_threads = limits.num_threads
     adjustment = options.mapper.bundle_adjustment

@@ -1,6 +1,6 @@
-"""ORB-SLAM3 (as `pyorbslam3`) over a sequence: `PYTHON -m benchmarks.peers.pyorbslam3_slam FRAMES SENSOR OUT VOCABULARY SLOWER`.
+"""Run ORB-SLAM3 (`pyorbslam3`) on a sequence: `PYTHON -m benchmarks.peers.pyorbslam3_slam FRAMES SENSOR OUT VOCABULARY SLOWER`.
 
-PYTHON needs NumPy and pyorbslam3 alone. It is GPL: it is run here in a process of its own, from an environment of its own.
+PYTHON needs only NumPy and pyorbslam3. Because of its GPL license, pyorbslam3 runs in a separate process and environment.
 """
 
 from __future__ import annotations
@@ -17,25 +17,26 @@ import numpy as np
 from benchmarks.peers.slam_frames import Metronome, SlamFrames, load_frames, save_answers
 
 SAVE_LIMIT_S = 30
+"""Time limit for saving the trajectory, which hangs if there is no map."""
 
 
 class Pyorbslam3Slam:
-    """ORB-SLAM3 at the settings of its own examples; frames come at the camera's rate, as its threads need it."""
+    """ORB-SLAM3 with the settings of its examples. It gets frames at the camera's rate, because its threads need the time."""
 
     def __init__(self, python: Path, vocabulary: Path, slower: float = 1.0) -> None:
         self._python, self._vocabulary, self._slower = python, vocabulary, slower
         self.name = "pyorbslam3" if slower == 1.0 else f"pyorbslam3 {slower:g}x slower"
 
     def version(self) -> str | None:
-        """The installed version; None where it, or the vocabulary, is not there."""
-        ask = "from importlib import metadata; import pyorbslam3; print(metadata.version('pyorbslam3'))"
+        """The installed version; None if pyorbslam3 or the vocabulary is missing."""
+        code = "from importlib import metadata; import pyorbslam3; print(metadata.version('pyorbslam3'))"
         try:
-            requested = subprocess.run(
-                [str(self._python), "-c", ask], capture_output=True, text=True, check=False
+            done = subprocess.run(
+                [str(self._python), "-c", code], capture_output=True, text=True, check=False
             )
         except OSError:
             return None
-        return requested.stdout.strip() if requested.returncode == 0 and self._vocabulary.is_file() else None
+        return done.stdout.strip() if done.returncode == 0 and self._vocabulary.is_file() else None
 
     def command(self, frames: Path, sensor: str, out: Path) -> list[str]:
         """The command line of one run."""
@@ -44,7 +45,7 @@ class Pyorbslam3Slam:
 
 
 def main() -> None:
-    """Track every frame at its time; write the path as it was known then, and the final one."""
+    """Track every frame at its time; write the poses as estimated on arrival and the final trajectory."""
     folder, sensor, out, vocabulary = Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3]), sys.argv[4]
     import pyorbslam3
 
@@ -72,25 +73,24 @@ def main() -> None:
         ms.append(1e3 * (time.perf_counter() - start))
         num_changes += bool(slam.map_changed())
         states[found.state.name] += 1
-        # A recently lost camera's place is where the motion model puts it: a guess, not an answer.
+        # In the state RECENTLY_LOST the pose is only a prediction of the motion model.
         causal.append(np.array(found.pose_wc) if found.ok and found.pose_wc is not None else None)
     start = time.perf_counter()
     slam.shutdown()
     finish_s = time.perf_counter() - start
-    more = {"states": states, "finish_s": finish_s, "most_late_s": metronome.most_late_s}
-    save_answers(out, ms, causal, **more, num_map_changes=num_changes)
-    # After the answers are kept: without a map it never comes back. Of one camera the other form saves keyframes alone.
-    signal.alarm(SAVE_LIMIT_S)
+    summary = {"states": states, "finish_s": finish_s, "most_late_s": metronome.most_late_s}
+    save_answers(out, ms, causal, **summary, num_map_changes=num_changes)
+    signal.alarm(SAVE_LIMIT_S)  # after the poses are saved, because without a map saving hangs
     if sensor == "mono":
-        slam.save_trajectory_euroc(str(out / "final.csv"))
+        slam.save_trajectory_euroc(str(out / "final.csv"))  # the TUM format has only keyframes for one camera
     else:
         slam.save_trajectory_tum(str(out / "final.txt"))
 
 
 def settings_of(frames: SlamFrames, sensor: str) -> str:
-    """Its settings file: the camera, and for the rest what its examples for such cameras say."""
+    """ORB-SLAM3's settings file, with the options of its example for such a camera."""
     about = frames.about
-    wide = about["width"] > 1000  # KITTI's example; else those of EuRoC and TUM
+    wide = about["width"] > 1000  # the example for KITTI; else those for EuRoC and TUM
     num_features = 2000 if wide else 1200 if sensor == "stereo" else 1000
     rate_hz = (len(frames) - 1) / float(frames.timestamp_s[-1] - frames.timestamp_s[0])
     lines = ["%YAML:1.0", 'File.version: "1.0"', 'Camera.type: "PinHole"']

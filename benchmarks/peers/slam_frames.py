@@ -1,4 +1,4 @@
-"""Frames of a sequence as both SLAM programs get them: arrays on disk, read before the clock runs. Needs NumPy alone."""
+"""Frames of a sequence as arrays on disk, from which both SLAM programs read. Needs only NumPy."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ class SlamFrames:
     """A sequence on disk."""
 
     about: dict[str, Any]
-    """Width, height, params (fx, fy, cx, cy), baseline_m, depth_factor (values for a metre, as the depth comes), ..."""
+    """width, height, params (fx, fy, cx, cy), baseline_m, depth_factor (depth values per metre), ..."""
     timestamp_s: np.ndarray
     left: np.ndarray
-    """(n, h, w) grey."""
+    """(n, h, w), grayscale."""
     right: np.ndarray | None
     depth: np.ndarray | None
-    """(n, h, w) of 16 bits, 0 for none."""
+    """(n, h, w), 16 bits; 0 is unknown."""
 
     def __len__(self) -> int:
         return len(self.timestamp_s)
@@ -42,7 +42,7 @@ def load_frames(folder: Path) -> SlamFrames:
 
 
 class Metronome:
-    """Gives the frames one at a time at the rate of the camera; one that comes late is given at once, none is dropped."""
+    """Clock that releases frames at the camera's rate; late frames are released at once, and none is dropped."""
 
     def __init__(self, timestamp_s: np.ndarray, slower: float = 1.0) -> None:
         self._due = slower * (timestamp_s - timestamp_s[0])
@@ -50,15 +50,15 @@ class Metronome:
         self.most_late_s = 0.0
 
     def wait_for(self, frame: int) -> None:
-        """Sleep until the frame would have come from the camera."""
+        """Sleep until the camera would have delivered the frame."""
         ahead = self._start + self._due[frame] - time.perf_counter()
         self.most_late_s = max(self.most_late_s, -ahead)
         if ahead > 0:
             time.sleep(ahead)
 
 
-def save_answers(out: Path, ms: list[float], causal: list[np.ndarray | None], **more: Any) -> None:
-    """Write what a program answered while the frames came: milliseconds, world_from_camera (n, 4, 4), and a summary."""
-    positions = np.stack([np.full((4, 4), np.nan) if position is None else position for position in causal])
-    np.savez(out / "causal.npz", ms=np.array(ms), world_from_camera=positions)
-    (out / "summary.json").write_text(json.dumps(more))
+def save_answers(out: Path, ms: list[float], causal: list[np.ndarray | None], **summary: Any) -> None:
+    """Write milliseconds and world_from_camera (n, 4, 4) of each frame as estimated on arrival, and a summary."""
+    poses = np.stack([np.full((4, 4), np.nan) if pose is None else pose for pose in causal])
+    np.savez(out / "causal.npz", ms=np.array(ms), world_from_camera=poses)
+    (out / "summary.json").write_text(json.dumps(summary))

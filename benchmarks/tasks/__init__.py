@@ -1,1 +1,1 @@
-"""What is to be done: the data, what is known beforehand, and the truth to compare with."""
+"""Tasks: data, known calibration, and ground truth."""

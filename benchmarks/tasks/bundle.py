@@ -1,7 +1,6 @@
 """Bundle adjustment problems as plain arrays: those of Agarwal et al. (BAL), and synthetic ones of any size.
 
-Conventions: x_cam = R X + t, the camera looks along +z with y down; intrinsics are f, cx, cy, k1, k2 of
-COLMAP's RADIAL model, pixel = f (1 + k1 r^2 + k2 r^4) x / z + c with r = |(x / z, y / z)|.
+Cameras have x_cam = R X + t and look along +z with y down; intrinsics are f, cx, cy, k1, k2 of COLMAP's RADIAL model.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ _CHUNK_OBSERVATIONS = 1 << 19
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleTask:
-    """A start. Focal lengths and the first distortion terms are free, principal points are held."""
+    """Initial values and observations. Focal lengths and distortion are free; principal points are fixed."""
 
     name: str
     rotation: np.ndarray
@@ -38,19 +37,19 @@ class BundleTask:
     points: np.ndarray
     """(p, 3)."""
     frame: np.ndarray
-    """(k,) int32, of each observation."""
+    """(k,) int32, frame of each observation."""
     point: np.ndarray
-    """(k,) int32, ascending."""
+    """(k,) int32, point of each observation, ascending."""
     pixels: np.ndarray
     """(k, 2)."""
     noise_px: float | None = None
-    """Standard deviation of each pixel coordinate, where it is known."""
+    """Standard deviation of each pixel coordinate, if known."""
     noise_floor: float | None = None
     """`true_noise_floor` of a synthetic task."""
 
 
 def true_noise_floor(task: BundleTask) -> float | None:
-    """Expected least cost: sigma^2 / 2 for each residual beyond unknowns less the gauge; None: unknown."""
+    """Expected minimum of the cost: sigma^2 / 2 per degree of freedom; None if sigma is unknown."""
     if task.noise_px is None:
         return None
     unknowns = 6 * len(task.rotation) + 3 * len(task.points) + (1 + task.num_distortion) * len(task.params)
@@ -58,7 +57,7 @@ def true_noise_floor(task: BundleTask) -> float | None:
 
 
 def project(params: np.ndarray, x_cam: np.ndarray) -> np.ndarray:
-    """Pixels of points in camera coordinates; params and points go row by row."""
+    """Pixels of points in camera coordinates, f (1 + k1 r^2 + k2 r^4) (x / z, y / z) + c; row k of `params` is for point k."""
     plane = x_cam[:, :2] / x_cam[:, 2:]
     r2 = np.einsum("ij,ij->i", plane, plane)
     scale = params[:, 0] * (1.0 + r2 * (params[:, 3] + r2 * params[:, 4]))
@@ -75,10 +74,10 @@ def cost(
     loss: LossName = "trivial",
     loss_scale_px: float = 1.0,
 ) -> float:
-    """Half the sum of rho(s) over the observations' squared errors s: the yardstick of every program.
+    """Half the sum of rho(s) over the squared errors s of all observations.
 
-    Huber's rho(s) is s up to scale^2 and 2 scale sqrt(s) - scale^2 beyond (Ceres). A point behind a camera is
-    projected by the same formula, as in the BAL paper.
+    Huber's rho(s) is s up to scale^2, and 2 scale sqrt(s) - scale^2 above (as in Ceres). Points behind a camera are projected
+    by the same formula, as in the BAL paper.
     """
     total = 0.0
     for start in range(0, len(task.frame), _CHUNK_OBSERVATIONS):
@@ -97,7 +96,7 @@ def cost(
 def bal_task(path: Path | str) -> BundleTask:
     """A problem of "Bundle Adjustment in the Large" (Agarwal et al., ECCV 2010), .txt or .txt.bz2.
 
-    Its cameras look along -z with y up, and every image has its own f, k1, k2; both are turned exactly.
+    Each image has its own f, k1, k2. BAL's cameras look along -z with y up; the conversion is exact.
     """
     path = Path(path)
     text = bz2.decompress(path.read_bytes()) if path.suffix == ".bz2" else path.read_bytes()
@@ -107,15 +106,15 @@ def bal_task(path: Path | str) -> BundleTask:
     rest = values[3 + 4 * num_observations :]
     cameras, points = rest[: 9 * num_frames].reshape(-1, 9), rest[9 * num_frames :].reshape(-1, 3)
     if len(points) != num_points:
-        raise ValueError(f"{path.name}: {num_points} points announced, {len(points)} found")
+        raise ValueError(f"{path.name} has {len(points)} points, but its header says {num_points}.")
     rows = rows[np.argsort(rows[:, 1], kind="stable")]
-    turn = np.array([1.0, -1.0, -1.0])
+    flip = np.array([1.0, -1.0, -1.0])  # half a rotation about x
     params = np.zeros((num_frames, 5))
     params[:, [0, 3, 4]] = cameras[:, 6:]
     return BundleTask(
         name=path.name.removesuffix(".bz2").removesuffix(".txt"),
-        rotation=turn[:, None] * Rotation.from_rotvec(cameras[:, :3]).as_matrix(),
-        translation=cameras[:, 3:6] * turn,
+        rotation=flip[:, None] * Rotation.from_rotvec(cameras[:, :3]).as_matrix(),
+        translation=cameras[:, 3:6] * flip,
         camera_of_frame=np.arange(num_frames, dtype=np.int32),
         params=params,
         num_distortion=2,
@@ -129,9 +128,11 @@ def bal_task(path: Path | str) -> BundleTask:
 def ring_task(
     num_frames: int, num_points: int, track_length: int = 6, noise_px: float = 0.7, seed: int = 0
 ) -> BundleTask:
-    """Cameras on a circle about a ball of points, each of them seen from `track_length` places in a row."""
+    """Cameras on a circle around a ball of points; `track_length` consecutive cameras observe each point."""
     if not 2 <= track_length <= num_frames:
-        raise ValueError(f"track_length must be from 2 to the number of frames, is {track_length}")
+        raise ValueError(
+            f"track_length must be from 2 to {num_frames} (the number of frames), not {track_length}."
+        )
     random = np.random.default_rng(seed)
     angle = np.arange(num_frames) / num_frames * 2.0 * np.pi
     centers = 10.0 * np.stack([np.cos(angle), np.sin(angle), np.zeros(num_frames)], axis=1)
@@ -146,12 +147,12 @@ def ring_task(
     params = np.array([[1000.0, 640.0, 480.0, -0.05, 0.0]])
     x_cam = np.einsum("kij,kj->ki", rotation[frame], points[point]) + translation[frame]
     pixels = project(params, x_cam) + random.normal(size=(len(frame), 2)) * noise_px
-    moved = random.normal(size=(num_frames, 6)) * 0.01
-    turn = Rotation.from_rotvec(moved[:, 3:]).as_matrix()
+    error = random.normal(size=(num_frames, 6)) * 0.01
+    rotation_error = Rotation.from_rotvec(error[:, 3:]).as_matrix()
     return _synthetic(
         name=f"ring-{num_frames}-{num_points}",
-        rotation=turn @ rotation,
-        translation=np.einsum("fij,fj->fi", turn, translation) + moved[:, :3],
+        rotation=rotation_error @ rotation,
+        translation=np.einsum("fij,fj->fi", rotation_error, translation) + error[:, :3],
         params=np.array([[1020.0, 640.0, 480.0, 0.0, 0.0]]),
         points=points + random.normal(size=points.shape) * 0.03,
         frame=frame,
@@ -181,7 +182,7 @@ def _synthetic(
 
 
 def _looking_along(direction: np.ndarray) -> np.ndarray:
-    """Rotations (n, 3, 3) of upright cameras in a world whose z is up."""
+    """Rotations (n, 3, 3) of upright cameras that look along these directions; the world's z is up."""
     z = direction / np.linalg.norm(direction, axis=1, keepdims=True)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x, axis=1, keepdims=True)
@@ -189,20 +190,24 @@ def _looking_along(direction: np.ndarray) -> np.ndarray:
 
 
 _SPACING_M = 0.5
-"""Between images along a street."""
+"""Distance between images along a street."""
 _YAWS_DEG = (60.0, 0.0, -60.0, 0.0)
-"""Where they look in turn, to the left of the way: forward ones tie both sides together."""
+"""Yaw of consecutive images, to the left of the driving direction; forward images connect both sides of the street."""
 _PITCH_DEG = 10.0
-_LEAST_BLOCK_M = 40.0
+_MIN_BLOCK_M = 40.0
 _HALF_STREET_M, _CAMERA_HEIGHT_M, _ROOF_M, _BAY_DEPTH_M = 8.0, 2.0, 14.0, 0.6
 _BEYOND_M = 30.0
-"""Facades go on past the last crossing."""
-_FARTHEST_M = 40.0
-_LOOKED_AT_M = 10.0
+"""Length of the facades beyond the last crossing."""
+_MAX_DISTANCE_M = 40.0
+"""Largest distance from a camera to a point that it observes."""
+_VIEW_CENTER_M = 10.0
+"""Distance from a camera to the center of its view."""
 _CITY_SIZE = (1600.0, 1200.0)
 _CITY_PARAMS = (900.0, 800.0, 600.0, -0.05, 0.0)
 _CANDIDATES = 24
+"""Number of frames near a point that may observe it."""
 _TRIES_PER_FRAME = 20
+"""After this number of unsuccessful rays, a point gets another frame."""
 _CHUNK_POINTS = 100_000
 
 
@@ -213,10 +218,10 @@ class _Drive(NamedTuple):
     center: np.ndarray
     along: np.ndarray
     """(f, 2), driving direction."""
-    first_view_of_positions: np.ndarray
-    """(f, 2), a place in the middle of the view."""
+    view_center: np.ndarray
+    """(f, 2), position in the middle of the view."""
     crossings: np.ndarray
-    """Where streets cross any street, measured along it."""
+    """Positions of the crossings along a street; the same for all streets."""
 
 
 class _Facades(NamedTuple):
@@ -224,25 +229,27 @@ class _Facades(NamedTuple):
 
     points: np.ndarray
     inward: np.ndarray
-    """(n, 2), into the building."""
+    """(n, 2), direction into the building."""
     frame: np.ndarray
-    """A frame that sees the point."""
+    """(n,), a frame that observes the point."""
 
     def pick(self, chosen: np.ndarray) -> _Facades:
         return _Facades(*(rows[chosen] for rows in self))
 
 
 def city_task(num_frames: int, num_points: int, num_observations: int, seed: int = 0) -> BundleTask:
-    """Streets on a grid, driven one after the other by a car that looks ahead and at the facades beside it.
+    """A grid of streets, driven one after the other by a car with cameras that look forward and at the facades.
 
-    Every point is seen 2 times or more, by some of the images nearest to it that have it in view; the start
-    is off by some centimetres and 0.2 degrees, smoothly along the drive, without drift, and points by 10 cm.
+    Each point has two observations or more, from images near it. The initial poses have smooth errors of about 5 cm and 0.2
+    degrees without drift; those of the points are 10 cm.
 
     Raises:
-        ValueError: fewer than two observations a point, or more than the images have in view.
+        ValueError: there are fewer than two observations per point, or more than the images can have.
     """
     if num_observations < 2 * num_points:
-        raise ValueError("a city needs two observations a point")
+        raise ValueError(
+            f"{num_points} points need at least {2 * num_points} observations, not {num_observations}."
+        )
     random = np.random.default_rng(seed)
     drive = _drive(num_frames)
     params, noise_px = np.array([_CITY_PARAMS]), 0.5
@@ -260,7 +267,7 @@ def city_task(num_frames: int, num_points: int, num_observations: int, seed: int
         frame[done:end], point[done:end] = frames, start + index
         points[start:stop] = x + random.normal(size=x.shape) * (0.1 / np.sqrt(3.0))
         done = end
-    rotation, translation = _off_by_a_little(drive, random)
+    rotation, translation = _initial_poses(drive, random)
     return _synthetic(
         name=f"city-{num_frames}-{num_points}",
         rotation=rotation,
@@ -275,10 +282,10 @@ def city_task(num_frames: int, num_points: int, num_observations: int, seed: int
 
 
 def _drive(num_frames: int) -> _Drive:
-    """Eastward and northward streets in turn, so that any number of images hangs together."""
+    """Alternating eastward and northward streets, so that any number of images is connected."""
     length = _SPACING_M * num_frames
     streets = max(2, round(0.5 + np.sqrt(length / 200.0)))
-    block = max(length / (2 * streets * (streets - 1)), _LEAST_BLOCK_M)
+    block = max(length / (2 * streets * (streets - 1)), _MIN_BLOCK_M)
     street, step = np.divmod(_SPACING_M * np.arange(num_frames), block * (streets - 1))
     along = np.where(street[:, None] % 2 == 0, [1.0, 0.0], [0.0, 1.0])
     ground = along * step[:, None] + along[:, ::-1] * (street // 2 * block)[:, None]
@@ -288,10 +295,8 @@ def _drive(num_frames: int) -> _Drive:
     pitch = np.deg2rad(_PITCH_DEG)
     direction = np.c_[np.cos(pitch) * level, np.full(num_frames, np.sin(pitch))]
     center = np.c_[ground, np.full(num_frames, _CAMERA_HEIGHT_M)]
-    first_view_of_positions = ground + _LOOKED_AT_M * level
-    return _Drive(
-        _looking_along(direction), center, along, first_view_of_positions, block * np.arange(streets)
-    )
+    view_center = ground + _VIEW_CENTER_M * level
+    return _Drive(_looking_along(direction), center, along, view_center, block * np.arange(streets))
 
 
 def _in_camera(drive: _Drive, frame: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -301,7 +306,7 @@ def _in_camera(drive: _Drive, frame: np.ndarray, points: np.ndarray) -> np.ndarr
 def _part_of_city(
     drive: _Drive, part: tuple[int, int, int], quota: int, random: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points `part` = (start, stop, of how many) along the drive: places, times seen, by which frames."""
+    """Points `part` = (start, stop, total) along the drive: positions, numbers of observations, and their frames."""
     start, stop, num_points = part
     first = np.arange(start, stop) * len(drive.center) // num_points
     points, visible = np.empty((stop - start, 3)), np.zeros(stop - start, np.int64)
@@ -322,66 +327,66 @@ def _part_of_city(
 
 
 def _on_facades(drive: _Drive, frame: np.ndarray, random: np.random.Generator) -> tuple[np.ndarray, _Facades]:
-    """Which of the rays through random pixels of frames meet a facade of their street, and where."""
+    """Rows of `frame` whose rays through random pixels hit a facade of their street, and the points there."""
     half_width, half_height = 0.5 * np.array(_CITY_SIZE) / _CITY_PARAMS[0]
     ray = np.ones((len(frame), 3))
     ray[:, 0] = random.uniform(-half_width, half_width, len(frame))
     ray[:, 1] = random.uniform(-half_height, half_height, len(frame))
     ray = np.einsum("kji,kj->ki", drive.rotation[frame], ray)
     along, center = drive.along[frame], drive.center[frame]
-    aside = along[:, ::-1]
-    towards = np.einsum("ki,ki->k", ray[:, :2], aside)
+    across = along[:, ::-1]
+    towards = np.einsum("ki,ki->k", ray[:, :2], across)
     depth = _HALF_STREET_M + random.uniform(0.0, _BAY_DEPTH_M, len(frame))
     x = center + ray * (depth / np.maximum(np.abs(towards), 1e-3))[:, None]
     position = np.einsum("ki,ki->k", x[:, :2], along)
     to_crossing = np.abs(position[:, None] - drive.crossings).min(axis=1)
     good = (x[:, 2] > 0.0) & (x[:, 2] < _ROOF_M) & (to_crossing > _HALF_STREET_M)
     good &= (position > -_BEYOND_M) & (position < drive.crossings[-1] + _BEYOND_M)
-    good &= np.linalg.norm(x - center, axis=1) < _FARTHEST_M
-    facades = _Facades(x, aside * np.sign(towards)[:, None], frame)
+    good &= np.linalg.norm(x - center, axis=1) < _MAX_DISTANCE_M
+    facades = _Facades(x, across * np.sign(towards)[:, None], frame)
     return np.flatnonzero(good), facades.pick(good)
 
 
 def _in_view(drive: _Drive, facades: _Facades, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Frames near each point, those that have it in view first, and how many of them have."""
+    """Frames near each point, first those that can observe it, and the number of these."""
     x, own = facades.points, facades.frame[:, None].astype(np.int32)
-    near, frames = cKDTree(drive.first_view_of_positions).query(x[:, :2], min(_CANDIDATES, len(drive.center)))
+    near, frames = cKDTree(drive.view_center).query(x[:, :2], min(_CANDIDATES, len(drive.center)))
     distance = np.pad(near, ((0, 0), (1, 0)))
     frames = np.concatenate([own, frames.astype(np.int32)], axis=1)
     width = frames.shape[1]
     x_cam = _in_camera(drive, frames.ravel(), np.repeat(x, width, axis=0))
-    seen = np.linalg.norm(x_cam, axis=1) < _FARTHEST_M
+    seen = np.linalg.norm(x_cam, axis=1) < _MAX_DISTANCE_M
     for axis in (0, 1):
         seen &= np.abs(x_cam[:, axis]) <= 0.5 * _CITY_SIZE[axis] / _CITY_PARAMS[0] * x_cam[:, 2] * (1 + 1e-9)
-    before = x[:, None, :2] - drive.center[frames, :2]
-    visible = seen.reshape(frames.shape) & (np.einsum("kji,ki->kj", before, facades.inward) > 1.0)
+    offset = x[:, None, :2] - drive.center[frames, :2]
+    visible = seen.reshape(frames.shape) & (np.einsum("kji,ki->kj", offset, facades.inward) > 1.0)
     visible[:, 1:] &= frames[:, 1:] != own
     key = np.where(visible, distance * random.uniform(0.5, 1.5, distance.shape), np.inf)
     return np.take_along_axis(frames, np.argsort(key, axis=1), axis=1), visible.sum(axis=1)
 
 
 def _track_lengths(visible: np.ndarray, quota: int, random: np.random.Generator) -> np.ndarray:
-    """Random numbers of observations from 2 to what is visible, with the given sum."""
+    """Random numbers of observations per point, from 2 to `visible`, with the sum `quota`."""
     mean = quota / len(visible)
     counts = np.minimum(2 + random.poisson(mean - 2.0, len(visible)), visible)
     while (missing := quota - int(counts.sum())) != 0:
         movable = np.flatnonzero(counts < visible if missing > 0 else counts > 2)
         if not len(movable):
-            raise ValueError(f"the images of the city have no {mean:.1f} views of a point")
+            raise ValueError(f"The city's images cannot have {mean:.1f} observations per point: use fewer.")
         chosen = random.choice(movable, min(abs(missing), len(movable)), replace=False)
         counts[chosen] += np.sign(missing)
     return counts
 
 
-def _off_by_a_little(drive: _Drive, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations and translations about 5 cm and 0.2 degrees from the truth."""
+def _initial_poses(drive: _Drive, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations and translations with errors of about 0.2 degrees and 5 cm."""
     position = np.arange(len(drive.center)) * _SPACING_M
     smooth = np.zeros((len(position), 6))
     for wavelength in (13.0, 29.0, 61.0):
         phase = random.uniform(0.0, 2.0 * np.pi, 6)
         smooth += np.sin(2.0 * np.pi / wavelength * position[:, None] + phase) * np.sqrt(2.0 / 9.0)
     noise = random.normal(size=(len(position), 6)) / np.sqrt(3.0)
-    turn = Rotation.from_rotvec(np.deg2rad(0.2) * (0.9 * smooth[:, 3:] + 0.3 * noise[:, 3:])).as_matrix()
+    error_rad = np.deg2rad(0.2) * (0.9 * smooth[:, 3:] + 0.3 * noise[:, 3:])
     center = drive.center + 0.05 * smooth[:, :3] + 0.01 * noise[:, :3]
-    rotation = turn @ drive.rotation
+    rotation = Rotation.from_rotvec(error_rad).as_matrix() @ drive.rotation
     return rotation, -np.einsum("fij,fj->fi", rotation, center)

@@ -1,4 +1,4 @@
-"""Problems of robust estimation with known answers: synthetic ones, and hand-clicked or surveyed photographs."""
+"""Robust estimation problems with ground truth: synthetic ones, and hand-clicked or surveyed photographs."""
 
 from __future__ import annotations
 
@@ -23,40 +23,41 @@ from epipole.io.truth import read_truth
 from epipole.synthetic.problems import absolute_pose_problem, dominant_plane_problem, two_view_problem
 
 Kind = Literal["relative_pose", "absolute_pose", "fundamental", "homography"]
-LEAST_MATCHES = 15
-MISFILED = ("Brussels", "Dresden", "Leuven1")
-"""Pairs of kusvod2 whose putative matches are of other images (none agrees with the clicked ones): matched anew."""
+MIN_MATCHES = 15
+"""Image pairs with fewer matches are skipped."""
+MISLABELED = ("Brussels", "Dresden", "Leuven1")
+"""Pairs of kusvod2 whose files have putative matches of other images; they are matched again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EstimationProblem:
-    """What a program is given, and the truth it is scored with."""
+    """Input of a program, and ground truth for its score."""
 
     kind: Kind
     first: np.ndarray
     """Pixels in image 1 (n, 2), or points in the world (n, 3)."""
     second: np.ndarray
-    """Pixels in image 2, or pixels of the points; integer coordinates are pixel centres."""
+    """Pixels in image 2, or pixels of the points; integer coordinates are pixel centers."""
     K: np.ndarray
-    """Of both cameras."""
+    """Intrinsic matrix of both cameras."""
     size: tuple[int, int]
     motion: Rigid3 | None = None
-    """cam2_from_cam1 (up to length) or cam_from_world."""
+    """cam2_from_cam1 (up to scale) or cam_from_world."""
     validation: np.ndarray | None = None
-    """True matches u1 v1 u2 v2, (m, 4)."""
+    """True matches (u1, v1, u2, v2), (m, 4)."""
     camera: Literal["PINHOLE", "OPENCV_FISHEYE"] = "PINHOLE"
-    """Of both cameras; a fisheye's coefficients are zero."""
+    """Model of both cameras; the distortion coefficients of a fisheye are zero."""
 
     @property
     def params(self) -> list[float]:
-        """Of the camera model."""
-        four = [float(self.K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))]
-        return four if self.camera == "PINHOLE" else four + [0.0] * 4
+        """Parameters of the camera model."""
+        pinhole = [float(self.K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))]
+        return pinhole if self.camera == "PINHOLE" else pinhole + [0.0] * 4
 
 
 @dataclass(frozen=True, slots=True)
 class EstimationLimits:
-    """The same bounds for every program."""
+    """Limits that are the same for every program."""
 
     max_error_px: float = 2.0
     confidence: float = 0.9999
@@ -66,7 +67,7 @@ class EstimationLimits:
 
 @dataclass(frozen=True, slots=True)
 class EstimationTask:
-    """A family of problems; `problems(data, count)` makes at least `count` of them."""
+    """A family of problems. `problems(data, count)` makes at least `count` of them."""
 
     name: str
     kind: Kind
@@ -75,7 +76,7 @@ class EstimationTask:
 
 
 def _synthetic_relative(num_matches: int, outliers: float) -> Callable[[Path, int], list[EstimationProblem]]:
-    """General scenes with one pixel of noise."""
+    """Two views of general scenes, with one pixel of noise."""
 
     def make(_data: Path, count: int) -> list[EstimationProblem]:
         out = []
@@ -91,7 +92,7 @@ def _synthetic_relative(num_matches: int, outliers: float) -> Callable[[Path, in
 
 
 def _synthetic_absolute(num_points: int, outliers: float) -> Callable[[Path, int], list[EstimationProblem]]:
-    """A camera anywhere, one pixel of noise."""
+    """Cameras with random poses, with one pixel of noise."""
 
     def make(_data: Path, count: int) -> list[EstimationProblem]:
         out = []
@@ -109,7 +110,7 @@ def _synthetic_absolute(num_points: int, outliers: float) -> Callable[[Path, int
 
 
 def _fisheye(half_deg: float) -> Callable[[Path, int], list[EstimationProblem]]:
-    """An equidistant fisheye, points evenly over the directions so far off the axis; 30 % wrong, one pixel of noise."""
+    """Two views of an equidistant fisheye camera up to `half_deg` from the axis, with 30 % outliers and one pixel of noise."""
 
     def make(_data: Path, count: int) -> list[EstimationProblem]:
         K = np.array([[400.0, 0.0, 639.5], [0.0, 400.0, 639.5], [0.0, 0.0, 1.0]])
@@ -145,7 +146,7 @@ def _fisheye(half_deg: float) -> Callable[[Path, int], list[EstimationProblem]]:
 def _dominant_plane(
     num_matches: int, outliers: float, fraction: float
 ) -> Callable[[Path, int], list[EstimationProblem]]:
-    """A plane that holds most of the scene; F is scored by the exact matches off it."""
+    """A scene with most points on one plane; the score of F uses the exact matches of the other points."""
 
     def make(_data: Path, count: int) -> list[EstimationProblem]:
         out = []
@@ -161,7 +162,7 @@ def _dominant_plane(
 
 
 def _shuffled(pairs: list[EstimationProblem], count: int) -> Iterator[EstimationProblem]:
-    """Every pair in as many orders of its matches as make `count` problems: samplers see other samples."""
+    """Repeat the pairs with other orders of their matches, so that samplers draw other samples, up to `count` problems."""
     for seed in range(-(-count // len(pairs))):
         for pair in pairs:
             order = np.random.default_rng(seed).permutation(len(pair.first))
@@ -169,9 +170,9 @@ def _shuffled(pairs: list[EstimationProblem], count: int) -> Iterator[Estimation
 
 
 def _clicked(kind: Literal["fundamental", "homography"]) -> Callable[[Path, int], list[EstimationProblem]]:
-    """Putative matches and hand-clicked true ones (kusvod2, homogr: Lebeda, Matas, Chum, BMVC 2012).
+    """Putative matches, and hand-clicked true ones (kusvod2, homogr: Lebeda, Matas, Chum, BMVC 2012).
 
-    The files end with the true matches (last column 1), which are left out.
+    The files also contain the true matches (last column 1), which are excluded.
     """
 
     def make(data: Path, count: int) -> list[EstimationProblem]:
@@ -180,9 +181,9 @@ def _clicked(kind: Literal["fundamental", "homography"]) -> Callable[[Path, int]
             name = file.name.removesuffix("_pts.txt")
             clicked = scipy.io.loadmat(file.with_name(f"{name}_vpts.mat"))["validation"]["pts"][0, 0]
             validation = np.ascontiguousarray(clicked[[0, 1, 3, 4]].T)
-            if kind == "fundamental" and name in MISFILED:
+            if kind == "fundamental" and name in MISLABELED:
                 images = [next(file.parent.glob(f"{name}{side}.*")) for side in "AB"]
-                first, second = _own_matches(*images)
+                first, second = _sift_matches(*images)
             else:
                 rows = np.loadtxt(file)
                 rows = rows[rows[:, -1] == 0]
@@ -195,8 +196,8 @@ def _clicked(kind: Literal["fundamental", "homography"]) -> Callable[[Path, int]
     return make
 
 
-def _own_matches(one: Path, two: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of SIFT matches under Lowe's ratio."""
+def _sift_matches(one: Path, two: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of SIFT matches that pass Lowe's ratio test."""
     features = [detect_features(read_grey(path), FeatureConfig()) for path in (one, two)]
     matches = match_descriptors(features[0].descriptors, features[1].descriptors)
     first, second = (f.pixels[matches[:, side]].astype(np.float64) for side, f in enumerate(features))
@@ -204,7 +205,7 @@ def _own_matches(one: Path, two: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _graf(folder: Path, number: int) -> EstimationProblem:
-    """A wall painting from two sides, SIFT matches, truth known to a pixel (Mikolajczyk et al., IJCV 2005)."""
+    """SIFT matches of two views of a painted wall; the ground truth is accurate to a pixel (Mikolajczyk et al., IJCV 2005)."""
     truth = np.loadtxt(folder / f"H1to{number}p")
     height, width = read_grey(folder / "img1.ppm").shape
     grid = np.stack(np.meshgrid(np.arange(40, width, 40.0), np.arange(40, height, 40.0)), axis=-1).reshape(
@@ -215,7 +216,7 @@ def _graf(folder: Path, number: int) -> EstimationProblem:
     inside = ((moved > 0) & (moved < (width, height))).all(axis=1)
     return EstimationProblem(
         "homography",
-        *_own_matches(folder / "img1.ppm", folder / f"img{number}.ppm"),
+        *_sift_matches(folder / "img1.ppm", folder / f"img{number}.ppm"),
         np.eye(3),
         (width, height),
         None,
@@ -224,7 +225,7 @@ def _graf(folder: Path, number: int) -> EstimationProblem:
 
 
 def _surveyed(name: str) -> Callable[[Path, int], list[EstimationProblem]]:
-    """All pairs of a set with surveyed cameras (Strecha et al., CVPR 2008) with the putative matches of the main job."""
+    """All pairs of a set with surveyed cameras (Strecha et al., CVPR 2008), with the putative matches of `epipole reconstruct`."""
 
     def make(data: Path, count: int) -> list[EstimationProblem]:
         folder = data / "sfm" / name
@@ -240,14 +241,14 @@ def _surveyed(name: str) -> Callable[[Path, int], list[EstimationProblem]]:
             known = ["--camera-model", "PINHOLE", "--camera-params", params]
             subprocess.run(command + known, check=True, capture_output=True)
             found = read_database(Path(out) / "database.db")
-        K[:2, 2] -= 0.5  # the file has the image's corner at (0, 0)
+        K[:2, 2] -= 0.5  # in the file, the image's corner is (0, 0)
         truth = read_truth(folder / "gt_dense_cameras")
         row = {Path(n).stem: k for k, n in enumerate(truth.names)}
         motion = [truth.cams_from_world[row[Path(n).stem]] for n in found.images.name]
         camera = found.cameras[0]
         pairs = []
         for (i, j), matches in found.matches.items():
-            if len(matches) < LEAST_MATCHES:
+            if len(matches) < MIN_MATCHES:
                 continue
             pixels = [
                 found.images.keypoints_of(image)[matches[:, side]].astype(np.float64)

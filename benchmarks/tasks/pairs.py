@@ -1,4 +1,4 @@
-"""Pairs of images of known kind: made-up matches, and matches of rendered images."""
+"""Image pairs of known kind: synthetic matches, and matches of rendered images."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from epipole.synthetic.scene import Plane, SyntheticScene
 KINDS = ("general", "planar", "rotation", "rest")
 NOISE_PX = 1.0
 SENSOR_NOISE = 4.0
-"""Grey levels of 255."""
+"""Standard deviation of the image noise in grey levels (of 255)."""
 
 
 class KnownPair(NamedTuple):
-    """Matches and what they are of."""
+    """Matches of an image pair, and its kind of motion or scene."""
 
     pixels1: np.ndarray
     pixels2: np.ndarray
     kind: str
     camera: Camera
-    """Of both images."""
+    """Camera of both images."""
 
 
-def made_up_pairs(count: int, num_matches: int, outliers: float) -> list[KnownPair]:
-    """Matches of general, planar and rotating pairs, and of a camera at rest, with one pixel of noise."""
+def synthetic_pairs(count: int, num_matches: int, outliers: float) -> list[KnownPair]:
+    """Matches of general, planar, rotating and static pairs, with one pixel of noise."""
     out = []
     for seed in range(count):
         name = KINDS[seed % 4]
@@ -48,9 +48,9 @@ def made_up_pairs(count: int, num_matches: int, outliers: float) -> list[KnownPa
 
 
 def rendered_pairs(count: int) -> list[KnownPair]:
-    """SIFT matches of noisy rendered images.
+    """SIFT matches of rendered images with noise.
 
-    Neighbours around the courtyard, a floor seen from two places, a camera that turns where it stands, and one at rest.
+    Pairs are neighboring views of the courtyard, two views of a floor, a rotating camera, or a static camera.
     """
     camera = Camera(CameraModel.PINHOLE, 640, 480, np.array([520.0, 520.0, 319.5, 239.5]))
     yard, floor = courtyard(), _floor()
@@ -61,9 +61,9 @@ def rendered_pairs(count: int) -> list[KnownPair]:
         scene = floor if kind == "planar" else yard
         first = _above(rng) if kind == "planar" else views[seed % len(views)]
         if kind == "general":
-            around = courtyard_views()
-            position = (len(around) - 2) * seed // count
-            first, second = around[position], around[position + 2]
+            circle = courtyard_views()
+            row = (len(circle) - 2) * seed // count
+            first, second = circle[row], circle[row + 2]
         elif kind == "planar":
             second = _above(rng)
         elif kind == "rotation":
@@ -97,6 +97,6 @@ def _floor() -> SyntheticScene:
 
 
 def _above(rng: np.random.Generator) -> Rigid3:
-    """A camera one and a half to two metres above the floor's middle."""
+    """A camera 1.5 to 2.2 m above the floor that looks at its center."""
     center = np.array([*rng.uniform(-0.6, 0.6, 2) - (0.0, 1.5), rng.uniform(1.5, 2.2)])
     return look_at(center, (*rng.uniform(-0.2, 0.2, 2), 0.0))

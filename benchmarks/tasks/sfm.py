@@ -1,4 +1,4 @@
-"""Structure-from-motion sets: where the images are, what is known beforehand, and the truth."""
+"""Structure-from-motion sets: images, known calibration, and ground truth."""
 
 from __future__ import annotations
 
@@ -9,55 +9,58 @@ from pathlib import Path
 
 import numpy as np
 
-PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png")
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 
 
 @dataclass(frozen=True, slots=True)
 class SfmTask:
-    """One set of photographs. Camera parameters are in COLMAP's pixels: the image's corner is (0, 0)."""
+    """One set of photographs. Camera parameters use COLMAP's pixel coordinates: the image's corner is (0, 0)."""
 
     name: str
     images: Path
     image_names: tuple[str, ...]
     known: str
-    """What a reconstruction is told besides the images, in words."""
+    """Description of what each program is given besides the images."""
     camera_model: str | None = None
     camera_params: tuple[float, ...] | None = None
-    """Given as constants; None: the program finds the intrinsics itself."""
+    """Fixed intrinsics; None: each program estimates them."""
     truth: Path | None = None
     unit: str = ""
+    """Unit of length of the ground truth."""
     has_gps: bool = False
 
 
 def data_root(requested: Path | None = None) -> Path:
-    """The data folder: the one asked for, `$EPIPOLE_DATA`, or ../shared/data beside the repository."""
-    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
-    return requested or Path(os.environ.get("EPIPOLE_DATA", beside))
+    """The data folder: `requested`, `$EPIPOLE_DATA`, or ../shared/data next to the repository."""
+    default = Path(__file__).resolve().parents[3] / "shared" / "data"
+    return requested or Path(os.environ.get("EPIPOLE_DATA", default))
 
 
 def prepare(name: str, data: Path, work: Path) -> SfmTask:
-    """The task of that name; copies that it needs go under `work`.
+    """The task of this name; copies of images go under `work`.
 
     Raises:
-        FileNotFoundError: the set is not in the data folder.
-        KeyError: there is no such set.
+        FileNotFoundError: the data folder does not have the set.
+        KeyError: there is no set of this name.
     """
     folder = data / ("slam" if name in HELD_OUT else "sfm")
     if not folder.is_dir():
-        raise FileNotFoundError(f"no folder {folder}; say where the data are with --data or $EPIPOLE_DATA")
+        raise FileNotFoundError(
+            f"There is no folder {folder}: pass the data folder with --data or $EPIPOLE_DATA."
+        )
     return SETS[name](folder, work)
 
 
 def strip_exif(jpeg: bytes) -> bytes:
-    """The same JPEG image without its application and comment segments (JFIF and Adobe colour ones stay).
+    """Remove application and comment segments of a JPEG file, except JFIF's and Adobe's, without decoding it.
 
     Raises:
-        ValueError: these are no bytes of a JPEG file.
+        ValueError: the bytes are not a JPEG file.
     """
     if jpeg[:2] != b"\xff\xd8":
-        raise ValueError("not a JPEG file")
+        raise ValueError("The bytes are not a JPEG file.")
     kept, position = [jpeg[:2]], 2
-    while jpeg[position + 1] != 0xDA:  # start of scan: the compressed image follows
+    while jpeg[position + 1] != 0xDA:  # start of scan, where the compressed image begins
         marker, length = jpeg[position + 1], int.from_bytes(jpeg[position + 2 : position + 4], "big")
         if not (0xE1 <= marker <= 0xEF and marker != 0xEE) and marker != 0xFE:
             kept.append(jpeg[position : position + 2 + length])
@@ -65,10 +68,10 @@ def strip_exif(jpeg: bytes) -> bytes:
     return b"".join([*kept, jpeg[position:]])
 
 
-def _pictures_in(folder: Path) -> tuple[str, ...]:
-    names = tuple(sorted(p.name for p in folder.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES))
+def _images_in(folder: Path) -> tuple[str, ...]:
+    names = tuple(sorted(p.name for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES))
     if not names:
-        raise FileNotFoundError(f"no images in {folder}")
+        raise FileNotFoundError(f"There are no images in {folder}.")
     return names
 
 
@@ -77,11 +80,11 @@ def _pinhole(K: np.ndarray) -> tuple[float, float, float, float]:
 
 
 def _strecha(name: str) -> Callable[[Path, Path], SfmTask]:
-    """Strecha et al. (CVPR 2008), with its calibration; K.txt has the image's corner at (0, 0)."""
+    """A set of Strecha et al. (CVPR 2008) with its calibration; in K.txt, the image's corner is (0, 0)."""
 
     def make(folder: Path, _work: Path) -> SfmTask:
         images = folder / name / "images"
-        names = _pictures_in(images)
+        names = _images_in(images)
         params = _pinhole(np.loadtxt(images / "K.txt"))
         truth = folder / name / "gt_dense_cameras"
         return SfmTask(name, images, names, "calibration", "PINHOLE", params, truth, "m")
@@ -90,11 +93,11 @@ def _strecha(name: str) -> Callable[[Path, Path], SfmTask]:
 
 
 def _fountain_unknown(folder: Path, work: Path) -> SfmTask:
-    """The fountain's images alone: no calibration file beside them, no EXIF in them."""
+    """fountain-P11 without calibration file and without EXIF."""
     source = folder / "fountain-P11"
     images = work / "fountain-P11-unknown"
     images.mkdir(parents=True, exist_ok=True)
-    names = _pictures_in(source / "images")
+    names = _images_in(source / "images")
     for name in names:
         (images / name).write_bytes(strip_exif((source / "images" / name).read_bytes()))
     truth = source / "gt_dense_cameras"
@@ -102,13 +105,13 @@ def _fountain_unknown(folder: Path, work: Path) -> SfmTask:
 
 
 def _temple_ring(folder: Path, _work: Path) -> SfmTask:
-    """Middlebury's temple; its K has pixel centres at integers, so that COLMAP's principal point is 0.5 more."""
+    """Middlebury's temple ring. Its K has pixel centers at integers, so COLMAP's principal point is 0.5 larger."""
     images = folder / "temple_ring"
     truth = images / "templeR_par.txt"
     row = truth.read_text().splitlines()[1].split()
     fx, fy, cx, cy = _pinhole(np.array(row[1:10], np.float64).reshape(3, 3))
     params = (fx, fy, cx + 0.5, cy + 0.5)
-    return SfmTask("temple_ring", images, _pictures_in(images), "calibration", "PINHOLE", params, truth, "m")
+    return SfmTask("temple_ring", images, _images_in(images), "calibration", "PINHOLE", params, truth, "m")
 
 
 def _without_truth(
@@ -116,13 +119,13 @@ def _without_truth(
 ) -> Callable[[Path, Path], SfmTask]:
     def make(folder: Path, _work: Path) -> SfmTask:
         images = folder / name / inside
-        return SfmTask(name, images, _pictures_in(images), known, has_gps=has_gps)
+        return SfmTask(name, images, _images_in(images), known, has_gps=has_gps)
 
     return make
 
 
 def _kitti00(folder: Path, work: Path) -> SfmTask:
-    """Fifty grey frames of a car that drives forward (KITTI odometry 00, left camera)."""
+    """Fifty grayscale frames of a car driving forward (KITTI odometry 00, left camera)."""
     source = folder / "kitti00_mono"
     world_from_cam = np.loadtxt(source / "poses.txt").reshape(-1, 3, 4)
     frames = [(source / f"{k:06d}.png", pose) for k, pose in enumerate(world_from_cam)]
@@ -131,7 +134,7 @@ def _kitti00(folder: Path, work: Path) -> SfmTask:
 
 
 def _kitchen(folder: Path, work: Path) -> SfmTask:
-    """Every eighth frame of a hand-held RGB-D sequence (7-Scenes); its truth is good to a centimetre or so."""
+    """Every eighth frame of a hand-held RGB-D sequence (7-Scenes), with ground truth accurate to about a centimetre."""
     source = folder / "7scenes"
     images = sorted(source.glob("frame-*.color.jpg"))[::8]
     frames = [(p, np.loadtxt(str(p).replace(".color.jpg", ".pose.txt"))[:3]) for p in images]
@@ -141,7 +144,7 @@ def _kitchen(folder: Path, work: Path) -> SfmTask:
 def _of_frames(
     name: str, frames: list[tuple[Path, np.ndarray]], params: tuple[float, ...], work: Path
 ) -> SfmTask:
-    """A task of frames with known K and poses (world_from_cam, 3 x 4): linked, and the truth written, under `work`."""
+    """A task of frames with known K and poses (world_from_cam, 3 x 4); image links and truth go under `work`."""
     images = work / name
     images.mkdir(parents=True, exist_ok=True)
     lines = [str(len(frames))]
@@ -170,4 +173,4 @@ SETS: dict[str, Callable[[Path, Path], SfmTask]] = {
     "kitchen": _kitchen,
 }
 HELD_OUT = ("kitti00", "kitchen")
-"""Sets that were not looked at while options were chosen."""
+"""Sets that were not used to choose defaults."""

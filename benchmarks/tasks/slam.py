@@ -1,4 +1,4 @@
-"""Sequences for SLAM with their truth, written once as arrays that both programs read."""
+"""Sequences for SLAM with ground truth, written once as arrays that both programs read."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from epipole.geometry import Rigid3
+from epipole.geometry import Rigid3, Rotation3
 from epipole.io.images.depth_maps import read_png16
 from epipole.io.images.photographs import read_grey
 from epipole.io.sequences.sequence import read_sequence
@@ -22,42 +22,42 @@ from epipole.synthetic import rides
 from epipole.synthetic.ride import Ride
 
 DEPTH_FACTOR = 5000.0
-"""Depth of rides is kept in steps of 0.2 mm, as 16 bits: up to 13 m."""
+"""Rendered depth is stored as 16 bits in steps of 0.2 mm, up to 13 m."""
 FORMAT = 1
-"""Another one draws kept frames anew."""
+"""Version of the cached files; increase it to replace them."""
 
 
 @dataclass(frozen=True)
 class SlamTask:
-    """A sequence: what is tracked, and how its frames come to the disk."""
+    """A sequence: its sensors, and a function that writes its frames."""
 
     sensors: tuple[str, ...]
     write: Callable[[Path, Path], None]
-    """(data folder, folder to be written)."""
+    """Called with the data folder and the folder to write."""
     unit: str = "m"
 
 
 def prepare(name: str, data: Path, cache: Path) -> Path:
-    """The folder of a sequence's frames, written now unless it is there.
+    """The folder with the frames of a sequence, written at the first call.
 
     Raises:
-        FileNotFoundError: its data are not there.
+        FileNotFoundError: the data folder does not have the sequence.
     """
     folder = cache / f"{name}-{FORMAT}"
     if folder.is_dir():
         return folder
-    aside = cache / f".{name}-{os.getpid()}"
-    aside.mkdir(parents=True)
+    temporary = cache / f".{name}-{os.getpid()}"
+    temporary.mkdir(parents=True)
     try:
-        TASKS[name].write(data, aside)
-        aside.rename(folder)
+        TASKS[name].write(data, temporary)
+        temporary.rename(folder)
     finally:
-        shutil.rmtree(aside, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
     return folder
 
 
 def truths_of(folder: Path) -> dict[str, Path]:
-    """Files of true paths by name; their times are those of the frames."""
+    """Files of the true trajectories by name, with the timestamps of the frames."""
     return {path.stem.removeprefix("truth_"): path for path in sorted(folder.glob("truth_*.txt"))}
 
 
@@ -76,7 +76,7 @@ def _finish(folder: Path, about: dict[str, Any], times: np.ndarray, truths: dict
     (folder / "about.json").write_text(json.dumps(about, indent=1))
 
 
-def _write_ride(make: Callable[[], Ride], *, tells_readout: bool = False) -> Callable[[Path, Path], None]:
+def _write_ride(make: Callable[[], Ride], *, with_readout: bool = False) -> Callable[[Path, Path], None]:
     def write(_: Path, folder: Path) -> None:
         ride = make()
         camera = ride.camera
@@ -86,26 +86,26 @@ def _write_ride(make: Callable[[], Ride], *, tells_readout: bool = False) -> Cal
             arrays["left"][n], arrays["right"][n] = left.grey, ride.right(n).grey
             arrays["depth"][n] = np.rint(left.depth * DEPTH_FACTOR).astype(np.uint16)
         about = {
-            **_lens(camera.width, camera.height, camera.params),
+            **_camera_facts(camera.width, camera.height, camera.params),
             "baseline_m": ride.baseline,
             "depth_factor": DEPTH_FACTOR,
-            "readout_s": ride.shutter.readout_s if tells_readout else 0.0,
+            "readout_s": ride.shutter.readout_s if with_readout else 0.0,
         }
         _finish(folder, about, ride.timestamp_s, {"exact": ride.truth()})
 
     return write
 
 
-def _lens(width: int, height: int, params: np.ndarray) -> dict[str, Any]:
+def _camera_facts(width: int, height: int, params: np.ndarray) -> dict[str, Any]:
     return {"width": width, "height": height, "params": [float(value) for value in params]}
 
 
 def _write_7scenes(data: Path, folder: Path) -> None:
-    source = _there(data / "slam" / "7scenes")
+    source = _existing(data / "slam" / "7scenes")
     sequence = read_sequence(source)
-    camera, given, count = sequence.camera, sequence.depth, len(sequence)
-    assert camera is not None and given is not None and given.camera is not None
-    assert given.depth_from_color is not None
+    camera, depth_sensor, count = sequence.camera, sequence.depth, len(sequence)
+    assert camera is not None and depth_sensor is not None and depth_sensor.camera is not None
+    assert depth_sensor.depth_from_color is not None
     arrays = _arrays(folder, count, (camera.width, camera.height), ("left", "depth"))
     poses = []
     for n, files in enumerate(sequence.frames):
@@ -116,17 +116,17 @@ def _write_7scenes(data: Path, folder: Path) -> None:
         pose = files.image.name.replace("color.jpg", "pose.txt")
         poses.append(np.loadtxt(source / pose))
     about = {
-        **_lens(camera.width, camera.height, camera.params),
+        **_camera_facts(camera.width, camera.height, camera.params),
         "depth_factor": 1000.0,
         "depth_sensor": {
-            "factor": given.unit,
-            "params": given.camera.params.tolist(),
-            "depth_from_color": given.depth_from_color.as_matrix().tolist(),
+            "factor": depth_sensor.unit,
+            "params": depth_sensor.camera.params.tolist(),
+            "depth_from_color": depth_sensor.depth_from_color.as_matrix().tolist(),
         },
     }
     times = np.array([files.timestamp_s for files in sequence.frames])
     rows = np.loadtxt(source / "poses_sfm.txt")
-    # The numbers of frames, at the set's 30 Hz.
+    # The first column has frame numbers at 30 Hz.
     by_sfm = Trajectory(rows[:, 0] / 30.0, Rigid3.from_quat_wxyz(rows[:, [7, 4, 5, 6]], rows[:, 1:4].copy()))
     by_fusion = Trajectory(times, _rigid(np.stack(poses)[:, :3]))
     _finish(folder, about, times, {"sfm": by_sfm, "kinectfusion": by_fusion})
@@ -134,7 +134,7 @@ def _write_7scenes(data: Path, folder: Path) -> None:
 
 def _write_kitti(name: str, lefts: str, rights: str | None) -> Callable[[Path, Path], None]:
     def write(data: Path, folder: Path) -> None:
-        source = _there(data / "slam" / name)
+        source = _existing(data / "slam" / name)
         files = sorted((source / lefts).glob("*.png"))
         first = read_grey(files[0])
         height, width = first.shape
@@ -146,30 +146,28 @@ def _write_kitti(name: str, lefts: str, rights: str | None) -> Callable[[Path, P
         if rights:
             left, right = np.loadtxt(source / "calib.txt").reshape(2, 3, 4)
             params = left[[0, 1, 0, 1], [0, 1, 2, 2]]
-            about = {**_lens(width, height, params), "baseline_m": float(-right[0, 3] / right[0, 0])}
+            about = {**_camera_facts(width, height, params), "baseline_m": float(-right[0, 3] / right[0, 0])}
         else:
-            about = _lens(width, height, np.loadtxt(source / "intrinsics.txt"))
-        listed = source / "times.txt"
-        times = np.loadtxt(listed) if listed.is_file() else np.arange(len(files)) / 10.0
+            about = _camera_facts(width, height, np.loadtxt(source / "intrinsics.txt"))
+        times_file = source / "times.txt"
+        times = np.loadtxt(times_file) if times_file.is_file() else np.arange(len(files)) / 10.0
         poses = np.loadtxt(source / "poses.txt").reshape(-1, 3, 4)
         _finish(folder, about, times, {"gps": Trajectory(times, _rigid(poses[: len(files)]))})
 
     return write
 
 
-def _there(folder: Path) -> Path:
+def _existing(folder: Path) -> Path:
     if not folder.is_dir():
-        raise FileNotFoundError(f"{folder} is not there")
+        raise FileNotFoundError(
+            f"There is no folder {folder}: pass the data folder with --data or $EPIPOLE_DATA."
+        )
     return folder
 
 
 def _rigid(matrices: np.ndarray) -> Rigid3:
-    """Of (n, 3, 4) matrices as text files round them."""
-    last = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (len(matrices), 1, 4))
-    from epipole.geometry import Rotation3
-
-    whole = np.concatenate([matrices, last], axis=1)
-    return Rigid3(Rotation3.nearest(whole[:, :3, :3]).matrix, whole[:, :3, 3].copy())
+    """Poses from (n, 3, 4) matrices that a text file has rounded."""
+    return Rigid3(Rotation3.nearest(matrices[:, :3, :3]).matrix, matrices[:, :3, 3].copy())
 
 
 ALL = ("stereo", "rgbd", "mono")
@@ -183,6 +181,6 @@ TASKS = {
     "tiled_room": SlamTask(ALL, _write_ride(rides.tiled_room)),
     "walking_box": SlamTask(ALL, _write_ride(rides.walking_box)),
     "shuttered": SlamTask(ALL, _write_ride(rides.shuttered)),
-    "shuttered_told": SlamTask(ALL, _write_ride(rides.shuttered, tells_readout=True)),
+    "shuttered_told": SlamTask(ALL, _write_ride(rides.shuttered, with_readout=True)),
     "unshuttered": SlamTask(ALL, _write_ride(lambda: rides.shuttered(readout_s=0.0))),
 }

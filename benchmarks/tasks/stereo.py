@@ -1,4 +1,4 @@
-"""Rectified pairs with true disparities, and what an answer is worth."""
+"""Rectified pairs with true disparities, and scores of estimated ones."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from PIL import Image
 
 @dataclass(frozen=True, eq=False)
 class StereoTask:
-    """A pair and its truth."""
+    """A rectified pair with ground truth."""
 
     left: np.ndarray
-    """(h, w) grey."""
+    """(h, w), grayscale."""
     right: np.ndarray
     truth: np.ndarray
-    """Disparities of the left image, NaN where unknown."""
+    """Disparities of the left image; NaN if unknown."""
     seen: np.ndarray
-    """Pixels with a truth that the right image sees too."""
+    """Mask of pixels with ground truth that are visible in the right image."""
     num_disparities: int
-    """0 ... num_disparities - 1 are looked for."""
+    """The search range is 0 to num_disparities - 1."""
 
 
 def stereo_tasks(data: Path) -> dict[str, StereoTask]:
@@ -39,12 +39,12 @@ def _grey(file: Path) -> np.ndarray:
 
 
 def _middlebury_2003(folder: Path) -> StereoTask:
-    truth, theirs = (np.asarray(Image.open(folder / f"disp{k}.png")) / 4.0 for k in (2, 6))
-    truth, theirs = np.where(truth > 0, truth, np.nan), np.where(theirs > 0, theirs, np.nan)
+    left, right = (np.asarray(Image.open(folder / f"disp{k}.png")) / 4.0 for k in (2, 6))
+    truth, right_truth = np.where(left > 0, left, np.nan), np.where(right > 0, right, np.nan)
     x = np.arange(truth.shape[1])
-    there = np.rint(x - np.nan_to_num(truth)).astype(int)
-    confirmed = np.take_along_axis(theirs, np.maximum(there, 0), axis=1)
-    seen = (there >= 0) & (np.abs(confirmed - truth) <= 1)
+    x_right = np.rint(x - np.nan_to_num(truth)).astype(int)
+    confirmed = np.take_along_axis(right_truth, np.maximum(x_right, 0), axis=1)
+    seen = (x_right >= 0) & (np.abs(confirmed - truth) <= 1)
     return StereoTask(_grey(folder / "im2.png"), _grey(folder / "im6.png"), truth, seen, 64)
 
 
@@ -63,25 +63,25 @@ def _aloe(folder: Path) -> StereoTask:
 
 
 def seen_by_both(truth: np.ndarray) -> np.ndarray:
-    """Pixels that lie in the right image with nothing nearer in the same place: the truth warped forward."""
+    """Mask of the pixels that are inside the right image and not occluded there, by warping the ground truth forward."""
     height, width = truth.shape
     known = np.isfinite(truth)
     y, x = np.nonzero(known)
-    there = x - truth[known]
+    x_right = x - truth[known]
     nearest = np.full((height, width + 1), -np.inf)
-    for column in (np.floor(there).astype(int), np.floor(there).astype(int) + 1):
+    for column in (np.floor(x_right).astype(int), np.floor(x_right).astype(int) + 1):
         inside = (column >= 0) & (column <= width)
         np.maximum.at(nearest, (y[inside], column[inside]), truth[known][inside])
-    column = np.rint(there).astype(int)
+    column = np.rint(x_right).astype(int)
     out = np.zeros(truth.shape, bool)
-    inside = (there >= 0) & (column < width)
+    inside = (x_right >= 0) & (column < width)
     rows = y[inside]
     out[rows, x[inside]] = nearest[rows, column[inside]] <= truth[known][inside] + 1.0
     return out
 
 
 def figures(disparity: np.ndarray, task: StereoTask) -> dict[str, float]:
-    """Of the pixels both images see: share answered, share of wrong answers, average error, and with holes as wrong."""
+    """Over pixels visible in both images: density, error rates, mean error, and error rates with holes counted as wrong."""
     error = np.abs(disparity - task.truth)
     known = np.isfinite(disparity) & task.seen
     bad = {f"bad {t} %": 100.0 * float((error[known] > t).mean()) for t in (1, 2, 4)}
