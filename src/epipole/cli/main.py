@@ -200,9 +200,13 @@ def _functions() -> dict[str, Callable[..., None]]:
 def _parsed(words: list[str]) -> Callable[[], None]:
     """Parse the words into a call; prints help, and explains wrong usage."""
     functions = _functions()
-    if words[:1] in (["-h"], ["--help"], [ALL]):
-        say(command_list(functions))
-        sys.exit(0)
+    if words[:1] in ([], ["-h"], ["--help"], [ALL]):
+        say(command_list(functions), to_stderr=not words)
+        sys.exit(0 if words else WRONG_USAGE)
+    if words[0] not in functions and not words[0].startswith("--tyro"):
+        from epipole.cli.mistakes import unknown_command
+
+        _refuse(unknown_command(words[0], list(functions)), WRONG_USAGE)
     if is_asked_for(words, functions):
         text = help_text(
             words[0], lambda: _parsed_by_tyro([words[0], "--help"], functions), is_whole=ALL in words
@@ -256,7 +260,7 @@ def _why_stopped(words: list[str], stopped: SystemExit, said: str) -> str:
         cause = cause.__cause__ or cause.__context__
     functions = _functions()
     required = required_arguments(functions[words[0]]) if words and words[0] in functions else []
-    return in_one_sentence(said, words, list(functions), required)
+    return in_one_sentence(said, words, required)
 
 
 def _as_options(error: EpipoleError, words: list[str], *, while_parsing: bool) -> str:

@@ -6,25 +6,34 @@ import re
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 
+OTHER_NAMES = {
+    "share": "view PATH --share FILE",
+    "export": "convert",
+    "train": "splat",
+    "sfm": "reconstruct",
+    "mapper": "reconstruct",
+    "automatic_reconstructor": "reconstruct",
+    "depth": "stereo",
+    "doctor": "stereo doctor",
+    "viewer": "view",
+    "gui": "view",
+    "odometry": "slam",
+    "track": "slam",
+    "gsplat": "splat",
+}
+"""What other programs call a command, or an option of one."""
 _BOX = "╭╮╰╯─│- "
 
 
-def in_one_sentence(
-    said: str, words: Sequence[str], commands: Sequence[str], required: Sequence[str] = ()
-) -> str:
+def in_one_sentence(said: str, words: Sequence[str], required: Sequence[str] = ()) -> str:
     """The parser's message, with similar options or a pointer to the command's help.
 
     Args:
         said: output of the parser: a title, the message, and sections with similar options.
         words: command line.
-        commands: names of all commands.
         required: names of the command's required arguments.
     """
-    command = words[0] if words else ""
-    if command not in commands:
-        near = get_close_matches(command.lower(), commands, 1, 0.6)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        return f"unknown command {command or '(none)'} (the commands are {', '.join(commands)}){hint}"
+    command = words[0]
     sections: list[list[str]] = [[]]
     for line in said.strip().splitlines()[1:]:  # below the title
         words_of_line = line.strip(" │")
@@ -39,6 +48,14 @@ def in_one_sentence(
     near = _similar(sections, command)
     end = f"; did you mean {' or '.join(near)}?" if near else f"; see `epipole {command} --help`"
     return text.rstrip(".") + end
+
+
+def unknown_command(command: str, commands: Sequence[str]) -> str:
+    """What to call instead of a command that does not exist."""
+    near = get_close_matches(command.lower(), commands, 1, 0.6)
+    meant = OTHER_NAMES.get(command.lower()) or (near[0].replace("stereo-", "stereo ") if near else "")
+    hint = f"; did you mean `epipole {meant}`?" if meant else ";"
+    return f"unknown command {command}{hint} `epipole --help` lists all commands"
 
 
 def _similar(sections: Sequence[Sequence[str]], command: str) -> list[str]:
