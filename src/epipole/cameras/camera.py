@@ -48,20 +48,22 @@ class Camera:
 
     @staticmethod
     @checked
-    def from_K(K: Any, size: tuple[int, int], distortion: Any = (), *, is_fisheye: bool = False) -> Camera:
+    def from_K(K: Any, size: tuple[int, int], distortion: Any = None, *, is_fisheye: bool = False) -> Camera:
         """A camera from OpenCV's calibration matrix and distortion coefficients, with the same pixel convention.
 
         Args:
             K: calibration matrix (3, 3), without skew.
             size: width and height of the images in pixels.
-            distortion: none; k1, k2, p1, p2 and, optionally, k3 to k6; k1 to k4 for fisheye. Trailing zeros are ignored.
+            distortion: None; k1, k2, p1, p2 and, optionally, k3 to k6; k1 to k4 for fisheye. Trailing zeros are ignored:
+                no other coefficient gives a PINHOLE camera, up to four OPENCV, more FULL_OPENCV.
             is_fisheye: whether the coefficients are those of `cv2.fisheye`.
 
         Raises:
             ConfigError: the matrix is invalid or has skew, or no supported model has these coefficients.
             ShapeError: an array has the wrong shape.
         """
-        matrix, found = as_float_array(K, "K"), as_float_array(distortion, "distortion").ravel()
+        matrix = as_float_array(K, "K")
+        found = as_float_array(() if distortion is None else distortion, "distortion").ravel()
         if matrix.shape != (3, 3):
             raise ShapeError(f"K must be (3, 3), got {matrix.shape}")
         if not np.array_equal(matrix * _ZEROS_OF_K, np.zeros((3, 3))) or matrix[2, 2] != 1.0:

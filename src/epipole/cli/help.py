@@ -36,7 +36,7 @@ class Entry:
 EVERYWHERE = (
     Entry("-q, --quiet", "Print only errors, and the results of commands such as evaluate."),
     Entry("-v, --verbose", "Print each unit of work with its time, and tracebacks of errors."),
-    Entry("--overwrite", "Replace existing files that epipole did not write."),
+    Entry("--overwrite", "Replace files that epipole otherwise protects."),
     Entry("-V, --version", "Print the version."),
 )
 

@@ -30,11 +30,11 @@ class Reason(StrEnum):
     """Why an estimate failed, or OK."""
 
     OK = "ok"
-    TOO_FEW = "fewer items than the model needs"
+    TOO_FEW = "fewer items than a model needs to be confirmed"
     NO_MODEL = "no sample of the items gave a model"
     TOO_FEW_INLIERS = "too few items agree with any model"
     UNKNOWN_SIGN = "the translation is known up to its sign only: all points are too far away"
-    DEGENERATE = "the items leave the model undetermined (a line, a plane, no motion, repeated items)"
+    DEGENERATE = "the items do not determine the model (a line, a plane, no motion, repeated items)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,7 +214,7 @@ def found_by_loop(problem: Any, answer: LoopAnswer, scale_px: float, config: Ran
     if int(inlier_mask.sum()) < config.needed_inliers(
         int(problem.sample_size()), int(problem.residual_size())
     ):
-        reason = Reason.TOO_FEW_INLIERS
+        reason = Reason.TOO_FEW if inlier_mask.all() else Reason.TOO_FEW_INLIERS
     else:
         reason = Reason.OK if determined else Reason.DEGENERATE
     score_px = score * scale_px**2

@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from epipole.errors import FileFormatError
+from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io.convert import read_model
 from epipole.io.files import read_json
 from epipole.io.images.photographs import read_rgb
 from epipole.io.models.images import ModelImages
 from epipole.io.names import path_inside
+from epipole.pipelines.sfm.notes import title_of
 from epipole.report.space_model import scene_of_model
 from epipole.report.space_scene import METRES, NO_UNIT, SpaceScene
-from epipole.runs import has_own_model
+from epipole.runs import has_own_model, read_mark
 from epipole.scene import Reconstruction
 
 IMAGE_PX = 640
@@ -47,8 +48,14 @@ def scene(path: Path) -> SpaceScene:
 
 
 def _title(path: Path) -> str:
-    """Name of the folder; the last three parts for OUT/sparse/0."""
+    """Name of the photographs' folder or video, if a run recorded it; else that of the folder, or OUT/sparse/0."""
     whole = path.resolve()
+    try:
+        mark = read_mark(path)
+    except WorkspaceError:
+        mark = None
+    if mark is not None and mark.source.paths:
+        return title_of(Path(mark.source.paths[0]))
     return "/".join(whole.parts[-3:]) if whole.parent.name == "sparse" else whole.name
 
 
