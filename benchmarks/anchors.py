@@ -210,15 +210,15 @@ def wheels_behind(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
 
 
 ANCHORS: dict[str, Callable[[Trial], tuple[AnchorViews, AnchorOptions]]] = {
-    "places by name": positions,
-    "places by time, 1 in 10 wrong": timed_positions,
+    "positions by name": positions,
+    "positions by time, 1 in 10 wrong": timed_positions,
     "one length": lengths,
     "four lengths, one wrong": four_lengths,
     "three tags, one too large": tags,
     "chessboard": board,
     "distances travelled, slip": wheels,
-    "places by odometry": wheel_positions,
-    "places by odometry, 0.5 m behind": wheels_behind,
+    "positions by odometry": wheel_positions,
+    "positions by odometry, 0.5 m behind": wheels_behind,
 }
 
 RENDERED = ("three tags, one too large", "chessboard")

@@ -81,12 +81,17 @@ def _tables(
 
 def _table(actions: list[argparse.Action]) -> str:
     """Markdown table with the name, value, default and meaning of each option."""
-    rows = ["| option | value | default | meaning |", "|---|---|---|---|"]
+    rows = [
+        '<div class="options" markdown>',
+        "",
+        "| option | value | default | meaning |",
+        "|---|---|---|---|",
+    ]
     for action in actions:
         text, default = _described(action)
         names = ", ".join(f"`{name}`" for name in action.option_strings)
         rows.append(f"| {names} | {_value(action)} | {default} | {_cell(text)} |")
-    return "\n".join(rows)
+    return "\n".join([*rows, "", "</div>"])
 
 
 def _value(action: argparse.Action) -> str:

@@ -15,6 +15,8 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from tutorial_pages import tutorial_pages
 
+from epipole.lesson.pages import lesson_pages
+
 
 def generated() -> dict[str, str]:
     """Markdown of all generated pages by path, in navigation order."""
@@ -36,10 +38,14 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_post_build(config: MkDocsConfig) -> None:
-    """Write the search index as a script, too: pages opened from disk may not fetch files."""
+    """Write the search index as a script, because pages opened from disk may not fetch files; and the lesson."""
     folder = Path(config.site_dir) / "search"
     index = (folder / "search_index.json").read_text(encoding="utf-8")
     (folder / "search_index.js").write_text(f"var __index = {index}", encoding="utf-8")
+    lesson = Path(config.site_dir) / "lesson"
+    lesson.mkdir(exist_ok=True)
+    for name, page in lesson_pages().items():
+        (lesson / name).write_text(page, encoding="utf-8")
 
 
 def _filled(entries: Any, pages: list[str]) -> list[Any]:

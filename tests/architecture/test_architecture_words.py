@@ -123,6 +123,8 @@ PAGES = ("*.md", "docs/**/*.md", "docs/**/*.py", "benchmarks/**/*.py", "benchmar
 """Files of the repository that people read, besides the source and the lesson."""
 CODE = r"```.*?```|`[^`\n]*`|\]\([^)]*\)|\{[^}\n]*\}"
 """In Markdown: blocks and spans of code, targets of links, attributes."""
+KEYS = r"\[[\"']\w+[\"']\]|docs/pictures|dataset\.\w+"
+"""In scripts: keys of results that were measured with an earlier version, a folder, and attributes of the viewer's page."""
 PLAIN = {r"\bturns\b(?= (its|photographs|images|points|pixels|a|the)\b)": ""}
 """`turns photographs into models` is what the word means."""
 
@@ -131,7 +133,8 @@ def page_texts(path: Path) -> Iterator[tuple[int, str]]:
     """Line and text of a page, or of the strings and comments of a script."""
     text = path.read_text()
     if path.suffix == ".py":
-        yield from texts_of(Source(path, text, ast.parse(text)))
+        for line, one in texts_of(Source(path, text, ast.parse(text))):
+            yield line, re.sub(KEYS, "", one)
         return
     yield 1, re.sub(CODE, lambda m: "\n" * m.group().count("\n"), text, flags=re.DOTALL)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from docs_pages import PAGES, ROOT
 
-GENERATED = ("commands/", "api/", "benchmarks/", "tutorials/")
+GENERATED = ("lesson/", "commands/", "api/", "benchmarks/", "tutorials/")
 _CODE = re.compile(r"^ *```.*?^ *```|`[^`\n]*`", re.MULTILINE | re.DOTALL)
 
 

@@ -76,7 +76,7 @@ def _parallax(content: ReportContent, statistics: Statistics) -> str:
     if narrow:
         fraction = 100 * narrow / len(angles)
         shown = "less than 1" if fraction < 1 else f"{fraction:.0f}"
-        sentences.append(f"{shown} % of the points have no two rays that meet at {limit} or more.")
+        sentences.append(f"{shown} % of the points have a largest triangulation angle below {limit}.")
     return " ".join(sentences)
 
 
