@@ -167,7 +167,9 @@ def test_stereo_of_two_files(tmp_path, here):
     assert both.mean() > 0.6 and np.median(np.abs(found / truth - 1)[both]) < 0.05
     said = here("stereo", left, right, tmp_path / "two", "--focal-px", 500, expect=2)
     assert "depth needs both --focal-px and --baseline, but only --focal-px was given" in said
-    assert "no such file" in here("stereo", left, tmp_path / "none.png", tmp_path / "two", expect=1).lower()
+    assert (
+        "it does not exist" in here("stereo", left, tmp_path / "none.png", tmp_path / "two", expect=1).lower()
+    )
     assert not (tmp_path / "two").exists()
 
 

@@ -215,4 +215,4 @@ def test_help_as_a_command(given, words, capsys):
 def test_a_folder_that_is_not_there(command, capsys, tmp_path):
     name, *rest = command.split()
     said = refused(" ".join([name, str(tmp_path / "nothing"), *rest]), capsys, 1)
-    assert "nothing: there is no such f" in said
+    assert "nothing: it does not exist" in said

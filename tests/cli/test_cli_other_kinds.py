@@ -55,7 +55,7 @@ def here(tmp_path, monkeypatch):
         ("convert x.obj y.ply", "Wavefront OBJ mesh, which is not supported"),
         ("convert x.glb y --format txt", "not a model: it is a glTF scene"),
         ("convert images/0.png y --format txt", "not a model: it is a PNG image"),
-        ("convert nowhere y --format txt", "there is no such file or folder"),
+        ("convert nowhere y --format txt", "it does not exist"),
         ("convert slammed x.glb", r"unknown output format of .*x\.glb: use the suffix \.ply or .*\.spz"),
         ("convert slammed y --format txt", "contains no model .*it holds the results of `epipole slam`"),
         ("reconstruct x.zip out", "it is a ZIP archive: unpack it and pass the folder"),
@@ -70,7 +70,7 @@ def here(tmp_path, monkeypatch):
             "slam images out --map images",
             "contains no SLAM map .*; it holds images .*; pass the output folder",
         ),
-        ("slam images out --map nowhere", "contains no SLAM map .*; there is no such file or folder"),
+        ("slam images out --map nowhere", "contains no SLAM map .*; it does not exist"),
         ("slam images out --map images/0.png", "not a map, or damaged; it is a PNG image"),
         ("undistort x.glb", "glTF scene"),
         ("view x.zip", "not a file that can be shown; it is a ZIP archive"),
@@ -99,14 +99,14 @@ def test_cameras_that_are_not_there(here, job, target):
     arrays = (np.zeros((1, 3)), np.zeros((1, 3)), np.ones((1, 4)), np.zeros(1), np.zeros((1, 1, 3)))
     write_gaussian_ply(splats, GaussianCloud(*(array.astype(np.float32) for array in arrays)))
     for cameras, said in (
-        ("nofile.json", "no such file or folder; models are read"),
+        ("nofile.json", "it does not exist; models are read"),
         ("x.glb", "glTF scene"),
     ):
         with pytest.raises(FileFormatError, match=said):
             job(splats.parent, here / target, cameras=here / cameras)
     if job is epipole.mesh:
         with pytest.raises(
-            epipole.errors.NoModelError, match=r"cameras\.json does not exist: give cameras that look"
+            epipole.errors.NoModelError, match=r"cameras\.json does not exist: pass a transforms.json"
         ):
             job(splats, here / target)
 
@@ -149,7 +149,7 @@ def test_distances_below_a_metre_are_not_none():
 
 def test_what_paths_hold(here):
     assert what_it_is(here / "empty") == "it is empty" and what_it_is(here / "splatted") == "it is empty"
-    assert what_it_is(here / "nowhere") == "there is no such file or folder"
+    assert what_it_is(here / "nowhere") == "it does not exist"
     assert what_it_is(here / "points.ply") == "it is a PLY file of points or triangles"
     for damaged in ("{", "[]", '{"kind": 3}', '{"kind": "rm -rf"}'):
         (here / "empty" / "epipole.json").write_text(damaged)

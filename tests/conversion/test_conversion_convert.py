@@ -119,7 +119,7 @@ def test_names_that_lead_out_are_refused(tmp_path: Path, name: str) -> None:
 def test_misuse_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="supported are txt, bin, ply, transforms, bundler"):
         convert(tmp_path, tmp_path / "out", "obj")
-    with pytest.raises(FileFormatError, match="no such file or folder"):
+    with pytest.raises(FileFormatError, match="it does not exist"):
         convert(tmp_path / "nothing", tmp_path / "out", "ply")
     with pytest.raises(FileFormatError, match="contains no model"):
         convert(tmp_path, tmp_path / "out", "ply")

@@ -39,7 +39,7 @@ def test_without_held_out_views_those_of_the_training_are_compared(source, tmp_p
 
 
 def test_what_cannot_be_compared(source, tmp_path):
-    with pytest.raises(FileFormatError, match="no such file"):
+    with pytest.raises(FileFormatError, match="it does not exist"):
         compare_fields(tmp_path / "none", tmp_path / "out")
     with pytest.raises(ConfigError, match="kind"):
         compare_fields(source, tmp_path / "out", kind="mlp")

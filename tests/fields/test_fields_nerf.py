@@ -66,7 +66,7 @@ def test_what_was_interrupted_goes_on_with_the_same_bits(source, tmp_path, kind)
     assert first.summary["interrupted"] and (tmp_path / "out" / "checkpoint.npz").is_file()
     assert 6 < first.summary["steps"] < 12
     found = nerf(source, tmp_path / "out", **options)
-    assert f"continued an earlier training from step {first.summary['steps']}" in found.warnings[0]
+    assert f"continued an earlier run at step {first.summary['steps']}" in found.warnings[0]
     file = KINDS[kind].file
     assert (found.out / file).read_bytes() == (whole.out / file).read_bytes()
     assert not (tmp_path / "out" / "checkpoint.npz").exists()
@@ -182,7 +182,7 @@ def test_wrong_neural_files(tmp_path, rng):
 def test_what_cannot_be_trained(source, tmp_path):
     with pytest.raises(ConfigError, match="seed"):
         nerf(source, tmp_path / "out", seed=-1)
-    with pytest.raises(FileFormatError, match="no such file"):
+    with pytest.raises(FileFormatError, match="it does not exist"):
         nerf(tmp_path / "none", tmp_path / "out")
     same = tmp_path / "same"
     same.mkdir()

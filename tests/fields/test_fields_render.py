@@ -120,7 +120,7 @@ def test_a_video(splats, tmp_path):
 
 
 def test_what_does_not_fit(splats, tmp_path):
-    with pytest.raises(FileFormatError, match="no such file"):
+    with pytest.raises(FileFormatError, match="it does not exist"):
         render(tmp_path / "none", tmp_path / "out")
     with pytest.raises(ConfigError, match="frames"):
         render(splats, tmp_path / "out", frames=0)

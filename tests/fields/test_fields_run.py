@@ -184,10 +184,7 @@ def test_what_was_interrupted_goes_on_with_the_same_bits(source, tmp_path):
     steps = first.summary["steps"]
     assert first.summary["interrupted"] and (tmp_path / "out" / "checkpoint.npz").is_file()
     found = splat(source, tmp_path / "out", **OPTIONS)
-    assert (
-        f"continued an earlier training from step {steps}" in found.warnings[0]
-        and found.summary["steps"] == 80
-    )
+    assert f"continued an earlier run at step {steps}" in found.warnings[0] and found.summary["steps"] == 80
     for name in ("means_in_world", "log_scales", "quats_wxyz", "opacity_logits", "sh"):
         np.testing.assert_array_equal(getattr(found.cloud, name), getattr(whole.cloud, name))
     curve = json.loads((tmp_path / "out" / "metrics.json").read_text())["curve"]["rows"]
@@ -271,7 +268,7 @@ def test_what_cannot_be_trained_on_is_refused(source, tmp_path):
     (one / "transforms.json").write_text(json.dumps(camera() | {"frames": frames_of(views()[:1], one)}))
     with pytest.raises(NoModelError, match="two are needed"):
         splat(one, tmp_path / "out", test_every=0)
-    with pytest.raises(FileFormatError, match="no such"):
+    with pytest.raises(FileFormatError, match="does not exist"):
         splat(tmp_path / "nowhere", tmp_path / "out")
     wrong = tmp_path / "wrong"
     wrong.mkdir()

@@ -136,7 +136,7 @@ def test_what_cannot_be_shared(result: Path, tmp_path: Path) -> None:
     (tmp_path / "old.html").write_text("old")
     with pytest.raises(FileFormatError):
         share(tmp_path, tmp_path / "old.html")
-    with pytest.raises(FileFormatError, match="no such file"):
+    with pytest.raises(FileFormatError, match="it does not exist"):
         share(tmp_path / "none", tmp_path / "old.html")
     with pytest.raises(ConfigError, match=r"end in \.html"):
         share(result, result / "splat.ply")

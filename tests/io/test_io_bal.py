@@ -83,7 +83,7 @@ def test_broken_files_say_why(tmp_path, text, change, message):
 
 
 def test_missing_or_spoilt_archives_say_why(tmp_path):
-    with pytest.raises(FileFormatError, match="there is no such file"):
+    with pytest.raises(FileFormatError, match="it does not exist"):
         read_bal(tmp_path / "none.txt")
     spoilt = tmp_path / "spoilt.txt.bz2"
     spoilt.write_bytes(bz2.compress(b"1 1 1")[:-4])

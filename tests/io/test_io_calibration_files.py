@@ -136,7 +136,7 @@ def test_numbers_that_make_no_camera(tmp_path):
     (tmp_path / "own.json").write_text(json.dumps(content))
     with pytest.raises(FileFormatError, match="baseline is zero"):
         read_stereo_rig(tmp_path / "own.json")
-    with pytest.raises(FileFormatError, match="no such file"):
+    with pytest.raises(FileFormatError, match="it does not exist"):
         read_calibration(tmp_path / "nothing.yaml")
 
 

@@ -328,7 +328,7 @@ def test_missing_models_and_places(tmp_path: Path, folder: Path) -> None:
     with pytest.raises(FileFormatError, match="no COLMAP model here"):
         read_colmap_model(tmp_path / "nowhere")
     (folder / "points3D.bin").unlink()
-    with pytest.raises(FileFormatError, match=r"points3D\.bin: there is no such file"):
+    with pytest.raises(FileFormatError, match=r"points3D\.bin: it does not exist"):
         read_colmap_model(folder)
     (tmp_path / "file").write_text("")
     with pytest.raises(WorkspaceError):

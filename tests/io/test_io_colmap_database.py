@@ -318,7 +318,7 @@ def test_broken_contents_are_refused(database: Path, statement: str, message: st
 
 
 def test_what_is_no_database(tmp_path: Path, database: Path) -> None:
-    with pytest.raises(FileFormatError, match="no such file"):
+    with pytest.raises(FileFormatError, match="it does not exist"):
         read_database(tmp_path / "none.db")
     (tmp_path / "text.db").write_text("not a database " * 100)
     with pytest.raises(FileFormatError, match="not a readable database"):

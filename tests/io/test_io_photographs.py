@@ -100,7 +100,7 @@ def test_list_survives_circular_links_and_missing_folders(tmp_path):
     except OSError:
         pytest.skip("this system makes no symbolic links")
     assert list_photographs(tmp_path).names == ("sub/a.jpg",)
-    with pytest.raises(FileFormatError, match="no such folder"):
+    with pytest.raises(FileFormatError, match="it does not exist"):
         list_photographs(tmp_path / "nowhere")
     with pytest.raises(FileFormatError, match="is a file"):
         list_photographs(tmp_path / "sub" / "a.jpg")
@@ -318,7 +318,7 @@ def test_files_that_are_no_pictures(tmp_path):
         "junk.jpg": "80 81 82",
         "head.jpg": "damaged",
     }
-    problems |= {"missing.jpg": "no such file", "raw.NEF": "develop it"}
+    problems |= {"missing.jpg": "it does not exist", "raw.NEF": "develop it"}
     for name, problem in problems.items():
         for read in (read_grey, read_rgb, read_header):
             with pytest.raises(FileFormatError, match=rf"{name}.*{problem}"):

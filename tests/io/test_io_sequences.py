@@ -81,7 +81,7 @@ def test_times_beside_pictures(tmp_path):
 
 def test_folders_that_are_none(tmp_path, data_dir):
     for wrong, words in (
-        (tmp_path / "nothing", "there is no such folder"),
+        (tmp_path / "nothing", "it does not exist"),
         (tmp_path, "no image"),
         (Path(__file__), "a file that is neither a supported video"),
     ):

@@ -366,7 +366,7 @@ def test_damaged_zips_and_texts_are_told(tmp_path):
             read_sog(put(tmp_path / "b.sog", text, images))
     with pytest.raises(FileFormatError, match="NaN is not a finite number"):
         read_sog(put(tmp_path / "b.sog", json.dumps({**meta, "count": math.nan}), images))
-    with pytest.raises(FileFormatError, match="no such file"):
+    with pytest.raises(FileFormatError, match="it does not exist"):
         read_sog(tmp_path / "c.sog")
 
 

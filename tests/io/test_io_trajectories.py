@@ -62,7 +62,7 @@ def test_what_is_wrong_is_named_with_its_line(text, words, tmp_path):
     (tmp_path / "a.txt").write_text(text)
     with pytest.raises(FileFormatError, match=words):
         read_trajectory(tmp_path / "a.txt")
-    with pytest.raises(FileFormatError, match="no such file"):
+    with pytest.raises(FileFormatError, match="it does not exist"):
         read_trajectory(tmp_path / "b.txt")
 
 

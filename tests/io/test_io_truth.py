@@ -101,7 +101,7 @@ def test_broken_files_are_refused(tmp_path: Path, name: str, content: str, messa
 
 
 def test_nothing_there(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match="no such file or folder"):
+    with pytest.raises(FileFormatError, match="it does not exist"):
         read_truth(tmp_path / "nothing")
     with pytest.raises(
         FileFormatError,

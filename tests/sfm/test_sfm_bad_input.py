@@ -214,7 +214,7 @@ def test_options_that_make_no_sense(rendered, tmp_path):
     with pytest.raises(ConfigError, match="seed must not be negative"):
         RansacConfig(seed=-1)
     for name in ("pairs", "database", "calibration"):
-        with pytest.raises(FileFormatError, match=f"no such file .{name}"):
+        with pytest.raises(FileFormatError, match=f"it does not exist .{name}"):
             reconstruct(two, tmp_path / "out", ReconstructConfig(**{name: tmp_path / "nosuch"}))
     with pytest.raises(ConfigError, match="unknown camera model"):
         reconstruct(two, tmp_path / "out", ReconstructConfig(camera_model="LENS"))

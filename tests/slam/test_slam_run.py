@@ -81,7 +81,7 @@ def test_frames_of_nothing_end_with_the_reason(tmp_path):
         cv2.imwrite(str(tmp_path / "dark" / f"{n}.png"), np.zeros((240, 320), np.uint8))
     with pytest.raises(NoModelError, match=r"no frame was localized: .*blank"):
         run_slam(tmp_path / "dark", tmp_path / "out", camera_params=PARAMS)
-    with pytest.raises(FileFormatError, match="there is no such folder"):
+    with pytest.raises(FileFormatError, match="it does not exist"):
         run_slam(tmp_path / "nothing", tmp_path / "out")
 
 

@@ -45,7 +45,7 @@ def what_it_is(path: Path) -> str:
         if path.is_dir():
             return _of_folder(path)
         if not path.exists():
-            return "there is no such file or folder"
+            return "it does not exist"
         if not path.is_file():
             return "it is neither a file nor a folder"
         with path.open("rb") as stream:

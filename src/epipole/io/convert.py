@@ -43,7 +43,7 @@ def read_model(source: str | Path) -> Reconstruction:
     if source.suffix.lower() == ".ply" and source.is_file():
         raise FileFormatError(source, "it has points but no cameras, so it is not a model")
     if not source.exists():
-        raise FileFormatError(source, f"there is no such file or folder; {MODELS}")
+        raise FileFormatError(source, f"it does not exist; {MODELS}")
     if source.is_file():
         if what := what_it_is(source):
             raise FileFormatError(source, f"not a model: {what}; {MODELS}")

@@ -61,7 +61,7 @@ def require_file(path: Path) -> int:
     try:
         status = path.stat()
     except FileNotFoundError as error:
-        raise FileFormatError(path, "there is no such file") from error
+        raise FileFormatError(path, "it does not exist") from error
     except OSError as error:
         raise FileFormatError(path, f"cannot be opened: {error.strerror or error}") from error
     except ValueError as error:  # a null character, or a name that no file system can encode

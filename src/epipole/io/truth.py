@@ -62,7 +62,7 @@ def read_truth(path: str | Path) -> TruthCameras:
         lists = sorted(path.glob("*_par.txt"))
         if len(lists) == 1:
             return _middlebury(lists[0])
-    problem = "not cameras in a supported format" if path.exists() else "there is no such file or folder"
+    problem = "not cameras in a supported format" if path.exists() else "it does not exist"
     inside = path / "sparse" / "0"
     what = f"the model is in {inside}" if inside.is_dir() else what_it_is(path) if path.exists() else ""
     raise FileFormatError(path, "; ".join(filter(None, [problem, what, f"supported are {_FORMS}"])))

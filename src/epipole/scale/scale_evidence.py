@@ -78,7 +78,7 @@ def check_anchor_files(options: AnchorOptions) -> None:
         path = getattr(options, name)
         if path is not None:
             if not path.exists():
-                raise FileFormatError(path, f"no such file ({name})")
+                raise FileFormatError(path, f"it does not exist ({name})")
             readers[name](path)
 
 

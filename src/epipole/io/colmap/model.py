@@ -201,7 +201,7 @@ def find_model(path: str | Path) -> Path:
         if (folder / "cameras.bin").is_file() or (folder / "cameras.txt").is_file():
             return folder
     if not path.exists():
-        raise FileFormatError(path, "there is no such folder")
+        raise FileFormatError(path, "it does not exist")
     images = any(p.suffix.lower() in FORMAT_OF_SUFFIX for at in (path, path / "images") for p in at.glob("*"))
     advice = "`epipole reconstruct` makes a model from images" if images and not results_of(path) else ""
     problem = "it contains no model (no cameras.bin or cameras.txt, nor sparse/0)"

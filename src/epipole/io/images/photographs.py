@@ -147,7 +147,7 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
     folder = Path(folder)
     if not folder.is_dir():
         raise FileFormatError(
-            folder, "this is a file, not a folder of photographs" if folder.exists() else "no such folder"
+            folder, "this is a file, not a folder of photographs" if folder.exists() else "it does not exist"
         )
     readable_here = readable_suffixes()
     known = frozenset(FORMAT_OF_SUFFIX) | RAW_SUFFIXES | OTHER_SUFFIXES

@@ -61,7 +61,7 @@ def read_sequence(
 def _read_sequence(folder: Path, fps: float | None) -> ImageSequence:
     if not folder.is_dir():
         if not folder.exists():
-            raise FileFormatError(folder, "there is no such folder")
+            raise FileFormatError(folder, "it does not exist")
         problem = "a file that is neither a supported video nor a supported recording"
         raise FileFormatError(folder, with_what_it_is(problem, folder))
     for at in (folder / "mav0", folder):

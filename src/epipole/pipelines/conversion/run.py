@@ -88,7 +88,7 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
     if format not in get_args(ModelFormat):
         raise ConfigError(f"unknown format {format!r}; supported are {', '.join(get_args(ModelFormat))}")
     if not source.exists():
-        raise FileFormatError(source, "there is no such file or folder")
+        raise FileFormatError(source, "it does not exist")
     if format == "splat":
         return _convert_gaussians(source, target)
     if format == "ply":

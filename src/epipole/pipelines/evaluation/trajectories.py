@@ -108,11 +108,13 @@ def _timed_together(
         return Reading(Trajectory(table.timestamp_s[rows], theirs.world_from_body[rows]), known.assumptions)
     if len(ours) == len(theirs):
         return known  # matched in order
-    without, count = (estimate, len(theirs)) if theirs.is_timed else (truth, len(ours))
+    without, rows_without, count = (
+        (estimate, len(ours), len(theirs)) if theirs.is_timed else (truth, len(theirs), len(ours))
+    )
     raise FileFormatError(
         without,
-        f"it has no times (KITTI format), and the other trajectory has {count} poses, so it is unknown which of its rows"
-        " match them",
+        f"its {rows_without} rows have no timestamps (KITTI format), so they cannot be matched with the {count} poses of"
+        " the other trajectory: use a file with one row per pose, or one in TUM format",
     )
 
 

@@ -99,7 +99,7 @@ def in_time(
             warnings.append(
                 f"only {len(found)} of {len(views)} views were rendered and compared: a view takes about "
                 f"{spent_s / len(found):.2g} s, and rendering may take {budget_s:.3g} s, a quarter of the training time. "
-                "Train longer, reduce max_side_px, or give steps instead of a time to compare more"
+                "Train longer, reduce the image size (max_side_px), or pass steps instead of a time to compare more"
             )
             report(len(found), len(found))
             break

@@ -50,7 +50,7 @@ def mesh(
     source, out = as_path(source), as_path(out)
     wanted = options_of(MeshConfig, config, options, ["config", "progress"])
     if not source.exists():
-        raise FileFormatError(source, "there is no such file or folder")
+        raise FileFormatError(source, "it does not exist")
     if out.suffix.lower() != ".ply" or out.is_dir():
         raise ConfigError(f"a mesh is written to a file that ends in .ply, got {out}")
     inputs = (source,) if wanted.cameras is None else (source, wanted.cameras)
@@ -83,8 +83,8 @@ def _views(source: Path, wanted: MeshConfig) -> list[RenderView]:
     cameras = wanted.cameras or (source if source.is_dir() else source.parent) / CAMERAS
     if wanted.cameras is None and not cameras.exists():
         raise NoModelError(
-            f"the cameras of {source} are unknown, because {cameras} does not exist: give cameras that look at the scene,"
-            " a transforms.json or a COLMAP model (cameras)"
+            f"the camera poses of {source} are unknown, because {cameras} does not exist: pass a transforms.json or a"
+            " COLMAP model whose cameras look at the scene (option cameras)"
         )
     views = render_views_of_model(cameras, RenderConfig(width=wanted.width))
     rows = np.linspace(0, len(views) - 1, min(len(views), wanted.most_views)).astype(np.int64)

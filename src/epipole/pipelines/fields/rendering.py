@@ -88,7 +88,7 @@ def render(
     source, out = as_path(source), as_path(out)
     wanted = options_of(RenderConfig, config, options, ["config", "progress"])
     if not source.exists():
-        raise FileFormatError(source, "there is no such file or folder")
+        raise FileFormatError(source, "it does not exist")
     inputs = (source,) if wanted.cameras is None else (source, wanted.cameras)
     _check_target(out, inputs)
     colour = np.full(3, _background(source, wanted), np.float32)

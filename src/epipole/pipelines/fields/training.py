@@ -74,7 +74,7 @@ def training_of(
     found = options_of(*config, options, ["config", "progress"])
     source, out = (as_path(path) for path in paths)
     if not source.exists():
-        raise FileFormatError(source, "there is no such file or folder")
+        raise FileFormatError(source, "it does not exist")
     settings = {name: value for name, value in asdict(found).items() if name not in WATCHING}
     return Training(
         source, out, found, settings, Job(kind=kind, inputs=(source,), settings=settings, progress=progress)
@@ -131,7 +131,7 @@ def train(
     if checkpoint is not None:
         earlier, curve = checkpoint.restore()
     if trainer.num_steps:
-        run.warnings.append(f"continued an earlier training from step {trainer.num_steps}")
+        run.warnings.append(f"continued an earlier run at step {trainer.num_steps}")
     start, compiling, aside = perf_counter(), compile_seconds(), 0.0
 
     def seconds() -> float:

@@ -129,7 +129,7 @@ def _check_inputs(source: Path, config: ReconstructConfig) -> None:
     named = {name: getattr(config, name) for name in ("calibration", "pairs", "database")}
     for name, path in named.items():
         if path is not None and not path.exists():
-            raise FileFormatError(path, f"no such file ({name})")
+            raise FileFormatError(path, f"it does not exist ({name})")
     check_anchor_files(config.anchors)
 
 

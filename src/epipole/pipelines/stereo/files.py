@@ -98,7 +98,7 @@ def read_stereo(out: Path) -> StereoFiles:
     """
     if not (out / "depth.pfm").is_file():
         raise FileFormatError(
-            out, "it holds disparities but no depth: pass focal length and baseline, or a calibration"
+            out, "it has disparities but no depth: pass focal length and baseline, or a calibration"
         )
     try:
         K = np.array(read_json(out / "rig.json")["K"], np.float64).reshape(3, 3)

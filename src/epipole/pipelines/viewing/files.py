@@ -79,7 +79,7 @@ def scene_of_depth_map(path: Path) -> SpaceScene:
     """
     if "disparity" in path.stem.lower():
         hint = "`epipole stereo` with --focal-px and --baseline, or --calibration, writes depths"
-        raise FileFormatError(path, f"by its name, it has disparities instead of depths: {hint}")
+        raise FileFormatError(path, f"its name says disparity, but depth is needed: {hint}")
     is_png = path.suffix.lower() == ".png"
     depths = (read_png16 if is_png else read_pfm)(path)
     depths = np.where(np.isfinite(depths) & (depths > 0), depths, np.nan)

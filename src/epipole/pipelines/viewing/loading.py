@@ -48,7 +48,7 @@ def load(path: str | Path) -> Any:
     """
     path = as_path(path)
     if not path.exists():
-        raise FileFormatError(path, "there is no such file or folder")
+        raise FileFormatError(path, "it does not exist")
     if fields.is_mine(path):
         found = kind_in(path)
         return seen_gaussians(path)[0] if found is None else found[0].read(found[1])

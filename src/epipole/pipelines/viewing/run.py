@@ -108,7 +108,7 @@ def scene_of(path: Path) -> SpaceScene:
         FileFormatError: there is nothing to show, or it is damaged.
     """
     if not path.exists():
-        raise FileFormatError(path, "there is no such file or folder")
+        raise FileFormatError(path, "it does not exist")
     make = next((make for is_mine, make in KINDS if is_mine(path)), None)
     if make is None and path.is_file() and path.suffix.lower() != ".json":
         advice = "`epipole view --help` lists what can be shown"

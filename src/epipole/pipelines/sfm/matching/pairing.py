@@ -94,6 +94,6 @@ def read_pairs(path: Path, names: Sequence[str]) -> Int32[np.ndarray, "p 2"]:
             raise FileFormatError(path, f"line {number}: expected two image names, got {len(words)}")
         missing = [w for w in words if w not in row]
         if missing:
-            raise FileFormatError(path, f"line {number}: no image {missing[0]!r} (or it cannot be used)")
+            raise FileFormatError(path, f"line {number}: image {missing[0]!r} does not exist or is unusable")
         pairs.append((row[words[0]], row[words[1]]))
     return sorted_pairs(pairs)

@@ -94,8 +94,8 @@ def check_one_camera(options: AnchorOptions, *, measures_depth: bool) -> None:
     """
     if measures_depth and not options.is_empty:
         raise ConfigError(
-            "positions, lengths, tags, boards and odometry set the scale of one camera, but this camera measures depth and is"
-            " metric already"
+            "positions, lengths, tags, boards and odometry set the scale of one camera, but the map of a stereo or depth"
+            " camera is metric already"
         )
 
 

@@ -258,9 +258,13 @@ def _judged(found: ReconstructionResult, losses: Iterable[str]) -> FoundCamera:
     intrinsics = found.model.cameras[0]
     sigma_px = float(np.sqrt(spread))
     if not sigma_px <= MOST_SIGMA * intrinsics.focal_px:
-        known = f"only to {sigma_px / intrinsics.focal_px:.1%}" if np.isfinite(sigma_px) else "not at all"
+        known = (
+            f"determine the focal length only to {sigma_px / intrinsics.focal_px:.1%}"
+            if np.isfinite(sigma_px)
+            else "do not determine the focal length"
+        )
         raise ConfigError(
-            f"the camera intrinsics are unknown, and the images determine the focal length {known}: {ADVICE}. The best fit is"
+            f"the camera intrinsics are unknown, and the images {known}: {ADVICE}. The best fit is"
             f" --camera-model {intrinsics.model.name} --camera-params {text_of_camera(intrinsics)}"
         )
     return FoundCamera(intrinsics, count, _honest_sigma_px(found, sigma_px), tuple(losses))
