@@ -17,8 +17,8 @@ SEEN = [
 ]
 """Each page; both languages and both themes occur together, in the whole run for each page."""
 MOST_BYTES, MOST_SECONDS = 1_500_000, 1.0
-NAMES = ("page", "function")
-"""Of a question: not words, but what it leads to."""
+NAMES = ("page", "function", "id", "terms")
+"""Keys of names, which are not texts."""
 
 
 def leaves(value, path=""):
