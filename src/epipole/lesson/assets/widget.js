@@ -1,5 +1,5 @@
 /* What every page of the lesson does: sliders and their numbers, drawings in SVG, charts. No library. */
-/* exported byId, show, showCount, withUnit, chosen, told, watch, clear, fitted, add, place, drag, marks, chartAxes, shownNumber */
+/* exported byId, show, showCount, withUnit, grouped, chosen, told, watch, clear, fitted, add, place, drag, marks, chartAxes, shownNumber */
 "use strict";
 const byId = (id) => document.getElementById(id);
 const WORDS = JSON.parse(byId("words").textContent);
@@ -20,7 +20,7 @@ function shownNumber(value, digits = 3) {
     const [factor, power] = value.toExponential(digits - 1).split("e");
     return `${withMinus(factor)} × 10${[...String(Number(power))].map((mark) => RAISED[mark]).join("")}`;
   }
-  const places = Math.max(0, digits - 1 - Math.floor(Math.log10(size)));
+  const places = Math.max(0, digits - 1 - Math.floor(Math.log10(Number(size.toPrecision(digits)))));
   return withMinus(grouped(value.toFixed(Math.min(places, 6))));
 }
 
