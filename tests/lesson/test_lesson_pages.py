@@ -17,8 +17,8 @@ SEEN = [
 ]
 """Each page; both languages and both themes occur together, in the whole run for each page."""
 MOST_BYTES, MOST_SECONDS = 1_500_000, 1.0
-NAMES = ("page", "function")
-"""Of a question: not words, but what it leads to."""
+NAMES = ("page", "function", "id", "terms")
+"""Keys of names, which are not texts."""
 
 
 def leaves(value, path=""):
@@ -98,6 +98,30 @@ def test_arrow_keys_go_by_round_numbers(tab):
         tab.page.keyboard.press(key)
         shown.append(float(tab.page.locator("#Z").input_value()))
     assert shown == [2.5, 3.0, 2.5, 2.0, 40.0, 40.0]
+
+
+def test_numbers_are_written_with_three_digits_and_their_unit(tab):
+    tab.open("01_disparity.html")
+    given = [0.9999999, 2.4, 0.06, 0.00441, -0.0175, 0.0, 175827.3]
+    shown = tab.page.evaluate("values => values.map(value => withUnit(value, 'm'))", given)
+    assert shown == ["1.00 m", "2.40 m", "6.00 cm", "4.41 mm", "−1.75 cm", "0 m", "175,827 m"]
+    powers = tab.page.evaluate("() => [1.2e6, -6.422e-7, 4.447e18, -Infinity].map(v => shownNumber(v))")
+    assert powers == ["1.20 × 10⁶", "−6.42 × 10⁻⁷", "4.45 × 10¹⁸", "−∞"]
+    tab.open("03_candidates.html")
+    assert tab.page.locator("#four-told").inner_text().startswith("Of 10 points, 0, 10, 0 and 0 lie")
+
+
+def test_the_ellipse_keeps_its_scale_while_a_slider_moves(tab):
+    tab.open("05_triangulation.html")
+    long = "() => [...document.querySelectorAll('#above ellipse')].map(e => e.rx.baseVal.value)"
+    (first,) = tab.page.evaluate(long)
+    for noise in (1.4, 2.0):
+        tab.set(s=noise)
+        assert tab.page.evaluate(long) == pytest.approx([noise * first, first])
+    tab.set(A=0.0)
+    tab.set(B=0.5)  # side by side: half the baseline, twice the length and the same width
+    now, before = tab.page.evaluate(long)
+    assert now == pytest.approx(2 * before, rel=0.01)
 
 
 def test_what_changed_is_said_once(tab):

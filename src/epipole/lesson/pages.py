@@ -71,6 +71,7 @@ def _rendered(page: Page, language: str, number: int) -> str:
         for k, other in enumerate(PAGES, 1)
     ]
     name = _numbered(page, number) if number else "index"
+    names = {item["id"]: item["term"] for group in texts("terms")["groups"] for item in group["terms"]}
     return render(
         PACKAGE,
         f"{page.name}.html.jinja",
@@ -82,6 +83,7 @@ def _rendered(page: Page, language: str, number: int) -> str:
         languages={code: (label, _file(name, code)) for code, label in LANGUAGES.items()},
         number=number,
         pages=all_pages,
+        terms={id: _in(language, names[id]) for id in words.get("terms", ())},
         index=_file("index", language),
         stop=STOP[language],
         colon=COLON[language],

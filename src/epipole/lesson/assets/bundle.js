@@ -14,7 +14,7 @@ function aligned(places, truth) {
   return { rule, off: places.map((place, k) => norm(minus(rule(place), truth[k]))) };
 }
 
-/* Multiplications of a Cholesky factor of the whole H, and of V^-1, S and its factor. */
+/* Multiplications of a Cholesky factor of the full J^T J, and of V^-1, S and its factor. */
 function operations({ U, V, W }) {
   const cameras = 6 * (U.length - 1),
     all = cameras + 3 * V.length;
@@ -79,18 +79,22 @@ function drawAbove({ problem, now, rule }) {
   });
 }
 
-/* Residuals of every step; a power of ten is as high as the next. */
+/* Residuals of every step on a logarithmic axis from 0.01 px to 10,000 px: the worst start of the sliders fits. */
+const LOG_LEAST = -2,
+  LOG_MOST = 4;
+
 function drawFall({ problem, steps }, step) {
   const [svg, width] = fitted("fall", 240),
     box = { left: 52, top: 30, right: width - 16, bottom: 196 };
   const sizes = steps.map(({ cost }) => Math.sqrt(cost / problem.observations.length)),
-    powers = [-2, -1, 0, 1, 2, 3];
+    powers = Array.from({ length: LOG_MOST - LOG_LEAST + 1 }, (_, k) => LOG_LEAST + k);
   const toX = (k) => box.left + ((box.right - box.left) * k) / STEPS,
-    toY = (size) => box.bottom - ((box.bottom - box.top) * (Math.log10(Math.max(size, 1e-2)) + 2)) / 5;
+    toY = (size) =>
+      box.bottom - ((box.bottom - box.top) * (Math.log10(Math.max(size, 1e-2)) - LOG_LEAST)) / (LOG_MOST - LOG_LEAST);
   for (const power of powers) {
     const y = toY(10 ** power);
     add(svg, "line", { class: "grid", x1: box.left, x2: box.right, y1: y, y2: y });
-    add(svg, "text", { class: "tick", x: box.left - 7, y: y + 4, "text-anchor": "end" }, String(10 ** power));
+    add(svg, "text", { class: "tick", x: box.left - 7, y: y + 4, "text-anchor": "end" }, grouped(String(10 ** power)));
   }
   steps.forEach((_, k) => add(svg, "text", { class: "tick", x: toX(k), y: box.bottom + 16, "text-anchor": "middle" }, String(k)));
   add(svg, "text", { class: "label", x: box.right, y: box.bottom + 34, "text-anchor": "end" }, WORDS.step);
@@ -129,7 +133,7 @@ function drawPatterns({ problem, together }) {
     ...SCENE.corners.map((_, j) => [toPoint(j), toPoint(j), 3, 3]),
   ];
   const between = observations.flatMap(({ c, j }) => [[6 * c, toPoint(j), 6, 3], [toPoint(j), 6 * c, 3, 6]]);
-  pattern(svg, at(1), side(width), "H = JᵀJ", [all, all], [...own, ...between]);
+  pattern(svg, at(1), side(width), "JᵀJ", [all, all], [...own, ...between]);
   const pairs = together.flatMap((row, a) => row.flatMap((v, b) => (v ? [[a, b, 1, 1]] : [])));
   pattern(svg, at(2), side(width), "S = U − W V⁻¹ Wᵀ", [cameras, cameras], pairs);
 }
@@ -138,7 +142,8 @@ watch(["step", "visible", "s", "off"], (values) => {
   const found = bundleNumbers(values);
   for (const [name, value] of Object.entries(found.numbers)) {
     const unit = { cameras_off: "m", rms: WORDS.unit_px, filled: "%", filled_s: "%", whole: WORDS.thousand, reduced: WORDS.thousand }[name];
-    show(name, value, unit, Number.isInteger(value) && value < 1e6 ? String(value).length : 4);
+    if (name === "unknowns" || name === "residuals") showCount(name, value);
+    else show(name, value, unit);
   }
   drawAbove(found);
   drawFall(found, values.step);

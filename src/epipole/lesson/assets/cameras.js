@@ -30,12 +30,12 @@ function twoPictures(id, names) {
 }
 
 /* A matrix as a table. */
-function matrixTable(id, A) {
+function matrixTable(id, A, digits = 3) {
   const rows = A.map((row) => {
     const tr = document.createElement("tr");
     for (const value of row) {
       const cell = document.createElement("td");
-      cell.textContent = shownNumber(value, 4);
+      cell.textContent = shownNumber(value, digits);
       cell.dataset.value = String(value);
       tr.append(cell);
     }

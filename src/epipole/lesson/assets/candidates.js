@@ -94,10 +94,10 @@ watch(["tx", "tz", "yaw", "far", "noise"], (values) => {
     byId(`true${k}`).textContent = isTrue ? WORDS.true : "";
     show(`angle${k}`, angleOf(motion.R), "°");
     motion.t.forEach((v, axis) => show(`t${k}${axis}`, v));
-    show(`count${k}`, count, "", 1);
+    showCount(`count${k}`, count);
   });
   drawFour(found);
   const [a, b, c, d] = found.map(({ count }) => count);
-  told("four-told", WORDS.four_told, { all: SCENE.corners.length, a, b, c, d });
+  told("four-told", WORDS.four_told, { all: SCENE.corners.length, a, b, c, d }, ["all", "a", "b", "c", "d"]);
 });
 document.documentElement.dataset.ready = "yes";

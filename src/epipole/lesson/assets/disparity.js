@@ -113,27 +113,41 @@ function drawMagnified(svg, { d }, left) {
   add(svg, "text", { class: "tick", x: left + 67, y: 312, "text-anchor": "middle" }, `${times} \u00d7`);
 }
 
-function drawCurve({ Z, B, f, e }, found) {
+/* The chart's scale is fixed so that curves can be compared: metres of depth and of error. */
+const CURVE = { depth: 40, error: 20 };
+const WORKED = { f: 800, B: 0.12, e: 1 };
+
+/* Error against depth, up to the top of the chart. */
+function errorPath({ f, B, e }, toX, toY) {
+  const end = Math.min(CURVE.depth, Math.sqrt((CURVE.error * f * B) / e));
+  const at = (z) => `${toX(z).toFixed(2)},${toY(depthErrorOf(z, f, B, e)).toFixed(2)}`;
+  return "M" + Array.from({ length: 81 }, (_, k) => at((end * k) / 80)).join(" L");
+}
+
+function drawCurve(values, found) {
   const [svg, width] = fitted("curve", 260),
     box = { left: 58, top: 28, right: width - 16, bottom: 212 };
   const { toX, toY } = chartAxes(
     svg,
     box,
-    [40, depthErrorOf(40, f, B, e)],
+    [CURVE.depth, CURVE.error],
     [WORDS.depth_axis, WORDS.error_axis],
   );
-  const path = Array.from({ length: 81 }, (_, k) => {
-    const z = k / 2;
-    return `${k ? "L" : "M"}${toX(z).toFixed(2)},${toY(depthErrorOf(z, f, B, e)).toFixed(2)}`;
-  });
-  add(svg, "path", { class: "series accent", d: path.join(" ") });
-  add(svg, "path", { class: "mark", d: `M${toX(Z)},${box.bottom} V${toY(found.dz)} H${box.left}` });
-  add(svg, "circle", { class: "object", cx: toX(Z), cy: toY(found.dz), r: 7 });
+  const [x, y] = [toX(values.Z), toY(Math.min(found.dz, CURVE.error))];
+  add(svg, "path", { class: "before", d: errorPath(WORKED, toX, toY) });
+  add(svg, "path", { class: "series accent", d: errorPath(values, toX, toY) });
+  add(svg, "path", { class: "mark", d: `M${x},${box.bottom} V${y} H${box.left}` });
+  if (found.dz <= CURVE.error) add(svg, "circle", { class: "object", cx: x, cy: y, r: 7 });
+  else {
+    const side = x > width / 2 ? { x: x - 12, "text-anchor": "end" } : { x: x + 12 };
+    add(svg, "path", { class: "object", d: `M${x},${y - 8} l-8,14 h16 z` });
+    add(svg, "text", { class: "label", y: y + 18, ...side }, withUnit(found.dz, "m"));
+  }
 }
 
 const set = watch(["Z", "X", "B", "f", "e"], (values) => {
   const found = stereoNumbers(values);
-  for (const name of ["xl", "xr", "d"]) show(name, found[name], WORDS.unit_px);
+  for (const name of ["xl", "xr", "d"]) show(name, found[name], WORDS.unit_px, 3);
   for (const name of ["back", "dz", "nearest", "farthest"]) show(name, found[name], "m");
   drawAbove(values, found);
   drawPictures(found);

@@ -82,7 +82,8 @@ const set = watch(["u", "v", "Z", "off", "tx", "ty", "tz", "yaw", "pitch", "roll
   const found = epipolarNumbers(values);
   const shown = { x2: found.match[0], y2: found.match[1], distance: found.distance, sampson: found.sampson };
   const ends = { e2u: found.e2[0], e2v: found.e2[1], e1u: found.e1[0], e1v: found.e1[1] };
-  for (const [name, value] of Object.entries({ ...shown, ...ends })) show(name, value, WORDS.unit_px);
+  for (const [name, value] of Object.entries({ ...shown, ...ends }))
+    show(name, value, WORDS.unit_px, name in ends || name === "x2" || name === "y2" ? 4 : 3);
   // At infinity an epipole has a direction and no place.
   const awayIn = { e2: applied(K, found.motion.t), e1: applied(K, inverseMotion(found.motion).t) };
   for (const [name, [x, y, w]] of Object.entries(awayIn))
@@ -93,7 +94,7 @@ const set = watch(["u", "v", "Z", "off", "tx", "ty", "tz", "yaw", "pitch", "roll
         .join(", ")})`;
     }
   show("residual", found.residual);
-  for (const [name, A] of Object.entries({ E: found.E, F: found.F, K })) matrixTable("matrix-" + name, A);
+  for (const [name, A] of Object.entries({ E: found.E, F: found.F, K })) matrixTable("matrix-" + name, A, name === "K" ? 4 : 3);
   drawPictures(values, found);
   told("pictures-told", WORDS.pictures_told, { ...values, ...shown });
 });

@@ -174,7 +174,7 @@ watch(["frame"], ({ frame }) => {
     frame = Math.min(frame, Number(slider.max));
     slider.value = String(frame);
     for (const name of Object.keys(RUNS)) byId(`about-${name}`).hidden = name !== failure;
-    byId("runs").hidden = RUNS[failure].length < 2;
+    byId("run-1").parentElement.hidden = RUNS[failure].length < 2;
     document.querySelector("input[name=run][value='0']").checked = true;
   }
   byId("frame-shown").textContent = slider.value;
@@ -182,7 +182,8 @@ watch(["frame"], ({ frame }) => {
   const found = replayNumbers({ failure, frame });
   for (const [name, value] of Object.entries(found.numbers)) {
     const unit = { off_now: "cm", final_off: "cm", placed: "%" }[name];
-    show(name, value, unit, Number.isInteger(value) ? Math.max(1, String(value).length) : 3);
+    if (["points", "refused", "accepted"].includes(name)) showCount(name, value);
+    else show(name, value, unit);
   }
   byId("state").textContent = WORDS.states[found.run.state[found.k]];
   byId("state").dataset.state = found.run.state[found.k];
@@ -191,7 +192,7 @@ watch(["frame"], ({ frame }) => {
   drawWay(found);
   drawPoints(found);
   told("way-told", WORDS.way_told, found.numbers);
-  told("agreeing-told", WORDS.agreeing_told, found.numbers);
+  told("agreeing-told", WORDS.agreeing_told, found.numbers, ["points"]);
 });
 drawKitchen();
 addEventListener("resize", drawKitchen);

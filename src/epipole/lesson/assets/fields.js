@@ -72,7 +72,7 @@ function drawPictures(chosenPixel) {
   const shown = [["truth", RECORD.truth], ...WAYS.map((way) => [way, RECORD.pictures[way]])];
   shown.forEach(([name, data], k) => {
     const left = k * (side + 10);
-    const label = add(svg, "text", { class: "label", x: left, y: 14 }, WORDS.pictures[name]);
+    const label = add(svg, "text", { class: "label", x: left + 6, y: 14 }, WORDS.pictures[name]);
     label.style.fontSize = `${Math.min(17, (13 * (3 * side + 20)) / (svg.clientWidth || 620))}px`; // as large as elsewhere
     add(svg, "image", { href: "data:image/webp;base64," + data, x: left, y: 24, width: side, height: side });
     RECORD.pixels.forEach(({ at: [x, y] }, which) => {
@@ -107,7 +107,6 @@ function drawRay(way, { parts, through }, upto) {
     WORDS.distance,
   );
   add(svg, "text", { class: "label", x: 8, y: 16 }, WORDS.ways[way]);
-  const heaviest = Math.max(...parts.map(({ weight }) => weight));
   for (const { distance, weight, colour } of parts) {
     add(svg, "line", {
       class: "query",
@@ -116,7 +115,7 @@ function drawRay(way, { parts, through }, upto) {
       y1: box.bottom + 2,
       y2: box.bottom + 8,
     });
-    const top = toY((0.8 * weight) / heaviest);
+    const top = toY(weight);
     add(svg, "rect", {
       class: "weight",
       x: toX(distance) - 2,
@@ -155,20 +154,13 @@ const set = watch(["upto"], (values) => {
   const name = chosen("pixel"),
     { pixel, found, numbers } = fieldNumbers(values, name);
   for (const [id, value] of Object.entries(numbers))
-    show(
-      id,
-      value,
-      id.startsWith("depth") ? "m" : "",
-      id.startsWith("used") ? Math.max(1, String(value).length) : 4,
-    );
+    if (id.startsWith("used")) showCount(id, value);
+    else show(id, value, id.startsWith("depth") ? "m" : "");
   drawPictures(name);
   for (const way of WAYS) {
     drawRay(way, found[way], values.upto);
-    told(`ray-${way}-told`, WORDS.ray_told, {
-      used: numbers[`used-${way}`],
-      depth: numbers[`depth-${way}`],
-      through: numbers[`through-${way}`],
-    });
+    const [used, depth, through] = ["used", "depth", "through"].map((name) => numbers[`${name}-${way}`]);
+    told(`ray-${way}-told`, WORDS.ray_told, { used, depth, through }, ["used"]);
   }
   drawColours({ pixel, found });
 });

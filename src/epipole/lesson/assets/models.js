@@ -69,7 +69,7 @@ watch(["relief", "tx", "yaw", "s"], (values) => {
   const { pixels, found, best } = modelNumbers(values);
   for (const [name, { rms, gric }] of Object.entries(found)) {
     show(`rms-${name}`, rms);
-    show(`gric-${name}`, gric, "", 5);
+    show(`gric-${name}`, gric, "", 4);
     byId(`verdict-${name}`).textContent = name === best ? WORDS.chosen : "";
     byId(`row-${name}`).className = name === best ? "best" : "";
   }

@@ -102,14 +102,15 @@ function drawAbove(state) {
   });
 }
 
+const COUNTS = ["seen", "cameras", "points"];
+
 watch(["step", "s", "most"], (values) => {
   const state = wayNumbers(values);
-  for (const [name, value] of Object.entries(state.numbers)) {
-    const unit = name.endsWith("_off") ? (name === "turn_off" ? "°" : "m") : "";
-    show(name, value, unit, Number.isInteger(value) && value < 1e6 ? String(value).length : 4);
-  }
+  for (const [name, value] of Object.entries(state.numbers))
+    if (COUNTS.includes(name)) showCount(name, value);
+    else show(name, value, name === "turn_off" ? "°" : "m");
   byId("what").textContent = values.step === 0 ? WORDS.begin : state.placed ? WORDS.pnp : WORDS.triangulation;
   drawAbove(state);
-  told("above-told", WORDS.above_told, state.numbers);
+  told("above-told", WORDS.above_told, state.numbers, COUNTS);
 });
 document.documentElement.dataset.ready = "yes";

@@ -50,7 +50,7 @@ function drawAbove({ drawn, baseline }, unit) {
   const second = motionOf({ ...MOTION, tx: drawn * MOTION.tx });
   drawCamera(svg, toPlace, HERE, "one", 0.5 * drawn);
   drawCamera(svg, toPlace, second, "other", 0.5 * drawn);
-  const text = `${shownNumber(baseline, 3)} ${unit}`;
+  const text = withUnit(baseline, unit);
   add(svg, "text", { class: "label", x: toPlace([baseline, 0, 0])[0] + 14, y: 406 }, text);
 }
 
@@ -60,7 +60,7 @@ watch(["k", "B", "W"], (values) => {
   const unit = anchor === "none" ? WORDS.unit : "m";
   byId("B").disabled = anchor !== "baseline";
   byId("W").disabled = anchor !== "width";
-  for (const name of ["u1", "u2"]) show(name, found[name], WORDS.unit_px, 7);
+  for (const name of ["u1", "u2"]) show(name, found[name], WORDS.unit_px, 4);
   for (const name of ["baseline", "width", "distance"]) show(name, found[name], unit);
   show("metres", found.metres);
   if (anchor === "none") byId("metres").textContent = WORDS.unknown;

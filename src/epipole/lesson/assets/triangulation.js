@@ -65,15 +65,63 @@ function pointNumbers({ B, A, Z, X, s, n }) {
   };
 }
 
-/* The scale is a round number, so that a larger ellipse is drawn larger until the next one. */
+/* The scale of the view (metres from its center to its edge), and the ellipse before the slider that moves now was touched. */
+const VIEW = { reach: 0, before: null, moved: "", values: null, axes: null };
+const semiAxisPx = (long) => (2 * long * 200) / VIEW.reach;
+
 function roundUp(value) {
   const power = 10 ** Math.floor(Math.log10(value));
   return [1, 2, 5, 10].map((k) => k * power).find((round) => round >= value);
 }
 
-function drawAbove({ truth, linear, best, axes, seen, others, numbers }, centres) {
+/* Keep the scale while one slider moves, so that a larger ellipse is drawn larger; renew it only where the ellipse leaves the
+   view or shrinks to a dot. */
+function holdScale(values, axes) {
+  const long = Math.sqrt(axes.values[1]),
+    changed = VIEW.values ? Object.keys(values).filter((name) => values[name] !== VIEW.values[name]).join() : "";
+  if (!VIEW.values) VIEW.reach = roundUp(2.8 * long);
+  if (changed && changed !== VIEW.moved) {
+    const longBefore = Math.sqrt(VIEW.axes.values[1]),
+      isReadable = semiAxisPx(longBefore) >= 40 && semiAxisPx(longBefore) <= 110;
+    if (!isReadable) VIEW.reach = roundUp(2.8 * longBefore);
+    [VIEW.before, VIEW.moved] = [VIEW.axes, changed];
+  }
+  if (semiAxisPx(long) > 210 || semiAxisPx(long) < 6) VIEW.reach = roundUp(2.8 * long);
+  [VIEW.values, VIEW.axes] = [values, axes];
+}
+
+/* Two standard deviations around a center. */
+function drawEllipse(svg, { values, vectors }, [cx, cy], size, kind) {
+  const turned = (-Math.atan2(vectors[1][1], vectors[1][0]) * 180) / Math.PI;
+  add(svg, "ellipse", {
+    class: kind,
+    cx,
+    cy,
+    rx: 2 * size * Math.sqrt(values[1]),
+    ry: 2 * size * Math.sqrt(values[0]),
+    transform: `rotate(${turned} ${cx} ${cy})`,
+  });
+}
+
+/* Marks that can be told apart where they lie on each other. */
+const MARKS = {
+  truth: "m-9,0 h18 m-9,-9 v18",
+  dlt: "m-8,-8 h16 v16 h-16 z",
+  refined: "m0,-6 l6,6 l-6,6 l-6,-6 z",
+};
+
+function drawMarks(svg, points, toPlace) {
+  Object.entries(points).forEach(([name, point], k) => {
+    const y = 24 + 24 * k;
+    add(svg, "path", { class: name, d: `M${toPlace(point)} ${MARKS[name]}` });
+    add(svg, "path", { class: name, d: `M22,${y} ${MARKS[name]}` });
+    add(svg, "text", { class: "label", x: 38, y: y + 4 }, WORDS[name]);
+  });
+}
+
+function drawAbove({ truth, linear, best, axes, seen, others }, centres) {
   const [svg, width] = fitted("above", 440),
-    reach = roundUp(2.8 * numbers.long),
+    { reach, before } = VIEW,
     size = 200 / reach;
   const toPlace = ([x, , z]) => [width / 2 + size * (x - truth[0]), 220 - size * (z - truth[2])];
   centres.forEach(([x, z], k) => {
@@ -84,31 +132,13 @@ function drawAbove({ truth, linear, best, axes, seen, others, numbers }, centres
     const [a, b] = ends.map(toPlace);
     add(svg, "line", { class: "ray " + ["one", "other"][k], x1: a[0], y1: a[1], x2: b[0], y2: b[1] });
   });
-  const { values, vectors } = axes;
-  const turned = (-Math.atan2(vectors[1][1], vectors[1][0]) * 180) / Math.PI;
-  const [cx, cy] = toPlace(truth);
-  add(svg, "ellipse", {
-    class: "spread",
-    cx,
-    cy,
-    rx: 2 * size * Math.sqrt(values[1]),
-    ry: 2 * size * Math.sqrt(values[0]),
-    transform: `rotate(${turned} ${cx} ${cy})`,
-  });
+  drawEllipse(svg, axes, toPlace(truth), size, "spread");
+  if (before) drawEllipse(svg, before, toPlace(truth), size, "before");
   for (const point of others) {
     const [x, y] = toPlace(point);
     add(svg, "circle", { class: "case", cx: x, cy: y, r: 2.2 });
   }
-  [
-    [truth, "object", WORDS.truth],
-    [linear, "other", WORDS.dlt],
-    [best, "one", WORDS.refined],
-  ].forEach(([point, kind, name], k) => {
-    const [x, y] = toPlace(point);
-    add(svg, "circle", { class: kind, cx: x, cy: y, r: 6 });
-    add(svg, "circle", { class: kind, cx: 22, cy: 24 + 22 * k, r: 6 });
-    add(svg, "text", { class: "label", x: 36, y: 28 + 22 * k }, name);
-  });
+  drawMarks(svg, { truth, dlt: linear, refined: best }, toPlace);
   const step = marks(reach, 3)[1];
   add(svg, "path", {
     class: "measure",
@@ -118,7 +148,7 @@ function drawAbove({ truth, linear, best, axes, seen, others, numbers }, centres
     svg,
     "text",
     { class: "tick", x: width - 16, y: 408, "text-anchor": "end" },
-    `${+step.toPrecision(3)} m`,
+    withUnit(+step.toPrecision(3), "m", 1),
   );
 }
 
@@ -126,6 +156,7 @@ watch(["B", "A", "Z", "X", "s", "n"], (values) => {
   const found = pointNumbers(values);
   for (const [name, value] of Object.entries(found.numbers))
     show(name, value, name === "angle" ? "°" : name.endsWith("_px") ? WORDS.unit_px : "m");
+  holdScale(values, found.axes);
   drawAbove(found, [
     [0, 0],
     [values.B, values.A],

@@ -1,35 +1,62 @@
 /* What every page of the lesson does: sliders and their numbers, drawings in SVG, charts. No library. */
-/* exported byId, show, chosen, told, watch, clear, fitted, add, place, drag, marks, chartAxes, shownNumber */
+/* exported byId, show, showCount, withUnit, grouped, chosen, told, watch, clear, fitted, add, place, drag, marks, chartAxes, shownNumber */
 "use strict";
 const byId = (id) => document.getElementById(id);
 const WORDS = JSON.parse(byId("words").textContent);
 const SVG = "http://www.w3.org/2000/svg";
 
-/* A number as it is shown: so many digits that count, no exponent where none is needed. */
-function shownNumber(value, digits = 4) {
+const RAISED = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
+const grouped = (text) => text.replace(/^(-?\d+)/, (whole) => whole.replace(/\B(?=(\d{3})+$)/g, ","));
+const withMinus = (text) => text.replace(/-/g, "−");
+
+/* A number with this many significant digits: 2.40, 175,827, 1.20 × 10⁶. */
+function shownNumber(value, digits = 3) {
   if (value === Infinity) return WORDS.infinite || "∞";
   if (value === -Infinity) return "−∞";
   if (!Number.isFinite(value)) return "–";
   const size = Math.abs(value);
   if (size < 1e-9) return "0"; // rounding
-  if (size < 1e-4 || size >= 1e6) return value.toExponential(digits - 1).replace("-", "−");
-  const places = Math.max(0, digits - 1 - Math.floor(Math.log10(size)));
-  return value.toFixed(Math.min(places, 6)).replace("-", "−");
+  if (size < 1e-4 || size >= 1e6) {
+    const [factor, power] = value.toExponential(digits - 1).split("e");
+    return `${withMinus(factor)} × 10${[...String(Number(power))].map((mark) => RAISED[mark]).join("")}`;
+  }
+  const places = Math.max(0, digits - 1 - Math.floor(Math.log10(Number(size.toPrecision(digits)))));
+  return withMinus(grouped(value.toFixed(Math.min(places, 6))));
+}
+
+/* A number with its unit; lengths below 0.1 m are in cm or mm. */
+function withUnit(value, unit, digits = 3) {
+  if (!unit || !Number.isFinite(value)) return shownNumber(value, digits);
+  const size = Math.abs(value);
+  if (unit === "m" && size >= 1e-9 && size < 0.1)
+    return size < 0.01
+      ? `${shownNumber(1000 * value, digits)} mm`
+      : `${shownNumber(100 * value, digits)} cm`;
+  return `${shownNumber(value, digits)}${unit === "°" ? "" : " "}${unit}`;
 }
 
 /* Write a number beside its name; the whole of it stays in `data-value`. */
-function show(id, value, unit = "", digits = 4) {
+function show(id, value, unit = "", digits = 3) {
   const element = byId(id);
   element.dataset.value = String(value);
-  element.textContent = shownNumber(value, digits) + (unit && Number.isFinite(value) ? " " + unit : "");
+  element.textContent = withUnit(value, unit, digits);
+}
+
+/* The same for an integer: all of its digits. */
+function showCount(id, value) {
+  byId(id).dataset.value = String(value);
+  byId(id).textContent = grouped(String(value));
 }
 
 /* Which of some radio buttons is set. */
 const chosen = (name) => document.querySelector(`input[name=${name}]:checked`).value;
 
-/* A drawing in words, for who cannot see it; the first one of a page is also said aloud, once nothing moves any more. */
-function told(id, words, values) {
-  byId(id).textContent = words.replace(/\{(\w+)\}/g, (_, name) => shownNumber(values[name], 3));
+/* A drawing in words, for screen readers; the first one of a page is also announced when no control moves any more.
+   `counts` names the values that are integers. */
+function told(id, words, values, counts = []) {
+  byId(id).textContent = words.replace(/\{(\w+)\}/g, (_, name) =>
+    counts.includes(name) ? grouped(String(values[name])) : shownNumber(values[name]),
+  );
 }
 
 let saying = 0;
@@ -66,8 +93,7 @@ function watch(names, draw) {
     const values = {};
     for (const input of inputs) {
       values[input.id] = Number(input.value);
-      const whole = input.step === "1" ? input.value : shownNumber(values[input.id], 3);
-      const text = whole + (input.dataset.unit ? " " + unitOf(input) : "");
+      const text = input.step === "1" ? input.value : withUnit(values[input.id], unitOf(input));
       byId(input.id + "-shown").textContent = text;
       input.setAttribute("aria-valuetext", text);
     }
