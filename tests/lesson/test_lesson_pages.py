@@ -150,7 +150,49 @@ def test_a_finger_scrolls_unless_it_begins_on_the_object(tab):
         "(() => { const o = document.querySelector('#above .object'); return [o.cx.baseVal.value / 440, o.cy.baseVal.value / 330] })()"
     )
     tab.page.evaluate(press, [object_at[0], object_at[1] + 0.03])
+    tab.page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
     assert tab.shown()["back"] != before
+
+
+@pytest.fixture
+def phone(browser, lesson):
+    """A page of a phone, and what moves a finger over it."""
+    context = browser.new_context(viewport=PHONE, has_touch=True, is_mobile=True)
+    page = context.new_page()
+    session = context.new_cdp_session(page)
+
+    def swipe(x, y, dy, steps=12):
+        points = [{"x": x, "y": y + dy * k / steps} for k in range(steps + 1)]
+        session.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [points[0]]})
+        for point in points[1:]:
+            session.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": [point]})
+        session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+
+    page.goto((lesson / "01_disparity.html").as_uri())
+    yield page, swipe
+    context.close()
+
+
+def test_a_finger_drags_the_object_to_where_it_goes(phone):
+    page, swipe = phone
+    page.locator("#above").scroll_into_view_if_needed()
+    handle = page.locator("#above .handle").bounding_box()
+    scrolled = page.evaluate("scrollY")
+    before = float(page.locator("#back").get_attribute("data-value"))
+    swipe(handle["x"] + handle["width"] / 2, handle["y"] + handle["height"] / 2, -60)
+    moved = page.locator("#above .handle").bounding_box()
+    assert abs((handle["y"] - moved["y"]) - 60) < 15
+    assert float(page.locator("#back").get_attribute("data-value")) > before
+    assert page.evaluate("scrollY") == scrolled
+
+
+def test_a_finger_that_scrolls_across_a_slider_leaves_it(phone):
+    page, swipe = phone
+    slider = page.locator("input[type=range]").first
+    slider.scroll_into_view_if_needed()
+    box, before = slider.bounding_box(), slider.input_value()
+    swipe(box["x"] + 0.9 * box["width"], box["y"] + box["height"] / 2, -120)
+    assert slider.input_value() == before
 
 
 def test_the_first_page_by_keyboard_alone(tab):

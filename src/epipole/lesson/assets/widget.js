@@ -108,7 +108,13 @@ function watch(names, draw) {
     sayWhenStill();
   }
   for (const input of inputs) {
+    let before = input.value;
     input.addEventListener("input", changed);
+    input.addEventListener("pointerdown", () => (before = input.value));
+    input.addEventListener("pointercancel", () => {
+      input.value = before; // the finger scrolled the page across the slider
+      changed();
+    });
     goByKeys(input, changed);
   }
   for (const button of document.querySelectorAll("button[data-preset]"))
@@ -156,10 +162,15 @@ function place(svg, event) {
    instead, unless it begins on what is a `handle`. */
 function drag(svg, moved, ended = () => {}) {
   svg.classList.add("draggable");
+  const starts = (event) => event.target.classList.contains("handle");
+  // A redraw removes the handle that was touched, and with it what keeps the page from scrolling: it waits for touchstart.
+  svg.addEventListener("touchstart", (event) => starts(event) && event.preventDefault(), { passive: false });
   svg.addEventListener("pointerdown", (event) => {
-    if (event.pointerType === "touch" && !event.target.classList.contains("handle")) return;
+    if (event.pointerType === "touch" && !starts(event)) return;
     svg.setPointerCapture(event.pointerId);
-    moved(...place(svg, event));
+    const at = place(svg, event);
+    if (event.pointerType === "touch") requestAnimationFrame(() => moved(...at));
+    else moved(...at);
   });
   svg.addEventListener("pointermove", (event) => {
     if (svg.hasPointerCapture(event.pointerId)) moved(...place(svg, event));
