@@ -73,10 +73,10 @@ def _parallax(content: ReportContent, statistics: Statistics) -> str:
             f"common points under a median angle below {limit}: "
             "such pairs determine rotations well and depth poorly."
         )
-    if narrow:
-        fraction = 100 * narrow / len(angles)
-        shown = "less than 1" if fraction < 1 else f"{fraction:.0f}"
-        sentences.append(f"{shown} % of the points have a largest triangulation angle below {limit}.")
+    if narrow >= 0.01 * len(angles) > 0:
+        sentences.append(
+            f"{100 * narrow / len(angles):.0f} % of the points have a largest triangulation angle below {limit}."
+        )
     return " ".join(sentences)
 
 
