@@ -106,7 +106,7 @@ def test_cameras_that_are_not_there(here, job, target):
             job(splats.parent, here / target, cameras=here / cameras)
     if job is epipole.mesh:
         with pytest.raises(
-            epipole.errors.NoModelError, match=r"cameras\.json does not exist: pass a transforms.json"
+            epipole.errors.NoModelError, match=r"cameras\.json does not exist: pass a transforms\.json"
         ):
             job(splats, here / target)
 

@@ -121,7 +121,7 @@ def test_what_gives_no_mesh(source, tmp_path):
         mesh(tmp_path / "none", tmp_path / "a.ply")
     splat(source, tmp_path / "out", steps=2, test_every=0)
     (tmp_path / "alone.ply").write_bytes((tmp_path / "out" / "splat.ply").read_bytes())
-    with pytest.raises(NoModelError, match="pass a transforms.json"):
+    with pytest.raises(NoModelError, match=r"pass a transforms\.json"):
         mesh(tmp_path / "alone.ply", tmp_path / "a.ply")
     with pytest.raises(ConfigError, match="voxels"):
         mesh(tmp_path / "out", tmp_path / "a.ply", voxels=2)
