@@ -191,7 +191,7 @@ class RansacConfig:
     max_iterations: int = 10_000
     """Maximum number of samples."""
     min_inliers: int | None = None
-    """Minimum number of inliers of a valid estimate. None: more than chance gives, see `needed_inliers`."""
+    """Minimum number of inliers of a valid estimate. None: more than chance gives, which grows with the number of matches."""
     min_inlier_ratio: float = 0.0
     """Stop when this fraction of inliers would have been found; smaller fractions may be missed."""
     seed: int = 0
@@ -324,7 +324,7 @@ class AnchorOptions:
     odometry_sigma: float = 0.01
     """Relative standard deviation of the odometry's unit; wheel slip is estimated from the residuals."""
     odometry_mounting: Path | None = None
-    """Pose of the odometry's reference point, in a file like `imu_mounting`; default: the camera."""
+    """Pose of the odometry's reference point, in a file like that of --imu-mounting; default: the camera."""
     imu: Path | None = None
     """IMU measurements: EuRoC's imu0 folder, `SECONDS wx wy wz ax ay az` per line, or a ROS recording."""
     imu_mounting: Path | None = None

@@ -31,7 +31,9 @@ if TYPE_CHECKING:
 
 ANSWER_IS_NO = 3
 """Exit code of a check that did not pass; errors have 1, invalid options 2."""
-COMPILE_NOTE = "Compiling kernels, once on this machine (30 to 60 s; later runs start immediately)"
+COMPILE_NOTE = (
+    "Compiling kernels, once on this machine (one to two minutes on two cores; later runs start immediately)"
+)
 LINE_EVERY_S = 10.0
 """Without a terminal, a stage prints at most one line in this time (seconds) between its start and its end."""
 SHORT_S = 1.0

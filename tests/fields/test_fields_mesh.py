@@ -111,7 +111,7 @@ def test_a_trained_field_has_a_surface(source, tmp_path, kind):
     assert len(faces) == len(found) > 500 and len(vertices) == len(found.vertices_in_world)
     assert np.percentile(np.linalg.norm(vertices, axis=1), 95) < 1.2
     again = mesh(
-        tmp_path / "out", tmp_path / "b.ply", voxels=48, cameras=source / "transforms.json", most_views=5
+        tmp_path / "out", tmp_path / "b.ply", voxels=48, cameras=source / "transforms.json", max_views=5
     )
     assert len(again) > 200
 
@@ -170,16 +170,16 @@ def test_small_components_are_removed():
 def test_a_box_is_meshed_alone_and_removed_components_are_said(source, tmp_path, capsys):
     splat(source, tmp_path / "out", steps=30, max_gaussians=300, test_every=0)
     job = ["--voxels", "32", "--box", "-1", "-1", "-1", "0.25", "1", "1"]
-    main(["mesh", str(tmp_path / "out"), str(tmp_path / "a.ply"), *job, "--least-component", "0"])
+    main(["mesh", str(tmp_path / "out"), str(tmp_path / "a.ply"), *job, "--min-component", "0"])
     assert "removed" not in capsys.readouterr().out
     every = mesh_in(tmp_path / "a.ply")[0]
     assert every[:, 0].max() <= 0.25 + 1e-6 and (every >= -1).all() and every[:, 0].min() < -0.3
-    main(["mesh", str(tmp_path / "out"), str(tmp_path / "a.ply"), *job, "--least-component", "0.5"])
+    main(["mesh", str(tmp_path / "out"), str(tmp_path / "a.ply"), *job, "--min-component", "0.5"])
     said = " ".join(capsys.readouterr().out.split())
     assert "components with fewer triangles than 50 % of the largest" in said
     assert 0 < len(mesh_in(tmp_path / "a.ply")[0]) < len(every)
     with pytest.raises(DegenerateGeometryError, match="no surface"):
         mesh(tmp_path / "out", tmp_path / "b.ply", box=(50.0, 50.0, 50.0, 51.0, 51.0, 51.0), voxels=16)
-    for wrong in ({"box": (0.0, 0.0, 0.0, 1.0, 0.0, 1.0)}, {"least_component": -0.1}, {"box": (0.0, 1.0)}):
-        with pytest.raises(ConfigError, match=r"box|least_component"):
+    for wrong in ({"box": (0.0, 0.0, 0.0, 1.0, 0.0, 1.0)}, {"min_component": -0.1}, {"box": (0.0, 1.0)}):
+        with pytest.raises(ConfigError, match=r"box|min_component"):
             mesh(tmp_path / "out", tmp_path / "b.ply", **wrong)

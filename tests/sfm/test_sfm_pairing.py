@@ -120,7 +120,7 @@ def test_pairs_from_a_file(tmp_path: Path) -> None:
     [
         (b"a.jpg\n", "line 1: expected two image names, got 1"),
         (b"\na.jpg b.jpg c.jpg\n", "line 2: expected two image names, got 3"),
-        (b"a.jpg z.jpg\n", "line 1: no image 'z.jpg'"),
+        (b"a.jpg z.jpg\n", "line 1: image 'z.jpg' does not exist"),
         (b"a.jpg \xff.jpg\n", "cannot be read as a list of pairs"),
     ],
 )

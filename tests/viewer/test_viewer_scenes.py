@@ -65,7 +65,7 @@ def test_disparities_are_no_depths_and_scaled_numbers_are_told(tmp_path: Path) -
     write_pfm(tmp_path / "disparity.pfm", values)
     write_png16(tmp_path / "left_disparity.png", values)
     for name in ("disparity.pfm", "left_disparity.png"):
-        with pytest.raises(FileFormatError, match=f"{name}: by its name, it has disparities"):
+        with pytest.raises(FileFormatError, match=f"{name}: its name says disparity"):
             scene_of(tmp_path / name)
     write_png16(tmp_path / "depth.png", values)
     assert "divided by 256, as in KITTI, interpreted as depths" in scene_of(tmp_path / "depth.png").words

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from epipole._checks.declared import Declared as Declared
 from epipole._checks.declared import check_fields as check_fields
+from epipole._checks.declared import check_least as check_least
 from epipole._checks.declared import check_options as check_options
 from epipole._checks.declared import checked as checked
 from epipole._checks.declared import did_you_mean as did_you_mean

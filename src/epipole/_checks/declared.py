@@ -89,6 +89,18 @@ class _Parameter(NamedTuple):
     kind: Any
 
 
+def check_least(data: Any, **least: float) -> None:
+    """Check that fields are not below a limit; for `__post_init__`.
+
+    Raises:
+        ConfigError: a field is below its limit, or NaN.
+    """
+    for name, limit in least.items():
+        value = getattr(data, name)
+        if not value >= limit:
+            raise ConfigError(f"{name} must be at least {limit}, got {value:g}")
+
+
 def check_options(data: Any, *, negative: tuple[str, ...] = (), infinite: tuple[str, ...] = ()) -> None:
     """Check the fields of a config, including the range of its numbers; for `__post_init__`.
 

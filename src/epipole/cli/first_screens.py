@@ -63,7 +63,7 @@ FIRST_SCREENS = {
             "epipole mesh OUT mesh.ply",
             "epipole mesh OUT mesh.ply --voxels 400",
         ),
-        "--voxels --box --around --most-views --least-component",
+        "--voxels --box --box-fraction --max-views --min-component",
     ),
     "compare-fields": FirstScreen(
         (

@@ -31,5 +31,6 @@ class CalibrationConfig:
             ConfigError: a value is out of range.
         """
         check_options(self)
-        if not (self.outlier_factor > 1 and self.max_view_factor > 1):
-            raise ConfigError("outlier_factor and max_view_factor must be greater than 1")
+        for name in ("outlier_factor", "max_view_factor"):
+            if not getattr(self, name) > 1:
+                raise ConfigError(f"{name} must be greater than 1, got {getattr(self, name)}")

@@ -118,7 +118,7 @@ def mesh(
     if found.num_removed:
         text += (
             f"; removed {found.num_removed:,} of {found.num_components:,} components with fewer triangles than"
-            f" {100 * config.least_component:g} % of the largest (--least-component)"
+            f" {100 * config.min_component:g} % of the largest (--min-component)"
         )
     open_console().print(text, highlight=False, markup=False)
 

@@ -55,7 +55,7 @@ class FieldOptions:
         if self.steps is not None and not 1 <= self.steps < 10**9:
             raise ConfigError(f"steps must be 1 or more, got {self.steps}")
         if self.test_every < 0 or self.test_every == 1:
-            raise ConfigError("test_every must be 0 (hold out none), or 2 or more")
+            raise ConfigError(f"test_every must be 0 (hold out none), or 2 or more, got {self.test_every}")
         if not 16 <= self.max_side_px <= 65536:
             raise ConfigError(f"max_side_px must be from 16 to 65536, got {self.max_side_px}")
         _ = self.seconds
@@ -115,21 +115,21 @@ class RenderConfig:
     cameras: Path | None = None
     """Cameras to render from: transforms.json, COLMAP model or output folder."""
     path: Literal["auto", "cameras", "orbit"] = "auto"
-    """Without `cameras`: a smooth path along the training cameras, or an orbit; auto: an orbit if its options are given."""
+    """Without --cameras: a smooth path along the training cameras, or an orbit; auto: an orbit if its options are given."""
     frames: int = 120
     """Number of images of the path."""
     rotation_deg: float = 360.0
     """Angle of the orbit."""
     width: int | None = None
-    """Image width; that of the cameras, 800 for the orbit."""
+    """Image width; default: the width of the cameras, or 800 for an orbit."""
     height: int | None = None
-    """Image height of the orbit; 3/4 of the width."""
+    """Image height of an orbit; default: 3/4 of the width."""
     fov_deg: float = 50.0
     """Horizontal field of view of the orbit."""
     fps: float = 30.0
     """Frames per second of a video."""
     background: Background = "auto"
-    """Background color: as in training, else black."""
+    """Background color; auto: that of the training if it is known, otherwise black."""
     antialiased: bool | None = None
     """Render with Mip-Splatting's filter; None: as in training."""
     output: Literal["colour", "depth", "normals", "coverage"] = "colour"
@@ -174,13 +174,13 @@ class MeshConfig:
     """Cameras to render depth from: transforms.json, COLMAP model or output folder; else those of the training."""
     voxels: int = 256
     """Voxels along the longest side of the box."""
-    most_views: int = 100
+    max_views: int = 100
     """Maximum number of cameras, evenly spaced over all."""
-    around: float = 0.98
+    box_fraction: float = 0.98
     """Fraction of the field, along each axis, inside the box; excludes distant and isolated parts."""
     box: tuple[float, float, float, float, float, float] | None = None
-    """Mesh only this box (lowest x y z, then highest x y z), instead of --around."""
-    least_component: float = 0.01
+    """Mesh only this box (lowest x y z, then highest x y z), instead of --box-fraction."""
+    min_component: float = 0.01
     """Remove components with fewer triangles than this fraction of the largest one; 0 keeps all."""
     width: int | None = None
     """Width of the depth images; that of the cameras."""
@@ -194,12 +194,12 @@ class MeshConfig:
         check_options(self)
         if not 8 <= self.voxels <= 1024:
             raise ConfigError(f"voxels must be from 8 to 1024, got {self.voxels}")
-        if self.most_views < 1:
-            raise ConfigError(f"most_views must be 1 or more, got {self.most_views}")
-        if not 0.0 < self.around <= 1.0:
-            raise ConfigError(f"around must be above 0 and at most 1, got {self.around}")
-        if not 0.0 <= self.least_component <= 1.0:
-            raise ConfigError(f"least_component must be from 0 to 1, got {self.least_component}")
+        if self.max_views < 1:
+            raise ConfigError(f"max_views must be 1 or more, got {self.max_views}")
+        if not 0.0 < self.box_fraction <= 1.0:
+            raise ConfigError(f"box_fraction must be above 0 and at most 1, got {self.box_fraction}")
+        if not 0.0 <= self.min_component <= 1.0:
+            raise ConfigError(f"min_component must be from 0 to 1, got {self.min_component}")
         if self.box is not None and not all(low < high for low, high in zip(self.box[:3], self.box[3:])):
             raise ConfigError(
                 f"box must be six numbers, the lowest x y z and then the highest x y z, got {self.box}"

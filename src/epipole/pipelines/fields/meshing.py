@@ -63,7 +63,7 @@ def mesh(
     for n, render_view in enumerate(views):
         volume.add(render_view.camera, render_view.cam_from_world, *see(render_view))
         progress(Progress("fuse", n + 1, len(views)))
-    found = volume.mesh().without_small_components(wanted.least_component)
+    found = volume.mesh().without_small_components(wanted.min_component)
     with replacing_file(out, "mesh", inputs) as aside:
         write_mesh_ply(aside, found.vertices_in_world, found.faces, found.rgb)
     return found
@@ -73,7 +73,9 @@ def _box(positions: np.ndarray, wanted: MeshConfig) -> tuple[np.ndarray, np.ndar
     """Lowest and highest corner of the volume."""
     if wanted.box is not None:
         return np.array(wanted.box[:3]), np.array(wanted.box[3:])
-    low, high = np.quantile(positions, (0.5 - 0.5 * wanted.around, 0.5 + 0.5 * wanted.around), axis=0)
+    low, high = np.quantile(
+        positions, (0.5 - 0.5 * wanted.box_fraction, 0.5 + 0.5 * wanted.box_fraction), axis=0
+    )
     margin = 0.03 * float(np.max(high - low))
     return low - margin, high + margin
 
@@ -87,5 +89,5 @@ def _views(source: Path, wanted: MeshConfig) -> list[RenderView]:
             " COLMAP model whose cameras look at the scene (option cameras)"
         )
     views = render_views_of_model(cameras, RenderConfig(width=wanted.width))
-    rows = np.linspace(0, len(views) - 1, min(len(views), wanted.most_views)).astype(np.int64)
+    rows = np.linspace(0, len(views) - 1, min(len(views), wanted.max_views)).astype(np.int64)
     return [views[row] for row in rows.tolist()]

@@ -72,8 +72,8 @@ class MeshKeywords(TypedDict, total=False):
 
     cameras: str | Path | None
     voxels: int
-    most_views: int
-    around: float
+    max_views: int
+    box_fraction: float
     box: tuple[float, float, float, float, float, float] | None
-    least_component: float
+    min_component: float
     width: int | None

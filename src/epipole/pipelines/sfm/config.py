@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from epipole._checks import check_options
+from epipole._checks import check_least, check_options
 from epipole.config import ANCHOR_FILES, AnchorOptions, FeatureConfig, MatchConfig, RansacConfig
 from epipole.errors import ConfigError
 
@@ -36,8 +36,7 @@ class PairingConfig:
             ConfigError: a value is out of range.
         """
         check_options(self)
-        if min(self.neighbours, self.overlap, self.exhaustive_limit) < 1:
-            raise ConfigError("neighbours, overlap and exhaustive_limit must be at least 1")
+        check_least(self, neighbours=1, overlap=1, exhaustive_limit=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,13 +108,11 @@ class MapperConfig:
         for name, value in vars(self).items():
             if isinstance(value, float) and math.isinf(value):
                 raise ConfigError(f"{name} must be finite, got {value}")
-        if not self.max_error_px > 0 or not self.resection_max_error_px > 0 or not self.gps_sigma_m > 0:
-            raise ConfigError(
-                "max_error_px, resection_max_error_px and gps_sigma_m must be positive, got "
-                f"{self.max_error_px}, {self.resection_max_error_px} and {self.gps_sigma_m}"
-            )
+        for name in ("max_error_px", "resection_max_error_px", "gps_sigma_m"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name} must be positive, got {getattr(self, name)}")
         if not self.global_growth > 1:
-            raise ConfigError("global_growth must be greater than 1")
+            raise ConfigError(f"global_growth must be greater than 1, got {self.global_growth}")
         if not 0 <= self.seed <= MAX_SEED:
             raise ConfigError(f"seed must be from 0 to {MAX_SEED}, got {self.seed}")
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from epipole._checks import check_options
+from epipole._checks import check_least, check_options
 from epipole.config import AnchorOptions, FlowConfig
 from epipole.errors import ConfigError
 
@@ -75,21 +75,22 @@ class OdometryConfig(FlowConfig):
             ConfigError: a value makes no sense.
         """
         FlowConfig.__post_init__(self)
-        if self.num_features < 50 or self.min_distance_px < 2 or self.window < 2 or self.max_fixed < 1:
-            raise ConfigError(
-                "num_features must be at least 50, min_distance_px and window at least 2, max_fixed at least 1"
-            )
+        check_least(self, num_features=50, min_distance_px=2, window=2, max_fixed=1)
         for name in ("max_error_px", "depth_sigma_px", "sensor_baseline_m", "max_depth_baselines"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ConfigError(f"{name} must be positive and finite, got {getattr(self, name)}")
         for name in ("focal_sigma", "center_sigma_px", "depth_sigma"):
             value = getattr(self, name)
-            if value is not None and not 0 <= value < (100 if name == "center_sigma_px" else 1):
-                raise ConfigError(
-                    f"{name} must be at least 0 and below 1 (center_sigma_px: below 100), got {value}"
-                )
-        if not 0 < self.min_angle_deg <= self.start_angle_deg < 45:
-            raise ConfigError("min_angle_deg must be positive and at most start_angle_deg (below 45)")
+            limit = 100 if name == "center_sigma_px" else 1
+            if value is not None and not 0 <= value < limit:
+                raise ConfigError(f"{name} must be at least 0 and below {limit}, got {value}")
+        if not 0 < self.start_angle_deg < 45:
+            raise ConfigError(f"start_angle_deg must be positive and below 45, got {self.start_angle_deg}")
+        if not 0 < self.min_angle_deg <= self.start_angle_deg:
+            raise ConfigError(
+                f"min_angle_deg must be positive and at most start_angle_deg, got {self.min_angle_deg} and"
+                f" {self.start_angle_deg}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -60,6 +60,6 @@ class ModelPair:
     """Two images of a finished reconstruction, in place of LEFT and RIGHT."""
 
     workspace: Path | None = None
-    """Output folder of the reconstruction."""
+    """Measure two images of this reconstruction, whose names must be given, too."""
     pair: tuple[str, str] | None = None
-    """Names of the images."""
+    """Names of the two images in the reconstruction."""
