@@ -233,14 +233,21 @@ def check_own_scale(tab: Opened, has_unit: bool) -> None:
 def test_the_error_of_the_known_length_is_added(tab: Opened) -> None:
     """Two independent relative errors of 3 % and 4 % give 5 %."""
     tab.page.evaluate("localStorage.clear()")
-    key = "`epipole-scale ${location.pathname} ${readJson('space-data').title}`"
-    tab.page.evaluate(f"localStorage.setItem({key}, JSON.stringify({{metres: 2, relative: 0.04}}))")
+    store = "localStorage.setItem(scaleKey(readJson('space-data')), JSON.stringify({metres: 2, relative: RELATIVE}))"
+    tab.page.evaluate(store.replace("RELATIVE", "0.04"))
     make = "document.body.insertAdjacentHTML('beforeend', '<form id=set-scale><b id=unset-scale></b></form>')"
     if tab.page.locator("#set-scale").count() == 0:
         tab.page.evaluate(make)
     found = tab.page.evaluate("ownScale(readJson('space-data'), () => {}).inMetres({length: 10, sigma: 0.3})")
-    tab.page.evaluate("localStorage.clear()")
     assert (found["length"], found["sigma"]) == (pytest.approx(20.0), pytest.approx(1.0))
+    tab.page.evaluate(store.replace("RELATIVE", "null"))
+    found = tab.page.evaluate("ownScale(readJson('space-data'), () => {}).inMetres({length: 10, sigma: 0.3})")
+    assert (found["length"], found["sigma"]) == (20.0, None)
+    other = (
+        "ownScale({...readJson('space-data'), radius: 7.5}, () => {}).inMetres({length: 10, sigma: 0.3}).unit"
+    )
+    assert tab.page.evaluate(other) == ""
+    tab.page.evaluate("localStorage.clear()")
 
 
 def test_a_page_of_one_view_turns_until_it_is_touched(tab: Opened) -> None:

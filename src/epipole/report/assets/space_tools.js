@@ -31,10 +31,12 @@ function lengthInWords({ length, sigma }, unit, scale, errorWords) {
   return `${besideItsError(length, sigma)} \u00b1 ${inDigits(sigma, 2)}${named}${scale}, one standard deviation${why}`;
 }
 
-/* The scale that a person has set on this page: metres per unit, and its relative error. The browser keeps it. */
+/* The scale that a person has set: metres per unit, and its relative error (null: unknown). The browser keeps it for
+   this scene; another model under the same name has other bounds, and another unit. */
+const scaleKey = (data) => `epipole-scale ${[...data.low, ...data.high, data.radius].join(" ")}`;
 function ownScale(data, changed) {
   const form = byId("set-scale"),
-    key = `epipole-scale ${location.pathname} ${data.title}`;
+    key = scaleKey(data);
   let scale = null;
   const keep = (value) => {
     scale = value;
@@ -50,7 +52,8 @@ function ownScale(data, changed) {
   const inMetres = ({ length, sigma }) => {
     if (!scale) return { length, sigma, unit: data.unit, words: data.scaleWords };
     const own = scale.metres * length,
-      known = sigma === null ? null : Math.hypot(scale.metres * sigma, scale.relative * own);
+      isKnown = sigma !== null && scale.relative !== null,
+      known = isKnown ? Math.hypot(scale.metres * sigma, scale.relative * own) : null;
     return { length: own, sigma: known, unit: "m", words: ", with the scale set here" };
   };
   if (form) {
@@ -59,7 +62,7 @@ function ownScale(data, changed) {
     } catch {
       scale = null;
     }
-    if (!(scale && scale.metres > 0 && scale.relative >= 0)) scale = null;
+    if (!(scale && scale.metres > 0 && (scale.relative === null || scale.relative >= 0))) scale = null;
     byId("unset-scale").hidden = !scale;
     byId("unset-scale").addEventListener("click", () => keep(null));
   }
@@ -72,7 +75,7 @@ function ownScale(data, changed) {
       event.preventDefault();
       const metres = Number(byId("true-length").value) / found.length;
       if (!(metres > 0 && Number.isFinite(metres))) return;
-      const relative = found.sigma === null || found.sigma === Infinity ? 0 : found.sigma / found.length;
+      const relative = Number.isFinite(found.sigma ?? NaN) ? found.sigma / found.length : null;
       keep({ metres, relative });
     };
   };
