@@ -17,6 +17,9 @@ from tutorial_pages import tutorial_pages
 
 from epipole.lesson.pages import lesson_pages
 
+LATER = "---\nsearch:\n  boost: 0.3\n---\n"
+"""Of pages that the search lists after the others: words of guides are names in the API, too."""
+
 
 def generated() -> dict[str, str]:
     """Markdown of all generated pages by path, in navigation order."""
@@ -33,7 +36,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages to the files on disk."""
     for path, text in config.extra.pop("generated").items():
-        files.append(File.generated(config, path, content=text))
+        files.append(File.generated(config, path, content=(LATER if path.startswith("api/") else "") + text))
     return files
 
 
