@@ -16,8 +16,8 @@ test: $(STAMP)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/lint-imports
-	$(BIN)/mypy & types=$$!; $(WARM_UP) && wait $$types
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	$(BIN)/mypy & types=$$!; NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet & site=$$!; \
+		$(WARM_UP) && wait $$types && wait $$site
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 # All combinations of inputs, of which `make test` takes a sample.
