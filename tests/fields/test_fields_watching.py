@@ -41,7 +41,7 @@ class Page(LiveScene):
 class Slow(RequestedViews):
     """Views that take their time."""
 
-    spent = 0.0
+    spent = longest = 0.0
 
     def __init__(self):
         self.rendered = []
@@ -50,7 +50,8 @@ class Slow(RequestedViews):
         start = time.perf_counter()
         self.rendered.append(render(CAMERA, views()[0].cam_from_world))
         time.sleep(0.02)
-        self.spent += time.perf_counter() - start
+        took = time.perf_counter() - start
+        self.spent, self.longest = self.spent + took, max(self.longest, took)
         return True
 
 
@@ -70,11 +71,14 @@ def test_a_fraction_of_the_time_is_given_to_it(is_watched):
     page, slow = Page(is_watched), Slow()
     cameras = SpaceScene("", "", "", cameras=cameras_of(views()))
     watch, start = BrowserWatch(page, slow, cameras), time.perf_counter()
-    while time.perf_counter() < start + 1.5:
+    elapsed = 0.0
+    # On a busy machine a view takes long, and the next one waits for its fraction of the time.
+    while elapsed < 1.5 or (is_watched and len(slow.rendered) < 2 and elapsed < 20):
         watch.show(Known(), 0.5)
         time.sleep(0.001)
-    # One view more, for what the next one takes is only known from the last.
-    assert slow.spent < 1.5 * FRACTION + 0.05 and (len(slow.rendered) > 1) == is_watched
+        elapsed = time.perf_counter() - start
+    # One view more, since the time of the next one is only known from the last.
+    assert slow.spent < elapsed * FRACTION + slow.longest + 0.01 and (len(slow.rendered) > 1) == is_watched
     assert bool(page.states) == is_watched
     for image in slow.rendered:
         np.testing.assert_array_equal(image, Known().render(views()[0]))
