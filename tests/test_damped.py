@@ -35,15 +35,16 @@ def test_a_linear_problem_takes_one_step_without_damping() -> None:
     np.testing.assert_allclose(found, np.linalg.lstsq(matrix, right, rcond=None)[0], atol=1e-12)
 
 
+@pytest.mark.parametrize("damping", [0.0, 1e-6])
 @pytest.mark.parametrize("after", [2.0, np.nan, np.inf, None])
-def test_a_step_that_does_not_lower_the_cost_is_never_taken(after: float | None) -> None:
+def test_a_step_that_does_not_lower_the_cost_is_never_taken(after: float | None, damping: float) -> None:
     moves = [] if after is None else [after]
     found = minimize(
         0.0,
         lambda state: 1.0 if state == 0.0 else state,
         lambda state: None,
         lambda state, equations, damping: moves[0] if moves else None,
-        damping=1e-6,
+        damping=damping,
         tolerance=1e-6,
         max_steps=10,
     )

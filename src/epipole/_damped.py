@@ -41,7 +41,7 @@ def minimize(
                 gain, state, lowest = lowest - after, moved, after
                 damping = max(damping / 10.0, LEAST_DAMPING)
                 break
-            damping *= 10.0
+            damping = max(10.0 * damping, LEAST_DAMPING)  # from zero, too
         if not gain > tolerance * lowest:  # NaN: no step lowers the cost
             break
     return state

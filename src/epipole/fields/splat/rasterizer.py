@@ -222,7 +222,13 @@ def arrays_of(cloud: GaussianCloud) -> Cloud:
 
 
 def backend_of(name: str) -> Backend:
-    """The backend of this name, imported now if it was not."""
+    """The backend of this name, imported now if it was not.
+
+    Raises:
+        ConfigError: there is no backend of this name.
+    """
+    if name not in BACKENDS:
+        raise ConfigError(f"backend must be one of {', '.join(BACKENDS)}, got {name!r:.40}")
     return cast(Backend, import_module(BACKENDS[name]))
 
 

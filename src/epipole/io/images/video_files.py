@@ -26,6 +26,8 @@ MOST_FPS = 1000
 VIDEO_SUFFIX, GIF_SUFFIX = ".mp4", ".gif"
 CODEC = "vp09"
 """What OpenCV writes: VP9."""
+SLOWEST = Fraction(1, 1001)
+"""Smallest frame rate of H.264 here."""
 H264_QUALITY = "18"
 """Constant rate factor of x264, visually lossless."""
 MOST_GIF_FPS = 50.0
@@ -199,7 +201,9 @@ class _H264Writer:
         self._av: Any = import_module("av")
         try:
             self._file = self._av.open(str(path), "w")
-            self._stream = self._file.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
+            self._stream = self._file.add_stream(
+                "libx264", rate=max(Fraction(fps).limit_denominator(1001), SLOWEST)
+            )
         except (OSError, ValueError) as error:
             raise WorkspaceError(f"cannot write {path}: {error}") from error
         self._stream.width, self._stream.height = (side & ~1 for side in size)
