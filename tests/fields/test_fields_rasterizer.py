@@ -131,6 +131,12 @@ def test_derivatives_are_those_of_differences(rng, num_sh, antialiased):
     assert np.median(off) < 1e-2 * np.abs(by_pose).mean()
 
 
+def test_a_backend_that_does_not_exist_is_refused(rng):
+    view, cloud = view_of(CAMERA, SEEN, RenderOptions()), arrays_of(cloud_of(rng, 3))
+    with pytest.raises(ConfigError, match=r"backend must be one of numba, got 'cuda'"):
+        render_view(cloud, view, backend="cuda")
+
+
 def test_any_number_of_threads_gives_the_same(rng):
     cloud = cloud_of(rng, 500)
     results = []

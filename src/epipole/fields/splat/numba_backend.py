@@ -158,12 +158,6 @@ class GatherWork(NamedTuple):
     total: np.ndarray
     basis: np.ndarray
     by_basis: np.ndarray
-    one: CloudGradient
-
-
-def gather_work(num_sh: int) -> GatherWork:
-    """Scratch for Gaussians with `num_sh` harmonics."""
-    return GatherWork(np.empty(SUMS), np.empty(16), np.empty(16), gradient_like(1, num_sh))
 
 
 def gradient_like(count: int, num_sh: int) -> CloudGradient:
@@ -227,7 +221,7 @@ def gradient_of(
             stop,
             out,
             by_pose,
-            gather_work(num_sh),
+            GatherWork(np.empty(SUMS), np.empty(16), np.empty(16)),
         )
         return by_pose
 
