@@ -64,6 +64,7 @@ def test_the_worked_numbers(tab):
 
 def test_the_object_is_dragged(tab):
     tab.open("01_disparity.html")
+    tab.page.locator("#above").scroll_into_view_if_needed()
     box = tab.page.locator("#above").bounding_box()
     tab.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
     tab.page.mouse.down()
@@ -111,6 +112,7 @@ def test_epipolar_lines(tab):
 
 def test_the_pointer_chooses_the_pixel(tab):
     tab.open("02_epipolar.html")
+    tab.page.locator("#pictures").scroll_into_view_if_needed()
     box = tab.page.locator("#first rect").bounding_box()
     tab.page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 0.75 * box["height"])
     u, v = (float(tab.page.locator(f"#{name}").input_value()) for name in "uv")

@@ -137,6 +137,7 @@ def test_what_changed_is_said_once(tab):
 
 def test_a_finger_scrolls_unless_it_begins_on_the_object(tab):
     tab.open("01_disparity.html")
+    tab.page.locator("#above").scroll_into_view_if_needed()
     before = tab.shown()["back"]
     press = """([x, y]) => {
         const svg = document.getElementById("above"), at = svg.getBoundingClientRect();

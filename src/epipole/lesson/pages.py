@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import yaml
 from markupsafe import Markup
 
+from epipole.lesson.formulas import with_formulas
 from epipole.lesson.scenes import scene_of
 from epipole.report.frame import asset, render
 
@@ -29,10 +30,11 @@ class Page(NamedTuple):
 
 
 HOUSE = ("linear.js", "cameras.js", "house.js")
+SPACE = (*HOUSE, "space.js")
 SQUARES = ("eigen.js", "least_squares.js")
 PAGES = (
-    Page("disparity", ("disparity.js",)),
-    Page("epipolar", (*HOUSE, "epipolar.js")),
+    Page("disparity", ("disparity.js", "disparity_figures.js")),
+    Page("epipolar", (*SPACE, "epipolar.js", "epipolar_figures.js")),
     Page("candidates", (*HOUSE, "rays.js", "candidates.js")),
     Page("scale", (*HOUSE, "scale.js")),
     Page("triangulation", (*HOUSE, *SQUARES, "triangulation.js")),
@@ -110,12 +112,12 @@ def _in(language: str, value: Any) -> Any:
 
 
 def _marked(value: Any) -> Any:
-    """Mark texts as HTML: they come from our own files, and their tags are intended."""
+    """Mark texts as HTML, with their formulas: they come from our own files, and their tags are intended."""
     if isinstance(value, dict):
         return {key: _marked(part) for key, part in value.items()}
     if isinstance(value, list):
         return [_marked(part) for part in value]
-    return Markup(value) if isinstance(value, str) else value
+    return Markup(with_formulas(value)) if isinstance(value, str) else value
 
 
 @cache

@@ -172,4 +172,3 @@ drag(
     set({});
   },
 );
-document.documentElement.dataset.ready = "yes";

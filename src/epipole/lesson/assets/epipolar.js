@@ -111,4 +111,3 @@ byId("pictures").addEventListener("pointerdown", (event) => {
   follow(event);
 });
 byId("pictures").style.touchAction = "pan-y";
-document.documentElement.dataset.ready = "yes";

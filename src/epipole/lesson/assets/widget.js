@@ -51,7 +51,7 @@ function showCount(id, value) {
 /* Which of some radio buttons is set. */
 const chosen = (name) => document.querySelector(`input[name=${name}]:checked`).value;
 
-/* A drawing in words, for screen readers; the first one of a page is also announced when no control moves any more.
+/* A drawing in words, for screen readers; that of the figure whose control moved last is also announced when it rests.
    `counts` names the values that are integers. */
 function told(id, words, values, counts = []) {
   byId(id).textContent = words.replace(/\{(\w+)\}/g, (_, name) =>
@@ -61,12 +61,10 @@ function told(id, words, values, counts = []) {
 
 let saying = 0;
 
-function sayWhenStill() {
+function sayWhenStill(control) {
   clearTimeout(saying);
-  saying = setTimeout(
-    () => (byId("said").textContent = document.querySelector("p.told[id]").textContent),
-    900,
-  );
+  const figure = control.closest("figure, .widget") || document;
+  saying = setTimeout(() => (byId("said").textContent = figure.querySelector("p.told[id]").textContent), 900);
 }
 
 /* Arrow keys go from one round number to the next, in about a hundred steps. */
@@ -103,12 +101,12 @@ function watch(names, draw) {
     for (const [name, value] of Object.entries(values)) byId(name).value = String(value);
     update();
   }
-  function changed() {
-    update();
-    sayWhenStill();
-  }
   for (const input of inputs) {
     let before = input.value;
+    const changed = () => {
+      update();
+      sayWhenStill(input);
+    };
     input.addEventListener("input", changed);
     input.addEventListener("pointerdown", () => (before = input.value));
     input.addEventListener("pointercancel", () => {
@@ -120,10 +118,13 @@ function watch(names, draw) {
   for (const button of document.querySelectorAll("button[data-preset]"))
     button.addEventListener("click", () => {
       set(JSON.parse(button.dataset.preset));
-      sayWhenStill();
+      sayWhenStill(button);
     });
   for (const choice of document.querySelectorAll("input[type=radio]"))
-    choice.addEventListener("change", changed);
+    choice.addEventListener("change", () => {
+      update();
+      sayWhenStill(choice);
+    });
   addEventListener("resize", update);
   update();
   return set;
