@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 
@@ -141,6 +142,22 @@ def _kitchen(folder: Path, work: Path) -> SfmTask:
     return _of_frames("kitchen", frames, (585.0, 585.0, 320.0, 240.0), work)
 
 
+def _kitchen_start(folder: Path, work: Path) -> SfmTask:
+    """The first 125 frames at hand of the same sequence, with the color camera's focal length, and with depth images."""
+    source = folder / "7scenes"
+    images = sorted(source.glob("frame-*.color.jpg"))[:125]
+    rows = np.loadtxt(source / "poses_sfm.txt")
+    pose_of = {round(row[0]): matrix_of(row[1:8]) for row in rows}
+    frames = [(p, pose_of[int(p.name[6:12])]) for p in images]
+    return _of_frames("kitchen-start", frames, (525.5, 525.5, 320.5, 240.5), work)
+
+
+def matrix_of(pose: np.ndarray) -> np.ndarray:
+    """(3, 4) of a row (x, y, z, qx, qy, qz, qw)."""
+    rotation = Rotation.from_quat(pose[3:]).as_matrix()
+    return np.column_stack([rotation, pose[:3]])
+
+
 def _of_frames(
     name: str, frames: list[tuple[Path, np.ndarray]], params: tuple[float, ...], work: Path
 ) -> SfmTask:
@@ -164,6 +181,7 @@ def _of_frames(
 SETS: dict[str, Callable[[Path, Path], SfmTask]] = {
     "fountain-P11": _strecha("fountain-P11"),
     "Herz-Jesus-P8": _strecha("Herz-Jesus-P8"),
+    "castle-P19": _strecha("castle-P19"),
     "fountain-P11-unknown": _fountain_unknown,
     "sceaux_castle": _without_truth("sceaux_castle", "images", "EXIF"),
     "sacre_coeur": _without_truth("sacre_coeur", "mapping", "EXIF where there is any"),
@@ -171,6 +189,7 @@ SETS: dict[str, Callable[[Path, Path], SfmTask]] = {
     "temple_ring": _temple_ring,
     "kitti00": _kitti00,
     "kitchen": _kitchen,
+    "kitchen-start": _kitchen_start,
 }
-HELD_OUT = ("kitti00", "kitchen")
+HELD_OUT = ("kitti00", "kitchen", "kitchen-start")
 """Sets that were not used to choose defaults."""

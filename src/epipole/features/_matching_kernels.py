@@ -144,3 +144,34 @@ def guided_top_two(
                     second[i] = v
                 if v > column_best[j]:
                     column_best[j] = v
+
+
+@kernel
+def nearby_top_two(wanted, wanted_descriptors, cells_of, strip, cell, radius, best_column, best, second, column_best):
+    """Most and second most similar feature within `radius` of each wanted pixel; column_best: of each feature.
+
+    cells_of holds the features cell by cell (order, pixels, descriptors, first), in strips along x, as `guided_top_two`.
+    """
+    order, pixels, descriptors, first = cells_of
+    strips, cells = first.shape[0], first.shape[1] - 1
+    for i in range(len(wanted)):
+        best[i], second[i], best_column[i] = -1, -1, -1
+        x, y = wanted[i, 0], wanted[i, 1]
+        if not (x + radius >= 0.0 and y + radius >= 0.0):
+            continue
+        low = min(int(max(y - radius, 0.0) / cell), cells)
+        high = min(int((y + radius) / cell), cells - 1)
+        for s in range(min(int(max(x - radius, 0.0) / strip), strips), min(int((x + radius) / strip), strips - 1) + 1):
+            if low > high:
+                break
+            for n in range(first[s, low], first[s, high + 1]):
+                if (pixels[n, 0] - x) ** 2 + (pixels[n, 1] - y) ** 2 > radius * radius:
+                    continue
+                j = order[n]
+                v = _dot(wanted_descriptors[i], descriptors[n])
+                if v > best[i]:
+                    second[i], best[i], best_column[i] = best[i], v, j
+                elif v > second[i]:
+                    second[i] = v
+                if v > column_best[j]:
+                    column_best[j] = v

@@ -147,13 +147,8 @@ def match_along_epipolar_lines(
     config = options_of(MatchConfig, config)
     if not 0 < band_px < np.inf:
         raise ConfigError(f"band_px must be positive and finite, got {band_px}")
-    for name, features in (("features1", features1), ("features2", features2)):
-        if kind_of(features.descriptors) is not SIFT:
-            raise ShapeError(
-                f"{name} must be SIFT features with 128 columns, got {features.descriptors.shape[1]}"
-            )
-        if not np.isfinite(features.pixels).all():
-            raise ShapeError(f"{name} must have finite pixels")
+    _require_sift(features1, "features1")
+    _require_sift(features2, "features2")
     n, m = len(features1), len(features2)
     if min(n, m) == 0:
         return np.empty((0, 2), np.int32)
@@ -174,6 +169,55 @@ def match_along_epipolar_lines(
         column_best,
     )
     return _accept(column, best, second, column_best, config)
+
+
+@checked
+def match_near_pixels(
+    pixels: Float64[np.ndarray, "p 2"],
+    descriptors: UInt8[np.ndarray, "p 128"],
+    features: Features,
+    radius_px: float,
+    config: MatchConfig | None = None,
+) -> tuple[Int32[np.ndarray, "k 2"], Float64[np.ndarray, " k"]]:
+    """Match predicted pixels with SIFT features nearby: mutual best, with the ratio test among those within the radius.
+
+    Args:
+        pixels: where a feature is expected.
+        descriptors: what it should look like.
+        features: the features of the image.
+        radius_px: largest distance from the expected pixel.
+        config: ratio and distance bounds.
+
+    Returns:
+        Rows (prediction, feature), and the angle between their descriptors in radians.
+
+    Raises:
+        ShapeError: the features are not SIFT, or have pixels outside any image.
+        ConfigError: radius_px is not positive and finite.
+    """
+    config = options_of(MatchConfig, config)
+    if not 0 < radius_px < np.inf:
+        raise ConfigError(f"radius_px must be positive and finite, got {radius_px}")
+    _require_sift(features, "features")
+    n, m = len(pixels), len(features)
+    if min(n, m) == 0:
+        return np.empty((0, 2), np.int32), np.empty(0)
+    column, best, second = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
+    column_best = np.full(m, -1, np.int32)
+    wanted = np.where(np.isfinite(pixels), pixels, -np.inf)
+    cells = _cells(features, 0)
+    kernels.nearby_top_two(
+        wanted, descriptors, cells, _STRIP_PX, _CELL_PX, float(radius_px), column, best, second, column_best
+    )
+    matches = _accept(column, best, second, column_best, config)
+    return matches, _angle(best[matches[:, 0]])
+
+
+def _require_sift(features: Features, name: str) -> None:
+    if kind_of(features.descriptors) is not SIFT:
+        raise ShapeError(f"{name} must be SIFT features with 128 columns, got {features.descriptors.shape[1]}")
+    if not np.isfinite(features.pixels).all():
+        raise ShapeError(f"{name} must have finite pixels")
 
 
 def _cells(features: Features, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -26,21 +26,41 @@ class MatchComponents(Declared):
         return len(self.offsets) - 1
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FurtherMatches(Declared):
+    """Matches that a model predicted: they extend tracks, and are no evidence for any geometry. Best first."""
+
+    image1: Int32[np.ndarray, " m"]
+    keypoint1: Int32[np.ndarray, " m"]
+    image2: Int32[np.ndarray, " m"]
+    keypoint2: Int32[np.ndarray, " m"]
+
+    def __len__(self) -> int:
+        return len(self.image1)
+
+    def __repr__(self) -> str:
+        return f"FurtherMatches({len(self)})"
+
+
 @checked
-def connect_matches(view_graph: ViewGraph, keypoint_offsets: Int64[np.ndarray, " n1"]) -> MatchComponents:
-    """Merge the verified matches of all pairs, strongest pair first, into components with at most one keypoint per image."""
+def connect_matches(
+    view_graph: ViewGraph, keypoint_offsets: Int64[np.ndarray, " n1"], further: FurtherMatches | None = None
+) -> MatchComponents:
+    """Merge matches into components with at most one keypoint per image: those of the strongest pair first, further ones last."""
     check_offsets(keypoint_offsets, "keypoint_offsets")
     check_matches(view_graph, np.diff(keypoint_offsets))
     pair = np.repeat(np.arange(len(view_graph)), view_graph.num_inliers())
     strongest_first = np.argsort(-view_graph.num_inliers()[pair], kind="stable")
-    row1 = keypoint_offsets[view_graph.image1[pair]] + view_graph.keypoint1
-    row2 = keypoint_offsets[view_graph.image2[pair]] + view_graph.keypoint2
+    row1 = (keypoint_offsets[view_graph.image1[pair]] + view_graph.keypoint1)[strongest_first]
+    row2 = (keypoint_offsets[view_graph.image2[pair]] + view_graph.keypoint2)[strongest_first]
+    if further is not None:
+        row1 = np.concatenate([row1, keypoint_offsets[further.image1] + further.keypoint1])
+        row2 = np.concatenate([row2, keypoint_offsets[further.image2] + further.keypoint2])
     parent = np.arange(keypoint_offsets[-1], dtype=np.int64)
-    image_of_row = np.repeat(np.arange(len(keypoint_offsets) - 1), np.diff(keypoint_offsets))
     kernels.connect_without_conflict(
-        row1[strongest_first].astype(np.int64),
-        row2[strongest_first].astype(np.int64),
-        image_of_row,
+        row1.astype(np.int64),
+        row2.astype(np.int64),
+        np.repeat(np.arange(len(keypoint_offsets) - 1), np.diff(keypoint_offsets)),
         parent,
         parent.copy(),
         np.zeros(len(keypoint_offsets), np.int64),

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int32, Int64
+from jaxtyping import Bool, Float64, Int32, Int64
 
-from epipole._checks import Declared
+from epipole._checks import Declared, checked
 from epipole.geometry import Rigid3
 
 
@@ -39,6 +39,25 @@ class ViewGraph(Declared):
     def num_inliers(self) -> Int64[np.ndarray, " n"]:
         """Number of inlier matches of each pair."""
         return np.diff(self.match_offsets)
+
+    @checked
+    def select(self, keep: Bool[np.ndarray, " n"]) -> ViewGraph:
+        """The pairs of a mask, with their matches."""
+        of_match = np.repeat(keep, self.num_inliers())
+        return ViewGraph(
+            self.image1[keep],
+            self.image2[keep],
+            self.kind[keep],
+            self.num_putative[keep],
+            np.concatenate([[0], np.cumsum(self.num_inliers()[keep])]).astype(np.int64),
+            self.keypoint1[of_match],
+            self.keypoint2[of_match],
+            self.cam2_from_cam1[keep],
+            self.essential[keep],
+            self.fundamental[keep],
+            self.homography[keep],
+            self.median_angle_rad[keep],
+        )
 
     def __repr__(self) -> str:
         return f"ViewGraph({len(self)} pairs, {len(self.keypoint1)} inlier matches)"

@@ -75,6 +75,8 @@ class MapperConfig:
     """Local bundle adjustment: images adjusted together after each new one."""
     global_growth: float = 1.25
     """Global bundle adjustment runs each time the model has grown by this factor."""
+    completion_px: float = 3.0
+    """Points are looked for within this distance of their projections, in images that do not observe them."""
     final_rounds: int = 5
     """Maximum number of final rounds of adjusting, filtering and re-triangulating."""
     converged_fraction: float = 5e-4

@@ -17,6 +17,7 @@ from epipole import _jit
 from epipole.errors import ConfigError, NoModelError
 from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.images.video import extract_frames, frame_orientation, is_video
+from epipole.mapping import check_rotation_cycles
 from epipole.mapping.focal_accuracy import FocalAccuracy, focal_accuracies
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.focal import estimate_focals
@@ -24,7 +25,7 @@ from epipole.pipelines.sfm.mapping_stage import Mapped, map_images
 from epipole.pipelines.sfm.matching.database_stage import DatabaseSource, open_source
 from epipole.pipelines.sfm.matching.database_stage import feature_units as given_feature_units
 from epipole.pipelines.sfm.matching.database_stage import match_units as given_match_units
-from epipole.pipelines.sfm.matching.feature_stage import feature_units
+from epipole.pipelines.sfm.matching.feature_stage import FeatureFiles, feature_units
 from epipole.pipelines.sfm.matching.match_stage import (
     PairWork,
     load_view_graph,
@@ -36,6 +37,7 @@ from epipole.pipelines.sfm.matching.unit_tables import FEATURES
 from epipole.pipelines.sfm.photographs import ImageSet, read_image_set
 from epipole.pipelines.sfm.shared_focals import contradicted_cameras, with_own_cameras
 from epipole.pipelines.sfm.warm_up import warm_up
+from epipole.robust import PairKind
 from epipole.runs import Run, Unit, load
 from epipole.scene import Cameras, ViewGraph
 
@@ -152,6 +154,11 @@ def _match_and_map(
         if found:  # repeat with the estimated focal lengths
             again = folder.with_name(f"{folder.name}-calibrated")
             view_graph = _verify(replace(todo, cameras=cameras), matches, again, run, num_features)
+        verified = view_graph
+        consistency = check_rotation_cycles(
+            verified, len(images), has_known_focals(cameras, images.camera_of_image, verified)
+        )
+        view_graph = verified.select(~consistency.contradicts)
     with run.stage("map"):
         mapped = map_images(
             images,
@@ -161,6 +168,7 @@ def _match_and_map(
             detected.colors,
             config.mapper,
             run.job.progress,
+            FeatureFiles(detected.features),
         )
     return Solution(
         images,
@@ -172,6 +180,11 @@ def _match_and_map(
         tuple(found),
         mapped,
     )
+
+
+def has_known_focals(cameras: Cameras, camera_of_image: np.ndarray, view_graph: ViewGraph) -> np.ndarray:
+    """Mask (n,) of the pairs whose rotation can be trusted: they have one, and known or estimated focal lengths."""
+    return np.asarray(view_graph.kind != PairKind.UNCALIBRATED)
 
 
 def _without_contradictions(images: ImageSet, view_graph: ViewGraph, config: ReconstructConfig) -> ImageSet:

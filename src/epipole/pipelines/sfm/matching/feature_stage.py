@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import overload
 
 import cv2
 import numpy as np
@@ -109,6 +111,26 @@ def as_unit_arrays(
 def load_features(path: Path) -> Features:
     """Features in a unit's file; the most recent ones are cached."""
     return _remembered(path, path.stat().st_mtime_ns)
+
+
+class FeatureFiles(Sequence[Features]):
+    """The features of all images, read when they are needed."""
+
+    def __init__(self, units: Sequence[Unit]) -> None:
+        self._paths = [unit.path for unit in units]
+
+    def __len__(self) -> int:
+        return len(self._paths)
+
+    @overload
+    def __getitem__(self, index: int) -> Features: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Features]: ...
+    def __getitem__(self, index: int | slice) -> Features | Sequence[Features]:
+        """Features of one image, or of a slice of the images."""
+        if isinstance(index, slice):
+            return [load_features(path) for path in self._paths[index]]
+        return load_features(self._paths[index])
 
 
 @lru_cache(maxsize=64)

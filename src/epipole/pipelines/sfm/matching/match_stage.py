@@ -12,17 +12,17 @@ from jaxtyping import Int32
 from epipole._checks.tables import Arrays
 from epipole.cameras import Camera
 from epipole.config import MatchConfig, RansacConfig
-from epipole.features import Features, match_along_epipolar_lines, match_descriptors
+from epipole.features import Features, match_descriptors
 from epipole.features.kinds import SIFT, kind_of
 from epipole.geometry import Rigid3
 from epipole.pipelines.sfm.matching.feature_stage import load_features
 from epipole.pipelines.sfm.matching.pair_blocks import PairBlock, PairResult, block_units, filled, result_of
 from epipole.pipelines.sfm.matching.unit_tables import GEOMETRIES, MATCHES, check_matches
-from epipole.robust import PairKind, PairMatches, fundamental_for_guided_matching, verify_pairs
+from epipole.robust import PairKind, PairMatches, verify_pairs
 from epipole.runs import Unit, digest, load
 from epipole.scene import Cameras, ViewGraph
 
-FORMAT = 3
+FORMAT = 4
 MIN_PREEMPTIVE = 768
 
 
@@ -122,19 +122,16 @@ def _matched(block: PairBlock, positions: Sequence[int]) -> list[PairResult]:
     pairs = [block.pairs[n] for n in positions]
     features = {i: load_features(task.feature_files[i]) for i in sorted({i for pair in pairs for i in pair})}
     return [
-        {"matches": match_pair(features[i], features[j], i, j, task.seeds[n], task)}
-        for n, (i, j) in zip(positions, pairs)
+        {"matches": match_pair(features[i], features[j], task.matching)} for i, j in pairs
     ]
 
 
-def match_pair(first: Features, second: Features, i: int, j: int, seed: int, task: MatchTask) -> np.ndarray:
-    """Match the largest features of a pair exhaustively, then the rest along the resulting epipolar lines.
+def match_pair(first: Features, second: Features, config: MatchConfig) -> np.ndarray:
+    """Match the largest features of a pair and, if enough of them match, all features.
 
-    Exhaustive matching of n features costs n^2. Matching n / 4 of them, and then a band around each epipolar line,
-    costs about a tenth of that and finds more matches, since fewer wrong candidates compete (preemptive matching: Wu,
-    3DV 2013; guided matching: HZ section 11.6).
+    Most pairs of a large set do not overlap. Matching a third of the features of such a pair costs a ninth (preemptive
+    matching: Wu, 3DV 2013).
     """
-    config = task.matching
     preemptive = min(config.preemptive_features, max(MIN_PREEMPTIVE, max(len(first), len(second)) // 3))
     if (
         kind_of(first.descriptors) is not SIFT
@@ -142,21 +139,10 @@ def match_pair(first: Features, second: Features, i: int, j: int, seed: int, tas
         or max(len(first), len(second)) <= preemptive
     ):
         return match_descriptors(first.descriptors, second.descriptors, config)
-    matches = match_descriptors(first.descriptors[:preemptive], second.descriptors[:preemptive], config)
-    if len(matches) < config.preemptive_min_matches:
-        return matches
-    needed = replace(task.verification, min_inliers=config.preemptive_min_inliers)
-    fundamental = fundamental_for_guided_matching(
-        first.pixels[matches[:, 0]].astype(np.float64),
-        second.pixels[matches[:, 1]].astype(np.float64),
-        task.cameras[i],
-        task.cameras[j],
-        is_calibrated=task.is_trusted[i] and task.is_trusted[j],
-        config=replace(needed, seed=needed.seed + seed),
-    )
-    if fundamental is None:
-        return match_descriptors(first.descriptors, second.descriptors, config)
-    return match_along_epipolar_lines(first, second, fundamental, config.band_px, config)
+    largest = match_descriptors(first.descriptors[:preemptive], second.descriptors[:preemptive], config)
+    if len(largest) < config.preemptive_min_matches:
+        return largest
+    return match_descriptors(first.descriptors, second.descriptors, config)
 
 
 def verify_block(block: PairBlock) -> Arrays:
@@ -236,19 +222,17 @@ def load_view_graph(units: Sequence[Unit], num_features: Sequence[int]) -> ViewG
     kind = column("kind", (), np.int32)
     counts = np.concatenate([np.diff(b["offsets"]) for b in blocks]) if blocks else np.zeros(0, np.int64)
     matches = column("matches", (2,), np.int32)
-    keep = kind != PairKind.DEGENERATE
-    kept_matches = matches[np.repeat(keep, counts)]
     return ViewGraph(
-        pairs[keep, 0].copy(),
-        pairs[keep, 1].copy(),
-        kind[keep],
-        column("num_putative", (), np.int32)[keep],
-        np.concatenate([[0], np.cumsum(counts[keep])]).astype(np.int64),
-        kept_matches[:, 0].copy(),
-        kept_matches[:, 1].copy(),
-        Rigid3(column("rotation", (3, 3))[keep], column("translation", (3,))[keep]),
-        column("essential", (3, 3))[keep],
-        column("fundamental", (3, 3))[keep],
-        column("homography", (3, 3))[keep],
-        column("median_angle_rad", ())[keep],
-    )
+        pairs[:, 0].copy(),
+        pairs[:, 1].copy(),
+        kind,
+        column("num_putative", (), np.int32),
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        matches[:, 0].copy(),
+        matches[:, 1].copy(),
+        Rigid3(column("rotation", (3, 3)), column("translation", (3,))),
+        column("essential", (3, 3)),
+        column("fundamental", (3, 3)),
+        column("homography", (3, 3)),
+        column("median_angle_rad", ()),
+    ).select(kind != PairKind.DEGENERATE)

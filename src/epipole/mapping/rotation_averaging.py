@@ -1,0 +1,124 @@
+"""Rotations of all cameras from the relative rotations of pairs, robustly, and the pairs that contradict them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sparse
+from jaxtyping import Float64, Int32
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.sparse.linalg import splu
+
+from epipole._checks import Declared, check_indices, checked, require_same_length
+from epipole.geometry import Rotation3
+
+L1_ROUNDS, ROBUST_ROUNDS = 10, 30
+SCALE_RAD = np.deg2rad(5.0)
+"""Scale of the robust loss: five degrees, as in Chatterjee and Govindu's experiments and in COLMAP."""
+SMALLEST_RAD = np.deg2rad(0.1)
+"""Residual below which the L1 norm is treated as a square, so that weights stay finite."""
+CONVERGED_RAD = 1e-5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AveragedRotations(Declared):
+    """Rotations in one frame per connected component."""
+
+    cams_from_world: Float64[np.ndarray, "n 3 3"]
+    component: Int32[np.ndarray, " n"]
+    """Connected component of each image; rotations of different components cannot be compared."""
+    residuals_rad: Float64[np.ndarray, " p"]
+    """Angle between each pair's relative rotation and the averaged one."""
+
+    def __repr__(self) -> str:
+        median = np.degrees(np.median(self.residuals_rad)) if len(self.residuals_rad) else 0.0
+        return f"AveragedRotations({len(self.component)} images, median residual {median:.2f} degrees)"
+
+
+@checked
+def average_rotations(
+    num_images: int,
+    image1: Int32[np.ndarray, " p"],
+    image2: Int32[np.ndarray, " p"],
+    cams2_from_cams1: Float64[np.ndarray, "p 3 3"],
+    weights: Float64[np.ndarray, " p"],
+) -> AveragedRotations:
+    """Minimize the robust sum of the angles between R_j R_i^T and the measured relative rotations.
+
+    It starts from the spanning tree with the largest weights, then alternates weights and a linear system in the Lie
+    algebra: first the L1 norm, then a redescending loss (Chatterjee and Govindu, ICCV 2013; Geman-McClure instead of
+    their l_1/2). The work of a round is one sparse factorization of the graph's Laplacian.
+
+    Args:
+        num_images: number of images.
+        image1: first image of each pair.
+        image2: second image.
+        cams2_from_cams1: relative rotation of each pair.
+        weights: positive, such as the number of inliers.
+
+    Raises:
+        ShapeError: an image does not exist, or the arrays have different lengths.
+    """
+    require_same_length(image1=image1, image2=image2, cams2_from_cams1=cams2_from_cams1, weights=weights)
+    check_indices(image1, "image1", num_images)
+    check_indices(image2, "image2", num_images)
+    rotations, component = _along_the_tree(num_images, image1, image2, cams2_from_cams1, weights)
+    for round_ in range(L1_ROUNDS + ROBUST_ROUNDS):
+        residuals = _residuals(rotations, image1, image2, cams2_from_cams1)
+        angle = np.linalg.norm(residuals, axis=1)
+        is_l1 = round_ < L1_ROUNDS
+        robust = 1.0 / np.maximum(angle, SMALLEST_RAD) if is_l1 else (1.0 + (angle / SCALE_RAD) ** 2) ** -2.0
+        step = _solve_laplacian(image1, image2, component, weights * robust, residuals)
+        rotations = rotations @ Rotation3.exp(step).matrix
+        if np.abs(step).max(initial=0.0) < CONVERGED_RAD and not is_l1:
+            break
+    final = np.linalg.norm(_residuals(rotations, image1, image2, cams2_from_cams1), axis=1)
+    return AveragedRotations(rotations, component, final)
+
+
+def _along_the_tree(
+    num_images: int, image1: np.ndarray, image2: np.ndarray, relative: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations composed along the spanning forest with the largest weights, and the component of each image."""
+    best: dict[tuple[int, int], int] = {}
+    for edge in np.argsort(weights, kind="stable"):
+        best[int(image1[edge]), int(image2[edge])] = int(edge)
+    edges = np.fromiter(best.values(), np.int64, len(best))
+    shape = (num_images, num_images)
+    cost = sparse.csr_array((1.0 / weights[edges], (image1[edges], image2[edges])), shape=shape)
+    _, component = connected_components(cost, directed=False)
+    tree = minimum_spanning_tree(cost)
+    rotations = np.tile(np.eye(3), (num_images, 1, 1))
+    for root in np.unique(component, return_index=True)[1]:
+        order, before = breadth_first_order(tree, root, directed=False)
+        for image in order[1:]:
+            i, j = int(before[image]), int(image)
+            step = relative[best[i, j]] if (i, j) in best else relative[best[j, i]].T
+            rotations[j] = step @ rotations[i]
+    return rotations, component.astype(np.int32)
+
+
+def _residuals(
+    rotations: np.ndarray, image1: np.ndarray, image2: np.ndarray, relative: np.ndarray
+) -> np.ndarray:
+    """(p, 3) log of R_j^T R_ij R_i, zero where a pair agrees."""
+    return Rotation3(np.swapaxes(rotations[image2], 1, 2) @ relative @ rotations[image1]).log()
+
+
+def _solve_laplacian(
+    image1: np.ndarray, image2: np.ndarray, component: np.ndarray, weights: np.ndarray, residuals: np.ndarray
+) -> np.ndarray:
+    """(n, 3) steps d that minimize sum w |d_j - d_i - r|^2; the first image of each component stays."""
+    n, p = len(component), len(image1)
+    rows = np.concatenate([np.arange(p), np.arange(p)])
+    signs = np.concatenate([-np.ones(p), np.ones(p)])
+    A = sparse.csc_array((signs, (rows, np.concatenate([image1, image2]))), shape=(p, n))
+    free = np.setdiff1d(np.arange(n), np.unique(component, return_index=True)[1])
+    step = np.zeros((n, 3))
+    if len(free):
+        A = A[:, free]
+        weighted = sparse.diags_array(weights) @ A
+        normal = sparse.csc_matrix(A.T @ weighted)
+        step[free] = splu(normal).solve(weighted.T @ residuals)
+    return step

@@ -1,0 +1,119 @@
+"""Complete the tracks of a model: look for its points in images that should see them.
+
+Matching two images misses many matches: the ratio test compares the whole image. Once points and poses are known, a
+point can only appear near its projection, and the descriptor decides among the few features there. Such matches only
+extend tracks, because the model that predicts them cannot also be supported by them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sparse
+
+from epipole import _parallel
+from epipole._checks import checked
+from epipole.config import MatchConfig
+from epipole.features import Features, match_near_pixels
+from epipole.mapping.match_components import FurtherMatches
+from epipole.mapping.model_builder import ModelBuilder
+
+MIN_SHARED_POINTS = 15
+"""Images that observe fewer common points are not neighbors."""
+MAX_TURN_COS = np.cos(np.deg2rad(40.0))
+"""Cosine of the largest angle between two views of a point: beyond it, SIFT descriptors rarely match (Lowe 2004, 7.3)."""
+
+
+class _Observations(NamedTuple):
+    """Observations of a model, sorted by point."""
+
+    point: np.ndarray
+    image: np.ndarray
+    keypoint: np.ndarray
+    to_camera: np.ndarray
+    """(k, 3) unit vector from the point to the camera."""
+
+
+@checked
+def find_further_matches(
+    model: ModelBuilder, features: Sequence[Features], radius_px: float, config: MatchConfig
+) -> FurtherMatches:
+    """Match every point with features near its projection in the neighbors of the images that observe it.
+
+    Args:
+        model: a model that is adjusted.
+        features: SIFT features of each image, in the order of its keypoints.
+        radius_px: largest distance between a projection and a feature.
+        config: ratio and distance bounds of the descriptors.
+
+    Returns:
+        Matches between an observation of the point and the feature, the most similar first.
+    """
+    images = np.flatnonzero(model.registered)
+    observed = _observations_of(model)
+    incidence = sparse.csr_array(
+        (np.ones(len(observed.point)), (observed.image, observed.point)),
+        shape=(len(model.registered), model.num_points),
+    )
+    shared = (incidence @ incidence.T).tocsr()
+    found = _parallel.map_chunks(
+        lambda a, b, _: [_matches_in(int(i), model, features, observed, shared, radius_px, config) for i in images[a:b]],
+        len(images),
+    )
+    parts = [part for chunk in found for part in chunk]
+    table = np.concatenate([rows for rows, _ in parts]) if parts else np.zeros((0, 4), np.int32)
+    angles = np.concatenate([angle for _, angle in parts]) if parts else np.zeros(0)
+    table = table[np.argsort(angles, kind="stable")]
+    return FurtherMatches(*(table[:, c].copy() for c in range(4)))
+
+
+def _observations_of(model: ModelBuilder) -> _Observations:
+    rows, _ = model.rows_by_point()
+    point, image = model.row_point[rows], model.row_image[rows]
+    away = model.center[image] - model.points[point]
+    away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-300)
+    return _Observations(point, image, model.components.keypoint[rows], away)
+
+
+def _matches_in(
+    image: int,
+    model: ModelBuilder,
+    features: Sequence[Features],
+    observed: _Observations,
+    shared: sparse.csr_array,
+    radius_px: float,
+    config: MatchConfig,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(k, 4) rows (image1, keypoint1, image2, keypoint2) with image2 = `image`, and the angles of the descriptors."""
+    row = slice(shared.indptr[image], shared.indptr[image + 1])
+    neighbors = shared.indices[row][shared.data[row] >= MIN_SHARED_POINTS]
+    is_seen = np.zeros(model.num_points, bool)
+    is_seen[observed.point[observed.image == image]] = True
+    near = np.flatnonzero(np.isin(observed.image, neighbors) & ~is_seen[observed.point])
+    references = _closest_views(near, observed, model, image)
+    points = model.points[observed.point[references]]
+    camera = model.camera(int(model.camera_of_image[image]))
+    pixels = camera.project(model.cam_from_world(image).apply(points))
+    inside = ((pixels > -0.5) & (pixels < np.array([camera.width, camera.height]) - 0.5)).all(axis=1)
+    references, pixels = references[inside], pixels[inside]
+    descriptors = np.empty((len(references), 128), np.uint8)
+    for other in np.unique(observed.image[references]):
+        own = observed.image[references] == other
+        descriptors[own] = features[other].descriptors[observed.keypoint[references[own]]]
+    matches, angles = match_near_pixels(pixels, descriptors, features[image], radius_px, config)
+    source = references[matches[:, 0]]
+    columns = (observed.image[source], observed.keypoint[source], np.full(len(source), image), matches[:, 1])
+    return np.stack(columns, axis=1).astype(np.int32), angles
+
+
+def _closest_views(near: np.ndarray, observed: _Observations, model: ModelBuilder, image: int) -> np.ndarray:
+    """For each point of the observations `near`, the one whose direction is closest to that of `image`."""
+    away = model.center[image] - model.points[observed.point[near]]
+    away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-300)
+    cosine = (away * observed.to_camera[near]).sum(axis=1)
+    order = np.lexsort((-cosine, observed.point[near]))
+    first = np.unique(observed.point[near][order], return_index=True)[1]
+    best = order[first]
+    return np.asarray(near[best[cosine[best] >= MAX_TURN_COS]])
