@@ -75,6 +75,8 @@ class PairGeometry:
     """Median angle between the rays of inliers in front of both cameras; NaN without motion."""
     noise_px: float
     """Standard deviation of the matches, from the epipolar residuals."""
+    residuals_px: Float64[np.ndarray, " n"]
+    """Distance of each match from the epipolar geometry (Sampson), in pixels."""
     costs: Float64[np.ndarray, 4]
     """Torr's GRIC of epipolar geometry, plane, rotation and no motion, lower is better; NaN if nothing was found."""
 
@@ -257,5 +259,6 @@ def _geometry(
         homography,
         float(selection.median_angle_rad[p]),
         float(selection.noise_px[p]),
+        epipolar.residuals_px[offsets[p] : offsets[p + 1]].copy(),
         selection.cost[p].copy(),
     )
