@@ -1,0 +1,97 @@
+"""The small figures of pages 3 to 6 show what the paragraphs say."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from epipole.cameras import Camera
+from epipole.geometry import Rigid3, Rotation3
+from epipole.lesson.scenes import house
+
+CAMERA = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5])
+
+
+def set_pair(tab, value):
+    tab.page.locator(f"input[name=pair][value={value}]").check()
+
+
+def test_the_sign_of_the_translation_moves_the_point_behind_both_cameras(tab):
+    tab.open("03_candidates.html")
+    depths = {}
+    for factor in (1.0, 0.4, -0.4, -1.0):
+        tab.set(bs=factor)
+        shown = tab.shown()
+        assert shown["sign-triple"] == pytest.approx(0.0, abs=1e-12)
+        depths[factor] = np.array([shown["sign-z1"], shown["sign-z2"]])
+        np.testing.assert_allclose(depths[factor], factor * depths[1.0], rtol=1e-9)
+    assert np.all(depths[1.0] > 0)
+
+
+def test_half_a_rotation_about_the_baseline_changes_the_sign_of_the_essential_matrix(tab):
+    """E(angle) = cos(angle) E + sin(angle) G, with G perpendicular to E, so that E(180 degrees) = -E."""
+    tab.open("03_candidates.html")
+    for angle in (0.0, 30.0, 90.0, 135.0, 180.0):
+        tab.set(twist=angle)
+        shown = tab.shown()
+        assert shown["twist-cosine"] == pytest.approx(np.cos(np.deg2rad(angle)), abs=1e-12)
+        is_flat = abs(shown["twist-triple"]) < 1e-9
+        assert is_flat == (angle in (0.0, 180.0))
+
+
+def test_depths_have_another_pair_of_signs_in_each_candidate(tab):
+    tab.open("03_candidates.html")
+    signs = {}
+    for name in "ABCD":
+        set_pair(tab, name)
+        shown = tab.shown()
+        signs[name] = (shown["four-z1"] > 0, shown["four-z2"] > 0)
+        assert (shown["four-count"] == 10) == (signs[name] == (True, True))
+    assert len(set(signs.values())) == 4
+
+
+def test_the_probability_of_a_wrong_vote_is_that_of_a_normal_distribution(tab):
+    tab.open("03_candidates.html")
+    for Z, B, sigma in ((60.0, 0.2, 1.0), (100.0, 0.05, 2.0), (20.0, 0.1, 0.4)):
+        tab.set(Zv=Z, Bv=B, sv=sigma)
+        shown = tab.shown()
+        assert shown["bell-d"] == pytest.approx(520.0 * B / Z)
+        wrong = norm.sf(520.0 * B / Z / (np.sqrt(2.0) * sigma))
+        assert shown["bell-wrong"] == pytest.approx(100.0 * wrong, rel=1e-7)
+
+
+def test_both_images_stay_while_the_scene_grows(tab):
+    tab.open("04_scale.html")
+    rotated = Rotation3.exp(np.deg2rad([0.0, -16.0, 0.0])).matrix
+    for k in (0.5, 1.0, 1.6):
+        tab.set(kg=k)
+        shown, corner = tab.shown(), k * house(5.0)[1:2]
+        second = Rigid3(rotated, np.array([1.6 * k, 0.0, 0.0])).inverse()
+        for name, cam_from_world in (("grow-u1", Rigid3.identity()), ("grow-u2", second)):
+            assert shown[name] == pytest.approx(CAMERA.project(cam_from_world.apply(corner))[0, 0], rel=1e-9)
+        assert [shown["grow-baseline"], shown["grow-width"]] == pytest.approx([1.6 * k, 2.0 * k])
+
+
+def test_an_accelerometer_gives_the_scale_unless_it_has_a_bias(tab):
+    tab.open("04_scale.html")
+    tab.set(si=1.7, bias=0.0)
+    shown = tab.shown()
+    assert shown["ride-rms"] == pytest.approx(0.0, abs=1e-9) and shown["ride-best"] == pytest.approx(1.7)
+    errors = []
+    for bias in (0.05, 0.1, -0.1):
+        tab.set(bias=bias)
+        shown = tab.shown()
+        errors.append(shown["ride-best"] - 1.7)
+        # 0.5 bias t^2 in all instants: the RMS of t^2 over 8 s is 64 / sqrt(5).
+        assert shown["ride-rms"] == pytest.approx(0.5 * abs(bias) * 64 / np.sqrt(5.0), rel=0.01)
+    assert errors[1] == pytest.approx(2 * errors[0]) and errors[2] == pytest.approx(-errors[1])
+
+
+def test_errors_of_the_scale_multiply_around_a_loop(tab):
+    tab.open("04_scale.html")
+    angles = 2 * np.pi * (np.arange(48) + 0.5) / 48
+    for percent in (-1.5, 0.0, 1.0):
+        tab.set(ed=percent)
+        shown, growth = tab.shown(), 1 + percent / 100
+        assert shown["drift-scale"] == pytest.approx(growth**48)
+        steps = growth ** np.arange(48) * np.exp(1j * angles)
+        assert shown["drift-gap"] == pytest.approx(100 * abs(steps.sum()) / 48, abs=1e-9)
