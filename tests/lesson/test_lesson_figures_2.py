@@ -6,7 +6,9 @@ from scipy.stats import norm
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Rotation3
-from epipole.lesson.scenes import house
+from epipole.geometry.triangulation import triangulate_two_view
+from epipole.lesson.scenes import cases, house
+from epipole.robust import point_covariances, triangulate_points
 
 CAMERA = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5])
 
@@ -95,3 +97,73 @@ def test_errors_of_the_scale_multiply_around_a_loop(tab):
         assert shown["drift-scale"] == pytest.approx(growth**48)
         steps = growth ** np.arange(48) * np.exp(1j * angles)
         assert shown["drift-gap"] == pytest.approx(100 * abs(steps.sum()) / 48, abs=1e-9)
+
+
+def pair_of(*poses):
+    return Rigid3(np.stack([pose.rotation for pose in poses]), np.stack([pose.translation for pose in poses]))
+
+
+def camera_at(x, z, yaw_deg):
+    """cam_from_world of a camera at (x, 0, z) that is rotated to the right."""
+    return Rigid3(
+        Rotation3.exp(np.deg2rad([0.0, yaw_deg, 0.0])).matrix, np.array([x, 0.0, z], float)
+    ).inverse()
+
+
+def test_rays_that_miss_meet_halfway(tab):
+    tab.open("05_triangulation.html")
+    truth, gaps = np.array([0.5, 0.1, 3.2]), []
+    for off, B in ((0.0, 1.4), (40.0, 1.4), (-60.0, 0.8)):
+        tab.set(em=off, Bm=B)
+        shown, second = tab.shown(), camera_at(B, 0.0, -14.0)
+        pixels = [CAMERA.project(pose.apply(truth[None])) for pose in (Rigid3.identity(), second)]
+        rays1, rays2 = CAMERA.unproject(pixels[0]), CAMERA.unproject(pixels[1] + [0.0, off])
+        middle = triangulate_two_view(second, rays1, rays2)[0][0]
+        assert shown["miss-depth"] == pytest.approx(middle[2], rel=1e-9)
+        assert shown["miss-off"] == pytest.approx(np.linalg.norm(middle - truth), abs=1e-9)
+        normal = np.cross(
+            *(rays @ pose.rotation for rays, pose in ((rays1, Rigid3.identity()), (rays2, second)))
+        )
+        gap = abs(np.array([B, 0.0, 0.0]) @ normal[0]) / np.linalg.norm(normal)
+        assert shown["miss-gap"] == pytest.approx(gap, abs=1e-9)
+        gaps.append(gap)
+    assert gaps[0] == pytest.approx(0.0, abs=1e-12) and min(gaps[1:]) > 0.1
+
+
+def test_no_trial_point_has_a_smaller_sum_of_squares(tab):
+    tab.open("05_triangulation.html")
+    poses = pair_of(Rigid3.identity(), camera_at(1.2, 0.0, -14.0))
+    truth = np.array([[0.3, 0.2, 4.0]])
+    pixels = np.stack([CAMERA.project(pose.apply(truth)) for pose in poses]) + 9 * cases()[5].reshape(2, 1, 2)
+    best = triangulate_points(poses, CAMERA, pixels).points_in_world
+
+    def errors(points):
+        return np.array(
+            [np.linalg.norm(CAMERA.project(pose.apply(points)) - seen) for pose, seen in zip(poses, pixels)]
+        )
+
+    least = (errors(best) ** 2).sum()
+    for point in ([0.1, 0.05, 3.2], [0.3, 0.2, 4.0], best[0]):
+        tab.set(Xr=point[0], Yr=point[1], Zr=point[2])
+        shown, wanted = tab.shown(), errors(np.array([point]))
+        assert [shown["trial-first"], shown["trial-second"]] == pytest.approx(wanted, abs=1e-6)
+        assert shown["trial-sum"] == pytest.approx((wanted**2).sum(), abs=1e-6)
+        assert shown["trial-least"] == pytest.approx(least, rel=1e-6)
+        assert shown["trial-sum"] >= shown["trial-least"] - 1e-6
+
+
+def test_the_ellipse_has_the_ratio_of_its_angle(tab):
+    tab.open("05_triangulation.html")
+    point = np.array([[0.0, 0.0, 6.0]])
+    for angle, sigma in ((4.0, 1.0), (30.0, 0.5), (90.0, 2.0)):
+        tab.set(theta=angle, sn=sigma)
+        shown = tab.shown()
+        half = np.deg2rad(angle / 2)
+        poses = pair_of(
+            *(camera_at(6 * k * np.sin(half), 6 - 6 * np.cos(half), -k * angle / 2) for k in (-1, 1))
+        )
+        spread = point_covariances(poses, CAMERA, point, np.ones((2, 1), bool), sigma)[0]
+        axes = np.sqrt(np.linalg.eigvalsh(spread[np.ix_([0, 2], [0, 2])]))
+        assert [shown["ellipse-short"], shown["ellipse-long"]] == pytest.approx(axes, rel=1e-9)
+        assert shown["ellipse-ratio"] == pytest.approx(1 / np.tan(half), rel=1e-9)
+        assert shown["ellipse-law"] == pytest.approx(shown["ellipse-ratio"], rel=1e-9)
