@@ -9,6 +9,8 @@ from epipole.geometry import Rigid3, Rotation3
 from epipole.geometry.triangulation import triangulate_two_view
 from epipole.lesson.scenes import cases, house
 from epipole.robust import point_covariances, triangulate_points
+from epipole.robust._loop_kernels import _iterations_needed
+from epipole.solvers import solve_p3p
 
 CAMERA = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5])
 
@@ -167,3 +169,56 @@ def test_the_ellipse_has_the_ratio_of_its_angle(tab):
         assert [shown["ellipse-short"], shown["ellipse-long"]] == pytest.approx(axes, rel=1e-9)
         assert shown["ellipse-ratio"] == pytest.approx(1 / np.tan(half), rel=1e-9)
         assert shown["ellipse-law"] == pytest.approx(shown["ellipse-ratio"], rel=1e-9)
+
+
+def test_residuals_of_a_guess_are_zero_at_the_true_pose(tab):
+    tab.open("06_pnp.html")
+    landmarks, truth = house(5.0), camera_at(0.4, 0.3, -6.0)
+    for x, z, yaw in ((0.4, 0.3, -6.0), (0.0, -0.5, 4.0), (-1.0, 1.0, 20.0)):
+        tab.set(gx=x, gz=z, gyaw=yaw)
+        shown, guess = tab.shown(), camera_at(x, z, yaw)
+        off = CAMERA.project(guess.apply(landmarks)) - CAMERA.project(truth.apply(landmarks))
+        assert shown["pose-rms"] == pytest.approx(np.sqrt(np.mean(off**2)), abs=1e-9)
+        assert shown["pose-position"] == pytest.approx(np.hypot(x - 0.4, z - 0.3), abs=1e-9)
+        assert shown["pose-rotation"] == pytest.approx(abs(yaw + 6.0), abs=1e-9)
+        assert (shown["pose-rms"] < 1e-9) == (x == 0.4)
+
+
+def test_poses_of_three_points_are_those_of_the_library(tab):
+    tab.open("06_pnp.html")
+    angles, counts = np.deg2rad([0.0, 120.0, 240.0]), set()
+    triangle = np.column_stack([2 * np.cos(angles), 2 * np.sin(angles), 0 * angles])
+    for x, distance in ((0.2, 3.6), (1.5, 2.5), (1.0, 2.5), (-0.5, 2.3), (1.6, 4.4)):
+        tab.set(cx=x, cz=distance)
+        rays = triangle - [x, 0.15, -distance]
+        wanted = solve_p3p(rays, triangle)
+        found = tab.page.evaluate(
+            "values => posesNumbers(values).poses.map(p => p.pose.t)", {"cx": x, "cz": distance}
+        )
+        assert len(found) == len(wanted.translation) == tab.shown()["poses-count"]
+        np.testing.assert_allclose(sorted(found), sorted(wanted.translation.tolist()), atol=1e-6)
+        assert tab.shown()["poses-best"] == pytest.approx(0.0, abs=1e-6)
+        counts.add(len(found))
+    assert {1, 4} <= counts
+
+
+def test_samples_of_ransac_are_those_of_the_library(tab):
+    tab.open("06_pnp.html")
+    for outliers, confidence in ((50.0, 99.0), (75.0, 99.9), (10.0, 90.0)):
+        tab.set(po=outliers, pc=confidence)
+        for name, size in (("three", 3), ("six", 6)):
+            wanted = _iterations_needed.py_func(1 - outliers / 100, size, confidence / 100, 0, 10**9)
+            assert tab.shown()[f"samples-{name}"] in (wanted, wanted + 1)  # the library rounds down
+
+
+def test_steps_alternate_between_cameras_and_points(tab):
+    tab.open("06_pnp.html")
+    counts = []
+    for _ in range(8):
+        shown = tab.shown()
+        counts.append((shown["steps-cameras"], shown["steps-points"]))
+        tab.page.locator("#next-step").click()
+    gained = np.diff(counts, axis=0)
+    np.testing.assert_array_equal(gained[:, 0], [1, 0, 1, 0, 1, 0, 1])
+    assert np.all(gained[0::2, 1] == 0) and np.all(gained[1::2, 1] > 0)
+    assert (tab.shown()["steps-cameras"], tab.shown()["steps-points"]) == counts[0]  # from the start again

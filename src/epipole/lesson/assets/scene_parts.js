@@ -1,5 +1,5 @@
 /* What several figures in three dimensions share: the house, rays that go on behind a camera, and images below the figure. */
-/* exported putHouse, putRay, putImage, insets, insetMark, insetHouse */
+/* exported putHouse, putRay, putImage, insets, enlarge, insetMark, insetHouse */
 
 function putHouse(put, corners, edges, kind = "house") {
   for (const [a, b] of edges) put.line(corners[a], corners[b], kind);
@@ -29,6 +29,15 @@ function insets(id, names) {
     inside.dataset.unit = String(640 / side(width)); // pixels of the image in a unit of the drawing
     return inside;
   });
+}
+
+/* Show another part of the image plane in an inset, around a pixel, this many pixels wide. */
+function enlarge(inside, [u, v], width) {
+  inside.setAttribute("viewBox", `${u - width / 2} ${v - 0.375 * width} ${width} ${0.75 * width}`);
+  const frame = inside.querySelector(".frame");
+  for (const [name, value] of Object.entries({ x: u - width / 2, y: v - 0.375 * width, width, height: 0.75 * width }))
+    frame.setAttribute(name, value);
+  inside.dataset.unit = String((Number(inside.dataset.unit) * width) / 640);
 }
 
 /* A mark of the same size in every inset. */

@@ -45,12 +45,6 @@ TRIAL.pixels = TRIAL.motions.map((motion, k) =>
 );
 TRIAL.best = refinedPoint(TRIAL.motions, TRIAL.pixels, TRIAL.truth);
 
-/* Show a part of the image, around a pixel. */
-function enlarge(inside, [u, v], width) {
-  inside.setAttribute("viewBox", `${u - width / 2} ${v - 0.375 * width} ${width} ${0.75 * width}`);
-  inside.dataset.unit = String((Number(inside.dataset.unit) * width) / 640);
-}
-
 watch(["Xr", "Yr", "Zr"], ({ Xr, Yr, Zr }) => {
   const point = [Xr, Yr, Zr],
     images = insets("reprojection", [WORDS.first, WORDS.second]);
