@@ -4,7 +4,7 @@
 const KNOWN = SCENE.house,
   TRUE_POSE = motionOf({ tx: 0.4, tz: 0.3, yaw: -6 }),
   OBSERVED = KNOWN.corners.map((corner) => project(moved(TRUE_POSE, corner)));
-const drawGuess = space("pose3d", { center: [0.5, -0.2, 2.9], distance: 12, yaw: -0.85, pitch: 0.38, zoom: 1.75 }, 330);
+const drawGuess = space("pose3d", { center: [0.3, -0.1, 2.5], distance: 12, yaw: -0.85, pitch: 0.38, zoom: 1.65 }, 330);
 
 watch(["gx", "gz", "gyaw"], ({ gx, gz, gyaw }) => {
   const guess = motionOf({ tx: gx, tz: gz, yaw: gyaw }),
@@ -43,7 +43,7 @@ watch(["gx", "gz", "gyaw"], ({ gx, gz, gyaw }) => {
 /* Three landmarks with equal distances from each other, and a fourth one that decides. */
 const TRIANGLE = [0, 120, 240].map((angle) => [2 * Math.cos(degrees(angle)), 2 * Math.sin(degrees(angle)), 0]),
   FOURTH = [0.2, -0.5, -0.9];
-const drawPoses = space("poses3d", { center: [0.6, 0.1, -1.2], distance: 15, yaw: 0.75, pitch: 0.36, zoom: 1.28 }, 380);
+const drawPoses = space("poses3d", { center: [0.6, 0.3, -1.2], distance: 15, yaw: 0.75, pitch: 0.36, zoom: 1.28 }, 380);
 
 function posesNumbers({ cx, cz }) {
   const truth = motionOf({ tx: cx, ty: 0.15, tz: -cz }),
@@ -78,9 +78,9 @@ watch(["cx", "cz"], (values) => {
   poses.forEach(({ pixel, isAhead }, k) => {
     if (!isAhead) return;
     insetMark(inside, pixel, kindOf(k), 4.5);
-    const unit = Number(inside.dataset.unit);
-    const attributes = { class: `label ${kindOf(k)}`, x: pixel[0] + 8 * unit, y: pixel[1] - 6 * unit, style: `font-size: ${12 * unit}px` };
-    add(inside, "text", attributes, "ABCD"[k]);
+    const size = Number(inside.dataset.unit),
+      [x, y] = plus(pixel, [8 * size, -6 * size]);
+    add(inside, "text", { class: `label ${kindOf(k)}`, x, y, style: `font-size: ${12 * size}px` }, "ABCD"[k]);
   });
   insetMark(inside, observed, "cross truth", 8);
   showCount("poses-count", poses.length);
