@@ -1,4 +1,4 @@
-/* The small figures of the page on candidates: the sign of t, the twisted pair, four pairs of cameras, the chance of a wrong vote. */
+/* The small figures of the page on candidates: the sign of t, the twisted pair, four pairs of cameras, wrong votes. */
 
 /* Two cameras with a long baseline, and the rays of one point. */
 const TWO = motionOf({ tx: 1.8, tz: 1.2, yaw: -30 }),

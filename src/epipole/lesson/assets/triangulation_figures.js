@@ -101,7 +101,8 @@ watch(["theta", "sn"], (values) => {
       at = (slope) => toPlace(moved(back, [slope * 14, 0, 14]));
     const kind = ["one", "other"][k];
     add(svg, "polygon", { class: `sheet ${kind}`, points: [toPlace(back.t), at(-half), at(half)].join(" ") });
-    add(svg, "line", { class: "dashed", x1: toPlace(back.t)[0], y1: toPlace(back.t)[1], x2: toPlace(point)[0], y2: toPlace(point)[1] });
+    const [[x1, y1], [x2, y2]] = [toPlace(back.t), toPlace(point)];
+    add(svg, "line", { class: "dashed", x1, y1, x2, y2 });
     drawCamera(svg, toPlace, motion, `${kind} filled`, 0.7);
   });
   drawEllipse(svg, axes, toPlace(point), size * FACED.enlarged, "spread");
