@@ -31,14 +31,15 @@ class Page(NamedTuple):
 
 HOUSE = ("linear.js", "cameras.js", "house.js")
 SPACE = (*HOUSE, "space.js")
+PARTS = (*SPACE, "scene_parts.js")
 SQUARES = ("eigen.js", "least_squares.js")
 PAGES = (
     Page("disparity", ("disparity.js", "disparity_figures.js")),
     Page("epipolar", (*SPACE, "epipolar.js", "epipolar_figures.js")),
-    Page("candidates", (*HOUSE, "rays.js", "candidates.js")),
-    Page("scale", (*HOUSE, "scale.js")),
-    Page("triangulation", (*HOUSE, *SQUARES, "triangulation.js")),
-    Page("pnp", (*HOUSE, *SQUARES, "rays.js", "pnp.js")),
+    Page("candidates", (*PARTS, "rays.js", "candidates.js", "candidates_figures.js")),
+    Page("scale", (*PARTS, "scale.js", "scale_figures.js")),
+    Page("triangulation", (*PARTS, *SQUARES, "rays.js", "triangulation.js", "triangulation_figures.js")),
+    Page("pnp", (*PARTS, *SQUARES, "rays.js", "p3p.js", "pnp.js", "pnp_figures.js")),
     Page("models", (*HOUSE, "eigen.js", "two_views.js", "models.js")),
     Page("bundle", (*HOUSE, *SQUARES, "two_views.js", "bundle_adjustment.js", "bundle.js")),
     Page("failures", ("linear.js", "failures.js"), is_recorded=True),

@@ -109,7 +109,13 @@ def scene_of(page: str) -> dict[str, Any]:
         return {"corners": [], "edges": [], "noise": cases().tolist()}
     if page == "pnp":
         landmarks, noise_px = corridor()
-        return {"corners": landmarks.tolist(), "edges": [], "noise": noise_px.tolist(), "path": PATH.tolist()}
+        return {
+            "corners": landmarks.tolist(),
+            "edges": [],
+            "noise": noise_px.tolist(),
+            "path": PATH.tolist(),
+            "house": {"corners": house(5.0).tolist(), "edges": EDGES},
+        }
     if page == "models":
         positions, noise_px = wall()
         return {"corners": positions.tolist(), "edges": [], "noise": noise_px.tolist()}

@@ -100,4 +100,3 @@ watch(["tx", "tz", "yaw", "far", "noise"], (values) => {
   const [a, b, c, d] = found.map(({ count }) => count);
   told("four-told", WORDS.four_told, { all: SCENE.corners.length, a, b, c, d }, ["all", "a", "b", "c", "d"]);
 });
-document.documentElement.dataset.ready = "yes";

@@ -113,4 +113,3 @@ watch(["step", "s", "most"], (values) => {
   drawAbove(state);
   told("above-told", WORDS.above_told, state.numbers, COUNTS);
 });
-document.documentElement.dataset.ready = "yes";

@@ -69,4 +69,3 @@ watch(["k", "B", "W"], (values) => {
   told("pictures-told", WORDS.pictures_told, found);
   told("above-told", WORDS.above_told, found);
 });
-document.documentElement.dataset.ready = "yes";

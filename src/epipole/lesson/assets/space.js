@@ -9,15 +9,16 @@ function space(id, look, height = 320) {
   let scene = () => {};
 
   function frame() {
-    const [, width] = fitted(id, height),
+    const tall = (width) => height * Math.min(1, Math.max(0.75, width / 560));
+    const [, width] = fitted(id, tall),
       items = [];
     const turn = times(rotationOf([eye.pitch, 0, 0]), rotationOf([0, -eye.yaw, 0])),
       focal = (look.zoom || 1) * Math.min(width, 560);
     const seen = (point) => {
       const [x, y, z] = plus(applied(turn, minus(point, look.center)), [0, 0, look.distance]);
-      return [width / 2 + (focal * x) / z, height / 2 + (focal * y) / z, z];
+      return [width / 2 + (focal * x) / z, tall(width) / 2 + (focal * y) / z, z];
     };
-    scene(collector(items, seen));
+    scene(collector(items, seen, width));
     items.sort((one, other) => other.depth - one.depth);
     for (const { kind, attributes, text } of items) add(svg, kind, attributes, text);
   }
@@ -31,7 +32,7 @@ function space(id, look, height = 320) {
 }
 
 /* What a scene is made of; each item has the depth at which it is drawn, far ones first. */
-function collector(items, seen) {
+function collector(items, seen, width) {
   const mean = (places) => places.reduce((sum, [, , z]) => sum + z, 0) / places.length;
   const flat = (places) => places.map(([x, y]) => `${x.toFixed(1)},${y.toFixed(1)}`).join(" ");
   const put = {
@@ -47,9 +48,13 @@ function collector(items, seen) {
       const [cx, cy, depth] = seen(point);
       items.push({ kind: "circle", depth: depth - 0.05, attributes: { class: kind, cx, cy, r } });
     },
+    /* Words beside a point, inside the drawing. */
     label(point, text, dx = 9, dy = 4) {
-      const [x, y] = seen(point);
-      items.push({ kind: "text", depth: 0, text, attributes: { class: "label strong", x: x + dx, y: y + dy } });
+      const [x, y] = seen(point),
+        length = [...text].reduce((sum, letter) => sum + (letter > "\u2e80" ? 14 : 7.5), 0);
+      const start = dx > 0 && x + dx + length > width ? x - dx - length : x + dx;
+      const inside = Math.max(4, Math.min(start, width - 4 - length));
+      items.push({ kind: "text", depth: 0, text, attributes: { class: "label strong", x: inside, y: y + dy } });
     },
     /* A camera: its center, and its image plane at the distance `size`. */
     camera({ R, t }, kind, size = 0.6) {

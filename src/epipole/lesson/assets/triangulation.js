@@ -163,4 +163,3 @@ watch(["B", "A", "Z", "X", "s", "n"], (values) => {
   ]);
   told("above-told", WORDS.above_told, found.numbers);
 });
-document.documentElement.dataset.ready = "yes";
