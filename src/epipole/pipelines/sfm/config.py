@@ -77,6 +77,10 @@ class MapperConfig:
     """Global bundle adjustment runs each time the model has grown by this factor."""
     completion_px: float = 3.0
     """Points are looked for within this distance of their projections, in images that do not observe them."""
+    min_track_length: int = 3
+    """Points in fewer images are removed from a finished model, if their images have enough others."""
+    min_long_tracks: int = 50
+    """Number of longer tracks that an image needs to do without the shorter ones."""
     final_rounds: int = 5
     """Maximum number of final rounds of adjusting, filtering and re-triangulating."""
     converged_fraction: float = 5e-4

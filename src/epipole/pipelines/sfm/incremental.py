@@ -48,8 +48,11 @@ class Rejection:
 class IncrementalMapper:
     """Grows one model from a pair of images until no further image fits (Snavely et al. 2006; Schoenberger 2016)."""
 
-    def __init__(self, model: ModelBuilder, view_graph: ViewGraph, config: MapperConfig) -> None:
+    def __init__(
+        self, model: ModelBuilder, view_graph: ViewGraph, config: MapperConfig, *, min_track_length: int = 2
+    ) -> None:
         self.model, self.view_graph, self.config = model, view_graph, config
+        self.min_track_length = min_track_length
         self.consistency = MatchConsistency(model, view_graph)
         self.rejections: dict[int, Rejection] = {}
         self._started: set[int] = set()
@@ -109,8 +112,10 @@ class IncrementalMapper:
             function_tolerance=1e-5,
         )
         for _ in range(2):
+            self.model.drop_short_tracks(self.min_track_length, self.config.min_long_tracks)
             adjust_all(self.model, last, self._freedom(), self.priors)
             self.model.filter(self.config.max_error_px, self._angle)
+        self.model.drop_short_tracks(self.min_track_length, self.config.min_long_tracks)
 
     def grow(self, usable: np.ndarray, limit: int, progress: Progress = _ignored) -> None:
         """Register images one by one until `limit` are registered or none fits."""
@@ -279,6 +284,7 @@ class IncrementalMapper:
         model, config = self.model, self.config
         everything = np.arange(len(model.components))
         for round_ in range(max(rounds, 1)):
+            model.drop_short_tracks(self.min_track_length, config.min_long_tracks)
             adjust_all(model, self._global_bundle(), self._freedom(), self.priors)
             dropped = model.filter(config.max_error_px, self._angle)
             self._drop_lost_images()

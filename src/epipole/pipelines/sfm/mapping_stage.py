@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from epipole.io.images.exif import gps_to_enu
-from epipole.config import MatchConfig
 from epipole.features import Features
-from epipole.mapping import ModelBuilder, PositionPriors, connect_matches, find_further_matches
+from epipole.mapping import ModelBuilder, PositionPriors, connect_matches
+from epipole.pipelines.sfm.completion import complete_model
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.pipelines.sfm.gps.alignment import (
     MIN_POSITIONS,
@@ -80,7 +80,7 @@ def map_images(
         if not mapper.run(remaining, _counting(progress, remaining), _adjusting(progress)):
             break
         if features is not None:
-            mapper = completed(mapper, features, starts)
+            mapper = complete_model(mapper, features, starts)
             builder = mapper.model
         gps = _publish(mapper, positions, images.up_in_cams, config, _adjusting(progress))
         rejections.update({i: r for i, r in mapper.rejections.items() if not found})
@@ -93,25 +93,6 @@ def map_images(
     found.sort(key=lambda m: (-int(m[0].is_registered().sum()), -len(m[0].points)))
     models, alignments, agreements = zip(*found) if found else ((), (), ())
     return Mapped(tuple(models), rejections, tuple(alignments), tuple(agreements))
-
-
-def completed(
-    mapper: IncrementalMapper, features: Sequence[Features], keypoint_offsets: np.ndarray
-) -> IncrementalMapper:
-    """Complete the tracks of a finished model, triangulate them again with its poses, and adjust it."""
-    before, config = mapper.model, mapper.config
-    further = find_further_matches(before, features, config.completion_px, MatchConfig())
-    components = connect_matches(mapper.view_graph, keypoint_offsets, further)
-    model = ModelBuilder(before.cameras, before.camera_of_image, before.keypoints, components)
-    model.set_params(before.params.copy())
-    model.registered = before.registered.copy()
-    model.set_poses(np.flatnonzero(model.registered), before.registered_poses())
-    model.triangulate(np.arange(len(components)), config.max_error_px, np.deg2rad(config.min_angle_deg))
-    after = IncrementalMapper(model, mapper.view_graph, config)
-    after.rejections = mapper.rejections
-    after.adjust_globally(2)
-    after.finish()
-    return after
 
 
 def _counting(progress: ProgressCallback, remaining: np.ndarray) -> Callable[[int, int], None]:

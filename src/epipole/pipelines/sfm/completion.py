@@ -1,0 +1,47 @@
+"""Completion of a model: longer tracks first, then an adjustment of the points that three images confirm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from epipole.config import MatchConfig
+from epipole.features import Features
+from epipole.mapping import ModelBuilder, connect_matches, find_further_matches
+from epipole.pipelines.sfm.incremental import IncrementalMapper
+
+ROUNDS = 3
+
+
+def complete_model(
+    mapper: IncrementalMapper, features: Sequence[Features], keypoint_offsets: np.ndarray
+) -> IncrementalMapper:
+    """Complete the tracks of a finished model, triangulate them again with its poses, and adjust it.
+
+    A wrong match along the epipolar line makes a point in two images that no residual reveals, and a third image does.
+    Therefore points in two images take no part in this adjustment, unless an image has few others.
+
+    Args:
+        mapper: a mapper that has finished a model.
+        features: SIFT features of each image, in the order of its keypoints.
+        keypoint_offsets: first keypoint of each image, and the number of all.
+
+    Returns:
+        A mapper with the completed model.
+    """
+    before, config = mapper.model, mapper.config
+    # No ratio test: a repeated structure has no second instance within a few pixels.
+    similar = MatchConfig(max_ratio=1.0)
+    further = find_further_matches(before, features, config.completion_px, similar)
+    components = connect_matches(mapper.view_graph, keypoint_offsets, further)
+    model = ModelBuilder(before.cameras, before.camera_of_image, before.keypoints, components)
+    model.set_params(before.params.copy())
+    model.registered = before.registered.copy()
+    model.set_poses(np.flatnonzero(model.registered), before.registered_poses())
+    model.triangulate(np.arange(len(components)), config.max_error_px, np.deg2rad(config.min_angle_deg))
+    after = IncrementalMapper(model, mapper.view_graph, config, min_track_length=config.min_track_length)
+    after.rejections = mapper.rejections
+    after.adjust_globally(ROUNDS)
+    after.finish()
+    return after
