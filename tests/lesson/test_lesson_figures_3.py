@@ -1,5 +1,7 @@
 """The small figures of the pages on models, bundle adjustment, pipelines, failures and fields, against the library."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,8 @@ from epipole.geometry.epipolar import (
     fundamental_from_essential,
 )
 from epipole.geometry.homogeneous import point_line_distance
+from epipole.lesson.scenes import ring
+from epipole.optim import Loss, evaluate_loss
 from epipole.solvers import solve_homography_dlt
 
 CAMERA = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5])
@@ -64,3 +68,61 @@ def test_a_plane_leaves_the_epipole_open(tab):
     points = np.array(called(tab, "[...WALL_POINTS, ...BESIDE_POINTS]"))
     lines = epipolar_lines(F, CAMERA.project(points))
     assert point_line_distance(np.array([truth]), lines) == pytest.approx(np.zeros(len(points)), abs=1e-8)
+
+
+def test_residuals_change_only_where_a_camera_or_a_point_is_displaced(tab):
+    tab.open("08_bundle.html")
+    still, camera, point = (
+        called(tab, f"insetNumbers({{ by_camera: {a}, by_point: {b} }})")
+        for a, b in ((0, 0), (0.2, 0), (0, 0.2))
+    )
+    assert [camera["rms"][k] == still["rms"][k] for k in range(3)] == [True, False, True]
+    for k in range(3):
+        changed = [a != b for a, b in zip(point["images"][k], still["images"][k], strict=True)]
+        assert sum(changed) == 1
+    scene = ring()
+    shown = scene.cams_from_world[called(tab, "SHOWN[1]")]
+    moved = Rigid3(shown.rotation, shown.translation + np.array([0.2, 0.0, 0.0]))
+    image = camera["images"][1]
+    points = scene.points_in_world[[seen["j"] for seen in image]]
+    off = CAMERA.project(moved.apply(points)) - [seen["pixel"] for seen in image]
+    assert camera["rms"][1] == pytest.approx(np.sqrt(np.mean(off**2)))
+
+
+def test_blocks_are_those_of_the_normal_matrix(tab):
+    tab.open("08_bundle.html")
+    for c, p, k in ((5, 12, 3), (2, 4, 12), (12, 40, 5)):
+        found = called(tab, f"arrowNumbers({{ c: {c}, p: {p}, k: {k} }})")
+        J = np.zeros((found["rows"], found["all"]))
+        for row, column, height, width in [*found["J"]["one"], *found["J"]["point"]]:
+            J[row : row + height, column : column + width] = np.random.default_rng(row).normal(
+                size=(height, width)
+            )
+        H = np.zeros((found["all"], found["all"]), bool)
+        for row, column, height, width in itertools.chain(*found["H"].values()):
+            H[row : row + height, column : column + width] = True
+        assert np.array_equal(J.T @ J != 0, H) and np.linalg.matrix_rank(J) <= found["all"]
+        assert [found["filled"]["J"], found["filled"]["H"]] == pytest.approx(
+            [100 * np.mean(J != 0), 100 * H.mean()]
+        )
+
+
+def test_costs_of_a_step_are_those_of_the_page(tab):
+    tab.open("08_bundle.html")
+    for many, each in ((10, 10), (30, 20)):
+        found = called(tab, f"workNumbers({{ many: {many}, each: {each} }})")
+        counted = called(
+            tab,
+            f"operations({{ U: Array({many + 1}), V: Array({many * each}), W: Array({many * each}).fill(Array(TRACK)) }})",
+        )
+        assert [found["dense"], found["schur"]] == pytest.approx([counted["whole"], counted["reduced"]])
+
+
+def test_the_pull_is_the_derivative_of_the_loss(tab):
+    tab.open("08_bundle.html")
+    r, step = np.linspace(0.1, 20.0, 9), 1e-6
+    for scale in (0.5, 1.0, 5.0):
+        for name, loss in (("squared", Loss.TRIVIAL), ("cauchy", Loss.CAUCHY)):
+            above, below = (evaluate_loss(loss, (r + sign * step) ** 2, scale) for sign in (1, -1))
+            pull = called(tab, f"{r.tolist()}.map(r => PULLS.{name}(r, {scale}))")
+            assert pull == pytest.approx((above - below) / (4 * step), rel=1e-6)

@@ -40,7 +40,10 @@ PAGES = (
     Page("triangulation", (*HOUSE, *SQUARES, "triangulation.js")),
     Page("pnp", (*HOUSE, *SQUARES, "rays.js", "pnp.js")),
     Page("models", (*SPACE, "eigen.js", "two_views.js", "models.js", "models_figures.js")),
-    Page("bundle", (*HOUSE, *SQUARES, "two_views.js", "bundle_adjustment.js", "bundle.js")),
+    Page(
+        "bundle",
+        (*HOUSE, *SQUARES, "two_views.js", "bundle_adjustment.js", "bundle.js", "bundle_figures.js"),
+    ),
     Page("failures", ("linear.js", "failures.js"), is_recorded=True),
     Page("fields", ("linear.js", "fields.js"), is_recorded=True),
     Page("questions", ()),
