@@ -4,17 +4,27 @@ import itertools
 
 import numpy as np
 import pytest
+from tests.lesson.test_lesson_bundle import problem_of
 
 from epipole.cameras import Camera
-from epipole.geometry import Rigid3
+from epipole.geometry import Rigid2, Rigid3, Rotation3
 from epipole.geometry.epipolar import (
     epipolar_lines,
     essential_from_cam2_from_cam1,
     fundamental_from_essential,
 )
 from epipole.geometry.homogeneous import point_line_distance
-from epipole.lesson.scenes import ring
-from epipole.optim import Loss, evaluate_loss
+from epipole.lesson.scenes import nearest_descriptors, orbit, ring
+from epipole.optim import (
+    BundleConfig,
+    Loss,
+    PoseGraph,
+    PoseGraphConfig,
+    adjust_bundle,
+    evaluate_loss,
+    optimize_pose_graph,
+)
+from epipole.robust import estimate_relative_pose
 from epipole.solvers import solve_homography_dlt
 
 CAMERA = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5])
@@ -126,3 +136,125 @@ def test_the_pull_is_the_derivative_of_the_loss(tab):
             above, below = (evaluate_loss(loss, (r + sign * step) ** 2, scale) for sign in (1, -1))
             pull = called(tab, f"{r.tolist()}.map(r => PULLS.{name}(r, {scale}))")
             assert pull == pytest.approx((above - below) / (4 * step), rel=1e-6)
+
+
+def test_the_ratio_test_keeps_what_lies_below_the_line(tab):
+    tab.open("09_pipeline.html")
+    nearest, second, is_right = nearest_descriptors().T
+    for ratio in (0.4, 0.8, 1.0):
+        kept = nearest < ratio * second
+        counts = {"kept": kept.sum(), "right": (kept * is_right).sum(), "lost": (~kept * is_right).sum()}
+        found = called(tab, f"ratioNumbers({{ ratio: {ratio} }})")
+        assert {name: found[name] for name in counts} == counts
+    precise = [
+        called(tab, f"(n => n.right / n.kept)(ratioNumbers({{ ratio: {r} }}))") for r in (0.5, 0.8, 1.0)
+    ]
+    assert precise[0] > precise[1] > precise[2]
+
+
+def model_of(tab, stage, s):
+    return called(
+        tab,
+        f"""(state => ({{cameras: state.cameras, points: [...state.points], mean: state.mean,
+            pixels: state.pixels.map(seen => seen.map(pixel => pixel || [NaN, NaN]))}}))(reconstructed({stage}, {s}))""",
+    )
+
+
+def seen_pixels(scene, model):
+    """(c, p, 2) what the page observes; NaN where a point is not visible."""
+    pixels = np.array(model["pixels"], float)
+    assert pixels.shape[:2] == (len(scene.cams_from_world), len(scene.points_in_world))
+    return pixels
+
+
+def test_stages_of_a_model_have_the_errors_that_the_page_shows(tab):
+    tab.open("09_pipeline.html")
+    scene = orbit()
+    for stage in range(7):
+        tab.set(stage=stage + 1, s=0.5)
+        shown, model = tab.shown(), model_of(tab, stage, 0.5)
+        rows = [j for j, _ in model["points"]]
+        assert [shown["registered"], shown["triangulated"]] == [len(model["cameras"]), len(rows)]
+        if not rows:
+            continue
+        points, pixels = np.array([point for _, point in model["points"]]), seen_pixels(scene, model)
+        off = [
+            np.linalg.norm(CAMERA.project(motion(camera).apply(points)) - pixels[c, rows], axis=1)
+            for c, camera in enumerate(model["cameras"])
+        ]
+        assert shown["mean"] == pytest.approx(np.nanmean(off))
+    assert shown["mean"] < 0.5 * np.sqrt(2.0) < called(tab, "reconstructed(5, 0.5).mean")
+
+
+def test_the_pair_has_the_pose_of_the_library(tab):
+    tab.open("09_pipeline.html")
+    scene, model = orbit(), model_of(tab, 1, 0.0)
+    first, second = (motion(camera) for camera in model["cameras"])
+    for found, true in ((first, scene.cams_from_world[0]), (second, scene.cams_from_world[1])):
+        assert found.rotation == pytest.approx(true.rotation, abs=1e-6)
+        assert found.translation == pytest.approx(true.translation, abs=1e-6)
+    model = model_of(tab, 1, 0.5)
+    one, two = seen_pixels(scene, model)[:2]
+    both = np.isfinite(one).all(axis=1) & np.isfinite(two).all(axis=1)
+    best = estimate_relative_pose(one[both], two[both], CAMERA, CAMERA).model
+    found = motion(model["cameras"][1]) @ motion(model["cameras"][0]).inverse()
+    assert np.rad2deg(Rotation3(found.rotation @ best.rotation.T).angle_rad()) < 2.0
+
+
+def test_the_last_stage_ends_where_the_library_ends(tab):
+    tab.open("09_pipeline.html")
+    scene, before, after = orbit(), model_of(tab, 5, 0.5), model_of(tab, 6, 0.5)
+    rows = [j for j, _ in before["points"]]
+    pixels = np.swapaxes(seen_pixels(scene, before)[:, rows], 0, 1)
+    seen = np.isfinite(pixels).all(axis=2)
+    cams = Rigid3(
+        np.array([camera["R"] for camera in before["cameras"]]),
+        np.array([camera["t"] for camera in before["cameras"]]),
+    )
+    problem = problem_of(cams, np.array([point for _, point in before["points"]]), seen, pixels)
+    found = adjust_bundle(problem, BundleConfig(function_tolerance=0.0))
+    points = np.array([point for _, point in after["points"]])
+    off = [
+        CAMERA.project(motion(camera).apply(points))[seen[:, c]] - pixels[seen[:, c], c]
+        for c, camera in enumerate(after["cameras"])
+    ]
+    assert 0.5 * np.sum(np.concatenate(off) ** 2) == pytest.approx(found.final_cost, rel=1e-6)
+
+
+def test_a_window_keeps_its_cost(tab):
+    tab.open("09_pipeline.html")
+    sizes = [called(tab, f"windowNumbers({{ newest: {n}, size: 4 }}).numbers") for n in (8, 12, 16)]
+    whole = [found["work_all"] for found in sizes]
+    assert whole[0] < whole[1] < whole[2]
+    assert max(found["work"] for found in sizes) < 1.5 * min(found["work"] for found in sizes)
+    full = called(tab, "windowNumbers({ newest: 12, size: 16 })")
+    assert full["numbers"]["unknowns"] == full["numbers"]["unknowns_all"] and not full["fixed"]
+    counted = called(tab, "windowNumbers({ newest: 12, size: 4 })")
+    keyframes, points = (np.array(called(tab, name)) for name in ("KEYFRAMES", "BESIDE"))
+    near = np.linalg.norm(keyframes[:12, None] - points[None], axis=2) < 2.0
+    assert counted["numbers"]["unknowns"] == 6 * 4 + 3 * near[8:].any(axis=0).sum()
+    assert counted["fixed"] == [k for k in range(8) if (near[k] & near[8:].any(axis=0)).any()]
+
+
+def test_a_closed_loop_is_that_of_the_library(tab):
+    tab.open("09_pipeline.html")
+    for drift in (-0.8, 0.0, 1.2):
+        found, trip = (called(tab, f"{name}({{ drift: {drift} }})") for name in ("loopNumbers", "roundTrip"))
+
+        def poses(rows):
+            x, y, angle = np.array(rows).T
+            return Rigid2(angle, np.column_stack([x, y]))
+
+        graph = PoseGraph(
+            poses(found["before"]),
+            np.array([edge["i"] for edge in trip["edges"]]),
+            np.array([edge["j"] for edge in trip["edges"]]),
+            poses([edge["motion"] for edge in trip["edges"]]),
+            np.array([np.diag(1.0 / np.square(edge["sigmas"])) for edge in trip["edges"]]),
+        )
+        best = optimize_pose_graph(graph, PoseGraphConfig(relative_tolerance=1e-12))
+        after = poses(found["after"])
+        assert after.translation == pytest.approx(best.world_from_body.translation, abs=1e-5)
+        off = np.linalg.norm(after.translation - np.array(found["truth"])[:, :2], axis=1)
+        assert found["numbers"]["after"]["off"] == pytest.approx(np.sqrt(np.mean(off**2)))
+        assert found["numbers"]["after"]["gap"] < 0.1 * found["numbers"]["before"]["gap"]

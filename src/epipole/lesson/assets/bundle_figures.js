@@ -143,8 +143,8 @@ watch(["many", "each"], (values) => {
     add(svg, "circle", { class: kind, cx: toX(values.many), cy: toY(now[name]), r: 6 });
   });
   const line = (text, y, kind) => add(svg, "text", { class: `label ${kind}`, x: 8, y }, text);
-  line(`${WORDS.dense} (6c + 3p)³ / 6: ${shownNumber(now.dense)}`, 270, "other");
-  line(`${WORDS.with_schur}: ${shownNumber(now.schur)}, ${shownNumber(now.dense / now.schur)} ${WORDS.times_fewer}`, 290, "one");
+  line(worded(WORDS.dense, { work: shownNumber(now.dense) }), 270, "other");
+  line(worded(WORDS.with_schur, { work: shownNumber(now.schur), ratio: shownNumber(now.dense / now.schur) }), 290, "one");
   told("work-told", WORDS.work_told, now);
 });
 
@@ -164,7 +164,7 @@ watch(["r", "scale"], ({ r, scale }) => {
     const value = pull(r, scale),
       isShown = value <= most;
     if (isShown) add(svg, "circle", { class: kind, cx: toX(r), cy: toY(value), r: 6 });
-    const words = `${WORDS[name]}: ${shownNumber(value)}`;
+    const words = worded(WORDS[name], { pull: shownNumber(value) });
     add(svg, "text", { class: `label ${kind}`, x: 12 + k * Math.min(200, width / 2), y: 276 }, words);
   });
   add(svg, "line", { class: "dashed", x1: toX(r), x2: toX(r), y1: box.top, y2: box.bottom });

@@ -96,8 +96,7 @@ watch(["ry", "rx"], (values) => {
     add(inside, "line", { class: "residual", x1: from[0], y1: from[1], x2: to[0], y2: to[1] });
     add(inside, "circle", { class: "other", cx: to[0], cy: to[1], r: 22 / depth + 2 });
   });
-  const px = (name, point, value) =>
-    `${name} (${withUnit(point.depth, "m", 2)}): ${withUnit(value, WORDS.unit_px, 3)}`;
+  const px = (words, point, value) => worded(words, { depth: withUnit(point.depth, "m", 2), length: withUnit(value, WORDS.unit_px) });
   const line = (text, y) => add(svg, "text", { class: "label", x: width / 2, y, "text-anchor": "middle" }, text);
   line(px(WORDS.nearest, nearest, near), end + 20);
   line(px(WORDS.farthest, farthest, far), end + 40);
@@ -159,8 +158,8 @@ watch(["eu", "ev"], (values) => {
   add(svg, "path", { class: "cross", d: `M${x - 8},${y} h16 M${x},${y - 8} v16` });
   const line = (text, at) => add(svg, "text", { class: "label", x: width / 2, y: at, "text-anchor": "middle" }, text);
   add(svg, "rect", { class: "floor", x: 0, y: 308, width, height: 52 });
-  line(`${WORDS.on_plane}: ${withUnit(most.on, WORDS.unit_px, 3)}`, 330);
-  line(`${WORDS.off_plane}: ${withUnit(most.off, WORDS.unit_px, 3)}`, 350);
+  line(worded(WORDS.on_plane, { most: withUnit(most.on, WORDS.unit_px) }), 330);
+  line(worded(WORDS.off_plane, { most: withUnit(most.off, WORDS.unit_px) }), 350);
   told("pencil-told", WORDS.pencil_told, most);
 });
 document.documentElement.dataset.ready = "yes";
