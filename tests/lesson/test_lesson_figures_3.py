@@ -5,6 +5,8 @@ import itertools
 import numpy as np
 import pytest
 from tests.lesson.test_lesson_bundle import problem_of
+from tests.lesson.test_lesson_failures import RECORD as FAILURES
+from tests.lesson.test_lesson_failures import rms_cm, stated
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid2, Rigid3, Rotation3
@@ -258,3 +260,22 @@ def test_a_closed_loop_is_that_of_the_library(tab):
         off = np.linalg.norm(after.translation - np.array(found["truth"])[:, :2], axis=1)
         assert found["numbers"]["after"]["off"] == pytest.approx(np.sqrt(np.mean(off**2)))
         assert found["numbers"]["after"]["gap"] < 0.1 * found["numbers"]["before"]["gap"]
+
+
+def test_small_replays_show_what_was_recorded(tab):
+    tab.open("10_failures.html")
+    record = {name: runs for name, runs in FAILURES.items() if name != "kitchen"}
+    for failure, runs in record.items():
+        tab.set(**{f"at-{failure}": 20})
+        said = tab.page.locator(f"#view-{failure}-told").inner_text().split("; ")
+        assert len(said) == len(runs)
+        for words, run in zip(said, runs.values(), strict=True):
+            assert f"{run['points'][20]} points agree" in words
+            rejected = sum(verdict == "rejected" for frame, verdict in run["loops"] if frame <= 20)
+            assert (f"rejected so far: {rejected}" in words) == (rejected > 0)
+            off = rms_cm(stated(run, "final"), run["truth"])
+            assert ("position unknown" in words) == np.isnan(off)
+            if not np.isnan(off):
+                assert float(words.split("final error: ")[1].split(" cm")[0]) == pytest.approx(off, rel=0.005)
+    images = tab.page.locator("figure.small image")
+    assert images.count() == sum(bool(run["pictures"]) for runs in record.values() for run in runs.values())

@@ -57,7 +57,7 @@ PAGES = (
             "pipeline_figures.js",
         ),
     ),
-    Page("failures", ("linear.js", "failures.js"), is_recorded=True),
+    Page("failures", ("linear.js", "failures.js", "failures_figures.js"), is_recorded=True),
     Page("fields", ("linear.js", "fields.js"), is_recorded=True),
     Page("questions", ()),
     Page("terms", ()),
