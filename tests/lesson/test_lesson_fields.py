@@ -74,6 +74,7 @@ def test_what_is_summed_is_what_was_drawn():
 def test_a_click_chooses_the_nearest_pixel(tab):
     tab.open("11_fields.html")
     column, row = RECORD["pixels"][2]["at"]
+    tab.page.locator("#pictures").scroll_into_view_if_needed()
     box = tab.page.locator("#pictures").bounding_box()
     size = box["width"] / (3 * RECORD["side"] + 20)
     left = RECORD["side"] + 10 + column  # in the second image

@@ -1,14 +1,18 @@
 """The small figures of the pages on models, bundle adjustment, pipelines, failures and fields, against the library."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from tests.lesson.test_lesson_bundle import problem_of
 from tests.lesson.test_lesson_failures import RECORD as FAILURES
 from tests.lesson.test_lesson_failures import rms_cm, stated
+from tests.lesson.test_lesson_fields import RECORD as FIELDS
+from tests.lesson.test_lesson_fields import summed
 
 from epipole.cameras import Camera
+from epipole.fields.splat._projection_kernels import covariance_of, derivative_of_image, seen_covariance
 from epipole.geometry import Rigid2, Rigid3, Rotation3
 from epipole.geometry.epipolar import (
     epipolar_lines,
@@ -279,3 +283,59 @@ def test_small_replays_show_what_was_recorded(tab):
                 assert float(words.split("final error: ")[1].split(" cm")[0]) == pytest.approx(off, rel=0.005)
     images = tab.page.locator("figure.small image")
     assert images.count() == sum(bool(run["pictures"]) for runs in record.values() for run in runs.values())
+
+
+def test_fog_is_composited_as_the_field_is(tab):
+    tab.open("11_fields.html")
+    pixel = FIELDS["pixels"][0]
+    distance = pixel["nerf"]["distance"]
+    for n in (1, 30, len(distance)):
+        for times in (0.05, 1.0, 3.0):
+            thickness = [times * v for v in pixel["nerf"]["thickness"]]
+            wanted = summed("nerf", {"nerf": {**pixel["nerf"], "thickness": thickness}}, distance[n - 1])
+            found = called(tab, f"marchNumbers({{ n: {n}, times: {times} }})")
+            assert found["through"] == pytest.approx(wanted["through"])
+            assert found["colour"] == pytest.approx([wanted[c] for c in ("red", "green", "blue")])
+
+
+def test_a_splat_has_the_covariance_of_the_library(tab):
+    tab.open("11_fields.html")
+    view = SimpleNamespace(focal=(520.0, 520.0), rotation=np.eye(3).ravel())
+    for long, spin, far in ((0.35, 30.0, 2.4), (0.05, -90.0, 4.0), (0.5, -40.0, 1.6)):
+        tab.set(long=long, spin=spin, far=far)
+        shown, found = (
+            tab.shown(),
+            called(tab, f"gaussianNumbers({{ long: {long}, spin: {spin}, far: {far} }})"),
+        )
+        x, y, z = found["mean"]
+        covariance = covariance_of.py_func(np.array(found["axes"]).T.ravel())
+        xx, xy, yy = seen_covariance.py_func(derivative_of_image.py_func(view, x / z, y / z, z), covariance)
+        assert np.array(found["seen"]) == pytest.approx(np.array([[xx, xy], [xy, yy]]))
+        sizes = np.sqrt(np.linalg.eigvalsh(found["seen"]))
+        assert [shown["sd_short"], shown["sd_long"]] == pytest.approx(sizes)
+
+
+def test_the_order_of_two_splats_matters_unless_one_hides_nothing(tab):
+    tab.open("11_fields.html")
+    inks = called(tab, "INKS")
+    for red, blue in ((0.7, 0.7), (0.0, 0.4), (1.0, 0.3)):
+        found = called(tab, f"overlaid({{ red: {red}, blue: {blue} }})")
+        for front, back, a, b in (("red", "blue", red, blue), ("blue", "red", blue, red)):
+            wanted = a * np.array(inks[front]) + (1 - a) * (b * np.array(inks[back]) + (1 - b))
+            assert found[front] == pytest.approx(wanted)
+    assert (
+        called(tab, "overlaid({ red: 0, blue: 0.4 })")["red"]
+        == called(tab, "overlaid({ red: 0, blue: 0.4 })")["blue"]
+    )
+    before = tab.page.locator("#order-told").inner_text()
+    tab.page.click("#swap")
+    assert tab.page.locator("#order-told").inner_text() != before
+
+
+def test_costs_of_an_image(tab):
+    tab.open("11_fields.html")
+    found = called(tab, "costNumbers({ queries: 256, pairs: 56 })")
+    assert 580_000 < called(tab, "PER_QUERY") / 2 < 610_000
+    assert found["nerf"] == 256 * called(tab, "PER_QUERY") * 640_000
+    assert found["splat"] == 56 * FIELDS["operations"]["pair"] * 640_000
+    assert found["images"]["nerf"] < 1 < 100 < found["images"]["splat"]

@@ -58,7 +58,7 @@ PAGES = (
         ),
     ),
     Page("failures", ("linear.js", "failures.js", "failures_figures.js"), is_recorded=True),
-    Page("fields", ("linear.js", "fields.js"), is_recorded=True),
+    Page("fields", (*SPACE, "eigen.js", "fields.js", "fields_figures.js"), is_recorded=True),
     Page("questions", ()),
     Page("terms", ()),
 )
