@@ -85,7 +85,7 @@ watch(["long", "spin", "far"], (sliders) => {
     putRing(put, rim, "wire other");
     put.line([0, 0, 0], mean, "dashed");
     put.dot(mean, "one", 4);
-    put.label(plus(mean, [0, -0.3 - 0.85 * sliders.long, 0]), WORDS.gaussian, -24, 0);
+    put.label(plus(mean, [0, -0.3 - 0.45 * sliders.long, 0]), WORDS.gaussian, -24, 0);
     put.label([0, 0, 0], WORDS.camera, -10, 22);
   });
   show("sd_long", Math.sqrt(values[1]), WORDS.unit_px);

@@ -36,7 +36,7 @@ const imageIn = (motion, point) => {
   const [x, y, z] = moved(motion, point);
   return moved(inverseMotion(motion), [(SHEET_AT * x) / z, (SHEET_AT * y) / z, SHEET_AT]);
 };
-const drawPlane = space("plane3d", { center: [0.8, -0.12, 2], distance: 7, yaw: -0.45, pitch: 0.42, zoom: 1.45 }, 340);
+const drawPlane = space("plane3d", { center: [0.7, -0.05, 1.8], distance: 7.4, yaw: -0.45, pitch: 0.42, zoom: 1.45 }, 340);
 
 watch(["tilt", "lift"], (values) => {
   const { at, points, off, foot, on, beside } = planeNumbers(values);

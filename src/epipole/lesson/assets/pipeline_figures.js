@@ -29,7 +29,7 @@ watch(["ratio"], ({ ratio }) => {
 
 /* The model by stages; the image planes show what the cameras observe. */
 const IMAGE_AT = 0.9,
-  drawModel = space("model", { center: [0, 0.62, 0], distance: 12, yaw: 0.55, pitch: 0.46, zoom: innerWidth < 640 ? 1.1 : 1.42 }, innerWidth < 640 ? 300 : 380);
+  drawModel = space("model", { center: [-0.75, 0.15, -0.5], distance: 12, yaw: 0.5, pitch: 0.5, zoom: innerWidth < 640 ? 1.15 : 1.36 }, innerWidth < 640 ? 300 : 380);
 const onImage = (motion, [u, v]) => moved(inverseMotion(motion), scaled(rayOf([u, v]), IMAGE_AT));
 
 function putRays(put, state, stage) {

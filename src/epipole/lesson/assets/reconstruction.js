@@ -2,7 +2,7 @@
 /* exported reconstructed, centerOf, LAST_STAGE */
 const centerOf = (motion) => inverseMotion(motion).t,
   LEAST_ANGLE = degrees(1.5),
-  VISIBLE = Math.cos(degrees(78)),
+  VISIBLE = Math.cos(degrees(95)),
   LAST_STAGE = 6;
 
 /* Pixels of all points in camera c, with noise; null where a point faces away. */
