@@ -26,7 +26,7 @@ def rms_cm(positions, truth):
 
 
 def test_a_replay_shows_what_was_recorded(tab):
-    tab.open("09_failures.html")
+    tab.open("10_failures.html")
     for failure in sorted(RECORD.keys() - {"kitchen"}):
         tab.page.check(f"input[name=failure][value={failure}]")
         check_replays(tab, failure)
@@ -61,7 +61,7 @@ def check_replays(tab, failure):
 
 
 def test_what_a_run_says_is_told_in_chinese_too(tab):
-    tab.open("09_failures.zh.html")
+    tab.open("10_failures.zh.html")
     said = {
         reason for runs in failures() for run in RECORD[runs].values() for reason in run["reason"] if reason
     }
@@ -72,7 +72,7 @@ def test_what_a_run_says_is_told_in_chinese_too(tab):
 
 
 def test_it_plays_and_stops(tab):
-    tab.open("09_failures.html")
+    tab.open("10_failures.html")
     tab.page.check("input[name=failure][value=rotation]")
     tab.page.click("#play")
     slider, last = tab.page.locator("#frame"), 0.0
@@ -88,7 +88,7 @@ def test_it_plays_and_stops(tab):
 
 
 def test_the_two_truths_of_the_kitchen(tab):
-    tab.open("09_failures.html")
+    tab.open("10_failures.html")
     shown = tab.shown()
     for name in ("sfm_fusion", "ours_fusion", "ours_sfm"):
         np.testing.assert_allclose(

@@ -43,7 +43,7 @@ def summed(trajectory, pixel, upto=np.inf, record=RECORD):
 
 @pytest.mark.parametrize("number", range(len(RECORD["pixels"])))
 def test_a_pixel_is_summed_as_it_is_written(tab, number):
-    tab.open("10_fields.html")
+    tab.open("11_fields.html")
     tab.page.check(f"input[name=pixel][value='{number}']")
     for upto in (*np.linspace(RECORD["near"], RECORD["far"], 7), RECORD["far"]):
         tab.set(upto=upto)
@@ -72,8 +72,9 @@ def test_what_is_summed_is_what_was_drawn():
 
 
 def test_a_click_chooses_the_nearest_pixel(tab):
-    tab.open("10_fields.html")
+    tab.open("11_fields.html")
     column, row = RECORD["pixels"][2]["at"]
+    tab.page.locator("#pictures").scroll_into_view_if_needed()
     box = tab.page.locator("#pictures").bounding_box()
     size = box["width"] / (3 * RECORD["side"] + 20)
     left = RECORD["side"] + 10 + column  # in the second image
@@ -82,7 +83,7 @@ def test_a_click_chooses_the_nearest_pixel(tab):
 
 
 def test_figures_are_those_of_the_comparison(tab):
-    tab.open("10_fields.html")
+    tab.open("11_fields.html")
     shown, rows, each = tab.shown(), RECORD["rows"], RECORD["operations"]
     assert shown["operations-nerf"] == rows["nerf"]["queries"] * each["query"]
     assert shown["operations-splat"] == rows["splat"]["evaluated"] * each["pair"]

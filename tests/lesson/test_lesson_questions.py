@@ -23,7 +23,7 @@ def test_every_page_is_asked_about():
 
 
 def test_answers_open_on_a_click_and_lead_on(tab):
-    tab.open("11_questions.html")
+    tab.open("12_questions.html")
     answers = tab.page.locator("details")
     assert answers.count() == len(QUESTIONS)
     for k, question in enumerate(QUESTIONS):

@@ -35,7 +35,7 @@ def test_every_term_is_on_the_page(language):
 def test_terms_lead_to_pages():
     names = {page.name for page in PAGES}
     content = texts("terms")
-    items = [*content["tools"]["rows"], *content["pipeline"]["steps"]]
+    items = [*content["tools"]["rows"], *texts("pipeline")["steps"]]
     items += [item for group in content["groups"] for item in group["terms"]]
     linked = [item["page"] for item in items if "page" in item]
     assert len(linked) > 40 and set(linked) == names - {"questions", "terms"}

@@ -96,6 +96,64 @@ def ring(num_cameras: int = 10, num_points: int = 60) -> Ring:
     )
 
 
+class Orbit(NamedTuple):
+    """Cameras in half a circle around the house."""
+
+    cams_from_world: Rigid3
+    """(c,)"""
+    points_in_world: np.ndarray
+    """(p, 3) along the edges of the house."""
+    normals: np.ndarray
+    """(p, 3) directions from which the points are best visible."""
+    pixel_noise: np.ndarray
+    """(c, p, 2) with unit standard deviation."""
+
+
+def orbit(num_cameras: int = 7) -> Orbit:
+    """The house seen from 4.5 m, every 28 degrees."""
+    rng = np.random.default_rng(6)
+    rotations = np.deg2rad(28.0) * (np.arange(num_cameras) - 1.0)
+    facing = Rotation3.exp(np.column_stack([0 * rotations, rotations, 0 * rotations]))
+    world_from_cams = Rigid3(facing.matrix, facing.apply(np.array([0.0, -0.15, -4.5])))
+    ends = HOUSE[np.array(EDGES)]
+    along = np.array([0.2, 0.4, 0.6, 0.8])[:, None, None]
+    points = np.concatenate([HOUSE, (ends[:, 0] * (1 - along) + ends[:, 1] * along).reshape(-1, 3)])
+    normals = points * [1.0, 0.0, 1.0]
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 0.3)
+    noise_px = rng.normal(size=(num_cameras, len(points), 2))
+    return Orbit(world_from_cams.inverse(), points, normals, noise_px)
+
+
+def nearest_descriptors(count: int = 150) -> np.ndarray:
+    """(count, 3) angle to the nearest and the second nearest descriptor, and whether the nearest is the right one.
+
+    Two thirds of the descriptors have a counterpart in the other image, disturbed by noise; one in ten has a twin
+    there, too, as a repeated pattern has.
+    """
+    rng = np.random.default_rng(7)
+    mixing = rng.normal(size=(6, 128))
+
+    def described(latent: np.ndarray) -> np.ndarray:
+        values = np.maximum(latent @ mixing, 0.0)
+        return values / np.linalg.norm(values, axis=1, keepdims=True)
+
+    latent = rng.normal(size=(count, 6))
+    paired, twins = 2 * count // 3, count // 10
+    disturbed = latent[:paired] + 0.13 * rng.normal(size=(paired, 6))
+    again = latent[:twins] + 0.13 * rng.normal(size=(twins, 6))
+    others = described(np.concatenate([disturbed, again, rng.normal(size=(count, 6))]))
+    angles = np.arccos(np.clip(described(latent) @ others.T, -1.0, 1.0))
+    order = np.argsort(angles, axis=1)
+    rows = np.arange(count)
+    is_right = (order[:, 0] == rows) & (rows < paired)
+    return np.column_stack([angles[rows, order[:, 0]], angles[rows, order[:, 1]], is_right])
+
+
+def odometry_noise(count: int = 36) -> np.ndarray:
+    """(count, 3) reproducible noise of motions in the plane (x, y, angle) with unit standard deviation."""
+    return np.random.default_rng(8).normal(size=(count, 3))
+
+
 def scene_of(page: str) -> dict[str, Any]:
     """Data for a page's script, by the page's name."""
     if page in ("epipolar", "candidates", "scale"):
@@ -121,7 +179,22 @@ def scene_of(page: str) -> dict[str, Any]:
         return {"corners": positions.tolist(), "edges": [], "noise": noise_px.tolist()}
     if page == "bundle":
         return _given(ring())
+    if page == "pipeline":
+        return _given_orbit(orbit())
     return {}
+
+
+def _given_orbit(scene: Orbit) -> dict[str, Any]:
+    cameras = zip(scene.cams_from_world.rotation.tolist(), scene.cams_from_world.translation.tolist())
+    return {
+        "corners": scene.points_in_world.tolist(),
+        "edges": EDGES,
+        "normals": scene.normals.tolist(),
+        "cameras": [{"R": R, "t": t} for R, t in cameras],
+        "noise": scene.pixel_noise.tolist(),
+        "nearest": nearest_descriptors().tolist(),
+        "odometry": odometry_noise().tolist(),
+    }
 
 
 def _given(scene: Ring) -> dict[str, Any]:

@@ -58,63 +58,57 @@ function replayNumbers({ failure, frame }) {
   return { name, run, k, numbers, pictures: run.pictures.length ? run.pictures : first.pictures };
 }
 
+/* The recorded image that is nearest in time to frame k, and the object in it that moves. */
+function imageIn(svg, { x, y, width }, run, k, pictures) {
+  const at = run.shown.reduce((best, shown, i) => (Math.abs(shown - k) < Math.abs(run.shown[best] - k) ? i : best), 0),
+    inside = add(svg, "svg", { x, y, width, height: 0.75 * width, viewBox: "0 0 4 3" });
+  const href = "data:image/webp;base64," + pictures[at];
+  add(inside, "image", { href, width: 4, height: 3, preserveAspectRatio: "none" });
+  const box = run.moving[run.shown[at]];
+  if (!box) return;
+  const [left, top, right, bottom] = [4, 3, 4, 3].map((size, i) => size * box[i]);
+  add(inside, "rect", { class: "moves", x: left, y: top, width: right - left, height: bottom - top });
+}
+
 function drawSeen({ run, k, pictures }) {
-  const at = run.shown.reduce(
-    (best, shown, i) => (Math.abs(shown - k) < Math.abs(run.shown[best] - k) ? i : best),
-    0,
-  );
   const svg = clear("seen");
   svg.setAttribute("viewBox", "0 0 4 3");
-  add(svg, "image", {
-    href: "data:image/webp;base64," + pictures[at],
-    width: 4,
-    height: 3,
-    preserveAspectRatio: "none",
+  imageIn(svg, { x: 0, y: 0, width: 4 }, run, k, pictures);
+}
+
+/* Middle and size of the scene that some runs move in. */
+function extentOf(runs) {
+  const all = runs.flatMap((run) => {
+    const { now, final } = placesOf(run);
+    return [...run.truth, ...now.filter(Boolean), ...final.filter(Boolean)];
   });
-  const box = run.moving[run.shown[at]];
-  if (box)
-    add(svg, "rect", {
-      class: "moves",
-      x: 4 * box[0],
-      y: 4 * box[1],
-      width: 4 * (box[2] - box[0]),
-      height: 4 * (box[3] - box[1]),
-    });
+  const [low, high] = [Math.min, Math.max].map((end) => [0, 1].map((axis) => end(...all.map((place) => place[axis]))));
+  return { middle: scaled(plus(low, high), 0.5), size: [0, 1].map((axis) => Math.max(high[axis] - low[axis], 0.4)) };
+}
+
+/* A trajectory from above: the true one, what is known of it, and a length for comparison; `dot` is the size of its marks, and
+   `below` the room for the length alone. */
+function trajectoryIn(svg, { x, y, width, height }, run, k, { middle, size }, { dot = 1, below = 0 } = {}) {
+  const { now, final } = placesOf(run),
+    scale = 0.84 * Math.min(width / size[0], (height - below) / size[1]);
+  const toPlace = ([a, b]) => [x + width / 2 + scale * (a - middle[0]), y + (height - below) / 2 - scale * (b - middle[1])];
+  const mark = (place, kind, r) => {
+    const [cx, cy] = toPlace(place);
+    add(svg, "circle", { class: kind, cx, cy, r: r * dot });
+  };
+  add(svg, "path", { class: "thin", fill: "none", d: "M" + run.truth.map(toPlace).join(" L") });
+  final.forEach((place) => place && mark(place, "behind", 3.4));
+  now.slice(0, k + 1).forEach((place) => place && mark(place, "one", 2.4));
+  mark(run.truth[k], "behind", 8);
+  const metre = 10 ** Math.floor(Math.log10((0.5 * width) / scale)), // the longest power of ten that fits
+    [left, low] = [x + 14, y + height - (below ? 8 : 14)];
+  add(svg, "line", { class: "measure", x1: left, x2: left + metre * scale, y1: low, y2: low });
+  add(svg, "text", { class: "label", x: left, y: low - 6 }, `${metre} ${WORDS.metre}`);
 }
 
 function drawWay({ run, k }) {
-  const [svg, width] = fitted("way", (all) => 0.75 * all),
-    { now, final } = placesOf(run);
-  const all = [...run.truth, ...now.filter(Boolean), ...final.filter(Boolean)],
-    [low, high] = [Math.min, Math.max].map((end) =>
-      [0, 1].map((axis) => end(...all.map((place) => place[axis]))),
-    );
-  const middle = scaled(plus(low, high), 0.5),
-    size =
-      Math.min(width / Math.max(high[0] - low[0], 0.4), (0.75 * width) / Math.max(high[1] - low[1], 0.4)) *
-      0.84;
-  const toPlace = ([x, y]) => [width / 2 + size * (x - middle[0]), 0.375 * width - size * (y - middle[1])];
-  add(svg, "path", { class: "thin", fill: "none", d: "M" + run.truth.map(toPlace).join(" L") });
-  final.forEach(
-    (place) =>
-      place && add(svg, "circle", { class: "behind", cx: toPlace(place)[0], cy: toPlace(place)[1], r: 3.4 }),
-  );
-  now.slice(0, k + 1).forEach((place) => {
-    if (!place) return;
-    const [cx, cy] = toPlace(place);
-    add(svg, "circle", { class: "one", cx, cy, r: 2.4 });
-  });
-  const [cx, cy] = toPlace(run.truth[k]);
-  add(svg, "circle", { class: "behind", cx, cy, r: 8 });
-  const metre = 10 ** Math.floor(Math.log10((0.5 * width) / size)); // the longest power of ten that fits
-  add(svg, "line", {
-    class: "measure",
-    x1: 14,
-    x2: 14 + metre * size,
-    y1: 0.75 * width - 14,
-    y2: 0.75 * width - 14,
-  });
-  add(svg, "text", { class: "label", x: 14, y: 0.75 * width - 20 }, `${metre} ${WORDS.metre}`);
+  const [svg, width] = fitted("way", (all) => 0.75 * all);
+  trajectoryIn(svg, { x: 0, y: 0, width, height: 0.75 * width }, run, k, extentOf([run]));
 }
 
 const SHADES = { tracking: "good", turning: "half", starting: "half", submap: "half", lost: "bad" };
@@ -173,7 +167,6 @@ watch(["frame"], ({ frame }) => {
     slider.max = String(RECORD[failure][RUNS[failure][0]].state.length - 1);
     frame = Math.min(frame, Number(slider.max));
     slider.value = String(frame);
-    for (const name of Object.keys(RUNS)) byId(`about-${name}`).hidden = name !== failure;
     byId("run-1").parentElement.hidden = RUNS[failure].length < 2;
     document.querySelector("input[name=run][value='0']").checked = true;
   }
@@ -216,4 +209,3 @@ byId("play").addEventListener("click", () => {
     if (slider.value === slider.max) stop();
   }, 120);
 });
-document.documentElement.dataset.ready = "yes";

@@ -185,4 +185,3 @@ show("useful-splat", RECORD.rows.splat.useful, "", 3);
 show("operations-nerf", RECORD.rows.nerf.queries * RECORD.operations.query, "", 3);
 show("operations-splat", RECORD.rows.splat.evaluated * RECORD.operations.pair, "", 3);
 show("faster", RECORD.rows.splat.frames_s / RECORD.rows.nerf.frames_s, "", 3);
-document.documentElement.dataset.ready = "yes";

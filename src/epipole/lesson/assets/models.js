@@ -76,4 +76,3 @@ watch(["relief", "tx", "yaw", "s"], (values) => {
   drawPictures({ pixels, found }, chosen("model"));
   told("pictures-told", WORDS.pictures_told, found[chosen("model")]);
 });
-document.documentElement.dataset.ready = "yes";

@@ -1,5 +1,5 @@
 /* What every page of the lesson does: sliders and their numbers, drawings in SVG, charts. No library. */
-/* exported byId, show, showCount, withUnit, grouped, chosen, told, watch, clear, fitted, add, place, drag, marks, chartAxes, shownNumber */
+/* exported byId, show, showCount, withUnit, grouped, chosen, told, worded, watch, clear, fitted, add, place, drag, marks, chartAxes, shownNumber */
 "use strict";
 const byId = (id) => document.getElementById(id);
 const WORDS = JSON.parse(byId("words").textContent);
@@ -58,6 +58,9 @@ function told(id, words, values, counts = []) {
     counts.includes(name) ? grouped(String(values[name])) : shownNumber(values[name]),
   );
 }
+
+/* Words of a drawing with its values, which have their units already. */
+const worded = (words, values) => words.replace(/\{(\w+)\}/g, (_, name) => values[name]);
 
 let saying = 0;
 
