@@ -16,7 +16,13 @@ MODULES = {
         *("disparity_search.rectification", "disparity_search.search"),
         *("pipelines.stereo.depth", "pipelines.stereo.calibration_error", "pipelines.stereo.uncalibrated"),
     ),
-    "fields": ("fields.splat.rasterizer", "io.gaussians.ply", "io.gaussians.files", "dense.tsdf"),
+    "fields": (
+        "fields.splat.rasterizer",
+        "scene.gaussian_cloud",
+        "io.gaussians.ply",
+        "io.gaussians.files",
+        "dense.tsdf",
+    ),
 }
 """Modules outside the public packages that other pages refer to, by page."""
 HEAD = """# API reference

@@ -17,7 +17,7 @@ HEAD = """# Command reference
 These pages are generated from the command line and match `epipole COMMAND --help`. Paths have a fixed order; options can be anywhere.
 Every command accepts `-q`, `--quiet` (print only errors, and the results of commands such as `evaluate`) and `-v`, `--verbose` (print
 each unit of work with its time, and tracebacks of errors). Commands that write files accept `--overwrite`, which allows them to replace
-files that epipole did not write ([promises](promises.md)).
+files that epipole did not write ([promises](../promises.md)).
 
 | exit code | |
 |---|---|

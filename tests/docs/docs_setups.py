@@ -76,6 +76,11 @@ def seen_model(folder: Path) -> dict[str, Any]:
     return {}
 
 
+def toured_model(folder: Path) -> dict[str, Any]:
+    write_colmap_model(bundle_problem(6, 100, 4).truth, folder / "tour" / "model" / "sparse" / "0")
+    return {}
+
+
 def bundle(folder: Path) -> dict[str, Any]:
     """A file of Bundle Adjustment in the Large: cameras look along -z."""
     rng = np.random.default_rng(2)
@@ -230,6 +235,7 @@ PREPARED: dict[str, Callable[[Path], dict[str, Any]]] = {
     "slam_maps": mapped_ride,
     "scale": lambda _: {},
     "stereo": stereo_pair,
+    "tour/3_points": toured_model,
     "triangulation": tracks,
 }
 """By the page's path below docs/ without .md: makes its files in a folder and returns its names."""

@@ -203,6 +203,42 @@ def trained_splats(folder: Path) -> None:
     shutil.copy(folder / "SCENE" / "transforms.json", folder)
 
 
+def tour_photographs(folder: Path, width: int = 480) -> None:
+    """Six neighboring photographs of the demo, with its names and its camera, at half its size."""
+    f, height = 28 / 36 * width, 2 * width // 3
+    camera = Camera("SIMPLE_RADIAL", width, height, [f, (width - 1) / 2, (height - 1) / 2, -0.05])
+    views = courtyard_views(24)
+    at = folder / "demo" / "photographs"
+    at.mkdir(parents=True)
+    for n in range(2, 8):
+        image = render(courtyard(), camera, views[n], noise_sigma=1.5, seed=n).rgb
+        write_jpeg_with_exif(at / f"courtyard_{n + 1:03d}.jpg", image, focal_35mm=28.0)
+
+
+def tour_model(folder: Path, width: int = 480) -> None:
+    """These and their reconstruction, which the pages of the tour have in common."""
+    if not (folder / "tour" / "model").exists():
+        tour_photographs(folder, width)
+        epipole.reconstruct(folder / "demo" / "photographs", folder / "tour" / "model", max_size_px=480)
+
+
+def tour_splats(folder: Path) -> None:
+    """The same, and a short training."""
+    tour_model(folder)
+    if not (folder / "tour" / "splats").exists():
+        epipole.splat(folder / "tour" / "model", folder / "tour" / "splats", steps=20, max_gaussians=2000)
+
+
+def tour_ride(folder: Path) -> None:
+    """The same at the size for which the page gives the intrinsics."""
+    tour_model(folder, 960)
+
+
+def tour_untrained(folder: Path) -> None:
+    tour_model(folder)
+    shutil.rmtree(folder / "tour" / "splats", ignore_errors=True)
+
+
 def nothing(_: Path) -> None:
     """The lines name no file."""
 
@@ -219,6 +255,10 @@ AFTER_RECONSTRUCTING: dict[str, Callable[[Path], None]] = {
     "first_model-1": nothing,
     "first_model-2": no_cloud,
     "index-0": nothing,
+    "tour/4_depth-0": tour_model,
+    "tour/6_splats-0": tour_untrained,
+    "tour/7_mesh-0": tour_splats,
+    "tour/8_share-0": tour_splats,
 }
 """By the page and the number of its block: where IMAGES are six photographs, OUT their reconstruction and DIR the true cameras."""
 WORLDS: dict[str, Callable[[Path], None]] = {
@@ -247,6 +287,9 @@ WORLDS: dict[str, Callable[[Path], None]] = {
     "slam_maps-1": stopped_ride,
     "slam_sources-0": sources_of_slam,
     "stereo-0": pair,
+    "tour/1_photographs-0": nothing,
+    "tour/2_cameras-0": tour_photographs,
+    "tour/5_trajectory-0": tour_ride,
     "viewer-0": splats,
 }
 """The same in an empty folder."""

@@ -11,7 +11,7 @@ from epipole.cli.main import main
 from epipole.dense import _tsdf_kernels
 from epipole.dense.tsdf import BAND, DistanceVolume
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError, NoModelError, ShapeError
-from epipole.io.meshes.mesh_ply import write_mesh_ply
+from epipole.io.meshes.mesh_ply import first_view_of_mesh, write_mesh_ply
 from epipole.scene import Mesh
 from epipole.synthetic import look_at
 from kernel_references import reference_of
@@ -110,6 +110,8 @@ def test_a_trained_field_has_a_surface(source, tmp_path, kind):
     vertices, faces, _ = mesh_in(tmp_path / "mesh.ply")
     assert len(faces) == len(found) > 500 and len(vertices) == len(found.vertices_in_world)
     assert np.percentile(np.linalg.norm(vertices, axis=1), 95) < 1.2
+    position, target, _ = first_view_of_mesh(tmp_path / "mesh.ply")
+    assert np.linalg.norm(target) < 1.2 < np.linalg.norm(position)
     again = mesh(
         tmp_path / "out", tmp_path / "b.ply", voxels=48, cameras=source / "transforms.json", max_views=5
     )

@@ -7,7 +7,7 @@ import pytest
 from example_files import TEXT_MESH
 
 from epipole.errors import FileFormatError
-from epipole.io.meshes.mesh_ply import read_mesh_ply, write_mesh_ply
+from epipole.io.meshes.mesh_ply import FIRST_VIEW, first_view_of_mesh, read_mesh_ply, write_mesh_ply
 from epipole.io.meshes.ply import read_points_ply, write_points_ply
 
 HEAD = (
@@ -74,3 +74,21 @@ def test_damage_is_told(faces: list[list[int]], kinds: bytes, count: int, words:
     (tmp_path / "t.ply").write_bytes(TEXT_MESH[:-8])
     with pytest.raises(FileFormatError):
         read_mesh_ply(tmp_path / "t.ply")
+
+
+def test_the_first_view_is_kept(tmp_path: Path) -> None:
+    view = np.array([[1.0, 2.0, 1 / 3], [0.0, 0.0, 4.0], [0.0, 0.0, 1.0]])
+    faces, rgb = np.array([[0, 1, 2]]), np.zeros((4, 3), np.uint8)
+    write_mesh_ply(tmp_path / "m.ply", CORNERS, faces, rgb, view)
+    assert np.allclose(first_view_of_mesh(tmp_path / "m.ply"), view, rtol=1e-8)
+    assert read_mesh_ply(tmp_path / "m.ply").faces.tolist() == faces.tolist()
+
+
+@pytest.mark.parametrize(
+    "numbers", ["", "1 2 3", "1 2 3 4 5 6 7 8 x", "0 0 0 0 0 nan 0 1 0", "0 0 0 0 0 1 0 0 1"]
+)
+def test_other_files_have_no_first_view(numbers: str, tmp_path: Path) -> None:
+    comment = f"{FIRST_VIEW} {numbers}\nelement vertex".encode()
+    (tmp_path / "m.ply").write_bytes(TEXT_MESH.replace(b"element vertex", comment, 1))
+    assert first_view_of_mesh(tmp_path / "m.ply") is None
+    assert len(read_mesh_ply(tmp_path / "m.ply").faces) == 3

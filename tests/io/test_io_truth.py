@@ -8,6 +8,7 @@ import pytest
 
 from epipole.errors import FileFormatError
 from epipole.io import read_truth, write_colmap_model, write_transforms
+from epipole.io.truth import is_truth_of_images
 from io_models import small_model
 
 DATA = Path(os.environ.get("EPIPOLE_DATA", Path(__file__).parents[2].parent / "shared" / "data")) / "sfm"
@@ -105,6 +106,15 @@ def test_nothing_there(tmp_path: Path) -> None:
         read_truth(tmp_path / "nothing")
     with pytest.raises(
         FileFormatError,
-        match="not cameras in a supported format; it is empty; supported are a folder with a COLMAP model",
+        match="not cameras in a supported format; it is empty; supported are an output folder of `reconstruct`, a folder with",
     ):
         read_truth(tmp_path)
+
+
+def test_an_output_folder(tmp_path: Path) -> None:
+    """The model inside of it, as where the estimate is one."""
+    model = small_model()
+    write_colmap_model(model, tmp_path / "sparse" / "0")
+    assert [path.name for path in tmp_path.iterdir()] == ["sparse"]
+    assert is_truth_of_images(tmp_path)
+    assert set(read_truth(tmp_path).names) <= set(model.images.name)

@@ -18,7 +18,7 @@ from epipole.scene import Reconstruction
 
 _ROTATION_TOLERANCE = 1e-2
 _FORMS = (
-    "a folder with a COLMAP model, with Strecha's .camera files or with a Middlebury *_par.txt file, "
+    "an output folder of `reconstruct`, a folder with a COLMAP model, with Strecha's .camera files or with a Middlebury *_par.txt file, "
     "a *_par.txt file or a transforms.json"
 )
 
@@ -52,8 +52,8 @@ def read_truth(path: str | Path) -> TruthCameras:
         if path.name.endswith("_par.txt"):
             return _middlebury(path)
     if path.is_dir():
-        if any((path / f"cameras.{suffix}").is_file() for suffix in ("bin", "txt")):
-            return _registered(read_colmap_model(path), path)
+        if model := _model_in(path):
+            return _registered(read_colmap_model(model), model)
         strecha = sorted(path.glob("*.camera"))
         if strecha:
             return _truth(
@@ -63,18 +63,23 @@ def read_truth(path: str | Path) -> TruthCameras:
         if len(lists) == 1:
             return _middlebury(lists[0])
     problem = "not cameras in a supported format" if path.exists() else "it does not exist"
-    inside = path / "sparse" / "0"
-    what = f"the model is in {inside}" if inside.is_dir() else what_it_is(path) if path.exists() else ""
+    what = what_it_is(path) if path.exists() else ""
     raise FileFormatError(path, "; ".join(filter(None, [problem, what, f"supported are {_FORMS}"])))
 
 
 def is_truth_of_images(folder: Path) -> bool:
     """Whether a folder has cameras by image name, which `read_truth` reads, rather than a trajectory."""
-    names = [f"cameras.{suffix}" for suffix in ("bin", "txt")]
-    is_model = any((folder / name).is_file() for name in names)
-    return is_model or any(
+    return _model_in(folder) is not None or any(
         next(folder.glob(pattern), None) is not None for pattern in ("*.camera", "*_par.txt")
     )
+
+
+def _model_in(folder: Path) -> Path | None:
+    """The COLMAP model that a folder is, or the first one of an output folder."""
+    for model in (folder, folder / "sparse" / "0"):
+        if any((model / f"cameras.{suffix}").is_file() for suffix in ("bin", "txt")):
+            return model
+    return None
 
 
 def _truth(names: list[str], cams_from_world: list[Rigid3]) -> TruthCameras:

@@ -11,9 +11,10 @@ from jaxtyping import Float64, Int64, UInt8
 from epipole._checks import checked
 from epipole.errors import FileFormatError, ShapeError
 from epipole.io.atomic import atomic_write
-from epipole.io.files import file_bytes
-from epipole.io.meshes.ply import PlyHeader, ply_header, points_of_ply, vertex_type
+from epipole.io.files import file_bytes, open_file
+from epipole.io.meshes.ply import MAX_HEADER, PlyHeader, ply_header, points_of_ply, vertex_type
 
+FIRST_VIEW = "comment epipole first view, position, target and up:"
 _NO_SURFACE = ("vertex", "edge", "camera", "material")
 """Elements without triangles."""
 _FACE = np.dtype([("count", "u1"), ("vertices", "<i4", 3)])
@@ -25,9 +26,11 @@ def write_mesh_ply(
     vertices: Float64[np.ndarray, "n 3"],
     faces: Int64[np.ndarray, "m 3"],
     rgb: UInt8[np.ndarray, "n 3"],
+    first_view: Float64[np.ndarray, "3 3"] | None = None,
 ) -> None:
     """Write triangles (m, 3) between vertices (n, 3) with colors (n, 3), 0 to 255, as binary little-endian PLY.
 
+    A comment of the header keeps `first_view`, rows of position, target and up, from which the viewer shows the mesh.
     Coordinates far from the origin are written as doubles (`vertex_type`).
 
     Raises:
@@ -41,12 +44,34 @@ def write_mesh_ply(
     corners, triangles = np.zeros(n, kind), np.zeros(m, _FACE)
     corners["xyz"], corners["rgb"] = vertices, rgb
     triangles["count"], triangles["vertices"] = 3, faces
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}", *properties]
+    header = ["ply", "format binary_little_endian 1.0"]
+    if first_view is not None:
+        header.append(f"{FIRST_VIEW} {' '.join(f'{value:.9g}' for value in first_view.ravel())}")
+    header += [f"element vertex {n}", *properties]
     header += [f"element face {m}", "property list uchar int vertex_indices", "end_header"]
     with atomic_write(Path(path)) as part, part.open("wb") as stream:
         stream.write("".join(f"{line}\n" for line in header).encode("ascii"))
         stream.write(corners.tobytes())
         stream.write(triangles.tobytes())
+
+
+def first_view_of_mesh(path: Path) -> Float64[np.ndarray, "3 3"] | None:
+    """Rows of position, target and up that `write_mesh_ply` has written; None for other files.
+
+    Raises:
+        FileFormatError: there is no such file.
+    """
+    with open_file(path) as stream:
+        head = stream.read(MAX_HEADER).split(b"end_header", 1)[0].decode("ascii", "replace")
+    line = next((line for line in head.splitlines() if line.startswith(FIRST_VIEW)), "")
+    try:
+        values = np.array(line.removeprefix(FIRST_VIEW).split(), np.float64)
+    except ValueError:
+        return None
+    if values.size != 9 or not np.isfinite(values).all():
+        return None
+    position, target, up = view = values.reshape(3, 3)
+    return view if np.linalg.norm(np.cross(target - position, up)) > 0 else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -40,7 +40,7 @@ PLY_TYPES = {
 }
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 _IGNORED_LINES = ("comment", "obj_info", "ply")
-_MAX_HEADER = 1 << 16
+MAX_HEADER = 1 << 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +119,7 @@ def num_cameras_of_scene(path: str | Path) -> int | None:
         FileFormatError: there is no such file.
     """
     with open_file(Path(path)) as stream:
-        head = stream.read(_MAX_HEADER).split(b"end_header", 1)[0].decode("ascii", "replace").splitlines()
+        head = stream.read(MAX_HEADER).split(b"end_header", 1)[0].decode("ascii", "replace").splitlines()
     if SCENE_COMMENT not in head:
         return None
     edges = next((line.split()[-1] for line in head if line.startswith("element edge ")), "0")
@@ -259,7 +259,7 @@ def ply_header(path: Path, data: bytes) -> PlyHeader:
     Raises:
         FileFormatError: not a PLY file, the vertices do not come first, or a header line is invalid.
     """
-    end = data.find(b"end_header", 0, _MAX_HEADER)
+    end = data.find(b"end_header", 0, MAX_HEADER)
     newline = data.find(b"\n", end)
     if not data.startswith(b"ply") or end < 0 or newline < 0:
         raise FileFormatError(path, "not a PLY file (no header from 'ply' to 'end_header')")

@@ -25,8 +25,8 @@ def evaluate(
 
     Args:
         out: Output folder, a COLMAP model, or a trajectory (TUM, KITTI or EuRoC).
-        truth: COLMAP model, transforms.json, folder of Strecha .camera files, Middlebury _par.txt file, a trajectory, or a
-            dataset folder that includes one (7-Scenes, ScanNet, TUM RGB-D, KITTI, EuRoC).
+        truth: Output folder, COLMAP model, transforms.json, folder of Strecha .camera files, Middlebury _par.txt file,
+            trajectory, or dataset folder (7-Scenes, ScanNet, TUM RGB-D, KITTI, EuRoC).
         max_difference_s: Trajectories: largest time difference between compared poses.
         json: Print JSON.
     """

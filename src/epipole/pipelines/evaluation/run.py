@@ -46,7 +46,8 @@ def evaluate(out: str | Path, truth: str | Path) -> Evaluation:
 
     Args:
         out: an output folder or a COLMAP model.
-        truth: a COLMAP model, a transforms.json, a folder of Strecha `.camera` files or a Middlebury `_par.txt` file.
+        truth: an output folder of `reconstruct`, a COLMAP model, a transforms.json, a folder of Strecha `.camera` files or a
+            Middlebury `_par.txt` file.
 
     Raises:
         FileFormatError: a path is unreadable or a trajectory, or the two have no images in common.

@@ -65,8 +65,16 @@ def mesh(
         progress(Progress("fuse", n + 1, len(views)))
     found = volume.mesh().without_small_components(wanted.min_component)
     with replacing_file(out, "mesh", inputs) as aside:
-        write_mesh_ply(aside, found.vertices_in_world, found.faces, found.rgb)
+        view = _first_view(views[len(views) // 2], found.vertices_in_world)
+        write_mesh_ply(aside, found.vertices_in_world, found.faces, found.rgb, view)
     return found
+
+
+def _first_view(seen: RenderView, vertices_in_world: np.ndarray) -> np.ndarray:
+    """Position of a camera, the point of its axis at the distance of the mesh, and up."""
+    position, (_, down, ahead) = seen.cam_from_world.centers(), seen.cam_from_world.rotation
+    distance = float(np.median((vertices_in_world - position) @ ahead))
+    return np.stack([position, position + max(distance, 1e-6) * ahead, -down])
 
 
 def _box(positions: np.ndarray, wanted: MeshConfig) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,7 @@ from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
 from epipole.image import color_map
 from epipole.io.images.depth_maps import PNG_SCALE, read_pfm, read_png16
-from epipole.io.meshes.mesh_ply import read_mesh_ply
+from epipole.io.meshes.mesh_ply import first_view_of_mesh, read_mesh_ply
 from epipole.io.meshes.ply import CAMERA_RGB, frustum_segments, num_cameras_of_scene
 from epipole.pipelines.stereo.scene import points_of_depths, view_of_depths
 from epipole.report.markup import plural
@@ -45,10 +45,13 @@ def scene_of_ply(path: Path) -> SpaceScene:
     if num_cameras is not None and 5 * num_cameras <= n and found.rgb is not None:
         return _scene_of_model(path, xyz, found.rgb, num_cameras)
     rgb = found.rgb if found.rgb is not None else np.full((n, 3), GREY, np.uint8)
-    extent = extent_of(xyz[:: max(1, n // 200_000)], np.zeros((0, 3)), 95.0)
-    # Most such files are in a camera's world, y down; other models may have other axes.
-    away = extent.radius * np.array([-0.9, -1.1, -2.2])
-    view = FirstView(extent.focus + away, extent.focus, np.array([0.0, -1.0, 0.0]))
+    if (known := first_view_of_mesh(path)) is not None:
+        view = FirstView(*known)
+    else:
+        extent = extent_of(xyz[:: max(1, n // 200_000)], np.zeros((0, 3)), 95.0)
+        # Most such files are in a camera's world, y down; other models may have other axes.
+        away = extent.radius * np.array([-0.9, -1.1, -2.2])
+        view = FirstView(extent.focus + away, extent.focus, np.array([0.0, -1.0, 0.0]))
     title = path.resolve().name
     if len(found.faces):
         words = f"{plural(len(found.faces), 'triangle')} between {plural(n, 'vertex', 'vertices')}"
