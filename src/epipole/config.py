@@ -126,13 +126,9 @@ class MatchConfig:
     max_bits: int = 64
     """ORB: maximum Hamming distance of a match."""
     preemptive_features: int = 2048
-    """SIFT: largest features (at most a third) that are matched first, to guide the rest; 0: match all exhaustively."""
+    """SIFT: largest features (at most a third) that are matched first, to skip images that do not overlap; 0: match all."""
     preemptive_min_matches: int = 12
     """Images with fewer preemptive matches count as not overlapping."""
-    preemptive_min_inliers: int = 30
-    """With fewer preemptive inliers, all features are matched exhaustively instead of guided."""
-    band_px: float = 3.0
-    """Maximum distance of guided matches from their epipolar line."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -143,10 +139,8 @@ class MatchConfig:
         check_options(self, infinite=("max_distance",))
         if not 0 < self.max_ratio <= 1:
             raise ConfigError(f"max_ratio must be in (0, 1], got {self.max_ratio}")
-        if self.preemptive_features < 0 or not 0 < self.band_px < math.inf:
-            raise ConfigError(
-                "preemptive_features must not be negative and band_px must be positive and finite"
-            )
+        if self.preemptive_features < 0:
+            raise ConfigError(f"preemptive_features must not be negative, got {self.preemptive_features}")
 
 
 @dataclass(frozen=True, kw_only=True)

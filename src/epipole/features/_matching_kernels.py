@@ -147,7 +147,9 @@ def guided_top_two(
 
 
 @kernel
-def nearby_top_two(wanted, wanted_descriptors, cells_of, strip, cell, radius, best_column, best, second, column_best):
+def nearby_top_two(
+    wanted, wanted_descriptors, cells_of, strip, cell, radius, best_column, best, second, column_best
+):
     """Most and second most similar feature within `radius` of each wanted pixel; column_best: of each feature.
 
     cells_of holds the features cell by cell (order, pixels, descriptors, first), in strips along x, as `guided_top_two`.
@@ -161,7 +163,9 @@ def nearby_top_two(wanted, wanted_descriptors, cells_of, strip, cell, radius, be
             continue
         low = min(int(max(y - radius, 0.0) / cell), cells)
         high = min(int((y + radius) / cell), cells - 1)
-        for s in range(min(int(max(x - radius, 0.0) / strip), strips), min(int((x + radius) / strip), strips - 1) + 1):
+        for s in range(
+            min(int(max(x - radius, 0.0) / strip), strips), min(int((x + radius) / strip), strips - 1) + 1
+        ):
             if low > high:
                 break
             for n in range(first[s, low], first[s, high + 1]):

@@ -215,7 +215,9 @@ def match_near_pixels(
 
 def _require_sift(features: Features, name: str) -> None:
     if kind_of(features.descriptors) is not SIFT:
-        raise ShapeError(f"{name} must be SIFT features with 128 columns, got {features.descriptors.shape[1]}")
+        raise ShapeError(
+            f"{name} must be SIFT features with 128 columns, got {features.descriptors.shape[1]}"
+        )
     if not np.isfinite(features.pixels).all():
         raise ShapeError(f"{name} must have finite pixels")
 

@@ -19,4 +19,5 @@ from epipole.mapping.readjustment import adjust_reconstruction as adjust_reconst
 from epipole.mapping.readjustment import bundle_problem_of as bundle_problem_of
 from epipole.mapping.resection import refine_resection as refine_resection
 from epipole.mapping.resection import resect_image as resect_image
+from epipole.mapping.track_completion import drop_short_tracks as drop_short_tracks
 from epipole.mapping.track_completion import find_further_matches as find_further_matches

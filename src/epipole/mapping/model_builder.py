@@ -291,19 +291,6 @@ class ModelBuilder:
         self.row_point[drop] = -1
         return int(drop.sum())
 
-    @checked
-    def drop_short_tracks(self, min_length: int, min_long: int) -> int:
-        """Remove points in fewer than `min_length` images whose images all observe `min_long` longer ones; returns their number."""
-        seen = np.flatnonzero(self.row_point >= 0)
-        point, image = self.row_point[seen], self.row_image[seen]
-        is_short = np.bincount(point, minlength=self.num_points)[point] < min_length
-        num_long = np.bincount(image[~is_short], minlength=len(self.registered))
-        is_needed = np.zeros(self.num_points, bool)
-        is_needed[point[num_long[image] < min_long]] = True
-        drop = is_short & ~is_needed[point]
-        self.row_point[seen[drop]] = -1
-        return len(np.unique(point[drop]))
-
     def rows_by_point(self) -> tuple[Int64[np.ndarray, " r"], Int64[np.ndarray, " p1"]]:
         """Rows that have a point, grouped by point, with offsets."""
         rows = np.flatnonzero(self.row_point >= 0)

@@ -15,10 +15,6 @@ from epipole._checks import Declared, checked
 from epipole.mapping.rotation_averaging import average_rotations
 from epipole.scene import ViewGraph
 
-MAX_ANGLE_RAD = np.deg2rad(10.0)
-"""Largest angle between a pair's rotation and the averaged one: right pairs stay below 5 degrees on castle-P19, wrong
-ones exceed 40; COLMAP's global mapper uses the same limit."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairConsistency(Declared):
@@ -33,7 +29,9 @@ class PairConsistency(Declared):
 
 
 @checked
-def check_rotation_cycles(view_graph: ViewGraph, num_images: int, has_rotation: Bool[np.ndarray, " n"]) -> PairConsistency:
+def check_rotation_cycles(
+    view_graph: ViewGraph, num_images: int, has_rotation: Bool[np.ndarray, " n"], max_angle_rad: float
+) -> PairConsistency:
     """Compare each pair with the rotations that most matches agree on (Zach et al., CVPR 2010, test cycles one by one).
 
     A pair that is in no cycle has no contradiction: nothing is known about it.
@@ -42,6 +40,7 @@ def check_rotation_cycles(view_graph: ViewGraph, num_images: int, has_rotation: 
         view_graph: verified pairs.
         num_images: number of images.
         has_rotation: pairs whose rotation can be trusted, because the intrinsics are known.
+        max_angle_rad: largest angle between a pair's rotation and the averaged one.
     """
     rows = np.flatnonzero(has_rotation & np.isfinite(view_graph.cam2_from_cam1.rotation).all(axis=(1, 2)))
     angle = np.full(len(view_graph), np.nan)
@@ -53,4 +52,4 @@ def check_rotation_cycles(view_graph: ViewGraph, num_images: int, has_rotation: 
         view_graph.num_inliers()[rows].astype(np.float64),
     )
     angle[rows] = averaged.residuals_rad
-    return PairConsistency(np.nan_to_num(angle) > MAX_ANGLE_RAD, angle)
+    return PairConsistency(np.nan_to_num(angle) > max_angle_rad, angle)

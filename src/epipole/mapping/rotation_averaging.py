@@ -19,6 +19,10 @@ SCALE_RAD = np.deg2rad(5.0)
 SMALLEST_RAD = np.deg2rad(0.1)
 """Residual below which the L1 norm is treated as a square, so that weights stay finite."""
 CONVERGED_RAD = 1e-5
+MAX_TRIANGLE_RAD = np.deg2rad(5.0)
+"""Largest angle by which the product of a triangle's rotations may differ from the identity."""
+LEAST_TRUST = 1e-6
+"""Factor of the weight of a pair that no triangle confirms: it counts only if nothing else connects its images."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +50,7 @@ def average_rotations(
 ) -> AveragedRotations:
     """Minimize the robust sum of the angles between R_j R_i^T and the measured relative rotations.
 
-    It starts from the spanning tree with the largest weights, then alternates weights and a linear system in the Lie
+    It starts from a spanning tree of the pairs that most triangles of images confirm, then alternates weights and a linear system in the Lie
     algebra: first the L1 norm, then a redescending loss (Chatterjee and Govindu, ICCV 2013; Geman-McClure instead of
     their l_1/2). The work of a round is one sparse factorization of the graph's Laplacian.
 
@@ -63,7 +67,12 @@ def average_rotations(
     require_same_length(image1=image1, image2=image2, cams2_from_cams1=cams2_from_cams1, weights=weights)
     check_indices(image1, "image1", num_images)
     check_indices(image2, "image2", num_images)
-    rotations, component = _along_the_tree(num_images, image1, image2, cams2_from_cams1, weights)
+    support, possible = triangle_support(num_images, image1, image2, cams2_from_cams1, weights)
+    first = support + LEAST_TRUST * weights
+    rotations, component = _along_the_tree(num_images, image1, image2, cams2_from_cams1, first)
+    weights = weights * np.where(
+        possible > 0, np.maximum(support / np.maximum(possible, 1e-300), LEAST_TRUST), 1.0
+    )
     for round_ in range(L1_ROUNDS + ROBUST_ROUNDS):
         residuals = _residuals(rotations, image1, image2, cams2_from_cams1)
         angle = np.linalg.norm(residuals, axis=1)
@@ -75,6 +84,39 @@ def average_rotations(
             break
     final = np.linalg.norm(_residuals(rotations, image1, image2, cams2_from_cams1), axis=1)
     return AveragedRotations(rotations, component, final)
+
+
+def triangle_support(
+    num_images: int, image1: np.ndarray, image2: np.ndarray, relative: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Confirmation of each pair by the triangles of images that it is a side of.
+
+    Returns:
+        (p,) sum of the smaller weight of the other two pairs over the triangles whose rotations multiply to the identity,
+        and over all triangles.
+    """
+    edge_of: list[dict[int, int]] = [{} for _ in range(num_images)]
+    for e, (i, j) in enumerate(zip(image1.tolist(), image2.tolist())):
+        edge_of[i][j] = edge_of[j][i] = e
+
+    def rotation(a: np.ndarray, b: np.ndarray, e: np.ndarray) -> np.ndarray:
+        """(k, 3, 3) from image a to image b, along edges e in either direction."""
+        forward = (image1[e] == a)[:, None, None]
+        return np.where(forward, relative[e], np.swapaxes(relative[e], 1, 2))
+
+    support, possible = np.zeros(len(image1)), np.zeros(len(image1))
+    for e, (i, j) in enumerate(zip(image1.tolist(), image2.tolist())):
+        common = np.array(sorted(edge_of[i].keys() & edge_of[j].keys()), np.int64)
+        if len(common):
+            to, back = (np.array([edge_of[k][int(c)] for c in common]) for k in (i, j))
+            around = rotation(common, np.full(len(common), j), back) @ rotation(
+                np.full(len(common), i), common, to
+            )
+            cosine = 0.5 * (np.einsum("kab,ab->k", around, relative[e]) - 1.0)
+            agrees = cosine >= np.cos(MAX_TRIANGLE_RAD)
+            smaller = np.minimum(weights[to], weights[back])
+            support[e], possible[e] = smaller[agrees].sum(), smaller.sum()
+    return support, possible
 
 
 def _along_the_tree(

@@ -59,7 +59,9 @@ def find_further_matches(
     )
     shared = (incidence @ incidence.T).tocsr()
     found = _parallel.map_chunks(
-        lambda a, b, _: [_matches_in(int(i), model, features, observed, shared, radius_px, config) for i in images[a:b]],
+        lambda a, b, _: [
+            _matches_in(int(i), model, features, observed, shared, radius_px, config) for i in images[a:b]
+        ],
         len(images),
     )
     parts = [part for chunk in found for part in chunk]
@@ -67,6 +69,20 @@ def find_further_matches(
     angles = np.concatenate([angle for _, angle in parts]) if parts else np.zeros(0)
     table = table[np.argsort(angles, kind="stable")]
     return FurtherMatches(*(table[:, c].copy() for c in range(4)))
+
+
+@checked
+def drop_short_tracks(model: ModelBuilder, min_length: int, min_long: int) -> int:
+    """Remove points in fewer than `min_length` images whose images all observe `min_long` longer ones; returns their number."""
+    seen = np.flatnonzero(model.row_point >= 0)
+    point, image = model.row_point[seen], model.row_image[seen]
+    is_short = np.bincount(point, minlength=model.num_points)[point] < min_length
+    num_long = np.bincount(image[~is_short], minlength=len(model.registered))
+    is_needed = np.zeros(model.num_points, bool)
+    is_needed[point[num_long[image] < min_long]] = True
+    drop = is_short & ~is_needed[point]
+    model.row_point[seen[drop]] = -1
+    return len(np.unique(point[drop]))
 
 
 def _observations_of(model: ModelBuilder) -> _Observations:

@@ -24,7 +24,6 @@ from epipole.robust.pairs.two_view import estimate_relative_pose as estimate_rel
 from epipole.robust.pairs.two_view import estimate_upright_motion as estimate_upright_motion
 from epipole.robust.pairs.verify import PairGeometry as PairGeometry
 from epipole.robust.pairs.verify import PairMatches as PairMatches
-from epipole.robust.pairs.verify import fundamental_for_guided_matching as fundamental_for_guided_matching
 from epipole.robust.pairs.verify import verify_pair as verify_pair
 from epipole.robust.pairs.verify import verify_pairs as verify_pairs
 from epipole.robust.triangulate import PointReason as PointReason

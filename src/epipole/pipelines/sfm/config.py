@@ -43,6 +43,8 @@ class PairingConfig:
 class MapperConfig:
     """Options of incremental mapping."""
 
+    max_contradiction_deg: float = 10.0
+    """Pairs whose rotation differs more from what the other pairs imply are not used. 180: use all."""
     start_min_inliers: int = 100
     """Matches of the initial pair; reduced if no pair has enough."""
     start_angle_deg: float = 16.0

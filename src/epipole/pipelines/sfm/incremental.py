@@ -17,6 +17,7 @@ from epipole.mapping import (
     Snapshot,
     adjust_all,
     adjust_around,
+    drop_short_tracks,
     refine_resection,
     resect_image,
 )
@@ -112,10 +113,10 @@ class IncrementalMapper:
             function_tolerance=1e-5,
         )
         for _ in range(2):
-            self.model.drop_short_tracks(self.min_track_length, self.config.min_long_tracks)
+            self._drop_short_tracks()
             adjust_all(self.model, last, self._freedom(), self.priors)
             self.model.filter(self.config.max_error_px, self._angle)
-        self.model.drop_short_tracks(self.min_track_length, self.config.min_long_tracks)
+        self._drop_short_tracks()
 
     def grow(self, usable: np.ndarray, limit: int, progress: Progress = _ignored) -> None:
         """Register images one by one until `limit` are registered or none fits."""
@@ -284,7 +285,7 @@ class IncrementalMapper:
         model, config = self.model, self.config
         everything = np.arange(len(model.components))
         for round_ in range(max(rounds, 1)):
-            model.drop_short_tracks(self.min_track_length, config.min_long_tracks)
+            self._drop_short_tracks()
             adjust_all(model, self._global_bundle(), self._freedom(), self.priors)
             dropped = model.filter(config.max_error_px, self._angle)
             self._drop_lost_images()
@@ -295,6 +296,10 @@ class IncrementalMapper:
             added += model.triangulate(everything, config.max_error_px, self._angle)
             if dropped + added < config.converged_fraction * (model.row_point >= 0).sum():
                 break
+
+    def _drop_short_tracks(self) -> None:
+        if self.min_track_length > 2:
+            drop_short_tracks(self.model, self.min_track_length, self.config.min_long_tracks)
 
     def _drop_lost_images(self) -> None:
         counts = np.bincount(

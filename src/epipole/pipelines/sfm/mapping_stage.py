@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from epipole.io.images.exif import gps_to_enu
 from epipole.features import Features
+from epipole.io.images.exif import gps_to_enu
 from epipole.mapping import ModelBuilder, PositionPriors, connect_matches
 from epipole.pipelines.sfm.completion import complete_model
 from epipole.pipelines.sfm.config import MapperConfig

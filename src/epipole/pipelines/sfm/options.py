@@ -40,8 +40,6 @@ class ReconstructKeywords(TypedDict, total=False):
     max_bits: int
     preemptive_features: int
     preemptive_min_matches: int
-    preemptive_min_inliers: int
-    band_px: float
     method: Literal["auto", "exhaustive", "sequential", "spatial", "retrieval"]
     exhaustive_limit: int
     neighbours: int
@@ -51,6 +49,7 @@ class ReconstructKeywords(TypedDict, total=False):
     max_iterations: int
     min_inliers: int | None
     min_inlier_ratio: float
+    max_contradiction_deg: float
     start_min_inliers: int
     start_angle_deg: float
     start_trials: int
@@ -66,6 +65,9 @@ class ReconstructKeywords(TypedDict, total=False):
     min_observations: int
     local_images: int
     global_growth: float
+    completion_px: float
+    min_track_length: int
+    min_long_tracks: int
     final_rounds: int
     converged_fraction: float
     final_loss: Literal["trivial", "huber", "soft_l1", "cauchy"]

@@ -17,7 +17,6 @@ from epipole import _jit
 from epipole.errors import ConfigError, NoModelError
 from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.images.video import extract_frames, frame_orientation, is_video
-from epipole.mapping import check_rotation_cycles
 from epipole.mapping.focal_accuracy import FocalAccuracy, focal_accuracies
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.focal import estimate_focals
@@ -32,12 +31,12 @@ from epipole.pipelines.sfm.matching.match_stage import (
     match_units,
     verification_units,
 )
+from epipole.pipelines.sfm.matching.pair_selection import ContradictingPairs, consistent_pairs
 from epipole.pipelines.sfm.matching.pairing import choose_pairs, read_pairs
 from epipole.pipelines.sfm.matching.unit_tables import FEATURES
 from epipole.pipelines.sfm.photographs import ImageSet, read_image_set
 from epipole.pipelines.sfm.shared_focals import contradicted_cameras, with_own_cameras
 from epipole.pipelines.sfm.warm_up import warm_up
-from epipole.robust import PairKind
 from epipole.runs import Run, Unit, load
 from epipole.scene import Cameras, ViewGraph
 
@@ -61,6 +60,8 @@ class Solution:
     guessed_cameras: tuple[int, ...]
     """Cameras whose focal lengths were estimated from the images; `cameras` has the estimates."""
     mapped: Mapped
+    contradicting: ContradictingPairs
+    """Verified pairs that are not used, because they contradict the others."""
     focals: Mapping[int, FocalAccuracy] = field(default_factory=dict)
     """Accuracy of each camera's focal length in the models, by row."""
 
@@ -154,11 +155,7 @@ def _match_and_map(
         if found:  # repeat with the estimated focal lengths
             again = folder.with_name(f"{folder.name}-calibrated")
             view_graph = _verify(replace(todo, cameras=cameras), matches, again, run, num_features)
-        verified = view_graph
-        consistency = check_rotation_cycles(
-            verified, len(images), has_known_focals(cameras, images.camera_of_image, verified)
-        )
-        view_graph = verified.select(~consistency.contradicts)
+        view_graph, contradicting = consistent_pairs(view_graph, len(images), config.mapper)
     with run.stage("map"):
         mapped = map_images(
             images,
@@ -179,12 +176,8 @@ def _match_and_map(
         view_graph,
         tuple(found),
         mapped,
+        contradicting,
     )
-
-
-def has_known_focals(cameras: Cameras, camera_of_image: np.ndarray, view_graph: ViewGraph) -> np.ndarray:
-    """Mask (n,) of the pairs whose rotation can be trusted: they have one, and known or estimated focal lengths."""
-    return np.asarray(view_graph.kind != PairKind.UNCALIBRATED)
 
 
 def _without_contradictions(images: ImageSet, view_graph: ViewGraph, config: ReconstructConfig) -> ImageSet:

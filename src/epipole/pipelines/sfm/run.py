@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Unpack
 
+import numpy as np
+
 from epipole._checks import as_path
 from epipole._jit import compile_seconds
 from epipole.config import options_of
@@ -190,6 +192,19 @@ def _summary(
                 "is_determined": focal.is_determined,
             }
             for c, focal in solution.focals.items()
+        ],
+        "contradicting_pairs": [
+            {
+                "images": [images.names[i], images.names[j]],
+                "num_matches": int(n),
+                "rotation_off_deg": round(float(np.degrees(a)), 2),
+            }
+            for i, j, n, a in zip(
+                solution.contradicting.view_graph.image1,
+                solution.contradicting.view_graph.image2,
+                solution.contradicting.view_graph.num_inliers(),
+                solution.contradicting.angle_rad,
+            )
         ],
         "not_registered": reasons,
         "warnings": warnings,

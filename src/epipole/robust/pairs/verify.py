@@ -35,8 +35,6 @@ PLANE_FRACTION = 0.7
 PLANE_ITERATIONS = 500
 GUESS_FACTOR = 3.0  # multiple of the threshold for guessed focal lengths
 GUESS_ITERATIONS = 200
-STILL_PX = 0.75
-"""Median shift of matches below which guided matching along epipolar lines is useless."""
 _KINDS = (PairKind.GENERAL, PairKind.PLANAR, PairKind.ROTATION, PairKind.NO_MOTION)
 """Kinds of the models, in the order of their costs."""
 _CHUNKS = 64
@@ -133,29 +131,6 @@ def verify_pair(
 ) -> PairGeometry:
     """`verify_pairs` of one pair."""
     return verify_pairs([PairMatches(pixels1, pixels2, camera1, camera2, is_calibrated)], config)[0]
-
-
-@checked
-def fundamental_for_guided_matching(
-    pixels1: Any,
-    pixels2: Any,
-    camera1: Camera,
-    camera2: Camera,
-    *,
-    is_calibrated: bool,
-    config: RansacConfig,
-) -> Float64[np.ndarray, "3 3"] | None:
-    """The fundamental matrix for guided matching; None if too few matches agree or none move."""
-    pair = PairMatches(pixels1, pixels2, camera1, camera2, is_calibrated)
-    packed = _packed([pair], config)
-    epipolar, motions = _fit_epipolar(packed, np.array([is_calibrated]), config)
-    inliers = epipolar.residuals_px < config.max_error_px
-    if not np.isfinite(epipolar.best_score[0]) or inliers.sum() < config.needed_inliers(5, 1):
-        return None
-    shift = packed.pixels[2:, inliers] - packed.pixels[:2, inliers]
-    if np.median(np.hypot(shift[0], shift[1])) < STILL_PX:
-        return None
-    return _matrices(pair, 0, epipolar, motions)[1]
 
 
 def _verify(pairs: Sequence[PairMatches], config: RansacConfig) -> list[PairGeometry]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -128,9 +128,7 @@ def _matched(block: PairBlock, positions: Sequence[int]) -> list[PairResult]:
     task: MatchTask = block.task
     pairs = [block.pairs[n] for n in positions]
     features = {i: load_features(task.feature_files[i]) for i in sorted({i for pair in pairs for i in pair})}
-    return [
-        {"matches": match_pair(features[i], features[j], task.matching)} for i, j in pairs
-    ]
+    return [{"matches": match_pair(features[i], features[j], task.matching)} for i, j in pairs]
 
 
 def match_pair(first: Features, second: Features, config: MatchConfig) -> np.ndarray:

@@ -37,6 +37,18 @@ class ImageRow:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ContradictingPair:
+    """A pair of images that is not used, because it contradicts the other pairs."""
+
+    names: tuple[str, str]
+    positions: tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, "k 2"]]
+    """Matched features in both images, as fractions of width and height."""
+    num_matches: int
+    angle_deg: float
+    """Angle between its relative rotation and the one that the other pairs imply."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ReportContent:
     """Everything that the report shows."""
 
@@ -46,6 +58,8 @@ class ReportContent:
     view_graph: ViewGraph
     """Verified pairs; its image numbers are rows of `reconstruction.images`."""
     image_rows: tuple[ImageRow, ...]
+    contradicting: tuple[ContradictingPair, ...] = ()
+    """Most matches first."""
     other_components: tuple[int, ...] = ()
     """Registered images of each further model."""
     camera_lines: tuple[str, ...] = ()
@@ -112,6 +126,7 @@ def page_content(
         reconstruction=model,
         view_graph=solution.view_graph,
         image_rows=tuple(rows),
+        contradicting=tuple(_contradicting(solution)),
         other_components=tuple(int(m.is_registered().sum()) for m in models[1:]),
         camera_lines=tuple(_camera_line(solution, c) for c in range(len(images.focal_sources))),
         timings=dict(run.timings_s),
@@ -123,6 +138,30 @@ def page_content(
         scale_note=scale_note,
         is_metric=scale is not None,
     )
+
+
+def _contradicting(solution: Solution) -> list[ContradictingPair]:
+    graph, images = solution.contradicting.view_graph, solution.images
+    found = []
+    for e in np.argsort(-graph.num_inliers(), kind="stable"):
+        at = slice(graph.match_offsets[e], graph.match_offsets[e + 1])
+        sides = ((int(graph.image1[e]), graph.keypoint1[at]), (int(graph.image2[e]), graph.keypoint2[at]))
+        found.append(
+            ContradictingPair(
+                (images.names[sides[0][0]], images.names[sides[1][0]]),
+                tuple(_positions(solution, image, keypoints) for image, keypoints in sides),  # type: ignore[arg-type]
+                at.stop - at.start,
+                float(np.degrees(solution.contradicting.angle_rad[e])),
+            )
+        )
+    return found
+
+
+def _positions(solution: Solution, image: int, keypoints: np.ndarray) -> np.ndarray:
+    """(k, 2) at most `MAX_INLIERS_SHOWN` keypoints, as fractions of width and height."""
+    camera = solution.cameras[int(solution.images.camera_of_image[image])]
+    shown = keypoints[:: max(1, len(keypoints) // MAX_INLIERS_SHOWN)]
+    return np.asarray((solution.keypoints[image][shown] + 0.5) / [camera.width, camera.height])
 
 
 def _camera_line(solution: Solution, camera: int) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from epipole.pipelines.sfm.page.content import ReportContent
 from epipole.pipelines.sfm.page.images import image_lines
 from epipole.pipelines.sfm.page.notes import notes_of
+from epipole.pipelines.sfm.page.pairs import pair_lines
 from epipole.pipelines.sfm.page.statistics import Statistics, statistics_of
 from epipole.report.charts import Histogram, draw_histogram, draw_timings, histogram_of, histogram_of_integers
 from epipole.report.frame import render
@@ -43,6 +44,8 @@ def render_report(content: ReportContent) -> str:
         histograms=_histograms(statistics),
         with_models=bool(content.other_components),
         images=image_lines(content),
+        contradicting=pair_lines(content),
+        num_contradicting=len(content.contradicting),
         camera_lines=content.camera_lines,
         timings=draw_timings(content.timings) if content.timings else None,
         total_seconds=sum(content.timings.values()),
