@@ -67,7 +67,7 @@ class MapperConfig:
     """Points with a smaller triangulation angle are removed, because their depth is unknown."""
     resection_max_error_px: float = 12.0
     """Resection: points with a larger reprojection error are outliers."""
-    resection_min_inliers: int = 30
+    resection_min_inliers: int = 20
     """Resection: inliers needed to register an image."""
     resection_min_ratio: float = 0.15
     """Resection: fraction of the visible points that must be inliers."""
