@@ -79,7 +79,7 @@ def frames_of(sight: Sight) -> Iterable[tuple[int, Frame]]:
     for number in range(0, len(sight.ride), sight.every):
         left = sight.ride.left(number)
         depth = left.depth if sight.sensor == "rgbd" else None
-        yield number, Frame(float(sight.ride.timestamp_s[number]), left.grey, None, depth)
+        yield number, Frame(float(sight.ride.timestamp_s[number]), left.gray, None, depth)
 
 
 def camera_of(sight: Sight) -> SlamCamera:
@@ -94,7 +94,7 @@ def recorded(sight: Sight) -> dict[str, Any]:
     slam, answers, images, numbers = Slam(camera_of(sight)), list[TrackedFrame](), list[np.ndarray](), []
     for number, frame in frames_of(sight):
         answers.append(slam.track(frame))
-        images.append(frame.grey)
+        images.append(frame.gray)
         numbers.append(number)
     slam.finish()
     truth = sight.ride.world_from_camera[np.array(numbers)]
@@ -142,13 +142,13 @@ def scattered(rows: Any, positions: np.ndarray, count: int) -> list[list[float] 
 
 
 def rounded(positions: np.ndarray) -> Any:
-    """Nested lists, rounded to a millimetre."""
+    """Nested lists, rounded to a millimeter."""
     return np.round(positions, 3).tolist()
 
 
-def encoded(grey: np.ndarray) -> str:
+def encoded(gray: np.ndarray) -> str:
     """A reduced image as base64 of WebP, as the page shows it."""
-    reduced = cv2.resize(grey, SHOWN_SIZE, interpolation=cv2.INTER_AREA)
+    reduced = cv2.resize(gray, SHOWN_SIZE, interpolation=cv2.INTER_AREA)
     _, data = cv2.imencode(".webp", reduced, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
     return base64.b64encode(data.tobytes()).decode("ascii")
 

@@ -10,7 +10,7 @@ import epipole
 from epipole.geometry import Rigid3
 from epipole.robust import PointReason, point_covariances, triangulate_points
 
-# Two cameras, side by side with parallel optical axes, observe a point at a depth of four metres. The
+# Two cameras, side by side with parallel optical axes, observe a point at a depth of four meters. The
 # baseline is the distance between the cameras.
 
 camera = epipole.Camera("PINHOLE", 1280, 960, [800.0, 800.0, 639.5, 479.5])

@@ -1,4 +1,4 @@
-"""Text for a terminal: names of files and what they hold cannot move its cursor, colour it, or reorder its letters."""
+"""Text for a terminal: names of files and what they hold cannot move its cursor, color it, or reorder its letters."""
 
 from __future__ import annotations
 

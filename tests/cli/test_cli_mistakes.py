@@ -9,7 +9,7 @@ import pytest
 
 from epipole import screen
 from epipole.cli import main as command_line
-from epipole.cli.main import COMMANDS, _functions, main
+from epipole.cli.main import COMMANDS, _functions, _in_usual_spelling, _parsed, main
 from epipole.cli.mistakes import with_option_names
 from epipole.cli.options import option_names
 from epipole.pipelines.sfm.config import ReconstructConfig
@@ -46,25 +46,57 @@ def test_without_a_command_the_commands_are_listed(capsys: pytest.CaptureFixture
             ["`epipole reconstruct` needs IMAGES OUT, got nothing", "see `epipole reconstruct --help`"],
         ),
         ("reconstruct a", ["`epipole reconstruct` needs IMAGES OUT, got a;"]),
-        ("reconstruct a b c", ["Unrecognized options: c"]),
-        ("reconstruct a b --max-features 9", ["--max-features", "did you mean --features.max-features?"]),
-        ("reconstruct a b --sinle-camera", ["--sinle-camera; did you mean --single-camera?"]),
-        ("reconstruct a b --columns 0", ["--columns (applied to epipole reconstruct)"]),
-        ("reconstruct a b --pairing.method sequental", ["'sequental'", "'sequential'", "--pairing.method"]),
-        ("reconstruct a b --features.max-features abc", ["--features.max-features", "'abc'"]),
-        ("reconstruct a b --features.max-features", ["Missing value", "'--features.max-features'"]),
-        ("reconstruct a b --threads two", ["--threads", "'two'"]),
-        ("stereo a b c --window 5", ["'--window'", "Expected 2 values"]),
-        ("stereo a b c --window 5 x", ["--window", "['5', 'x']"]),
+        (
+            "reconstruct a b c",
+            [
+                "unexpected argument c: `epipole reconstruct` takes only IMAGES OUT; see `epipole reconstruct --help`"
+            ],
+        ),
+        ("slam a b --nosuch 4", ["unknown option --nosuch; see `epipole slam --help`"]),
+        (
+            "reconstruct a b --max-features 9",
+            ["unknown option --max-features; did you mean --features.max-features?"],
+        ),
+        ("reconstruct a b --sinle-camera", ["unknown option --sinle-camera; did you mean --single-camera?"]),
+        ("reconstruct a b --columns 0", ["unknown option --columns;"]),
+        (
+            "reconstruct a b --pairing.method sequental",
+            [
+                "--pairing.method must be auto, exhaustive, sequential, spatial or retrieval, got sequental;",
+                "; did you mean sequential?",
+            ],
+        ),
+        (
+            "reconstruct a b --features.max-features abc",
+            ["--features.max-features must be a whole number, got abc; see `epipole reconstruct --help`"],
+        ),
+        ("reconstruct a b --features.max-features", ["--features.max-features needs a value; see"]),
+        ("reconstruct a b --camera-params", ["--camera-params needs a value: FX,FY,CX,CY; see"]),
+        ("reconstruct a b --threads two", ["--threads must be a whole number, got two;"]),
+        ("reconstruct a b --threads=", ["--threads must be a whole number, got nothing;"]),
+        ("slam a b --max-frames 1.5", ["--max-frames must be a whole number, got 1.5;"]),
+        ("stereo a b c --window 5", ["--window needs 2 values: WIDTH HEIGHT;"]),
+        ("stereo a b c --window 5 x", ["--window must be 2 whole numbers (WIDTH HEIGHT), got 5 x;"]),
+        ("mesh a b --box 1 2 3 4 5 x", ["--box must be 6 numbers (X Y Z X Y Z), got 1 2 3 4 5 x;"]),
+        ("completion tcsh", ["must be bash, zsh or fish, got tcsh; see `epipole completion --help`"]),
+        ("render a b --output purple", ["--output must be color, depth, normals or coverage, got purple;"]),
         ("evaluate a", ["`epipole evaluate` needs OUT --truth, got a;"]),
         ("convert a b", ["unknown output format of ", "one of txt, bin, ply, transforms, bundler, splat"]),
-        ("convert a b --format obj", ["'obj'", "'--format'", "'txt'"]),
+        (
+            "convert a b --format obj",
+            ["--format must be bin, bundler, ply, splat, transforms or txt, got obj;"],
+        ),
         ("--quiet --verbose version", ["exclude each other"]),
     ],
 )
 def test_wrong_words(given, parts, capsys):
     said = refused(given, capsys)
     assert all(part in said for part in parts), said
+
+
+@pytest.mark.parametrize("given", [["--output", "colour"], ["--output=colour"]])
+def test_the_british_spelling_of_a_value_is_accepted(given):
+    assert _parsed(_in_usual_spelling(["render", "a", "b", *given])).keywords["config"].output == "color"
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ def test_two_exact_views_give_the_point(rng, cameras):
     np.testing.assert_allclose(found.errors_px, 0.0, atol=1e-8)
 
 
-def test_two_views_minimise_the_reprojection_error(rng):
+def test_two_views_minimize_the_reprojection_error(rng):
     points = some_points(rng, 40)
     pixels = seen_by(PAIR, [CAMERA, CAMERA], points, 2.0, rng)
     found = triangulate_points(PAIR, CAMERA, pixels)

@@ -54,6 +54,8 @@ EVERYWHERE = {
     "--overwrite": "overwrite",
 }
 """Options of all commands, before or after the command's name."""
+OTHER_VALUES = {("--output", "colour"): "color"}
+"""Other spellings of an option's value, each with the one that the command takes."""
 WRONG_USAGE = 2
 
 logger = logging.getLogger("epipole")
@@ -79,7 +81,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run a command; errors meant for the user are printed as one line, with exit code 1, or 2 for wrong usage."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     requested = {EVERYWHERE[word] for word in words if word in EVERYWHERE}
-    words = [word for word in words if word not in EVERYWHERE]
+    words = _in_usual_spelling([word for word in words if word not in EVERYWHERE])
     if "" in words:
         _refuse("an argument is empty (is a shell variable unset?)", WRONG_USAGE)
     if {"quiet", "verbose"} <= requested:
@@ -99,6 +101,13 @@ def main(arguments: list[str] | None = None) -> None:
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     with _loudness(requested, words), _warnings_in_one_line(), _overwriting(requested):
         _run(words)
+
+
+def _in_usual_spelling(words: list[str]) -> list[str]:
+    """The words, with the spellings of values that the parser knows."""
+    after = [OTHER_VALUES.get(pair, pair[1]) for pair in zip(["", *words], words)]
+    joined = {f"{option}={value}": f"{option}={usual}" for (option, value), usual in OTHER_VALUES.items()}
+    return [joined.get(word, word) for word in after]
 
 
 def _run(words: list[str]) -> None:

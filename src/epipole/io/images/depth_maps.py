@@ -114,7 +114,7 @@ def png16_in(path: Path, data: bytes, scale: float = PNG_SCALE) -> Float32[np.nd
 
 
 def _is_png16(data: bytes) -> bool:
-    """Whether the header is that of a 16-bit grey PNG with a plausible size (PNG 1.2, 4.1.1).
+    """Whether the header is that of a 16-bit gray PNG with a plausible size (PNG 1.2, 4.1.1).
 
     Deflate compresses by a factor of at most 1032, so a header that claims more pixels is wrong, and the file is not
     decoded.

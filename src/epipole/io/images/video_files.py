@@ -32,7 +32,7 @@ H264_QUALITY = "18"
 """Constant rate factor of x264, visually lossless."""
 MOST_GIF_FPS = 50.0
 """Browsers slow down GIFs with shorter delays than 2/100 s."""
-GIF_COLOURS = 256
+GIF_COLORS = 256
 _COMPARED_SIDE = 8
 """Frames are compared with the written ones on a grid of this size, since compression changes details."""
 _LARGEST_DIFFERENCE = 24.0
@@ -235,7 +235,7 @@ class _GifWriter:
         self._path, self._delay_ms, self._frames = path, 1000.0 / min(fps, MOST_GIF_FPS), list[Image.Image]()
 
     def write(self, image: np.ndarray) -> None:
-        self._frames.append(Image.fromarray(image).quantize(GIF_COLOURS))
+        self._frames.append(Image.fromarray(image).quantize(GIF_COLORS))
 
     def release(self) -> None:
         if not self._frames:

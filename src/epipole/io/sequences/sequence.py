@@ -34,7 +34,7 @@ def read_sequence(
     Args:
         folder: a folder in any of the supported layouts.
         fps: frames per second of images without times; None: 30, with a warning.
-        depth_scale: stored depth values per metre, such as 1000 for millimetres; None: from the files and the layout.
+        depth_scale: stored depth values per meter, such as 1000 for millimeters; None: from the files and the layout.
 
     Raises:
         FileFormatError: there are no images, or a file that belongs to the layout is damaged.

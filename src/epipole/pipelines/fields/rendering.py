@@ -91,15 +91,15 @@ def render(
         raise FileFormatError(source, "it does not exist")
     inputs = (source,) if wanted.cameras is None else (source, wanted.cameras)
     _check_target(out, inputs)
-    colour = np.full(3, _background(source, wanted), np.float32)
-    image_of, first_view = _drawer(source, wanted, colour)
+    color = np.full(3, _background(source, wanted), np.float32)
+    image_of, first_view = _drawer(source, wanted, color)
     if wanted.cameras is None:
         views = _path(source, wanted) or orbit(*first_view, wanted)
     else:
         views = render_views_of_model(wanted.cameras, wanted)
         for loss in losses_in(wanted.cameras):
             progress(Progress("render", 0, len(views), loss))
-    if wanted.output != "colour":
+    if wanted.output != "color":
         image_of = _surface_drawer(source, wanted.output, views[0])
     spent = [0.0]
 
@@ -160,7 +160,7 @@ def _check_target(out: Path, inputs: tuple[Path, ...]) -> None:
 
 
 def _drawer(
-    source: Path, wanted: RenderConfig, colour: np.ndarray
+    source: Path, wanted: RenderConfig, color: np.ndarray
 ) -> tuple[Callable[[RenderView], np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Function that renders a view of the field, and position, target and up vector of its first view."""
     found = kind_in(source)
@@ -171,7 +171,7 @@ def _drawer(
             kind.positions(field)
         )
         return (
-            lambda each: kind.render(field, each.camera, each.cam_from_world, colour)[0],
+            lambda each: kind.render(field, each.camera, each.cam_from_world, color)[0],
             (position, look_at, up),
         )
     (cloud, view), requested = seen_gaussians(source), wanted.antialiased
@@ -179,7 +179,7 @@ def _drawer(
         requested = recorded_antialiased((source if source.is_dir() else source.parent) / SUMMARY)
     options = RenderOptions(antialiased=requested)
     return (
-        lambda each: rasterize(cloud, each.camera, each.cam_from_world, options).over(colour),
+        lambda each: rasterize(cloud, each.camera, each.cam_from_world, options).over(color),
         (view.position, view.look_at, view.up),
     )
 
