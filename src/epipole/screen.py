@@ -24,7 +24,7 @@ from rich.progress import (
 from rich.progress import Progress as Bars
 from rich.segment import Segment
 
-from epipole._terminal import one_line, terminal_text
+from epipole._terminal import in_words_of_caller, one_line, terminal_text
 
 if TYPE_CHECKING:
     from epipole.runs import Progress, ProgressCallback
@@ -347,6 +347,5 @@ def print_warnings(console: Console, warnings: Iterable[str], word: str = "note"
     shown = listed[:MOST_PRINTED] if rest_in and len(listed) > MOST_PRINTED + 1 else listed
     more = len(listed) - len(shown)
     for warning in [*shown, *([f"{more} more, in {rest_in}"] if more else [])]:
-        console.print(
-            one_line(f"{word}: {warning}"), style="yellow", highlight=False, markup=False, soft_wrap=True
-        )
+        text = one_line(f"{word}: {in_words_of_caller(warning)}")
+        console.print(text, style="yellow", highlight=False, markup=False, soft_wrap=True)

@@ -4,6 +4,7 @@ import dataclasses
 import logging
 import re
 import sys
+import warnings
 
 import pytest
 
@@ -12,6 +13,7 @@ from epipole.cli import main as command_line
 from epipole.cli.main import COMMANDS, _functions, _in_usual_spelling, _parsed, main
 from epipole.cli.mistakes import with_option_names
 from epipole.cli.options import option_names
+from epipole.errors import NoModelError
 from epipole.pipelines.sfm.config import ReconstructConfig
 
 OPTIONS = {name: option_names(function) for name, function in _functions().items()}
@@ -135,13 +137,53 @@ def test_a_field_beside_an_option_is_written_as_one():
     assert said == "--include and --exclude select images of a folder, but x.mp4 is a video"
 
 
+@pytest.mark.parametrize(
+    ("command", "message", "said"),
+    [
+        ("slam", "localize needs a map: pass map", "--localize needs a map: pass --map"),
+        ("mesh", "cameras look at the scene (option cameras)", "cameras look at the scene (--cameras)"),
+        (
+            "splat",
+            "reduce the image size (max_side_px), or pass steps",
+            "reduce the image size (--max-side-px), or pass --steps",
+        ),
+        ("slam", "give a rig, or pass map= and truth", "give a rig, or pass --map and --truth"),
+        ("render", "path=cameras needs cameras (path=orbit)", "--path cameras needs cameras (--path orbit)"),
+        ("slam", "localize=True needs a map", "--localize needs a map"),
+        ("slam", "the map of x.json: a map=3 is none", "the map of x.json: a map=3 is none"),
+    ],
+)
+def test_what_a_message_asks_for_is_an_option(command, message, said):
+    words = [command, "a", "b", "--localize"]
+    assert with_option_names(message, words, OPTIONS[command], also_plain=False) == said
+
+
+def test_a_warning_names_options(capsys, monkeypatch):
+    def warned(out: str) -> None:
+        """Warn."""
+        warnings.warn("epipole: pass max_side_px, or steps", RuntimeWarning, stacklevel=1)
+        screen.print_warnings(screen.open_console(), ["reduce the size (max_side_px)"])
+        raise NoModelError("pass camera_params or a calibration")
+
+    monkeypatch.setattr(command_line, "_functions", lambda: {"warned": warned})
+    monkeypatch.setattr(
+        "epipole.cli.options.option_names",
+        lambda _: {"--max-side-px": "max_side_px", "--camera-params": "camera_params"},
+    )
+    with pytest.raises(SystemExit):
+        main(["warned", "--out", "x"])
+    said = "".join(capsys.readouterr())
+    assert "epipole: pass --max-side-px, or steps" in said and "note: reduce the size (--max-side-px)" in said
+    assert "epipole: pass --camera-params or a calibration" in said
+
+
 def test_the_options_of_a_command_are_those_of_its_help(capsys):
     assert len(OPTIONS) == len(COMMANDS)
-    for name, options in OPTIONS.items():
+    for name, named in OPTIONS.items():
         with pytest.raises(SystemExit) as stopped:
             main([name, "--help-all"])
         assert stopped.value.code == 0
-        assert options.keys() <= set(re.findall(r"--[\w.-]+", capsys.readouterr().out)), name
+        assert named.keys() <= set(re.findall(r"--[\w.-]+", capsys.readouterr().out)), name
     fields = {f.name for f in dataclasses.fields(ReconstructConfig)}
     assert {"threads", "masks"} <= fields & set(OPTIONS["reconstruct"].values())
 

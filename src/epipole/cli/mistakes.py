@@ -149,8 +149,25 @@ def with_option_names(
             mine = named
         return mine[0] if mine else found[0]
 
-    named = re.sub(r"(?<![\w./-])[a-z]\w*(?![\w/-]|\.\w)", option, message)
+    named = re.sub(r"(?<![\w./-])[a-z]\w*(?![\w/-]|\.\w)", option, _with_requests(message, options))
     return _with_neighbors(named, options)
+
+
+def _with_requests(message: str, options: Mapping[str, str]) -> str:
+    """Replace fields that the message asks for, as in `pass map`, `(option cameras)`, `steps=` or `path=orbit`."""
+
+    def option(found: re.Match[str]) -> str:
+        named = [name for name, field in options.items() if field == found["field"]]
+        if len(named) != 1:
+            return found[0]
+        return f"{found['before']}{named[0]}{found['after'] and ' '}{found['after']}"
+
+    field, end = r"(?P<field>[a-z]\w*)", r"(?P<after>)(?=[.,;:)]|$)(?!\.\w)"
+    message = re.sub(rf"(?P<before>\b(?:pass|give|leave out|without) ){field}{end}", option, message)
+    message = re.sub(rf"(?P<before>\()option {field}{end}", option, message)
+    message = re.sub(rf"(?P<before>(?<![\w.-])){field}=True\b(?P<after>)", option, message)
+    message = re.sub(rf"(?P<before>(?<![\w.-])){field}=(?P<after>)(?=[.,;:)]|$| )", option, message)
+    return re.sub(rf"(?P<before>(?<![\w.-])){field}=(?P<after>[a-z_]+\b)(?![\w.(-])", option, message)
 
 
 def _with_neighbors(message: str, options: Mapping[str, str]) -> str:
