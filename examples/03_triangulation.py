@@ -84,4 +84,4 @@ pixels = project_to(pair, np.array([[0.1, 0.2, 4.0], [0.1, 0.2, 400.0]]))
 pixels[1, 0] = np.nan
 reasons = triangulate_points(pair, camera, pixels, min_angle_rad=np.deg2rad(0.5)).reason
 print([PointReason(int(reason)).name for reason in reasons])
-assert reasons.tolist() == [PointReason.TOO_FEW_VIEWS, PointReason.PARALLEL]
+assert reasons.tolist() == [PointReason.TOO_FEW_VIEWS, PointReason.SMALL_ANGLE]
