@@ -42,7 +42,7 @@ APART = 0.12
 """Median motion of the points from one selected image to the next, as a fraction of the image width."""
 LEAST_TRACKED = 80
 MOST_SIGMA = 0.005
-"""Largest relative standard deviation of an accepted focal length. In rooms and on an arc it was 0.1 to 0.3 %. On a street and in
+"""Largest relative uncertainty of an accepted focal length. In rooms and on an arc it was 0.1 to 0.3 %. On a street and in
 front of a cube it was 0.8 and 0.9 %, and the focal lengths were 3 and 8 % off: these cameras have several distortion parameters
 and an off-center principal point."""
 ADVICE = "pass camera_params (fx,fy,cx,cy) or a calibration"
@@ -56,7 +56,7 @@ class FoundCamera:
     num_images: int
     """Images that the estimate is based on; 0 for the camera of a known map."""
     sigma_px: float
-    """Standard deviation of the focal length."""
+    """Calibrated uncertainty of the focal length."""
     losses: tuple[str, ...] = ()
     """Warnings of the reconstruction."""
 
@@ -271,6 +271,6 @@ def _judged(found: ReconstructionResult, losses: Iterable[str]) -> FoundCamera:
 
 
 def _honest_sigma_px(found: ReconstructionResult, formal_px: float) -> float:
-    """Standard deviation of the focal length from the reconstruction, which includes model errors; at least the formal one."""
+    """Calibrated uncertainty of the focal length from the reconstruction, which includes model errors; at least the formal one."""
     given = [focal["sigma_px"] for focal in found.summary.get("focals", []) if focal["camera"] == 0]
     return max(formal_px, float(given[0])) if given and given[0] is not None else formal_px
