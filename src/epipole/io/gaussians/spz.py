@@ -134,7 +134,7 @@ def _check_head(path: Path, head: tuple, versions: tuple[int, ...], num_bytes: i
     """
     magic, version, count, degree, bits = head[:5]
     if magic != _MAGIC:
-        raise FileFormatError(path, "not an SPZ file")
+        raise FileFormatError(path, "not an SPZ file; export or copy it again")
     if version not in versions:
         raise FileFormatError(path, f"unsupported SPZ version {version} (not 1 to 4)")
     if count > MOST_GAUSSIANS:
@@ -153,13 +153,13 @@ def _sections(path: Path, data: bytes) -> tuple[tuple, bytes]:
     try:
         start = unpack.decompress(data, _HEAD.size)
         if len(start) < _HEAD.size:
-            raise FileFormatError(path, "not an SPZ file")
+            raise FileFormatError(path, "not an SPZ file; export or copy it again")
         head = _HEAD.unpack(start)
         _check_head(path, head, (1, 2, 3), len(data))
         size = head[2] * sum(_section_sizes(head[1], head[3]))
         found = unpack.decompress(unpack.unconsumed_tail, size + _SPARE_BYTES)
     except (zlib.error, MemoryError) as error:
-        raise FileFormatError(path, f"not an SPZ file ({error})") from error
+        raise FileFormatError(path, f"not an SPZ file ({error}); export or copy it again") from error
     if len(found) < size:
         raise FileFormatError(path, f"damaged SPZ file: only {len(found)} of {size} bytes are present")
     if len(found) >= size + _SPARE_BYTES:

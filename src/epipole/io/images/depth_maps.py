@@ -50,7 +50,7 @@ def read_pfm(path: str | Path) -> Float32[np.ndarray, "h w"]:
         kind, (width, height), scale = parts[0].strip(), map(int, parts[1].split()), float(parts[2])
         data = parts[3]
     except (IndexError, ValueError) as error:
-        raise FileFormatError(path, "it has no valid PFM header") from error
+        raise FileFormatError(path, "it has no valid PFM header; export or copy it again") from error
     if kind != b"Pf":
         raise FileFormatError(path, f"it starts with {kind[:8]!r}; a one-channel PFM starts with 'Pf'")
     if min(width, height) < 1 or width * height > _MOST_PIXELS or not (np.isfinite(scale) and scale):

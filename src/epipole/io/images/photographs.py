@@ -31,7 +31,7 @@ from jaxtyping import Bool, UInt8
 from epipole._checks import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io._spherical import refuse_panorama
-from epipole.io.files import file_bytes, open_file
+from epipole.io.files import file_bytes, missing_in_words, open_file
 from epipole.io.images.deep_pixels import GrayRange as GrayRange
 from epipole.io.images.exif import (
     FocalSource,
@@ -147,7 +147,10 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
     folder = Path(folder)
     if not folder.is_dir():
         raise FileFormatError(
-            folder, "this is a file, not a folder of photographs" if folder.exists() else "it does not exist"
+            folder,
+            "this is a file, not a folder of photographs; pass its folder"
+            if folder.exists()
+            else missing_in_words(folder),
         )
     readable_here = readable_suffixes()
     known = frozenset(FORMAT_OF_SUFFIX) | RAW_SUFFIXES | OTHER_SUFFIXES

@@ -262,7 +262,9 @@ def ply_header(path: Path, data: bytes) -> PlyHeader:
     end = data.find(b"end_header", 0, _MAX_HEADER)
     newline = data.find(b"\n", end)
     if not data.startswith(b"ply") or end < 0 or newline < 0:
-        raise FileFormatError(path, "not a PLY file (no header from 'ply' to 'end_header')")
+        raise FileFormatError(
+            path, "not a PLY file (no header from 'ply' to 'end_header'); export or copy it again"
+        )
     lines = data[:end].decode("ascii", "replace").splitlines()
     byte_order: str | None = None
     elements: list[tuple[str, int]] = []

@@ -17,6 +17,7 @@ from epipole.fields.normals import normals_of
 from epipole.fields.splat.rasterizer import RenderOptions
 from epipole.fields.splat.rasterizer import render as rasterize
 from epipole.image import color_map, color_range
+from epipole.io.files import missing_in_words
 from epipole.io.images.rgba import write_png
 from epipole.io.images.video_files import GIF_SUFFIX, VIDEO_SUFFIX, write_video
 from epipole.io.models.losses import losses_in
@@ -88,7 +89,7 @@ def render(
     source, out = as_path(source), as_path(out)
     wanted = options_of(RenderConfig, config, options, ["config", "progress"])
     if not source.exists():
-        raise FileFormatError(source, "it does not exist")
+        raise FileFormatError(source, missing_in_words(source))
     inputs = (source,) if wanted.cameras is None else (source, wanted.cameras)
     _check_target(out, inputs)
     color = np.full(3, _background(source, wanted), np.float32)

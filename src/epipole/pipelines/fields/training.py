@@ -15,6 +15,7 @@ from epipole._jit import compile_seconds
 from epipole.config import options_of
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.fields.trainer import Trainer
+from epipole.io.files import missing_in_words
 from epipole.io.models.losses import losses_in, losses_of
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions, NerfConfig, SplatConfig
@@ -74,7 +75,7 @@ def training_of(
     found = options_of(*config, options, ["config", "progress"])
     source, out = (as_path(path) for path in paths)
     if not source.exists():
-        raise FileFormatError(source, "it does not exist")
+        raise FileFormatError(source, missing_in_words(source))
     settings = {name: value for name, value in asdict(found).items() if name not in WATCHING}
     return Training(
         source, out, found, settings, Job(kind=kind, inputs=(source,), settings=settings, progress=progress)
