@@ -994,8 +994,8 @@ FORMATS |= {
         for file in ("minimal-v2.spz", "minimal-v3.spz", "minimal-v4.spz", "minimal.splat")
         for name, form in _foreign(file, "binary", _any_gaussians).items()
     },
-    **_foreign("colors_float255.ply", "ply", _cloud_of),
-    **_foreign("colors_ushort.ply", "ply", _cloud_of),
+    **_foreign("colours_float255.ply", "ply", _cloud_of),
+    **_foreign("colours_ushort.ply", "ply", _cloud_of),
     **{
         name: form
         for file in ("euroc_wfirst.txt", "orbslam3_ns.txt", "truth_tum.txt", "tum_order_ns.csv")
