@@ -34,6 +34,8 @@ SIZE = (320, 240)
 """Size of the images that SLAM gets."""
 SHOWN_SIZE = (176, 132)
 """Size of the images on the page."""
+LESSON_STATES = {"rotating": "turning"}
+"""States whose names in the replays of the lesson differ."""
 MAX_SHOWN = 26
 """Maximum number of images of one run on the page."""
 QUALITY = 40
@@ -105,7 +107,7 @@ def recorded(sight: Sight) -> dict[str, Any]:
     shown = np.unique(np.linspace(0, len(answers) - 1, MAX_SHOWN).astype(int))
     moving = [[*a.moving.low_px, *a.moving.high_px] if a.moving else None for a in answers]
     return {
-        "state": [a.state.value for a in answers],
+        "state": [LESSON_STATES.get(a.state.value, a.state.value) for a in answers],
         "reason": [a.reason for a in answers],
         "points": [a.num_points for a in answers],
         "moving": [box and [round(v / SIZE[0], 4) for v in box] for box in moving],

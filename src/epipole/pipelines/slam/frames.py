@@ -22,11 +22,16 @@ class TrackingState(StrEnum):
     STARTING = "starting"
     """One camera: the map is not initialized."""
     TRACKING = "tracking"
-    ROTATING = "turning"
+    ROTATING = "rotating"
     """One camera, at rest or in pure rotation: the orientation is known, the position is the last known one."""
     LOST = "lost"
     SUBMAP = "submap"
     """Tracked in a separate map, started after the camera was lost; the pose in the first map is unknown."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> TrackingState | None:
+        """The name of a state in files of earlier versions."""
+        return cls.ROTATING if value == "turning" else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -175,7 +175,7 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
         run.warnings += [*camera_warnings(camera, model.right_shift_px), *warnings(tracked, path)]
         return {
             "readout_s": system.camera.readout_s if shutter is None else shutter.readout_s,
-            "lens": None if camera is None else asdict(camera),
+            "camera_check": None if camera is None else asdict(camera),
             "fraction_without_ray": 0.0 if blind is None else float(blind.mean()),
             "right_principal_point_shift_px": model.right_shift_px,
             "poor_images": poor_images(tracked),

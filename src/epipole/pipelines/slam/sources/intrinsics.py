@@ -88,7 +88,7 @@ class FoundCamera:
         """Write a calibration file for the next run."""
         intrinsics = CalibrationFile((self.camera,), Rigid3.identity(1))
         write_calibration(
-            path, intrinsics, {"found_from_pictures": self.num_images, "focal_sigma_px": self.sigma_px}
+            path, intrinsics, {"estimated_from_images": self.num_images, "focal_sigma_px": self.sigma_px}
         )
 
 
