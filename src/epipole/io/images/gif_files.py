@@ -1,6 +1,6 @@
 """Animated GIFs, written frame by frame: Pillow would keep all frames in memory, and merge equal ones.
 
-Pillow compresses each frame as a GIF of its own, whose palette and data become one image of the animation (GIF89a,
+Pillow compresses each frame as a separate GIF, whose palette and data become one image of the animation (GIF89a,
 https://www.w3.org/Graphics/GIF/spec-gif89a.txt).
 """
 
