@@ -17,7 +17,7 @@ from epipole.report.space_model import stage_of
 from epipole.scene import Reconstruction
 
 WIDTH, HEIGHT = 620, 520
-LEFT, RIGHT, TOP, BOTTOM = 52, 12, 12, 44
+LEFT, RIGHT, TOP, BOTTOM = 66, 12, 12, 52
 """Margins of the grid, which contain its labels."""
 _CELL = 3
 """Size of a density cell in SVG units."""
