@@ -87,15 +87,13 @@ def surface_points(
         views: the training views.
         most_points: largest number of points; a random sample of all.
     """
-    rows = (
-        np.unique(np.linspace(0, len(views) - 1, MOST_VIEWS).round().astype(np.int64)) if len(views) else []
-    )
-    num_pixels = _pixels_in_time(render, views[len(views) // 2]) if len(views) else 0.0
-    seen = [_depth_view(render, views[int(row)], num_pixels / len(rows)) for row in rows]
+    if not len(views):
+        return SurfacePoints(np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
+    rows = np.unique(np.linspace(0, len(views) - 1, MOST_VIEWS).round().astype(np.int64)).tolist()
+    num_pixels = _pixels_in_time(render, views[len(views) // 2])
+    seen = [_depth_view(render, views[row], num_pixels / len(rows)) for row in rows]
     needed = min(LEAST_AGREEING, max(len(seen) - 2, 0))
     parts = [_agreeing_points(k, seen, needed) for k in range(len(seen))]
-    if not parts:
-        return SurfacePoints(np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     points, rgb = (np.concatenate(each) for each in zip(*parts))
     chosen = np.sort(np.random.default_rng(0).permutation(len(points))[:most_points])
     return SurfacePoints(points[chosen], rgb[chosen])
