@@ -43,8 +43,8 @@ class Trial:
 
     model: Reconstruction
     truth: Reconstruction
-    metres: float
-    """Metres per unit of the model."""
+    meters: float
+    """Meters per unit of the model."""
     rng: np.random.Generator
     folder: Path
 
@@ -74,8 +74,8 @@ def trial_of(seed: int, folder: Path) -> Trial:
     unit = float(np.exp(rng.uniform(-1.5, 1.5)))
     rotation = Rotation3.exp(rng.normal(size=3)).matrix
     model = model.transformed(Similarity3(np.asarray(unit), rotation, rng.normal(size=3)))
-    metres = float(align_points(model.camera_centers_in_world(), truth.camera_centers_in_world()).scale)
-    return Trial(model, truth, metres, rng, folder)
+    meters = float(align_points(model.camera_centers_in_world(), truth.camera_centers_in_world()).scale)
+    return Trial(model, truth, meters, rng, folder)
 
 
 def positions(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
@@ -88,7 +88,7 @@ def positions(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
 
 
 def timed_positions(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
-    """Positions of all images, by time; one in ten is off by metres."""
+    """Positions of all images, by time; one in ten is off by meters."""
     positions = trial.centers + 0.05 * trial.rng.normal(size=(VIEWS, 3))
     positions[::10] += 3.0 * trial.rng.normal(size=positions[::10].shape)
     path = trial.write("p.txt", [f"{0.5 * n} {x} {y} {z}" for n, (x, y, z) in enumerate(positions)])
@@ -125,12 +125,12 @@ def four_lengths(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
 def _facing(trial: Trial) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Axes (right, down, normal) of a sheet, and the rows of the cameras that face it."""
     angle = trial.rng.uniform(0, 2 * np.pi)
-    towards = np.array([np.cos(angle), np.sin(angle), 0.0])
+    toward = np.array([np.cos(angle), np.sin(angle), 0.0])
     right, down = np.array([-np.sin(angle), np.cos(angle), 0.0]), np.array([0.0, 0.0, -1.0])
     tilt = Rotation3.exp(trial.rng.normal(size=3) * 0.2).matrix
-    seen = trial.centers @ towards / np.linalg.norm(trial.centers, axis=1)
+    seen = trial.centers @ toward / np.linalg.norm(trial.centers, axis=1)
     rows = np.flatnonzero(seen > 0.6)
-    return tilt @ right, tilt @ down, tilt @ towards, rows
+    return tilt @ right, tilt @ down, tilt @ toward, rows
 
 
 def _sampled(trial: Trial, things: list[Any], rows: np.ndarray) -> AnchorViews:
@@ -184,13 +184,13 @@ def wheels(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
     steps = np.linalg.norm(np.diff(trajectory, axis=0), axis=1)
     steps *= (1.0 + 0.005 * trial.rng.normal()) * (1.0 + 0.02 * trial.rng.normal(size=len(steps)))
     steps[40:110] *= 1.5
-    travelled = np.concatenate([[0.0], np.cumsum(steps)])
-    lines = [f"{0.5 * t:.6f} {d:.6f}" for t, d in zip(fine, travelled)]
+    traveled = np.concatenate([[0.0], np.cumsum(steps)])
+    lines = [f"{0.5 * t:.6f} {d:.6f}" for t, d in zip(fine, traveled)]
     return trial.views(), AnchorOptions(odometry=trial.write("o.txt", lines), odometry_sigma=0.005)
 
 
 def wheel_positions(trial: Trial, behind: float = 0.0) -> tuple[AnchorViews, AnchorOptions]:
-    """Wheel odometry as a drifting trajectory, with a common error of 0.5 %; `behind`: metres from camera to wheels."""
+    """Wheel odometry as a drifting trajectory, with a common error of 0.5 %; `behind`: meters from camera to wheels."""
     positions = trial.truth.cams_from_world().inverse().apply(np.array([0.0, 0.0, -behind]))
     steps = np.diff(positions, axis=0) * (1.0 + 0.005 * trial.rng.normal())
     steps *= 1.0 + 0.02 * trial.rng.normal(size=(len(steps), 1))
@@ -205,7 +205,7 @@ def wheel_positions(trial: Trial, behind: float = 0.0) -> tuple[AnchorViews, Anc
 
 
 def wheels_behind(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
-    """`wheel_positions` with the wheels half a metre behind the camera, which looks inward."""
+    """`wheel_positions` with the wheels half a meter behind the camera, which looks inward."""
     return wheel_positions(trial, behind=0.5)
 
 
@@ -216,7 +216,7 @@ ANCHORS: dict[str, Callable[[Trial], tuple[AnchorViews, AnchorOptions]]] = {
     "four lengths, one wrong": four_lengths,
     "three tags, one too large": tags,
     "chessboard": board,
-    "distances travelled, slip": wheels,
+    "distances traveled, slip": wheels,
     "positions by odometry": wheel_positions,
     "positions by odometry, 0.5 m behind": wheels_behind,
 }
@@ -237,7 +237,7 @@ def measured(name: str, count: int) -> dict[str, Any]:
             except DegenerateGeometryError as problem:
                 refused.append(str(problem))
                 continue
-            errors.append(found.scale / trial.metres - 1.0)
+            errors.append(found.scale / trial.meters - 1.0)
             sigmas.append(found.relative_sigma)
     error, sigma = np.array(errors), np.array(sigmas)
     return {

@@ -41,7 +41,7 @@ def main() -> None:
     for name in arguments.task:
         task = TASKS[name]
         seconds, errors = _measure(task, arguments, console)
-        report = {"task": name, "limits": limits_of(task), "machine": describe_machine(1)} | summarise(
+        report = {"task": name, "limits": limits_of(task), "machine": describe_machine(1)} | summarize(
             task, seconds, errors
         )
         arguments.results.mkdir(parents=True, exist_ok=True)
@@ -130,7 +130,7 @@ def _motion_error(problem: EstimationProblem, R: np.ndarray, t: np.ndarray) -> f
     return max(rotation, float(np.degrees(np.arctan2(crossed, t @ true.translation))))
 
 
-def summarise(
+def summarize(
     task: EstimationTask, seconds: dict[str, np.ndarray], errors: dict[str, np.ndarray]
 ) -> dict[str, Any]:
     """Figures of every program, and the ratios of epipole's figures to its own with 95 % bootstrap intervals."""

@@ -1,4 +1,4 @@
-"""Agreement of a reconstruction with the GPS fixes of its photographs, which are accurate to a few metres."""
+"""Agreement of a reconstruction with the GPS fixes of its photographs, which are accurate to a few meters."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from epipole.scene import Reconstruction
 MAX_TRIPLES = 2000
 """Maximum number of samples in the robust alignment."""
 MIN_STEP_M = 3.0
-"""Fixes in steps of 0.1 arc seconds are on a grid of about three metres; smaller steps have no direction."""
+"""Fixes in steps of 0.1 arc seconds are on a grid of about three meters; smaller steps have no direction."""
 
 
 def score_gps(task: SfmTask, model: Reconstruction) -> dict[str, float]:
@@ -80,7 +80,7 @@ def _align(source: np.ndarray, target: np.ndarray) -> Similarity3 | None:
 
 
 def _fixes(task: SfmTask) -> np.ndarray:
-    """East, north and up of every image in metres; NaN if it has no fix."""
+    """East, north and up of every image in meters; NaN if it has no fix."""
     table = np.full((len(task.image_names), 3), np.nan)
     for k, name in enumerate(task.image_names):
         fix = read_header(task.images / name).gps

@@ -35,9 +35,9 @@ RESULTS = REPOSITORY / "benchmarks" / "results" / "inertial.json"
 SECTION_S = 15.0
 """Length of a section of EuRoC."""
 UNIT = 2.5
-"""Metres per unit of the scaled EuRoC trajectory: the scale to estimate."""
+"""Meters per unit of the scaled EuRoC trajectory: the scale to estimate."""
 MOUNTING_SIGMA = np.array([0.05, 0.05, 0.05, 1.0, 1.0, 1.0])
-"""Standard deviations of the IMU's pose on the camera, in metres and radians."""
+"""Standard deviations of the IMU's pose on the camera, in meters and radians."""
 RIDES = 8
 """Number of SLAM runs with an IMU."""
 
@@ -85,7 +85,7 @@ def tracked(count: int) -> tuple[list[Trial], list[float]]:
     """Monocular SLAM of the room without an IMU, then with IMUs of seeds 0 to count - 1; position errors in mm."""
     ride = loop_room(200, (320, 240))
     numbers = range(0, 200, 2)
-    frames = [Frame(n / 10.0, ride.left(number).grey) for n, number in enumerate(numbers)]
+    frames = [Frame(n / 10.0, ride.left(number).gray) for n, number in enumerate(numbers)]
     truth = ride.world_from_camera[np.array(numbers)]
     truth = truth[0].inverse() @ truth
     times = np.array([frame.timestamp_s for frame in frames])

@@ -17,7 +17,7 @@ from benchmarks.measure import REPOSITORY
 from benchmarks.rasterizer import FLOPS
 from epipole.cameras import Camera
 from epipole.fields.nerf import _hash_kernels as kernels
-from epipole.fields.nerf.hash_field import DELTA, FEATURES, HashField, coloured, render_hash, sampled
+from epipole.fields.nerf.hash_field import DELTA, FEATURES, HashField, colored, render_hash, sampled
 from epipole.fields.rays import rays_of_camera
 from epipole.fields.splat._blend_kernels import OVER
 from epipole.fields.splat._projection_kernels import BLUE, DEPTH, PEAK, RED, XX, XY, YY, X, Y
@@ -108,11 +108,11 @@ def marched(
     found = sampled(field, rays, number, np.zeros(1, np.int64), offset, 4096, 4096)
     thickness = np.exp(np.minimum(found.said[:, 0] + kernels.SHIFT, kernels.LARGEST_RAW)) * DELTA
     joined = np.hstack([found.said, np.repeat(found.basis, len(found.said), axis=0)])
-    colour = 1.0 / (1.0 + np.exp(-coloured(field, joined)[-1]))
+    color = 1.0 / (1.0 + np.exp(-colored(field, joined)[-1]))
     return {
         "distance": rounded(found.positions[:, 3] * field.room.size),
         "thickness": rounded(thickness),
-        "colour": rounded(colour),
+        "colour": rounded(color),
     }
 
 

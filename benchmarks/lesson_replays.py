@@ -34,6 +34,8 @@ SIZE = (320, 240)
 """Size of the images that SLAM gets."""
 SHOWN_SIZE = (176, 132)
 """Size of the images on the page."""
+LESSON_STATES = {"rotating": "turning"}
+"""States whose names in the replays of the lesson differ."""
 MAX_SHOWN = 26
 """Maximum number of images of one run on the page."""
 QUALITY = 40
@@ -79,7 +81,7 @@ def frames_of(sight: Sight) -> Iterable[tuple[int, Frame]]:
     for number in range(0, len(sight.ride), sight.every):
         left = sight.ride.left(number)
         depth = left.depth if sight.sensor == "rgbd" else None
-        yield number, Frame(float(sight.ride.timestamp_s[number]), left.grey, None, depth)
+        yield number, Frame(float(sight.ride.timestamp_s[number]), left.gray, None, depth)
 
 
 def camera_of(sight: Sight) -> SlamCamera:
@@ -94,7 +96,7 @@ def recorded(sight: Sight) -> dict[str, Any]:
     slam, answers, images, numbers = Slam(camera_of(sight)), list[TrackedFrame](), list[np.ndarray](), []
     for number, frame in frames_of(sight):
         answers.append(slam.track(frame))
-        images.append(frame.grey)
+        images.append(frame.gray)
         numbers.append(number)
     slam.finish()
     truth = sight.ride.world_from_camera[np.array(numbers)]
@@ -105,7 +107,7 @@ def recorded(sight: Sight) -> dict[str, Any]:
     shown = np.unique(np.linspace(0, len(answers) - 1, MAX_SHOWN).astype(int))
     moving = [[*a.moving.low_px, *a.moving.high_px] if a.moving else None for a in answers]
     return {
-        "state": [a.state.value for a in answers],
+        "state": [LESSON_STATES.get(a.state.value, a.state.value) for a in answers],
         "reason": [a.reason for a in answers],
         "points": [a.num_points for a in answers],
         "moving": [box and [round(v / SIZE[0], 4) for v in box] for box in moving],
@@ -142,13 +144,13 @@ def scattered(rows: Any, positions: np.ndarray, count: int) -> list[list[float] 
 
 
 def rounded(positions: np.ndarray) -> Any:
-    """Nested lists, rounded to a millimetre."""
+    """Nested lists, rounded to a millimeter."""
     return np.round(positions, 3).tolist()
 
 
-def encoded(grey: np.ndarray) -> str:
+def encoded(gray: np.ndarray) -> str:
     """A reduced image as base64 of WebP, as the page shows it."""
-    reduced = cv2.resize(grey, SHOWN_SIZE, interpolation=cv2.INTER_AREA)
+    reduced = cv2.resize(gray, SHOWN_SIZE, interpolation=cv2.INTER_AREA)
     _, data = cv2.imencode(".webp", reduced, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
     return base64.b64encode(data.tobytes()).decode("ascii")
 

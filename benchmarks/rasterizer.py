@@ -79,7 +79,7 @@ def measured(cloud: GaussianCloud, shots: list[RenderView]) -> dict[str, Any]:
         tiled = perf_counter()
         rendered = blend(tiles, view)
         blended = perf_counter()
-        by_pair = sums_of_pairs(rendered, ImageGradient(rendered.colour))
+        by_pair = sums_of_pairs(rendered, ImageGradient(rendered.color))
         summed = perf_counter()
         gradient_of(arrays, view, rendered.record, by_pair)
         end = perf_counter()

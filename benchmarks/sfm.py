@@ -177,7 +177,7 @@ def best_mapper(candidates: list[Run]) -> Run | None:
     return max(successful, key=rank, default=None)
 
 
-def summarise(runs: list[Run]) -> dict[str, dict[str, float]]:
+def summarize(runs: list[Run]) -> dict[str, dict[str, float]]:
     """Median, minimum and maximum of every figure over the runs of one program."""
     out = {}
     for metric in ROWS:
@@ -223,7 +223,7 @@ def _report(
         "pycolmap_shared_camera": arguments.shared_camera,
         "machine": describe_machine(limits.num_threads),
         "versions": {peer.name: peer.version() for peer in peers},
-        "summary": {name: summarise(of_peer) for name, of_peer in by_peer.items() if of_peer},
+        "summary": {name: summarize(of_peer) for name, of_peer in by_peer.items() if of_peer},
         "epipole_over": {
             name: paired_ratios(by_peer["epipole"], of_peer)
             for name, of_peer in by_peer.items()

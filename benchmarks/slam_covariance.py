@@ -28,7 +28,7 @@ SIZE = (320, 240)
 NUM_FRAMES = 40
 """Number of frames in each run."""
 NOISE = 2.0
-"""Standard deviation of the image noise in grey levels."""
+"""Standard deviation of the image noise in gray levels."""
 SHOWN = (2, 5, 10, 20, 30, 39)
 """Frames in the table."""
 RIDES = {
@@ -44,7 +44,7 @@ class Rendered:
     def __init__(self, ride: Ride) -> None:
         clean = replace(ride, shutter=Shutter(noise_sigma=0.0))
         self.camera = SlamCamera(ride.camera, ride.baseline)
-        self.pairs = [(clean.left(n).grey, clean.right(n).grey) for n in range(len(ride))]
+        self.pairs = [(clean.left(n).gray, clean.right(n).gray) for n in range(len(ride))]
         self.world_from_camera = ride.world_from_camera
 
     def tracked(self, first: int, step: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -27,11 +27,11 @@ def main(data: Path) -> None:
         for path in sorted(
             p for p in (data / folder).rglob("*") if p.suffix.lower() in (".jpg", ".png", ".ppm")
         ):
-            grey = read_grey(path)
-            step = max(1, grey.shape[1] // 640)
-            grey = np.ascontiguousarray(grey[::step, ::step])
-            corners = new_corners(grey, np.zeros((0, 2)), SlamConfig())
-            described.append(describe_upright(grey, corners))
+            gray = read_grey(path)
+            step = max(1, gray.shape[1] // 640)
+            gray = np.ascontiguousarray(gray[::step, ::step])
+            corners = new_corners(gray, np.zeros((0, 2)), SlamConfig())
+            described.append(describe_upright(gray, corners))
     words = train_vocabulary(described, NUM_WORDS, rounds=50)
     np.save(WORDS, np.rint(words).astype(np.uint8))
     print(f"{len(described)} photographs, {len(words)} words")

@@ -194,25 +194,25 @@ def absolute_cases(rng: np.random.Generator, count: int) -> list[Case]:
     return [
         Case(
             "pose, 3 points", (_unit(three[1]), three[0]), motion.rotation,
-            lambda y, x: solvers.solve_p3p(y, x).rotation,
+            lambda y, x: solvers.solve_p3p(x, y).rotation,
             lambda y, x: _p3p(y, x, np.empty((4, 12)), absolute.p3p_workspace()),
             lambda p: lambda y, x: [q.R for q in p.p3p(y, x)],
         ),
         Case(
             "pose and focal length, 4 points", (pixels, four[0]), motion.rotation,
-            lambda y, x: solvers.solve_p4pf(y, x).cam_from_world.rotation,
+            lambda y, x: solvers.solve_p4pf(x, y).cam_from_world.rotation,
             lambda y, x: _p4pf(y, x - x.mean(axis=1, keepdims=True), np.empty((8, 13)), more.p4pf_workspace()),
             lambda p: lambda y, x: [q.R for q in p.p4pf(y, x, True)[0]],
         ),
         Case(
             "pose of a rig, 3 points", (origins, _unit(three[1] - origins), three[0]), motion.rotation,
-            lambda o, y, x: solvers.solve_generalized_p3p(o, y, x).rotation,
+            lambda o, y, x: solvers.solve_generalized_p3p(x, o, y).rotation,
             lambda o, y, x: _gp3p(o, y, x, np.empty((8, 13)), more.generalized_p3p_workspace()),
             lambda p: lambda o, y, x: [q.R for q in p.gp3p(o, y, x)],
         ),
         Case(
             "upright pose, 2 points", (_unit(two[1]), two[0]), upright.rotation,
-            lambda y, x: solvers.solve_upright_p2p(y, x).rotation,
+            lambda y, x: solvers.solve_upright_p2p(x, y).rotation,
             lambda y, x: _p2p(y, x, np.empty((2, 12))),
             lambda p: lambda y, x: [q.R for q in p.up2p(y, x)],
         ),

@@ -102,8 +102,8 @@ def pandora_areas(connection: Any, data: Path) -> None:
 
 def opencv_offset_px(task: StereoTask) -> float:
     """Median offset of StereoBM's disparities from the truth where they nearly agree: the bias of a truncated ground truth."""
-    grey = [np.ascontiguousarray(image) for image in (task.left, task.right)]
-    disparity = cv2.StereoBM_create(-(-task.num_disparities // 16) * 16, 15).compute(*grey) / 16.0
+    gray = [np.ascontiguousarray(image) for image in (task.left, task.right)]
+    disparity = cv2.StereoBM_create(-(-task.num_disparities // 16) * 16, 15).compute(*gray) / 16.0
     error = (disparity - task.truth)[disparity > 0]
     return float(np.median(error[np.abs(error) < 2.0]))
 

@@ -106,7 +106,7 @@ def save(name: str, image: np.ndarray) -> None:
 
 
 def cropped(rgb: np.ndarray, width: int) -> np.ndarray:
-    """Crop the centre of an image to this width and the common height, and convert it to BGR."""
+    """Crop the center of an image to this width and the common height, and convert it to BGR."""
     scale = max(width / rgb.shape[1], HEIGHT / rgb.shape[0])
     size = (max(width, round(scale * rgb.shape[1])), max(HEIGHT, round(scale * rgb.shape[0])))
     interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC

@@ -206,7 +206,7 @@ def bundle_adjustment() -> None:
     result = adjust_bundle(bundle)
     covariance = bundle_covariance(bundle, result)
     poses, magnification = result.rig_from_world, 40.0
-    # First order: d centre = -R^T d translation.
+    # First order: d center = -R^T d translation.
     world_from_rig = np.swapaxes(poses.rotation, 1, 2)
     spread = world_from_rig @ covariance.rig_from_world[:, :3, :3] @ poses.rotation
     image = np.full((560, 720, 3), 255, np.uint8)
@@ -286,7 +286,7 @@ def conventions() -> None:
 
     arrow = 'marker-end="url(#tip)"'
     red, green, blue = "#b3261e", "#2e7d32", "#1f5fa8"
-    # The camera centre, the image plane and the axes.
+    # The camera center, the image plane and the axes.
     center, corners = (70, 200), [(140, 64), (300, 64), (300, 170), (140, 170)]
     for corner in corners:
         line(center, corner, "#aaa")
@@ -300,7 +300,7 @@ def conventions() -> None:
     label(78, 262, "y down", green)
     label(14, 204, "camera")
     label(252, 186, "image", "#666")
-    # Pixel centres have integer coordinates here; COLMAP puts the origin at the corner.
+    # Pixel centers have integer coordinates here; COLMAP puts the origin at the corner.
     left, top, side = 420, 74, 62
     for k in range(4):
         line((left, top + side * min(k, 3)), (left + 3 * side, top + side * min(k, 3)), "#999")
@@ -316,7 +316,7 @@ def conventions() -> None:
     label(
         left - 34,
         top + 3 * side + 22,
-        "centre of the first pixel: (0, 0) here, (0.5, 0.5) in COLMAP files",
+        "center of the first pixel: (0, 0) here, (0.5, 0.5) in COLMAP files",
         blue,
     )
     # Adjacent names of motions cancel.

@@ -2,7 +2,7 @@
 
 A camera model maps points to pixels and pixels to viewing rays. This page also introduces the conventions of
 all other pages: camera axes are x right, y down and z forward; a motion is named `target_from_source`; pixel
-(0, 0) is the *centre* of the top-left pixel.
+(0, 0) is the *center* of the top-left pixel.
 """
 
 import numpy as np

@@ -22,7 +22,7 @@ from epipole.geometry import (
 from epipole.robust import estimate_essential_matrix, estimate_fundamental_matrix, estimate_relative_pose
 from epipole.synthetic import courtyard, courtyard_views, render
 
-# Render two images of a small courtyard. To use photographs, read them as grey images: `grey1 =
+# Render two images of a small courtyard. To use photographs, read them as gray images: `gray1 =
 # epipole.io.images.photographs.read_grey("one.jpg")`.
 
 camera = epipole.Camera("PINHOLE", 480, 320, [380.0, 380.0, 239.5, 159.5])
@@ -30,12 +30,12 @@ cams_from_world = courtyard_views(24)[[8, 13]]
 images = [
     render(courtyard(), camera, view, noise_sigma=2.0, seed=n).rgb for n, view in enumerate(cams_from_world)
 ]
-grey1, grey2 = (cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in images)
+gray1, gray2 = (cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in images)
 
-# Detect keypoints with RootSIFT descriptors. Match mutual nearest neighbours that pass the ratio test. Some
+# Detect keypoints with RootSIFT descriptors. Match mutual nearest neighbors that pass the ratio test. Some
 # of the matches are wrong.
 
-features1, features2 = detect_features(grey1), detect_features(grey2)
+features1, features2 = detect_features(gray1), detect_features(gray2)
 pairs = match_descriptors(features1.descriptors, features2.descriptors)
 pixels1, pixels2 = features1.pixels[pairs[:, 0]], features2.pixels[pairs[:, 1]]
 print(f"{len(features1)} and {len(features2)} keypoints, {len(pairs)} matches")

@@ -10,7 +10,7 @@ import epipole
 from epipole.geometry import Rigid3
 from epipole.robust import PointReason, point_covariances, triangulate_points
 
-# Two cameras, side by side with parallel optical axes, observe a point at a depth of four metres. The
+# Two cameras, side by side with parallel optical axes, observe a point at a depth of four meters. The
 # baseline is the distance between the cameras.
 
 camera = epipole.Camera("PINHOLE", 1280, 960, [800.0, 800.0, 639.5, 479.5])
@@ -84,4 +84,4 @@ pixels = project_to(pair, np.array([[0.1, 0.2, 4.0], [0.1, 0.2, 400.0]]))
 pixels[1, 0] = np.nan
 reasons = triangulate_points(pair, camera, pixels, min_angle_rad=np.deg2rad(0.5)).reason
 print([PointReason(int(reason)).name for reason in reasons])
-assert reasons.tolist() == [PointReason.TOO_FEW_VIEWS, PointReason.PARALLEL]
+assert reasons.tolist() == [PointReason.TOO_FEW_VIEWS, PointReason.SMALL_ANGLE]

@@ -13,7 +13,7 @@ from epipole.metrics import camera_errors
 from epipole.optim import BundleConfig, Loss, adjust_bundle, bundle_covariance, with_fixed_gauge
 from epipole.synthetic.problems import bundle_problem
 
-# Generate 12 images of 400 points, taken on a ring of radius four. Five neighbouring images observe each
+# Generate 12 images of 400 points, taken on a ring of radius four. Five neighboring images observe each
 # point, with half a pixel of noise. The initialization has perturbed poses and points, a wrong focal length
 # and no distortion. To read your own model, use `epipole.io.read_colmap_model("OUT/sparse/0")`.
 

@@ -43,7 +43,7 @@ assert model.is_registered().all()
 assert model.mean_reprojection_error_px() < 1.0
 
 # Images alone determine a model up to a similarity: its position, orientation and unit of length are
-# arbitrary. `camera_errors` fits a similarity to the camera centres first, so the errors are in metres of the
+# arbitrary. `camera_errors` fits a similarity to the camera centers first, so the errors are in meters of the
 # true courtyard.
 
 rows = [model.images.name.index(f"{n}.jpg") for n in range(len(true_cams_from_world))]
@@ -53,7 +53,7 @@ print(f"mean position error {1000 * errors.mean_position:.2f} mm, scene size {si
 print(f"mean rotation error {errors.mean_rotation_deg:.3f} degrees")
 assert errors.mean_position < 2e-3 * size_m and errors.mean_rotation_deg < 0.1
 
-# Bundle adjustment also refined the intrinsics. EXIF contains the focal length in whole millimetres of a 35
+# Bundle adjustment also refined the intrinsics. EXIF contains the focal length in whole millimeters of a 35
 # mm camera, but no distortion.
 
 estimated = model.cameras[0]

@@ -25,7 +25,7 @@ true_camera = epipole.Camera("OPENCV", 480, 360, [390.0, 393.0, 236.0, 177.0, -0
 board = SyntheticScene.of(chessboard_sheet(9, 6, 0.025, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
 
 # Render ten images from about 40 cm. Tilt the board in all directions and cover the full image: views
-# parallel to the board do not determine the focal length, and corners near the image centre do not determine
+# parallel to the board do not determine the focal length, and corners near the image center do not determine
 # the distortion. To use your own images, replace this block with `photographs = Path("BOARDS")`.
 
 photographs = out / "boards"
@@ -38,7 +38,7 @@ for n in range(10):
     Image.fromarray(image.rgb).save(photographs / f"{n:02d}.jpg", quality=95)
 
 # `calibrate` detects the corners, then optimizes the camera parameters and the board poses jointly. `columns`
-# and `rows` count inner corners, and `square` is the side length of a square in metres.
+# and `rows` count inner corners, and `square` is the side length of a square in meters.
 
 run = epipole.calibrate(photographs, out / "calibration", columns=9, rows=6, square=0.025)
 found = run.calibration

@@ -22,7 +22,7 @@ from epipole.synthetic.stereo_rooms import stereo_street
 out = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 out.mkdir(parents=True, exist_ok=True)
 
-# Render a street with objects at 2 to 30 metres, seen by two cameras 12 cm apart, with the true disparity of
+# Render a street with objects at 2 to 30 meters, seen by two cameras 12 cm apart, with the true disparity of
 # every pixel. With your own images, `left` and `right` are arrays (h, w), and the focal length and the
 # baseline come from the calibration.
 

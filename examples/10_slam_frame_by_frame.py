@@ -11,7 +11,7 @@ from epipole.metrics import absolute_error
 from epipole.synthetic.rides import loop_room
 
 # Render the frames of a depth camera that moves through a furnished room. On a robot, the driver delivers
-# 8-bit grey images and depth in metres as float32, with 0 for unknown depth.
+# 8-bit gray images and depth in meters as float32, with 0 for unknown depth.
 
 ride = loop_room(46, size=(320, 240))
 sensor = epipole.DepthCamera(ride.camera, epipole.Rigid3.identity())
@@ -26,9 +26,9 @@ results = []
 for n in range(0, len(ride), 2):
     image = ride.left(n)
     is_covered = n in covered
-    grey = np.full_like(image.grey, 90) if is_covered else image.grey
+    gray = np.full_like(image.gray, 90) if is_covered else image.gray
     depth = np.zeros_like(image.depth) if is_covered else image.depth
-    found = slam.track(epipole.Frame(float(ride.timestamp_s[n]), grey, depth=depth))
+    found = slam.track(epipole.Frame(float(ride.timestamp_s[n]), gray, depth=depth))
     results.append((n, found))
     if found.world_from_body is None:
         print(f"frame {n}: {found.state.value} ({found.reason})")
@@ -45,7 +45,7 @@ assert not any(n in localized for n in covered)
 assert all(n in localized for n in range(0, len(ride), 2) if n not in covered)
 print(f"{len(localized)} of {len(results)} frames are localized")
 
-# Each pose has a covariance of (translation, rotation) in the axes of the camera, in metres and radians.
+# Each pose has a covariance of (translation, rotation) in the axes of the camera, in meters and radians.
 
 last = results[-1][1]
 sigma = np.sqrt(np.diag(last.covariance))

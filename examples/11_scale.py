@@ -1,7 +1,7 @@
 """Metric scale
 
 The images of a single camera determine a model up to scale. Measured camera positions, a known length, a
-marker of known size or odometry determine the scale in metres. Each source gives an estimate with a standard
+marker of known size or odometry determine the scale in meters. Each source gives an estimate with a standard
 deviation, and `agreed_scale` combines the estimates if they agree.
 """
 
@@ -13,7 +13,7 @@ from epipole.scale import ScaleEstimate, agreed_scale, fit_scale_to_object, fit_
 from epipole.synthetic.problems import bundle_problem
 
 # Generate a metric model of 16 images. Transform it to an arbitrary world and unit, as a reconstruction would
-# return it. One unit is 2.5 metres. The task is to estimate this number.
+# return it. One unit is 2.5 meters. The task is to estimate this number.
 
 rng = np.random.default_rng(3)
 truth = bundle_problem(16, 300, 5, noise_px=0.5, seed=2).truth
@@ -78,11 +78,11 @@ except DegenerateGeometryError as error:
 else:
     raise AssertionError("contradictory estimates must raise an error")
 
-# Scale the model to metres. This changes lengths, but not pixels or reprojection errors.
+# Scale the model to meters. This changes lengths, but not pixels or reprojection errors.
 
 metric = model.transformed(Similarity3(combined.scale, np.eye(3), np.zeros(3)))
 distance_m = np.linalg.norm(np.diff(metric.camera_centers_in_world(), axis=0), axis=1).sum()
 true_distance_m = np.linalg.norm(np.diff(truth.camera_centers_in_world(), axis=0), axis=1).sum()
-print(f"distance travelled: {distance_m:.2f} m, true value {true_distance_m:.2f} m")
+print(f"distance traveled: {distance_m:.2f} m, true value {true_distance_m:.2f} m")
 assert abs(distance_m / true_distance_m - 1.0) < 0.02
 assert np.isclose(metric.mean_reprojection_error_px(), model.mean_reprojection_error_px())

@@ -1,6 +1,6 @@
 """Gaussian splatting
 
-Gaussian splatting (Kerbl et al. 2023) represents a scene as thousands of coloured ellipsoids, and optimizes
+Gaussian splatting (Kerbl et al. 2023) represents a scene as thousands of colored ellipsoids, and optimizes
 them until their renderings match the training images. The scene can then be rendered from any viewpoint.
 Held-out views measure the quality.
 """
@@ -75,7 +75,7 @@ held_out, truth = 6, images[6].rgb.astype(np.float32) / 255
 rendered = render_splats(result.cloud, camera, cams_from_world[held_out]).over(black)
 psnr_db = psnr(rendered, truth)
 constant_db = psnr(np.broadcast_to(truth.mean(axis=(0, 1)), truth.shape).astype(np.float32), truth)
-print(f"view {held_out}: {psnr_db:.1f} dB; constant colour: {constant_db:.1f} dB")
+print(f"view {held_out}: {psnr_db:.1f} dB; constant color: {constant_db:.1f} dB")
 metrics = json.loads((out / "splat" / "metrics.json").read_text())
 reported_db = {view["name"]: view["psnr"] for view in metrics["views"]}
 assert abs(psnr_db - reported_db["images/06.png"]) < 0.5

@@ -1,7 +1,7 @@
 """A radiance field and one ray in NumPy
 
-A radiance field stores density and colour in space. To render a pixel, sample the field along its ray, and
-sum the colours, each weighted by the fraction of light that reaches the camera. This page trains a voxel grid
+A radiance field stores density and color in space. To render a pixel, sample the field along its ray, and
+sum the colors, each weighted by the fraction of light that reaches the camera. This page trains a voxel grid
 on images, and then computes one pixel in plain NumPy.
 """
 
@@ -44,7 +44,7 @@ for n in range(30):
     views.append(TrainingView(f"{n:02d}.png", np.dstack([image.rgb, alpha]), camera, cam_from_world))
 held_out, training_views = views[15], views[:15] + views[16:]
 
-# Train the grid. Each step renders 4096 rays of the training views and updates densities and colours with the
+# Train the grid. Each step renders 4096 rays of the training views and updates densities and colors with the
 # gradient of the error.
 
 white, steps = np.ones(3, np.float32), 200
@@ -61,7 +61,7 @@ white_db = psnr(np.broadcast_to(white, truth.shape).astype(np.float32), truth)
 print(f"held-out view: {psnr(rendered, truth):.1f} dB; a white image: {white_db:.1f} dB")
 assert psnr(rendered, truth) > white_db + 8
 
-# Next, compute one pixel near the centre of this view by hand, with its ray in grid coordinates.
+# Next, compute one pixel near the center of this view by hand, with its ray in grid coordinates.
 
 grid = trainer.field
 column, row = 47, 50
@@ -71,15 +71,15 @@ cells = np.array(grid.occupied.shape)
 bounds = np.stack([-origin / direction, (cells - 1e-3 - origin) / direction])
 near, far = max(0.0, bounds.min(axis=0).max()), bounds.max(axis=0).min()
 
-# Sample the ray every 0.7 voxels, and interpolate density and colour between the eight corners of the cell.
-# Colours depend on the direction through spherical harmonics of degree one. A softplus maps the stored value
+# Sample the ray every 0.7 voxels, and interpolate density and color between the eight corners of the cell.
+# Colors depend on the direction through spherical harmonics of degree one. A softplus maps the stored value
 # to the density sigma. Its shift of 4.6 makes an untrained voxel transmit 99 % of the light. The opacity of a
 # sample is alpha = 1 - exp(-sigma delta). The pixel is the sum of T alpha c, where T is the transmittance in
 # front of the sample, plus T times the background. The summation stops once T is below 0.001.
 
 x, y, z = direction
 basis = np.array([0.28209479, -0.48860251 * y, 0.48860251 * z, -0.48860251 * x])
-transmittance, colour, num_samples = 1.0, np.zeros(3), 0
+transmittance, color, num_samples = 1.0, np.zeros(3), 0
 for t in np.arange(near + 0.35, far, 0.7):
     sample = origin + t * direction
     i, j, k = cell = sample.astype(int)
@@ -91,17 +91,17 @@ for t in np.arange(near + 0.35, far, 0.7):
         values += weight * grid.values[grid.row_of[tuple(cell + corner)]]
     sigma = np.logaddexp(0.0, values[0] - 4.6)
     alpha = 1.0 - np.exp(-sigma * float(grid.delta))
-    colour += transmittance * alpha * np.maximum(0.5 + basis @ values[1:13].reshape(4, 3), 0.0)
+    color += transmittance * alpha * np.maximum(0.5 + basis @ values[1:13].reshape(4, 3), 0.0)
     transmittance *= 1.0 - alpha
     num_samples += 1
     if transmittance < 1e-3:
         break
-colour += transmittance * white
+color += transmittance * white
 
 # The compiled kernel that rendered the image computes the same value.
 
 image, _, total = render_voxels(grid, camera, held_out.cam_from_world, white)
-print(f"by hand {colour.round(4)} from {num_samples} samples, rendered {image[row, column].round(4)}")
+print(f"by hand {color.round(4)} from {num_samples} samples, rendered {image[row, column].round(4)}")
 print(f"{total / (96 * 96):.1f} samples per pixel; transmittance of this pixel {100 * transmittance:.1f} %")
 assert num_samples > 0 and transmittance < 0.5
-assert np.allclose(colour, image[row, column], atol=2e-3)
+assert np.allclose(color, image[row, column], atol=2e-3)

@@ -14,7 +14,7 @@ from epipole.geometry import Rigid3, Rotation3
 from epipole.metrics import absolute_error
 from epipole.optim import PoseGraph, optimize_pose_graph, optimize_pose_graph_robustly
 
-# Generate 60 poses on a circle with a radius of three metres. The camera looks ahead, and its height varies
+# Generate 60 poses on a circle with a radius of three meters. The camera looks ahead, and its height varies
 # slightly.
 
 n = 60

@@ -25,17 +25,17 @@ out.mkdir(parents=True, exist_ok=True)
 
 camera = epipole.Camera("PINHOLE", 320, 240, [250.0, 250.0, 159.5, 119.5])
 views = courtyard_views(5)
-positions, colours, sizes = [], [], []
+positions, colors, sizes = [], [], []
 for view in views:
     image = render(courtyard(), camera, view)
     surface = depth_map_to_point_cloud(image.depth, camera.K)
     points_in_cam = surface.points_in_cam[::9]
     positions.append(view.inverse().apply(points_in_cam))
-    colours.append(image.rgb[surface.mask][::9] / 255)
+    colors.append(image.rgb[surface.mask][::9] / 255)
     sizes.append(1.5 * points_in_cam[:, 2] / camera.focal_px)
 
 # A Gaussian has a mean, three standard deviations (as logarithms), a rotation, an opacity (as a logit) and a
-# colour in spherical harmonics. Degree 0 is the same in all directions.
+# color in spherical harmonics. Degree 0 is the same in all directions.
 
 means = np.concatenate(positions)
 n = len(means)
@@ -44,19 +44,19 @@ cloud = GaussianCloud(
     log_scales=np.log(np.repeat(np.concatenate(sizes)[:, None], 3, axis=1)).astype(np.float32),
     quats_wxyz=np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
     opacity_logits=np.full(n, 2.0, np.float32),
-    sh=((np.concatenate(colours)[:, None, :] - 0.5) / DC).astype(np.float32),
+    sh=((np.concatenate(colors)[:, None, :] - 0.5) / DC).astype(np.float32),
 )
 print(cloud)
 
 # Render the Gaussians from a viewpoint between the cameras. They cover most of the image, with the right
-# colours.
+# colors.
 
 novel_view = courtyard_views(9)[3]
 rendered = render_splats(cloud, camera, novel_view)
 truth = render(courtyard(), camera, novel_view).rgb / 255
 is_covered = rendered.coverage > 0.9
-error = np.abs(rendered.colour[is_covered] - truth[is_covered]).mean()
-print(f"{100 * is_covered.mean():.0f} % covered, mean colour error {error:.3f}")
+error = np.abs(rendered.color[is_covered] - truth[is_covered]).mean()
+print(f"{100 * is_covered.mean():.0f} % covered, mean color error {error:.3f}")
 assert is_covered.mean() > 0.5 and error < 0.15
 
 # Write the Gaussians to a `.ply` file that other programs can read. `epipole.convert` also writes `.spz`,

@@ -65,7 +65,7 @@ def cameras(draw: st.DrawFn, bend: float = 0.03, model: CameraModel | None = Non
     middle = [draw(numbers(250.0, 390.0)), draw(numbers(180.0, 300.0))]
     camera = [round(draw(numbers(-bend, bend)), 9) for _ in model.distortion_indices]
     if model in (CameraModel.OPENCV, CameraModel.FULL_OPENCV):
-        camera[2:4] = [0.05 * value for value in camera[2:4]]  # decentring is small
+        camera[2:4] = [0.05 * value for value in camera[2:4]]  # decentering is small
     return Camera(model, WIDTH, HEIGHT, np.array([*focal, *middle, *camera]))
 
 

@@ -63,14 +63,14 @@ def reconstructions(draw: st.DrawFn, models: tuple[CameraModel, ...] = tuple(Cam
     positions = Rigid3.exp(np.array([xi for _, xi in frames]))
     rig_rows = np.array([rig for rig, _ in frames], np.int32)
     frame, sensor = np.array(images, np.int32).T.copy()
-    colours = draw(arrays_of.arrays(np.uint8, (num_points, 3)))
+    colors = draw(arrays_of.arrays(np.uint8, (num_points, 3)))
     error = draw(arrays_of.arrays(np.float64, num_points, elements=numbers(0, 50) | st.just(float("nan"))))
     return Reconstruction(
         Cameras.from_list(lenses),
         rigs,
         Frames(rig_rows, positions, np.full(len(frames), np.nan)),
         Images(tuple(names), frame, sensor, offsets, draw(rows(int(offsets[-1]), 2, numbers(-1e4, 1e4)))),
-        Points(draw(rows(num_points, 3)), colours, error),
+        Points(draw(rows(num_points, 3)), colors, error),
         tracks,
     )
 

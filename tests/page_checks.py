@@ -40,6 +40,24 @@ def check_accessibility(page: Any) -> None:
     assert not wrong, wrong
 
 
+LEAST_TEXT_PX = 11.0
+SMALL = """least => [...document.querySelectorAll("svg text")].filter(t => t.checkVisibility() && t.textContent.trim())
+    .map(t => [parseFloat(getComputedStyle(t).fontSize) * Math.hypot(t.getScreenCTM().a, t.getScreenCTM().b), t.textContent])
+    .filter(([size]) => size < least)"""
+INSIDE = """() => [...document.querySelectorAll("svg[role=img] text")].filter(t => t.checkVisibility() && t.textContent.trim())
+    .filter(t => { const a = t.getBoundingClientRect(), b = t.ownerSVGElement.getBoundingClientRect();
+                   return a.left < b.left - 2 || a.right > b.right + 2 || a.bottom > b.bottom + 2; })
+    .map(t => t.textContent)"""
+
+
+def check_chart_texts(page: Any, name: str) -> None:
+    """Texts of charts are large enough, and within their drawing."""
+    small = page.evaluate(SMALL, LEAST_TEXT_PX)
+    assert not small, (name, page.viewport_size, small)
+    outside = page.evaluate(INSIDE)
+    assert not outside, (name, page.viewport_size, outside)
+
+
 def check_nothing_cut(page: Any, name: str) -> None:
     """Nothing is wider than the window."""
     width = page.viewport_size["width"]

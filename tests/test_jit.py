@@ -2,11 +2,13 @@
 
 import importlib
 import os
+import re
 import shutil
 import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -67,6 +69,15 @@ def test_time_spent_compiling_is_counted_once() -> None:
     assert clock.seconds == 0.0
     clock.on_end(None)
     assert 0.02 <= clock.seconds <= time.perf_counter() - start
+
+
+def test_the_kernel_that_is_compiled_has_a_name() -> None:
+    clock = _jit._CompileClock()
+    clock.on_start(SimpleNamespace(data={"dispatcher": _mean_of_finite}))
+    assert clock.current == f"{__name__.rpartition('.')[2]}._mean_of_finite"
+    clock.on_end(None)
+    assert clock.current == "" and clock.count == 1
+    assert re.fullmatch(r"\d+ kernels? compiled", _jit.compiled_so_far()) and not _jit.is_compiling()
 
 
 def test_nan_and_infinity_are_seen() -> None:

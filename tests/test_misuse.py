@@ -134,9 +134,9 @@ def test_masks_of_views_fit():
 def test_minimal_solvers_take_one_sample():
     valid = call_named("solve_p3p").arguments
     with pytest.raises(ShapeError, match=r"rays_in_cam must be \(3, 3\), got \(2, 3, 3\)"):
-        solve_p3p(np.stack([valid["rays_in_cam"]] * 2), valid["points_in_world"])
+        solve_p3p(valid["points_in_world"], np.stack([valid["rays_in_cam"]] * 2))
     with pytest.raises(ShapeError, match="rays_in_cam must be finite, nonzero directions"):
-        solve_p3p(0.0 * valid["rays_in_cam"], valid["points_in_world"])
+        solve_p3p(valid["points_in_world"], 0.0 * valid["rays_in_cam"])
 
 
 def test_problems_that_no_pictures_pose_end():

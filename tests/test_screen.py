@@ -43,6 +43,30 @@ def test_a_log_gets_a_line_at_the_begin_at_the_end_and_every_ten_seconds(capsys,
     ]
 
 
+def test_the_stage_that_compiles_says_what_it_compiles_and_that_it_happens_once(capsys, monkeypatch):
+    clock = _jit._CompileClock()
+    clock.count, clock.current = 12, "sift.orientations"
+    monkeypatch.setattr(_jit, "_clock", clock)
+    times = [0.0]
+    monkeypatch.setattr(screen, "perf_counter", lambda: times[0])
+    lines = screen._Lines(screen.open_console(stderr=True), {"compile": "Compiling kernels", "a": "Doing"})
+    lines.show(Progress("a", 0, 3))
+    lines.beat()
+    lines.show(Progress("a", 3, 3))
+    lines.show(Progress("compile", 0, 1))
+    times[0] = 20.0
+    lines.beat()
+    lines.show(Progress("compile", 1, 1))
+    assert capsys.readouterr().err.splitlines() == [
+        "Doing: started, 3 to do",
+        "Doing: 0 of 3, 0 % (12 kernels compiled, now sift.orientations), 0 s so far",
+        "Doing: 3 of 3 after 0.0 s",
+        "Compiling kernels: started; this happens once on this machine",
+        "Compiling kernels: 12 kernels compiled, now sift.orientations, 20 s so far",
+        "Compiling kernels: done after 20.0 s",
+    ]
+
+
 def test_stages_that_overlap_end_once_and_one_that_stops_early_ends_too(capsys, monkeypatch):
     reports = [("a", 0, 2), ("b", 0, 9), ("a", 2, 2), ("a", 2, 2), ("b", 4, 9), ("c", 0, 0)]
     assert lines_of(reports, capsys, 1.0, monkeypatch) == [

@@ -24,7 +24,7 @@ from whole import IS_WHOLE
 HOSTILE = "a\x1b[2J\x1b]0;title\x07\x9b31m\u202egnp.exe\r\x08\x7f[red]x[/blue]"
 ACTING = set("\x1b\x07\x9b\u202e\x08\x7f")
 OF_SPINNER = re.compile(r"\x1b\[(0m|32m|\?25[lh]|1A|2K)")
-"""The colour and the moves of the cursor that Rich's spinner needs; none is in HOSTILE."""
+"""The color and the moves of the cursor that Rich's spinner needs; none is in HOSTILE."""
 
 
 @given(st.text())

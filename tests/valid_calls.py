@@ -395,7 +395,7 @@ def _features() -> Iterator[Row]:
     fields = {name: getattr(one, name) for name in one.__slots__}
     words = _some(8, 128).astype(np.float32)
     yield _row(features.Features, **fields)
-    yield _row(features.detect_features, grey=_image(), config=FeatureConfig(max_features=50))
+    yield _row(features.detect_features, gray=_image(), config=FeatureConfig(max_features=50))
     orb = FeatureConfig(kind="orb", max_features=50)
     yield "detect_features orb", features.detect_features, {"grey": _image(), "config": orb}
     both = {"descriptors1": one.descriptors, "descriptors2": two.descriptors}
@@ -415,7 +415,7 @@ def _features() -> Iterator[Row]:
     yield _row(features.find_patches, **images, **at, warps=np.tile(np.eye(2), (2, 1, 1)), levels=2)
     yield _row(features.find_along_rows, **images, pixels=at["pixels"], max_shift=9, half_px=3)
     yield _row(features.root_sift, descriptors=np.abs(words))
-    yield _row(features.describe_upright, grey=_image(), pixels=at["pixels"], sigma_px=3.0)
+    yield _row(features.describe_upright, gray=_image(), pixels=at["pixels"], sigma_px=3.0)
 
 
 def _imu_log() -> inertial.ImuLog:
@@ -551,7 +551,7 @@ def _anchors(model: scene.Reconstruction) -> Iterator[Row]:
     times = np.arange(12.0)
     trajectory = np.stack([times, 0 * times, 0 * times], axis=1)
     yield _row(
-        scale.fit_scale_to_distances, timestamp_s=times, positions_in_model=trajectory, log_s=times, travelled_m=2 * times,
+        scale.fit_scale_to_distances, timestamp_s=times, positions_in_model=trajectory, log_s=times, traveled_m=2 * times,
         positions_by_odometry=None, sigma=0.01, levers_m=0.1 * trajectory,
     )  # fmt: skip
     instants = np.arange(12) * 0.25 + 0.2

@@ -45,7 +45,7 @@ def views() -> tuple[TrainingView, ...]:
     for n in range(4):
         position = look_at(2.6 * np.array([np.cos(1.6 * n), np.sin(1.6 * n), 0.3 * n - 0.4]), (0, 0, 0))
         rendered = rasterizer.render(cloud(), LENS, position)
-        rgba = np.concatenate([np.clip(rendered.colour, 0, 1), rendered.coverage[..., None]], axis=2)
+        rgba = np.concatenate([np.clip(rendered.color, 0, 1), rendered.coverage[..., None]], axis=2)
         points = cloud().means_in_world.astype(np.float64)
         image = np.rint(255 * rgba).astype(np.uint8)
         out.append(TrainingView(f"{n}.png", image, LENS, position, np.ones((24, 32), bool), points))
@@ -88,7 +88,7 @@ def _images() -> Iterator[Row]:
     both["truth"] = rng.uniform(size=(9, 8, 3)).astype(np.float32)
     view = views()[0]
     pose = {"camera": LENS, "cam_from_world": view.cam_from_world}
-    yield _row(exposure.colour_match, **both)
+    yield _row(exposure.color_match, **both)
     yield _row(photometric.psnr, **both)
     yield _row(photometric.photometric_loss, **both, ssim_weight=0.3)
     yield _row(normals.normals_of, depth=np.ones((24, 32)), camera=LENS)

@@ -220,7 +220,7 @@ def _images() -> Iterator[Row]:
     yield _row(depth_maps.read_png16, path=at / "a16.png", scale=256.0)
     yield _row(photographs.list_photographs, folder=at / "left", ignore=(at / "right",))
     yield _row(photographs.read_header, path=png)
-    limits = photographs.GreyRange(0.0, 255.0)
+    limits = photographs.GrayRange(0.0, 255.0)
     yield _row(photographs.read_grey, path=png, max_size_px=8)
     yield _row(photographs.read_rgb, path=png, max_size_px=8)
     for function in (photographs.read_grey, photographs.read_rgb):
@@ -305,7 +305,7 @@ def _names() -> Iterator[Row]:
     yield _row(picture_names.name_problem, name="a.png")
     yield _row(picture_names.printable, name="a.png")
     yield _row(picture_names.fits, name="a.png", pattern="*.png")
-    yield _row(picture_names.depth_among, names=["a.png", "b.png"], deep_grey=frozenset({"a.png"}))
+    yield _row(picture_names.depth_among, names=["a.png", "b.png"], deep_gray=frozenset({"a.png"}))
 
 
 FOLDERS_ALONE = {"atomic_folder", "atomic_write"}

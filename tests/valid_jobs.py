@@ -132,15 +132,15 @@ def _view(out: Any, port: Any, host: Any) -> None:
 
 
 def _frames() -> Iterator[Row]:
-    grey = np.random.default_rng(1).integers(0, 256, (48, 64)).astype(np.uint8)
+    gray = np.random.default_rng(1).integers(0, 256, (48, 64)).astype(np.uint8)
     depth = np.full((48, 64), 2.0, np.float32)
     deep = DepthCamera(LENS, Rigid3.identity(), 1.0)
     yield _row(DepthCamera, camera=LENS, depth_from_color=Rigid3.identity(), scale=1.0)
     yield _row(SlamCamera, camera=LENS, baseline=None, depth=deep, readout_s=0.0)
-    yield _row(Frame, timestamp_s=0.0, grey=grey, right_grey=None, depth=depth, ignored_mask=depth > 3)
+    yield _row(Frame, timestamp_s=0.0, gray=gray, right_gray=None, depth=depth, ignored_mask=depth > 3)
     yield _row(Slam, camera=SlamCamera(LENS), config=SlamConfig(), known=None, is_map_fixed=False, imu=None)
     for name, sensor in (("mono", SlamCamera(LENS)), ("depth", SlamCamera(LENS, None, deep))):
-        frame = Frame(0.0, grey, None, None if name == "mono" else depth)
+        frame = Frame(0.0, gray, None, None if name == "mono" else depth)
         yield f"Slam.track of {name}", _track(sensor), {"frame": frame}
 
 

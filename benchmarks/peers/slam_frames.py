@@ -16,7 +16,7 @@ class SlamFrames:
     """A sequence on disk."""
 
     about: dict[str, Any]
-    """width, height, params (fx, fy, cx, cy), baseline_m, depth_factor (depth values per metre), ..."""
+    """width, height, params (fx, fy, cx, cy), baseline_m, depth_factor (depth values per meter), ..."""
     timestamp_s: np.ndarray
     left: np.ndarray
     """(n, h, w), grayscale."""

@@ -335,15 +335,15 @@ def _on_facades(drive: _Drive, frame: np.ndarray, random: np.random.Generator) -
     ray = np.einsum("kji,kj->ki", drive.rotation[frame], ray)
     along, center = drive.along[frame], drive.center[frame]
     across = along[:, ::-1]
-    towards = np.einsum("ki,ki->k", ray[:, :2], across)
+    toward = np.einsum("ki,ki->k", ray[:, :2], across)
     depth = _HALF_STREET_M + random.uniform(0.0, _BAY_DEPTH_M, len(frame))
-    x = center + ray * (depth / np.maximum(np.abs(towards), 1e-3))[:, None]
+    x = center + ray * (depth / np.maximum(np.abs(toward), 1e-3))[:, None]
     position = np.einsum("ki,ki->k", x[:, :2], along)
     to_crossing = np.abs(position[:, None] - drive.crossings).min(axis=1)
     good = (x[:, 2] > 0.0) & (x[:, 2] < _ROOF_M) & (to_crossing > _HALF_STREET_M)
     good &= (position > -_BEYOND_M) & (position < drive.crossings[-1] + _BEYOND_M)
     good &= np.linalg.norm(x - center, axis=1) < _MAX_DISTANCE_M
-    facades = _Facades(x, across * np.sign(towards)[:, None], frame)
+    facades = _Facades(x, across * np.sign(toward)[:, None], frame)
     return np.flatnonzero(good), facades.pick(good)
 
 

@@ -18,7 +18,7 @@ from epipole.synthetic.scene import Plane, SyntheticScene
 KINDS = ("general", "planar", "rotation", "rest")
 NOISE_PX = 1.0
 SENSOR_NOISE = 4.0
-"""Standard deviation of the image noise in grey levels (of 255)."""
+"""Standard deviation of the image noise in gray levels (of 255)."""
 
 
 class KnownPair(NamedTuple):
@@ -80,8 +80,8 @@ def rendered_pairs(count: int) -> list[KnownPair]:
 
 def _features(scene: SyntheticScene, camera: Camera, cam_from_world: Rigid3, seed: int) -> Features:
     rgb = render(scene, camera, cam_from_world, noise_sigma=SENSOR_NOISE, seed=seed).rgb
-    grey = np.rint(rgb @ np.array([0.299, 0.587, 0.114])).astype(np.uint8)
-    return detect_features(grey, FeatureConfig())
+    gray = np.rint(rgb @ np.array([0.299, 0.587, 0.114])).astype(np.uint8)
+    return detect_features(gray, FeatureConfig())
 
 
 def _floor() -> SyntheticScene:

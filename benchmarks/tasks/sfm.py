@@ -135,7 +135,7 @@ def _kitti00(folder: Path, work: Path) -> SfmTask:
 
 
 def _kitchen(folder: Path, work: Path) -> SfmTask:
-    """Every eighth frame of a hand-held RGB-D sequence (7-Scenes), with ground truth accurate to about a centimetre."""
+    """Every eighth frame of a hand-held RGB-D sequence (7-Scenes), with ground truth accurate to about a centimeter."""
     source = folder / "7scenes"
     images = sorted(source.glob("frame-*.color.jpg"))[::8]
     frames = [(p, np.loadtxt(str(p).replace(".color.jpg", ".pose.txt"))[:3]) for p in images]

@@ -83,7 +83,7 @@ def _write_ride(make: Callable[[], Ride], *, with_readout: bool = False) -> Call
         arrays = _arrays(folder, len(ride), (camera.width, camera.height), ("left", "right", "depth"))
         for n in range(len(ride)):
             left = ride.left(n)
-            arrays["left"][n], arrays["right"][n] = left.grey, ride.right(n).grey
+            arrays["left"][n], arrays["right"][n] = left.gray, ride.right(n).gray
             arrays["depth"][n] = np.rint(left.depth * DEPTH_FACTOR).astype(np.uint16)
         about = {
             **_camera_facts(camera.width, camera.height, camera.params),

@@ -34,7 +34,7 @@ def stereo_tasks(data: Path) -> dict[str, StereoTask]:
     }
 
 
-def _grey(file: Path) -> np.ndarray:
+def _gray(file: Path) -> np.ndarray:
     return np.asarray(Image.open(file).convert("L"))
 
 
@@ -45,20 +45,20 @@ def _middlebury_2003(folder: Path) -> StereoTask:
     x_right = np.rint(x - np.nan_to_num(truth)).astype(int)
     confirmed = np.take_along_axis(right_truth, np.maximum(x_right, 0), axis=1)
     seen = (x_right >= 0) & (np.abs(confirmed - truth) <= 1)
-    return StereoTask(_grey(folder / "im2.png"), _grey(folder / "im6.png"), truth, seen, 64)
+    return StereoTask(_gray(folder / "im2.png"), _gray(folder / "im6.png"), truth, seen, 64)
 
 
 def _motorcycle(folder: Path) -> StereoTask:
     truth = np.load(folder / "motorcycle_disp.npz")["arr_0"].astype(float)
     truth[~np.isfinite(truth)] = np.nan
-    left, right = (_grey(folder / f"motorcycle_{side}.png") for side in ("left", "right"))
+    left, right = (_gray(folder / f"motorcycle_{side}.png") for side in ("left", "right"))
     return StereoTask(left, right, truth, seen_by_both(truth), 64)
 
 
 def _aloe(folder: Path) -> StereoTask:
-    truth = _grey(folder / "aloeGT.png").astype(float)
+    truth = _gray(folder / "aloeGT.png").astype(float)
     truth[truth == 0] = np.nan
-    left, right = (_grey(folder / f"aloe{side}.jpg") for side in "LR")
+    left, right = (_gray(folder / f"aloe{side}.jpg") for side in "LR")
     return StereoTask(left, right, truth, seen_by_both(truth), 256)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import tyro
 
 from epipole.cli import main as command_line
+from epipole.cli.value_names import with_value_name
 
 HEAD = """# Command reference
 
@@ -97,9 +98,7 @@ def _table(actions: list[argparse.Action]) -> str:
 def _value(action: argparse.Action) -> str:
     if action.nargs == 0:
         return ""
-    words = str(action.metavar)
-    if words.startswith("{None}|"):
-        words = words.removeprefix("{None}|")
+    words = with_value_name(f"{action.option_strings[0]} {action.metavar}").partition(" ")[2]
     if words.startswith("{"):
         return ", ".join(f"`{word}`" for word in words.strip("{}").split(",") if word != "None")
     return words

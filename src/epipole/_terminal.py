@@ -1,9 +1,12 @@
-"""Text for a terminal: names of files and what they hold cannot move its cursor, colour it, or reorder its letters."""
+"""Text for a terminal: names of files and what they hold cannot move its cursor, color it, or reorder its letters."""
 
 from __future__ import annotations
 
+import contextlib
 import re
 import sys
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 
 _ACTING = re.compile(
     "["
@@ -14,6 +17,7 @@ _ACTING = re.compile(
     "]"
 )
 _BREAKS = re.compile(r"[\t\n]")
+_WORDING: ContextVar[Callable[[str], str] | None] = ContextVar("wording", default=None)
 
 
 def terminal_text(text: str) -> str:
@@ -29,6 +33,26 @@ def one_line(text: str) -> str:
 def say(text: str, *, to_stderr: bool = False) -> None:
     """Print a line, and flush it."""
     print(terminal_text(text), file=sys.stderr if to_stderr else sys.stdout, flush=True)
+
+
+@contextlib.contextmanager
+def wording(as_options: Callable[[str], str]) -> Iterator[None]:
+    """Print warnings with the words of the command line: `--max-side-px` for `max_side_px`.
+
+    Args:
+        as_options: message with config fields -> the same with options.
+    """
+    before = _WORDING.set(as_options)
+    try:
+        yield
+    finally:
+        _WORDING.reset(before)
+
+
+def in_words_of_caller(message: str) -> str:
+    """A warning with the names of options if a command prints it, otherwise unchanged."""
+    as_options = _WORDING.get()
+    return message if as_options is None else as_options(message)
 
 
 def _written_out(found: re.Match[str]) -> str:

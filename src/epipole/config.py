@@ -296,25 +296,25 @@ class AnchorOptions:
     positions: Path | None = None
     """Measured camera positions, which fix scale and world: `SECONDS X Y Z` (video clock) or `IMAGE X Y Z` lines."""
     positions_sigma_m: float = 1.0
-    """Standard deviation of their coordinates, in metres."""
+    """Standard deviation of their coordinates, in meters."""
     lengths: Path | None = None
-    """Known lengths, a line per end (a or b) and image: `NAME METRES END IMAGE X Y`; first pixel center at (0, 0)."""
+    """Known lengths, a line per end (a or b) and image: `NAME METERS END IMAGE X Y`; first pixel center at (0, 0)."""
     lengths_sigma_m: float = 0.002
-    """Standard deviation of a length, in metres."""
+    """Standard deviation of a length, in meters."""
     clicks_sigma_px: float = 1.0
     """Standard deviation of the pixel coordinates in that file."""
     tag_size_m: float | None = None
-    """Side of the black squares of AprilTags or ArUco markers in the scene, in metres."""
+    """Side of the black squares of AprilTags or ArUco markers in the scene, in meters."""
     tag_family: str = "36h11"
     """AprilTags: 16h5, 25h9, 36h10 or 36h11; ArUco: 4X4_50 to 7X7_1000, or ARUCO_ORIGINAL."""
     board: str | None = None
     """Chessboard in the scene: inner corners per row and per column, such as 9x6."""
     square_m: float | None = None
-    """Side of its squares, in metres."""
+    """Side of its squares, in meters."""
     size_sigma: float = 0.003
     """Relative standard deviation of the size of tags and squares, which is common to all of them."""
     odometry: Path | None = None
-    """Distance travelled, `SECONDS METRES` per line from any start, or a trajectory (TUM format)."""
+    """Distance traveled, `SECONDS METERS` per line from any start, or a trajectory (TUM format)."""
     odometry_sigma: float = 0.01
     """Relative standard deviation of the odometry's unit; wheel slip is estimated from the residuals."""
     odometry_mounting: Path | None = None

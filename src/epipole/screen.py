@@ -16,6 +16,7 @@ from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderHook
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
+    Task,
     TaskID,
     TextColumn,
     TimeElapsedColumn,
@@ -23,8 +24,9 @@ from rich.progress import (
 )
 from rich.progress import Progress as Bars
 from rich.segment import Segment
+from rich.text import Text
 
-from epipole._terminal import one_line, terminal_text
+from epipole._terminal import in_words_of_caller, one_line, terminal_text
 
 if TYPE_CHECKING:
     from epipole.runs import Progress, ProgressCallback
@@ -34,6 +36,8 @@ ANSWER_IS_NO = 3
 COMPILE_NOTE = (
     "Compiling kernels, once on this machine (one to two minutes on two cores; later runs start immediately)"
 )
+COMPILING = "compile"
+"""The stage that compiles kernels; it has no steps to count."""
 LINE_EVERY_S = 10.0
 """Without a terminal, a stage prints at most one line in this time (seconds) between its start and its end."""
 SHORT_S = 1.0
@@ -126,7 +130,7 @@ def _bars(console: Console, words: Mapping[str, str]) -> Iterator[ProgressCallba
     columns = (
         TextColumn("{task.description:<22}"),
         BarColumn(bar_width=32),
-        MofNCompleteColumn(),
+        _Count(),
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),
@@ -140,10 +144,21 @@ def _bars(console: Console, words: Mapping[str, str]) -> Iterator[ProgressCallba
             if report.note:
                 console.print(one_line(f"{label}: {report.note}"), markup=False)
             if rounds.starts(report):
-                tasks[report.stage] = bars.add_task(label, total=report.total)
+                tasks[report.stage] = bars.add_task(label, total=report.total, stage=report.stage)
             bars.update(tasks[report.stage], completed=report.done, total=report.total)
 
         yield show
+
+
+class _Count(MofNCompleteColumn):
+    """Steps that are done, and of how many; while kernels are compiled, which one."""
+
+    def render(self, task: Task) -> Text:
+        if task.fields.get("stage") == COMPILING and not task.finished:
+            from epipole import _jit
+
+            return Text(_jit.compiled_so_far(), style="progress.download")
+        return super().render(task)
 
 
 class _Rounds:
@@ -206,6 +221,8 @@ class _Lines:
                 if report.done
                 else f"started, {report.total} to do"
             )
+            if report.stage == COMPILING and not stage.is_over:
+                started = "started; this happens once on this machine"
             self._say(stage, f"{started}; {report.note}" if report.note else started)
         else:
             stage = self._stages[report.stage]
@@ -221,17 +238,24 @@ class _Lines:
 
     def _how_far(self, stage: _Stage, now: float) -> str:
         done, total = stage.last.done, stage.last.total
+        from epipole import _jit
+
+        if stage.last.stage == COMPILING and done < total:
+            return _jit.compiled_so_far()
         if done >= total:
             return f"{done} so far"
         words = f"{done} of {total}, {100 * done // total} %"
         if done <= stage.first_done:
-            return words
+            return f"{words} ({_jit.compiled_so_far()})" if _jit.is_compiling() else words
         left_s = (now - stage.start_s) / (done - stage.first_done) * (total - done)
         return f"{words}, about {left_s:.0f} s left"
 
     def _end(self, stage: _Stage) -> None:
         stage.is_over, stage.printed_s = True, perf_counter()
         seconds = stage.printed_s - stage.start_s
+        if stage.last.stage == COMPILING:
+            self._say(stage, f"done after {seconds:.1f} s")
+            return
         self._say(stage, f"{stage.last.done} of {stage.last.total} after {seconds:.1f} s")
 
     def _label(self, stage: _Stage) -> str:
@@ -347,6 +371,5 @@ def print_warnings(console: Console, warnings: Iterable[str], word: str = "note"
     shown = listed[:MOST_PRINTED] if rest_in and len(listed) > MOST_PRINTED + 1 else listed
     more = len(listed) - len(shown)
     for warning in [*shown, *([f"{more} more, in {rest_in}"] if more else [])]:
-        console.print(
-            one_line(f"{word}: {warning}"), style="yellow", highlight=False, markup=False, soft_wrap=True
-        )
+        text = one_line(f"{word}: {in_words_of_caller(warning)}")
+        console.print(text, style="yellow", highlight=False, markup=False, soft_wrap=True)

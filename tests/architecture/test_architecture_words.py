@@ -66,6 +66,43 @@ CHARTS = ("report", "viewer", "lesson", "pipelines/viewing")
 """Folders in which charts are drawn; elsewhere an image is rendered, and a number sampled."""
 
 
+BRITISH = {
+    "colour": "color",
+    "centre|centring": "center",
+    "grey": "gray",
+    "behaviour": "behavior",
+    "neighbour": "neighbor",
+    r"metres?(?![a-z])": "meter",
+    "modelled|modelling|labelled(?!by)|labelling|travelled|travelling|cancelled|cancelling": "one l",
+    "favour|honour": "or",
+    r"catalogue(?![a-z])|licence|artefact|judgement": "catalog, license, artifact, judgment",
+    "(?:normal|factor|summar|local|minim|maxim|optim|raster|initial|recogn|linear|regular|visual)is(?:e|ing|ation)": "z",
+    r"(?<![a-z])(?:towards|learnt)(?![a-z])": "toward, learned",
+}
+"""British spellings in texts and names, in lower case, and the American ones."""
+BRITISH_NAMES = r"read_grey|is_deep_grey_png|METRES|'grey'|\"grey\"|grey=|grey must|\b[Cc]olour\"|'colour'"
+"""Keys of files and names that remain: the map file of SLAM has a key `grey`."""
+NOT_YET_AMERICAN = ("lesson", "features", "pipelines/sfm")
+"""Folders of the package that still have British spellings."""
+
+
+def british_in(text: str) -> Iterator[tuple[re.Match[str], str]]:
+    text = re.sub(BRITISH_NAMES, lambda m: "_" * len(m.group()), text)
+    for spelling, better in BRITISH.items():
+        for match in re.finditer(spelling, text, re.IGNORECASE):
+            yield match, better
+
+
+def test_spelling_of_the_source_is_american() -> None:
+    wrong = [
+        f"{source.name}:{source.text[: m.start()].count(chr(10)) + 1} {m.group()!r} -> {better}"
+        for source in sources()
+        if not source.name.startswith(NOT_YET_AMERICAN)
+        for m, better in british_in(source.text)
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
 FOREIGN = ("io/calibration/model_names.py", "io/models/_transforms_keys.py")
 """Files with patterns of keys that other programs write, such as `lens_model`."""
 
@@ -158,6 +195,17 @@ def test_pages_are_of_the_field(pattern: str) -> None:
         for m, better in phrases_in(text)
     ]
     assert not wrong, f"{len(wrong)} phrases\n" + "\n".join(wrong)
+
+
+@pytest.mark.parametrize("pattern", PAGES)
+def test_spelling_of_pages_is_american(pattern: str) -> None:
+    wrong = [
+        f"{path.relative_to(REPOSITORY)} {m.group()!r} -> {better}"
+        for path in sorted(REPOSITORY.glob(pattern))
+        for _, text in page_texts(path)
+        for m, better in british_in(text)
+    ]
+    assert not wrong, "\n".join(wrong)
 
 
 def english_of(value: Any, at: str) -> Iterator[tuple[str, str]]:

@@ -11,7 +11,7 @@ from benchmarks.measure import run_measured
 from benchmarks.peers.base import Limits
 from benchmarks.peers.epipole_sfm import EpipoleSfm
 from benchmarks.peers.pycolmap_sfm import PycolmapSfm
-from benchmarks.sfm import best_mapper, paired_ratios, summarise
+from benchmarks.sfm import best_mapper, paired_ratios, summarize
 from benchmarks.tasks.sfm import SETS, SfmTask, data_root, prepare, strip_exif
 from PIL import Image
 
@@ -24,7 +24,7 @@ def run(number: int, wall_s: float, exit_code: int = 0, **score: float) -> dict[
 
 def test_summary_is_median_and_range_of_runs_that_ended_well() -> None:
     runs = [run(0, 4.0, points=10), run(1, 1.0, points=30), run(2, 2.0, points=20), run(3, 99.0, exit_code=1)]
-    out = summarise(runs)
+    out = summarize(runs)
     assert out["wall_s"] == {"median": 2.0, "min": 1.0, "max": 4.0}
     assert out["points"] == {"median": 20, "min": 10, "max": 30}
     assert "peak_memory_mb" not in out and "auc_1" not in out

@@ -92,8 +92,8 @@ def test_frames_come_whole_to_the_disk(tmp_path: Path) -> None:
     frames, ride = load_frames(written(tmp_path)), rides.loop_room(4, (32, 24))
     assert frames.right is not None and frames.depth is not None
     for n in (0, 3):
-        np.testing.assert_array_equal(frames.left[n], ride.left(n).grey)
-        np.testing.assert_array_equal(frames.right[n], ride.right(n).grey)
+        np.testing.assert_array_equal(frames.left[n], ride.left(n).gray)
+        np.testing.assert_array_equal(frames.right[n], ride.right(n).gray)
         np.testing.assert_allclose(frames.depth[n] / tasks.DEPTH_FACTOR, ride.left(n).depth, atol=1.01e-4)
     np.testing.assert_array_equal(frames.timestamp_s, ride.timestamp_s)
     assert frames.about["baseline_m"] == ride.baseline

@@ -48,7 +48,7 @@ def test_fisheye_is_found():
 @in_whole_run
 @pytest.mark.usefixtures("unchecked")
 def test_standard_deviations_are_those_of_repeated_calibrations():
-    """Normalised errors of all parameters and of the rig's motion over 10 calibrations: the mean square is one."""
+    """Normalized errors of all parameters and of the rig's motion over 10 calibrations: the mean square is one."""
     squares = []
     for seed in range(10):
         found = calibrate_views(

@@ -19,8 +19,8 @@ def tagged(path, pixels, orientation):
 def test_the_principal_point_is_that_of_the_sensor(tmp_path):
     images = board_pictures(tmp_path / "made", count=6)["images"]
     (tmp_path / "tagged").mkdir()
-    for n, grey in enumerate(images):  # cropped, so that the principal point is off the middle
-        cropped = np.ascontiguousarray(grey[:, CROPPED_PX:])
+    for n, gray in enumerate(images):  # cropped, so that the principal point is off the middle
+        cropped = np.ascontiguousarray(gray[:, CROPPED_PX:])
         tagged(tmp_path / "tagged" / f"{n}.png", cropped, (1, 3, 6)[n % 3])
     found = calibrate(tmp_path / "tagged", tmp_path / "out", columns=9, rows=6)
     camera = found.calibration.cameras[0]

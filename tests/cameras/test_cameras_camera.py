@@ -53,7 +53,7 @@ def test_points_that_cannot_be_seen_are_nan() -> None:
     assert np.isfinite(jac_points[4]).all() and np.isfinite(jac_params[4]).all()
 
 
-def test_fisheye_cannot_see_its_own_centre_nor_straight_back() -> None:
+def test_fisheye_cannot_see_its_own_center_nor_straight_back() -> None:
     points = [[0.0, 0.0, 0.0], [0.0, 0.0, -2.0], [np.nan, 0.0, 1.0], [0.0, 0.0, 2.0]]
     seen = [False, False, False, True]
     pixels, jac_points, _ = FISHEYE.project_with_jacobian(points)

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "sfm"))
-from photographs import neighbouring_views, render_to
+from photographs import neighboring_views, render_to
 
 from epipole.cli.main import main
 from epipole.errors import FileFormatError
@@ -63,7 +63,7 @@ COUNT = 5
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cli")
-    views = neighbouring_views(COUNT)
+    views = neighboring_views(COUNT)
     names = render_to(folder / "photographs", views)
     printed = run("reconstruct", folder / "photographs", folder / "out")
     return folder, names, views, printed

@@ -4,14 +4,16 @@ import dataclasses
 import logging
 import re
 import sys
+import warnings
 
 import pytest
 
 from epipole import screen
 from epipole.cli import main as command_line
-from epipole.cli.main import COMMANDS, _functions, main
+from epipole.cli.main import COMMANDS, _functions, _in_usual_spelling, _parsed, main
 from epipole.cli.mistakes import with_option_names
 from epipole.cli.options import option_names
+from epipole.errors import NoModelError
 from epipole.pipelines.sfm.config import ReconstructConfig
 
 OPTIONS = {name: option_names(function) for name, function in _functions().items()}
@@ -46,25 +48,57 @@ def test_without_a_command_the_commands_are_listed(capsys: pytest.CaptureFixture
             ["`epipole reconstruct` needs IMAGES OUT, got nothing", "see `epipole reconstruct --help`"],
         ),
         ("reconstruct a", ["`epipole reconstruct` needs IMAGES OUT, got a;"]),
-        ("reconstruct a b c", ["Unrecognized options: c"]),
-        ("reconstruct a b --max-features 9", ["--max-features", "did you mean --features.max-features?"]),
-        ("reconstruct a b --sinle-camera", ["--sinle-camera; did you mean --single-camera?"]),
-        ("reconstruct a b --columns 0", ["--columns (applied to epipole reconstruct)"]),
-        ("reconstruct a b --pairing.method sequental", ["'sequental'", "'sequential'", "--pairing.method"]),
-        ("reconstruct a b --features.max-features abc", ["--features.max-features", "'abc'"]),
-        ("reconstruct a b --features.max-features", ["Missing value", "'--features.max-features'"]),
-        ("reconstruct a b --threads two", ["--threads", "'two'"]),
-        ("stereo a b c --window 5", ["'--window'", "Expected 2 values"]),
-        ("stereo a b c --window 5 x", ["--window", "['5', 'x']"]),
+        (
+            "reconstruct a b c",
+            [
+                "unexpected argument c: `epipole reconstruct` takes only IMAGES OUT; see `epipole reconstruct --help`"
+            ],
+        ),
+        ("slam a b --nosuch 4", ["unknown option --nosuch; see `epipole slam --help`"]),
+        (
+            "reconstruct a b --max-features 9",
+            ["unknown option --max-features; did you mean --features.max-features?"],
+        ),
+        ("reconstruct a b --sinle-camera", ["unknown option --sinle-camera; did you mean --single-camera?"]),
+        ("reconstruct a b --columns 0", ["unknown option --columns;"]),
+        (
+            "reconstruct a b --pairing.method sequental",
+            [
+                "--pairing.method must be auto, exhaustive, sequential, spatial or retrieval, got sequental;",
+                "; did you mean sequential?",
+            ],
+        ),
+        (
+            "reconstruct a b --features.max-features abc",
+            ["--features.max-features must be a whole number, got abc; see `epipole reconstruct --help`"],
+        ),
+        ("reconstruct a b --features.max-features", ["--features.max-features needs a value; see"]),
+        ("reconstruct a b --camera-params", ["--camera-params needs a value: FX,FY,CX,CY; see"]),
+        ("reconstruct a b --threads two", ["--threads must be a whole number, got two;"]),
+        ("reconstruct a b --threads=", ["--threads must be a whole number, got nothing;"]),
+        ("slam a b --max-frames 1.5", ["--max-frames must be a whole number, got 1.5;"]),
+        ("stereo a b c --window 5", ["--window needs 2 values: WIDTH HEIGHT;"]),
+        ("stereo a b c --window 5 x", ["--window must be 2 whole numbers (WIDTH HEIGHT), got 5 x;"]),
+        ("mesh a b --box 1 2 3 4 5 x", ["--box must be 6 numbers (X Y Z X Y Z), got 1 2 3 4 5 x;"]),
+        ("completion tcsh", ["must be bash, zsh or fish, got tcsh; see `epipole completion --help`"]),
+        ("render a b --output purple", ["--output must be color, depth, normals or coverage, got purple;"]),
         ("evaluate a", ["`epipole evaluate` needs OUT --truth, got a;"]),
         ("convert a b", ["unknown output format of ", "one of txt, bin, ply, transforms, bundler, splat"]),
-        ("convert a b --format obj", ["'obj'", "'--format'", "'txt'"]),
+        (
+            "convert a b --format obj",
+            ["--format must be bin, bundler, ply, splat, transforms or txt, got obj;"],
+        ),
         ("--quiet --verbose version", ["exclude each other"]),
     ],
 )
 def test_wrong_words(given, parts, capsys):
     said = refused(given, capsys)
     assert all(part in said for part in parts), said
+
+
+@pytest.mark.parametrize("given", [["--output", "colour"], ["--output=colour"]])
+def test_the_british_spelling_of_a_value_is_accepted(given):
+    assert _parsed(_in_usual_spelling(["render", "a", "b", *given])).keywords["config"].output == "color"
 
 
 @pytest.mark.parametrize(
@@ -103,13 +137,53 @@ def test_a_field_beside_an_option_is_written_as_one():
     assert said == "--include and --exclude select images of a folder, but x.mp4 is a video"
 
 
+@pytest.mark.parametrize(
+    ("command", "message", "said"),
+    [
+        ("slam", "localize needs a map: pass map", "--localize needs a map: pass --map"),
+        ("mesh", "cameras look at the scene (option cameras)", "cameras look at the scene (--cameras)"),
+        (
+            "splat",
+            "reduce the image size (max_side_px), or pass steps",
+            "reduce the image size (--max-side-px), or pass --steps",
+        ),
+        ("slam", "give a rig, or pass map= and truth", "give a rig, or pass --map and --truth"),
+        ("render", "path=cameras needs cameras (path=orbit)", "--path cameras needs cameras (--path orbit)"),
+        ("slam", "localize=True needs a map", "--localize needs a map"),
+        ("slam", "the map of x.json: a map=3 is none", "the map of x.json: a map=3 is none"),
+    ],
+)
+def test_what_a_message_asks_for_is_an_option(command, message, said):
+    words = [command, "a", "b", "--localize"]
+    assert with_option_names(message, words, OPTIONS[command], also_plain=False) == said
+
+
+def test_a_warning_names_options(capsys, monkeypatch):
+    def warned(out: str) -> None:
+        """Warn."""
+        warnings.warn("epipole: pass max_side_px, or steps", RuntimeWarning, stacklevel=1)
+        screen.print_warnings(screen.open_console(), ["reduce the size (max_side_px)"])
+        raise NoModelError("pass camera_params or a calibration")
+
+    monkeypatch.setattr(command_line, "_functions", lambda: {"warned": warned})
+    monkeypatch.setattr(
+        "epipole.cli.options.option_names",
+        lambda _: {"--max-side-px": "max_side_px", "--camera-params": "camera_params"},
+    )
+    with pytest.raises(SystemExit):
+        main(["warned", "--out", "x"])
+    said = "".join(capsys.readouterr())
+    assert "epipole: pass --max-side-px, or steps" in said and "note: reduce the size (--max-side-px)" in said
+    assert "epipole: pass --camera-params or a calibration" in said
+
+
 def test_the_options_of_a_command_are_those_of_its_help(capsys):
     assert len(OPTIONS) == len(COMMANDS)
-    for name, options in OPTIONS.items():
+    for name, named in OPTIONS.items():
         with pytest.raises(SystemExit) as stopped:
             main([name, "--help-all"])
         assert stopped.value.code == 0
-        assert options.keys() <= set(re.findall(r"--[\w.-]+", capsys.readouterr().out)), name
+        assert named.keys() <= set(re.findall(r"--[\w.-]+", capsys.readouterr().out)), name
     fields = {f.name for f in dataclasses.fields(ReconstructConfig)}
     assert {"threads", "masks"} <= fields & set(OPTIONS["reconstruct"].values())
 

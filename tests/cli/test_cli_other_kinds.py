@@ -141,7 +141,7 @@ def test_gps_that_is_not_used_does_not_make_a_known_scale_unknown():
         assert note.startswith(said)
 
 
-def test_distances_below_a_metre_are_not_none():
+def test_distances_below_a_meter_are_not_none():
     said = GpsEvidence(12, 0.042, 3.25, 0.5).in_words()
     assert "0.042 m or more" in said and "spread over 3.2 m" in said
     assert "are 41 m or more" in GpsEvidence(12, 41.2, 300.0, 0.5).in_words()

@@ -88,7 +88,7 @@ def test_bottoms(rng: np.random.Generator, with_other: bool) -> None:
 
 
 @reference_of(_consistency_kernels.check_rows)
-def test_judgements(rng: np.random.Generator) -> None:
+def test_judgments(rng: np.random.Generator) -> None:
     shape = (6, 9)
     disparity, theirs = (rng.uniform(-4, 9, shape).astype(np.float32) for _ in range(2))
     theirs[1], theirs[2, ::2] = np.nan, np.inf

@@ -42,7 +42,7 @@ class Ride(NamedTuple):
     right: list[np.ndarray]
     """Of the first PAIRS frames."""
     depth: list[np.ndarray]
-    """(h, w) metres, 0 where there is none."""
+    """(h, w) meters, 0 where there is none."""
     cams_from_world: Rigid3
 
     def path(self, hz: float = HZ) -> Trajectory:
@@ -72,8 +72,8 @@ def _scene(angle: float) -> SyntheticScene:
     aside = np.array([ahead[1], -ahead[0], 0.0])
     axes = tuple(aside), (0.0, 0.0, -1.0)
 
-    def at(metres: float) -> tuple[float, ...]:
-        return tuple(-3.2 * ahead + metres * aside + np.array([0.0, 0.0, 1.05]))
+    def at(meters: float) -> tuple[float, ...]:
+        return tuple(-3.2 * ahead + meters * aside + np.array([0.0, 0.0, 1.05]))
 
     sheets = [
         *tag_sheet(1, 0.12, at(-0.4), *axes),
@@ -86,7 +86,7 @@ def _scene(angle: float) -> SyntheticScene:
     return SyntheticScene(**both, light=yard.light)
 
 
-def grey(image: np.ndarray) -> np.ndarray:
+def gray(image: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
 
 
@@ -157,7 +157,7 @@ def kitti(folder: Path) -> None:
     for name, seen in (("image_0", ride().left[:PAIRS]), ("image_1", ride().right)):
         (folder / name).mkdir(parents=True)
         for n, image in enumerate(seen):
-            cv2.imwrite(str(folder / name / f"{n:06d}.png"), grey(image))
+            cv2.imwrite(str(folder / name / f"{n:06d}.png"), gray(image))
     f, _, cx, cy = LENS.params
     rows = [[f, 0, cx, x, 0, f, cy, 0, 0, 0, 1, 0] for x in (0.0, -f * BASELINE)]
     lines = [f"P{k}: {' '.join(map(str, row))}\n" for k, row in enumerate(rows)]
@@ -205,16 +205,16 @@ def recording(folder: Path, kind: str, name: str = "ride") -> Path:
         ns = 1_500_000_000 * 10**9 + round(1e9 * n / HZ)
         for side, seen, corner in (("left", ride().left, 0.0), ("right", ride().right, -500.0 * BASELINE)):
             P = np.column_stack([LENS.K, [corner, 0, 0]])
-            out.image(f"/{side}/image_raw", ns, grey(seen[n]), "mono8")
+            out.image(f"/{side}/image_raw", ns, gray(seen[n]), "mono8")
             out.camera_info(f"/{side}/camera_info", ns, size, LENS.K, P=P)
     return out.write(folder, name)
 
 
 def wheels(path: Path) -> None:
-    """SECONDS METRES a line."""
+    """SECONDS METERS a line."""
     steps = np.linalg.norm(np.diff(ride().cams_from_world.centers(), axis=0), axis=1)
-    metres = np.concatenate([[0.0], np.cumsum(steps)])
-    path.write_text("".join(f"{n / HZ:.6f} {at}\n" for n, at in enumerate(metres)))
+    meters = np.concatenate([[0.0], np.cumsum(steps)])
+    path.write_text("".join(f"{n / HZ:.6f} {at}\n" for n, at in enumerate(meters)))
 
 
 def mounting(path: Path) -> None:

@@ -25,7 +25,7 @@ from epipole.synthetic.problems import absolute_pose_problem, bundle_problem, tw
 from epipole.synthetic.stereo_rooms import stereo_room
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "sfm"))
-from photographs import neighbouring_views, render_to
+from photographs import neighboring_views, render_to
 
 SIZE = (320, 240)
 
@@ -37,7 +37,7 @@ def two_views() -> dict[str, Any]:
 
 def photographs(folder: Path) -> dict[str, Any]:
     """IMAGES, and as DIR Strecha's known cameras."""
-    views = neighbouring_views(6)
+    views = neighboring_views(6)
     (folder / "DIR").mkdir()
     for name, view in zip(render_to(folder / "IMAGES", views), views):
         rows = [*np.eye(3), np.zeros(3), *view.rotation.T, view.centers()]
@@ -65,7 +65,7 @@ def model(folder: Path) -> None:
 
 
 def seen_model(folder: Path) -> dict[str, Any]:
-    """A model with its images, which are of one colour."""
+    """A model with its images, which are of one color."""
     truth = bundle_problem(6, 100, 4).truth
     write_colmap_model(truth, folder / "MODEL" / "sparse" / "0")
     for row, name in enumerate(truth.images.name):
@@ -121,21 +121,21 @@ def ride(_: Path) -> dict[str, Any]:
     camera = Camera("PINHOLE", *SIZE, [0.8 * SIZE[0], 0.8 * SIZE[0], (SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2])
     positions = [look_at((0.03 * n, -4.0, 1.4), (0.03 * n, 0.4, 0.6)) for n in range(4)]
     seen = [render(courtyard(), camera, position) for position in positions]
-    greys = [cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY) for image in seen]
+    grays = [cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY) for image in seen]
     depths = [np.nan_to_num(image.depth, nan=0.0).astype(np.float32) for image in seen]
-    return {"camera": camera, "images": [(0.1 * n, *both) for n, both in enumerate(zip(greys, depths))]}
+    return {"camera": camera, "images": [(0.1 * n, *both) for n, both in enumerate(zip(grays, depths))]}
 
 
 def ride_folder(folder: Path, count: int) -> None:
-    """The same in the form of KITTI: pairs of grey images and calib.txt."""
+    """The same in the form of KITTI: pairs of gray images and calib.txt."""
     camera = Camera("PINHOLE", *SIZE, [260.0, 260.0, 159.5, 119.5])
     for side, offset in (("image_0", 0.0), ("image_1", 0.12)):
         (folder / side).mkdir(parents=True)
         for n in range(count):
             at = np.array([0.03 * n + offset, -4.0, 1.4])
             image = render(courtyard(), camera, look_at(at, at + np.array([0.0, 4.4, -0.8])))
-            grey = cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY)
-            cv2.imwrite(str(folder / side / f"{n:06d}.png"), grey)
+            gray = cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY)
+            cv2.imwrite(str(folder / side / f"{n:06d}.png"), gray)
     rows = [[260, 0, 159.5, x, 0, 260, 119.5, 0, 0, 0, 1, 0] for x in (0.0, -260 * 0.12)]
     text = "".join(f"P{k}: {' '.join(map(str, row))}\n" for k, row in enumerate(rows))
     (folder / "calib.txt").write_text(text)
@@ -151,8 +151,8 @@ def mapped_ride(folder: Path) -> dict[str, Any]:
     names = ride(folder)
     names["slam_camera"] = SlamCamera(names["camera"], depth=DepthCamera(names["camera"], Rigid3.identity()))
     slam = Slam(names["slam_camera"])
-    for seconds, grey, depth in names["images"]:
-        slam.track(Frame(seconds, grey, depth=depth))
+    for seconds, gray, depth in names["images"]:
+        slam.track(Frame(seconds, gray, depth=depth))
     (folder / "OUT" / "map").mkdir(parents=True)
     keyframes = [str(keyframe.number) for keyframe in slam.maps[0].keyframes]
     write_slam_map(folder / "OUT" / "map" / "map.npz", slam.maps[0], keyframes, names["slam_camera"])

@@ -126,26 +126,26 @@ def stopped_ride(folder: Path) -> None:
     write_trajectory(docs_ride.ride().path(hz=docs_ride.KITTI_HZ), folder / "groundtruth.txt")
 
 
-def metres_for_slam(folder: Path) -> None:
+def meters_for_slam(folder: Path) -> None:
     docs_ride.video(folder / "ride.mp4")
     docs_ride.images(folder / "ride")
     docs_ride.euroc(folder / "flight")
-    metres(folder)
+    meters(folder)
     docs_ride.positions(folder / "gps.txt")
 
 
-def metres(folder: Path) -> None:
+def meters(folder: Path) -> None:
     docs_ride.wheels(folder / "wheels.txt")
     docs_ride.mounting(folder / "mount.yaml")
 
 
-def metres_for_photographs(folder: Path) -> None:
+def meters_for_photographs(folder: Path) -> None:
     names = docs_ride.images(folder / "photos", docs_ride.FEW)
     docs_ride.positions(folder / "places.txt", names, docs_ride.FEW)
     docs_ride.lengths(folder / "lengths.txt", names, docs_ride.FEW)
     docs_ride.short_video(folder / "walk.mp4")
     docs_ride.euroc(folder / "flight")
-    metres(folder)
+    meters(folder)
 
 
 def maps(folder: Path) -> None:
@@ -280,9 +280,9 @@ WORLDS: dict[str, Callable[[Path], None]] = {
     "install-1": nothing,
     "install-2": nothing,
     "reconstruction-0": walk,
-    "scale-0": metres_for_photographs,
+    "scale-0": meters_for_photographs,
     "slam-0": stopped_ride,
-    "slam-1": metres_for_slam,
+    "slam-1": meters_for_slam,
     "slam_maps-0": maps,
     "slam_maps-1": stopped_ride,
     "slam_sources-0": sources_of_slam,

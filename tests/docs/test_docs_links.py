@@ -42,6 +42,28 @@ def test_links_and_pictures_are_there(name: str) -> None:
     assert not missing
 
 
+BESIDE = {
+    "commands/": "--help-all`",
+    "api/": "`help(",
+    "benchmarks/": "`benchmarks/README.md`",
+    "lesson/": "`epipole lesson`",
+}
+"""Where to look instead, on a code host: a line with a link to a generated page names it, too."""
+
+
+def test_a_link_to_a_generated_page_names_what_shows_the_same() -> None:
+    wrong = []
+    for name, page in ((name, page) for name, page in PAGES.items() if name != "README"):
+        for paragraph in re.split(r"\n\s*\n|\n(?=\|)", page.read_text(encoding="utf-8")):
+            for folder, instead in BESIDE.items():
+                if (
+                    re.search(rf"\]\((\.\./)*{folder}|href=\"(\.\./)*{folder}", paragraph)
+                    and instead not in paragraph
+                ):
+                    wrong.append((name, folder, paragraph[:80]))
+    assert not wrong
+
+
 def test_pages_link_to_nothing_outside_of_the_site() -> None:
     wrong = [
         (name, link)

@@ -1,5 +1,7 @@
 """Ten common tasks: epipole's lines are no more than the peer's, and give the same results."""
 
+import ast
+import builtins
 import re
 from pathlib import Path
 from typing import Any
@@ -27,6 +29,20 @@ def test_there_are_ten() -> None:
 @pytest.mark.parametrize("section", TASKS, ids=[task.splitlines()[0][3:] for task in TASKS])
 def test_the_lines_are_no_more_than_the_peers(section: str) -> None:
     assert 1 <= len(lines_of(section, "epipole")) <= len(lines_of(section, "OpenCV|pycolmap"))
+
+
+def test_every_name_is_explained_or_defined() -> None:
+    text = PAGES["coming_from/ten_tasks"].read_text()
+    known = {*re.findall(r"`(\w+)`", text.partition("```")[0]), *dir(builtins)}
+    for block in re.findall(r"^```python3?\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
+        nodes = list(ast.walk(ast.parse(block)))
+        names = [node for node in nodes if isinstance(node, ast.Name)]
+        imported = [
+            each for node in nodes if isinstance(node, ast.Import | ast.ImportFrom) for each in node.names
+        ]
+        known |= {each.asname or each.name for each in imported}
+        known |= {node.id for node in names if isinstance(node.ctx, ast.Store)}
+        assert {node.id for node in names} <= known, block
 
 
 def test_the_results_agree(

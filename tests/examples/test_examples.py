@@ -66,4 +66,4 @@ def test_an_example_has_the_form_of_a_page(path):
     imports = [node for node in ast.parse(text).body if isinstance(node, ast.Import | ast.ImportFrom)]
     exec(compile(ast.Module(imports, []), path.name, "exec"), {})  # names that are there
     asserts = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Assert)]
-    assert len(asserts) >= 4, "each step shows what was learnt"
+    assert len(asserts) >= 4, "each step shows what was learned"

@@ -27,7 +27,7 @@ def blobs(centers, sigma, size=240):
 
 
 @pytest.mark.parametrize("sigma", [2.0, 3.0, 5.0])
-def test_keypoints_stand_at_the_blobs_centres(sigma):
+def test_keypoints_stand_at_the_blobs_centers(sigma):
     centers = np.array([(60.3, 70.8), (150.0, 60.5), (90.75, 170.25), (180.1, 180.9)])
     found = detect_features(blobs(centers, sigma)).pixels.astype(float)
     offsets = np.array([found[np.argmin(np.linalg.norm(found - c, axis=1))] - c for c in centers])

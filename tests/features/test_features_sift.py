@@ -32,9 +32,9 @@ def position(features: Features) -> np.ndarray:
     return np.column_stack([features.pixels, 8.0 * np.log2(features.scale_px), rotation])
 
 
-def opencv_sift(grey: np.ndarray, config: FeatureConfig) -> Features:
+def opencv_sift(gray: np.ndarray, config: FeatureConfig) -> Features:
     detector = cv2.SIFT_create(0, contrastThreshold=config.contrast_threshold, enable_precise_upscale=True)
-    keypoints, descriptors = detector.detectAndCompute(grey, None)
+    keypoints, descriptors = detector.detectAndCompute(gray, None)
     columns = np.array([(*k.pt, k.size, np.deg2rad(k.angle)) for k in keypoints], np.float32)
     return Features(columns[:, :2], columns[:, 2], columns[:, 3], sift.root_sift(descriptors))
 
@@ -55,7 +55,7 @@ def test_finds_what_opencv_finds(image):
     assert np.abs(ours.pixels - theirs.pixels[nearest])[same].mean() < 2e-3
     agreement = cosine(ours.descriptors, theirs.descriptors[nearest])[same]
     assert np.median(agreement) > 0.99
-    assert np.percentile(agreement, 5) > 0.95  # OpenCV samples whole pixels around a rounded centre
+    assert np.percentile(agreement, 5) > 0.95  # OpenCV samples whole pixels around a rounded center
 
 
 def test_a_turned_picture_has_the_turned_features(image):

@@ -22,9 +22,9 @@ def image(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
 @pytest.mark.parametrize("shape", SHAPES)
 @reference_of(space.upsample, space.halve)
 def test_doubled_and_halved(rng: np.random.Generator, shape: tuple[int, int]) -> None:
-    grey, (height, width) = image(rng, shape), shape
+    gray, (height, width) = image(rng, shape), shape
     out = np.empty((2 * height, 2 * width), np.float32)
-    _, (_, out) = assert_same_as_python(space.upsample, grey, out)
+    _, (_, out) = assert_same_as_python(space.upsample, gray, out)
     y, x = (np.minimum(np.arange(2 * n) / 2, n - 1) for n in shape)
     y0, x0, y1, x1 = (
         np.floor(y).astype(int),
@@ -32,7 +32,7 @@ def test_doubled_and_halved(rng: np.random.Generator, shape: tuple[int, int]) ->
         np.ceil(y).astype(int),
         np.ceil(x).astype(int),
     )
-    corners = [grey[np.ix_(r, c)] / 255.0 for r in (y0, y1) for c in (x0, x1)]
+    corners = [gray[np.ix_(r, c)] / 255.0 for r in (y0, y1) for c in (x0, x1)]
     np.testing.assert_allclose(out, np.mean(corners, axis=0), atol=1e-7)
     small = np.empty(shape, np.float32)
     _, (_, small) = assert_same_as_python(space.halve, out, small)
@@ -64,8 +64,8 @@ def test_features(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, sha
     extrema = record_calls(monkeypatch, sift, space.find_extrema)
     described = record_calls(monkeypatch, sift, kernels.describe_all)
     spots = gaussian_filter(rng.normal(size=shape), 1.5)
-    grey = np.rint(255 * (spots - spots.min()) / np.ptp(spots)).astype(np.uint8)
-    sift.detect_sift(grey, FeatureConfig(contrast_threshold=0.001))
+    gray = np.rint(255 * (spots - spots.min()) / np.ptp(spots)).astype(np.uint8)
+    sift.detect_sift(gray, FeatureConfig(contrast_threshold=0.001))
     counts = []
     for *arguments, room in extrema:
         count, _ = assert_same_as_python(space.find_extrema, *arguments, np.zeros_like(room), **SINGLE)

@@ -17,7 +17,7 @@ WHITE = np.ones(3, np.float32)
 
 @cache
 def scene():
-    """Gaussians in the unit ball, coloured by their place."""
+    """Gaussians in the unit ball, colored by their place."""
     rng = np.random.default_rng(7)
     n = 80
     means = rng.normal(size=(n, 3))
@@ -38,8 +38,8 @@ def views(count=14, with_alpha=True):
         position = look_at(2.6 * np.array([np.cos(angle), np.sin(angle), up]), (0, 0, 0))
         rendered = render(scene(), CAMERA, position)
         alpha = rendered.coverage[..., None]
-        colour = np.divide(rendered.colour, alpha, out=np.zeros_like(rendered.colour), where=alpha > 0)
-        whole = np.concatenate([colour, alpha], axis=2) if with_alpha else rendered.over(WHITE)
+        color = np.divide(rendered.color, alpha, out=np.zeros_like(rendered.color), where=alpha > 0)
+        whole = np.concatenate([color, alpha], axis=2) if with_alpha else rendered.over(WHITE)
         image = np.rint(255 * np.clip(whole, 0, 1)).astype(np.uint8)
         out.append(TrainingView(f"{n:02d}.png", image, CAMERA, position))
     return tuple(out)

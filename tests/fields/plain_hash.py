@@ -29,8 +29,8 @@ def density_of(tables, cells, weights, position):
     return np.maximum(features_of(tables, cells, position) @ weights[0], 0) @ weights[1]
 
 
-def colour_of(weights, said, direction):
-    """What the other three layers say of a colour seen in a direction."""
+def color_of(weights, said, direction):
+    """What the other three layers say of a color seen in a direction."""
     value = np.concatenate([said, basis(direction[None], 16)[0]])
     for layer in weights[2:4]:
         value = np.maximum(value @ layer, 0)
@@ -38,22 +38,22 @@ def colour_of(weights, said, direction):
 
 
 def plain_ray(tables, weights, field, center, direction, first, background):
-    """Colour of a ray in the world, its distance times coverage in cells, and what it lets through."""
+    """Color of a ray in the world, its distance times coverage in cells, and what it lets through."""
     room = field.room
     origin = (center - room.low) / room.size
     most = np.array(room.occupied.shape) - 1e-3
     with np.errstate(divide="ignore"):
         ends = np.stack([-origin / direction, (most - origin) / direction])
     near, far = max(0.0, ends.min(axis=0).max()), ends.max(axis=0).min()
-    colour, away, left = np.zeros(3), 0.0, 1.0
+    color, away, left = np.zeros(3), 0.0, 1.0
     t = near + first * STEP
     while t < far and left >= OVER:
         position = origin + t * direction
         if room.occupied[tuple(np.floor(position).astype(int))]:
             said = density_of(tables, field.cells, weights, position / max(room.occupied.shape))
             alpha = 1 - np.exp(-np.exp(said[0] + SHIFT) * STEP)
-            colour += left * alpha * colour_of(weights, said, direction)
+            color += left * alpha * color_of(weights, said, direction)
             away += left * alpha * t
             left *= 1 - alpha
         t += STEP
-    return colour + left * background, away, left
+    return color + left * background, away, left

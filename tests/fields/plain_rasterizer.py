@@ -38,7 +38,7 @@ def basis(d, count):
 
 
 def plain_render(arrays, camera, cam_from_world, blur=0.3, antialiased=False, near=0.01):
-    """(h, w, 3) colour times coverage, (h, w) depth times coverage, (h, w) coverage; arrays as in a cloud, any precision."""
+    """(h, w, 3) color times coverage, (h, w) depth times coverage, (h, w) coverage; arrays as in a cloud, any precision."""
     means, log_scales, quats, logits, sh = (np.asarray(a, np.float64) for a in arrays)
     f, c = camera.K[[0, 1], [0, 1]], camera.K[:2, 2]
     rotation, there = cam_from_world.rotation, cam_from_world.apply(means)
@@ -51,9 +51,9 @@ def plain_render(arrays, camera, cam_from_world, blur=0.3, antialiased=False, ne
     reach = 1.3 * 0.5 * np.array([camera.width, camera.height]) / f
     direction = means - cam_from_world.centers()
     harmonics = basis(direction / np.linalg.norm(direction, axis=1, keepdims=True), sh.shape[1])
-    colours = np.maximum(0.5 + np.einsum("nk,nkc->nc", harmonics, sh), 0.0)
+    colors = np.maximum(0.5 + np.einsum("nk,nkc->nc", harmonics, sh), 0.0)
     v, u = np.mgrid[: camera.height, : camera.width].astype(float)
-    colour, depth, left = np.zeros((*u.shape, 3)), np.zeros(u.shape), np.ones(u.shape)
+    color, depth, left = np.zeros((*u.shape, 3)), np.zeros(u.shape), np.ones(u.shape)
     for n in order:
         x, y, z = there[n]
         if not z > near:
@@ -70,7 +70,7 @@ def plain_render(arrays, camera, cam_from_world, blur=0.3, antialiased=False, ne
         alpha = opacity * np.exp(-0.5 * (a * dx * dx + 2 * b * dx * dy + d * dy * dy))
         alpha = np.where(alpha >= 1 / 255, np.minimum(alpha, 0.99), 0.0)
         weight = alpha * left
-        colour += weight[..., None] * colours[n]
+        color += weight[..., None] * colors[n]
         depth += weight * z
         left = left - weight
-    return colour, depth, 1 - left
+    return color, depth, 1 - left

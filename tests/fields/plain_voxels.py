@@ -18,13 +18,13 @@ def between(values, index, position):
 
 
 def plain_ray(values, voxels, center, direction, first, background):
-    """Colour of a ray in the world, its distance times coverage, and what it lets through."""
+    """Color of a ray in the world, its distance times coverage, and what it lets through."""
     origin = (center - voxels.low) / voxels.size
     most = np.array(voxels.row_of.shape) - 1 - 1e-3
     with np.errstate(divide="ignore"):
         ends = np.stack([-origin / direction, (most - origin) / direction])
     near, far = max(0.0, ends.min(axis=0).max()), ends.max(axis=0).min()
-    colour, away, left = np.zeros(3), 0.0, 1.0
+    color, away, left = np.zeros(3), 0.0, 1.0
     harmonics = basis(direction[None], 4)[0]
     t = near + first * STEP
     while t < far:
@@ -33,8 +33,8 @@ def plain_ray(values, voxels, center, direction, first, background):
             row = between(values, voxels.row_of, position)
             alpha = 1 - np.exp(-np.logaddexp(0, row[0] + SHIFT) * float(voxels.delta))
             seen = np.maximum(0.5 + harmonics @ row[1:13].reshape(4, 3), 0)
-            colour += left * alpha * seen
+            color += left * alpha * seen
             away += left * alpha * t
             left *= 1 - alpha
         t += STEP
-    return colour + left * background, away, left
+    return color + left * background, away, left

@@ -4,7 +4,7 @@ import numpy as np
 
 
 def mesh_in(path):
-    """Vertices, triangles and colours."""
+    """Vertices, triangles and colors."""
     head, _, body = path.read_bytes().partition(b"end_header\n")
     counts = [
         int(line.split()[-1]) for line in head.decode("ascii").splitlines() if line.startswith("element")

@@ -46,7 +46,7 @@ def test_it_covers_the_arc_and_stays_near_the_cameras(shuffled):
     assert np.abs(np.linalg.norm(centers[:, :2], axis=1) - 4).max() < 0.2
     for view, center in zip(views, centers):
         ahead = view.cam_from_world.rotation[2]
-        assert ahead @ center / np.linalg.norm(center) < -0.98  # towards the middle
+        assert ahead @ center / np.linalg.norm(center) < -0.98  # toward the middle
         np.testing.assert_allclose(
             view.cam_from_world.rotation @ view.cam_from_world.rotation.T, np.eye(3), atol=1e-12
         )

@@ -103,7 +103,7 @@ def test_files_of_others_in_utm_are_drawn_about_a_local_origin(tmp_path, is_doub
         np.testing.assert_allclose(far.centers_in_world - UTM, near.means_in_world, rtol=0, atol=1e-6)
         position = views()[0].cam_from_world
         there = position @ Rigid3(np.eye(3), -UTM)
-        difference = render(far, CAMERA, there).colour - render(near, CAMERA, position).colour
+        difference = render(far, CAMERA, there).color - render(near, CAMERA, position).color
         assert np.abs(difference).max() < 1e-4
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from fields_scenes import WHITE, views
-from plain_hash import OVER, SHIFT, STEP, colour_of, density_of, features_of, plain_ray
+from plain_hash import OVER, SHIFT, STEP, color_of, density_of, features_of, plain_ray
 from plain_rasterizer import basis
 from test_fields_voxels import direction_of
 
@@ -157,38 +157,38 @@ def trained(steps, threads=None, seed=0):
 
 
 @pytest.fixture(scope="module")
-def learnt():
+def learned():
     return trained(100)
 
 
-def test_views_that_were_held_out_are_drawn(learnt):
+def test_views_that_were_held_out_are_drawn(learned):
     for view in views()[:2]:
         blank = psnr(np.ones_like(view.over(WHITE)), view.over(WHITE))
-        assert psnr(learnt.render(view), view.over(WHITE)) > max(23.0, blank + 8.0)
-    assert learnt.num_samples > 1000 and len(learnt) > learnt.field.tables.size
+        assert psnr(learned.render(view), view.over(WHITE)) > max(23.0, blank + 8.0)
+    assert learned.num_samples > 1000 and len(learned) > learned.field.tables.size
 
 
-def test_what_is_empty_is_left_out(learnt):
+def test_what_is_empty_is_left_out(learned):
     before = HashTrainer(views()[2:], WHITE).field.room.occupied
-    assert learnt.field.room.occupied.sum() < 0.8 * before.sum()
-    assert not (learnt.field.room.occupied & ~before.astype(bool)).any()
+    assert learned.field.room.occupied.sum() < 0.8 * before.sum()
+    assert not (learned.field.room.occupied & ~before.astype(bool)).any()
 
 
-def test_a_grid_made_of_it_looks_like_it(learnt):
+def test_a_grid_made_of_it_looks_like_it(learned):
     view = views()[0]
-    grid = voxels_of(learnt.field)
+    grid = voxels_of(learned.field)
     rendered, _, _ = render_voxels(grid, view.camera, view.cam_from_world, WHITE)
-    assert psnr(rendered, learnt.render(view)) > 26.0
+    assert psnr(rendered, learned.render(view)) > 26.0
 
 
-def test_a_colour_without_direction_is_kept_in_a_grid(rng):
+def test_a_color_without_direction_is_kept_in_a_grid(rng):
     field = field_of(rng)
     field.weights[2][16:] = 0.0
     field.weights[1][:, 0] = 0.0
     grid = voxels_of(field)
     said = query_density(field, np.full((1, 4), 0.5, np.float32))[2][0]
     row = grid.values[grid.row_of[14, 14, 14]]
-    wanted = colour_of(exact_of(field)[1], said.astype(float), np.array([0.0, 0.6, 0.8]))
+    wanted = color_of(exact_of(field)[1], said.astype(float), np.array([0.0, 0.6, 0.8]))
     np.testing.assert_allclose(0.5 + 0.28209479 * row[1:4], wanted, atol=1e-4)
     np.testing.assert_allclose(row[4:13], 0.0, atol=1e-5)
 

@@ -27,7 +27,7 @@ AROUND = [
 
 
 def sphere_seen(position, radius=0.8):
-    """Depth along the axis times coverage, coverage, and colour of a ball at the middle."""
+    """Depth along the axis times coverage, coverage, and color of a ball at the middle."""
     v, u = np.mgrid[:120, :160]
     rays = np.stack([(u - 79.5) / 150.0, (v - 59.5) / 150.0, np.ones(u.shape)], axis=2)
     middle = position.apply(np.zeros((1, 3)))[0]
@@ -163,8 +163,8 @@ def test_small_components_are_removed():
         assert len(found) == sum(len(parts[k][1]) for k in left)
         before, after = (m.vertices_in_world[m.faces].reshape(-1, 9) for m in (whole, found))
         assert {row.tobytes() for row in after} <= {row.tobytes() for row in before}
-        colours = {v.tobytes(): c.tobytes() for v, c in zip(whole.vertices_in_world, whole.rgb)}
-        assert all(colours[v.tobytes()] == c.tobytes() for v, c in zip(found.vertices_in_world, found.rgb))
+        colors = {v.tobytes(): c.tobytes() for v, c in zip(whole.vertices_in_world, whole.rgb)}
+        assert all(colors[v.tobytes()] == c.tobytes() for v, c in zip(found.vertices_in_world, found.rgb))
     nothing = Mesh(np.zeros((3, 3)), np.zeros((0, 3), np.int64), np.zeros((3, 3), np.uint8))
     assert len(nothing.without_small_components(0.01).vertices_in_world) == 0
 

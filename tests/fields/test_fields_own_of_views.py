@@ -1,4 +1,4 @@
-"""What images have of their own while a field is learnt: colours, places, masks, and the depths of known points."""
+"""What images have of their own while a field is learned: colors, places, masks, and the depths of known points."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from epipole.cameras import Camera
 from epipole.errors import ConfigError
 from epipole.fields import _photometric_kernels
 from epipole.fields.config import SplatTraining
-from epipole.fields.exposure import IDENTITY, Exposures, colour_match
+from epipole.fields.exposure import IDENTITY, Exposures, color_match
 from epipole.fields.nerf.hash_trainer import HashTrainer
 from epipole.fields.photometric import photometric_loss, psnr
 from epipole.fields.point_depths import depth_loss, point_depths
@@ -47,35 +47,35 @@ def trained(of, steps=260, **options):
 
 
 def drawing(rng, shape=(37, 29)):
-    """Any colours and coverage."""
+    """Any colors and coverage."""
     coverage = rng.uniform(size=shape).astype(np.float32)
-    colour = (rng.uniform(size=(*shape, 3)) * coverage[..., None]).astype(np.float32)
-    return Rendering(colour, np.zeros(shape, np.float32), coverage, 0, None)
+    color = (rng.uniform(size=(*shape, 3)) * coverage[..., None]).astype(np.float32)
+    return Rendering(color, np.zeros(shape, np.float32), coverage, 0, None)
 
 
-@reference_of(_photometric_kernels.map_colours, _photometric_kernels.map_colours_back)
-def test_colours_are_mapped_and_the_way_back_is_the_derivative(rng):
+@reference_of(_photometric_kernels.map_colors, _photometric_kernels.map_colors_back)
+def test_colors_are_mapped_and_the_way_back_is_the_derivative(rng):
     rendered, behind = drawing(rng), np.array([0.9, 0.2, 0.5], np.float32)
-    by_applied = rng.uniform(size=rendered.colour.shape).astype(np.float32)
+    by_applied = rng.uniform(size=rendered.color.shape).astype(np.float32)
     exposures = Exposures(2)
     exposures.maps[1] = rng.normal(size=(3, 4))
-    colours, shown = exposures.maps[1].astype(float), rendered.coverage[..., None].astype(float)
-    wanted = rendered.colour @ colours[:, :3].T + shown * colours[:, 3] + (1 - shown) * behind
+    colors, shown = exposures.maps[1].astype(float), rendered.coverage[..., None].astype(float)
+    wanted = rendered.color @ colors[:, :3].T + shown * colors[:, 3] + (1 - shown) * behind
     np.testing.assert_allclose(exposures.applied(1, rendered, behind), wanted, rtol=1e-5, atol=1e-6)
-    by_colour, by_coverage = exposures.learn(1, rendered, behind, by_applied, 0.0)
-    np.testing.assert_allclose(by_colour, by_applied @ colours[:, :3], rtol=1e-5, atol=1e-5)
-    np.testing.assert_allclose(by_coverage, by_applied @ (colours[:, 3] - behind), rtol=1e-5, atol=1e-5)
-    known = np.concatenate([rendered.colour, shown], axis=2).reshape(-1, 4)
+    by_color, by_coverage = exposures.learn(1, rendered, behind, by_applied, 0.0)
+    np.testing.assert_allclose(by_color, by_applied @ colors[:, :3], rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(by_coverage, by_applied @ (colors[:, 3] - behind), rtol=1e-5, atol=1e-5)
+    known = np.concatenate([rendered.color, shown], axis=2).reshape(-1, 4)
     gradient = by_applied.reshape(-1, 3).T.astype(float) @ known
     # Adam's first step has the rate's size against the derivative's sign.
-    np.testing.assert_allclose(exposures.maps[1], colours - 1e-2 * np.sign(gradient), atol=1e-6)
+    np.testing.assert_allclose(exposures.maps[1], colors - 1e-2 * np.sign(gradient), atol=1e-6)
     np.testing.assert_array_equal(exposures.maps[0], IDENTITY)
 
 
-def test_colours_are_matched(rng):
-    image, colours = rng.uniform(size=(9, 8, 3)).astype(np.float32), rng.normal(size=(3, 4))
-    mapped = (image @ colours[:, :3].T + colours[:, 3]).astype(np.float32)
-    np.testing.assert_allclose(colour_match(image, mapped), colours, atol=1e-5)
+def test_colors_are_matched(rng):
+    image, colors = rng.uniform(size=(9, 8, 3)).astype(np.float32), rng.normal(size=(3, 4))
+    mapped = (image @ colors[:, :3].T + colors[:, 3]).astype(np.float32)
+    np.testing.assert_allclose(color_match(image, mapped), colors, atol=1e-5)
 
 
 def test_the_mean_of_all_maps_goes_into_the_scene(rng):
@@ -85,31 +85,31 @@ def test_the_mean_of_all_maps_goes_into_the_scene(rng):
     seen = [exposures.applied(n, rendered, WHITE) for n in range(4)]
     mean = exposures.taken_mean()
     np.testing.assert_allclose(mean, before.mean(axis=0), atol=1e-6)
-    colour = rendered.colour @ mean[:, :3].T + rendered.coverage[..., None] * mean[:, 3]
+    color = rendered.color @ mean[:, :3].T + rendered.coverage[..., None] * mean[:, 3]
     for n in range(4):
-        again = exposures.applied(n, replace(rendered, colour=colour.astype(np.float32)), WHITE)
+        again = exposures.applied(n, replace(rendered, color=color.astype(np.float32)), WHITE)
         np.testing.assert_allclose(again, seen[n], atol=1e-5)
 
 
 def darkened():
     """Every other image at 60 % and more blue."""
-    colours = np.array([[0.6, 0, 0, 0], [0, 0.6, 0, 0], [0, 0, 0.7, 0.1]])
+    colors = np.array([[0.6, 0, 0, 0], [0, 0.6, 0, 0], [0, 0, 0.7, 0.1]])
     out = list(views())
     for n in range(0, len(out), 2):
         image = out[n].image.copy()
-        mapped = image[..., :3] @ colours[:, :3].T + 255 * colours[:, 3]
+        mapped = image[..., :3] @ colors[:, :3].T + 255 * colors[:, 3]
         image[..., :3] = np.rint(np.clip(mapped, 0, 255))
         out[n] = replace(out[n], image=image)
     return out
 
 
-def test_exposures_are_learnt():
+def test_exposures_are_learned():
     of = darkened()
-    plain, learnt = (trained(of[2:], exposure=requested) for requested in (False, True))
+    plain, learned = (trained(of[2:], exposure=requested) for requested in (False, True))
     # Held out: one that is dark and one that is not; neither's exposure is known.
     scores = [
         [scores_of(one.render(view), view, WHITE)["psnr_matched"] for view in of[:2]]
-        for one in (plain, learnt)
+        for one in (plain, learned)
     ]
     assert np.mean(scores[1]) > np.mean(scores[0]) + 1.5 and min(scores[1]) > max(scores[0])
 
@@ -168,7 +168,7 @@ def test_a_row_moves_as_adam_says():
 
 
 @pytest.mark.usefixtures("small_hash")
-def test_what_is_masked_is_neither_learnt_nor_compared(rng):
+def test_what_is_masked_is_neither_learned_nor_compared(rng):
     mask = np.ones((CAMERA.height, CAMERA.width), bool)
     mask[10:30, 20:44] = False
     plain = [replace(view, used_mask=mask) for view in views(with_alpha=False)]
@@ -238,11 +238,11 @@ def test_the_loss_of_depths_and_its_derivative():
 
 def test_depths_hold_gaussians_at_their_points():
     """One image of a plain wall cannot tell how far it is."""
-    camera, grey = Camera("PINHOLE", 32, 24, [30.0, 30.0, 15.5, 11.5]), np.full((24, 32, 3), 128, np.uint8)
+    camera, gray = Camera("PINHOLE", 32, 24, [30.0, 30.0, 15.5, 11.5]), np.full((24, 32, 3), 128, np.uint8)
     grid = np.stack(
         np.meshgrid(np.linspace(-1.6, 1.6, 16), np.linspace(-1.2, 1.2, 12), [3.0]), axis=-1
     ).reshape(-1, 3)
-    view = TrainingView("a", grey, camera, Rigid3.identity(), points_in_world=grid)
+    view = TrainingView("a", gray, camera, Rigid3.identity(), points_in_world=grid)
     first = cloud_of_points(grid * 0.99, np.full(grid.shape, 128, np.uint8))
     depths = []
     for weight in (0.0, 1.0):

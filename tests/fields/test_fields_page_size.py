@@ -19,14 +19,14 @@ CAMERA = Camera("PINHOLE", 800, 600, [700.0, 700.0, 399.5, 299.5])
 
 
 def photograph(seed: int) -> np.ndarray:
-    """As rich as a photograph: noise of all sizes, with the usual fall of the spectrum, and less of colour."""
+    """As rich as a photograph: noise of all sizes, with the usual fall of the spectrum, and less of color."""
     rng = np.random.default_rng(seed)
     frequency = np.hypot(np.fft.fftfreq(600)[:, None], np.fft.rfftfreq(800)[None])
     noise = rng.normal(size=(1, 600, 800)) + 0.2 * rng.normal(size=(3, 600, 800))
     spectrum = np.fft.rfft2(noise) / np.maximum(frequency, 1e-3)
-    grey = np.moveaxis(np.fft.irfft2(spectrum, (600, 800)), 0, 2)
-    grey = 128 + 50 * grey / grey.std() + rng.normal(scale=3, size=grey.shape)
-    return np.clip(grey, 0, 255).astype(np.uint8)
+    gray = np.moveaxis(np.fft.irfft2(spectrum, (600, 800)), 0, 2)
+    gray = 128 + 50 * gray / gray.std() + rng.normal(scale=3, size=gray.shape)
+    return np.clip(gray, 0, 255).astype(np.uint8)
 
 
 def test_eight_views_take_a_tenth_of_their_pngs(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The rasteriser against the equations written out, its derivatives against differences, and its edges."""
+"""The rasterizer against the equations written out, its derivatives against differences, and its edges."""
 
 import numpy as np
 import pytest
@@ -61,12 +61,12 @@ def test_a_picture_is_that_of_the_equations(rng, num_sh, antialiased):
     cloud = cloud_of(rng, 200, num_sh)
     camera = Camera("PINHOLE", 70, 50, [60.0, 62.0, 34.0, 25.0])
     found = render(cloud, camera, SEEN, RenderOptions(antialiased=antialiased))
-    colour, depth, coverage = plain_render(arrays_of(cloud), camera, SEEN, antialiased=antialiased)
+    color, depth, coverage = plain_render(arrays_of(cloud), camera, SEEN, antialiased=antialiased)
     # A pixel at which alpha is 1/255 to the last digit may fall on either side.
-    for one, other in ((found.colour, colour), (found.depth, depth), (found.coverage, coverage)):
+    for one, other in ((found.color, color), (found.depth, depth), (found.coverage, coverage)):
         off = np.abs(one - other)
         assert np.percentile(off, 99) < 1e-4 and off.max() < 2e-2
-    assert found.over(np.ones(3, np.float32)) == pytest.approx(colour + (1 - coverage)[..., None], abs=2e-2)
+    assert found.over(np.ones(3, np.float32)) == pytest.approx(color + (1 - coverage)[..., None], abs=2e-2)
 
 
 @reference_of(_tile_kernels.sort_by_depth)
@@ -102,7 +102,7 @@ def test_derivatives_are_those_of_differences(rng, num_sh, antialiased):
     rendered = render_view(arrays, view)
     wanted = [
         rng.normal(size=part.shape).astype(np.float32)
-        for part in (rendered.colour, rendered.depth, rendered.coverage)
+        for part in (rendered.color, rendered.depth, rendered.coverage)
     ]
     found, _, by_pose = backward(arrays, view, rendered, ImageGradient(*wanted))
 
@@ -145,7 +145,7 @@ def test_any_number_of_threads_gives_the_same(rng):
         view, arrays = view_of(CAMERA, SEEN, RenderOptions()), arrays_of(cloud)
         rendered = render_view(arrays, view)
         results.append(
-            (rendered.colour, *backward(arrays, view, rendered, ImageGradient(rendered.colour)).cloud)
+            (rendered.color, *backward(arrays, view, rendered, ImageGradient(rendered.color)).cloud)
         )
     _parallel.set_num_threads(None)
     for one, other in zip(*results):
@@ -174,7 +174,7 @@ def test_what_is_behind_beside_or_transparent_is_not_drawn(rng):
         found = render(other, CAMERA, SEEN)
         np.testing.assert_array_equal(found.coverage, empty)
         view = view_of(CAMERA, SEEN, RenderOptions())
-        gradient = backward(arrays_of(other), view, found, ImageGradient(np.ones_like(found.colour)))
+        gradient = backward(arrays_of(other), view, found, ImageGradient(np.ones_like(found.color)))
         assert not any(part.any() for part in gradient.cloud) and not gradient.by_pose.any()
         assert not gradient.is_visible.any()
 

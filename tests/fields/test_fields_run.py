@@ -164,7 +164,7 @@ def test_cameras_that_moved_are_written(source, tmp_path):
     assert 1e-5 < np.median(off) < 0.2
 
 
-def test_an_interrupt_keeps_what_was_learnt(source, tmp_path):
+def test_an_interrupt_keeps_what_was_learned(source, tmp_path):
     def stop(progress):
         if progress.stage == "train" and progress.done > 30:
             raise KeyboardInterrupt

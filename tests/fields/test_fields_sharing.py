@@ -1,4 +1,4 @@
-"""`epipole.share`: one page that shows Gaussians, as the rasteriser draws them."""
+"""`epipole.share`: one page that shows Gaussians, as the rasterizer draws them."""
 
 import base64
 import json
@@ -34,11 +34,11 @@ from epipole.synthetic import look_at
 HOSTILE = "<img src=x onerror=alert(1)>.ply"
 CONVERGED = "document.getElementById('space').dataset.settled === 'yes'"
 LEAST_DB = 40.0
-"""Of the page's drawing against the rasteriser's: 8 bits of each layer leave about 50."""
+"""Of the page's drawing against the rasterizer's: 8 bits of each layer leave about 50."""
 
 
 def seen_from_all_sides(num_sh: int = 4) -> GaussianCloud:
-    """The scene, with colours that change with the direction."""
+    """The scene, with colors that change with the direction."""
     rng = np.random.default_rng(1)
     more = rng.uniform(-0.5, 0.5, (len(scene()), num_sh - 1, 3)).astype(np.float32)
     return replace(scene(), sh=np.concatenate([scene().sh, more], axis=1))
@@ -126,7 +126,7 @@ def test_gaussians_are_merged(result: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("num_sh", "said"), [(1, "do not depend on"), (4, "as trained"), (16, "degree 1, of 3")]
 )
-def test_the_page_says_what_its_colours_are(num_sh: int, said: str, tmp_path: Path) -> None:
+def test_the_page_says_what_its_colors_are(num_sh: int, said: str, tmp_path: Path) -> None:
     write_gaussians(tmp_path / "a.ply", seen_from_all_sides(num_sh) if num_sh > 1 else scene())
     share(tmp_path / "a.ply", tmp_path / "page.html")
     assert said in (tmp_path / "page.html").read_text(encoding="utf-8")
@@ -198,7 +198,7 @@ def drawn_by(tab: Tab) -> np.ndarray:
 def likeness_db(
     tab: Tab, cloud: GaussianCloud, position, middle, up, degrees: float, background: float
 ) -> float:
-    """PSNR of the page's drawing against the rasteriser's from the same place."""
+    """PSNR of the page's drawing against the rasterizer's from the same place."""
     found = drawn_by(tab)
     height, width = found.shape[:2]
     focal = 0.5 * min(width, height) / np.tan(np.deg2rad(0.5 * degrees))
@@ -209,7 +209,7 @@ def likeness_db(
     return float(-10 * np.log10(((found - wanted) ** 2).mean()))
 
 
-def test_the_page_draws_as_the_rasteriser_does(page: str, tab: Tab) -> None:
+def test_the_page_draws_as_the_rasterizer_does(page: str, tab: Tab) -> None:
     """From a side, from above with a lean, from within; and the same without a worker."""
     for position, middle, up, degrees in [
         ((2.0, 1.5, 0.7), (0.1, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0),

@@ -1,4 +1,4 @@
-"""Where Gaussians begin: stereo of neighbouring views against true surfaces, what cameras look into, and other fields."""
+"""Where Gaussians begin: stereo of neighboring views against true surfaces, what cameras look into, and other fields."""
 
 from dataclasses import replace
 from functools import cache
@@ -13,7 +13,7 @@ from epipole.fields.config import SplatTraining
 from epipole.fields.splat.starting import have_one_direction, points_in_frusta
 from epipole.fields.training_view import TrainingView
 from epipole.io.gaussians.ply import write_gaussian_ply
-from epipole.pipelines.fields.dense_points import dense_points, neighbours_of
+from epipole.pipelines.fields.dense_points import dense_points, neighbors_of
 from epipole.pipelines.fields.first_gaussians import first_gaussians
 from epipole.pipelines.fields.images import FieldImages
 from epipole.synthetic import courtyard, courtyard_views, look_at, render
@@ -45,11 +45,11 @@ def untold(*_):
     """Nothing is done with the progress."""
 
 
-def test_neighbours_see_the_same_from_angles_that_tell():
-    pairs = neighbours_of(yard()[0])
+def test_neighbors_see_the_same_from_angles_that_tell():
+    pairs = neighbors_of(yard()[0])
     assert {0, 1, 2, 3, 4, 5} == {n for pair in pairs for n in pair}
     assert all(one < other for one, other in pairs) and len(pairs) <= 12
-    assert neighbours_of([replace(view, points_in_world=None) for view in yard()[0]]) == []
+    assert neighbors_of([replace(view, points_in_world=None) for view in yard()[0]]) == []
 
 
 def test_points_of_stereo_lie_on_the_surfaces():

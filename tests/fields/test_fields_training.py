@@ -1,4 +1,4 @@
-"""Training: a scene that is known is learnt, whatever the number of threads; its parts against their formulas."""
+"""Training: a scene that is known is learned, whatever the number of threads; its parts against their formulas."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ from kernel_references import reference_of
 
 
 def with_harmonics(rng, num_sh):
-    """The arrays of the scene, with colours that depend on the direction."""
+    """The arrays of the scene, with colors that depend on the direction."""
     cloud = Cloud(*(part.copy() for part in arrays_of(scene())))
     sh = np.concatenate([cloud.sh, 0.1 * rng.normal(size=(len(cloud.sh), num_sh - 1, 3))], axis=1)
     return cloud._replace(sh=sh.astype(np.float32))
@@ -45,7 +45,7 @@ def test_adam_moves_what_was_seen_as_the_paper_says(rng, num_sh):
     cloud = with_harmonics(rng, num_sh)
     rendered = render_view(cloud, view)
     gradient, is_seen, _ = backward(
-        cloud, view, rendered, ImageGradient(rng.normal(size=rendered.colour.shape).astype(np.float32))
+        cloud, view, rendered, ImageGradient(rng.normal(size=rendered.color.shape).astype(np.float32))
     )
     adam, moved = GaussianAdam(cloud), Cloud(*(part.copy() for part in cloud))
     for part in adam.mean:
@@ -78,7 +78,7 @@ def test_a_gaussian_that_is_left_out_is_not_drawn_and_others_make_up_for_it(rng)
     wanted = render_view(left._replace(logits=logits), view)
     can_tell = opacity[shown > 0].max() < 0.99
     assert can_tell
-    np.testing.assert_allclose(found.colour, wanted.colour, atol=2e-3)
+    np.testing.assert_allclose(found.color, wanted.color, atol=2e-3)
     assert not np.isin(np.flatnonzero(shown == 0), found.record.gaussian).any()
 
 
@@ -148,7 +148,7 @@ def test_halves_lie_side_by_side_along_the_longest_axis():
     np.testing.assert_allclose(1 / (1 + np.exp(-first.logits)), [0.5 * FAINTER], rtol=1e-5)
 
 
-def test_gaussians_at_points_reach_to_their_neighbours(rng):
+def test_gaussians_at_points_reach_to_their_neighbors(rng):
     points = np.array([[x, y, 0.0] for x in range(4) for y in range(4)], np.float64)
     cloud = cloud_of_points(points, np.full((16, 3), 255, np.uint8))
     np.testing.assert_allclose(np.exp(cloud.log_scales[5]), 1.0, rtol=1e-5)

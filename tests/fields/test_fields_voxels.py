@@ -1,4 +1,4 @@
-"""A grid of densities and colours: its images and derivatives against the equations, known volumes, and training."""
+"""A grid of densities and colors: its images and derivatives against the equations, known volumes, and training."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ LOW, SIZE = np.array([-1.0, -1.0, -1.0]), 2.0 / 12
 
 
 def grid(rng, shape=(12, 12, 12), holes=0.0):
-    """Densities from thin to dense, and colours that depend on the direction."""
+    """Densities from thin to dense, and colors that depend on the direction."""
     voxels = voxels_on(rng.uniform(size=shape) >= holes, LOW, SIZE, SIZE)
     voxels.values[:, 0] = rng.uniform(0.0, 6.0, len(voxels.values))
     voxels.values[:, 1:4] = rng.uniform(-1.0, 1.5, (len(voxels.values), 3))
@@ -73,7 +73,7 @@ def test_a_uniform_volume_lets_through_what_its_length_says(raw):
     straight = look_at((0.0, -3.0, 0.0), (0, 0, 0))
     image, _, _ = render_voxels(voxels, Camera("PINHOLE", 1, 1, [10.0, 10.0, 0.0, 0.0]), straight, np.ones(3))
     sigma = np.logaddexp(0, raw + SHIFT)
-    through = 2 * (image[0, 0, 0] - 0.5)  # grey before white
+    through = 2 * (image[0, 0, 0] - 0.5)  # gray before white
     assert np.log(through) == pytest.approx(-sigma * 12, abs=sigma * STEP)
 
 
@@ -99,8 +99,8 @@ def test_derivatives_are_those_of_differences(rng):
         total = 0.0
         for n, pixel in enumerate(chosen.tolist()):
             direction = direction_of(SMALL, position, pixel % 9, pixel // 9)
-            colour = plain_ray(values, voxels, center, direction, float(first[n]), background)[0]
-            total += ((colour - wanted[n]) ** 2).sum()
+            color = plain_ray(values, voxels, center, direction, float(first[n]), background)[0]
+            total += ((color - wanted[n]) ** 2).sum()
         return total
 
     exact = voxels.values.astype(float)

@@ -56,7 +56,7 @@ class Slow(RequestedViews):
 
 
 class Known:
-    """A trainer that has learnt."""
+    """A trainer that has learned."""
 
     num_steps, background, field, table = 7, WHITE, None, {}
     step = render_counted = state = restore = __len__ = lambda self, *_: 0

@@ -6,7 +6,7 @@ import pytest
 from epipole.cameras import Camera
 from epipole.dense.tsdf import DistanceVolume
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
-from epipole.fields.exposure import colour_match
+from epipole.fields.exposure import color_match
 from epipole.fields.photometric import psnr
 from epipole.geometry import Rigid3
 from epipole.scene import Mesh
@@ -55,7 +55,7 @@ def test_boxes_and_meshes_are_checked():
         Mesh(np.eye(3), np.array([[0, 1, 3]]), np.zeros((3, 3), np.uint8))
 
 
-@pytest.mark.parametrize("function", [colour_match, psnr])
+@pytest.mark.parametrize("function", [color_match, psnr])
 def test_images_that_are_empty_or_not_finite_are_not_compared(function):
     image = np.full((4, 5, 3), 0.5, np.float32)
     broken = image.copy()

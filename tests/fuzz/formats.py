@@ -236,7 +236,7 @@ def _bag(name: str) -> Callable[[Path], None]:
         for frame in bag_frames(bag):
             assert np.isfinite(frame.timestamp_s)
             with suppress(EpipoleError):  # an image that is damaged is left out
-                assert frame.grey().ndim == 2
+                assert frame.gray().ndim == 2
         assert np.isfinite(read_bag_imu(path).accel_m_s2).all()
 
     return read
@@ -319,7 +319,7 @@ def _places(folder: Path) -> None:
 
 def _odometry(folder: Path) -> None:
     found = read_odometry(folder / "a.txt")
-    assert (np.diff(found.timestamp_s) > 0).all() and (found.travelled_m is None) != (found.positions is None)
+    assert (np.diff(found.timestamp_s) > 0).all() and (found.traveled_m is None) != (found.positions is None)
 
 
 def _imu(folder: Path) -> None:
@@ -339,8 +339,8 @@ def _put_slam_map(folder: Path) -> None:
     model.add_points(np.ones((5, 3)), np.full((5, 2), 9.0), 0)
     for n in range(2):
         seen = Observations(np.full((5, 2), 9.0), np.full(5, np.nan), np.arange(5))
-        grey = np.full((24, 32), 100 + n, np.uint8)
-        model.keyframes.append(Keyframe(n, 0.1 * n, grey, Rigid3.identity(), seen))
+        gray = np.full((24, 32), 100 + n, np.uint8)
+        model.keyframes.append(Keyframe(n, 0.1 * n, gray, Rigid3.identity(), seen))
     write_slam_map(folder / "map.npz", model, ["a.png", "b.png"], SLAM_CAMERA)
 
 

@@ -60,7 +60,7 @@ def frames() -> list[Frame]:
     """Small images of a ride."""
     out = []
     for n, frame in enumerate(ride("arc", 6).frames("stereo")):
-        left, right = frame.grey[::2, ::2].copy(), frame.right_grey[::2, ::2].copy()
+        left, right = frame.gray[::2, ::2].copy(), frame.right_gray[::2, ::2].copy()
         out.append(Frame(0.1 * n, left, right))
     return out
 

@@ -80,7 +80,7 @@ def test_rectified_matches_lie_in_the_same_row(rng):
         r1 = from_homogeneous(to_homogeneous(x1) @ H1.T)
         r2 = from_homogeneous(to_homogeneous(x2) @ H2.T)
         np.testing.assert_allclose(r1[:, 1], r2[:, 1], atol=1e-6)
-        # The centre of image 2 stays and is not stretched.
+        # The center of image 2 stays and is not stretched.
         center = np.array([[639.5, 479.5], [640.5, 479.5], [639.5, 480.5]])
         moved = from_homogeneous(to_homogeneous(center) @ H2.T)
         np.testing.assert_allclose(moved[0], center[0], atol=1e-9)

@@ -25,7 +25,7 @@ def test_linear_triangulation_of_exact_rays_is_exact(count: int, rng: np.random.
         np.testing.assert_allclose(triangulate_linear(cams_from_world, -rays), point, atol=1e-11)
 
 
-def test_linear_triangulation_minimises_its_algebraic_error(rng: np.random.Generator) -> None:
+def test_linear_triangulation_minimizes_its_algebraic_error(rng: np.random.Generator) -> None:
     cams_from_world = ring_of_cameras(6, rng)
     point = np.array([0.2, -0.4, 0.3])
     rays = cams_from_world.apply(point) + 0.02 * rng.normal(size=(6, 3))
@@ -86,7 +86,7 @@ def test_bad_rays_are_named() -> None:
 
 
 def test_skew_rays_meet_in_the_middle_of_their_gap() -> None:
-    # Along z through the origin, and along x at height y = 1, z = 5, seen from the centre (1, 0, 0).
+    # Along z through the origin, and along x at height y = 1, z = 5, seen from the center (1, 0, 0).
     points, along1, along2 = triangulate_two_view(SIDEWAYS, [[0.0, 0, 2]], [[-1.0, 1.0, 5.0]])
     gap = np.array([[1.0, 0, 0]]) + along2[:, None] * np.array([[-1.0, 1.0, 5.0]]) / np.sqrt(27)
     on_first = along1[:, None] * np.array([[0.0, 0, 1]])

@@ -1,4 +1,4 @@
-"""Smaller images, and numbers as colours."""
+"""Smaller images, and numbers as colors."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def test_colors_run_from_blue_to_red_over_the_percentiles() -> None:
     rgb = color_map(values)
     assert rgb.shape == (7, 143, 3)
     assert rgb[0, 50, 2] > rgb[0, 50, 0] and rgb[6, 90, 0] > rgb[6, 90, 2]
-    # Beyond the percentiles a colour stays that of the end, and one row is coloured as many are.
+    # Beyond the percentiles a color stays that of the end, and one row is colored as many are.
     assert (rgb[0, :10] == rgb[0, 0]).all() and (rgb[6, -10:] == rgb[6, -1]).all()
     np.testing.assert_array_equal(color_map(values.ravel()), rgb.reshape(-1, 3))
 

@@ -34,7 +34,7 @@ def test_scale_gravity_and_biases_are_found(seed):
 
 
 @pytest.mark.parametrize("seed", [2] + IS_WHOLE * [0])
-def test_constant_velocity_names_no_metre(seed):
+def test_constant_velocity_names_no_meter(seed):
     with pytest.raises(DegenerateGeometryError, match="constant velocity"):
         aligned(inertial_path(seed, seconds=6.0, constant_velocity=True))
 

@@ -96,7 +96,7 @@ def seen_scene(path, rng, noise_px, num_new=12):
 
 
 def error_of(path, found):
-    """Root mean square error of places in metres, and metres of the found path's unit."""
+    """Root mean square error of places in meters, and meters of the found path's unit."""
     there = path.world_from_camera.translation
     fit = align_points(found.translation, there)
     off = fit.apply(found.translation) - there

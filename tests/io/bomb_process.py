@@ -38,7 +38,7 @@ READERS: dict[str, Callable[..., Any]] = {
     "pfm": depth_maps.read_pfm,
     "png16": depth_maps.read_png16,
     "header": photographs.read_header,
-    "grey": photographs.read_grey,
+    "gray": photographs.read_grey,
     "rgb": photographs.read_rgb,
     "small": lambda path: photographs.read_rgb(path, 64),
     "mask": lambda path: photographs.read_mask(path.parent, path.stem),
@@ -57,7 +57,7 @@ READERS: dict[str, Callable[..., Any]] = {
     "grid": read_grid,
     "hash": read_hash,
     "gaussians": read_gaussians,
-    "bag": lambda path: [frame.grey() for frame in bag_frames(read_bag(path))],
+    "bag": lambda path: [frame.gray() for frame in bag_frames(read_bag(path))],
     "folders": lambda path: stereo_folders.pair_folders(path, path.parent),
 }
 

@@ -92,10 +92,10 @@ def png_chunk(kind: bytes, data: bytes) -> bytes:
 
 
 def png(
-    width: int, height: int, depth: int = 8, colour: int = 0, extra: bytes = b"", rows: bytes = bytes(100)
+    width: int, height: int, depth: int = 8, color: int = 0, extra: bytes = b"", rows: bytes = bytes(100)
 ) -> bytes:
     """A PNG whose header promises an image of this size."""
-    head = png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0))
+    head = png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, color, 0, 0, 0))
     rest = png_chunk(b"IDAT", zlib.compress(rows)) + png_chunk(b"IEND", b"")
     return b"\x89PNG\r\n\x1a\n" + head + extra + rest
 
@@ -161,7 +161,7 @@ ANIMATION = png_chunk(b"acTL", struct.pack(">II", 2, 0)) + png_chunk(
 )
 IMAGES: dict[str, Callable[[], bytes]] = {
     "PNG of 3.5 GB": lambda: png(30000, 30000, 16, 2),
-    "PNG of 16-bit greys": lambda: png(30000, 30000, 16),
+    "PNG of 16-bit grays": lambda: png(30000, 30000, 16),
     "PNG of a million rows": lambda: png(32, 1_000_000, 8, 2, extra=png_chunk(b"teXt", bytes(5000))),
     "PNG of 144 megapixels in 143 bytes": lambda: png(12000, 12000, 16, 6),
     "PNG with a chunk of 640 MB": lambda: (
@@ -175,7 +175,7 @@ IMAGES: dict[str, Callable[[], bytes]] = {
     "TIFF of zeros": lambda: tiff(12000, 12000, 8),
     "TIFF of 2^31 channels": lambda: tiff(2000, 2000, 8, channels=65535),
     "TIFF of 4 gigapixels": lambda: tiff(65535, 65535, 5),
-    "WebP of one colour": lambda: encoded("WEBP", (16383, 9000), lossless=True, quality=0, method=0),
+    "WebP of one color": lambda: encoded("WEBP", (16383, 9000), lossless=True, quality=0, method=0),
     "BMP": lambda: encoded("BMP")[:18] + struct.pack("<ii", 12000, 12000) + encoded("BMP")[26:],
     "BMP of negative size": lambda: (
         encoded("BMP")[:18] + struct.pack("<ii", -5, -(2**31)) + encoded("BMP")[26:]

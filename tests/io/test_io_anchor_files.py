@@ -7,7 +7,7 @@ from epipole.errors import FileFormatError
 from epipole.io.anchor_files import NamedPositions, read_anchor_positions, read_lengths, read_odometry
 from epipole.io.trajectories.files import PositionLog
 
-LENGTHS = """# name metres end image x y
+LENGTHS = """# name meters end image x y
 shelf 1.5 a one.jpg 10 20.5
 shelf 1.5 b one.jpg 30 20
 shelf 1.5 a holiday pictures/two.jpg 11 21
@@ -33,7 +33,7 @@ def test_lengths(tmp_path):
     ("text", "words"),
     [
         ("", "contains no lengths"),
-        ("L 1 a p.jpg 3\n", "NAME METRES END"),
+        ("L 1 a p.jpg 3\n", "NAME METERS END"),
         ("L 1 c p.jpg 3 4\n", "a or b"),
         ("L 0 a p.jpg 3 4\n", "positive"),
         ("L x a p.jpg 3 4\n", "is not a number"),
@@ -66,14 +66,14 @@ def test_places_by_time_or_by_name(tmp_path):
 
 def test_odometry_as_distances_or_places(tmp_path):
     wheels = read_odometry(write(tmp_path, "# s m\n1700000000.5 10\n1700000001 10\n1700000002 11.5\n"))
-    assert wheels.positions is None and wheels.travelled_m.tolist() == [10, 10, 11.5]
+    assert wheels.positions is None and wheels.traveled_m.tolist() == [10, 10, 11.5]
     positions = read_odometry(write(tmp_path, "0 1 2 3 0 0 0 1\n0 1 2 3 0 0 0 1\n1 2 2 3 0 0 0 1\n"))
-    assert positions.travelled_m is None and positions.timestamp_s.tolist() == [0, 1]
+    assert positions.traveled_m is None and positions.timestamp_s.tolist() == [0, 1]
     for text, words in (
         ("", "no odometry"),
         ("0 1\n1 0\n", "must not decrease"),
         ("0 1\n0 2\n", "must increase"),
-        ("0 1\n1\n", "METRES"),
+        ("0 1\n1\n", "METERS"),
     ):
         with pytest.raises(FileFormatError, match=words):
             read_odometry(write(tmp_path, text))

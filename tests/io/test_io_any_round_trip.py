@@ -252,7 +252,7 @@ def test_ros_calibrations(tmp_path: Path, camera: Camera) -> None:
 
 @given(numbers(-89.99, 89.99), numbers(-179.99, 179.99), st.none() | numbers(-400, 9000))
 def test_gps_in_exif(lat_deg: float, lon_deg: float, alt_m: float | None) -> None:
-    """To a microsecond of arc (3 cm / 1000) and a millimetre."""
+    """To a microsecond of arc (3 cm / 1000) and a millimeter."""
     exif = Image.Exif()
     exif.load(new_exif("epipole", "any", 35.0, (lat_deg, lon_deg, alt_m)).tobytes())
     found = gps_of(exif)

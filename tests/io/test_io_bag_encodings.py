@@ -28,15 +28,15 @@ def recorded(images: list[np.ndarray], encoding: str) -> Recorded:
     return out
 
 
-def greys(made: Recorded, folder) -> list[np.ndarray]:
-    return [frame.grey() for frame in bag_frames(read_bag(made.write(folder), "mono"))]
+def grays(made: Recorded, folder) -> list[np.ndarray]:
+    return [frame.gray() for frame in bag_frames(read_bag(made.write(folder), "mono"))]
 
 
 @pytest.mark.parametrize("bits", [10, 12, 14, 16])
 def test_mono16_keeps_the_upper_bits_of_its_sensor_in_all_frames(tmp_path, bits):
     full = (1 << bits) - 1
     bright, dark = ((gain * full * smooth()).astype(np.uint16) for gain in (1.0, 0.2))
-    first, second = greys(recorded([bright, dark], "mono16"), tmp_path)
+    first, second = grays(recorded([bright, dark], "mono16"), tmp_path)
     np.testing.assert_array_equal(first, bright >> (bits - 8))
     np.testing.assert_array_equal(second, dark >> (bits - 8))
     assert len(np.unique(first)) > 200
@@ -44,16 +44,16 @@ def test_mono16_keeps_the_upper_bits_of_its_sensor_in_all_frames(tmp_path, bits)
 
 def test_thermal_images_are_stretched_alike(tmp_path):
     first, second = ((7000 + 900 * smooth() + shift).astype(np.uint16) for shift in (0, 50))
-    grey, later = greys(recorded([first, second], "mono16"), tmp_path)
-    assert len(np.unique(grey)) > 200
-    assert 10 <= np.median(later.astype(int) - grey) <= 16
+    gray, later = grays(recorded([first, second], "mono16"), tmp_path)
+    assert len(np.unique(gray)) > 200
+    assert 10 <= np.median(later.astype(int) - gray) <= 16
 
 
 def test_a_brighter_frame_later_is_not_saturated(tmp_path):
     dark = (250 * smooth()).astype(np.uint16)
     bright = (4095 * smooth()).astype(np.uint16)
-    assert greys(recorded([dark] * 17 + [bright], "mono16"), tmp_path)[-1].max() == 255
-    assert len(np.unique(greys(recorded([dark] * 17 + [bright], "mono16"), tmp_path / "b")[-1])) > 200
+    assert grays(recorded([dark] * 17 + [bright], "mono16"), tmp_path)[-1].max() == 255
+    assert len(np.unique(grays(recorded([dark] * 17 + [bright], "mono16"), tmp_path / "b")[-1])) > 200
 
 
 @pytest.mark.parametrize(
@@ -63,24 +63,24 @@ def test_a_brighter_frame_later_is_not_saturated(tmp_path):
 def test_other_encodings_of_16_bits(tmp_path, encoding, conversion):
     channels = {"bgr16": 3, "rgba16": 4, "bayer_rggb16": 1}[encoding]
     plain = np.repeat(np.rint(255 * smooth()).astype(np.uint8)[..., None], channels, axis=2)
-    (grey,) = greys(recorded([plain.astype(np.uint16) << 4 | 15], encoding), tmp_path)
+    (gray,) = grays(recorded([plain.astype(np.uint16) << 4 | 15], encoding), tmp_path)
     expected = plain[..., 0] if conversion is None else cv2.cvtColor(plain, conversion)
-    assert np.abs(grey.astype(int) - expected)[2:-2, 2:-2].max() <= 3
+    assert np.abs(gray.astype(int) - expected)[2:-2, 2:-2].max() <= 3
 
 
-def test_a_compressed_mosaic_is_made_grey(tmp_path):
+def test_a_compressed_mosaic_is_made_gray(tmp_path):
     """Of a red wall: a quarter of the pixels are bright."""
     mosaic = np.zeros(SIZE[::-1], np.uint8)
     mosaic[::2, ::2] = 200
     made = Recorded("mcap")
     png = cv2.imencode(".png", mosaic)[1].tobytes()
     made.compressed("/cam/image_raw/compressed", BEGIN, png, "bayer_rggb8; png compressed bayer_rggb8")
-    (grey,) = greys(made, tmp_path)
-    assert np.abs(grey[4:-4, 4:-4].astype(float) - 0.299 * 200).max() <= 2
+    (gray,) = grays(made, tmp_path)
+    assert np.abs(gray[4:-4, 4:-4].astype(float) - 0.299 * 200).max() <= 2
 
 
 @pytest.mark.parametrize("encoding", ["nv21", "8UC2", "bayer_rgbw8", "64FC1"])
 def test_other_encodings_are_refused_by_name(tmp_path, encoding):
     made = recorded([np.zeros((*SIZE[::-1], 2), np.uint8)], encoding)
     with pytest.raises(EpipoleError, match=encoding):
-        greys(made, tmp_path)
+        grays(made, tmp_path)

@@ -63,11 +63,11 @@ def test_the_readers_of_rosbags_unpack_so():
 )
 def test_compressed_recordings_are_read(kind, mode, tmp_path):
     recorded = Recorded(kind)
-    grey = np.arange(64, dtype=np.uint8).reshape(8, 8)
+    gray = np.arange(64, dtype=np.uint8).reshape(8, 8)
     recorded.camera_info("/camera/camera_info", 10**18, (8, 8), np.diag([5.0, 5.0, 1.0]))
-    recorded.image("/camera/image_raw", 10**18, grey, "mono8")
+    recorded.image("/camera/image_raw", 10**18, gray, "mono8")
     path = recorded.write(tmp_path, compression=mode)
-    assert [(frame.grey() == grey).all() for frame in bag_frames(read_bag(path))] == [True]
+    assert [(frame.gray() == gray).all() for frame in bag_frames(read_bag(path))] == [True]
 
 
 def test_a_recording_that_is_a_bomb_is_refused(tmp_path):

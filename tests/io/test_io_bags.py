@@ -18,7 +18,7 @@ K = np.array([[30.0, 0, 15.5], [0, 30.0, 11.5], [0, 0, 1]])
 D = (0.1, -0.02, 0.001, 0.002, 0.0)
 
 
-def grey(n: int) -> np.ndarray:
+def gray(n: int) -> np.ndarray:
     return np.random.default_rng(n).integers(0, 256, SIZE[::-1], np.uint8)
 
 
@@ -34,7 +34,7 @@ def recorded(request):
 
 def test_one_camera(recorded, tmp_path):
     for n in range(4):
-        recorded.image("/cam/image_raw", BEGIN + n * STEP, grey(n), "mono8", BEGIN + n * STEP - 7_000_000)
+        recorded.image("/cam/image_raw", BEGIN + n * STEP, gray(n), "mono8", BEGIN + n * STEP - 7_000_000)
     recorded.camera_info("/cam/camera_info", BEGIN, SIZE, K, D)
     path = recorded.write(tmp_path)
     assert is_bag(path) and not is_bag(tmp_path / "none.bag") and not is_bag(tmp_path)
@@ -45,7 +45,7 @@ def test_one_camera(recorded, tmp_path):
     times = [frame.timestamp_s for frame in frames]
     assert np.allclose(times, BEGIN / SECOND - 0.007 + 0.1 * np.arange(4), atol=1e-6)  # of headers
     for n, frame in enumerate(frames):
-        assert np.array_equal(frame.grey(), grey(n))
+        assert np.array_equal(frame.gray(), gray(n))
     topics = {t.name: (t.kind, t.num_messages) for t in read_bag_topics(path)}
     assert topics == {"/cam/image_raw": ("image", 4), "/cam/camera_info": ("camera", 1)}
 
@@ -60,7 +60,7 @@ def test_a_raw_pair_is_told_by_its_projections(recorded, tmp_path):
         P2 = P.copy()
         P2[0, 3] = corner
         recorded.camera_info(f"/{name}/camera_info", BEGIN, SIZE, K, D, R, P2)
-        recorded.image(f"/{name}/image_raw", BEGIN, grey(1), "mono8")
+        recorded.image(f"/{name}/image_raw", BEGIN, gray(1), "mono8")
     bag = read_bag(recorded.write(tmp_path))
     assert (bag.sensor, bag.topics) == ("stereo", ("/left/image_raw", "/right/image_raw"))
     point = np.array([0.3, -0.2, 4.0])
@@ -76,7 +76,7 @@ def test_rectified_pictures_are_preferred_and_their_camera_is_that_of_p(recorded
         recorded.camera_info(f"/s/{name}/camera_info", BEGIN, SIZE, K, D, P=P)
         for kind in ("image_raw", "image_rect", "image_rect_color"):
             channels = "bgr8" if kind.endswith("color") else "mono8"
-            image = np.repeat(grey(1)[..., None], 3, 2) if channels == "bgr8" else grey(1)
+            image = np.repeat(gray(1)[..., None], 3, 2) if channels == "bgr8" else gray(1)
             recorded.image(f"/s/{name}/{kind}", BEGIN, image, channels)
     path = recorded.write(tmp_path)
     bag = read_bag(path)
@@ -89,43 +89,43 @@ def test_rectified_pictures_are_preferred_and_their_camera_is_that_of_p(recorded
 
 
 @pytest.mark.parametrize("encoding", ["16UC1", "32FC1", "png", "compressedDepth"])
-def test_depth_in_metres(recorded, tmp_path, encoding):
-    millimetres = np.random.default_rng(1).integers(400, 5000, SIZE[::-1]).astype(np.uint16)
-    millimetres[0, :3] = 0
-    metres = millimetres.astype(np.float32) / 1000
-    recorded.image("/camera/rgb/image_color", BEGIN, np.repeat(grey(1)[..., None], 3, 2), "rgb8")
+def test_depth_in_meters(recorded, tmp_path, encoding):
+    millimeters = np.random.default_rng(1).integers(400, 5000, SIZE[::-1]).astype(np.uint16)
+    millimeters[0, :3] = 0
+    meters = millimeters.astype(np.float32) / 1000
+    recorded.image("/camera/rgb/image_color", BEGIN, np.repeat(gray(1)[..., None], 3, 2), "rgb8")
     topic = "/camera/depth_registered/image_raw"
     if encoding == "16UC1":
-        recorded.image(topic, BEGIN + 5_000_000, millimetres, encoding)
+        recorded.image(topic, BEGIN + 5_000_000, millimeters, encoding)
     elif encoding == "32FC1":
-        recorded.image(topic, BEGIN, np.where(metres > 0, metres, np.nan).astype(np.float32), encoding)
+        recorded.image(topic, BEGIN, np.where(meters > 0, meters, np.nan).astype(np.float32), encoding)
     elif encoding == "png":
-        recorded.compressed(f"{topic}/compressed", BEGIN, png(millimetres), "16UC1; png compressed depth")
+        recorded.compressed(f"{topic}/compressed", BEGIN, png(millimeters), "16UC1; png compressed depth")
     else:
         header = np.array([0], "<i4").tobytes() + np.array([0, 0], "<f4").tobytes()
         recorded.compressed(
-            f"{topic}/compressedDepth", BEGIN, header + png(millimetres), "16UC1; compressedDepth png"
+            f"{topic}/compressedDepth", BEGIN, header + png(millimeters), "16UC1; compressedDepth png"
         )
     bag = read_bag(recorded.write(tmp_path))
     assert bag.sensor == "rgbd" and bag.camera is None and not bag.warnings
     (frame,) = bag_frames(bag)
     depth = frame.depth()
-    assert depth.dtype == np.float32 and np.allclose(depth, metres, atol=1e-6) and (depth[0, :3] == 0).all()
-    assert frame.right_grey is None and np.abs(frame.grey().astype(int) - grey(1)).max() <= 1
+    assert depth.dtype == np.float32 and np.allclose(depth, meters, atol=1e-6) and (depth[0, :3] == 0).all()
+    assert frame.right_gray is None and np.abs(frame.gray().astype(int) - gray(1)).max() <= 1
 
 
 def test_inverse_depth_of_floats(tmp_path):
     """compressed_depth_image_transport: number = a / depth + b."""
     recorded = Recorded("mcap")
-    metres = np.linspace(0.5, 8, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE[::-1])
+    meters = np.linspace(0.5, 8, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE[::-1])
     a, b = 1000.0, 3.0
-    numbers = np.rint(a / metres + b).astype(np.uint16)
+    numbers = np.rint(a / meters + b).astype(np.uint16)
     header = np.array([0], "<i4").tobytes() + np.array([a, b], "<f4").tobytes()
-    recorded.image("/c/image", BEGIN, grey(0), "mono8")
+    recorded.image("/c/image", BEGIN, gray(0), "mono8")
     recorded.compressed("/d/compressedDepth", BEGIN, header + png(numbers), "32FC1; compressedDepth png")
     (frame,) = bag_frames(read_bag(recorded.write(tmp_path)))
     assert np.allclose(frame.depth(), a / (numbers - b), rtol=1e-5)
-    assert np.allclose(frame.depth(), metres, rtol=5e-3)
+    assert np.allclose(frame.depth(), meters, rtol=5e-3)
 
 
 def test_encodings_and_compressed_pictures(recorded, tmp_path):
@@ -144,7 +144,7 @@ def test_encodings_and_compressed_pictures(recorded, tmp_path):
     path = recorded.write(tmp_path)
 
     def first(topic):
-        return next(bag_frames(read_bag(path, topics=(topic,)))).grey()
+        return next(bag_frames(read_bag(path, topics=(topic,)))).gray()
 
     for topic in ("/padded", "/deep", "/png"):
         assert np.array_equal(first(topic), smooth(0)), topic
@@ -156,7 +156,7 @@ def test_encodings_and_compressed_pictures(recorded, tmp_path):
 
 def test_topics_that_could_be_meant_are_listed(recorded, tmp_path):
     for name in ("/front/image_raw", "/rear/image_raw"):
-        recorded.image(name, BEGIN, grey(1), "mono8")
+        recorded.image(name, BEGIN, gray(1), "mono8")
     recorded.imu("/imu", BEGIN, (0, 0, 0), (0, 0, 9.8))
     path = recorded.write(tmp_path)
     with pytest.raises(ConfigError, match=r"several topics.*/front/image_raw or /rear/image_raw.*1 of Imu"):
@@ -177,14 +177,14 @@ def test_topics_that_could_be_meant_are_listed(recorded, tmp_path):
 
 def test_endless_names_of_topics_are_cut_off_in_errors(recorded, tmp_path):
     for name in ("/a/" + "x" * 9000, "/b/" + "x" * 9000):
-        recorded.image(name, BEGIN, grey(1), "mono8")
+        recorded.image(name, BEGIN, gray(1), "mono8")
     with pytest.raises(ConfigError, match="several topics") as caught:
         read_bag(recorded.write(tmp_path))
     assert len(str(caught.value)) < 9000
 
 
 def test_depth_of_another_place_and_wrong_sizes_are_told(recorded, tmp_path):
-    recorded.image("/rgb/image", BEGIN, grey(1), "mono8")
+    recorded.image("/rgb/image", BEGIN, gray(1), "mono8")
     recorded.image("/depth/image", BEGIN, np.ones(SIZE[::-1], np.float32), "32FC1")
     recorded.camera_info("/rgb/camera_info", BEGIN, (64, 48), K, frame_id="color")
     recorded.camera_info("/depth/camera_info", BEGIN, SIZE, K, frame_id="depth")
@@ -194,7 +194,7 @@ def test_depth_of_another_place_and_wrong_sizes_are_told(recorded, tmp_path):
 
 
 def test_unregistered_depth_is_told(recorded, tmp_path):
-    recorded.image("/rgb/image", BEGIN, grey(1), "mono8")
+    recorded.image("/rgb/image", BEGIN, gray(1), "mono8")
     recorded.image("/depth/image", BEGIN, np.ones(SIZE[::-1], np.float32), "32FC1")
     for name in ("rgb", "depth"):
         recorded.camera_info(f"/{name}/camera_info", BEGIN, SIZE, K, frame_id=name)
@@ -266,13 +266,13 @@ def test_what_stands_before_a_cut_is_read(kind, tmp_path):
         noise = rng.integers(0, 256, (200, 300), np.uint8)
         recorded.image("/cam/image_raw", BEGIN + n * STEP, noise, "mono8")
     path = recorded.write(tmp_path)
-    whole = [frame.grey() for frame in bag_frames(read_bag(path))]
+    whole = [frame.gray() for frame in bag_frames(read_bag(path))]
     data = storage(path).read_bytes()
     for fraction in (0.95, 0.6):
         storage(path).write_bytes(data[: int(fraction * len(data))])
         bag = read_bag(path)
         assert any("before the damage or truncation" in warning for warning in bag.warnings)
-        found = [frame.grey() for frame in bag_frames(bag)]
+        found = [frame.gray() for frame in bag_frames(bag)]
         assert 5 < len(found) <= fraction * 40
         assert all(np.array_equal(a, b) for a, b in zip(found, whole))
     if kind == "mcap":  # a recording that was never closed has no metadata.yaml
@@ -293,7 +293,7 @@ def test_damage_in_the_middle_keeps_the_frames_before(tmp_path):
     data[page : page + 4096 * 4] = b"\xff" * 4096 * 4
     storage(path).write_bytes(data)
     bag = read_bag(path)
-    found = [frame.grey() for frame in bag_frames(bag)]
+    found = [frame.gray() for frame in bag_frames(bag)]
     assert 10 < len(found) < 60 and any(
         "malformed; only the part before" in warning for warning in bag.warnings
     )
@@ -301,25 +301,25 @@ def test_damage_in_the_middle_keeps_the_frames_before(tmp_path):
 
 
 def test_pictures_that_make_no_sense(recorded, tmp_path):
-    recorded.image("/good/image", BEGIN, grey(1), "mono8")
+    recorded.image("/good/image", BEGIN, gray(1), "mono8")
     for n in range(3):
-        recorded.image("/bad/image", BEGIN + n, grey(n), "mono8")
+        recorded.image("/bad/image", BEGIN + n, gray(n), "mono8")
     recorded.rows[-2][3].height = 1000
     recorded.rows[-1][3].encoding = "purple"
     path = recorded.write(tmp_path)
     first, *rest = bag_frames(read_bag(path, topics=("/bad/image",)))
-    assert np.array_equal(first.grey(), grey(0))
+    assert np.array_equal(first.gray(), gray(0))
     for frame, words in zip(rest, ("do not match an image of 32 x 1000", "'purple' is not supported")):
         with pytest.raises(FileFormatError, match=words):
-            frame.grey()
+            frame.gray()
 
 
 def test_cameras_that_make_no_sense(recorded, tmp_path):
-    recorded.image("/a/image", BEGIN, grey(1), "mono8")
+    recorded.image("/a/image", BEGIN, gray(1), "mono8")
     recorded.camera_info("/a/camera_info", BEGIN, SIZE, K, D, model="rubber")
-    recorded.image("/b/image", BEGIN, grey(1), "mono8")
+    recorded.image("/b/image", BEGIN, gray(1), "mono8")
     recorded.camera_info("/b/camera_info", BEGIN, SIZE, 0 * K)
-    recorded.image("/c/image", BEGIN, grey(1), "mono8")
+    recorded.image("/c/image", BEGIN, gray(1), "mono8")
     recorded.camera_info("/c/camera_info", BEGIN, SIZE, K * np.nan)
     path = recorded.write(tmp_path)
     with pytest.raises(FileFormatError, match="unknown distortion_model rubber"):
@@ -330,7 +330,7 @@ def test_cameras_that_make_no_sense(recorded, tmp_path):
 
 
 def test_without_rosbags_the_line_to_install_it_is_told(recorded, tmp_path, monkeypatch):
-    recorded.image("/a/image", BEGIN, grey(1), "mono8")
+    recorded.image("/a/image", BEGIN, gray(1), "mono8")
     path = recorded.write(tmp_path)
     imported = builtins.__import__
 
@@ -346,7 +346,7 @@ def test_without_rosbags_the_line_to_install_it_is_told(recorded, tmp_path, monk
 
 def test_folders_and_files_that_are_no_recording(tmp_path):
     recorded = Recorded("sqlite")
-    recorded.image("/a/image", BEGIN, grey(1), "mono8")
+    recorded.image("/a/image", BEGIN, gray(1), "mono8")
     path = recorded.write(tmp_path)
     shutil.copy(path / "ride.db3", tmp_path / "alone.db3")
     assert read_bag(tmp_path / "alone.db3").num_frames == 1

@@ -65,7 +65,7 @@ def test_xml(read: Read, tmp_path: Path, what: str) -> None:
 def test_pictures(read: Read, tmp_path: Path, what: str) -> None:
     path = tmp_path / "bomb.png"
     path.write_bytes(bombs.IMAGES[what]())
-    for reader in ("rgb", "grey", "small", "mask", "png16", "pfm"):
+    for reader in ("rgb", "gray", "small", "mask", "png16", "pfm"):
         refuses(read(reader, path, most_mib=64))
     assert read("header", path).startswith(("read", "refused"))
 

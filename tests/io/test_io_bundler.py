@@ -14,7 +14,7 @@ from io_models import mappable_model, small_model
 
 
 def bundler_model(k1: float = 0.03, k2: float = -0.01) -> Reconstruction:
-    """The mappable model with exact keypoints of a distorted, off-centre camera, one image less."""
+    """The mappable model with exact keypoints of a distorted, off-center camera, one image less."""
     model = mappable_model()
     camera = Camera(CameraModel.RADIAL, 640, 480, np.array([550.0, 310.0, 245.0, k1, k2]))
     keypoints = model.images.keypoints_px.copy()

@@ -37,7 +37,7 @@ def test_what_is_read_looks_like_what_was_written(rng, tmp_path, name, num_sh):
     wanted = cloud.sh[:, :1] if name.endswith(".splat") else cloud.sh
     whole = GaussianCloud(*(getattr(cloud, part) for part in PARTS[:4]), np.ascontiguousarray(wanted))
     for position in (look_at((0, -3, 1), (0, 0, 0)), look_at((2.5, 1, -1), (0, 0, 0))):
-        one, other = (render(c, CAMERA, position).colour for c in (whole, found))
+        one, other = (render(c, CAMERA, position).color for c in (whole, found))
         assert np.abs(one - other).mean() < 6e-3
 
 

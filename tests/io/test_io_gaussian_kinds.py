@@ -29,9 +29,9 @@ def spz_of_version_1():
     """Two Gaussians with positions in half precision."""
     head = struct.pack("<4sIIBBBB", b"NGSP", 1, 2, 0, 0, 0, 0)
     means = np.array([[0.5, -2.0, 3.0], [100.0, 0.25, -1.0]], "<f2").tobytes()
-    alphas, colours = bytes([255, 128]), bytes([127, 200, 10, 128, 128, 128])
+    alphas, colors = bytes([255, 128]), bytes([127, 200, 10, 128, 128, 128])
     scales, rotations = bytes([160, 144, 128] * 2), bytes([127, 127, 127, 255, 127, 127])
-    return gzip.compress(head + means + alphas + colours + scales + rotations)
+    return gzip.compress(head + means + alphas + colors + scales + rotations)
 
 
 def test_spz_of_version_1(tmp_path):
@@ -53,7 +53,7 @@ def test_other_versions_are_refused(tmp_path, version):
 
 
 def test_versions_of_one_scene_agree(data_dir):
-    """Version 2 was written by another program, with other axes and colours."""
+    """Version 2 was written by another program, with other axes and colors."""
     third, fourth, splat = (
         read_gaussians(data_dir / "faults" / name)
         for name in ("minimal-v3.spz", "minimal-v4.spz", "minimal.splat")
@@ -113,15 +113,15 @@ def test_spz_of_a_wide_scene_keeps_its_far_positions(tmp_path):
         )
 
 
-def test_compressed_plys_of_early_writers_have_no_ranges_of_colour(tmp_path):
+def test_compressed_plys_of_early_writers_have_no_ranges_of_color(tmp_path):
     write_gaussians(tmp_path / "a.compressed.ply", cloud_of(10, 1))
     head, body = (tmp_path / "a.compressed.ply").read_bytes().split(b"end_header\n", 1)
     for name in (b"min_r", b"min_g", b"min_b", b"max_r", b"max_g", b"max_b"):
         head = head.replace(b"property float " + name + b"\n", b"")
     (tmp_path / "b.ply").write_bytes(head + b"end_header\n" + body[:48] + body[72:])
     found = read_gaussians(tmp_path / "b.ply")
-    colours = 0.5 + 0.28209479 * found.sh[:, 0]
-    assert colours.min() == pytest.approx(0.0, abs=1e-6) and colours.max() == pytest.approx(1.0, abs=1e-6)
+    colors = 0.5 + 0.28209479 * found.sh[:, 0]
+    assert colors.min() == pytest.approx(0.0, abs=1e-6) and colors.max() == pytest.approx(1.0, abs=1e-6)
 
 
 def _reads(folder):

@@ -155,7 +155,7 @@ def test_a_mask_that_is_a_lying_jpeg_is_refused(folder: Path) -> None:
 
 
 def test_a_blank_picture_is_not_taken_for_a_lie(folder: Path) -> None:
-    """Nothing is packed more tightly: one colour, optimised tables, a progressive JPEG without detail."""
+    """Nothing is packed more tightly: one color, optimized tables, a progressive JPEG without detail."""
     for options in ({"optimize": True}, {"progressive": True, "optimize": True}):
         Image.new("L", (4000, 3000), 255).save(folder / "blank.jpg", "JPEG", quality=10, **options)
         assert read_grey(folder / "blank.jpg", 100).shape == (75, 100)

@@ -133,7 +133,7 @@ def test_camera_raw_with_another_suffix_is_refused(tmp_path: Path) -> None:
     ("suffix", "has_alpha"),
     [(".png", False), (".png", True), (".tif", False), (".tif", True), (".ppm", False)],
 )
-def test_deep_colour_keeps_the_upper_bits_of_its_sensor(
+def test_deep_color_keeps_the_upper_bits_of_its_sensor(
     tmp_path: Path, bits: int, suffix: str, has_alpha: bool
 ) -> None:
     deep = np.random.default_rng(0).integers(0, 1 << bits, (30, 40, 4 if has_alpha else 3)).astype(np.uint16)
@@ -148,10 +148,10 @@ def test_deep_colour_keeps_the_upper_bits_of_its_sensor(
         assert (rgba[..., 3] == 255).all()
 
 
-def test_deep_grey_with_alpha(tmp_path: Path) -> None:
-    """PNG of colour type 4 and 16 bits, which Pillow cannot write."""
-    grey = np.arange(12, dtype=">u2").reshape(3, 4) * 341
-    rows = np.stack([grey, np.full((3, 4), 65535, ">u2")], axis=2).astype(">u2")
+def test_deep_gray_with_alpha(tmp_path: Path) -> None:
+    """PNG of color type 4 and 16 bits, which Pillow cannot write."""
+    gray = np.arange(12, dtype=">u2").reshape(3, 4) * 341
+    rows = np.stack([gray, np.full((3, 4), 65535, ">u2")], axis=2).astype(">u2")
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
@@ -160,7 +160,7 @@ def test_deep_grey_with_alpha(tmp_path: Path) -> None:
     body = chunk(b"IDAT", zlib.compress(b"".join(b"\0" + row.tobytes() for row in rows)))
     path = tmp_path / "a.png"
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + head + body + chunk(b"IEND", b""))
-    np.testing.assert_array_equal(read_grey(path), (grey >> 4).astype(np.uint8))
+    np.testing.assert_array_equal(read_grey(path), (gray >> 4).astype(np.uint8))
 
 
 @pytest.mark.parametrize("kind", [np.uint16, np.float32])
@@ -169,11 +169,11 @@ def test_zero_is_white(tmp_path: Path, kind: type) -> None:
     full = 1.0 if kind is np.float32 else np.iinfo(kind).max
     stored = ((1.0 - values) * full).astype(kind)
     Image.fromarray(stored).save(tmp_path / "a.tif", tiffinfo={262: 0})
-    grey = read_grey(tmp_path / "a.tif")
-    assert np.abs(grey - 255 * values).max() <= 2
+    gray = read_grey(tmp_path / "a.tif")
+    assert np.abs(gray - 255 * values).max() <= 2
 
 
-def test_a_set_of_deep_grey_is_mapped_alike(tmp_path: Path) -> None:
+def test_a_set_of_deep_gray_is_mapped_alike(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     paths = []
     for k, gain in enumerate((1.0, 0.3)):
@@ -230,5 +230,5 @@ def test_frames_of_slam_are_mapped_alike(tmp_path: Path) -> None:
     sequence = read_sequence(tmp_path / "frames", 10.0)
     camera = Camera("PINHOLE", 64, 48, [60.0, 60.0, 31.5, 23.5])
     frames = [queued.read() for queued in open_sequence(sequence, "mono", camera).frames()]
-    means = [float(frame.grey.mean()) for frame in frames]
+    means = [float(frame.gray.mean()) for frame in frames]
     assert means[1] < means[2] - 10 < means[0] - 20

@@ -1,4 +1,4 @@
-"""A model's images are read in the pixels that its cameras describe, at any scale: by sizes, colours, and who made it."""
+"""A model's images are read in the pixels that its cameras describe, at any scale: by sizes, colors, and who made it."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +26,7 @@ W, H = 64, 48
 
 
 def stored_picture(seed: int) -> np.ndarray:
-    """Smooth colours without any symmetry."""
+    """Smooth colors without any symmetry."""
     small = np.random.default_rng(seed).integers(0, 255, (4, 5, 3), np.uint8)
     return np.asarray(Image.fromarray(small).resize((W, H), Image.Resampling.BICUBIC))
 
@@ -72,7 +72,7 @@ def write_images(folder: Path, model: Reconstruction, orientation: int, scale: i
 
 @pytest.mark.parametrize("orientation", range(1, 9))
 @pytest.mark.parametrize("of_stored", [True, False])
-def test_colours_and_sizes_tell_what_is_described(tmp_path, orientation, of_stored):
+def test_colors_and_sizes_tell_what_is_described(tmp_path, orientation, of_stored):
     model = model_of(orientation, of_stored=of_stored)
     write_images(tmp_path, model, orientation)
     found = ModelImages(model, tmp_path, is_own=of_stored)  # the mark says the opposite
@@ -82,7 +82,7 @@ def test_colours_and_sizes_tell_what_is_described(tmp_path, orientation, of_stor
 
 
 @pytest.mark.parametrize("is_own", [True, False])
-def test_without_colours_the_maker_decides(tmp_path, is_own):
+def test_without_colors_the_maker_decides(tmp_path, is_own):
     model = model_of(3, of_stored=True, has_colors=False)
     write_images(tmp_path, model, 3)
     expected = rotation(stored_picture(0), 3) if is_own else stored_picture(0)

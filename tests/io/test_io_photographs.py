@@ -41,8 +41,8 @@ STORED_FROM_UPRIGHT = {
 }
 
 
-def colour_blocks(height=64, width=96):
-    """An image of flat 16-pixel blocks in different colours, which JPEG keeps almost exactly."""
+def color_blocks(height=64, width=96):
+    """An image of flat 16-pixel blocks in different colors, which JPEG keeps almost exactly."""
     rng = np.random.default_rng(7)
     blocks = rng.integers(0, 256, (height // 16, width // 16, 3), dtype=np.uint8)
     return np.ascontiguousarray(blocks.repeat(16, 0).repeat(16, 1))
@@ -109,7 +109,7 @@ def test_list_survives_circular_links_and_missing_folders(tmp_path):
 @pytest.mark.parametrize("orientation", range(1, 9))
 @pytest.mark.parametrize("suffix", ["jpg", "png", "tif", "webp"])
 def test_orientation_is_applied_once(tmp_path, suffix, orientation):
-    upright = colour_blocks()
+    upright = color_blocks()
     stored = np.ascontiguousarray(STORED_FROM_UPRIGHT[orientation](upright))
     exif = Image.Exif()
     exif[0x0112] = orientation
@@ -119,13 +119,13 @@ def test_orientation_is_applied_once(tmp_path, suffix, orientation):
     header = read_header(path)
     assert (header.width, header.height, header.orientation) == (96, 64, orientation)
     tolerance = 6 if suffix == "jpg" else 0
-    rgb, grey = read_rgb(path), read_grey(path)
+    rgb, gray = read_rgb(path), read_grey(path)
     assert np.abs(rgb.astype(int) - upright).max() <= tolerance
-    assert np.abs(grey - upright @ [0.299, 0.587, 0.114]).max() <= tolerance + 1
+    assert np.abs(gray - upright @ [0.299, 0.587, 0.114]).max() <= tolerance + 1
     assert rgb.flags.c_contiguous
-    assert grey.flags.c_contiguous
+    assert gray.flags.c_contiguous
     assert rgb.flags.writeable
-    assert grey.flags.writeable
+    assert gray.flags.writeable
     half = upright.reshape(32, 2, 48, 2, 3).mean((1, 3))
     assert np.abs(read_rgb(path, 48) - half).max() <= tolerance + 1
 
@@ -137,19 +137,19 @@ def test_orientation_is_applied_once(tmp_path, suffix, orientation):
 
 
 @pytest.mark.parametrize("suffix", ["png", "tif"])
-def test_deep_greyscale_is_stretched_and_deep_colour_keeps_its_range(tmp_path, suffix):
+def test_deep_grayscale_is_stretched_and_deep_color_keeps_its_range(tmp_path, suffix):
     rng = np.random.default_rng(1)
     deep = rng.integers(300, 3000, (120, 90)).astype(np.uint16)
     cv2.imwrite(str(tmp_path / f"g.{suffix}"), deep)
     low, high = np.percentile(deep, [0.1, 99.9])
     expected = np.clip((deep - low) * 255.0 / (high - low), 0, 255)
-    grey = read_grey(tmp_path / f"g.{suffix}")
-    assert np.abs(grey - expected).max() <= 0.51
-    np.testing.assert_array_equal(read_rgb(tmp_path / f"g.{suffix}"), np.dstack([grey] * 3))
+    gray = read_grey(tmp_path / f"g.{suffix}")
+    assert np.abs(gray - expected).max() <= 0.51
+    np.testing.assert_array_equal(read_rgb(tmp_path / f"g.{suffix}"), np.dstack([gray] * 3))
 
-    colour = rng.integers(0, 65536, (20, 30, 3)).astype(np.uint16)
-    cv2.imwrite(str(tmp_path / f"c.{suffix}"), colour)
-    np.testing.assert_array_equal(read_rgb(tmp_path / f"c.{suffix}"), colour[..., ::-1] >> 8)
+    color = rng.integers(0, 65536, (20, 30, 3)).astype(np.uint16)
+    cv2.imwrite(str(tmp_path / f"c.{suffix}"), color)
+    np.testing.assert_array_equal(read_rgb(tmp_path / f"c.{suffix}"), color[..., ::-1] >> 8)
 
     cv2.imwrite(str(tmp_path / f"k.{suffix}"), np.full((5, 5), 32896, np.uint16))
     np.testing.assert_array_equal(read_grey(tmp_path / f"k.{suffix}"), 128)
@@ -159,13 +159,13 @@ def test_float_tiff_with_nan(tmp_path):
     values = np.linspace(0.0, 1.0, 400, dtype=np.float32).reshape(20, 20)
     values[0, 0] = np.nan
     Image.fromarray(values).save(tmp_path / "f.tif")
-    grey = read_grey(tmp_path / "f.tif")
-    assert grey[0, 0] == 0
-    np.testing.assert_allclose(grey.ravel()[1:], values.ravel()[1:] * 255.0, atol=1.5)
+    gray = read_grey(tmp_path / "f.tif")
+    assert gray[0, 0] == 0
+    np.testing.assert_allclose(gray.ravel()[1:], values.ravel()[1:] * 255.0, atol=1.5)
 
 
 def test_palette_transparency_and_one_bit(tmp_path):
-    rgb = colour_blocks(32, 32)
+    rgb = color_blocks(32, 32)
     Image.fromarray(rgb).quantize(16).save(tmp_path / "p.png")
     np.testing.assert_array_equal(read_rgb(tmp_path / "p.png"), rgb)
 
@@ -184,22 +184,22 @@ def test_palette_transparency_and_one_bit(tmp_path):
 
 @pytest.mark.parametrize("suffix", ["bmp", "ppm"])
 def test_plain_formats(tmp_path, suffix):
-    rgb = colour_blocks()
+    rgb = color_blocks()
     Image.fromarray(rgb).save(tmp_path / f"a.{suffix}")
     np.testing.assert_array_equal(read_rgb(tmp_path / f"a.{suffix}"), rgb)
     assert read_header(tmp_path / f"a.{suffix}").width == 96
 
 
-def test_cmyk_and_grey_jpeg(tmp_path):
-    rgb = colour_blocks(320, 480)
+def test_cmyk_and_gray_jpeg(tmp_path):
+    rgb = color_blocks(320, 480)
     Image.fromarray(rgb).convert("CMYK").save(tmp_path / "cmyk.jpg", quality=98)
     assert np.abs(read_rgb(tmp_path / "cmyk.jpg").astype(int) - rgb).max() <= 8
     small = read_rgb(tmp_path / "cmyk.jpg", 60)
     assert np.abs(small - rgb.reshape(40, 8, 60, 8, 3).mean((1, 3))).max() <= 8
-    grey = rgb[..., 0]
-    Image.fromarray(grey).save(tmp_path / "grey.jpg", quality=98)
-    assert np.abs(read_grey(tmp_path / "grey.jpg").astype(int) - grey).max() <= 4
-    assert np.abs(read_rgb(tmp_path / "grey.jpg").astype(int) - grey[..., None]).max() <= 4
+    gray = rgb[..., 0]
+    Image.fromarray(gray).save(tmp_path / "gray.jpg", quality=98)
+    assert np.abs(read_grey(tmp_path / "gray.jpg").astype(int) - gray).max() <= 4
+    assert np.abs(read_rgb(tmp_path / "gray.jpg").astype(int) - gray[..., None]).max() <= 4
 
 
 @pytest.mark.parametrize("max_size", [1000, 501, 400, 251, 200, 125, 60])
@@ -239,16 +239,16 @@ def test_a_200_megapixel_jpeg_stays_in_bounded_memory(tmp_path):
         "    lines = Path('/proc/self/status').read_text().splitlines()\n"
         "    return int(next(l for l in lines if l.startswith('VmHWM')).split()[1]) / 1024\n"
         "before = peak_mb()\n"
-        "rgb, grey = read_rgb(sys.argv[1], 2000), read_grey(sys.argv[1], 3000)\n"
+        "rgb, gray = read_rgb(sys.argv[1], 2000), read_grey(sys.argv[1], 3000)\n"
         "header = read_header(sys.argv[1])\n"
-        "print(peak_mb() - before, rgb.shape, grey.shape, header.width, rgb.min(), rgb.max(), sep='|')\n"
+        "print(peak_mb() - before, rgb.shape, gray.shape, header.width, rgb.min(), rgb.max(), sep='|')\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True
     )
     growth_mb, *rest = done.stdout.strip().split("|")
     assert rest == ["(1500, 2000, 3)", "(2250, 3000)", "16384", "77", "77"]
-    assert float(growth_mb) < 120.0, "the full image has 201 MB in grey and 604 MB in colour"
+    assert float(growth_mb) < 120.0, "the full image has 201 MB in gray and 604 MB in color"
 
 
 def test_a_lossless_picture_over_the_limit_is_refused(tmp_path):
@@ -288,7 +288,7 @@ def test_a_truncated_jpeg_is_detected(tmp_path, progressive, kept):
 
 
 def test_data_behind_the_picture_are_allowed(tmp_path):
-    rgb = colour_blocks()
+    rgb = color_blocks()
     for tail in (b"", b"\x00" * 40, b"trailer of a telephone" * 50, jpeg_bytes(rgb[:16])[:-9]):
         touch(tmp_path / "a.jpg", jpeg_bytes(rgb) + tail)
         assert np.abs(read_rgb(tmp_path / "a.jpg").astype(int) - rgb).max() <= 6
@@ -328,7 +328,7 @@ def test_files_that_are_no_pictures(tmp_path):
 
 
 def test_a_picture_with_the_wrong_suffix_is_read(tmp_path):
-    rgb = colour_blocks()
+    rgb = color_blocks()
     Image.fromarray(rgb).save(tmp_path / "a.png")
     (tmp_path / "a.png").rename(tmp_path / "a.jpg")
     np.testing.assert_array_equal(read_rgb(tmp_path / "a.jpg"), rgb)
@@ -346,7 +346,7 @@ def test_heic_without_its_reader_names_what_to_install(tmp_path, monkeypatch):
 
 def test_heic_with_its_reader(tmp_path):
     heif = pytest.importorskip("pillow_heif", reason="pillow-heif is not installed")
-    upright = colour_blocks()
+    upright = color_blocks()
     exif = Image.Exif()
     exif[0x0112], exif[0x010F] = 6, "Apple"
     stored = np.ascontiguousarray(STORED_FROM_UPRIGHT[6](upright))
@@ -360,7 +360,7 @@ def test_heic_with_its_reader(tmp_path):
 
 def test_copy_links_an_upright_file_and_replaces_the_target(tmp_path):
     source, target = tmp_path / "a.jpg", tmp_path / "new" / "folder" / "a.jpg"
-    touch(source, jpeg_bytes(colour_blocks()))
+    touch(source, jpeg_bytes(color_blocks()))
     touch(target, b"old")
     for _ in range(2):
         copy_or_rotate(source, target)
@@ -375,14 +375,14 @@ def test_copy_falls_back_to_copying(tmp_path, monkeypatch):
         raise OSError("cross-device link")
 
     monkeypatch.setattr(os, "link", refuse)
-    touch(tmp_path / "a.jpg", jpeg_bytes(colour_blocks()))
+    touch(tmp_path / "a.jpg", jpeg_bytes(color_blocks()))
     copy_or_rotate(tmp_path / "a.jpg", tmp_path / "b.jpg")
     assert (tmp_path / "b.jpg").read_bytes() == (tmp_path / "a.jpg").read_bytes()
     assert not (tmp_path / "b.jpg").samefile(tmp_path / "a.jpg")
 
 
 def test_rotating_keeps_camera_place_and_leaves_the_source(tmp_path):
-    write_jpeg_with_exif(tmp_path / "w.jpg", colour_blocks(), focal_35mm=28.0, gps=(47.5, -8.25, None))
+    write_jpeg_with_exif(tmp_path / "w.jpg", color_blocks(), focal_35mm=28.0, gps=(47.5, -8.25, None))
     with Image.open(tmp_path / "w.jpg") as image:
         exif = image.getexif()
         exif[0x0112] = 8
@@ -398,7 +398,7 @@ def test_rotating_keeps_camera_place_and_leaves_the_source(tmp_path):
 
 
 def test_written_jpeg_is_read_back(tmp_path):
-    rgb = colour_blocks()
+    rgb = color_blocks()
     position = GpsPosition(-12.25, 130.125, 31.5)
     write_jpeg_with_exif(
         tmp_path / "a.jpg", rgb, focal_35mm=24.0, make="M", model="N", gps=position, quality=98
@@ -413,7 +413,7 @@ def test_written_jpeg_is_read_back(tmp_path):
 
 @pytest.mark.filterwarnings("ignore:Corrupt EXIF")
 def test_a_damaged_exif_block_does_not_hide_the_picture(tmp_path):
-    rgb = colour_blocks()
+    rgb = color_blocks()
     garbage = b"Exif\x00\x00II*\x00\x08\x00\x00\x00\xff\xff" + bytes(range(60))
     touch(tmp_path / "a.jpg", jpeg_bytes(rgb, exif=garbage))
     header = read_header(tmp_path / "a.jpg")
@@ -508,12 +508,12 @@ def test_pipes_and_names_that_no_list_can_hold_are_named_and_not_listed(tmp_path
     assert mask_of(tmp_path, longest) is None
 
 
-def test_a_header_tells_deep_grey(tmp_path):
+def test_a_header_tells_deep_gray(tmp_path):
     cv2.imwrite(str(tmp_path / "depth.png"), np.full((40, 50), 1000, np.uint16))
-    cv2.imwrite(str(tmp_path / "grey.png"), np.full((40, 50), 100, np.uint8))
+    cv2.imwrite(str(tmp_path / "gray.png"), np.full((40, 50), 100, np.uint8))
     cv2.imwrite(str(tmp_path / "deep.png"), np.full((40, 50, 3), 1000, np.uint16))
     deep = [
-        name for name in ("depth", "grey", "deep") if read_header(tmp_path / f"{name}.png").is_deep_grey_png
+        name for name in ("depth", "gray", "deep") if read_header(tmp_path / f"{name}.png").is_deep_grey_png
     ]
     assert deep == ["depth"]
 

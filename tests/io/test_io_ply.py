@@ -49,7 +49,7 @@ def test_text_with_more_properties_and_faces(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "order"), [("binary_little_endian", "<"), ("binary_big_endian", ">")])
-def test_binary_of_both_orders_without_colours(tmp_path: Path, name: str, order: str) -> None:
+def test_binary_of_both_orders_without_colors(tmp_path: Path, name: str, order: str) -> None:
     header = f"ply\nformat {name} 1.0\nelement vertex 3\nproperty short i\n"
     header += "property float64 z\nproperty float y\nproperty float x\nend_header\n"
     rows = np.zeros(3, [("i", f"{order}i2"), ("z", f"{order}f8"), ("y", f"{order}f4"), ("x", f"{order}f4")])
@@ -60,7 +60,7 @@ def test_binary_of_both_orders_without_colours(tmp_path: Path, name: str, order:
     assert read.rgb is None
 
 
-def test_colours_from_zero_to_one(tmp_path: Path) -> None:
+def test_colors_from_zero_to_one(tmp_path: Path) -> None:
     header = "ply\nformat ascii 1.0\nelement vertex 1\n"
     header += "".join(f"property float {name}\n" for name in ("x", "y", "z", "red", "green", "blue"))
     (tmp_path / "x.ply").write_text(header + "end_header\n0 0 0 1 0.5 -1\n")

@@ -137,7 +137,7 @@ def test_depth_that_is_not_registered_by_its_info_is_not_used(numbered):
 
 @pytest.mark.parametrize(
     ("size", "depth", "words"),
-    [((1280, 720), (900, 3000), "1280 x 720"), ((640, 480), (4000, 16000), "not in millimetres")],
+    [((1280, 720), (900, 3000), "1280 x 720"), ((640, 480), (4000, 16000), "not in millimeters")],
 )
 def test_names_of_seven_scenes_with_other_images_get_no_calibration(numbered, size, depth, words):
     found = read_sequence(numbered(size=size, depth=depth))
@@ -193,10 +193,10 @@ def test_a_calibration_beside_tum_lists_goes_before_the_name(tmp_path):
         (
             depth_image(600, 4000),
             1000.0,
-            "1000 values per metre",
-        ),  # millimetres: at 5000 a tenth of a metre away
+            "1000 values per meter",
+        ),  # millimeters: at 5000 a tenth of a meter away
         (depth_image(2500, 8000), 5000.0, "1000 would also give plausible distances"),
-        (5 * (depth_image(2500, 8000) // 5), 5000.0, None),  # millimetres times five are TUM's
+        (5 * (depth_image(2500, 8000) // 5), 5000.0, None),  # millimeters times five are TUM's
         (depth_image(0, 1), 5000.0, None),
     ],
 )

@@ -184,7 +184,7 @@ def test_a_drawing_stays_what_it_was(rng, tmp_path):
         write_gaussians(tmp_path / "a.sog", one)
         found = read_gaussians(tmp_path / "a.sog")
         for position in (look_at((0, -3, 1), (0, 0, 0)), look_at((2.5, 1, -1), (0, 0, 0))):
-            rendered, again = (render(c, CAMERA, position).colour for c in (one, found))
+            rendered, again = (render(c, CAMERA, position).color for c in (one, found))
             assert -10 * np.log10(((rendered - again) ** 2).mean()) > least_db
 
 
@@ -299,7 +299,7 @@ def webp(mode, size):
     return data.getvalue()
 
 
-def grey():
+def gray():
     data = io.BytesIO()
     Image.new("L", (3, 2)).save(data, "PNG")
     return data.getvalue()
@@ -334,7 +334,7 @@ BAD = {
     "no image": (other_picture("sh0", b"nothing"), "not a WebP or PNG"),
     "a cut image": (other_picture("sh0", webp("RGB", (3, 2))[:-9]), "'sh0' is damaged"),
     "an empty image": (other_picture("sh0", b""), "not a WebP or PNG"),
-    "a grey image": (other_picture("sh0", grey()), "three 8-bit colors"),
+    "a gray image": (other_picture("sh0", gray()), "three 8-bit colors"),
     "nothing is finite": (changed("means", "maxs", value=[1e300] * 3), "none of its 5 Gaussians is finite"),
 }
 

@@ -33,5 +33,5 @@ def test_harmonics_have_a_large_palette(tmp_path):
         assert json.loads(archive.read("meta.json"))["shN"]["count"] > 0.9 * 4096
     found = read_sog(tmp_path / "a.sog")
     for position in (look_at((0, -3, 1), (0, 0, 0)), look_at((2.5, 1, -1), (0, 0, 0))):
-        one, other = (render(c, CAMERA, position).colour for c in (cloud, found))
+        one, other = (render(c, CAMERA, position).color for c in (cloud, found))
         assert -10 * np.log10(np.mean((one - other) ** 2)) > LEAST_DB

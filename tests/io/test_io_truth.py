@@ -29,7 +29,7 @@ def test_strecha(tmp_path: Path) -> None:
     assert truth.names == ("a.png", "b.png") and len(truth) == 2
     np.testing.assert_allclose(truth.cams_from_world.rotation[0], R.T, atol=1e-15)
     np.testing.assert_allclose(truth.cams_from_world.centers(), [center, center], atol=1e-14)
-    # A point one metre before the camera lies on its viewing direction in the world, the last column of R.
+    # A point one meter before the camera lies on its viewing direction in the world, the last column of R.
     np.testing.assert_allclose(truth.cams_from_world[0].apply(center + R[:, 2]), [0, 0, 1], atol=1e-14)
 
 

@@ -1,4 +1,4 @@
-"""Every writer keeps a scene in UTM coordinates to a micrometre."""
+"""Every writer keeps a scene in UTM coordinates to a micrometer."""
 
 from __future__ import annotations
 

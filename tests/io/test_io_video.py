@@ -159,8 +159,8 @@ def test_windows_are_in_order_disjoint_and_inside(num_frames, num_slots):
 
 
 def test_sharpness_is_the_variance_of_the_laplacian():
-    grey = np.random.default_rng(1).integers(0, 256, (40, 50), dtype=np.uint8)
-    padded = np.pad(grey.astype(float), 1, mode="reflect")
-    laplacian = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:] - 4.0 * grey
-    assert sharpness(grey) == pytest.approx(laplacian.var(), rel=1e-4)
-    assert sharpness(cv2.GaussianBlur(grey, (0, 0), 2)) < 0.1 * sharpness(grey)
+    gray = np.random.default_rng(1).integers(0, 256, (40, 50), dtype=np.uint8)
+    padded = np.pad(gray.astype(float), 1, mode="reflect")
+    laplacian = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:] - 4.0 * gray
+    assert sharpness(gray) == pytest.approx(laplacian.var(), rel=1e-4)
+    assert sharpness(cv2.GaussianBlur(gray, (0, 0), 2)) < 0.1 * sharpness(gray)

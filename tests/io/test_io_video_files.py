@@ -13,6 +13,7 @@ from PIL import Image
 from epipole.errors import ConfigError, WorkspaceError
 from epipole.io.atomic import atomic_write
 from epipole.io.images import video_files
+from epipole.io.images.gif_files import GifWriter, gif_problem
 from epipole.io.images.video_files import write_video
 from epipole.io.seals import add_seal, sealed_by
 from whole import IS_WHOLE
@@ -130,6 +131,42 @@ def test_a_gif_has_all_frames_and_their_times(tmp_path: Path) -> None:
             gif.seek(number)
             assert gif.info["duration"] == 50
             np.testing.assert_allclose(np.asarray(gif.convert("RGB")), shade, atol=4)
+
+
+def test_a_gif_keeps_equal_frames_and_what_did_not_change(tmp_path: Path) -> None:
+    """Equal frames are not merged; of the others only the changed part is stored; delays add up to the time."""
+    random = np.random.default_rng(0)
+    shown = [np.kron(random.integers(0, 4, (20, 30, 3)) * 80, np.ones((4, 4, 1))).astype(np.uint8)]
+    for k in range(8):
+        later = shown[-1].copy()
+        if k % 3:
+            later[4 * k : 4 * k + 12, 8:24] = 20 * k
+        shown.append(later)
+    write_video(tmp_path / "a.gif", shown, 30.0)
+    with Image.open(tmp_path / "a.gif") as gif:
+        assert gif.n_frames == 9 and gif.size == (120, 80) and gif.info["loop"] == 0
+        total_ms = 0
+        for number, image in enumerate(shown):
+            gif.seek(number)
+            total_ms += gif.info["duration"]
+            np.testing.assert_allclose(np.asarray(gif.convert("RGB")), image, atol=8)
+    assert total_ms == 300
+
+
+def test_the_frames_of_a_gif_are_written_one_by_one(tmp_path: Path) -> None:
+    path = tmp_path / "a.gif"
+    writer = GifWriter(path, 10.0, (64, 48))
+    sizes = []
+    for image in np.random.default_rng(0).integers(0, 255, (200, 48, 64, 3)).astype(np.uint8):
+        writer.write(image)
+        sizes.append(path.stat().st_size)
+    assert sizes[-2] > 100_000
+    writer.release()
+    assert gif_problem(path, 200, np.zeros((48, 64, 3))) == ""
+    assert "only 200 of 201 frames" in gif_problem(path, 201, np.zeros((48, 64, 3)))
+    assert "64 x 48 pixels, not 60 x 48" in gif_problem(path, 200, np.zeros((48, 60, 3)))
+    path.write_bytes(path.read_bytes()[: sizes[100]])
+    assert gif_problem(path, 200, np.zeros((48, 64, 3)))
 
 
 def test_a_gif_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ def mild_lens(model: CameraModel, seed: int) -> np.ndarray:
     out[list(model.principal_point_indices)] = rng.uniform([250.0, 180.0], [390.0, 300.0])
     lens = rng.uniform(-0.03, 0.03, len(model.distortion_indices))
     if model in (CameraModel.OPENCV, CameraModel.FULL_OPENCV):
-        lens[2:4] *= 0.05  # decentring is small
+        lens[2:4] *= 0.05  # decentering is small
     out[list(model.distortion_indices)] = lens
     return out
 

@@ -124,7 +124,7 @@ def test_lines_go_through_the_matches(scene: Scene) -> None:
     np.testing.assert_allclose(sign * lines2, theirs, rtol=1e-8, atol=1e-10)
 
 
-def test_epipoles_lie_on_all_lines_and_are_the_other_centre(scene: Scene) -> None:
+def test_epipoles_lie_on_all_lines_and_are_the_other_center(scene: Scene) -> None:
     epipole1, epipole2 = epipoles(scene.fundamental)
     motion = scene.cam2_from_cam1
     assert same_up_to_sign(epipole1, K1 @ motion.inverse().translation) < 1e-10

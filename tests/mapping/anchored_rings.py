@@ -1,4 +1,4 @@
-"""Rings of cameras around points, adjusted, in a unit that is not the metre."""
+"""Rings of cameras around points, adjusted, in a unit that is not the meter."""
 
 from dataclasses import dataclass, replace
 
@@ -12,22 +12,22 @@ from epipole.synthetic.problems import bundle_problem
 
 @dataclass(frozen=True)
 class Ring:
-    """A model, the truth, and the metres of the model's unit."""
+    """A model, the truth, and the meters of the model's unit."""
 
     model: Reconstruction
     truth: Reconstruction
-    metres: float
+    meters: float
 
-    def length(self, ends, views, name="L", metres=None, noise=None):
+    def length(self, ends, views, name="L", meters=None, noise=None):
         """Lines of a file of lengths: both ends in these images."""
         camera, cams, out = self.truth.cameras[0], self.truth.cams_from_world(), []
-        metres = float(np.linalg.norm(ends[0] - ends[1])) if metres is None else metres
+        meters = float(np.linalg.norm(ends[0] - ends[1])) if meters is None else meters
         for end, position in zip("ab", ends, strict=True):
             for i in views:
                 x, y = camera.project(cams[i].apply(position[None]))[0] + (
                     0 if noise is None else noise.normal(size=2)
                 )
-                out.append(f"{name} {metres} {end} {self.truth.images.name[i]} {x} {y}\n")
+                out.append(f"{name} {meters} {end} {self.truth.images.name[i]} {x} {y}\n")
         return "".join(out)
 
 

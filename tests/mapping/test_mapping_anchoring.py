@@ -32,7 +32,7 @@ def nothing(_):
 
 def anchored(known, options, image=nothing):
     found = anchor_model(views_of_model(known.model, image), options)
-    return found, found.scale.scale / known.metres - 1.0
+    return found, found.scale.scale / known.meters - 1.0
 
 
 def write(folder, text):
@@ -42,12 +42,12 @@ def write(folder, text):
 
 def test_lengths_one_of_them_wrong(known, tmp_path, rng):
     text = "".join(
-        known.length(ends, (0, 5, 9, 15), f"L{n}", noise=rng, metres=9.0 if n == 1 else None)
+        known.length(ends, (0, 5, 9, 15), f"L{n}", noise=rng, meters=9.0 if n == 1 else None)
         for n, ends in enumerate(ENDS)
     )
     found, off = anchored(known, AnchorOptions(lengths=write(tmp_path, text)))
     assert abs(off) < 2.5 * found.scale.relative_sigma < 0.02
-    assert found.scale.in_words().startswith("metres, from 2 lengths: known to ")
+    assert found.scale.in_words().startswith("meters, from 2 lengths: known to ")
     assert [w[:22] for w in found.scale.warnings()] == ["length L1 is ignored: "]
     assert np.array_equal(found.world_from_model.rotation, np.eye(3)) and found.positions is None
 
@@ -60,7 +60,7 @@ def test_lengths_that_tell_nothing_say_why(known, tmp_path):
             known.length(ENDS[0], (0, 6, 12)) + known.length(ENDS[1], (0, 6, 12), "M", 5.0),
             "contradict each other",
         ),
-        (known.length(np.zeros((2, 3)), (0, 6), metres=1.0), "ends coincide|too uncertain"),
+        (known.length(np.zeros((2, 3)), (0, 6), meters=1.0), "ends coincide|too uncertain"),
     ):
         with pytest.raises(DegenerateGeometryError, match=words):
             anchored(known, AnchorOptions(lengths=write(tmp_path, text)))
@@ -94,7 +94,7 @@ def test_places_by_time_and_odometry(known, tmp_path):
 
 @pytest.mark.parametrize("kind", ["T_cam_imu", "T_BS"])
 def test_odometry_of_a_point_beside_the_camera(known, tmp_path, kind):
-    """Half a metre behind a camera that looks inward: the wheels went further round."""
+    """Half a meter behind a camera that looks inward: the wheels went further round."""
     mounting = Rigid3(np.eye(3), np.array([0.0, 0.1, -0.5]))  # camera_from_body
     positions = known.truth.cams_from_world().inverse()
     centers = positions.translation + positions.rotation @ mounting.translation
@@ -138,9 +138,9 @@ def test_objects_in_rendered_pictures(known, kind):
             anchor_model(views, AnchorOptions(tag_size_m=0.4))
         return
     found = anchor_model(views, AnchorOptions(**size)).scale
-    assert abs(found.scale / known.metres - 1.0) < 2.5 * found.relative_sigma < 0.02
+    assert abs(found.scale / known.meters - 1.0) < 2.5 * found.relative_sigma < 0.02
     assert found.in_words().startswith(
-        "metres, from 2 tags" if kind == "tags" else "metres, from the board of 6x4"
+        "meters, from 2 tags" if kind == "tags" else "meters, from the board of 6x4"
     )
 
 

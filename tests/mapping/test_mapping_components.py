@@ -118,7 +118,7 @@ def test_a_snapshot_brings_the_model_back(rng):
 
 
 @pytest.mark.parametrize("depth", [0.0, 1e-15, 1e-9])
-def test_a_point_in_a_cameras_centre_is_no_point(rng, depth):
+def test_a_point_in_a_cameras_center_is_no_point(rng, depth):
     """There every pixel of that camera fits, and its depth is lost in rounding when the model moves."""
     positions, _, _, model = scene(rng)
     for image, position in enumerate(positions):

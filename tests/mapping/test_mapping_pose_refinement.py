@@ -45,7 +45,7 @@ def test_a_third_of_wrong_matches_does_not_matter(rng):
 
 
 def test_the_covariance_is_that_of_many_draws(rng):
-    """Normalised errors squared have the mean of chi square with six degrees of freedom."""
+    """Normalized errors squared have the mean of chi square with six degrees of freedom."""
     total, samples = 0.0, 150
     for _ in range(samples):
         points, pixels, position, disparity = seen(rng, n=60, noise_px=0.5)

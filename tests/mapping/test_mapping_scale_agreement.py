@@ -25,7 +25,7 @@ def test_what_all_tags_share_does_not_average_out():
     assert agreed_scale(tags).relative_sigma == pytest.approx(0.01, rel=0.01)
     both = agreed_scale([*tags, estimate(1.0, 0.01)])
     assert both.relative_sigma == pytest.approx(0.01 / np.sqrt(2), rel=0.01)
-    assert both.in_words() == "metres, from 100 tags and x: known to 0.71 % (1 sigma)"
+    assert both.in_words() == "meters, from 100 tags and x: known to 0.71 % (1 sigma)"
 
 
 def test_the_odd_one_out_is_named():
@@ -61,4 +61,4 @@ def test_an_estimate_without_a_note_is_told_by_its_name():
     found = agreed_scale(
         [ScaleEstimate("GPS", "fixes of the phone", 2.0, 0.01), ScaleEstimate("length", "bar", 2.0, 0.01)]
     )
-    assert found.in_words().startswith("metres, from fixes of the phone and bar: known to ")
+    assert found.in_words().startswith("meters, from fixes of the phone and bar: known to ")

@@ -1,4 +1,4 @@
-"""Camera errors: known displacements, alignment by centres and on a line, missing cameras."""
+"""Camera errors: known displacements, alignment by centers and on a line, missing cameras."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ TRUTH_FROM_ESTIMATED = Similarity3.exp([3.0, -2.0, 1.0, 0.4, -1.1, 0.7, 0.9])
 
 
 def cameras_at(centers: np.ndarray, seed: int = 0) -> Rigid3:
-    """cams_from_world with these centres and random rotations."""
+    """cams_from_world with these centers and random rotations."""
     rotation = Rotation3.exp(np.random.default_rng(seed).normal(size=(len(centers), 3))).matrix
     return Rigid3(rotation, -(rotation @ centers[:, :, None])[:, :, 0])
 

@@ -1,4 +1,4 @@
-"""The block Cholesky factorisation solves, inverts where asked, and says when a matrix is not definite."""
+"""The block Cholesky factorization solves, inverts where asked, and says when a matrix is not definite."""
 
 import numpy as np
 import pytest

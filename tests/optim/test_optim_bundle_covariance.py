@@ -74,7 +74,7 @@ def test_they_are_the_blocks_of_the_dense_inverse(rng):
 
 @pytest.mark.usefixtures("unchecked")
 def test_they_hold_in_simulation():
-    """Normalised squared errors of frames and points fall where chi-square says, over fifty noises."""
+    """Normalized squared errors of frames and points fall where chi-square says, over fifty noises."""
     frames, points = [], []
     for seed in range(50):
         rng = np.random.default_rng(seed)
@@ -131,7 +131,7 @@ def along_a_row(rng, persistence):
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("persistence", [0.9] + IS_WHOLE * [0.0])
 def test_errors_that_go_on_from_frame_to_frame_are_told_by_the_points_scores(persistence):
-    """Means of normalised squared errors of the frames between, over sixty draws; 6 is right."""
+    """Means of normalized squared errors of the frames between, over sixty draws; 6 is right."""
     clustered, plain = [], []
     for seed in range(60):
         positions, problem = along_a_row(np.random.default_rng(seed), persistence)

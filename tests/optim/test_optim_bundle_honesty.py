@@ -154,7 +154,7 @@ def test_the_same_observation_many_times_counts_many_times(rng):
 
 
 def test_huge_coordinates_and_a_huge_focal_length(rng):
-    """In micrometres, or by a lens of a billion pixels: the damping is a share of the problem's own scales."""
+    """In micrometers, or by a lens of a billion pixels: the damping is a share of the problem's own scales."""
     _, start = ring(rng)
     here = adjust_bundle(start, BundleConfig(function_tolerance=1e-9))
     scaled = replace(
@@ -207,13 +207,13 @@ def test_inputs_stay_as_they_are(rng):
     assert not np.shares_memory(result.points_in_world, problem.points_in_world)
 
 
-def test_cancelled_and_resumed_it_ends_where_it_would_have(rng):
+def test_canceled_and_resumed_it_ends_where_it_would_have(rng):
     _, start = ring(rng)
     problem = with_fixed_gauge(start)
     whole = adjust_bundle(problem, BundleConfig(function_tolerance=1e-10))
     seen = []
     part = adjust_bundle(problem, progress=lambda step: seen.append(step) or len(seen) < 2)
-    assert part.reason is StopReason.CANCELLED and part.num_iterations == 2 and len(part.history) == 2
+    assert part.reason is StopReason.CANCELED and part.num_iterations == 2 and len(part.history) == 2
     assert seen[-1].cost == part.final_cost and seen[0].seconds <= seen[1].seconds
     config = BundleConfig(function_tolerance=1e-10, initial_damping=part.damping)
     resumed = adjust_bundle(with_result(problem, part), config)

@@ -125,7 +125,7 @@ def test_the_cost_falls_as_predicted_for_a_small_step(rng, loss):
 
 
 @pytest.mark.parametrize("own_cameras", [False, True])
-def test_iterations_and_factorisation_find_one_step(rng, own_cameras):
+def test_iterations_and_factorization_find_one_step(rng, own_cameras):
     problem = hard_problem(rng)
     if own_cameras:
         problem = replace(with_own_cameras(problem), priors=None)

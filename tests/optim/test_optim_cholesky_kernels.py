@@ -1,4 +1,4 @@
-"""The sparse factorisation's steps against dense algebra, definitions and the interpreter."""
+"""The sparse factorization's steps against dense algebra, definitions and the interpreter."""
 
 import numpy as np
 import pytest

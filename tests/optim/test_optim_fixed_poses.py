@@ -1,4 +1,4 @@
-"""Pose graphs with fixed poses: g2o's FIX lines are honoured, and lines of other kinds are refused."""
+"""Pose graphs with fixed poses: g2o's FIX lines are honored, and lines of other kinds are refused."""
 
 from pathlib import Path
 

@@ -228,7 +228,7 @@ def test_nearest_definite_information_takes_the_place(tmp_path):
         read_g2o(_file_with(tmp_path, (0, 0, 0)), indefinite="nearest")
 
 
-def test_indefinite_information_is_named_by_the_optimiser(rng):
+def test_indefinite_information_is_named_by_the_optimizer(rng):
     _, graph = ring(Rigid2, rng, noise=0.1)
     information = graph.information.copy()
     information[[2, 5]] = -np.eye(3)

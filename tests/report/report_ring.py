@@ -1,4 +1,4 @@
-"""A small model with known answers: a ring of cameras around a coloured ball of points."""
+"""A small model with known answers: a ring of cameras around a colored ball of points."""
 
 import io
 

@@ -42,15 +42,15 @@ def test_points_come_back_in_an_order_drawn_at_random(model: Reconstruction) -> 
     data = data_of(model)
     assert data.numbers["points"][0]["count"] == len(model.points)
     rgb = np.frombuffer(data.blocks["points-0"], np.uint8).reshape(-1, 16)[:, 12:15]
-    found, colours = by_position(decoded(data), rgb)
+    found, colors = by_position(decoded(data), rgb)
     wanted, wanted_rgb = by_position(model.points.xyz_in_world, model.points.rgb)
     np.testing.assert_allclose(found, wanted, atol=1e-6)
-    np.testing.assert_array_equal(colours, wanted_rgb)
+    np.testing.assert_array_equal(colors, wanted_rgb)
     assert (decoded(data) != model.points.xyz_in_world).any()
     assert data.blocks == data_of(model).blocks
 
 
-def test_a_map_of_a_country_keeps_its_millimetres(model: Reconstruction) -> None:
+def test_a_map_of_a_country_keeps_its_millimeters(model: Reconstruction) -> None:
     far = model.transformed(Similarity3(np.float64(1.0), np.eye(3), np.array([4e5, 5e6, 100.0])))
     found, wanted = (by_position(xyz)[0] for xyz in (decoded(data_of(far)), far.points.xyz_in_world))
     np.testing.assert_allclose(found, wanted, atol=1e-6)
@@ -133,8 +133,8 @@ def test_wedges_point_to_where_the_cameras_look(model: Reconstruction) -> None:
         values = [float(v) for v in re.findall(r"-?[\d.]+", group.find("path").attrib["d"])]
         x, y = map(float, re.findall(r"[\d.]+", group.attrib["transform"]))
         middle = np.array(values[2:6]).reshape(2, 2).mean(axis=0)
-        centre_of_ring = np.array([0.5 * (52 + 608), 0.5 * (12 + 476)])
-        toward = centre_of_ring - (x, y)
+        center_of_ring = np.array([0.5 * (52 + 608), 0.5 * (12 + 476)])
+        toward = center_of_ring - (x, y)
         cosine = middle @ toward / np.linalg.norm(middle) / np.linalg.norm(toward)
         assert cosine > 0.99
 

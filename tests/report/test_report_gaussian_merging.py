@@ -18,7 +18,7 @@ BLACK = np.zeros(3, np.float32)
 
 
 def surface(n: int = 4000) -> GaussianCloud:
-    """A square of many small Gaussians whose colour changes slowly, with a few large ones behind it."""
+    """A square of many small Gaussians whose color changes slowly, with a few large ones behind it."""
     rng = np.random.default_rng(4)
     means = np.concatenate(
         [rng.uniform(-1, 1, (n, 3)) * (1, 1, 0.01), rng.uniform(-1, 1, (20, 3)) * (2, 2, 0) + (0, 0, 2)]

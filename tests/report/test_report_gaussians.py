@@ -28,8 +28,8 @@ def test_what_is_packed_comes_back(num_sh: int) -> None:
     assert ROW.itemsize == 32 and len(found.rows) == 32 * 200
     words = np.frombuffer(found.rows, "<u4").reshape(200, 8)
     assert np.array_equal(words[:, :3].view("<f4"), cloud.means_in_world)
-    colours = 0.5 + DC * cloud.sh[:, 0]
-    assert np.abs(triples(words[:, 3], found.colour_range) - colours).max() < 1e-3
+    colors = 0.5 + DC * cloud.sh[:, 0]
+    assert np.abs(triples(words[:, 3], found.color_range) - colors).max() < 1e-3
     quats = words[:, 4:6].copy().view("<i2") / 32767.0
     unit = cloud.quats_wxyz / np.linalg.norm(cloud.quats_wxyz, axis=1, keepdims=True)
     assert np.abs(quats - unit).max() < 2e-5
@@ -50,7 +50,7 @@ def test_numbers_beyond_all_reason_are_clipped() -> None:
     cloud.log_scales[0], cloud.sh[1], cloud.opacity_logits[:2] = 1e30, -1e30, (1e30, -1e30)
     cloud.log_scales[2] = -1e30
     found = packed(cloud)
-    assert np.isfinite([*found.scale_range, *found.colour_range, *found.harmonic_range]).all()
+    assert np.isfinite([*found.scale_range, *found.color_range, *found.harmonic_range]).all()
     rows = np.frombuffer(found.rows, ROW)
     assert rows["opacity"][0] == 65535 and rows["opacity"][1] == 0
     assert (rows["log_scale"][0] == 65535).all() and (rows["log_scale"][2] == 0).all()

@@ -28,7 +28,7 @@ def test_pictures_without_a_place_are_counted(content: ReportContent) -> None:
 
 def test_scale(content: ReportContent) -> None:
     assert "Up to scale: images alone do not determine lengths." in text_of(content)
-    assert "Scale: metres from GPS." in text_of(replace(content, scale_note="metres from GPS"))
+    assert "Scale: meters from GPS." in text_of(replace(content, scale_note="meters from GPS"))
 
 
 def test_components(content: ReportContent) -> None:

@@ -16,7 +16,15 @@ from epipole.pipelines.sfm.page.content import ReportContent
 from epipole.pipelines.sfm.page.page import render_report
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.scene import RectifiedRig
-from page_checks import DESK, PHONE, SCRIPT, check_accessibility, check_contrast, check_nothing_cut
+from page_checks import (
+    DESK,
+    PHONE,
+    SCRIPT,
+    check_accessibility,
+    check_chart_texts,
+    check_contrast,
+    check_nothing_cut,
+)
 from pairwise import each_once
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "calibration"))
@@ -108,6 +116,7 @@ def test_reports(name: str, reports: dict[str, Path], tab: Any) -> None:
         tab.set_viewport_size(size)
         check_accessibility(tab)
         check_nothing_cut(tab, name)
+    check_chart_texts(tab, name)  # on a phone
     assert not tab.problems
 
 

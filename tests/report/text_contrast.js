@@ -10,7 +10,7 @@
     return [r, g, b, a / 255];
   };
   const memory = new Map();
-  const colour = (text) => {
+  const color = (text) => {
     if (!memory.has(text)) memory.set(text, parsed(text));
     return memory.get(text);
   };
@@ -29,18 +29,18 @@
     return product;
   };
   const isSvg = (element) => element instanceof SVGElement && element.tagName !== "svg";
-  /* What an element paints below a text: a colour with alpha; null where it is an image. */
+  /* What an element paints below a text: a color with alpha; null where it is an image. */
   const paint = (element) => {
     const style = getComputedStyle(element);
     if (isSvg(element)) {
       if (["text", "tspan", "g"].includes(element.tagName)) return [0, 0, 0, 0];
       if (element.tagName === "image" || style.fill.startsWith("url")) return null;
       if (style.fill === "none") return [0, 0, 0, 0];
-      const fill = colour(style.fill);
+      const fill = color(style.fill);
       return [...fill.slice(0, 3), fill[3] * Number(style.fillOpacity) * opacity(element)];
     }
     if (["IMG", "CANVAS", "VIDEO"].includes(element.tagName)) return null;
-    const ground = colour(style.backgroundColor);
+    const ground = color(style.backgroundColor);
     return [...ground.slice(0, 3), ground[3] * opacity(element)];
   };
   const background = (element, x, y) => {
@@ -78,7 +78,7 @@
     const box = range.getBoundingClientRect();
     if (box.width < 1.5 || box.height < 1.5) continue; // for screen readers alone
     const style = getComputedStyle(element);
-    const ink = colour(isSvg(element) ? style.fill : style.color);
+    const ink = color(isSvg(element) ? style.fill : style.color);
     const alpha = ink[3] * opacity(element) * (isSvg(element) ? Number(style.fillOpacity) : 1);
     const isBold = Number(style.fontWeight) >= 700;
     const isLarge = parseFloat(style.fontSize) >= (isBold ? 18.66 : 24);

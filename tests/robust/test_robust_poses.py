@@ -34,7 +34,7 @@ def angle_deg(a, b):
 
 
 def within_band(squared, freedom):
-    """Normalised squared errors whose 90 and 99 % quantiles are the chi-square ones, to what `TRIALS` can tell."""
+    """Normalized squared errors whose 90 and 99 % quantiles are the chi-square ones, to what `TRIALS` can tell."""
     for level in (0.9, 0.99):
         inside = np.mean(np.array(squared) < chi2.ppf(level, freedom))
         assert abs(inside - level) < 4.0 * np.sqrt(level * (1 - level) / TRIALS) + 0.01, (level, inside)

@@ -34,7 +34,7 @@ def test_two_exact_views_give_the_point(rng, cameras):
     np.testing.assert_allclose(found.errors_px, 0.0, atol=1e-8)
 
 
-def test_two_views_minimise_the_reprojection_error(rng):
+def test_two_views_minimize_the_reprojection_error(rng):
     points = some_points(rng, 40)
     pixels = seen_by(PAIR, [CAMERA, CAMERA], points, 2.0, rng)
     found = triangulate_points(PAIR, CAMERA, pixels)
@@ -89,19 +89,24 @@ def test_points_that_cannot_be_triangulated_say_why(rng):
     pixels[0, 1] = np.nan
     pixels[1, 2] -= [0.0, 200.0]
     behind = triangulate_points(PAIR[::-1], CAMERA, pixels[:, [0]])
-    assert behind.reason[0] == PointReason.BEHIND
+    assert behind.reason[0] == PointReason.BEHIND_CAMERA
     for cams, rows in ((PAIR, pixels), (Rigid3.exp(np.zeros((3, 6))), np.concatenate([pixels, pixels[:1]]))):
         found = triangulate_points(cams, CAMERA, rows, max_error_px=2.0, min_angle_rad=0.01)
         expected = {
             2: [PointReason.OK, PointReason.TOO_FEW_VIEWS, PointReason.LARGE_ERROR, PointReason.OK],
-            3: [PointReason.PARALLEL, PointReason.TOO_FEW_VIEWS, PointReason.PARALLEL, PointReason.PARALLEL],
+            3: [
+                PointReason.SMALL_ANGLE,
+                PointReason.TOO_FEW_VIEWS,
+                PointReason.SMALL_ANGLE,
+                PointReason.SMALL_ANGLE,
+            ],
         }[len(cams)]
         if len(cams) == 2:
             assert list(found.reason) == expected
         else:
             assert not found.success_mask.any()
     same = triangulate_points(Rigid3.identity(2), CAMERA, np.stack([pixels[0], pixels[0]])[:, [0, 2, 3]])
-    assert (same.reason == PointReason.PARALLEL).all() and np.isnan(same.points_in_world).all()
+    assert (same.reason == PointReason.SMALL_ANGLE).all() and np.isnan(same.points_in_world).all()
 
 
 def test_wrong_arguments_are_refused():

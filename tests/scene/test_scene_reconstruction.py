@@ -31,7 +31,7 @@ def test_cam_from_world_is_the_product_over_the_rig(model: Reconstruction) -> No
     assert np.isnan(cams_from_world.translation[7]).all()
 
 
-def test_centres_map_to_the_camera_origin(model: Reconstruction) -> None:
+def test_centers_map_to_the_camera_origin(model: Reconstruction) -> None:
     centers = model.camera_centers_in_world()
     np.testing.assert_allclose(model.cams_from_world()[:7].apply(centers[:7]), 0.0, atol=1e-13)
     assert np.isnan(centers[7]).all()

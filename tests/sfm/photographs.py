@@ -25,5 +25,5 @@ def render_to(folder: Path, cams_from_world: Rigid3, prefix: str = "view") -> li
     return names
 
 
-def neighbouring_views(count: int = 6) -> Rigid3:
+def neighboring_views(count: int = 6) -> Rigid3:
     return courtyard_views(24)[np.arange(6, 6 + count)]

@@ -1,9 +1,9 @@
-"""A model of photographs in metres: measured places and lengths, by the job."""
+"""A model of photographs in meters: measured places and lengths, by the job."""
 
 import json
 
 import numpy as np
-from photographs import CAMERA, neighbouring_views
+from photographs import CAMERA, neighboring_views
 
 from epipole import reconstruct
 from epipole.geometry import align_points
@@ -11,7 +11,7 @@ from epipole.io import read_colmap_model
 
 
 def test_the_job_states_what_fixed_the_scale(rendered, reconstructed, out_of_six, tmp_path, rng):
-    views = neighbouring_views(6)
+    views = neighboring_views(6)
     names = [f"view_{n:02d}.jpg" for n in range(6)]
     positions = views.centers() + 0.01 * rng.normal(size=(6, 3))
     (tmp_path / "places.txt").write_text(
@@ -45,7 +45,7 @@ def test_the_job_states_what_fixed_the_scale(rendered, reconstructed, out_of_six
     assert abs(scale - 1.0) < max(3 * summary["anchor"]["relative_sigma"], 0.01)
     assert summary["scale"] in (out_of_six / "report.html").read_text(encoding="utf-8")
     only = reconstruct(rendered, out_of_six, lengths=tmp_path / "lengths.txt").summary
-    assert only["scale"].startswith("metres, from length wall: known to ")
+    assert only["scale"].startswith("meters, from length wall: known to ")
     (tmp_path / "lengths.txt").write_text("".join(line for line in lines if names[0] in line))
     none = reconstruct(rendered, out_of_six, lengths=tmp_path / "lengths.txt")
     assert not none.summary["is_metric"]

@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from photographs import CAMERA, neighbouring_views, render_to
+from photographs import CAMERA, neighboring_views, render_to
 from PIL import Image
 
 from epipole.api import reconstruct
@@ -133,7 +133,7 @@ def test_the_same_picture_twice(rendered, tmp_path):
 
 
 def test_pure_rotation_gives_no_depth(tmp_path):
-    base = neighbouring_views(1)
+    base = neighboring_views(1)
     rotations = Rotation3.exp(np.array([[0, 0.12 * k, 0.01 * k] for k in range(3)])).matrix
     views = Rigid3(rotations @ base.rotation, (rotations @ base.translation[..., None])[..., 0])
     render_to(tmp_path / "turn", views)

@@ -30,7 +30,7 @@ def chosen(folder, **options):
 
 @pytest.fixture
 def rgbd(rendered, tmp_path):
-    """Six colour images with their depth, as RGB-D cameras store them."""
+    """Six color images with their depth, as RGB-D cameras store them."""
     folder = tmp_path / "rgbd"
     folder.mkdir()
     for n, path in enumerate(sorted(rendered.iterdir())):
@@ -78,11 +78,11 @@ def test_masks_for_some_are_counted_and_said(few, tmp_path):
 
 
 def test_patterns_choose_pictures(rgbd):
-    colour = tuple(f"frame-{n:06d}.color.jpg" for n in range(6))
-    assert chosen(rgbd, include=("*.color.jpg",)).names == colour
-    assert chosen(rgbd, exclude=("*.depth.png",)).names == colour
+    color = tuple(f"frame-{n:06d}.color.jpg" for n in range(6))
+    assert chosen(rgbd, include=("*.color.jpg",)).names == color
+    assert chosen(rgbd, exclude=("*.depth.png",)).names == color
     both = chosen(rgbd, include=("*0.color.jpg", "*1.color.jpg"), exclude=("*0.*",))
-    assert both.names == colour[1:2] and both.notes == ()
+    assert both.names == color[1:2] and both.notes == ()
     assert len(chosen(rgbd, include=("*",))) == 12
 
 
@@ -99,7 +99,7 @@ def test_patterns_that_fit_nothing_name_what_is_there(rgbd, tmp_path):
     assert "exclude '*.tif' matches none" in chosen(rgbd, exclude=("*.tif",)).notes[0]
 
 
-def test_depth_beside_colour_is_left_out_and_said(rgbd):
+def test_depth_beside_color_is_left_out_and_said(rgbd):
     found = chosen(rgbd)
     assert [name for name in found.names if "depth" in name] == [] and len(found) == 6
     assert "6 of 12 images are 16-bit gray PNGs" in found.notes[0] and "--include '*'" in found.notes[0]

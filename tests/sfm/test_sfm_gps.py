@@ -4,7 +4,7 @@ from itertools import cycle, product
 
 import numpy as np
 import pytest
-from photographs import CAMERA, FOCAL_35MM, neighbouring_views
+from photographs import CAMERA, FOCAL_35MM, neighboring_views
 
 from epipole import reconstruct
 from epipole.geometry import Rigid3, Rotation3, Similarity3
@@ -28,7 +28,7 @@ ENU_FROM_UPRIGHT = Similarity3(
 
 
 def walk(kind: str, count: int = 12) -> np.ndarray:
-    """Upright camera centres: along a line, around a block, or up a hill and around."""
+    """Upright camera centers: along a line, around a block, or up a hill and around."""
     t = np.linspace(0, 1, count)
     x, y = 4 * np.cos(5 * t), 4 * np.sin(5 * t)
     return {
@@ -55,7 +55,7 @@ def test_exact_fixes_give_the_similarity_that_made_them(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["line", "block", "hill"])
 def test_wrong_fixes_have_no_say(kind: str) -> None:
-    """Four of twelve are hundreds of metres off; the rest decide alone."""
+    """Four of twelve are hundreds of meters off; the rest decide alone."""
     centers = walk(kind)
     fixes = ENU_FROM_UPRIGHT.apply(centers)
     wrong = np.array([0, 3, 7, 11])
@@ -92,7 +92,7 @@ def test_fixes_that_cannot_tell_give_nothing(case: str) -> None:
     centers = walk("block")
     fixes = ENU_FROM_UPRIGHT.apply(centers)
     if case == "one place":
-        fixes = 0.1 * (fixes - fixes.mean(axis=0))  # ten metres across
+        fixes = 0.1 * (fixes - fixes.mean(axis=0))  # ten meters across
     if case == "one camera":
         centers = np.zeros_like(centers)
     if case in ("none", "two"):
@@ -157,7 +157,7 @@ def test_upright_is_the_direction_that_the_cameras_call_up() -> None:
 
 
 def flight(kind: str, rng: np.random.Generator, count: int = 24) -> tuple[np.ndarray, Rigid3]:
-    """Positions in metres and poses in an upright world: four lines back and forth, 80 m above the ground."""
+    """Positions in meters and poses in an upright world: four lines back and forth, 80 m above the ground."""
     row, column = np.divmod(np.arange(count), count // 4)
     forward = np.where(row % 2 == 0, 1.0, -1.0)
     column = np.where(row % 2 == 0, column, count // 4 - 1 - column)
@@ -246,16 +246,16 @@ def test_measured_gravity_outweighs_habits() -> None:
     np.testing.assert_allclose(found.direction, [0.0, 0.0, 1.0], atol=0.02)
 
 
-METRES_PER_UNIT = 20.0
+METERS_PER_UNIT = 20.0
 
 
 @pytest.fixture(scope="module")
 def photographs(tmp_path_factory):
-    """Seven images whose EXIF holds where they were taken, in a courtyard a hundred metres across; one is 2 km off."""
+    """Seven images whose EXIF holds where they were taken, in a courtyard a hundred meters across; one is 2 km off."""
     folder = tmp_path_factory.mktemp("gps") / "photographs"
     folder.mkdir()
-    views = neighbouring_views(7)
-    enu = METRES_PER_UNIT * views.centers()
+    views = neighboring_views(7)
+    enu = METERS_PER_UNIT * views.centers()
     for n in range(7):
         east, north, up = enu[n] + ([2000.0, 0, 0] if n == 4 else [0.0, 0, 0])
         lat_deg = 46.5 + np.rad2deg(north / 6_368_000.0)
@@ -266,18 +266,18 @@ def photographs(tmp_path_factory):
     return folder
 
 
-def test_a_model_of_photographs_with_gps_stands_in_metres(photographs, tmp_path) -> None:
+def test_a_model_of_photographs_with_gps_stands_in_meters(photographs, tmp_path) -> None:
     result = reconstruct(photographs, tmp_path / "out")
     assert result.model.is_registered().all() and result.summary["is_metric"]
     headers = [read_header(photographs / name) for name in result.model.images.name]
     fixes = gps_to_enu(np.array([(h.gps.lat_deg, h.gps.lon_deg, h.gps.alt_m) for h in headers]))
     off = np.linalg.norm(result.model.cams_from_world().centers() - fixes, axis=1)
-    assert np.delete(off, 4).max() < 1.0  # of views that stand ten metres apart
+    assert np.delete(off, 4).max() < 1.0  # of views that stand ten meters apart
     assert abs(off[4] - 2000.0) < 20.0
     assert result.summary["median_gps_residual_m"] < 1.0
     (said,) = [w for w in result.warnings if "GPS positions that contradict the model are not used" in w]
     assert "view_04.jpg by" in said and "view_03" not in said
-    truth = METRES_PER_UNIT * neighbouring_views(7).centers()
+    truth = METERS_PER_UNIT * neighboring_views(7).centers()
     length = np.linalg.norm(np.diff(result.model.cams_from_world().centers(), axis=0), axis=1)
     np.testing.assert_allclose(length, np.linalg.norm(np.diff(truth, axis=0), axis=1), rtol=0.03)
 

@@ -76,8 +76,8 @@ def test_images_that_are_not_turned_keep_the_camera_as_it_is(calibration):
     found = grouped([header()] * 3, calibration=calibration)
     assert found.notes == () and len(found.cameras) == 1
     np.testing.assert_array_equal(found.cameras[0].params, LENS.params)
-    centred = replace(LENS, params=np.array([400.0, 402.0, 239.5, 159.5, 0.0, 0.0, 0.0, 0.0]))
-    write_calibration(calibration, CalibrationFile((centred,), Rigid3.identity(1)))
+    centered = replace(LENS, params=np.array([400.0, 402.0, 239.5, 159.5, 0.0, 0.0, 0.0, 0.0]))
+    write_calibration(calibration, CalibrationFile((centered,), Rigid3.identity(1)))
     assert grouped([header(3)] * 3, calibration=calibration).notes == ()  # the same either way
 
 

@@ -20,9 +20,9 @@ def images_of(subjects: list[int]) -> list[np.ndarray]:
     return [(features[s] + rng.integers(0, 20, (150, 128))).astype(np.uint8) for s in subjects]
 
 
-def positions(metres_north: list[float | None]) -> np.ndarray:
+def positions(meters_north: list[float | None]) -> np.ndarray:
     """Rows (lat, lon, alt) along a meridian."""
-    rows = [NO_GPS if m is None else (46.0 + m / 111_150.0, 7.0, 400.0) for m in metres_north]
+    rows = [NO_GPS if m is None else (46.0 + m / 111_150.0, 7.0, 400.0) for m in meters_north]
     return np.array(rows, np.float64)
 
 
@@ -84,7 +84,7 @@ def test_a_picture_without_a_place_is_compared_with_its_look_alikes() -> None:
     road = [100.0 * k for k in range(6)] + [100.0 * k + 10.0 for k in range(6)]
     found = chosen(images, positions([None, *road[1:]]), method="spatial", neighbours=1)
     look_alikes = {*combinations(range(6), 2), *combinations(range(6, 12), 2)}
-    # Image 6 has lost its neighbour at 0 m; the next one stands at 100 m.
+    # Image 6 has lost its neighbor at 0 m; the next one stands at 100 m.
     assert found == look_alikes | {(k, k + 6) for k in range(1, 6)} | {(1, 6)}
 
 

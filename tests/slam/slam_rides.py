@@ -142,7 +142,7 @@ def rendered(name: str, count: int, step: int, *, with_right: bool = False) -> R
     images = {}
     for number in range(0, count, step):
         left = ride.left(number)
-        images[number] = left.grey, ride.right(number).grey if with_right else None, left.depth
+        images[number] = left.gray, ride.right(number).gray if with_right else None, left.depth
     return Rendered(ride, images)
 
 

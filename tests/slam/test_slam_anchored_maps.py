@@ -1,4 +1,4 @@
-"""Metres of maps that are gone on in: kept in the file and told, or found by what is known, or refused before any frame."""
+"""Meters of maps that are gone on in: kept in the file and told, or found by what is known, or refused before any frame."""
 
 from dataclasses import replace
 
@@ -53,7 +53,7 @@ def write_wheels(path, part):
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """Two folders of images with the same names and clock; a map in metres of the first, and one up to scale."""
+    """Two folders of images with the same names and clock; a map in meters of the first, and one up to scale."""
     folder = tmp_path_factory.mktemp("maps")
     for name, part in (("old", OLD), ("new", NEW)):
         (folder / name).mkdir()
@@ -66,27 +66,27 @@ def runs(tmp_path_factory):
 
 
 def scale_of(result, part):
-    """Metres of the unit of the path."""
+    """Meters of the unit of the path."""
     rows = np.rint(10 * result.trajectory.timestamp_s).astype(int)
     return float(align_points(result.trajectory.world_from_body.translation, truth(part)[rows]).scale)
 
 
-def test_the_file_says_where_its_metres_come_from(runs):
+def test_the_file_says_where_its_meters_come_from(runs):
     known = read_slam_map(runs / "metric", MONO)
-    assert known.is_metric and known.scale.startswith("metres, from 18 measured positions of 18: known to ")
+    assert known.is_metric and known.scale.startswith("meters, from 18 measured positions of 18: known to ")
     plain = read_slam_map(runs / "scaleless", MONO)
     assert not plain.is_metric and not plain.scale
-    assert read_slam_map(runs / "metric", RGBD).is_metric  # metres are metres, whatever camera goes on
+    assert read_slam_map(runs / "metric", RGBD).is_metric  # meters are meters, whatever camera goes on
     with pytest.raises(ConfigError, match="is up to scale"):
         read_slam_map(runs / "scaleless", RGBD)
 
 
 @pytest.mark.parametrize("localize", [False, True])
-def test_the_metres_of_a_known_map_are_told(runs, tmp_path, localize):
+def test_the_meters_of_a_known_map_are_told(runs, tmp_path, localize):
     result = run_slam(runs / "new", tmp_path / "out", map=runs / "metric", localize=localize, **GIVEN)
     before, after = (read_slam_map(folder, MONO) for folder in (runs / "metric", tmp_path / "out"))
-    words = before.scale.removeprefix("metres, ")
-    assert result.summary["is_metric"] and result.summary["scale"] == f"metres, as in the known map ({words})"
+    words = before.scale.removeprefix("meters, ")
+    assert result.summary["is_metric"] and result.summary["scale"] == f"meters, as in the known map ({words})"
     assert after.is_metric and after.scale == before.scale  # the next run says the same of it
     assert scale_of(result, NEW) == pytest.approx(1.0, abs=0.02)
     rows = np.rint(10 * result.trajectory.timestamp_s).astype(int)
@@ -107,7 +107,7 @@ def test_a_camera_that_tells_depth_goes_on_in_the_metric_map_of_one_that_does_no
     assert np.sqrt((off**2).sum(axis=1).mean()) < 0.04
 
 
-def test_a_map_without_metres_stays_so(runs, tmp_path):
+def test_a_map_without_meters_stays_so(runs, tmp_path):
     result = run_slam(runs / "new", tmp_path / "out", map=runs / "scaleless", **GIVEN)
     assert not result.summary["is_metric"] and result.summary["scale"].startswith("up to scale")
     assert not read_slam_map(tmp_path / "out", MONO).is_metric
@@ -156,7 +156,7 @@ def test_pictures_of_the_map_are_not_taken_for_those_of_this_run(runs, tmp_path,
         (
             "metric",
             False,
-            r"metric already \(metres, from 18 measured positions .*\): odometry and imu would",
+            r"metric already \(meters, from 18 measured positions .*\): odometry and imu would",
         ),
         ("metric", True, "metric already"),
         (
@@ -178,13 +178,13 @@ def test_what_would_change_the_unit_of_a_map_is_refused(runs, tmp_path, map_name
     assert not (tmp_path / "out").exists()
 
 
-def test_files_of_before_do_not_say_where_their_metres_come_from(runs, tmp_path):
+def test_files_of_before_do_not_say_where_their_meters_come_from(runs, tmp_path):
     arrays = load(runs / "metric" / MAP_FILE, TABLE)
     del arrays["scale"]
     store(tmp_path / "map.npz", VERSION, arrays)
     known = read_slam_map(tmp_path / "map.npz", MONO)
     assert known.is_metric and not known.scale
     result = run_slam(runs / "new", tmp_path / "out", map=tmp_path / "map.npz", localize=True, **GIVEN)
-    assert result.summary["scale"] == "metres, as in the known map" and result.summary["is_metric"]
+    assert result.summary["scale"] == "meters, as in the known map" and result.summary["is_metric"]
     with pytest.raises(ConfigError, match="already: tag_size_m would"):
         run_slam(runs / "new", tmp_path / "out", map=tmp_path / "map.npz", tag_size_m=0.1, **GIVEN)

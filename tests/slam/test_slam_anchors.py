@@ -102,7 +102,7 @@ def test_the_job_states_what_fixed_the_scale(images, tmp_path, rng):
     summary = json.loads((out / "summary.json").read_text())
     assert summary["is_metric"] and "measured positions" in summary["scale"] and "1 sigma" in summary["scale"]
     assert 0 < summary["anchor"]["relative_sigma"] < 0.03
-    for name in ("trajectory.txt", "trajectory_causal.txt"):  # both in metres, in the log's world
+    for name in ("trajectory.txt", "trajectory_causal.txt"):  # both in meters, in the log's world
         path = read_trajectory(out / name)
         frames = np.rint(30 * path.timestamp_s).astype(int)
         off = path.world_from_body.translation - ride().truth().translation[frames]
@@ -118,7 +118,7 @@ def test_places_that_tell_nothing_leave_the_path_up_to_scale(images, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["places"] + IS_WHOLE * ["distances"])
-def test_wheels_half_a_metre_behind_the_camera(images, tmp_path, kind):
+def test_wheels_half_a_meter_behind_the_camera(images, tmp_path, kind):
     """The camera looks inward on its arc: the wheels go a tenth further, which the mounting tells."""
     true = ride().truth()
     wheels = true.translation + true.rotation @ np.array([0.0, 0.0, -0.5])

@@ -86,7 +86,7 @@ def test_depth_in_a_wrong_unit_is_told(factor, is_given):
 
 
 def test_depth_in_a_wrong_unit_is_told_beside_the_path(tmp_path):
-    """Metres times 50 in a file that has 5000 for a metre."""
+    """Meters times 50 in a file that has 5000 for a meter."""
     result = run_slam(tum_folder(tmp_path / "room", unit=50.0), tmp_path / "out", **KNOWN)
     assert result.summary["num_localized"] > 0
     (warning,) = (w for w in result.warnings if "median depth" in w)

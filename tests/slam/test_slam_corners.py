@@ -13,9 +13,9 @@ NONE = np.zeros((0, 2))
 SIGMAS = [1.0, 1.25, 1.3, 1.7, 2.0, 3.0, 5.0, 7.0, 10.0] if IS_WHOLE else [1.0, 1.3, 3.0, 10.0]
 
 
-def noisy(grey: np.ndarray, sigma: float, seed: int) -> np.ndarray:
-    noise = np.random.default_rng(seed).normal(0.0, sigma, grey.shape)
-    return np.rint(grey + noise).clip(0, 255).astype(np.uint8)
+def noisy(gray: np.ndarray, sigma: float, seed: int) -> np.ndarray:
+    noise = np.random.default_rng(seed).normal(0.0, sigma, gray.shape)
+    return np.rint(gray + noise).clip(0, 255).astype(np.uint8)
 
 
 def slope(height: int, width: int) -> np.ndarray:
@@ -70,11 +70,11 @@ def test_a_dim_corner_is_taken_only_where_it_stands_out():
 
 
 def test_as_many_as_are_wanted_and_away_from_those_that_are_there():
-    grey, config = ride().left[0], SlamConfig()
-    corners = new_corners(grey, NONE, config)
+    gray, config = ride().left[0], SlamConfig()
+    corners = new_corners(gray, NONE, config)
     assert 100 < len(corners) <= config.num_features
-    more = new_corners(grey, corners[:60], config)
+    more = new_corners(gray, corners[:60], config)
     assert len(more) <= config.num_features - 60
     apart = np.linalg.norm(more[:, None] - corners[None, :60], axis=2)
     assert apart.min() > config.min_distance_px - 1.0
-    assert not len(new_corners(grey, np.zeros((config.num_features, 2)), config))
+    assert not len(new_corners(gray, np.zeros((config.num_features, 2)), config))

@@ -37,16 +37,16 @@ def true_length():
     return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
 
-def test_millimetres_in_the_layout_of_tum(tmp_path, true_length, capsys):
+def test_millimeters_in_the_layout_of_tum(tmp_path, true_length, capsys):
     folder, known = tum_folder(tmp_path / "room", 1000.0), {"camera_params": PARAMS}
     result = run_slam(folder, tmp_path / "out", **known)
     (warning,) = (words for words in result.warnings if "--depth-scale" in words)
-    assert "5000 values per metre" in warning and "1000 would also give plausible distances" in warning
+    assert "5000 values per meter" in warning and "1000 would also give plausible distances" in warning
     source = result.summary["source"]
     assert source["depth_scale"] == 5000.0 and "1000 is also possible" in source["depth_scale_source"]
     main(["slam", str(folder), str(tmp_path / "mm"), "--camera-params", PARAMS, "--depth-scale", "1000"])
     said = " ".join(capsys.readouterr().out.split())
-    assert "1000 values per metre, from given" in said and "camera source given" in said
+    assert "1000 values per meter, from given" in said and "camera source given" in said
     result = run_slam(folder, tmp_path / "again", camera_params=PARAMS, depth_scale=1000.0)
     assert not result.warnings
     assert result.trajectory.path_length() == pytest.approx(true_length, rel=0.1)
@@ -66,7 +66,7 @@ def test_a_depth_scale_without_depth_is_refused(tmp_path):
 
 
 def test_the_depth_scale_of_a_recording(tmp_path):
-    """ROS' 16 bits are millimetres; a sensor that counts otherwise needs the option."""
+    """ROS' 16 bits are millimeters; a sensor that counts otherwise needs the option."""
     recorded = Recorded("mcap")
     for n in range(COUNT):
         ns = 10**18 + 10**8 * n

@@ -48,7 +48,7 @@ def test_while_the_lens_is_covered_nothing_is_claimed(kind, shade):
     noise = np.random.default_rng(4)
     for n in range(6, 9):
         pair = [
-            noise.normal(shade, 2.0, frames[n].grey.shape).clip(0, 255).astype(np.uint8) for _ in range(2)
+            noise.normal(shade, 2.0, frames[n].gray.shape).clip(0, 255).astype(np.uint8) for _ in range(2)
         ]
         right = pair[1] if kind == "stereo" else None
         covered[n] = Frame(frames[n].timestamp_s, pair[0], right, frames[n].depth)
@@ -68,8 +68,8 @@ def test_exposure_may_jump(gain):
     """From one image to the next, and back again."""
     frames = []
     for n, frame in enumerate(ride().frames("rgbd")[:18]):
-        grey = np.rint(frame.grey * (gain if 6 <= n < 12 else 1.0)).clip(0, 255).astype(np.uint8)
-        frames.append(Frame(frame.timestamp_s, grey, None, frame.depth))
+        gray = np.rint(frame.gray * (gain if 6 <= n < 12 else 1.0)).clip(0, 255).astype(np.uint8)
+        frames.append(Frame(frame.timestamp_s, gray, None, frame.depth))
     slam, answers = tracked(frames, RGBD)
     assert all(a.state is TrackingState.TRACKING for a in answers)
     assert errors(slam, ride().truth(), "none").position.max < 0.02
@@ -83,14 +83,14 @@ def test_frames_may_be_missing(gap):
     assert errors(slam, ride().truth(), "none").position.max < 0.02
 
 
-def test_a_camera_at_rest_stays_within_two_millimetres():
+def test_a_camera_at_rest_stays_within_two_millimeters():
     """One image with fresh noise, thirty times."""
     still = ride("rest", 1)
     noise = np.random.default_rng(5)
     frames = []
     for n in range(30):
-        grey = still.left[0] + noise.normal(0, 2.0, still.left[0].shape)
-        frames.append(Frame(0.1 * n, np.rint(grey).clip(0, 255).astype(np.uint8), None, still.depth[0]))
+        gray = still.left[0] + noise.normal(0, 2.0, still.left[0].shape)
+        frames.append(Frame(0.1 * n, np.rint(gray).clip(0, 255).astype(np.uint8), None, still.depth[0]))
     slam, answers = tracked(frames, RGBD)
     assert all(a.state is TrackingState.TRACKING for a in answers)
     assert sum(a.is_keyframe for a in answers) <= 4
@@ -106,7 +106,7 @@ def test_the_same_path_on_one_thread_and_on_two(kind):
     frames = room.frames(kind, [*range(0, 54, 6), *range(0, 54, 6), *range(18, 36, 6)])
     for n in range(9, 18):  # upside down the room is another one
         depth = None if frames[n].depth is None else frames[n].depth[::-1].copy()
-        frames[n] = Frame(frames[n].timestamp_s, frames[n].grey[::-1].copy(), None, depth)
+        frames[n] = Frame(frames[n].timestamp_s, frames[n].gray[::-1].copy(), None, depth)
     try:
         for threads in (1, 2):
             _parallel.set_num_threads(threads)

@@ -26,32 +26,32 @@ pytestmark = pytest.mark.usefixtures("unchecked_module")
 PARAMS = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(CAMERA.params))
 
 
-def changed(frame: Frame, grey=None, right=None) -> Frame:
+def changed(frame: Frame, gray=None, right=None) -> Frame:
     """The frame with other images."""
     return Frame(
         frame.timestamp_s,
-        frame.grey if grey is None else grey,
-        frame.right_grey if right is None else right,
+        frame.gray if gray is None else gray,
+        frame.right_gray if right is None else right,
         frame.depth,
     )
 
 
-def moved_blur(grey: np.ndarray, length_px: int, angle: float) -> np.ndarray:
+def moved_blur(gray: np.ndarray, length_px: int, angle: float) -> np.ndarray:
     """The image of a camera that turned meanwhile, so that all moved along a line."""
     kernel = np.zeros((2 * length_px + 1, 2 * length_px + 1), np.float32)
     for t in np.linspace(-0.5, 0.5, 8 * length_px):
         x, y = length_px * (1 + t * np.cos(angle)), length_px * (1 + t * np.sin(angle))
         kernel[round(y), round(x)] += 1
-    return cv2.filter2D(grey, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REFLECT)
+    return cv2.filter2D(gray, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REFLECT)
 
 
-def bent(grey: np.ndarray, k1: float) -> np.ndarray:
+def bent(gray: np.ndarray, k1: float) -> np.ndarray:
     """What a lens with this radial term would have taken."""
     camera = Camera("OPENCV", CAMERA.width, CAMERA.height, [*CAMERA.params, k1, 0.0, 0.0, 0.0])
     rows, columns = np.mgrid[: CAMERA.height, : CAMERA.width]
     at = CAMERA.project(camera.unproject(np.stack([columns, rows], axis=2).reshape(-1, 2).astype(float)))
     table = at.reshape(CAMERA.height, CAMERA.width, 2).astype(np.float32)
-    return cv2.remap(grey, table[..., 0], table[..., 1], cv2.INTER_LINEAR)
+    return cv2.remap(gray, table[..., 0], table[..., 1], cv2.INTER_LINEAR)
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_a_wrong_lens_is_told_and_a_right_one_is_not(kind, factor, k1, wrong):
     given = Camera("PINHOLE", CAMERA.width, CAMERA.height, params)
     frames = ride().frames(kind)
     if k1:
-        frames = [changed(f, bent(f.grey, k1)) for f in frames]
+        frames = [changed(f, bent(f.gray, k1)) for f in frames]
     slam, _ = tracked(frames, SlamCamera(given, STEREO.baseline if kind == "stereo" else None))
     slam.finish()
     found = check_camera(slam.map, given)
@@ -90,7 +90,7 @@ def test_a_wrong_lens_is_told_and_a_right_one_is_not(kind, factor, k1, wrong):
 def test_blurred_frames_are_told_and_no_keyframes(kind, length_px):
     frames, blurred = ride().frames(kind)[:24], {9, 10, 15, 19}
     for n in blurred:
-        frames[n] = changed(frames[n], moved_blur(frames[n].grey, length_px, 0.9 * n))
+        frames[n] = changed(frames[n], moved_blur(frames[n].gray, length_px, 0.9 * n))
     slam, answers = tracked(frames, MONO if kind == "mono" else RGBD)
     assert {n for n, a in enumerate(answers) if "the image is blurred" in a.reason} == blurred
     assert not blurred & {k.number for k in slam.map.keyframes if len(k.point)}
@@ -104,10 +104,10 @@ def test_a_usual_picture_is_no_blurred_one():
     """Five pixels of blur, noise, exposure and a new place are no reason."""
     noise, watch = np.random.default_rng(3), FrameQualityMonitor()
     for n, frame in enumerate(ride().frames("mono")):
-        grey = frame.grey.astype(float) * (0.4 if n % 7 == 5 else 1.0) + noise.normal(
-            0, n % 4, frame.grey.shape
+        gray = frame.gray.astype(float) * (0.4 if n % 7 == 5 else 1.0) + noise.normal(
+            0, n % 4, frame.gray.shape
         )
-        assert not watch.assess(changed(frame, np.rint(grey).clip(0, 255).astype(np.uint8))).problem
+        assert not watch.assess(changed(frame, np.rint(gray).clip(0, 255).astype(np.uint8))).problem
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_a_usual_picture_is_no_blurred_one():
 )
 def test_pictures_that_show_nothing_have_a_reason(shade, words):
     frames = ride().frames("rgbd")[:10]
-    frames[6] = changed(frames[6], np.full_like(frames[6].grey, shade))
+    frames[6] = changed(frames[6], np.full_like(frames[6].gray, shade))
     _, answers = tracked(frames, RGBD)
     assert answers[6].world_from_body is None and words in answers[6].reason
     assert not answers[5].reason.startswith("the image") and answers[9].world_from_body is not None
@@ -127,8 +127,8 @@ def test_pictures_that_show_nothing_have_a_reason(shade, words):
 def test_with_one_lens_of_a_pair_covered_the_other_is_followed(side):
     frames, noise = ride().frames("stereo")[:24], np.random.default_rng(6)
     for n in range(8, 16):
-        dark = noise.normal(4.0, 2.0, frames[n].grey.shape).clip(0, 255).astype(np.uint8)
-        frames[n] = changed(frames[n], **{"grey" if side == "left" else "right": dark})
+        dark = noise.normal(4.0, 2.0, frames[n].gray.shape).clip(0, 255).astype(np.uint8)
+        frames[n] = changed(frames[n], **{"gray" if side == "left" else "right": dark})
     slam, answers = tracked(frames, STEREO)
     assert all(a.state is TrackingState.TRACKING for a in answers)
     assert all(f"the {side} image is dark" in a.reason for a in answers[8:16])
@@ -164,9 +164,9 @@ def test_a_second_motion_is_that_of_points_that_agree(rng):
 def test_nothing_is_taken_from_under_a_mask():
     frames = []
     for frame in ride().frames("mono")[:24]:
-        mask = np.zeros(frame.grey.shape, bool)
+        mask = np.zeros(frame.gray.shape, bool)
         mask[:, 200:] = True
-        frames.append(Frame(frame.timestamp_s, frame.grey, ignored_mask=mask))
+        frames.append(Frame(frame.timestamp_s, frame.gray, ignored_mask=mask))
     slam, answers = tracked(frames, MONO)
     assert slam.map.num_points > 100 and answers[-1].state is TrackingState.TRACKING
     assert max(k.pixels[:, 0].max() for k in slam.map.keyframes) < 200

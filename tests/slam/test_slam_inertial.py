@@ -1,4 +1,4 @@
-"""An inertial unit beside one camera: its measurements join the adjustments, and tell metres."""
+"""An inertial unit beside one camera: its measurements join the adjustments, and tell meters."""
 
 import copy
 import json
@@ -49,8 +49,8 @@ def job(ride, unit, tmp_path_factory, unchecked_module):
     folder, kept = tmp_path_factory.mktemp("inertial"), []
     params = ride.sensor("mono").camera.params
     (folder / "images").mkdir()
-    for n, (grey, _, _) in enumerate(ride.images.values()):
-        cv2.imwrite(str(folder / "images" / f"{n:03d}.png"), grey)
+    for n, (gray, _, _) in enumerate(ride.images.values()):
+        cv2.imwrite(str(folder / "images" / f"{n:03d}.png"), gray)
     log, there = unit.log, unit.camera_from_imu
     np.savetxt(folder / "imu.txt", np.column_stack([log.timestamp_s, log.gyro_rad_s, log.accel_m_s2]), "%.9g")
     rows = np.column_stack([there.rotation, there.translation]).tolist()

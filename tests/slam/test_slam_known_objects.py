@@ -29,7 +29,7 @@ def cams_from_world():
 
 @pytest.fixture(scope="module")
 def images(tmp_path_factory, cams_from_world):
-    """The ride past the courtyard, in which a tag of half a metre and a chessboard stand."""
+    """The ride past the courtyard, in which a tag of half a meter and a chessboard stand."""
     axes = (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)
     sheets = SyntheticScene.of(tag_sheet(7, 0.5, TAG, *axes) + chessboard_sheet(6, 4, SQUARE, BOARD, *axes))
     yard = courtyard()
@@ -46,7 +46,7 @@ def check(out, cams_from_world, words):
     """The summary says what fixed the scale; the truth is within 2 % and two of the stated deviations."""
     summary, path = json.loads((out / "summary.json").read_text()), read_trajectory(out / "trajectory.txt")
     assert summary["is_metric"] and summary["num_localized"] == COUNT
-    assert summary["scale"].startswith(f"metres, from {words}: known to ")
+    assert summary["scale"].startswith(f"meters, from {words}: known to ")
     assert [e["kept"] for e in summary["anchor"]["estimates"]] == [True]
     assert summary["scale"] in (out / "report.html").read_text(encoding="utf-8")
     true = cams_from_world.centers()[np.rint(10 * path.timestamp_s).astype(int)]
@@ -61,7 +61,7 @@ def test_a_tag(images, cams_from_world, tmp_path, capsys):
     main(["slam", str(images), str(tmp_path), "--camera-params", LENS, "--fps", "10", "--tag-size-m", "0.5"])
     check(tmp_path, cams_from_world, "tag 7")
     shown = " ".join(capsys.readouterr().out.split())
-    assert "scale metres, from tag 7" in shown and "not metres" not in shown
+    assert "scale meters, from tag 7" in shown and "not meters" not in shown
 
 
 @pytest.mark.usefixtures("unchecked")
@@ -73,7 +73,7 @@ def test_a_chessboard(images, cams_from_world, tmp_path):
 @pytest.mark.usefixtures("unchecked")
 def test_a_length_clicked_in_two_pictures(images, cams_from_world, tmp_path):
     ends = np.array([[TAG[0] - 0.25, TAG[1], TAG[2]], [BOARD[0] + 3.5 * SQUARE, BOARD[1], BOARD[2]]])
-    lines = ["# name metres end image x y"]
+    lines = ["# name meters end image x y"]
     for end, there in zip("ab", ends, strict=True):
         for n in (2, COUNT - 2):
             x, y = CAMERA.project(cams_from_world[n].apply(there[None]))[0]

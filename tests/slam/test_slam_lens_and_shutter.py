@@ -64,4 +64,4 @@ def test_both_are_said(mapper, monkeypatch, has_shutter, given_px, is_wrong):
     assert len(wrong) == is_wrong
     if is_wrong:
         assert "420 px" in wrong[0] and "507 +- 8 px" in wrong[0]
-    assert facts["lens"]["given_focal_px"] == given_px and facts["fraction_without_ray"] == 0.0
+    assert facts["camera_check"]["given_focal_px"] == given_px and facts["fraction_without_ray"] == 0.0

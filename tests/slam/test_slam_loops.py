@@ -23,7 +23,7 @@ def room():
 
 
 def off_between(slam: Slam, truth: Rigid3, first: int, second: int) -> tuple[float, float]:
-    """Metres (or the map's units) and degrees by which the motion between two frames is wrong."""
+    """Meters (or the map's units) and degrees by which the motion between two frames is wrong."""
     path = slam.trajectory()
     number = [int(np.flatnonzero(np.rint(10 * path.timestamp_s) == n)[0]) for n in (first, second)]
     ours = path.world_from_body[number[0]].inverse() @ path.world_from_body[number[1]]
@@ -106,7 +106,7 @@ def test_places_that_only_look_the_same_are_never_tied(kind):
 def test_carried_to_a_known_place_it_is_found_there():
     numbers = [*range(0, 102, 6), *range(24, 54, 6)]
     frames = room().frames("rgbd", numbers)
-    dark = np.full_like(frames[0].grey, 3)
+    dark = np.full_like(frames[0].gray, 3)
     # Covered on the way, so that nothing can be followed.
     covered = [Frame(f.timestamp_s, dark, None, f.depth) if n == 17 else f for n, f in enumerate(frames)]
     for images, lost in [(frames, [])] + IS_WHOLE * [(covered, [17])]:
@@ -167,7 +167,7 @@ def test_another_scene_is_a_map_of_its_own():
     elsewhere = tiled()
     frames = room().frames("rgbd", numbers)
     others = elsewhere.frames("rgbd")[: len(frames)]
-    frames += [Frame(100 + f.timestamp_s, f.grey, None, f.depth) for f in others]
+    frames += [Frame(100 + f.timestamp_s, f.gray, None, f.depth) for f in others]
     slam = Slam(room().sensor("rgbd"))
     answers = [slam.track(frame) for frame in frames]
     assert all(a.world_from_body is None for a in answers[12:])

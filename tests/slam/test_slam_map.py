@@ -15,7 +15,7 @@ from epipole.pipelines.slam.loops.recognition import Recognition, View
 from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.map.trajectory import Path
 
-GREY = np.zeros((240, 320), np.uint8)
+GRAY = np.zeros((240, 320), np.uint8)
 
 
 def some_map(rng, numbers, num_points=60, seen=25) -> SlamMap:
@@ -29,7 +29,7 @@ def some_map(rng, numbers, num_points=60, seen=25) -> SlamMap:
     for number in numbers:
         rows = rng.choice(num_points, seen, replace=False)
         observed = Observations(rng.uniform(0, 240, (seen, 2)), rng.uniform(1, 9, seen), rows)
-        keyframe = Keyframe(number, 0.1 * number, GREY, Rigid3.exp(rng.normal(0, 0.1, 6)), observed)
+        keyframe = Keyframe(number, 0.1 * number, GRAY, Rigid3.exp(rng.normal(0, 0.1, 6)), observed)
         keyframe.descriptors = rng.integers(1, 255, (seen, 128)).astype(np.uint8)
         model.keyframes.append(keyframe)
     return model
@@ -167,7 +167,7 @@ def ring(turn_rad: float, growth: float) -> tuple[SlamMap, Rigid3, np.ndarray, S
         rows = np.concatenate([EACH * j + np.arange(EACH) for j in range(max(0, k - REACH), k + 1)])
         seen = Observations(np.full((len(rows), 2), 100.0), np.full(len(rows), np.nan), rows)
         position = Rigid3(drifted[k].rotation, drifted[k].translation).inverse()
-        model.keyframes.append(Keyframe(k, 0.1 * k, GREY, position, seen))
+        model.keyframes.append(Keyframe(k, 0.1 * k, GRAY, position, seen))
     truth = Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))
     there_from_here = similarity(positions[-1].inverse()) @ drifted[-1].inverse()
     return model, truth, np.concatenate(true_points), there_from_here
@@ -222,7 +222,7 @@ class Recognized:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.poses: dict[int, list[Rigid3]] = {}
         none = np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros(8192, np.float32)
-        monkeypatch.setattr(loop_closing, "describe_keyframe", lambda keyframe: View(GREY, *none))
+        monkeypatch.setattr(loop_closing, "describe_keyframe", lambda keyframe: View(GRAY, *none))
         monkeypatch.setattr(
             loop_closing, "most_alike", lambda descriptor, model, *_: [(k, 1.0) for k in self._of(model)]
         )
@@ -234,7 +234,7 @@ class Recognized:
     def recognize(self, view, model, number, *_) -> Recognition:
         if number not in self._of(model):
             return Recognition(
-                number, 3, "3 points match", Rigid3.identity(), GREY[:0, :2], np.zeros(0, np.int64)
+                number, 3, "3 points match", Rigid3.identity(), GRAY[:0, :2], np.zeros(0, np.int64)
             )
         position = self.poses[id(model)][number]
         rows = np.flatnonzero(np.isfinite(model.xyz[:, 0]))
@@ -249,7 +249,7 @@ def add_keyframe(rng, model: SlamMap, number: int) -> Keyframe:
     """A step aside."""
     position = Rigid3(np.eye(3), np.array([-0.05 * number, 0.0, 0.0]))
     seen = Observations(rng.uniform(0, 240, (20, 2)), np.full(20, np.nan), np.arange(20))
-    model.keyframes.append(Keyframe(number, 0.1 * number, GREY, position, seen))
+    model.keyframes.append(Keyframe(number, 0.1 * number, GRAY, position, seen))
     return model.keyframes[-1]
 
 
@@ -303,7 +303,7 @@ def test_two_places_that_look_like_one_are_doubtful(rng, monkeypatch):
     assert {loop.reason for loop in sought.ledger} == {"two different poses match this image"}
 
 
-def test_a_way_that_would_have_to_be_wrong_by_metres_is_not_believed(rng, monkeypatch):
+def test_a_way_that_would_have_to_be_wrong_by_meters_is_not_believed(rng, monkeypatch):
     model = some_map(rng, [0])
     is_alike, sought = Recognized(monkeypatch), closer()
     for number in range(1, 20):

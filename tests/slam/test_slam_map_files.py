@@ -35,7 +35,7 @@ def test_the_same_map_comes_back(made):
     np.testing.assert_array_equal(known.model.anchor, model.anchor)
     np.testing.assert_array_equal(known.model.num_agreed, model.num_agreed)
     for one, other in zip(known.model.keyframes, model.keyframes, strict=True):
-        np.testing.assert_array_equal(one.grey, other.grey)
+        np.testing.assert_array_equal(one.gray, other.gray)
         np.testing.assert_array_equal(one.pixels, other.pixels)
         np.testing.assert_array_equal(one.point, other.point)
         np.testing.assert_array_equal(one.cam_from_world.rotation, other.cam_from_world.rotation)
@@ -50,14 +50,14 @@ def test_the_folder_of_a_run_is_its_map(made):
 
 @pytest.mark.parametrize("kind", ["rgbd", "stereo", "mono"])
 @pytest.mark.parametrize("gain", [0.7] + IS_WHOLE * [1.0])
-def test_a_second_pass_is_localised(made, kind, gain):
+def test_a_second_pass_is_localized(made, kind, gain):
     _, path = made
     sensor = {"rgbd": RGBD, "stereo": STEREO, "mono": MONO}[kind]
     known = read_slam_map(path, sensor).model
     before = known.xyz.copy(), len(known.keyframes)
     system = Slam(sensor, known=known, is_map_fixed=True)
     frames = [
-        replace(f, grey=np.rint(gain * f.grey).astype(np.uint8), timestamp_s=100.0 + n)
+        replace(f, gray=np.rint(gain * f.gray).astype(np.uint8), timestamp_s=100.0 + n)
         for n, f in enumerate(ride().frames(kind)[3:18])
     ]
     answers = [system.track(frame) for frame in frames]
@@ -85,11 +85,11 @@ def test_the_map_grows_where_it_is_gone_on_in(made):
     assert numbers == sorted(numbers) and len(set(numbers)) == len(numbers)
 
 
-def test_pictures_from_elsewhere_are_not_localised(made):
+def test_pictures_from_elsewhere_are_not_localized(made):
     _, path = made
     system = Slam(RGBD, known=read_slam_map(path, RGBD).model, is_map_fixed=True)
     noise = np.random.default_rng(0).integers(0, 255, (6, 240, 320), np.uint8)
-    frames = [replace(f, grey=noise[n]) for n, f in enumerate(ride().frames("rgbd")[:6])]
+    frames = [replace(f, gray=noise[n]) for n, f in enumerate(ride().frames("rgbd")[:6])]
     answers = [system.track(frame) for frame in frames]
     assert all(a.state is TrackingState.LOST and a.world_from_body is None for a in answers)
 
@@ -128,7 +128,7 @@ def test_damaged_maps_are_refused(made, tmp_path):
         read_slam_map(tmp_path / "none", RGBD)
 
 
-def test_the_job_writes_goes_on_and_localises(tmp_path):
+def test_the_job_writes_goes_on_and_localizes(tmp_path):
     import cv2
 
     for folder, part in (("first", slice(0, 18)), ("second", slice(6, 16))):

@@ -56,7 +56,7 @@ def table_after(html: str, title: str) -> str:
 def test_the_report_tells_what_came_out(made):
     _, result, page = made
     html = (result.out / "report.html").read_text(encoding="utf-8")
-    assert "12 of 12 frames localized" in html and "metres, from the baseline of 0.12 m" in html
+    assert "12 of 12 frames localized" in html and "meters, from the baseline of 0.12 m" in html
     assert "up to scale" not in html
     assert "No loop was closed" in table_after(html, "Loops")
     truth = table_after(html, "Errors")

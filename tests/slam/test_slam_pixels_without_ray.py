@@ -28,8 +28,8 @@ def test_all_tracked_points_have_a_ray():
     assert pixels_without_ray(FOLDED)[has_none].all()
     assert pixels_without_ray(FOLDED).mean() < has_none.mean() + 0.1
     slam = Slam(SlamCamera(FOLDED))
-    for n, grey in enumerate(moving_frames()):
-        slam.track(Frame(0.1 * n, grey))
+    for n, gray in enumerate(moving_frames()):
+        slam.track(Frame(0.1 * n, gray))
         assert len(slam.snapshot().tracked_px) > 100
         assert np.isfinite(FOLDED.unproject(slam.snapshot().tracked_px)).all()
     for keyframe in slam.map.keyframes:
@@ -54,8 +54,8 @@ def test_a_given_mask_stays_beside_the_pixels_without_ray():
 
 def test_the_run_says_how_many_pixels_have_no_ray(tmp_path):
     (tmp_path / "images").mkdir()
-    for n, grey in enumerate(moving_frames()):
-        cv2.imwrite(str(tmp_path / "images" / f"{n:02d}.png"), grey)
+    for n, gray in enumerate(moving_frames()):
+        cv2.imwrite(str(tmp_path / "images" / f"{n:02d}.png"), gray)
     params = ",".join(str(p + 0.5 * (n in (2, 3))) for n, p in enumerate(FOLDED.params))
     camera = {"camera_model": "OPENCV", "camera_params": params}
     result = run_slam(tmp_path / "images", tmp_path / "out", **camera)

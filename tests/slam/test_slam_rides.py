@@ -20,7 +20,7 @@ def rides():
 
 
 @pytest.mark.parametrize(("kind", "most_cm"), [("rgbd", 1.0), ("stereo", 1.5)])
-def test_the_path_in_metres_where_depth_is_told(rides, kind, most_cm):
+def test_the_path_in_meters_where_depth_is_told(rides, kind, most_cm):
     slam, answers = rides[kind]
     assert [a.state for a in answers] == [TrackingState.TRACKING] * 30
     causal = absolute_error(
@@ -112,7 +112,7 @@ def test_a_blank_wall_gives_no_begin():
     blank = np.full((240, 320), 128, np.uint8)
     for camera, extra in (
         (MONO, {}),
-        (STEREO, {"right_grey": blank}),
+        (STEREO, {"right_gray": blank}),
         (RGBD, {"depth": np.ones((240, 320), np.float32)}),
     ):
         _, answers = tracked([Frame(0.1 * n, blank, **extra) for n in range(3)], camera)
@@ -147,7 +147,7 @@ def test_depth_of_a_sensor_beside_the_camera_is_registered(rides):
     for n, frame in enumerate(ride().frames("rgbd")[:10]):
         seen = render(courtyard(), camera, beside @ ride().cams_from_world[n])
         frames.append(
-            Frame(frame.timestamp_s, frame.grey, None, np.nan_to_num(seen.depth, nan=0.0).astype(np.float32))
+            Frame(frame.timestamp_s, frame.gray, None, np.nan_to_num(seen.depth, nan=0.0).astype(np.float32))
         )
     truth = ride().truth()[np.arange(10)]
     slam, answers = tracked(frames, SlamCamera(CAMERA, None, DepthCamera(camera, beside)))
@@ -170,13 +170,13 @@ def test_frames_that_do_not_fit_are_refused():
     with pytest.raises(ShapeError, match="the image is 100 x 80"):
         slam.track(Frame(5.0, np.zeros((80, 100), np.uint8), None, frames[0].depth))
     with pytest.raises(ShapeError, match="the depth is 100 x 80, but the depth camera is 320 x 240"):
-        slam.track(Frame(5.0, frames[0].grey, None, np.ones((80, 100), np.float32)))
+        slam.track(Frame(5.0, frames[0].gray, None, np.ones((80, 100), np.float32)))
     with pytest.raises(ConfigError, match="needs depth"):
-        slam.track(Frame(5.0, frames[0].grey))
+        slam.track(Frame(5.0, frames[0].gray))
     with pytest.raises(ConfigError, match="right image"):
-        Slam(STEREO).track(Frame(0.0, frames[0].grey))
+        Slam(STEREO).track(Frame(0.0, frames[0].gray))
     with pytest.raises(ConfigError, match="must be a number"):
-        Frame(float("nan"), frames[0].grey)
+        Frame(float("nan"), frames[0].gray)
     with pytest.raises(ConfigError, match="baseline must be positive"):
         SlamCamera(CAMERA, -1.0)
     for wrong in ({"num_features": 3}, {"max_error_px": 0.0}, {"min_angle_deg": 0.0}):
@@ -188,15 +188,15 @@ def test_frames_that_do_not_fit_are_refused():
 @pytest.mark.usefixtures("unchecked")
 def test_depth_of_another_kind_is_told():
     frame = ride().frames("rgbd")[0]
-    with pytest.raises(ShapeError, match=r"float32 in metres, got uint16"):
-        Frame(0.0, frame.grey, None, (1000 * frame.depth).astype(np.uint16))
+    with pytest.raises(ShapeError, match=r"float32 in meters, got uint16"):
+        Frame(0.0, frame.gray, None, (1000 * frame.depth).astype(np.uint16))
     with pytest.raises(ConfigError, match="the camera has no depth sensor"):
         Slam(MONO).track(frame)
     far = np.where(frame.depth > 0, frame.depth, np.inf).astype(np.float32)
     assert (far == np.inf).any()
     slam, _ = tracked(
         [
-            Frame(f.timestamp_s, f.grey, None, np.where(f.depth > 0, f.depth, np.inf))
+            Frame(f.timestamp_s, f.gray, None, np.where(f.depth > 0, f.depth, np.inf))
             for f in ride().frames("rgbd")[:4]
         ],
         RGBD,

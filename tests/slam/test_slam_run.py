@@ -38,7 +38,7 @@ def test_a_folder_becomes_a_path_and_a_map(stereo_folder, tmp_path):
     out = tmp_path / "out"
     result = run_slam(stereo_folder, out)
     assert result.summary["num_localized"] == result.summary["num_frames"] == 12
-    assert result.summary["scale"] == "metres, from the baseline of 0.12 m"
+    assert result.summary["scale"] == "meters, from the baseline of 0.12 m"
     path = read_trajectory(out / "trajectory.txt")
     truth = ride().truth()[np.arange(12)]
     assert absolute_error(path.world_from_body, truth, "none").position.rmse < 0.02
@@ -88,7 +88,7 @@ def test_frames_of_nothing_end_with_the_reason(tmp_path):
 def test_the_command(stereo_folder, tmp_path, capsys):
     main(["slam", str(stereo_folder), str(tmp_path / "out"), "--num-features", "200"])
     said = capsys.readouterr().out
-    assert "12 of 12 (12 when they arrived)" in said and "metres, from the baseline of 0.12 m" in said
+    assert "12 of 12 (12 when they arrived)" in said and "meters, from the baseline of 0.12 m" in said
 
 
 KITCHEN = [("rgbd", 100, "rigid"), ("mono", 100, "similarity")] if IS_WHOLE else [("rgbd", 30, "rigid")]

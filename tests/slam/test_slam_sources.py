@@ -49,8 +49,8 @@ def recorded_ride(kind: str, sensor: str, count: int = 12) -> Recorded:
             P = np.column_stack([K, [-FOCAL * BASELINE, 0, 0]])
             out.camera_info("/cam/right/camera_info", ns, size, K, P=P)
         if sensor == "rgbd":
-            millimetres = np.rint(1000 * ride().depth[n]).astype(np.uint16)
-            out.image("/cam/depth_registered/image_raw", ns + 8_000_000, millimetres, "16UC1")
+            millimeters = np.rint(1000 * ride().depth[n]).astype(np.uint16)
+            out.image("/cam/depth_registered/image_raw", ns + 8_000_000, millimeters, "16UC1")
     return out
 
 
@@ -173,7 +173,7 @@ def test_a_slow_tracker_gets_the_newest_picture_of_a_camera():
     source = moving_sources.open_camera(0, CameraOptions(**KNOWN), capture, lambda: float(next(seconds)))
     stream, values = FrameStream(source, JobOptions()), []
     for queued in stream:
-        values.append((queued.timestamp_s, int(queued.read().grey[0, 0])))
+        values.append((queued.timestamp_s, int(queued.read().gray[0, 0])))
         for _ in range(3):  # while this one is followed three more come
             capture.may_read.release()
         # Another call begins when the image of the last is kept; the thirteenth, which fails, is the last.

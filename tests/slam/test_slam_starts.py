@@ -89,8 +89,8 @@ def test_a_slanted_plane_allows_two_motions_and_the_wrong_one_fits_less():
 def passing(width: float, height: float, kind: str, start: int, grow: float = 0.0) -> list[Frame]:
     """A camera at rest, and a thing with much texture that slides by, 4 pixels a frame."""
     still, rng = ride("rest", 1), np.random.default_rng(0)
-    grey, depth = still.left[0].astype(float), still.depth[0]
-    rows, columns = grey.shape
+    gray, depth = still.left[0].astype(float), still.depth[0]
+    rows, columns = gray.shape
     thing = np.full((round(height * rows), round(width * columns)), 120.0)
     for size in (2, 5, 11):
         coarse = rng.normal(0, 40, (thing.shape[0] // size + 2, thing.shape[1] // size + 2))
@@ -106,7 +106,7 @@ def passing(width: float, height: float, kind: str, start: int, grow: float = 0.
             ]
         )
         mask = cv2.warpAffine(np.ones_like(thing), move, (columns, rows))
-        rendered = grey * (1 - mask) + cv2.warpAffine(thing.clip(0, 255), move, (columns, rows)) * mask
+        rendered = gray * (1 - mask) + cv2.warpAffine(thing.clip(0, 255), move, (columns, rows)) * mask
         rendered = np.rint(rendered + rng.normal(0, 1.5, rendered.shape)).clip(0, 255).astype(np.uint8)
         deep = np.where(mask > 0.5, 1.0, depth).astype(np.float32) if kind == "rgbd" else None
         out.append(Frame(0.1 * n, rendered, None, deep))
@@ -157,9 +157,9 @@ def test_the_path_is_that_of_the_largest_map():
     """The camera loses itself early; what it sees then is another place, and it sees that for longer."""
     frames = ride().frames("rgbd")
     upside_down = [
-        Frame(0.1 * n, f.grey[::-1].copy(), None, f.depth[::-1].copy()) for n, f in enumerate(frames)
+        Frame(0.1 * n, f.gray[::-1].copy(), None, f.depth[::-1].copy()) for n, f in enumerate(frames)
     ]
-    few = [Frame(f.timestamp_s - 0.6, f.grey, None, f.depth) for f in frames[:5]]
+    few = [Frame(f.timestamp_s - 0.6, f.gray, None, f.depth) for f in frames[:5]]
     slam, answers = tracked([*few, *upside_down], RGBD)
     slam.finish()
     counts = [len(slam.trajectory(number)) for number in range(len(slam.maps))]

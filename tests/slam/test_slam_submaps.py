@@ -100,7 +100,7 @@ def test_a_map_that_is_never_joined_has_its_own_file(tmp_path):
     rows = {"rgb": [], "depth": []}
     for frame in ride.frames("rgbd", numbers):
         name = f"{frame.timestamp_s:.6f}.png"
-        cv2.imwrite(str(source / "rgb" / name), frame.grey)
+        cv2.imwrite(str(source / "rgb" / name), frame.gray)
         cv2.imwrite(str(source / "depth" / name), np.rint(5000 * frame.depth).astype(np.uint16))
         for kind, lines in rows.items():
             lines.append(f"{frame.timestamp_s:.6f} {kind}/{name}")

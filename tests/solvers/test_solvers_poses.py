@@ -44,7 +44,7 @@ def test_p3p_contains_the_truth(rng, scale):
     for _ in range(300):
         truth = anywhere(rng)
         points, in_cam = seen(rng, truth, 3)
-        found = solve_p3p(in_cam, scale * points)
+        found = solve_p3p(scale * points, in_cam)
         assert len(found) <= 4
         assert nearest(Rigid3(found.rotation, found.translation / scale), truth) < 1e-5
         again = found.rotation @ (scale * points).T + found.translation[:, :, None]
@@ -56,7 +56,7 @@ def test_p3p_contains_the_truth(rng, scale):
 def test_collinear_points_give_p3p_nothing(rng):
     points = np.outer([1.0, 2.0, 3.0], [1.0, 1.0, 1.0]) + np.array([0, 0, 4.0])
     assert len(solve_p3p(points, points)) == 0
-    assert len(solve_p3p(points, np.ones((3, 3)))) == 0
+    assert len(solve_p3p(np.ones((3, 3)), points)) == 0
     assert len(solve_p3p(points[[0, 0, 1]], points[[0, 0, 1]])) == 0
 
 
@@ -65,7 +65,7 @@ def test_generalized_p3p_contains_the_truth(rng):
         truth = anywhere(rng)
         points, in_rig = seen(rng, truth, 3)
         origins = 0.5 * rng.normal(size=(3, 3))
-        found = solve_generalized_p3p(origins, in_rig - origins, points)
+        found = solve_generalized_p3p(points, origins, in_rig - origins)
         assert nearest(found, truth) < 1e-4
 
 
@@ -75,21 +75,21 @@ def test_p4pf_contains_the_truth_and_needs_depth(rng):
         truth = anywhere(rng)
         points, in_cam = seen(rng, truth, 4)
         focal = rng.uniform(300, 3000)
-        found = solve_p4pf(focal * in_cam[:, :2] / in_cam[:, 2:], points)
+        found = solve_p4pf(points, focal * in_cam[:, :2] / in_cam[:, 2:])
         error = np.abs(found.focal_px / focal - 1.0) + np.abs(
             found.cam_from_world.rotation - truth.rotation
         ).max(axis=(1, 2))
         missed += not error.min(initial=np.inf) < 1e-4
     assert missed <= 2
     points, in_cam = seen(rng, truth, 4, planar=True)
-    assert len(solve_p4pf(800 * in_cam[:, :2] / in_cam[:, 2:], points).focal_px) == 0
+    assert len(solve_p4pf(points, 800 * in_cam[:, :2] / in_cam[:, 2:]).focal_px) == 0
 
 
 def test_upright_solvers_contain_the_truth(rng):
     for _ in range(200):
         truth = turned_about_y(rng)
         points, in_cam = seen(rng, truth, 2)
-        assert nearest(solve_upright_p2p(in_cam, points), truth) < 1e-6
+        assert nearest(solve_upright_p2p(points, in_cam), truth) < 1e-6
         motion = turned_about_y(rng)
         motion = Rigid3(motion.rotation, motion.translation / np.linalg.norm(motion.translation))
         first = rng.uniform([-2, -1.5, 4], [2, 1.5, 9], (3, 3))
@@ -102,10 +102,10 @@ def test_pnp_is_exact_without_noise_and_least_squares_with_it(rng, count, planar
     for _ in range(20):
         truth = anywhere(rng)
         points, in_cam = seen(rng, truth, count, planar)
-        assert nearest(Rigid3(*(a[None] for a in _parts(solve_pnp(in_cam, points)))), truth) < 1e-5
+        assert nearest(Rigid3(*(a[None] for a in _parts(solve_pnp(points, in_cam)))), truth) < 1e-5
     rays = in_cam / np.linalg.norm(in_cam, axis=1, keepdims=True) + 1e-3 * rng.normal(size=in_cam.shape)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    found = solve_pnp(rays, points)
+    found = solve_pnp(points, rays)
 
     def distances(xi):
         x = (Rigid3.exp(xi) @ found).apply(points)
@@ -122,7 +122,7 @@ def _parts(motion):
 def test_pnp_refuses_what_fixes_no_pose(rng):
     line = np.outer(np.arange(6.0), [1.0, 2.0, 0.5])
     with pytest.raises(DegenerateGeometryError):
-        solve_pnp(line + np.array([0, 0, 5]), line)
+        solve_pnp(line, line + np.array([0, 0, 5]))
     with pytest.raises(DegenerateGeometryError):
         solve_pnp(np.ones((6, 3)), np.ones((6, 3)))
     with pytest.raises(ShapeError):

@@ -176,17 +176,17 @@ def test_a_run_warns_of_what_spoils_it(cones, data_dir):
         assert (warnings == ()) if words is None else (len(warnings) == 1 and words in warnings[0])
 
 
-def test_grey_beside_colour_and_sixteen_bits(cones, tmp_path):
+def test_gray_beside_color_and_sixteen_bits(cones, tmp_path):
     left, right = cones
-    colour, grey, deep = (tmp_path / f"{name}.png" for name in ("colour", "grey", "deep"))
-    cv2.imwrite(str(colour), left[..., ::-1])
+    color, gray, deep = (tmp_path / f"{name}.png" for name in ("color", "gray", "deep"))
+    cv2.imwrite(str(color), left[..., ::-1])
     shade = cv2.cvtColor(right, cv2.COLOR_RGB2GRAY)
-    cv2.imwrite(str(grey), shade)
+    cv2.imwrite(str(gray), shade)
     cv2.imwrite(str(deep), shade.astype(np.uint16) * 257)
     config = StereoConfig(max_disparity_px=63)
     whole = measure_pair(left, right, config).disparities
-    for other in (grey, deep):
-        found = api.stereo(colour, other, tmp_path / other.stem, config)
+    for other in (gray, deep):
+        found = api.stereo(color, other, tmp_path / other.stem, config)
         assert found.disparities.density == pytest.approx(whole.density, abs=0.01) and found.warnings == ()
 
 

@@ -8,7 +8,7 @@ from kernel_references import assert_same_as_python, reference_of
 
 
 def smoothed(values: np.ndarray, links: np.ndarray, strength: float) -> np.ndarray:
-    """Minimise sum (u - f)^2 + strength sum e_i (u_i - u_i+1)^2 by solving its normal equations."""
+    """Minimize sum (u - f)^2 + strength sum e_i (u_i - u_i+1)^2 by solving its normal equations."""
     steps = np.diff(np.eye(len(values)), axis=0)
     return np.linalg.solve(np.eye(len(values)) + strength * (steps.T * links[: len(steps)]) @ steps, values)
 

@@ -108,7 +108,7 @@ def test_a_plane_that_faces_the_cameras(rng, config, disparity):
 
 
 def test_a_half_pixel_is_seen(rng):
-    """Averages of two neighbours lie half a pixel off."""
+    """Averages of two neighbors lie half a pixel off."""
     wide = texture(rng, 80, 321).astype(float)
     fine = np.repeat(wide, 2, axis=1)
     smooth = (fine[:, :-3] + fine[:, 1:-2] + fine[:, 2:-1] + fine[:, 3:]) / 4
@@ -153,7 +153,7 @@ def test_what_cannot_be_known_is_not_invented(rng):
     assert (hidden == StereoReason.OCCLUDED).mean() > 0.6
 
 
-def test_pictures_of_16_bits_colours_and_different_exposure(rng):
+def test_pictures_of_16_bits_colors_and_different_exposure(rng):
     left, right = shifted_pair(rng, 60, 160, 11)
     config = StereoConfig(max_disparity_px=31)
     plain = match_stereo(left, right, config)

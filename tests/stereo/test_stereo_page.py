@@ -19,8 +19,8 @@ def page_of(warnings: tuple[str, ...] = (), rig: RectifiedRig | None = None) -> 
     found = DisparityMap(
         disparity, disparity / np.float32(16), np.broadcast_to(reason, (30, 40)).astype(np.uint8)
     )
-    grey = np.full((30, 40, 3), 90, np.uint8)
-    return render_page(StereoResult(grey, grey, found, rig, None, None, warnings, 0))
+    gray = np.full((30, 40, 3), 90, np.uint8)
+    return render_page(StereoResult(gray, gray, found, rig, None, None, warnings, 0))
 
 
 def test_shares_and_pictures() -> None:

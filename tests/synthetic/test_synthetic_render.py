@@ -1,4 +1,4 @@
-"""Rendered depth is exact, colours stay with the surface, results do not depend on threads."""
+"""Rendered depth is exact, colors stay with the surface, results do not depend on threads."""
 
 import cv2
 import numpy as np
@@ -50,7 +50,7 @@ def test_depth_of_a_sphere_and_a_box_is_analytic():
     assert box[40, 60] == pytest.approx(3.0)
 
 
-def test_the_same_point_has_the_same_colour_in_another_view():
+def test_the_same_point_has_the_same_color_in_another_view():
     scene, camera = courtyard(), Camera(CameraModel.PINHOLE, 240, 160, np.array([190.0, 190.0, 119.5, 79.5]))
     views = courtyard_views(24)
     first, second = (render(scene, camera, views[k]) for k in (8, 9))
@@ -121,7 +121,7 @@ def test_a_tiled_wall_repeats_and_moves_with_its_wall():
         )  # fmt: skip
         return render(SyntheticScene.of([wall]), camera, look_at((0, 0, 0), (0, 1, 0))).rgb.astype(float)
 
-    # A tile is half a metre, 2 m away: 50 pixels.
+    # A tile is half a meter, 2 m away: 50 pixels.
     tiled = image(0.0)
     # What a pixel covers grows a little from the middle outward, and with it the blur.
     assert np.abs(tiled[:, :150] - tiled[:, 50:]).mean() < 1.5

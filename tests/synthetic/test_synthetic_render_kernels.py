@@ -112,9 +112,9 @@ def test_the_nearer_surface_hides_the_farther() -> None:
     np.testing.assert_array_equal(both[seen], alone[seen])
 
 
-def test_colours_are_sampled_evenly_around_the_pixel() -> None:
+def test_colors_are_sampled_evenly_around_the_pixel() -> None:
     camera = Camera(CameraModel.PINHOLE, WIDTH, HEIGHT, np.array([80.0, 80.0, 47.5, 31.5]))
-    # The edges project to 20.5 and 10.5 pixels from the middle: through pixel centres, on every side.
+    # The edges project to 20.5 and 10.5 pixels from the middle: through pixel centers, on every side.
     plate = Plane(
         center=(0, 0, 0),
         direction_u=(1, 0, 0),

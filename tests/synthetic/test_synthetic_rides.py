@@ -28,7 +28,7 @@ def silent(name: str) -> Ride:
 
 
 def agreeing(ride: Ride, first: int, second: int, truth: Ride | None = None) -> tuple[float, float, float]:
-    """Of the pixels of one frame that the other has in its image: share, share with the right depth, grey difference."""
+    """Of the pixels of one frame that the other has in its image: share, share with the right depth, gray difference."""
     here, there = ride.left(first), ride.left(second)
     positions = (ride if truth is None else truth).world_from_camera
     v, u = np.mgrid[2 : SIZE[1] - 2 : 3, 2 : SIZE[0] - 2 : 3].reshape(2, -1)
@@ -40,8 +40,8 @@ def agreeing(ride: Ride, first: int, second: int, truth: Ride | None = None) -> 
     near = np.rint(at[inside]).astype(int)
     depth = there.depth[near[:, 1], near[:, 0]]
     right = np.abs(depth - in_second[inside, 2]) < 0.03 * depth
-    grey = np.abs(here.grey[v, u][inside].astype(float) - there.grey[near[:, 1], near[:, 0]])
-    return inside.mean(), right.mean(), float(np.median(grey[right]))
+    gray = np.abs(here.gray[v, u][inside].astype(float) - there.gray[near[:, 1], near[:, 0]])
+    return inside.mean(), right.mean(), float(np.median(gray[right]))
 
 
 @pytest.mark.parametrize(
@@ -59,10 +59,10 @@ def agreeing(ride: Ride, first: int, second: int, truth: Ride | None = None) -> 
     ],
 )
 def test_a_point_is_seen_where_the_truth_says(name: str, first: int, second: int) -> None:
-    fraction, right, grey = agreeing(silent(name), first, second)
+    fraction, right, gray = agreeing(silent(name), first, second)
     assert fraction > 0.4
     assert right > 0.95
-    assert grey < 3
+    assert gray < 3
 
 
 def test_another_place_does_not_agree() -> None:
@@ -82,7 +82,7 @@ def test_the_right_camera_stands_a_baseline_aside() -> None:
     near = np.rint(moved).astype(int)
     same = np.abs(right.depth[v, near] - left.depth[v, u]) < 0.02 * left.depth[v, u]
     assert same.mean() > 0.9
-    assert np.median(np.abs(left.grey[v, u].astype(float) - right.grey[v, near])[same]) < 4
+    assert np.median(np.abs(left.gray[v, u].astype(float) - right.gray[v, near])[same]) < 4
 
 
 def test_the_box_walks_with_its_texture_and_the_camera_rests() -> None:
@@ -101,30 +101,30 @@ def test_the_box_walks_with_its_texture_and_the_camera_rests() -> None:
     at = np.rint(u - shift).astype(int)
     same = np.abs(two.depth[v, at] - one.depth[v, u]) < 0.05
     assert same.mean() > 0.9
-    difference = np.abs(one.grey[v, u].astype(float) - two.grey[v, at])[same]
-    assert np.median(difference) < 4 < np.median(np.abs(one.grey[v, u].astype(float) - two.grey[v, u]))
+    difference = np.abs(one.gray[v, u].astype(float) - two.gray[v, at])[same]
+    assert np.median(difference) < 4 < np.median(np.abs(one.gray[v, u].astype(float) - two.gray[v, u]))
 
 
 def test_the_corridor_goes_blank_and_its_end_sees_its_begin() -> None:
     ride = silent("corridor")
-    blank = [n for n in range(91, 125) if np.ptp(ride.left(n).grey) <= 4]
+    blank = [n for n in range(91, 125) if np.ptp(ride.left(n).gray) <= 4]
     assert blank == list(range(blank[0], blank[-1] + 1))
     assert 17 <= len(blank) <= 25
-    assert np.ptp(ride.left(200).grey) > 60
-    assert np.ptp(ride.left(395).grey) > 60
+    assert np.ptp(ride.left(200).gray) > 60
+    assert np.ptp(ride.left(395).gray) > 60
 
 
 def test_four_places_look_alike_and_are_not_one() -> None:
     ride = silent("tiled_room")
     positions = ride.world_from_camera
     for first in (0, 33):
-        one = ride.left(first).grey.astype(float)
+        one = ride.left(first).gray.astype(float)
         for quarter in (90, 180, 270):
-            other = ride.left(first + quarter).grey.astype(float)
+            other = ride.left(first + quarter).gray.astype(float)
             assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.8
             between = positions[first].inverse() @ positions[first + quarter]
             assert np.linalg.norm(between.translation) > 0.9
-        there = ride.left(first + 45).grey.astype(float)
+        there = ride.left(first + 45).gray.astype(float)
         assert np.corrcoef(one.ravel(), there.ravel())[0, 1] < 0.5
 
 
@@ -146,10 +146,10 @@ def test_each_row_is_drawn_from_its_own_place() -> None:
         # Rows follow each other evenly; the middle of the image is read at the frame's time.
         time = middle + 0.03 * (row + 0.5 - 0.5 * height) / height
         moment = replace(still, timestamp_s=np.array([time]))
-        np.testing.assert_array_equal(moment.left(0).grey[row], seen.grey[row])
+        np.testing.assert_array_equal(moment.left(0).gray[row], seen.gray[row])
         np.testing.assert_array_equal(moment.left(0).depth[row], seen.depth[row])
         if row in (0, height - 1):
-            assert (moment.left(0).grey[height // 2] != seen.grey[height // 2]).mean() > 0.2
+            assert (moment.left(0).gray[height // 2] != seen.gray[height // 2]).mean() > 0.2
 
 
 def test_motion_blur_is_the_mean_of_sharp_pictures() -> None:
@@ -157,11 +157,11 @@ def test_motion_blur_is_the_mean_of_sharp_pictures() -> None:
     blurred = replace(ride, shutter=Shutter(exposure_s=0.03, num_exposures=4, noise_sigma=0.0))
     times = ride.timestamp_s[8] + 0.03 * (np.arange(4) - 1.5) / 4
     sharp = replace(ride, timestamp_s=times)
-    mean = np.mean([sharp.left(n).grey.astype(float) for n in range(4)], axis=0)
-    # Colours are rounded before they become grey, here and there.
-    np.testing.assert_allclose(blurred.left(8).grey, mean, atol=2.0)
+    mean = np.mean([sharp.left(n).gray.astype(float) for n in range(4)], axis=0)
+    # Colors are rounded before they become gray, here and there.
+    np.testing.assert_allclose(blurred.left(8).gray, mean, atol=2.0)
     contrast = [
-        np.abs(np.diff(p.astype(float), axis=1)).mean() for p in (blurred.left(8).grey, ride.left(8).grey)
+        np.abs(np.diff(p.astype(float), axis=1)).mean() for p in (blurred.left(8).gray, ride.left(8).gray)
     ]
     assert contrast[0] < 0.75 * contrast[1]
 
@@ -169,13 +169,13 @@ def test_motion_blur_is_the_mean_of_sharp_pictures() -> None:
 def test_light_and_noise() -> None:
     ride = silent("loop_room")
     darker = replace(ride, gain=np.full(len(ride), 0.5))
-    np.testing.assert_allclose(darker.left(3).grey, 0.5 * ride.left(3).grey, atol=1.5)
+    np.testing.assert_allclose(darker.left(3).gray, 0.5 * ride.left(3).gray, atol=1.5)
     noisy = replace(ride, shutter=Shutter(noise_sigma=3.0))
-    difference = noisy.left(3).grey.astype(float) - ride.left(3).grey
+    difference = noisy.left(3).gray.astype(float) - ride.left(3).gray
     # Rounding adds 1/12 to the variance; 19200 values know their deviation to 0.5 %.
     assert difference.std() == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.03)
-    assert (noisy.left(3).grey == noisy.left(3).grey).all()
-    assert (noisy.left(3).grey.astype(float) - noisy.right(3).grey).std() > 3.0
+    assert (noisy.left(3).gray == noisy.left(3).gray).all()
+    assert (noisy.left(3).gray.astype(float) - noisy.right(3).gray).std() > 3.0
 
 
 def test_looking_is_look_at() -> None:

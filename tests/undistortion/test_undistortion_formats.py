@@ -1,4 +1,4 @@
-"""Images of any format are undistorted into the format that their suffix names; deep greyscale is mapped alike in all."""
+"""Images of any format are undistorted into the format that their suffix names; deep grayscale is mapped alike in all."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -43,7 +43,7 @@ def test_the_format_is_that_of_the_suffix(workspace: Path) -> None:
         assert abs(float(np.median(read_grey(path))) - (30 * n + 20)) <= 3
 
 
-def test_deep_greyscale_is_mapped_alike(workspace: Path) -> None:
+def test_deep_grayscale_is_mapped_alike(workspace: Path) -> None:
     model = read_colmap_model(workspace / "sparse" / "0")
     names = tuple(f"{n}.png" for n in range(len(model.images)))
     write_colmap_model(replace(model, images=replace(model.images, name=names)), workspace / "sparse" / "0")
@@ -53,7 +53,7 @@ def test_deep_greyscale_is_mapped_alike(workspace: Path) -> None:
         deep[: camera.height // 4] = 4000 - 300 * n
         cv2.imwrite(str(workspace / "images" / name), deep)
     out = undistort(workspace)
-    greys = [int(np.median(read_grey(out / "images" / name)[-60:-40, 100:-100])) for name in names]
-    assert max(greys) == min(greys)
+    grays = [int(np.median(read_grey(out / "images" / name)[-60:-40, 100:-100])) for name in names]
+    assert max(grays) == min(grays)
     tops = [int(read_grey(out / "images" / name).max()) for name in names]
     assert tops == sorted(tops, reverse=True) and tops[0] - tops[-1] > 50

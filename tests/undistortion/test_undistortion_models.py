@@ -24,8 +24,8 @@ def workspace(tmp_path: Path) -> Path:
         write_colmap_model(named, out / "sparse" / str(number))
         for n, name in enumerate(names):
             camera = model.cameras[int(model.camera_of_image[n])]
-            grey = np.full((camera.height, camera.width, 3), 40 * n, np.uint8)
-            Image.fromarray(grey).save(out / "images" / name)
+            gray = np.full((camera.height, camera.width, 3), 40 * n, np.uint8)
+            Image.fromarray(gray).save(out / "images" / name)
     return out
 
 

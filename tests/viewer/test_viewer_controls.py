@@ -90,7 +90,7 @@ def test_the_keyboard_resets_all_that_the_button_does(tab: Opened) -> None:
 
 def test_places_and_lengths_have_the_digits_that_they_are_worth(tab: Opened) -> None:
     say = "([value, radius]) => placeInWords(value, radius)"
-    assert tab.page.evaluate(say, [5400000.12346, 2.7]) == "5400000.1235"  # a map in metres, far from zero
+    assert tab.page.evaluate(say, [5400000.12346, 2.7]) == "5400000.1235"  # a map in meters, far from zero
     assert tab.page.evaluate(say, [0.123456789, 0.002]) == "0.1234568"
     assert tab.page.evaluate(say, [-1234.56, 5000.0]) == "-1234.6"
     say = "([length, sigma]) => lengthInWords({ length, sigma }, 'm', '', '')"
@@ -116,8 +116,8 @@ def test_layers_limits_and_sections_take_away_what_they_say(tab: Opened) -> None
     assert 0.2 * points < halved < 0.8 * points
     tab.page.locator("#whole-section").evaluate("b => b.click()")
     assert lit(tab.rendered()) == points
-    tab.page.select_option("#point-colour", "1")
-    assert np.ptp(tab.rendered().reshape(-1, 3), axis=0).max() > 150  # a colour for each error
+    tab.page.select_option("#point-color", "1")
+    assert np.ptp(tab.rendered().reshape(-1, 3), axis=0).max() > 150  # a color for each error
     tab.page.click("[data-layer='points-0']")
     assert lit(tab.rendered()) == 0
 
@@ -216,7 +216,7 @@ def check_own_scale(tab: Opened, has_unit: bool) -> None:
     tab.page.reload()
     tab.page.wait_for_function("space.then(s => s !== null)")
     assert tab.page.evaluate(
-        "ownScale(readJson('space-data'), () => {}).inMetres({length: 4, sigma: null})"
+        "ownScale(readJson('space-data'), () => {}).inMeters({length: 4, sigma: null})"
     ) == {
         "length": 1.0,
         "sigma": None,
@@ -225,7 +225,7 @@ def check_own_scale(tab: Opened, has_unit: bool) -> None:
     }
     tab.page.evaluate("document.getElementById('unset-scale').click()")
     assert (
-        tab.page.evaluate("ownScale(readJson('space-data'), () => {}).inMetres({length: 4, sigma: 1}).unit")
+        tab.page.evaluate("ownScale(readJson('space-data'), () => {}).inMeters({length: 4, sigma: 1}).unit")
         == ""
     )
 
@@ -233,18 +233,18 @@ def check_own_scale(tab: Opened, has_unit: bool) -> None:
 def test_the_error_of_the_known_length_is_added(tab: Opened) -> None:
     """Two independent relative errors of 3 % and 4 % give 5 %."""
     tab.page.evaluate("localStorage.clear()")
-    store = "localStorage.setItem(scaleKey(readJson('space-data')), JSON.stringify({metres: 2, relative: RELATIVE}))"
+    store = "localStorage.setItem(scaleKey(readJson('space-data')), JSON.stringify({meters: 2, relative: RELATIVE}))"
     tab.page.evaluate(store.replace("RELATIVE", "0.04"))
     make = "document.body.insertAdjacentHTML('beforeend', '<form id=set-scale><b id=unset-scale></b></form>')"
     if tab.page.locator("#set-scale").count() == 0:
         tab.page.evaluate(make)
-    found = tab.page.evaluate("ownScale(readJson('space-data'), () => {}).inMetres({length: 10, sigma: 0.3})")
+    found = tab.page.evaluate("ownScale(readJson('space-data'), () => {}).inMeters({length: 10, sigma: 0.3})")
     assert (found["length"], found["sigma"]) == (pytest.approx(20.0), pytest.approx(1.0))
     tab.page.evaluate(store.replace("RELATIVE", "null"))
-    found = tab.page.evaluate("ownScale(readJson('space-data'), () => {}).inMetres({length: 10, sigma: 0.3})")
+    found = tab.page.evaluate("ownScale(readJson('space-data'), () => {}).inMeters({length: 10, sigma: 0.3})")
     assert (found["length"], found["sigma"]) == (20.0, None)
     other = (
-        "ownScale({...readJson('space-data'), radius: 7.5}, () => {}).inMetres({length: 10, sigma: 0.3}).unit"
+        "ownScale({...readJson('space-data'), radius: 7.5}, () => {}).inMeters({length: 10, sigma: 0.3}).unit"
     )
     assert tab.page.evaluate(other) == ""
     tab.page.evaluate("localStorage.clear()")
@@ -266,7 +266,7 @@ def test_a_page_of_one_view_turns_until_it_is_touched(tab: Opened) -> None:
 def test_the_legend_names_colors(tab: Opened) -> None:
     assert tab.page.locator("#legend li").count() == 0
     tab.page.click("summary:has-text('Layers')")
-    tab.page.select_option("#point-colour", "1")
+    tab.page.select_option("#point-color", "1")
     assert "px" in tab.page.inner_text("#legend")
 
 

@@ -46,7 +46,7 @@ def ball(n: int) -> np.ndarray:
     return positions / np.linalg.norm(positions, axis=1, keepdims=True)
 
 
-def colours(n: int) -> np.ndarray:
+def colors(n: int) -> np.ndarray:
     return RNG.integers(60, 255, (n, 3), dtype=np.uint8)
 
 
@@ -68,7 +68,7 @@ def model(folder: Path) -> Path:
 
 
 def points(folder: Path) -> Path:
-    write_points_ply(folder / "points.ply", ball(500), colours(500))
+    write_points_ply(folder / "points.ply", ball(500), colors(500))
     head, _, rest = (folder / "points.ply").read_bytes().partition(b"\nelement")
     script = b"\ncomment <script>alert(1)</script>"
     (folder / "points.ply").write_bytes(head + script + b"\nelement" + rest)
@@ -77,7 +77,7 @@ def points(folder: Path) -> Path:
 
 def mesh(folder: Path) -> Path:
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    write_mesh_ply(folder / "mesh.ply", corners, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]], colours(4))
+    write_mesh_ply(folder / "mesh.ply", corners, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]], colors(4))
     return folder / "mesh.ply"
 
 
@@ -144,9 +144,9 @@ def map_file(folder: Path) -> Path:
     rows = known.add_points(ball(n) + np.array([0.0, 0.0, 4.0]), np.full((n, 2), 5.0), np.zeros(n, np.int64))
     for k in range(2):
         seen = Observations(np.full((n, 2), 5.0), np.full(n, np.nan), rows)
-        grey = RNG.integers(0, 255, (48, 64), dtype=np.uint8)
+        gray = RNG.integers(0, 255, (48, 64), dtype=np.uint8)
         position = Rigid3(np.eye(3), np.array([0.3 * k, 0, 0]))
-        known.keyframes.append(Keyframe(k, float(k), grey, position, seen))
+        known.keyframes.append(Keyframe(k, float(k), gray, position, seen))
     write_slam_map(folder / "map.npz", known, ["a.png", "b.png"], SlamCamera(CAMERA))
     return folder / "map.npz"
 

@@ -124,13 +124,18 @@ class _CompileClock(numba_event.Listener):
 
     def __init__(self) -> None:
         self.seconds = 0.0
+        self.count = 0
+        """Compilations that have ended, callees included."""
+        self.current = ""
+        """Function that is being compiled, such as `sift.orientations`; empty: none."""
         self._own = threading.local()
         self._collects = False
 
-    def on_start(self, event: Any) -> None:  # noqa: ARG002 - the listener's interface
+    def on_start(self, event: Any) -> None:
         """Record the time when the outermost compilation of this thread starts."""
         depth = getattr(self._own, "depth", 0)
         if depth == 0:
+            self.current = _name_of(event)
             self._own.start = perf_counter()
             self._collects = gc.isenabled()
             gc.disable()
@@ -139,10 +144,19 @@ class _CompileClock(numba_event.Listener):
     def on_end(self, event: Any) -> None:  # noqa: ARG002 - the listener's interface
         """Add the elapsed time when it ends."""
         self._own.depth -= 1
+        self.count += 1
         if self._own.depth == 0:
+            self.current = ""
             self.seconds += perf_counter() - self._own.start
             if self._collects:
                 gc.enable()
+
+
+def _name_of(event: Any) -> str:
+    """Module and function that an event is about, such as `sift.orientations`."""
+    function = getattr((getattr(event, "data", None) or {}).get("dispatcher"), "py_func", None)
+    module = getattr(function, "__module__", "").rpartition(".")[2].strip("_").removesuffix("_kernels")
+    return f"{module}.{getattr(function, '__name__', '')}".strip(".")
 
 
 _clock = _CompileClock()
@@ -152,3 +166,14 @@ cast(Any, numba_event).register("numba:compile", _clock)
 def compile_seconds() -> float:
     """Seconds this process has spent compiling kernels; zero if all were cached."""
     return _clock.seconds
+
+
+def compiled_so_far() -> str:
+    """What this process has compiled, and is compiling: `12 kernels compiled, now sift.orientations`."""
+    now = f", now {_clock.current}" if _clock.current else ""
+    return f"{_clock.count} kernel{'' if _clock.count == 1 else 's'} compiled{now}"
+
+
+def is_compiling() -> bool:
+    """Whether this process is compiling a kernel."""
+    return bool(_clock.current)

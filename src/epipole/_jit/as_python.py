@@ -1,4 +1,4 @@
-"""Kernels as Python, for a debugger, with the behaviour of compiled code where Python would raise.
+"""Kernels as Python, for a debugger, with the behavior of compiled code where Python would raise.
 
 Compiled code divides by zero like NumPy, and its square root of a negative number is NaN. In Python NumPy scalars do the same,
 but `math` raises. Remaining differences: sums and products of integers and of float32 with a Python number are computed in the

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from epipole.cli.first_screens import FIRST_SCREENS, GROUPS, FirstScreen
+from epipole.cli.value_names import with_value_name
 
 ALL = "--help-all"
 WIDEST, NAME_WIDTH = 100, 30
@@ -173,8 +174,8 @@ def _add(entries: list[Entry], line: str, *, is_argument: bool) -> None:
 
 
 def _entry(name: str, text: str) -> Entry:
-    """An entry without the word None, and with the negation of a flag only if that changes the default."""
-    name = name.replace("{None}|", "").replace("{None,", "{")
+    """An entry with the names of its values instead of their types, and with the negation of a flag only if that changes the default."""
+    name = with_value_name(name)
     flag = re.fullmatch(r"(--[\w.-]+), (--[\w.-]*no-[\w.-]+)", name)
     if not flag:
         return Entry(name, _plain_text(text))

@@ -18,9 +18,9 @@ from typing import Annotated, Any, Literal, NoReturn, get_args, get_origin
 
 import tyro
 
-from epipole._terminal import one_line, say
+from epipole._terminal import in_words_of_caller, one_line, say, wording
 from epipole.cli.help import ALL, command_list, help_text, is_asked_for
-from epipole.errors import ConfigError, EpipoleError
+from epipole.errors import ConfigError, EpipoleError, FileFormatError
 
 COMMANDS = (
     "epipole.pipelines.sfm.command:reconstruct",
@@ -54,6 +54,8 @@ EVERYWHERE = {
     "--overwrite": "overwrite",
 }
 """Options of all commands, before or after the command's name."""
+OTHER_VALUES = {("--output", "colour"): "color"}
+"""Other spellings of an option's value, each with the one that the command takes."""
 WRONG_USAGE = 2
 
 logger = logging.getLogger("epipole")
@@ -79,7 +81,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run a command; errors meant for the user are printed as one line, with exit code 1, or 2 for wrong usage."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     requested = {EVERYWHERE[word] for word in words if word in EVERYWHERE}
-    words = [word for word in words if word not in EVERYWHERE]
+    words = _in_usual_spelling([word for word in words if word not in EVERYWHERE])
     if "" in words:
         _refuse("an argument is empty (is a shell variable unset?)", WRONG_USAGE)
     if {"quiet", "verbose"} <= requested:
@@ -101,10 +103,17 @@ def main(arguments: list[str] | None = None) -> None:
         _run(words)
 
 
+def _in_usual_spelling(words: list[str]) -> list[str]:
+    """The words, with the spellings of values that the parser knows."""
+    after = [OTHER_VALUES.get(pair, pair[1]) for pair in zip(["", *words], words)]
+    joined = {f"{option}={value}": f"{option}={usual}" for (option, value), usual in OTHER_VALUES.items()}
+    return [joined.get(word, word) for word in after]
+
+
 def _run(words: list[str]) -> None:
     try:
         call = _parsed(words)
-        with _unwrapped():
+        with _unwrapped(), wording(lambda text: _with_options(text, words, also_plain=False)):
             call()
     except EpipoleError as error:
         logger.debug("where it was raised", exc_info=True)
@@ -147,7 +156,7 @@ def _warnings_in_one_line() -> Iterator[None]:
 
         def show(message: Warning | str, category: type[Warning], *rest: Any, **named: Any) -> None:
             if category is RuntimeWarning and str(message).startswith("epipole: "):
-                say(one_line(str(message)), to_stderr=True)
+                say(one_line(in_words_of_caller(str(message))), to_stderr=True)
             else:
                 plain(message, category, *rest, **named)
 
@@ -264,14 +273,20 @@ def _why_stopped(words: list[str], stopped: SystemExit, said: str) -> str:
 
 
 def _as_options(error: EpipoleError, words: list[str], *, while_parsing: bool) -> str:
-    """Message of an error, with config fields replaced by the command's options."""
-    if not isinstance(error, ConfigError):
+    """Message of an error, with config fields replaced by the command's options.
+
+    Errors about the contents of a file remain: the file may have keys with the names of fields.
+    """
+    if isinstance(error, FileFormatError):
         return str(error)
+    return _with_options(str(error), words, also_plain=while_parsing and isinstance(error, ConfigError))
+
+
+def _with_options(message: str, words: list[str], *, also_plain: bool) -> str:
     from epipole.cli.mistakes import with_option_names
     from epipole.cli.options import option_names
 
-    options = option_names(_functions()[words[0]])
-    return with_option_names(str(error), words, options, also_plain=while_parsing)
+    return with_option_names(message, words, option_names(_functions()[words[0]]), also_plain=also_plain)
 
 
 def _registry() -> tyro.constructors.ConstructorRegistry:

@@ -6,6 +6,8 @@ import re
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 
+from epipole.cli.value_names import value_names
+
 OTHER_NAMES = {
     "share": "view PATH --share FILE",
     "export": "convert",
@@ -45,9 +47,64 @@ def in_one_sentence(said: str, words: Sequence[str], required: Sequence[str] = (
         given = " ".join(words[1:]) or "nothing"
         return f"`epipole {command}` needs {' '.join(required)}, got {given}; see `epipole {command} --help`"
     text = " ".join(sections[0]) or "the arguments cannot be understood"
+    text = _in_plain_words(text.rstrip("."), words, required)
     near = _similar(sections, command)
+    if "; did you mean" in text:
+        return text
     end = f"; did you mean {' or '.join(near)}?" if near else f"; see `epipole {command} --help`"
-    return text.rstrip(".") + end
+    return text + end
+
+
+def _in_plain_words(text: str, words: Sequence[str], required: Sequence[str]) -> str:
+    """The parser's message in plain words: which option, what it takes, and what it got."""
+    if found := re.match(r"Missing value for argument '(\S+)'\. Expected (\d+) values", text):
+        count = int(found[2])
+        names = value_names(found[1], count)
+        needs = "a value" if count == 1 else f"{count} values"
+        return f"{found[1]} needs {needs}{f': {names}' if names else ''}"
+    if found := re.match(r"invalid choice '(.*)' for argument '(\S+)'\. Expected one of \((.*)\)", text):
+        return _wrong_choice(found[2], found[1], re.findall(r"'([^']*)'", found[3]))
+    if found := re.match(r"Error parsing (\S+): (.*)", text):
+        return _wrong_value(found[1], found[2], words)
+    if found := re.match(r"Unrecognized (?:or misplaced )?options: (.*)", text):
+        unknown = re.sub(r" \(applied to [^)]*\)", ",", found[1]).strip(", ").split(", ")
+        options = [word for word in unknown if word.startswith("-")]
+        if options:
+            return f"unknown option{'s' if len(options) > 1 else ''} {' and '.join(options)}"
+        takes = f": `epipole {words[0]}` takes only {' '.join(required)}" if required else ""
+        return f"unexpected argument{'s' if len(unknown) > 1 else ''} {' '.join(unknown)}{takes}"
+    return text
+
+
+def _wrong_choice(option: str, given: str, choices: Sequence[str]) -> str:
+    known = [choice for choice in choices if choice != "None"]
+    if len(known) < len(choices):  # the parser has the choices of an optional value in no fixed order
+        known.sort()
+    near = get_close_matches(given, known, 1, 0.6)
+    listed = f"{', '.join(known[:-1])} or {known[-1]}" if len(known) > 1 else "".join(known)
+    return f"{option} must be {listed}, got {given}" + (f"; did you mean {near[0]}?" if near else "")
+
+
+def _wrong_value(option: str, why: str, words: Sequence[str]) -> str:
+    """A value that is no number, or none of its option's type."""
+    given = _given_to(option, words)
+    noun = "whole number" if re.search(r"\bINT\b|\bint\b", why) else "number"
+    if not re.search(r"\b(INT|FLOAT|int|float)\b", why):
+        return f"{option} cannot be {' '.join(given) or 'empty'}"
+    names = value_names(option, len(given))
+    needs = f"a {noun}" if len(given) < 2 else f"{len(given)} {noun}s{f' ({names})' if names else ''}"
+    return f"{option} must be {needs}, got {' '.join(given) or 'nothing'}"
+
+
+def _given_to(option: str, words: Sequence[str]) -> list[str]:
+    """Values that the command line gives to an option."""
+    for k, word in enumerate(words):
+        name, equals, value = word.partition("=")
+        if name.replace("_", "-") == option:
+            after = list(words[k + 1 :])
+            stop = next((n for n, other in enumerate(after) if other.startswith("--")), len(after))
+            return [part for part in [value] if part] if equals else after[:stop]
+    return []
 
 
 def unknown_command(command: str, commands: Sequence[str]) -> str:
@@ -92,11 +149,28 @@ def with_option_names(
             mine = named
         return mine[0] if mine else found[0]
 
-    named = re.sub(r"(?<![\w./-])[a-z]\w*(?![\w/-]|\.\w)", option, message)
-    return _with_neighbours(named, options)
+    named = re.sub(r"(?<![\w./-])[a-z]\w*(?![\w/-]|\.\w)", option, _with_requests(message, options))
+    return _with_neighbors(named, options)
 
 
-def _with_neighbours(message: str, options: Mapping[str, str]) -> str:
+def _with_requests(message: str, options: Mapping[str, str]) -> str:
+    """Replace fields that the message asks for, as in `pass map`, `(option cameras)`, `steps=` or `path=orbit`."""
+
+    def option(found: re.Match[str]) -> str:
+        named = [name for name, field in options.items() if field == found["field"]]
+        if len(named) != 1:
+            return found[0]
+        return f"{found['before']}{named[0]}{found['after'] and ' '}{found['after']}"
+
+    field, end = r"(?P<field>[a-z]\w*)", r"(?P<after>)(?=[.,;:)]|$)(?!\.\w)"
+    message = re.sub(rf"(?P<before>\b(?:pass|give|leave out|without) ){field}{end}", option, message)
+    message = re.sub(rf"(?P<before>\()option {field}{end}", option, message)
+    message = re.sub(rf"(?P<before>(?<![\w.-])){field}=True\b(?P<after>)", option, message)
+    message = re.sub(rf"(?P<before>(?<![\w.-])){field}=(?P<after>)(?=[.,;:)]|$| )", option, message)
+    return re.sub(rf"(?P<before>(?<![\w.-])){field}=(?P<after>[a-z_]+\b)(?![\w.(-])", option, message)
+
+
+def _with_neighbors(message: str, options: Mapping[str, str]) -> str:
     """Also replace fields listed together with an option, as in `--include and exclude`."""
 
     def option(found: re.Match[str]) -> str:

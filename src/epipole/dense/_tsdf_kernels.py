@@ -9,12 +9,12 @@ LEAST_COVERAGE = np.float32(0.5)
 
 
 @kernel
-def fuse(view, depth, coverage, rgb, low, size, band, start, stop, distance, weight, colour):
+def fuse(view, depth, coverage, rgb, low, size, band, start, stop, distance, weight, color):
     """Integrate an image into planes start..stop of constant x.
 
     view: rotation (9), translation (3), focal lengths (2), principal point (2). depth (h, w) along the optical axis, times
     coverage (h, w); rgb (h, w, 3) times coverage. distance (x, y, z) receives means of depth minus that of the voxel, in units of
-    `band` and at most 1; weight (x, y, z) their number; colour (x, y, z, 3) means within the band. Voxels farther behind the
+    `band` and at most 1; weight (x, y, z) their number; color (x, y, z, 3) means within the band. Voxels farther behind the
     surface than the band are not changed.
     """
     height, width = depth.shape
@@ -49,4 +49,4 @@ def fuse(view, depth, coverage, rgb, low, size, band, start, stop, distance, wei
                 if seen >= LEAST_COVERAGE and ahead < one:
                     for c in range(3):
                         value = rgb[row, column, c] / seen
-                        colour[i, j, k, c] += fraction * (value - colour[i, j, k, c])
+                        color[i, j, k, c] += fraction * (value - color[i, j, k, c])

@@ -52,7 +52,7 @@ class DistanceVolume:
         x, y, z = np.maximum(np.ceil((high - low) / self.size - 1e-9), 2).astype(int).tolist()
         check_count(x * y * z, "the voxels of the box", MOST_VOXELS)
         self.distance, self.weight = np.ones((x, y, z), np.float32), np.zeros((x, y, z), np.float32)
-        self.colour = np.zeros((x, y, z, 3), np.float32)
+        self.color = np.zeros((x, y, z, 3), np.float32)
 
     @checked
     def add(
@@ -90,7 +90,7 @@ class DistanceVolume:
         seen = view, depth, coverage, rgb, self.low, self.size, BAND * self.size
         count = len(self.distance)
         _parallel.map_chunks(
-            lambda a, b, _: kernels.fuse(*seen, a, b, self.distance, self.weight, self.colour),
+            lambda a, b, _: kernels.fuse(*seen, a, b, self.distance, self.weight, self.color),
             count,
             -(-count // PLANES_TOGETHER),
         )
@@ -115,5 +115,5 @@ class DistanceVolume:
         used, faces = np.unique(faces, return_inverse=True)
         vertices, faces = vertices[used], faces.reshape(-1, 3)
         nearest = np.clip(np.rint(vertices).astype(np.int64), 0, np.array(self.distance.shape) - 1)
-        rgb = np.rint(255 * np.clip(self.colour[tuple(nearest.T)], 0, 1)).astype(np.uint8)
+        rgb = np.rint(255 * np.clip(self.color[tuple(nearest.T)], 0, 1)).astype(np.uint8)
         return Mesh(self.low + self.size * (vertices + 0.5), faces.astype(np.int64), rgb)

@@ -16,7 +16,7 @@ def bottom_of_v(winner, lowest, beside, other, first, start, stop, out):
     """Subpixel disparities of rows start..stop with the steepness of their sums, and integer ones of the other image.
 
     The minimum of a V with two equal slopes through the lowest sum and its neighbors, within 1/2 of the integer disparity: sums of
-    census costs grow linearly from their minimum, and a parabola would be biased towards integers. At the ends of the range the
+    census costs grow linearly from their minimum, and a parabola would be biased toward integers. At the ends of the range the
     disparity stays an integer. out = (disparity, steepness, disparity of the other image, which may be empty).
     """
     disparity, steepness, others = out

@@ -62,7 +62,7 @@ def start_paths(paths, least, width, depth):
 
 
 @kernel
-def sweep_row(costs, grey, y, y_before, step, size, depth, penalties, state, sums, at_sums):
+def sweep_row(costs, gray, y, y_before, step, size, depth, penalties, state, sums, at_sums):
     """Advance the paths from the side (step = 1: from the left) and from the previous row through row y; write their sums.
 
     penalties = (number of paths of both sweeps, P1, P2 by brightness difference), state = (paths, minimum of each).
@@ -77,10 +77,10 @@ def sweep_row(costs, grey, y, y_before, step, size, depth, penalties, state, sum
     for n in range(width):
         x = n if step > 0 else width - 1 - n
         c = x + 1
-        back, value = c - step, grey[y, x]
+        back, value = c - step, gray[y, x]
         at, before = base + c * stride, base_then + block + c * stride
-        beside = jumps[abs(value - grey[y, min(max(x - step, 0), width - 1)])]
-        over = jumps[abs(value - grey[y_before, x])]
+        beside = jumps[abs(value - gray[y, min(max(x - step, 0), width - 1)])]
+        over = jumps[abs(value - gray[y_before, x])]
         from_side = base + back * stride
         if num_paths == 4:
             low = extend_paths(
@@ -98,8 +98,8 @@ def sweep_row(costs, grey, y, y_before, step, size, depth, penalties, state, sum
             )
             least[now, 0, c], least[now, 1, c] = low
         else:
-            aslant = jumps[abs(value - grey[y_before, max(x - 1, 0)])]
-            across = jumps[abs(value - grey[y_before, min(x + 1, width - 1)])]
+            aslant = jumps[abs(value - gray[y_before, max(x - 1, 0)])]
+            across = jumps[abs(value - gray[y_before, min(x + 1, width - 1)])]
             lows = extend_paths(
                 paths,
                 (from_side, before, before + block - stride, before + 2 * block + stride),
@@ -143,7 +143,7 @@ def choose_row(sums, at_row, more, y, width, search, out, best, winners):
 
 
 @kernel(allocates=True)
-def match_strip(images, grey, size, search, penalties, start, stop, margin, sums, out):
+def match_strip(images, gray, size, search, penalties, start, stop, margin, sums, out):
     """Disparities of rows start..stop; paths start up to `margin` rows beyond them. sums: buffer for (stop - start) rows."""
     height, width = size[0], size[1]
     first, _, depth = search
@@ -158,13 +158,13 @@ def match_strip(images, grey, size, search, penalties, start, stop, margin, sums
         cost_row(images, y, size, search, costs)
         above = max(y - 1, 0)
         if y < start:
-            sweep_row(costs, grey, y, above, 1, size, depth, penalties, state, row, 0)
+            sweep_row(costs, gray, y, above, 1, size, depth, penalties, state, row, 0)
         else:
-            sweep_row(costs, grey, y, above, 1, size, depth, penalties, state, sums, (y - start) * room)
+            sweep_row(costs, gray, y, above, 1, size, depth, penalties, state, sums, (y - start) * room)
     start_paths(paths, state[1], width, depth)
     for y in range(min(stop + margin, height) - 1, start - 1, -1):
         cost_row(images, y, size, search, costs)
-        sweep_row(costs, grey, y, min(y + 1, height - 1), -1, size, depth, penalties, state, row, 0)
+        sweep_row(costs, gray, y, min(y + 1, height - 1), -1, size, depth, penalties, state, row, 0)
         if y < stop:
             at = (y - start) * room
             choose_row(sums, at, row, y, width, search, out, best, winners)

@@ -28,13 +28,13 @@ class DisparityConfig:
     window: tuple[int, int] = (5, 5)
     """Width and height of the census window, odd."""
     brightness_cost: int = 0
-    """Largest cost, in bits, of brightness differences (one bit per two grey levels); needs equal exposure."""
+    """Largest cost, in bits, of brightness differences (one bit per two gray levels); needs equal exposure."""
     small_penalty: int = 20
     """P1: penalty for a disparity change of one between neighbors, in bits of the census."""
     edge_penalty: float = 6.0
     """P2 = P1 (1 + edge_penalty exp(-brightness difference / edge_fade)): penalty for larger changes."""
     edge_fade: float = 10.0
-    """Brightness difference, in grey levels, at which the extra penalty falls to 37 %."""
+    """Brightness difference, in gray levels, at which the extra penalty falls to 37 %."""
     left_right: Literal["accurate", "fast"] = "accurate"
     """Left-right check: accurate matches the right image separately; fast (half the time) reuses the sums."""
     max_left_right_px: float = 1.25

@@ -31,7 +31,7 @@ _LEAST_ROWS, _MOST_ROWS = 16, 192
 _ROWS = 64  # at a time, in pixelwise operations
 _MOST_DISPARITIES = 4096
 _COARSE = 4  # downscaling factor of the images for estimating the range
-_LEAST_CHANGE, _TEXTURE_WINDOW = 3, 25  # of 255 grey levels; pixels
+_LEAST_CHANGE, _TEXTURE_WINDOW = 3, 25  # of 255 gray levels; pixels
 _FEW_DISPARITIES = 48  # fewer are always searched in full
 _SMOOTH_PX = 1.0  # largest difference between neighbors of a region
 
@@ -90,7 +90,7 @@ def match_with_evidence(
 ) -> tuple[DisparityMap, MatchEvidence]:
     """`match_stereo`, and the cues behind its standard deviations."""
     config = options_of(DisparityConfig, config)
-    one, two = _grey_pair(left, right)
+    one, two = _gray_pair(left, right)
     low, high = _search_range(one, two, config)
     if config.left_right == "accurate":
         mine, mirrored = _both_winners(one, two, low, high, config)
@@ -116,9 +116,9 @@ def match_with_evidence(
     return DisparityMap(np.where(known, disparity, nan), sigma, reason), evidence
 
 
-def _grey_pair(left: Any, right: Any) -> tuple[UInt16[np.ndarray, "h w"], UInt16[np.ndarray, "h w"]]:
-    """Both images as grey; a grey image can be paired with a color one."""
-    greys = []
+def _gray_pair(left: Any, right: Any) -> tuple[UInt16[np.ndarray, "h w"], UInt16[np.ndarray, "h w"]]:
+    """Both images as gray; a gray image can be paired with a color one."""
+    grays = []
     for name, image in (("left", left), ("right", right)):
         array = as_image(image, name)
         if array.size == 0:
@@ -129,15 +129,15 @@ def _grey_pair(left: Any, right: Any) -> tuple[UInt16[np.ndarray, "h w"], UInt16
             raise ShapeError(
                 f"{name} must be (h, w) or (h, w, 3) with 8 or 16 bits, got {array.shape} of {array.dtype}"
             )
-        greys.append(array.astype(np.uint16))
-    if greys[0].shape != greys[1].shape:
-        (h1, w1), (h2, w2) = greys[0].shape, greys[1].shape
+        grays.append(array.astype(np.uint16))
+    if grays[0].shape != grays[1].shape:
+        (h1, w1), (h2, w2) = grays[0].shape, grays[1].shape
         raise ShapeError(
             f"left is {w1} x {h1} pixels and right {w2} x {h2}: the images of a rectified pair must have the same size"
         )
-    if min(greys[0].shape) < 1:
+    if min(grays[0].shape) < 1:
         raise ShapeError("the images are empty")
-    return greys[0], greys[1]
+    return grays[0], grays[1]
 
 
 def _search_range(left: np.ndarray, right: np.ndarray, config: DisparityConfig) -> tuple[int, int]:
@@ -167,9 +167,9 @@ def _largest_disparity(left: np.ndarray, right: np.ndarray, config: DisparityCon
     return int(np.ceil(scale * (float(np.quantile(found.disparity[seen], 0.998)) + 2.0)))
 
 
-def _inspect(grey: UInt16[np.ndarray, "h w"], config: DisparityConfig) -> _Image:
-    grey = np.ascontiguousarray(grey)
-    return _Image(census(grey, config.window), _brightness(grey))
+def _inspect(gray: UInt16[np.ndarray, "h w"], config: DisparityConfig) -> _Image:
+    gray = np.ascontiguousarray(gray)
+    return _Image(census(gray, config.window), _brightness(gray))
 
 
 def _winners(
@@ -308,12 +308,12 @@ def _blended(
     return left.astype(np.uint8).reshape(-1), mirrored.reshape(-1), most
 
 
-def _brightness(grey: UInt16[np.ndarray, "h w"]) -> np.ndarray:
+def _brightness(gray: UInt16[np.ndarray, "h w"]) -> np.ndarray:
     """Brightness from 0 to 255; 16-bit images are scaled from their 0.5th to 99.5th percentile."""
-    if grey.max(initial=0) <= 255:
-        return grey.astype(np.int16)
-    low, high = np.percentile(grey, (0.5, 99.5))
-    return np.clip((grey - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.int16)
+    if gray.max(initial=0) <= 255:
+        return gray.astype(np.int16)
+    low, high = np.percentile(gray, (0.5, 99.5))
+    return np.clip((gray - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.int16)
 
 
 def _checked(
@@ -345,9 +345,9 @@ def _by_rows(height: int, work: Callable[[int, int, int], None]) -> None:
     _parallel.map_chunks(work, height, -(-height // _ROWS))
 
 
-def _is_textureless(grey: UInt16[np.ndarray, "h w"]) -> np.ndarray:
+def _is_textureless(gray: UInt16[np.ndarray, "h w"]) -> np.ndarray:
     """Pixels in whose window no pixel differs from its row neighbors by more than noise."""
-    bright = _brightness(grey)
+    bright = _brightness(gray)
     changes = np.zeros(bright.shape, np.uint8)
     changes[:, 1:-1] = np.abs(bright[:, 2:] - bright[:, :-2]) >= _LEAST_CHANGE
     return cv2.dilate(changes, np.ones((_TEXTURE_WINDOW, _TEXTURE_WINDOW))) == 0

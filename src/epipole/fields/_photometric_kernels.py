@@ -51,22 +51,22 @@ def add_up(x, y, by_mean, by_xx, by_xy, start, stop, absolute, out):
 
 
 @kernel(fuse=True)
-def map_colours(colour, coverage, colours, background, start, stop, out):
-    """Apply the color transform colours (3, 4) = [A b] to pixels start..stop and put them over the background.
+def map_colors(color, coverage, colors, background, start, stop, out):
+    """Apply the color transform colors (3, 4) = [A b] to pixels start..stop and put them over the background.
 
     out (n, 3) = A C + b K + (1 - K) background, where C is the color times coverage and K the coverage.
     """
     for n in range(start, stop):
-        x, y, z, shown = colour[n, 0], colour[n, 1], colour[n, 2], coverage[n]
+        x, y, z, shown = color[n, 0], color[n, 1], color[n, 2], coverage[n]
         left = np.float32(1.0) - shown
         for k in range(3):
-            mapped = colours[k, 0] * x + colours[k, 1] * y + colours[k, 2] * z + colours[k, 3] * shown
+            mapped = colors[k, 0] * x + colors[k, 1] * y + colors[k, 2] * z + colors[k, 3] * shown
             out[n, k] = mapped + left * background[k]
 
 
 @kernel(fuse=True)
-def map_colours_back(
-    colour, coverage, colours, background, by_mapped, start, stop, by_colour, by_coverage, part, total
+def map_colors_back(
+    color, coverage, colors, background, by_mapped, start, stop, by_color, by_coverage, part, total
 ):
     """Derivatives w.r.t. C and K of pixels start..stop; adds those w.r.t. [A b] to total (12,); part (12,): scratch."""
     for first_item in range(start, stop, BLOCK):
@@ -76,11 +76,11 @@ def map_colours_back(
             by_shown = np.float32(0.0)
             for k in range(3):
                 by = by_mapped[n, k]
-                by_colour[n, k] = colours[0, k] * red + colours[1, k] * green + colours[2, k] * blue
-                by_shown += by * (colours[k, 3] - background[k])
-                part[4 * k] += by * colour[n, 0]
-                part[4 * k + 1] += by * colour[n, 1]
-                part[4 * k + 2] += by * colour[n, 2]
+                by_color[n, k] = colors[0, k] * red + colors[1, k] * green + colors[2, k] * blue
+                by_shown += by * (colors[k, 3] - background[k])
+                part[4 * k] += by * color[n, 0]
+                part[4 * k + 1] += by * color[n, 1]
+                part[4 * k + 2] += by * color[n, 2]
                 part[4 * k + 3] += by * coverage[n]
             by_coverage[n] = by_shown
         for k in range(12):

@@ -56,11 +56,11 @@ class Exposures:
             ConfigError: there is no such view.
         """
         check_index(view, "view", len(self.maps))
-        out = np.empty_like(rendered.colour)
-        colour, coverage = rendered.colour.reshape(-1, 3), rendered.coverage.reshape(-1)
+        out = np.empty_like(rendered.color)
+        color, coverage = rendered.color.reshape(-1, 3), rendered.coverage.reshape(-1)
         _parallel.map_chunks(
-            lambda a, b, _: kernels.map_colours(
-                colour, coverage, self.maps[view], background, a, b, out.reshape(-1, 3)
+            lambda a, b, _: kernels.map_colors(
+                color, coverage, self.maps[view], background, a, b, out.reshape(-1, 3)
             ),
             len(coverage),
             -(-len(coverage) // TOGETHER),
@@ -94,21 +94,21 @@ class Exposures:
         """
         check_index(view, "view", len(self.maps))
         check_fraction(progress, "progress")
-        if by_applied.shape != rendered.colour.shape:
-            raise ShapeError(f"by_applied must be {rendered.colour.shape}, got {by_applied.shape}")
-        by_colour, by_coverage = np.empty_like(rendered.colour), np.empty_like(rendered.coverage)
-        known = rendered.colour.reshape(-1, 3), rendered.coverage.reshape(-1), self.maps[view], background
-        by, out = by_applied.reshape(-1, 3), (by_colour.reshape(-1, 3), by_coverage.reshape(-1))
+        if by_applied.shape != rendered.color.shape:
+            raise ShapeError(f"by_applied must be {rendered.color.shape}, got {by_applied.shape}")
+        by_color, by_coverage = np.empty_like(rendered.color), np.empty_like(rendered.coverage)
+        known = rendered.color.reshape(-1, 3), rendered.coverage.reshape(-1), self.maps[view], background
+        by, out = by_applied.reshape(-1, 3), (by_color.reshape(-1, 3), by_coverage.reshape(-1))
 
         def back(start: int, stop: int, _: int) -> np.ndarray:
             total = np.zeros(12)
-            kernels.map_colours_back(*known, by, start, stop, *out, np.empty(12, np.float32), total)
+            kernels.map_colors_back(*known, by, start, stop, *out, np.empty(12, np.float32), total)
             return total
 
         found = _parallel.map_chunks(back, len(by), -(-len(by) // TOGETHER))
         step = self._adam.step(view, np.sum([np.zeros(12), *found], axis=0), progress)
         self.maps[view] += step.reshape(3, 4)
-        return by_colour, by_coverage
+        return by_color, by_coverage
 
     def taken_mean(self) -> Float32[np.ndarray, "3 4"]:
         """Remove the mean transform from all maps and return it: it cannot be separated from the scene's own colors."""
@@ -142,7 +142,7 @@ class Exposures:
 
 
 @checked
-def colour_match(
+def color_match(
     image: Float32[np.ndarray, "h w 3"], truth: Float32[np.ndarray, "h w 3"]
 ) -> Float64[np.ndarray, "3 4"]:
     """Least-squares color transform [A b] from an image to a reference.

@@ -15,7 +15,7 @@ class Trainer(Protocol):
     """Trains one field on the views that it was made with."""
 
     background: np.ndarray
-    """(3,) colour behind the field."""
+    """(3,) color behind the field."""
     num_steps: int
 
     @property

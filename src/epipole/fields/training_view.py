@@ -92,7 +92,7 @@ def shrunk(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     if image.shape[2] == 3:
         return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     alpha = image[..., 3:].astype(np.float32)
-    colour = cv2.resize(image[..., :3] * alpha, size, interpolation=cv2.INTER_AREA)
+    color = cv2.resize(image[..., :3] * alpha, size, interpolation=cv2.INTER_AREA)
     mean = cv2.resize(alpha, size, interpolation=cv2.INTER_AREA)[..., None]
-    rgb = np.divide(colour, mean, out=np.zeros_like(colour), where=mean > 0)
+    rgb = np.divide(color, mean, out=np.zeros_like(color), where=mean > 0)
     return np.rint(np.concatenate([rgb, mean], axis=2)).astype(np.uint8)

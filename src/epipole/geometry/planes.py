@@ -24,7 +24,7 @@ class PlaneMotions:
     cam2_from_cam1: Rigid3
     """Batch (k,); translations in units of the plane's distance from camera 1; 0 for a pure rotation."""
     normals_in_cam1: Float64[np.ndarray, "k 3"]
-    """Unit, towards the plane; NaN for a pure rotation."""
+    """Unit, toward the plane; NaN for a pure rotation."""
 
     def __len__(self) -> int:
         return len(self.normals_in_cam1)

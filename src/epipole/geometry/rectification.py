@@ -22,7 +22,7 @@ def rectifying_homographies(
 ) -> tuple[Matrix3, Matrix3]:
     """(H1, H2) after which matches lie in the same row, with the smallest disparities (Hartley, IJCV 1999; HZ 11.12).
 
-    H2 rotates the second epipole about the image center onto the x axis and sends it to infinity, which moves the neighbourhood of
+    H2 rotates the second epipole about the image center onto the x axis and sends it to infinity, which moves the neighborhood of
     the center rigidly; H1 is the matching transformation with the smallest disparities.
 
     Args:

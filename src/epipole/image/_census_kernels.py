@@ -1,4 +1,4 @@
-"""The census transform: a comparison of each pixel with its neighbours."""
+"""The census transform: a comparison of each pixel with its neighbors."""
 
 import numpy as np
 

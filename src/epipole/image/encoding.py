@@ -13,7 +13,7 @@ def encoded_image(suffix: str, pixels: np.ndarray, jpeg_quality: int = 95) -> by
 
     Args:
         suffix: suffix of the format, such as `.png`.
-        pixels: (h, w) grey, or (h, w, 3) in OpenCV's order blue, green, red.
+        pixels: (h, w) gray, or (h, w, 3) in OpenCV's order blue, green, red.
         jpeg_quality: from 0 to 100; other formats ignore it.
 
     Raises:

@@ -18,7 +18,7 @@ LANES = 15
 
 
 class States(NamedTuple):
-    """States of the IMU, in world axes and metres."""
+    """States of the IMU, in world axes and meters."""
 
     rotation: np.ndarray  # (n, 3, 3) world_from_imu
     velocity: np.ndarray  # (n, 3)

@@ -38,7 +38,7 @@ class InertialAlignment(Declared):
     """Scale, gravity, biases and velocities of a trajectory with an IMU."""
 
     scale: float
-    """Metres per unit of the trajectory."""
+    """Meters per unit of the trajectory."""
     sigma: float
     """Standard deviation of the scale, including the accelerometer's gain error."""
     gravity_in_world: Float64[np.ndarray, " 3"]
@@ -80,7 +80,7 @@ def align_path_to_imu(
         timestamp_s: increasing times of the poses by the IMU's clock, some tenths of a second apart.
         world_from_camera: the poses, up to scale.
         log: measurements that cover them.
-        camera_from_imu: extrinsics of the IMU, in metres.
+        camera_from_imu: extrinsics of the IMU, in meters.
         noise: densities; None: the defaults.
         position_sigma: standard deviation of a position coordinate, in the trajectory's unit; None: estimated.
         rotation_sigma_rad: standard deviation of the rotations.

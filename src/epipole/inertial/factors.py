@@ -73,7 +73,7 @@ class ImuFactors:
         return self.weight * cost, self.weight * gradient[: OUTER * n].reshape(n, OUTER), out
 
     def scale(self, rig_from_world: Rigid3) -> tuple[float, float, Float64[np.ndarray, "n 6"]]:
-        """Metres per unit of the trajectory, at the optimum for the given poses.
+        """Meters per unit of the trajectory, at the optimum for the given poses.
 
         Returns:
             the log scale; its variance if the poses are exact; its derivative by xi of exp(xi) @ rig_from_world.
@@ -228,6 +228,6 @@ def imu_factors(
 
 
 def _of_unit(poses: Rigid3, mounting: Rigid3, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations and positions of the IMU, in metres, from camera poses."""
+    """Rotations and positions of the IMU, in meters, from camera poses."""
     lever = (poses.rotation @ mounting.translation[:, None])[..., 0]
     return poses.rotation @ mounting.rotation, scale * poses.translation + lever

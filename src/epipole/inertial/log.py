@@ -90,7 +90,7 @@ class MountedImu(Declared):
 
     log: ImuLog
     camera_from_imu: Rigid3
-    """In metres."""
+    """In meters."""
     noise: ImuNoise = field(default_factory=ImuNoise)
 
     def __repr__(self) -> str:

@@ -1,4 +1,4 @@
-"""Files with measurements other than images: known lengths, camera positions and distances travelled."""
+"""Files with measurements other than images: known lengths, camera positions and distances traveled."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class OdometryLog:
 
     timestamp_s: Float64[np.ndarray, " n"]
     """Strictly increasing."""
-    travelled_m: Float64[np.ndarray, " n"] | None
+    traveled_m: Float64[np.ndarray, " n"] | None
     """Distance along the trajectory since the start; None if positions are known."""
     positions: Float64[np.ndarray, "n 3"] | None
     """Positions from odometry."""
@@ -50,7 +50,7 @@ class OdometryLog:
 
 @checked
 def read_lengths(path: str | Path) -> tuple[KnownLength, ...]:
-    """Read known lengths: one line for each end in each image, `NAME METRES END IMAGE X Y`.
+    """Read known lengths: one line for each end in each image, `NAME METERS END IMAGE X Y`.
 
     END is a or b. Image names may contain spaces. Lines that start with # are skipped.
 
@@ -61,14 +61,14 @@ def read_lengths(path: str | Path) -> tuple[KnownLength, ...]:
     found: dict[str, KnownLength] = {}
     for number, words in _lines(path):
         if len(words) < _LENGTH or words[2] not in ("a", "b"):
-            raise FileFormatError(path, f"line {number}: expected NAME METRES END IMAGE X Y with END a or b")
-        metres, x, y = (_number(path, number, word) for word in (words[1], *words[-2:]))
-        if not metres > 0:
-            raise FileFormatError(path, f"line {number}: a length must be positive, got {metres:g}")
-        known = found.setdefault(words[0], KnownLength(words[0], metres, ({}, {})))
-        if known.length_m != metres:
+            raise FileFormatError(path, f"line {number}: expected NAME METERS END IMAGE X Y with END a or b")
+        meters, x, y = (_number(path, number, word) for word in (words[1], *words[-2:]))
+        if not meters > 0:
+            raise FileFormatError(path, f"line {number}: a length must be positive, got {meters:g}")
+        known = found.setdefault(words[0], KnownLength(words[0], meters, ({}, {})))
+        if known.length_m != meters:
             raise FileFormatError(
-                path, f"line {number}: {words[0]} is {metres:g} m long here, {known.length_m:g} above"
+                path, f"line {number}: {words[0]} is {meters:g} m long here, {known.length_m:g} above"
             )
         end, image = known.ends[int(words[2] == "b")], " ".join(words[3:-2])
         if image in end:
@@ -110,7 +110,7 @@ def read_anchor_positions(path: str | Path) -> PositionLog | NamedPositions:
 
 @checked
 def read_odometry(path: str | Path) -> OdometryLog:
-    """Read odometry: one `SECONDS METRES` per line, the distance since any start; or a trajectory in TUM format.
+    """Read odometry: one `SECONDS METERS` per line, the distance since any start; or a trajectory in TUM format.
 
     Raises:
         FileFormatError: the file is missing, a line is malformed, times do not increase, or a distance decreases.
@@ -127,7 +127,7 @@ def read_odometry(path: str | Path) -> OdometryLog:
     values = np.empty((len(lines), 2))
     for n, (number, words) in enumerate(lines):
         if len(words) != _DISTANCE:
-            raise FileFormatError(path, f"line {number}: expected SECONDS METRES")
+            raise FileFormatError(path, f"line {number}: expected SECONDS METERS")
         values[n] = [_number(path, number, word) for word in words]
         if n and not (values[n, 0] > values[n - 1, 0] and values[n, 1] >= values[n - 1, 1]):
             raise FileFormatError(path, f"line {number}: times must increase and distances must not decrease")

@@ -6,6 +6,8 @@ import io
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ MOST_JSON_BYTES = 1 << 28
 SMALL_BYTES, MOST_RATIO = 1 << 26, 32
 """Limit of decompressed data: 64 MiB, or 32 times the compressed size if that is more."""
 _MOST_NAME_BYTES = 4096
+_MOST_LISTED = 1000
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a pipe"),
@@ -52,6 +55,25 @@ def read_by_others(path: Path, problem: str) -> Iterator[None]:
         raise FileFormatError(path, f"{problem}: {words[0][:MAX_ERROR_LENGTH]}") from error
 
 
+def missing_in_words(path: Path) -> str:
+    """Problem and advice for a path that does not exist: a similar name next to it, or the first folder that is missing."""
+    try:
+        folder = path.parent
+        if folder.is_dir():
+            names = [each.name for each in islice(folder.iterdir(), _MOST_LISTED)]
+            near = get_close_matches(path.name, names, 1, 0.75)
+            advice = (
+                f"did you mean {folder / near[0]}?"
+                if near
+                else f"check the name (the folder is {folder.resolve()})"
+            )
+            return f"it does not exist; {advice}"
+        missing = next(each for each in reversed([path, *path.parents]) if not each.exists())
+    except (OSError, ValueError, StopIteration):
+        return "it does not exist; check the name"
+    return f"it does not exist; check the path: {missing.resolve()} is missing"
+
+
 def require_file(path: Path) -> int:
     """The size of a regular file in bytes; pipes and devices, which may never end, are rejected.
 
@@ -61,14 +83,19 @@ def require_file(path: Path) -> int:
     try:
         status = path.stat()
     except FileNotFoundError as error:
-        raise FileFormatError(path, "it does not exist") from error
+        raise FileFormatError(path, missing_in_words(path)) from error
     except OSError as error:
         raise FileFormatError(path, f"cannot be opened: {error.strerror or error}") from error
     except ValueError as error:  # a null character, or a name that no file system can encode
         raise FileFormatError(path, f"not a valid file name: {error}") from error
     if not stat.S_ISREG(status.st_mode):
         kind = next((name for is_it, name in _KINDS if is_it(status.st_mode)), "something else")
-        raise FileFormatError(path, f"cannot be opened: it is {kind}, not a file")
+        advice = (
+            "pass the file itself, or one of the files in it"
+            if kind == "a folder"
+            else "copy its content to a file"
+        )
+        raise FileFormatError(path, f"cannot be opened: it is {kind}, not a file; {advice}")
     return status.st_size
 
 

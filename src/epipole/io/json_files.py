@@ -42,7 +42,9 @@ def json_values(path: Path, text: str, *, allow_nan: bool = False) -> Any:
     except RecursionError as error:
         raise FileFormatError(path, "not JSON: nested too deeply") from error
     except ValueError as error:
-        raise FileFormatError(path, f"not JSON: {error}") from error
+        raise FileFormatError(
+            path, f"not JSON: {error}; check that this is the right file, and complete"
+        ) from error
 
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

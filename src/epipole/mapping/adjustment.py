@@ -1,4 +1,4 @@
-"""Bundle adjustment of a growing model: the full model, or the neighbourhood of one image."""
+"""Bundle adjustment of a growing model: the full model, or the neighborhood of one image."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def adjust_around(
     """Adjust an image, those with most points in common, and their points; everything else is fixed.
 
     Observations of these points in other images are used with fixed poses. Intrinsics are also fixed if images outside
-    the neighbourhood use them.
+    the neighborhood use them.
     """
     check_index(image, "image", len(model.rows_of_image))
     order, offsets = model.rows_by_point()
@@ -86,8 +86,8 @@ def adjust_around(
     rows = order[_ranges(offsets, own)]
     shared = np.bincount(model.row_image[rows], minlength=len(model.registered))
     shared[image] = 0
-    neighbours = np.argsort(-shared, kind="stable")[: num_images - 1]
-    free = np.concatenate([[image], neighbours[shared[neighbours] > 0]])
+    neighbors = np.argsort(-shared, kind="stable")[: num_images - 1]
+    free = np.concatenate([[image], neighbors[shared[neighbors] > 0]])
     points = np.zeros(model.num_points, bool)
     for i in free:
         seen = model.row_point[model.rows_of_image[i]]

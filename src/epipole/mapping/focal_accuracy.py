@@ -1,8 +1,9 @@
 """Uncertainty of the focal lengths of a model, from adjustments with more intrinsics free.
 
 The covariance of an adjustment ignores what its camera model lacks: an off-center principal point, further distortion,
-rolling shutter. Where these matter, the focal length moves once they are free. Its standard deviation is taken as GROWTH
-times the root sum of squares of the formal one (Triggs et al. 2000, section 9, clustered by points) and that move.
+rolling shutter. Where these matter, the focal length moves once they are free. Its calibrated uncertainty, to be used as a
+standard deviation, is GROWTH times the root sum of squares of the formal standard deviation (Triggs et al. 2000, section 9,
+clustered by points) and that move.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ from epipole.optim import (
 from epipole.scene import Cameras, Points, Reconstruction, Tracks
 
 GROWTH = 3.0
-"""Tuned on two facades and a rolling-shutter kitchen with known focal lengths (0.04, 0.06, and 3 to 4 % off): errors were
+"""Calibrated on two facades and a rolling-shutter kitchen with known focal lengths (0.04, 0.06, and 3 to 4 % off): errors were
 0.5 to 5 times the formal deviation and the move together."""
 MAX_SIGMA = 0.02
-"""Largest relative standard deviation of a focal length that counts as determined."""
+"""Largest relative uncertainty of a focal length that counts as determined."""
 MAX_SHIFT_SIGMAS = 3.0
 """Largest accepted difference between a known focal length and the estimated one."""
 MIN_SIGMA = 0.005
-"""Lower bound of the relative standard deviation in that comparison."""
+"""Lower bound of the relative uncertainty in that comparison."""
 MAX_IMAGES = 100  # images used, evenly spread over each camera
 MIN_VIEWS = 2  # images that must see a point
 MIN_OBSERVATIONS = 100  # per camera
@@ -57,7 +58,7 @@ class FocalAccuracy:
     focal_px: float
     """Estimated with a free focal length; close to the model's, unless that was given and is wrong."""
     sigma_px: float
-    """Standard deviation; infinite if undetermined."""
+    """Calibrated uncertainty (a standard deviation that includes model errors); infinite if undetermined."""
 
     @property
     def is_determined(self) -> bool:

@@ -335,7 +335,7 @@ class ModelBuilder:
 
         Args:
             names: one per image.
-            colors: RGB of every keypoint of every image, (k, 3) uint8; grey 128 if not given.
+            colors: RGB of every keypoint of every image, (k, 3) uint8; gray 128 if not given.
             timestamps_s: one per image.
 
         Raises:

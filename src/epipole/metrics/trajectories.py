@@ -181,7 +181,7 @@ def drift_per_length(
     """KITTI's t_rel and r_rel: error over segments of the true trajectory, divided by their length.
 
     Args:
-        estimate: world_from_body, (n,), in metres.
+        estimate: world_from_body, (n,), in meters.
         truth: poses at the same instants.
         lengths_m: lengths of the segments.
         every: instants from the start of one segment to the next.

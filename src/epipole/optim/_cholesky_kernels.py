@@ -81,12 +81,12 @@ class Supernodes(NamedTuple):
 
 
 @kernel
-def elimination_tree(start, neighbour, parent, ancestor):
-    """Parent of each column (Liu 1986); `neighbour` lists slots, of which only smaller ones count."""
+def elimination_tree(start, neighbor, parent, ancestor):
+    """Parent of each column (Liu 1986); `neighbor` lists slots, of which only smaller ones count."""
     for i in range(len(parent)):
         parent[i] = ancestor[i] = -1
         for e in range(start[i], start[i + 1]):
-            j = neighbour[e]
+            j = neighbor[e]
             while j != -1 and j < i:
                 following = ancestor[j]
                 ancestor[j] = i
@@ -123,7 +123,7 @@ def postorder(parent, first_child, next_child, order):
 
 
 @kernel
-def column_structure(start, neighbour, parent, mark, column_start, fill, row):
+def column_structure(start, neighbor, parent, mark, column_start, fill, row):
     """Row counts (`fill`, if `row` is empty) or the rows below each column's diagonal, ascending."""
     counting = len(row) == 0
     n = len(parent)
@@ -133,7 +133,7 @@ def column_structure(start, neighbour, parent, mark, column_start, fill, row):
     for i in range(n):
         mark[i] = i
         for e in range(start[i], start[i + 1]):
-            j = neighbour[e]
+            j = neighbor[e]
             while j < i and mark[j] != i:
                 if not counting:
                     row[column_start[j] + fill[j]] = i

@@ -172,8 +172,8 @@ def plan_cholesky(pattern: BlockPattern, last_mask: Bool[np.ndarray, " n"] | Non
     order = _fill_reducing_order(pattern, last)
     parent, order = _tree_in_postorder(pattern, order)
     size = pattern.size[order]
-    start, neighbour = _neighbours(pattern, order)
-    column_start, row = _structure(start, neighbour, parent)
+    start, neighbor = _neighbors(pattern, order)
+    column_start, row = _structure(start, neighbor, parent)
     scalar_of_slot = np.concatenate([[0], np.cumsum(size)])
     counts = np.add.reduceat(np.append(size[row], 0), column_start[:-1]) * (np.diff(column_start) > 0)
     first, scratch = np.empty(n + 1, np.int64), np.empty((2, n), np.int64)
@@ -210,7 +210,7 @@ def _fill_reducing_order(pattern: BlockPattern, last: np.ndarray) -> np.ndarray:
     return np.concatenate([free[slot], np.flatnonzero(last)])
 
 
-def _neighbours(pattern: BlockPattern, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _neighbors(pattern: BlockPattern, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """For each slot the earlier slots coupled to it, as CSR."""
     slot = np.empty(len(order), np.int64)
     slot[order] = np.arange(len(order))
@@ -223,22 +223,22 @@ def _neighbours(pattern: BlockPattern, order: np.ndarray) -> tuple[np.ndarray, n
 
 def _tree_in_postorder(pattern: BlockPattern, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     parent, scratch, post = np.empty((3, len(order)), np.int64)
-    kernels.elimination_tree(*_neighbours(pattern, order), parent, scratch)
+    kernels.elimination_tree(*_neighbors(pattern, order), parent, scratch)
     kernels.postorder(parent, *np.empty((2, len(order)), np.int64), post)
     order = order[post]
-    kernels.elimination_tree(*_neighbours(pattern, order), parent, scratch)
+    kernels.elimination_tree(*_neighbors(pattern, order), parent, scratch)
     return parent, order
 
 
-def _structure(start: np.ndarray, neighbour: np.ndarray, parent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _structure(start: np.ndarray, neighbor: np.ndarray, parent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     n = len(parent)
     mark, fill = np.empty((2, n), np.int64)
     column_start = np.zeros(n + 1, np.int64)
-    kernels.column_structure(start, neighbour, parent, mark, column_start, fill, np.empty(0, np.int64))
+    kernels.column_structure(start, neighbor, parent, mark, column_start, fill, np.empty(0, np.int64))
     column_start[1:] = np.cumsum(fill)
     row = np.empty(column_start[-1], np.int64)
     if len(row):
-        kernels.column_structure(start, neighbour, parent, mark, column_start, fill, row)
+        kernels.column_structure(start, neighbor, parent, mark, column_start, fill, row)
     return column_start, row
 
 

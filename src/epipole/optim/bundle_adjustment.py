@@ -61,7 +61,7 @@ class StopReason(StrEnum):
     CONVERGED = "the cost no longer falls"
     NO_STEP = "no step lowers the cost"
     MAX_ITERATIONS = "the number of iterations allowed"
-    CANCELLED = "cancelled by the caller"
+    CANCELED = "canceled by the caller"
     NOTHING_TO_DO = "nothing may move"
     NO_OBSERVATIONS = "no observation can be used"
 
@@ -201,7 +201,7 @@ def _adjust(
         seconds = time.perf_counter() - start
         history.append(BundleIteration(iteration, cost, damping, accepted, products, seconds))
         if progress is not None and not progress(history[-1]):
-            reason = StopReason.CANCELLED
+            reason = StopReason.CANCELED
             break
     return BundleResult(
         rig_from_world=_motions(state.rig_from_world),

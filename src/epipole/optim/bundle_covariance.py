@@ -68,7 +68,7 @@ def bundle_covariance(
         result: its minimum.
         config: options of the adjustment, for the loss.
         noise_px: standard deviation of the pixel errors; None: that of the residuals, after the loss.
-        clustered: allow for errors of a point that are correlated between images and with neighbours in the list of points:
+        clustered: allow for errors of a point that are correlated between images and with neighbors in the list of points:
             scale the covariances, except those of points, by the points' scores (see `cluster_robust`).
 
     Raises:

@@ -1,11 +1,11 @@
 """Growth of pose errors over those that independent pixel errors would cause.
 
-A tracked point keeps its error from image to image, and its neighbours have similar ones. The scores of points, their
+A tracked point keeps its error from image to image, and its neighbors have similar ones. The scores of points, their
 parts of the gradient, contain all of that: with H the normal matrix and g_c the score of a cluster of points, both after
 elimination of the points, the covariance is H^-1 (sum g_c g_c^T) H^-1 (Liang and Zeger, Longitudinal data analysis using
 generalized linear models, 1986; for clusters: Cameron and Miller, A practitioner's guide to cluster-robust inference,
 2015). A few dozen clusters determine its size well, but not its shape, so only the size is used. A cluster pulls the
-minimum towards itself by its fraction of the weight; this loss is corrected as by leaving out one cluster after another
+minimum toward itself by its fraction of the weight; this loss is corrected as by leaving out one cluster after another
 (the jackknife, their CR3).
 """
 

@@ -116,10 +116,10 @@ def _grid_line(y: float, text: str) -> str:
 def draw_timings(timings: Mapping[str, float]) -> Markup:
     """One horizontal bar per stage, in order."""
     longest = max([*timings.values(), 1e-9])
-    row, left, width = 26, 170, 760
+    row, left, width = 26, 140, 520
     parts = []
     for k, (stage, value) in enumerate(timings.items()):
-        y, length = k * row, max(0.0, value) / longest * (width - left - 90)
+        y, length = k * row, max(0.0, value) / longest * (width - left - 125)
         parts.append(
             f'<text class="stage-name" x="{left - 10}" y="{y + 17}" text-anchor="end">{escape(stage)}</text>'
             f'<rect class="bar" x="{left}" y="{y + 6}" width="{max(length, 1):.1f}" height="14"/>'
@@ -131,7 +131,9 @@ def draw_timings(timings: Mapping[str, float]) -> Markup:
 def svg(width: int, height: int, parts: Sequence[str], label: str) -> Markup:
     """An SVG element that scales with its column; `parts` must be safe markup."""
     box, inside = f"0 0 {width} {height}", "".join(parts)
-    return Markup(f'<svg viewBox="{box}" role="img" aria-label="{escape(label)}">{inside}</svg>')
+    return Markup(
+        f'<svg viewBox="{box}" style="--units: {width}" role="img" aria-label="{escape(label)}">{inside}</svg>'
+    )
 
 
 def draw_curves(

@@ -12,7 +12,7 @@ from epipole.scene.gaussian_cloud import DC, GaussianCloud
 ROW = np.dtype(
     [
         ("mean", "<f4", 3),
-        ("colour", "<u4"),
+        ("color", "<u4"),
         ("quat_wxyz", "<i2", 4),
         ("log_scale", "<u2", 3),
         ("opacity", "<u2"),
@@ -23,7 +23,7 @@ DEGREE_KEPT = 1
 """Degree of the harmonics that are kept: the coefficients for -y, z and -x are three more words, packed like the
 color."""
 MOST_LOG_SCALE = 40.0
-COLOURS, HARMONICS = (-1.0, 2.0), (-2.0, 2.0)
+COLORS, HARMONICS = (-1.0, 2.0), (-2.0, 2.0)
 """Values outside these ranges, which are very rare, are clipped."""
 
 Range = tuple[float, float]
@@ -39,7 +39,7 @@ class PackedGaussians:
     harmonics: bytes | None
     """Three 32-bit words each; None if colors do not depend on direction."""
     scale_range: Range
-    colour_range: Range
+    color_range: Range
     harmonic_range: Range
 
 
@@ -62,22 +62,22 @@ def packed(cloud: GaussianCloud) -> PackedGaussians:
     rows = np.empty(len(cloud), ROW)
     quats = cloud.quats_wxyz.astype(np.float64)
     quats /= np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-30)
-    colours = 0.5 + DC * cloud.sh[:, 0].astype(np.float64)
+    colors = 0.5 + DC * cloud.sh[:, 0].astype(np.float64)
     log_scales = np.clip(cloud.log_scales.astype(np.float64), -MOST_LOG_SCALE, MOST_LOG_SCALE)
-    scale_range, colour_range = _range_of(log_scales), _range_of(np.clip(colours, *COLOURS))
+    scale_range, color_range = _range_of(log_scales), _range_of(np.clip(colors, *COLORS))
     rows["mean"] = cloud.means_in_world
-    rows["colour"] = _words(colours, colour_range)
+    rows["color"] = _words(colors, color_range)
     rows["quat_wxyz"] = np.rint(32767.0 * quats)
     rows["log_scale"] = _steps(log_scales, scale_range, 65535)
     logits = np.clip(cloud.opacity_logits.astype(np.float64), -50.0, 50.0)
     rows["opacity"] = np.rint(65535.0 / (1.0 + np.exp(-logits)))
     if cloud.sh_degree < DEGREE_KEPT:
-        return PackedGaussians(rows.tobytes(), None, scale_range, colour_range, (0.0, 0.0))
+        return PackedGaussians(rows.tobytes(), None, scale_range, color_range, (0.0, 0.0))
     first = np.clip(cloud.sh[:, 1:4].astype(np.float64), *HARMONICS)
     harmonic_range = _range_of(first)
     words = np.stack([_words(first[:, k], harmonic_range) for k in range(3)], axis=1)
     return PackedGaussians(
-        rows.tobytes(), words.astype("<u4").tobytes(), scale_range, colour_range, harmonic_range
+        rows.tobytes(), words.astype("<u4").tobytes(), scale_range, color_range, harmonic_range
     )
 
 

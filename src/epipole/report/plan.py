@@ -17,7 +17,7 @@ from epipole.report.space_model import stage_of
 from epipole.scene import Reconstruction
 
 WIDTH, HEIGHT = 620, 520
-LEFT, RIGHT, TOP, BOTTOM = 52, 12, 12, 44
+LEFT, RIGHT, TOP, BOTTOM = 66, 12, 12, 52
 """Margins of the grid, which contain its labels."""
 _CELL = 3
 """Size of a density cell in SVG units."""
@@ -120,9 +120,9 @@ def density_of(points_in_world: Float64[np.ndarray, "n 3"], frame: PlanFrame) ->
     if not counts.any():
         return None
     level = np.log1p(counts) / np.log1p(np.percentile(counts[counts > 0], 99))
-    grey = np.where(counts > 0, 40 + 215 * np.minimum(level, 1.0), 0).astype(np.uint8)
+    gray = np.where(counts > 0, 40 + 215 * np.minimum(level, 1.0), 0).astype(np.uint8)
     stream = io.BytesIO()
-    Image.fromarray(grey).save(stream, "PNG", optimize=True)
+    Image.fromarray(gray).save(stream, "PNG", optimize=True)
     return Density(width, height, data_uri(stream.getvalue(), "image/png"))
 
 

@@ -13,7 +13,7 @@ from epipole.report.charts import nice_ticks, tick_text
 from epipole.report.frame import render_piece
 
 _WIDTH, _HEIGHT = 560, 230
-_LEFT, _RIGHT, _TOP, _BOTTOM = 68, 14, 30, 50
+_LEFT, _RIGHT, _TOP, _BOTTOM = 78, 14, 30, 52
 _STRIP_TOP, _STRIP_HEIGHT = 12, 26
 _TOP_PERCENT, _HEADROOM = 99.0, 1.15
 

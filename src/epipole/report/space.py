@@ -1,7 +1,7 @@
 """A 3D scene as data for the page's script: named numbers, and blocks of bytes.
 
-All positions are relative to an origin near the scene, in single precision: maps with coordinates of millions of metres
-keep millimetre precision.
+All positions are relative to an origin near the scene, in single precision: maps with coordinates of millions of meters
+keep millimeter precision.
 """
 
 from __future__ import annotations
@@ -238,7 +238,7 @@ def _gaussians(data: SpaceData, scene: SpaceScene, most: int | None) -> dict[str
         "rows": "gaussians",
         "harmonics": "harmonics" if found.harmonics is not None else None,
         "scaleRange": found.scale_range,
-        "colourRange": found.colour_range,
+        "colorRange": found.color_range,
         "harmonicRange": found.harmonic_range,
     }
 

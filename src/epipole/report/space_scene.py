@@ -110,7 +110,7 @@ class SpaceScene:
     upright_from_world: Float64[np.ndarray, "3 3"] | None = None
     """Rotation that makes +z up, with the default viewpoint behind what looks along +y; None: identity."""
     background: float | None = None
-    """A grey value from 0 to 1; None: dark, like the page."""
+    """A gray value from 0 to 1; None: dark, like the page."""
 
     def __post_init__(self) -> None:
         """Check that the scene is not empty.

@@ -20,7 +20,7 @@ from epipole.cameras._camera_kernels import (
 )
 
 MAX_ROWS_TRIED = 10  # rows per point, evenly spread, from which pairs are tried
-OK, TOO_FEW_VIEWS, PARALLEL, BEHIND, LARGE_ERROR = 0, 1, 2, 3, 4
+OK, TOO_FEW_VIEWS, SMALL_ANGLE, BEHIND_CAMERA, LARGE_ERROR = 0, 1, 2, 3, 4
 FARTHEST = 1e3  # largest distance from the principal point, in focal lengths
 
 
@@ -285,11 +285,11 @@ def triangulate_two_views(
         cosine = dot / math.sqrt(lengths)
         cosines[k] = cosine
         if not (cosine <= max_cosine and sine_sq > 1e-24 * lengths):
-            reasons[k] = PARALLEL
+            reasons[k] = SMALL_ANGLE
             continue
         depth = -(z0 * t0 + z1 * t1 + z2 * t2) / sine_sq
         points[k, 0], points[k, 1], points[k, 2] = depth * x, depth * y, depth
-        reasons[k] = OK if depth > 0.0 and depth * s + r[11] > 0.0 else BEHIND
+        reasons[k] = OK if depth > 0.0 and depth * s + r[11] > 0.0 else BEHIND_CAMERA
 
 
 @kernel(allocates=True)
@@ -317,11 +317,11 @@ def triangulate_many_views(rows, cams, offsets, start, stop, max_error_sq, max_c
         if best_hypothesis(rows, cams, free, count, max_error_sq, max_cosine, work, x) < 2:
             # Find the reason by relaxing the bounds on error and angle.
             if best_hypothesis(rows, cams, free, count, math.inf, 2.0, work, x) < 2:
-                reasons[j] = BEHIND
+                reasons[j] = BEHIND_CAMERA
             elif best_hypothesis(rows, cams, free, count, max_error_sq, 2.0, work, x) < 2:
                 reasons[j] = LARGE_ERROR
             else:
-                reasons[j] = PARALLEL
+                reasons[j] = SMALL_ANGLE
             continue
         found, _ = collect_inliers(rows, cams, free, count, x, max_error_sq, chosen)
         polish_point(rows, cams, chosen, found, x, jac, jac_params)
@@ -331,7 +331,7 @@ def triangulate_many_views(rows, cams, offsets, start, stop, max_error_sq, max_c
             continue
         cosines[j] = min_cosine(rows, cams, chosen, found, x)
         errors[j] = math.sqrt(0.5 * total / found)
-        reasons[j] = OK if cosines[j] <= max_cosine else PARALLEL
+        reasons[j] = OK if cosines[j] <= max_cosine else SMALL_ANGLE
         for c in range(3):
             points[j, c] = x[c]
         for n in range(found):

@@ -26,9 +26,9 @@ class PointReason(IntEnum):
     OK = kernels.OK
     TOO_FEW_VIEWS = kernels.TOO_FEW_VIEWS
     """Fewer than two pixels with a ray."""
-    PARALLEL = kernels.PARALLEL
+    SMALL_ANGLE = kernels.SMALL_ANGLE
     """Its rays intersect at a smaller angle than required: the depth is unknown."""
-    BEHIND = kernels.BEHIND
+    BEHIND_CAMERA = kernels.BEHIND_CAMERA
     """Its rays intersect behind a camera."""
     LARGE_ERROR = kernels.LARGE_ERROR
     """No two views agree on a point within the threshold."""
@@ -82,7 +82,7 @@ def triangulate_points(
         cameras: one for all views, or one per view.
         pixels: (v, n, 2), NaN where a view does not see the point.
         max_error_px: views with larger errors are outliers; None: all views are used.
-        min_angle_rad: points with a smaller ray angle are `PointReason.PARALLEL`.
+        min_angle_rad: points with a smaller ray angle are `PointReason.SMALL_ANGLE`.
 
     Raises:
         ShapeError: array sizes do not match.

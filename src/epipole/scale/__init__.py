@@ -16,4 +16,4 @@ from epipole.scale.scale_agreement import ScaleEstimate as ScaleEstimate
 from epipole.scale.scale_agreement import agreed_scale as agreed_scale
 from epipole.scale.scale_evidence import check_anchor_files as check_anchor_files
 from epipole.scale.scale_evidence import mounted_imu as mounted_imu
-from epipole.scale.travelled_scale import fit_scale_to_distances as fit_scale_to_distances
+from epipole.scale.traveled_scale import fit_scale_to_distances as fit_scale_to_distances

@@ -34,7 +34,7 @@ class AnchorViews(Declared):
     covariance_of: Callable[[int], np.ndarray]
     """(6, 6) covariance for a row, of xi = (translation, rotation) in exp(xi) @ cam_from_world."""
     image_of: Callable[[int], UInt8[np.ndarray, "h w"] | None]
-    """Grey image of a row, at the camera's resolution; None if unavailable."""
+    """Gray image of a row, at the camera's resolution; None if unavailable."""
 
     def __post_init__(self) -> None:
         """Check the rows.
@@ -69,7 +69,7 @@ def views_of_model(
 
     Args:
         model: poses, cameras, points and tracks.
-        image_of: the grey image of a row of the model's images; None if unavailable.
+        image_of: the gray image of a row of the model's images; None if unavailable.
     """
     rows = np.flatnonzero(model.is_registered())
     camera = model.camera_of_image

@@ -44,7 +44,7 @@ class Anchoring(Declared):
     """The similarity that makes a model metric, and its evidence."""
 
     world_from_model: Similarity3
-    """Scales to metres; with used measured positions it also aligns to their world."""
+    """Scales to meters; with used measured positions it also aligns to their world."""
     scale: MetricScale
     positions: MeasuredPositions | None
     """Measured positions that are used, as factors of one more adjustment."""
@@ -60,7 +60,7 @@ def anchor_model(
     path: AnchorViews | None = None,
     others: Sequence[ScaleEstimate] = (),
 ) -> Anchoring:
-    """The similarity to metres that agrees with all scale references.
+    """The similarity to meters that agrees with all scale references.
 
     Args:
         views: images of the model.
@@ -107,7 +107,7 @@ def positions_of_views(
         views: images of the model.
         path: all posed images; positions between them are interpolated if they have times.
         log: the measured positions.
-        sigma: standard deviation of a coordinate, in metres.
+        sigma: standard deviation of a coordinate, in meters.
 
     Raises:
         DegenerateGeometryError: the positions do not determine the scale.
@@ -144,7 +144,7 @@ def after_adjustment(
 
     Args:
         anchoring: how the scale was determined.
-        before: camera positions before the adjustment, in metres.
+        before: camera positions before the adjustment, in meters.
         after: camera positions after it.
     """
     kinds = {e.kind for e, kept in zip(anchoring.scale.estimates, anchoring.scale.kept_mask) if kept}

@@ -35,7 +35,7 @@ def fit_scale_to_imu(
         timestamp_s: times of the poses, increasing, by the IMU's clock.
         world_from_camera: the trajectory, up to scale.
         log: measurements.
-        camera_from_imu: extrinsics of the IMU, in metres.
+        camera_from_imu: extrinsics of the IMU, in meters.
         noise: densities; None: the defaults.
 
     Raises:

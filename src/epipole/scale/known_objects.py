@@ -34,7 +34,7 @@ class ObjectFit(Declared):
 
     model_from_object: Similarity3
     scale: float
-    """Metres per model unit."""
+    """Meters per model unit."""
     sigma: float
     """Standard deviation of the scale, from pixel noise and pose covariance."""
     residual: float
@@ -80,7 +80,7 @@ def fit_scale_to_object(
     scale. Views whose pixels do not fit are dropped as long as two others agree.
 
     Args:
-        points_in_object: corners of a board or tag, or the ends of a length, in metres.
+        points_in_object: corners of a board or tag, or the ends of a length, in meters.
         cams_from_world: the model's cameras that see it, batch shape (v,).
         cameras: intrinsics of each view.
         pixels: observations of the points; NaN where a view does not see a point.

@@ -47,8 +47,8 @@ def fit_scale_to_positions(
 
     Args:
         positions_in_model: camera positions, in the model's unit.
-        positions_in_world: the same positions as measured, in metres.
-        sigma: standard deviation of a measured coordinate, in metres.
+        positions_in_world: the same positions as measured, in meters.
+        sigma: standard deviation of a measured coordinate, in meters.
 
     Raises:
         DegenerateGeometryError: too few positions, collinear, or too close together for their uncertainty.

@@ -25,7 +25,7 @@ class ScaleEstimate(Declared):
     """GPS, positions, length, tag, board, odometry or imu."""
     name: str
     scale: float
-    """Metres per model unit."""
+    """Meters per model unit."""
     sigma: float
     """Standard deviation of the scale, without `shared_sigma`."""
     shared_sigma: float = 0.0
@@ -47,7 +47,7 @@ class MetricScale(Declared):
     """A model's scale and the estimates that determine it."""
 
     scale: float
-    """Metres per model unit."""
+    """Meters per model unit."""
     sigma: float
     """Standard deviation of the scale."""
     estimates: tuple[ScaleEstimate, ...]
@@ -68,7 +68,7 @@ class MetricScale(Declared):
             _counted(kind, [e for e in kept if e.kind == kind])
             for kind in dict.fromkeys(e.kind for e in kept)
         ]
-        return f"metres, from {' and '.join(parts)}: known to {100 * self.relative_sigma:.2g} % (1 sigma)"
+        return f"meters, from {' and '.join(parts)}: known to {100 * self.relative_sigma:.2g} % (1 sigma)"
 
     def warnings(self) -> list[str]:
         """References that are ignored, and why."""
@@ -153,7 +153,7 @@ def _agreeing(estimates: Sequence[ScaleEstimate], logs: np.ndarray) -> np.ndarra
     if 2 * counts[best] <= len(estimates):
         words = "; ".join(f"{e.name} {e.scale:.4g} +- {100 * e.fraction:.2g} %" for e in estimates[:6])
         raise DegenerateGeometryError(
-            f"the scale references contradict each other (metres per model unit: {words})"
+            f"the scale references contradict each other (meters per model unit: {words})"
         )
     return near[best]
 

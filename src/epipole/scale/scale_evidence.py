@@ -23,7 +23,7 @@ from epipole.scale.anchor_views import AnchorViews, joined_words
 from epipole.scale.inertial_scale import fit_scale_to_imu
 from epipole.scale.known_objects import ObjectFit, fit_scale_to_object
 from epipole.scale.scale_agreement import ScaleEstimate
-from epipole.scale.travelled_scale import fit_scale_to_distances
+from epipole.scale.traveled_scale import fit_scale_to_distances
 
 CORNERS_SIGMA_PX = 0.15
 """Standard deviation of a detected corner; larger residuals enlarge it."""
@@ -240,7 +240,7 @@ def _of_odometry(views: AnchorViews, options: AnchorOptions) -> ScaleEstimate:
     assert options.odometry is not None
     log = read_odometry(options.odometry)
     times, path = _timed(views)
-    known = (log.timestamp_s, log.travelled_m, log.positions, options.odometry_sigma)
+    known = (log.timestamp_s, log.traveled_m, log.positions, options.odometry_sigma)
     levers = None
     if options.odometry_mounting is not None:
         levers = path.rotation @ read_camera_from_imu(options.odometry_mounting).translation

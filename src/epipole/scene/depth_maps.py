@@ -63,7 +63,7 @@ class DepthMap(Declared):
     sigma: Float64[np.ndarray, "h w"]
     """Standard deviation of the depth, from disparity and calibration; NaN where unknown."""
     calibration_sigma: Float64[np.ndarray, "h w"]
-    """The part of it due to calibration, which neighbours share, so averaging does not reduce it. Zero if the calibration has no
+    """The part of it due to calibration, which neighbors share, so averaging does not reduce it. Zero if the calibration has no
     stated uncertainty."""
 
     def __repr__(self) -> str:

@@ -73,7 +73,7 @@ def _finite_rows(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "m 3
 
 @checked
 def frustum_size(centers_in_world: Float64[np.ndarray, "n 3"], least: float, most: float) -> float:
-    """Size at which to display frusta: half the median gap between neighbours, within bounds; `most` for fewer than two."""
+    """Size at which to display frusta: half the median gap between neighbors, within bounds; `most` for fewer than two."""
     if len(centers_in_world) < 2:
         return most
     sample = centers_in_world[:: max(1, len(centers_in_world) // 500)]

@@ -16,12 +16,12 @@ from epipole.solvers import _absolute_pose_kernels as kernels
 from epipole.solvers import _more_pose_kernels as more
 
 
-def solve_p3p(rays_in_cam: Any, points_in_world: Any) -> Rigid3:
+def solve_p3p(points_in_world: Any, rays_in_cam: Any) -> Rigid3:
     """All cam_from_world for three points, s_i y_i = R X_i + t with s_i > 0 (Ding et al., CVPR 2023).
 
     Args:
-        rays_in_cam: directions, (3, 3), any length.
         points_in_world: (3, 3), not collinear.
+        rays_in_cam: directions, (3, 3), any length.
 
     Returns:
         Rigid3 of batch shape (k,), k between 0 and 4.
@@ -41,14 +41,14 @@ class FocalPoses:
     focal_px: Float64[np.ndarray, " k"]
 
 
-def solve_p4pf(pixels: Any, points_in_world: Any) -> FocalPoses:
+def solve_p4pf(points_in_world: Any, pixels: Any) -> FocalPoses:
     """All poses and focal lengths for four points (P4Pf: Bujnak, Kukelova and Pajdla, CVPR 2008; by three quadrics).
 
     Assumes square pixels, no distortion, and non-coplanar points.
 
     Args:
-        pixels: relative to the principal point, (4, 2).
         points_in_world: (4, 3).
+        pixels: relative to the principal point, (4, 2).
 
     Returns:
         Between 0 and 8 solutions; four points give one constraint more than there are unknowns, which is not used.
@@ -63,13 +63,13 @@ def solve_p4pf(pixels: Any, points_in_world: Any) -> FocalPoses:
     return FocalPoses(Rigid3(rotation, size * found[:, 9:12] - rotation @ middle), spread * found[:, 12])
 
 
-def solve_generalized_p3p(origins_in_rig: Any, rays_in_rig: Any, points_in_world: Any) -> Rigid3:
+def solve_generalized_p3p(points_in_world: Any, origins_in_rig: Any, rays_in_rig: Any) -> Rigid3:
     """All rig_from_world for three rays of one or several cameras (gP3P), o_i + s_i y_i = R X_i + t with s_i > 0.
 
     Args:
+        points_in_world: (3, 3), not collinear.
         origins_in_rig: origins of the rays, (3, 3).
         rays_in_rig: directions, (3, 3), any length; no two orthogonal.
-        points_in_world: (3, 3), not collinear.
 
     Returns:
         Rigid3 of batch shape (k,), k between 0 and 8.
@@ -86,12 +86,12 @@ def solve_generalized_p3p(origins_in_rig: Any, rays_in_rig: Any, points_in_world
     return Rigid3(rotation, size * found[:, 9:12] - rotation @ middle)
 
 
-def solve_upright_p2p(rays_in_cam: Any, points_in_world: Any) -> Rigid3:
+def solve_upright_p2p(points_in_world: Any, rays_in_cam: Any) -> Rigid3:
     """All cam_from_world for two points, for a camera with the world's y axis (Kukelova et al., ACCV 2010).
 
     Args:
-        rays_in_cam: directions, (2, 3), any length; at least one not horizontal.
         points_in_world: (2, 3), not vertically aligned.
+        rays_in_cam: directions, (2, 3), any length; at least one not horizontal.
 
     Returns:
         Rigid3 of batch shape (k,), k between 0 and 2.
@@ -103,7 +103,7 @@ def solve_upright_p2p(rays_in_cam: Any, points_in_world: Any) -> Rigid3:
     return Rigid3(found[:, :9].reshape(-1, 3, 3).copy(), found[:, 9:].copy())
 
 
-def solve_pnp(rays_in_cam: Any, points_in_world: Any) -> Rigid3:
+def solve_pnp(points_in_world: Any, rays_in_cam: Any) -> Rigid3:
     """The pose from n >= 4 points without outliers, by least squares in the distances of the points from their rays.
 
     With Q = I - y y^T the translation follows from the rotation, and the cost is r^T Omega r in the nine entries r of R (Terzakis
@@ -111,8 +111,8 @@ def solve_pnp(rays_in_cam: Any, points_in_world: Any) -> Rigid3:
     SO(3); the best result wins.
 
     Args:
-        rays_in_cam: directions, (n, 3), any length.
         points_in_world: (n, 3).
+        rays_in_cam: directions, (n, 3), any length.
 
     Returns:
         cam_from_world.

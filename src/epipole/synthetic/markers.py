@@ -72,7 +72,7 @@ def chessboard_sheet(
 def _sheet(is_white: np.ndarray, cell: float, center: Vector, axes: tuple[Vector, Vector]) -> list[Primitive]:
     """Runs of black cells in front of a white sheet, which has a margin of one cell."""
     right, down = np.array(axes[0], np.float64), np.array(axes[1], np.float64)
-    middle, towards = np.array(center, np.float64), -np.cross(right, down)
+    middle, toward = np.array(center, np.float64), -np.cross(right, down)
     height, width = is_white.shape
     half = (0.5 * cell * (width + 2), 0.5 * cell * (height + 2))
     out: list[Primitive] = [_plane(middle, right, down, half, WHITE)]
@@ -81,7 +81,7 @@ def _sheet(is_white: np.ndarray, cell: float, center: Vector, axes: tuple[Vector
         for first, last in zip(edges[::2], edges[1::2]):
             along = cell * (0.5 * (first + last) - 0.5 * width)
             across = cell * (row + 0.5 - 0.5 * height)
-            at = middle + along * right + across * down + LIFT * towards
+            at = middle + along * right + across * down + LIFT * toward
             out.append(_plane(at, right, down, (0.5 * cell * (last - first), 0.5 * cell), BLACK))
     return out
 

@@ -35,7 +35,7 @@ def render(
         scene: the scene.
         camera: any model, distortion included.
         cam_from_world: a single pose.
-        noise_sigma: standard deviation of the sensor noise, in grey levels of 255.
+        noise_sigma: standard deviation of the sensor noise, in gray levels of 255.
         seed: random seed of the noise.
 
     Raises:

@@ -31,7 +31,7 @@ class Shutter:
     num_exposures: int = 5
     """Renders averaged for motion blur."""
     noise_sigma: float = 2.0
-    """Standard deviation of the sensor noise, in grey levels."""
+    """Standard deviation of the sensor noise, in gray levels."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -56,11 +56,11 @@ class Shutter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RideImage:
-    """A grey image and its depth."""
+    """A gray image and its depth."""
 
-    grey: UInt8[np.ndarray, "h w"]
+    gray: UInt8[np.ndarray, "h w"]
     depth: Float32[np.ndarray, "h w"]
-    """Exact, in metres along the optical axis; 0 for the sky."""
+    """Exact, in meters along the optical axis; 0 for the sky."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,9 +142,9 @@ class Ride:
         )
         gain = 1.0 if self.gain is None else float(self.gain[frame])
         rendered = render_exposures(self.scene_at(time), self.camera, rows, gain=gain)
-        grey = cv2.cvtColor(rendered.rgb, cv2.COLOR_RGB2GRAY)
+        gray = cv2.cvtColor(rendered.rgb, cv2.COLOR_RGB2GRAY)
         if self.shutter.noise_sigma > 0:
-            noise = np.random.default_rng([frame, side]).standard_normal(grey.shape, np.float32)
-            noisy = grey + np.float32(self.shutter.noise_sigma) * noise
-            grey = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
-        return RideImage(grey, np.nan_to_num(rendered.depth, nan=0.0).astype(np.float32))
+            noise = np.random.default_rng([frame, side]).standard_normal(gray.shape, np.float32)
+            noisy = gray + np.float32(self.shutter.noise_sigma) * noise
+            gray = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+        return RideImage(gray, np.nan_to_num(rendered.depth, nan=0.0).astype(np.float32))

@@ -90,12 +90,12 @@ class SyntheticScene(Declared):
     color: Float64[np.ndarray, "n 3"]
     seed: Int64[np.ndarray, " n"]
     light: Float64[np.ndarray, " 3"]
-    """Unit direction towards the light."""
+    """Unit direction toward the light."""
 
     @staticmethod
     @checked
     def of(primitives: Sequence[Primitive], light: Vector = (0.3, -0.5, 0.81)) -> SyntheticScene:
-        """Build a scene from primitives and the direction towards the light.
+        """Build a scene from primitives and the direction toward the light.
 
         Raises:
             ShapeError: there are no primitives.

@@ -178,11 +178,11 @@ def _photograph(
     gain: float,
     jpeg_quality: int | None,
 ) -> UInt8[np.ndarray, "h w"]:
-    grey: np.ndarray = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    gray: np.ndarray = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
     if blur_px > 0:
-        grey = cv2.GaussianBlur(grey, (0, 0), blur_px)
-    grey = ((grey - 110.0) * contrast + 110.0) * gain + rng.normal(0.0, noise, grey.shape)
-    image = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+        gray = cv2.GaussianBlur(gray, (0, 0), blur_px)
+    gray = ((gray - 110.0) * contrast + 110.0) * gain + rng.normal(0.0, noise, gray.shape)
+    image = np.clip(np.rint(gray), 0, 255).astype(np.uint8)
     if jpeg_quality is None:
         return image
     _, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])

@@ -65,7 +65,7 @@ def lengths_in_words(unit: str) -> str:
     """A sentence about the unit of lengths."""
     if unit == NO_UNIT:
         return "Lengths are known up to scale"
-    return f"Lengths are in {'metres' if unit == METRES else unit}"
+    return f"Lengths are in {'meters' if unit == METRES else unit}"
 
 
 def _with_what_is_left_out(scene: SpaceScene, data: SpaceData) -> str:

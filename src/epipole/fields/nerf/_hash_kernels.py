@@ -179,24 +179,24 @@ def join(said, kept, kept_counts, basis, out):
 
 
 @kernel
-def compose(colours, light, positions, kept, kept_counts, image):
-    """Apply the logistic function to colours (m, 3) in place; add colors and distances to image (rays, 4)."""
+def compose(colors, light, positions, kept, kept_counts, image):
+    """Apply the logistic function to colors (m, 3) in place; add colors and distances to image (rays, 4)."""
     at, one = 0, np.float32(1.0)
     for n in range(len(kept_counts)):
         for i in range(at, at + kept_counts[n]):
             weight = light[i, BEFORE] * light[i, ALPHA]
             for k in range(3):
-                colours[i, k] = one / (one + np.float32(math.exp(-colours[i, k])))
-                image[n, k] += weight * colours[i, k]
+                colors[i, k] = one / (one + np.float32(math.exp(-colors[i, k])))
+                image[n, k] += weight * colors[i, k]
             image[n, 3] += weight * positions[kept[i], 3]
         at += kept_counts[n]
 
 
 @kernel
-def compose_back(colours, light, kept_counts, behind, by_image, by_colours, by_raw):
+def compose_back(colors, light, kept_counts, behind, by_image, by_colors, by_raw):
     """Derivatives w.r.t. the outputs for color (m, 3) and density (m,), given those w.r.t. the image (rays, 3).
 
-    colours (m, 3) are after the logistic function; behind (rays,) is dL/dC . background times the final transmittance.
+    colors (m, 3) are after the logistic function; behind (rays,) is dL/dC . background times the final transmittance.
     """
     at, one = 0, np.float32(1.0)
     for n in range(len(kept_counts)):
@@ -205,9 +205,9 @@ def compose_back(colours, light, kept_counts, behind, by_image, by_colours, by_r
             before, alpha = light[i, BEFORE], light[i, ALPHA]
             value = np.float32(0.0)
             for k in range(3):
-                value += by_image[n, k] * colours[i, k]
-                slope = colours[i, k] * (one - colours[i, k])
-                by_colours[i, k] = before * alpha * by_image[n, k] * slope
+                value += by_image[n, k] * colors[i, k]
+                slope = colors[i, k] * (one - colors[i, k])
+                by_colors[i, k] = before * alpha * by_image[n, k] * slope
             by_raw[i] = light[i, THICKNESS] * (before * (one - alpha) * value - rest)
             rest += before * alpha * value
         at += kept_counts[n]

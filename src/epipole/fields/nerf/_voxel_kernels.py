@@ -85,8 +85,8 @@ def _march(voxels, flat, origin, direction, first, work):
         alpha = one - np.float32(math.exp(-sigma * voxels.delta))
         light[count, 0], light[count, 1], light[count, 2] = left, alpha, slope
         for k in range(3):
-            colour = half + c0 * acc[1 + k] + b1 * acc[4 + k] + b2 * acc[7 + k] + b3 * acc[10 + k]
-            light[count, 3 + k] = max(colour, zero)
+            color = half + c0 * acc[1 + k] + b1 * acc[4 + k] + b2 * acc[7 + k] + b3 * acc[10 + k]
+            light[count, 3 + k] = max(color, zero)
         position[count, 0], position[count, 1], position[count, 2] = (
             np.float32(ix),
             np.float32(iy),

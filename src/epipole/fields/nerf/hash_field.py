@@ -130,7 +130,7 @@ def query_density(field: HashField, positions: np.ndarray) -> tuple[np.ndarray, 
     return features, hidden, hidden @ field.weights[1]
 
 
-def coloured(field: HashField, joined: np.ndarray) -> tuple[np.ndarray, ...]:
+def colored(field: HashField, joined: np.ndarray) -> tuple[np.ndarray, ...]:
     """Layers (n, .) of the color network for inputs (n, 32): the first network's outputs and harmonics."""
     first = joined @ field.weights[2]
     np.maximum(first, 0.0, out=first)
@@ -167,7 +167,7 @@ def seen(field: HashField, samples: Samples, left: np.ndarray) -> Seen:
     kept, light = kept[:found], light[:found]
     joined = np.empty((found, SAID + BASIS), np.float32)
     kernels.join(samples.said, kept, counts, samples.basis, joined)
-    return Seen(kept, counts, light, coloured(field, joined))
+    return Seen(kept, counts, light, colored(field, joined))
 
 
 @checked
@@ -258,6 +258,6 @@ def _degree_1(field: HashField, said: np.ndarray) -> np.ndarray:
         basis = np.zeros(BASIS, np.float32)
         harmonics(*axis.tolist(), BASIS, basis)
         direction = np.broadcast_to(basis, (len(said), BASIS))
-        colour = 1.0 / (1.0 + np.exp(-coloured(field, np.concatenate([said, direction], axis=1))[-1]))
-        total += basis[None, :4, None] * (colour - np.float32(0.5))[:, None]
+        color = 1.0 / (1.0 + np.exp(-colored(field, np.concatenate([said, direction], axis=1))[-1]))
+        total += basis[None, :4, None] * (color - np.float32(0.5))[:, None]
     return (total * np.float32(4.0 * np.pi / 6.0)).reshape(len(said), 12)

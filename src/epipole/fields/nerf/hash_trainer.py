@@ -212,20 +212,20 @@ class HashTrainer:
         off = image[:, :3] + left[:, None] * self.background - self._wanted(chosen)
         by_image = np.float32(2.0 / (3 * count)) * off
         behind = left * (by_image @ self.background)
-        by_colours, by_raw = np.empty_like(part.layers[-1]), np.empty(len(part.kept), np.float32)
-        kernels.compose_back(part.layers[-1], part.light, part.counts, behind, by_image, by_colours, by_raw)
-        by_features, by_weights = self._back(samples, part, by_colours, by_raw)
+        by_colors, by_raw = np.empty_like(part.layers[-1]), np.empty(len(part.kept), np.float32)
+        kernels.compose_back(part.layers[-1], part.light, part.counts, behind, by_image, by_colors, by_raw)
+        by_features, by_weights = self._back(samples, part, by_colors, by_raw)
         error = float((off.astype(np.float64) ** 2).sum())
         return Marched(samples.positions[part.kept], by_features, by_weights, error, len(samples.said))
 
     def _back(
-        self, samples: Samples, part: Seen, by_colours: np.ndarray, by_raw: np.ndarray
+        self, samples: Samples, part: Seen, by_colors: np.ndarray, by_raw: np.ndarray
     ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
         """Backpropagation through the layers (Rumelhart, Hinton and Williams, 1986)."""
         w = self.field.weights
         joined, first, second, _ = part.layers
         hidden, features = samples.hidden[part.kept], samples.features[part.kept]
-        by_second = by_colours @ w[4].T
+        by_second = by_colors @ w[4].T
         kernels.limit_change(by_second, second)
         by_first = by_second @ w[3].T
         kernels.limit_change(by_first, first)
@@ -238,7 +238,7 @@ class HashTrainer:
             hidden.T @ by_said,
             joined.T @ by_first,
             first.T @ by_second,
-            second.T @ by_colours,
+            second.T @ by_colors,
         )
         return by_hidden @ w[0].T, by_weights
 

@@ -36,7 +36,7 @@ TOGETHER = 512
 SAMPLES = 96
 """Mean samples per ray for which memory is reserved; rays beyond the capacity are skipped in that step."""
 PLANES_TOGETHER = 4
-DENSITY_RATE, COLOUR_RATE, LAST_RATES = 0.3, 0.015, 0.1
+DENSITY_RATE, COLOR_RATE, LAST_RATES = 0.3, 0.015, 0.1
 
 
 class GridAdam(NamedTuple):
@@ -99,7 +99,7 @@ class VoxelTrainer:
             self._is_refining = True
             self.field.seen[:] = 0
         fallen = LAST_RATES**progress
-        self._adam.rates[:] = fallen * COLOUR_RATE
+        self._adam.rates[:] = fallen * COLOR_RATE
         self._adam.rates[0] = fallen * DENSITY_RATE
         chosen = pixels_to_render(self.rays, RAYS, self._rng)
         first = self._rng.random(RAYS, np.float32)

@@ -88,12 +88,12 @@ def blend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state):
         e = ellipses[pairs_of_tile[at, 0]]
         x, y = e[X] - left, e[Y] - top
         shape = e[XX], e[XY], e[YY], e[PEAK]
-        colour = e[RED], e[GREEN], e[BLUE], e[DEPTH]
+        color = e[RED], e[GREEN], e[BLUE], e[DEPTH]
         blocks = _blocks_of(e, x, y, last_row)
         while blocks:
             block = lowest_bit(blocks)
             blocks &= blocks - 1
-            blend_block(state, block * LANES, x, y, *shape, *colour)
+            blend_block(state, block * LANES, x, y, *shape, *color)
             count += LANES
     return last, count
 
@@ -106,7 +106,7 @@ def position_in_tile(row, column):
 
 
 @kernel
-def blend_tiles(tiles, start, end, colour, depth, coverage, evaluated, state):
+def blend_tiles(tiles, start, end, color, depth, coverage, evaluated, state):
     """Blend tiles start..end into images (h, w, 3), (h, w) and (h, w); state (5 * 256,) is scratch."""
     height, width = coverage.shape
     for tile in range(start, end):
@@ -132,7 +132,7 @@ def blend_tiles(tiles, start, end, colour, depth, coverage, evaluated, state):
                 at, i, j = position_in_tile(row, column), top + row, left + column
                 coverage[i, j] = np.float32(1.0) - state[at]
                 for channel in range(3):
-                    colour[i, j, channel] = state[(1 + channel) * PLANE + at]
+                    color[i, j, channel] = state[(1 + channel) * PLANE + at]
                 depth[i, j] = state[4 * PLANE + at]
 
 
@@ -150,14 +150,14 @@ def blend_tile_backward(ellipses, pairs_of_tile, first, last, left, top, rows, s
         e = ellipses[pairs_of_tile[at, 0]]
         x, y = e[X] - left, e[Y] - top
         shape = e[XX], e[XY], e[YY], e[PEAK]
-        colour = e[RED], e[GREEN], e[BLUE], e[DEPTH]
+        color = e[RED], e[GREEN], e[BLUE], e[DEPTH]
         for k in range(SUMS * LANES):
             sums[k] = np.float32(0.0)
         blocks = _blocks_of(e, x, y, last_row)
         while blocks:
             block = lowest_bit(blocks)
             blocks &= blocks - 1
-            blend_block_backward(state, block * LANES, sums, x, y, *shape, *colour)
+            blend_block_backward(state, block * LANES, sums, x, y, *shape, *color)
         out = by_pair[pairs_of_tile[at, 1]]
         for k in range(SUMS):
             out[k] = sum_of_lanes(sums, k * LANES)
@@ -181,8 +181,8 @@ def blend_tiles_backward(tiles, start, end, wanted, by_pair, state, sums):
                     + wanted.coverage[i, j] * wanted.by_coverage[i, j]
                 )
                 for channel in range(3):
-                    rest += wanted.colour[i, j, channel] * wanted.by_colour[i, j, channel]
-                    state[(2 + channel) * PLANE + at] = wanted.by_colour[i, j, channel]
+                    rest += wanted.color[i, j, channel] * wanted.by_color[i, j, channel]
+                    state[(2 + channel) * PLANE + at] = wanted.by_color[i, j, channel]
                 state[PLANE + at] = rest
                 state[5 * PLANE + at], state[6 * PLANE + at] = wanted.by_depth[i, j], wanted.by_coverage[i, j]
         first, last = tiles.start[tile], tiles.stop[tile]
@@ -204,13 +204,13 @@ def blend_tiles_backward(tiles, start, end, wanted, by_pair, state, sums):
 
 
 @kernel
-def put_over(colour, coverage, background, start, stop, out):
+def put_over(color, coverage, background, start, stop, out):
     """Put rows start..stop of an image (h, w, 3) over a background color."""
     for row in range(start, stop):
         for column in range(coverage.shape[1]):
             behind = np.float32(1.0) - coverage[row, column]
             for k in range(3):
-                out[row, column, k] = colour[row, column, k] + behind * background[k]
+                out[row, column, k] = color[row, column, k] + behind * background[k]
 
 
 @kernel

@@ -129,7 +129,7 @@ def _one(view, cloud, n, gradient, m, by_pose, work):
     by_v = view.focal[1] * by_py - (jv * q_dot if free_v else 0.0)
     gx, gy = by_u / z, by_v / z
     gz = -(by_ju * ju + by_jv * jv + (by_u * x + by_v * y) / z) / z + total[BY_DEPTH]
-    wx, wy, wz = _back_to_colours(view, cloud, n, gradient.sh[m], total, work)
+    wx, wy, wz = _back_to_colors(view, cloud, n, gradient.sh[m], total, work)
     gradient.means[m, 0] = r[0] * gx + r[3] * gy + r[6] * gz + wx
     gradient.means[m, 1] = r[1] * gx + r[4] * gy + r[7] * gz + wy
     gradient.means[m, 2] = r[2] * gx + r[5] * gy + r[8] * gz + wz
@@ -159,7 +159,7 @@ def _by_rotation(r, rows, u, v):
 
 
 @kernel(fuse=True)
-def _back_to_colours(view, cloud, n, by_sh, total, work):
+def _back_to_colors(view, cloud, n, by_sh, total, work):
     """Gradient w.r.t. the SH coefficients, and w.r.t. the mean via the viewing direction."""
     count, basis, by_basis = cloud.sh.shape[1], work.basis, work.by_basis
     dx, dy, dz = (

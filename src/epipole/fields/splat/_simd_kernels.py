@@ -216,12 +216,12 @@ def blend_block_backward(typingctx, state, at, sums, x, y, xx, xy, yy, peak, red
         row = row_of(context, builder, signature.args[0], arguments[0], arguments[1])
         total = row_of(context, builder, signature.args[2], arguments[2], cgutils.intp_t(0))
         dx, dy, eighth, alpha = _written_alpha(builder, arguments[1], *arguments[3:9])
-        colour = [spread(builder, value) for value in arguments[9:13]]
+        color = [spread(builder, value) for value in arguments[9:13]]
         left, wanted = row.get(0), [row.get(k * PLANE) for k in range(2, 7)]
         weight = alpha * left
         row.put(0, left - weight)
         value = wanted[4]
-        for one, by in zip(colour, wanted):
+        for one, by in zip(color, wanted):
             value = one.times_plus(by, value)
         rest = row.get(PLANE) - weight * value
         row.put(PLANE, rest)

@@ -117,16 +117,16 @@ def _by_depth(depths: np.ndarray) -> np.ndarray:
 def blend(tiles: Tiles, view: View) -> Rendering:
     """Blend all tiles front to back."""
     shape = view.height, view.width
-    colour, depth, coverage = (np.empty(size, np.float32) for size in ((*shape, 3), shape, shape))
+    color, depth, coverage = (np.empty(size, np.float32) for size in ((*shape, 3), shape, shape))
     evaluated = np.zeros(len(tiles.stop), np.int64)
     _parallel.map_chunks(
         lambda a, b, _: blend_kernels.blend_tiles(
-            tiles, a, b, colour, depth, coverage, evaluated, np.empty(5 * PLANE, np.float32)
+            tiles, a, b, color, depth, coverage, evaluated, np.empty(5 * PLANE, np.float32)
         ),
         len(tiles.stop),
         -(-len(tiles.stop) // TILES_TOGETHER),
     )
-    return Rendering(colour, depth, coverage, int(evaluated.sum()), tiles)
+    return Rendering(color, depth, coverage, int(evaluated.sum()), tiles)
 
 
 def useful_pairs(rendering: Rendering) -> int:
@@ -144,10 +144,10 @@ def useful_pairs(rendering: Rendering) -> int:
 class Wanted(NamedTuple):
     """A render and the derivatives of a loss w.r.t. it, as the kernels read them."""
 
-    colour: np.ndarray
+    color: np.ndarray
     depth: np.ndarray
     coverage: np.ndarray
-    by_colour: np.ndarray
+    by_color: np.ndarray
     by_depth: np.ndarray
     by_coverage: np.ndarray
 
@@ -170,7 +170,7 @@ def sums_of_pairs(rendering: Rendering, by_image: ImageGradient) -> np.ndarray:
     """Contribution of each ellipse-tile pair to the derivatives of its Gaussian, (pairs, SUMS)."""
     none, tiles = np.zeros_like(rendering.coverage), rendering.record
     wanted = Wanted(
-        rendering.colour,
+        rendering.color,
         rendering.depth,
         rendering.coverage,
         *(none if part is None else np.ascontiguousarray(part) for part in by_image),

@@ -83,7 +83,7 @@ class View(NamedTuple):
 class Rendering(Declared):
     """Render of Gaussians without a background."""
 
-    colour: Float32[np.ndarray, "h w 3"]
+    color: Float32[np.ndarray, "h w 3"]
     """RGB times coverage."""
     depth: Float32[np.ndarray, "h w"]
     """Along the optical axis, times coverage."""
@@ -97,9 +97,9 @@ class Rendering(Declared):
     @checked
     def over(self, background: Float32[np.ndarray, " 3"]) -> Float32[np.ndarray, "h w 3"]:
         """The image over a background color."""
-        out, height = np.empty_like(self.colour), len(self.coverage)
+        out, height = np.empty_like(self.color), len(self.coverage)
         _parallel.map_chunks(
-            lambda a, b, _: put_over(self.colour, self.coverage, background, a, b, out),
+            lambda a, b, _: put_over(self.color, self.coverage, background, a, b, out),
             height,
             -(-height // ROWS_TOGETHER),
         )
@@ -109,7 +109,7 @@ class Rendering(Declared):
 class ImageGradient(NamedTuple):
     """Derivatives of a loss w.r.t. a render; None: zero."""
 
-    colour: np.ndarray
+    color: np.ndarray
     """(h, w, 3)"""
     depth: np.ndarray | None = None
     """(h, w)"""

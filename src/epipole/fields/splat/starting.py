@@ -23,7 +23,7 @@ HALVINGS = 3
 """Number of times that the coarsest cells are halved when silhouettes are carved."""
 PARALLEL = 1e-3
 """Mean squared sine of the angles between optical axes below which they count as parallel."""
-FIRST_OPACITY, NEIGHBOURS = 0.15, 3
+FIRST_OPACITY, NEIGHBORS = 0.15, 3
 NEAREST, FARTHEST = 2.0, 100.0
 """Range of sampled depths, in distances between neighboring cameras; nearer points are seen by one camera only, and
 farther ones hardly move."""
@@ -48,9 +48,9 @@ def cloud_of_points(
         ShapeError: there are fewer than four points, or one is not finite.
     """
     n = len(points_in_world)
-    if n <= NEIGHBOURS or not np.isfinite(points_in_world).all():
-        raise ShapeError(f"{NEIGHBOURS + 1} or more finite points are needed, got {n}")
-    away = cKDTree(points_in_world).query(points_in_world, NEIGHBOURS + 1)[0][:, 1:].mean(axis=1)
+    if n <= NEIGHBORS or not np.isfinite(points_in_world).all():
+        raise ShapeError(f"{NEIGHBORS + 1} or more finite points are needed, got {n}")
+    away = cKDTree(points_in_world).query(points_in_world, NEIGHBORS + 1)[0][:, 1:].mean(axis=1)
     away = np.clip(away, np.median(away) * 1e-2 + 1e-12, np.quantile(away, 0.99) + 1e-12)
     return GaussianCloud(
         points_in_world.astype(np.float32),
@@ -86,7 +86,7 @@ def points_in_frusta(
             "all cameras have the same position, so the distance of the scene is unknown"
         )
     apart, rng = float(np.median(between[between > 0])), np.random.default_rng([24, seed])
-    points, colours = [], []
+    points, colors = [], []
     for view in views:
         used = np.ones(view.image.shape[:2], bool) if view.used_mask is None else view.used_mask
         if view.image.shape[2] == 4:
@@ -97,10 +97,10 @@ def points_in_frusta(
         depth = apart / rng.uniform(1.0 / FARTHEST, 1.0 / NEAREST, len(row))
         rays = view.camera.unproject(np.stack([column, row], axis=1).astype(np.float64))
         points.append(view.cam_from_world.inverse().apply(rays / rays[:, 2:] * depth[:, None]))
-        colours.append(view.image[row, column, :3])
+        colors.append(view.image[row, column, :3])
     if not any(len(part) for part in points):
         raise DegenerateGeometryError("all pixels of all images are transparent or masked")
-    return np.concatenate(points)[:count], np.concatenate(colours)[:count]
+    return np.concatenate(points)[:count], np.concatenate(colors)[:count]
 
 
 @checked
@@ -126,14 +126,14 @@ def points_in_silhouettes(
     size = radius * np.cbrt(rng.uniform(size=(len(samples), 1)))
     points = middle + size * samples / np.linalg.norm(samples, axis=1, keepdims=True)
     step = max(1, len(views) // MOST_VIEWS)
-    colour, seen, kept = np.zeros((len(points), 3)), np.zeros(len(points)), np.ones(len(points), bool)
+    color, seen, kept = np.zeros((len(points), 3)), np.zeros(len(points)), np.ones(len(points), bool)
     for view in views[::step]:
         pixels = view.camera.project(view.cam_from_world.apply(points))
         inside = np.isfinite(pixels).all(axis=1)
         at = np.rint(np.where(inside[:, None], pixels, -1)).astype(int)
         inside &= (at >= 0).all(axis=1) & (at[:, 0] < view.camera.width) & (at[:, 1] < view.camera.height)
         rows, columns = at[inside, 1], at[inside, 0]
-        colour[inside] += view.image[rows, columns, :3]
+        color[inside] += view.image[rows, columns, :3]
         seen[inside] += 1
         if view.image.shape[2] == 4:
             kept[inside] &= view.image[rows, columns, 3] > 0
@@ -143,7 +143,7 @@ def points_in_silhouettes(
             "the views of these cameras do not overlap: do their axes have the convention of the format?"
         )
     chosen = np.flatnonzero(kept)[:count]
-    return points[chosen], np.rint(colour[chosen] / seen[chosen, None]).astype(np.uint8)
+    return points[chosen], np.rint(color[chosen] / seen[chosen, None]).astype(np.uint8)
 
 
 @checked

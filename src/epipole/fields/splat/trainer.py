@@ -257,13 +257,13 @@ class SplatTrainer:
         of = self._view(number, factor)
         view = view_of(of.camera, of.cam_from_world, self.options)
         rendered = render_view(self._arrays, view, self._shown(progress))
-        loss, by_colour, by_coverage = self._compare(number, of, rendered, progress)
+        loss, by_color, by_coverage = self._compare(number, of, rendered, progress)
         depths = depth_loss(rendered, self._known(number, factor), self.config.depth_weight)
         found = backward(
             self._arrays,
             view,
             rendered,
-            ImageGradient(by_colour, depths.by_depth, by_coverage + depths.by_coverage),
+            ImageGradient(by_color, depths.by_depth, by_coverage + depths.by_coverage),
             self._gradient,
         )
         self._gradient = found.cloud
@@ -291,11 +291,11 @@ class SplatTrainer:
             return found.loss, *exposures.learn(number, rendered, behind, by_seen, progress)
         return found.loss, by_seen, -(by_seen @ behind) if behind.any() else np.zeros_like(rendered.coverage)
 
-    def _take(self, colours: np.ndarray) -> None:
+    def _take(self, colors: np.ndarray) -> None:
         """Apply a color transform [A b] to the Gaussians: 1/2 + DC sh_0 + ... becomes A (1/2 + DC sh_0 + ...) + b."""
-        rotation, sh = colours[:, :3], self._arrays.sh
+        rotation, sh = colors[:, :3], self._arrays.sh
         sh[:] = sh @ rotation.T
-        sh[:, 0] += (rotation.sum(axis=1) / 2 - 0.5 + colours[:, 3]) / np.float32(DC)
+        sh[:, 0] += (rotation.sum(axis=1) / 2 - 0.5 + colors[:, 3]) / np.float32(DC)
 
     def _next_view(self) -> int:
         """Next view; each epoch has a new random order."""

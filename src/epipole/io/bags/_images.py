@@ -15,9 +15,9 @@ from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.calibration.coefficients import camera_of_coefficients, require_plain
 from epipole.io.calibration.model_names import named_model, refuse_binning, require_coefficients
-from epipole.io.images.deep_pixels import GreyScale, scale_of
+from epipole.io.images.deep_pixels import GrayScale, scale_of
 from epipole.io.images.depth_maps import png16_in
-from epipole.io.images.pixels import decode_bytes, deep_grey
+from epipole.io.images.pixels import decode_bytes, deep_gray
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO, IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Imu"
@@ -26,8 +26,8 @@ _MOST_PX = 1 << 28
 _DEPTH_HEADER = struct.Struct("<iff")
 """Header of compressed_depth_image_transport: the kind, and two quantization parameters."""
 
-# Channels, and OpenCV's conversion to grey. OpenCV names Bayer patterns by their second row, ROS by the first.
-_TO_GREY: dict[str, tuple[int, int | None]] = {
+# Channels, and OpenCV's conversion to gray. OpenCV names Bayer patterns by their second row, ROS by the first.
+_TO_GRAY: dict[str, tuple[int, int | None]] = {
     **dict.fromkeys(("mono8", "8UC1"), (1, None)),
     **dict.fromkeys(("bgr8", "8UC3"), (3, cv2.COLOR_BGR2GRAY)),
     "rgb8": (3, cv2.COLOR_RGB2GRAY),
@@ -55,19 +55,19 @@ def _require_image(path: Path, topic: str, message: Any) -> None:
 
 
 def is_depth(topic: str, encoding: str) -> bool:
-    """Whether images with this encoding are depth; 16-bit images may also be grey."""
+    """Whether images with this encoding are depth; 16-bit images may also be gray."""
     if "compresseddepth" in encoding.lower() or "32FC1" in encoding:
         return True
     return encoding.split(";")[0].strip() in _DEPTHS and ("16UC1" in encoding or "depth" in topic.lower())
 
 
-def values_per_metre(encoding: str) -> float:
-    """Depth values per metre according to REP 118: 16-bit integers are millimetres, floats are metres."""
+def values_per_meter(encoding: str) -> float:
+    """Depth values per meter according to REP 118: 16-bit integers are millimeters, floats are meters."""
     return 1.0 if "32FC1" in encoding else _MM
 
 
-def grey_of(path: Path, topic: str, message: Any, scale: GreyScale | None = None) -> UInt8[np.ndarray, "h w"]:
-    """Decode the image of a message to 8-bit grey.
+def gray_of(path: Path, topic: str, message: Any, scale: GrayScale | None = None) -> UInt8[np.ndarray, "h w"]:
+    """Decode the image of a message to 8-bit gray.
 
     Args:
         path: the recording, for error messages.
@@ -83,31 +83,31 @@ def grey_of(path: Path, topic: str, message: Any, scale: GreyScale | None = None
         return _decompressed(path, topic, message, scale)
     encoding = str(message.encoding)
     is_deep, plain = _as_8_bits(encoding)
-    if plain not in _TO_GREY:
+    if plain not in _TO_GRAY:
         raise FileFormatError(path, f"{topic}: the image encoding {encoding[:60]!r} is not supported")
-    channels, conversion = _TO_GREY[plain]
+    channels, conversion = _TO_GRAY[plain]
     pixels = _values(path, topic, message, channels, "u2" if is_deep else "u1")
     if is_deep:
         pixels = (scale_of([pixels]) if scale is None else scale).apply(pixels)
     return _converted(path, topic, pixels, conversion)
 
 
-def grey_scale(path: Path, topic: str, messages: Sequence[Any]) -> GreyScale | None:
+def gray_scale(path: Path, topic: str, messages: Sequence[Any]) -> GrayScale | None:
     """Conversion of a topic's images to 8 bits, determined from some of them; None if they have 8 bits.
 
     Raises:
-        FileFormatError: as in `grey_of`.
+        FileFormatError: as in `gray_of`.
     """
     deep = []
     for message in messages:
         _require_image(path, topic, message)
         if not hasattr(message, "encoding"):
-            values = deep_grey(path, bytes(message.data))
+            values = deep_gray(path, bytes(message.data))
         else:
             is_deep, plain = _as_8_bits(str(message.encoding))
-            if not is_deep or plain not in _TO_GREY:
+            if not is_deep or plain not in _TO_GRAY:
                 return None
-            values = _values(path, topic, message, _TO_GREY[plain][0], "u2")
+            values = _values(path, topic, message, _TO_GRAY[plain][0], "u2")
         if values is None:
             return None
         deep.append(values)
@@ -121,16 +121,16 @@ def _as_8_bits(encoding: str) -> tuple[bool, str]:
     return encoding.startswith("16UC"), encoding.replace("16UC", "8UC")
 
 
-def _decompressed(path: Path, topic: str, message: Any, scale: GreyScale | None) -> UInt8[np.ndarray, "h w"]:
+def _decompressed(path: Path, topic: str, message: Any, scale: GrayScale | None) -> UInt8[np.ndarray, "h w"]:
     """Decode `FORMAT; jpeg compressed FORMAT` (image_transport); the compressed image may be a raw Bayer mosaic."""
-    grey = decode_bytes(path, bytes(message.data), True, None, None if scale is None else scale.range)
+    gray = decode_bytes(path, bytes(message.data), True, None, None if scale is None else scale.range)
     words = str(message.format).replace(";", " ").split()
     _, plain = _as_8_bits(words[3 if len(words) > 3 else 0] if words else "")
     if not plain.startswith("bayer_"):
-        return grey
-    if plain not in _TO_GREY:
+        return gray
+    if plain not in _TO_GRAY:
         raise FileFormatError(path, f"{topic}: the image encoding {plain[:60]!r} is not supported")
-    return _converted(path, topic, grey[:, :, None], _TO_GREY[plain][1])
+    return _converted(path, topic, gray[:, :, None], _TO_GRAY[plain][1])
 
 
 def _converted(
@@ -142,11 +142,11 @@ def _converted(
         flat = np.ascontiguousarray(pixels if pixels.shape[2] > 1 else pixels[:, :, 0])
         return np.asarray(cv2.cvtColor(flat, conversion), np.uint8)
     except cv2.error as error:  # Bayer and YUV images need at least two pixels per side
-        raise FileFormatError(path, f"{topic}: the image cannot be made grey ({error.err})") from error
+        raise FileFormatError(path, f"{topic}: the image cannot be made gray ({error.err})") from error
 
 
 def depth_of(path: Path, topic: str, message: Any) -> Float32[np.ndarray, "h w"]:
-    """Decode depth in metres along the optical axis (REP 118: integers are millimetres, floats metres); 0 if unknown.
+    """Decode depth in meters along the optical axis (REP 118: integers are millimeters, floats meters); 0 if unknown.
 
     Raises:
         FileFormatError: the message is inconsistent, or not a depth image.
@@ -154,16 +154,16 @@ def depth_of(path: Path, topic: str, message: Any) -> Float32[np.ndarray, "h w"]
     _require_image(path, topic, message)
     encoding = encoding_of(message)
     if not hasattr(message, "encoding"):
-        metres = _compressed_depth(path, topic, bytes(message.data), encoding)
+        meters = _compressed_depth(path, topic, bytes(message.data), encoding)
     elif encoding in _DEPTHS:
         kind = _DEPTHS[encoding]
-        metres = _values(path, topic, message, 1, kind)[:, :, 0].astype(np.float32)
+        meters = _values(path, topic, message, 1, kind)[:, :, 0].astype(np.float32)
         if kind == "u2":
-            metres = np.where(metres == 65535, 0.0, metres / np.float32(_MM))
+            meters = np.where(meters == 65535, 0.0, meters / np.float32(_MM))
     else:
         raise FileFormatError(path, f"{topic}: images with the encoding {encoding[:60]!r} are not depth")
-    is_known = np.isfinite(metres) & (metres > 0)
-    return np.where(is_known, metres, 0.0).astype(np.float32)
+    is_known = np.isfinite(meters) & (meters > 0)
+    return np.where(is_known, meters, 0.0).astype(np.float32)
 
 
 def camera_of(path: Path, message: Any, *, is_rectified: bool) -> Camera | None:

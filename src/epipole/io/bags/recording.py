@@ -33,7 +33,7 @@ from epipole.io.bags._topics import (
     is_rectified,
     listed_topics,
 )
-from epipole.io.images.deep_pixels import GreyScale
+from epipole.io.images.deep_pixels import GrayScale
 from epipole.io.images.pixels import MOST_SAMPLED
 from epipole.io.sequences.imu_units import check_imu_units
 from epipole.scene import StereoRig
@@ -69,10 +69,10 @@ class BagSequence:
     depth_from_color: Rigid3 | None = None
     """None if depth is registered to the images, or the depth camera's pose is unknown."""
     warnings: tuple[str, ...] = ()
-    scales: tuple[GreyScale | None, ...] = ()
+    scales: tuple[GrayScale | None, ...] = ()
     """Conversion of 16-bit images to 8 bits by topic, common to all its images."""
     depth_values_per_m: float | None = None
-    """Stored depth values per metre, from the encoding (REP 118); None without depth."""
+    """Stored depth values per meter, from the encoding (REP 118); None without depth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,10 +80,10 @@ class BagFrame:
     """One frame; images are decoded on access, and raise FileFormatError if damaged."""
 
     timestamp_s: float
-    grey: Callable[[], UInt8[np.ndarray, "h w"]]
-    right_grey: Callable[[], UInt8[np.ndarray, "h w"]] | None = None
+    gray: Callable[[], UInt8[np.ndarray, "h w"]]
+    right_gray: Callable[[], UInt8[np.ndarray, "h w"]] | None = None
     depth: Callable[[], Float32[np.ndarray, "h2 w2"]] | None = None
-    """Metres; 0 if unknown."""
+    """Meters; 0 if unknown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,7 +150,7 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
         return BagSequence(path, found, names, count, size, camera, warnings=tuple(warnings), scales=scales)
     warnings += _unregistered(names[1], infos[0], infos[1])
     depth_camera = None if infos[1] is None else infos[1].camera
-    per_m = images.values_per_metre(images.encoding_of(firsts[1]))
+    per_m = images.values_per_meter(images.encoding_of(firsts[1]))
     return BagSequence(
         path,
         found,
@@ -179,14 +179,14 @@ def bag_frames(bag: BagSequence) -> Iterator[BagFrame]:
         rows = ((bag.topics.index(m.topic), *_stamped(opened, m)) for m in opened.messages(bag.topics))
         if bag.sensor == "mono":
             for _, time_s, content in rows:
-                yield BagFrame(time_s, _grey(bag, 0, content))
+                yield BagFrame(time_s, _gray(bag, 0, content))
             return
         tolerance = PAIR_TOLERANCE_S if bag.sensor == "stereo" else DEPTH_TOLERANCE_S
         for time_s, first, second in paired(rows, tolerance):
             if bag.sensor == "stereo":
-                yield BagFrame(time_s, _grey(bag, 0, first), _grey(bag, 1, second))
+                yield BagFrame(time_s, _gray(bag, 0, first), _gray(bag, 1, second))
             else:
-                yield BagFrame(time_s, _grey(bag, 0, first), None, _depth(bag, second))
+                yield BagFrame(time_s, _gray(bag, 0, first), None, _depth(bag, second))
 
 
 @checked
@@ -252,18 +252,18 @@ def _first(bag: OpenBag, topic: str) -> Any:
     raise problem
 
 
-def _scale(bag: OpenBag, topic: str) -> GreyScale | None:
+def _scale(bag: OpenBag, topic: str) -> GrayScale | None:
     contents: list[Any] = []
     for message in islice(bag.messages([topic]), MOST_SAMPLED):
         with suppress(FileFormatError):
             contents.append(bag.content(message))
     with suppress(FileFormatError):  # raised again when the image is read
-        return images.grey_scale(bag.path, topic, contents)
+        return images.gray_scale(bag.path, topic, contents)
     return None
 
 
 def _size_of(path: Path, topic: str, message: Any) -> tuple[int, int]:
-    height, width = images.grey_of(path, topic, message).shape
+    height, width = images.gray_of(path, topic, message).shape
     return width, height
 
 
@@ -332,12 +332,12 @@ def _stamp_s(content: Any, message: BagMessage) -> float:
     return (ns or message.recorded_ns) * 1e-9
 
 
-def _grey(bag: BagSequence, row: int, content: Any) -> Callable[[], np.ndarray]:
+def _gray(bag: BagSequence, row: int, content: Any) -> Callable[[], np.ndarray]:
     def read() -> np.ndarray:
         if isinstance(content, FileFormatError):
             raise content
         scale = bag.scales[row] if row < len(bag.scales) else None
-        return images.grey_of(bag.path, bag.topics[row], content, scale)
+        return images.gray_of(bag.path, bag.topics[row], content, scale)
 
     return read
 

@@ -104,7 +104,7 @@ def kitti_cameras(
 def middlebury_cameras(
     path: Path, content: Mapping[str, Any], size: tuple[int, int] | None
 ) -> tuple[tuple[Camera, ...], Rigid3]:
-    """cam0, cam1 and the baseline in millimetres, which then are the unit of depth."""
+    """cam0, cam1 and the baseline in millimeters, which then are the unit of depth."""
     if "width" in content and "height" in content:
         size = size_of(path, *(numbers_of(path, content, key, 1)[0] for key in ("width", "height")))
     if size is None:

@@ -18,11 +18,11 @@ _SEVEN_SCENES_FOCAL_PX = 525.505
 _SEVEN_SCENES_DEPTH_FOCAL_PX = 585.0
 """Focal length of the depth sensor, as published with the dataset; its principal point is (320, 240)."""
 _DEPTH_FROM_COLOR = np.array([0.0386, -0.0052, -0.0033, -0.0059, -0.0076, -0.0029])
-"""Translation in metres and rotation in radians. The dataset publishes neither the depth sensor's extrinsics nor the
+"""Translation in meters and rotation in radians. The dataset publishes neither the depth sensor's extrinsics nor the
 color camera's focal length: these values, and the scale below, come from aligning RedKitchen's depth with points
 triangulated by structure from motion."""
 SEVEN_SCENES_DEPTH_SCALE = 1000.0 * 1.0051
-"""Stored values per metre: millimetres, corrected by the same alignment."""
+"""Stored values per meter: millimeters, corrected by the same alignment."""
 
 
 def tum_camera(folder_name: str) -> tuple[str, Camera] | None:

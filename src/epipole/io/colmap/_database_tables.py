@@ -112,7 +112,7 @@ class DatabaseContents(Declared):
     view_graph: ViewGraph | None = None
     """Verified pairs."""
     gps_lat_lon_alt: Float64[np.ndarray, "n 3"] | None = None
-    """For each image latitude and longitude in degrees and altitude in metres (WGS84); NaN where unknown."""
+    """For each image latitude and longitude in degrees and altitude in meters (WGS84); NaN where unknown."""
 
     def __post_init__(self) -> None:
         """Check the consistency of the rows.

@@ -71,6 +71,8 @@ def read_database(path: str | Path) -> DatabaseContents:
     except FileFormatError:
         raise
     except sqlite3.Error as error:
-        raise FileFormatError(path, f"not a readable database: {error}") from error
+        raise FileFormatError(
+            path, f"not a readable database: {error}; check that this is COLMAP's database.db"
+        ) from error
     except (TypeError, ValueError, OverflowError) as error:
         raise FileFormatError(path, f"a cell has an invalid value: {error}") from error

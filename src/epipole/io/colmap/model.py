@@ -36,6 +36,7 @@ from epipole.io.colmap.cameras import HALF_PIXEL
 from epipole.io.colmap.cameras import params_from_colmap as params_from_colmap
 from epipole.io.colmap.cameras import params_to_colmap as params_to_colmap
 from epipole.io.contents_in_words import results_of, with_what_it_is
+from epipole.io.files import missing_in_words
 from epipole.io.images.formats import FORMAT_OF_SUFFIX
 from epipole.scene import Reconstruction, Rigs
 
@@ -74,7 +75,10 @@ def read_colmap_model(folder: str | Path) -> Reconstruction:
         return reconstruction_of(read_binary(folder), folder, "bin")
     if (folder / "cameras.txt").is_file():
         return reconstruction_of(read_text(folder), folder, "txt")
-    raise FileFormatError(folder, "no COLMAP model here (neither cameras.bin nor cameras.txt)")
+    raise FileFormatError(
+        folder,
+        "no COLMAP model here (neither cameras.bin nor cameras.txt); pass the folder with these files, such as OUT/sparse/0",
+    )
 
 
 @checked
@@ -201,7 +205,7 @@ def find_model(path: str | Path) -> Path:
         if (folder / "cameras.bin").is_file() or (folder / "cameras.txt").is_file():
             return folder
     if not path.exists():
-        raise FileFormatError(path, "it does not exist")
+        raise FileFormatError(path, missing_in_words(path))
     images = any(p.suffix.lower() in FORMAT_OF_SUFFIX for at in (path, path / "images") for p in at.glob("*"))
     advice = "`epipole reconstruct` makes a model from images" if images and not results_of(path) else ""
     problem = "it contains no model (no cameras.bin or cameras.txt, nor sparse/0)"

@@ -30,7 +30,7 @@ _RANGES = tuple(
     for mark, axes in (("", "xyz"), ("scale_", "xyz"), ("", "rgb"))
 )
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
-_BITS_OF_THREE, _BITS_OF_COLOUR = (11, 10, 11), (8, 8, 8, 8)
+_BITS_OF_THREE, _BITS_OF_COLOR = (11, 10, 11), (8, 8, 8, 8)
 _MOST_LOG_SCALE = 20.0
 _SH_RANGE = 8.0
 _MOST_HEADER = 1 << 16
@@ -64,12 +64,12 @@ def read_compressed_ply(path: str | Path) -> GaussianCloud:
         lows, highs = (np.stack([_column(path, chunks, n) for n in names[k : k + 3]], axis=1) for k in (0, 3))
         return lows[chunk] + fractions * (highs - lows)[chunk].astype(np.float64)
 
-    position, scale, colour = _RANGES
+    position, scale, color = _RANGES
     means = within("packed_position", _BITS_OF_THREE, position)
     log_scales = within("packed_scale", _BITS_OF_THREE, scale)
-    rgba = _unpacked(_column(path, vertices, "packed_color"), _BITS_OF_COLOUR)
-    has_ranges = all(name in (chunks.dtype.names or ()) for name in colour)
-    rgb = within("packed_color", _BITS_OF_COLOUR, colour) if has_ranges else rgba[:, :3]
+    rgba = _unpacked(_column(path, vertices, "packed_color"), _BITS_OF_COLOR)
+    has_ranges = all(name in (chunks.dtype.names or ()) for name in color)
+    rgb = within("packed_color", _BITS_OF_COLOR, color) if has_ranges else rgba[:, :3]
     with np.errstate(divide="ignore"):
         logits = np.log(rgba[:, 3]) - np.log1p(-rgba[:, 3])
     sh = np.concatenate(
@@ -89,11 +89,11 @@ def write_compressed_ply(path: str | Path, cloud: GaussianCloud) -> None:
     cloud = cloud.rows(np.argsort(morton_codes(cloud.means_in_world), kind="stable"))
     n, higher = len(cloud), cloud.sh.shape[1] - 1
     starts = np.arange(0, n, CHUNK)
-    colours = 0.5 + DC * cloud.sh[:, 0].astype(np.float64)
+    colors = 0.5 + DC * cloud.sh[:, 0].astype(np.float64)
     log_scales = np.clip(cloud.log_scales.astype(np.float64), -_MOST_LOG_SCALE, _MOST_LOG_SCALE)
     opacity = 1.0 / (1.0 + np.exp(-cloud.opacity_logits.astype(np.float64)))
     chunks, fractions = [], []
-    for values in (cloud.means_in_world.astype(np.float64), log_scales, colours):
+    for values in (cloud.means_in_world.astype(np.float64), log_scales, colors):
         lows, highs = (of.reduceat(values, starts, axis=0) for of in (np.minimum, np.maximum))
         lows, highs = lows.astype("<f4"), highs.astype("<f4")
         chunks += [lows, highs]
@@ -104,7 +104,7 @@ def write_compressed_ply(path: str | Path, cloud: GaussianCloud) -> None:
         _packed(fractions[0], _BITS_OF_THREE),
         _packed_rotations(cloud.quats_wxyz),
         _packed(fractions[1], _BITS_OF_THREE),
-        _packed(np.column_stack([fractions[2], opacity]), _BITS_OF_COLOUR),
+        _packed(np.column_stack([fractions[2], opacity]), _BITS_OF_COLOR),
     ]
     above = np.floor((cloud.sh[:, 1:].transpose(0, 2, 1) / _SH_RANGE + 0.5) * 256.0)
     harmonics = np.clip(above, 0, 255).astype(np.uint8).reshape(n, 3 * higher)

@@ -129,10 +129,10 @@ def _write_splat(path: Path, cloud: GaussianCloud) -> None:
     size = np.exp(cloud.log_scales.astype(np.float64))
     order = np.argsort(-opacity * size.prod(axis=1), kind="stable")
     quats = cloud.quats_wxyz / np.linalg.norm(cloud.quats_wxyz, axis=1, keepdims=True)
-    colour = np.concatenate([0.5 + DC * cloud.sh[:, 0], opacity[:, None]], axis=1)
+    color = np.concatenate([0.5 + DC * cloud.sh[:, 0], opacity[:, None]], axis=1)
     rows = np.empty(len(cloud), _SPLAT)
     rows["mean"], rows["scale"] = cloud.means_in_world[order], size[order]
-    rows["rgba"] = np.clip(np.rint(255.0 * colour[order]), 0, 255)
+    rows["rgba"] = np.clip(np.rint(255.0 * color[order]), 0, 255)
     rows["quat"] = np.clip(np.rint(128.0 * quats[order] + 128.0), 0, 255)
     with atomic_write(path) as part:
         part.write_bytes(rows.tobytes())

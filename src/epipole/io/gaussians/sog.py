@@ -61,8 +61,8 @@ def read_sog(path: str | Path) -> GaussianCloud:
 
     means = _means(path, meta["means"], pixels("means"), pixels("means", 1))
     scales, base = (pixels(part) for part in ("scales", "sh0"))
-    colours = _table(path, meta, "sh0", 4)
-    sh = colours[base, np.arange(4)][:, None, :3]
+    colors = _table(path, meta, "sh0", 4)
+    sh = colors[base, np.arange(4)][:, None, :3]
     if meta.get("shN"):
         name = meta["shN"]["files"][0]
         palette = _palette(path, meta, decoded(path, name, images[name], PALETTE * 15))
@@ -70,7 +70,7 @@ def read_sog(path: str | Path) -> GaussianCloud:
     log_scales = _table(path, meta, "scales", 3)[scales[:, :3], np.arange(3)]
     quats = _quats(path, pixels("quats"))
     origin = numbers_of(path, meta, ORIGIN, 3) if ORIGIN in meta else None
-    return finite_gaussians(path, (means, log_scales, quats, colours[base[:, 3], 3], sh), origin)
+    return finite_gaussians(path, (means, log_scales, quats, colors[base[:, 3], 3], sh), origin)
 
 
 def _table(path: Path, meta: Mapping[str, Any], part: str, channels: int) -> np.ndarray:
@@ -167,14 +167,14 @@ def write_sog(path: str | Path, cloud: GaussianCloud) -> None:
     codes = np.rint(65535.0 / np.maximum(highs - lows, 1e-30) * (logs - lows)).astype(np.uint32)
     order = np.argsort(interleaved(codes), kind="stable")
     cloud, codes = cloud.rows(order), codes[order]
-    scales, colours = codebook_of(cloud.log_scales, _LARGE_COUNT), codebook_of(cloud.sh[:, 0])
+    scales, colors = codebook_of(cloud.log_scales, _LARGE_COUNT), codebook_of(cloud.sh[:, 0])
     images = {
         "means_l.webp": _rows_of_pixels(codes & 255),
         "means_u.webp": _rows_of_pixels(codes >> 8),
         "scales.webp": _rows_of_pixels(codes_of(cloud.log_scales, scales)),
         "quats.webp": _rows_of_pixels(_smallest_three(cloud.quats_wxyz)),
         "sh0.webp": _rows_of_pixels(
-            np.c_[codes_of(cloud.sh[:, 0], colours), np.rint(255.0 * _opacity(cloud))]
+            np.c_[codes_of(cloud.sh[:, 0], colors), np.rint(255.0 * _opacity(cloud))]
         ),
     }
     meta: dict[str, Any] = {
@@ -184,7 +184,7 @@ def write_sog(path: str | Path, cloud: GaussianCloud) -> None:
         "means": {"mins": lows.tolist(), "maxs": highs.tolist(), "files": ["means_l.webp", "means_u.webp"]},
         "scales": {"codebook": scales.tolist(), "files": ["scales.webp"]},
         "quats": {"files": ["quats.webp"]},
-        "sh0": {"codebook": colours.tolist(), "files": ["sh0.webp"]},
+        "sh0": {"codebook": colors.tolist(), "files": ["sh0.webp"]},
     }
     if cloud.origin_in_world.any():
         meta[ORIGIN] = cloud.origin_in_world.tolist()

@@ -36,7 +36,7 @@ _SMALL_BYTES = 1 << 24
 _SPARE_BYTES = 1 << 16
 """Space for extensions that may follow the Gaussians."""
 _LARGEST_FIXED = (1 << 23) - 1
-_COLOUR_STEPS = 0.15 * 255.0
+_COLOR_STEPS = 0.15 * 255.0
 _SMALLEST_PART = (1 << 9) - 1
 _BY_PI = np.array([1, -1, -1], np.float32)
 _BY_PI_WXYZ = np.array([1, 1, -1, -1], np.float32)
@@ -65,13 +65,13 @@ def read_spz(path: str | Path) -> GaussianCloud:
 
     means = _positions(take(6 if version == 1 else 9), version, bits)
     opacity = take(1)[:, 0] / 255.0
-    colours = (take(3).astype(np.float32) - 127.5) / np.float32(_COLOUR_STEPS)
+    colors = (take(3).astype(np.float32) - 127.5) / np.float32(_COLOR_STEPS)
     log_scales = take(3).astype(np.float32) / 16.0 - 10.0
     quats = _first_three(take(3)) if version < 3 else _smallest_three(take(4))
     above = (take(3 * higher).astype(np.float32).reshape(count, higher, 3) - 128.0) / 128.0
     with np.errstate(divide="ignore"):
         logits = np.log(opacity) - np.log1p(-opacity)
-    sh = np.concatenate([colours[:, None], above], axis=1)
+    sh = np.concatenate([colors[:, None], above], axis=1)
     return _rotated_by_pi(finite_gaussians(path, (means, log_scales, quats, logits, sh)))
 
 
@@ -95,7 +95,7 @@ def write_spz(path: str | Path, cloud: GaussianCloud) -> None:
     parts = [
         fixed.view(np.uint8).reshape(len(cloud), 3, 4)[..., :3],
         _bytes(255.0 * opacity),
-        _bytes(_COLOUR_STEPS * cloud.sh[:, 0] + 127.5),
+        _bytes(_COLOR_STEPS * cloud.sh[:, 0] + 127.5),
         _bytes(16.0 * (cloud.log_scales + 10.0)),
         _packed_rotations(cloud.quats_wxyz),
         _bytes(128.0 * cloud.sh[:, 1:] + 128.0),
@@ -134,7 +134,7 @@ def _check_head(path: Path, head: tuple, versions: tuple[int, ...], num_bytes: i
     """
     magic, version, count, degree, bits = head[:5]
     if magic != _MAGIC:
-        raise FileFormatError(path, "not an SPZ file")
+        raise FileFormatError(path, "not an SPZ file; export or copy it again")
     if version not in versions:
         raise FileFormatError(path, f"unsupported SPZ version {version} (not 1 to 4)")
     if count > MOST_GAUSSIANS:
@@ -153,13 +153,13 @@ def _sections(path: Path, data: bytes) -> tuple[tuple, bytes]:
     try:
         start = unpack.decompress(data, _HEAD.size)
         if len(start) < _HEAD.size:
-            raise FileFormatError(path, "not an SPZ file")
+            raise FileFormatError(path, "not an SPZ file; export or copy it again")
         head = _HEAD.unpack(start)
         _check_head(path, head, (1, 2, 3), len(data))
         size = head[2] * sum(_section_sizes(head[1], head[3]))
         found = unpack.decompress(unpack.unconsumed_tail, size + _SPARE_BYTES)
     except (zlib.error, MemoryError) as error:
-        raise FileFormatError(path, f"not an SPZ file ({error})") from error
+        raise FileFormatError(path, f"not an SPZ file ({error}); export or copy it again") from error
     if len(found) < size:
         raise FileFormatError(path, f"damaged SPZ file: only {len(found)} of {size} bytes are present")
     if len(found) >= size + _SPARE_BYTES:

@@ -50,7 +50,7 @@ def read_pfm(path: str | Path) -> Float32[np.ndarray, "h w"]:
         kind, (width, height), scale = parts[0].strip(), map(int, parts[1].split()), float(parts[2])
         data = parts[3]
     except (IndexError, ValueError) as error:
-        raise FileFormatError(path, "it has no valid PFM header") from error
+        raise FileFormatError(path, "it has no valid PFM header; export or copy it again") from error
     if kind != b"Pf":
         raise FileFormatError(path, f"it starts with {kind[:8]!r}; a one-channel PFM starts with 'Pf'")
     if min(width, height) < 1 or width * height > _MOST_PIXELS or not (np.isfinite(scale) and scale):
@@ -114,7 +114,7 @@ def png16_in(path: Path, data: bytes, scale: float = PNG_SCALE) -> Float32[np.nd
 
 
 def _is_png16(data: bytes) -> bool:
-    """Whether the header is that of a 16-bit grey PNG with a plausible size (PNG 1.2, 4.1.1).
+    """Whether the header is that of a 16-bit gray PNG with a plausible size (PNG 1.2, 4.1.1).
 
     Deflate compresses by a factor of at most 1032, so a header that claims more pixels is wrong, and the file is not
     decoded.

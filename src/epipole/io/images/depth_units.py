@@ -51,23 +51,23 @@ def decide_unit(values: np.ndarray, proposed: float, proposer: str) -> DepthUnit
 
     Args:
         values: stored values of some images.
-        proposed: stored values per metre.
+        proposed: stored values per meter.
         proposer: source of the proposal, for messages.
     """
     other = MM_VALUES_PER_M if proposed == TUM_VALUES_PER_M else TUM_VALUES_PER_M
-    if not len(values) or (proposed == TUM_VALUES_PER_M and _are_scaled_millimetres(values)):
+    if not len(values) or (proposed == TUM_VALUES_PER_M and _are_scaled_millimeters(values)):
         return DepthUnit(proposed, proposer)
     fits, other_fits = (is_plausible(values, unit) for unit in (proposed, other))
-    # Sensors write millimetres, and only TUM's tools use another unit: if both fit, millimetres need no confirmation.
+    # Sensors write millimeters, and only TUM's tools use another unit: if both fit, millimeters need no confirmation.
     if fits and other_fits and proposed == TUM_VALUES_PER_M:
         words = (
-            f"depth is read with {proposed:g} values per metre ({proposer}), but {other:g} would also give plausible distances "
+            f"depth is read with {proposed:g} values per meter ({proposer}), but {other:g} would also give plausible distances "
             f"({_range(values, proposed)} or {_range(values, other)}): pass --depth-scale to confirm or change it"
         )
         return DepthUnit(proposed, f"{proposer}; {other:g} is also possible", (words,))
     if other_fits and not fits:
         words = (
-            f"depth is read with {other:g} values per metre: with {proposed:g} ({proposer}) it would range over "
+            f"depth is read with {other:g} values per meter: with {proposed:g} ({proposer}) it would range over "
             f"{_range(values, proposed)}, with {other:g} over {_range(values, other)}. If that is wrong, pass --depth-scale"
         )
         return DepthUnit(other, f"the stored values, overriding {proposer} ({proposed:g})", (words,))
@@ -82,8 +82,8 @@ def is_plausible(values: np.ndarray, values_per_m: float) -> bool:
     return bool(near >= _NEAREST_M and middle >= _MEDIAN_M and far <= _FARTHEST_M)
 
 
-def _are_scaled_millimetres(values: np.ndarray) -> bool:
-    """Whether all values are multiples of five: millimetres stored in units of 0.2 mm."""
+def _are_scaled_millimeters(values: np.ndarray) -> bool:
+    """Whether all values are multiples of five: millimeters stored in units of 0.2 mm."""
     return len(np.unique(values)) >= _MIN_LEVELS and not (values % 5.0).any()
 
 

@@ -190,7 +190,7 @@ def new_exif(
             abs(lat_deg) <= 90 and abs(lon_deg) <= 360 and (alt_m is None or abs(alt_m) < _MOST_ALTITUDE_M)
         ):
             raise ConfigError(
-                f"gps must be a latitude and a longitude in degrees and an altitude in metres, got {tuple(gps)}"
+                f"gps must be a latitude and a longitude in degrees and an altitude in meters, got {tuple(gps)}"
             )
     out = Image.Exif()
     out[_MAKE], out[_MODEL] = make, model
@@ -209,13 +209,13 @@ def new_exif(
 
 @checked
 def gps_to_enu(lat_lon_alt: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-    """Metres east, north and up of the median position, on the WGS84 ellipsoid.
+    """Meters east, north and up of the median position, on the WGS84 ellipsoid.
 
     p_enu = R (p_ecef - o_ecef), with p_ecef = ((N + h) cos(lat) cos(lon), (N + h) cos(lat) sin(lon),
     (N (1 - e^2) + h) sin(lat)) and N = a / sqrt(1 - e^2 sin(lat)^2) (Torge, Geodesy, 2001, section 4.1).
 
     Args:
-        lat_lon_alt: degrees, degrees, metres. A row without position (NaN) stays NaN; a row without altitude gets
+        lat_lon_alt: degrees, degrees, meters. A row without position (NaN) stays NaN; a row without altitude gets
             the median altitude (0 if none is known) and its "up" is NaN.
     """
     table = as_points(lat_lon_alt, "lat_lon_alt", 3)

@@ -48,23 +48,23 @@ def fits(name: str, pattern: str) -> bool:
 
 
 @checked
-def depth_among(names: Sequence[str], deep_grey: frozenset[str]) -> list[str]:
-    """Which of the 16-bit grey PNGs are depth images of the color images beside them, judged by their names.
+def depth_among(names: Sequence[str], deep_gray: frozenset[str]) -> list[str]:
+    """Which of the 16-bit gray PNGs are depth images of the color images beside them, judged by their names.
 
-    Some cameras produce 16-bit grey images. They are taken for depth if there are color images, too, and either the
+    Some cameras produce 16-bit gray images. They are taken for depth if there are color images, too, and either the
     name contains "depth", or each one (and at least 40 % of all images) has a color image whose name differs only in
     letters: `rgb/12.png` and `raw/12.png`.
 
     Args:
         names: names of all images.
-        deep_grey: those that are 16-bit grey PNGs.
+        deep_gray: those that are 16-bit gray PNGs.
     """
-    others = {_without_letters(name) for name in names if name not in deep_grey}
-    if len(names) - len(deep_grey) < 2:
+    others = {_without_letters(name) for name in names if name not in deep_gray}
+    if len(names) - len(deep_gray) < 2:
         return []
-    named = [name for name in names if name in deep_grey and _DEPTH_WORD.search(name)]
-    paired = [name for name in names if name in deep_grey and _without_letters(name) in others]
-    if len(paired) == len(deep_grey) >= PAIRED_FRACTION * len(names):
+    named = [name for name in names if name in deep_gray and _DEPTH_WORD.search(name)]
+    paired = [name for name in names if name in deep_gray and _without_letters(name) in others]
+    if len(paired) == len(deep_gray) >= PAIRED_FRACTION * len(names):
         return paired
     return named
 

@@ -1,12 +1,12 @@
 """Photographs: listing, headers, pixels, masks.
 
-Every image is returned upright (EXIF orientation applied), as 8-bit greyscale or RGB. Other formats are converted:
+Every image is returned upright (EXIF orientation applied), as 8-bit grayscale or RGB. Other formats are converted:
 
-- 16-bit, 32-bit and float greyscale is stretched so that its 0.1 and 99.9 percentiles become 0 and 255 (such
+- 16-bit, 32-bit and float grayscale is stretched so that its 0.1 and 99.9 percentiles become 0 and 255 (such
   files often use a fraction of their range); if these are equal, the full range of the type is used. For a set of
   images that must be mapped alike, use the range of the set (`common_range`);
 - 16-bit color keeps the upper 8 of its sensor's bits: 8, 10, 12, 14 or 16, by the largest value (`deep_pixels`);
-- transparency is composited on black; palette and CMYK become RGB; greyscale whose zero is white is inverted;
+- transparency is composited on black; palette and CMYK become RGB; grayscale whose zero is white is inverted;
 - animations (WebP, AVIF), multi-page TIFFs and camera RAW are rejected. The content determines the format, not the
   suffix.
 
@@ -31,8 +31,8 @@ from jaxtyping import Bool, UInt8
 from epipole._checks import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io._spherical import refuse_panorama
-from epipole.io.files import file_bytes, open_file
-from epipole.io.images.deep_pixels import GreyRange as GreyRange
+from epipole.io.files import file_bytes, missing_in_words, open_file
+from epipole.io.images.deep_pixels import GrayRange as GrayRange
 from epipole.io.images.exif import (
     FocalSource,
     GpsPosition,
@@ -126,7 +126,7 @@ class PhotographHeader:
     capture_time: datetime | None
     """Local time on the camera's clock."""
     is_deep_grey_png: bool = False
-    """Whether it is a 16-bit grey PNG, as used for depth."""
+    """Whether it is a 16-bit gray PNG, as used for depth."""
     up_in_camera: tuple[float, float, float] | None = None
     """Direction of up in camera coordinates as measured by a gimbal; None if the XMP block has none."""
 
@@ -147,7 +147,10 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
     folder = Path(folder)
     if not folder.is_dir():
         raise FileFormatError(
-            folder, "this is a file, not a folder of photographs" if folder.exists() else "it does not exist"
+            folder,
+            "this is a file, not a folder of photographs; pass its folder"
+            if folder.exists()
+            else missing_in_words(folder),
         )
     readable_here = readable_suffixes()
     known = frozenset(FORMAT_OF_SUFFIX) | RAW_SUFFIXES | OTHER_SUFFIXES
@@ -209,16 +212,16 @@ def read_grey(
     path: Path | str,
     max_size_px: int | None = None,
     *,
-    limits: GreyRange | None = None,
+    limits: GrayRange | None = None,
     orientation: int | None = None,
 ) -> UInt8[np.ndarray, "h w"]:
-    """Read an image upright as 8-bit greyscale (luma 0.299 R + 0.587 G + 0.114 B).
+    """Read an image upright as 8-bit grayscale (luma 0.299 R + 0.587 G + 0.114 B).
 
     Args:
         path: the image.
         max_size_px: longest side of the result; a larger image is shrunk by area averaging. Its pixel x
             corresponds to (x + 0.5) * width / result width - 0.5 in the full image. None: full size.
-        limits: values of deep greyscale that become 0 and 255 (`common_range`); None: its own percentiles.
+        limits: values of deep grayscale that become 0 and 255 (`common_range`); None: its own percentiles.
         orientation: applied instead of the file's EXIF orientation; 1: pixels as stored. None: the file's.
 
     Raises:
@@ -234,7 +237,7 @@ def read_rgb(
     path: Path | str,
     max_size_px: int | None = None,
     *,
-    limits: GreyRange | None = None,
+    limits: GrayRange | None = None,
     orientation: int | None = None,
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Read an image upright as 8-bit RGB.

@@ -29,9 +29,9 @@ from epipole.io.files import file_bytes
 from epipole.io.images._rotated_pixels import as_stored as as_stored
 from epipole.io.images._rotated_pixels import rotation as rotation
 from epipole.io.images.deep_pixels import (
-    GreyRange,
+    GrayRange,
     check_range,
-    colour_16,
+    color_16,
     has_16_bits,
     range_of,
     sample_of,
@@ -47,7 +47,7 @@ MAX_JPEG_PX = 2**30
 """Pixel limit of JPEG."""
 
 MOST_SAMPLED = 16
-"""Number of images in a set that are sampled for its range of grey."""
+"""Number of images in a set that are sampled for its range of gray."""
 
 _MOST_JPEG_PX_PER_BYTE = 1024
 _MOST_PX_PER_BYTE, _MANY_PX = 8256, 1 << 24
@@ -191,7 +191,7 @@ def refuse_huge(path: Path, image: ImageFile, data: bytes) -> None:
     if width * height > limit:
         sizes = f"{width} x {height} is more than {limit // 1_000_000} megapixels"
         raise FileFormatError(path, f"{sizes}, the limit for {image.format}; resize it or save it as JPEG")
-    # Deflate compresses by a factor of at most 1032; a byte is up to 8 grey pixels, or one channel of a color pixel.
+    # Deflate compresses by a factor of at most 1032; a byte is up to 8 gray pixels, or one channel of a color pixel.
     channels = len(image.getbands()) if isinstance(image, PngImageFile) else 1
     px_per_byte = 1032 / channels if channels > 1 else _MOST_PX_PER_BYTE
     if width * height > max(_MANY_PX, px_per_byte * num_bytes):
@@ -207,21 +207,21 @@ def refuse_huge(path: Path, image: ImageFile, data: bytes) -> None:
 
 def decode(
     path: Path,
-    grey: bool,
+    gray: bool,
     max_size_px: int | None,
-    limits: GreyRange | None = None,
+    limits: GrayRange | None = None,
     orientation: int | None = None,
 ) -> UInt8[np.ndarray, "h w *channels"]:
-    """Decode to grey or RGB, shrink to `max_size_px`, rotate upright (or by `orientation` instead of the file's)."""
-    return decode_bytes(path, file_bytes(path), grey, max_size_px, limits, orientation)
+    """Decode to gray or RGB, shrink to `max_size_px`, rotate upright (or by `orientation` instead of the file's)."""
+    return decode_bytes(path, file_bytes(path), gray, max_size_px, limits, orientation)
 
 
 def decode_bytes(
     path: Path,
     data: bytes,
-    grey: bool,
+    gray: bool,
     max_size_px: int | None,
-    limits: GreyRange | None = None,
+    limits: GrayRange | None = None,
     orientation: int | None = None,
 ) -> UInt8[np.ndarray, "h w *channels"]:
     """Decode the bytes of an image file, as `decode`.
@@ -238,16 +238,16 @@ def decode_bytes(
         own = orientation_of(exif_of(image))
         full_size = image.size
         reduction = _jpeg_reduction(full_size, max_size_px)
-        pixels = _decode_jpeg(path, data, image, grey, reduction)
+        pixels = _decode_jpeg(path, data, image, gray, reduction)
         return rotation(_shrink(pixels, full_size, reduction, max_size_px), orientation or own)
     stored = orientation_of(exif_of(image)) if isinstance(image, TiffImageFile) else None
     pixels, own = pillow_pixels(path, image, data)
     pixels = as_stored(pixels, stored, own, orientation)
     if pixels.dtype != np.uint8:
         pixels = stretched(pixels, limits)
-    if grey and pixels.ndim == 3:
+    if gray and pixels.ndim == 3:
         pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
-    elif not grey and pixels.ndim == 2:
+    elif not gray and pixels.ndim == 2:
         pixels = cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB)
     size_now = (pixels.shape[1], pixels.shape[0])
     return rotation(_shrink(pixels, size_now, 1, max_size_px), orientation or own)
@@ -261,7 +261,7 @@ def _jpeg_reduction(size: tuple[int, int], max_size_px: int | None) -> int:
 
 
 def _decode_jpeg(
-    path: Path, data: bytes, image: JpegImageFile, grey: bool, reduction: int
+    path: Path, data: bytes, image: JpegImageFile, gray: bool, reduction: int
 ) -> UInt8[np.ndarray, "h w *channels"]:
     """Decode at 1 / reduction; sizes are rounded up."""
     if not _jpeg_is_complete(data):
@@ -272,15 +272,15 @@ def _decode_jpeg(
         if reduction > 1:
             image.draft(None, (image.width // reduction, image.height // reduction))
         pixels, _ = pillow_pixels(path, image, data)
-        return cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) if grey else pixels
-    flags = _REDUCED_FLAGS[reduction][0 if grey else 1] | cv2.IMREAD_IGNORE_ORIENTATION
+        return cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) if gray else pixels
+    flags = _REDUCED_FLAGS[reduction][0 if gray else 1] | cv2.IMREAD_IGNORE_ORIENTATION
     try:
         decoded = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
         raise FileFormatError(path, f"the JPEG cannot be decoded ({error.err})") from error
     if decoded is None:
         raise FileFormatError(path, "the JPEG cannot be decoded: it is damaged or of an unsupported kind")
-    return decoded if grey else cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB, dst=decoded)
+    return decoded if gray else cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB, dst=decoded)
 
 
 def _jpeg_is_complete(data: bytes) -> bool:
@@ -303,7 +303,7 @@ def _jpeg_is_complete(data: bytes) -> bool:
 
 
 def pillow_pixels(path: Path, image: ImageFile, data: bytes) -> tuple[np.ndarray, int]:
-    """Pixels and the orientation still to be applied: 8-bit grey or RGB, or deep grey unchanged.
+    """Pixels and the orientation still to be applied: 8-bit gray or RGB, or deep gray unchanged.
 
     Transparency is composited on black.
     """
@@ -323,7 +323,7 @@ def stored_pixels(path: Path, image: ImageFile, data: bytes) -> tuple[np.ndarray
         FileFormatError: the image is damaged or cannot be converted.
     """
     try:
-        is_deep_colour = has_16_bits(image)
+        is_deep_color = has_16_bits(image)
         image.load()
         orientation = orientation_of(exif_of(image))
         if image.mode.startswith(("I", "F")):
@@ -332,15 +332,15 @@ def stored_pixels(path: Path, image: ImageFile, data: bytes) -> tuple[np.ndarray
         if image.mode in ("1", "L") and not is_transparent:
             return np.array(image.convert("L")), orientation
         pixels = np.array(image.convert("RGBA" if is_transparent else "RGB"))
-        if is_deep_colour:
-            pixels = colour_16(type(image), io.BytesIO(data), pixels)
+        if is_deep_color:
+            pixels = color_16(type(image), io.BytesIO(data), pixels)
         return pixels, orientation
     except PILLOW_ERRORS as error:
         raise FileFormatError(path, f"the {image.format} data are damaged or truncated ({error})") from error
 
 
 def _black_is_zero(image: ImageFile, deep: np.ndarray) -> np.ndarray:
-    """Invert deep grey of a TIFF whose zero is white (Pillow does so for 8 bits only)."""
+    """Invert deep gray of a TIFF whose zero is white (Pillow does so for 8 bits only)."""
     if not isinstance(image, TiffImageFile) or image.tag_v2.get(_PHOTOMETRIC) != _WHITE_IS_ZERO:
         return deep
     if deep.dtype.kind == "f":
@@ -350,8 +350,8 @@ def _black_is_zero(image: ImageFile, deep: np.ndarray) -> np.ndarray:
     return (white - deep.astype(np.int64)).astype(deep.dtype)
 
 
-def common_range(paths: Sequence[Path]) -> GreyRange | None:
-    """The common range of deep grey images, sampled from a set so that all are mapped alike; None if the set has none.
+def common_range(paths: Sequence[Path]) -> GrayRange | None:
+    """The common range of deep gray images, sampled from a set so that all are mapped alike; None if the set has none.
 
     Unreadable images are ignored.
     """
@@ -359,7 +359,7 @@ def common_range(paths: Sequence[Path]) -> GreyRange | None:
     chosen = np.unique(np.linspace(0, len(paths) - 1, min(len(paths), MOST_SAMPLED)).astype(int))
     for row in chosen.tolist():
         with suppress(EpipoleError):
-            deep = deep_grey(paths[row], file_bytes(paths[row]))
+            deep = deep_gray(paths[row], file_bytes(paths[row]))
             if deep is None:
                 return None
             samples.append(sample_of(deep))
@@ -367,8 +367,8 @@ def common_range(paths: Sequence[Path]) -> GreyRange | None:
     return range_of(np.concatenate(samples), dtype) if samples else None
 
 
-def deep_grey(path: Path, data: bytes) -> np.ndarray | None:
-    """The values of a deep grey image; None for other images, which are not decoded."""
+def deep_gray(path: Path, data: bytes) -> np.ndarray | None:
+    """The values of a deep gray image; None for other images, which are not decoded."""
     image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
     refuse_huge(path, image, data)
     return pillow_pixels(path, image, data)[0] if image.mode.startswith(("I", "F")) else None

@@ -1,4 +1,4 @@
-"""Widths of common image sensors, for photographs whose EXIF has the focal length only in millimetres.
+"""Widths of common image sensors, for photographs whose EXIF has the focal length only in millimeters.
 
 The width is the longer side of the sensor according to the manufacturer's data sheet.
 """
@@ -53,7 +53,7 @@ _WIDTH_MM_BY_MODELS: tuple[tuple[float, tuple[str, ...]], ...] = (
 SENSOR_WIDTH_MM = MappingProxyType(
     {model: width for width, models in _WIDTH_MM_BY_MODELS for model in models}
 )
-"""Sensor width in millimetres by `camera_key`."""
+"""Sensor width in millimeters by `camera_key`."""
 
 _BRANDS = (
     "canon",

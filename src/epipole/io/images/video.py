@@ -1,7 +1,7 @@
 """Extraction of photographs from a video: evenly spaced frames, each the sharpest in its neighborhood.
 
 Sharpness is the variance of the Laplacian (Pech-Pacheco et al., Diatom autofocusing in brightfield
-microscopy, ICPR 2000) of the grey frame at 640 pixels. The video is read once from start to end because seeking in
+microscopy, ICPR 2000) of the gray frame at 640 pixels. The video is read once from start to end because seeking in
 compressed video is not exact.
 """
 
@@ -193,18 +193,18 @@ def slot_bounds(num_frames: int, num_slots: int) -> Int64[np.ndarray, "n 2"]:
 
 @checked
 def sharpness(bgr: UInt8[np.ndarray, "h w *channels"]) -> float:
-    """Variance of the Laplacian of a frame, in color or grey, at 640 pixels.
+    """Variance of the Laplacian of a frame, in color or gray, at 640 pixels.
 
     Raises:
         ShapeError: the frame has no pixels, or neither one nor three channels.
     """
     if not bgr.size or bgr.ndim > 3 or bgr.shape[2:] not in ((), (3,)):
         raise ShapeError(f"bgr must be (h, w, 3) or (h, w), got {bgr.shape}")
-    grey = cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY) if bgr.ndim == 3 else bgr
-    scale = _SHARPNESS_SIZE_PX / max(grey.shape)
+    gray = cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY) if bgr.ndim == 3 else bgr
+    scale = _SHARPNESS_SIZE_PX / max(gray.shape)
     if scale < 1.0:
-        grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    return float(cv2.Laplacian(grey, cv2.CV_32F).var())
+        gray = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return float(cv2.Laplacian(gray, cv2.CV_32F).var())
 
 
 def _extract(

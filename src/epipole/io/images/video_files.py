@@ -16,11 +16,11 @@ from typing import Any, Protocol, runtime_checkable
 import cv2
 import numpy as np
 from jaxtyping import UInt8
-from PIL import Image
 
 from epipole._checks import check_pixels, checked
 from epipole.errors import ConfigError, WorkspaceError
 from epipole.io.atomic import refuse_other_kinds
+from epipole.io.images.gif_files import GifWriter, gif_problem
 
 MOST_FPS = 1000
 VIDEO_SUFFIX, GIF_SUFFIX = ".mp4", ".gif"
@@ -32,7 +32,6 @@ H264_QUALITY = "18"
 """Constant rate factor of x264, visually lossless."""
 MOST_GIF_FPS = 50.0
 """Browsers slow down GIFs with shorter delays than 2/100 s."""
-GIF_COLOURS = 256
 _COMPARED_SIDE = 8
 """Frames are compared with the written ones on a grid of this size, since compression changes details."""
 _LARGEST_DIFFERENCE = 24.0
@@ -120,21 +119,10 @@ def _problem_of(path: Path, count: int, first: np.ndarray, last: np.ndarray) -> 
     if not path.is_file():
         return "the encoder wrote no file"
     return (
-        _gif_problem(path, count) if path.suffix == GIF_SUFFIX else _video_problem(path, count, first, last)
+        gif_problem(path, count, first)
+        if path.suffix == GIF_SUFFIX
+        else _video_problem(path, count, first, last)
     )
-
-
-def _gif_problem(path: Path, count: int) -> str:
-    try:
-        with Image.open(path) as gif:
-            shown_ms = 0.0
-            for number in range(getattr(gif, "n_frames", 1)):
-                gif.seek(number)
-                gif.load()
-                shown_ms += gif.info.get("duration", 0)
-    except (OSError, EOFError, ValueError) as error:
-        return f"it cannot be read back ({error})"
-    return "" if shown_ms > 0 or count == 1 else "it reads back without its frames"
 
 
 def _video_problem(path: Path, count: int, first: np.ndarray, last: np.ndarray) -> str:
@@ -166,7 +154,7 @@ def _is_like(read: np.ndarray, written: np.ndarray) -> bool:
 
 def _writer_of(path: Path, fps: float, size: tuple[int, int]) -> VideoWriter:
     if path.suffix == GIF_SUFFIX:
-        return _GifWriter(path, fps)
+        return GifWriter(path, min(fps, MOST_GIF_FPS), size)
     if find_spec("av") is not None and min(size) >= 2:
         return _H264Writer(path, fps, size)
     return _OpenCvWriter(path, fps, size)
@@ -226,25 +214,3 @@ class _H264Writer:
         if self._is_open:
             self._is_open = False
             self._mux(None)
-
-
-class _GifWriter:
-    """An animated GIF with one palette per frame."""
-
-    def __init__(self, path: Path, fps: float) -> None:
-        self._path, self._delay_ms, self._frames = path, 1000.0 / min(fps, MOST_GIF_FPS), list[Image.Image]()
-
-    def write(self, image: np.ndarray) -> None:
-        self._frames.append(Image.fromarray(image).quantize(GIF_COLOURS))
-
-    def release(self) -> None:
-        if not self._frames:
-            return
-        first, *others = self._frames
-        self._frames = []
-        try:
-            first.save(
-                self._path, save_all=True, append_images=others, duration=self._delay_ms, loop=0, disposal=1
-            )
-        except OSError as error:
-            raise WorkspaceError(f"cannot write {self._path}: {error}; is the disk full?") from error

@@ -57,7 +57,7 @@ def copy_or_rotate(source: Path | str, target: Path | str) -> None:
 def write_photograph(
     path: Path, pixels: UInt8[np.ndarray, "h w *channels"], exif: Image.Exif | None = None
 ) -> None:
-    """Write grey or RGB in the format given by the suffix: JPEG, AVIF and HEIC at quality 97, others lossless.
+    """Write gray or RGB in the format given by the suffix: JPEG, AVIF and HEIC at quality 97, others lossless.
 
     Args:
         path: the file.
@@ -66,7 +66,7 @@ def write_photograph(
 
     Raises:
         FileFormatError: the suffix is not that of a format that can be written here.
-        ShapeError: the pixels are not grey, RGB or RGBA, or the array is empty.
+        ShapeError: the pixels are not gray, RGB or RGBA, or the array is empty.
         WorkspaceError: the file cannot be written.
     """
     if not pixels.size or pixels.shape[2:] not in ((), (3,), (4,)):

@@ -34,7 +34,7 @@ _MAX_OVERSHOOT = 2.0
 """Largest value of colors in the range 0 to 1, including overshoot."""
 
 
-def ply_colours(path: Path, columns: Mapping[str, np.ndarray]) -> UInt8[np.ndarray, "n 3"] | None:
+def ply_colors(path: Path, columns: Mapping[str, np.ndarray]) -> UInt8[np.ndarray, "n 3"] | None:
     """The colors of vertices; None if they have none.
 
     Args:

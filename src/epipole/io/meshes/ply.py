@@ -14,7 +14,7 @@ from epipole.errors import FileFormatError, ShapeError
 from epipole.io._bytes import ByteReader
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes, open_file
-from epipole.io.meshes._ply_colors import ply_colours
+from epipole.io.meshes._ply_colors import ply_colors
 from epipole.scene import Reconstruction
 
 CAMERA_RGB = (230, 60, 40)
@@ -55,7 +55,7 @@ class PlyPoints:
         return len(self.xyz)
 
     def __repr__(self) -> str:
-        return f"PlyPoints({len(self)}, {'no' if self.rgb is None else 'with'} colours)"
+        return f"PlyPoints({len(self)}, {'no' if self.rgb is None else 'with'} colors)"
 
 
 @checked
@@ -88,7 +88,7 @@ def write_points_ply(path: str | Path, xyz: Any, rgb: Any) -> None:
         ShapeError: the arrays do not match.
         WorkspaceError: the file cannot be written.
     """
-    xyz, rgb = _points_and_colours(xyz, rgb)
+    xyz, rgb = _points_and_colors(xyz, rgb)
     _write(Path(path), xyz, rgb, np.empty(0, _EDGE))
 
 
@@ -132,7 +132,7 @@ def frustum_segments(corners: Float64[np.ndarray, "n 5 3"]) -> Float64[np.ndarra
     return corners[:, _FRUSTUM_EDGES].reshape(-1, 2, 3)
 
 
-def _points_and_colours(xyz: Any, rgb: Any) -> tuple[np.ndarray, np.ndarray]:
+def _points_and_colors(xyz: Any, rgb: Any) -> tuple[np.ndarray, np.ndarray]:
     xyz, rgb = as_points(xyz, "xyz", 3), np.atleast_1d(as_image(rgb, "rgb"))
     require_same_length(xyz=xyz, rgb=rgb)
     if rgb.dtype != np.uint8 or rgb.shape != xyz.shape:
@@ -210,7 +210,7 @@ class PlyHeader:
 
 @checked
 def read_points_ply(path: str | Path) -> PlyPoints:
-    """Read the vertices of a PLY file, text or binary, with their colours if there are any.
+    """Read the vertices of a PLY file, text or binary, with their colors if there are any.
 
     Other vertex properties (normals, intensities, labels) and elements after the vertices are ignored.
 
@@ -234,7 +234,7 @@ def points_of_ply(path: Path, data: bytes, header: PlyHeader) -> PlyPoints:
     if missing:
         raise FileFormatError(path, f"the vertices have no {', '.join(missing)}")
     xyz = np.stack([columns[name] for name in "xyz"], axis=1).astype(np.float64)
-    return PlyPoints(xyz, ply_colours(path, columns))
+    return PlyPoints(xyz, ply_colors(path, columns))
 
 
 @checked
@@ -262,7 +262,9 @@ def ply_header(path: Path, data: bytes) -> PlyHeader:
     end = data.find(b"end_header", 0, MAX_HEADER)
     newline = data.find(b"\n", end)
     if not data.startswith(b"ply") or end < 0 or newline < 0:
-        raise FileFormatError(path, "not a PLY file (no header from 'ply' to 'end_header')")
+        raise FileFormatError(
+            path, "not a PLY file (no header from 'ply' to 'end_header'); export or copy it again"
+        )
     lines = data[:end].decode("ascii", "replace").splitlines()
     byte_order: str | None = None
     elements: list[tuple[str, int]] = []

@@ -47,7 +47,9 @@ def read_bal(path: str | Path) -> BundleProblem:
         num_cameras, num_points, num_seen = (int(word) for word in words[:3])
         values = np.array(words[3:], np.float64)
     except ValueError as error:
-        raise FileFormatError(path, f"not a bundle adjustment problem: {error}") from error
+        raise FileFormatError(
+            path, f"not a bundle adjustment problem: {error}; check that this is a BAL file"
+        ) from error
     if not 0 <= min(num_cameras, num_points, num_seen) <= max(num_cameras, num_points, num_seen) < len(words):
         raise FileFormatError(
             path, f"line 1: its counts are inconsistent with the {len(values)} numbers that follow"

@@ -25,7 +25,7 @@ from epipole.cameras.image_fit import (
     rotated_pixels,
 )
 from epipole.errors import ConfigError, EpipoleError, FileFormatError
-from epipole.io.images.photographs import GreyRange, read_header, read_rgb
+from epipole.io.images.photographs import GrayRange, read_header, read_rgb
 from epipole.io.names import path_inside
 from epipole.scene import Reconstruction
 
@@ -47,13 +47,13 @@ class ModelImage:
     """The EXIF orientation to apply: the file's, or 1 if the model describes stored pixels."""
 
     def read(
-        self, max_size_px: int | None = None, *, limits: GreyRange | None = None
+        self, max_size_px: int | None = None, *, limits: GrayRange | None = None
     ) -> UInt8[np.ndarray, "h w 3"]:
         """The pixels that the camera describes, as RGB.
 
         Args:
             max_size_px: as in `read_rgb`.
-            limits: range of deep greyscale, as in `read_rgb`.
+            limits: range of deep grayscale, as in `read_rgb`.
 
         Raises:
             FileFormatError: the file is damaged.

@@ -164,7 +164,10 @@ def read_transforms_scene(path: str | Path, image_folder: str = "images") -> Tra
     content = _object_in(path)
     frames = content.get("frames")
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
-        raise FileFormatError(path, "the list of frames is missing")
+        raise FileFormatError(
+            path,
+            "the list of frames is missing, so this is not a transforms.json; pass the file that lists the images",
+        )
     try:
         require_known_keys(content)
         _require_affine(content)

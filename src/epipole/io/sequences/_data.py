@@ -39,7 +39,7 @@ class SensorDepth:
     """How to read the depth images."""
 
     unit: float
-    """Stored values per metre."""
+    """Stored values per meter."""
     camera: Camera | None = None
     """The depth camera; None: the color camera, to which the depth images are registered."""
     depth_from_color: Rigid3 | None = None

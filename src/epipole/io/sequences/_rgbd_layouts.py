@@ -87,7 +87,7 @@ def _warnings_about_seven_scenes(size: tuple[int, int], sample: np.ndarray) -> t
             f"{words} the images are {size[0]} x {size[1]}, not {color.width} x {color.height}: {CALIBRATION_NOT_USED}",
         )
     if not is_plausible(sample, MM_VALUES_PER_M):
-        return (f"{words} the depth is not in millimetres: {CALIBRATION_NOT_USED}",)
+        return (f"{words} the depth is not in millimeters: {CALIBRATION_NOT_USED}",)
     return ()
 
 
@@ -99,7 +99,7 @@ def _of_seven_scenes(sequence: ImageSequence, *, has_depth: bool) -> ImageSequen
 
 
 def _with_depth(sequence: ImageSequence, sample: np.ndarray, beside: CalibrationBeside) -> ImageSequence:
-    """Add depth as in the info file, or else registered to color, in millimetres unless the values contradict it."""
+    """Add depth as in the info file, or else registered to color, in millimeters unless the values contradict it."""
     info = beside.info
     if info is not None and info.problem:
         return replace(
@@ -109,7 +109,7 @@ def _with_depth(sequence: ImageSequence, sample: np.ndarray, beside: Calibration
     if info is not None and info.values_per_m is not None:
         depth = SensorDepth(info.values_per_m, camera, None, f"m_depthShift in {beside.source}")
         return replace(sequence, depth=depth)
-    unit = decide_unit(sample, MM_VALUES_PER_M, "millimetres, the default for this layout")
+    unit = decide_unit(sample, MM_VALUES_PER_M, "millimeters, the default for this layout")
     depth = SensorDepth(unit.values_per_m, camera, None, unit.source)
     return replace(sequence, depth=depth, warnings=(*sequence.warnings, *unit.warnings))
 

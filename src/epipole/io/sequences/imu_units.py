@@ -122,8 +122,8 @@ def _tilt_error_rad(times: np.ndarray, gyro_rad_s: np.ndarray, accel: np.ndarray
     direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
     # Integral of the angular velocity up to each sample; between window centers, it is the rotation, if small.
     step_s = np.diff(times, prepend=times[0])
-    travelled = np.cumsum(gyro_rad_s * step_s[:, None], axis=0)
-    at_middle = np.stack([np.interp(middle_s, times, travelled[:, axis]) for axis in range(3)], axis=1)
+    traveled = np.cumsum(gyro_rad_s * step_s[:, None], axis=0)
+    at_middle = np.stack([np.interp(middle_s, times, traveled[:, axis]) for axis in range(3)], axis=1)
     rotations = Rotation3.exp(np.diff(at_middle, axis=0)).matrix
     foretold = np.einsum("nji,nj->ni", rotations, direction[:-1])
     cosine = np.clip(np.einsum("ni,ni->n", foretold, direction[1:]), -1.0, 1.0)

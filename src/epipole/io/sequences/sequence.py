@@ -10,6 +10,7 @@ from epipole.errors import ConfigError, EpipoleError, FileFormatError
 from epipole.io.calibration.beside import CalibrationBeside, calibration_beside, check_fits
 from epipole.io.calibration.files import read_calibration, read_stereo_rig
 from epipole.io.contents_in_words import with_what_it_is
+from epipole.io.files import missing_in_words
 from epipole.io.images.photographs import PhotographList, list_photographs, read_header
 from epipole.io.sequences._data import FrameFiles as FrameFiles
 from epipole.io.sequences._data import ImageSequence as ImageSequence
@@ -34,7 +35,7 @@ def read_sequence(
     Args:
         folder: a folder in any of the supported layouts.
         fps: frames per second of images without times; None: 30, with a warning.
-        depth_scale: stored depth values per metre, such as 1000 for millimetres; None: from the files and the layout.
+        depth_scale: stored depth values per meter, such as 1000 for millimeters; None: from the files and the layout.
 
     Raises:
         FileFormatError: there are no images, or a file that belongs to the layout is damaged.
@@ -61,7 +62,7 @@ def read_sequence(
 def _read_sequence(folder: Path, fps: float | None) -> ImageSequence:
     if not folder.is_dir():
         if not folder.exists():
-            raise FileFormatError(folder, "it does not exist")
+            raise FileFormatError(folder, missing_in_words(folder))
         problem = "a file that is neither a supported video nor a supported recording"
         raise FileFormatError(folder, with_what_it_is(problem, folder))
     for at in (folder / "mav0", folder):

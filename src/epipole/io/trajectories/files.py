@@ -35,7 +35,7 @@ from epipole.scene import Trajectory
 _ROTATION_TOLERANCE = 1e-2
 _UPPER = np.triu_indices(6)
 _COVARIANCE_WORDS = (
-    ", and the upper triangle, row by row, of the covariance of xi = (translation in metres or the trajectory's unit, rotation in radians) "
+    ", and the upper triangle, row by row, of the covariance of xi = (translation in meters or the trajectory's unit, rotation in radians) "
     "in body_from_world = exp(xi) @ stored pose"
 )
 
@@ -234,7 +234,7 @@ def write_trajectory(
 
 
 def exact_text(values: Iterable[float], separator: str = " ") -> str:
-    """Numbers with enough digits to read back exactly: in UTM coordinates, nine digits would round to centimetres."""
+    """Numbers with enough digits to read back exactly: in UTM coordinates, nine digits would round to centimeters."""
     return separator.join(repr(float(value)) for value in values)
 
 

@@ -189,11 +189,11 @@ def _inspect(
     path: Path, config: CalibrationConfig, problems: dict[str, str], orientation: int | None
 ) -> tuple[BoardView, tuple[int, int] | None]:
     try:
-        grey = read_grey(path, orientation=orientation)
+        gray = read_grey(path, orientation=orientation)
     except FileFormatError as error:
         problems[str(path)] = str(error)
         return BoardView(np.zeros(0, np.int64), np.zeros((0, 2))), None
-    return find_board(grey, config.board), (grey.shape[1], grey.shape[0])
+    return find_board(gray, config.board), (gray.shape[1], gray.shape[0])
 
 
 def _requested(board: BoardConfig) -> str:

@@ -128,7 +128,7 @@ def _pose(rays: np.ndarray, points: np.ndarray, *, precise: bool) -> Rigid3 | No
     if not precise:
         return plane_pose(rays, points)
     try:
-        return solve_pnp(rays, points)
+        return solve_pnp(points, rays)
     except (DegenerateGeometryError, ShapeError):
         return None
 

@@ -9,6 +9,7 @@ from typing import get_args
 from epipole._checks import as_path, checked
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io.convert import FOLDER_WRITERS, IMAGE_FOLDER, ModelFormat, read_model
+from epipole.io.files import missing_in_words
 from epipole.io.gaussians.files import (
     META,
     SPLAT,
@@ -88,7 +89,7 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
     if format not in get_args(ModelFormat):
         raise ConfigError(f"unknown format {format!r}; supported are {', '.join(get_args(ModelFormat))}")
     if not source.exists():
-        raise FileFormatError(source, "it does not exist")
+        raise FileFormatError(source, missing_in_words(source))
     if format == "splat":
         return _convert_gaussians(source, target)
     if format == "ply":

@@ -101,7 +101,7 @@ def _start(views: Sequence[TrainingView], points: np.ndarray | None, seed: int) 
 
 
 def _colors(points: np.ndarray, views: Sequence[TrainingView]) -> np.ndarray:
-    """Mean color of each point in the views whose image shows it; grey where none does."""
+    """Mean color of each point in the views whose image shows it; gray where none does."""
     total, count = np.full((len(points), 3), 1e-3 * 128), np.full((len(points), 1), 1e-3)
     for view in views:
         with np.errstate(invalid="ignore"):

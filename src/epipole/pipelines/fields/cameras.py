@@ -90,7 +90,7 @@ def orbit(position: np.ndarray, look_at: np.ndarray, up: np.ndarray, job: Render
 
 
 def _facing(position: np.ndarray, look_at: np.ndarray, up: np.ndarray) -> Rigid3:
-    """cam_from_world of a camera with x right, y down, and z towards its target."""
+    """cam_from_world of a camera with x right, y down, and z toward its target."""
     ahead = (look_at - position) / np.linalg.norm(look_at - position)
     right = np.cross(ahead, up)
     if np.linalg.norm(right) < 1e-6:  # straight down or up

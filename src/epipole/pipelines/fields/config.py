@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 from epipole._checks import check_options
 from epipole.errors import ConfigError
@@ -132,7 +132,7 @@ class RenderConfig:
     """Background color; auto: that of the training if it is known, otherwise black."""
     antialiased: bool | None = None
     """Render with Mip-Splatting's filter; None: as in training."""
-    output: Literal["colour", "depth", "normals", "coverage"] = "colour"
+    output: Literal["color", "depth", "normals", "coverage"] = "color"
     """What to render; depth has colors from near (blue) to far (red), normals are (n + 1) / 2 in the camera frame."""
 
     @property
@@ -147,6 +147,8 @@ class RenderConfig:
         Raises:
             ConfigError: a value is out of range.
         """
+        if cast(str, self.output) == "colour":  # the British spelling
+            object.__setattr__(self, "output", "color")
         check_options(self, negative=("rotation_deg",))
         if self.orbit_options and (self.path == "cameras" or self.cameras is not None):
             raise ConfigError(

@@ -49,7 +49,7 @@ def dense_points(
         seed: random seed.
         progress: called with the number of pairs done and the number of all.
     """
-    pairs, found = neighbours_of(views), list[DensePoints]()
+    pairs, found = neighbors_of(views), list[DensePoints]()
     for n, (one, other) in enumerate(pairs):
         progress(n, len(pairs))
         try:
@@ -64,7 +64,7 @@ def dense_points(
     return DensePoints(points[chosen], rgb[chosen])
 
 
-def neighbours_of(views: Sequence[TrainingView]) -> list[tuple[int, int]]:
+def neighbors_of(views: Sequence[TrainingView]) -> list[tuple[int, int]]:
     """Pairs of views that see the same points at a good triangulation angle."""
     pairs = set[tuple[int, int]]()
     for one, view in enumerate(views):

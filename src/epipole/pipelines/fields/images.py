@@ -16,7 +16,7 @@ from epipole.geometry import Rigid3
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.colmap.model import find_model, read_colmap_model
 from epipole.io.contents_in_words import results_of
-from epipole.io.images.photographs import GreyRange, common_range, mask_of, read_mask, read_mask_file
+from epipole.io.images.photographs import GrayRange, common_range, mask_of, read_mask, read_mask_file
 from epipole.io.images.rgba import read_rgba
 from epipole.io.models.images import ModelImage, ModelImages
 from epipole.io.models.llff import LLFF, read_llff
@@ -230,7 +230,7 @@ def _views(
     point = model.tracks.point_of_observation()
     files = ModelImages(model, source.folder, is_own=source.is_own)
     progress(Progress("load", 0, len(rows)))
-    limits = _grey_range(source.folder, [model.images.name[row] for row in rows.tolist()])
+    limits = _gray_range(source.folder, [model.images.name[row] for row in rows.tolist()])
     for n, row in enumerate(sorted(rows.tolist(), key=lambda k: model.images.name[k]), 1):
         name = model.images.name[row]
         try:
@@ -259,7 +259,7 @@ def _mask(source: _Source, options: FieldOptions, name: str, size: tuple[int, in
     return None if path is None else read_mask_file(path, name, size=size)
 
 
-def _grey_range(folder: Path, names: list[str]) -> GreyRange | None:
+def _gray_range(folder: Path, names: list[str]) -> GrayRange | None:
     """Common gray range of all images, if they are deep grayscale, so that brightness is consistent across views."""
     paths = []
     for name in names:
@@ -289,7 +289,7 @@ def _view(
     return TrainingView(name, pixels, fitted, cam_from_world, mask, points_in_world)
 
 
-def _read(image: ModelImage, limits: GreyRange | None) -> np.ndarray:
+def _read(image: ModelImage, limits: GrayRange | None) -> np.ndarray:
     """RGB, or RGBA if the image is partly transparent.
 
     Raises:

@@ -11,6 +11,7 @@ from epipole._checks import as_path
 from epipole.config import options_of
 from epipole.dense.tsdf import DistanceVolume
 from epipole.errors import ConfigError, FileFormatError, NoModelError
+from epipole.io.files import missing_in_words
 from epipole.io.meshes.mesh_ply import write_mesh_ply
 from epipole.io.models.losses import losses_in
 from epipole.pipelines.fields.cameras import RenderView, render_views_of_model
@@ -50,7 +51,7 @@ def mesh(
     source, out = as_path(source), as_path(out)
     wanted = options_of(MeshConfig, config, options, ["config", "progress"])
     if not source.exists():
-        raise FileFormatError(source, "it does not exist")
+        raise FileFormatError(source, missing_in_words(source))
     if out.suffix.lower() != ".ply" or out.is_dir():
         raise ConfigError(f"a mesh is written to a file that ends in .ply, got {out}")
     inputs = (source,) if wanted.cameras is None else (source, wanted.cameras)

@@ -64,7 +64,7 @@ class RenderKeywords(TypedDict, total=False):
     fps: float
     background: Background
     antialiased: bool | None
-    output: Literal["colour", "depth", "normals", "coverage"]
+    output: Literal["color", "depth", "normals", "coverage"]
 
 
 class MeshKeywords(TypedDict, total=False):

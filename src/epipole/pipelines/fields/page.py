@@ -40,7 +40,7 @@ class FieldPage:
     tables: dict[str, dict[str, list[Any]]]
     root: Path
     scene: SpaceScene | None
-    """Gaussians; None for a radiance field, whose conversion takes as long as a training."""
+    """Gaussians, or points on the surfaces of a radiance field; None if there are none."""
     warnings: Sequence[str]
 
 

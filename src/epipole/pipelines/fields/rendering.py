@@ -17,6 +17,7 @@ from epipole.fields.normals import normals_of
 from epipole.fields.splat.rasterizer import RenderOptions
 from epipole.fields.splat.rasterizer import render as rasterize
 from epipole.image import color_map, color_range
+from epipole.io.files import missing_in_words
 from epipole.io.images.rgba import write_png
 from epipole.io.images.video_files import GIF_SUFFIX, VIDEO_SUFFIX, write_video
 from epipole.io.models.losses import losses_in
@@ -88,18 +89,18 @@ def render(
     source, out = as_path(source), as_path(out)
     wanted = options_of(RenderConfig, config, options, ["config", "progress"])
     if not source.exists():
-        raise FileFormatError(source, "it does not exist")
+        raise FileFormatError(source, missing_in_words(source))
     inputs = (source,) if wanted.cameras is None else (source, wanted.cameras)
     _check_target(out, inputs)
-    colour = np.full(3, _background(source, wanted), np.float32)
-    image_of, first_view = _drawer(source, wanted, colour)
+    color = np.full(3, _background(source, wanted), np.float32)
+    image_of, first_view = _drawer(source, wanted, color)
     if wanted.cameras is None:
         views = _path(source, wanted) or orbit(*first_view, wanted)
     else:
         views = render_views_of_model(wanted.cameras, wanted)
         for loss in losses_in(wanted.cameras):
             progress(Progress("render", 0, len(views), loss))
-    if wanted.output != "colour":
+    if wanted.output != "color":
         image_of = _surface_drawer(source, wanted.output, views[0])
     spent = [0.0]
 
@@ -160,7 +161,7 @@ def _check_target(out: Path, inputs: tuple[Path, ...]) -> None:
 
 
 def _drawer(
-    source: Path, wanted: RenderConfig, colour: np.ndarray
+    source: Path, wanted: RenderConfig, color: np.ndarray
 ) -> tuple[Callable[[RenderView], np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Function that renders a view of the field, and position, target and up vector of its first view."""
     found = kind_in(source)
@@ -171,7 +172,7 @@ def _drawer(
             kind.positions(field)
         )
         return (
-            lambda each: kind.render(field, each.camera, each.cam_from_world, colour)[0],
+            lambda each: kind.render(field, each.camera, each.cam_from_world, color)[0],
             (position, look_at, up),
         )
     (cloud, view), requested = seen_gaussians(source), wanted.antialiased
@@ -179,7 +180,7 @@ def _drawer(
         requested = recorded_antialiased((source if source.is_dir() else source.parent) / SUMMARY)
     options = RenderOptions(antialiased=requested)
     return (
-        lambda each: rasterize(cloud, each.camera, each.cam_from_world, options).over(colour),
+        lambda each: rasterize(cloud, each.camera, each.cam_from_world, options).over(color),
         (view.position, view.look_at, view.up),
     )
 

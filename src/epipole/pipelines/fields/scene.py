@@ -33,7 +33,7 @@ MOST_SHOWN = 800_000
 """Gaussians shown for a grid, at most."""
 BACKGROUNDS = {"white": 1.0, "black": 0.0}
 UNIT, UNIT_OF_FILE = "units of the cameras", "units of the file"
-"""Units shown in the viewer; metres only if the cameras are metric."""
+"""Units shown in the viewer; meters only if the cameras are metric."""
 
 
 def is_mine(path: Path) -> bool:
@@ -66,7 +66,7 @@ def scene(path: Path) -> SpaceScene:
     stands_for = " that coarsely approximate a radiance field" if is_field else ""
     return SpaceScene(
         title=path.resolve().name,
-        words=f"{plural(len(cloud), 'Gaussian')}{stands_for}; {colours_in_words(cloud.sh_degree)}",
+        words=f"{plural(len(cloud), 'Gaussian')}{stands_for}; {colors_in_words(cloud.sh_degree)}",
         unit=UNIT if views else UNIT_OF_FILE,
         cameras=cameras_of(views, origin) if views else None,
         gaussians=cloud,
@@ -81,7 +81,7 @@ def scene_of_training(path: Path, first_view: dict[str, list[float]], background
     Args:
         path: output folder with the field and its cameras.
         first_view: from `first_view_of`.
-        background: grey value from 0 to 1.
+        background: gray value from 0 to 1.
     """
     found = scene(path)
     origin = np.zeros(3) if found.gaussians is None else found.gaussians.origin_in_world
@@ -107,7 +107,7 @@ def seen_gaussians(path: Path) -> tuple[GaussianCloud, FirstView]:
     return cloud, FirstView(*(known or first_view_of_positions(cloud.centers_in_world)))
 
 
-def colours_in_words(degree: int) -> str:
+def colors_in_words(degree: int) -> str:
     """Description of the harmonics that the browser renders."""
     if degree == 0:
         return "colors do not depend on the direction"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from epipole.fields.exposure import colour_match
+from epipole.fields.exposure import color_match
 from epipole.fields.photometric import photometric_loss, psnr
 from epipole.fields.training_view import TrainingView
 
@@ -22,8 +22,8 @@ def scores_of(rendered: np.ndarray, view: TrainingView, background: np.ndarray) 
     if not used.any():
         return dict.fromkeys(("psnr", "ssim", "psnr_matched"), float("nan"))
     shown, wanted = rendered[used][None], truth[used][None]
-    colours = colour_match(shown, wanted).astype(np.float32)
-    matched = shown @ colours[:, :3].T + colours[:, 3]
+    colors = color_match(shown, wanted).astype(np.float32)
+    matched = shown @ colors[:, :3].T + colors[:, 3]
     weight = used[..., None].astype(np.float32)
     ssim = photometric_loss(rendered * weight, truth * weight).ssim
     return {"psnr": psnr(shown, wanted), "ssim": ssim, "psnr_matched": psnr(matched, wanted)}

@@ -29,7 +29,7 @@ class Seen(NamedTuple):
     """(h, w) along the optical axis, times coverage."""
     coverage: np.ndarray
     """(h, w)"""
-    colour: np.ndarray
+    color: np.ndarray
     """(h, w, 3) color times coverage."""
 
     def surface(self) -> np.ndarray:
@@ -59,7 +59,7 @@ def seen_from(source: Path) -> tuple[Callable[[RenderView], Seen], np.ndarray]:
 
     def splatted(render_view: RenderView) -> Seen:
         rendered = render(cloud, render_view.camera, render_view.cam_from_world, options)
-        return Seen(rendered.depth, rendered.coverage, rendered.colour)
+        return Seen(rendered.depth, rendered.coverage, rendered.color)
 
     return splatted, positions if len(positions) else cloud.centers_in_world
 

@@ -15,6 +15,7 @@ from epipole._jit import compile_seconds
 from epipole.config import options_of
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.fields.trainer import Trainer
+from epipole.io.files import missing_in_words
 from epipole.io.models.losses import losses_in, losses_of
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions, NerfConfig, SplatConfig
@@ -22,8 +23,11 @@ from epipole.pipelines.fields.held_out import probed
 from epipole.pipelines.fields.images import FieldImages, gather_field_images, is_model
 from epipole.pipelines.fields.page import FieldPage, render_page
 from epipole.pipelines.fields.scene import FIRST_VIEW, SPLAT, scene_of_training
+from epipole.pipelines.fields.surface_points import scene_of_surface
+from epipole.pipelines.fields.surfaces import seen_from
 from epipole.pipelines.fields.watching import open_watch
 from epipole.pipelines.sfm.run import reconstruct
+from epipole.report.space_scene import SpaceScene
 from epipole.runs import Job, ProgressCallback, Run, graceful_interrupt
 from epipole.runs.earlier import note_on_poorer
 
@@ -74,7 +78,7 @@ def training_of(
     found = options_of(*config, options, ["config", "progress"])
     source, out = (as_path(path) for path in paths)
     if not source.exists():
-        raise FileFormatError(source, "it does not exist")
+        raise FileFormatError(source, missing_in_words(source))
     settings = {name: value for name, value in asdict(found).items() if name not in WATCHING}
     return Training(
         source, out, found, settings, Job(kind=kind, inputs=(source,), settings=settings, progress=progress)
@@ -179,6 +183,15 @@ def _keep(checkpoint: Checkpoint, seconds: float, curve: list[list[float]], run:
         run.warnings += [] if note in run.warnings else [note]
 
 
+def _scene(
+    root: Path, images: FieldImages, first_view: dict[str, list[float]], background: float
+) -> SpaceScene | None:
+    """What the report shows in 3D: Gaussians, or points on the surfaces of a radiance field."""
+    if (root / SPLAT).is_file():
+        return scene_of_training(root, first_view, background)
+    return scene_of_surface(seen_from(root)[0], images.train, first_view, root.resolve().name)
+
+
 def finished(
     trainer: Trainer,
     images: FieldImages,
@@ -207,9 +220,7 @@ def finished(
         "held_out": {"columns": ["s", "step", "psnr"], "rows": trained.probes if images.test else []},
     }
     run.folder.write_json(METRICS, {**summary, "views": scores, **tables})
-    shown = None
-    if (run.root / SPLAT).is_file():
-        shown = scene_of_training(run.root, summary[FIRST_VIEW], float(trainer.background[0]))
+    shown = _scene(run.root, images, summary[FIRST_VIEW], float(trainer.background[0]))
     page = render_page(
         FieldPage(summary, scores, images, trainer.background, tables, run.root, shown, run.warnings)
     )

@@ -83,7 +83,7 @@ def show_slam(result: SlamResult) -> None:
         words = f"{part['num_frames']} frames, not connected to the first map{unit}: trajectory_submap_{number}.txt"
         table.add_row("separate map", words)
     length = result.trajectory.path_length()
-    unit = "m" if summary["is_metric"] else "map units, not metres"
+    unit = "m" if summary["is_metric"] else "map units, not meters"
     table.add_row("trajectory length", f"{length:.4g} {unit}")
     table.add_row("scale", summary["scale"])
     sigma = summary["sigma_position_median"]
@@ -123,7 +123,7 @@ def _source_rows(source: dict[str, Any]) -> list[tuple[str, str]]:
         out.append(
             (
                 "depth scale",
-                f"{source['depth_scale']:g} values per metre, from {source['depth_scale_source']}",
+                f"{source['depth_scale']:g} values per meter, from {source['depth_scale_source']}",
             )
         )
     return out

@@ -56,7 +56,7 @@ class OdometryConfig(FlowConfig):
     depth_sigma_px: float = 1.0
     """Standard deviation of disparities, measured or converted from sensor depth, in pixels."""
     sensor_baseline_m: float = 0.08
-    """Depth sensor: baseline of a stereo pair whose depth errors grow alike, in metres."""
+    """Depth sensor: baseline of a stereo pair whose depth errors grow alike, in meters."""
     focal_sigma: float | None = None
     """Relative standard deviation of the focal length (None: 0.003 for stereo, 0.01 for depth sensors)."""
     center_sigma_px: float | None = None
@@ -106,7 +106,7 @@ class CameraOptions:
     readout_s: float = 0.0
     """Rolling shutter: seconds from the first row to the one after the last; 0: global shutter."""
     depth_scale: float | None = None
-    """Depth images: stored values per metre, such as 1000 or 5000 (None: from the source)."""
+    """Depth images: stored values per meter, such as 1000 or 5000 (None: from the source)."""
 
     def __post_init__(self) -> None:
         """Check the ranges.

@@ -22,11 +22,16 @@ class TrackingState(StrEnum):
     STARTING = "starting"
     """One camera: the map is not initialized."""
     TRACKING = "tracking"
-    ROTATING = "turning"
+    ROTATING = "rotating"
     """One camera, at rest or in pure rotation: the orientation is known, the position is the last known one."""
     LOST = "lost"
     SUBMAP = "submap"
     """Tracked in a separate map, started after the camera was lost; the pose in the first map is unknown."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> TrackingState | None:
+        """The name of a state in files of earlier versions."""
+        return cls.ROTATING if value == "turning" else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +42,7 @@ class DepthCamera:
     depth_from_color: Rigid3
     """Identity if the depth is registered to the color image."""
     scale: float = 1.0
-    """True metres per reported metre."""
+    """True meters per reported meter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +51,7 @@ class SlamCamera:
 
     camera: Camera
     baseline: float | None = None
-    """Baseline of a rectified pair in metres; the right image has the left one's rows and camera matrix."""
+    """Baseline of a rectified pair in meters; the right image has the left one's rows and camera matrix."""
     depth: DepthCamera | None = None
     readout_s: float = 0.0
     """Rolling shutter: seconds from the first row to the one after the last; 0: global shutter."""
@@ -85,10 +90,10 @@ class SlamCamera:
         if frame.timestamp_s <= after_s:
             raise ConfigError(f"timestamps must increase: {frame.timestamp_s:.6f} s after {after_s:.6f} s")
         camera = self.camera
-        if frame.grey.shape != (camera.height, camera.width):
-            size = f"{frame.grey.shape[1]} x {frame.grey.shape[0]}"
+        if frame.gray.shape != (camera.height, camera.width):
+            size = f"{frame.gray.shape[1]} x {frame.gray.shape[0]}"
             raise ShapeError(f"the image is {size}, but the camera is {camera.width} x {camera.height}")
-        if self.baseline is not None and frame.right_grey is None:
+        if self.baseline is not None and frame.right_gray is None:
             raise ConfigError("a frame of a stereo camera needs a right image")
         self._check_depth(frame)
         blind = pixels_without_ray(camera)
@@ -120,11 +125,11 @@ class Frame:
     """Images taken at the same time."""
 
     timestamp_s: float
-    grey: UInt8[np.ndarray, "h w"]
-    right_grey: UInt8[np.ndarray, "h w"] | None = None
+    gray: UInt8[np.ndarray, "h w"]
+    right_gray: UInt8[np.ndarray, "h w"] | None = None
     """Right image of a rectified pair."""
     depth: Float32[np.ndarray, "h2 w2"] | None = None
-    """Metres along the optical axis, at the depth camera's pixels; zero, NaN or infinite where unknown."""
+    """Meters along the optical axis, at the depth camera's pixels; zero, NaN or infinite where unknown."""
     ignored_mask: Bool[np.ndarray, "h w"] | None = None
     """True where the (left) image is ignored, such as people or the own vehicle."""
 
@@ -141,14 +146,14 @@ class Frame:
         """
         if isinstance(self.depth, np.ndarray) and self.depth.dtype.kind in "iu":
             raise ShapeError(
-                f"depth must be float32 in metres, got {self.depth.dtype}: convert millimetres with"
+                f"depth must be float32 in meters, got {self.depth.dtype}: convert millimeters with"
                 " depth.astype(np.float32) / 1000"
             )
         try:
             check_fields(self)
         except ShapeError as error:
             raise ShapeError(
-                f"the images of a frame must have the same size, grey 8 bits and depth float32 ({error})"
+                f"the images of a frame must have the same size, gray 8 bits and depth float32 ({error})"
             ) from None
         if not np.isfinite(self.timestamp_s):
             raise ConfigError(f"timestamp_s must be finite, got {self.timestamp_s}")

@@ -34,7 +34,7 @@ class Slam(SlamState):
     """Tracks a camera frame by frame and builds a map; results do not depend on the machine's load.
 
     The world is the first frame's camera (only approximately with one camera, whose map is not fixed to it). Its unit is the
-    metre if the camera measures depth, else the median depth of the first points. A lost camera is relocalized; meanwhile a
+    meter if the camera measures depth, else the median depth of the first points. A lost camera is relocalized; meanwhile a
     separate map is started, which a loop closure joins to the first. With one camera, pure rotation yields only orientation.
     """
 
@@ -210,7 +210,7 @@ class Slam(SlamState):
         return self._start_submap(frame, reason)
 
     def _recognized(self, frame: Frame, model: SlamMap) -> tuple[RefinedPose, int] | None:
-        again = relocalize(frame.grey, model, self.camera.camera, self.config)
+        again = relocalize(frame.gray, model, self.camera.camera, self.config)
         if again is None:
             return None
         self._enter(model)

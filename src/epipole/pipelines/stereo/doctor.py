@@ -165,17 +165,17 @@ def examine(
 
 
 def _match(pair: tuple[np.ndarray, np.ndarray], rectification: Rectification | None) -> RowMatches:
-    grey = []
+    gray = []
     for image in pair:
         array = np.ascontiguousarray(image)
-        grey.append(cv2.cvtColor(array, cv2.COLOR_RGB2GRAY) if array.ndim == 3 else array)
+        gray.append(cv2.cvtColor(array, cv2.COLOR_RGB2GRAY) if array.ndim == 3 else array)
     if rectification is not None:
-        grey = list(rectification.apply(grey[0], grey[1]))
-    elif grey[0].shape != grey[1].shape:
+        gray = list(rectification.apply(gray[0], gray[1]))
+    elif gray[0].shape != gray[1].shape:
         raise ShapeError(
-            f"left is {_size(grey[0])} pixels and right {_size(grey[1])}: the images of a rectified pair must have the same size"
+            f"left is {_size(gray[0])} pixels and right {_size(gray[1])}: the images of a rectified pair must have the same size"
         )
-    found = match_features(grey[0], grey[1])
+    found = match_features(gray[0], gray[1])
     if rectification is None or not len(found):
         return found
     inside = np.ones(len(found), bool)
@@ -189,8 +189,8 @@ def _match(pair: tuple[np.ndarray, np.ndarray], rectification: Rectification | N
     return RowMatches(found.left_px[inside], found.right_px[inside])
 
 
-def _size(grey: np.ndarray) -> str:
-    return f"{grey.shape[1]} x {grey.shape[0]}"
+def _size(gray: np.ndarray) -> str:
+    return f"{gray.shape[1]} x {gray.shape[0]}"
 
 
 def _fits(matches: RowMatches, flat: RectifiedRig | None, size: tuple[int, int]) -> tuple[float, float]:

@@ -61,25 +61,25 @@ def fill_disparities(found: DisparityMap, left: Any, strength: float = 10.0) -> 
     known = np.isfinite(found.disparity_px)
     if not known.any():
         return FilledDisparities(found.disparity_px.copy(), np.zeros(known.shape, bool))
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
+    gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
     weight = np.where(known, 1.0 / np.maximum(found.sigma_px, 0.05).astype(np.float64) ** 2, 0.0)
     values = np.where(known, found.disparity_px, 0.0).astype(np.float64)
     behind = ~known & np.isin(found.reason, _BEHIND)
-    guess = _farther_neighbour(found.disparity_px)
+    guess = _farther_neighbor(found.disparity_px)
     use = behind & np.isfinite(guess)
     values[use], weight[use] = guess[use], _GUESS_WEIGHT
     weight /= weight.max()
-    smooth = _smoothed(weight, weight * values, grey.astype(np.float64), strength)
+    smooth = _smoothed(weight, weight * values, gray.astype(np.float64), strength)
     out = np.where(known, found.disparity_px, smooth).astype(np.float32)
     return FilledDisparities(out, ~known)
 
 
 def _smoothed(
-    weight: np.ndarray, weighted: np.ndarray, grey: np.ndarray, strength: float
+    weight: np.ndarray, weighted: np.ndarray, gray: np.ndarray, strength: float
 ) -> Float32[np.ndarray, "h w"]:
     """Smoothed weighted values over smoothed weights, with decreasing strength (Min et al., TIP 2014, equation 16)."""
-    across = np.exp(-np.abs(np.diff(grey, axis=1)) / 255.0 * _SHARPNESS)
-    down = np.exp(-np.abs(np.diff(grey, axis=0)) / 255.0 * _SHARPNESS)
+    across = np.exp(-np.abs(np.diff(gray, axis=1)) / 255.0 * _SHARPNESS)
+    down = np.exp(-np.abs(np.diff(gray, axis=0)) / 255.0 * _SHARPNESS)
     along = [np.pad(across, ((0, 0), (0, 1))), np.ascontiguousarray(np.pad(down, ((0, 1), (0, 0))).T)]
     for round_ in range(_ROUNDS):
         fraction = 1.5 * 4.0 ** (_ROUNDS - round_ - 1) / (4.0**_ROUNDS - 1.0)
@@ -95,7 +95,7 @@ def _smooth_rows(weight: np.ndarray, weighted: np.ndarray, links: np.ndarray, st
     )
 
 
-def _farther_neighbour(disparity: np.ndarray) -> Float32[np.ndarray, "h w"]:
+def _farther_neighbor(disparity: np.ndarray) -> Float32[np.ndarray, "h w"]:
     """The smaller of the nearest known disparities to the left and right in the row; NaN if there is none."""
     width = disparity.shape[1]
     known = np.isfinite(disparity)

@@ -70,8 +70,8 @@ def match_features(
     """Mutual matches by the ratio test with a vertical offset below a tenth of the image height.
 
     Args:
-        left: grey.
-        right: grey, the same size.
+        left: gray.
+        right: gray, the same size.
         kind: SIFT is accurate to 0.2 pixels; ORB to 1 pixel, and needs no compiled kernels.
     """
     config = FeatureConfig(kind=kind, max_features=4000 if kind == "sift" else 2000)
@@ -102,11 +102,11 @@ def quick_warnings(left_rgb: np.ndarray, right_rgb: np.ndarray, found: MatchedPa
         right_rgb: the same size.
         found: search range and result.
     """
-    grey = [cv2.cvtColor(np.ascontiguousarray(p), cv2.COLOR_RGB2GRAY) for p in (left_rgb, right_rgb)]
-    matches = match_features(grey[0], grey[1], "orb")
+    gray = [cv2.cvtColor(np.ascontiguousarray(p), cv2.COLOR_RGB2GRAY) for p in (left_rgb, right_rgb)]
+    matches = match_features(gray[0], gray[1], "orb")
     if len(matches) and np.median(np.abs(matches.vertical_px)) > _MOST_OFF_PX:
         # Either rows are misaligned or most matches are wrong (e.g. on a chessboard): decide with better features.
-        matches = without_mistakes(match_features(grey[0], grey[1]), None)
+        matches = without_mistakes(match_features(gray[0], gray[1]), None)
     few = f"only {100 * found.density:.1f} % of the pixels are known"
     if len(matches) < _LEAST_MATCHES:
         if found.density > _SPARSE:

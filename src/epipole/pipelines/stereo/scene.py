@@ -98,7 +98,7 @@ def points_of_depths(
 
 
 def view_of_depths(points_in_cam: np.ndarray) -> FirstView:
-    """View from beside the camera towards the median depth."""
+    """View from beside the camera toward the median depth."""
     middle = float(np.median(points_in_cam[:, 2])) if len(points_in_cam) else 1.0
     position = middle * np.array([-0.25, -0.25, -0.2])
     return FirstView(position, np.array([0.0, 0.0, middle]), np.array([0.0, -1.0, 0.0]))

@@ -81,15 +81,15 @@ def rectify_uncalibrated(left: Any, right: Any, seed: int = 0) -> UncalibratedRe
             pure rotation).
         ShapeError: the images are not 8-bit images of the same size.
     """
-    grey = []
+    gray = []
     for name, image in (("left", left), ("right", right)):
         array = np.ascontiguousarray(image)
         if array.dtype != np.uint8 or array.ndim not in (2, 3):
             raise ShapeError(f"{name} must be an 8-bit image, got {array.shape} of {array.dtype}")
-        grey.append(cv2.cvtColor(array, cv2.COLOR_RGB2GRAY) if array.ndim == 3 else array)
-    if grey[0].shape != grey[1].shape:
+        gray.append(cv2.cvtColor(array, cv2.COLOR_RGB2GRAY) if array.ndim == 3 else array)
+    if gray[0].shape != gray[1].shape:
         raise ShapeError("both images must have the same size")
-    one, two = (detect_features(g) for g in grey)
+    one, two = (detect_features(g) for g in gray)
     pairs = match_descriptors(one.descriptors, two.descriptors)
     x1, x2 = one.pixels[pairs[:, 0]].astype(np.float64), two.pixels[pairs[:, 1]].astype(np.float64)
     found = estimate_fundamental_matrix(x1, x2, RansacConfig(seed=seed))
@@ -101,7 +101,7 @@ def rectify_uncalibrated(left: Any, right: Any, seed: int = 0) -> UncalibratedRe
             f"only {int(good.sum())} matches agree with a fundamental matrix, {_LEAST_INLIERS} are needed: "
             "do the images show the same scene?"
         )
-    height, width = grey[0].shape
+    height, width = gray[0].shape
     left_px, right_px = rectifying_homographies(found.model, x1[good], x2[good], (width, height))
     moved = [
         from_homogeneous(to_homogeneous(x[good]) @ matrix.T) for x, matrix in ((x1, left_px), (x2, right_px))

@@ -18,7 +18,7 @@ from epipole.report.space_scene import CameraLayer, FirstView, MeshLayer, PointL
 from epipole.scene import Curve, extent_of
 
 UNIT, FARTHEST = "units of the file", 1e30
-GREY = 190
+GRAY = 190
 WIDTH_DEG = 60.0
 """Assumed horizontal field of view of a depth map, whose intrinsics are unknown."""
 
@@ -44,7 +44,7 @@ def scene_of_ply(path: Path) -> SpaceScene:
     num_cameras = num_cameras_of_scene(path)
     if num_cameras is not None and 5 * num_cameras <= n and found.rgb is not None:
         return _scene_of_model(path, xyz, found.rgb, num_cameras)
-    rgb = found.rgb if found.rgb is not None else np.full((n, 3), GREY, np.uint8)
+    rgb = found.rgb if found.rgb is not None else np.full((n, 3), GRAY, np.uint8)
     if (known := first_view_of_mesh(path)) is not None:
         view = FirstView(*known)
     else:

@@ -8,7 +8,9 @@ from typing import Any
 from epipole._checks import as_path, checked
 from epipole.errors import FileFormatError
 from epipole.io.calibration.files import read_calibration
+from epipole.io.contents_in_words import results_of, with_what_it_is
 from epipole.io.convert import read_model
+from epipole.io.files import missing_in_words
 from epipole.io.images.depth_maps import read_pfm, read_png16
 from epipole.io.meshes.mesh_ply import read_mesh_ply
 from epipole.io.trajectories.files import read_trajectory
@@ -22,6 +24,13 @@ from epipole.pipelines.slam.output.map_file import load_slam_map
 from epipole.pipelines.stereo import scene as stereo
 from epipole.pipelines.stereo.files import read_stereo
 from epipole.pipelines.viewing import files
+
+READABLE = (
+    "pass an output folder, a COLMAP model, a transforms.json, a SLAM map, Gaussians, a trajectory, a calibration, a PLY file "
+    "or a depth map (PFM, 16-bit PNG)"
+)
+WITH_MODEL = ("reconstruct", "slam", "demo")
+"""Commands whose output folders have a model; if it is missing, the error names its files."""
 
 
 @checked
@@ -48,7 +57,7 @@ def load(path: str | Path) -> Any:
     """
     path = as_path(path)
     if not path.exists():
-        raise FileFormatError(path, "it does not exist")
+        raise FileFormatError(path, missing_in_words(path))
     if fields.is_mine(path):
         found = kind_in(path)
         return seen_gaussians(path)[0] if found is None else found[0].read(found[1])
@@ -66,4 +75,15 @@ def load(path: str | Path) -> Any:
         return read_trajectory(path)
     if calibration.is_mine(path):
         return read_calibration(path / CALIBRATION if path.is_dir() else path)
-    return read_model(path)
+    if path.is_file() and path.suffix.lower() != ".json":
+        raise FileFormatError(
+            path, with_what_it_is("epipole.load cannot read this kind of file", path, READABLE)
+        )
+    try:
+        return read_model(path)
+    except FileFormatError as error:
+        if path.is_file() or results_of(path) in WITH_MODEL:
+            raise
+        raise FileFormatError(
+            path, with_what_it_is("nothing in this folder can be read", path, READABLE)
+        ) from error

@@ -9,6 +9,7 @@ from pathlib import Path
 from epipole._checks import as_path, checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.contents_in_words import with_what_it_is
+from epipole.io.files import missing_in_words
 from epipole.pipelines.calibration import scene as calibration
 from epipole.pipelines.fields import scene as fields
 from epipole.pipelines.sfm.page import scene as sfm
@@ -108,7 +109,7 @@ def scene_of(path: Path) -> SpaceScene:
         FileFormatError: there is nothing to show, or it is damaged.
     """
     if not path.exists():
-        raise FileFormatError(path, "it does not exist")
+        raise FileFormatError(path, missing_in_words(path))
     make = next((make for is_mine, make in KINDS if is_mine(path)), None)
     if make is None and path.is_file() and path.suffix.lower() != ".json":
         advice = "`epipole view --help` lists what can be shown"

@@ -14,11 +14,11 @@ precision highp usampler2D;
 uniform usampler2D rows, harmonics, order;
 uniform int shown;
 ${EYE_GLSL}
-uniform vec2 scaleRange, colourRange, harmonicRange;
+uniform vec2 scaleRange, colorRange, harmonicRange;
 uniform bool hasHarmonics;
 out vec2 away;
 flat out float reach2, opacity;
-flat out vec3 colour;
+flat out vec3 color;
 
 vec3 triple(uint word) {
   return vec3(uvec3(word, word >> 10, word >> 20) & 1023u) / 1023.0;
@@ -62,28 +62,28 @@ void main() {
   vec2 offset = vec2(l11 * away.x, vxy / l11 * away.x + sqrt(det) / l11 * away.y);
   gl_Position = vec4((pixel + offset) * vec2(2.0, -2.0) / size, 1.0 - 2.0 * near / p.z, 1.0); // as of clipOf
 
-  colour = colourRange.x + colourRange.y * triple(first.w);
+  color = colorRange.x + colorRange.y * triple(first.w);
   if (hasHarmonics) {
     ivec2 own = ivec2(gaussian % ${TEXTURE_WIDTH}, gaussian / ${TEXTURE_WIDTH});
     uvec4 words = texelFetch(harmonics, own, 0);
     vec3 d = 0.4886025119029199 * normalize(ray);
     mat3 sh = mat3(triple(words.x), triple(words.y), triple(words.z));
-    colour += harmonicRange.x * (d.z - d.y - d.x) + harmonicRange.y * (sh * vec3(-d.y, d.z, -d.x));
+    color += harmonicRange.x * (d.z - d.y - d.x) + harmonicRange.y * (sh * vec3(-d.y, d.z, -d.x));
   }
-  colour = max(colour, 0.0);
+  color = max(color, 0.0);
 }`;
 
 const FRAGMENT_SHADER = `#version 300 es
 precision highp float;
 in vec2 away;
 flat in float reach2, opacity;
-flat in vec3 colour;
+flat in vec3 color;
 out vec4 drawn;
 void main() {
   float d2 = dot(away, away);
   if (d2 > reach2) discard;
   float alpha = min(opacity * exp(-0.5 * d2), 0.99);
-  drawn = vec4(colour * alpha, alpha);
+  drawn = vec4(color * alpha, alpha);
 }`;
 
 /* `put` uploads Gaussians: `words` holds 8 numbers for each, `harmonics` 3 or is null. */
@@ -135,7 +135,7 @@ function gaussianDrawing(gl) {
       putWords(0, words, 4);
       putWords(1, harmonics || new Uint32Array(0), 3);
       gl.uniform1i(at("hasHarmonics"), harmonics ? 1 : 0);
-      for (const name of ["scaleRange", "colourRange", "harmonicRange"])
+      for (const name of ["scaleRange", "colorRange", "harmonicRange"])
         gl.uniform2fv(at(name), numbers[name]);
       const form = [heightOf(numbers.count), 0, gl.RED_INTEGER, gl.UNSIGNED_INT, null];
       gl.activeTexture(gl.TEXTURE0 + ORDER_UNIT);

@@ -1,5 +1,5 @@
 /* The matrix of matches: a cell per pair of images. */
-/* global byId, readJson, cssColour, darkScheme, NAMES, showTip, fitCanvas */
+/* global byId, readJson, cssColor, darkScheme, NAMES, showTip, fitCanvas */
 "use strict";
 function matchMatrix(canvas, data) {
   const n = data.n,
@@ -24,10 +24,10 @@ function matchMatrix(canvas, data) {
     const snap = (v) => Math.round(v * ratio) / ratio;
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.clearRect(0, 0, side, side);
-    pen.fillStyle = cssColour("--panel");
+    pen.fillStyle = cssColor("--panel");
     pen.fillRect(margin, margin, cell * n, cell * n);
-    const low = rgb(cssColour("--ramp0")),
-      high = rgb(cssColour("--ramp1"));
+    const low = rgb(cssColor("--ramp0")),
+      high = rgb(cssColor("--ramp1"));
     const gap = cell >= 7 ? 1 : 0;
     data.count.forEach((value, k) => {
       pen.fillStyle = `rgb(${mix(low, high, Math.log(Math.max(1, value)) / Math.log(Math.max(2, most)))})`;
@@ -40,18 +40,18 @@ function matchMatrix(canvas, data) {
         pen.fillRect(x, y, snap(at(a + 1)) - x - gap, snap(at(b + 1)) - y - gap);
       }
     });
-    pen.fillStyle = cssColour("--line");
+    pen.fillStyle = cssColor("--line");
     const inner = Math.max(1, cell - gap);
     for (let k = 0; k < n; k++) pen.fillRect(snap(at(k)), snap(at(k)), inner, inner);
-    pen.fillStyle = cssColour("--warn");
+    pen.fillStyle = cssColor("--warn");
     for (let k = 0; k < n; k++) {
       if (placed.has(k)) continue;
       pen.fillRect(margin - 5, at(k), 3, inner);
       pen.fillRect(at(k), margin - 5, inner, 3);
     }
-    pen.strokeStyle = cssColour("--line");
+    pen.strokeStyle = cssColor("--line");
     pen.strokeRect(margin - 0.5, margin - 0.5, cell * n + 1, cell * n + 1);
-    pen.fillStyle = cssColour("--soft");
+    pen.fillStyle = cssColor("--soft");
     pen.font = "11.5px system-ui, sans-serif";
     for (let k = 0; k < n; k += step) {
       pen.textAlign = "center";

@@ -1,9 +1,9 @@
 /* The frame of a page with scripts: hover text, sorting, enlarged images. No library. */
-/* exported bytesOf, cssColour, darkScheme, NAMES, showTip, fitCanvas */
+/* exported bytesOf, cssColor, darkScheme, NAMES, showTip, fitCanvas */
 "use strict";
 const byId = (id) => document.getElementById(id);
 const readJson = (id) => (byId(id) ? JSON.parse(byId(id).textContent) : null);
-const cssColour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const cssColor = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const darkScheme = matchMedia("(prefers-color-scheme: dark)");
 const NAMES = readJson("names") || [];
 

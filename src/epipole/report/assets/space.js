@@ -1,7 +1,7 @@
 /* The 3D view: what is drawn, and from where. Points are drawn in portions, a frame each, as many as the device draws in
    time: they lie in an order drawn at random, so that the first portion, all there is while the eye moves, is a fair
    sample of them, and the rest follows as soon as it rests. */
-/* global byId, readJson, cssColour, darkScheme, showTip, fitCanvas, fullScreen */
+/* global byId, readJson, cssColor, darkScheme, showTip, fitCanvas, fullScreen */
 /* global orbitEye, eyeAt, frameOf, unit, cross, dot, glTarget */
 /* global spaceBlocks, spaceLayers, gaussiansOf, gaussianSorter, spaceTools, pickPoint, pickTriangle, pickGaussian */
 "use strict";
@@ -52,7 +52,7 @@ async function spaceView(canvas, data) {
     opacity: 0.5,
     shown: drawn.shown,
     limits: data.points.map(() => [0, 1, 0, 1]),
-    colourBy: 0,
+    colorBy: 0,
   };
   const target = glTarget(gl);
   let asked = false,
@@ -120,10 +120,10 @@ async function spaceView(canvas, data) {
 
   /* What is begun anew with every change: the ground, triangles and lines. */
   function paintLines(eye, ratio) {
-    const grey = data.background,
-      ground = cssColour("--stage");
+    const gray = data.background,
+      ground = cssColor("--stage");
     const back =
-      grey === null ? [1, 3, 5].map((k) => parseInt(ground.slice(k, k + 2), 16) / 255) : [grey, grey, grey];
+      gray === null ? [1, 3, 5].map((k) => parseInt(ground.slice(k, k + 2), 16) / 255) : [gray, gray, gray];
     gl.clearColor(...back, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     if (drawn.backdrop) {
@@ -150,7 +150,7 @@ async function spaceView(canvas, data) {
         sizePx: look.pointPx * ratio * view.eye().dist,
         mostPx: 4 * look.pointPx * ratio,
         limits: look.limits[k],
-        colourBy: Math.min(look.colourBy, layer.measures.length),
+        colorBy: Math.min(look.colorBy, layer.measures.length),
       });
     });
     canvas.dataset.points = Math.floor(to * total);

@@ -7,12 +7,12 @@ precision highp float;
 ${EYE_GLSL}
 uniform float pointSize, mostSize;
 uniform vec4 limits; // of the two measures: least and most
-uniform int colourBy; // 0: their own; 1, 2: a measure
+uniform int colorBy; // 0: their own; 1, 2: a measure
 uniform vec3 ramp[16];
 layout(location = 0) in vec3 place;
 layout(location = 1) in vec3 rgb;
 layout(location = 2) in vec2 values; // 1: not known
-out vec3 colour;
+out vec3 color;
 void main() {
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0); // nowhere
   gl_PointSize = 1.0;
@@ -22,20 +22,20 @@ void main() {
   if (p.z < near || isCut(place) || any(out_)) return;
   gl_Position = clipOf(p);
   gl_PointSize = clamp(pointSize / p.z, 1.0, mostSize);
-  colour = rgb;
-  if (colourBy > 0) {
-    float t = colourBy == 1 ? values.x : values.y, at = 15.0 * clamp(t, 0.0, 1.0);
+  color = rgb;
+  if (colorBy > 0) {
+    float t = colorBy == 1 ? values.x : values.y, at = 15.0 * clamp(t, 0.0, 1.0);
     int stop = min(int(at), 14);
-    colour = t < 1.0 ? mix(ramp[stop], ramp[stop + 1], at - float(stop)) : vec3(0.35);
+    color = t < 1.0 ? mix(ramp[stop], ramp[stop + 1], at - float(stop)) : vec3(0.35);
   }
 }`;
 const POINT_FRAGMENT = `#version 300 es
 precision mediump float;
-in vec3 colour;
+in vec3 color;
 out vec4 drawn;
-void main() { drawn = vec4(colour, 1.0); }`;
+void main() { drawn = vec4(color, 1.0); }`;
 
-/* One layer of points. `put` uploads them, each three floats and three bytes of colour in 16 bytes, with their measures
+/* One layer of points. `put` uploads them, each three floats and three bytes of color in 16 bytes, with their measures
    or null; `draw(eye, look)` draws `look.count` of them from `look.first` on. */
 function pointDrawing(gl, ramp) {
   const made = glProgram(gl, POINT_VERTEX, POINT_FRAGMENT),
@@ -58,12 +58,12 @@ function pointDrawing(gl, ramp) {
       for (const location of values ? [0, 1, 2] : [0, 1]) gl.enableVertexAttribArray(location);
       gl.bindVertexArray(null);
     },
-    draw(eye, { first, count, sizePx, mostPx, limits, colourBy }) {
+    draw(eye, { first, count, sizePx, mostPx, limits, colorBy }) {
       setEye(gl, made, eye);
       gl.uniform1f(made.at("pointSize"), sizePx);
       gl.uniform1f(made.at("mostSize"), mostPx);
       gl.uniform4fv(made.at("limits"), limits);
-      gl.uniform1i(made.at("colourBy"), colourBy);
+      gl.uniform1i(made.at("colorBy"), colorBy);
       gl.uniform3fv(made.at("ramp"), ramp);
       gl.bindVertexArray(array);
       gl.vertexAttrib2f(2, 1, 1);
@@ -86,7 +86,7 @@ layout(location = 2) in vec3 place2;
 layout(location = 3) in vec3 offset2;
 layout(location = 4) in vec3 rgb;
 layout(location = 5) in float owner;
-out vec3 colour, at;
+out vec3 color, at;
 void main() {
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   vec3 w1 = place1 + scale * offset1, w2 = place2 + scale * offset2;
@@ -104,21 +104,21 @@ void main() {
   vec2 shift = reach * (vec2(-way.y, way.x) * aside + way * (2.0 * along - 1.0));
   gl_Position = clipOf(p);
   gl_Position.xy += shift * vec2(2.0, -2.0) / size * gl_Position.w;
-  colour = isMarked ? vec3(1.0, 0.83, 0.3) : rgb;
+  color = isMarked ? vec3(1.0, 0.83, 0.3) : rgb;
   at = along > 0.5 ? w2 : w1;
 }`;
 const LINE_FRAGMENT = `#version 300 es
 precision highp float;
 ${EYE_GLSL}
-in vec3 colour, at;
+in vec3 color, at;
 out vec4 drawn;
 void main() {
   if (isCut(at)) discard;
-  drawn = vec4(colour, 1.0);
+  drawn = vec4(color, 1.0);
 }`;
 const LINE_FLOATS = 16;
 
-/* `put` uploads pieces of 16 numbers each: place, offset, place, offset, colour (0 to 1), and whose it is (-1: nobody's). */
+/* `put` uploads pieces of 16 numbers each: place, offset, place, offset, color (0 to 1), and whose it is (-1: nobody's). */
 function lineDrawing(gl) {
   const made = glProgram(gl, LINE_VERTEX, LINE_FRAGMENT),
     array = gl.createVertexArray(),
@@ -152,7 +152,7 @@ function lineDrawing(gl) {
   };
 }
 
-/* Eight edges a camera: from its centre to the image's corners, and around the image. */
+/* Eight edges a camera: from its center to the image's corners, and around the image. */
 function frustumPieces(places, corners, rgb) {
   const count = places.length / 3,
     out = new Float32Array(8 * LINE_FLOATS * count);
@@ -186,23 +186,23 @@ precision highp float;
 ${EYE_GLSL}
 layout(location = 0) in vec3 place;
 layout(location = 1) in vec4 rgba;
-out vec3 colour, at, seen;
+out vec3 color, at, seen;
 void main() {
   seen = camFromWorld * (place - center);
   gl_Position = clipOf(seen);
-  colour = rgba.rgb;
+  color = rgba.rgb;
   at = place;
 }`;
 const MESH_FRAGMENT = `#version 300 es
 precision highp float;
 ${EYE_GLSL}
-in vec3 colour, at, seen;
+in vec3 color, at, seen;
 out vec4 drawn;
 void main() {
   if (isCut(at)) discard;
   vec3 normal = cross(dFdx(seen), dFdy(seen));
   float facing = abs(dot(normal, seen)) / max(length(normal) * length(seen), 1e-30);
-  drawn = vec4(colour * (0.4 + 0.6 * facing), 1.0);
+  drawn = vec4(color * (0.4 + 0.6 * facing), 1.0);
 }`;
 function meshDrawing(gl, mesh, bytes) {
   const made = glProgram(gl, MESH_VERTEX, MESH_FRAGMENT),
@@ -211,11 +211,11 @@ function meshDrawing(gl, mesh, bytes) {
   [
     [bytes(mesh.vertices), 3, gl.FLOAT, false],
     [bytes(mesh.rgba), 4, gl.UNSIGNED_BYTE, true],
-  ].forEach(([data, size, kind, normalised], location) => {
+  ].forEach(([data, size, kind, normalized], location) => {
     gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
     gl.enableVertexAttribArray(location);
-    gl.vertexAttribPointer(location, size, kind, normalised, 0, 0);
+    gl.vertexAttribPointer(location, size, kind, normalized, 0, 0);
   });
   gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
   gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, bytes(mesh.faces), gl.STATIC_DRAW);

@@ -31,7 +31,7 @@ function lengthInWords({ length, sigma }, unit, scale, errorWords) {
   return `${besideItsError(length, sigma)} \u00b1 ${inDigits(sigma, 2)}${named}${scale}, one standard deviation${why}`;
 }
 
-/* The scale that a person has set: metres per unit, and its relative error (null: unknown). The browser keeps it for
+/* The scale that a person has set: meters per unit, and its relative error (null: unknown). The browser keeps it for
    this scene; another model under the same name has other bounds, and another unit. */
 const scaleKey = (data) => `epipole-scale ${[...data.low, ...data.high, data.radius].join(" ")}`;
 function ownScale(data, changed) {
@@ -49,11 +49,11 @@ function ownScale(data, changed) {
     if (form) byId("unset-scale").hidden = !value;
     changed();
   };
-  const inMetres = ({ length, sigma }) => {
+  const inMeters = ({ length, sigma }) => {
     if (!scale) return { length, sigma, unit: data.unit, words: data.scaleWords };
-    const own = scale.metres * length,
+    const own = scale.meters * length,
       isKnown = sigma !== null && scale.relative !== null,
-      known = isKnown ? Math.hypot(scale.metres * sigma, scale.relative * own) : null;
+      known = isKnown ? Math.hypot(scale.meters * sigma, scale.relative * own) : null;
     return { length: own, sigma: known, unit: "m", words: ", with the scale set here" };
   };
   if (form) {
@@ -62,7 +62,7 @@ function ownScale(data, changed) {
     } catch {
       scale = null;
     }
-    if (!(scale && scale.metres > 0 && (scale.relative === null || scale.relative >= 0))) scale = null;
+    if (!(scale && scale.meters > 0 && (scale.relative === null || scale.relative >= 0))) scale = null;
     byId("unset-scale").hidden = !scale;
     byId("unset-scale").addEventListener("click", () => keep(null));
   }
@@ -73,22 +73,22 @@ function ownScale(data, changed) {
     if (form.hidden) return;
     form.onsubmit = (event) => {
       event.preventDefault();
-      const metres = Number(byId("true-length").value) / found.length;
-      if (!(metres > 0 && Number.isFinite(metres))) return;
+      const meters = Number(byId("true-length").value) / found.length;
+      if (!(meters > 0 && Number.isFinite(meters))) return;
       const relative = Number.isFinite(found.sigma ?? NaN) ? found.sigma / found.length : null;
-      keep({ metres, relative });
+      keep({ meters, relative });
     };
   };
-  return { inMetres, offer };
+  return { inMeters, offer };
 }
 
-/* What the colours of lines and of coloured points mean. */
+/* What the colors of lines and of colored points mean. */
 function fillLegend(list, data, look) {
   const rows = data.curves
     .map((curve, k) => ({ curve, isShown: look.shown[`curve-${k}`] }))
     .filter(({ isShown }) => isShown)
     .map(({ curve }) => [`rgb(${curve.rgb.join(",")})`, curve.name]);
-  const measure = look.colourBy > 0 && data.points.map((p) => p.measures && p.measures[look.colourBy - 1]).find(Boolean);
+  const measure = look.colorBy > 0 && data.points.map((p) => p.measures && p.measures[look.colorBy - 1]).find(Boolean);
   if (measure) {
     const stops = Array.from({ length: 16 }, (_, k) => data.ramp.slice(3 * k, 3 * k + 3)),
       css = stops.map((rgb) => `rgb(${rgb.map((v) => Math.round(255 * v)).join(",")})`).join(",");
@@ -135,8 +135,8 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
   follow("point-size", (value) => (look.pointPx = value));
   follow("frustum-size", (value) => (look.frustum = value));
   follow("picture-opacity", (value) => (look.opacity = value));
-  follow("point-colour", (value) => {
-    look.colourBy = value;
+  follow("point-color", (value) => {
+    look.colorBy = value;
     legend();
   });
   legend();
@@ -211,7 +211,7 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
   }
   function showLength() {
     if (ends.length < 2) return;
-    const found = own.inMetres(distanceBetween(...ends));
+    const found = own.inMeters(distanceBetween(...ends));
     measured.textContent = lengthInWords(found, found.unit, found.words, ends[0].errorWords);
     measured.dataset.length = found.length;
     measured.dataset.sigma = found.sigma === null ? "" : found.sigma;
@@ -253,13 +253,13 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
   };
   /* The axes in a corner, and what is being measured. Two drawings: to draw the whole anew is slow in software. */
   function mark({ basis, focal, near }) {
-    const axes = AXES.flatMap(([label, colour], k) => {
+    const axes = AXES.flatMap(([label, color], k) => {
       const [x, y, dx, dy] = [38, 38, 22 * basis.r[k], 22 * basis.d[k]];
       const text = element("text", { x: x + 1.4 * dx, y: y + 1.4 * dy + 4 });
       text.textContent = label;
-      text.style.fill = colour; // before the style of the page's other drawings
+      text.style.fill = color; // before the style of the page's other drawings
       return [
-        element("line", { x1: x, y1: y, x2: x + dx, y2: y + dy, stroke: colour, "stroke-width": 1.5 }),
+        element("line", { x1: x, y1: y, x2: x + dx, y2: y + dy, stroke: color, "stroke-width": 1.5 }),
         text,
       ];
     });

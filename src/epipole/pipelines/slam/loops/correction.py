@@ -122,9 +122,9 @@ def fuse(model: SlamMap, keyframes: list[int], camera: Camera) -> np.ndarray:
     for k in keyframes:
         keyframe = model.keyframes[k]
         position = keyframe.cam_from_world
-        pixels, points = redetect(model, camera, keyframe.grey, position, keyframe.point)
+        pixels, points = redetect(model, camera, keyframe.gray, position, keyframe.point)
         pixels, is_same, is_stale = align_to_reference_patch(
-            model, camera, keyframe.grey, position, points, pixels
+            model, camera, keyframe.gray, position, points, pixels
         )
         good = is_same & ~is_stale
         pixels, points = pixels[good], points[good]

@@ -20,7 +20,7 @@ from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
 from epipole.robust import estimate_absolute_pose
 
 WORDS = Path(__file__).parent / "assets" / "words.npy"
-NEIGHBOURS = 3
+NEIGHBORS = 3
 """Neighbors of a similar keyframe whose points are compared too."""
 MIN_SAMPLE = 12
 """Fewest inliers among the matches."""
@@ -35,7 +35,7 @@ MIN_AGREEING = 30
 class View(NamedTuple):
     """A described image."""
 
-    grey: np.ndarray
+    gray: np.ndarray
     pixels: np.ndarray  # (n, 2)
     descriptors: np.ndarray  # (n, 128)
     descriptor: np.ndarray
@@ -67,20 +67,20 @@ def descriptor_size() -> int:
     return _words().size
 
 
-def view_of(grey: np.ndarray, pixels: np.ndarray) -> View:
+def view_of(gray: np.ndarray, pixels: np.ndarray) -> View:
     """Describe an image at its corners."""
-    descriptors = describe_upright(grey, pixels)
-    return View(grey, pixels, descriptors, describe_image(descriptors, _words()))
+    descriptors = describe_upright(gray, pixels)
+    return View(gray, pixels, descriptors, describe_image(descriptors, _words()))
 
 
 def describe_keyframe(keyframe: Keyframe) -> View:
     """Describe a keyframe's observations, once."""
     if keyframe.descriptor is None:
-        made = view_of(keyframe.grey, keyframe.pixels)
+        made = view_of(keyframe.gray, keyframe.pixels)
         keyframe.descriptors, keyframe.descriptor = made.descriptors, made.descriptor
     described = keyframe.descriptors.any(axis=1)
     return View(
-        keyframe.grey, keyframe.pixels[described], keyframe.descriptors[described], keyframe.descriptor
+        keyframe.gray, keyframe.pixels[described], keyframe.descriptors[described], keyframe.descriptor
     )
 
 
@@ -163,7 +163,7 @@ def _grown(
     agrees = np.zeros(len(points), bool)
     for _ in range(ROUNDS):
         aligned, is_same, is_stale = align_to_reference_patch(
-            model, camera, view.grey, position, points, pixels
+            model, camera, view.gray, position, points, pixels
         )
         is_alike = is_same & ~is_stale
         if is_alike.sum() < MIN_AGREEING:
@@ -210,7 +210,7 @@ def _points_around(model: SlamMap, number: int, unwanted: np.ndarray | None) -> 
     if unwanted is not None:
         taken[unwanted] = True
     points, descriptors = [np.zeros(0, np.int64)], [np.zeros((0, 128), np.uint8)]
-    for k in np.argsort(-shared, kind="stable")[: 1 + NEIGHBOURS]:
+    for k in np.argsort(-shared, kind="stable")[: 1 + NEIGHBORS]:
         own = model.keyframes[int(k)]
         fresh = np.flatnonzero(~taken[own.point] & own.descriptors.any(axis=1))
         if shared[k] == 0:

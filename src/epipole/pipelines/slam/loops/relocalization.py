@@ -17,13 +17,13 @@ ALIKE = 4
 
 
 def relocalize(
-    grey: np.ndarray, model: SlamMap, camera: Camera, config: OdometryConfig
+    gray: np.ndarray, model: SlamMap, camera: Camera, config: OdometryConfig
 ) -> Recognition | None:
     """The pose of an image in a map, by the keyframe with most inliers; None if too few or ambiguous."""
-    corners = new_corners(grey, np.zeros((0, 2)), config)
+    corners = new_corners(gray, np.zeros((0, 2)), config)
     if not len(corners):
         return None
-    view, count = view_of(grey, corners), len(model.keyframes)
+    view, count = view_of(gray, corners), len(model.keyframes)
     latest = list(range(max(0, count - LATEST), count))
     alike = [k for k, _ in most_alike(view.descriptor, model, np.zeros(count, bool), ALIKE)]
     found = [recognize(view, model, k, camera, config) for k in dict.fromkeys([*alike, *latest])]

@@ -8,7 +8,7 @@ from epipole.geometry import Rigid3, Similarity3, align_points
 
 
 def align_gauge(after: Rigid3, before: Rigid3) -> Similarity3:
-    """before_from_after of cameras (n,) whose gauge is free, from both their centres and their orientations."""
+    """before_from_after of cameras (n,) whose gauge is free, from both their centers and their orientations."""
     marks = []
     for cams in (after, before):
         centers = cams.centers()

@@ -97,9 +97,9 @@ class LocalMapper:
             stale: rows of points whose appearance has changed; their reference patches are replaced.
         """
         if self.map.keyframes:
-            tracks.add(*redetect(self.map, self.camera, frame.grey, position, tracks.point))
+            tracks.add(*redetect(self.map, self.camera, frame.gray, position, tracks.point))
             tracks.keep(frame.is_used(tracks.pixels))
-        corners = new_corners(frame.grey, tracks.pixels, self.config, frame.ignored_mask)
+        corners = new_corners(frame.gray, tracks.pixels, self.config, frame.ignored_mask)
         index = len(self.map.keyframes)
         pixels = np.concatenate([tracks.pixels, corners])
         points = np.concatenate([tracks.point, np.full(len(corners), -1)])
@@ -110,7 +110,7 @@ class LocalMapper:
         lacking = ~self.map.is_triangulated(points) & ~fresh
         self.map.xyz[points[lacking]] = made[lacking]
         seen = Observations(pixels, disparity, points)
-        keyframe = Keyframe(number, frame.timestamp_s, frame.grey, position, seen)
+        keyframe = Keyframe(number, frame.timestamp_s, frame.gray, position, seen)
         keyframe.motion, keyframe.ignored_mask = self.map.motion, frame.ignored_mask
         keyframe.shift_px = shutter_shifts(self.map, keyframe, keyframe.motion, self.sensor.shutter)
         self.map.keyframes.append(keyframe)

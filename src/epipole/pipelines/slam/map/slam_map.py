@@ -24,7 +24,7 @@ class Keyframe:
     Attributes:
         number: frame number in the sequence.
         timestamp_s: time of the frame.
-        grey: grey image.
+        gray: gray image.
         cam_from_world: pose, changed by adjustments.
         pixels: (n, 2) observations.
         disparity_px: (n,) their disparities; NaN for none.
@@ -39,9 +39,9 @@ class Keyframe:
     """
 
     def __init__(
-        self, number: int, timestamp_s: float, grey: np.ndarray, cam_from_world: Rigid3, seen: Observations
+        self, number: int, timestamp_s: float, gray: np.ndarray, cam_from_world: Rigid3, seen: Observations
     ) -> None:
-        self.number, self.timestamp_s, self.grey = number, timestamp_s, grey
+        self.number, self.timestamp_s, self.gray = number, timestamp_s, gray
         self.cam_from_world = cam_from_world
         self.pixels, self.disparity_px, self.point = seen
         self.shift_px = np.zeros((len(self.point), 3))

@@ -32,11 +32,11 @@ def reconstruction_of(model: SlamMap, camera: Camera, names: Sequence[str]) -> R
     order = np.argsort(point, kind="stable")
     order = order[point[order] >= 0]
     offsets = np.concatenate([[0], np.cumsum(np.bincount(point[order], minlength=len(rows)))])
-    grey = np.full(len(rows), 128, np.uint8)
+    gray = np.full(len(rows), 128, np.uint8)
     for j, row in enumerate(rows):
         x, y = np.rint(model.anchor_px[row]).astype(int)
-        name = model.keyframes[int(model.anchor[row])].grey
-        grey[j] = name[np.clip(y, 0, name.shape[0] - 1), np.clip(x, 0, name.shape[1] - 1)]
+        name = model.keyframes[int(model.anchor[row])].gray
+        gray[j] = name[np.clip(y, 0, name.shape[0] - 1), np.clip(x, 0, name.shape[1] - 1)]
     positions = [k.cam_from_world for k in keyframes]
     made = Reconstruction(
         Cameras.from_list([camera], is_constant=[True]),
@@ -56,7 +56,7 @@ def reconstruction_of(model: SlamMap, camera: Camera, names: Sequence[str]) -> R
             np.concatenate([[0], np.cumsum([len(k.point) for k in keyframes])]).astype(np.int64),
             np.concatenate([k.straight_px for k in keyframes] or [np.zeros((0, 2))]),
         ),
-        Points(model.xyz[rows].copy(), np.repeat(grey[:, None], 3, axis=1), np.zeros(len(rows))),
+        Points(model.xyz[rows].copy(), np.repeat(gray[:, None], 3, axis=1), np.zeros(len(rows))),
         Tracks(offsets.astype(np.int64), image[order].astype(np.int32), keypoint[order].astype(np.int32)),
     )
     return replace(made, points=replace(made.points, error_px=_mean_errors_px(made)))

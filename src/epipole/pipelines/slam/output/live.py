@@ -73,7 +73,7 @@ class BrowserView(LiveView):
             "words": f"frame {self.count} of {self.num_frames}, {plural(len(now.tracked_px), 'tracked point')}",
             "fraction": self.count / max(self.num_frames, self.count),
         }
-        image = partial(image_with_points, frame.grey, now.tracked_px, now.is_triangulated)
+        image = partial(image_with_points, frame.gray, now.tracked_px, now.is_triangulated)
         self._publish(system, now, state, answer.world_from_body, image=lambda: _jpeg(image()))
         self.budget.spend(perf_counter() - start)
 
@@ -125,14 +125,14 @@ def open_live(system: Slam, num_frames: int, job: JobOptions, name: str) -> Iter
 
 
 def image_with_points(
-    grey: UInt8[np.ndarray, "h w"],
+    gray: UInt8[np.ndarray, "h w"],
     pixels: Float64[np.ndarray, "n 2"],
     is_triangulated: Bool[np.ndarray, " n"],
 ) -> UInt8[np.ndarray, "h2 w2 3"]:
     """The image, `IMAGE_WIDTH_PX` wide, with triangulated points in green and others in orange."""
-    scale = min(1.0, IMAGE_WIDTH_PX / grey.shape[1])
-    size = (max(1, round(scale * grey.shape[1])), max(1, round(scale * grey.shape[0])))
-    small = cv2.cvtColor(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2RGB)
+    scale = min(1.0, IMAGE_WIDTH_PX / gray.shape[1])
+    size = (max(1, round(scale * gray.shape[1])), max(1, round(scale * gray.shape[0])))
+    small = cv2.cvtColor(cv2.resize(gray, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2RGB)
     for (x, y), known in zip((pixels + 0.5) * scale - 0.5, is_triangulated):
         color = LOCALIZED_RGB if known else WAITING_RGB
         cv2.circle(small, (round(x), round(y)), 2, color, -1, cv2.LINE_AA)

@@ -91,7 +91,7 @@ def write_slam_map(
         "timestamp_s": np.array([k.timestamp_s for k in keyframes], np.float64),
         "rotation": np.array([k.cam_from_world.rotation for k in keyframes]).reshape(-1, 3, 3),
         "translation": np.array([k.cam_from_world.translation for k in keyframes]).reshape(-1, 3),
-        "grey": np.array([k.grey for k in keyframes], np.uint8).reshape(-1, *size),
+        "grey": np.array([k.gray for k in keyframes], np.uint8).reshape(-1, *size),
         "offsets": np.concatenate([[0], np.cumsum([len(k.point) for k in keyframes])]).astype(np.int64),
         "pixels": np.concatenate([np.zeros((0, 2)), *(k.pixels for k in keyframes)]),
         "disparity_px": np.concatenate([np.zeros(0), *(k.disparity_px for k in keyframes)]),
@@ -111,7 +111,7 @@ class MapSummary(NamedTuple):
     names: tuple[str, ...]
     """Image names of the keyframes."""
     cams_from_world: Rigid3
-    grey: np.ndarray
+    gray: np.ndarray
     """Images of the keyframes (k, h, w)."""
     xyz_in_world: np.ndarray
     """Triangulated points (n, 3)."""
@@ -262,8 +262,8 @@ def _model_of(arrays: Arrays) -> SlamMap:
         own = slice(offsets[k], offsets[k + 1])
         position = Rigid3(arrays["rotation"][k], arrays["translation"][k])
         seen = Observations(*(arrays[name][own].copy() for name in ("pixels", "disparity_px", "point")))
-        grey = np.ascontiguousarray(arrays["grey"][k], np.uint8)
-        keyframe = Keyframe(int(number), float(arrays["timestamp_s"][k]), grey, position, seen)
+        gray = np.ascontiguousarray(arrays["grey"][k], np.uint8)
+        keyframe = Keyframe(int(number), float(arrays["timestamp_s"][k]), gray, position, seen)
         describe_keyframe(keyframe)
         model.keyframes.append(keyframe)
     return model

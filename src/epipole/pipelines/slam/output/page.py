@@ -58,7 +58,7 @@ class SlamPage:
 
     @property
     def is_metric(self) -> bool:
-        """Whether lengths are metres."""
+        """Whether lengths are meters."""
         return bool(self.summary["is_metric"])
 
     @property

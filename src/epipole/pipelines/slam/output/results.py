@@ -126,7 +126,7 @@ def write_results(
     summary, known = {**facts, **stream.summary(), **checked}, None
     if given.camera is not None:
         summary["camera_found"] = given.camera.summary()
-    metres, noted = _metres(given, source, is_map_fixed=job.localize)
+    meters, noted = _meters(given, source, is_map_fixed=job.localize)
     summary |= noted
     if truth is not None:
         known = truth_at_frames(truth, records)
@@ -135,7 +135,7 @@ def write_results(
     with run.stage("write"), run.folder.publish("slam") as aside:
         submaps = [_of_body(system.trajectory(n), source) for n in range(1, len(system.maps))]
         _write(model, (final, causal), submaps, records, aside)
-        write_slam_map(aside / MAP_FILE, system.maps[0], names, source.camera, metres)
+        write_slam_map(aside / MAP_FILE, system.maps[0], names, source.camera, meters)
         if given.camera is not None:
             given.camera.write(aside / CAMERA)
         write_in_format((final, causal), (TRAJECTORY, CAUSAL), job.trajectory_format, aside)
@@ -175,7 +175,7 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
         run.warnings += [*camera_warnings(camera, model.right_shift_px), *warnings(tracked, path)]
         return {
             "readout_s": system.camera.readout_s if shutter is None else shutter.readout_s,
-            "lens": None if camera is None else asdict(camera),
+            "camera_check": None if camera is None else asdict(camera),
             "fraction_without_ray": 0.0 if blind is None else float(blind.mean()),
             "right_principal_point_shift_px": model.right_shift_px,
             "poor_images": poor_images(tracked),
@@ -316,7 +316,7 @@ def _submap_words(slam: Slam, number: int) -> dict[str, Any]:
     }
 
 
-def _metres(given: RunInputs, source: FrameSource, *, is_map_fixed: bool) -> tuple[str, dict[str, Any]]:
+def _meters(given: RunInputs, source: FrameSource, *, is_map_fixed: bool) -> tuple[str, dict[str, Any]]:
     """Source of the metric scale for the map's file (empty if up to scale), and the scale entries of this run's summary."""
     known, more = given.map, {}
     if given.anchoring is not None:
@@ -325,8 +325,8 @@ def _metres(given: RunInputs, source: FrameSource, *, is_map_fixed: bool) -> tup
     elif source.camera.measures_depth and not is_map_fixed:
         words = scale = _scale_words(source)
     elif known is not None and known.is_metric:
-        whence = f" ({known.scale.removeprefix('metres, ')})" if known.scale else ""
-        words, scale = known.scale or "metres", f"metres, as in the known map{whence}"
+        whence = f" ({known.scale.removeprefix('meters, ')})" if known.scale else ""
+        words, scale = known.scale or "meters", f"meters, as in the known map{whence}"
     else:
         words, scale = "", "up to scale: one camera cannot measure lengths"
     return words, {"scale": scale, "is_metric": bool(words), **more}
@@ -334,8 +334,8 @@ def _metres(given: RunInputs, source: FrameSource, *, is_map_fixed: bool) -> tup
 
 def _scale_words(source: FrameSource) -> str:
     if source.camera.depth is not None:
-        return "metres, from the depth sensor"
-    return f"metres, from the baseline of {source.camera.baseline:.4g} m"
+        return "meters, from the depth sensor"
+    return f"meters, from the baseline of {source.camera.baseline:.4g} m"
 
 
 def _reasons(tracked: Sequence[TrackedFrame]) -> dict[str, int]:

@@ -28,7 +28,7 @@ from epipole.scene import Trajectory
 def anchor_map(
     system: Slam, options: AnchorOptions, keyframe_names: Sequence[str], frame_names: Mapping[float, str]
 ) -> Anchoring:
-    """Scale the first map to metres; with measured positions, also align it to them and use them as factors.
+    """Scale the first map to meters; with measured positions, also align it to them and use them as factors.
 
     Args:
         system: SLAM of one camera, after its last frame.
@@ -44,7 +44,7 @@ def anchor_map(
     check_one_camera(options, measures_depth=system.camera.measures_depth)
     model, camera = system.maps[0], system.camera.camera
     keyframes = [k for k in model.keyframes if len(k.point)]
-    views = views_of_model(reconstruction_of(model, camera, keyframe_names), lambda row: keyframes[row].grey)
+    views = views_of_model(reconstruction_of(model, camera, keyframe_names), lambda row: keyframes[row].gray)
     # Measurements refer to the clock and image names of this run, not to those of a known map's keyframes.
     is_old = np.array([k.number < system.first_number for k in keyframes], bool)
     views = replace(

@@ -139,7 +139,7 @@ def scene_of_map(path: Path) -> SpaceScene:
     points = found.xyz_in_world
     rgb = np.full((len(points), 3), 200, np.uint8)
     agreed = PointMeasure("agreeing frames", found.num_agreed.astype(np.float64), "", is_at_least=True)
-    images = dict(zip(found.names, found.grey))
+    images = dict(zip(found.names, found.gray))
     n = len(found.names)
     keyframes = CameraLayer(
         "Keyframes",

@@ -29,7 +29,7 @@ class ReadoutFound:
     readout_s: float
     """From the first row to the one after the last."""
     gain: float
-    """Fraction of the cost that modelling the readout removes."""
+    """Fraction of the cost that modeling the readout removes."""
 
     def warning(self) -> str:
         """Warning for the user."""

@@ -1,4 +1,4 @@
-"""Plausibility check of depth in metres, to detect a wrong unit (millimetres for metres, TUM's 5000 for 1000)."""
+"""Plausibility check of depth in meters, to detect a wrong unit (millimeters for meters, TUM's 5000 for 1000)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class DepthRange:
         self._medians_m: list[float] = []
 
     def add(self, depth_m: np.ndarray) -> None:
-        """Add a depth image in metres, 0 or NaN where unknown."""
+        """Add a depth image in meters, 0 or NaN where unknown."""
         sample = depth_m[::_STEP, ::_STEP]
         known = sample[np.isfinite(sample) & (sample > 0)]
         if len(known):

@@ -19,7 +19,7 @@ from epipole.errors import ConfigError, EpipoleError, FileFormatError, ShapeErro
 from epipole.geometry import Rigid3
 from epipole.image.undistort import undistorted_camera, undistortion_map_px
 from epipole.io.images.depth_maps import read_png16
-from epipole.io.images.photographs import GreyRange, common_range, mask_of, read_grey, read_header, read_mask
+from epipole.io.images.photographs import GrayRange, common_range, mask_of, read_grey, read_header, read_mask
 from epipole.io.sequences.sequence import CALIBRATION_NOT_USED, FrameFiles, ImageSequence
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
 from epipole.pipelines.slam.sources.depth_range import DepthRange
@@ -70,10 +70,10 @@ class Preparation:
     camera: SlamCamera
     body_from_camera: Rigid3
     frame: Callable[..., Frame]
-    """Makes a frame of seconds, the grey image, and the right grey image or depth in metres."""
+    """Makes a frame of seconds, the gray image, and the right gray image or depth in meters."""
     notes: Callable[[], Sequence[str]] = tuple
     flat: Callable[[np.ndarray], np.ndarray] = np.asarray
-    """Undistorts or rectifies a grey image of the (left) camera in the same way."""
+    """Undistorts or rectifies a gray image of the (left) camera in the same way."""
 
 
 def of_one_camera(intrinsics: Camera) -> Preparation:
@@ -119,16 +119,16 @@ def of_depth(intrinsics: Camera, sensor: Camera | None, depth_from_color: Rigid3
     depth_camera = DepthCamera(sensor or intrinsics, depth_from_color or Rigid3.identity())
     ranges = DepthRange()
 
-    def flat_image(grey: np.ndarray) -> np.ndarray:
+    def flat_image(gray: np.ndarray) -> np.ndarray:
         if table is None:
-            return grey
-        _require_size("image", grey, intrinsics)
-        return cv2.remap(grey, table[..., 0], table[..., 1], cv2.INTER_LINEAR)
+            return gray
+        _require_size("image", gray, intrinsics)
+        return cv2.remap(gray, table[..., 0], table[..., 1], cv2.INTER_LINEAR)
 
-    def frame(seconds: float, grey: np.ndarray, depth: np.ndarray) -> Frame:
-        grey = flat_image(grey)
+    def frame(seconds: float, gray: np.ndarray, depth: np.ndarray) -> Frame:
+        gray = flat_image(gray)
         ranges.add(depth)
-        return Frame(seconds, grey, None, depth)
+        return Frame(seconds, gray, None, depth)
 
     camera = SlamCamera(flat, None, depth_camera)
     return Preparation(camera, Rigid3.identity(), frame, ranges.notes, flat_image)
@@ -177,7 +177,7 @@ def open_sequence(
     read = partial(read, made)
 
     def frames() -> Generator[QueuedFrame, None, None]:
-        # All frames get the same mapping to 8 bits, since tracking compares their grey values.
+        # All frames get the same mapping to 8 bits, since tracking compares their gray values.
         limits = common_range([files.image for files in sequence.frames])
         rotation_tracker = _ImageRotation(sequence.frames[0], limits)
         for number, files in enumerate(sequence.frames):
@@ -235,7 +235,7 @@ def _with_mask(plain: Callable[[], Frame], made: Preparation, masks: Path, image
     if used_mask is None:
         return frame
     ignored_mask = made.flat(np.where(used_mask, 0, 255).astype(np.uint8)) > 0
-    if ignored_mask.shape != frame.grey.shape:
+    if ignored_mask.shape != frame.gray.shape:
         raise ShapeError(f"the mask of {image.name} does not have the image's size")
     return replace(frame, ignored_mask=ignored_mask)
 
@@ -258,7 +258,7 @@ def _kind_of(sequence: ImageSequence, sensor: str) -> str:
 class _ImageRotation:
     """Reads all images of a camera with the EXIF orientation of its first one, since its mounting does not change."""
 
-    def __init__(self, first: FrameFiles, limits: GreyRange | None) -> None:
+    def __init__(self, first: FrameFiles, limits: GrayRange | None) -> None:
         self._first = first
         self._limits = limits
 
@@ -272,11 +272,11 @@ class _ImageRotation:
         return _orientation_of(self._first.right)
 
     def left(self, files: FrameFiles) -> np.ndarray:
-        """The grey image of the (left) camera."""
+        """The gray image of the (left) camera."""
         return read_grey(files.image, limits=self._limits, orientation=self._left)
 
     def right(self, files: FrameFiles) -> np.ndarray:
-        """The grey image of the right camera."""
+        """The gray image of the right camera."""
         assert files.right is not None
         return read_grey(files.right, limits=self._limits, orientation=self._right)
 

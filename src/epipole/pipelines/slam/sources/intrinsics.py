@@ -42,7 +42,7 @@ APART = 0.12
 """Median motion of the points from one selected image to the next, as a fraction of the image width."""
 LEAST_TRACKED = 80
 MOST_SIGMA = 0.005
-"""Largest relative standard deviation of an accepted focal length. In rooms and on an arc it was 0.1 to 0.3 %. On a street and in
+"""Largest relative uncertainty of an accepted focal length. In rooms and on an arc it was 0.1 to 0.3 %. On a street and in
 front of a cube it was 0.8 and 0.9 %, and the focal lengths were 3 and 8 % off: these cameras have several distortion parameters
 and an off-center principal point."""
 ADVICE = "pass camera_params (fx,fy,cx,cy) or a calibration"
@@ -56,7 +56,7 @@ class FoundCamera:
     num_images: int
     """Images that the estimate is based on; 0 for the camera of a known map."""
     sigma_px: float
-    """Standard deviation of the focal length."""
+    """Calibrated uncertainty of the focal length."""
     losses: tuple[str, ...] = ()
     """Warnings of the reconstruction."""
 
@@ -88,12 +88,12 @@ class FoundCamera:
         """Write a calibration file for the next run."""
         intrinsics = CalibrationFile((self.camera,), Rigid3.identity(1))
         write_calibration(
-            path, intrinsics, {"found_from_pictures": self.num_images, "focal_sigma_px": self.sigma_px}
+            path, intrinsics, {"estimated_from_images": self.num_images, "focal_sigma_px": self.sigma_px}
         )
 
 
 class _Image(NamedTuple):
-    grey: np.ndarray
+    gray: np.ndarray
     file: Path | None
 
 
@@ -203,16 +203,16 @@ def _select(images: Iterable[_Image], usual: int, folder: Path) -> dict[str, str
     """
     view, since = _View(), 0
     selected: dict[str, str] = {}
-    for number, (grey, file) in enumerate(images):
+    for number, (gray, file) in enumerate(images):
         since += 1
-        if not view.is_apart(grey) and selected and since < usual:
+        if not view.is_apart(gray) and selected and since < usual:
             continue
         name = folder / f"{len(selected):06d}{'.png' if file is None else file.suffix}"
         if file is None:
-            name.write_bytes(encoded_image(".png", grey))
+            name.write_bytes(encoded_image(".png", gray))
         else:
             copyfile(file, name)  # keeps EXIF
-        view.start(grey)
+        view.start(gray)
         selected[name.name], since = f"image {number}" if file is None else file.name, 0
         if len(selected) == MOST_IMAGES:
             break
@@ -227,18 +227,18 @@ class _View:
         self._before: np.ndarray | None = None
         self._initialize = self._now = np.zeros((0, 2))
 
-    def start(self, grey: np.ndarray) -> None:
-        self._before = grey
-        self._initialize = self._now = new_corners(grey, np.zeros((0, 2)), self._config)
+    def start(self, gray: np.ndarray) -> None:
+        self._before = gray
+        self._initialize = self._now = new_corners(gray, np.zeros((0, 2)), self._config)
 
-    def is_apart(self, grey: np.ndarray) -> bool:
+    def is_apart(self, gray: np.ndarray) -> bool:
         """Track the points into the next image; whether they have moved far enough or are lost."""
-        if self._before is None or self._before.shape != grey.shape:
+        if self._before is None or self._before.shape != gray.shape:
             return self._before is None
-        there, found_mask = track_points(self._before, grey, self._now, None, self._config)
-        self._before, self._now, self._initialize = grey, there[found_mask], self._initialize[found_mask]
+        there, found_mask = track_points(self._before, gray, self._now, None, self._config)
+        self._before, self._now, self._initialize = gray, there[found_mask], self._initialize[found_mask]
         shift = np.linalg.norm(self._now - self._initialize, axis=1)
-        return len(shift) < LEAST_TRACKED or float(np.median(shift)) > APART * grey.shape[1]
+        return len(shift) < LEAST_TRACKED or float(np.median(shift)) > APART * gray.shape[1]
 
 
 def _judged(found: ReconstructionResult, losses: Iterable[str]) -> FoundCamera:
@@ -271,6 +271,6 @@ def _judged(found: ReconstructionResult, losses: Iterable[str]) -> FoundCamera:
 
 
 def _honest_sigma_px(found: ReconstructionResult, formal_px: float) -> float:
-    """Standard deviation of the focal length from the reconstruction, which includes model errors; at least the formal one."""
+    """Calibrated uncertainty of the focal length from the reconstruction, which includes model errors; at least the formal one."""
     given = [focal["sigma_px"] for focal in found.summary.get("focals", []) if focal["camera"] == 0]
     return max(formal_px, float(given[0])) if given and given[0] is not None else formal_px

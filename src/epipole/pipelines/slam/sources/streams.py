@@ -244,9 +244,9 @@ def _queued(number: int, seconds: float, read: Callable[[], Frame]) -> QueuedFra
 
 def _of_bag(made: Preparation, depth_factor: float, frame: BagFrame) -> Frame:
     if frame.depth is not None:
-        return made.frame(frame.timestamp_s, frame.grey(), np.float32(depth_factor) * frame.depth())
+        return made.frame(frame.timestamp_s, frame.gray(), np.float32(depth_factor) * frame.depth())
     return made.frame(
-        frame.timestamp_s, frame.grey(), *([] if frame.right_grey is None else [frame.right_grey()])
+        frame.timestamp_s, frame.gray(), *([] if frame.right_gray is None else [frame.right_gray()])
     )
 
 
@@ -275,5 +275,5 @@ def _about_bag(bag: BagSequence, given: CameraOptions) -> dict[str, Any]:
 
 
 def _of_color(made: Preparation, seconds: float, image: np.ndarray) -> Frame:
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    return made.frame(seconds, grey)
+    gray = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    return made.frame(seconds, gray)

@@ -69,7 +69,7 @@ class RotationTracker:
         """The frame's orientation; None if a rotation does not explain it."""
         tracks, camera, position = self._tracks, self.camera, self._cam_from_sphere
         guess = predict_pixels(tracks.pixels, self._sphere.xyz[tracks.point], position, position, camera)
-        tracks.track(self._before.grey, frame.grey, guess, self.config, and_back=True)
+        tracks.track(self._before.gray, frame.gray, guess, self.config, and_back=True)
         tracks.keep(frame.is_used(tracks.pixels))
         self._before = frame
         if not self.is_rich:
@@ -79,7 +79,7 @@ class RotationTracker:
             self._sphere.xyz[tracks.point], rays, position.rotation, camera.focal_px
         )
         aligned, is_same, _ = align_to_reference_patch(
-            self._sphere, camera, frame.grey, Rigid3(rotated, np.zeros(3)), tracks.point, tracks.pixels
+            self._sphere, camera, frame.gray, Rigid3(rotated, np.zeros(3)), tracks.point, tracks.pixels
         )
         tracks.pixels = aligned
         tracks.keep(is_same)
@@ -107,17 +107,17 @@ class RotationTracker:
     def _insert_keyframe(self, frame: Frame, number: int) -> None:
         tracks, camera, sphere = self._tracks, self.camera, self._sphere
         position = self._cam_from_sphere
-        tracks.add(*redetect(sphere, camera, frame.grey, position, tracks.point))
-        corners = new_corners(frame.grey, tracks.pixels, self.config, frame.ignored_mask)
+        tracks.add(*redetect(sphere, camera, frame.gray, position, tracks.point))
+        corners = new_corners(frame.gray, tracks.pixels, self.config, frame.ignored_mask)
         directions = _unit(camera.unproject(corners)) @ position.rotation
         fresh = sphere.add_points(directions, corners, len(sphere.keyframes))
         pixels = np.concatenate([tracks.pixels, corners])
         points = np.concatenate([tracks.point, fresh])
         none = np.full(len(points), np.nan)
         seen = Observations(pixels, none, points)
-        sphere.keyframes.append(Keyframe(number, frame.timestamp_s, frame.grey, position, seen))
+        sphere.keyframes.append(Keyframe(number, frame.timestamp_s, frame.gray, position, seen))
         nothing = Observations(np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int64))
-        self.keyframes.append(Keyframe(number, frame.timestamp_s, frame.grey, position @ self.start, nothing))
+        self.keyframes.append(Keyframe(number, frame.timestamp_s, frame.gray, position @ self.start, nothing))
         self._tracks = Tracks(pixels.copy(), points, pixels.copy())
         self._num_at_keyframe = len(points)
 

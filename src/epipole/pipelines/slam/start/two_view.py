@@ -264,12 +264,12 @@ class OneCameraStart:
 
     def _track(self, frame: Frame) -> None:
         tracks = self.tracks
-        tracks.track(self._waiting[-1].frame.grey, frame.grey, tracks.pixels, self.config, and_back=True)
+        tracks.track(self._waiting[-1].frame.gray, frame.gray, tracks.pixels, self.config, and_back=True)
         tracks.keep(frame.is_used(tracks.pixels))
 
     def _wait_from(self, frame: Frame, number: int, reason: str) -> str:
         """Make this frame the first of a new attempt."""
-        corners = new_corners(frame.grey, np.zeros((0, 2)), self.config, frame.ignored_mask)
+        corners = new_corners(frame.gray, np.zeros((0, 2)), self.config, frame.ignored_mask)
         self.tracks = Tracks(corners, np.arange(len(corners)), corners)
         self._num_at_start = len(corners)
         self._waiting = [WaitingFrame(frame, number, corners, self.tracks.point)]
@@ -336,7 +336,7 @@ class OneCameraStart:
             found = initialize_map(model, rows, pixels, position, self.camera, self.config)
             position = found.cam_from_world if found is not None and n > 0 else position
             seen = Observations(pixels, np.full(len(rows), np.nan), rows)
-            keyframe = Keyframe(one.number, one.frame.timestamp_s, one.frame.grey, position, seen)
+            keyframe = Keyframe(one.number, one.frame.timestamp_s, one.frame.gray, position, seen)
             keyframe.ignored_mask = one.frame.ignored_mask
             model.keyframes.append(keyframe)
         tracks = Tracks(self.tracks.pixels, points, self.tracks.start_px)

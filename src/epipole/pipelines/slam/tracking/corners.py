@@ -11,40 +11,40 @@ BLOCK_PX = 5
 NOISE_FACTOR = 7.0
 """Smallest ratio of a corner's smaller eigenvalue to that of noise alone. At 7, noise moves a corner by a quarter of a pixel."""
 LEAST_NOISE = 0.5
-"""In grey levels. Rounding alone contributes a third."""
+"""In gray levels. Rounding alone contributes a third."""
 
 
 def new_corners(
-    grey: np.ndarray, present_px: np.ndarray, config: OdometryConfig, ignored_mask: np.ndarray | None = None
+    gray: np.ndarray, present_px: np.ndarray, config: OdometryConfig, ignored_mask: np.ndarray | None = None
 ) -> np.ndarray:
     """(n, 2) corners (Shi and Tomasi, CVPR 1994), strongest first, to fill up the present ones to `num_features`."""
     wanted = config.num_features - len(present_px)
     if wanted <= 0:
         return np.zeros((0, 2))
-    mask = np.full(grey.shape, 255, np.uint8)
+    mask = np.full(gray.shape, 255, np.uint8)
     if ignored_mask is not None:
         mask[ignored_mask] = 0
     for x, y in np.rint(present_px).astype(int):
         cv2.circle(mask, (int(x), int(y)), config.min_distance_px, 0, -1)
     found, strength = cv2.goodFeaturesToTrackWithQuality(
-        grey, wanted, config.corner_quality, config.min_distance_px, mask, blockSize=BLOCK_PX
+        gray, wanted, config.corner_quality, config.min_distance_px, mask, blockSize=BLOCK_PX
     )
     if found is None:
         return np.zeros((0, 2))
     side = config.window_px // 2
-    corners, last = found[:, 0].astype(np.float64), np.array(grey.shape[::-1]) - side
+    corners, last = found[:, 0].astype(np.float64), np.array(gray.shape[::-1]) - side
     inside = (corners >= side).all(axis=1) & (corners < last).all(axis=1)
-    return corners[inside & (strength.ravel() > NOISE_FACTOR * _strength_of_noise(noise_of(grey)))]
+    return corners[inside & (strength.ravel() > NOISE_FACTOR * _strength_of_noise(noise_of(gray)))]
 
 
-def noise_of(grey: np.ndarray) -> float:
-    """Standard deviation of an image's noise in grey levels, from its smoothest quarter.
+def noise_of(gray: np.ndarray) -> float:
+    """Standard deviation of an image's noise in gray levels, from its smoothest quarter.
 
     Uses the second difference along rows and columns, which is zero for planes (Immerkaer, CVIU 1996), with the lower quartile of
     its absolute value instead of the mean, so that texture has no effect.
     """
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
-    difference = np.abs(cv2.filter2D(grey, cv2.CV_32F, kernel)[::4, ::4]).astype(np.int64)
+    difference = np.abs(cv2.filter2D(gray, cv2.CV_32F, kernel)[::4, ::4]).astype(np.int64)
     # Differences are integers; each represents an interval of +-0.5.
     fraction = np.cumsum(np.bincount(difference.ravel())) / difference.size
     ends = np.arange(len(fraction) + 1) - 0.5

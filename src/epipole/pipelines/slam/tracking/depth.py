@@ -40,13 +40,13 @@ def disparities_of(
         assert camera.depth is not None
         z = depth_at(frame.depth, pixels, camera.camera, camera.depth)
         return camera.camera.focal_px * config.sensor_baseline_m / z
-    if frame.right_grey is None or not len(pixels):
+    if frame.right_gray is None or not len(pixels):
         return none
     guess, unknown = guess_px.copy(), ~np.isfinite(guess_px)
-    guess[unknown] = _best_shifts(frame.grey, frame.right_grey, pixels[unknown])
+    guess[unknown] = _best_shifts(frame.gray, frame.right_gray, pixels[unknown])
     start = pixels - np.stack([guess, np.zeros(len(pixels))], axis=1)
     same = np.tile(np.eye(2), (len(pixels), 1, 1))
-    right, score = find_patches(frame.grey, frame.right_grey, pixels, same, start, GUESS_LEVELS)
+    right, score = find_patches(frame.gray, frame.right_gray, pixels, same, start, GUESS_LEVELS)
     disparity = pixels[:, 0] - right[:, 0]
     found = (score > LEAST_SCORE) & (np.abs(right[:, 1] - pixels[:, 1]) <= ROWS_PX) & (disparity > 0.3)
     return np.where(found, disparity, np.nan)

@@ -22,7 +22,7 @@ motion leave 0.60 to 0.67 in most images, 5 pixels 0.8."""
 MOST_USUAL = 1.0
 """Upper bound of the usual detail: noise alone has more fine detail than any image of a scene."""
 LEAST_CONTRAST = 4.0
-"""Smallest standard deviation of the grey values, averaged over 8 x 8 pixels, of an image that shows something."""
+"""Smallest standard deviation of the gray values, averaged over 8 x 8 pixels, of an image that shows something."""
 DARK, BRIGHT, WHITE, MOST_WHITE = 30.0, 225.0, 250, 0.5
 _ANGLES = np.deg2rad(np.arange(0.0, 180.0, 22.5))
 _COS, _SIN = np.cos(_ANGLES), np.sin(_ANGLES)
@@ -78,14 +78,14 @@ class FrameQualityMonitor:
 
     def assess(self, frame: Frame) -> FrameQuality:
         """Problems of the images."""
-        problem, detail = _examined(frame.grey)
+        problem, detail = _examined(frame.gray)
         shows_nothing = bool(problem)
         if not shows_nothing:
             problem = self._blur(detail)
             self._usual = [*self._usual[1 - REMEMBERED :], np.minimum(detail, MOST_USUAL)]
-        if frame.right_grey is None:
+        if frame.right_gray is None:
             return FrameQuality(problem)
-        right = _examined(frame.right_grey)[0]
+        right = _examined(frame.right_gray)[0]
         if shows_nothing and not right:
             return FrameQuality(problem.replace("the image", "the left image"), is_left_alone=True)
         return FrameQuality(problem, right.replace("the image", "the right image"))
@@ -99,17 +99,17 @@ class FrameQualityMonitor:
         )
 
 
-def shows_something(grey: np.ndarray) -> bool:
+def shows_something(gray: np.ndarray) -> bool:
     """Whether an image has enough contrast for tracking."""
-    return float(grey[::8, ::8].std()) >= LEAST_CONTRAST
+    return float(gray[::8, ::8].std()) >= LEAST_CONTRAST
 
 
-def _examined(grey: np.ndarray) -> tuple[str, np.ndarray]:
+def _examined(gray: np.ndarray) -> tuple[str, np.ndarray]:
     """The exposure problem of an image, and its detail: the ratio of fine to coarse edges by direction.
 
     Motion blur removes the fine edges across it in any scene; contrast and exposure scale fine and coarse edges alike.
     """
-    half = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    half = cv2.resize(gray, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     small = cv2.resize(half, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
     mean, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(small))
     white = float((small >= WHITE).mean())
@@ -124,9 +124,9 @@ def _examined(grey: np.ndarray) -> tuple[str, np.ndarray]:
     return problem, np.sqrt(_edges(half) / np.maximum(_edges(small), 1e-3))
 
 
-def _edges(grey: np.ndarray) -> np.ndarray:
+def _edges(gray: np.ndarray) -> np.ndarray:
     """(8,) mean squared derivatives along directions 22.5 degrees apart."""
-    along_x, along_y = (cv2.Sobel(grey, cv2.CV_32F, *order) for order in ((1, 0), (0, 1)))
+    along_x, along_y = (cv2.Sobel(gray, cv2.CV_32F, *order) for order in ((1, 0), (0, 1)))
     xx, xy, yy = (
         cv2.mean(cv2.multiply(a, b))[0]
         for a, b in ((along_x, along_x), (along_x, along_y), (along_y, along_y))

@@ -21,7 +21,7 @@ LARGEST_SCALE, LEAST_FRESH_SCORE = 1.8, 0.65
 def align_to_reference_patch(
     model: SlamMap,
     camera: Camera,
-    grey: np.ndarray,
+    gray: np.ndarray,
     cam_from_world: Rigid3,
     points: np.ndarray,
     pixels: np.ndarray,
@@ -31,7 +31,7 @@ def align_to_reference_patch(
     Args:
         model: the map.
         camera: any model.
-        grey: the present image.
+        gray: the present image.
         cam_from_world: its approximate pose.
         points: (n,) rows of the map.
         pixels: (n, 2) predicted, to a few pixels.
@@ -45,7 +45,7 @@ def align_to_reference_patch(
     for k in np.unique(anchors):
         rows = np.flatnonzero(anchors == k)
         out[rows], score[rows] = align_patches(
-            model.keyframes[int(k)].grey, grey, model.anchor_px[points[rows]], warps[rows], pixels[rows]
+            model.keyframes[int(k)].gray, gray, model.anchor_px[points[rows]], warps[rows], pixels[rows]
         )
     near = np.linalg.norm(out - pixels, axis=1) <= FURTHEST_PX
     is_same = (score >= LEAST_SCORE) & near

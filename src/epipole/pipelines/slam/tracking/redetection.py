@@ -30,7 +30,7 @@ DRIFT_PX = 25.0
 def redetect(
     model: SlamMap,
     camera: Camera,
-    grey: np.ndarray,
+    gray: np.ndarray,
     cam_from_world: Rigid3,
     tracked: np.ndarray,
     search_px: float = SEARCH_PX,
@@ -66,7 +66,7 @@ def redetect(
         then = [keyframe.cam_from_world]
         warps = warps_between(then, np.zeros(len(own), np.int64), at, xyz, camera, cam_from_world)
         levels = 1 + math.ceil(math.log2(search_px / REACH_PX))
-        there, score = find_patches(keyframe.grey, grey, at, warps, wanted, levels, HALF_PX)
+        there, score = find_patches(keyframe.gray, gray, at, warps, wanted, levels, HALF_PX)
         found = (score >= LEAST_SCORE) & (np.linalg.norm(there - wanted, axis=1) <= search_px)
         pixels.append(there[found])
         points.append(keyframe.point[own[found]])
@@ -96,11 +96,11 @@ def link_tracks(model: SlamMap, camera: Camera, keyframes: Sequence[Keyframe]) -
     count = 0
     for keyframe in keyframes:
         position = keyframe.cam_from_world
-        pixels, points = redetect(model, camera, keyframe.grey, position, keyframe.point, DRIFT_PX)
+        pixels, points = redetect(model, camera, keyframe.gray, position, keyframe.point, DRIFT_PX)
         if not len(points):
             continue
         pixels, is_same, is_stale = align_to_reference_patch(
-            model, camera, keyframe.grey, position, points, pixels
+            model, camera, keyframe.gray, position, points, pixels
         )
         good = is_same & ~is_stale & is_outside(keyframe.ignored_mask, pixels)
         keyframe.add(pixels[good], np.full(int(good.sum()), np.nan), points[good])

@@ -35,7 +35,7 @@ def pose_from_right_image(
         config: thresholds.
     """
     before, frame = frames
-    if before.right_grey is None or frame.right_grey is None or sensor.baseline is None:
+    if before.right_gray is None or frame.right_gray is None or sensor.baseline is None:
         return None
     right = _right_camera(sensor.camera, model.right_shift_px)
     right_from_left = Rigid3(np.eye(3), np.array([-sensor.baseline, 0.0, 0.0]))
@@ -43,7 +43,7 @@ def pose_from_right_image(
     was = right.project((right_from_left @ position).apply(model.xyz[points]))
     inside = ((was >= 0) & (was < [right.width, right.height])).all(axis=1)
     points, was = points[inside], was[inside]
-    pixels, found = track_points(before.right_grey, frame.right_grey, was, was, config)
+    pixels, found = track_points(before.right_gray, frame.right_gray, was, was, config)
     points, pixels = points[found], pixels[found]
     located = locate(model.xyz[points], pixels, right, right_from_left @ position, None, config)
     if located is None:

@@ -76,14 +76,14 @@ class PointTracker:
         tracks = self.tracks
         self._pose_before, self.map.recent = predicted, self.map.recent.start_at(previous.timestamp_s)
         last = Tracks(tracks.pixels, tracks.point, tracks.start_px)
-        if not shows_something(previous.grey):
+        if not shows_something(previous.gray):
             tracks.keep(np.zeros(len(tracks), bool))
             return None
         points = self.map.xyz[tracks.point]
         guess = predict_pixels(tracks.pixels, points, predicted, predicted, self.camera)
-        tracks.track(previous.grey, frame.grey, guess, self.config, and_back=True)
+        tracks.track(previous.gray, frame.gray, guess, self.config, and_back=True)
         tracks.pixels, is_same, is_stale = align_to_reference_patch(
-            self.map, self.camera, frame.grey, predicted, tracks.point, tracks.pixels
+            self.map, self.camera, frame.gray, predicted, tracks.point, tracks.pixels
         )
         self.stale = tracks.point[is_stale]
         tracks.keep(is_same)
@@ -108,11 +108,11 @@ class PointTracker:
             # It predicts the points in the left image to a pixel: near enough for their patches.
             near, seen = right[0].cam_from_world, right[1]
             pixels, is_same, _ = align_to_reference_patch(
-                self.map, self.camera, frame.grey, near, seen.point, seen.pixels
+                self.map, self.camera, frame.gray, near, seen.point, seen.pixels
             )
             tracks.keep(np.zeros(len(tracks), bool))
             tracks.add(pixels[is_same], seen.point[is_same])
-        tracks.add(*redetect(self.map, self.camera, frame.grey, near, tracks.point))
+        tracks.add(*redetect(self.map, self.camera, frame.gray, near, tracks.point))
         found = self.estimate_pose(frame, near)
         if found is not None or right is None:
             return found
@@ -258,7 +258,7 @@ class PointTracker:
     ) -> np.ndarray:
         """(n,) masked points that moved independently of the scene since the previous frame; none if fewer than LEAST_POINTS.
 
-        A point that was mismatched once, or that an unmodelled distortion displaces, does not keep moving.
+        A point that was mismatched once, or that an unmodeled distortion displaces, does not keep moving.
         """
         out, rows = np.zeros(len(points), bool), np.flatnonzero(mask)
         if self._pose_before is None or len(rows) < LEAST_POINTS:
@@ -313,7 +313,7 @@ class PointTracker:
     def track_points_in_sight(self, frame: Frame, position: Rigid3) -> None:
         """Start tracking all points of the map that are in sight."""
         tracks = self.tracks
-        tracks.add(*redetect(self.map, self.camera, frame.grey, position, tracks.point))
+        tracks.add(*redetect(self.map, self.camera, frame.gray, position, tracks.point))
         self.start_from(Tracks(tracks.pixels, tracks.point, tracks.pixels.copy()))
 
     def why_keyframe(self, num_agreeing: int, age: int) -> str:

@@ -11,7 +11,7 @@ WAY = np.stack([6 * np.cos(0.2 * TIMES), 4 * np.sin(0.2 * TIMES), 0.1 * np.sin(T
 STEPS = np.linalg.norm(np.diff(WAY, axis=0), axis=1)
 
 
-def travelled(rng, fraction=0.0, scatter=0.02):
+def traveled(rng, fraction=0.0, scatter=0.02):
     steps = STEPS * (1 + fraction) * (1 + scatter * rng.standard_normal(len(STEPS)))
     return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -23,14 +23,14 @@ def model(rng, unit=2.0, jitter=0.003):
 def test_the_true_scale_lies_within_what_is_stated(rng):
     away = []
     for _ in range(100):
-        wheels = travelled(rng, 0.01 * rng.normal())
+        wheels = traveled(rng, 0.01 * rng.normal())
         found = fit_scale_to_distances(TIMES, model(rng), TIMES, wheels, None, 0.01)
         away.append((found.scale / 2.0 - 1.0) / found.fraction)
     assert 0.7 < np.std(away) < 1.2 and (np.abs(away) < 2).mean() >= 0.9
 
 
 def test_slip_does_not_count(rng):
-    steps = np.diff(travelled(rng))
+    steps = np.diff(traveled(rng))
     steps[60:110] *= 2.0
     wheels = np.concatenate([[0.0], np.cumsum(steps)])
     found = fit_scale_to_distances(TIMES, model(rng), TIMES, wheels, None, 0.0)
@@ -45,7 +45,7 @@ def test_places_by_odometry_are_compared_over_stretches(rng):
 
 
 def test_too_little_is_refused(rng):
-    wheels, positions = travelled(rng), model(rng)
+    wheels, positions = traveled(rng), model(rng)
     with pytest.raises(DegenerateGeometryError, match="did not move while"):
         fit_scale_to_distances(TIMES, positions, TIMES, 0 * wheels, None, 0.01)
     with pytest.raises(DegenerateGeometryError, match="0 posed images"):
@@ -66,7 +66,7 @@ AHEAD = 0.5
 
 
 def drive(rng, num=600, *, spin=False):
-    """A robot that turns to and fro, or also on the spot, with its camera half a metre ahead of the middle of its wheels.
+    """A robot that turns to and fro, or also on the spot, with its camera half a meter ahead of the middle of its wheels.
 
     Returns:
         Times, places of the wheels' middle, levers from the camera to it, and the way of the wheels.
@@ -94,9 +94,9 @@ def test_a_camera_ahead_of_the_wheels(rng, kind):
         positions = (wheels - levers + 0.002 * rng.standard_normal(wheels.shape)) / 2.0
         unit = 1 + 0.01 * rng.normal()
         steps = np.diff(trajectory) * unit * (1 + 0.02 * rng.standard_normal(len(times) - 1))
-        travelled = np.concatenate([[0.0], np.cumsum(steps)]) if kind == "distances" else None
+        traveled = np.concatenate([[0.0], np.cumsum(steps)]) if kind == "distances" else None
         there = wheels * unit if kind == "places" else None
-        known = (times, positions, times, travelled, there, 0.01)
+        known = (times, positions, times, traveled, there, 0.01)
         found = fit_scale_to_distances(*known, levers)
         away.append((found.scale / 2.0 - 1.0) / found.fraction)
         without.append(fit_scale_to_distances(*known).scale / 2.0 - 1.0)
@@ -131,7 +131,7 @@ def test_a_mounting_that_tells_no_scale(rng):
     around = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     times, trajectory = 0.1 * np.arange(200), 0.3 * angle
     with pytest.raises(DegenerateGeometryError, match=r"two scales fit with this mounting, 4 and (1|0\.999)"):
-        # The wheels go round a circle of 0.3 m, the camera half a metre inward of them, on its other side.
+        # The wheels go round a circle of 0.3 m, the camera half a meter inward of them, on its other side.
         fit_scale_to_distances(times, -0.2 * around, times, trajectory, None, 0.01, 0.5 * around)
     with pytest.raises(DegenerateGeometryError, match="did not move while"):
         fit_scale_to_distances(times, 0 * around, times, trajectory, None, 0.01, 0.3 * around)

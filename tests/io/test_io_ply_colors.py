@@ -1,4 +1,4 @@
-"""Colours of PLY files by their type and values."""
+"""Colors of PLY files by their type and values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EXPECTED = [[255, 128, 0], [10, 20, 30]]
 def written(
     path: Path, kind: str, rows: list[list[float]], names: tuple[str, ...] = ("red", "green", "blue")
 ) -> Path:
-    """A text PLY with colours of one type."""
+    """A text PLY with colors of one type."""
     lines = ["ply", "format ascii 1.0", f"element vertex {len(rows)}"]
     lines += [f"property float {axis}" for axis in "xyz"] + [f"property {kind} {name}" for name in names]
     lines += ["end_header", *("0 0 1 " + " ".join(map(str, row)) for row in rows)]
@@ -59,7 +59,7 @@ def test_names(tmp_path: Path, names: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize("kind", ["float", "uint"])
-def test_packed_colours(tmp_path: Path, kind: str) -> None:
+def test_packed_colors(tmp_path: Path, kind: str) -> None:
     bits = np.array([0xFF000000 | r << 16 | g << 8 | b for r, g, b in EXPECTED], np.uint32)
     values = bits if kind == "uint" else (bits & 0xFFFFFF).view(np.float32)
     rows = np.zeros(2, [("xyz", "<f4", 3), ("rgb", values.dtype)])

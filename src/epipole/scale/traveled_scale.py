@@ -27,7 +27,7 @@ def fit_scale_to_distances(
     timestamp_s: Float64[np.ndarray, " n"],
     positions_in_model: Float64[np.ndarray, "n 3"],
     log_s: Float64[np.ndarray, " m"],
-    travelled_m: Float64[np.ndarray, " m"] | None,
+    traveled_m: Float64[np.ndarray, " m"] | None,
     positions_by_odometry: Float64[np.ndarray, "m 3"] | None,
     sigma: float,
     levers_m: Float64[np.ndarray, "n 3"] | None = None,
@@ -36,10 +36,10 @@ def fit_scale_to_distances(
 
     The trajectory is cut into segments of equal measured length. Each gives a ratio; ratios more than 3 robust deviations
     from their median are slip and are ignored. var(s) / s^2 = var(ratios) / n + sigma^2. Odometry positions are compared
-    by the distance between the ends of a segment, which noise and curves do not change; travelled distances by the length
+    by the distance between the ends of a segment, which noise and curves do not change; traveled distances by the length
     of the model's trajectory in short steps.
 
-    If the odometry measures another point than the camera, its positions in metres are s t + l, with the camera position
+    If the odometry measures another point than the camera, its positions in meters are s t + l, with the camera position
     t and the lever l. The scale s is the one at which the sum of |s dt + dl| over the used segments is the measured one.
     The sum is convex in s, so Newton's method converges from above; segments are then re-selected with that scale until
     the selection is stable. Only the part of the length that grows with s determines it, so the standard deviation is
@@ -50,11 +50,11 @@ def fit_scale_to_distances(
         timestamp_s: times of the model's poses, increasing.
         positions_in_model: camera positions, in the model's unit.
         log_s: the odometry's times, increasing.
-        travelled_m: distance since an arbitrary start; None if positions are given.
+        traveled_m: distance since an arbitrary start; None if positions are given.
         positions_by_odometry: positions of the same body by odometry; None if distances are given.
         sigma: relative standard deviation of the odometry's unit of length.
         levers_m: from the camera to the point that the odometry measures, at each of the model's poses, in the model's axes
-            and in metres; None: it measures the camera itself.
+            and in meters; None: it measures the camera itself.
 
     Raises:
         DegenerateGeometryError: times do not overlap, no motion, the segments disagree, or two scales fit.
@@ -63,11 +63,9 @@ def fit_scale_to_distances(
     """
     if not 0 <= sigma < 1:
         raise ConfigError(f"sigma must be a fraction in [0, 1), got {sigma}")
-    if len(timestamp_s) != len(positions_in_model) or (travelled_m is None) == (
-        positions_by_odometry is None
-    ):
+    if len(timestamp_s) != len(positions_in_model) or (traveled_m is None) == (positions_by_odometry is None):
         raise ShapeError(
-            "timestamp_s must have a row per position, and exactly one of travelled_m and positions_by_odometry be given"
+            "timestamp_s must have a row per position, and exactly one of traveled_m and positions_by_odometry be given"
         )
     if len(log_s) > 1 and (np.diff(log_s) <= 0).any():
         raise ShapeError("log_s must increase")
@@ -75,7 +73,7 @@ def fit_scale_to_distances(
     if levers.shape != positions_in_model.shape or not np.isfinite(levers).all():
         raise ShapeError(f"levers_m must have {len(positions_in_model)} finite rows, one per position")
     path = timestamp_s, positions_in_model, levers
-    trajectory, total_m = _trajectory(path, (log_s, travelled_m, positions_by_odometry))
+    trajectory, total_m = _trajectory(path, (log_s, traveled_m, positions_by_odometry))
     return _estimate(trajectory, sigma, total_m)
 
 
@@ -83,9 +81,9 @@ def _trajectory(
     path: tuple[np.ndarray, np.ndarray, np.ndarray],
     odometry: tuple[np.ndarray, np.ndarray | None, np.ndarray | None],
 ) -> tuple[_Trajectory, float]:
-    """The part of the trajectory that the odometry covers, and its length by odometry in metres."""
+    """The part of the trajectory that the odometry covers, and its length by odometry in meters."""
     timestamp_s, positions_in_model, levers = path
-    log_s, travelled_m, positions_by_odometry = odometry
+    log_s, traveled_m, positions_by_odometry = odometry
     within = (timestamp_s >= log_s[:1].min(initial=np.inf)) & (timestamp_s <= log_s[-1:].max(initial=-np.inf))
     inside = np.flatnonzero(within)
     if len(inside) < LEAST_STRETCHES + 1:
@@ -93,11 +91,11 @@ def _trajectory(
             f"odometry: its times cover {len(inside)} posed images, {LEAST_STRETCHES + 1} are needed"
         )
     times, positions, levers = timestamp_s[inside], positions_in_model[inside], levers[inside]
-    wheels = _along(log_s, travelled_m, positions_by_odometry, times)
+    wheels = _along(log_s, traveled_m, positions_by_odometry, times)
     if not wheels[-1] > 0:
         raise DegenerateGeometryError("odometry: it did not move while the images were taken")
     cuts = _cuts(wheels, MOST_STRETCHES)
-    if travelled_m is not None:
+    if traveled_m is not None:
         rows = np.unique([*_cuts(wheels, MOST_STRETCHES * STEPS_IN_STRETCH), *cuts])
         measured = np.diff(wheels[cuts])
     else:
@@ -116,12 +114,12 @@ class _Trajectory(NamedTuple):
     """A trajectory in steps, and the measured lengths of its segments."""
 
     moved: np.ndarray  # (k, 3) steps of the camera, in the model's unit
-    swung: np.ndarray  # (k, 3) changes of the lever, in metres
+    swung: np.ndarray  # (k, 3) changes of the lever, in meters
     stretch: np.ndarray  # (k,) segment of each step
-    measured: np.ndarray  # (c,) metres along each segment
+    measured: np.ndarray  # (c,) meters along each segment
 
     def lengths(self, scale: float) -> tuple[np.ndarray, np.ndarray]:
-        """(c,) metres along each segment at a scale, and their derivatives by its logarithm."""
+        """(c,) meters along each segment at a scale, and their derivatives by its logarithm."""
         step = scale * self.moved + self.swung
         size = np.linalg.norm(step, axis=1)
         along = np.einsum("ki,ki->k", scale * self.moved, step) / np.where(size > 0, size, 1.0)
@@ -130,14 +128,14 @@ class _Trajectory(NamedTuple):
 
 
 def _along(
-    log_s: np.ndarray, travelled_m: np.ndarray | None, positions: np.ndarray | None, times: np.ndarray
+    log_s: np.ndarray, traveled_m: np.ndarray | None, positions: np.ndarray | None, times: np.ndarray
 ) -> np.ndarray:
     """Measured distance from the first image to each image."""
-    if travelled_m is None:
+    if traveled_m is None:
         assert positions is not None
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-        travelled_m = np.concatenate([[0.0], np.cumsum(steps)])
-    at = np.interp(times, log_s, travelled_m)
+        traveled_m = np.concatenate([[0.0], np.cumsum(steps)])
+    at = np.interp(times, log_s, traveled_m)
     return at - at[0]
 
 
@@ -151,9 +149,9 @@ class _Fit(NamedTuple):
     """A scale, and how well the segments agree on it."""
 
     scale: float
-    logs: np.ndarray  # (c,) logarithms of measured over modelled lengths; NaN for segments that are too short
+    logs: np.ndarray  # (c,) logarithms of measured over modeled lengths; NaN for segments that are too short
     kept: np.ndarray  # (c,) segments that agree
-    fraction: float  # part of the modelled length that grows with the scale
+    fraction: float  # part of the modeled length that grows with the scale
 
     @property
     def scatter(self) -> float:
@@ -166,7 +164,7 @@ def _estimate(trajectory: _Trajectory, sigma: float, total_m: float) -> ScaleEst
     moved = float(np.linalg.norm(trajectory.moved, axis=1).sum())
     if not moved > 0:
         raise DegenerateGeometryError("odometry: the camera did not move while the odometry did")
-    # At the first start the modelled length is at least the measured one; at the second it is mostly the lever's.
+    # At the first start the modeled length is at least the measured one; at the second it is mostly the lever's.
     largest = (float(trajectory.measured.sum()) + swung) / moved
     starts = [largest, 1e-3 * largest] if swung > 0 else [largest]
     fits, problem = [], ""
@@ -197,7 +195,7 @@ def _estimate(trajectory: _Trajectory, sigma: float, total_m: float) -> ScaleEst
 
 
 def _fit(trajectory: _Trajectory, start: float) -> _Fit:
-    """The scale at which the modelled segments that agree have the measured length."""
+    """The scale at which the modeled segments that agree have the measured length."""
     kept, count = np.ones(len(trajectory.measured), bool), len(trajectory.measured)
     for _ in range(MOST_ROUNDS):
         scale = _solved(trajectory, kept, start)
@@ -225,7 +223,7 @@ def _fit(trajectory: _Trajectory, start: float) -> _Fit:
 
 
 def _solved(trajectory: _Trajectory, kept: np.ndarray, start: float) -> float:
-    """By Newton's method: the modelled length is convex in the scale, so steps from the steeper side do not overshoot."""
+    """By Newton's method: the modeled length is convex in the scale, so steps from the steeper side do not overshoot."""
     wanted, scale = float(trajectory.measured[kept].sum()), start
     for _ in range(MOST_STEPS):
         length, grown = trajectory.lengths(scale)
