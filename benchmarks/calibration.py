@@ -19,7 +19,7 @@ from benchmarks.side_by_side import table_of
 from epipole.cameras import Camera, CameraModel
 from epipole.config import BoardConfig
 from epipole.features.boards import BoardView, corners_on_board, find_board
-from epipole.io.images.photographs import read_grey
+from epipole.io.images.photographs import read_gray
 from epipole.pipelines.calibration.calibrate import calibrate_views
 from epipole.pipelines.calibration.comparison import projection_difference
 from epipole.pipelines.calibration.config import CalibrationConfig
@@ -88,7 +88,7 @@ def spoiled(views: list[list[BoardView]]) -> list[list[BoardView]]:
 
 def desk_rows(folder: Path) -> dict[str, dict[str, float]]:
     """Projection differences from the given intrinsics, over the whole image and where corners were observed."""
-    views = [find_board(read_grey(path), DESK) for path in sorted((folder / "images").iterdir())]
+    views = [find_board(read_gray(path), DESK) for path in sorted((folder / "images").iterdir())]
     K, (k1, k2) = np.loadtxt(folder / "K.txt"), np.loadtxt(folder / "D.txt")
     f = K[0, 0]
     params = np.array([f, K[1, 1], K[0, 2], K[1, 2], k1 * f**2, k2 * f**4, 0.0, 0.0])
@@ -116,7 +116,7 @@ def main() -> None:
     data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
     folder = data / "calibration" / "opencv_stereo"
     numbers = [f"{k:02d}.jpg" for k in range(1, 15) if k != 10]
-    views = [[find_board(read_grey(folder / f"{s}{n}"), PAIR) for n in numbers] for s in ("left", "right")]
+    views = [[find_board(read_gray(folder / f"{s}{n}"), PAIR) for n in numbers] for s in ("left", "right")]
     without_rejection = CalibrationConfig(board=PAIR, outlier_factor=1e6, max_view_factor=1e6)
     default = CalibrationConfig(board=PAIR)
     our_pair(views, default)

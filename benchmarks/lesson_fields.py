@@ -112,7 +112,7 @@ def marched(
     return {
         "distance": rounded(found.positions[:, 3] * field.room.size),
         "thickness": rounded(thickness),
-        "colour": rounded(color),
+        "color": rounded(color),
     }
 
 
@@ -133,7 +133,7 @@ def splatted(rendered: Rendering, camera: Camera, pixel: tuple[int, int]) -> dic
         "distance": rounded(distance_over_depth * e[near, DEPTH]),
         "opacity": rounded(opacity[near]),
         "power": rounded(power[near]),
-        "colour": rounded(e[near, RED : BLUE + 1]),
+        "color": rounded(e[near, RED : BLUE + 1]),
     }
 
 

@@ -129,7 +129,7 @@ def epipolar_distances(F: np.ndarray, pixels1: np.ndarray, pixels2: np.ndarray) 
 
 
 def score_points(model: Reconstruction, task: SfmTask) -> Score:
-    """Share of points in two images and, where there are depth images, of points at a wrong depth."""
+    """Fraction of points in two images and, where there are depth images, of points at a wrong depth."""
     point, image = model.tracks.point_of_observation(), model.tracks.image
     seen = np.unique(np.stack([point, image]), axis=1)
     lengths = np.bincount(seen[0], minlength=len(model.points))
@@ -141,7 +141,7 @@ def score_points(model: Reconstruction, task: SfmTask) -> Score:
 
 
 def depth_image(image: Path) -> np.ndarray | None:
-    """(h, w) metres of the depth camera beside a frame, 0 where unknown; None if there is none."""
+    """(h, w) meters of the depth camera beside a frame, 0 where unknown; None if there is none."""
     file = Path(str(image.resolve()).replace(".color.jpg", ".depth.png"))
     if file.suffix != ".png" or not file.is_file() or file == image.resolve():
         return None

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from epipole.features import describe_upright, train_vocabulary
-from epipole.io.images.photographs import read_grey
+from epipole.io.images.photographs import read_gray
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.loops.recognition import WORDS
 from epipole.pipelines.slam.tracking.corners import new_corners
@@ -27,7 +27,7 @@ def main(data: Path) -> None:
         for path in sorted(
             p for p in (data / folder).rglob("*") if p.suffix.lower() in (".jpg", ".png", ".ppm")
         ):
-            gray = read_grey(path)
+            gray = read_gray(path)
             step = max(1, gray.shape[1] // 640)
             gray = np.ascontiguousarray(gray[::step, ::step])
             corners = new_corners(gray, np.zeros((0, 2)), SlamConfig())

@@ -20,7 +20,7 @@ from epipole.cameras import Camera, CameraModel
 from epipole.disparity_search.search import match_stereo
 from epipole.features import detect_features, match_descriptors
 from epipole.geometry import Rigid3
-from epipole.io.images.photographs import read_grey
+from epipole.io.images.photographs import read_gray
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.depth import depth_of
 from epipole.pipelines.stereo.doctor import examine
@@ -79,10 +79,10 @@ def kitti_rows(folder: Path) -> dict[str, dict[str, float]]:
     rig = RectifiedRig(focal, cx, cy, -projections[1, 0, 3] / focal)
     world_from_cam = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)
     cam_from_world = Rigid3(world_from_cam[:, :, :3].copy(), world_from_cam[:, :, 3].copy()).inverse()
-    height, width = read_grey(lefts[0]).shape
+    height, width = read_gray(lefts[0]).shape
     camera = Camera(CameraModel.PINHOLE, width, height, np.array([focal, focal, cx, cy]))
-    features = [detect_features(read_grey(path)) for path in lefts]
-    image_pairs = [(read_grey(a), read_grey(b)) for a, b in zip(lefts[::8], rights[::8])]
+    features = [detect_features(read_gray(path)) for path in lefts]
+    image_pairs = [(read_gray(a), read_gray(b)) for a, b in zip(lefts[::8], rights[::8])]
     offset_px = examine(image_pairs, rig).calibration_error_px
     uncertain_rig = replace(rig, principal_offset_sigma_px=offset_px)
     ratios, ratios_exact_rig, depths = [], [], []
@@ -107,7 +107,7 @@ def kitti_rows(folder: Path) -> dict[str, dict[str, float]]:
         triangulated = pose.apply(points)[:, 2]
         axis = pose.rotation[2]
         triangulated_sigma = np.sqrt(np.einsum("i,nij,j->n", axis, covariance, axis))
-        found = match_stereo(read_grey(lefts[frame]), read_grey(rights[frame]), StereoConfig())
+        found = match_stereo(read_gray(lefts[frame]), read_gray(rights[frame]), StereoConfig())
         with_offset, exact_rig = depth_of(found, uncertain_rig), depth_of(found, rig)
         column, row = np.rint(pixels[WINDOW, good]).astype(int).T
         stereo, stereo_sigma = with_offset.depth[row, column], with_offset.sigma[row, column]

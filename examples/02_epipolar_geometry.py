@@ -23,7 +23,7 @@ from epipole.robust import estimate_essential_matrix, estimate_fundamental_matri
 from epipole.synthetic import courtyard, courtyard_views, render
 
 # Render two images of a small courtyard. To use photographs, read them as gray images: `gray1 =
-# epipole.io.images.photographs.read_grey("one.jpg")`.
+# epipole.io.images.photographs.read_gray("one.jpg")`.
 
 camera = epipole.Camera("PINHOLE", 480, 320, [380.0, 380.0, 239.5, 159.5])
 cams_from_world = courtyard_views(24)[[8, 13]]

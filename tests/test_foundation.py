@@ -72,7 +72,6 @@ def test_defaults_are_among_the_choices(options: type) -> None:
         (FeatureConfig, "max_size_px", [0, 15], [16]),
         (MatchConfig, "max_ratio", [0.0, -0.1, 1.01, np.nan], [1e-3, 1.0]),
         (MatchConfig, "preemptive_features", [-1], [0]),
-        (MatchConfig, "band_px", [0.0, -1.0, np.nan], [0.1]),
         (RansacConfig, "max_error_px", [0.0, -4.0, np.nan], [1e-6]),
         (RansacConfig, "confidence", [0.0, 1.0, 1.5, np.nan], [0.5]),
         (MapperConfig, "max_error_px", [0.0, np.nan], [0.1]),

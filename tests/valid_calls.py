@@ -279,7 +279,6 @@ def _estimators() -> Iterator[Row]:
     yield _row(PairMatches, **known, is_calibrated=True, seed=3)
     yield _row(robust.verify_pairs, pairs=[PairMatches(**known), PairMatches(**known)], **options)
     yield _row(robust.verify_pair, **known, is_calibrated=False, **options)
-    yield _row(robust.fundamental_for_guided_matching, **known, is_calibrated=True, **options)
 
 
 def _triangulation() -> Iterator[Row]:
@@ -397,13 +396,15 @@ def _features() -> Iterator[Row]:
     yield _row(features.Features, **fields)
     yield _row(features.detect_features, gray=_image(), config=FeatureConfig(max_features=50))
     orb = FeatureConfig(kind="orb", max_features=50)
-    yield "detect_features orb", features.detect_features, {"grey": _image(), "config": orb}
+    yield "detect_features orb", features.detect_features, {"gray": _image(), "config": orb}
     both = {"descriptors1": one.descriptors, "descriptors2": two.descriptors}
     yield _row(features.match_descriptors, **both, config=MatchConfig())
     bits = {"descriptors1": one.descriptors[:, :32].copy(), "descriptors2": two.descriptors[:, :32].copy()}
     yield "match_descriptors of bits", features.match_descriptors, bits | {"config": MatchConfig()}
     guided = {"fundamental": F, "band_px": 3.0, "config": MatchConfig()}
     yield _row(features.match_along_epipolar_lines, features1=one, features2=two, **guided)
+    near = {"pixels": _some(len(one), 2), "descriptors": one.descriptors, "features": two}
+    yield _row(features.match_near_pixels, **near, radius_px=3.0, config=MatchConfig())
     yield _row(features.describe_image, descriptors=one.descriptors, words=words)
     yield _row(features.most_similar, vectors=_some(6, 16).astype(np.float32), count=3)
     lists = [one.descriptors, two.descriptors]

@@ -221,9 +221,9 @@ def _images() -> Iterator[Row]:
     yield _row(photographs.list_photographs, folder=at / "left", ignore=(at / "right",))
     yield _row(photographs.read_header, path=png)
     limits = photographs.GrayRange(0.0, 255.0)
-    yield _row(photographs.read_grey, path=png, max_size_px=8)
+    yield _row(photographs.read_gray, path=png, max_size_px=8)
     yield _row(photographs.read_rgb, path=png, max_size_px=8)
-    for function in (photographs.read_grey, photographs.read_rgb):
+    for function in (photographs.read_gray, photographs.read_rgb):
         name = f"{function.__name__} within limits"
         yield (
             name,

@@ -18,7 +18,7 @@ from epipole.config import FeatureConfig
 from epipole.features import detect_features, match_descriptors
 from epipole.geometry import Rigid3
 from epipole.io import read_database
-from epipole.io.images.photographs import read_grey
+from epipole.io.images.photographs import read_gray
 from epipole.io.truth import read_truth
 from epipole.synthetic.problems import absolute_pose_problem, dominant_plane_problem, two_view_problem
 
@@ -198,7 +198,7 @@ def _clicked(kind: Literal["fundamental", "homography"]) -> Callable[[Path, int]
 
 def _sift_matches(one: Path, two: Path) -> tuple[np.ndarray, np.ndarray]:
     """Pixels of SIFT matches that pass Lowe's ratio test."""
-    features = [detect_features(read_grey(path), FeatureConfig()) for path in (one, two)]
+    features = [detect_features(read_gray(path), FeatureConfig()) for path in (one, two)]
     matches = match_descriptors(features[0].descriptors, features[1].descriptors)
     first, second = (f.pixels[matches[:, side]].astype(np.float64) for side, f in enumerate(features))
     return first, second
@@ -207,7 +207,7 @@ def _sift_matches(one: Path, two: Path) -> tuple[np.ndarray, np.ndarray]:
 def _graf(folder: Path, number: int) -> EstimationProblem:
     """SIFT matches of two views of a painted wall; the ground truth is accurate to a pixel (Mikolajczyk et al., IJCV 2005)."""
     truth = np.loadtxt(folder / f"H1to{number}p")
-    height, width = read_grey(folder / "img1.ppm").shape
+    height, width = read_gray(folder / "img1.ppm").shape
     grid = np.stack(np.meshgrid(np.arange(40, width, 40.0), np.arange(40, height, 40.0)), axis=-1).reshape(
         -1, 2
     )

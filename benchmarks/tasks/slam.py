@@ -14,7 +14,7 @@ import numpy as np
 
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.images.depth_maps import read_png16
-from epipole.io.images.photographs import read_grey
+from epipole.io.images.photographs import read_gray
 from epipole.io.sequences.sequence import read_sequence
 from epipole.io.trajectories.files import write_trajectory
 from epipole.scene import Trajectory
@@ -110,7 +110,7 @@ def _write_7scenes(data: Path, folder: Path) -> None:
     poses = []
     for n, files in enumerate(sequence.frames):
         assert files.depth is not None
-        arrays["left"][n] = read_grey(files.image)
+        arrays["left"][n] = read_gray(files.image)
         depth = np.nan_to_num(read_png16(files.depth, 1.0), nan=0.0)
         arrays["depth"][n] = np.where(depth == 65535, 0, depth).astype(np.uint16)
         pose = files.image.name.replace("color.jpg", "pose.txt")
@@ -136,13 +136,13 @@ def _write_kitti(name: str, lefts: str, rights: str | None) -> Callable[[Path, P
     def write(data: Path, folder: Path) -> None:
         source = _existing(data / "slam" / name)
         files = sorted((source / lefts).glob("*.png"))
-        first = read_grey(files[0])
+        first = read_gray(files[0])
         height, width = first.shape
         arrays = _arrays(folder, len(files), (width, height), ("left", "right") if rights else ("left",))
         for n, file in enumerate(files):
-            arrays["left"][n] = read_grey(file)
+            arrays["left"][n] = read_gray(file)
             if rights:
-                arrays["right"][n] = read_grey(source / rights / file.name)
+                arrays["right"][n] = read_gray(source / rights / file.name)
         if rights:
             left, right = np.loadtxt(source / "calib.txt").reshape(2, 3, 4)
             params = left[[0, 1, 0, 1], [0, 1, 2, 2]]

@@ -80,10 +80,8 @@ BRITISH = {
     r"(?<![a-z])(?:towards|learnt)(?![a-z])": "toward, learned",
 }
 """British spellings in texts and names, in lower case, and the American ones."""
-BRITISH_NAMES = r"read_grey|is_deep_grey_png|METRES|'grey'|\"grey\"|grey=|grey must|\b[Cc]olour\"|'colour'"
+BRITISH_NAMES = r"'grey'|\"grey\"|grey=|grey must|\b[Cc]olour\"|'colour'"
 """Keys of files and names that remain: the map file of SLAM has a key `grey`."""
-NOT_YET_AMERICAN = ("lesson", "features", "pipelines/sfm")
-"""Folders of the package that still have British spellings."""
 
 
 def british_in(text: str) -> Iterator[tuple[re.Match[str], str]]:
@@ -97,7 +95,6 @@ def test_spelling_of_the_source_is_american() -> None:
     wrong = [
         f"{source.name}:{source.text[: m.start()].count(chr(10)) + 1} {m.group()!r} -> {better}"
         for source in sources()
-        if not source.name.startswith(NOT_YET_AMERICAN)
         for m, better in british_in(source.text)
     ]
     assert not wrong, "\n".join(wrong)

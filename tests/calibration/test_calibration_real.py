@@ -11,7 +11,7 @@ from epipole.cameras import Camera, CameraModel
 from epipole.config import BoardConfig
 from epipole.features.boards import BoardView, find_board
 from epipole.io.calibration.files import read_calibration, read_stereo_rig
-from epipole.io.images.photographs import read_grey
+from epipole.io.images.photographs import read_gray
 from epipole.pipelines.calibration.calibrate import ViewState, calibrate_views
 from epipole.pipelines.calibration.comparison import projection_difference
 from epipole.pipelines.calibration.config import CalibrationConfig
@@ -26,7 +26,7 @@ def pair_views(data_dir):
     folder = data_dir / "calibration" / "opencv_stereo"
     names = [f"{k:02d}.jpg" for k in range(1, 15) if k != 10]
     return [
-        [find_board(read_grey(folder / f"{side}{n}"), BOARD) for n in names] for side in ("left", "right")
+        [find_board(read_gray(folder / f"{side}{n}"), BOARD) for n in names] for side in ("left", "right")
     ]
 
 
@@ -102,7 +102,7 @@ def test_the_command_on_a_folder_of_pairs(data_dir, tmp_path, pair_views):
 def test_a_known_wide_lens(data_dir):
     folder = data_dir / "slam" / "ar_cube"
     board = BoardConfig(columns=9, rows=6, square=0.04)
-    views = [find_board(read_grey(path), board) for path in sorted((folder / "images").iterdir())]
+    views = [find_board(read_gray(path), board) for path in sorted((folder / "images").iterdir())]
     assert len(views) == 37 and all(len(view) == 54 for view in views)
     matrix, (k1, k2) = np.loadtxt(folder / "K.txt"), np.loadtxt(folder / "D.txt")
     focal = matrix[0, 0]

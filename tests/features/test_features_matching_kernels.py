@@ -89,6 +89,29 @@ def test_along_lines(rng: np.random.Generator, sizes: tuple[int, int], slope: fl
     assert (column == -1).all()
 
 
+@pytest.mark.parametrize("sizes", [(12, 60), (1, 1), (0, 3)])
+@reference_of(kernels.nearby_top_two)
+def test_near_pixels(rng: np.random.Generator, sizes: tuple[int, int]) -> None:
+    n, m = sizes
+    wanted, pixels = (rng.uniform(-10, 90, (k, 2)) for k in sizes)
+    descriptors1, descriptors2 = (rng.integers(0, 3, (k, 128)).astype(np.uint8) for k in sizes)
+    wanted[:1] = -np.inf
+    ones = np.ones(m, np.float32)
+    features = Features(pixels.astype(np.float32), ones, ones, descriptors2)
+    radius = 25.0
+    out = *(np.empty(n, np.int32) for _ in range(3)), np.full(m, -1, np.int32)
+    arguments = (wanted, descriptors1, matching._cells(features, 0), 32.0, 8.0, radius, *out)
+    _, (*_, column, best, second, column_best) = assert_same_as_python(kernels.nearby_top_two, *arguments)
+    distance = np.linalg.norm(wanted[:, None] - features.pixels.astype(np.float64), axis=2)
+    similarity = np.where(distance <= radius, descriptors1.astype(int) @ descriptors2.T.astype(int), -1)
+    expected = top_two(similarity, -1)
+    np.testing.assert_array_equal(best, expected[0])
+    np.testing.assert_array_equal(second, expected[1])
+    np.testing.assert_array_equal(column_best, similarity.max(axis=0, initial=-1))
+    found = np.flatnonzero(column >= 0)
+    np.testing.assert_array_equal(similarity[found, column[found]], best[found])
+
+
 @reference_of(byte_kernels.most_squared_length)
 def test_lengths(rng: np.random.Generator) -> None:
     for descriptors in (rng.integers(0, 256, (7, 128)), np.full((1, 128), 255), np.empty((0, 128))):

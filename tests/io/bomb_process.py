@@ -38,7 +38,7 @@ READERS: dict[str, Callable[..., Any]] = {
     "pfm": depth_maps.read_pfm,
     "png16": depth_maps.read_png16,
     "header": photographs.read_header,
-    "gray": photographs.read_grey,
+    "gray": photographs.read_gray,
     "rgb": photographs.read_rgb,
     "small": lambda path: photographs.read_rgb(path, 64),
     "mask": lambda path: photographs.read_mask(path.parent, path.stem),

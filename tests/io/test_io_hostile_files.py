@@ -22,7 +22,7 @@ from epipole.io.calibration.files import (
 )
 from epipole.io.images.depth_maps import read_png16, write_png16
 from epipole.io.images.exif import new_exif
-from epipole.io.images.photographs import copy_or_rotate, read_grey, read_header, read_mask, read_rgb
+from epipole.io.images.photographs import copy_or_rotate, read_gray, read_header, read_mask, read_rgb
 from epipole.io.images.video import extract_frames
 from hostile_bytes import read_or_refuse
 
@@ -158,7 +158,7 @@ def test_a_blank_picture_is_not_taken_for_a_lie(folder: Path) -> None:
     """Nothing is packed more tightly: one color, optimized tables, a progressive JPEG without detail."""
     for options in ({"optimize": True}, {"progressive": True, "optimize": True}):
         Image.new("L", (4000, 3000), 255).save(folder / "blank.jpg", "JPEG", quality=10, **options)
-        assert read_grey(folder / "blank.jpg", 100).shape == (75, 100)
+        assert read_gray(folder / "blank.jpg", 100).shape == (75, 100)
     write_png16(folder / "flat.png", np.full((2000, 3000), 7.0))
     assert np.nanmax(read_png16(folder / "flat.png")) == 7.0
 

@@ -18,7 +18,7 @@ from epipole.io.images.photographs import (
     common_range,
     copy_or_rotate,
     list_photographs,
-    read_grey,
+    read_gray,
     read_header,
     read_mask,
     read_rgb,
@@ -95,7 +95,7 @@ def test_formats_that_are_not_read_are_listed_as_such(tmp_path: Path) -> None:
 )
 def test_other_formats_are_refused_by_name(tmp_path: Path, head: bytes, word: str) -> None:
     (tmp_path / "a.jpg").write_bytes(head + bytes(200))
-    for read in (read_grey, read_rgb, read_header):
+    for read in (read_gray, read_rgb, read_header):
         with pytest.raises(FileFormatError, match=f"{word} files are not supported"):
             read(tmp_path / "a.jpg")
 
@@ -104,7 +104,7 @@ def test_other_formats_are_refused_by_name(tmp_path: Path, head: bytes, word: st
 def test_animations_and_pages_are_refused(tmp_path: Path, kind: str) -> None:
     pages = [Image.fromarray(np.full((20, 30, 3), value, np.uint8)) for value in (10, 200, 90)]
     pages[0].save(tmp_path / "a.img", kind, save_all=True, append_images=pages[1:])
-    for read in (read_grey, read_rgb, read_header):
+    for read in (read_gray, read_rgb, read_header):
         with pytest.raises(FileFormatError, match=r"3 (frames|pages)"):
             read(tmp_path / "a.img")
 
@@ -160,7 +160,7 @@ def test_deep_gray_with_alpha(tmp_path: Path) -> None:
     body = chunk(b"IDAT", zlib.compress(b"".join(b"\0" + row.tobytes() for row in rows)))
     path = tmp_path / "a.png"
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + head + body + chunk(b"IEND", b""))
-    np.testing.assert_array_equal(read_grey(path), (gray >> 4).astype(np.uint8))
+    np.testing.assert_array_equal(read_gray(path), (gray >> 4).astype(np.uint8))
 
 
 @pytest.mark.parametrize("kind", [np.uint16, np.float32])
@@ -169,7 +169,7 @@ def test_zero_is_white(tmp_path: Path, kind: type) -> None:
     full = 1.0 if kind is np.float32 else np.iinfo(kind).max
     stored = ((1.0 - values) * full).astype(kind)
     Image.fromarray(stored).save(tmp_path / "a.tif", tiffinfo={262: 0})
-    gray = read_grey(tmp_path / "a.tif")
+    gray = read_gray(tmp_path / "a.tif")
     assert np.abs(gray - 255 * values).max() <= 2
 
 
@@ -182,7 +182,7 @@ def test_a_set_of_deep_gray_is_mapped_alike(tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / f"{k}.png"), deep)
         paths.append(tmp_path / f"{k}.png")
     limits = common_range(paths)
-    first, second = (read_grey(path, limits=limits) for path in paths)
+    first, second = (read_gray(path, limits=limits) for path in paths)
     assert first[0, 0] == second[0, 0]
     assert len(np.unique(first)) > 200
     cv2.imwrite(str(tmp_path / "c.png"), smooth_rgb())

@@ -20,7 +20,7 @@ from epipole.io.images.photographs import (
     copy_or_rotate,
     list_photographs,
     mask_of,
-    read_grey,
+    read_gray,
     read_header,
     read_mask,
     read_rgb,
@@ -119,7 +119,7 @@ def test_orientation_is_applied_once(tmp_path, suffix, orientation):
     header = read_header(path)
     assert (header.width, header.height, header.orientation) == (96, 64, orientation)
     tolerance = 6 if suffix == "jpg" else 0
-    rgb, gray = read_rgb(path), read_grey(path)
+    rgb, gray = read_rgb(path), read_gray(path)
     assert np.abs(rgb.astype(int) - upright).max() <= tolerance
     assert np.abs(gray - upright @ [0.299, 0.587, 0.114]).max() <= tolerance + 1
     assert rgb.flags.c_contiguous
@@ -143,7 +143,7 @@ def test_deep_grayscale_is_stretched_and_deep_color_keeps_its_range(tmp_path, su
     cv2.imwrite(str(tmp_path / f"g.{suffix}"), deep)
     low, high = np.percentile(deep, [0.1, 99.9])
     expected = np.clip((deep - low) * 255.0 / (high - low), 0, 255)
-    gray = read_grey(tmp_path / f"g.{suffix}")
+    gray = read_gray(tmp_path / f"g.{suffix}")
     assert np.abs(gray - expected).max() <= 0.51
     np.testing.assert_array_equal(read_rgb(tmp_path / f"g.{suffix}"), np.dstack([gray] * 3))
 
@@ -152,14 +152,14 @@ def test_deep_grayscale_is_stretched_and_deep_color_keeps_its_range(tmp_path, su
     np.testing.assert_array_equal(read_rgb(tmp_path / f"c.{suffix}"), color[..., ::-1] >> 8)
 
     cv2.imwrite(str(tmp_path / f"k.{suffix}"), np.full((5, 5), 32896, np.uint16))
-    np.testing.assert_array_equal(read_grey(tmp_path / f"k.{suffix}"), 128)
+    np.testing.assert_array_equal(read_gray(tmp_path / f"k.{suffix}"), 128)
 
 
 def test_float_tiff_with_nan(tmp_path):
     values = np.linspace(0.0, 1.0, 400, dtype=np.float32).reshape(20, 20)
     values[0, 0] = np.nan
     Image.fromarray(values).save(tmp_path / "f.tif")
-    gray = read_grey(tmp_path / "f.tif")
+    gray = read_gray(tmp_path / "f.tif")
     assert gray[0, 0] == 0
     np.testing.assert_allclose(gray.ravel()[1:], values.ravel()[1:] * 255.0, atol=1.5)
 
@@ -174,12 +174,12 @@ def test_palette_transparency_and_one_bit(tmp_path):
     Image.fromarray(np.dstack([rgb, alpha])).save(tmp_path / "a.png")
     expected = rgb * (alpha[..., None] / 255.0)
     assert np.abs(read_rgb(tmp_path / "a.png") - expected).max() <= 1
-    assert np.abs(read_grey(tmp_path / "a.png") - expected @ [0.299, 0.587, 0.114]).max() <= 2
+    assert np.abs(read_gray(tmp_path / "a.png") - expected @ [0.299, 0.587, 0.114]).max() <= 2
 
     Image.fromarray(alpha).convert("LA").save(tmp_path / "la.png")
-    np.testing.assert_array_equal(read_grey(tmp_path / "la.png"), alpha)
+    np.testing.assert_array_equal(read_gray(tmp_path / "la.png"), alpha)
     Image.fromarray(alpha > 200).save(tmp_path / "one.png")
-    np.testing.assert_array_equal(read_grey(tmp_path / "one.png"), np.where(alpha > 200, 255, 0))
+    np.testing.assert_array_equal(read_gray(tmp_path / "one.png"), np.where(alpha > 200, 255, 0))
 
 
 @pytest.mark.parametrize("suffix", ["bmp", "ppm"])
@@ -198,7 +198,7 @@ def test_cmyk_and_gray_jpeg(tmp_path):
     assert np.abs(small - rgb.reshape(40, 8, 60, 8, 3).mean((1, 3))).max() <= 8
     gray = rgb[..., 0]
     Image.fromarray(gray).save(tmp_path / "gray.jpg", quality=98)
-    assert np.abs(read_grey(tmp_path / "gray.jpg").astype(int) - gray).max() <= 4
+    assert np.abs(read_gray(tmp_path / "gray.jpg").astype(int) - gray).max() <= 4
     assert np.abs(read_rgb(tmp_path / "gray.jpg").astype(int) - gray[..., None]).max() <= 4
 
 
@@ -222,7 +222,7 @@ def test_shrinking_keeps_the_pixel_grid(tmp_path, kind, max_size):
 
 def test_a_small_picture_is_not_enlarged(tmp_path):
     Image.fromarray(np.full((3, 3, 3), 90, np.uint8)).save(tmp_path / "a.jpg")
-    assert read_grey(tmp_path / "a.jpg").shape == (3, 3)
+    assert read_gray(tmp_path / "a.jpg").shape == (3, 3)
     assert read_rgb(tmp_path / "a.jpg", 100).shape == (3, 3, 3)
     assert read_header(tmp_path / "a.jpg").width == 3
 
@@ -234,12 +234,12 @@ def test_a_200_megapixel_jpeg_stays_in_bounded_memory(tmp_path):
     script = (
         "import sys\n"
         "from pathlib import Path\n"
-        "from epipole.io.images.photographs import read_grey, read_header, read_rgb\n"
+        "from epipole.io.images.photographs import read_gray, read_header, read_rgb\n"
         "def peak_mb():\n"
         "    lines = Path('/proc/self/status').read_text().splitlines()\n"
         "    return int(next(l for l in lines if l.startswith('VmHWM')).split()[1]) / 1024\n"
         "before = peak_mb()\n"
-        "rgb, gray = read_rgb(sys.argv[1], 2000), read_grey(sys.argv[1], 3000)\n"
+        "rgb, gray = read_rgb(sys.argv[1], 2000), read_gray(sys.argv[1], 3000)\n"
         "header = read_header(sys.argv[1])\n"
         "print(peak_mb() - before, rgb.shape, gray.shape, header.width, rgb.min(), rgb.max(), sep='|')\n"
     )
@@ -267,7 +267,7 @@ def test_a_lossless_picture_over_the_limit_is_refused(tmp_path):
     touch(tmp_path / "a.png", png)
     assert read_header(tmp_path / "a.png").width == 20000
     with pytest.raises(FileFormatError, match="20000 x 20000 is more than 150 megapixels, the limit for PNG"):
-        read_grey(tmp_path / "a.png")
+        read_gray(tmp_path / "a.png")
 
 
 @pytest.mark.parametrize("progressive", [False, True])
@@ -279,12 +279,12 @@ def test_a_truncated_jpeg_is_detected(tmp_path, progressive, kept):
     whole = jpeg_bytes(noise, progressive=progressive, exif=thumbnail, quality=75, subsampling=2)
     path = tmp_path / "a.jpg"
     touch(path, whole[: int(len(whole) * kept)])
-    for read in (read_grey, read_rgb):
+    for read in (read_gray, read_rgb):
         with pytest.raises(FileFormatError, match=r"a\.jpg.*(truncated|header is damaged)"):
             read(path)
     touch(path, whole[: int(len(whole) * kept)] + bytes(5000))
     with pytest.raises(FileFormatError, match=r"truncated|header is damaged"):
-        read_grey(path)
+        read_gray(path)
 
 
 def test_data_behind_the_picture_are_allowed(tmp_path):
@@ -303,7 +303,7 @@ def test_other_truncated_pictures_are_detected(tmp_path, suffix):
     for kept in (0.02, 0.6, 0.97):
         touch(tmp_path / f"a.{suffix}", data[: int(len(data) * kept)])
         with pytest.raises(FileFormatError, match=rf"a\.{suffix}"):
-            read_grey(tmp_path / f"a.{suffix}")
+            read_gray(tmp_path / f"a.{suffix}")
 
 
 def test_files_that_are_no_pictures(tmp_path):
@@ -320,11 +320,11 @@ def test_files_that_are_no_pictures(tmp_path):
     }
     problems |= {"missing.jpg": "it does not exist", "raw.NEF": "develop it"}
     for name, problem in problems.items():
-        for read in (read_grey, read_rgb, read_header):
+        for read in (read_gray, read_rgb, read_header):
             with pytest.raises(FileFormatError, match=rf"{name}.*{problem}"):
                 read(tmp_path / name)
     with pytest.raises(FileFormatError, match="cannot be opened"):
-        read_grey(tmp_path)
+        read_gray(tmp_path)
 
 
 def test_a_picture_with_the_wrong_suffix_is_read(tmp_path):
@@ -339,7 +339,7 @@ def test_a_picture_with_the_wrong_suffix_is_read(tmp_path):
 def test_heic_without_its_reader_names_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pillow_heif", None)
     touch(tmp_path / "a.jpg", b"\x00\x00\x00\x1cftypheic\x00\x00\x00\x00mif1heic" + bytes(50))
-    for read in (read_grey, read_header):
+    for read in (read_gray, read_header):
         with pytest.raises(MissingDependencyError, match="pip install pillow-heif"):
             read(tmp_path / "a.jpg")
 
@@ -463,7 +463,7 @@ def test_real_photographs_with_gps():
     enu = gps_to_enu(np.array([h.gps for h in headers], float))
     assert np.isfinite(enu).all()
     assert 100.0 < np.ptp(enu[:, 1]) < 250.0, "the walk is about 170 m from south to north"
-    assert read_grey(found.folder / found.names[0]).shape == (768, 1024)
+    assert read_gray(found.folder / found.names[0]).shape == (768, 1024)
 
 
 @pytest.mark.skipif(
@@ -513,7 +513,7 @@ def test_a_header_tells_deep_gray(tmp_path):
     cv2.imwrite(str(tmp_path / "gray.png"), np.full((40, 50), 100, np.uint8))
     cv2.imwrite(str(tmp_path / "deep.png"), np.full((40, 50, 3), 1000, np.uint16))
     deep = [
-        name for name in ("depth", "gray", "deep") if read_header(tmp_path / f"{name}.png").is_deep_grey_png
+        name for name in ("depth", "gray", "deep") if read_header(tmp_path / f"{name}.png").is_deep_gray_png
     ]
     assert deep == ["depth"]
 

@@ -10,7 +10,7 @@ from PIL import Image, PngImagePlugin
 from epipole.cameras import CameraModel
 from epipole.errors import FileFormatError, NoModelError
 from epipole.io import read_colmap_model, write_colmap_model
-from epipole.io.images.photographs import read_grey, read_header, read_rgb
+from epipole.io.images.photographs import read_gray, read_header, read_rgb
 from epipole.io.images.rgba import read_rgba
 from epipole.io.images.video import frame_size
 from epipole.io.images.video_files import write_video
@@ -45,7 +45,7 @@ def write_image(path: Path, xmp: str | None, mode: str = "RGB") -> Path:
 @pytest.mark.parametrize("xmp", [ATTRIBUTE, ELEMENT], ids=["attribute", "element"])
 def test_images_with_the_metadata_of_a_panorama_are_refused(tmp_path, suffix, xmp) -> None:
     path = write_image(tmp_path / f"a{suffix}", xmp.format("equirectangular"))
-    for read in (read_header, read_rgb, read_grey):
+    for read in (read_header, read_rgb, read_gray):
         with pytest.raises(FileFormatError, match=r"equirectangular: spherical .* not supported"):
             read(path)
     for plain in (xmp.format("perspective"), "<x:xmpmeta/>", None):

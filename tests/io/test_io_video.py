@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from epipole.errors import ConfigError, FileFormatError
-from epipole.io.images.photographs import list_photographs, read_grey
+from epipole.io.images.photographs import list_photographs, read_gray
 from epipole.io.images.video import extract_frames, is_video, sharpness, slot_bounds
 
 FPS, SIZE = 20.0, (160, 120)
@@ -47,7 +47,7 @@ def test_evenly_spaced_frames_with_times(tmp_path, suffix, fourcc):
     assert list_photographs(tmp_path / "out").names == frames.name
     decoded = decoded_means(video)
     for name, index in zip(frames.name, frames.index):
-        assert np.argmin(np.abs(decoded - read_grey(tmp_path / "out" / name).mean())) == index
+        assert np.argmin(np.abs(decoded - read_gray(tmp_path / "out" / name).mean())) == index
     assert [done for done, _ in seen] == [0, *(int(i) + 1 for i in frames.index)]
     assert {total for _, total in seen} == {80}
 

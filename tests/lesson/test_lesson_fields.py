@@ -32,12 +32,12 @@ def summed(trajectory, pixel, upto=np.inf, record=RECORD):
     before = np.concatenate([[1.0], np.cumprod(1.0 - alpha)])[: len(alpha)]
     alpha[before <= over] = 0.0
     weights, through = before * alpha, np.prod(1.0 - alpha)
-    colour = weights @ np.array(part["colour"]).reshape(-1, 3) + through
+    color = weights @ np.array(part["color"]).reshape(-1, 3) + through
     return {"used": np.count_nonzero(alpha), "weights": weights.sum(), "through": through} | {
         "depth": weights @ distance / weights.sum() if weights.any() else np.nan,
-        "red": colour[0],
-        "green": colour[1],
-        "blue": colour[2],
+        "red": color[0],
+        "green": color[1],
+        "blue": color[2],
     }
 
 

@@ -296,7 +296,7 @@ def test_fog_is_composited_as_the_field_is(tab):
             wanted = summed("nerf", {"nerf": {**pixel["nerf"], "thickness": thickness}}, distance[n - 1])
             found = called(tab, f"marchNumbers({{ n: {n}, times: {times} }})")
             assert found["through"] == pytest.approx(wanted["through"])
-            assert found["colour"] == pytest.approx([wanted[c] for c in ("red", "green", "blue")])
+            assert found["color"] == pytest.approx([wanted[c] for c in ("red", "green", "blue")])
 
 
 def test_a_splat_has_the_covariance_of_the_library(tab):

@@ -177,13 +177,13 @@ def test_the_pictures_know_no_size(tab):
         for name, where in (("u1", Rigid3.identity()), ("u2", motion)):
             close(shown[name], CAMERA.project(where.apply(corners[1:2]))[0, 0])
         sizes = k * np.array([1.0, 2.0, np.linalg.norm(corners.mean(axis=0))])
-        metres = {"none": np.nan, "baseline": B / sizes[0], "width": W / sizes[1]}[anchor]
+        meters = {"none": np.nan, "baseline": B / sizes[0], "width": W / sizes[1]}[anchor]
         close(
             [shown[name] for name in ("baseline", "width", "distance")],
-            sizes * np.nan_to_num(metres, nan=1.0),
+            sizes * np.nan_to_num(meters, nan=1.0),
         )
-        close(shown["metres"], metres)
-        words = tab.page.locator("#metres").inner_text()
+        close(shown["meters"], meters)
+        words = tab.page.locator("#meters").inner_text()
         assert (words == "up to scale") == (anchor == "none")
 
 
@@ -295,7 +295,7 @@ def test_a_camera_on_its_way(tab):
         apart = np.linalg.norm(last.inverse().translation - right.inverse().translation)
         rotated = np.rad2deg(np.linalg.norm(Rotation3(last.rotation @ right.rotation.T).log()))
         off = np.median([np.linalg.norm(point - landmarks[j]) for j, point in known.items()])
-        # An adjustment ends where the last digit of its cost does: 1e-9 of the way in metres, and of a radian.
+        # An adjustment ends where the last digit of its cost does: 1e-9 of the way in meters, and of a radian.
         for name, wanted, size in (
             ("camera_off", apart, 10.0),
             ("turn_off", rotated, 57.3),

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from test_mapping_components import CAMERA, PLACES, view_graph
 
 from epipole.config import MatchConfig
 from epipole.features import Features, match_near_pixels
 from epipole.mapping import ModelBuilder, connect_matches, drop_short_tracks, find_further_matches
 from epipole.scene import Cameras
-from test_mapping_components import CAMERA, PLACES, view_graph
 
 
 def descriptors_of(rng, count):

@@ -38,7 +38,7 @@ def test_few_pictures_are_compared_each_with_each() -> None:
     expected = set(combinations(range(4), 2))
     assert chosen(images, positions([None] * 4)) == expected
     assert chosen(images, positions([None] * 4), exhaustive_limit=4) == expected
-    assert chosen(images, positions([None] * 4), exhaustive_limit=3, neighbours=1) < expected
+    assert chosen(images, positions([None] * 4), exhaustive_limit=3, neighbors=1) < expected
     assert chosen(images[:1], positions([None])) == set()
 
 
@@ -46,14 +46,14 @@ def test_few_pictures_are_compared_each_with_each() -> None:
 def test_frames_of_a_video_are_compared_with_the_next_ones_and_their_look_alikes(method: str) -> None:
     """Six frames, the last three on the way back: 5 shows what 0 shows, 4 what 1, 3 what 2."""
     images, nowhere = images_of([0, 1, 2, 2, 1, 0]), positions([None] * 6)
-    found = chosen(images, nowhere, is_video=True, method=method, overlap=2, neighbours=1)
+    found = chosen(images, nowhere, is_video=True, method=method, overlap=2, neighbors=1)
     following = {(0, 1), (0, 2), (1, 2), (1, 3), (2, 3), (2, 4), (3, 4), (3, 5), (4, 5)}
     assert found == following | {(0, 5), (1, 4)}
 
 
 def test_an_overlap_beyond_the_last_picture_is_all_pairs() -> None:
     images = images_of([0, 1, 2, 3, 4])
-    found = chosen(images, positions([None] * 5), method="sequential", overlap=10**9, neighbours=10**9)
+    found = chosen(images, positions([None] * 5), method="sequential", overlap=10**9, neighbors=10**9)
     assert found == set(combinations(range(5), 2))
     assert chosen(images[:1], positions([None]), method="sequential", overlap=10**9) == set()
 
@@ -61,10 +61,10 @@ def test_an_overlap_beyond_the_last_picture_is_all_pairs() -> None:
 def test_look_alikes_are_compared() -> None:
     images, nowhere = images_of([0, 1, 2, 1, 0, 2, 2]), positions([None] * 7)
     expected = {(0, 4), (1, 3), (2, 5), (2, 6), (5, 6)}
-    assert chosen(images, nowhere, method="retrieval", neighbours=1) <= expected
-    two = chosen(images, nowhere, method="retrieval", neighbours=2)
+    assert chosen(images, nowhere, method="retrieval", neighbors=1) <= expected
+    two = chosen(images, nowhere, method="retrieval", neighbors=2)
     assert expected <= two
-    assert chosen(images, nowhere, exhaustive_limit=6, neighbours=2) == two
+    assert chosen(images, nowhere, exhaustive_limit=6, neighbors=2) == two
 
 
 def test_pictures_taken_near_each_other_are_compared() -> None:
@@ -73,16 +73,16 @@ def test_pictures_taken_near_each_other_are_compared() -> None:
     road = positions([100.0 * k for k in range(6)] + [100.0 * k + 10.0 for k in range(6)])
     look_alikes = {*combinations(range(6), 2), *combinations(range(6, 12), 2)}
     near = {(k, k + 6) for k in range(6)}
-    assert chosen(images, road, method="spatial", neighbours=1) == look_alikes | near
-    assert chosen(images, road, exhaustive_limit=11, neighbours=1) == look_alikes | near
+    assert chosen(images, road, method="spatial", neighbors=1) == look_alikes | near
+    assert chosen(images, road, exhaustive_limit=11, neighbors=1) == look_alikes | near
     further = {(k + 1, k + 6) for k in range(5)}  # 90 m onwards
-    assert chosen(images, road, method="spatial", neighbours=2) == look_alikes | near | further
+    assert chosen(images, road, method="spatial", neighbors=2) == look_alikes | near | further
 
 
 def test_a_picture_without_a_place_is_compared_with_its_look_alikes() -> None:
     images = images_of([0] * 6 + [1] * 6)
     road = [100.0 * k for k in range(6)] + [100.0 * k + 10.0 for k in range(6)]
-    found = chosen(images, positions([None, *road[1:]]), method="spatial", neighbours=1)
+    found = chosen(images, positions([None, *road[1:]]), method="spatial", neighbors=1)
     look_alikes = {*combinations(range(6), 2), *combinations(range(6, 12), 2)}
     # Image 6 has lost its neighbor at 0 m; the next one stands at 100 m.
     assert found == look_alikes | {(k, k + 6) for k in range(1, 6)} | {(1, 6)}
@@ -94,13 +94,13 @@ def test_places_are_needed_for_pairs_by_place() -> None:
         chosen(images, positions([0.0, None, None]), method="spatial")
     # Nine in ten images must have one before they decide by themselves.
     scattered = positions([0.0, 10.0, None])
-    by_looks = chosen(images, scattered, method="retrieval", neighbours=1)
-    assert chosen(images, scattered, exhaustive_limit=2, neighbours=1) == by_looks
+    by_looks = chosen(images, scattered, method="retrieval", neighbors=1)
+    assert chosen(images, scattered, exhaustive_limit=2, neighbors=1) == by_looks
 
 
 def test_pictures_without_features_are_pairs_of_something_all_the_same() -> None:
     blank = np.zeros((0, 128), np.uint8)
-    found = chosen([*images_of([0, 1]), blank], positions([None] * 3), method="retrieval", neighbours=1)
+    found = chosen([*images_of([0, 1]), blank], positions([None] * 3), method="retrieval", neighbors=1)
     assert {i for pair in found for i in pair} == {0, 1, 2}
 
 

@@ -9,7 +9,7 @@ from epipole.cameras.image_fit import ImageShape
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
 from epipole.io.calibration.files import CalibrationFile, write_calibration
-from epipole.io.images.photographs import read_grey
+from epipole.io.images.photographs import read_gray
 from epipole.io.sequences.sequence import read_sequence
 from epipole.pipelines.slam import run
 from epipole.pipelines.slam.config import CameraOptions, JobOptions
@@ -34,7 +34,7 @@ def test_all_frames_are_turned_as_the_first(tmp_path, rng, first):
     camera = Camera("PINHOLE", *size, [60.0, 60.0, size[0] / 2, size[1] / 2])
     source = open_sequence(read_sequence(folder, 10.0), "mono", camera)
     for n, queued in enumerate(source.frames()):
-        np.testing.assert_array_equal(queued.read().gray, read_grey(folder / f"{n}.png", orientation=first))
+        np.testing.assert_array_equal(queued.read().gray, read_gray(folder / f"{n}.png", orientation=first))
 
 
 @pytest.mark.parametrize(("first", "is_said"), [(1, False), (3, True)])

@@ -11,7 +11,7 @@ from epipole.errors import ShapeError
 from epipole.features.boards import find_board
 from epipole.geometry import Rigid3
 from epipole.io.calibration.files import read_stereo_rig
-from epipole.io.images.photographs import read_grey, read_rgb
+from epipole.io.images.photographs import read_gray, read_rgb
 from epipole.pipelines.calibration.calibrate import calibrate_views
 from epipole.pipelines.calibration.config import CalibrationConfig
 from epipole.pipelines.stereo.config import StereoConfig
@@ -149,7 +149,7 @@ def test_repeated_corners_do_not_spoil_the_rows(data_dir):
     """Most features of a chessboard match wrongly: that is no fault of the calibration."""
     folder = data_dir / "calibration" / "opencv_stereo"
     views = [
-        [find_board(read_grey(folder / f"{side}{k:02d}.jpg"), BOARD) for k in (1, 2, 3, 5)]
+        [find_board(read_gray(folder / f"{side}{k:02d}.jpg"), BOARD) for k in (1, 2, 3, 5)]
         for side in ("left", "right")
     ]
     rig = calibrate_views(views, [(640, 480)] * 2, CalibrationConfig(board=BOARD)).rig()

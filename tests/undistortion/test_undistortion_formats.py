@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from epipole.io import read_colmap_model, write_colmap_model
-from epipole.io.images.photographs import read_grey
+from epipole.io.images.photographs import read_gray
 from epipole.pipelines.undistortion.run import undistort
 from io_models import mappable_model
 
@@ -40,7 +40,7 @@ def test_the_format_is_that_of_the_suffix(workspace: Path) -> None:
         path = out / "images" / name
         with Image.open(path) as image:
             assert image.format == formats.get(path.suffix.lower(), "JPEG")
-        assert abs(float(np.median(read_grey(path))) - (30 * n + 20)) <= 3
+        assert abs(float(np.median(read_gray(path))) - (30 * n + 20)) <= 3
 
 
 def test_deep_grayscale_is_mapped_alike(workspace: Path) -> None:
@@ -53,7 +53,7 @@ def test_deep_grayscale_is_mapped_alike(workspace: Path) -> None:
         deep[: camera.height // 4] = 4000 - 300 * n
         cv2.imwrite(str(workspace / "images" / name), deep)
     out = undistort(workspace)
-    grays = [int(np.median(read_grey(out / "images" / name)[-60:-40, 100:-100])) for name in names]
+    grays = [int(np.median(read_gray(out / "images" / name)[-60:-40, 100:-100])) for name in names]
     assert max(grays) == min(grays)
-    tops = [int(read_grey(out / "images" / name).max()) for name in names]
+    tops = [int(read_gray(out / "images" / name).max()) for name in names]
     assert tops == sorted(tops, reverse=True) and tops[0] - tops[-1] > 50

@@ -161,7 +161,7 @@ def find_along_rows(image, other, pixels, max_shift, half, start, stop, out):
                 total += value
                 squares += value * value
         spread = count * squares - total * total
-        if spread < count * count:  # a standard deviation of one grey level
+        if spread < count * count:  # a standard deviation of one gray level
             continue
         last = min(max_shift, x - half)
         best = 0

@@ -16,15 +16,15 @@ _REFINEMENTS = 5
 
 
 @kernel(allocates=True)
-def upsample(grey, out):
-    """Double the size: pixel (2 x, 2 y) of `out` is pixel (x, y) of `grey` / 255, the others are interpolated."""
-    height, width = grey.shape
+def upsample(gray, out):
+    """Double the size: pixel (2 x, 2 y) of `out` is pixel (x, y) of `gray` / 255, the others are interpolated."""
+    height, width = gray.shape
     unit, half = np.float32(1.0 / 255.0), np.float32(0.5)
     row, below = np.empty(width + 1, np.float32), np.empty(width + 1, np.float32)
     for y in range(height):
         next_y = min(y + 1, height - 1)
         for x in range(width):
-            row[x], below[x] = np.float32(grey[y, x]) * unit, np.float32(grey[next_y, x]) * unit
+            row[x], below[x] = np.float32(gray[y, x]) * unit, np.float32(gray[next_y, x]) * unit
         row[width], below[width] = row[width - 1], below[width - 1]
         even, odd = out[2 * y], out[2 * y + 1]
         for x in range(width):
@@ -57,9 +57,9 @@ def blur(level, weights, out):
     line = np.empty(width + 2 * radius, np.float32)
     inner = line[radius : radius + width]
     for y in range(height):
-        centre = level[y]
+        center = level[y]
         for x in range(width):
-            inner[x] = weights[0] * centre[x]
+            inner[x] = weights[0] * center[x]
         for k in range(1, radius, 2):
             a, b = level[_mirrored(y - k, height)], level[_mirrored(y + k, height)]
             c, d = level[_mirrored(y - k - 1, height)], level[_mirrored(y + k + 1, height)]
@@ -89,7 +89,7 @@ def _mirrored(i, n):
 
 @kernel(allocates=True)
 def find_extrema(levels, threshold, least_contrast, most_edge, found):
-    """Extrema of the differences of Gaussians among 26 neighbours, refined to subpixel position.
+    """Extrema of the differences of Gaussians among 26 neighbors, refined to subpixel position.
 
     Args:
         levels: one octave, a tuple of SCALES + 3 images (height, width).
@@ -141,7 +141,7 @@ def find_extrema(levels, threshold, least_contrast, most_edge, found):
 
 @kernel
 def _difference_row(lower, upper, out, high, low):
-    """The difference upper - lower, and the maximum and minimum of every three neighbours along the row."""
+    """The difference upper - lower, and the maximum and minimum of every three neighbors along the row."""
     width = len(lower)
     for x in range(width):
         out[x] = upper[x] - lower[x]
@@ -177,7 +177,7 @@ def _mark_extremes(here, high0, high1, high2, low0, low1, low2, threshold, is_ex
 
 @kernel
 def _refine(levels, s, y, x, least_contrast, most_edge, found, count):
-    """Newton steps on the quadratic through the neighbours (Brown and Lowe, BMVC 2002); 1 if accepted, else 0."""
+    """Newton steps on the quadratic through the neighbors (Brown and Lowe, BMVC 2002); 1 if accepted, else 0."""
     height, width = levels[0].shape
     for _ in range(_REFINEMENTS):
         here = _difference(levels, s, y, x)

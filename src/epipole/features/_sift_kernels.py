@@ -49,7 +49,7 @@ def describe_all(levels, extrema, sigma, pixel, columns, descriptors):
         extrema: (n, 4) of x, y, scale, level (from 1), as found.
         sigma: (n,) scales, in pixels of the octave.
         pixel: side of a pixel of the octave, in pixels of the image.
-        columns: (MOST_ORIENTATIONS n, 4), output: x, y, diameter in pixels of the image; radians, x towards y.
+        columns: (MOST_ORIENTATIONS n, 4), output: x, y, diameter in pixels of the image; radians, x toward y.
         descriptors: (MOST_ORIENTATIONS n, 128) uint8, output.
 
     Returns:
@@ -90,7 +90,7 @@ def find_orientations(level, x, y, sigma, angles):
         x: column in pixels of the level.
         y: row.
         sigma: scale in pixels of the level.
-        angles: filled with directions in radians, x towards y.
+        angles: filled with directions in radians, x toward y.
 
     Returns:
         number of peaks that reach 0.8 of the highest.
@@ -181,7 +181,7 @@ def describe(level, x, y, sigma, angle, tables, descriptor):
         x: column in pixels of the level.
         y: row.
         sigma: scale in pixels of the level.
-        angle: orientation in radians, x towards y.
+        angle: orientation in radians, x toward y.
         tables: output of `window_tables`.
         descriptor: (128,) uint8, output.
     """

@@ -57,13 +57,13 @@ def corners_on_board(board: BoardConfig) -> Float64[np.ndarray, "n 3"]:
     return np.concatenate([plane, np.zeros((len(plane), 1))], axis=1)
 
 
-def find_board(grey: UInt8[np.ndarray, "h w"], board: BoardConfig) -> BoardView:
+def find_board(gray: UInt8[np.ndarray, "h w"], board: BoardConfig) -> BoardView:
     """The corners that OpenCV detects; empty if there is no board."""
-    if min(grey.shape) < _LEAST_SIDE:
+    if min(gray.shape) < _LEAST_SIDE:
         return _nothing()
     cv2.setRNGSeed(0)  # OpenCV's detectors are randomized: results must not depend on earlier images
     find = {"chessboard": _find_chessboard, "charuco": _find_charuco, "apriltag": _find_tags}
-    found = find[board.kind](np.ascontiguousarray(grey), board)
+    found = find[board.kind](np.ascontiguousarray(gray), board)
     return found if len(found) >= _LEAST_CORNERS else _nothing()
 
 
@@ -71,24 +71,24 @@ def _nothing() -> BoardView:
     return BoardView(np.zeros(0, np.int64), np.zeros((0, 2)))
 
 
-def _find_chessboard(grey: np.ndarray, board: BoardConfig) -> BoardView:
+def _find_chessboard(gray: np.ndarray, board: BoardConfig) -> BoardView:
     """All corners or none, as the corners of a partially visible chessboard cannot be identified.
 
     Corners are refined in windows: larger ones average more noise, but are biased if they reach the next corner.
     """
     size = (board.columns, board.rows)
     found, pixels = cv2.findChessboardCorners(
-        grey, size, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+        gray, size, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     )
     if not found:
-        found, pixels = cv2.findChessboardCornersSB(grey, size, flags=cv2.CALIB_CB_EXHAUSTIVE)
+        found, pixels = cv2.findChessboardCornersSB(gray, size, flags=cv2.CALIB_CB_EXHAUSTIVE)
     if not found:
         return _nothing()
     grid = pixels.reshape(board.rows, board.columns, 2)
     gaps = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1)]
     half = int(np.clip(_WINDOW_FRACTION * min(gaps) - 1, 2, 11))
     refined = cv2.cornerSubPix(
-        grey, np.ascontiguousarray(pixels, np.float32), (half, half), (-1, -1), _REFINE
+        gray, np.ascontiguousarray(pixels, np.float32), (half, half), (-1, -1), _REFINE
     )
     return BoardView(np.arange(board.columns * board.rows), refined.reshape(-1, 2).astype(np.float64))
 
@@ -104,9 +104,9 @@ def whole_chessboard(
     """
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     seen: list[tuple[int, int]] = []
-    for grey in images:
+    for gray in images:
         cv2.setRNGSeed(0)  # as in find_board
-        found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (board.columns, board.rows), flags)
+        found, _, meta = cv2.findChessboardCornersSBWithMeta(gray, (board.columns, board.rows), flags)
         if not found or meta is None:
             continue
         rows, columns = sorted(meta.shape) if board.columns >= board.rows else sorted(meta.shape)[::-1]
@@ -118,19 +118,19 @@ def whole_chessboard(
     return max(sorted(set(seen)), key=seen.count)
 
 
-def _find_charuco(grey: np.ndarray, board: BoardConfig) -> BoardView:
+def _find_charuco(gray: np.ndarray, board: BoardConfig) -> BoardView:
     dictionary = _dictionary(board.dictionary_name)
     best = _nothing()
     for legacy in (False, True):  # boards made by OpenCV before 4.6 start with the other color
         printed = _opencv.aruco.CharucoBoard((board.columns, board.rows), 1.0, board.marker_ratio, dictionary)
         printed.setLegacyPattern(legacy)
-        pixels, ids, _, _ = _opencv.aruco.CharucoDetector(printed).detectBoard(grey)
+        pixels, ids, _, _ = _opencv.aruco.CharucoDetector(printed).detectBoard(gray)
         if ids is not None and len(ids) > len(best):
             best = BoardView(ids.ravel().astype(np.int64), pixels.reshape(-1, 2).astype(np.float64))
     return best
 
 
-def _find_tags(grey: np.ndarray, board: BoardConfig) -> BoardView:
+def _find_tags(gray: np.ndarray, board: BoardConfig) -> BoardView:
     """Tags with a border of one or (Kalibr) two bits, numbered from the top or (Kalibr) the bottom row."""
     best: tuple[Any, Any] = ((), np.zeros(0, np.int64))
     for border in (1, 2):
@@ -139,7 +139,7 @@ def _find_tags(grey: np.ndarray, board: BoardConfig) -> BoardView:
         parameters.markerBorderBits = border
         corners, ids, _ = _opencv.aruco.ArucoDetector(
             _dictionary(board.dictionary_name), parameters
-        ).detectMarkers(grey)
+        ).detectMarkers(gray)
         if ids is not None and len(ids) > len(best[1]):
             best = (corners, ids.ravel().astype(np.int64))
     corners, ids = best

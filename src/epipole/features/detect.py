@@ -19,36 +19,36 @@ _opencv: Any = cv2  # its stubs lack ORB
 
 
 @checked
-def detect_features(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig | None = None) -> Features:
-    """Detect and describe features of a grey image; none in a blank or tiny image.
+def detect_features(gray: UInt8[np.ndarray, "h w"], config: FeatureConfig | None = None) -> Features:
+    """Detect and describe features of a gray image; none in a blank or tiny image.
 
     Returns:
         Features in pixels of the given image, even if it was downscaled for detection.
     """
     config = options_of(FeatureConfig, config)
-    height, width = grey.shape
+    height, width = gray.shape
     if min(height, width) < 16:
         return _none(KINDS[config.kind].width)
     factor = min(1.0, config.max_size_px / max(height, width))
     if factor < 1.0:
         size = (max(16, round(width * factor)), max(16, round(height * factor)))
-        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    found = DETECTORS[config.kind](grey, config)
+        gray = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
+    found = DETECTORS[config.kind](gray, config)
     if factor == 1.0:
         return found
     # Resampling aligns pixel edges, not centers.
-    stretch = np.array([width / grey.shape[1], height / grey.shape[0]])
+    stretch = np.array([width / gray.shape[1], height / gray.shape[0]])
     pixels = ((found.pixels + 0.5) * stretch - 0.5).astype(np.float32)
     return Features(
         pixels, (found.scale_px * stretch.mean()).astype(np.float32), found.angle_rad, found.descriptors
     )
 
 
-def detect_orb(grey: np.ndarray, config: FeatureConfig) -> Features:
+def detect_orb(gray: np.ndarray, config: FeatureConfig) -> Features:
     """ORB by OpenCV (Rublee et al., ICCV 2011)."""
     keypoints, descriptors = _opencv.ORB_create(
-        nfeatures=min(config.max_features, max(grey.size, _MANY))
-    ).detectAndCompute(grey, None)
+        nfeatures=min(config.max_features, max(gray.size, _MANY))
+    ).detectAndCompute(gray, None)
     if not keypoints:
         return _none(ORB.width)
     columns = np.array([(*k.pt, k.size, np.deg2rad(k.angle)) for k in keypoints], np.float32)

@@ -32,8 +32,8 @@ def track_points(
     that image is brightened first.
 
     Args:
-        first: grey image with the points.
-        second: grey image of the same size.
+        first: gray image with the points.
+        second: gray image of the same size.
         pixels: positions in the first image.
         guess: predicted positions in the second image; None: unchanged.
         config: options.
@@ -93,7 +93,7 @@ def _equally_bright(
 
 
 def _brightness(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """(n,) mean grey value around pixels; the border is replicated."""
+    """(n,) mean gray value around pixels; the border is replicated."""
     last = np.array(image.shape[::-1]) - 1
     column, row = np.rint(np.clip(np.nan_to_num(pixels), 0, last)).astype(np.int64).T
     return cv2.blur(image, (AROUND_PX, AROUND_PX))[row, column].astype(np.float64)

@@ -50,9 +50,9 @@ def kind_of(descriptors: UInt8[np.ndarray, "n d"]) -> DescriptorKind:
 
 
 class Detector(Protocol):
-    """Finds and describes the features of a grey image."""
+    """Finds and describes the features of a gray image."""
 
-    def __call__(self, grey: UInt8[np.ndarray, "h w"], config: FeatureConfig) -> Features:
+    def __call__(self, gray: UInt8[np.ndarray, "h w"], config: FeatureConfig) -> Features:
         """Features in pixels of the image."""
 
 

@@ -1,4 +1,4 @@
-"""Exhaustive nearest-neighbour matching with ratio test and mutual check."""
+"""Exhaustive nearest-neighbor matching with ratio test and mutual check."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def match_descriptors(
     descriptors2: UInt8[np.ndarray, "m e"],
     config: MatchConfig | None = None,
 ) -> Int32[np.ndarray, "k 2"]:
-    """Index pairs of mutual nearest neighbours that pass the ratio test (Lowe, IJCV 2004, section 7.1).
+    """Index pairs of mutual nearest neighbors that pass the ratio test (Lowe, IJCV 2004, section 7.1).
 
     The width determines the kind of descriptor (root-SIFT, ORB), and the kind how they are compared.
 
@@ -45,7 +45,7 @@ def match_descriptors(
 
 
 def match_by_angle(first: np.ndarray, second: np.ndarray, config: MatchConfig) -> np.ndarray:
-    """Mutual nearest neighbours by angle, by whole-number products of bytes where the processor has them."""
+    """Mutual nearest neighbors by angle, by whole-number products of bytes where the processor has them."""
     top_two = _top_two_bytes if _fits_byte_dot(first, second) else _top_two_floats
     best = top_two(first, second, config)
     return _accept(best[0], best[1], best[2], best[3], config)
@@ -128,7 +128,7 @@ def match_along_epipolar_lines(
     band_px: float,
     config: MatchConfig | None = None,
 ) -> Int32[np.ndarray, "k 2"]:
-    """Mutual nearest SIFT neighbours among the features within `band_px` of each other's epipolar line.
+    """Mutual nearest SIFT neighbors among the features within `band_px` of each other's epipolar line.
 
     A line passes about one hundredth of an image's features, so this costs a fraction of exhaustive matching. The ratio
     test compares candidates near the line only.
@@ -242,7 +242,7 @@ def _angle(similarity: np.ndarray) -> np.ndarray:
 
 
 def match_by_bits(first: np.ndarray, second: np.ndarray, config: MatchConfig) -> np.ndarray:
-    """Mutual nearest neighbours by the number of bits that differ."""
+    """Mutual nearest neighbors by the number of bits that differ."""
     wide_a, wide_b = np.ascontiguousarray(first).view(np.uint64), np.ascontiguousarray(second).view(np.uint64)
     column, best, next_best = (np.empty(len(first), np.int64) for _ in range(3))
     column_best = np.full(len(second), 1 << 30, np.int64)

@@ -31,7 +31,7 @@ def align_patches(
     """Locate points by least squares over their patches, without the drift of frame-to-frame tracking.
 
     Args:
-        first: grey image with the patches.
+        first: gray image with the patches.
         second: image to search.
         pixels: positions in the first image.
         warps: d(pixel in second) / d(pixel in first) around each point.
@@ -76,7 +76,7 @@ def find_patches(
     Each level doubles the distance from which a patch is found, about 2 pixels for a single level.
 
     Args:
-        first: grey image with the patches.
+        first: gray image with the patches.
         second: image to search.
         pixels: positions in the first image.
         warps: d(pixel in second) / d(pixel in first) around each point.
@@ -119,7 +119,7 @@ def find_along_rows(
     """Integer shifts to the left with the highest patch correlation (zero-mean normalized), by exhaustive search.
 
     Args:
-        first: grey image, rectified.
+        first: gray image, rectified.
         second: its rectified partner.
         pixels: points in the first image.
         max_shift: largest shift, in pixels.

@@ -25,19 +25,19 @@ _MOST_EDGE = 10.0
 """Largest ratio of principal curvatures: along edges the position is undetermined."""
 
 
-def detect_sift(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig) -> Features:
-    """The largest-scale SIFT features of a grey image, as root-SIFT.
+def detect_sift(gray: UInt8[np.ndarray, "h w"], config: FeatureConfig) -> Features:
+    """The largest-scale SIFT features of a gray image, as root-SIFT.
 
     The first octave has twice the image's size. Pixel (x, y) of the image is pixel (2 x, 2 y) there, so keypoints are
     not shifted. Work per pixel of an octave: five blurs of 11 to 27 taps along rows and columns, then 27 comparisons for
     each of three levels.
 
     Args:
-        grey: at least 16 pixels per side.
+        gray: at least 16 pixels per side.
         config: `max_features` and `contrast_threshold`.
     """
     octaves, limit = [], config.max_features
-    for number, levels in enumerate(_octaves(grey)):
+    for number, levels in enumerate(_octaves(gray)):
         extrema = _find_extrema(levels, config.contrast_threshold)
         octaves.append(_Octave(levels[1 : 1 + space.SCALES], extrema, 0.5 * 2.0**number))
     pixel = np.concatenate([np.full(len(o.extrema), o.pixel) for o in octaves])
@@ -66,11 +66,11 @@ class _Octave:
         return _SIGMA * 2.0 ** (self.extrema[:, 2].astype(np.float64) / space.SCALES)
 
 
-def _octaves(grey: np.ndarray) -> Iterator[tuple[np.ndarray, ...]]:
+def _octaves(gray: np.ndarray) -> Iterator[tuple[np.ndarray, ...]]:
     """Levels of each octave; every octave is half the size of the previous one."""
-    height, width = grey.shape
+    height, width = gray.shape
     base = np.empty((2 * height, 2 * width), np.float32)
-    space.upsample(grey, base)
+    space.upsample(gray, base)
     base = _blurred(base, np.sqrt(_SIGMA**2 - (2.0 * _CAMERA_SIGMA) ** 2))
     steps = [_SIGMA * 2.0 ** (s / space.SCALES) for s in range(space.SCALES + 3)]
     while min(base.shape) >= _LEAST_SIDE:
@@ -117,14 +117,14 @@ def _describe(octave: _Octave, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 @checked
 def describe_upright(
-    grey: UInt8[np.ndarray, "h w"], pixels: Float64[np.ndarray, "n 2"], sigma_px: float = 5.0
+    gray: UInt8[np.ndarray, "h w"], pixels: Float64[np.ndarray, "n 2"], sigma_px: float = 5.0
 ) -> UInt8[np.ndarray, "n 128"]:
     """Root-SIFT of unrotated windows of one size, for corners of a camera that stays upright.
 
     Work: one blur of the image, and 900 samples per window.
 
     Args:
-        grey: the image.
+        gray: the image.
         pixels: window centers; parts of a window outside the image replicate its border.
         sigma_px: scale; a window's side is 12 times this.
 
@@ -137,9 +137,9 @@ def describe_upright(
     if not np.isfinite(pixels).all():
         raise ShapeError("pixels must be finite")
     descriptors = np.zeros((len(pixels), 128), np.uint8)
-    if len(pixels) and min(grey.shape) >= 2:
+    if len(pixels) and min(gray.shape) >= 2:
         # The samples are 0.75 sigma apart: blurred by about half of that, they do not alias.
-        level = _blurred(grey.astype(np.float32), 0.4 * sigma_px)
+        level = _blurred(gray.astype(np.float32), 0.4 * sigma_px)
         kernels.describe_upright(level, np.ascontiguousarray(pixels), float(sigma_px), descriptors)
     return descriptors
 

@@ -40,11 +40,11 @@ class TagView:
         return f"TagView({len(self)} markers)"
 
 
-def find_tags(grey: UInt8[np.ndarray, "h w"], dictionary: str) -> TagView:
+def find_tags(gray: UInt8[np.ndarray, "h w"], dictionary: str) -> TagView:
     """The markers that OpenCV detects; numbers that occur twice in the image are dropped.
 
     Args:
-        grey: the image.
+        gray: the image.
         dictionary: OpenCV's name without DICT_, such as APRILTAG_36h11 or 4X4_50.
 
     Raises:
@@ -52,17 +52,17 @@ def find_tags(grey: UInt8[np.ndarray, "h w"], dictionary: str) -> TagView:
     """
     check_dictionary(dictionary)
     none = TagView(np.zeros(0, np.int64), np.zeros((0, 4, 2)))
-    if min(grey.shape) < _LEAST_IMAGE:
+    if min(gray.shape) < _LEAST_IMAGE:
         return none
-    grey = np.ascontiguousarray(grey)
+    gray = np.ascontiguousarray(gray)
     known = _opencv.aruco.getPredefinedDictionary(getattr(_opencv.aruco, f"DICT_{dictionary}"))
     corners, ids, _ = _opencv.aruco.ArucoDetector(known, _opencv.aruco.DetectorParameters()).detectMarkers(
-        grey
+        gray
     )
     if ids is None:
         return none
     numbers, counts = np.unique(ids.ravel(), return_counts=True)
-    single, levels = numbers[counts == 1], grey.astype(np.float32)
+    single, levels = numbers[counts == 1], gray.astype(np.float32)
     found = {int(n): c.reshape(4, 2).astype(np.float64) for n, c in zip(ids.ravel(), corners)}
     rows = []
     for number in single:
@@ -89,15 +89,15 @@ def _narrowest(corners: np.ndarray) -> float:
     return float(min(away))
 
 
-def _by_edges(grey: np.ndarray, corners: np.ndarray, cell_px: float) -> np.ndarray | None:
+def _by_edges(gray: np.ndarray, corners: np.ndarray, cell_px: float) -> np.ndarray | None:
     """(4, 2) corners from the intersection of lines fitted to the four edges; None if an edge is missing.
 
-    An edge is where the grey value changes most: the mean of the derivative across it. Symmetric blur does not move it,
+    An edge is where the gray value changes most: the mean of the derivative across it. Symmetric blur does not move it,
     whereas it shifts a directly detected corner into the marker.
     """
     found, half = corners, float(np.clip(_CELL_FRACTION * cell_px, *_HALF_PX))
     for _ in range(_ROUNDS):
-        edges = (_edge(grey, found[k], found[(k + 1) % 4], half) for k in range(4))
+        edges = (_edge(gray, found[k], found[(k + 1) % 4], half) for k in range(4))
         lines = [line for line in edges if line is not None]
         if len(lines) < 4:
             return None
@@ -108,7 +108,7 @@ def _by_edges(grey: np.ndarray, corners: np.ndarray, cell_px: float) -> np.ndarr
     return found if np.linalg.norm(found - corners, axis=1).max() <= _FURTHEST_PX else None
 
 
-def _edge(grey: np.ndarray, start: np.ndarray, stop: np.ndarray, half: float) -> np.ndarray | None:
+def _edge(gray: np.ndarray, start: np.ndarray, stop: np.ndarray, half: float) -> np.ndarray | None:
     """The line a x + b y + c = 0 through a dark-to-bright edge, sampled across at many positions."""
     length = float(np.linalg.norm(stop - start))
     if length < 4.0:
@@ -119,7 +119,7 @@ def _edge(grey: np.ndarray, start: np.ndarray, stop: np.ndarray, half: float) ->
     steps = np.arange(-half, half + 1e-9, _STEP_PX)
     at = (start + t * (stop - start))[:, None] + steps[:, None] * across
     values = _opencv.remap(
-        grey, at.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        gray, at.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
     rise = np.diff(values, axis=1).astype(np.float64)
     middle = 0.5 * (steps[1:] + steps[:-1])

@@ -73,7 +73,7 @@ class Ring(NamedTuple):
     pixel_noise: np.ndarray
     """(c, p, 2) with unit standard deviation."""
     camera_shifts: np.ndarray
-    """(c, 6) translations, and rotations in radians, of an initialization that is off by one metre."""
+    """(c, 6) translations, and rotations in radians, of an initialization that is off by one meter."""
     point_shifts: np.ndarray
     """(p, 3)"""
 

@@ -99,8 +99,8 @@ def triangle_support(
     for e, (i, j) in enumerate(zip(image1.tolist(), image2.tolist())):
         edge_of[i][j] = edge_of[j][i] = e
 
-    def rotation(a: np.ndarray, b: np.ndarray, e: np.ndarray) -> np.ndarray:
-        """(k, 3, 3) from image a to image b, along edges e in either direction."""
+    def rotation_from(a: np.ndarray, e: np.ndarray) -> np.ndarray:
+        """(k, 3, 3) from image a along edges e, in either direction."""
         forward = (image1[e] == a)[:, None, None]
         return np.where(forward, relative[e], np.swapaxes(relative[e], 1, 2))
 
@@ -109,9 +109,7 @@ def triangle_support(
         common = np.array(sorted(edge_of[i].keys() & edge_of[j].keys()), np.int64)
         if len(common):
             to, back = (np.array([edge_of[k][int(c)] for c in common]) for k in (i, j))
-            around = rotation(common, np.full(len(common), j), back) @ rotation(
-                np.full(len(common), i), common, to
-            )
+            around = rotation_from(common, back) @ rotation_from(np.full(len(common), i), to)
             cosine = 0.5 * (np.einsum("kab,ab->k", around, relative[e]) - 1.0)
             agrees = cosine >= np.cos(MAX_TRIANGLE_RAD)
             smaller = np.minimum(weights[to], weights[back])

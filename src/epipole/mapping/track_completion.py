@@ -22,7 +22,7 @@ from epipole.mapping.model_builder import ModelBuilder
 
 MIN_SHARED_POINTS = 15
 """Images that observe fewer common points are not neighbors."""
-MAX_TURN_COS = np.cos(np.deg2rad(40.0))
+MIN_VIEW_COSINE = np.cos(np.deg2rad(40.0))
 """Cosine of the largest angle between two views of a point: beyond it, SIFT descriptors rarely match (Lowe 2004, 7.3)."""
 
 
@@ -132,4 +132,4 @@ def _closest_views(near: np.ndarray, observed: _Observations, model: ModelBuilde
     order = np.lexsort((-cosine, observed.point[near]))
     first = np.unique(observed.point[near][order], return_index=True)[1]
     best = order[first]
-    return np.asarray(near[best[cosine[best] >= MAX_TURN_COS]])
+    return np.asarray(near[best[cosine[best] >= MIN_VIEW_COSINE]])

@@ -15,7 +15,7 @@ from epipole.scene.gaussian_cloud import GaussianCloud
 
 LoadImage = Callable[[str], UInt8[np.ndarray, "h w 3"] | None]
 """Returns the RGB image of a camera by name, or None if there is none."""
-METRES, NO_UNIT = "m", ""
+METERS, NO_UNIT = "m", ""
 """Units of a scene; without a unit, the scale is unknown."""
 
 
@@ -99,7 +99,7 @@ class SpaceScene:
     words: str
     """A sentence about the content and its size."""
     unit: str
-    """Unit of lengths: `METRES`, another, or `NO_UNIT` if the scale is unknown."""
+    """Unit of lengths: `METERS`, another, or `NO_UNIT` if the scale is unknown."""
     points: tuple[PointLayer, ...] = ()
     cameras: CameraLayer | None = None
     curves: tuple[Curve, ...] = ()

@@ -8,7 +8,7 @@ from typing import Any
 from epipole.report.frame import render
 from epipole.report.markup import count
 from epipole.report.space import SpaceData, embedded_images, of_all, space_data
-from epipole.report.space_scene import METRES, NO_UNIT, SpaceScene
+from epipole.report.space_scene import METERS, NO_UNIT, SpaceScene
 
 IMAGE_ADDRESS = "picture/"
 """Address of a served image, before the camera's number."""
@@ -65,7 +65,7 @@ def lengths_in_words(unit: str) -> str:
     """A sentence about the unit of lengths."""
     if unit == NO_UNIT:
         return "Lengths are known up to scale"
-    return f"Lengths are in {'meters' if unit == METRES else unit}"
+    return f"Lengths are in {'meters' if unit == METERS else unit}"
 
 
 def _with_what_is_left_out(scene: SpaceScene, data: SpaceData) -> str:

@@ -125,7 +125,7 @@ class PhotographHeader:
     gps: GpsPosition | None
     capture_time: datetime | None
     """Local time on the camera's clock."""
-    is_deep_grey_png: bool = False
+    is_deep_gray_png: bool = False
     """Whether it is a 16-bit gray PNG, as used for depth."""
     up_in_camera: tuple[float, float, float] | None = None
     """Direction of up in camera coordinates as measured by a gimbal; None if the XMP block has none."""
@@ -188,7 +188,7 @@ def read_header(path: Path | str) -> PhotographHeader:
         exif = exif_of(image)
         orientation = orientation_of(exif)
         width, height = stored_size(image)
-        is_deep_grey_png = file_format == "PNG" and image.mode.startswith("I")
+        is_deep_gray_png = file_format == "PNG" and image.mode.startswith("I")
     if orientation >= 5:
         width, height = height, width
     focal, (make, model) = focal_of(exif, width, height), camera_of(exif)
@@ -202,13 +202,13 @@ def read_header(path: Path | str) -> PhotographHeader:
         focal.source if focal else None,
         gps_of(exif),
         capture_time_of(exif),
-        is_deep_grey_png,
+        is_deep_gray_png,
         gimbal_up_of(image.info.get("xmp")) if orientation == 1 else None,
     )
 
 
 @checked
-def read_grey(
+def read_gray(
     path: Path | str,
     max_size_px: int | None = None,
     *,
@@ -244,9 +244,9 @@ def read_rgb(
 
     Args:
         path: the image.
-        max_size_px: longest side of the result, as in `read_grey`.
-        limits: as in `read_grey`.
-        orientation: as in `read_grey`.
+        max_size_px: longest side of the result, as in `read_gray`.
+        limits: as in `read_gray`.
+        orientation: as in `read_gray`.
 
     Raises:
         ConfigError: the range of limits is empty or infinite.

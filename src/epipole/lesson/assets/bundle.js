@@ -1,7 +1,7 @@
 /* A small problem settles; what its matrices look like. */
 const STEPS = 12;
 
-/* Centres of the cameras after the best similarity onto the true ones (Horn 1987; Umeyama 1991), as `align_points`. */
+/* Centers of the cameras after the best similarity onto the true ones (Horn 1987; Umeyama 1991), as `align_points`. */
 function aligned(places, truth) {
   const middle = (points) => scaled(points.reduce(plus), 1 / points.length),
     [from, to] = [middle(places), middle(truth)];

@@ -1,4 +1,4 @@
-/* The camera of the pages, and pictures of it: 640 x 480 pixels, the centre of the first at (0, 0). */
+/* The camera of the pages, and pictures of it: 640 x 480 pixels, the center of the first at (0, 0). */
 /* exported K, K_INVERSE, pixelOf, project, rayOf, picture, twoPictures, matrixTable, degrees */
 const K = [
   [520, 0, 319.5],

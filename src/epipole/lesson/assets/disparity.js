@@ -18,7 +18,7 @@ function stereoNumbers({ Z, X, B, f, e }) {
   };
 }
 
-/* From above: as far ahead as the object asks for; a metre aside is drawn longer than one ahead. */
+/* From above: as far ahead as the object asks for; a meter aside is drawn longer than one ahead. */
 const FLOOR = {
   bottom: 296,
   top: 30,
@@ -113,7 +113,7 @@ function drawMagnified(svg, { d }, left) {
   add(svg, "text", { class: "tick", x: left + 67, y: 312, "text-anchor": "middle" }, `${times} \u00d7`);
 }
 
-/* The chart's scale is fixed so that curves can be compared: metres of depth and of error. */
+/* The chart's scale is fixed so that curves can be compared: meters of depth and of error. */
 const CURVE = { depth: 40, error: 20 };
 const WORKED = { f: 800, B: 0.12, e: 1 };
 

@@ -34,7 +34,7 @@ const runOf = (failure) => {
   return { name: names[which], run: RECORD[failure][names[which]], first: RECORD[failure][names[0]] };
 };
 
-/* Root mean square distance of the places that are known to the true ones, in centimetres; NaN where none is. */
+/* Root mean square distance of the places that are known to the true ones, in centimeters; NaN where none is. */
 function errorOf(places, truth) {
   const off = places.flatMap((place, k) => (place ? [norm(minus(place, truth[k]))] : []));
   return off.length ? 100 * Math.sqrt(dot(off, off) / off.length) : NaN;
@@ -100,10 +100,10 @@ function trajectoryIn(svg, { x, y, width, height }, run, k, { middle, size }, { 
   final.forEach((place) => place && mark(place, "behind", 3.4));
   now.slice(0, k + 1).forEach((place) => place && mark(place, "one", 2.4));
   mark(run.truth[k], "behind", 8);
-  const metre = 10 ** Math.floor(Math.log10((0.5 * width) / scale)), // the longest power of ten that fits
+  const meter = 10 ** Math.floor(Math.log10((0.5 * width) / scale)), // the longest power of ten that fits
     [left, low] = [x + 14, y + height - (below ? 8 : 14)];
-  add(svg, "line", { class: "measure", x1: left, x2: left + metre * scale, y1: low, y2: low });
-  add(svg, "text", { class: "label", x: left, y: low - 6 }, `${metre} ${WORDS.metre}`);
+  add(svg, "line", { class: "measure", x1: left, x2: left + meter * scale, y1: low, y2: low });
+  add(svg, "text", { class: "label", x: left, y: low - 6 }, `${meter} ${WORDS.meter}`);
 }
 
 function drawWay({ run, k }) {
@@ -148,7 +148,7 @@ function drawKitchen() {
   names.forEach((name) => {
     const d = "M" + RECORD.kitchen[name].map((v, k) => `${toX(number[k])},${toY(100 * v)}`).join(" L");
     add(svg, "path", {
-      class: "ray " + { sfm_fusion: "grey", ours_fusion: "other", ours_sfm: "one" }[name],
+      class: "ray " + { sfm_fusion: "gray", ours_fusion: "other", ours_sfm: "one" }[name],
       d,
     });
     const values = RECORD.kitchen[name];

@@ -7,7 +7,7 @@ function samplesOf({ nerf }) {
   return nerf.distance.map((distance, k) => ({
     distance,
     alpha: -Math.expm1(-nerf.thickness[k]),
-    colour: nerf.colour[k],
+    color: nerf.color[k],
   }));
 }
 
@@ -16,7 +16,7 @@ function gaussiansOf({ splat }) {
   return splat.distance.map((distance, k) => ({
     distance,
     alpha: Math.min(splat.opacity[k] * Math.exp(splat.power[k]), RECORD.largest_alpha),
-    colour: splat.colour[k],
+    color: splat.color[k],
   }));
 }
 
@@ -27,38 +27,38 @@ const MARCHED = { nerf: samplesOf, splat: gaussiansOf },
 /* Front to back: sum of T_i alpha_i c_i with T_i = prod_{j<i} (1 - alpha_j), over white, as far as `upto`. */
 function composited(way, pixel, upto) {
   let through = 1;
-  const colour = [0, 0, 0],
+  const color = [0, 0, 0],
     parts = [];
-  for (const { distance, alpha, colour: own } of MARCHED[way](pixel)) {
+  for (const { distance, alpha, color: own } of MARCHED[way](pixel)) {
     if (distance > upto || through <= OVER[way]) break;
     if (alpha < LEAST[way]) continue;
     const weight = through * alpha;
-    own.forEach((v, k) => (colour[k] += weight * v));
-    parts.push({ distance, weight, through, colour: own });
+    own.forEach((v, k) => (color[k] += weight * v));
+    parts.push({ distance, weight, through, color: own });
     through *= 1 - alpha;
   }
   const weights = parts.reduce((sum, { weight }) => sum + weight, 0),
     depth = parts.reduce((sum, { weight, distance }) => sum + weight * distance, 0) / weights;
-  return { parts, through, weights, depth, colour: colour.map((v) => v + through) };
+  return { parts, through, weights, depth, color: color.map((v) => v + through) };
 }
 
-const cssColour = (colour) =>
-  `rgb(${colour.map((v) => Math.round(255 * Math.min(1, Math.max(0, v)))).join(" ")})`;
+const cssColor = (color) =>
+  `rgb(${color.map((v) => Math.round(255 * Math.min(1, Math.max(0, v)))).join(" ")})`;
 
 function fieldNumbers({ upto }, name) {
   const pixel = RECORD.pixels[Number(name)],
     numbers = {},
     found = {};
   for (const way of WAYS) {
-    const { parts, through, weights, depth, colour } = (found[way] = composited(way, pixel, upto));
+    const { parts, through, weights, depth, color } = (found[way] = composited(way, pixel, upto));
     Object.assign(numbers, {
       [`used-${way}`]: parts.length,
       [`weights-${way}`]: weights,
       [`through-${way}`]: through,
       [`depth-${way}`]: depth,
-      [`red-${way}`]: colour[0],
-      [`green-${way}`]: colour[1],
-      [`blue-${way}`]: colour[2],
+      [`red-${way}`]: color[0],
+      [`green-${way}`]: color[1],
+      [`blue-${way}`]: color[2],
     });
   }
   return { pixel, found, numbers };
@@ -87,7 +87,7 @@ function drawPictures(chosenPixel) {
   });
 }
 
-/* Along the ray: what each part adds, in its own colour, and what is still let through before it. */
+/* Along the ray: what each part adds, in its own color, and what is still let through before it. */
 function drawRay(way, { parts, through }, upto) {
   const [svg, width] = fitted(`ray-${way}`, 220),
     box = { left: 44, top: 30, right: width - 14, bottom: 172 };
@@ -107,7 +107,7 @@ function drawRay(way, { parts, through }, upto) {
     WORDS.distance,
   );
   add(svg, "text", { class: "label", x: 8, y: 16 }, WORDS.ways[way]);
-  for (const { distance, weight, colour } of parts) {
+  for (const { distance, weight, color } of parts) {
     add(svg, "line", {
       class: "query",
       x1: toX(distance),
@@ -122,7 +122,7 @@ function drawRay(way, { parts, through }, upto) {
       width: 4,
       y: top,
       height: toY(0) - top,
-      fill: cssColour(colour),
+      fill: cssColor(color),
     });
   }
   const steps = parts.map((part) => `H${toX(part.distance)} V${toY(part.through)}`);
@@ -134,18 +134,18 @@ function drawRay(way, { parts, through }, upto) {
   add(svg, "line", { class: "measure", x1: toX(end), x2: toX(end), y1: box.top, y2: box.bottom });
 }
 
-function drawColours({ pixel, found }) {
+function drawColors({ pixel, found }) {
   const inRow = (width) => (width < 600 ? 2 : 4),
-    [svg, width] = fitted("colours", (all) => (all < 600 ? 148 : 74)),
+    [svg, width] = fitted("colors", (all) => (all < 600 ? 148 : 74)),
     part = (width - 20) / inRow(width);
   const shown = WAYS.flatMap((way) => [
-    [WORDS.colours.summed[way], found[way].colour],
-    [WORDS.colours.drawn[way], pixel.drawn[way]],
+    [WORDS.colors.summed[way], found[way].color],
+    [WORDS.colors.drawn[way], pixel.drawn[way]],
   ]);
-  shown.forEach(([name, colour], k) => {
+  shown.forEach(([name, color], k) => {
     const x = 6 + (k % inRow(width)) * (part + 2),
       y = 4 + 72 * Math.floor(k / inRow(width));
-    add(svg, "rect", { class: "swatch", x, y, width: part, height: 36, fill: cssColour(colour) });
+    add(svg, "rect", { class: "swatch", x, y, width: part, height: 36, fill: cssColor(color) });
     add(svg, "text", { class: "tick", x, y: y + 54 }, name);
   });
 }
@@ -162,7 +162,7 @@ const set = watch(["upto"], (values) => {
     const [used, depth, through] = ["used", "depth", "through"].map((name) => numbers[`${name}-${way}`]);
     told(`ray-${way}-told`, WORDS.ray_told, { used, depth, through }, ["used"]);
   }
-  drawColours({ pixel, found });
+  drawColors({ pixel, found });
 });
 
 byId("pictures").addEventListener("click", (event) => {

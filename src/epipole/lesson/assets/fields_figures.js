@@ -9,18 +9,18 @@ function marchNumbers({ n, times }) {
 }
 
 watch(["n", "times"], (values) => {
-  const { parts, through, colour } = marchNumbers(values),
+  const { parts, through, color } = marchNumbers(values),
     [svg, width] = fitted("fog", 300),
     box = { left: 84, right: width - 16, top: 40, bottom: 110 };
   const toX = (d) => box.left + ((box.right - box.left) * (d - RECORD.near)) / (RECORD.far - RECORD.near),
     toY = (t) => 232 - 84 * t;
-  add(svg, "rect", { class: "swatch", x: 12, y: box.top, width: 56, height: 70, fill: cssColour(colour) });
+  add(svg, "rect", { class: "swatch", x: 12, y: box.top, width: 56, height: 70, fill: cssColor(color) });
   add(svg, "text", { class: "label", x: 12, y: box.top - 10 }, WORDS.pixel);
   add(svg, "rect", { class: "white", x: box.left, y: box.top, width: box.right - box.left, height: 70 });
   const step = toX(FOG.distance[1]) - toX(FOG.distance[0]);
-  parts.forEach(({ distance, weight, through: before, colour: own }) => {
+  parts.forEach(({ distance, weight, through: before, color: own }) => {
     const look = { x: toX(distance) - step / 2, width: step + 0.5, y: box.top, height: 70 };
-    add(svg, "rect", { ...look, fill: cssColour(own), "fill-opacity": weight / before });
+    add(svg, "rect", { ...look, fill: cssColor(own), "fill-opacity": weight / before });
   });
   add(svg, "text", { class: "label", x: box.left, y: box.top - 10 }, WORDS.fog);
   for (const t of [0, 0.5, 1]) {
@@ -116,16 +116,16 @@ function drawOrder({ red, blue }) {
   add(svg, "rect", { class: "white", x: 12, y: 12, width: wide, height: 200 });
   const place = { red: middle - 0.14 * wide, blue: middle + 0.14 * wide };
   for (const name of [back, front])
-    add(svg, "ellipse", { cx: place[name], cy: 112, rx: 0.3 * wide, ry: 78, fill: cssColour(INKS[name]), "fill-opacity": alphas[name] });
+    add(svg, "ellipse", { cx: place[name], cy: 112, rx: 0.3 * wide, ry: 78, fill: cssColor(INKS[name]), "fill-opacity": alphas[name] });
   ["red", "blue"].forEach((name, k) => {
     const y = 32 + 104 * k,
       isShown = name === front;
-    add(svg, "rect", { class: "swatch", x: wide + 28, y, width: 84, height: 60, fill: cssColour(both[name]) });
+    add(svg, "rect", { class: "swatch", x: wide + 28, y, width: 84, height: 60, fill: cssColor(both[name]) });
     const label = add(svg, "text", { class: `label ${isShown ? "strong" : ""}`, x: wide + 28, y: y - 8 }, WORDS.in_front[name]);
     if (isShown) label.setAttribute("font-weight", "600");
   });
   const shown = both[front].map((v) => shownNumber(v, 2)).join(", ");
-  add(svg, "text", { class: "label", x: 12, y: 246 }, worded(WORDS.overlap, { colour: shown }));
+  add(svg, "text", { class: "label", x: 12, y: 246 }, worded(WORDS.overlap, { color: shown }));
   const [r, g, b] = both[front];
   told("order-told", WORDS.order_told, { r, g, b });
 }

@@ -12,7 +12,7 @@ watch(["gx", "gz", "gyaw"], ({ gx, gz, gyaw }) => {
     truth = inverseMotion(TRUE_POSE).t;
   drawGuess((put) => {
     putHouse(put, KNOWN.corners, KNOWN.edges);
-    put.camera(TRUE_POSE, "grey", 0.9);
+    put.camera(TRUE_POSE, "gray", 0.9);
     put.camera(guess, "other", 0.9);
     for (const k of [0, 1, 2, 3, 8]) {
       const far = norm(minus(KNOWN.corners[k], back.t));

@@ -11,11 +11,11 @@ function scaleNumbers({ k, B, W }, anchor) {
     width: norm(minus(corners[FRONT[0]], corners[FRONT[1]])),
     distance: norm(scaled(corners.reduce(plus), 1 / corners.length)),
   };
-  const metres = { none: NaN, baseline: B / measured.baseline, width: W / measured.width }[anchor];
-  const factor = Number.isNaN(metres) ? 1 : metres;
+  const meters = { none: NaN, baseline: B / measured.baseline, width: W / measured.width }[anchor];
+  const factor = Number.isNaN(meters) ? 1 : meters;
   for (const name of Object.keys(measured)) measured[name] *= factor;
   const [u1, u2] = [HERE, motion].map((where) => project(moved(where, corners[CORNER]))[0]);
-  return { motion, corners, u1, u2, ...measured, metres, drawn: k * factor };
+  return { motion, corners, u1, u2, ...measured, meters, drawn: k * factor };
 }
 
 function drawPictures({ motion, corners }) {
@@ -27,7 +27,7 @@ function drawPictures({ motion, corners }) {
   });
 }
 
-/* Scales of the drawing, metres from top to bottom; without an anchor it stays, so that what grows is seen to grow. */
+/* Scales of the drawing, meters from top to bottom; without an anchor it stays, so that what grows is seen to grow. */
 const REACHES = [3, 8, 22, 60, 160];
 
 function drawAbove({ drawn, baseline }, unit) {
@@ -62,8 +62,8 @@ watch(["k", "B", "W"], (values) => {
   byId("W").disabled = anchor !== "width";
   for (const name of ["u1", "u2"]) show(name, found[name], WORDS.unit_px, 4);
   for (const name of ["baseline", "width", "distance"]) show(name, found[name], unit);
-  show("metres", found.metres);
-  if (anchor === "none") byId("metres").textContent = WORDS.unknown;
+  show("meters", found.meters);
+  if (anchor === "none") byId("meters").textContent = WORDS.unknown;
   drawPictures(found);
   drawAbove(found, unit);
   told("pictures-told", WORDS.pictures_told, found);

@@ -1,4 +1,4 @@
-/* The small figures of the page on scale: everything grows, an accelerometer sets metres, a scale that drifts. */
+/* The small figures of the page on scale: everything grows, an accelerometer sets meters, a scale that drifts. */
 
 /* The house, its distance and the baseline grow together; what they were before stays as an outline. */
 const GROWN = { tx: 1.6, yaw: -16 },
@@ -37,8 +37,8 @@ watch(["kg"], ({ kg }) => {
 });
 
 /* A camera with an accelerometer along a line, for 8 s: it starts, brakes and starts again. The images have its distance in
-   units of an unknown length; the accelerometer, integrated twice, has it in metres. */
-const RIDE = { seconds: 8, steps: 400, metresPerUnit: 1.7 },
+   units of an unknown length; the accelerometer, integrated twice, has it in meters. */
+const RIDE = { seconds: 8, steps: 400, metersPerUnit: 1.7 },
   accelerationAt = (time) => 1.1 * Math.sin((2 * Math.PI * time) / 4) + 0.25;
 
 /* Distances after each step by the trapezoidal rule, twice. */
@@ -54,7 +54,7 @@ function integratedTwice(acceleration) {
   return out;
 }
 
-const IN_UNITS = integratedTwice(accelerationAt).map((metres) => metres / RIDE.metresPerUnit);
+const IN_UNITS = integratedTwice(accelerationAt).map((meters) => meters / RIDE.metersPerUnit);
 
 /* The scale that brings the distances of the images nearest to those of the accelerometer. */
 function rideNumbers({ si, bias }) {

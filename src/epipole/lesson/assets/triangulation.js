@@ -65,7 +65,7 @@ function pointNumbers({ B, A, Z, X, s, n }) {
   };
 }
 
-/* The scale of the view (metres from its center to its edge), and the ellipse before the slider that moves now was touched. */
+/* The scale of the view (meters from its center to its edge), and the ellipse before the slider that moves now was touched. */
 const VIEW = { reach: 0, before: null, moved: "", values: null, axes: null };
 const semiAxisPx = (long) => (2 * long * 200) / VIEW.reach;
 
@@ -119,12 +119,12 @@ function drawMarks(svg, points, toPlace) {
   });
 }
 
-function drawAbove({ truth, linear, best, axes, seen, others }, centres) {
+function drawAbove({ truth, linear, best, axes, seen, others }, centers) {
   const [svg, width] = fitted("above", 440),
     { reach, before } = VIEW,
     size = 200 / reach;
   const toPlace = ([x, , z]) => [width / 2 + size * (x - truth[0]), 220 - size * (z - truth[2])];
-  centres.forEach(([x, z], k) => {
+  centers.forEach(([x, z], k) => {
     // The ray of the noisy pixel, as far as the drawing goes.
     const way = seen[k],
       nearest = dot(minus(truth, [x, 0, z]), way);

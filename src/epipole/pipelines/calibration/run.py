@@ -15,7 +15,7 @@ from epipole.cameras.image_fit import ImagePixels, ImageShape
 from epipole.config import BoardConfig, options_of
 from epipole.errors import DegenerateGeometryError, FileFormatError, MissingDependencyError
 from epipole.features.boards import BoardView, find_board, whole_chessboard
-from epipole.io.images.photographs import list_photographs, read_grey, read_header
+from epipole.io.images.photographs import list_photographs, read_gray, read_header
 from epipole.io.sequences.stereo_folders import pair_folders, pair_within
 from epipole.pipelines.calibration.calibrate import calibrate_views
 from epipole.pipelines.calibration.comparison import cross_check
@@ -140,7 +140,7 @@ def _against(images: Sequence[Sequence[Path]], board: BoardConfig) -> list[str]:
 def _readable(images: Sequence[Path]) -> Iterator[np.ndarray]:
     for path in images:
         with suppress(FileFormatError):
-            yield read_grey(path)
+            yield read_gray(path)
 
 
 def images_of_cameras(images: Path, right: Path | None = None) -> list[list[Path]]:
@@ -189,7 +189,7 @@ def _inspect(
     path: Path, config: CalibrationConfig, problems: dict[str, str], orientation: int | None
 ) -> tuple[BoardView, tuple[int, int] | None]:
     try:
-        gray = read_grey(path, orientation=orientation)
+        gray = read_gray(path, orientation=orientation)
     except FileFormatError as error:
         problems[str(path)] = str(error)
         return BoardView(np.zeros(0, np.int64), np.zeros((0, 2))), None

@@ -9,7 +9,7 @@ import numpy as np
 from epipole.errors import DegenerateGeometryError, EpipoleError
 from epipole.geometry import Similarity3
 from epipole.io.images.exif import gps_to_enu
-from epipole.io.images.photographs import read_grey
+from epipole.io.images.photographs import read_gray
 from epipole.mapping import adjust_reconstruction
 from epipole.optim import BundleConfig, BundlePriors, Loss
 from epipole.pipelines.sfm.config import ReconstructConfig
@@ -34,7 +34,7 @@ UP_TO_SCALE = "up to scale: images alone do not determine lengths"
 def with_scale(
     solution: Solution, config: ReconstructConfig, progress: ProgressCallback
 ) -> tuple[Mapped, list[str]]:
-    """Scale the largest model to metres, if its scale can be determined; also returns warnings.
+    """Scale the largest model to meters, if its scale can be determined; also returns warnings.
 
     Args:
         solution: the models.
@@ -53,15 +53,15 @@ def with_scale(
     num_images = int(model.is_registered().sum())
     progress(Progress("anchor", 0, num_images))
 
-    def grey(row: int) -> np.ndarray | None:
+    def gray(row: int) -> np.ndarray | None:
         searched.add(row)
         progress(Progress("anchor", min(len(searched), num_images - 1), num_images))
         try:
-            return read_grey(images.folder / images.names[row])
+            return read_gray(images.folder / images.names[row])
         except EpipoleError:
             return None
 
-    views = views_of_model(model, grey)
+    views = views_of_model(model, gray)
     try:
         found = anchor_model(views, config.anchors, others=[] if gps is None else [gps])
     except DegenerateGeometryError as error:
@@ -85,7 +85,7 @@ def with_scale(
 
 
 def _moved(model: Reconstruction, found: Anchoring, config: ReconstructConfig) -> Reconstruction:
-    """Scale the model to metres; measured positions also enter another adjustment as factors."""
+    """Scale the model to meters; measured positions also enter another adjustment as factors."""
     model = model.transformed(_about_middle(model, found))
     if found.positions is None:
         return model

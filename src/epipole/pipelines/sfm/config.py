@@ -24,7 +24,7 @@ class PairingConfig:
     """auto: sequential for video; else exhaustive for few images; else spatial or, without GPS, retrieval."""
     exhaustive_limit: int = 120
     """auto: match all pairs for up to this many images."""
-    neighbours: int = 30
+    neighbors: int = 30
     """retrieval and spatial: pairs per image."""
     overlap: int = 10
     """sequential: number of following images to match with each image, besides similar ones found by retrieval."""
@@ -36,7 +36,7 @@ class PairingConfig:
             ConfigError: a value is out of range.
         """
         check_options(self)
-        check_least(self, neighbours=1, overlap=1, exhaustive_limit=1)
+        check_least(self, neighbors=1, overlap=1, exhaustive_limit=1)
 
 
 @dataclass(frozen=True, kw_only=True)

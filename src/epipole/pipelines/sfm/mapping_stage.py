@@ -20,7 +20,7 @@ from epipole.pipelines.sfm.gps.alignment import (
     gps_distances,
     is_wide_enough,
 )
-from epipole.pipelines.sfm.gps.evidence import metres_in_words
+from epipole.pipelines.sfm.gps.evidence import meters_in_words
 from epipole.pipelines.sfm.incremental import IncrementalMapper, Rejection
 from epipole.pipelines.sfm.orientation import upright_from_world
 from epipole.pipelines.sfm.photographs import ImageSet
@@ -36,6 +36,18 @@ VAGUE_UP_RAD = np.deg2rad(8.0)
 """Standard deviation of the up direction above which a warning is given."""
 NUM_NAMED = 3
 FEW_FEATURES = 30
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detections:
+    """What was detected in each image."""
+
+    keypoints: Sequence[np.ndarray]
+    """(k, 2) pixels"""
+    colors: Sequence[np.ndarray] | None
+    """(k, 3) RGB of the keypoints, 8 bits"""
+    features: Sequence[Features] | None
+    """The same keypoints with SIFT descriptors; None if there are none, and tracks are not completed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,13 +73,12 @@ def map_images(
     images: ImageSet,
     cameras: Cameras,
     view_graph: ViewGraph,
-    keypoints: Sequence[np.ndarray],
-    colors: Sequence[np.ndarray] | None,
+    detections: Detections,
     config: MapperConfig,
     progress: ProgressCallback,
-    features: Sequence[Features] | None = None,
 ) -> Mapped:
     """Map each connected component of the images to a model."""
+    keypoints, features = detections.keypoints, detections.features
     starts = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
     components = connect_matches(view_graph, starts)
     positions = gps_to_enu(images.lat_lon_alt) if config.use_gps else np.full((len(images), 3), np.nan)
@@ -87,7 +98,7 @@ def map_images(
         if builder.registered.sum() < 2 or len(np.unique(builder.row_point[builder.row_point >= 0])) < 3:
             break
         agreement = mapper.consistency.overall(builder)
-        found.append((builder.freeze(images.names, colors, images.timestamps_s), gps, agreement))
+        found.append((builder.freeze(images.names, detections.colors, images.timestamps_s), gps, agreement))
         remaining &= ~builder.registered
     progress(Progress("map", int((~remaining).sum()), len(images)))
     found.sort(key=lambda m: (-int(m[0].is_registered().sum()), -len(m[0].points)))
@@ -122,7 +133,7 @@ def _publish(
     config: MapperConfig,
     adjusting: Callable[[int, int], None],
 ) -> GpsAlignment | None:
-    """Rotate the model upright; if GPS agrees, transform it to metres east-north-up, and adjust it with GPS."""
+    """Rotate the model upright; if GPS agrees, transform it to meters east-north-up, and adjust it with GPS."""
     model = mapper.model
     ups = up_directions(model.registered_poses(), up_in_cams[model.registered])
     reach_m = GPS_OUTLIER_SIGMAS * config.gps_sigma_m
@@ -159,13 +170,13 @@ def gps_notes(images: ImageSet, mapped: Mapped, config: MapperConfig) -> list[st
     if len(fixes) < MIN_POSITIONS:
         verb = "carries" if len(fixes) == 1 else "carry"
         counts = f"{len(fixes) or 'none'} of the model's images {verb} GPS"
-        return [f"{unknown}: {counts}, but at least {MIN_POSITIONS} are needed for metres"]
+        return [f"{unknown}: {counts}, but at least {MIN_POSITIONS} are needed for meters"]
     reach_m = GPS_OUTLIER_SIGMAS * config.gps_sigma_m
     if not is_wide_enough(fixes, reach_m):
         extent_m = float(np.linalg.norm(np.ptp(fixes[:, :2], axis=0)))
         return [
-            f"{unknown}: the GPS positions lie within {metres_in_words(extent_m)}, "
-            f"but may be off by {metres_in_words(reach_m)}"
+            f"{unknown}: the GPS positions lie within {meters_in_words(extent_m)}, "
+            f"but may be off by {meters_in_words(reach_m)}"
         ]
     found = evidence_of(
         model.camera_centers_in_world(),
@@ -197,7 +208,7 @@ def _notes_on_positions(images: ImageSet, gps: GpsAlignment, config: MapperConfi
 
 
 def _distance_in_words(distance_m: float) -> str:
-    return f"{distance_m / 1000.0:.0f} km" if distance_m >= 10_000.0 else metres_in_words(distance_m)
+    return f"{distance_m / 1000.0:.0f} km" if distance_m >= 10_000.0 else meters_in_words(distance_m)
 
 
 def reasons_in_words(
@@ -227,7 +238,7 @@ def _reason(image: int, mapped: Mapped, view_graph: ViewGraph, num_features: int
     if (kinds == PairKind.NO_MOTION).all():
         return "identical to another image: without a translation of the camera there is no depth"
     if np.isin(kinds, (PairKind.ROTATION, PairKind.NO_MOTION)).all():
-        return "the camera only rotated relative to its neighbours: without a translation there is no depth"
+        return "the camera only rotated relative to its neighbors: without a translation there is no depth"
     rejection = mapped.rejections.get(image)
     if not mapped.models:
         return "no pair of images could start a model: too few matches, or too small a triangulation angle"

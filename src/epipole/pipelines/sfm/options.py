@@ -42,7 +42,7 @@ class ReconstructKeywords(TypedDict, total=False):
     preemptive_min_matches: int
     method: Literal["auto", "exhaustive", "sequential", "spatial", "retrieval"]
     exhaustive_limit: int
-    neighbours: int
+    neighbors: int
     overlap: int
     confidence: float
     min_iterations: int

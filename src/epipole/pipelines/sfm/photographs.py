@@ -193,8 +193,8 @@ def _is_wanted(name: str, config: ReconstructConfig) -> bool:
 
 def _take_out_depth(headers: dict[str, PhotographHeader]) -> str:
     """Remove depth images from the headers; returns a note, empty if there are none."""
-    deep_grey = frozenset(name for name, header in headers.items() if header.is_deep_grey_png)
-    depth = depth_among(tuple(headers), deep_grey)
+    deep_gray = frozenset(name for name, header in headers.items() if header.is_deep_gray_png)
+    depth = depth_among(tuple(headers), deep_gray)
     if not depth:
         return ""
     note = (

@@ -20,11 +20,11 @@ from epipole.io.images.video import extract_frames, frame_orientation, is_video
 from epipole.mapping.focal_accuracy import FocalAccuracy, focal_accuracies
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.focal import estimate_focals
-from epipole.pipelines.sfm.mapping_stage import Mapped, map_images
+from epipole.pipelines.sfm.mapping_stage import Detections, Mapped, map_images
 from epipole.pipelines.sfm.matching.database_stage import DatabaseSource, open_source
 from epipole.pipelines.sfm.matching.database_stage import feature_units as given_feature_units
 from epipole.pipelines.sfm.matching.database_stage import match_units as given_match_units
-from epipole.pipelines.sfm.matching.feature_stage import FeatureFiles, feature_units
+from epipole.pipelines.sfm.matching.feature_stage import feature_units, sift_features
 from epipole.pipelines.sfm.matching.match_stage import (
     PairWork,
     load_view_graph,
@@ -161,11 +161,9 @@ def _match_and_map(
             images,
             cameras,
             view_graph,
-            detected.keypoints,
-            detected.colors,
+            Detections(detected.keypoints, detected.colors, sift_features(detected.features)),
             config.mapper,
             run.job.progress,
-            FeatureFiles(detected.features),
         )
     return Solution(
         images,

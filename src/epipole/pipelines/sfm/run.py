@@ -151,6 +151,17 @@ def _reasons(solution: Solution, config: ReconstructConfig) -> dict[str, str]:
     )
 
 
+def _contradicting(solution: Solution) -> list[dict[str, Any]]:
+    """The pairs that are not used: names, matches, and by how much the rotation is off."""
+    graph, names = solution.contradicting.view_graph, solution.images.names
+    off_deg = np.degrees(solution.contradicting.angle_rad)
+    columns = zip(graph.image1, graph.image2, graph.num_inliers().tolist(), off_deg.round(2).tolist())
+    return [
+        {"images": [names[i], names[j]], "num_matches": count, "rotation_off_deg": angle}
+        for i, j, count, angle in columns
+    ]
+
+
 def _summary(
     solution: Solution,
     reasons: dict[str, str],
@@ -193,19 +204,7 @@ def _summary(
             }
             for c, focal in solution.focals.items()
         ],
-        "contradicting_pairs": [
-            {
-                "images": [images.names[i], images.names[j]],
-                "num_matches": int(n),
-                "rotation_off_deg": round(float(np.degrees(a)), 2),
-            }
-            for i, j, n, a in zip(
-                solution.contradicting.view_graph.image1,
-                solution.contradicting.view_graph.image2,
-                solution.contradicting.view_graph.num_inliers(),
-                solution.contradicting.angle_rad,
-            )
-        ],
+        "contradicting_pairs": _contradicting(solution),
         "not_registered": reasons,
         "warnings": warnings,
         "seconds": seconds,

@@ -64,7 +64,7 @@ def align_to_gps(
     Args:
         centers_in_world: (n, 3) camera centers, NaN rows for images without a pose.
         up_directions: possible up directions, most likely first.
-        positions_enu: (n, 3) metres east, north, up; NaN rows without GPS, NaN up if the altitude is unknown.
+        positions_enu: (n, 3) meters east, north, up; NaN rows without GPS, NaN up if the altitude is unknown.
         sigma_m: standard deviation of a horizontal coordinate; increased if the residuals are larger.
         max_error_m: distance beyond which positions are outliers.
         seed: random seed.

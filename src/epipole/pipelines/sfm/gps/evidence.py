@@ -60,16 +60,16 @@ class GpsEvidence:
     def in_words(self) -> str:
         """Explanation of why the GPS positions are not used."""
         words = (
-            f"after the best fit about half of the {self.num_positions} images are {metres_in_words(self.residual_m)} or more "
-            f"from their GPS positions, which spread over {metres_in_words(self.spread_m)}"
+            f"after the best fit about half of the {self.num_positions} images are {meters_in_words(self.residual_m)} or more "
+            f"from their GPS positions, which spread over {meters_in_words(self.spread_m)}"
         )
         if self.deviations < MIN_DEVIATIONS:
             words += "; positions shuffled among the images fit about as well"
         return words
 
 
-def metres_in_words(length_m: float) -> str:
-    """Length with two digits if below ten metres."""
+def meters_in_words(length_m: float) -> str:
+    """Length with two digits if below ten meters."""
     return f"{length_m:.0f} m" if length_m >= 10.0 else f"{length_m:.2g} m"
 
 
@@ -83,7 +83,7 @@ def gps_evidence(
 
     Args:
         centers: camera centers in the model's coordinates, of any scale and orientation.
-        positions_enu: metres east, north and up; up is NaN without a recorded altitude.
+        positions_enu: meters east, north and up; up is NaN without a recorded altitude.
         up_directions: possible up directions in the model's coordinates, as unit vectors, most likely first.
         seed: random seed.
     """
@@ -197,11 +197,11 @@ def _residuals(source: np.ndarray, targets: np.ndarray, chosen: np.ndarray, rows
     """(orders, n) distances after the batched least-squares similarity of the chosen rows (Umeyama, PAMI 1991)."""
     a, b = source[chosen], targets[rows, chosen]
     mean_a, mean_b = a.mean(axis=1, keepdims=True), b.mean(axis=1, keepdims=True)
-    centred = a - mean_a
-    u, singular, vt = np.linalg.svd(np.swapaxes(b - mean_b, 1, 2) @ centred)
+    centered = a - mean_a
+    u, singular, vt = np.linalg.svd(np.swapaxes(b - mean_b, 1, 2) @ centered)
     sign = np.ones_like(singular)
     sign[:, 2] = np.sign(np.linalg.det(u @ vt))
-    power = np.maximum((centred**2).sum(axis=(1, 2)), 1e-300)
+    power = np.maximum((centered**2).sum(axis=(1, 2)), 1e-300)
     scale = ((singular * sign).sum(axis=1) / power)[:, None, None]
     moved = scale * ((source - mean_a) @ np.swapaxes((u * sign[:, None, :]) @ vt, 1, 2)) + mean_b
     return np.linalg.norm(moved - targets, axis=2)

@@ -14,6 +14,7 @@ import numpy as np
 from epipole.config import FeatureConfig
 from epipole.errors import FileFormatError, MissingDependencyError
 from epipole.features import Features, detect_features
+from epipole.features.kinds import SIFT
 from epipole.image.encoding import encoded_image
 from epipole.io.images.photographs import read_header, read_mask, read_rgb
 from epipole.pipelines.sfm.matching.unit_tables import FEATURES
@@ -131,6 +132,13 @@ class FeatureFiles(Sequence[Features]):
         if isinstance(index, slice):
             return [load_features(path) for path in self._paths[index]]
         return load_features(self._paths[index])
+
+
+def sift_features(units: Sequence[Unit]) -> FeatureFiles | None:
+    """The features of all images; None if they are not SIFT, or a database has no descriptors."""
+    files = FeatureFiles(units)
+    widths = {load(unit.path, FEATURES, "descriptors")["descriptors"].shape[1] for unit in units}
+    return files if widths == {SIFT.width} else None
 
 
 @lru_cache(maxsize=64)

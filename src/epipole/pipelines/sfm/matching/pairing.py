@@ -43,14 +43,14 @@ def choose_pairs(
         if has_gps.sum() < 2:
             raise ConfigError("spatial pairs need GPS in the images' EXIF")
         return sorted_pairs(
-            [*_spatial(lat_lon_alt, has_gps, config.neighbours), *_similar_images(descriptors, 5)]
+            [*_spatial(lat_lon_alt, has_gps, config.neighbors), *_similar_images(descriptors, 5)]
         )
     pairs = []
     if method == "sequential":
         reach = min(config.overlap, n - 1)
         pairs += [(i, i + step) for i in range(n) for step in range(1, reach + 1) if i + step < n]
-    neighbours = min(config.neighbours, 10) if method == "sequential" else config.neighbours
-    return sorted_pairs([*pairs, *_similar_images(descriptors, neighbours)])
+    neighbors = min(config.neighbors, 10) if method == "sequential" else config.neighbors
+    return sorted_pairs([*pairs, *_similar_images(descriptors, neighbors)])
 
 
 def _similar_images(descriptors: Sequence[np.ndarray], count: int) -> list[tuple[int, int]]:

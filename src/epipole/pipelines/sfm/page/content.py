@@ -75,7 +75,7 @@ class ReportContent:
     """Image name to positions of features with a 3D point, as fractions of width and height."""
     scale_note: str = UP_TO_SCALE
     is_metric: bool = False
-    """Whether world coordinates are metres."""
+    """Whether world coordinates are meters."""
     truth_errors: Mapping[str, str] = field(default_factory=dict)
     """Comparisons with ground truth: name, and result with its unit."""
 

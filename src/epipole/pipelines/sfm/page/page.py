@@ -19,7 +19,7 @@ from epipole.report.match_matrix import match_matrix_payload
 from epipole.report.plan import draw_plan
 from epipole.report.space import SpaceData, space_data
 from epipole.report.space_model import MAX_POINTS, scene_of_model
-from epipole.report.space_scene import METRES, NO_UNIT
+from epipole.report.space_scene import METERS, NO_UNIT
 
 
 def render_report(content: ReportContent) -> str:
@@ -56,7 +56,7 @@ def render_report(content: ReportContent) -> str:
 
 
 def _space(content: ReportContent) -> SpaceData:
-    unit = METRES if content.is_metric else NO_UNIT
+    unit = METERS if content.is_metric else NO_UNIT
     return space_data(scene_of_model(content.reconstruction, title=content.title, unit=unit), MAX_POINTS)
 
 

@@ -17,7 +17,7 @@ from epipole.io.models.images import ModelImages
 from epipole.io.names import path_inside
 from epipole.pipelines.sfm.notes import title_of
 from epipole.report.space_model import scene_of_model
-from epipole.report.space_scene import METRES, NO_UNIT, SpaceScene
+from epipole.report.space_scene import METERS, NO_UNIT, SpaceScene
 from epipole.runs import has_own_model, read_mark
 from epipole.scene import Reconstruction
 
@@ -35,7 +35,7 @@ def scene(path: Path) -> SpaceScene:
     found = scene_of_model(
         model,
         title=_title(path),
-        unit=METRES if summary.get("is_metric") is True else NO_UNIT,
+        unit=METERS if summary.get("is_metric") is True else NO_UNIT,
         load_image=image_loader(path / "images", model, is_own=has_own_model(path)),
         num_given=num_given if isinstance(num_given, int) and num_given >= len(model.images) else None,
     )

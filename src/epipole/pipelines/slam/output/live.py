@@ -23,7 +23,7 @@ from epipole.pipelines.slam.output.rendering import FINAL_RGB, LOOP_RGB, LOOPS, 
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.snapshot import Snapshot
 from epipole.report.markup import plural
-from epipole.report.space_scene import METRES, NO_UNIT, CameraLayer, FirstView, PointLayer, SpaceScene
+from epipole.report.space_scene import METERS, NO_UNIT, CameraLayer, FirstView, PointLayer, SpaceScene
 from epipole.scene import Curve, frustum_corners_in_cam
 from epipole.viewer.live import Budget, LivePage, LiveScene, opened_live
 
@@ -179,7 +179,7 @@ def _scene(system: Slam, now: Snapshot, curves: tuple[Curve, ...], view: FirstVi
     return SpaceScene(
         title="SLAM",
         words="",
-        unit=METRES if system.camera.measures_depth else NO_UNIT,
+        unit=METERS if system.camera.measures_depth else NO_UNIT,
         points=(PointLayer("Points", now.points_in_world, rgb),),
         cameras=keyframes,
         curves=(*path, Curve("current camera", none, NOW_RGB)),

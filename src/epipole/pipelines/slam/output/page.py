@@ -31,7 +31,7 @@ from epipole.report.path_plan import draw_path_plan
 from epipole.report.series import Line, draw_lines
 from epipole.report.space import space_data
 from epipole.report.space_model import MAX_POINTS, scene_of_model
-from epipole.report.space_scene import METRES, NO_UNIT, SpaceScene
+from epipole.report.space_scene import METERS, NO_UNIT, SpaceScene
 from epipole.scene import Curve, Reconstruction, Trajectory
 
 MOST_STRETCHES = 40
@@ -109,7 +109,7 @@ def render_page(page: SlamPage) -> str:
 
 
 def _scene(page: SlamPage, model: Reconstruction, curves: Sequence[Curve]) -> SpaceScene:
-    unit = METRES if page.is_metric else NO_UNIT
+    unit = METERS if page.is_metric else NO_UNIT
     return scene_of_model(model, title=page.title, unit=unit, cameras="Keyframes", curves=curves)
 
 

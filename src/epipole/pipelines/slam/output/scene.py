@@ -29,7 +29,7 @@ from epipole.pipelines.slam.output.rendering import (
 )
 from epipole.report.markup import plural
 from epipole.report.space_model import scene_of_model
-from epipole.report.space_scene import METRES, NO_UNIT, CameraLayer, PointLayer, PointMeasure, SpaceScene
+from epipole.report.space_scene import METERS, NO_UNIT, CameraLayer, PointLayer, PointMeasure, SpaceScene
 from epipole.runs.folder import read_mark
 
 TRAJECTORY, CAUSAL_TRAJECTORY = "trajectory.txt", "trajectory_causal.txt"
@@ -64,7 +64,7 @@ def scene(path: Path) -> SpaceScene:
     found = scene_of_model(
         model,
         title=path.resolve().name,
-        unit=METRES if summary.get("is_metric") is True else NO_UNIT,
+        unit=METERS if summary.get("is_metric") is True else NO_UNIT,
         cameras="Keyframes",
         load_image=image_loader(path),
         curves=curves,
@@ -150,7 +150,7 @@ def scene_of_map(path: Path) -> SpaceScene:
         lambda name: np.repeat(images[name][..., None], 3, axis=2),
     )
     words = f"A map of {plural(n, 'keyframe')} and {plural(len(points), 'point')}"
-    unit = METRES if found.is_metric else NO_UNIT
+    unit = METERS if found.is_metric else NO_UNIT
     layers = (PointLayer("Points", points, rgb, (agreed,)),)
     return SpaceScene(path.resolve().name, words, unit, layers, keyframes, upright_from_world=upright)
 

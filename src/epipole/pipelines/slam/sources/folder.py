@@ -19,7 +19,7 @@ from epipole.errors import ConfigError, EpipoleError, FileFormatError, ShapeErro
 from epipole.geometry import Rigid3
 from epipole.image.undistort import undistorted_camera, undistortion_map_px
 from epipole.io.images.depth_maps import read_png16
-from epipole.io.images.photographs import GrayRange, common_range, mask_of, read_grey, read_header, read_mask
+from epipole.io.images.photographs import GrayRange, common_range, mask_of, read_gray, read_header, read_mask
 from epipole.io.sequences.sequence import CALIBRATION_NOT_USED, FrameFiles, ImageSequence
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
 from epipole.pipelines.slam.sources.depth_range import DepthRange
@@ -273,12 +273,12 @@ class _ImageRotation:
 
     def left(self, files: FrameFiles) -> np.ndarray:
         """The gray image of the (left) camera."""
-        return read_grey(files.image, limits=self._limits, orientation=self._left)
+        return read_gray(files.image, limits=self._limits, orientation=self._left)
 
     def right(self, files: FrameFiles) -> np.ndarray:
         """The gray image of the right camera."""
         assert files.right is not None
-        return read_grey(files.right, limits=self._limits, orientation=self._right)
+        return read_gray(files.right, limits=self._limits, orientation=self._right)
 
 
 def _orientation_of(path: Path) -> int | None:

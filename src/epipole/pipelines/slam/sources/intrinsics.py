@@ -22,7 +22,7 @@ from epipole.image.encoding import encoded_image
 from epipole.io.bags.recording import is_bag
 from epipole.io.calibration.camera_params import text_of_camera
 from epipole.io.calibration.files import CalibrationFile, write_calibration
-from epipole.io.images.photographs import read_grey, read_header
+from epipole.io.images.photographs import read_gray, read_header
 from epipole.io.images.video import count_frames, is_video, opened_video
 from epipole.io.models.losses import losses_of
 from epipole.io.sequences.sequence import read_sequence
@@ -154,7 +154,7 @@ def _of_video(video: cv2.VideoCapture) -> Generator[_Image, None, None]:
 def _of_files(files: Iterable[Path]) -> Generator[_Image, None, None]:
     for file in files:
         try:
-            yield _Image(read_grey(file), file)
+            yield _Image(read_gray(file), file)
         except EpipoleError:
             continue  # tracking reports it
 
