@@ -21,3 +21,4 @@ from epipole.mapping.resection import refine_resection as refine_resection
 from epipole.mapping.resection import resect_image as resect_image
 from epipole.mapping.track_completion import drop_short_tracks as drop_short_tracks
 from epipole.mapping.track_completion import find_further_matches as find_further_matches
+from epipole.mapping.track_completion import median_error_px as median_error_px

@@ -85,6 +85,20 @@ def drop_short_tracks(model: ModelBuilder, min_length: int, min_long: int) -> in
     return len(np.unique(point[drop]))
 
 
+@checked
+def median_error_px(model: ModelBuilder) -> float:
+    """Median distance between observations and projections of the registered images; NaN without observations."""
+    errors = [np.zeros(0)]
+    for image in np.flatnonzero(model.registered):
+        rows = model.rows_of_image[image]
+        rows = rows[model.row_point[rows] >= 0]
+        points = model.cam_from_world(int(image)).apply(model.points[model.row_point[rows]])
+        pixels = model.camera(int(model.camera_of_image[image])).project(points)
+        errors.append(np.linalg.norm(pixels - model.row_pixel[rows], axis=1))
+    every = np.concatenate(errors)
+    return float(np.nanmedian(every)) if np.isfinite(every).any() else np.nan
+
+
 def _observations_of(model: ModelBuilder) -> _Observations:
     rows, _ = model.rows_by_point()
     point, image = model.row_point[rows], model.row_image[rows]

@@ -8,10 +8,15 @@ import numpy as np
 
 from epipole.config import MatchConfig
 from epipole.features import Features
-from epipole.mapping import ModelBuilder, connect_matches, find_further_matches
+from epipole.mapping import ModelBuilder, connect_matches, find_further_matches, median_error_px
 from epipole.pipelines.sfm.incremental import IncrementalMapper
 
 ROUNDS = 3
+RADIUS_FACTOR = 4.0
+"""Multiple of the median reprojection error within which features are looked for: 99.9 % of the right ones, if both errors
+are normal. A larger radius adds other features nearby, which double the error of a rendered scene."""
+MIN_RADIUS_PX = 1.0
+"""Smallest radius: the localization error of large features."""
 
 
 def complete_model(
@@ -33,7 +38,8 @@ def complete_model(
     before, config = mapper.model, mapper.config
     # No ratio test: a repeated structure has no second instance within a few pixels.
     similar = MatchConfig(max_ratio=1.0)
-    further = find_further_matches(before, features, config.completion_px, similar)
+    radius_px = min(max(RADIUS_FACTOR * median_error_px(before), MIN_RADIUS_PX), config.completion_px)
+    further = find_further_matches(before, features, radius_px, similar)
     components = connect_matches(mapper.view_graph, keypoint_offsets, further)
     model = ModelBuilder(before.cameras, before.camera_of_image, before.keypoints, components)
     model.set_params(before.params.copy())

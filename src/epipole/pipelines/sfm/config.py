@@ -78,7 +78,7 @@ class MapperConfig:
     global_growth: float = 1.25
     """Global bundle adjustment runs each time the model has grown by this factor."""
     completion_px: float = 3.0
-    """Points are looked for within this distance of their projections, in images that do not observe them."""
+    """Points are looked for in further images, within 4 median errors of their projections, but at most this distance."""
     min_track_length: int = 3
     """Points in fewer images are removed from a finished model, if their images have enough others."""
     min_long_tracks: int = 50
