@@ -7,7 +7,7 @@ from PIL import Image
 
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3
-from epipole.pipelines.sfm.page.content import ImageRow, ReportContent
+from epipole.pipelines.sfm.page.content import ContradictingPair, ImageRow, ReportContent
 from epipole.robust import PairKind
 from epipole.scene import (
     Cameras,
@@ -139,6 +139,21 @@ def jpeg_of(model: Reconstruction, image: int, width: int = 320) -> bytes:
     return stream.getvalue()
 
 
+def contradicting_of(model: Reconstruction) -> tuple[ContradictingPair, ...]:
+    """Fourteen pairs that look alike, the one with the most matches first."""
+    rng = np.random.default_rng(7)
+    names = model.images.name
+    return tuple(
+        ContradictingPair(
+            (names[0], names[1 + k % (len(names) - 1)]),
+            (rng.uniform(size=(40 - k, 2)), rng.uniform(size=(40 - k, 2))),
+            40 - k,
+            20.0 + 10.0 * k,
+        )
+        for k in range(14)
+    )
+
+
 def content_of(model: Reconstruction, title: str = "Ring around a ball") -> ReportContent:
     """Everything that a report can show, for this model."""
     observed, images = model.observed_pixels(), range(len(model.images))
@@ -150,6 +165,7 @@ def content_of(model: Reconstruction, title: str = "Ring around a ball") -> Repo
         reconstruction=model,
         view_graph=graph_of(model),
         image_rows=rows_of(model),
+        contradicting=contradicting_of(model),
         camera_lines=tuple(repr(model.cameras[c]) for c in range(len(model.cameras))),
         timings={"features": 12.34, "matching": 30.5, "mapping": 71.0, "writing": 0.04},
         compile_seconds=8.2,

@@ -11,6 +11,7 @@ from report_ring import FOCAL_PX, HEIGHT, WIDTH, empty_model, ring_model
 from epipole.geometry import Similarity3
 from epipole.pipelines.sfm.page.content import ReportContent
 from epipole.pipelines.sfm.page.page import render_report
+from epipole.pipelines.sfm.page.pairs import MAX_PAIRS_SHOWN, pair_lines
 from epipole.report.images import MAX_FEATURES
 from epipole.report.plan import draw_plan
 from epipole.report.space import SpaceData, space_data
@@ -176,3 +177,15 @@ def test_dots_are_capped_and_bad_thumbnails_left_out(content: ReportContent) -> 
     assert table_of(many).count("h0") == 2 * MAX_FEATURES
     broken = replace(content, image_rows=(row,), thumbnails={name: b"not an image"})
     assert "<image" not in table_of(broken)
+
+
+def test_pairs_that_contradict_are_listed_with_both_images(content: ReportContent) -> None:
+    lines = pair_lines(content)
+    assert len(lines) == MAX_PAIRS_SHOWN < len(content.contradicting)
+    assert [line.num_matches for line in lines] == list(range(40, 40 - MAX_PAIRS_SHOWN, -1))
+    first = lines[0]
+    assert all(image is not None and image.dots.count("M") == 40 for image in first.thumbnails)
+    page = render_report(content)
+    assert "14 pairs of images have matches" in page and "The 12 with the most matches are shown." in page
+    without = render_report(replace(content, contradicting=()))
+    assert "Pairs that are not used" in page and "Pairs that are not used" not in without

@@ -26,6 +26,8 @@ from epipole.pipelines.sfm.config import MapperConfig
 from epipole.robust import PairKind
 from epipole.scene import ViewGraph
 
+LEAST_START_INLIERS = 30
+"""Matches of an initial pair if no pair has half of `start_min_inliers`; COLMAP's limit for registering an image."""
 MAX_PROBES = 8
 """Maximum number of initial pairs whose models are grown."""
 
@@ -177,7 +179,7 @@ class IncrementalMapper:
         for least in (
             self.config.start_min_inliers,
             self.config.start_min_inliers // 2,
-            self._ransac.min_inliers,
+            LEAST_START_INLIERS,
         ):
             candidates = np.flatnonzero(fits & (g.num_inliers() >= least))
             if len(candidates):
