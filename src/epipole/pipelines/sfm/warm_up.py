@@ -11,7 +11,7 @@ import numpy as np
 from epipole import _jit, _parallel
 from epipole.cameras import Camera, CameraModel
 from epipole.config import RansacConfig
-from epipole.features import Features, detect_features, match_along_epipolar_lines, match_descriptors
+from epipole.features import Features, detect_features, match_descriptors, match_near_pixels
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1, fundamental_from_essential
 from epipole.mapping import ModelBuilder, connect_matches
 from epipole.pipelines.sfm.config import MapperConfig
@@ -56,15 +56,12 @@ def warm_up_features() -> None:
     """Features and matching, on noise and on a synthetic scene of three cameras."""
     random = np.random.default_rng(0)
     detect_features(random.integers(0, 255, (48, 64)).astype(np.uint8))
-    camera, poses, keypoints = _made_up_scene()
+    _camera, _poses, keypoints = _made_up_scene()
     descriptors = random.integers(0, 90, (NUM_POINTS, 128)).astype(np.uint8)
     ones = np.ones(NUM_POINTS, np.float32)
-    features = [Features(k.astype(np.float32), ones, ones, descriptors) for k in keypoints[:2]]
+    features = Features(keypoints[0].astype(np.float32), ones, ones, descriptors)
     match_descriptors(descriptors, descriptors)
-    fundamental = fundamental_from_essential(
-        essential_from_cam2_from_cam1(poses[1] @ poses[0].inverse()), camera.K, camera.K
-    )
-    match_along_epipolar_lines(features[0], features[1], fundamental, 8.0)
+    match_near_pixels(keypoints[0], descriptors, features, 3.0)
 
 
 def warm_up_verification() -> None:
