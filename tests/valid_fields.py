@@ -119,6 +119,7 @@ def _starts() -> Iterator[Row]:
     given = {"views": list(views())}
     yield _row(starting.cloud_of_points, points_in_world=points, rgb=np.full((9, 3), 99, np.uint8))
     yield _row(starting.points_in_frusta, **given, count=20, seed=1)
+    yield _row(starting.points_in_empty_parts, **given, points_in_world=points)
     yield _row(starting.points_in_silhouettes, **given, count=20, seed=1)
     yield _row(starting.fraction_in_view, **given, points_in_world=points)
     yield _row(starting.silhouettes_of, **given)

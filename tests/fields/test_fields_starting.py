@@ -10,7 +10,13 @@ from fields_scenes import CAMERA, scene, views
 from epipole.cameras import Camera
 from epipole.errors import DegenerateGeometryError, FileFormatError
 from epipole.fields.config import SplatTraining
-from epipole.fields.splat.starting import have_one_direction, points_in_frusta
+from epipole.fields.splat.starting import (
+    EMPTY_PARTS,
+    POINTS_OF_PART,
+    have_one_direction,
+    points_in_empty_parts,
+    points_in_frusta,
+)
 from epipole.fields.training_view import TrainingView
 from epipole.io.gaussians.ply import write_gaussian_ply
 from epipole.pipelines.fields.dense_points import dense_points, neighbors_of
@@ -84,14 +90,15 @@ def test_what_is_missing_is_filled_up_by_stereo():
     of, points = yard()[0], yard()[0][2].points_in_world
     given = []
     plain = first_gaussians(images(of, points), SplatTraining(start="points"), 5000, untold).cloud
-    assert len(plain) == len(points)
+    assert len(points) <= len(plain) < 1.1 * len(points)  # and a few distant ones
     dense, _ = first_gaussians(
         images(of, points), SplatTraining(start="dense"), 5000, lambda *counts: given.append(counts)
     )
-    assert len(dense) == 3000 and given[-1][0] == given[-1][1] > 0
-    np.testing.assert_array_equal(dense.means_in_world[: len(points)], plain.means_in_world)
+    assert 3000 <= len(dense) <= 3500 and given[-1][0] == given[-1][1] > 0
+    known = [cloud.means_in_world[: len(points)] for cloud in (dense, plain)]
+    np.testing.assert_array_equal(*known)
     enough = first_gaussians(images(of, points), SplatTraining(start="dense"), 200, untold).cloud
-    assert len(enough) == len(points)
+    assert len(points) <= len(enough) <= len(points) + 20
 
 
 def test_cameras_that_look_the_same_way_start_in_what_they_see():
@@ -129,3 +136,34 @@ def test_points_can_be_left_aside():
     config = SplatTraining(start="random")
     found = first_gaussians(images(views(), np.ones((500, 3))), config, 5000, untold).cloud
     assert len(found) == 500 and len(np.unique(found.means_in_world, axis=0)) > 400
+
+
+def test_parts_of_images_without_points_get_distant_ones():
+    of, _ = yard()
+    points = np.concatenate([view.points_in_world for view in of])
+    points = points[points[:, 2] < np.median(points[:, 2])]
+    far, rgb = points_in_empty_parts(of[:1], points)
+    local = of[0].cam_from_world.apply(far)
+    pixels = YARD.project(local)
+    at = pixels.round().astype(int)
+    np.testing.assert_allclose(pixels, at, atol=1e-6)
+    np.testing.assert_array_equal(rgb, of[0].image[at[:, 1], at[:, 0], :3])
+    shown = YARD.project(of[0].cam_from_world.apply(points))
+    shown = shown[((shown >= 0) & (shown < [160, 120])).all(axis=1)]
+    side = max(160 / EMPTY_PARTS, (POINTS_OF_PART * 160 * 120 / len(shown)) ** 0.5)
+    parts = np.round([160 / side, 120 / side])
+    known, empty = ({tuple(p) for p in (at * parts / [160, 120]).astype(int)} for at in (shown, pixels))
+    assert known and empty and not known & empty and len(known) + len(empty) == parts.prod()
+    near = np.linalg.norm(of[0].cam_from_world.apply(points), axis=1)
+    assert np.ptp(np.linalg.norm(local, axis=1)) < 1e-9 and np.linalg.norm(local[0]) > np.median(near)
+
+
+def test_transparent_and_masked_parts_get_none():
+    of, _ = yard()
+    points = of[0].points_in_world
+    masked = replace(of[0], used_mask=np.zeros((120, 160), bool))
+    assert len(points_in_empty_parts([masked], points)[0]) == 0
+    clear = np.concatenate([of[0].image[..., :3], np.zeros((120, 160, 1), np.uint8)], axis=2)
+    assert len(points_in_empty_parts([replace(of[0], image=clear)], points)[0]) == 0
+    away = replace(of[0], cam_from_world=look_at((50, 0, 0), (100, 0, 0)))
+    assert len(points_in_empty_parts([away], points)[0]) == 0

@@ -27,6 +27,9 @@ FIRST_OPACITY, NEIGHBORS = 0.15, 3
 NEAREST, FARTHEST = 2.0, 100.0
 """Range of sampled depths, in distances between neighboring cameras; nearer points are seen by one camera only, and
 farther ones hardly move."""
+EMPTY_PARTS, POINTS_OF_PART = 32, 6.0
+"""Parts along the longer side of an image in which known points are looked for, at most, and points of a part on average:
+then a part of a textured surface is rarely empty by chance."""
 TRIES = 40
 """Points sampled for each one wanted."""
 MOST_VIEWS = 24
@@ -101,6 +104,46 @@ def points_in_frusta(
     if not any(len(part) for part in points):
         raise DegenerateGeometryError("all pixels of all images are transparent or masked")
     return np.concatenate(points)[:count], np.concatenate(colors)[:count]
+
+
+@checked
+def points_in_empty_parts(
+    views: Sequence[TrainingView], points_in_world: Float64[np.ndarray, "n 3"]
+) -> tuple[Float64[np.ndarray, "k 3"], UInt8[np.ndarray, "k 3"]]:
+    """A distant point in every part of an image that shows no known point, such as the sky, with the color of its pixel.
+
+    Without them, no Gaussian covers these parts, and those nearby grow into fog. They lie at twice the distance of the
+    image's far points, where training moves them little.
+
+    Args:
+        views: images with cameras.
+        points_in_world: known points.
+    """
+    points, colors = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)]
+    for view in views:
+        height, width = view.image.shape[:2]
+        local = view.cam_from_world.apply(points_in_world)
+        pixels = view.camera.project(local)
+        inside = ((pixels >= 0) & (pixels < [width, height])).all(axis=1)
+        if not inside.any():
+            continue
+        side = max(max(width, height) / EMPTY_PARTS, (POINTS_OF_PART * width * height / inside.sum()) ** 0.5)
+        rows, columns = max(1, round(height / side)), max(1, round(width / side))
+        part = (pixels[inside] * [columns / width, rows / height]).astype(int)
+        is_empty = np.ones((rows, columns), bool)
+        is_empty[part[:, 1], part[:, 0]] = False
+        v, u = ((np.argwhere(is_empty) + 0.5) * [height / rows, width / columns]).astype(int).T
+        used = np.ones((height, width), bool) if view.used_mask is None else view.used_mask
+        if view.image.shape[2] == 4:
+            used = used & (view.image[..., 3] > 0)
+        v, u = v[used[v, u]], u[used[v, u]]
+        rays = view.camera.unproject(np.stack([u, v], axis=1).astype(np.float64))
+        far = 2.0 * np.quantile(np.linalg.norm(local[inside], axis=1), 0.95)
+        seen = np.isfinite(rays).all(axis=1)
+        rays = rays[seen] / np.linalg.norm(rays[seen], axis=1, keepdims=True)
+        points.append(view.cam_from_world.inverse().apply(far * rays))
+        colors.append(view.image[v[seen], u[seen], :3])
+    return np.concatenate(points), np.concatenate(colors)
 
 
 @checked

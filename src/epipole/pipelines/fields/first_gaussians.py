@@ -13,6 +13,7 @@ from epipole.fields.splat.starting import (
     cloud_of_points,
     fraction_in_view,
     have_one_direction,
+    points_in_empty_parts,
     points_in_frusta,
     points_in_silhouettes,
 )
@@ -27,6 +28,8 @@ LEAST_IN_VIEW = 0.02
 """Fraction of the points in most images below which the cameras look away from them."""
 FIRST_FRACTION = 0.1
 """Initial number of random Gaussians, as a fraction of the maximum."""
+DISTANT_FRACTION = 0.1
+"""Number of distant Gaussians in parts of images without points, at most, as a fraction of the maximum."""
 FILLED_FRACTION = 0.6
 """Number of Gaussians that stereo points fill up to, as a fraction of the maximum."""
 
@@ -72,6 +75,9 @@ def first_gaussians(
     if missing > 0 and config.start == "dense":
         more = dense_points(images.train, missing, config.seed, progress)
         points, rgb = np.concatenate([points, more.points_in_world]), np.concatenate([rgb, more.rgb])
+    far, far_rgb = points_in_empty_parts(images.train, points)
+    step = max(1, -(-len(far) // max(1, int(DISTANT_FRACTION * most))))
+    points, rgb = np.concatenate([points, far[::step]]), np.concatenate([rgb, far_rgb[::step]])
     return Start(cloud_of_points(points, rgb), warnings)
 
 
