@@ -41,7 +41,7 @@ STEPS = {
     "tour/model/sparse/0/points3D.bin": "reconstruct demo/photographs tour/model",
     "tour/depth/depth.pfm": "stereo --workspace tour/model --pair courtyard_003.jpg courtyard_004.jpg tour/depth",
     "tour/track/trajectory.txt": "slam demo/photographs tour/track --camera-model SIMPLE_RADIAL"
-    " --camera-params 746.86,480,320,-0.0497",
+    " --camera-params 746.65,480,320,-0.0501",
     "tour/splats/splat.ply": "splat tour/model tour/splats --time 1m",
     "tour/mesh.ply": "mesh tour/splats tour/mesh.ply",
     "tour/model.html": "view tour/model --share tour/model.html",
@@ -143,7 +143,7 @@ def cameras(folder: Path, work: Path) -> None:
     """The model in the viewer, with its cameras."""
     model = read_colmap_model(folder / "tour/model/sparse/0")
     page = shared(work, folder / "tour/model", "model")
-    save("cameras", screenshot(page, view_from_cameras(model, 2.3, 0.9, 36), (WIDTH + 32, HEIGHT + 180)))
+    save("cameras", screenshot(page, view_from_cameras(model, 2.5, 1.0, 36), (WIDTH + 32, HEIGHT + 180)))
 
 
 def points(folder: Path, work: Path) -> None:
@@ -178,7 +178,8 @@ def trajectory(folder: Path, _: Path) -> None:
     xyz = model.points.xyz_in_world
     near = (np.abs(xyz - np.median(xyz, axis=0)) < 1.8).all(axis=1)
     scale = 3 * HEIGHT / 3.9
-    low = np.array([(known[:, 0].min() + xyz[near, 0].max()) / 2 - 1.5 * WIDTH / scale, -2.1])
+    shown = np.concatenate([known, xyz[near]])[:, :2]
+    low = (shown.min(axis=0) + shown.max(axis=0)) / 2 - 1.5 * np.array([WIDTH, HEIGHT]) / scale
     plan = np.full((3 * HEIGHT, 3 * WIDTH, 3), 255, np.uint8)
 
     def pixels(positions: np.ndarray) -> np.ndarray:
