@@ -528,6 +528,12 @@ def _view_graph() -> scene.ViewGraph:
     )
 
 
+def _features_of(pixels: np.ndarray) -> features.Features:
+    ones = np.ones(len(pixels), np.float32)
+    descriptors = np.arange(128 * len(pixels), dtype=np.int64).reshape(-1, 128) % 90
+    return features.Features(pixels.astype(np.float32), ones, ones.copy(), descriptors.astype(np.uint8))
+
+
 def _builder() -> mapping.ModelBuilder:
     model = _ring().start
     lists = [model.images.keypoints_of(i) for i in range(len(model.images))]
@@ -594,7 +600,14 @@ def _mapping() -> Iterator[Row]:
     offsets, builder = model.images.keypoint_offsets, _builder()
     components, freedom = builder.components, mapping.Freedom()
     quick = BundleConfig(max_iterations=2)
-    yield _row(mapping.connect_matches, view_graph=graph, keypoint_offsets=offsets)
+    further = mapping.FurtherMatches(*(np.array([k], np.int32) for k in (0, 1, 1, 1)))
+    yield _row(mapping.FurtherMatches, **{name: getattr(further, name) for name in further.__slots__})
+    yield _row(mapping.connect_matches, view_graph=graph, keypoint_offsets=offsets, further=further)
+    has_rotation = np.isfinite(graph.cam2_from_cam1.rotation).all(axis=(1, 2))
+    cycles = {"num_images": len(model.images), "has_rotation": has_rotation, "max_angle_rad": 0.2}
+    yield _row(mapping.check_rotation_cycles, view_graph=graph, **cycles)
+    found = mapping.check_rotation_cycles(graph, **cycles)
+    yield _row(mapping.PairConsistency, contradicts=found.contradicts, angle_rad=found.angle_rad)
     parts = {name: getattr(components, name) for name in components.__slots__}
     yield _row(mapping.MatchComponents, **parts)
     lists = [model.images.keypoints_of(i) for i in range(len(model.images))]
@@ -626,6 +639,12 @@ def _mapping() -> Iterator[Row]:
     yield _row(mapping.adjust_all, model=builder, config=quick, freedom=freedom, priors=priors)
     around = {"image": 1, "num_images": 2, "config": quick, "freedom": freedom}
     yield _row(mapping.adjust_around, model=builder, **around)
+    yield _row(mapping.median_error_px, model=builder)
+    yield _row(mapping.drop_short_tracks, model=builder, min_length=2, min_long=1)
+    detected = [_features_of(builder.keypoints[i]) for i in range(len(builder.keypoints))]
+    yield _row(
+        mapping.find_further_matches, model=builder, features=detected, radius_px=3.0, config=MatchConfig()
+    )
     consistency = mapping.MatchConsistency(builder, graph)
     yield _row(mapping.MatchConsistency, model=builder, view_graph=graph)
     yield _row(consistency.fractions, model=builder)

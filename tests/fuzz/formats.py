@@ -81,7 +81,7 @@ from epipole.io.gaussians.files import read_gaussians, write_gaussians
 from epipole.io.gaussians.ply import read_gaussian_ply, write_gaussian_ply
 from epipole.io.images.depth_maps import read_pfm, read_png16, write_pfm, write_png16
 from epipole.io.images.exif import new_exif
-from epipole.io.images.photographs import copy_or_rotate, read_grey, read_header, read_mask, read_rgb
+from epipole.io.images.photographs import copy_or_rotate, read_gray, read_header, read_mask, read_rgb
 from epipole.io.images.rgba import read_rgba
 from epipole.io.images.video import extract_frames, frame_size
 from epipole.io.meshes.mesh_ply import read_mesh_ply, write_mesh_ply
@@ -586,7 +586,7 @@ def _pixels(folder: Path) -> None:
 
 def _small_pixels(folder: Path) -> None:
     path = folder / "photograph"
-    for found, axes in ((read_grey(path, 16), 2), (read_rgb(path, 16), 3)):
+    for found, axes in ((read_gray(path, 16), 2), (read_rgb(path, 16), 3)):
         assert found.ndim == axes and max(found.shape) <= 16 and found.dtype == np.uint8
     copy_or_rotate(path, folder / "copy.jpg")
 
@@ -713,7 +713,7 @@ def _calibrated(kind: str, write: Callable[[Path], None], *names: str, size: Any
 
 
 def _pictured(kind: str, damage: str = "binary") -> Format:
-    readers = ("read_header", "read_rgb", "read_rgba", "read_grey", "copy_or_rotate")
+    readers = ("read_header", "read_rgb", "read_rgba", "read_gray", "copy_or_rotate")
     also = (_pixels, _small_pixels)
     put = _put("photograph", _image(kind))
     return Format(put, "photograph", damage, _photograph, readers, most_mib=160, also=also)

@@ -143,6 +143,8 @@ def contradicting_of(model: Reconstruction) -> tuple[ContradictingPair, ...]:
     """Fourteen pairs that look alike, the one with the most matches first."""
     rng = np.random.default_rng(7)
     names = model.images.name
+    if len(names) < 2:
+        return ()
     return tuple(
         ContradictingPair(
             (names[0], names[1 + k % (len(names) - 1)]),

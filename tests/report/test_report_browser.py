@@ -47,6 +47,6 @@ def test_the_table_of_pictures_fits_a_narrow_screen(
     tab = opened(WRAPPER.format(page=escape(page)), browser, tmp_path)
     found = tab.evaluate("({ ...document.body.dataset })")
     tab.close()
-    assert int(found["cells"]) == 12 * 7
+    assert int(found["cells"]) == 12 * 7 + 12 * 4
     assert int(found["right"]) <= 390
     assert page.count('data-head="Error"') == 12
