@@ -119,7 +119,7 @@ function workNumbers({ many, each }) {
 }
 
 watch(["many", "each"], (values) => {
-  const [svg, width] = fitted("work", 300),
+  const [svg, width] = fitted("work", 320),
     box = { left: 62, top: 40, right: width - 26, bottom: 216 },
     [least, most] = [3, 21];
   const toX = (many) => box.left + ((box.right - box.left) * (many - 10)) / 1990,
@@ -143,8 +143,10 @@ watch(["many", "each"], (values) => {
     add(svg, "circle", { class: kind, cx: toX(values.many), cy: toY(now[name]), r: 6 });
   });
   const line = (text, y, kind) => add(svg, "text", { class: `label ${kind}`, x: 8, y }, text);
-  line(worded(WORDS.dense, { work: shownNumber(now.dense) }), 270, "other");
-  line(worded(WORDS.with_schur, { work: shownNumber(now.schur), ratio: shownNumber(now.dense / now.schur) }), 290, "one");
+  const size = { c: grouped(String(values.many)), p: grouped(String(now.points)) };
+  line(worded(WORDS.size_of, size), 270, "");
+  line(worded(WORDS.dense, { work: shownNumber(now.dense) }), 290, "other");
+  line(worded(WORDS.with_schur, { work: shownNumber(now.schur), ratio: shownNumber(now.dense / now.schur) }), 310, "one");
   told("work-told", WORDS.work_told, now);
 });
 

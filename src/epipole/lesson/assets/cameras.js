@@ -20,13 +20,13 @@ function picture(svg, x, y, width, name) {
   return inside;
 }
 
-/* Two pictures beside each other, or one below the other where that is narrow: [first, second]. */
+/* Two pictures beside each other, on a phone with less room around them: [first, second]. */
 function twoPictures(id, names) {
-  const below = (width) => width < 600,
-    side = (width) => (below(width) ? width - 24 : (width - 44) / 2);
-  const [svg, width] = fitted(id, (all) => 0.75 * side(all) * (1 + below(all)) + (below(all) ? 88 : 44));
-  const next = below(width) ? [12, 0.75 * side(width) + 74] : [side(width) + 32, 30];
-  return [picture(svg, 12, 30, side(width), names[0]), picture(svg, ...next, side(width), names[1])];
+  const edge = (width) => (width < 600 ? 2 : 12),
+    gap = (width) => (width < 600 ? 8 : 20),
+    side = (width) => (width - 2 * edge(width) - gap(width)) / 2;
+  const [svg, width] = fitted(id, (all) => 0.75 * side(all) + 44);
+  return names.map((name, k) => picture(svg, edge(width) + k * (side(width) + gap(width)), 30, side(width), name));
 }
 
 /* A matrix as a table. */

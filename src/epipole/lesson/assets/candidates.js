@@ -49,13 +49,14 @@ function drawPoint(inside, [x, y], kind) {
 }
 
 function drawFour(found) {
-  const inRow = (width) => (width < 600 ? 2 : 4),
-    side = (width) => (width - 12) / inRow(width) - 12;
-  const [svg, width] = fitted("four", (all) => (4 / inRow(all)) * (2 * side(all) + 34) + 12);
+  const gap = (width) => (width < 600 ? 6 : 12),
+    above = (width) => (width < 600 ? 46 : 34),
+    side = (width) => (width - gap(width)) / 4 - gap(width);
+  const [svg, width] = fitted("four", (all) => 2 * side(all) + above(all) + 12);
   const wide = side(width);
   found.forEach(({ motion, points, count, isTrue, isChosen }, k) => {
-    const left = 12 + (wide + 12) * (k % inRow(width)),
-      top = 34 + (2 * wide + 34) * Math.floor(k / inRow(width)),
+    const left = gap(width) + (wide + gap(width)) * k,
+      top = above(width),
       inside = add(svg, "svg", {
         x: left,
         y: top,
@@ -63,13 +64,12 @@ function drawFour(found) {
         height: 2 * wide,
         viewBox: "-105 -210 210 420",
       });
-    const truth = isTrue ? ` (${WORDS.true})` : "";
-    add(
-      svg,
-      "text",
-      { class: "label", x: left, y: top - 8 },
-      `${WORDS.candidate} ${"ABCD"[k]}: ${count}${truth}`,
-    );
+    const truth = isTrue ? ` (${WORDS.true})` : "",
+      label = (text, y) => add(svg, "text", { class: "label", x: left, y }, text);
+    if (width < 600) {
+      label(`${"ABCD"[k]}: ${count}`, top - 26);
+      label(truth.trim(), top - 8);
+    } else label(`${WORDS.candidate} ${"ABCD"[k]}: ${count}${truth}`, top - 8);
     add(inside, "rect", {
       class: isChosen ? "frame chosen" : "frame",
       x: -104,

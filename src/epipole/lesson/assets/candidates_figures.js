@@ -25,7 +25,7 @@ watch(["bs"], ({ bs }) => {
     put.camera(motion, "other", 0.7);
     put.dot(point, "object", 7);
     put.label(point, WORDS.point, 12, 5);
-    put.label([0, 0, 0], WORDS.first_camera, ...(bs < 0 ? [12, 22] : [-70, 24]));
+    put.label([0, 0, 0], WORDS.first_camera, ...(bs < 0 ? [12, 22] : [-40, 42]));
     if (Math.abs(bs) > 0.6) put.label(center, WORDS.second_camera, -20, 28);
   });
   const numbers = { bs, z1: point[2], z2: moved(motion, point)[2], triple: tripleOf(motion, SEEN_POINT, RAY2) };
@@ -63,7 +63,7 @@ watch(["twist"], ({ twist }) => {
       put.dot(point, "object", 7);
       put.label(point, WORDS.point, 12, 5);
     }
-    put.label([0, 0, 0], WORDS.first_camera, -50, 26);
+    put.label([0, 0, 0], WORDS.first_camera, -36, 40);
     put.label(scaled(CENTER2, 1.35), WORDS.baseline, 8, 5);
   });
   show("twist-triple", triple);

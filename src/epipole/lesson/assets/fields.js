@@ -72,8 +72,8 @@ function drawPictures(chosenPixel) {
   const shown = [["truth", RECORD.truth], ...WAYS.map((way) => [way, RECORD.pictures[way]])];
   shown.forEach(([name, data], k) => {
     const left = k * (side + 10);
-    const label = add(svg, "text", { class: "label", x: left + 6, y: 14 }, WORDS.pictures[name]);
-    label.style.fontSize = `${Math.min(17, (13 * (3 * side + 20)) / (svg.clientWidth || 620))}px`; // as large as elsewhere
+    const label = add(svg, "text", { class: "label", x: left + 6, y: 17 }, WORDS.pictures[name]);
+    label.style.fontSize = `${Math.min(20, (13 * (3 * side + 20)) / (svg.clientWidth || 620))}px`; // as large as elsewhere
     add(svg, "image", { href: "data:image/webp;base64," + data, x: left, y: 24, width: side, height: side });
     RECORD.pixels.forEach(({ at: [x, y] }, which) => {
       const kind = String(which) === chosenPixel ? "ring chosen" : "ring";

@@ -9,6 +9,9 @@ function marchNumbers({ n, times }) {
 }
 
 watch(["n", "times"], (values) => {
+  const most = marchNumbers({ ...values, n: FOG.distance.length }).parts.length; // there the ray ends
+  byId("n").max = String(most);
+  byId("n-shown").textContent = byId("n").value;
   const { parts, through, color } = marchNumbers(values),
     [svg, width] = fitted("fog", 300),
     box = { left: 84, right: width - 16, top: 40, bottom: 110 };

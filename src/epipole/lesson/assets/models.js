@@ -54,18 +54,34 @@ function expected(name, model, pixel, match) {
   return minus(match, [(away * line[0]) / size, (away * line[1]) / size]);
 }
 
+/* Marks that can be seen in a small picture, too. */
+const markSize = (inside) => Math.max(4.5, (2 * 640) / Number(inside.getAttribute("width")));
+
 function drawPictures({ pixels, found }, name) {
   const [first, second] = twoPictures("pictures", [WORDS.first, WORDS.second]);
-  pixels[0].forEach(([x, y]) => add(first, "circle", { class: "one", cx: x, cy: y, r: 4.5 }));
+  pixels[0].forEach(([x, y]) => add(first, "circle", { class: "one", cx: x, cy: y, r: markSize(first) }));
   pixels[1].forEach((match, k) => {
     const from = expected(name, found[name].model, pixels[0][k], match),
       to = plus(from, scaled(minus(match, from), 10));
     add(second, "line", { class: "residual", x1: from[0], y1: from[1], x2: to[0], y2: to[1] });
-    add(second, "circle", { class: "other", cx: match[0], cy: match[1], r: 4.5 });
+    add(second, "circle", { class: "other", cx: match[0], cy: match[1], r: markSize(second) });
   });
 }
 
+/* The slider has the root of the relief: what decides between the models is far below its largest value. */
+function setRelief(root) {
+  byId("relief").value = String(root * root);
+  byId("relief").dispatchEvent(new Event("input"));
+}
+const ROOT = byId("relief-root");
+let rootBefore = ROOT.value;
+ROOT.addEventListener("input", () => setRelief(Number(ROOT.value)));
+ROOT.addEventListener("pointerdown", () => (rootBefore = ROOT.value));
+ROOT.addEventListener("pointercancel", () => setRelief(Number(rootBefore))); // the finger scrolled the page
+
 watch(["relief", "tx", "yaw", "s"], (values) => {
+  ROOT.value = String(Math.sqrt(values.relief));
+  ROOT.setAttribute("aria-valuetext", byId("relief-shown").textContent);
   const { pixels, found, best } = modelNumbers(values);
   for (const [name, { rms, gric }] of Object.entries(found)) {
     show(`rms-${name}`, rms);

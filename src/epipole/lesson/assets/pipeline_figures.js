@@ -62,6 +62,9 @@ const setStage = watch(["stage", "s"], ({ stage: number, s }) => {
     putRays(put, state, stage);
     for (const [j, point] of state.points) put.dot(point, state.added.has(j) ? "other" : "one", 3);
   });
+  const letter = "ABCDEFG"[stage]; // numbers are those of the steps above
+  byId("stage-shown").textContent = letter;
+  byId("stage").setAttribute("aria-valuetext", letter);
   byId("what").textContent = WORDS.stages[stage];
   byId("back").disabled = stage === 0;
   byId("next").disabled = stage === LAST_STAGE;

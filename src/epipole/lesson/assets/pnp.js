@@ -84,7 +84,7 @@ function wayNumbers({ step, s, most }) {
 
 function drawAbove(state) {
   const [svg, width] = fitted("above", 420),
-    size = Math.min((width - 40) / 13, 24);
+    size = Math.min((width - 40) / 13, 22.5); // the farthest estimate is 16.4 m ahead
   const toPlace = ([x, , z]) => [width / 2 + size * (x - 3), 396 - size * (z + 0.4)];
   SCENE.corners.forEach((place, j) => {
     const [x, y] = toPlace(place),

@@ -27,8 +27,8 @@ watch(["em", "Bm"], (values) => {
     putImage(put, motion, plus(center, ways[1]), "other", 0.7);
     put.line(...ends, "edge");
     put.dot(point, "object", 6);
-    put.label(point, WORDS.midpoint, 14, 5);
-    put.label([0, 0, 0], WORDS.first_camera, -64, 30);
+    put.label(point, WORDS.midpoint, 10, 30);
+    put.label([0, 0, 0], WORDS.first_camera, -64, 46);
     put.label(center, WORDS.second_camera, -20, 32);
   });
   const numbers = { gap, depth: point[2], off: norm(minus(point, MISSED)) };
