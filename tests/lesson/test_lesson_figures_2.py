@@ -191,7 +191,7 @@ def test_poses_of_three_points_are_those_of_the_library(tab):
     for x, distance in ((0.2, 3.6), (1.5, 2.5), (1.0, 2.5), (-0.5, 2.3), (1.6, 4.4)):
         tab.set(cx=x, cz=distance)
         rays = triangle - [x, 0.15, -distance]
-        wanted = solve_p3p(rays, triangle)
+        wanted = solve_p3p(triangle, rays)
         found = tab.page.evaluate(
             "values => posesNumbers(values).poses.map(p => p.pose.t)", {"cx": x, "cz": distance}
         )
