@@ -30,6 +30,8 @@ farther ones hardly move."""
 EMPTY_PARTS, POINTS_OF_PART = 32, 6.0
 """Parts along the longer side of an image in which known points are looked for, at most, and points of a part on average:
 then a part of a textured surface is rarely empty by chance."""
+BEYOND = 1.2
+"""Distance of a point in an empty part, relative to the 95th percentile of the distances of the points in the image."""
 TRIES = 40
 """Points sampled for each one wanted."""
 MOST_VIEWS = 24
@@ -112,8 +114,8 @@ def points_in_empty_parts(
 ) -> tuple[Float64[np.ndarray, "k 3"], UInt8[np.ndarray, "k 3"]]:
     """A distant point in every part of an image that shows no known point, such as the sky, with the color of its pixel.
 
-    Without them, no Gaussian covers these parts, and those nearby grow into fog. They lie at twice the distance of the
-    image's far points, where training moves them little.
+    Without them, no Gaussian covers these parts, and those nearby grow into fog. They lie a little beyond the
+    image's far points, so that they do not enlarge the scene much.
 
     Args:
         views: images with cameras.
@@ -138,7 +140,7 @@ def points_in_empty_parts(
             used = used & (view.image[..., 3] > 0)
         v, u = v[used[v, u]], u[used[v, u]]
         rays = view.camera.unproject(np.stack([u, v], axis=1).astype(np.float64))
-        far = 2.0 * np.quantile(np.linalg.norm(local[inside], axis=1), 0.95)
+        far = BEYOND * np.quantile(np.linalg.norm(local[inside], axis=1), 0.95)
         seen = np.isfinite(rays).all(axis=1)
         rays = rays[seen] / np.linalg.norm(rays[seen], axis=1, keepdims=True)
         points.append(view.cam_from_world.inverse().apply(far * rays))
