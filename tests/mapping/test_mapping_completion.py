@@ -76,7 +76,7 @@ def test_short_tracks_go_where_images_have_enough_long_ones(rng, num_long, num_l
 def test_near_pixels_is_the_exhaustive_search(rng):
     n, m, radius = 60, 400, 6.0
     pixels = rng.uniform(0, 200, (m, 2))
-    at = np.concatenate([pixels[:n] + rng.normal(0, 2, (n, 2)), [[np.nan, 3.0], [-50.0, 10.0], [1e6, 5.0]]])
+    at = np.concatenate([pixels[:n] + rng.normal(0, 2, (n, 2)), [[np.nan, 3.0], [-50.0, 10.0], [1e300, 5.0]]])
     features = Features(
         pixels.astype(np.float32), np.ones(m, np.float32), np.ones(m, np.float32), descriptors_of(rng, m)
     )

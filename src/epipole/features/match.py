@@ -17,6 +17,8 @@ _BLOCK_ROWS = 256
 _STRIP_PX = 32.0  # width of the strips in which features along a line are looked up
 _CELL_PX = 8.0  # length of the cells of a strip
 _MOST_CELLS = 1 << 26
+_FARTHEST_PX = 1e9
+"""Pixels beyond it are in no image, and would overflow the number of a cell."""
 _UNIT = 512.0
 """Length of a root-SIFT descriptor."""
 
@@ -204,7 +206,8 @@ def match_near_pixels(
         return np.empty((0, 2), np.int32), np.empty(0)
     column, best, second = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
     column_best = np.full(m, -1, np.int32)
-    wanted = np.where(np.isfinite(pixels), pixels, -np.inf)
+    is_near = (np.abs(pixels) < _FARTHEST_PX).all(axis=1, keepdims=True)  # False for NaN
+    wanted = np.where(is_near, pixels, -np.inf)
     cells = _cells(features, 0)
     kernels.nearby_top_two(
         wanted, descriptors, cells, _STRIP_PX, _CELL_PX, float(radius_px), column, best, second, column_best

@@ -50,9 +50,9 @@ def average_rotations(
 ) -> AveragedRotations:
     """Minimize the robust sum of the angles between R_j R_i^T and the measured relative rotations.
 
-    It starts from a spanning tree of the pairs that most triangles of images confirm, then alternates weights and a linear system in the Lie
-    algebra: first the L1 norm, then a redescending loss (Chatterjee and Govindu, ICCV 2013; Geman-McClure instead of
-    their l_1/2). The work of a round is one sparse factorization of the graph's Laplacian.
+    It starts from a spanning tree of the pairs that most triangles of images confirm, then alternates weights and a linear
+    system in the Lie algebra: first the L1 norm, then a redescending loss (Chatterjee and Govindu, ICCV 2013;
+    Geman-McClure instead of their l_1/2). The work of a round is one sparse factorization of the graph's Laplacian.
 
     Args:
         num_images: number of images.

@@ -33,12 +33,15 @@ def complete_model(
         keypoint_offsets: first keypoint of each image, and the number of all.
 
     Returns:
-        A mapper with the completed model.
+        A mapper with the completed model; the same mapper if its model has no points.
     """
     before, config = mapper.model, mapper.config
+    error_px = median_error_px(before)
+    if not np.isfinite(error_px):  # a model without points
+        return mapper
     # No ratio test: a repeated structure has no second instance within a few pixels.
     similar = MatchConfig(max_ratio=1.0)
-    radius_px = min(max(RADIUS_FACTOR * median_error_px(before), MIN_RADIUS_PX), config.completion_px)
+    radius_px = min(max(RADIUS_FACTOR * error_px, MIN_RADIUS_PX), config.completion_px)
     further = find_further_matches(before, features, radius_px, similar)
     components = connect_matches(mapper.view_graph, keypoint_offsets, further)
     model = ModelBuilder(before.cameras, before.camera_of_image, before.keypoints, components)

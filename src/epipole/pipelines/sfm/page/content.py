@@ -145,11 +145,13 @@ def _contradicting(solution: Solution) -> list[ContradictingPair]:
     found = []
     for e in np.argsort(-graph.num_inliers(), kind="stable"):
         at = slice(graph.match_offsets[e], graph.match_offsets[e + 1])
-        sides = ((int(graph.image1[e]), graph.keypoint1[at]), (int(graph.image2[e]), graph.keypoint2[at]))
+        first, second = int(graph.image1[e]), int(graph.image2[e])
+        positions1 = _positions(solution, first, graph.keypoint1[at])
+        positions2 = _positions(solution, second, graph.keypoint2[at])
         found.append(
             ContradictingPair(
-                (images.names[sides[0][0]], images.names[sides[1][0]]),
-                tuple(_positions(solution, image, keypoints) for image, keypoints in sides),  # type: ignore[arg-type]
+                (images.names[first], images.names[second]),
+                (positions1, positions2),
                 at.stop - at.start,
                 float(np.degrees(solution.contradicting.angle_rad[e])),
             )
