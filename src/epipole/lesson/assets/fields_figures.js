@@ -1,6 +1,6 @@
 /* The small figures of the page on fields: fog along a ray, a Gaussian and its splat, two splats in both orders, costs. */
 
-/* The recorded samples of the first pixel with the density multiplied by `factor`, up to sample n. */
+/* The recorded samples of the first pixel with the density multiplied by `times`, up to sample n. */
 const FOG = RECORD.pixels[0].nerf;
 
 function marchNumbers({ n, times }) {
