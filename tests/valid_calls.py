@@ -595,6 +595,32 @@ def _anchors(model: scene.Reconstruction) -> Iterator[Row]:
     yield _row(scale.after_adjustment, anchoring=anchoring, before=centers, after=2.0 * centers)
 
 
+def _global(graph: scene.ViewGraph, components: mapping.MatchComponents, num_images: int) -> Iterator[Row]:
+    """Rotation averaging and global positioning."""
+    pairs = {
+        "num_images": 3,
+        "image1": np.array([0, 1, 0], np.int32),
+        "image2": np.array([1, 2, 2], np.int32),
+        "cams2_from_cams1": np.tile(np.eye(3), (3, 1, 1)),
+        "weights": np.ones(3),
+    }
+    yield _row(mapping.average_rotations, **pairs)
+    averaged = mapping.average_rotations(**pairs)
+    yield _row(mapping.AveragedRotations, **{n: getattr(averaged, n) for n in averaged.__slots__})
+    yield _row(mapping.choose_tracks, components=components, is_member=np.ones(num_images, bool), per_image=5)
+    ray = np.array([0.0, 0.0, 5.0]) + _some(6, 3)
+    seen = {
+        "num_images": 3,
+        "offsets": np.array([0, 3, 6]),
+        "image": np.array([0, 1, 2, 0, 1, 2], np.int32),
+        "directions_in_world": ray / np.linalg.norm(ray, axis=1, keepdims=True),
+        "seed": 0,
+    }
+    yield _row(mapping.position_globally, **seen)
+    placed = mapping.position_globally(**seen)
+    yield _row(mapping.GlobalPositions, **{n: getattr(placed, n) for n in placed.__slots__})
+
+
 def _mapping() -> Iterator[Row]:
     model, graph = _ring().start, _view_graph()
     offsets, builder = model.images.keypoint_offsets, _builder()
@@ -608,6 +634,7 @@ def _mapping() -> Iterator[Row]:
     yield _row(mapping.check_rotation_cycles, view_graph=graph, **cycles)
     found = mapping.check_rotation_cycles(graph, **cycles)
     yield _row(mapping.PairConsistency, contradicts=found.contradicts, angle_rad=found.angle_rad)
+    yield from _global(graph, components, len(model.images))
     parts = {name: getattr(components, name) for name in components.__slots__}
     yield _row(mapping.MatchComponents, **parts)
     lists = [model.images.keypoints_of(i) for i in range(len(model.images))]

@@ -1,5 +1,7 @@
 """Rotation averaging, and pairs that break the cycles of rotations."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from mapping_graphs import graph_of_rotations
@@ -7,7 +9,7 @@ from mapping_graphs import graph_of_rotations
 from epipole.errors import ShapeError
 from epipole.geometry import Rotation3
 from epipole.mapping import check_rotation_cycles
-from epipole.mapping.rotation_averaging import average_rotations
+from epipole.mapping.rotation_averaging import average_rotations, triangle_support
 
 
 def random_rotations(rng, count):
@@ -126,3 +128,32 @@ def test_a_pair_in_no_cycle_is_not_accused(rng):
     graph = graph_of_rotations([(0, 1), (1, 2)], relatives, np.array([30, 500]))
     found = check_rotation_cycles(graph, 3, np.ones(2, bool), np.radians(10.0))
     assert not found.contradicts.any()
+
+
+def test_support_is_that_of_all_triangles(rng):
+    """Against a loop over all triples of images; pairs in both orders, and one wrong pair."""
+    n = 9
+    truth = random_rotations(rng, n)
+    pairs = [
+        (i, j) if rng.random() < 0.5 else (j, i)
+        for i in range(n)
+        for j in range(i + 1, n)
+        if rng.random() < 0.7
+    ]
+    relatives = relative(truth, pairs)
+    relatives[3] = random_rotations(rng, 1)[0]
+    weights = rng.uniform(1, 5, len(pairs))
+    edge = {frozenset(pair): e for e, pair in enumerate(pairs)}
+    support, possible = np.zeros(len(pairs)), np.zeros(len(pairs))
+    for a, b, c in combinations(range(n), 3):
+        sides = [frozenset(s) for s in ((a, b), (b, c), (a, c))]
+        if all(s in edge for s in sides):
+            e = [edge[s] for s in sides]
+            for k in range(3):
+                smaller = min(weights[e[k - 1]], weights[e[k - 2]])
+                possible[e[k]] += smaller
+                support[e[k]] += smaller if 3 not in e else 0.0
+    first, second = np.array(pairs, np.int32).T
+    found = triangle_support(n, first, second, relatives, weights)
+    np.testing.assert_allclose(found[0], support)
+    np.testing.assert_allclose(found[1], possible)

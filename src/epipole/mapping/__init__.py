@@ -5,8 +5,11 @@ from epipole.mapping.adjustment import PositionPriors as PositionPriors
 from epipole.mapping.adjustment import adjust_all as adjust_all
 from epipole.mapping.adjustment import adjust_around as adjust_around
 from epipole.mapping.consistency import MatchConsistency as MatchConsistency
+from epipole.mapping.global_positioning import GlobalPositions as GlobalPositions
+from epipole.mapping.global_positioning import position_globally as position_globally
 from epipole.mapping.match_components import FurtherMatches as FurtherMatches
 from epipole.mapping.match_components import MatchComponents as MatchComponents
+from epipole.mapping.match_components import choose_tracks as choose_tracks
 from epipole.mapping.match_components import connect_matches as connect_matches
 from epipole.mapping.model_builder import ModelBuilder as ModelBuilder
 from epipole.mapping.model_builder import Snapshot as Snapshot
@@ -19,6 +22,8 @@ from epipole.mapping.readjustment import adjust_reconstruction as adjust_reconst
 from epipole.mapping.readjustment import bundle_problem_of as bundle_problem_of
 from epipole.mapping.resection import refine_resection as refine_resection
 from epipole.mapping.resection import resect_image as resect_image
+from epipole.mapping.rotation_averaging import AveragedRotations as AveragedRotations
+from epipole.mapping.rotation_averaging import average_rotations as average_rotations
 from epipole.mapping.track_completion import drop_short_tracks as drop_short_tracks
 from epipole.mapping.track_completion import find_further_matches as find_further_matches
 from epipole.mapping.track_completion import median_error_px as median_error_px

@@ -67,6 +67,19 @@ def connect_without_conflict(row1, row2, image, parent, following, stamp):
         parent[i] = _root(parent, i)
 
 
+@kernel
+def cover_images(offsets, image, is_member, order, per_image, count, chosen):
+    """Choose components in the given order if one of their member images has fewer than `per_image` observations."""
+    for t in order:
+        is_needed = False
+        for row in range(offsets[t], offsets[t + 1]):
+            is_needed = is_needed or (is_member[image[row]] and count[image[row]] < per_image)
+        if is_needed:
+            chosen[t] = True
+            for row in range(offsets[t], offsets[t + 1]):
+                count[image[row]] += 1
+
+
 @kernel(allocates=True)
 def triangulate_components(
     rows,

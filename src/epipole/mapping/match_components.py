@@ -6,12 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int32, Int64
+from jaxtyping import Bool, Int32, Int64
 
 from epipole._checks import Declared, check_indices, check_offsets, checked
 from epipole.errors import ShapeError
 from epipole.mapping import _track_kernels as kernels
 from epipole.scene import ViewGraph
+
+LEAST_TRACK = 3
+"""Images in which a chosen track must be: a track in two does not relate their distance to any other."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,6 +78,38 @@ def connect_matches(
         image.astype(np.int32),
         (rows - keypoint_offsets[image]).astype(np.int32),
     )
+
+
+@checked
+def choose_tracks(
+    components: MatchComponents, is_member: Bool[np.ndarray, " n"], per_image: int
+) -> Int64[np.ndarray, " k"]:
+    """Rows of the longest components that give each image about `per_image` observations.
+
+    Args:
+        components: keypoints connected by matches.
+        is_member: mask of images; others do not count.
+        per_image: a component is chosen if one of its images has fewer observations so far.
+
+    Returns:
+        Rows of the chosen components in member images, grouped by component; each component has three or more.
+    """
+    check_indices(components.image, "components.image", len(is_member))
+    component = np.repeat(np.arange(len(components)), np.diff(components.offsets))
+    inside = is_member[components.image]
+    lengths = np.bincount(component[inside], minlength=len(components))
+    order = np.argsort(-lengths, kind="stable")
+    chosen = np.zeros(len(components), bool)
+    kernels.cover_images(
+        components.offsets,
+        components.image,
+        is_member,
+        order[lengths[order] >= LEAST_TRACK],
+        per_image,
+        np.zeros(len(is_member), np.int64),
+        chosen,
+    )
+    return np.flatnonzero(inside & chosen[component])
 
 
 def check_matches(view_graph: ViewGraph, num_keypoints: Int64[np.ndarray, " n"]) -> None:

@@ -185,6 +185,12 @@ class ModelBuilder:
         """Set the positions of points."""
         self._points[indices] = xyz
 
+    def replace_points(self, rows: np.ndarray, point_of_row: np.ndarray, xyz: np.ndarray) -> None:
+        """Replace all points by these (p, 3); `rows` (k,) observe them, all others observe none."""
+        self._points, self.num_points = np.array(xyz, np.float64), len(xyz)
+        self.row_point = np.full(len(self.row_image), -1, np.int32)
+        self.row_point[rows] = point_of_row
+
     def registered_poses(self) -> Rigid3:
         """cam_from_world of the registered images."""
         rows = self.motion[self.registered]

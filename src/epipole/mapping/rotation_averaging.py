@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,26 +96,38 @@ def triangle_support(
         (p,) sum of the smaller weight of the other two pairs over the triangles whose rotations multiply to the identity,
         and over all triangles.
     """
-    edge_of: list[dict[int, int]] = [{} for _ in range(num_images)]
-    for e, (i, j) in enumerate(zip(image1.tolist(), image2.tolist())):
-        edge_of[i][j] = edge_of[j][i] = e
-
-    def rotation_from(a: np.ndarray, e: np.ndarray) -> np.ndarray:
-        """(k, 3, 3) from image a along edges e, in either direction."""
-        forward = (image1[e] == a)[:, None, None]
-        return np.where(forward, relative[e], np.swapaxes(relative[e], 1, 2))
-
+    low, high = np.minimum(image1, image2), np.maximum(image1, image2)
+    upward = np.where((image1 <= image2)[:, None, None], relative, np.swapaxes(relative, 1, 2))
     support, possible = np.zeros(len(image1)), np.zeros(len(image1))
-    for e, (i, j) in enumerate(zip(image1.tolist(), image2.tolist())):
-        common = np.array(sorted(edge_of[i].keys() & edge_of[j].keys()), np.int64)
-        if len(common):
-            to, back = (np.array([edge_of[k][int(c)] for c in common]) for k in (i, j))
-            around = rotation_from(common, back) @ rotation_from(np.full(len(common), i), to)
-            cosine = 0.5 * (np.einsum("kab,ab->k", around, relative[e]) - 1.0)
-            agrees = cosine >= np.cos(MAX_TRIANGLE_RAD)
-            smaller = np.minimum(weights[to], weights[back])
-            support[e], possible[e] = smaller[agrees].sum(), smaller.sum()
+    for first, second, third in _triangles(num_images, low, high):
+        # From the lowest image to the highest, by the middle one and directly.
+        around = upward[second] @ upward[first]
+        cosine = 0.5 * (np.einsum("kab,kab->k", around, upward[third]) - 1.0)
+        agrees = cosine >= np.cos(MAX_TRIANGLE_RAD)
+        for own, *others in ((first, second, third), (second, first, third), (third, first, second)):
+            smaller = np.minimum(weights[others[0]], weights[others[1]])
+            support += np.bincount(own[agrees], smaller[agrees], len(support))
+            possible += np.bincount(own, smaller, len(possible))
     return support, possible
+
+
+def _triangles(
+    num_images: int, low: np.ndarray, high: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """For each image, the triangles in which it is lowest: pairs (lowest, middle), (middle, highest), (lowest, highest)."""
+    _, last = np.unique((low.astype(np.int64) * num_images + high)[::-1], return_index=True)
+    pairs = len(low) - 1 - last  # of repeated pairs, the last one
+    shape = (num_images, num_images)
+    pair_of = sparse.csr_array((pairs + 1, (low[pairs], high[pairs])), shape=shape)
+    pair_of.sort_indices()
+    for image in range(num_images):
+        row = slice(pair_of.indptr[image], pair_of.indptr[image + 1])
+        neighbors, own = pair_of.indices[row], pair_of.data[row] - 1
+        if len(neighbors) < 2:
+            continue
+        between = pair_of[neighbors][:, neighbors].tocoo()
+        if between.nnz:
+            yield own[between.row], between.data - 1, own[between.col]
 
 
 def _along_the_tree(

@@ -11,9 +11,10 @@ from epipole.geometry import Similarity3
 from epipole.io.images.exif import gps_to_enu
 from epipole.io.images.photographs import read_gray
 from epipole.mapping import adjust_reconstruction
-from epipole.optim import BundleConfig, BundlePriors, Loss
+from epipole.optim import BundlePriors
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.gps.alignment import gps_distances
+from epipole.pipelines.sfm.incremental import final_bundle
 from epipole.pipelines.sfm.mapping_stage import Mapped
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.pipelines.sfm.pipeline import Solution
@@ -94,8 +95,7 @@ def _moved(model: Reconstruction, found: Anchoring, config: ReconstructConfig) -
     expected = np.full((len(model.frames), 3), np.nan)
     expected[model.images.frame[rows]] = found.positions.positions
     priors = BundlePriors(position_in_world=expected, position_sigma=found.positions.sigma)
-    loss = Loss[config.mapper.final_loss.upper()]
-    bundle = BundleConfig(loss=loss, loss_scale_px=config.mapper.final_scale_px)
+    bundle = final_bundle(config.mapper, float(np.median(model.reprojection_errors_px())))
     adjusted, _ = adjust_reconstruction(model, bundle, priors=priors)
     return adjusted.transformed(after_adjustment(found, before, adjusted.camera_centers_in_world()[rows]))
 

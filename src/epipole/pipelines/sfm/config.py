@@ -41,8 +41,10 @@ class PairingConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class MapperConfig:
-    """Options of incremental mapping."""
+    """Options of mapping."""
 
+    method: Literal["auto", "incremental", "global"] = "auto"
+    """global: all rotations, then all positions at once; incremental: image by image; auto: global, and incremental if it fails."""
     max_contradiction_deg: float = 10.0
     """Pairs whose rotation differs more from what the other pairs imply are not used. 180: use all."""
     start_min_inliers: int = 100
@@ -91,8 +93,8 @@ class MapperConfig:
     """Robust loss of the last adjustment; before it, soft L1."""
     loss_scale_px: float = 1.0
     """Scale of the robust loss while the model grows."""
-    final_scale_px: float = 0.5
-    """Scale of the robust loss in the last adjustment."""
+    final_scale: float = 2.0
+    """Scale of the robust loss in the last adjustment, as a multiple of the median reprojection error."""
     refine_focal: bool = True
     """Refine focal lengths that are not given."""
     refine_distortion: bool = True

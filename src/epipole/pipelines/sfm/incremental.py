@@ -18,6 +18,7 @@ from epipole.mapping import (
     adjust_all,
     adjust_around,
     drop_short_tracks,
+    median_error_px,
     refine_resection,
     resect_image,
 )
@@ -28,6 +29,8 @@ from epipole.scene import ViewGraph
 
 LEAST_START_INLIERS = 30
 """Matches of an initial pair if no pair has half of `start_min_inliers`; COLMAP's limit for registering an image."""
+LEAST_FINAL_SCALE_PX = 0.1
+"""Smallest scale of the last loss: better features do not exist."""
 MAX_PROBES = 8
 """Maximum number of initial pairs whose models are grown."""
 
@@ -35,7 +38,7 @@ Progress = Callable[[int, int], None]
 """Called with the work done and the total work."""
 
 
-def _ignored(done: int, total: int) -> None:
+def ignore_progress(done: int, total: int) -> None:
     """Do nothing."""
 
 
@@ -70,7 +73,9 @@ class IncrementalMapper:
         )
         self._angle = np.deg2rad(config.min_angle_deg)
 
-    def run(self, usable: np.ndarray, progress: Progress = _ignored, adjusting: Progress = _ignored) -> bool:
+    def run(
+        self, usable: np.ndarray, progress: Progress = ignore_progress, adjusting: Progress = ignore_progress
+    ) -> bool:
         """Map the usable images (mask); False if no pair of them can start a model.
 
         A finished model that disagrees with its own matches grew from a poor start (unknown focal lengths, nearly
@@ -108,19 +113,18 @@ class IncrementalMapper:
 
         Only at the end, because a redescending loss cannot close the gap of a drifted loop.
         """
-        last = BundleConfig(
-            loss=Loss[self.config.final_loss.upper()],
-            loss_scale_px=self.config.final_scale_px,
-            max_iterations=50,
-            function_tolerance=1e-5,
-        )
         for _ in range(2):
             self._drop_short_tracks()
-            adjust_all(self.model, last, self._freedom(), self.priors)
+            adjust_all(
+                self.model,
+                final_bundle(self.config, median_error_px(self.model)),
+                self.freedom(),
+                self.priors,
+            )
             self.model.filter(self.config.max_error_px, self._angle)
         self._drop_short_tracks()
 
-    def grow(self, usable: np.ndarray, limit: int, progress: Progress = _ignored) -> None:
+    def grow(self, usable: np.ndarray, limit: int, progress: Progress = ignore_progress) -> None:
         """Register images one by one until `limit` are registered or none fits."""
         size_at_global = int(self.model.registered.sum())
         while self.model.registered.sum() < limit and (image := self.register_next(usable)) is not None:
@@ -131,10 +135,10 @@ class IncrementalMapper:
                 size_at_global = count
             else:
                 adjust_around(
-                    self.model, image, self.config.local_images, self._local_bundle(), self._freedom()
+                    self.model, image, self.config.local_images, self._local_bundle(), self.freedom()
                 )
                 self.model.filter(self.config.max_error_px, self._angle)
-            self._take_out_if_wrong(image)
+            self.take_out_if_wrong(image)
             progress(int(self.model.registered.sum()), int(usable.sum()))
 
     def start(self, usable: np.ndarray) -> bool:
@@ -189,7 +193,7 @@ class IncrementalMapper:
         candidates = candidates[~known[candidates]]
         return candidates[np.argsort(-(preference * g.num_inliers())[candidates], kind="stable")]
 
-    def _take_out_if_wrong(self, image: int) -> None:
+    def take_out_if_wrong(self, image: int) -> None:
         """Remove an image whose matches are different points of the model, which means that its pose is wrong."""
         if not self.model.registered[image] or self.model.registered.sum() <= 3:
             return
@@ -288,9 +292,9 @@ class IncrementalMapper:
         everything = np.arange(len(model.components))
         for round_ in range(max(rounds, 1)):
             self._drop_short_tracks()
-            adjust_all(model, self._global_bundle(), self._freedom(), self.priors)
+            adjust_all(model, self._global_bundle(), self.freedom(), self.priors)
             dropped = model.filter(config.max_error_px, self._angle)
-            self._drop_lost_images()
+            self.drop_lost_images()
             done(min(round_ + 1, rounds))
             if round_ == rounds - 1 or rounds == 0:
                 break
@@ -303,7 +307,8 @@ class IncrementalMapper:
         if self.min_track_length > 2:
             drop_short_tracks(self.model, self.min_track_length, self.config.min_long_tracks)
 
-    def _drop_lost_images(self) -> None:
+    def drop_lost_images(self) -> None:
+        """Remove images with too few observations."""
         counts = np.bincount(
             self.model.row_image[self.model.row_point >= 0], minlength=len(self.model.registered)
         )
@@ -315,7 +320,8 @@ class IncrementalMapper:
         rows = np.concatenate([self.model.rows_of_image[i] for i in images])
         return np.unique(self.model.row_component[rows])
 
-    def _freedom(self) -> Freedom:
+    def freedom(self) -> Freedom:
+        """Which intrinsics are refined."""
         return Freedom(focal=self.config.refine_focal, distortion=self.config.refine_distortion)
 
     def _local_bundle(self) -> BundleConfig:
@@ -328,6 +334,17 @@ class IncrementalMapper:
             max_iterations=30,
             function_tolerance=1e-5,
         )
+
+
+def final_bundle(config: MapperConfig, median_error_px: float) -> BundleConfig:
+    """Options of the last adjustment, whose loss is scaled to the noise of the model's observations."""
+    scale_px = max(config.final_scale * median_error_px, LEAST_FINAL_SCALE_PX) if median_error_px > 0 else 1.0
+    return BundleConfig(
+        loss=Loss[config.final_loss.upper()],
+        loss_scale_px=scale_px,
+        max_iterations=50,
+        function_tolerance=1e-5,
+    )
 
 
 def spread_score(pixels: np.ndarray, width: int, height: int, levels: int = 6) -> float:

@@ -22,6 +22,7 @@ from epipole.pipelines.sfm.gps.alignment import (
 )
 from epipole.pipelines.sfm.gps.evidence import meters_in_words
 from epipole.pipelines.sfm.incremental import IncrementalMapper, Rejection
+from epipole.pipelines.sfm.mappers import Method, map_with
 from epipole.pipelines.sfm.orientation import upright_from_world
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.pipelines.sfm.up_direction import up_directions
@@ -61,6 +62,8 @@ class Mapped:
     """Alignment of each model with the GPS positions of its images; None if it is not aligned."""
     agreements: tuple[float, ...]
     """Fraction of each model's matches that are points of the model (`MatchConsistency.overall`)."""
+    methods: tuple[Method, ...]
+    """Mapper that each model comes from."""
     scale: MetricScale | None = None
     """Scale of the largest model if it is metric; None if it is up to scale."""
 
@@ -83,12 +86,13 @@ def map_images(
     components = connect_matches(view_graph, starts)
     positions = gps_to_enu(images.lat_lon_alt) if config.use_gps else np.full((len(images), 3), np.nan)
     remaining = np.ones(len(images), bool)
-    found: list[tuple[Reconstruction, GpsAlignment | None, float]] = []
+    found: list[tuple[Reconstruction, GpsAlignment | None, float, Method]] = []
     rejections: dict[int, Rejection] = {}
     while remaining.sum() >= 2 and len(found) < config.max_models:
         builder = ModelBuilder(cameras, images.camera_of_image, keypoints, components)
         mapper = IncrementalMapper(builder, view_graph, config)
-        if not mapper.run(remaining, _counting(progress, remaining), _adjusting(progress)):
+        method = map_with(mapper, remaining, _counting(progress, remaining), _adjusting(progress))
+        if method is None:
             break
         if features is not None:
             mapper = complete_model(mapper, features, starts)
@@ -98,12 +102,13 @@ def map_images(
         if builder.registered.sum() < 2 or len(np.unique(builder.row_point[builder.row_point >= 0])) < 3:
             break
         agreement = mapper.consistency.overall(builder)
-        found.append((builder.freeze(images.names, detections.colors, images.timestamps_s), gps, agreement))
+        model = builder.freeze(images.names, detections.colors, images.timestamps_s)
+        found.append((model, gps, agreement, method))
         remaining &= ~builder.registered
     progress(Progress("map", int((~remaining).sum()), len(images)))
     found.sort(key=lambda m: (-int(m[0].is_registered().sum()), -len(m[0].points)))
-    models, alignments, agreements = zip(*found) if found else ((), (), ())
-    return Mapped(tuple(models), rejections, tuple(alignments), tuple(agreements))
+    models, alignments, agreements, methods = zip(*found) if found else ((), (), (), ())
+    return Mapped(tuple(models), rejections, tuple(alignments), tuple(agreements), tuple(methods))
 
 
 def _counting(progress: ProgressCallback, remaining: np.ndarray) -> Callable[[int, int], None]:

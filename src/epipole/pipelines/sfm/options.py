@@ -40,7 +40,6 @@ class ReconstructKeywords(TypedDict, total=False):
     max_bits: int
     preemptive_features: int
     preemptive_min_matches: int
-    method: Literal["auto", "exhaustive", "sequential", "spatial", "retrieval"]
     exhaustive_limit: int
     neighbors: int
     overlap: int
@@ -72,7 +71,7 @@ class ReconstructKeywords(TypedDict, total=False):
     converged_fraction: float
     final_loss: Literal["trivial", "huber", "soft_l1", "cauchy"]
     loss_scale_px: float
-    final_scale_px: float
+    final_scale: float
     refine_focal: bool
     refine_distortion: bool
     max_models: int

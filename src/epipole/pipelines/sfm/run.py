@@ -182,8 +182,9 @@ def _summary(
                 "num_observations": len(m.tracks.image),
                 "mean_reprojection_error_px": _finite(m.mean_reprojection_error_px()),
                 "match_agreement": agreement,
+                "mapper": method,
             }
-            for m, agreement in zip(models, solution.mapped.agreements)
+            for m, agreement, method in zip(models, solution.mapped.agreements, solution.mapped.methods)
         ],
         "num_points": len(model.points),
         "num_observations": len(model.tracks.image),

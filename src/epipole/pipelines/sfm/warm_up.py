@@ -15,6 +15,7 @@ from epipole.features import Features, detect_features, match_descriptors, match
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1, fundamental_from_essential
 from epipole.mapping import ModelBuilder, connect_matches
 from epipole.pipelines.sfm.config import MapperConfig
+from epipole.pipelines.sfm.global_mapper import map_globally
 from epipole.pipelines.sfm.incremental import IncrementalMapper
 from epipole.robust import PairKind, verify_pair
 from epipole.scene import Cameras, ViewGraph
@@ -73,12 +74,14 @@ def warm_up_verification() -> None:
 
 
 def warm_up_mapping() -> None:
-    """Tracks, resection, triangulation and adjustment, on the synthetic scene."""
+    """Both mappers, on the synthetic scene."""
     camera, poses, keypoints = _made_up_scene()
     view_graph = _view_graph(camera, poses)
     components = connect_matches(view_graph, np.arange(4, dtype=np.int64) * NUM_POINTS)
     model = ModelBuilder(Cameras.from_list([camera]), np.zeros(3, np.int32), keypoints, components)
-    IncrementalMapper(model, view_graph, MapperConfig()).run(np.ones(3, bool))
+    mapper = IncrementalMapper(model, view_graph, MapperConfig())
+    map_globally(mapper, np.ones(3, bool))
+    mapper.run(np.ones(3, bool))
 
 
 def _made_up_scene() -> tuple[Camera, Rigid3, list[np.ndarray]]:

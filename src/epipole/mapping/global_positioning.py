@@ -1,0 +1,174 @@
+"""Positions of all cameras and points at once, from directions alone (Pan, Barath, Pollefeys, Schoenberger, ECCV 2024)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sparse
+from jaxtyping import Float64, Int32, Int64
+
+from epipole import _parallel
+from epipole._checks import Declared, check_indices, check_offsets, checked, require_same_length
+from epipole.mapping import _positioning_kernels as kernels
+from epipole.optim.block_cholesky import BlockPattern, CholeskyPlan, plan_cholesky
+
+SCALE = 0.1
+"""Sine of the angle beyond which Huber's loss is linear: about six degrees, as in the paper."""
+MAX_ITERATIONS = 200
+SMALL_GAIN, PATIENCE = 1e-4, 5
+"""It ends when five steps in succession each lower the cost by less than this fraction."""
+FIRST_DAMPING, MOST_DAMPING, LEAST_DAMPING = 1e-4, 1e8, 1e-10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GlobalPositions(Declared):
+    """Centers and points in one frame, whose origin and scale are arbitrary."""
+
+    centers_in_world: Float64[np.ndarray, "n 3"]
+    points_in_world: Float64[np.ndarray, "t 3"]
+    angles_rad: Float64[np.ndarray, " r"]
+    """Angle between each direction and the one from its camera to its point."""
+
+    def __repr__(self) -> str:
+        median = np.degrees(np.median(self.angles_rad)) if len(self.angles_rad) else 0.0
+        return f"GlobalPositions({len(self.centers_in_world)} cameras, {len(self.points_in_world)} points, median {median:.2f} degrees)"
+
+
+class _State(NamedTuple):
+    centers: np.ndarray
+    points: np.ndarray
+    inverse: np.ndarray
+    """(r,) inverse distance of each observation"""
+
+
+@checked
+def position_globally(
+    num_images: int,
+    offsets: Int64[np.ndarray, " t1"],
+    image: Int32[np.ndarray, " r"],
+    directions_in_world: Float64[np.ndarray, "r 3"],
+    seed: int = 0,
+) -> GlobalPositions:
+    """Minimize sum rho(|v - s (X - c)|^2) over camera centers c, points X, and an inverse distance s of each observation.
+
+    The residual is bilinear, so that it converges from random positions, needs no translation between any two cameras, and
+    a wrong direction has a bounded influence (the residual is the sine of the angle at the best s). Levenberg-Marquardt;
+    inverse distances, then points are eliminated, which leaves three unknowns per camera. The work of an iteration is the
+    sum of the squared track lengths, and a sparse factorization.
+
+    Args:
+        num_images: number of images; each should have observations of several points that others observe.
+        offsets: observations offsets[t] to offsets[t + 1] are those of point t; it should have three or more.
+        image: image of each observation.
+        directions_in_world: unit direction from the camera to the point, with the camera's rotation applied.
+        seed: of the random positions at the start.
+
+    Raises:
+        ShapeError: an image does not exist, or the arrays have different lengths.
+    """
+    require_same_length(image=image, directions_in_world=directions_in_world)
+    check_offsets(offsets, "offsets", len(image))
+    check_indices(image, "image", num_images)
+    num_points = len(offsets) - 1
+    random = np.random.default_rng(seed)
+    state = _State(
+        random.uniform(-1.0, 1.0, (num_images, 3)),
+        random.uniform(-1.0, 1.0, (num_points, 3)),
+        np.ones(len(image)),
+    )
+    seen = kernels.Directions(offsets, image.astype(np.int64), np.ascontiguousarray(directions_in_world))
+    if num_points and num_images:
+        state = _minimize(seen, state)
+    ray = state.points[np.repeat(np.arange(num_points), np.diff(offsets))] - state.centers[image]
+    along = (ray * directions_in_world).sum(axis=1)
+    across = np.linalg.norm(np.cross(ray, directions_in_world), axis=1)
+    return GlobalPositions(state.centers, state.points, np.arctan2(across, along))
+
+
+def _minimize(seen: kernels.Directions, state: _State) -> _State:
+    """Levenberg-Marquardt with iteratively reweighted least squares."""
+    system = _System.of(seen, len(state.centers), len(state.points))
+    weight, moved_weight, size = np.empty((3, len(seen.image)))
+    cost = kernels.robust_cost(seen, *state, SCALE, weight, size)
+    damping, num_small = FIRST_DAMPING, 0
+    with _parallel.single_threaded_blas():
+        for _ in range(MAX_ITERATIONS):
+            gain = 0.0
+            while damping < MOST_DAMPING:
+                moved = system.step(seen, state, weight, damping)
+                after = (
+                    np.inf if moved is None else kernels.robust_cost(seen, *moved, SCALE, moved_weight, size)
+                )
+                if moved is not None and after < cost:
+                    gain, cost, state = (cost - after) / cost, after, moved
+                    weight, moved_weight = moved_weight, weight
+                    damping = max(damping / 3.0, LEAST_DAMPING)
+                    break
+                damping *= 4.0
+            num_small = num_small + 1 if gain < SMALL_GAIN else 0
+            if gain == 0.0 or num_small == PATIENCE:
+                break
+    return state
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _System:
+    """The normal equations of the centers."""
+
+    plan: CholeskyPlan
+    row_start: np.ndarray
+    column: np.ndarray
+    diagonal: np.ndarray
+    """Number of each image's diagonal block."""
+    kept: kernels.Eliminated
+    half: np.ndarray
+
+    @staticmethod
+    def of(seen: kernels.Directions, num_images: int, num_points: int) -> _System:
+        r = len(seen.image)
+        point = np.repeat(np.arange(num_points), np.diff(seen.offsets))
+        incidence = sparse.csr_array((np.ones(r), (seen.image, point)), shape=(num_images, num_points))
+        shared = sparse.tril(incidence @ incidence.T + sparse.eye_array(num_images)).tocsr()
+        shared.sort_indices()
+        row_start, column = shared.indptr.astype(np.int64), shared.indices.astype(np.int64)
+        row = np.repeat(np.arange(num_images), np.diff(row_start))
+        return _System(
+            plan_cholesky(BlockPattern(np.full(num_images, 3, np.int64), row, column)),
+            row_start,
+            column,
+            np.flatnonzero(row == column),
+            kernels.Eliminated(
+                *(np.empty((m, c)) for m, c in ((r, 6), (r, 3), (num_points, 6), (num_points, 3)))
+            ),
+            np.empty((int(np.diff(seen.offsets).max()), 3, 3)),
+        )
+
+    def step(
+        self, seen: kernels.Directions, state: _State, weight: np.ndarray, damping: float
+    ) -> _State | None:
+        """The state that the damped normal equations lead to; None if they are singular."""
+        blocks, gradient = np.zeros((len(self.column), 3, 3)), np.zeros_like(state.centers)
+        kernels.reduce_points(
+            seen,
+            *state,
+            weight,
+            damping,
+            self.kept,
+            self.row_start,
+            self.column,
+            blocks,
+            gradient,
+            self.half,
+        )
+        axis = np.arange(3)
+        own = blocks[self.diagonal[:, None], axis, axis]
+        blocks[self.diagonal[:, None], axis, axis] = (1.0 + damping) * own + kernels.SMALLEST * own.mean()
+        factor = self.plan.factorize(blocks)
+        if factor is None:
+            return None
+        step = factor.solve(gradient.ravel()).reshape(-1, 3)
+        moved = _State(state.centers + step, np.empty_like(state.points), np.empty_like(state.inverse))
+        kernels.substitute_back(seen, *state, damping, step, self.kept, moved.points, moved.inverse)
+        return moved
