@@ -12,13 +12,15 @@ from epipole.io.images.video import is_video
 from epipole.mapping.focal_accuracy import FocalAccuracy
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.pipelines.sfm.mapping_stage import gps_notes
-from epipole.pipelines.sfm.pipeline import Solution
+from epipole.pipelines.sfm.pipeline import FOCAL_CORRECTION, Solution
 
 KINDS_OF_FOLDER = frozenset(
     {"color", "colour", "data", "frames", "image", "images", "img", "imgs", "input"}
     | {"photo", "photographs", "photos", "picture", "pictures", "rgb"}
 )
 """Folder names that do not describe the content."""
+MAX_SHAPE_SIGMA = 0.05
+"""Relative standard deviation of a focal length above which the model's shape is in doubt."""
 CAMERAS_SHOWN = 3
 
 
@@ -51,7 +53,7 @@ def warnings_of(solution: Solution, config: MapperConfig) -> list[str]:
         cameras = [(int(c), model.cameras[int(c)]) for c in used]
         out += [f"model {number}, camera {c}: {words}" for c, one in cameras for words in no_ray_warning(one)]
     out += gps_notes(solution.images, mapped, config)
-    return [*out, *_wrong_focals(solution)]
+    return [*out, *_shape_warnings(solution), *_wrong_focals(solution)]
 
 
 def _wrong_focals(solution: Solution) -> list[str]:
@@ -83,8 +85,8 @@ def absences_of(solution: Solution, reasons: Mapping[str, str]) -> list[str]:
 
 
 def _focal_notes(solution: Solution) -> list[str]:
-    """Notes on focal lengths that were not given: estimated ones, and guesses."""
-    found, unknown, doubtful = [], [], []
+    """Notes on focal lengths that were not given: estimated ones, guesses, and those that the images do not determine."""
+    found, guessed = [], []
     for c in np.flatnonzero(
         ~(solution.images.cameras.is_focal_trusted | solution.images.cameras.is_constant)
     ):
@@ -92,31 +94,51 @@ def _focal_notes(solution: Solution) -> list[str]:
         if final_px is None:
             continue
         of_images, first_px = images_of_camera(solution, int(c)), solution.cameras[int(c)].focal_px
-        accuracy = solution.focals.get(int(c))
-        final = _with_sigma(final_px, accuracy)
+        final = _with_sigma(final_px, solution.focals.get(int(c)))
         if int(c) in solution.guessed_cameras:
             first = f" (first estimate {first_px:.0f} px)" if f"{first_px:.0f}" != f"{final_px:.0f}" else ""
             found.append(f"{of_images}: {final}{first}")
-            if accuracy is None or not accuracy.is_determined:
-                doubtful.append(f"{of_images}: {_fraction_of(accuracy)}")
         else:
-            unknown.append(f"{of_images}: {final} from a guess of {first_px:.0f} px")
+            guessed.append(f"{of_images}: {final} from a guess of {first_px:.0f} px")
     notes = []
     if found:
         words = "focal length" if len(found) == 1 else "focal lengths"
-        warning = (
-            f". The images do not determine {'it' if len(found) == 1 else 'all of them'} well (standard deviation of"
-            f" {_first_of(doubtful)}), so angles and proportions may be wrong by the same amount: give known values with"
-            " --calibration or --camera-params"
-        )
-        notes.append(f"{words} estimated from the images: {_first_of(found)}{warning if doubtful else ''}")
-    if unknown:
-        notes.append(
-            "the focal length is unknown, and the images do not agree on one, so it, and with it angles and "
-            f"proportions, may be wrong by several per cent: {_first_of(unknown)}. Give known values with "
-            "--calibration or --camera-params"
-        )
+        notes.append(f"{words} estimated from the images: {_first_of(found)}")
+    if guessed:
+        notes.append(f"pairs of images do not agree on a focal length: {_first_of(guessed)}")
     return notes
+
+
+def undetermined_focals(solution: Solution) -> list[int]:
+    """Cameras whose focal length is neither given nor determined by the images, so that the model's shape may be wrong.
+
+    A focal length from EXIF counts as given as long as mapping left it nearly unchanged.
+    """
+    cameras = solution.images.cameras
+    out = []
+    for c, accuracy in solution.focals.items():
+        change = abs(np.log(accuracy.model_px / cameras[c].focal_px))
+        is_given = cameras.is_constant[c] or (cameras.is_focal_trusted[c] and change < FOCAL_CORRECTION)
+        if not is_given and not accuracy.sigma_px <= MAX_SHAPE_SIGMA * accuracy.focal_px:
+            out.append(c)
+    return out
+
+
+def _shape_warnings(solution: Solution) -> list[str]:
+    """Warning about focal lengths that nothing determines."""
+    doubtful = undetermined_focals(solution)
+    if not doubtful:
+        return []
+    sigmas = [f"{images_of_camera(solution, c)}: {_fraction_of(solution.focals[c])}" for c in doubtful]
+    of_all = (
+        "the focal length"
+        if len(solution.focals) == 1
+        else f"{len(doubtful)} of {len(solution.focals)} focal lengths"
+    )
+    return [
+        f"the images do not determine {of_all} (standard deviation: {_first_of(sigmas)}), so the shape of the model may be wrong:"
+        " give known values with --calibration or --camera-params, or add images of things at different depths"
+    ]
 
 
 def focal_source(solution: Solution, camera: int) -> str:
@@ -142,8 +164,8 @@ def focal_verdict(accuracy: FocalAccuracy) -> str:
     return f"{verdict} by the images, {_with_sigma(accuracy.focal_px, accuracy)}"
 
 
-def _fraction_of(accuracy: FocalAccuracy | None) -> str:
-    if accuracy is None or not accuracy.sigma_px < accuracy.focal_px:
+def _fraction_of(accuracy: FocalAccuracy) -> str:
+    if not accuracy.sigma_px < accuracy.focal_px:
         return "100 % or more"
     return f"{100 * accuracy.sigma_px / accuracy.focal_px:.1f} %"
 

@@ -16,7 +16,13 @@ from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.pipelines.sfm.anchored import UP_TO_SCALE, with_scale
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.mapping_stage import reasons_in_words
-from epipole.pipelines.sfm.notes import absences_of, focal_source, notes_on_choice_and_cameras, warnings_of
+from epipole.pipelines.sfm.notes import (
+    absences_of,
+    focal_source,
+    notes_on_choice_and_cameras,
+    undetermined_focals,
+    warnings_of,
+)
 from epipole.pipelines.sfm.options import ReconstructKeywords
 from epipole.pipelines.sfm.page.content import page_content
 from epipole.pipelines.sfm.page.page import render_report
@@ -205,6 +211,7 @@ def _summary(
             }
             for c, focal in solution.focals.items()
         ],
+        "is_shape_determined": not undetermined_focals(solution),
         "contradicting_pairs": _contradicting(solution),
         "not_registered": reasons,
         "warnings": warnings,

@@ -1,0 +1,92 @@
+"""Photographs of a plane by cameras of unknown focal lengths: the summary says that the model's shape may be wrong."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from epipole import reconstruct
+from epipole.cameras import Camera, CameraModel
+from epipole.io.colmap.database import DatabaseContents, write_database
+from epipole.pipelines.sfm.config import ReconstructConfig
+from epipole.scene import Cameras, Frames, Images, Rigs, unregistered
+from epipole.synthetic import look_at
+
+pytestmark = pytest.mark.usefixtures("unchecked_module")
+
+NUM_CAMERAS, NUM_POINTS, NOISE_PX, WRONG = 10, 400, 0.5, 0.05
+
+
+def keypoints_of_cameras(rng, relief, tilt):
+    """Sizes, keypoints and point numbers of ten cameras above a square of points, which look down with a tilt."""
+    points = np.c_[rng.uniform(-1, 1, (NUM_POINTS, 2)), relief * rng.normal(size=NUM_POINTS)]
+    widths = 640 + 2 * np.arange(NUM_CAMERAS)  # of different sizes, so that each is a camera of its own
+    keypoints, numbers = [], []
+    for width in widths:
+        intrinsics = np.array([rng.uniform(500, 900), (width - 1) / 2, 239.5])
+        camera = Camera(CameraModel.SIMPLE_PINHOLE, int(width), 480, intrinsics)
+        side = tilt * rng.uniform(-1.2, 1.2, 2)
+        cam_from_world = look_at((*side, rng.uniform(2.0, 3.0)), (*rng.uniform(-0.2, 0.2, 2), 0.0))
+        pixels = camera.project(cam_from_world.apply(points)) + NOISE_PX * rng.normal(size=(NUM_POINTS, 2))
+        inside = ((pixels > 0) & (pixels < [width - 1, 479])).all(axis=1)
+        keypoints.append(pixels[inside])
+        numbers.append(np.flatnonzero(inside))
+    return widths, keypoints, numbers
+
+
+def matches_of(rng, numbers):
+    """Matches of all pairs with 30 common points, some of them wrong."""
+    out = {}
+    for i in range(NUM_CAMERAS):
+        for j in range(i + 1, NUM_CAMERAS):
+            _, first, second = np.intersect1d(numbers[i], numbers[j], return_indices=True)
+            if len(first) >= 30:
+                wrong = np.flatnonzero(rng.random(len(second)) < WRONG)
+                second[wrong] = rng.permutation(second[wrong])
+                out[i, j] = np.stack([first, second], axis=1).astype(np.int32)
+    return out
+
+
+def write_photographs(folder, seed, relief, tilt):
+    """Images of noise, and a database with keypoints, matches and guessed focal lengths."""
+    rng = np.random.default_rng(seed)
+    widths, keypoints, numbers = keypoints_of_cameras(rng, relief, tilt)
+    (folder / "images").mkdir()
+    names = tuple(f"{k:02d}.png" for k in range(NUM_CAMERAS))
+    for name, width in zip(names, widths):
+        Image.fromarray(rng.integers(0, 255, (480, width), dtype=np.uint8)).save(folder / "images" / name)
+    guesses = [
+        Camera(CameraModel.SIMPLE_RADIAL, int(w), 480, np.array([1.2 * w, (w - 1) / 2, 239.5, 0.0]))
+        for w in widths
+    ]
+    cameras = Cameras.from_list(guesses, is_focal_trusted=np.zeros(NUM_CAMERAS, bool))
+    rows = np.arange(NUM_CAMERAS, dtype=np.int32)
+    offsets = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
+    contents = DatabaseContents(
+        cameras,
+        Rigs.of_single_cameras(NUM_CAMERAS),
+        Frames(rows, unregistered(NUM_CAMERAS), np.full(NUM_CAMERAS, np.nan)),
+        Images(names, rows, rows, offsets, np.concatenate(keypoints)),
+        None,
+        matches_of(rng, numbers),
+    )
+    write_database(folder / "given.db", contents)
+
+
+def summary_of(folder, seed, relief, tilt):
+    write_photographs(folder, seed, relief, tilt)
+    return reconstruct(
+        folder / "images", folder / "out", ReconstructConfig(database=folder / "given.db")
+    ).summary
+
+
+@pytest.mark.parametrize(("seed", "tilt"), [(0, 0.15), (1, 0.5), (2, 1.0)])
+def test_a_plane_does_not_determine_ten_focal_lengths(tmp_path, seed, tilt):
+    summary = summary_of(tmp_path, seed, 0.0, tilt)
+    assert not summary["is_shape_determined"]
+    assert any("the shape of the model may be wrong" in warning for warning in summary["warnings"])
+
+
+def test_depth_determines_them(tmp_path):
+    summary = summary_of(tmp_path, 0, 0.5, 1.0)
+    assert summary["num_registered"] == NUM_CAMERAS and summary["is_shape_determined"]
+    assert not any("shape" in warning for warning in summary["warnings"])
