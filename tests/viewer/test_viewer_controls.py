@@ -170,6 +170,10 @@ def test_the_distance_of_two_points_and_its_deviation(empty_tab: Opened) -> None
 def test_the_deviation_holds_over_many_draws(rng: np.random.Generator) -> None:
     """First order against a thousand triangulations of noisy pixels."""
     model, noise = three_cameras(2), 0.05
+    exact = [
+        model.cameras[0].project(model.cams_from_world()[i].apply(model.points.xyz_in_world)) for i in (0, 1)
+    ]
+    model = replace(model, images=replace(model.images, keypoints_px=np.concatenate(exact)))
     covariances = covariances_of_points(model, noise)
     # Two cameras at x = 0 and 1, f = 50, depth 4: the disparity's deviation is sqrt(2) noise.
     pixels = 50.0 * model.points.xyz_in_world[:, 0] / 4.0
