@@ -677,7 +677,7 @@ def _mapping() -> Iterator[Row]:
     yield _row(consistency.fractions, model=builder)
     yield _row(consistency.overall, model=builder)
     yield _row(consistency.num_explained, model=builder)
-    yield _row(consistency.of_image, model=builder, image=1)
+    yield _row(consistency.of_images, model=builder)
     which = np.arange(len(components))
     yield _row(builder.update_rays, camera=0)
     yield _row(builder.camera, index=0)

@@ -79,7 +79,7 @@ def test_triangulation_is_exact_and_filters_what_does_not_fit(rng):
     model.register(2, moved)
     assert model.filter(4.0, np.deg2rad(1.5)) == len(points)
     assert (model.row_point[model.row_image == 2] == -1).all()
-    assert MatchConsistency(model, graph).of_image(model, 2) == 0.0
+    assert MatchConsistency(model, graph).of_images(model)[2] == 0.0
 
 
 def test_a_wrong_row_is_left_out_of_its_point(rng):

@@ -54,10 +54,11 @@ class MatchConsistency:
         return int(((point1 == point2) & (point1 >= 0)).sum())
 
     @checked
-    def of_image(self, model: ModelBuilder, image: int) -> float:
-        """The fraction over the matches of one image with registered images; 1 without such matches."""
+    def of_images(self, model: ModelBuilder) -> Float64[np.ndarray, " n"]:
+        """The fraction over the matches of each image with registered images; 1 without such matches."""
         fractions, count = self.fractions(model)
-        own = ((self._view_graph.image1 == image) | (self._view_graph.image2 == image)) & np.isfinite(
-            fractions
-        )
-        return float((fractions[own] * count[own]).sum() / count[own].sum()) if count[own].sum() else 1.0
+        known, total = np.isfinite(fractions), np.zeros((2, len(model.registered)))
+        for side in (self._view_graph.image1, self._view_graph.image2):
+            total[0] += np.bincount(side[known], (fractions * count)[known], len(total[0]))
+            total[1] += np.bincount(side[known], count[known], len(total[1]))
+        return np.divide(total[0], total[1], out=np.ones(len(total[0])), where=total[1] > 0)

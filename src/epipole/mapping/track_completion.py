@@ -119,9 +119,10 @@ def _matches_in(
     """(k, 4) rows (image1, keypoint1, image2, keypoint2) with image2 = `image`, and the angles of the descriptors."""
     row = slice(shared.indptr[image], shared.indptr[image + 1])
     neighbors = shared.indices[row][shared.data[row] >= MIN_SHARED_POINTS]
-    is_seen = np.zeros(model.num_points, bool)
+    is_neighbor, is_seen = np.zeros(len(model.registered), bool), np.zeros(model.num_points, bool)
+    is_neighbor[neighbors] = True
     is_seen[observed.point[observed.image == image]] = True
-    near = np.flatnonzero(np.isin(observed.image, neighbors) & ~is_seen[observed.point])
+    near = np.flatnonzero(is_neighbor[observed.image] & ~is_seen[observed.point])
     references = _closest_views(near, observed, model, image)
     points = model.points[observed.point[references]]
     camera = model.camera(int(model.camera_of_image[image]))
@@ -139,11 +140,16 @@ def _matches_in(
 
 
 def _closest_views(near: np.ndarray, observed: _Observations, model: ModelBuilder, image: int) -> np.ndarray:
-    """For each point of the observations `near`, the one whose direction is closest to that of `image`."""
-    away = model.center[image] - model.points[observed.point[near]]
+    """For each point of the observations `near`, sorted by point, the one whose direction is closest to that of `image`."""
+    point = observed.point[near]
+    starts = np.flatnonzero(np.diff(point, prepend=-1))
+    if not len(starts):
+        return near
+    away = model.center[image] - model.points[point[starts]]
     away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-300)
-    cosine = (away * observed.to_camera[near]).sum(axis=1)
-    order = np.lexsort((-cosine, observed.point[near]))
-    first = np.unique(observed.point[near][order], return_index=True)[1]
-    best = order[first]
-    return np.asarray(near[best[cosine[best] >= MIN_VIEW_COSINE]])
+    counts = np.diff(np.append(starts, len(near)))
+    cosine = np.einsum("ka,ka->k", np.repeat(away, counts, axis=0), observed.to_camera[near])
+    largest = np.maximum.reduceat(cosine, starts)
+    row = np.where(cosine == np.repeat(largest, counts), np.arange(len(near)), len(near))
+    best = np.minimum.reduceat(row, starts)  # the first one that is closest
+    return np.asarray(near[best[largest >= MIN_VIEW_COSINE]])

@@ -85,7 +85,8 @@ def map_globally(
     if model.registered.sum() > num_positioned:
         mapper.adjust_globally(config.final_rounds)
     mapper.finish()
-    for image in np.flatnonzero(model.registered):
+    doubtful = mapper.consistency.of_images(model) < config.image_fraction
+    for image in np.flatnonzero(doubtful & model.registered):
         mapper.take_out_if_wrong(int(image))
     adjusting(num_rounds, num_rounds)
     progress(int(model.registered.sum()), total)

@@ -197,7 +197,7 @@ class IncrementalMapper:
         """Remove an image whose matches are different points of the model, which means that its pose is wrong."""
         if not self.model.registered[image] or self.model.registered.sum() <= 3:
             return
-        if self.consistency.of_image(self.model, image) < self.config.image_fraction:
+        if self.consistency.of_images(self.model)[image] < self.config.image_fraction:
             in_sight = self._num_rows_in_sight(image)
             self.model.deregister(image)
             self.rejections[image] = Rejection(image, in_sight, 0)
