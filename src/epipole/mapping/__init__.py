@@ -11,6 +11,8 @@ from epipole.mapping.match_components import FurtherMatches as FurtherMatches
 from epipole.mapping.match_components import MatchComponents as MatchComponents
 from epipole.mapping.match_components import choose_tracks as choose_tracks
 from epipole.mapping.match_components import connect_matches as connect_matches
+from epipole.mapping.missing_points import MissingPoints as MissingPoints
+from epipole.mapping.missing_points import find_missing_points as find_missing_points
 from epipole.mapping.model_builder import ModelBuilder as ModelBuilder
 from epipole.mapping.model_builder import Snapshot as Snapshot
 from epipole.mapping.pair_consistency import PairConsistency as PairConsistency
