@@ -42,7 +42,7 @@ from epipole.optim.block_cholesky import BlockPattern, plan_cholesky
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.robust import PairMatches
 from epipole.solvers.two_view import hartley_normalization
-from epipole.synthetic import problems, rides, stereo_rooms
+from epipole.synthetic import look_alike, problems, rides, stereo_rooms
 from epipole.synthetic.ride import Shutter
 
 ROOMS = (
@@ -781,6 +781,8 @@ def _synthetic() -> Iterator[Row]:
     yield _row(problems.absolute_pose_problem, **seen, planar=True, **more)
     counts = {"num_cameras": 4, "num_points": 10, "track_length": 2, "noise_px": 0.5, "seed": 1}
     yield _row(problems.bundle_problem, **counts, model=CameraModel.RADIAL)
+    yield _row(look_alike.city_of_like_blocks, seed=1)
+    yield _row(look_alike.tiled_room, seed=1)
     yield _row(stereo_rooms.stereo_room, seed=1, size=(48, 36))
     yield _row(stereo_rooms.stereo_street, seed=1, size=(48, 36), focal_px=60.0, baseline=0.1)
 

@@ -131,7 +131,7 @@ def _kitti00(folder: Path, work: Path) -> SfmTask:
     world_from_cam = np.loadtxt(source / "poses.txt").reshape(-1, 3, 4)
     frames = [(source / f"{k:06d}.png", pose) for k, pose in enumerate(world_from_cam)]
     fx, fy, cx, cy = map(float, np.loadtxt(source / "intrinsics.txt").ravel()[:4])
-    return _of_frames("kitti00", [f for f in frames if f[0].is_file()], (fx, fy, cx + 0.5, cy + 0.5), work)
+    return of_frames("kitti00", [f for f in frames if f[0].is_file()], (fx, fy, cx + 0.5, cy + 0.5), work)
 
 
 def _kitchen(folder: Path, work: Path) -> SfmTask:
@@ -139,7 +139,7 @@ def _kitchen(folder: Path, work: Path) -> SfmTask:
     source = folder / "7scenes"
     images = sorted(source.glob("frame-*.color.jpg"))[::8]
     frames = [(p, np.loadtxt(str(p).replace(".color.jpg", ".pose.txt"))[:3]) for p in images]
-    return _of_frames("kitchen", frames, (585.0, 585.0, 320.0, 240.0), work)
+    return of_frames("kitchen", frames, (585.0, 585.0, 320.0, 240.0), work)
 
 
 def _kitchen_start(folder: Path, work: Path) -> SfmTask:
@@ -149,7 +149,7 @@ def _kitchen_start(folder: Path, work: Path) -> SfmTask:
     rows = np.loadtxt(source / "poses_sfm.txt")
     pose_of = {round(row[0]): matrix_of(row[1:8]) for row in rows}
     frames = [(p, pose_of[int(p.name[6:12])]) for p in images]
-    return _of_frames("kitchen-start", frames, (525.5, 525.5, 320.5, 240.5), work)
+    return of_frames("kitchen-start", frames, (525.5, 525.5, 320.5, 240.5), work)
 
 
 def matrix_of(pose: np.ndarray) -> np.ndarray:
@@ -158,7 +158,7 @@ def matrix_of(pose: np.ndarray) -> np.ndarray:
     return np.column_stack([rotation, pose[:3]])
 
 
-def _of_frames(
+def of_frames(
     name: str, frames: list[tuple[Path, np.ndarray]], params: tuple[float, ...], work: Path
 ) -> SfmTask:
     """A task of frames with known K and poses (world_from_cam, 3 x 4); image links and truth go under `work`."""
