@@ -4,12 +4,12 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from mapping_graphs import graph_of_rotations
 
 from epipole.errors import ShapeError
 from epipole.geometry import Rotation3
 from epipole.mapping import check_rotation_cycles
 from epipole.mapping.rotation_averaging import average_rotations, triangle_support
+from mapping_graphs import graph_of_rotations
 
 
 def random_rotations(rng, count):

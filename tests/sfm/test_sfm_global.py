@@ -5,7 +5,6 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from mapping_graphs import graph_of_rotations
 from test_sfm_incremental import EXACT, errors_of, mapper_of, view_graph_of
 
 from epipole.cameras import Camera, CameraModel
@@ -17,6 +16,7 @@ from epipole.pipelines.sfm.mappers import map_with
 from epipole.robust import PairKind
 from epipole.scene import Cameras, Reconstruction, ViewGraph
 from epipole.synthetic.problems import bundle_problem
+from mapping_graphs import graph_of_rotations
 
 pytestmark = pytest.mark.usefixtures("unchecked")  # many small calls, of types that other tests check
 

@@ -58,7 +58,9 @@ def find_missing_points(model: Reconstruction) -> MissingPoints:
     """
     observed = _observations_of(model)
     registered = np.flatnonzero(model.is_registered())
-    checked_images = registered[np.linspace(0, len(registered) - 1, min(len(registered), MAX_IMAGES)).astype(int)]
+    checked_images = registered[
+        np.linspace(0, len(registered) - 1, min(len(registered), MAX_IMAGES)).astype(int)
+    ]
     parts = [_missing_in(model, observed, int(image)) for image in checked_images]
     pairs = np.concatenate([np.zeros((0, 3)), *parts])
     return MissingPoints(pairs[:, 0].astype(np.int32), pairs[:, 1].astype(np.int32), pairs[:, 2].copy())
