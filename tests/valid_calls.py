@@ -623,6 +623,9 @@ def _global(graph: scene.ViewGraph, components: mapping.MatchComponents, num_ima
 
 def _mapping() -> Iterator[Row]:
     model, graph = _ring().start, _view_graph()
+    yield _row(mapping.find_missing_points, model=model)
+    missing = mapping.find_missing_points(model)
+    yield _row(mapping.MissingPoints, **{n: getattr(missing, n) for n in missing.__slots__})
     offsets, builder = model.images.keypoint_offsets, _builder()
     components, freedom = builder.components, mapping.Freedom()
     quick = BundleConfig(max_iterations=2)

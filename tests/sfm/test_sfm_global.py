@@ -13,10 +13,12 @@ from epipole.mapping import ModelBuilder, connect_matches
 from epipole.pipelines.sfm.global_mapper import average_cameras, map_globally
 from epipole.pipelines.sfm.incremental import IncrementalMapper
 from epipole.pipelines.sfm.mappers import map_with
+from epipole.pipelines.sfm.matching.pair_selection import consistent_pairs
 from epipole.robust import PairKind
 from epipole.scene import Cameras, Reconstruction, ViewGraph
 from epipole.synthetic.problems import bundle_problem
 from mapping_graphs import graph_of_rotations
+from whole import IS_WHOLE
 
 pytestmark = pytest.mark.usefixtures("unchecked")  # many small calls, of types that other tests check
 
@@ -132,3 +134,67 @@ def test_without_known_motions_the_incremental_mapper_is_used(ring, graph):
     mapper = mapper_of(ring, replace(with_rotations(graph, rotation), kind=kind))
     assert map_with(mapper, np.ones(12, bool)) == "incremental"
     assert mapper.model.registered.all()
+
+
+def with_false_pairs(truth, graph, rng, fraction=0.3):
+    """Replace a fraction of the pairs by false ones with geometry and matches that agree: image c also shows what b shows.
+
+    Returns the keypoints, with those of the look-alikes added, and the pairs, with a mask of the false ones.
+    """
+    n = len(truth.images)
+    own = [truth.images.keypoints_of(i) for i in range(n)]
+    keypoints, num_false = [[k] for k in own], round(fraction * len(graph))
+    kept = np.ones(len(graph), bool)
+    kept[rng.permutation(len(graph))[:num_false]] = False
+    pairs = {}
+    for e in np.flatnonzero(kept):
+        rows = slice(graph.match_offsets[e], graph.match_offsets[e + 1])
+        pairs[int(graph.image1[e]), int(graph.image2[e])] = (
+            e,
+            graph.keypoint1[rows],
+            graph.keypoint2[rows],
+            False,
+        )
+    for e in rng.choice(len(graph), num_false, replace=False):
+        a, b = int(graph.image1[e]), int(graph.image2[e])
+        far = [c for c in range(a + 1, n) if min(c - a, a + n - c) > 5 and (a, c) not in pairs]
+        if far:
+            c = int(rng.choice(far))
+            rows = slice(graph.match_offsets[e], graph.match_offsets[e + 1])
+            shift = sum(len(block) for block in keypoints[c])
+            keypoints[c].append(own[b])
+            pairs[a, c] = (e, graph.keypoint1[rows], graph.keypoint2[rows] + shift, True)
+    order = sorted(pairs)
+    source = np.array([pairs[p][0] for p in order])
+    counts = [len(pairs[p][1]) for p in order]
+    mixed = ViewGraph(
+        *np.array(order, np.int32).T.copy(),
+        graph.kind[source],
+        np.array(counts, np.int32),
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        np.concatenate([pairs[p][1] for p in order]).astype(np.int32),
+        np.concatenate([pairs[p][2] for p in order]).astype(np.int32),
+        graph.cam2_from_cam1[source],
+        *(graph.essential[source], graph.fundamental[source], graph.homography[source]),
+        graph.median_angle_rad[source],
+    )
+    return [np.concatenate(k) for k in keypoints], mixed, np.array([pairs[p][3] for p in order])
+
+
+@pytest.mark.parametrize("seed", range(20) if IS_WHOLE else range(2))
+@pytest.mark.parametrize("method", ["global", "incremental"])
+def test_pairs_that_look_alike_spoil_no_model(seed, method):
+    """Three of ten verified pairs show different things, each with matches that agree on one wrong motion."""
+    truth = bundle_problem(24, 1500, 6, noise_px=0.3, seed=seed).truth
+    rng, config = np.random.default_rng(seed), replace(EXACT, method=method, seed=seed)
+    keypoints, mixed, is_false = with_false_pairs(truth, view_graph_of(truth), rng)
+    assert is_false.mean() > 0.2
+    used, dropped = consistent_pairs(mixed, 24, config)
+    assert len(dropped) == is_false.sum() and len(used) == (~is_false).sum()
+    offsets = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
+    cameras = replace(truth.cameras, is_constant=np.ones(1, bool))
+    builder = ModelBuilder(cameras, truth.camera_of_image, keypoints, connect_matches(used, offsets))
+    mapper = IncrementalMapper(builder, used, config)
+    assert map_with(mapper, np.ones(24, bool)) == method
+    off, rotated = errors_of(mapper, truth)
+    assert builder.registered.all() and off.max() < 0.02 and np.rad2deg(np.median(rotated)) < 0.2

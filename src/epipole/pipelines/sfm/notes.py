@@ -48,6 +48,13 @@ def warnings_of(solution: Solution, config: MapperConfig) -> list[str]:
                 f"model {number} agrees with only {100 * agreement:.0f} % of its matches: "
                 "parts of it are probably wrong (a wrong focal length, or similar-looking structures)"
             )
+    out += [
+        f"model {number}: {int(missing.is_contradiction.sum())} of {len(missing)} pairs of images that overlap in it lack common"
+        " points in a third of the overlap or more: it probably shows different things that look alike as one; map them"
+        " apart (--exclude), or match only neighboring images (--pairs, --pairing.method sequential)"
+        for number, missing in enumerate(solution.missing_points)
+        if missing.contradicts_model
+    ]
     for number, model in enumerate(mapped.models):
         used = np.unique(model.camera_of_image[model.is_registered()])
         cameras = [(int(c), model.cameras[int(c)]) for c in used]

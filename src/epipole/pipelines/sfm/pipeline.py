@@ -17,6 +17,7 @@ from epipole import _jit
 from epipole.errors import ConfigError, NoModelError
 from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.images.video import extract_frames, frame_orientation, is_video
+from epipole.mapping import MissingPoints, find_missing_points
 from epipole.mapping.focal_accuracy import FocalAccuracy, focal_accuracies
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.focal import estimate_focals
@@ -64,13 +65,16 @@ class Solution:
     """Verified pairs that are not used, because they contradict the others."""
     focals: Mapping[int, FocalAccuracy] = field(default_factory=dict)
     """Accuracy of each camera's focal length in the models, by row."""
+    missing_points: tuple[MissingPoints, ...] = ()
+    """For each model, how much of the overlap of its images shows no common point."""
 
-    def with_focals(self) -> Solution:
-        """Copy with the accuracy of the focal lengths, each from the largest model with that camera."""
+    def with_checks(self) -> Solution:
+        """Copy with missing points, and the accuracy of the focal lengths, each from the largest model with that camera."""
         found: dict[int, FocalAccuracy] = {}
         for model in self.mapped.models:
             found = {**focal_accuracies(model), **found}
-        return replace(self, focals=dict(sorted(found.items())))
+        missing = tuple(find_missing_points(model) for model in self.mapped.models)
+        return replace(self, focals=dict(sorted(found.items())), missing_points=missing)
 
     def worth(self) -> tuple[int, int]:
         """Number of images and observations of the largest model."""

@@ -107,7 +107,7 @@ def reconstruct(
                 mapped, notes = with_scale(solution, config, progress)
             run.warnings += notes
             with run.stage("check"):
-                solution = replace(solution, mapped=mapped).with_focals()
+                solution = replace(solution, mapped=mapped).with_checks()
         reasons = _reasons(solution, config)
         with run.stage("write"):
             write_results(solution, run)
@@ -189,8 +189,12 @@ def _summary(
                 "mean_reprojection_error_px": _finite(m.mean_reprojection_error_px()),
                 "match_agreement": agreement,
                 "mapper": method,
+                "num_overlapping_pairs": len(missing),
+                "num_pairs_without_common_points": int(missing.is_contradiction.sum()),
             }
-            for m, agreement, method in zip(models, solution.mapped.agreements, solution.mapped.methods)
+            for m, agreement, method, missing in zip(
+                models, solution.mapped.agreements, solution.mapped.methods, solution.missing_points
+            )
         ],
         "num_points": len(model.points),
         "num_observations": len(model.tracks.image),
