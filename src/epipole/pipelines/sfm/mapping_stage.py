@@ -119,7 +119,7 @@ def _counting(progress: ProgressCallback, remaining: np.ndarray) -> Callable[[in
         nonlocal best, num_attempts
         note = ""
         if done == 0:
-            note = "starts again from another initial pair" if num_attempts else ""
+            note = "starts again in another way" if num_attempts else ""
             best, num_attempts = 0, num_attempts + 1
         best = max(best, done)
         progress(Progress("map", earlier + best, len(remaining), note))
