@@ -636,7 +636,7 @@ def _mapping() -> Iterator[Row]:
     cycles = {"num_images": len(model.images), "has_rotation": has_rotation, "max_angle_rad": 0.2}
     yield _row(mapping.check_rotation_cycles, view_graph=graph, **cycles)
     found = mapping.check_rotation_cycles(graph, **cycles)
-    yield _row(mapping.PairConsistency, contradicts=found.contradicts, angle_rad=found.angle_rad)
+    yield _row(mapping.PairConsistency, **{n: getattr(found, n) for n in found.__slots__})
     yield from _global(graph, components, len(model.images))
     parts = {name: getattr(components, name) for name in components.__slots__}
     yield _row(mapping.MatchComponents, **parts)

@@ -23,6 +23,8 @@ class PairConsistency(Declared):
     contradicts: Bool[np.ndarray, " n"]
     angle_rad: Float64[np.ndarray, " n"]
     """Angle between the pair's rotation and the averaged one; NaN if the pair has no rotation."""
+    cams_from_world: Float64[np.ndarray, "i 3 3"]
+    """Averaged rotation of each image."""
 
     def __repr__(self) -> str:
         return f"PairConsistency({int(self.contradicts.sum())} of {len(self.contradicts)} pairs contradict)"
@@ -52,4 +54,4 @@ def check_rotation_cycles(
         view_graph.num_inliers()[rows].astype(np.float64),
     )
     angle[rows] = averaged.residuals_rad
-    return PairConsistency(np.nan_to_num(angle) > max_angle_rad, angle)
+    return PairConsistency(np.nan_to_num(angle) > max_angle_rad, angle, averaged.cams_from_world)

@@ -159,7 +159,9 @@ def _match_and_map(
         if found:  # repeat with the estimated focal lengths
             again = folder.with_name(f"{folder.name}-calibrated")
             view_graph = _verify(replace(todo, cameras=cameras), matches, again, run, num_features)
-        view_graph, contradicting = consistent_pairs(view_graph, len(images), config.mapper)
+        view_graph, contradicting = consistent_pairs(
+            view_graph, detected.keypoints, cameras, todo.camera_of_image, config.mapper
+        )
     with run.stage("map"):
         mapped = map_images(
             images,

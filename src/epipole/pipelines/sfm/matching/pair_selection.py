@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int32
 
 from epipole._checks import Declared
+from epipole.errors import EpipoleError
+from epipole.geometry import Rigid3, Rotation3, essential_from_cam2_from_cam1
+from epipole.geometry.planes import decompose_homography
 from epipole.mapping import check_rotation_cycles
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.robust import PairKind
-from epipole.scene import ViewGraph
+from epipole.scene import Cameras, ViewGraph
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,15 +34,61 @@ class ContradictingPairs(Declared):
 
 
 def consistent_pairs(
-    view_graph: ViewGraph, num_images: int, config: MapperConfig
+    view_graph: ViewGraph,
+    keypoints: Sequence[np.ndarray],
+    cameras: Cameras,
+    camera_of_image: Int32[np.ndarray, " i"],
+    config: MapperConfig,
 ) -> tuple[ViewGraph, ContradictingPairs]:
     """Separate the pairs that contradict the others.
 
-    A pair with a guessed focal length has no rotation to compare, and stays.
+    A pair with a guessed focal length has no rotation to compare, and stays. A plane allows two motions; if the pair has the
+    one that contradicts the others, it gets the other one.
+
+    Args:
+        view_graph: verified pairs.
+        keypoints: (k, 2) pixels of each image.
+        cameras: intrinsics.
+        camera_of_image: row of `cameras` of each image.
+        config: options.
     """
     is_calibrated = view_graph.kind != PairKind.UNCALIBRATED
     limit_rad = np.deg2rad(config.max_contradiction_deg)
-    consistency = check_rotation_cycles(view_graph, num_images, is_calibrated, limit_rad)
-    dropped = consistency.contradicts
+    consistency = check_rotation_cycles(view_graph, len(keypoints), is_calibrated, limit_rad)
+    dropped = consistency.contradicts.copy()
+    motions = view_graph.cam2_from_cam1
+    rotation, translation, essential = (
+        motions.rotation.copy(),
+        motions.translation.copy(),
+        view_graph.essential.copy(),
+    )
+    for pair in np.flatnonzero(dropped & (view_graph.kind == PairKind.PLANAR)):
+        i, j = int(view_graph.image1[pair]), int(view_graph.image2[pair])
+        rows = view_graph.keypoint1[view_graph.match_offsets[pair] : view_graph.match_offsets[pair + 1]]
+        K1, K2 = (cameras[int(camera_of_image[image])].K for image in (i, j))
+        expected = consistency.cams_from_world[j] @ consistency.cams_from_world[i].T
+        other = _plane_motion(view_graph.homography[pair], K1, K2, keypoints[i][rows], expected)
+        if other is not None and Rotation3(other.rotation @ expected.T).angle_rad() <= limit_rad:
+            rotation[pair], translation[pair] = other.rotation, other.translation
+            essential[pair] = essential_from_cam2_from_cam1(other)
+            dropped[pair] = False
+    chosen = replace(view_graph, cam2_from_cam1=Rigid3(rotation, translation), essential=essential)
     found = ContradictingPairs(view_graph.select(dropped), consistency.angle_rad[dropped])
-    return view_graph.select(~dropped), found
+    return chosen.select(~dropped), found
+
+
+def _plane_motion(
+    homography: np.ndarray, K1: np.ndarray, K2: np.ndarray, pixels1: np.ndarray, expected: np.ndarray
+) -> Rigid3 | None:
+    """The motion of a homography whose rotation is nearest the expected one, with |t| = 1; None if there is none."""
+    try:
+        motions = decompose_homography(homography, K1, K2, pixels1).cam2_from_cam1
+    except EpipoleError:
+        return None
+    lengths = np.linalg.norm(motions.translation, axis=1)
+    usable = np.flatnonzero(lengths > 0)
+    if not len(usable):
+        return None
+    angles = Rotation3(motions.rotation[usable] @ expected.T).angle_rad()
+    best = usable[int(np.argmin(angles))]
+    return Rigid3(motions.rotation[best], motions.translation[best] / lengths[best])
