@@ -88,7 +88,7 @@ def test_matching_equals_brute_force(rng, n, m):
 @pytest.mark.parametrize(("n", "m"), [(1, 1), (8, 32), (9, 33), (700, 1003)])
 def test_byte_products_equal_float_products(rng, n, m):
     if matching.byte_kernels.LANES == 0:
-        pytest.skip("this processor has no byte dot product")
+        pytest.skip("this processor has no products of whole numbers")
     a, b = (root_sift(rng.gamma(0.3, 1, (k, 128)).astype(np.float32)) for k in (n, m))
     b[: min(n, m)] = a[: min(n, m)]
     b[m // 2 :] = b[: m - m // 2]  # exact ties

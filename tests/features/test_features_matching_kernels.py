@@ -124,22 +124,23 @@ def padded(descriptors: np.ndarray, multiple: int) -> np.ndarray:
     return np.pad(descriptors, ((0, -len(descriptors) % multiple), (0, 0))).astype(int)
 
 
-@pytest.mark.skipif(byte_kernels.LANES == 0, reason="this processor has no byte dot product")
+@pytest.mark.skipif(byte_kernels.LANES == 0, reason="this processor has no products of whole numbers")
 @pytest.mark.parametrize("sizes", [(11, 70), (8, 32), (1, 1), (0, 5), (3, 0)])
 @reference_of(byte_kernels.pack_rows, byte_kernels.pack_columns, byte_kernels.byte_top_two)
 def test_of_bytes(rng: np.random.Generator, sizes: tuple[int, int]) -> None:
     a, b = (rng.integers(0, 40, (k, 128)).astype(np.uint8) for k in sizes)
     a[: len(a) // 3], b[len(b) // 2 :] = 0, b[: len(b) - len(b) // 2]  # no similarity at all; exact ties
     wide_a, wide_b = padded(a, byte_kernels.ROWS), padded(b, byte_kernels.COLUMNS)
-    rows = np.empty((len(wide_a) // byte_kernels.ROWS, byte_kernels.ROWS, 128), np.int8)
+    rows = np.empty((len(wide_a) // byte_kernels.ROWS, byte_kernels.ROWS, 128), byte_kernels.ROW_TYPE)
     tiles = len(wide_b) // byte_kernels.COLUMNS
-    columns = np.empty((tiles, byte_kernels.STEPS, byte_kernels.COLUMNS, 4), np.uint8)
+    layout = (tiles, byte_kernels.STEPS, byte_kernels.COLUMNS, byte_kernels.GROUP)
+    columns = np.empty(layout, byte_kernels.COLUMN_TYPE)
     bias = np.empty((tiles, byte_kernels.COLUMNS), np.uint32)
     _, (_, rows) = assert_same_as_python(byte_kernels.pack_rows, a, rows)
-    np.testing.assert_array_equal(rows.reshape(-1, 128), wide_a - 128)
+    np.testing.assert_array_equal(rows.reshape(-1, 128), wide_a - byte_kernels.SHIFT)
     _, (_, columns, bias) = assert_same_as_python(byte_kernels.pack_columns, b, columns, bias)
     np.testing.assert_array_equal(columns.swapaxes(1, 2).reshape(-1, 128), wide_b)
-    np.testing.assert_array_equal(bias.ravel(), 128 * wide_b.sum(axis=1))
+    np.testing.assert_array_equal(bias.ravel(), byte_kernels.SHIFT * wide_b.sum(axis=1))
 
     best, second = np.zeros((2, len(wide_a)), np.uint32)
     column, column_best = np.zeros(len(wide_a), np.int32), np.zeros(bias.shape, np.uint32)

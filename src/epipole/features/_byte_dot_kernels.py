@@ -1,11 +1,12 @@
-"""Top two similarities of byte descriptors, with the processor's byte dot product (VNNI).
+"""Top two similarities of byte descriptors, with the processor's products of whole numbers (VNNI, else AVX2).
 
 x86 processors with VNNI multiply 4 x 16 (or 4 x 8) bytes and accumulate them as integers in one instruction: four
-times the throughput of a float32 product, and exact. `tile_top_two` is the micro-kernel: ROWS descriptors of image 1
-against VECTORS * LANES of image 2, in registers. The best and second best of each row and the best of each column
-are updated on the fly, so similarities are never written to memory.
+times the throughput of a float32 product, and exact. AVX2 alone multiplies 2 x 8 words of 16 bits: twice that of a float32
+product. `tile_top_two` is the micro-kernel: ROWS descriptors of image 1 against VECTORS * LANES of image 2, in registers.
+The best and second best of each row and the best of each column are updated on the fly, so similarities are never written to
+memory.
 
-    a . b = (a - 128) . b + 128 * sum(b)      the instruction multiplies signed by unsigned bytes
+    a . b = (a - SHIFT) . b + SHIFT * sum(b)  VNNI multiplies signed by unsigned bytes; words need no shift
     key   = similarity << GROUP_BITS | rank   larger key: larger similarity, then earlier column
 
 `_matching_kernels.top_two` gives the same numbers on any processor, from a float32 product.
@@ -22,21 +23,24 @@ from epipole._jit import kernel
 from epipole._jit.mode import KernelMode, kernel_mode
 
 WIDTH = 128  # bytes of a descriptor
-STEPS = WIDTH // 4
-ROWS, VECTORS = 8, 2
+VECTORS = 2
 GROUP_BITS = 13
 GROUP_MASK = (1 << GROUP_BITS) - 1
 MOST_SIMILARITY = 1 << (32 - GROUP_BITS)
 
 
-def _lanes():
-    """Integers per register of the byte dot product; 0 in Python or if the processor has none."""
+def _cpu_features():
+    """What the processor has; nothing in Python, or where that is unknown."""
     if kernel_mode() is KernelMode.PYTHON:
-        return 0
+        return {}
     try:
-        features = binding.get_host_cpu_features()
+        return binding.get_host_cpu_features()
     except RuntimeError:  # unknown on this platform
-        return 0
+        return {}
+
+
+def _byte_lanes(features):
+    """Integers per register of the byte dot product; 0 if the processor has none."""
     if features.get("avx512vnni") and features.get("avx512vl"):
         return 16
     return 8 if features.get("avxvnni") else 0
@@ -49,7 +53,7 @@ def _dot_in(module, lanes, factors):
     return module.declare_intrinsic(name, fnty=ir.FunctionType(words, [words, factors, factors]))
 
 
-def _factors(lanes):
+def _byte_factors(lanes):
     """Type of the factors in this LLVM: bytes or, up to version 21, words; None if unsupported."""
     for kind in (ir.VectorType(ir.IntType(8), 4 * lanes), ir.VectorType(ir.IntType(32), lanes)):
         module = ir.Module()
@@ -62,10 +66,19 @@ def _factors(lanes):
     return None
 
 
-LANES = _lanes()
-FACTORS = _factors(LANES) if LANES else None
-if FACTORS is None:
-    LANES = 0
+FEATURES = _cpu_features()
+LANES = _byte_lanes(FEATURES)
+FACTORS = _byte_factors(LANES) if LANES else None
+if FACTORS is not None:  # four bytes per lane and step
+    GROUP, SHIFT, ROWS = 4, 128, 8
+    ROW_TYPE, COLUMN_TYPE = np.int8, np.uint8
+else:  # two words; 16 registers hold the sums of four rows
+    GROUP, SHIFT, ROWS = 2, 0, 4
+    ROW_TYPE = COLUMN_TYPE = np.int16
+    LANES = 8 if FEATURES.get("avx2") else 0
+    FACTORS = ir.VectorType(ir.IntType(16), 2 * LANES) if LANES else None
+STEPS = WIDTH // GROUP
+ROW_BYTES = WIDTH * 4 // GROUP
 COLUMNS = VECTORS * LANES
 MOST_COLUMNS = LANES << GROUP_BITS
 
@@ -75,7 +88,11 @@ def _emit_tile(builder, address, tile):
     word, long = ir.IntType(32), ir.IntType(64)
     words = ir.VectorType(word, LANES)
     size = 4 * LANES
-    dot = _dot_in(builder.module, LANES, FACTORS)
+    if GROUP == 4:
+        dot = _dot_in(builder.module, LANES, FACTORS)
+    else:
+        kind = ir.FunctionType(words, [FACTORS, FACTORS])
+        dot = builder.module.declare_intrinsic("llvm.x86.avx2.pmadd.wd", fnty=kind)
     pairs = [(r, v) for r in range(ROWS) for v in range(VECTORS)]
 
     def slot(name, offset, kind):
@@ -101,7 +118,12 @@ def _emit_tile(builder, address, tile):
     def smaller(x, y):
         return builder.select(builder.icmp_unsigned("<", x, y), x, y)
 
-    # sums[r, v] = bias[v] + sum over the steps of 4 bytes of row r times 4 bytes of each column of v
+    def add_products(total, column, row):
+        if GROUP == 4:
+            return builder.call(dot, [total, column, row])
+        return builder.add(total, builder.call(dot, [column, row]))
+
+    # sums[r, v] = bias[v] + sum over the steps of GROUP numbers of row r times those of each column of v
     before, bias = builder.block, [load("bias", size * v, words) for v in range(VECTORS)]
     loop, after = builder.append_basic_block("steps"), builder.append_basic_block("top_two")
     builder.branch(loop)
@@ -117,11 +139,11 @@ def _emit_tile(builder, address, tile):
     row_step = builder.mul(step, ir.Constant(long, 4))
     rows = [
         builder.bitcast(
-            splat(load("rows", builder.add(row_step, ir.Constant(long, WIDTH * r)), word)), FACTORS
+            splat(load("rows", builder.add(row_step, ir.Constant(long, ROW_BYTES * r)), word)), FACTORS
         )
         for r in range(ROWS)
     ]
-    added = {(r, v): builder.call(dot, [sums[r, v], columns[v], rows[r]]) for r, v in pairs}
+    added = {(r, v): add_products(sums[r, v], columns[v], rows[r]) for r, v in pairs}
     for r, v in pairs:
         sums[r, v].add_incoming(bias[v], before)
         sums[r, v].add_incoming(added[r, v], loop)
@@ -152,7 +174,7 @@ def _emit_tile(builder, address, tile):
 def tile_top_two(_context, rows, columns, bias, best, second, column_best, tile):
     """Process one tile; all arrays are given by address.
 
-    rows (ROWS, 128) signed bytes, columns (STEPS, COLUMNS, 4) bytes, bias (COLUMNS,): 128 * sum(b);
+    rows (ROWS, 128) ROW_TYPE, columns (STEPS, COLUMNS, GROUP) COLUMN_TYPE, bias (COLUMNS,): SHIFT * sum(b);
     best, second (ROWS, LANES): running keys; column_best (COLUMNS,): running similarities; tile: its index.
     """
     names = ("rows", "columns", "bias", "best", "second", "column_best")
@@ -181,36 +203,33 @@ def most_squared_length(descriptors):
 
 @kernel
 def pack_rows(descriptors, rows):
-    """Descriptors (n, 128) minus 128, in the layout of `byte_top_two`; rows beyond n are padded as zero descriptors."""
+    """Descriptors (n, 128) minus SHIFT, in the layout of `byte_top_two`; rows beyond n are padded as zero descriptors."""
     for i in range(rows.shape[0] * ROWS):
         out = rows[i // ROWS, i % ROWS]
         for k in range(WIDTH):
-            out[k] = (
-                np.int8(np.int16(descriptors[i, k]) - np.int16(128))
-                if i < len(descriptors)
-                else np.int8(-128)
-            )
+            value = np.int16(descriptors[i, k]) if i < len(descriptors) else np.int16(0)
+            out[k] = ROW_TYPE(value - np.int16(SHIFT))
 
 
 @kernel
 def pack_columns(descriptors, columns, bias):
-    """Descriptors (m, 128) in groups of four bytes, as for `byte_top_two`, and 128 times their sums; zeros beyond m."""
+    """Descriptors (m, 128) in groups, as for `byte_top_two`, and SHIFT times their sums; zeros beyond m."""
     for j in range(columns.shape[0] * COLUMNS):
         tile, lane, total = columns[j // COLUMNS], j % COLUMNS, np.uint32(0)
         for step in range(STEPS):
-            for k in range(4):
-                value = descriptors[j, 4 * step + k] if j < len(descriptors) else np.uint8(0)
+            for k in range(GROUP):
+                value = descriptors[j, GROUP * step + k] if j < len(descriptors) else np.uint8(0)
                 tile[step, lane, k] = value
                 total += np.uint32(value)
-        bias[j // COLUMNS, lane] = np.uint32(128) * total
+        bias[j // COLUMNS, lane] = np.uint32(SHIFT) * total
 
 
 @kernel(allocates=True)
 def byte_top_two(rows, columns, bias, best, second, best_column, column_best):
     """Best, second best and the best's column for every row; the best for every column.
 
-    rows (n / ROWS, ROWS, 128) int8, columns (tiles, STEPS, COLUMNS, 4) uint8, bias and column_best (tiles, COLUMNS)
-    uint32, best and second (n,) uint32, best_column (n,) int32.
+    rows (n / ROWS, ROWS, 128), columns (tiles, STEPS, COLUMNS, GROUP), bias and column_best (tiles, COLUMNS) uint32,
+    best and second (n,) uint32, best_column (n,) int32.
     """
     lane_best, lane_second = np.empty((ROWS, LANES), np.uint32), np.empty((ROWS, LANES), np.uint32)
     for block in range(len(rows)):

@@ -47,7 +47,7 @@ def match_descriptors(
 
 
 def match_by_angle(first: np.ndarray, second: np.ndarray, config: MatchConfig) -> np.ndarray:
-    """Mutual nearest neighbors by angle, by whole-number products of bytes where the processor has them."""
+    """Mutual nearest neighbors by angle, by products of whole numbers where the processor has them."""
     top_two = _top_two_bytes if _fits_byte_dot(first, second) else _top_two_floats
     best = top_two(first, second, config)
     return _accept(best[0], best[1], best[2], best[3], config)
@@ -58,7 +58,7 @@ TopTwo = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def _fits_byte_dot(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether the processor has byte products and no similarity overflows the keys (root-SIFT never does)."""
+    """Whether the processor has products of whole numbers, and no similarity overflows the keys (root-SIFT never does)."""
     if byte_kernels.LANES == 0 or len(b) > byte_kernels.MOST_COLUMNS:
         return False
     longest = [float(byte_kernels.most_squared_length(d)) for d in (a, b)]
@@ -66,10 +66,13 @@ def _fits_byte_dot(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def _top_two_bytes(a: np.ndarray, b: np.ndarray, _config: MatchConfig) -> TopTwo:
-    """Work: 128 * n * m byte products, 64 (or 32) per instruction; the similarities stay in registers."""
+    """Work: 128 * n * m products, 64, 32 or (without VNNI) 16 per instruction; the similarities stay in registers."""
     n, m = len(a), len(b)
-    rows = np.empty((-(-n // byte_kernels.ROWS), byte_kernels.ROWS, byte_kernels.WIDTH), np.int8)
-    columns = np.empty((-(-m // byte_kernels.COLUMNS), byte_kernels.STEPS, byte_kernels.COLUMNS, 4), np.uint8)
+    rows = np.empty(
+        (-(-n // byte_kernels.ROWS), byte_kernels.ROWS, byte_kernels.WIDTH), byte_kernels.ROW_TYPE
+    )
+    layout = (-(-m // byte_kernels.COLUMNS), byte_kernels.STEPS, byte_kernels.COLUMNS, byte_kernels.GROUP)
+    columns = np.empty(layout, byte_kernels.COLUMN_TYPE)
     bias = np.empty((len(columns), byte_kernels.COLUMNS), np.uint32)
     byte_kernels.pack_rows(a, rows)
     byte_kernels.pack_columns(b, columns, bias)
