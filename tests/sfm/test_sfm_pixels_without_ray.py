@@ -26,7 +26,7 @@ def test_cameras_that_images_were_registered_with_are_looked_at(monkeypatch):
         )
         mapped = SimpleNamespace(agreements=[], models=[model])
         images = SimpleNamespace(cameras=SimpleNamespace(is_constant=np.array([True, True])))
-        solution = SimpleNamespace(mapped=mapped, images=images, focals={})
+        solution = SimpleNamespace(mapped=mapped, images=images, focals={}, missing_points=())
         found = notes.warnings_of(solution, MapperConfig())
         assert len(found) == count
         for words in found:

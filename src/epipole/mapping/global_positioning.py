@@ -10,7 +10,7 @@ import scipy.sparse as sparse
 from jaxtyping import Float64, Int32, Int64
 
 from epipole import _parallel
-from epipole._checks import Declared, check_indices, check_offsets, checked, require_same_length
+from epipole._checks import Declared, check_count, check_indices, check_offsets, checked, require_same_length
 from epipole.mapping import _positioning_kernels as kernels
 from epipole.optim.block_cholesky import BlockPattern, CholeskyPlan, plan_cholesky
 
@@ -67,9 +67,11 @@ def position_globally(
 
     Raises:
         ShapeError: an image does not exist, or the arrays have different lengths.
+        ConfigError: there are too many images.
     """
     require_same_length(image=image, directions_in_world=directions_in_world)
     check_offsets(offsets, "offsets", len(image))
+    check_count(num_images, "num_images")
     check_indices(image, "image", num_images)
     num_points = len(offsets) - 1
     random = np.random.default_rng(seed)

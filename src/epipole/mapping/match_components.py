@@ -94,6 +94,7 @@ def choose_tracks(
     Returns:
         Rows of the chosen components in member images, grouped by component; each component has three or more.
     """
+    check_offsets(components.offsets, "components.offsets", len(components.image))
     check_indices(components.image, "components.image", len(is_member))
     component = np.repeat(np.arange(len(components)), np.diff(components.offsets))
     inside = is_member[components.image]

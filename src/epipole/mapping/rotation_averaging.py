@@ -11,7 +11,8 @@ from jaxtyping import Float64, Int32
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 from scipy.sparse.linalg import splu
 
-from epipole._checks import Declared, check_indices, checked, require_same_length
+from epipole._checks import Declared, check_count, check_indices, checked, require_same_length
+from epipole.errors import ConfigError
 from epipole.geometry import Rotation3
 
 L1_ROUNDS, ROBUST_ROUNDS = 10, 30
@@ -20,6 +21,9 @@ SCALE_RAD = np.deg2rad(5.0)
 SMALLEST_RAD = np.deg2rad(0.1)
 """Residual below which the L1 norm is treated as a square, so that weights stay finite."""
 CONVERGED_RAD = 1e-5
+ROTATION_TOLERANCE = 1e-6
+SMALLEST_PIVOT = 1e-12
+"""Added to the diagonal, relative to its largest element: images whose pairs are all rejected stay."""
 MAX_TRIANGLE_RAD = np.deg2rad(5.0)
 """Largest angle by which the product of a triangle's rotations may differ from the identity."""
 LEAST_TRUST = 1e-6
@@ -64,10 +68,19 @@ def average_rotations(
 
     Raises:
         ShapeError: an image does not exist, or the arrays have different lengths.
+        ConfigError: a matrix is no rotation, a weight is not positive and finite, or there are too many images.
     """
     require_same_length(image1=image1, image2=image2, cams2_from_cams1=cams2_from_cams1, weights=weights)
+    check_count(num_images, "num_images")
+    if not ((weights > 0) & np.isfinite(weights)).all():
+        raise ConfigError("weights must be positive and finite")
+    with np.errstate(all="ignore"):
+        product = np.swapaxes(cams2_from_cams1, 1, 2) @ cams2_from_cams1
+    if not (np.abs(product - np.eye(3)) < ROTATION_TOLERANCE).all():
+        raise ConfigError("cams2_from_cams1 must be rotations")
     check_indices(image1, "image1", num_images)
     check_indices(image2, "image2", num_images)
+    weights = weights / weights.max(initial=0.0) if len(weights) else weights
     support, possible = triangle_support(num_images, image1, image2, cams2_from_cams1, weights)
     first = support + LEAST_TRUST * weights
     rotations, component = _along_the_tree(num_images, image1, image2, cams2_from_cams1, first)
@@ -172,6 +185,9 @@ def _solve_laplacian(
     if len(free):
         A = A[:, free]
         weighted = sparse.diags_array(weights) @ A
-        normal = sparse.csc_matrix(A.T @ weighted)
+        normal = A.T @ weighted
+        normal = sparse.csc_matrix(
+            normal + SMALLEST_PIVOT * normal.diagonal().max() * sparse.eye_array(len(free))
+        )
         step[free] = splu(normal).solve(weighted.T @ residuals)
     return step
