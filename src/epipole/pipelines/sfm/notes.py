@@ -19,8 +19,6 @@ KINDS_OF_FOLDER = frozenset(
     | {"photo", "photographs", "photos", "picture", "pictures", "rgb"}
 )
 """Folder names that do not describe the content."""
-MAX_SHAPE_SIGMA = 0.05
-"""Relative standard deviation of a focal length above which the model's shape is in doubt."""
 CAMERAS_SHOWN = 3
 
 
@@ -119,14 +117,17 @@ def _focal_notes(solution: Solution) -> list[str]:
 def undetermined_focals(solution: Solution) -> list[int]:
     """Cameras whose focal length is neither given nor determined by the images, so that the model's shape may be wrong.
 
-    A focal length from EXIF counts as given as long as mapping left it nearly unchanged.
+    A focal length from EXIF counts as given as long as mapping left it nearly unchanged. A camera with too few observations
+    to know is not determined.
     """
-    cameras = solution.images.cameras
-    out = []
-    for c, accuracy in solution.focals.items():
-        change = abs(np.log(accuracy.model_px / cameras[c].focal_px))
-        is_given = cameras.is_constant[c] or (cameras.is_focal_trusted[c] and change < FOCAL_CORRECTION)
-        if not is_given and not accuracy.sigma_px <= MAX_SHAPE_SIGMA * accuracy.focal_px:
+    cameras, out = solution.images.cameras, []
+    for c in np.flatnonzero(~cameras.is_constant).tolist():
+        final_px, accuracy = _final_focal_px(solution, c), solution.focals.get(c)
+        if final_px is None:
+            continue
+        change = abs(np.log(final_px / cameras[c].focal_px))
+        is_given = cameras.is_focal_trusted[c] and change < FOCAL_CORRECTION
+        if not is_given and (accuracy is None or not accuracy.is_determined):
             out.append(c)
     return out
 
@@ -136,15 +137,12 @@ def _shape_warnings(solution: Solution) -> list[str]:
     doubtful = undetermined_focals(solution)
     if not doubtful:
         return []
-    sigmas = [f"{images_of_camera(solution, c)}: {_fraction_of(solution.focals[c])}" for c in doubtful]
-    of_all = (
-        "the focal length"
-        if len(solution.focals) == 1
-        else f"{len(doubtful)} of {len(solution.focals)} focal lengths"
-    )
+    sigmas = [f"{images_of_camera(solution, c)}: {_fraction_of(solution.focals.get(c))}" for c in doubtful]
+    used = [c for c in range(len(solution.images.cameras)) if _final_focal_px(solution, c) is not None]
+    of_all = "the focal length" if len(used) == 1 else f"{len(doubtful)} of {len(used)} focal lengths"
     return [
-        f"the images do not determine {of_all} (standard deviation: {_first_of(sigmas)}), so the shape of the model may be wrong:"
-        " give known values with --calibration or --camera-params, or add images of things at different depths"
+        f"the images do not determine {of_all} (standard deviation: {_first_of(sigmas)}), so the shape of the model may be wrong"
+        " by as much: give known values with --calibration or --camera-params, or add images of things at different depths"
     ]
 
 
@@ -171,8 +169,8 @@ def focal_verdict(accuracy: FocalAccuracy) -> str:
     return f"{verdict} by the images, {_with_sigma(accuracy.focal_px, accuracy)}"
 
 
-def _fraction_of(accuracy: FocalAccuracy) -> str:
-    if not accuracy.sigma_px < accuracy.focal_px:
+def _fraction_of(accuracy: FocalAccuracy | None) -> str:
+    if accuracy is None or not accuracy.sigma_px < accuracy.focal_px:
         return "100 % or more"
     return f"{100 * accuracy.sigma_px / accuracy.focal_px:.1f} %"
 
