@@ -3,6 +3,10 @@ from pathlib import Path
 
 import pytest
 from photographs import neighboring_views, render_to
+from sfm_rings import view_graph_of
+
+from epipole.scene import Reconstruction, ViewGraph
+from epipole.synthetic.problems import bundle_problem
 
 
 @pytest.fixture(scope="session")
@@ -35,3 +39,14 @@ def reconstructed(rendered, tmp_path_factory):
 def out_of_six(reconstructed, tmp_path) -> Path:
     """A copy of the folder, with the features and matches."""
     return Path(shutil.copytree(reconstructed.out, tmp_path / "out"))
+
+
+@pytest.fixture(scope="session")
+def ring() -> Reconstruction:
+    """Twelve images around a ball of points, five of which see each point, without noise."""
+    return bundle_problem(12, 900, 5).truth
+
+
+@pytest.fixture(scope="session")
+def graph(ring: Reconstruction) -> ViewGraph:
+    return view_graph_of(ring)

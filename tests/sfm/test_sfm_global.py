@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from test_sfm_incremental import EXACT, errors_of, mapper_of, view_graph_of
+from sfm_rings import EXACT, errors_of, mapper_of, view_graph_of
 
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3, Rotation3
@@ -15,23 +15,12 @@ from epipole.pipelines.sfm.incremental import IncrementalMapper
 from epipole.pipelines.sfm.mappers import map_with
 from epipole.pipelines.sfm.matching.pair_selection import consistent_pairs
 from epipole.robust import PairKind
-from epipole.scene import Cameras, Reconstruction, ViewGraph
+from epipole.scene import Cameras, ViewGraph
 from epipole.synthetic.problems import bundle_problem
 from mapping_graphs import graph_of_rotations
 from whole import IS_WHOLE
 
 pytestmark = pytest.mark.usefixtures("unchecked")  # many small calls, of types that other tests check
-
-
-@pytest.fixture(scope="module")
-def ring() -> Reconstruction:
-    """Twelve images around a ball of points, five of which see each point, without noise."""
-    return bundle_problem(12, 900, 5).truth
-
-
-@pytest.fixture(scope="module")
-def graph(ring: Reconstruction) -> ViewGraph:
-    return view_graph_of(ring)
 
 
 def with_rotations(graph: ViewGraph, rotation: np.ndarray) -> ViewGraph:

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float64
 
 from epipole.geometry import Rigid3
 from epipole.mapping import (
+    AveragedRotations,
     Freedom,
     ModelBuilder,
     adjust_all,
@@ -100,21 +101,25 @@ def average_cameras(
     limit_rad = np.deg2rad(config.max_contradiction_deg)
     has_motion = np.isfinite(view_graph.cam2_from_cam1.rotation).all(axis=(1, 2))
     used = has_motion & usable[view_graph.image1] & usable[view_graph.image2]
+    averaged = _average(view_graph.select(used), len(usable))
     for _ in range(MAX_AVERAGINGS):
-        graph = view_graph.select(used)
-        averaged = average_rotations(
-            len(usable),
-            graph.image1,
-            graph.image2,
-            np.ascontiguousarray(graph.cam2_from_cam1.rotation),
-            graph.num_inliers().astype(np.float64),
-        )
         contradicts = averaged.residuals_rad > limit_rad
         if not contradicts.any():
             break
         used[np.flatnonzero(used)[contradicts]] = False
+        averaged = _average(view_graph.select(used), len(usable))
     sizes = np.bincount(averaged.component, usable.astype(np.float64))
     return AveragedCameras(averaged.cams_from_world, usable & (averaged.component == np.argmax(sizes)))
+
+
+def _average(view_graph: ViewGraph, num_images: int) -> AveragedRotations:
+    return average_rotations(
+        num_images,
+        view_graph.image1,
+        view_graph.image2,
+        np.ascontiguousarray(view_graph.cam2_from_cam1.rotation),
+        view_graph.num_inliers().astype(np.float64),
+    )
 
 
 def position_images(model: ModelBuilder, cameras: AveragedCameras, seed: int) -> bool:
