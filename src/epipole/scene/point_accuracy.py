@@ -26,7 +26,7 @@ def covariances_of_points(model: Reconstruction, noise_px: float) -> Float64[np.
     """First-order covariances sigma^2 (sum over the track of J^T J)^-1, with exact cameras (HZ section 5.2).
 
     sigma is the noise of all keypoints or, where that is larger, of the point's own: an edge that hides something else, or a
-    wrong match. On a rendered scene, 0.4 % of the points are then off by more than five standard deviations, instead of 3 %.
+    wrong match. On a rendered scene, 0.6 % of the points are then off by more than five standard deviations, instead of 3 %.
 
     Args:
         model: the model; its tracks give the images of each point.
