@@ -10,7 +10,7 @@ from PIL import Image
 
 import epipole
 from epipole.errors import EpipoleError
-from epipole.io.images.photographs import list_photographs
+from epipole.io.images.photographs import list_photographs, read_header
 from epipole.io.sequences.sequence import read_sequence
 from epipole.pipelines.calibration import run as calibration
 from epipole.pipelines.sfm.config import ReconstructConfig
@@ -110,3 +110,17 @@ def test_calibration_reports_them(folder, tmp_path, monkeypatch):
     epipole.calibrate(folder, tmp_path / "out")
     said = list(found.problems.values())
     assert len(said) == 2 and said[0].startswith(FILES) and said[1].startswith(FOLDER)
+
+
+@pytest.mark.parametrize("name", ["loop", "loop.txt"])
+def test_a_link_to_itself_is_passed_over(folder, name):
+    before = list_photographs(folder)
+    (folder / name).symlink_to(folder / name)
+    assert list_photographs(folder).names == before.names
+
+
+def test_a_photograph_that_links_to_itself_is_an_error_to_read(folder):
+    (folder / "loop.jpg").symlink_to(folder / "loop.jpg")
+    assert "loop.jpg" in list_photographs(folder).names
+    with pytest.raises(EpipoleError):
+        read_header(folder / "loop.jpg")

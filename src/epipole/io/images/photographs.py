@@ -18,6 +18,7 @@ megapixels.
 from __future__ import annotations
 
 import io
+import os
 import stat
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -157,7 +158,10 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
     ignored, results = {Path(p).resolve() for p in ignore}, list[Path]()
     every = sorted(files_below(folder, ignored, results))
     found = [n for n in every if _suffix(n) in known]
-    others = [n for n in every if _suffix(n) not in known and (folder / n).resolve() not in ignored]
+    # realpath, since Path.resolve refuses links that form a circle.
+    others = [
+        n for n in every if _suffix(n) not in known and Path(os.path.realpath(folder / n)) not in ignored
+    ]
     unusable = {n: why for n in found if (why := _file_problem(folder / n) or name_problem(n))}
     names = [n for n in found if n not in unusable]
     readable = [n for n in names if _suffix(n) in readable_here]
