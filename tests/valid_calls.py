@@ -623,9 +623,14 @@ def _global(graph: scene.ViewGraph, components: mapping.MatchComponents, num_ima
 
 def _mapping() -> Iterator[Row]:
     model, graph = _ring().start, _view_graph()
-    yield _row(mapping.find_missing_points, model=model)
-    missing = mapping.find_missing_points(model)
-    yield _row(mapping.MissingPoints, **{n: getattr(missing, n) for n in missing.__slots__})
+    yield _row(mapping.find_conflicting_points, model=model)
+    conflicts = mapping.find_conflicting_points(model)
+    yield _row(mapping.ConflictingPoints, **{n: getattr(conflicts, n) for n in conflicts.__slots__})
+    first = np.array([0, 1], np.int32)
+    evidence = {"image1": first, "image2": first + 1, "weight": np.array([1.0, -1.0])}
+    yield _row(mapping.cluster_images, num_images=3, **evidence)
+    seen = {"image": np.array([0, 1, 2, 0, 1, 2]), "point": np.array([0, 0, 0, 1, 1, 1])}
+    yield _row(mapping.largest_rigid_part, num_images=3, **seen, min_points=2)
     offsets, builder = model.images.keypoint_offsets, _builder()
     components, freedom = builder.components, mapping.Freedom()
     quick = BundleConfig(max_iterations=2)

@@ -150,7 +150,7 @@ def contradicting_of(model: Reconstruction) -> tuple[ContradictingPair, ...]:
             (names[0], names[1 + k % (len(names) - 1)]),
             (rng.uniform(size=(40 - k, 2)), rng.uniform(size=(40 - k, 2))),
             40 - k,
-            20.0 + 10.0 * k,
+            f"rotation off by {20 + 10 * k}°",
         )
         for k in range(14)
     )

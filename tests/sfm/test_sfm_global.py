@@ -178,8 +178,11 @@ def test_pairs_that_look_alike_spoil_no_model(seed, method):
     rng, config = np.random.default_rng(seed), replace(EXACT, method=method, seed=seed)
     keypoints, mixed, is_false = with_false_pairs(truth, view_graph_of(truth), rng)
     assert is_false.mean() > 0.2
-    used, dropped = consistent_pairs(mixed, keypoints, truth.cameras, truth.camera_of_image, config)
-    assert len(dropped) == is_false.sum() and len(used) == (~is_false).sum()
+    used, contradiction_rad = consistent_pairs(
+        mixed, keypoints, truth.cameras, truth.camera_of_image, config
+    )
+    np.testing.assert_array_equal(np.isfinite(contradiction_rad), is_false)
+    assert len(used) == (~is_false).sum()
     offsets = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
     cameras = replace(truth.cameras, is_constant=np.ones(1, bool))
     builder = ModelBuilder(cameras, truth.camera_of_image, keypoints, connect_matches(used, offsets))

@@ -67,8 +67,8 @@ def test_a_plane_gets_the_motion_that_the_other_pairs_confirm(wall):
     keypoints, motions, homographies = wall
     given = list(motions)
     given[5] = other_motion(keypoints, motions, homographies, 5)
-    used, dropped = selected(keypoints, graph_of(given, homographies, PairKind.PLANAR))
-    assert len(dropped) == 0 and len(used) == len(PAIRS)
+    used, contradiction_rad = selected(keypoints, graph_of(given, homographies, PairKind.PLANAR))
+    assert np.isnan(contradiction_rad).all() and len(used) == len(PAIRS)
     expected = Rigid3(motions[5].rotation, motions[5].translation / np.linalg.norm(motions[5].translation))
     np.testing.assert_allclose(used.cam2_from_cam1.rotation[5], expected.rotation, atol=1e-9)
     np.testing.assert_allclose(used.cam2_from_cam1.translation[5], expected.translation, atol=1e-9)
@@ -86,6 +86,7 @@ def test_a_wrong_pair_without_another_motion_is_dropped(wall, kind):
     given[5] = Rigid3(wrong @ motions[5].rotation, motions[5].translation)
     homographies = homographies.copy()
     homographies[5] = CAMERA.K @ wrong @ np.linalg.inv(CAMERA.K)  # a rotation, or no plane
-    used, dropped = selected(keypoints, graph_of(given, homographies, kind))
-    assert len(dropped) == 1 and len(used) == len(PAIRS) - 1
-    assert dropped.angle_rad[0] > 1.0
+    used, contradiction_rad = selected(keypoints, graph_of(given, homographies, kind))
+    assert len(used) == len(PAIRS) - 1
+    np.testing.assert_array_equal(np.isfinite(contradiction_rad), np.arange(len(PAIRS)) == 5)
+    assert contradiction_rad[5] > 1.0

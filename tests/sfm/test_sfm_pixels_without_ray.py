@@ -26,7 +26,11 @@ def test_cameras_that_images_were_registered_with_are_looked_at(monkeypatch):
         )
         mapped = SimpleNamespace(agreements=[], models=[model])
         images = SimpleNamespace(cameras=SimpleNamespace(is_constant=np.array([True, True])))
-        solution = SimpleNamespace(mapped=mapped, images=images, focals={}, missing_points=())
+        without_conflicts = {
+            "contradicting": SimpleNamespace(is_conflicting=np.zeros(0, bool)),
+            "conflicts": (),
+        }
+        solution = SimpleNamespace(mapped=mapped, images=images, focals={}, **without_conflicts)
         found = notes.warnings_of(solution, MapperConfig())
         assert len(found) == count
         for words in found:

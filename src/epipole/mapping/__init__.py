@@ -4,15 +4,16 @@ from epipole.mapping.adjustment import Freedom as Freedom
 from epipole.mapping.adjustment import PositionPriors as PositionPriors
 from epipole.mapping.adjustment import adjust_all as adjust_all
 from epipole.mapping.adjustment import adjust_around as adjust_around
+from epipole.mapping.conflicting_points import ConflictingPoints as ConflictingPoints
+from epipole.mapping.conflicting_points import find_conflicting_points as find_conflicting_points
 from epipole.mapping.consistency import MatchConsistency as MatchConsistency
 from epipole.mapping.global_positioning import GlobalPositions as GlobalPositions
 from epipole.mapping.global_positioning import position_globally as position_globally
+from epipole.mapping.image_clusters import cluster_images as cluster_images
 from epipole.mapping.match_components import FurtherMatches as FurtherMatches
 from epipole.mapping.match_components import MatchComponents as MatchComponents
 from epipole.mapping.match_components import choose_tracks as choose_tracks
 from epipole.mapping.match_components import connect_matches as connect_matches
-from epipole.mapping.missing_points import MissingPoints as MissingPoints
-from epipole.mapping.missing_points import find_missing_points as find_missing_points
 from epipole.mapping.model_builder import ModelBuilder as ModelBuilder
 from epipole.mapping.model_builder import Snapshot as Snapshot
 from epipole.mapping.pair_consistency import PairConsistency as PairConsistency
@@ -24,6 +25,7 @@ from epipole.mapping.readjustment import adjust_reconstruction as adjust_reconst
 from epipole.mapping.readjustment import bundle_problem_of as bundle_problem_of
 from epipole.mapping.resection import refine_resection as refine_resection
 from epipole.mapping.resection import resect_image as resect_image
+from epipole.mapping.rigid_parts import largest_rigid_part as largest_rigid_part
 from epipole.mapping.rotation_averaging import AveragedRotations as AveragedRotations
 from epipole.mapping.rotation_averaging import average_rotations as average_rotations
 from epipole.mapping.track_completion import drop_short_tracks as drop_short_tracks

@@ -59,5 +59,26 @@ class ViewGraph(Declared):
             self.median_angle_rad[keep],
         )
 
+    def joined(self, other: ViewGraph) -> ViewGraph:
+        """The pairs of both, those of `other` last."""
+        a, b = self, other
+        return ViewGraph(
+            np.concatenate([a.image1, b.image1]),
+            np.concatenate([a.image2, b.image2]),
+            np.concatenate([a.kind, b.kind]),
+            np.concatenate([a.num_putative, b.num_putative]),
+            np.concatenate([a.match_offsets, a.match_offsets[-1] + b.match_offsets[1:]]),
+            np.concatenate([a.keypoint1, b.keypoint1]),
+            np.concatenate([a.keypoint2, b.keypoint2]),
+            Rigid3(
+                np.concatenate([a.cam2_from_cam1.rotation, b.cam2_from_cam1.rotation]),
+                np.concatenate([a.cam2_from_cam1.translation, b.cam2_from_cam1.translation]),
+            ),
+            np.concatenate([a.essential, b.essential]),
+            np.concatenate([a.fundamental, b.fundamental]),
+            np.concatenate([a.homography, b.homography]),
+            np.concatenate([a.median_angle_rad, b.median_angle_rad]),
+        )
+
     def __repr__(self) -> str:
         return f"ViewGraph({len(self)} pairs, {len(self.keypoint1)} inlier matches)"

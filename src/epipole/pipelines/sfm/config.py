@@ -47,6 +47,8 @@ class MapperConfig:
     """global: all rotations, then all positions at once; incremental: image by image; auto: global, and incremental if it fails."""
     max_contradiction_deg: float = 10.0
     """Pairs whose rotation differs more from what the other pairs imply are not used. 180: use all."""
+    separate_look_alikes: bool = True
+    """If points of a model conflict, map again without the pairs of images that cause it, or clusters of images apart."""
     start_min_inliers: int = 100
     """Matches of the initial pair; reduced if no pair has enough."""
     start_angle_deg: float = 16.0
@@ -151,6 +153,10 @@ class ReconstructConfig:
     """Text file of image pairs to match, two names per line."""
     database: Path | None = None
     """COLMAP database with features and matches to use, and with cameras, unless given here."""
+    learned: Path | None = None
+    """Folder of learned features (tools/convert_learned_features.py) for images that SIFT connects to few others."""
+    learned_network: Literal["xfeat", "aliked"] = "xfeat"
+    """aliked: more right matches, several times slower."""
     max_frames: int = 200
     """Maximum number of frames taken from a video."""
     executor: Literal["threads", "processes", "inline"] = "threads"

@@ -79,6 +79,7 @@ def map_globally(
     model.replace_points(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)))
     model.triangulate(np.arange(len(model.components)), config.max_error_px, np.deg2rad(config.min_angle_deg))
     mapper.adjust_globally(config.final_rounds, lambda rounds: adjusting(done + rounds, num_rounds))
+    mapper.keep_rigid_part()
     if model.registered.sum() < LEAST_IMAGES:
         return False
     num_positioned = int(model.registered.sum())

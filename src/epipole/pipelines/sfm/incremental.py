@@ -18,6 +18,7 @@ from epipole.mapping import (
     adjust_all,
     adjust_around,
     drop_short_tracks,
+    largest_rigid_part,
     median_error_px,
     refine_resection,
     resect_image,
@@ -123,6 +124,7 @@ class IncrementalMapper:
             )
             self.model.filter(self.config.max_error_px, self._angle)
         self._drop_short_tracks()
+        self.keep_rigid_part()
 
     def grow(self, usable: np.ndarray, limit: int, progress: Progress = ignore_progress) -> None:
         """Register images one by one until `limit` are registered or none fits."""
@@ -306,6 +308,16 @@ class IncrementalMapper:
     def _drop_short_tracks(self) -> None:
         if self.min_track_length > 2:
             drop_short_tracks(self.model, self.min_track_length, self.config.min_long_tracks)
+
+    def keep_rigid_part(self) -> None:
+        """Remove images whose distances have a scale of their own."""
+        model = self.model
+        rows = np.flatnonzero(model.row_point >= 0)
+        image, point = model.row_image[rows].astype(np.int64), model.row_point[rows].astype(np.int64)
+        part = largest_rigid_part(len(model.registered), image, point)
+        for lost in np.flatnonzero(model.registered & ~part):
+            self.rejections[int(lost)] = Rejection(int(lost), self._num_rows_in_sight(int(lost)), 0)
+            model.deregister(int(lost))
 
     def drop_lost_images(self) -> None:
         """Remove images with too few observations."""

@@ -46,19 +46,36 @@ def warnings_of(solution: Solution, config: MapperConfig) -> list[str]:
                 f"model {number} agrees with only {100 * agreement:.0f} % of its matches: "
                 "parts of it are probably wrong (a wrong focal length, or similar-looking structures)"
             )
-    out += [
-        f"model {number}: {int(missing.is_contradiction.sum())} of {len(missing)} pairs of images that overlap in it lack common"
-        " points in a third of the overlap or more: it probably shows different things that look alike as one; map them"
-        " apart (--exclude), or match only neighboring images (--pairs, --pairing.method sequential)"
-        for number, missing in enumerate(solution.missing_points)
-        if missing.contradicts_model
-    ]
+    out += _look_alike_warnings(solution)
     for number, model in enumerate(mapped.models):
         used = np.unique(model.camera_of_image[model.is_registered()])
         cameras = [(int(c), model.cameras[int(c)]) for c in used]
         out += [f"model {number}, camera {c}: {words}" for c, one in cameras for words in no_ray_warning(one)]
     out += gps_notes(solution.images, mapped, config)
     return [*out, *_shape_warnings(solution), *_wrong_focals(solution)]
+
+
+def _look_alike_warnings(solution: Solution) -> list[str]:
+    """Warnings about different things that look alike: pairs that were left out, and models that may show them as one."""
+    out = []
+    if (count := int(solution.contradicting.is_conflicting.sum())) > 0:
+        result = (
+            f"the images are mapped apart, to {len(solution.mapped.models)} models, whose positions relative to each other are unknown"
+            if solution.is_split
+            else "without them, the images fit together"
+        )
+        out.append(
+            f"different things look alike: {count} pairs of images whose points conflict are not used; {result} (report, table of"
+            " pairs; --mapper.no-separate-look-alikes uses them)"
+        )
+    out += [
+        f"model {number}: in {int(found.is_contradiction.sum())} of {int(found.is_judged.sum())} pairs of images with similar"
+        " views, points conflict: it probably shows different things that look alike as one; map them apart (--exclude), or"
+        " match only neighboring images (--pairs, --pairing.method sequential)"
+        for number, found in enumerate(solution.conflicts)
+        if found.contradicts_model
+    ]
+    return out
 
 
 def _wrong_focals(solution: Solution) -> list[str]:

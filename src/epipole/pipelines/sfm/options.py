@@ -22,6 +22,8 @@ class ReconstructKeywords(TypedDict, total=False):
     masks: str | Path | None
     pairs: str | Path | None
     database: str | Path | None
+    learned: str | Path | None
+    learned_network: Literal['xfeat', 'aliked']
     max_frames: int
     threads: int | None
     seed: int
@@ -31,7 +33,7 @@ class ReconstructKeywords(TypedDict, total=False):
     verification: RansacConfig
     mapper: MapperConfig
     anchors: AnchorOptions
-    kind: Literal["sift", "orb"]
+    kind: Literal['sift', 'orb']
     max_features: int
     max_size_px: int
     contrast_threshold: float
@@ -49,6 +51,7 @@ class ReconstructKeywords(TypedDict, total=False):
     min_inliers: int | None
     min_inlier_ratio: float
     max_contradiction_deg: float
+    separate_look_alikes: bool
     start_min_inliers: int
     start_angle_deg: float
     start_trials: int
@@ -69,7 +72,7 @@ class ReconstructKeywords(TypedDict, total=False):
     min_long_tracks: int
     final_rounds: int
     converged_fraction: float
-    final_loss: Literal["trivial", "huber", "soft_l1", "cauchy"]
+    final_loss: Literal['trivial', 'huber', 'soft_l1', 'cauchy']
     loss_scale_px: float
     final_scale: float
     refine_focal: bool

@@ -12,15 +12,17 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool
 
 from epipole import _jit
 from epipole.errors import ConfigError, NoModelError
 from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.images.video import extract_frames, frame_orientation, is_video
-from epipole.mapping import MissingPoints, find_missing_points
+from epipole.mapping import ConflictingPoints
 from epipole.mapping.focal_accuracy import FocalAccuracy, focal_accuracies
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.focal import estimate_focals
+from epipole.pipelines.sfm.look_alikes import Attempt, Separation, map_apart, map_once
 from epipole.pipelines.sfm.mapping_stage import Detections, Mapped, map_images
 from epipole.pipelines.sfm.matching.database_stage import DatabaseSource, open_source
 from epipole.pipelines.sfm.matching.database_stage import feature_units as given_feature_units
@@ -36,6 +38,7 @@ from epipole.pipelines.sfm.matching.pair_selection import ContradictingPairs, co
 from epipole.pipelines.sfm.matching.pairing import choose_pairs, read_pairs
 from epipole.pipelines.sfm.matching.unit_tables import FEATURES
 from epipole.pipelines.sfm.photographs import ImageSet, read_image_set
+from epipole.pipelines.sfm.rescue import Rescue, rescue_weak_images
 from epipole.pipelines.sfm.shared_focals import contradicted_cameras, with_own_cameras
 from epipole.pipelines.sfm.warm_up import warm_up
 from epipole.runs import Run, Unit, load
@@ -62,19 +65,22 @@ class Solution:
     """Cameras whose focal lengths were estimated from the images; `cameras` has the estimates."""
     mapped: Mapped
     contradicting: ContradictingPairs
-    """Verified pairs that are not used, because they contradict the others."""
+    """Verified pairs that are not used, because they contradict the others or hold models together whose points conflict."""
+    conflicts: tuple[ConflictingPoints, ...]
+    """For each model, points that exclude each other."""
+    is_split: bool
+    """Whether images were mapped apart because of conflicts."""
+    rescue: Rescue
+    """What learned features were used for."""
     focals: Mapping[int, FocalAccuracy] = field(default_factory=dict)
     """Accuracy of each camera's focal length in the models, by row."""
-    missing_points: tuple[MissingPoints, ...] = ()
-    """For each model, how much of the overlap of its images shows no common point."""
 
-    def with_checks(self) -> Solution:
-        """Copy with missing points, and the accuracy of the focal lengths, each from the largest model with that camera."""
+    def with_focals(self) -> Solution:
+        """Copy with the accuracy of the focal lengths, each from the largest model with that camera."""
         found: dict[int, FocalAccuracy] = {}
         for model in self.mapped.models:
             found = {**focal_accuracies(model), **found}
-        missing = tuple(find_missing_points(model) for model in self.mapped.models)
-        return replace(self, focals=dict(sorted(found.items())), missing_points=missing)
+        return replace(self, focals=dict(sorted(found.items())))
 
     def worth(self) -> tuple[int, int]:
         """Number of images and observations of the largest model."""
@@ -159,29 +165,54 @@ def _match_and_map(
         if found:  # repeat with the estimated focal lengths
             again = folder.with_name(f"{folder.name}-calibrated")
             view_graph = _verify(replace(todo, cameras=cameras), matches, again, run, num_features)
-        view_graph, contradicting = consistent_pairs(
-            view_graph, detected.keypoints, cameras, todo.camera_of_image, config.mapper
-        )
+
+    rescued = Rescue()
+    if config.learned is not None and detected.database is None:
+        with run.stage("rescue"):
+            todo = replace(todo, cameras=cameras)
+            better = rescue_weak_images(images, todo, matches, view_graph, run.root / UNITS, run, config)
+        keypoints, colors = _keypoints(better.features)
+        detected = replace(detected, features=better.features, keypoints=keypoints, colors=colors)
+        matches, view_graph, rescued = list(better.matches), better.view_graph, better.found
     with run.stage("map"):
-        mapped = map_images(
-            images,
-            cameras,
-            view_graph,
-            Detections(detected.keypoints, detected.colors, sift_features(detected.features)),
-            config.mapper,
-            run.job.progress,
-        )
+        separated = _map(images, cameras, view_graph, detected, run, config)
     return Solution(
         images,
         detected.features,
         detected.keypoints,
         tuple(matches),
         cameras,
-        view_graph,
+        separated.last.view_graph,
         tuple(found),
-        mapped,
-        contradicting,
+        separated.last.mapped,
+        separated.contradicting,
+        separated.conflicts,
+        separated.is_split,
+        rescued,
     )
+
+
+def _map(
+    images: ImageSet,
+    cameras: Cameras,
+    view_graph: ViewGraph,
+    detected: _Detected,
+    run: Run,
+    config: ReconstructConfig,
+) -> Separation:
+    """Map the pairs that contradict neither the others nor the model."""
+    detections = Detections(detected.keypoints, detected.colors, sift_features(detected.features))
+
+    def map_pairs(used: Bool[np.ndarray, " n"]) -> Attempt:
+        chosen, found_rad = consistent_pairs(
+            view_graph.select(used), detected.keypoints, cameras, images.camera_of_image, config.mapper
+        )
+        contradiction_rad = np.full(len(used), np.nan)
+        contradiction_rad[used] = found_rad
+        mapped = map_images(images, cameras, chosen, detections, config.mapper, run.job.progress)
+        return Attempt(mapped, chosen, contradiction_rad)
+
+    return (map_apart if config.mapper.separate_look_alikes else map_once)(view_graph, map_pairs)
 
 
 def _without_contradictions(images: ImageSet, view_graph: ViewGraph, config: ReconstructConfig) -> ImageSet:

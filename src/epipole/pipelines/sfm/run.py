@@ -107,7 +107,7 @@ def reconstruct(
                 mapped, notes = with_scale(solution, config, progress)
             run.warnings += notes
             with run.stage("check"):
-                solution = replace(solution, mapped=mapped).with_checks()
+                solution = replace(solution, mapped=mapped).with_focals()
         reasons = _reasons(solution, config)
         with run.stage("write"):
             write_results(solution, run)
@@ -158,14 +158,30 @@ def _reasons(solution: Solution, config: ReconstructConfig) -> dict[str, str]:
 
 
 def _contradicting(solution: Solution) -> list[dict[str, Any]]:
-    """The pairs that are not used: names, matches, and by how much the rotation is off."""
-    graph, names = solution.contradicting.view_graph, solution.images.names
-    off_deg = np.degrees(solution.contradicting.angle_rad)
-    columns = zip(graph.image1, graph.image2, graph.num_inliers().tolist(), off_deg.round(2).tolist())
+    """The pairs that are not used: names, matches, and what they contradict."""
+    found, names = solution.contradicting, solution.images.names
+    graph, off_deg = found.view_graph, np.degrees(found.angle_rad)
     return [
-        {"images": [names[i], names[j]], "num_matches": count, "rotation_off_deg": angle}
-        for i, j, count, angle in columns
+        {
+            "images": [names[graph.image1[k]], names[graph.image2[k]]],
+            "num_matches": int(graph.num_inliers()[k]),
+            "rotation_off_deg": _finite(round(float(off_deg[k]), 2)),
+            "holds_conflicting_points": bool(found.is_conflicting[k]),
+            "conflicting_fraction": _finite(round(float(found.conflict_fraction[k]), 3)),
+        }
+        for k in range(len(found))
     ]
+
+
+def _rescue(solution: Solution) -> dict[str, Any]:
+    """What learned features were used for, and how many of these images a model has."""
+    names, models, weak = solution.images.names, solution.mapped.models, solution.rescue.images
+    is_registered = np.any([model.is_registered() for model in models], axis=0)
+    return {
+        "images": [names[i] for i in weak],
+        "num_pairs": solution.rescue.num_pairs,
+        "num_registered": int(is_registered[list(weak)].sum()),
+    }
 
 
 def _summary(
@@ -189,11 +205,11 @@ def _summary(
                 "mean_reprojection_error_px": _finite(m.mean_reprojection_error_px()),
                 "match_agreement": agreement,
                 "mapper": method,
-                "num_overlapping_pairs": len(missing),
-                "num_pairs_without_common_points": int(missing.is_contradiction.sum()),
+                "num_overlapping_pairs": int(found.is_judged.sum()),
+                "num_conflicting_pairs": int(found.is_contradiction.sum()),
             }
-            for m, agreement, method, missing in zip(
-                models, solution.mapped.agreements, solution.mapped.methods, solution.missing_points
+            for m, agreement, method, found in zip(
+                models, solution.mapped.agreements, solution.mapped.methods, solution.conflicts
             )
         ],
         "num_points": len(model.points),
@@ -217,6 +233,7 @@ def _summary(
         ],
         "is_shape_determined": not undetermined_focals(solution),
         "contradicting_pairs": _contradicting(solution),
+        "rescue": _rescue(solution),
         "not_registered": reasons,
         "warnings": warnings,
         "seconds": seconds,

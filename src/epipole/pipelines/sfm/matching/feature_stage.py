@@ -69,22 +69,33 @@ def detect_in_file(payload: FeaturePayload) -> dict[str, np.ndarray]:
     image = read_image(payload.path, payload.config.max_size_px)
     if isinstance(image, str):
         return {"failure": np.array(image)}
-    rgb, mask = image.rgb, None
-    try:
-        if payload.masks is not None:
-            mask = read_mask(payload.masks, payload.name, size=(image.width, image.height))
-    except (FileFormatError, MissingDependencyError) as error:
-        return {"failure": np.array(str(error))}
+    rgb = image.rgb
     cv2.setNumThreads(1)  # images are processed in parallel
     small = detect_features(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), payload.config)
     stretch = np.array([image.width / rgb.shape[1], image.height / rgb.shape[0]])
     pixels = ((small.pixels + 0.5) * stretch - 0.5).astype(np.float32)
-    keep = np.ones(len(pixels), bool)
-    if mask is not None:
-        at = np.clip(np.rint(pixels).astype(int), 0, [image.width - 1, image.height - 1])
-        keep = mask[at[:, 1], at[:, 0]]
+    try:
+        keep = in_mask(payload, image, pixels)
+    except (FileFormatError, MissingDependencyError) as error:
+        return {"failure": np.array(str(error))}
     scale_px = (small.scale_px * stretch.mean()).astype(np.float32)
     return as_unit_arrays(image, pixels[keep], scale_px[keep], small.angle_rad[keep], small.descriptors[keep])
+
+
+def in_mask(payload: FeaturePayload, image: Image, pixels: np.ndarray) -> np.ndarray:
+    """Pixels (n, 2) of the full image that its mask allows; all if there is none.
+
+    Raises:
+        FileFormatError: the mask cannot be read, or is of another size.
+        MissingDependencyError: its format needs a package that is not installed.
+    """
+    mask = None
+    if payload.masks is not None:
+        mask = read_mask(payload.masks, payload.name, size=(image.width, image.height))
+    if mask is None:
+        return np.ones(len(pixels), bool)
+    at = np.clip(np.rint(pixels).astype(int), 0, [image.width - 1, image.height - 1])
+    return np.asarray(mask[at[:, 1], at[:, 0]])
 
 
 def as_unit_arrays(

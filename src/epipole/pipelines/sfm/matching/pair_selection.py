@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64, Int32
+from jaxtyping import Bool, Float64, Int32
 
 from epipole._checks import Declared
 from epipole.errors import EpipoleError
@@ -20,11 +20,24 @@ from epipole.scene import Cameras, ViewGraph
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContradictingPairs(Declared):
-    """Pairs whose images probably show different things that look alike."""
+    """Verified pairs that are not used: their images probably show different things that look alike."""
 
     view_graph: ViewGraph
     angle_rad: Float64[np.ndarray, " n"]
-    """Angle between the pair's rotation and the one that the other pairs imply."""
+    """Angle between the pair's rotation and the one that the other pairs imply; NaN if it does not contradict them."""
+    is_conflicting: Bool[np.ndarray, " n"]
+    """Pairs that hold a model together whose points conflict."""
+    conflict_fraction: Float64[np.ndarray, " n"]
+    """Fraction of conflicts of these pairs in the model; NaN if unknown."""
+
+    def reason(self, pair: int) -> str:
+        """What the pair contradicts, for people."""
+        if not self.is_conflicting[pair]:
+            return f"rotation off by {np.degrees(self.angle_rad[pair]):.0f}°"
+        share = self.conflict_fraction[pair]
+        if np.isnan(share):
+            return "its images belong to groups whose points conflict"
+        return f"{100 * share:.0f} % of the points conflict"
 
     def __len__(self) -> int:
         return len(self.view_graph)
@@ -39,8 +52,8 @@ def consistent_pairs(
     cameras: Cameras,
     camera_of_image: Int32[np.ndarray, " i"],
     config: MapperConfig,
-) -> tuple[ViewGraph, ContradictingPairs]:
-    """Separate the pairs that contradict the others.
+) -> tuple[ViewGraph, Float64[np.ndarray, " n"]]:
+    """The pairs that do not contradict the others, and for each pair that does, by which angle in radians; NaN for those that do not.
 
     A pair with a guessed focal length has no rotation to compare, and stays. A plane allows two motions; if the pair has the
     one that contradicts the others, it gets the other one.
@@ -73,8 +86,7 @@ def consistent_pairs(
             essential[pair] = essential_from_cam2_from_cam1(other)
             dropped[pair] = False
     chosen = replace(view_graph, cam2_from_cam1=Rigid3(rotation, translation), essential=essential)
-    found = ContradictingPairs(view_graph.select(dropped), consistency.angle_rad[dropped])
-    return chosen.select(~dropped), found
+    return chosen.select(~dropped), np.where(dropped, consistency.angle_rad, np.nan)
 
 
 def _plane_motion(

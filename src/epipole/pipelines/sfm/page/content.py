@@ -38,14 +38,14 @@ class ImageRow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContradictingPair:
-    """A pair of images that is not used, because it contradicts the other pairs."""
+    """A pair of images that is not used, because it contradicts the others."""
 
     names: tuple[str, str]
     positions: tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, "k 2"]]
     """Matched features in both images, as fractions of width and height."""
     num_matches: int
-    angle_deg: float
-    """Angle between its relative rotation and the one that the other pairs imply."""
+    reason: str
+    """What contradicts what."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +153,7 @@ def _contradicting(solution: Solution) -> list[ContradictingPair]:
                 (images.names[first], images.names[second]),
                 (positions1, positions2),
                 at.stop - at.start,
-                float(np.degrees(solution.contradicting.angle_rad[e])),
+                solution.contradicting.reason(e),
             )
         )
     return found

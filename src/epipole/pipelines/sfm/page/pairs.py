@@ -18,7 +18,7 @@ class PairLine:
     names: tuple[str, str]
     thumbnails: tuple[Thumbnail | None, ...]
     num_matches: int
-    angle_deg: float
+    reason: str
 
 
 def pair_lines(content: ReportContent) -> list[PairLine]:
@@ -27,5 +27,5 @@ def pair_lines(content: ReportContent) -> list[PairLine]:
     for pair in content.contradicting[:MAX_PAIRS_SHOWN]:
         jpegs = [content.thumbnails.get(name) for name in pair.names]
         thumbnails = tuple(thumbnail_of(j, dots) if j else None for j, dots in zip(jpegs, pair.positions))
-        lines.append(PairLine(pair.names, thumbnails, pair.num_matches, pair.angle_deg))
+        lines.append(PairLine(pair.names, thumbnails, pair.num_matches, pair.reason))
     return lines

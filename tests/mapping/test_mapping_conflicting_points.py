@@ -1,4 +1,4 @@
-"""Points that are missing where geometry says that there must be some: none in a right model, many in a folded one."""
+"""Neighboring points that exclude each other: none in a right model, many in one that shows different things as one."""
 
 from dataclasses import replace
 
@@ -7,8 +7,10 @@ import pytest
 
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3
-from epipole.mapping import find_missing_points
+from epipole.mapping import _conflict_kernels as kernels
+from epipole.mapping import cluster_images, conflicting_points, find_conflicting_points
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
+from kernel_references import assert_same_as_python, record_calls, reference_of
 
 CAMERA = Camera(CameraModel.PINHOLE, 640, 480, np.array([500.0, 500.0, 319.5, 239.5]))
 
@@ -51,33 +53,48 @@ def row_of_cameras(rng, num_images, sees, num_points=1500):
     )
 
 
-def test_a_right_model_lacks_nothing(rng):
+def test_points_of_a_right_model_do_not_conflict(rng):
     """Half of the points in view are observed, at random."""
-    found = find_missing_points(row_of_cameras(rng, 10, lambda _, p: rng.random(len(p)) < 0.5))
-    assert len(found) == 90 and found.absent_fraction.max() < 0.1 and not found.contradicts_model
-    assert "90 pairs" in repr(found)
+    found = find_conflicting_points(row_of_cameras(rng, 10, lambda _, p: rng.random(len(p)) < 0.5))
+    assert len(found) == 45 and found.is_judged.all() and found.fraction.max() < 0.01
+    assert (found.evidence > 0.0).all() and not found.contradicts_model
+    assert "45 pairs" in repr(found)
 
 
-def test_images_of_different_things_in_one_place_lack_what_surrounds_them(rng):
+def test_images_of_different_things_in_one_place_conflict(rng):
     """Even and odd images show different things: only the upper half of the wall looks alike."""
 
     def sees(image, points):
         below = points[:, 1] > 0.0
         of_even = np.arange(len(points)) % 2 == 0
-        return ~below | (of_even == (image % 2 == 0))
+        return (~below | (of_even == (image % 2 == 0))) & (rng.random(len(points)) < 0.7)
 
-    found = find_missing_points(row_of_cameras(rng, 10, sees))
+    found = find_conflicting_points(row_of_cameras(rng, 10, sees))
     differ = found.image1 % 2 != found.image2 % 2
     np.testing.assert_array_equal(found.is_contradiction, differ)
+    np.testing.assert_array_equal(found.evidence < 0.0, differ)
     assert found.contradicts_model
+    clusters = cluster_images(10, found.image1, found.image2, found.evidence)
+    np.testing.assert_array_equal(clusters, np.arange(10) % 2)
 
 
 def test_what_one_thing_hides_is_no_contradiction_of_the_model(rng):
     """Something before one camera hides a corner of its view from it."""
-    found = find_missing_points(
+    found = find_conflicting_points(
         row_of_cameras(rng, 10, lambda i, p: (i != 4) | (p[:, 0] < 0.8) | (p[:, 1] < 0))
     )
-    assert found.absent_fraction.max() > 0.05 and not found.contradicts_model
+    assert not found.is_contradiction.any() and not found.contradicts_model
+
+
+def test_points_seen_from_different_directions_are_not_compared(rng):
+    """Cameras far apart see different sides of things."""
+    model = row_of_cameras(rng, 2, lambda i, p: np.arange(len(p)) % 2 == i)
+    found = find_conflicting_points(model)
+    assert len(found) == 1 and found.fraction[0] == 1.0
+    position = model.frames.rig_from_world
+    apart = Rigid3(position.rotation, position.translation * [[1.0], [40.0]])  # 4 m, 36 degrees
+    moved = replace(model, frames=replace(model.frames, rig_from_world=apart))
+    assert len(find_conflicting_points(moved)) == 0
 
 
 @pytest.mark.parametrize("num_images", [0, 1, 2])
@@ -94,4 +111,32 @@ def test_few_images_have_few_pairs(rng, num_images):
         model.tracks.keypoint[seen],
     )
     few = replace(model, frames=replace(model.frames, rig_from_world=registered), tracks=tracks)
-    assert len(find_missing_points(few)) == (2 if num_images == 2 else 0)
+    assert len(find_conflicting_points(few)) == (1 if num_images == 2 else 0)
+
+
+@reference_of(kernels.collect_views)
+def test_the_kernel_agrees_with_python_and_with_sets(rng, monkeypatch):
+    model = row_of_cameras(rng, 5, lambda i, p: rng.random(len(p)) < 0.3, num_points=60)
+    calls = record_calls(monkeypatch, conflicting_points, kernels.collect_views)
+    found = find_conflicting_points(model)
+    for arguments in calls:
+        assert_same_as_python(kernels.collect_views, *arguments)
+    seen = [set(model.tracks.image[model.tracks.point_of_observation() == p]) for p in range(60)]
+    neighbors = conflicting_points._neighbors_of(model)
+    centers = model.camera_centers_in_world()
+    counts = dict.fromkeys(zip(found.image1.tolist(), found.image2.tolist()), np.zeros(3, int))
+    for p in range(60):
+        around = [seen[q] for q in neighbors[p] if q >= 0]
+        for i in seen[p]:
+            for j in set().union(*around, seen[p]) - {i}:
+                a, b = (model.points.xyz_in_world[p] - centers[k] for k in (i, j))
+                sizes = np.linalg.norm([a, b], axis=1)
+                if a @ b <= np.cos(np.deg2rad(20)) * sizes.prod() or sizes.max() >= 1.5 * sizes.min():
+                    continue
+                is_disjoint = all(not (s & seen[p]) for s in around if j in s)
+                kind = 0 if j in seen[p] else 2 if is_disjoint else 1
+                counts[min(i, j), max(i, j)] = counts[min(i, j), max(i, j)] + np.eye(3, dtype=int)[kind]
+    expected = np.array([counts[pair] for pair in zip(found.image1.tolist(), found.image2.tolist())])
+    np.testing.assert_array_equal(
+        np.stack([found.num_common, found.num_missed, found.num_conflicting], 1), expected
+    )

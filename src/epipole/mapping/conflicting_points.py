@@ -1,0 +1,145 @@
+"""Neighboring points that exclude each other: a sign that a model shows different things as one.
+
+Two images of different things that look alike share the points that look alike. If a model shows the things as one, its
+points mix: side by side, there are points of one thing, which only its own images see, and points of the other,
+which only the other images see. Images of one thing see its points at random, depending on what the detector finds, so
+that neighboring points have images in common. This is the local test of visibility of Wilson and Snavely (ICCV 2013), which is for tracks
+before mapping, applied to the points of a model as by Heinly, Dunn and Frahm (ECCV 2014).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int32, Int64
+from scipy.spatial import cKDTree
+
+from epipole._checks import Declared, checked
+from epipole.mapping._conflict_kernels import NOT_MARKED, NUM_KINDS, Scratch, Views, collect_views
+from epipole.scene import Reconstruction
+
+NUM_NEIGHBORS = 16
+MAX_NEIGHBOR_DISTANCE = 0.08
+"""Largest distance of neighbors, as a fraction of the distance to the closest camera that sees the point."""
+LIMITS = (float(np.cos(np.deg2rad(20.0))), 1.5)
+"""Least cosine of the angle between two views of a point, and largest ratio of their distances: beyond it features may not match."""
+MIN_VIEWS = 20
+"""Views that a pair of images needs to be judged."""
+FRACTION_OF_SAME, FRACTION_OF_DIFFERENT = 0.01, 0.15
+"""Typical fraction of conflicts of two images of the same thing, and of different things that look alike. In nine right models of
+photographs the median was 0 to 0.03 (0.07 in frames of a video, with short tracks); in five models of rendered scenes that show different
+things as one, 0 to 0.006 for pairs of the same thing and 0.13 to 0.5 for the others."""
+MAX_FRACTION = 0.15
+MAX_CONTRADICTING, MIN_PAIRS = 0.18, 10
+"""A model is in doubt if more of its judged pairs, and at least 10, have more conflicts than MAX_FRACTION. In the right models at most
+10 % had, in the others 24 to 76 %."""
+BATCH = 20_000
+"""Points that are compared at once."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConflictingPoints(Declared):
+    """Pairs of images with similar views of points of a model, and what they see of these points and of their neighbors.
+
+    A view is a point that one of the images sees, from a similar direction and distance as the other.
+    """
+
+    image1: Int32[np.ndarray, " n"]
+    image2: Int32[np.ndarray, " n"]
+    """Greater than image1."""
+    num_common: Int64[np.ndarray, " n"]
+    """Views of points that both images see."""
+    num_missed: Int64[np.ndarray, " n"]
+    """Views of points that the other image misses, while it sees neighbors that have images in common with them."""
+    num_conflicting: Int64[np.ndarray, " n"]
+    """Views of points that the other image misses, while it sees neighbors, none of which has an image in common with them."""
+
+    def __len__(self) -> int:
+        return len(self.image1)
+
+    @property
+    def is_judged(self) -> Bool[np.ndarray, " n"]:
+        """Pairs with enough views."""
+        return np.asarray(self.num_conflicting + self._num_other >= MIN_VIEWS)
+
+    @property
+    def fraction(self) -> Float64[np.ndarray, " n"]:
+        """Conflicting views, compared with the common or the missed ones, whichever are more."""
+        return np.asarray(self.num_conflicting / np.maximum(self.num_conflicting + self._num_other, 1))
+
+    @property
+    def evidence(self) -> Float64[np.ndarray, " n"]:
+        """Logarithm of the likelihood ratio of the counts: positive for images of the same thing, negative for different things."""
+        same, different = FRACTION_OF_SAME, FRACTION_OF_DIFFERENT
+        of_others = self._num_other * np.log((1.0 - same) / (1.0 - different))
+        return np.asarray(of_others + self.num_conflicting * np.log(same / different))
+
+    @property
+    def is_contradiction(self) -> Bool[np.ndarray, " n"]:
+        """Judged pairs that conflict more than images of one thing do."""
+        return self.is_judged & (self.fraction > MAX_FRACTION)
+
+    @property
+    def contradicts_model(self) -> bool:
+        """Whether the model probably shows different things that look alike as one."""
+        count = int(self.is_contradiction.sum())
+        return count >= MIN_PAIRS and count > MAX_CONTRADICTING * int(self.is_judged.sum())
+
+    @property
+    def _num_other(self) -> np.ndarray:
+        return np.maximum(self.num_common, self.num_missed)
+
+    def __repr__(self) -> str:
+        median = np.median(self.fraction) if len(self) else 0.0
+        return f"ConflictingPoints({len(self)} pairs, median {median:.2f})"
+
+
+@checked
+def find_conflicting_points(model: Reconstruction) -> ConflictingPoints:
+    """Compare each point of a model with its nearest neighbors.
+
+    The work is the number of points times the neighbors and the square of the images of a point.
+    """
+    num_images, xyz = len(model.images), model.points.xyz_in_world
+    views, centers, neighbors = _views_of(model), model.camera_centers_in_world(), _neighbors_of(model)
+    scratch = Scratch(np.full(num_images, NOT_MARKED, np.int8), np.zeros(num_images, np.int64))
+    keys, counts = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    for first in range(0, len(xyz), BATCH):
+        batch = (first, min(first + BATCH, len(xyz)))
+        key = np.zeros(0, np.int64)
+        num_keys = collect_views(views, xyz, centers, neighbors, batch, LIMITS, scratch, key)
+        key = np.zeros(num_keys, np.int64)
+        collect_views(views, xyz, centers, neighbors, batch, LIMITS, scratch, key)
+        for column, values in zip((keys, counts), np.unique(key, return_counts=True)):
+            column.append(values)
+    key, count = np.concatenate(keys), np.concatenate(counts)
+    pair, row = np.unique(key // NUM_KINDS, return_inverse=True)
+    found = np.zeros((NUM_KINDS, len(pair)), np.int64)
+    np.add.at(found, (key % NUM_KINDS, row), count)
+    image1, image2 = np.divmod(pair, max(num_images, 1))
+    return ConflictingPoints(image1.astype(np.int32), image2.astype(np.int32), *found)
+
+
+def _views_of(model: Reconstruction) -> Views:
+    """Each image once per point."""
+    num_images, num_points = len(model.images), len(model.points)
+    seen = np.unique(model.tracks.point_of_observation() * num_images + model.tracks.image)
+    point, image = np.divmod(seen, max(num_images, 1))
+    offsets = np.searchsorted(point, np.arange(num_points + 1))
+    ray = model.points.xyz_in_world[point] - model.camera_centers_in_world()[image]
+    return Views(offsets.astype(np.int64), image.astype(np.int64), np.ascontiguousarray(ray))
+
+
+def _neighbors_of(model: Reconstruction) -> np.ndarray:
+    """(p, m) nearest points, closest first, then -1."""
+    xyz, point = model.points.xyz_in_world, model.tracks.point_of_observation()
+    if len(xyz) < 2:
+        return np.full((len(xyz), 1), -1)
+    closest = np.zeros(len(xyz))
+    distances = np.linalg.norm(xyz[point] - model.camera_centers_in_world()[model.tracks.image], axis=1)
+    closest[point] = np.inf
+    np.minimum.at(closest, point, distances)
+    distance, neighbor = cKDTree(xyz).query(xyz, min(NUM_NEIGHBORS + 1, len(xyz)))
+    is_near = distance[:, 1:] < MAX_NEIGHBOR_DISTANCE * closest[:, None]
+    return np.where(is_near, neighbor[:, 1:], -1).astype(np.int64)
