@@ -178,9 +178,7 @@ def test_pairs_that_look_alike_spoil_no_model(seed, method):
     rng, config = np.random.default_rng(seed), replace(EXACT, method=method, seed=seed)
     keypoints, mixed, is_false = with_false_pairs(truth, view_graph_of(truth), rng)
     assert is_false.mean() > 0.2
-    used, contradiction_rad = consistent_pairs(
-        mixed, keypoints, truth.cameras, truth.camera_of_image, config
-    )
+    used, contradiction_rad = consistent_pairs(mixed, keypoints, truth.cameras, truth.camera_of_image, config)
     np.testing.assert_array_equal(np.isfinite(contradiction_rad), is_false)
     assert len(used) == (~is_false).sum()
     offsets = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)

@@ -34,7 +34,19 @@ def title_of(source: Path) -> str:
 
 def notes_on_choice_and_cameras(solution: Solution) -> list[str]:
     """Notes on the choice of images and masks, and on focal lengths that were not given."""
-    return [*solution.images.notes, *_focal_notes(solution)]
+    return [*solution.images.notes, *_focal_notes(solution), *_rescue_notes(solution)]
+
+
+def _rescue_notes(solution: Solution) -> list[str]:
+    """What learned features were used for."""
+    found, models = solution.rescue, solution.mapped.models
+    if not found.images or not models:
+        return []
+    count = int(np.any([model.is_registered() for model in models], axis=0)[list(found.images)].sum())
+    return [
+        f"learned features for {len(found.images)} images that SIFT connects to few others: they verify or improve {found.num_pairs}"
+        f" pairs, and {count} of these images are registered"
+    ]
 
 
 def warnings_of(solution: Solution, config: MapperConfig) -> list[str]:

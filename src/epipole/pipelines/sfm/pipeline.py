@@ -38,7 +38,7 @@ from epipole.pipelines.sfm.matching.pair_selection import ContradictingPairs, co
 from epipole.pipelines.sfm.matching.pairing import choose_pairs, read_pairs
 from epipole.pipelines.sfm.matching.unit_tables import FEATURES
 from epipole.pipelines.sfm.photographs import ImageSet, read_image_set
-from epipole.pipelines.sfm.rescue import Rescue, rescue_weak_images
+from epipole.pipelines.sfm.rescue import Rescue, choice_of, rescue_weak_images
 from epipole.pipelines.sfm.shared_focals import contradicted_cameras, with_own_cameras
 from epipole.pipelines.sfm.warm_up import warm_up
 from epipole.runs import Run, Unit, load
@@ -114,7 +114,11 @@ def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
     Raises:
         NoModelError: there are no usable images. A solution without a model is not an error here.
         ConfigError: options do not match the images.
+        FileFormatError: the folder of learned features cannot be used.
+        MissingDependencyError: learned features need onnxruntime.
     """
+    if (choice := choice_of(config)) is not None:
+        choice.load()  # an unusable folder is reported before any work
     compiling = threading.Thread(target=warm_up, name="epipole-compile", daemon=True)
     compiling.start()
     with run.stage("read"):

@@ -69,15 +69,14 @@ def rescue_weak_images(
         run: executes the units.
         config: the options; `learned` names the folder of weights.
     """
-    assert config.learned is not None
+    choice = choice_of(config)
+    assert choice is not None
     weak = weak_images(view_graph, len(images))
     counts = num_features(todo.features)
     putative = load_putative(matches, counts)
     pairs = rescue_pairs(weak, todo.pairs, putative)
     if not pairs:
         return Rescued(tuple(todo.features), tuple(matches), view_graph, Rescue())
-    choice = Choice(config.learned, config.learned_network)
-    choice.load()  # errors in the folder are reported before any work
     members = sorted({i for pair in pairs for i in pair})
     learned = learned_units(images, members, folder / "learned", choice, config.features, config.masks)
     run.do(list(learned.values()), "features")
@@ -95,6 +94,11 @@ def rescue_weak_images(
     graph, count = merged(view_graph, load_view_graph(units, num_features(combined)))
     rescued = Rescue(tuple(int(i) for i in weak.nonzero()[0]), count)
     return Rescued(combined, (*matches, *again), graph, rescued)
+
+
+def choice_of(config: ReconstructConfig) -> Choice | None:
+    """The network of the options."""
+    return None if config.learned is None else Choice(config.learned, config.learned_network)
 
 
 def num_features(units: Sequence[Unit]) -> list[int]:
