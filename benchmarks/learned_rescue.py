@@ -50,7 +50,7 @@ class SparseSet:
 
 
 def main() -> None:
-    """Run each set three times: without learned features, and with each network."""
+    """Run each set without learned features and with each network; ALIKED takes a quarter of an hour for the room, and is left out."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("weights", type=Path)
     parser.add_argument("--data", type=Path)
@@ -60,7 +60,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="epipole-bench-") as scratch:
         work = Path(scratch)
         for each in sets(data_root(arguments.data), work):
-            for network in (None, "xfeat", "aliked"):
+            for network in (None, "xfeat", "aliked")[: 3 if each.truth is not None else 2]:
                 rows.append(run(each, network, arguments.weights, work))
                 print(rows[-1], file=sys.stderr)
     Console(width=140).print(table(rows))

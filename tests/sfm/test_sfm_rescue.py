@@ -46,14 +46,29 @@ def test_weak_images_are_matched_with_the_most_similar_and_the_next_images():
     assert rescue_pairs(np.zeros(40, bool), pairs, putative) == []
 
 
+def with_rotations(pairs, counts, off_rad):
+    """Pairs of images that are rotated by their number, with errors about another axis."""
+    rotation = Rotation3.exp(np.outer([j - i for i, j in pairs], [0.0, 1.0, 0.0])).matrix
+    error = Rotation3.exp(np.outer(off_rad, [1.0, 0.0, 0.0])).matrix
+    return graph_of_rotations(pairs, error @ rotation, counts)
+
+
 def test_only_better_pairs_replace_those_of_sift():
-    before = graph([(0, 1), (1, 2)], [40, 90])
-    after = graph([(0, 1), (0, 2), (1, 2), (2, 3)], [80, 35, 70, 29])
-    joined, count = merged(before, after)
-    pairs = dict(zip(zip(joined.image1.tolist(), joined.image2.tolist()), joined.num_inliers().tolist()))
-    assert pairs == {(0, 1): 80, (1, 2): 90, (0, 2): 35} and count == 2
+    before = with_rotations([(0, 1), (1, 2), (3, 4)], [40, 90, 20], [0, 0, 0])
+    pairs = [(0, 1), (0, 2), (1, 2), (2, 3), (3, 4)]
+    joined, count = merged(before, with_rotations(pairs, [80, 35, 70, 29, 90], [0, 0.02, 0, 0, 1.0]))
+    found = dict(zip(zip(joined.image1.tolist(), joined.image2.tolist()), joined.num_inliers().tolist()))
+    assert found == {(0, 1): 80, (1, 2): 90, (3, 4): 20, (0, 2): 35} and count == 2
     np.testing.assert_array_equal(joined.match_offsets, [0, *np.cumsum(joined.num_inliers())])
     assert len(joined.keypoint1) == len(joined.keypoint2) == joined.match_offsets[-1]
+
+
+@pytest.mark.parametrize("off_rad, count", [(0.0, 3), (0.06, 3), (0.2, 0)])
+def test_new_pairs_need_a_triangle(off_rad, count):
+    none = with_rotations([(5, 6)], [50], [0])
+    pairs = [(0, 1), (1, 2), (0, 2), (2, 3)]
+    joined, added = merged(none, with_rotations(pairs, [60, 60, 60, 500], [0, 0, off_rad, 0]))
+    assert added == count and len(joined) == 1 + count
 
 
 class KnownScene:

@@ -23,7 +23,7 @@ class ReconstructKeywords(TypedDict, total=False):
     pairs: str | Path | None
     database: str | Path | None
     learned: str | Path | None
-    learned_network: Literal['xfeat', 'aliked']
+    learned_network: Literal["xfeat", "aliked"]
     max_frames: int
     threads: int | None
     seed: int
@@ -33,7 +33,7 @@ class ReconstructKeywords(TypedDict, total=False):
     verification: RansacConfig
     mapper: MapperConfig
     anchors: AnchorOptions
-    kind: Literal['sift', 'orb']
+    kind: Literal["sift", "orb"]
     max_features: int
     max_size_px: int
     contrast_threshold: float
@@ -72,7 +72,7 @@ class ReconstructKeywords(TypedDict, total=False):
     min_long_tracks: int
     final_rounds: int
     converged_fraction: float
-    final_loss: Literal['trivial', 'huber', 'soft_l1', 'cauchy']
+    final_loss: Literal["trivial", "huber", "soft_l1", "cauchy"]
     loss_scale_px: float
     final_scale: float
     refine_focal: bool

@@ -11,7 +11,7 @@ from epipole.config import AnchorOptions
 class SlamKeywords(TypedDict, total=False):
     """Fields of `SlamConfig`, each optional."""
 
-    sensor: Literal['auto', 'mono', 'stereo', 'rgbd']
+    sensor: Literal["auto", "mono", "stereo", "rgbd"]
     topics: str | None
     start: int
     stride: int
@@ -19,7 +19,7 @@ class SlamKeywords(TypedDict, total=False):
     fps: float | None
     masks: str | Path | None
     realtime: bool
-    trajectory_format: Literal['tum', 'kitti', 'euroc']
+    trajectory_format: Literal["tum", "kitti", "euroc"]
     map: str | Path | None
     localize: bool
     anchors: AnchorOptions
