@@ -10,6 +10,7 @@ from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3, Rotation3
 from epipole.mapping import connect_matches, find_conflicting_points
 from epipole.mapping.model_builder import ModelBuilder
+from epipole.pipelines.sfm import look_alikes
 from epipole.pipelines.sfm.incremental import IncrementalMapper
 from epipole.pipelines.sfm.look_alikes import Attempt, map_apart, map_once
 from epipole.pipelines.sfm.mappers import map_with
@@ -143,6 +144,14 @@ def test_different_walls_are_mapped_once(rng):
     found = map_apart(graph, counted)
     assert len(calls) == 1 and len(found.contradicting) == 0 and not found.is_split
     assert not find_conflicting_points(true).is_contradiction.any()
+
+
+def test_of_two_pairs_that_a_third_contradicts_both_are_ambiguous():
+    image1, image2 = np.array([0, 1, 0, 2], np.int32), np.array([1, 2, 2, 3], np.int32)
+    found = look_alikes._is_ambiguous(4, image1, image2, np.array([5.0, 5.0, -50.0, 9.0]))
+    np.testing.assert_array_equal(found, [True, True, False, False])
+    weak = look_alikes._is_ambiguous(4, image1, image2, np.array([5.0, 5.0, -5.0, 9.0]))
+    assert not weak.any()
 
 
 def test_shared_numbers_are_what_looks_alike(rng):

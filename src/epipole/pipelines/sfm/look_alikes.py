@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from scipy.sparse import csr_array
+from scipy.sparse import csr_matrix
 
 from epipole.geometry import Rotation3
 from epipole.mapping import ConflictingPoints, cluster_images, find_conflicting_points
@@ -68,25 +68,22 @@ def map_apart(view_graph: ViewGraph, map_pairs: Callable[[Bool[np.ndarray, " n"]
     for num_rounds in range(MAX_ROUNDS + MAX_SPLITS + 1):
         attempt = map_pairs(used)
         models, conflicts = attempt.mapped.models, _conflicts_of(attempt.mapped)
-        is_first = num_rounds == 0
-        doubtful = [
-            found.contradicts_model if is_first else found.is_contradiction.sum() >= MIN_PAIRS_AGAIN
-            for found in conflicts
-        ]
         pairs = [
-            _Pairs.of(view_graph, m, c)
-            for m, c, is_doubtful in zip(models, conflicts, doubtful)
-            if is_doubtful
+            _Pairs.of(view_graph, model, found)
+            for model, found in zip(models, conflicts)
+            if (
+                found.contradicts_model
+                if num_rounds == 0
+                else found.is_contradiction.sum() >= MIN_PAIRS_AGAIN
+            )
         ]
-        if not pairs or num_rounds == MAX_ROUNDS + MAX_SPLITS:
+        if not pairs:
             break
         dropped = used & np.any([p.is_misleading for p in pairs], axis=0)
         if num_rounds >= MAX_ROUNDS or not dropped.any():
-            dropped, is_split = (
-                used & (_are_apart(view_graph, models) | np.any([p.is_between for p in pairs], axis=0)),
-                True,
-            )
-        if not dropped.any():
+            is_split = True
+            dropped = used & (np.any([p.is_between for p in pairs], axis=0) | _are_apart(view_graph, models))
+        if num_rounds == MAX_ROUNDS + MAX_SPLITS or not dropped.any():
             break
         used &= ~dropped
         for p in pairs:
@@ -95,20 +92,20 @@ def map_apart(view_graph: ViewGraph, map_pairs: Callable[[Bool[np.ndarray, " n"]
     return Separation(attempt, conflicts, _unused(view_graph, attempt, used, fraction), is_split)
 
 
-def _are_apart(view_graph: ViewGraph, models: Sequence[Reconstruction]) -> np.ndarray:
-    """Pairs whose images are not in one model."""
-    together = np.zeros(len(view_graph), bool)
-    for registered in (model.is_registered() for model in models):
-        together |= registered[view_graph.image1] & registered[view_graph.image2]
-    return ~together
-
-
 def map_once(view_graph: ViewGraph, map_pairs: Callable[[Bool[np.ndarray, " n"]], Attempt]) -> Separation:
     """Map the images with all pairs, even if points of a model conflict."""
     used = np.ones(len(view_graph), bool)
     attempt = map_pairs(used)
     unused = _unused(view_graph, attempt, used, np.full(len(view_graph), np.nan))
     return Separation(attempt, _conflicts_of(attempt.mapped), unused)
+
+
+def _are_apart(view_graph: ViewGraph, models: Sequence[Reconstruction]) -> np.ndarray:
+    """Pairs whose images are not in one model."""
+    together = np.zeros(len(view_graph), bool)
+    for registered in (model.is_registered() for model in models):
+        together |= registered[view_graph.image1] & registered[view_graph.image2]
+    return ~together
 
 
 def _unused(
@@ -165,19 +162,16 @@ class _Pairs:
 def _is_ambiguous(
     num_images: int, image1: np.ndarray, image2: np.ndarray, evidence: np.ndarray
 ) -> np.ndarray:
-    """Pairs that seem to show the same thing, and of which one image does so with a third that shows another thing than the other image.
+    """Pairs that seem to show the same thing, where a third image seems to show the same as one of them, and clearly not as the other.
 
-    Of such two pairs one is wrong, and which one is unknown.
+    Then one of the two similar pairs is wrong, and which one is unknown.
     """
-    joins, parts = (
-        csr_array((is_of.astype(np.float64), (image1, image2)), shape=(num_images, num_images))
-        for is_of in (evidence > 0.0, evidence < -CLEAR_EVIDENCE)
-    )
+    shape = (num_images, num_images)
+    joins = csr_matrix(((evidence > 0.0).astype(np.float64), (image1, image2)), shape=shape)
+    parts = csr_matrix(((evidence < -CLEAR_EVIDENCE).astype(np.float64), (image1, image2)), shape=shape)
     joins, parts = joins + joins.T, parts + parts.T
-    third = (
-        joins @ parts + parts @ joins
-    )  # of i and j: number of images k of which one joins k, and the other parts from it
-    return np.asarray((evidence > 0.0) & (third[image1, image2] > 0.0))
+    num_thirds = joins @ parts + parts @ joins
+    return np.asarray((evidence > 0.0) & (np.asarray(num_thirds[image1, image2]).ravel() > 0.0))
 
 
 def _values(
