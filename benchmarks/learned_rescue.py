@@ -88,7 +88,9 @@ def _every(data: Path, work: Path, name: str, step: int) -> SparseSet:
     assert task.truth is not None and task.camera_params is not None
     truth = read_truth(task.truth)
     poses = truth.cams_from_world[[list(truth.names).index(image) for image in names]]
-    return SparseSet(f"{name}, every {step}th", folder, names, ",".join(map(repr, task.camera_params)), poses)
+    return SparseSet(
+        f"{name}, one image in {step}", folder, names, ",".join(map(repr, task.camera_params)), poses
+    )
 
 
 def _courtyard(work: Path, count: int) -> SparseSet:
