@@ -217,26 +217,40 @@ def _distance_in_words(distance_m: float) -> str:
 
 
 def reasons_in_words(
-    images: ImageSet, mapped: Mapped, view_graph: ViewGraph, keypoints: Sequence[np.ndarray], min_inliers: int
+    images: ImageSet,
+    mapped: Mapped,
+    view_graph: ViewGraph,
+    unused: ViewGraph,
+    keypoints: Sequence[np.ndarray],
+    min_inliers: int,
 ) -> dict[str, str]:
-    """Reasons why images are not registered."""
+    """Reasons why images are not registered; `unused` are the verified pairs that contradict others."""
     registered = np.zeros(len(images), bool)
     for model in mapped.models:
         registered |= model.is_registered()
     out = dict(images.left_out)
     for image in np.flatnonzero(~registered):
-        words = _reason(int(image), mapped, view_graph, len(keypoints[int(image)]), min_inliers)
+        words = _reason(int(image), mapped, view_graph, unused, len(keypoints[int(image)]), min_inliers)
         is_masked = images.mask_fingerprints[image] and len(keypoints[int(image)]) < 2 * min_inliers
         out[images.names[image]] = f"{words}, or its mask covers it" if is_masked else words
     return out
 
 
-def _reason(image: int, mapped: Mapped, view_graph: ViewGraph, num_features: int, min_inliers: int) -> str:
+def _reason(
+    image: int, mapped: Mapped, view_graph: ViewGraph, unused: ViewGraph, num_features: int, min_inliers: int
+) -> str:
     if num_features == 0:
         return "no features: the image is blank, too dark or too blurred"
     if num_features < 2 * min_inliers:
         return f"only {num_features} features: too little texture"
     edges = np.flatnonzero((view_graph.image1 == image) | (view_graph.image2 == image))
+    num_unused = int(((unused.image1 == image) | (unused.image2 == image)).sum())
+    if len(edges) == 0 and num_unused:
+        plural = "s" if num_unused > 1 else ""
+        return (
+            f"its {num_unused} pair{plural} with other images contradict{'' if plural else 's'} others: different things look alike"
+            " (report, table of pairs)"
+        )
     if len(edges) == 0:
         return f"{num_features} features, but no other image shares enough of them: no overlap"
     kinds = view_graph.kind[edges]

@@ -152,6 +152,7 @@ def _reasons(solution: Solution, config: ReconstructConfig) -> dict[str, str]:
         solution.images,
         solution.mapped,
         solution.view_graph,
+        solution.contradicting.view_graph,
         solution.keypoints,
         config.mapper.resection_min_inliers,
     )
