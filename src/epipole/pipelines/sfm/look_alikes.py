@@ -164,14 +164,19 @@ def _is_ambiguous(
 ) -> np.ndarray:
     """Pairs that seem to show the same thing, where a third image seems to show the same as one of them, and clearly not as the other.
 
-    Then one of the two similar pairs is wrong, and which one is unknown.
+    Then one of the two similar pairs is wrong, and which one is unknown. Weaker pairs of their images are no more certain.
     """
     shape = (num_images, num_images)
     joins = csr_matrix(((evidence > 0.0).astype(np.float64), (image1, image2)), shape=shape)
     parts = csr_matrix(((evidence < -CLEAR_EVIDENCE).astype(np.float64), (image1, image2)), shape=shape)
     joins, parts = joins + joins.T, parts + parts.T
     num_thirds = joins @ parts + parts @ joins
-    return np.asarray((evidence > 0.0) & (np.asarray(num_thirds[image1, image2]).ravel() > 0.0))
+    ambiguous = (evidence > 0.0) & (np.asarray(num_thirds[image1, image2]).ravel() > 0.0)
+    strongest = np.zeros(num_images)
+    for image in (image1, image2):
+        np.maximum.at(strongest, image[ambiguous], evidence[ambiguous])
+    weaker = (evidence > 0.0) & (evidence < np.maximum(strongest[image1], strongest[image2]))
+    return np.asarray(ambiguous | weaker)
 
 
 def _values(
