@@ -174,7 +174,10 @@ def _match_and_map(
     if config.learned is not None and detected.database is None:
         with run.stage("rescue"):
             todo = replace(todo, cameras=cameras)
-            better = rescue_weak_images(images, todo, matches, view_graph, run.root / UNITS, run, config)
+            folder = (
+                run.root / UNITS / f"rescue{suffix}"
+            )  # a second attempt must not remove what the first one needs
+            better = rescue_weak_images(images, todo, matches, view_graph, folder, run, config)
         keypoints, colors = _keypoints(better.features)
         detected = replace(detected, features=better.features, keypoints=keypoints, colors=colors)
         matches, view_graph, rescued = list(better.matches), better.view_graph, better.found

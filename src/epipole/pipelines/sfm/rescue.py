@@ -84,12 +84,12 @@ def rescue_weak_images(
     run.do([combined[i] for i in members], "features")
     cameras = {i: todo.cameras[int(todo.camera_of_image[i])] for i in members}
     sizes = {i: (camera.width, camera.height) for i, camera in cameras.items()}
-    again = learned_match_units(pairs, learned, todo.features, sizes, putative, folder / "learned-matches")
+    again = learned_match_units(pairs, learned, todo.features, sizes, putative, folder / "matches")
     run.do(again, "match")
     some = replace(
         todo, pairs=todo.pairs[[(int(i), int(j)) in set(pairs) for i, j in todo.pairs]], features=combined
     )
-    units = verification_units(some, folder / "learned-geometry", again)
+    units = verification_units(some, folder / "geometry", again)
     run.do(units, "verify")
     graph, count = merged(view_graph, load_view_graph(units, num_features(combined)))
     rescued = Rescue(tuple(int(i) for i in weak.nonzero()[0]), count)

@@ -7,6 +7,7 @@ needs more of them that agree.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -236,13 +237,13 @@ def merged(before: ViewGraph, after: ViewGraph) -> tuple[ViewGraph, int]:
     """
     enough = after.num_inliers() >= np.maximum(MIN_INLIERS, MIN_INLIER_RATIO * after.num_putative)
     after = after.select(enough)
-    rotations = {**_rotations_of(after), **_rotations_of(before)}
+    rotations = _rotations_from((after, before))
     known = {pair: n for n, pair in enumerate(zip(before.image1.tolist(), before.image2.tolist()))}
     better = np.zeros(len(after), bool)
     for n, pair in enumerate(zip(after.image1.tolist(), after.image2.tolist())):
         own = after.cam2_from_cam1.rotation[n]
         if (row := known.get(pair)) is None:
-            better[n] = _is_confirmed(pair, own, rotations)
+            better[n] = _is_confirmed(*pair, own, rotations)
         elif after.num_inliers()[n] > before.num_inliers()[row]:
             better[n] = _agree(own, before.cam2_from_cam1.rotation[row])
     after = after.select(better)
@@ -252,10 +253,16 @@ def merged(before: ViewGraph, after: ViewGraph) -> tuple[ViewGraph, int]:
     return before.select(kept).joined(after), len(after)
 
 
-def _rotations_of(graph: ViewGraph) -> dict[tuple[int, int], np.ndarray]:
-    """image2_from_image1 of the pairs whose rotation is known."""
-    rows = zip(graph.image1.tolist(), graph.image2.tolist(), graph.cam2_from_cam1.rotation)
-    return {(i, j): rotation for i, j, rotation in rows if np.isfinite(rotation).all()}
+def _rotations_from(graphs: Sequence[ViewGraph]) -> dict[int, dict[int, np.ndarray]]:
+    """For each image, other_from_image of the images that it has a pair of known rotation with; the last graph counts."""
+    found: dict[int, dict[int, np.ndarray]] = defaultdict(dict)
+    for graph in graphs:
+        for i, j, rotation in zip(
+            graph.image1.tolist(), graph.image2.tolist(), graph.cam2_from_cam1.rotation
+        ):
+            if np.isfinite(rotation).all():
+                found[i][j], found[j][i] = rotation, rotation.T
+    return found
 
 
 def _agree(first: np.ndarray, second: np.ndarray) -> bool:
@@ -266,21 +273,10 @@ def _agree(first: np.ndarray, second: np.ndarray) -> bool:
 
 
 def _is_confirmed(
-    pair: tuple[int, int], rotation: np.ndarray, rotations: Mapping[tuple[int, int], np.ndarray]
+    i: int, j: int, rotation: np.ndarray, rotations: Mapping[int, Mapping[int, np.ndarray]]
 ) -> bool:
     """Whether the way over a third image leads to the same rotation."""
     if not np.isfinite(rotation).all():
         return False
-
-    def between(a: int, b: int) -> np.ndarray | None:
-        """b_from_a."""
-        if (a, b) in rotations:
-            return rotations[a, b]
-        return rotations[b, a].T if (b, a) in rotations else None
-
-    i, j = pair
-    for k in {image for other in rotations for image in other} - {i, j}:
-        first, second = between(i, k), between(k, j)
-        if first is not None and second is not None and _agree(second @ first, rotation):
-            return True
-    return False
+    thirds = sorted(rotations[i].keys() & rotations[j].keys())
+    return any(_agree(rotations[k][j] @ rotations[i][k], rotation) for k in thirds)
