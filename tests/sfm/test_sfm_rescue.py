@@ -8,7 +8,7 @@ import pytest
 
 import epipole
 from epipole.cameras import Camera, CameraModel
-from epipole.errors import FileFormatError
+from epipole.errors import ConfigError, FileFormatError
 from epipole.features.learned import ScoredFeatures, match_mutual_nearest
 from epipole.geometry import Rotation3
 from epipole.io import read_colmap_model
@@ -132,3 +132,8 @@ def test_a_folder_without_weights_is_refused(photographs, tmp_path):
     config = ReconstructConfig(learned=tmp_path / "nothing", executor="inline")
     with pytest.raises(FileFormatError, match="convert_learned_features"):
         epipole.reconstruct(photographs, tmp_path / "out", config)
+
+
+def test_a_database_has_features_already(tmp_path):
+    with pytest.raises(ConfigError, match="database"):
+        ReconstructConfig(learned=tmp_path, database=tmp_path / "database.db")

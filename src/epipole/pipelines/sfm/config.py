@@ -189,6 +189,8 @@ class ReconstructConfig:
             )
         if self.masks is not None and self.database is not None:
             raise ConfigError("masks cannot be combined with database: its features are already extracted")
+        if self.learned is not None and self.database is not None:
+            raise ConfigError("learned cannot be combined with database: its features are already extracted")
         if self.max_frames < 2:
             raise ConfigError(f"max_frames must be at least 2, got {self.max_frames}")
         if self.threads is not None and self.threads < 1:

@@ -171,7 +171,7 @@ def _match_and_map(
             view_graph = _verify(replace(todo, cameras=cameras), matches, again, run, num_features)
 
     rescued = Rescue()
-    if config.learned is not None and detected.database is None:
+    if config.learned is not None:
         with run.stage("rescue"):
             todo = replace(todo, cameras=cameras)
             folder = (
