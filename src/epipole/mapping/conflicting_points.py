@@ -34,8 +34,8 @@ MAX_FRACTION = 0.15
 MAX_CONTRADICTING, MIN_PAIRS = 0.18, 10
 """A model is in doubt if more of its judged pairs, and at least 10, have more conflicts than MAX_FRACTION. In the right models at most
 10 % had, in the others 24 to 76 %."""
-BATCH = 20_000
-"""Points that are compared at once."""
+BATCH = 1_000_000
+"""Limit of the sum of squared track lengths of the points that are compared at once: memory grows with it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,8 +105,7 @@ def find_conflicting_points(model: Reconstruction) -> ConflictingPoints:
     views, centers, neighbors = _views_of(model), model.camera_centers_in_world(), _neighbors_of(model)
     scratch = Scratch(np.full(num_images, NOT_MARKED, np.int8), np.zeros(num_images, np.int64))
     keys, counts = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
-    for first in range(0, len(xyz), BATCH):
-        batch = (first, min(first + BATCH, len(xyz)))
+    for batch in _batches(np.diff(views.offsets)):
         key = np.zeros(0, np.int64)
         num_keys = collect_views(views, xyz, centers, neighbors, batch, LIMITS, scratch, key)
         key = np.zeros(num_keys, np.int64)
@@ -121,10 +120,17 @@ def find_conflicting_points(model: Reconstruction) -> ConflictingPoints:
     return ConflictingPoints(image1.astype(np.int32), image2.astype(np.int32), *found)
 
 
+def _batches(lengths: np.ndarray) -> list[tuple[int, int]]:
+    """Consecutive ranges of points with tracks of these lengths."""
+    batch = np.cumsum(lengths.astype(np.int64) ** 2) // BATCH
+    starts = np.flatnonzero(np.diff(batch, prepend=-1))
+    return list(zip(starts.tolist(), [*starts[1:].tolist(), len(lengths)]))
+
+
 def _views_of(model: Reconstruction) -> Views:
     """Each image once per point."""
     num_images, num_points = len(model.images), len(model.points)
-    seen = np.unique(model.tracks.point_of_observation() * num_images + model.tracks.image)
+    seen = np.unique(model.tracks.point_of_observation().astype(np.int64) * num_images + model.tracks.image)
     point, image = np.divmod(seen, max(num_images, 1))
     offsets = np.searchsorted(point, np.arange(num_points + 1))
     ray = model.points.xyz_in_world[point] - model.camera_centers_in_world()[image]

@@ -39,9 +39,10 @@ def largest_rigid_part(
     """
     if min_points < 1 or (point < 0).any() or ((image < 0) | (image >= num_images)).any():
         raise ConfigError("min_points must be positive, and images and points must exist")
-    image, point = np.unique(np.stack([image, point]), axis=1)
+    num_points = int(point.max(initial=-1)) + 1
+    image, point = np.divmod(np.unique(image * num_points + point), max(num_points, 1))
     by_image = _Groups(image, num_images)
-    by_point = _Groups(point, int(point.max(initial=-1)) + 1)
+    by_point = _Groups(point, num_points)
     is_done, best = np.zeros(num_images, bool), np.zeros(num_images, bool)
     num_points_of = np.bincount(image, minlength=num_images)
     for start in np.argsort(-num_points_of, kind="stable"):

@@ -315,9 +315,13 @@ class IncrementalMapper:
         rows = np.flatnonzero(model.row_point >= 0)
         image, point = model.row_image[rows].astype(np.int64), model.row_point[rows].astype(np.int64)
         part = largest_rigid_part(len(model.registered), image, point)
-        for lost in np.flatnonzero(model.registered & ~part):
-            self.rejections[int(lost)] = Rejection(int(lost), self._num_rows_in_sight(int(lost)), 0)
+        if part.sum() < 2:  # a model of two images with few points
+            return
+        others = np.flatnonzero(model.registered & ~part)
+        for lost in others:
             model.deregister(int(lost))
+        for lost in others:
+            self.rejections[int(lost)] = Rejection(int(lost), self._num_rows_in_sight(int(lost)), 0)
 
     def drop_lost_images(self) -> None:
         """Remove images with too few observations."""

@@ -22,8 +22,8 @@ from epipole.scene import Reconstruction, ViewGraph
 
 MAX_ROUNDS, MAX_SPLITS = 6, 3
 """Times that images are mapped again before they are mapped apart, and times that they are."""
-MIN_PAIRS_AGAIN = 3
-"""Pairs with conflicts in a model of a later round that are enough to doubt it."""
+MIN_PAIRS_AGAIN, MAX_CONTRADICTING_AGAIN = 3, 0.1
+"""Number and fraction of the pairs with conflicts in a model of a later round that are enough to doubt it."""
 DISAGREES_RAD = np.deg2rad(25.0)
 """Angle between a pair's rotation and that of the model beyond which the pair does not hold the model together."""
 CLEAR_EVIDENCE = 10.0
@@ -64,32 +64,38 @@ def map_apart(view_graph: ViewGraph, map_pairs: Callable[[Bool[np.ndarray, " n"]
         map_pairs: maps the images with the pairs of a mask.
     """
     used, fraction = np.ones(len(view_graph), bool), np.full(len(view_graph), np.nan)
-    is_split = False
-    for num_rounds in range(MAX_ROUNDS + MAX_SPLITS + 1):
-        attempt = map_pairs(used)
-        models, conflicts = attempt.mapped.models, _conflicts_of(attempt.mapped)
+    is_split, found = False, map_once(view_graph, map_pairs)
+    for num_rounds in range(MAX_ROUNDS + MAX_SPLITS):
+        models = found.last.mapped.models
         pairs = [
-            _Pairs.of(view_graph, model, found)
-            for model, found in zip(models, conflicts)
-            if (
-                found.contradicts_model
-                if num_rounds == 0
-                else found.is_contradiction.sum() >= MIN_PAIRS_AGAIN
-            )
+            _Pairs.of(view_graph, model, conflicts)
+            for model, conflicts in zip(models, found.conflicts)
+            if (conflicts.contradicts_model if num_rounds == 0 else _is_doubtful(conflicts))
         ]
         if not pairs:
             break
         dropped = used & np.any([p.is_misleading for p in pairs], axis=0)
-        if num_rounds >= MAX_ROUNDS or not dropped.any():
-            is_split = True
+        if splits := num_rounds >= MAX_ROUNDS or not dropped.any():
             dropped = used & (np.any([p.is_between for p in pairs], axis=0) | _are_apart(view_graph, models))
-        if num_rounds == MAX_ROUNDS + MAX_SPLITS or not dropped.any():
+        if not dropped.any():
+            break
+        attempt = map_pairs(used & ~dropped)
+        if not attempt.mapped.models:  # a model in doubt, with a warning, is better than none
             break
         used &= ~dropped
+        is_split |= splits
         for p in pairs:
             is_known = dropped & np.isfinite(p.fraction)
             fraction[is_known] = p.fraction[is_known]
-    return Separation(attempt, conflicts, _unused(view_graph, attempt, used, fraction), is_split)
+        unused = _unused(view_graph, attempt, used, fraction)
+        found = Separation(attempt, _conflicts_of(attempt.mapped), unused, is_split)
+    return found
+
+
+def _is_doubtful(conflicts: ConflictingPoints) -> bool:
+    """Whether a model of a later round, after an earlier one was in doubt, still shows different things as one."""
+    count = int(conflicts.is_contradiction.sum())
+    return count >= MIN_PAIRS_AGAIN and count > MAX_CONTRADICTING_AGAIN * int(conflicts.is_judged.sum())
 
 
 def map_once(view_graph: ViewGraph, map_pairs: Callable[[Bool[np.ndarray, " n"]], Attempt]) -> Separation:
@@ -101,11 +107,12 @@ def map_once(view_graph: ViewGraph, map_pairs: Callable[[Bool[np.ndarray, " n"]]
 
 
 def _are_apart(view_graph: ViewGraph, models: Sequence[Reconstruction]) -> np.ndarray:
-    """Pairs whose images are not in one model."""
-    together = np.zeros(len(view_graph), bool)
-    for registered in (model.is_registered() for model in models):
-        together |= registered[view_graph.image1] & registered[view_graph.image2]
-    return ~together
+    """Pairs whose images are in different models."""
+    of_image = np.full(len(models[0].images), -1)
+    for number, model in enumerate(models):
+        of_image[model.is_registered()] = number
+    first, second = of_image[view_graph.image1], of_image[view_graph.image2]
+    return np.asarray((first != second) & (first >= 0) & (second >= 0))
 
 
 def _unused(

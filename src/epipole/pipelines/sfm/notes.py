@@ -44,7 +44,7 @@ def _rescue_notes(solution: Solution) -> list[str]:
         return []
     count = int(np.any([model.is_registered() for model in models], axis=0)[list(found.images)].sum())
     return [
-        f"learned features for {len(found.images)} images that SIFT connects to few others: they verify or improve {found.num_pairs}"
+        f"{len(found.images)} images that SIFT connects to few others: learned features verify or improve {found.num_pairs}"
         f" pairs, and {count} of these images are registered"
     ]
 
@@ -71,10 +71,13 @@ def _look_alike_warnings(solution: Solution) -> list[str]:
     """Warnings about different things that look alike: pairs that were left out, and models that may show them as one."""
     out = []
     if (count := int(solution.contradicting.is_conflicting.sum())) > 0:
+        num_models = len(solution.mapped.models)
         result = (
-            f"the images are mapped apart, to {len(solution.mapped.models)} models, whose positions relative to each other are unknown"
-            if solution.is_split
+            f"the images are mapped to {num_models} models, whose positions relative to each other are unknown"
+            if num_models > 1
             else "without them, the images fit together"
+            if not any(found.contradicts_model for found in solution.conflicts)
+            else "the others conflict, too"
         )
         out.append(
             f"different things look alike: {count} pairs of images whose points conflict are not used; {result} (report, table of"

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.matching.match_stage import (
     PairWork,
@@ -86,9 +88,7 @@ def rescue_weak_images(
     sizes = {i: (camera.width, camera.height) for i, camera in cameras.items()}
     again = learned_match_units(pairs, learned, todo.features, sizes, putative, folder / "matches")
     run.do(again, "match")
-    some = replace(
-        todo, pairs=todo.pairs[[(int(i), int(j)) in set(pairs) for i, j in todo.pairs]], features=combined
-    )
+    some = replace(todo, pairs=np.array(pairs, np.int32), features=combined)
     units = verification_units(some, folder / "geometry", again)
     run.do(units, "verify")
     graph, count = merged(view_graph, load_view_graph(units, num_features(combined)))
