@@ -108,7 +108,7 @@ def photographs(tmp_path, rng):
 
 def test_images_without_common_sift_features_are_registered(photographs, tmp_path, rng, monkeypatch):
     scene = KnownScene(rng)
-    monkeypatch.setattr(rescue_stage, "_loaded", lambda folder, network: scene)
+    monkeypatch.setattr(rescue_stage, "_loaded", lambda folder, network, checksums: scene)
     config = ReconstructConfig(
         camera_model="PINHOLE", camera_params="260,260,160,120", learned=tmp_path, executor="inline"
     )

@@ -66,9 +66,13 @@ def map_apart(view_graph: ViewGraph, map_pairs: Callable[[Bool[np.ndarray, " n"]
     used, fraction = np.ones(len(view_graph), bool), np.full(len(view_graph), np.nan)
     is_split, found = False, map_once(view_graph, map_pairs)
     for num_rounds in range(MAX_ROUNDS + MAX_SPLITS):
-        models = found.last.mapped.models
+        models, rotation = found.last.mapped.models, view_graph.cam2_from_cam1.rotation.copy()
+        # A plane allows two motions: of the pairs that were used, the one that was.
+        rotation[used & np.isnan(found.last.contradiction_rad)] = (
+            found.last.view_graph.cam2_from_cam1.rotation
+        )
         pairs = [
-            _Pairs.of(view_graph, model, conflicts)
+            _Pairs.of(view_graph, model, conflicts, _disagrees(view_graph, rotation, model))
             for model, conflicts in zip(models, found.conflicts)
             if (conflicts.contradicts_model if num_rounds == 0 else _is_doubtful(conflicts))
         ]
@@ -144,7 +148,9 @@ class _Pairs:
     """Fraction of conflicts; NaN if the pair was not judged."""
 
     @classmethod
-    def of(cls, view_graph: ViewGraph, model: Reconstruction, found: ConflictingPoints) -> _Pairs:
+    def of(
+        cls, view_graph: ViewGraph, model: Reconstruction, found: ConflictingPoints, disagrees: np.ndarray
+    ) -> _Pairs:
         num_images, judged = len(model.images), np.flatnonzero(found.is_judged)
         image1, image2, evidence = found.image1[judged], found.image2[judged], found.evidence[judged]
         cluster = cluster_images(num_images, image1, image2, evidence).astype(np.int64)
@@ -160,7 +166,7 @@ class _Pairs:
         apart = core[view_graph.image1] != core[view_graph.image2]
         apart |= is_small[view_graph.image1] | is_small[view_graph.image2]
         return cls(
-            is_in_model & speaks_against & ~_disagrees(view_graph, model),
+            is_in_model & speaks_against & ~disagrees,
             is_in_model & apart,
             _values(view_graph.image1, view_graph.image2, image1, image2, found.fraction[judged]),
         )
@@ -201,11 +207,11 @@ def _values(
     return np.where(key[at] == asked, np.bincount(row, value)[at], np.nan)
 
 
-def _disagrees(view_graph: ViewGraph, model: Reconstruction) -> np.ndarray:
-    """Pairs with a known rotation that is not the one in the model."""
-    rotation = model.cams_from_world().rotation
-    expected = rotation[view_graph.image2] @ np.swapaxes(rotation[view_graph.image1], 1, 2)
-    off = np.swapaxes(expected, 1, 2) @ view_graph.cam2_from_cam1.rotation
+def _disagrees(view_graph: ViewGraph, rotation: np.ndarray, model: Reconstruction) -> np.ndarray:
+    """Pairs with a known rotation image2_from_image1 (n, 3, 3) that is not the one in the model."""
+    in_model = model.cams_from_world().rotation
+    expected = in_model[view_graph.image2] @ np.swapaxes(in_model[view_graph.image1], 1, 2)
+    off = np.swapaxes(expected, 1, 2) @ rotation
     known = np.isfinite(off).all(axis=(1, 2))
     angle = np.zeros(len(off))
     angle[known] = Rotation3(off[known]).angle_rad()

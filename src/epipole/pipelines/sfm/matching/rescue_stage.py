@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import connected_components
 
 from epipole._checks.tables import Arrays, Expected, Table
 from epipole.config import FeatureConfig
-from epipole.features.learned import LearnedFeatures, ScoredFeatures
+from epipole.features.learned import CHECKSUMS, LearnedFeatures, ScoredFeatures
 from epipole.geometry import Rotation3
 from epipole.pipelines.sfm.matching.feature_stage import (
     FeaturePayload,
@@ -72,11 +72,17 @@ class Choice:
             FileFormatError: a file is missing, damaged, or was made by another program.
             MissingDependencyError: onnxruntime is not installed.
         """
-        return _loaded(self.folder, self.network)
+        return _loaded(self.folder, self.network, self.checksums())
+
+    def checksums(self) -> str:
+        """Of the weights; empty if the folder has none."""
+        file = self.folder / CHECKSUMS
+        return file.read_text(errors="replace") if file.is_file() else ""
 
 
 @lru_cache(maxsize=1)
-def _loaded(folder: Path, network: NetworkName) -> LearnedFeatures:
+def _loaded(folder: Path, network: NetworkName, _checksums: str) -> LearnedFeatures:
+    """The network; loaded again if the weights were replaced."""
     return LearnedFeatures(folder, network)
 
 
@@ -122,7 +128,7 @@ def learned_units(
     masks: Path | None,
 ) -> dict[int, Unit]:
     """One unit for each of these images."""
-    weights = digest(choice.network, [p.read_text() for p in sorted(choice.folder.glob("SHA256SUMS"))])
+    weights = digest(choice.network, choice.checksums())
     units = {}
     for i in members:
         key = digest(
@@ -139,9 +145,9 @@ def learned_units(
 
 
 def detect_learned(payload: _Detection) -> Arrays:
-    """Learned features of an image; none if it is damaged."""
+    """Learned features of an image that SIFT has read."""
     image = read_image(payload.image.path, payload.image.config.max_size_px)
-    assert not isinstance(image, str), image  # SIFT has read it
+    assert not isinstance(image, str), image
     found = payload.choice.load().detect(image.rgb, MAX_FEATURES)
     stretch = np.array([image.width / image.rgb.shape[1], image.height / image.rgb.shape[0]])
     pixels = ((found.pixels + 0.5) * stretch - 0.5).astype(np.float32)
