@@ -99,6 +99,9 @@ class FeatureConfig:
     """Downscale images for detection to this longest side."""
     contrast_threshold: float = 0.02
     """SIFT: blobs with less contrast are ignored (OpenCV's contrastThreshold)."""
+    domain_sizes: int = 1
+    """SIFT: number of window sizes whose descriptors are averaged (domain-size pooling); 5 finds more matches between
+    distant viewpoints, and describing takes five times as long."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -113,6 +116,8 @@ class FeatureConfig:
             raise ConfigError(
                 f"contrast_threshold must be finite and not negative, got {self.contrast_threshold}"
             )
+        if not 1 <= self.domain_sizes <= 16:
+            raise ConfigError(f"domain_sizes must be from 1 to 16, got {self.domain_sizes}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ from epipole.features import _scale_space_kernels as space
 from epipole.features import _sift_kernels as kernels
 from epipole.features import sift
 from epipole.features.features import Features
+from epipole.features.match import match_descriptors
 
 
 @pytest.fixture(scope="module")
@@ -134,3 +135,21 @@ def test_samples_beyond_the_rim_of_a_very_wide_level_stay_inside():
     patch = np.empty((22, 22), np.float32)
     kernels._sample.py_func(level, 32_794.0, 29.0, 1.5, 0.3, patch)  # Python would raise IndexError
     assert (patch == 0).all()
+
+
+def test_domain_sizes_find_more_matches_between_distant_views(image):
+    """In a view from the side, darker and with noise."""
+    turn = np.array([[0.5, 0.05, 40.0], [0.0, 0.9, 10.0]])
+    seen = cv2.warpAffine(image, turn, (320, 240), borderMode=cv2.BORDER_REFLECT)
+    noise = np.random.default_rng(0).normal(scale=4.0, size=seen.shape)
+    seen = np.clip(0.8 * seen + 10.0 + noise, 0, 255).astype(np.uint8)
+    right, wrong = {}, {}
+    for sizes in (1, 5):
+        config = FeatureConfig(domain_sizes=sizes)
+        here, there = sift.detect_sift(image, config), sift.detect_sift(seen, config)
+        matches = match_descriptors(here.descriptors, there.descriptors)
+        moved = here.pixels[matches[:, 0]] @ turn[:, :2].T + turn[:, 2]
+        off = np.linalg.norm(moved - there.pixels[matches[:, 1]], axis=1)
+        right[sizes], wrong[sizes] = int((off < 2.0).sum()), int((off >= 2.0).sum())
+    assert right[5] > 1.3 * right[1] > 30
+    assert wrong[5] <= wrong[1]

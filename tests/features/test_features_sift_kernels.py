@@ -65,7 +65,8 @@ def test_features(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, sha
     described = record_calls(monkeypatch, sift, kernels.describe_all)
     spots = gaussian_filter(rng.normal(size=shape), 1.5)
     gray = np.rint(255 * (spots - spots.min()) / np.ptp(spots)).astype(np.uint8)
-    sift.detect_sift(gray, FeatureConfig(contrast_threshold=0.001))
+    for sizes in (1, 3):
+        sift.detect_sift(gray, FeatureConfig(contrast_threshold=0.001, domain_sizes=sizes))
     counts = []
     for *arguments, room in extrema:
         count, _ = assert_same_as_python(space.find_extrema, *arguments, np.zeros_like(room), **SINGLE)
@@ -74,11 +75,11 @@ def test_features(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, sha
         less, _ = assert_same_as_python(space.find_extrema, *arguments, np.zeros_like(room[:1]), **SINGLE)
         assert less == count
     assert max(counts) > 1
-    for levels, positions, sigma, pixel, columns, descriptors in described:
+    for levels, positions, sigma, pixel, sizes, columns, descriptors in described:
         for few in (0, 3):
             few_places, few_sigma = positions[:few].copy(), sigma[:few].copy()
             room = np.zeros_like(columns[: 4 * few]), np.zeros_like(descriptors[: 4 * few])
             count, _ = assert_same_as_python(
-                kernels.describe_all, levels, few_places, few_sigma, pixel, *room, **SINGLE
+                kernels.describe_all, levels, few_places, few_sigma, pixel, sizes, *room, **SINGLE
             )
             assert (count > 0) == (len(few_places) > 0)

@@ -41,7 +41,7 @@ def _direction(y, x):
 
 
 @kernel(allocates=True)
-def describe_all(levels, extrema, sigma, pixel, columns, descriptors):
+def describe_all(levels, extrema, sigma, pixel, sizes, columns, descriptors):
     """Orient and describe the extrema of one octave.
 
     Args:
@@ -49,6 +49,7 @@ def describe_all(levels, extrema, sigma, pixel, columns, descriptors):
         extrema: (n, 4) of x, y, scale, level (from 1), as found.
         sigma: (n,) scales, in pixels of the octave.
         pixel: side of a pixel of the octave, in pixels of the image.
+        sizes: (k,) sizes of the windows that a descriptor averages, relative to the feature's.
         columns: (MOST_ORIENTATIONS n, 4), output: x, y, diameter in pixels of the image; radians, x toward y.
         descriptors: (MOST_ORIENTATIONS n, 128) uint8, output.
 
@@ -56,12 +57,19 @@ def describe_all(levels, extrema, sigma, pixel, columns, descriptors):
         number of rows written.
     """
     tables, angles, count = window_tables(), np.empty(MOST_ORIENTATIONS), 0
+    histogram = np.empty((CELLS + 2, CELLS + 2, ANGLES), np.float32)
     for i in range(len(extrema)):
         level, x, y = levels[int(extrema[i, 3]) - 1], float(extrema[i, 0]), float(extrema[i, 1])
         for k in range(find_orientations(level, x, y, sigma[i], angles)):
             columns[count, 0], columns[count, 1] = x * pixel, y * pixel
             columns[count, 2], columns[count, 3] = 2.0 * sigma[i] * pixel, angles[k]
-            describe(level, x, y, sigma[i], angles[k], tables, descriptors[count])
+            histogram[:] = np.float32(0.0)
+            for size in sizes:
+                # Levels are a third of an octave apart.
+                nearest = int(np.rint(extrema[i, 3] + len(levels) * np.log2(size))) - 1
+                inside = levels[min(max(nearest, 0), len(levels) - 1)]
+                add_histogram(inside, x, y, size * sigma[i], angles[k], tables, histogram)
+            _root(histogram, descriptors[count])
             count += 1
     return count
 
@@ -77,8 +85,11 @@ def describe_upright(level, pixels, sigma, descriptors):
         descriptors: (n, 128) uint8, output.
     """
     tables = window_tables()
+    histogram = np.empty((CELLS + 2, CELLS + 2, ANGLES), np.float32)
     for i in range(len(pixels)):
-        describe(level, pixels[i, 0], pixels[i, 1], sigma, 0.0, tables, descriptors[i])
+        histogram[:] = np.float32(0.0)
+        add_histogram(level, pixels[i, 0], pixels[i, 1], sigma, 0.0, tables, histogram)
+        _root(histogram, descriptors[i])
 
 
 @kernel(allocates=True)
@@ -170,8 +181,11 @@ def window_tables():
 
 
 @kernel(allocates=True)
-def describe(level, x, y, sigma, angle, tables, descriptor):
-    """Root-SIFT descriptor of the rotated window around (x, y), as bytes of length 512.
+def add_histogram(level, x, y, sigma, angle, tables, pooled):
+    """Add the gradients of the rotated window around (x, y), at unit length, to a histogram.
+
+    Several windows of one feature add up to a descriptor that tolerates larger changes of scale and viewpoint (domain-size
+    pooling: Dong and Soatto, CVPR 2015).
 
     The window is sampled on its own rotated grid, SAMPLES per cell, so that the cell and the weight of every sample are
     the same for all features; only the gradient direction has to be computed.
@@ -183,7 +197,7 @@ def describe(level, x, y, sigma, angle, tables, descriptor):
         sigma: scale in pixels of the level.
         angle: orientation in radians, x toward y.
         tables: output of `window_tables`.
-        descriptor: (128,) uint8, output.
+        pooled: (CELLS + 2, CELLS + 2, ANGLES), added to; its outer cells are not part of the descriptor.
     """
     gauss, cell, lower, upper = tables
     n = len(gauss)
@@ -215,7 +229,16 @@ def describe(level, x, y, sigma, angle, tables, descriptor):
             for o in range(ANGLES):
                 histogram[cell[i], c, o] += a * band[c, o]
                 histogram[cell[i] + 1, c, o] += b * band[c, o]
-    _root(histogram, descriptor)
+    total = np.float32(0.0)
+    for r in range(1, CELLS + 1):
+        for c in range(1, CELLS + 1):
+            for o in range(ANGLES):
+                total += histogram[r, c, o] ** 2
+    scale = np.float32(1.0) / np.sqrt(total + np.float32(1e-20))
+    for r in range(1, CELLS + 1):
+        for c in range(1, CELLS + 1):
+            for o in range(ANGLES):
+                pooled[r, c, o] += scale * histogram[r, c, o]
 
 
 @kernel(allocates=True)
@@ -250,7 +273,7 @@ def _sample(level, x, y, step, angle, patch):
 
 @kernel
 def _root(histogram, descriptor):
-    """Normalize, clip at 0.2, then convert to root-SIFT (Arandjelovic and Zisserman, CVPR 2012)."""
+    """Root-SIFT as bytes of length 512: normalize, clip at 0.2, take the square root (Arandjelovic and Zisserman, CVPR 2012)."""
     total = np.float32(0.0)
     for r in range(1, CELLS + 1):
         for c in range(1, CELLS + 1):

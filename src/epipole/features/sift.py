@@ -20,6 +20,8 @@ _SIGMA = 1.6
 """Blur of the first level of every octave, in pixels of the octave."""
 _CAMERA_SIGMA = 0.5
 """Assumed blur of the input image."""
+_POOLED_OCTAVES = 1.0
+"""Windows that are averaged are smaller and larger than the feature's by up to this many octaves."""
 _LEAST_SIDE = 2 * space.BORDER + 2
 _MOST_EDGE = 10.0
 """Largest ratio of principal curvatures: along edges the position is undetermined."""
@@ -34,7 +36,7 @@ def detect_sift(gray: UInt8[np.ndarray, "h w"], config: FeatureConfig) -> Featur
 
     Args:
         gray: at least 16 pixels per side.
-        config: `max_features` and `contrast_threshold`.
+        config: `max_features`, `contrast_threshold` and `domain_sizes`.
     """
     octaves, limit = [], config.max_features
     for number, levels in enumerate(_octaves(gray)):
@@ -46,7 +48,8 @@ def detect_sift(gray: UInt8[np.ndarray, "h w"], config: FeatureConfig) -> Featur
     wanted = np.zeros(len(pixel), bool)
     wanted[largest] = True
     ends = np.cumsum([0, *(len(o.extrema) for o in octaves)])
-    parts = [_describe(o, wanted[a:b]) for o, a, b in zip(octaves, ends, ends[1:])]
+    sizes = _domain_sizes(config.domain_sizes)
+    parts = [_describe(o, wanted[a:b], sizes) for o, a, b in zip(octaves, ends, ends[1:])]
     columns, descriptors = (np.concatenate(c) for c in zip(*parts))
     return in_order(columns, descriptors, limit)
 
@@ -106,12 +109,17 @@ def _find_extrema(levels: tuple[np.ndarray, ...], contrast_threshold: float) -> 
     return found[:count].copy()
 
 
-def _describe(octave: _Octave, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _domain_sizes(count: int) -> Float64[np.ndarray, " k"]:
+    """Relative sizes of the windows of a descriptor, evenly spaced in octaves; 1 if there is one."""
+    return np.exp2(_POOLED_OCTAVES * np.linspace(-1.0, 1.0, count)) if count > 1 else np.ones(1)
+
+
+def _describe(octave: _Octave, wanted: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Columns x, y, diameter and angle of the oriented features of an octave, and their descriptors."""
     extrema, sigma = octave.extrema[wanted], octave.sigma()[wanted]
     most = kernels.MOST_ORIENTATIONS * len(extrema)
     columns, descriptors = np.empty((most, 4), np.float32), np.empty((most, 128), np.uint8)
-    count = kernels.describe_all(octave.levels, extrema, sigma, octave.pixel, columns, descriptors)
+    count = kernels.describe_all(octave.levels, extrema, sigma, octave.pixel, sizes, columns, descriptors)
     return columns[:count], descriptors[:count]
 
 

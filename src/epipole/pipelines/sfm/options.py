@@ -37,6 +37,7 @@ class ReconstructKeywords(TypedDict, total=False):
     max_features: int
     max_size_px: int
     contrast_threshold: float
+    domain_sizes: int
     max_ratio: float
     max_distance: float
     max_bits: int
