@@ -199,6 +199,9 @@ class JobOptions:
     """Folder of masks MASKS/NAME.png for image folders; points on black pixels are ignored."""
     realtime: bool = False
     """Replay in real time: drop frames that pass while another one is tracked."""
+    mapping: Literal["auto", "inline", "thread"] = "auto"
+    """Adjust the map in the frame of a keyframe (inline), or in a thread, so that no frame waits and results depend on the
+    machine; auto: in a thread for live cameras and with realtime."""
     trajectory_format: Literal["tum", "kitti", "euroc"] = "tum"
     """Also write the trajectories in this format."""
     map: Path | None = None

@@ -1,16 +1,19 @@
 """Visual odometry in one map: `track` estimates the pose of a frame, `extend_map` extends the map with it.
 
 These two methods have one line per step: predict, track points, estimate the pose, triangulate, decide on a keyframe, insert
-it, triangulate its points, optimize. Map management (initialization, loss, loops) is in `slam.py`.
+it, triangulate its points. Then `optimize_around_newest` adjusts the map. Map management (initialization, loss, loops) is in `slam.py`.
 """
 
 from __future__ import annotations
+
+import numpy as np
 
 from epipole.geometry import Rigid3
 from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.map.covariance import carry_covariance
 from epipole.pipelines.slam.map.local_mapping import LocalMapper
+from epipole.pipelines.slam.map.map_copy import Change
 from epipole.pipelines.slam.map.slam_map import Keyframe
 from epipole.pipelines.slam.map.triangulation import triangulate, triangulate_between_keyframes
 from epipole.pipelines.slam.tracking.frame_quality import FrameQuality
@@ -25,13 +28,14 @@ class Odometry:
         cam_from_world: pose of the last frame.
         tracker: the points that are tracked from frame to frame.
         mapper: inserts keyframes and optimizes the map.
+        is_mapping_behind: whether only a loss of points makes a frame a keyframe.
     """
 
     def __init__(self, mapper: LocalMapper, cam_from_world: Rigid3) -> None:
         self.map, self.camera, self.config = mapper.map, mapper.sensor, mapper.config
         self.cam_from_world = cam_from_world
         self.tracker = PointTracker(self.map, self.camera, mapper.focal_baseline, self.config)
-        self.mapper = mapper
+        self.mapper, self.is_mapping_behind = mapper, False
 
     def track(self, previous: Frame, frame: Frame) -> tuple[RefinedPose, int] | None:
         """Pose of a frame and its number of inliers; None if there are too few.
@@ -71,7 +75,6 @@ class Odometry:
             self.insert_keyframe(frame, number)
             carry_covariance(self.map, refined)
             triangulate(self.map, self.camera.camera, self.config, len(self.map.keyframes) - 1)
-            self.optimize_around_newest()
         return reason
 
     def stay_in_map(
@@ -95,6 +98,12 @@ class Odometry:
         self.tracker.remove_outliers()
         self.cam_from_world = self.map.keyframes[-1].cam_from_world
 
+    def take_over(self, change: Change) -> None:
+        """Go on in the map after mapping has changed it."""
+        self.cam_from_world = change.new_from_old.move_cam_from_source(self.cam_from_world)
+        self.tracker.rename(change.into)
+        self.tracker.tracks.keep(~np.isin(self.tracker.tracks.point, change.removed))
+
     def newest_keyframe(self) -> Keyframe:
         """The last keyframe with points, which rotation-only keyframes do not have."""
         return next(k for k in reversed(self.map.keyframes) if len(k.point))
@@ -102,4 +111,5 @@ class Odometry:
     def _why_keyframe(self, num_agreeing: int, number: int, quality: FrameQuality) -> str:
         if not quality.is_usable:
             return ""
-        return self.tracker.why_keyframe(num_agreeing, number - self.newest_keyframe().number)
+        age = number - self.newest_keyframe().number
+        return self.tracker.why_keyframe(num_agreeing, age, only_needed=self.is_mapping_behind)

@@ -19,6 +19,7 @@ class SlamKeywords(TypedDict, total=False):
     fps: float | None
     masks: str | Path | None
     realtime: bool
+    mapping: Literal["auto", "inline", "thread"]
     trajectory_format: Literal["tum", "kitti", "euroc"]
     map: str | Path | None
     localize: bool

@@ -11,7 +11,7 @@ from epipole.geometry import Rigid3, Similarity3
 from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.frames import Frame, TrackedFrame, TrackingState
 from epipole.pipelines.slam.loops.closing import LoopConstraint
-from epipole.pipelines.slam.loops.correction import correct_drift, fuse
+from epipole.pipelines.slam.loops.correction import close_in_map, refine_closed
 from epipole.pipelines.slam.loops.recognition import describe_keyframe
 from epipole.pipelines.slam.loops.relocalization import relocalize
 from epipole.pipelines.slam.map.covariance import own_covariance
@@ -24,8 +24,6 @@ from epipole.pipelines.slam.start.rotation import RotationEstimate, RotationTrac
 from epipole.pipelines.slam.start.two_view import Confirmation, Initialization, OneCameraStart, initialize_map
 from epipole.pipelines.slam.tracking.points import Tracks
 
-LOOP_ITERATIONS = 10
-"""Iterations of global bundle adjustment after a loop; after the last frame there are more."""
 LEAST_KEYFRAMES = 3
 """A separate map with fewer keyframes is discarded when the camera is lost again."""
 
@@ -47,6 +45,7 @@ class Slam(SlamState):
             ConfigError: the frame is not later than the previous one, or lacks the right image or depth.
         """
         frame = self.camera.checked(frame, self._time_s)
+        self._take_over_mapping()
         self._quality = self._quality_monitor.assess(frame)
         if not self.map.num_points:
             answer = self._initialize(frame)
@@ -159,6 +158,7 @@ class Slam(SlamState):
 
     def _start_again(self, frame: Frame) -> TrackedFrame:
         """Discard a map that was initialized wrongly, with the poses of its frames, and initialize again."""
+        self.wait_for_mapping()
         first = self.map.keyframes[0].timestamp_s
         self.start_warnings.append(
             f"the map initialized at {first:.2f} s was discarded at {frame.timestamp_s:.2f} s: later frames contradict it"
@@ -182,10 +182,12 @@ class Slam(SlamState):
         reason = "" if self.is_map_fixed else self.odometry.extend_map(*known)
         if self.is_map_fixed:
             self.odometry.stay_in_map(*known)
+        elif reason and self.mapping_thread is not None:
+            self.mapping_thread.add(self.odometry.mapper, self._closer, self.maps)
         elif reason:
+            self.odometry.optimize_around_newest()
             reason = self._close_loop() or reason
-            refine_past_poses(self._path, self.odometry.tracker)
-            cull(self.map, self._path, self.odometry.tracker)
+            self._settle_past()
         own = own_covariance(refined, self.map, self._num_frames, measures_depth=self.camera.measures_depth)
         return self._relative_to(self.odometry.newest_keyframe(), frame, own, num_agreeing, reason)
 
@@ -193,6 +195,7 @@ class Slam(SlamState):
 
     def _find_pose(self, frame: Frame) -> TrackedFrame:
         """Relocalize the frame in one of the maps; else track a pure rotation or start a separate map."""
+        self.wait_for_mapping()
         reason = f"{len(self.odometry.tracker.tracks)} points are tracked, but too few agree with the map"
         if self.state in (TrackingState.TRACKING, TrackingState.SUBMAP):
             self._lose()
@@ -242,28 +245,51 @@ class Slam(SlamState):
         self._enter(known)
         return self._no_pose(frame, f"{reason}; {answer.reason}", answer.num_points)
 
+    # Mapping beside tracking.
+
+    def wait_for_mapping(self) -> None:
+        """Wait until all keyframes are mapped, if a thread maps them."""
+        self._take_over_mapping(wait=True)
+
+    def _take_over_mapping(self, *, wait: bool = False) -> None:
+        """Take the result of the mapping thread, if it has one, and let it go on with the keyframes that wait.
+
+        Frames between two results are tracked in the map as it was; one step then replaces it and moves the pose with it.
+        """
+        if self.mapping_thread is None:
+            return
+        while (done := self.mapping_thread.take(wait=wait)) is not None:
+            self.odometry.mapper.num_optimized = done.mapper.num_optimized
+            self._closer.follow(done.copied.map, self.map)
+            self.odometry.take_over(done.copied.replace_original())
+            if done.joining is not None:
+                self._joined(done.joining)
+            self._settle_past()
+            self.mapping_thread.catch_up(self.odometry.mapper, self._closer, self.maps)
+        self.odometry.is_mapping_behind = self.mapping_thread.is_behind
+
+    def _settle_past(self) -> None:
+        """Estimate poses of earlier frames again, and cull the map, after its adjustment."""
+        refine_past_poses(self._path, self.odometry.tracker)
+        cull(self.map, self._path, self.odometry.tracker)
+
     # Loop closure.
 
     def _close_loop(self) -> str:
         """Correct the map, or join two maps, if the newest keyframe closes a loop; returns the keyframe's reason."""
         describe_keyframe(self.map.keyframes[-1])
-        for there in self.maps:
-            constraint = self._closer.consider(self.map, there)
-            if constraint is not None and (
-                self._joined(constraint) if there is not self.map else self._corrected(constraint)
-            ):
-                self._closer.clear()
-                return "a loop was closed"
-        return ""
+        return "a loop was closed" if self._closer.search(self.map, self.maps, self._is_closed) else ""
 
-    def _corrected(self, constraint: LoopConstraint) -> bool:
-        if not correct_drift(self.map, constraint, is_metric=self.camera.measures_depth):
-            self._closer.reject_last("the pose graph contradicts the loop")
-            return False
-        self._refine_start()
-        return True
+    def _is_closed(self, constraint: LoopConstraint) -> bool:
+        if constraint.there is not self.map:
+            self._joined(constraint)
+            return True
+        into = close_in_map(self.odometry.mapper, self._closer, constraint)
+        if into is not None:
+            self._continue_corrected(into)
+        return into is not None
 
-    def _joined(self, constraint: LoopConstraint) -> bool:
+    def _joined(self, constraint: LoopConstraint) -> None:
         """Merge the younger map into the older one, in whose world results are given."""
         here, there, tracks = self.map, constraint.there, self.odometry.tracker.tracks
         if self.maps.index(there) < self.maps.index(here):
@@ -277,15 +303,10 @@ class Slam(SlamState):
             here.absorb(there)
             self.maps.remove(there)
         self._set_tracking()
-        self._refine_start()
-        return True
+        self._continue_corrected(refine_closed(self.odometry.mapper))
 
-    def _refine_start(self) -> None:
-        """After a correction: fuse duplicate points and optimize the map."""
-        newest = len(self.map.keyframes) - 1
-        into = fuse(self.map, self.odometry.mapper.window_of(newest)[0][::-1], self.camera.camera)
-        self.odometry.mapper.adjust_around(newest)
-        self.odometry.mapper.adjust_all(max_iterations=LOOP_ITERATIONS)
+    def _continue_corrected(self, into: np.ndarray) -> None:
+        """Go on from the newest keyframe of a corrected map, with the new row of each point."""
         self.odometry.tracker.rename(into)
         self.odometry.tracker.remove_outliers()
         self.odometry.cam_from_world = self.map.keyframes[-1].cam_from_world
@@ -344,6 +365,7 @@ class Slam(SlamState):
 
         The map with the most frames becomes the first one, unless a known map was given.
         """
+        self.wait_for_mapping()
         here = self.map
         self._leave_unconfirmed()
         if not self.first_number:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from epipole.pipelines.slam.map.covariance import with_map_error
 from epipole.pipelines.slam.map.local_mapping import LocalMapper, focal_baseline_of
 from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
 from epipole.pipelines.slam.map.trajectory import Path
+from epipole.pipelines.slam.mapping_thread import MappingThread
 from epipole.pipelines.slam.odometry import Odometry
 from epipole.pipelines.slam.snapshot import Snapshot, snapshot_of
 from epipole.pipelines.slam.start.rotation import RotationTracker
@@ -38,6 +40,7 @@ class SlamState:
         state: tracking state of the last frame.
         loops: all loop candidates and their verdicts.
         start_warnings: warnings about monocular maps whose initialization was contradicted or could not be confirmed.
+        mapping_thread: adjusts the map beside tracking; None if every frame waits for it.
         first_number, first_frame: numbers of the first frame (after those of a known map), and of the first in the world.
     """
 
@@ -50,6 +53,7 @@ class SlamState:
         *,
         is_map_fixed: bool = False,
         imu: MountedImu | None = None,
+        mapping: Literal["inline", "thread"] = "inline",
     ) -> None:
         """Start without a map, or continue in a known one.
 
@@ -60,12 +64,17 @@ class SlamState:
             is_map_fixed: only localize in the known map, without changing it.
             imu: one camera: IMU measurements in the frames' clock, used in optimization; ignored with a known map, whose clock
                 differs.
+            mapping: "inline" maps a keyframe before `track` returns, and results do not depend on the machine. "thread" maps in a
+                thread, so that no frame waits for it: for a live camera or a robot. Then results depend on the machine's speed.
 
         Raises:
-            ConfigError: a camera with depth is not a pinhole, or is_map_fixed is set without a known map.
+            ConfigError: a camera with depth is not a pinhole, or is_map_fixed is set without a known map, or mapping is in a thread
+                with a rolling shutter, whose correction changes keyframes in every frame.
         """
         if is_map_fixed and known is None:
             raise ConfigError("is_map_fixed=True needs a map: pass known=")
+        if mapping == "thread" and camera.shutter.is_rolling:
+            raise ConfigError("mapping='thread' needs a global shutter: readout_s must be 0")
         self.config = (SlamConfig() if config is None else config).odometry
         self.camera, self.imu = camera, imu if known is None and not camera.measures_depth else None
         self.focal_baseline = focal_baseline_of(camera, self.config)
@@ -87,6 +96,7 @@ class SlamState:
         self._path = Path(self.first_number)
         self._num_frames, self._num_lost = self.first_number, 0
         self._num_maps = 1
+        self.mapping_thread = MappingThread() if mapping == "thread" and not is_map_fixed else None
 
     def _enter(self, model: SlamMap, cam_from_world: Rigid3 | None = None) -> None:
         """Continue in this map from a pose (None: the last one)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -78,6 +79,22 @@ class LoopCloser:
     def clear(self) -> None:
         """Drop candidates that wait for confirmation, after the map has changed."""
         self._waiting.clear()
+
+    def follow(self, before: SlamMap, now: SlamMap) -> None:
+        """Let candidates in one map be candidates in another, its copy."""
+        for hypothesis in self._waiting:
+            hypothesis.there = now if hypothesis.there is before else hypothesis.there
+
+    def search(
+        self, here: SlamMap, maps: Sequence[SlamMap], is_closed: Callable[[LoopConstraint], bool]
+    ) -> bool:
+        """Search a loop of the newest keyframe in all maps, until `is_closed` could close one; whether it could."""
+        for there in maps:
+            constraint = self.consider(here, there)
+            if constraint is not None and is_closed(constraint):
+                self.clear()
+                return True
+        return False
 
     def reject_last(self, reason: str) -> None:
         """Mark the last accepted loop as rejected."""

@@ -8,12 +8,15 @@ from scipy.sparse import csr_array
 from epipole.cameras import Camera
 from epipole.geometry import Rigid2, Rigid3, Similarity3
 from epipole.optim import PoseGraph, PoseGraphConfig, optimize_pose_graph_robustly
-from epipole.pipelines.slam.loops.closing import LoopConstraint, paired_rows
+from epipole.pipelines.slam.loops.closing import LoopCloser, LoopConstraint, paired_rows
+from epipole.pipelines.slam.map.local_mapping import LocalMapper
 from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.map.triangulation import positions_of
 from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
 from epipole.pipelines.slam.tracking.redetection import redetect
 
+LOOP_ITERATIONS = 10
+"""Iterations of global bundle adjustment after a loop; after the last frame there are more."""
 EDGES_EACH = 5
 """Edges of a keyframe, to those with most points in common."""
 EDGE_POINTS = 30
@@ -26,6 +29,23 @@ LENGTH_FRACTION, DEPTH_FRACTION, ROTATION_RAD, SCALE = 0.03, 0.005, 0.01, 0.03
 CONFIDENCE = 1.0 - 1e-9
 """A loop that exceeds these deviations is rejected. The usual confidence is too low, since drift is not noise."""
 LOOP_DEPTH_FRACTION, LOOP_ROTATION_RAD, LOOP_SCALE = 0.002, 0.002, 0.01
+
+
+def close_in_map(mapper: LocalMapper, closer: LoopCloser, constraint: LoopConstraint) -> np.ndarray | None:
+    """Correct a map that returns to where it has been; the new row of each point, or None if the pose graph contradicts."""
+    if not correct_drift(mapper.map, constraint, is_metric=mapper.sensor.measures_depth):
+        closer.reject_last("the pose graph contradicts the loop")
+        return None
+    return refine_closed(mapper)
+
+
+def refine_closed(mapper: LocalMapper) -> np.ndarray:
+    """After a correction: merge duplicate points and adjust the map; the new row of each point."""
+    newest = len(mapper.map.keyframes) - 1
+    into = fuse(mapper.map, mapper.window_of(newest)[0][::-1], mapper.camera)
+    mapper.adjust_around(newest)
+    mapper.adjust_all(max_iterations=LOOP_ITERATIONS)
+    return into
 
 
 def correct_drift(model: SlamMap, constraint: LoopConstraint, *, is_metric: bool) -> bool:

@@ -81,7 +81,7 @@ class LocalMapper:
         """Measured camera positions in the world by frame number; used when all keyframes are adjusted."""
         self.position_sigma = 1.0
         self.inertial = None if imu is None else InertialConstraints(imu)
-        self._num_optimized = FIRST_OPTIMIZED
+        self.num_optimized = FIRST_OPTIMIZED
         """Number of keyframes when all were last adjusted."""
 
     def insert_keyframe(
@@ -159,8 +159,8 @@ class LocalMapper:
         For a single camera, keyframes (in a large map only the new ones) are first linked to all points in sight, since only
         points seen from many sides preserve the scale.
         """
-        if len(self.map.keyframes) >= GROWTH * self._num_optimized:
-            since, self._num_optimized = self._num_optimized, len(self.map.keyframes)
+        if len(self.map.keyframes) >= GROWTH * self.num_optimized:
+            since, self.num_optimized = self.num_optimized, len(self.map.keyframes)
             if self.focal_baseline is None:
                 first = since if len(self.map.keyframes) > MOST_CONSTRAINED else 0
                 link_tracks(self.map, self.camera, self.map.keyframes[first:])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -144,6 +145,14 @@ class SlamMap:
         """For every keyframe, the number of triangulated points that it shares with any of these."""
         is_theirs = (self.counts(keyframes) > 0) & np.isfinite(self.xyz[:, 0])
         return np.array([int(is_theirs[k.point].sum()) for k in self.keyframes], np.int64)
+
+    def copied(self) -> SlamMap:
+        """An independent copy; images and descriptors, which are never written to, are shared."""
+        out = copy(self)
+        out.keyframes = [copy(keyframe) for keyframe in self.keyframes]
+        for name in ("_xyz", "_anchor", "_anchor_px", "_num_agreed"):
+            setattr(out, name, getattr(self, name).copy())
+        return out
 
     def clear(self) -> None:
         """Remove everything."""

@@ -287,6 +287,8 @@ def _summary(
         "num_localized_causal": len(_causal(slam, tracked)),
         "states": {state.value: states.count(state) for state in TrackingState},
         "num_keyframes": len(slam.maps[0].keyframes),
+        "mapping": "inline" if slam.mapping_thread is None else "thread",
+        "num_keyframes_merged": 0 if slam.mapping_thread is None else slam.mapping_thread.num_merged,
         "num_points": int(np.isfinite(slam.maps[0].xyz[:, 0]).sum()),
         "mean_reprojection_error_px": error_px if np.isfinite(error_px) else None,
         "ms_per_frame": {

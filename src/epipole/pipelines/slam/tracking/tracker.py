@@ -316,12 +316,14 @@ class PointTracker:
         tracks.add(*redetect(self.map, self.camera, frame.gray, position, tracks.point))
         self.start_from(Tracks(tracks.pixels, tracks.point, tracks.pixels.copy()))
 
-    def why_keyframe(self, num_agreeing: int, age: int) -> str:
+    def why_keyframe(self, num_agreeing: int, age: int, *, only_needed: bool = False) -> str:
         """Why the present frame, `age` frames after the last keyframe, should become one; empty if it need not."""
         if num_agreeing < self.config.keyframe_fraction * self._num_at_start:
             return "fewer points in sight"
         if num_agreeing < self.config.keyframe_points and age >= 3:
             return "few points in sight"
+        if only_needed:
+            return ""
         if self.tracks.shift_px() > self.config.keyframe_motion * self.camera.width:
             return "the points have moved"
         return "time has passed" if age >= self.config.keyframe_gap else ""
