@@ -147,9 +147,9 @@ def test_numba_is_configured_in_one_place() -> None:
 
 
 def test_there_is_one_thread_pool() -> None:
-    """One for chunks of arrays, and the executor of units, whose threads run their chunks inline."""
+    """One for chunks of arrays, the executor of units, and SLAM's mapping thread, whose threads run their chunks inline."""
     found = {s.name for s in sources() if "PoolExecutor(" in s.text}
-    assert found == {"_parallel.py", "runs/executors.py"}
+    assert found == {"_parallel.py", "runs/executors.py", "pipelines/slam/mapping_thread.py"}
 
 
 def test_nothing_is_called_utils() -> None:

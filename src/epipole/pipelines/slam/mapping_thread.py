@@ -14,8 +14,8 @@ from epipole.pipelines.slam.map.local_mapping import LocalMapper
 from epipole.pipelines.slam.map.map_copy import MapCopy
 from epipole.pipelines.slam.map.slam_map import SlamMap
 
-MOST_WAITING = 2
-"""Keyframes that wait for mapping; while there are more, only a loss of points makes a frame a keyframe."""
+MOST_WAITING = 1
+"""Keyframes that may wait for mapping; with as many, only a large loss of points makes a frame a keyframe."""
 
 
 class Mapped(NamedTuple):
@@ -69,14 +69,14 @@ class MappingThread:
         copied = MapCopy(mapper.map)
         self.num_merged += self.num_waiting - 1
         self.num_waiting = 0
-        closer.follow(mapper.map, copied.map)
+        closer.move_candidates(mapper.map, copied.map)
         beside = copy(mapper)
         beside.map = copied.map
         seen = [copied.map if model is mapper.map else model for model in maps]
         self._running = self._pool.submit(_mapped, copied, beside, closer, seen)
 
     def take(self, *, wait: bool = False) -> Mapped | None:
-        """The result, once; None while the thread works, unless told to wait, and if it has nothing to do.
+        """The result, once; None while the thread works (unless `wait`), and if it has nothing to do.
 
         Raises:
             Exception: an error of the thread.

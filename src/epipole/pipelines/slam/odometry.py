@@ -28,7 +28,7 @@ class Odometry:
         cam_from_world: pose of the last frame.
         tracker: the points that are tracked from frame to frame.
         mapper: inserts keyframes and optimizes the map.
-        is_mapping_behind: whether only a loss of points makes a frame a keyframe.
+        is_mapping_behind: whether only a large loss of points makes a frame a keyframe.
     """
 
     def __init__(self, mapper: LocalMapper, cam_from_world: Rigid3) -> None:
@@ -112,4 +112,4 @@ class Odometry:
         if not quality.is_usable:
             return ""
         age = number - self.newest_keyframe().number
-        return self.tracker.why_keyframe(num_agreeing, age, only_needed=self.is_mapping_behind)
+        return self.tracker.why_keyframe(num_agreeing, age, is_mapping_behind=self.is_mapping_behind)

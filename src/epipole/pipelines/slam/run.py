@@ -7,7 +7,7 @@ from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Literal, Unpack
+from typing import Any, Unpack
 
 from epipole._checks import as_path, checked
 from epipole._jit import compile_seconds
@@ -91,15 +91,7 @@ def slam(
     found = find_camera(source, wanted, wanted, progress)
     frames = _open(source, wanted, wanted, found)
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
-    model = None if known is None else known.model
-    system = Slam(
-        frames.camera,
-        wanted,
-        model,
-        is_map_fixed=wanted.localize,
-        imu=mounted_imu(wanted.anchors),
-        mapping=_mapping(frames, wanted),
-    )
+    system = _system(frames, wanted, known)
     check_one_camera(wanted.anchors, measures_depth=frames.camera.measures_depth)
     check_known_map(wanted.anchors, known, is_map_fixed=wanted.localize)
     settings = {name: value for name, value in asdict(wanted).items() if name != "resume"}
@@ -122,12 +114,14 @@ def slam(
             )
 
 
-def _mapping(frames: FrameSource, job: JobOptions) -> Literal["inline", "thread"]:
-    """Where the map is adjusted; a rolling shutter cannot be corrected beside tracking."""
-    if job.mapping != "auto":
-        return job.mapping
-    is_timed = frames.is_live or job.realtime
-    return "thread" if is_timed and not frames.camera.shutter.is_rolling else "inline"
+def _system(frames: FrameSource, job: SlamConfig, known: KnownMap | None) -> Slam:
+    """SLAM with the options; by default a thread adjusts the map if frames do not wait, and the shutter is global."""
+    mapping = job.mapping
+    if mapping == "auto":
+        is_timed = frames.is_live or job.realtime
+        mapping = "thread" if is_timed and not frames.camera.shutter.is_rolling else "inline"
+    model, imu = None if known is None else known.model, mounted_imu(job.anchors)
+    return Slam(frames.camera, job, model, is_map_fixed=job.localize, imu=imu, mapping=mapping)
 
 
 def _notes(found: FoundCamera | None, system: Slam) -> list[str]:

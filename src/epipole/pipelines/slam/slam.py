@@ -187,7 +187,7 @@ class Slam(SlamState):
         elif reason:
             self.odometry.optimize_around_newest()
             reason = self._close_loop() or reason
-            self._settle_past()
+            self._refine_past()
         own = own_covariance(refined, self.map, self._num_frames, measures_depth=self.camera.measures_depth)
         return self._relative_to(self.odometry.newest_keyframe(), frame, own, num_agreeing, reason)
 
@@ -260,15 +260,15 @@ class Slam(SlamState):
             return
         while (done := self.mapping_thread.take(wait=wait)) is not None:
             self.odometry.mapper.num_optimized = done.mapper.num_optimized
-            self._closer.follow(done.copied.map, self.map)
+            self._closer.move_candidates(done.copied.map, self.map)
             self.odometry.take_over(done.copied.replace_original())
             if done.joining is not None:
                 self._joined(done.joining)
-            self._settle_past()
+            self._refine_past()
             self.mapping_thread.catch_up(self.odometry.mapper, self._closer, self.maps)
         self.odometry.is_mapping_behind = self.mapping_thread.is_behind
 
-    def _settle_past(self) -> None:
+    def _refine_past(self) -> None:
         """Estimate poses of earlier frames again, and cull the map, after its adjustment."""
         refine_past_poses(self._path, self.odometry.tracker)
         cull(self.map, self._path, self.odometry.tracker)

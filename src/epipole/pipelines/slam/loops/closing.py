@@ -80,7 +80,7 @@ class LoopCloser:
         """Drop candidates that wait for confirmation, after the map has changed."""
         self._waiting.clear()
 
-    def follow(self, before: SlamMap, now: SlamMap) -> None:
+    def move_candidates(self, before: SlamMap, now: SlamMap) -> None:
         """Let candidates in one map be candidates in another, its copy."""
         for hypothesis in self._waiting:
             hypothesis.there = now if hypothesis.there is before else hypothesis.there

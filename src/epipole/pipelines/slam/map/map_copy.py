@@ -75,7 +75,7 @@ class MapCopy:
 
 
 def world_motion(before: Keyframe, after: Keyframe) -> Similarity3:
-    """The motion of the world that leaves a keyframe's view as it is, when its pose and its unit have changed."""
+    """The motion of the world that keeps a keyframe's view unchanged when its pose and its unit have changed."""
     scale = after.unit / before.unit
     world_from_cam, old = after.cam_from_world.inverse(), before.cam_from_world
     # Rounding errors of rotations would grow from one replacement to the next.

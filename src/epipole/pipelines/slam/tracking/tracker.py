@@ -33,6 +33,8 @@ SHUTTER_ROUNDS = 3
 """Alternations between a frame's pose and its motion during the readout."""
 STEP_PX = 0.7
 """A moving object moves at least this far from one frame to the next, in pixels."""
+WHILE_BEHIND = 0.5
+"""Factor of the limits of lost points at which a frame becomes a keyframe, while mapping is behind."""
 PROVEN_FRAMES = 3
 """Frames in which a point must have been an inlier before it determines the pose."""
 
@@ -316,13 +318,18 @@ class PointTracker:
         tracks.add(*redetect(self.map, self.camera, frame.gray, position, tracks.point))
         self.start_from(Tracks(tracks.pixels, tracks.point, tracks.pixels.copy()))
 
-    def why_keyframe(self, num_agreeing: int, age: int, *, only_needed: bool = False) -> str:
-        """Why the present frame, `age` frames after the last keyframe, should become one; empty if it need not."""
-        if num_agreeing < self.config.keyframe_fraction * self._num_at_start:
+    def why_keyframe(self, num_agreeing: int, age: int, *, is_mapping_behind: bool = False) -> str:
+        """Why the present frame, `age` frames after the last keyframe, should become one; empty if it need not.
+
+        While mapping is behind, points of new keyframes are not adjusted yet, and tracking them loses points: only a loss of
+        about twice as many makes a keyframe, so that keyframes do not cause each other.
+        """
+        part = WHILE_BEHIND if is_mapping_behind else 1.0
+        if num_agreeing < part * self.config.keyframe_fraction * self._num_at_start:
             return "fewer points in sight"
-        if num_agreeing < self.config.keyframe_points and age >= 3:
+        if num_agreeing < part * self.config.keyframe_points and age >= 3:
             return "few points in sight"
-        if only_needed:
+        if is_mapping_behind:
             return ""
         if self.tracks.shift_px() > self.config.keyframe_motion * self.camera.width:
             return "the points have moved"
