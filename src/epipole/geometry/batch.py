@@ -16,6 +16,10 @@ MOST_OFF = 1e-3
 """Largest accepted deviation of R R^T from the identity: enough for single precision, or four copied digits."""
 
 
+FEW = 9 * 8
+"""Numbers below which plain Python is faster than arrays."""
+
+
 class NotABatchError(ShapeError, TypeError):
     """A single item was given where a batch is needed; also a `TypeError`, as Python's `len` raises."""
 
@@ -142,12 +146,8 @@ def check_rotations(matrices: np.ndarray, name: str) -> None:
     Raises:
         ShapeError: a matrix is not a rotation.
     """
-    if matrices.ndim == 2:  # single items are common, and plain numbers are faster than arrays here
-        (a, b, c), (d, e, f), (g, h, i) = matrices.tolist()
-        sizes = a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0
-        angles = a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i
-        off = max(*map(abs, sizes), *map(abs, angles))
-        is_mirror = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0
+    if matrices.size <= FEW:
+        off, is_mirror = _off_of_few(matrices)
     else:
         with np.errstate(invalid="ignore", over="ignore"):
             gram = np.abs(matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3))
@@ -157,6 +157,20 @@ def check_rotations(matrices: np.ndarray, name: str) -> None:
         reason = f"R R^T differs from the identity by {off:.2g}" if off > MOST_OFF else "one is a reflection"
         hint = "Rotation3.nearest(matrix) gives the nearest one"
         raise ShapeError(f"{name} must be rotation matrices: {reason} ({hint})")
+
+
+def _off_of_few(matrices: np.ndarray) -> tuple[float, bool]:
+    """Largest deviation of R R^T from the identity, and whether one is a reflection; for few matrices faster than with arrays."""
+    largest, is_mirror = 0.0, False
+    for (a, b, c), (d, e, f), (g, h, i) in matrices.reshape(-1, 3, 3).tolist():
+        sizes = a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0
+        angles = a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i
+        off = max(*map(abs, sizes), *map(abs, angles))
+        if off != off:  # NaN hides the others
+            off = max((abs(value) for value in (*sizes, *angles) if value == value), default=0.0)
+        largest = max(largest, off)
+        is_mirror |= a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0
+    return largest, is_mirror
 
 
 def in_words(values: Any) -> str:

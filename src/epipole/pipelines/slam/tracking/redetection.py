@@ -49,17 +49,8 @@ def redetect(
         axis=1
     )
     missing[rows] = inside & (in_cam[:, 2] > 0)
-    rotations = np.stack([k.cam_from_world.rotation for k in model.keyframes])
-    # The trace of a rotation is 1 + 2 cos of its angle.
-    is_rotated = np.einsum("ij,kij->k", cam_from_world.rotation, rotations) < 1 + 2 * LEAST_COSINE
-    none = np.zeros(0, np.int64)
-    views = [
-        none if rotated else _usable(k, model, missing, cam_from_world)
-        for k, rotated in zip(model.keyframes, is_rotated, strict=True)
-    ]
-    for index in np.argsort([-len(v) for v in views], kind="stable")[:MOST_KEYFRAMES]:
-        keyframe, own = model.keyframes[int(index)], views[int(index)]
-        own = own[missing[keyframe.point[own]]]
+    for keyframe, usable in _best_keyframes(model, missing, cam_from_world):
+        own = usable[missing[keyframe.point[usable]]]
         if len(own) < 5:
             continue
         at, wanted, xyz = keyframe.pixels[own], expected[keyframe.point[own]], model.xyz[keyframe.point[own]]
@@ -72,6 +63,28 @@ def redetect(
         points.append(keyframe.point[own[found]])
         missing[points[-1]] = False
     return np.concatenate(pixels), np.concatenate(points)
+
+
+def _best_keyframes(
+    model: SlamMap, missing: np.ndarray, cam_from_world: Rigid3
+) -> list[tuple[Keyframe, np.ndarray]]:
+    """The keyframes with most usable observations of missing points, and these; best first.
+
+    A keyframe has at most as many usable observations as observations, so that most need not be examined.
+    """
+    keyframes = model.keyframes
+    rotations = np.stack([k.cam_from_world.rotation for k in keyframes])
+    # The trace of a rotation is 1 + 2 cos of its angle.
+    is_near = np.einsum("ij,kij->k", cam_from_world.rotation, rotations) >= 1 + 2 * LEAST_COSINE
+    most = np.array([np.count_nonzero(missing[k.point]) for k in keyframes]) * is_near
+    count, views = np.zeros(max(len(keyframes), MOST_KEYFRAMES), np.int64), {}
+    for index in np.argsort(-most, kind="stable").tolist():
+        if most[index] < max(1, np.partition(count, -MOST_KEYFRAMES)[-MOST_KEYFRAMES]):
+            break
+        views[index] = _usable(keyframes[index], model, missing, cam_from_world)
+        count[index] = len(views[index])
+    best = np.argsort(-count, kind="stable")[:MOST_KEYFRAMES].tolist()
+    return [(keyframes[index], views[index]) for index in best if index in views]
 
 
 def _usable(keyframe: Keyframe, model: SlamMap, missing: np.ndarray, cam_from_world: Rigid3) -> np.ndarray:
