@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, settings
 
 sys.path.insert(0, str(Path(__file__).parent))
 import type_checks
+from whole import IS_WHOLE
 
 # Every annotated function of the package checks the shapes and types of its arguments and results, in its first and some later calls in
 # each test; an int may stand for a float, as in mypy. This must come before the first import of epipole.
@@ -23,8 +24,9 @@ type_checks.install("epipole", CHECKER)
 # Made-up examples are few and the same in every run, and may take as long as a kernel compiles;
 # `--hypothesis-profile=hunt` looks for new ones.
 QUIET = [HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
+MOST_EXAMPLES = 40 if IS_WHOLE else 16
 settings.register_profile(
-    "epipole", derandomize=True, deadline=None, max_examples=40, suppress_health_check=QUIET
+    "epipole", derandomize=True, deadline=None, max_examples=MOST_EXAMPLES, suppress_health_check=QUIET
 )
 settings.register_profile("hunt", deadline=None, max_examples=600, suppress_health_check=QUIET, database=None)
 settings.load_profile("epipole")

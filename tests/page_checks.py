@@ -31,10 +31,14 @@ CUT = """scrolls => [...document.querySelectorAll("main *:not(svg *), article *:
     .map(e => e.outerHTML.slice(0, 120))"""
 
 
-def check_accessibility(page: Any) -> None:
-    """No violation of WCAG 2.1 A and AA that axe-core finds."""
+def check_accessibility(page: Any, *, with_contrast: bool = True) -> None:
+    """No violation of WCAG 2.1 A and AA that axe-core finds.
+
+    Contrast takes most of its time; pages that `check_contrast` sees, which also looks into charts, need it no second time.
+    """
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
     options = {"runOnly": {"type": "tag", "values": WCAG}, "resultTypes": ["violations"], "preload": False}
+    options["rules"] = {"color-contrast": {"enabled": with_contrast}}
     found = axe.run(page, options=options).response["violations"]
     wrong = [(v["id"], [node["html"][:160] for node in v["nodes"]]) for v in found]
     assert not wrong, wrong

@@ -5,6 +5,7 @@ import io
 import re
 import tokenize
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -85,9 +86,9 @@ BRITISH_NAMES = r"'grey'|\"grey\"|grey=|grey must|\b[Cc]olour\"|'colour'"
 
 
 def british_in(text: str) -> Iterator[tuple[re.Match[str], str]]:
-    text = re.sub(BRITISH_NAMES, lambda m: "_" * len(m.group()), text)
+    text = re.sub(BRITISH_NAMES, lambda m: "_" * len(m.group()), text).lower()
     for spelling, better in BRITISH.items():
-        for match in re.finditer(spelling, text, re.IGNORECASE):
+        for match in re.finditer(spelling, text):
             yield match, better
 
 
@@ -163,14 +164,13 @@ PLAIN = {r"\bturns\b(?= (its|photographs|images|points|pixels|a|the)\b)": ""}
 """`turns photographs into models` is what the word means."""
 
 
-def page_texts(path: Path) -> Iterator[tuple[int, str]]:
+@cache
+def page_texts(path: Path) -> list[tuple[int, str]]:
     """Line and text of a page, or of the strings and comments of a script."""
     text = path.read_text()
     if path.suffix == ".py":
-        for line, one in texts_of(Source(path, text, ast.parse(text))):
-            yield line, re.sub(KEYS, "", one)
-        return
-    yield 1, re.sub(CODE, lambda m: "\n" * m.group().count("\n"), text, flags=re.DOTALL)
+        return [(line, re.sub(KEYS, "", one)) for line, one in texts_of(Source(path, text, ast.parse(text)))]
+    return [(1, re.sub(CODE, lambda m: "\n" * m.group().count("\n"), text, flags=re.DOTALL))]
 
 
 def phrases_in(text: str) -> Iterator[tuple[re.Match[str], str]]:

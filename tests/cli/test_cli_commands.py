@@ -5,12 +5,16 @@ import os
 import re
 import subprocess
 import sys
+from contextlib import redirect_stdout
 from dataclasses import fields
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+
+import type_checks
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "sfm"))
 from photographs import neighboring_views, render_to
@@ -65,8 +69,9 @@ def workspace(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cli")
     views = neighboring_views(COUNT)
     names = render_to(folder / "photographs", views)
-    printed = run("reconstruct", folder / "photographs", folder / "out")
-    return folder, names, views, printed
+    with redirect_stdout(StringIO()) as printed, type_checks.switched_off():
+        main(["reconstruct", str(folder / "photographs"), str(folder / "out")])
+    return folder, names, views, printed.getvalue()
 
 
 def test_demo_leaves_other_peoples_folders_alone(tmp_path, here):

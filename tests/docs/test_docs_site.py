@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from page_checks import DESK, PHONE, check_accessibility, check_nothing_cut
+from page_checks import DESK, PHONE, check_accessibility, check_contrast, check_nothing_cut
 from whole import IS_WHOLE
 
 REPOSITORY = Path(__file__).parents[2]
@@ -59,8 +59,10 @@ def test_pages_are_readable(site: Path, tab: Any) -> None:
         for size in (DESK, PHONE):
             tab.set_viewport_size(size)
             tab.goto((site / name).as_uri())
-            check_accessibility(tab)
+            check_accessibility(tab, with_contrast=IS_WHOLE)
             check_nothing_cut(tab, name)
+            if size == DESK:  # the colors of a phone are the same
+                check_contrast(tab, name, 0)
     assert not tab.problems
 
 

@@ -12,13 +12,12 @@ from whole import IS_WHOLE, in_whole_run
 
 JOBS = (
     "undistort",
-    "transforms",
     "ply",
     "stereo",
     "calibrate",
-    *(("slam", "reconstruct") if IS_WHOLE else ()),
+    *(("transforms", "slam", "reconstruct") if IS_WHOLE else ()),
 )
-"""Killed and resumed runs of the longer two are tested with their own jobs."""
+"""Transforms are a conversion, as a cloud of points is; killed and resumed runs of the longer two are tested with their own jobs."""
 POINTS = 6 if IS_WHOLE else 2
 
 

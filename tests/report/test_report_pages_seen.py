@@ -26,6 +26,7 @@ from page_checks import (
     check_nothing_cut,
 )
 from pairwise import each_once
+from whole import IS_WHOLE
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "calibration"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fields"))
@@ -114,7 +115,7 @@ def test_reports(name: str, reports: dict[str, Path], tab: Any) -> None:
     check_contrast(tab, name, PAGES[name])
     for size in (DESK, PHONE):
         tab.set_viewport_size(size)
-        check_accessibility(tab)
+        check_accessibility(tab, with_contrast=IS_WHOLE)
         check_nothing_cut(tab, name)
     check_chart_texts(tab, name)  # on a phone
     assert not tab.problems

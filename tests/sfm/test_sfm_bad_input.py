@@ -219,11 +219,11 @@ def test_options_that_make_no_sense(rendered, tmp_path):
     with pytest.raises(ConfigError, match="unknown camera model"):
         reconstruct(two, tmp_path / "out", ReconstructConfig(camera_model="LENS"))
     with pytest.raises(ConfigError, match="GPS"):
-        reconstruct(two, tmp_path / "out2", ReconstructConfig(pairing=PairingConfig(method="spatial")))
+        reconstruct(two, tmp_path / "out", ReconstructConfig(pairing=PairingConfig(method="spatial")))
     pairs = tmp_path / "pairs.txt"
     pairs.write_text("view_00.jpg nothing.jpg\n")
     with pytest.raises(FileFormatError, match="line 1"):
-        reconstruct(two, tmp_path / "out3", ReconstructConfig(pairs=pairs))
+        reconstruct(two, tmp_path / "out", ReconstructConfig(pairs=pairs))
 
 
 def test_masks_remove_features(few, tmp_path):
