@@ -24,7 +24,7 @@ from valid_calls import ROOMS, Call, valid_calls
 from whole import IS_WHOLE
 from wrong_arguments import describe, made, wrong_values
 
-OF_EACH_ARGUMENT = 5 if IS_WHOLE else 1
+OF_EACH_ARGUMENT = 5 if IS_WHOLE else 2
 JOBS = {name for name, _, _ in valid_jobs.calls()}
 CALCULATING = [call for call in valid_calls() if call.name not in JOBS]
 """Jobs run kernels of many kinds, on inputs that are found too poor."""

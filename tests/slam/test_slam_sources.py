@@ -258,6 +258,7 @@ def test_dropped_frames_are_told(tmp_path, capsys, monkeypatch):
     main(["slam", str(tmp_path), str(out), "--camera-params", PARAMS, "--realtime"])
     summary = json.loads((out / "summary.json").read_text())
     assert summary["num_dropped"] + summary["num_frames"] == 30 and 10 <= summary["num_dropped"] <= 20
+    assert summary["mapping"] == "thread"
     said = " ".join(capsys.readouterr().out.split())
     assert f"frames dropped {summary['num_dropped']}, to keep up" in said
 

@@ -24,8 +24,6 @@ class Mapped(NamedTuple):
     copied: MapCopy
     mapper: LocalMapper
     """Of the copy."""
-    is_corrected: bool
-    """Whether a loop in the map was closed."""
     joining: LoopConstraint | None
     """A loop between this map and another one."""
 
@@ -103,5 +101,5 @@ def _mapped(copied: MapCopy, mapper: LocalMapper, closer: LoopCloser, maps: Sequ
             copied.into = copied.into if into is None else into
             return into is not None
 
-        is_corrected = closer.search(copied.map, maps, is_closed) and joining is None
-    return Mapped(copied, mapper, is_corrected, joining)
+        closer.search(copied.map, maps, is_closed)
+    return Mapped(copied, mapper, joining)
