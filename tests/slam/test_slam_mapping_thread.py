@@ -1,15 +1,18 @@
 """Mapping in a thread: tracking does not wait for it, and the results are as good."""
 
 import threading
+from concurrent.futures import Future
 
 import numpy as np
 import pytest
 from slam_rides import CAMERA, CAMERAS, RGBD, STEREO, rendered, ride
 
 from epipole.errors import ConfigError
+from epipole.geometry import Similarity3
 from epipole.metrics import absolute_error
 from epipole.pipelines.slam import mapping_thread
 from epipole.pipelines.slam.frames import SlamCamera, TrackingState
+from epipole.pipelines.slam.loops.closing import LoopConstraint
 from epipole.pipelines.slam.map.local_mapping import LocalMapper
 from epipole.pipelines.slam.slam import Slam
 
@@ -52,12 +55,13 @@ def gate(monkeypatch):
     opened.set()
 
 
-def test_no_frame_waits_for_mapping(gate):
+def test_no_frame_waits_for_mapping(gate, monkeypatch):
+    monkeypatch.setattr(mapping_thread, "MOST_WAITING", 100)
     slam = Slam(STEREO, mapping="thread")
     answers = [slam.track(frame) for frame in ride().frames("stereo")]  # would never return
     assert all(answer.has_pose for answer in answers)
     keyframes = sum(answer.is_keyframe for answer in answers)
-    assert keyframes >= 3
+    assert keyframes >= 5
     gate.set()
     slam.finish()
     # The first is the map's initialization, the second the gate's; those that waited were mapped together.
@@ -79,15 +83,91 @@ def test_keyframes_become_rare_while_mapping_is_behind(gate):
     assert sum(a.is_keyframe for a in rare) < sum(a.is_keyframe for a in often)
 
 
-def test_an_error_of_the_thread_is_raised_by_the_next_frame(monkeypatch):
-    def fail(*_):
-        raise MemoryError("no room")
+def test_merged_keyframes_are_described(gate, monkeypatch):
+    monkeypatch.setattr(mapping_thread, "MOST_WAITING", 100)
+    slam = Slam(STEREO, mapping="thread")
+    for frame in ride().frames("stereo"):
+        slam.track(frame)
+    gate.set()
+    slam.wait_for_mapping()
+    assert slam.mapping_thread.num_merged > 0
+    assert all(keyframe.descriptor is not None for keyframe in slam.map.keyframes)
 
-    slam, frames = Slam(RGBD, mapping="thread"), ride().frames("rgbd")
-    monkeypatch.setattr(mapping_thread, "_mapped", fail)
-    with pytest.raises(MemoryError, match="no room"):
-        for frame in frames:
+
+def test_an_error_of_the_thread_is_raised_once(monkeypatch):
+    failures, adjust = [], LocalMapper.adjust_around
+
+    def fail_once(mapper, newest):
+        if not failures:
+            failures.append(newest)
+            raise MemoryError("no room")
+        adjust(mapper, newest)
+
+    monkeypatch.setattr(LocalMapper, "adjust_around", fail_once)
+    slam, raised = Slam(RGBD, mapping="thread"), 0
+    for frame in ride().frames("rgbd"):
+        try:
             slam.track(frame)
+        except MemoryError:
+            raised += 1
+            slam.track(frame)
+    assert raised == len(failures) == 1
+    slam.finish()
+    final = absolute_error(slam.trajectory().world_from_body, ride().truth(), "none")
+    assert len(slam.trajectory()) == 30 and final.position.rmse < 0.01
+
+
+def test_a_discarded_map_takes_over_nothing(gate):
+    slam = Slam(RGBD, mapping="thread")
+    for frame in ride().frames("rgbd"):
+        slam.track(frame)
+    gate.set()
+    slam.mapping_thread.discard()
+    assert slam.mapping_thread.take(wait=True) is None and not slam.mapping_thread.num_waiting
+
+
+def test_an_interrupted_wait_loses_nothing(gate, monkeypatch):
+    slam = Slam(RGBD, mapping="thread")
+    for frame in ride().frames("rgbd"):
+        slam.track(frame)
+
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Future, "result", interrupt)
+        slam.wait_for_mapping()
+    gate.set()
+    slam.finish()
+    final = absolute_error(slam.trajectory().world_from_body, ride().truth(), "none")
+    assert final.position.rmse < 0.01
+
+
+def test_joined_maps_keep_the_motion_since_the_newest_keyframe():
+    """A second map of the same frames is joined while tracking is some frames past its newest keyframe."""
+    frames = ride().frames("rgbd")
+    first = Slam(RGBD)
+    for frame in frames[:10]:
+        first.track(frame)
+    slam = Slam(RGBD, mapping="thread")
+    for n, frame in enumerate(frames):
+        answer = slam.track(frame)
+        slam.wait_for_mapping()
+        if n > 20 and not answer.is_keyframe:
+            break
+    newest, cam = slam.map.keyframes[-1], slam.odometry.cam_from_world
+    since = cam @ newest.cam_from_world.inverse()
+    assert np.linalg.norm(since.translation) > 0.01
+    first.map.number = 7
+    slam.maps.insert(0, first.map)
+    true = Similarity3(np.array(1.0), np.eye(3), np.zeros(3))
+    constraint = LoopConstraint(first.map, 0, true, None)
+    slam.odometry.take_over(slam._joined(constraint))
+    assert len(slam.maps) == 1 and slam.map is first.map
+    assert slam.map.keyframes[-1] is newest
+    now = slam.odometry.cam_from_world @ newest.cam_from_world.inverse()
+    np.testing.assert_allclose(now.translation, since.translation, atol=1e-9)
+    np.testing.assert_allclose(now.rotation, since.rotation, atol=1e-9)
 
 
 def test_loops_are_closed_on_the_copy():

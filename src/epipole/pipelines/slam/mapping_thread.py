@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from copy import copy
 from typing import NamedTuple
 
 from epipole._parallel import inline_here
 from epipole.pipelines.slam.loops.closing import LoopCloser, LoopConstraint
 from epipole.pipelines.slam.loops.correction import close_in_map
+from epipole.pipelines.slam.loops.recognition import describe_keyframe
 from epipole.pipelines.slam.map.local_mapping import LocalMapper
 from epipole.pipelines.slam.map.map_copy import MapCopy
 from epipole.pipelines.slam.map.slam_map import SlamMap
@@ -26,6 +27,8 @@ class Mapped(NamedTuple):
     """Of the copy."""
     joining: LoopConstraint | None
     """A loop between this map and another one."""
+    num_keyframes: int
+    """Keyframes that were inserted since the copy before."""
 
 
 class MappingThread:
@@ -65,13 +68,13 @@ class MappingThread:
 
     def _start(self, mapper: LocalMapper, closer: LoopCloser, maps: Sequence[SlamMap]) -> None:
         copied = MapCopy(mapper.map)
-        self.num_merged += self.num_waiting - 1
-        self.num_waiting = 0
+        count, self.num_waiting = self.num_waiting, 0
+        self.num_merged += count - 1
         closer.move_candidates(mapper.map, copied.map)
         beside = copy(mapper)
         beside.map = copied.map
         seen = [copied.map if model is mapper.map else model for model in maps]
-        self._running = self._pool.submit(_mapped, copied, beside, closer, seen)
+        self._running = self._pool.submit(_mapped, copied, beside, closer, seen, count)
 
     def take(self, *, wait: bool = False) -> Mapped | None:
         """The result, once; None while the thread works (unless `wait`), and if it has nothing to do.
@@ -81,15 +84,29 @@ class MappingThread:
         """
         if self._running is None or not (wait or self._running.done()):
             return None
-        running, self._running = self._running, None
-        return running.result()
+        running = self._running
+        try:
+            return running.result()
+        finally:  # an interrupted wait leaves the thread at work
+            self._running = None if running.done() else running
+
+    def discard(self) -> None:
+        """Wait for the thread, and leave out its result and what waits: their map is discarded."""
+        if self._running is not None:
+            wait([self._running])
+        self._running, self.num_waiting = None, 0
 
 
-def _mapped(copied: MapCopy, mapper: LocalMapper, closer: LoopCloser, maps: Sequence[SlamMap]) -> Mapped:
+def _mapped(
+    copied: MapCopy, mapper: LocalMapper, closer: LoopCloser, maps: Sequence[SlamMap], num_keyframes: int
+) -> Mapped:
     """Adjust the map around its newest keyframe, and close a loop."""
     # Tracking needs the other processors.
     with inline_here():
         mapper.adjust_around(len(copied.map.keyframes) - 1)
+        for keyframe in copied.map.keyframes:
+            if keyframe.descriptor is None and len(keyframe.point):
+                describe_keyframe(keyframe)
         joining: LoopConstraint | None = None
 
         def is_closed(constraint: LoopConstraint) -> bool:
@@ -102,4 +119,4 @@ def _mapped(copied: MapCopy, mapper: LocalMapper, closer: LoopCloser, maps: Sequ
             return into is not None
 
         closer.search(copied.map, maps, is_closed)
-    return Mapped(copied, mapper, joining)
+    return Mapped(copied, mapper, joining, num_keyframes)

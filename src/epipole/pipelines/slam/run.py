@@ -150,6 +150,12 @@ def _finish(stream: FrameStream, system: Slam, run: Run, is_stopped: Callable[[]
         return was_stopped or not stream.is_interrupted
 
     run.report("adjust", 0, total)
+    while True:
+        try:
+            system.wait_for_mapping()
+            break
+        except EpipoleError as error:  # each time, fewer keyframes wait
+            run.warnings.append(f"the map was not adjusted around some of its keyframes: {error}")
     system.finish(goes_on)
     run.report("adjust", total, total)
 
@@ -260,7 +266,8 @@ def _track(
             answer = system.track(frame)
         except EpipoleError as error:
             problem = f"frame {number} is left out: {error}"
-        seconds = perf_counter() - start - (compile_seconds() - compiling)
+        # The mapping thread compiles, too, and not only in this frame's time.
+        seconds = max(perf_counter() - start - (compile_seconds() - compiling), 0.0)
         records.append(FrameRecord(number, queued.name, seconds, answer, problem))
         stands.autosave.add(system, records, lambda: keyframe_names(system, records, known))
         if answer is not None:

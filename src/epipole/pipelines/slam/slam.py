@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 
 import numpy as np
 
@@ -16,8 +17,10 @@ from epipole.pipelines.slam.loops.recognition import describe_keyframe
 from epipole.pipelines.slam.loops.relocalization import relocalize
 from epipole.pipelines.slam.map.covariance import own_covariance
 from epipole.pipelines.slam.map.culling import cull
+from epipole.pipelines.slam.map.map_copy import Change, world_motion
 from epipole.pipelines.slam.map.past_poses import refine_past_poses
 from epipole.pipelines.slam.map.slam_map import SlamMap
+from epipole.pipelines.slam.mapping_thread import Mapped
 from epipole.pipelines.slam.slam_state import SlamState
 from epipole.pipelines.slam.start.bootstrap import bootstrap_map
 from epipole.pipelines.slam.start.rotation import RotationEstimate, RotationTracker
@@ -158,7 +161,8 @@ class Slam(SlamState):
 
     def _start_again(self, frame: Frame) -> TrackedFrame:
         """Discard a map that was initialized wrongly, with the poses of its frames, and initialize again."""
-        self.wait_for_mapping()
+        if self.mapping_thread is not None:
+            self.mapping_thread.discard()
         first = self.map.keyframes[0].timestamp_s
         self.start_warnings.append(
             f"the map initialized at {first:.2f} s was discarded at {frame.timestamp_s:.2f} s: later frames contradict it"
@@ -258,15 +262,26 @@ class Slam(SlamState):
         """
         if self.mapping_thread is None:
             return
-        while (done := self.mapping_thread.take(wait=wait)) is not None:
+        while (done := self._mapped(wait=wait)) is not None:
             self.odometry.mapper.num_optimized = done.mapper.num_optimized
             self._closer.move_candidates(done.copied.map, self.map)
             self.odometry.take_over(done.copied.replace_original())
             if done.joining is not None:
-                self._joined(done.joining)
-            self._refine_past()
+                self.odometry.take_over(self._joined(done.joining))
+            for _ in range(done.num_keyframes):
+                self._refine_past()
             self.mapping_thread.catch_up(self.odometry.mapper, self._closer, self.maps)
         self.odometry.is_mapping_behind = self.mapping_thread.is_behind
+
+    def _mapped(self, *, wait: bool) -> Mapped | None:
+        """The result of the mapping thread; after an error it goes on with the keyframes that wait."""
+        assert self.mapping_thread is not None
+        try:
+            return self.mapping_thread.take(wait=wait)
+        except Exception:
+            self._closer.clear()
+            self.mapping_thread.catch_up(self.odometry.mapper, self._closer, self.maps)
+            raise
 
     def _refine_past(self) -> None:
         """Estimate poses of earlier frames again, and cull the map, after its adjustment."""
@@ -282,16 +297,17 @@ class Slam(SlamState):
 
     def _is_closed(self, constraint: LoopConstraint) -> bool:
         if constraint.there is not self.map:
-            self._joined(constraint)
+            self._continue_corrected(self._joined(constraint).into)
             return True
         into = close_in_map(self.odometry.mapper, self._closer, constraint)
         if into is not None:
             self._continue_corrected(into)
         return into is not None
 
-    def _joined(self, constraint: LoopConstraint) -> None:
-        """Merge the younger map into the older one, in whose world results are given."""
+    def _joined(self, constraint: LoopConstraint) -> Change:
+        """Merge the younger map into the older one, in whose world results are given; how that changes the newest keyframe."""
         here, there, tracks = self.map, constraint.there, self.odometry.tracker.tracks
+        newest, before = here.keyframes[-1], copy(here.keyframes[-1])
         if self.maps.index(there) < self.maps.index(here):
             here.move(constraint.there_from_here)
             tracks.point = tracks.point + there.absorb(here)
@@ -303,7 +319,10 @@ class Slam(SlamState):
             here.absorb(there)
             self.maps.remove(there)
         self._set_tracking()
-        self._continue_corrected(refine_closed(self.odometry.mapper))
+        self._unconfirmed = None
+        before.point = newest.point
+        into = refine_closed(self.odometry.mapper)
+        return Change(world_motion(before, newest), into, np.setdiff1d(into[before.point], newest.point))
 
     def _continue_corrected(self, into: np.ndarray) -> None:
         """Go on from the newest keyframe of a corrected map, with the new row of each point."""

@@ -65,7 +65,8 @@ class SlamState:
             imu: one camera: IMU measurements in the frames' clock, used in optimization; ignored with a known map, whose clock
                 differs.
             mapping: "inline" maps a keyframe before `track` returns, and results do not depend on the machine. "thread" maps in a
-                thread, so that no frame waits for it: for a live camera or a robot. Then results depend on the machine's speed.
+                thread, for a live camera or a robot: only frames of a lost camera wait for it. Then results depend on the machine's
+                speed, and the object cannot be copied.
 
         Raises:
             ConfigError: a camera with depth is not a pinhole, or is_map_fixed is set without a known map, or mapping is in a thread
