@@ -14,6 +14,8 @@ from epipole.pipelines.slam import mapping_thread
 from epipole.pipelines.slam.frames import SlamCamera, TrackingState
 from epipole.pipelines.slam.loops.closing import LoopConstraint
 from epipole.pipelines.slam.map.local_mapping import LocalMapper
+from epipole.pipelines.slam.map.map_copy import MapCopy
+from epipole.pipelines.slam.mapping_thread import Mapped
 from epipole.pipelines.slam.slam import Slam
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")
@@ -143,31 +145,34 @@ def test_an_interrupted_wait_loses_nothing(gate, monkeypatch):
     assert final.position.rmse < 0.01
 
 
-def test_joined_maps_keep_the_motion_since_the_newest_keyframe():
+def test_joined_maps_keep_the_motion_since_the_newest_keyframe(monkeypatch):
     """A second map of the same frames is joined while tracking is some frames past its newest keyframe."""
     frames = ride().frames("rgbd")
-    first = Slam(RGBD)
+    first, slam = Slam(RGBD), Slam(RGBD, mapping="thread")
     for frame in frames[:10]:
         first.track(frame)
-    slam = Slam(RGBD, mapping="thread")
     for n, frame in enumerate(frames):
         answer = slam.track(frame)
         slam.wait_for_mapping()
         if n > 20 and not answer.is_keyframe:
             break
-    newest, cam = slam.map.keyframes[-1], slam.odometry.cam_from_world
-    since = cam @ newest.cam_from_world.inverse()
+    newest = slam.map.keyframes[-1]
+    since = slam.odometry.cam_from_world @ newest.cam_from_world.inverse()
     assert np.linalg.norm(since.translation) > 0.01
     first.map.number = 7
     slam.maps.insert(0, first.map)
-    true = Similarity3(np.array(1.0), np.eye(3), np.zeros(3))
-    constraint = LoopConstraint(first.map, 0, true, None)
-    slam.odometry.take_over(slam._joined(constraint))
-    assert len(slam.maps) == 1 and slam.map is first.map
-    assert slam.map.keyframes[-1] is newest
+    same = Similarity3(np.array(1.0), np.eye(3), np.zeros(3))
+    joining = LoopConstraint(first.map, 0, same, None)
+    done = Mapped(MapCopy(slam.map), slam.odometry.mapper, joining, 1)
+    results = iter([done, None])
+    monkeypatch.setattr(slam.mapping_thread, "take", lambda **_: next(results))
+    slam.wait_for_mapping()
+    assert slam.maps == [first.map] and slam.map is first.map and slam.map.keyframes[-1] is newest
     now = slam.odometry.cam_from_world @ newest.cam_from_world.inverse()
     np.testing.assert_allclose(now.translation, since.translation, atol=1e-9)
     np.testing.assert_allclose(now.rotation, since.rotation, atol=1e-9)
+    monkeypatch.undo()
+    assert slam.track(frames[n + 1]).has_pose
 
 
 def test_loops_are_closed_on_the_copy():

@@ -267,7 +267,8 @@ class Slam(SlamState):
             self._closer.move_candidates(done.copied.map, self.map)
             self.odometry.take_over(done.copied.replace_original())
             if done.joining is not None:
-                self.odometry.take_over(self._joined(done.joining))
+                change = self._joined(done.joining)  # may enter the other map
+                self.odometry.take_over(change)
             for _ in range(done.num_keyframes):
                 self._refine_past()
             self.mapping_thread.catch_up(self.odometry.mapper, self._closer, self.maps)
