@@ -75,7 +75,7 @@ def _look_alike_warnings(solution: Solution) -> list[str]:
         result = (
             f"the images are mapped to {num_models} models, whose positions relative to each other are unknown"
             if num_models > 1
-            else "without them, the images fit together"
+            else "without them no points conflict, but the model may still show different things as one: check it"
             if not any(found.contradicts_model for found in solution.conflicts)
             else "the others conflict, too"
         )
