@@ -14,10 +14,8 @@ Own = TypeVar("Own", bound="Batch")
 _DOUBLE = np.dtype(np.float64)
 MOST_OFF = 1e-3
 """Largest accepted deviation of R R^T from the identity: enough for single precision, or four copied digits."""
-
-
 FEW = 9 * 8
-"""Numbers below which plain Python is faster than arrays."""
+"""Largest count of numbers that plain Python checks faster than arrays."""
 
 
 class NotABatchError(ShapeError, TypeError):

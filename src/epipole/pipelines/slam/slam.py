@@ -32,7 +32,7 @@ LEAST_KEYFRAMES = 3
 
 
 class Slam(SlamState):
-    """Tracks a camera frame by frame and builds a map; results do not depend on the machine's load.
+    """Tracks a camera frame by frame and builds a map; unless a thread maps, results do not depend on the machine's load.
 
     The world is the first frame's camera (only approximately with one camera, whose map is not fixed to it). Its unit is the
     meter if the camera measures depth, else the median depth of the first points. A lost camera is relocalized; meanwhile a
