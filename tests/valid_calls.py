@@ -630,7 +630,7 @@ def _mapping() -> Iterator[Row]:
     evidence = {"image1": first, "image2": first + 1, "weight": np.array([1.0, -1.0])}
     yield _row(mapping.cluster_images, num_images=3, **evidence)
     seen = {"image": np.array([0, 1, 2, 0, 1, 2]), "point": np.array([0, 0, 0, 1, 1, 1])}
-    yield _row(mapping.largest_rigid_part, num_images=3, **seen, min_points=2)
+    yield _row(mapping.largest_rigid_part, num_images=3, **seen, min_points=2, min_fraction=0.1)
     offsets, builder = model.images.keypoint_offsets, _builder()
     components, freedom = builder.components, mapping.Freedom()
     quick = BundleConfig(max_iterations=2)
@@ -686,6 +686,7 @@ def _mapping() -> Iterator[Row]:
     yield _row(consistency.overall, model=builder)
     yield _row(consistency.num_explained, model=builder)
     yield _row(consistency.of_images, model=builder)
+    yield _row(mapping.explained_matches, model=model, view_graph=graph)
     which = np.arange(len(components))
     yield _row(builder.update_rays, camera=0)
     yield _row(builder.camera, index=0)

@@ -84,3 +84,14 @@ def test_few_points_do_not_determine_a_scale():
     assert largest_rigid_part(3, *twice, min_points=6).sum() == 1
     with pytest.raises(ConfigError, match="min_points"):
         largest_rigid_part(3, image, point, min_points=0)
+
+
+def test_few_points_of_an_image_with_many_do_not_determine_a_scale():
+    image, point = chain(9, 3, cut=5)
+    link = np.array([4, 5, 6] * 6), np.repeat(1000 + np.arange(6), 3)  # wrong matches that fit by chance
+    own = np.repeat([4, 6], 200), 2000 + np.arange(400)  # seen once
+    image, point = (np.concatenate(rows) for rows in zip((image, point), link, own))
+    assert largest_rigid_part(9, image, point).all()
+    assert not largest_rigid_part(9, image, point, min_fraction=0.08).all()
+    with pytest.raises(ConfigError, match="min_fraction"):
+        largest_rigid_part(9, image, point, min_fraction=1.5)

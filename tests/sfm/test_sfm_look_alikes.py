@@ -8,9 +8,16 @@ from sfm_rings import EXACT, shared_keypoints, view_graph_of
 
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3, Rotation3
-from epipole.mapping import connect_matches, find_conflicting_points
+from epipole.mapping import ConflictingPoints, connect_matches, explained_matches, find_conflicting_points
 from epipole.mapping.model_builder import ModelBuilder
-from epipole.pipelines.sfm import look_alikes
+from epipole.pipelines.sfm.false_pairs import (
+    _is_ambiguous,
+    are_hinges,
+    are_stray,
+    are_torn,
+    are_within,
+    is_doubtful,
+)
 from epipole.pipelines.sfm.incremental import IncrementalMapper
 from epipole.pipelines.sfm.look_alikes import Attempt, map_apart, map_once
 from epipole.pipelines.sfm.mappers import map_with
@@ -142,15 +149,15 @@ def test_different_walls_are_mapped_once(rng):
         return mapping_of(true, graph)(used)
 
     found = map_apart(graph, counted)
-    assert len(calls) == 1 and len(found.contradicting) == 0 and not found.is_split
+    assert len(calls) == 1 and len(found.contradicting) == 0
     assert not find_conflicting_points(true).is_contradiction.any()
 
 
 def test_of_two_pairs_that_a_third_contradicts_both_are_ambiguous():
     image1, image2 = np.array([0, 1, 0, 2], np.int32), np.array([1, 2, 2, 3], np.int32)
-    found = look_alikes._is_ambiguous(4, image1, image2, np.array([5.0, 5.0, -50.0, 9.0]))
+    found = _is_ambiguous(4, image1, image2, np.array([5.0, 5.0, -50.0, 9.0]))
     np.testing.assert_array_equal(found, [True, True, False, False])
-    weak = look_alikes._is_ambiguous(4, image1, image2, np.array([5.0, 5.0, -5.0, 9.0]))
+    weak = _is_ambiguous(4, image1, image2, np.array([5.0, 5.0, -5.0, 9.0]))
     assert not weak.any()
 
 
@@ -161,3 +168,131 @@ def test_shared_numbers_are_what_looks_alike(rng):
         == 0
         < len(shared_keypoints(folded, 0, IMAGES_PER_WALL))
     )
+
+
+def rows_of(graph, first, second):
+    """Matches of the pairs whose first and second images are in these ranges."""
+    chosen = np.isin(graph.image1, first) & np.isin(graph.image2, second)
+    return chosen, np.repeat(chosen, graph.num_inliers())
+
+
+def with_wrong_matches(graph, first, second):
+    """The pairs between some images, with the keypoints of the second image shifted by one."""
+    _, rows = rows_of(graph, first, second)
+    return replace(graph, keypoint2=np.where(rows, np.roll(graph.keypoint2, 1), graph.keypoint2))
+
+
+def test_matches_of_a_right_model_are_explained_and_wrong_ones_are_not(rng):
+    true, _ = walls(rng, 1)
+    graph = view_graph_of(true)
+    explained, count = explained_matches(true, graph)
+    np.testing.assert_array_equal(explained, graph.num_inliers())
+    np.testing.assert_array_equal(count, graph.num_inliers())
+    wrong = with_wrong_matches(graph, [0], [2])
+    explained, count = explained_matches(true, wrong)
+    chosen, _ = rows_of(graph, [0], [2])
+    assert explained[chosen] == 0 and (explained == count)[~chosen].all()
+    np.testing.assert_array_equal(count, graph.num_inliers())
+    lost = model_without(true, [2])
+    explained, count = explained_matches(lost, graph)
+    has_lost = (graph.image1 == 2) | (graph.image2 == 2)
+    assert not count[has_lost].any() and (explained == graph.num_inliers())[~has_lost].all()
+
+
+def model_without(model, images):
+    """The model without the poses and the observations of some images."""
+    frames, tracks = model.frames, model.tracks
+    lost = np.isin(np.arange(len(model.images)), images)
+    kept = ~lost[tracks.image]
+    counts = np.bincount(tracks.point_of_observation()[kept], minlength=len(model.points))
+    pose = frames.rig_from_world
+    return replace(
+        model,
+        frames=replace(
+            frames,
+            rig_from_world=Rigid3(
+                np.where(lost[:, None, None], np.nan, pose.rotation),
+                np.where(lost[:, None], np.nan, pose.translation),
+            ),
+        ),
+        tracks=Tracks(
+            np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+            tracks.image[kept],
+            tracks.keypoint[kept],
+        ),
+    )
+
+
+def test_a_model_is_torn_where_pairs_with_many_matches_are_overruled(rng):
+    true, _ = walls(rng, 1)
+    graph = view_graph_of(true)
+    used = np.ones(len(graph), bool)
+    assert not are_torn(graph, [true], used, ~used).any()
+    one = with_wrong_matches(graph, [0], [2])  # the other pairs of image 0 have more matches
+    assert not are_torn(one, [true], used, ~used).any()
+    most = with_wrong_matches(graph, [0, 1, 2], [4, 5, 6])
+    most = with_wrong_matches(most, [0, 1], [3])
+    torn = are_torn(most, [true], used, ~used)
+    expected, _ = rows_of(graph, [0, 1, 2], [3, 4, 5, 6])
+    np.testing.assert_array_equal(torn, expected)
+    wrong = (explained_matches(true, most)[0] == 0) & used
+    assert not are_torn(most, [true], ~wrong, ~used).any()  # pairs that are not in use overrule nothing
+
+
+def test_an_image_strays_if_most_of_its_matches_are_in_another_model(rng):
+    true, _ = walls(rng, 1)
+    graph = view_graph_of(true)
+    used = np.ones(len(graph), bool)
+    ends, others = model_without(true, [1, 2, 3, 4, 5]), model_without(true, [0, 6])
+    stray = are_stray(graph, [others, ends], used)
+    np.testing.assert_array_equal(stray.nonzero()[0], [0, 6])
+    np.testing.assert_array_equal(
+        are_within(graph, [others, ends], stray), (graph.image1 == 0) & (graph.image2 == 6)
+    )
+    assert not are_stray(graph, [true], used).any()
+
+
+def test_a_later_model_is_in_doubt_if_its_parts_conflict_even_if_most_pairs_do_not():
+    first, second = np.triu_indices(8, 1)
+    within = (first < 4) == (second < 4)
+    image1, image2 = np.append(first[within], 0), np.append(second[within], 7)
+    common, conflicting = np.full(len(image1), 100), np.zeros(len(image1), np.int64)
+    found = ConflictingPoints(
+        image1.astype(np.int32), image2.astype(np.int32), common, np.zeros_like(common), conflicting
+    )
+    assert not is_doubtful(found, 8)
+    conflicting[-1] = 60
+    found = replace(found, num_conflicting=conflicting)
+    assert is_doubtful(found, 8) and not found.contradicts_model
+
+
+def test_an_earlier_false_pair_speaks_against_a_model_that_agrees_with_it(rng):
+    true, _ = walls(rng, 1)
+    graph = view_graph_of(true)
+    used = np.ones(len(graph), bool)
+    was_false, _ = rows_of(graph, [0, 1, 2], [3, 4, 5, 6])
+    was_false &= ~((graph.image1 == 2) & (graph.image2 == 3))
+    np.testing.assert_array_equal(
+        are_torn(graph, [true], ~was_false, was_false), rows_of(graph, [0, 1, 2], [3, 4, 5, 6])[0]
+    )
+    turned = Rigid3(
+        np.where(
+            was_false[:, None, None],
+            Rotation3.exp(np.array([0.0, 1.0, 0.0])).matrix @ graph.cam2_from_cam1.rotation,
+            graph.cam2_from_cam1.rotation,
+        ),
+        graph.cam2_from_cam1.translation,
+    )
+    elsewhere = replace(graph, cam2_from_cam1=turned)
+    assert not are_torn(elsewhere, [true], ~was_false & used, was_false).any()
+
+
+def test_a_single_image_does_not_hold_two_parts_together(rng):
+    true, _ = walls(rng, 1)
+    graph = view_graph_of(true)
+    used = np.ones(len(graph), bool)
+    assert not are_hinges(graph, [true], used).any()
+    over, _ = rows_of(graph, [0, 1], [3, 4, 5, 6])  # without them, image 2 alone joins the parts
+    hinges = are_hinges(graph, [true], ~over)
+    np.testing.assert_array_equal(hinges, rows_of(graph, [0, 1], [2])[0])
+    assert not are_hinges(graph, [model_without(true, [0, 1])], ~over).any()

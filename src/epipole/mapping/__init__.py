@@ -7,6 +7,7 @@ from epipole.mapping.adjustment import adjust_around as adjust_around
 from epipole.mapping.conflicting_points import ConflictingPoints as ConflictingPoints
 from epipole.mapping.conflicting_points import find_conflicting_points as find_conflicting_points
 from epipole.mapping.consistency import MatchConsistency as MatchConsistency
+from epipole.mapping.consistency import explained_matches as explained_matches
 from epipole.mapping.global_positioning import GlobalPositions as GlobalPositions
 from epipole.mapping.global_positioning import position_globally as position_globally
 from epipole.mapping.image_clusters import cluster_images as cluster_images

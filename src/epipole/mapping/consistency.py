@@ -8,7 +8,7 @@ from jaxtyping import Float64, Int64
 from epipole._checks import checked
 from epipole.mapping.match_components import check_matches
 from epipole.mapping.model_builder import ModelBuilder
-from epipole.scene import ViewGraph
+from epipole.scene import Reconstruction, ViewGraph
 
 
 class MatchConsistency:
@@ -62,3 +62,33 @@ class MatchConsistency:
             total[0] += np.bincount(side[known], (fractions * count)[known], len(total[0]))
             total[1] += np.bincount(side[known], count[known], len(total[1]))
         return np.divide(total[0], total[1], out=np.ones(len(total[0])), where=total[1] > 0)
+
+
+@checked
+def explained_matches(
+    model: Reconstruction, view_graph: ViewGraph
+) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
+    """For each pair, the number of its matches that both images observe as one point, and of those with a point at either keypoint.
+
+    Both are 0 unless both images are registered.
+    """
+    num_images, tracks = len(model.images), model.tracks
+    sizes = np.zeros(num_images, np.int64)
+    pair = np.repeat(np.arange(len(view_graph)), view_graph.num_inliers())
+    image1, image2 = view_graph.image1[pair], view_graph.image2[pair]
+    for image, keypoint in (
+        (tracks.image, tracks.keypoint),
+        (image1, view_graph.keypoint1),
+        (image2, view_graph.keypoint2),
+    ):
+        np.maximum.at(sizes, image, keypoint + 1)
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    point_of_keypoint = np.full(starts[-1], -1, np.int64)
+    point_of_keypoint[starts[tracks.image] + tracks.keypoint] = tracks.point_of_observation()
+    point1 = point_of_keypoint[starts[image1] + view_graph.keypoint1]
+    point2 = point_of_keypoint[starts[image2] + view_graph.keypoint2]
+    registered = model.is_registered()
+    both = registered[image1] & registered[image2]
+    count = len(view_graph)
+    same = np.bincount(pair, both & (point1 == point2) & (point1 >= 0), count).astype(np.int64)
+    return same, np.bincount(pair, both & ((point1 >= 0) | (point2 >= 0)), count).astype(np.int64)

@@ -23,6 +23,7 @@ def largest_rigid_part(
     image: Int64[np.ndarray, " k"],
     point: Int64[np.ndarray, " k"],
     min_points: int = MIN_POINTS,
+    min_fraction: float = 0.0,
 ) -> Bool[np.ndarray, " n"]:
     """The images of the largest part whose distances have one scale.
 
@@ -33,10 +34,13 @@ def largest_rigid_part(
         image: image of each observation.
         point: point of each observation, from 0.
         min_points: points of a part that a further image must see.
+        min_fraction: least fraction of its points that these must be: wrong matches that fit by chance are few.
 
     Raises:
-        ConfigError: an image does not exist, a point is negative, or `min_points` is not positive.
+        ConfigError: an image does not exist, a point is negative, `min_points` is not positive, or `min_fraction` is not in [0, 1].
     """
+    if not 0.0 <= min_fraction <= 1.0:
+        raise ConfigError(f"min_fraction must be between 0 and 1, but is {min_fraction}")
     if min_points < 1 or (point < 0).any() or ((image < 0) | (image >= num_images)).any():
         raise ConfigError("min_points must be positive, and images and points must exist")
     num_points = int(point.max(initial=-1)) + 1
@@ -45,9 +49,10 @@ def largest_rigid_part(
     by_point = _Groups(point, num_points)
     is_done, best = np.zeros(num_images, bool), np.zeros(num_images, bool)
     num_points_of = np.bincount(image, minlength=num_images)
+    least = np.maximum(min_points, min_fraction * num_points_of)
     for start in np.argsort(-num_points_of, kind="stable"):
         if not is_done[start] and num_points_of[start] > 0:
-            part = _grown_from(int(start), image, point, by_image, by_point, min_points)
+            part = _grown_from(int(start), image, point, by_image, by_point, least)
             is_done |= part
             best = part if part.sum() > best.sum() else best
     return best
@@ -67,7 +72,7 @@ class _Groups:
 
 
 def _grown_from(
-    start: int, image: np.ndarray, point: np.ndarray, by_image: _Groups, by_point: _Groups, min_points: int
+    start: int, image: np.ndarray, point: np.ndarray, by_image: _Groups, by_point: _Groups, least: np.ndarray
 ) -> np.ndarray:
     """The part of an image and of the one that shares most points with it."""
     num_images = len(by_image.offsets) - 1
@@ -75,12 +80,12 @@ def _grown_from(
     num_views = np.zeros(len(by_point.offsets) - 1, np.int64)
     shared = np.bincount(image[by_point.rows(point[by_image.rows(np.array([start]))])], minlength=num_images)
     shared[start] = 0
-    new = np.array([start, int(np.argmax(shared))]) if shared.max() >= min_points else np.array([start])
+    new = np.array([start, int(np.argmax(shared))]) if shared.max() >= least[start] else np.array([start])
     while len(new):
         part[new] = True
         seen, counts = np.unique(point[by_image.rows(new)], return_counts=True)
         is_measured = (num_views[seen] < 2) & (num_views[seen] + counts >= 2)
         num_views[seen] += counts
         num_measured += np.bincount(image[by_point.rows(seen[is_measured])], minlength=num_images)
-        new = np.flatnonzero(~part & (num_measured >= min_points))
+        new = np.flatnonzero(~part & (num_measured >= least))
     return part

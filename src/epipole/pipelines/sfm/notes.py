@@ -73,7 +73,8 @@ def _look_alike_warnings(solution: Solution) -> list[str]:
     if (count := int(solution.contradicting.is_conflicting.sum())) > 0:
         num_models = len(solution.mapped.models)
         result = (
-            f"the images are mapped to {num_models} models, whose positions relative to each other are unknown"
+            f"the images are mapped to {num_models} models, whose positions relative to each other are unknown; one of"
+            " them may still show different things as one: check them"
             if num_models > 1
             else "without them no points conflict, but the model may still show different things as one: check it"
             if not any(found.contradicts_model for found in solution.conflicts)

@@ -68,8 +68,6 @@ class Solution:
     """Verified pairs that are not used, because they contradict the others or hold models together whose points conflict."""
     conflicts: tuple[ConflictingPoints, ...]
     """For each model, points that exclude each other."""
-    is_split: bool
-    """Whether images were mapped apart because of conflicts."""
     rescue: Rescue
     """What learned features were used for."""
     focals: Mapping[int, FocalAccuracy] = field(default_factory=dict)
@@ -194,7 +192,6 @@ def _match_and_map(
         separated.last.mapped,
         separated.contradicting,
         separated.conflicts,
-        separated.is_split,
         rescued,
     )
 
