@@ -285,6 +285,7 @@ WORLDS: dict[str, Callable[[Path], None]] = {
     "slam-1": meters_for_slam,
     "slam_maps-0": maps,
     "slam_maps-1": stopped_ride,
+    "slam_ros-0": stopped_ride,
     "slam_sources-0": sources_of_slam,
     "stereo-0": pair,
     "tour/1_photographs-0": nothing,

@@ -204,6 +204,9 @@ class JobOptions:
     machine; auto: in a thread for live cameras and with realtime."""
     trajectory_format: Literal["tum", "kitti", "euroc"] = "tum"
     """Also write the trajectories in this format."""
+    record: Path | None = None
+    """Also record poses, map and images to this file (.mcap) for Foxglove, RViz and other tools of ROS (pip install
+    'epipole[ros]')."""
     map: Path | None = None
     """Continue in the map of an earlier run (its output folder)."""
     localize: bool = False

@@ -21,6 +21,7 @@ class SlamKeywords(TypedDict, total=False):
     realtime: bool
     mapping: Literal["auto", "inline", "thread"]
     trajectory_format: Literal["tum", "kitti", "euroc"]
+    record: str | Path | None
     map: str | Path | None
     localize: bool
     anchors: AnchorOptions

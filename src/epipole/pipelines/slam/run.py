@@ -36,6 +36,7 @@ from epipole.pipelines.slam.output.results import (
     write_results,
 )
 from epipole.pipelines.slam.output.resuming import Continued, completing, key_of, start_or_continue
+from epipole.pipelines.slam.output.ros_record import Recording, open_recording
 from epipole.pipelines.slam.output.scale import anchor_map, check_known_map, check_one_camera
 from epipole.pipelines.slam.output.truth import true_path_at
 from epipole.pipelines.slam.slam import Slam
@@ -53,7 +54,7 @@ from epipole.runs.earlier import refuse_poorer
 from epipole.runs.folder import check_output_path
 from epipole.scale import Anchoring, check_anchor_files, mounted_imu
 
-FILES = ("truth", "map", "masks", *ANCHOR_FILES)
+FILES = ("truth", "map", "masks", "record", *ANCHOR_FILES)
 """Options that name files."""
 
 
@@ -97,15 +98,18 @@ def slam(
     settings = {name: value for name, value in asdict(wanted).items() if name != "resume"}
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     shown = open_live(system, FrameStream(frames, wanted).num_expected, wanted, out.name)
-    with open_run(task, out) as run, shown as live, graceful_interrupt() as is_stopped:
+    recorded = open_recording(wanted.record, frames.camera, frames.body_from_camera)
+    with recorded as record, open_run(task, out) as run, shown as live, graceful_interrupt() as is_stopped:
         key = key_of(run.folder.source.fingerprint, frames, system, wanted)
         stands = start_or_continue(run.root / autosave.FOLDER, key, system, frames, wanted)
         run.warnings += [*_notes(found, system), *stands.notes]
         stream = FrameStream(stands.source, stands.job, is_stopped, num_dropped=stands.num_dropped)
         with run.stage("track"), closing(stands.autosave):
-            records = _track(stream, system, progress, live, stands, known)
+            records = _track(stream, system, progress, (live, record), stands, known)
         with run.stage("adjust"):
             _finish(stream, system, run, is_stopped)
+            record.finish(system)
+            run.warnings += record.warnings
             anchoring = _anchored(system, wanted.anchors, records, known, run)
         with completing(run.root / autosave.FOLDER, key, is_complete=not stream.is_interrupted):
             keep_better(system, run, can_repeat=not (frames.is_live or wanted.realtime))
@@ -251,12 +255,12 @@ def _track(
     stream: FrameStream,
     system: Slam,
     progress: ProgressCallback,
-    live: LiveView,
+    watching: tuple[LiveView, Recording],
     stands: Continued,
     known: KnownMap | None,
 ) -> list[FrameRecord]:
     """Track every frame; frames that cannot be read or do not fit are left out and reported."""
-    records, before = stands.records, len(stands.records)
+    (live, recording), records, before = watching, stands.records, len(stands.records)
     for queued in stream:
         answer, problem, start, compiling = None, "", perf_counter(), compile_seconds()
         number = stands.first_number + queued.number
@@ -272,6 +276,7 @@ def _track(
         stands.autosave.add(system, records, lambda: keyframe_names(system, records, known))
         if answer is not None:
             live.show(system, frame, answer)
+            recording.add(system, frame, answer)
         progress(Progress("track", len(records), max(before + stream.num_expected, len(records))))
     stands.autosave.save_map(system, lambda: keyframe_names(system, records, known))
     live.show_map(system, "Optimizing the map")

@@ -41,7 +41,8 @@ from epipole.scale import Anchoring
 from epipole.scene import Reconstruction, Trajectory
 from epipole.scene.notebook import table_html
 
-TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"
+TRAJECTORY, CAUSAL = "trajectory.txt", "trajectory_causal.txt"
+WITH_COVARIANCE, CAUSAL_COVARIANCE = "trajectory_covariance.txt", "trajectory_causal_covariance.txt"
 CAMERA = "camera.json"
 LOCALIZED = "num_localized"
 """Key of the number of localized frames in `summary.json`."""
@@ -261,6 +262,7 @@ def _write(
     write_trajectory(final, folder / TRAJECTORY)
     write_trajectory(causal, folder / CAUSAL)
     write_trajectory(final, folder / WITH_COVARIANCE, with_covariance=True)
+    write_trajectory(causal, folder / CAUSAL_COVARIANCE, with_covariance=True)
     write_records(records, folder / FRAME_TABLE)
     for number, path in enumerate(submaps, 1):
         write_trajectory(path, folder / f"trajectory_submap_{number}.txt")
