@@ -15,7 +15,8 @@ from epipole import io
 from epipole.cameras import Camera, CameraModel
 from epipole.fields.nerf import hash_files, voxel_files
 from epipole.geometry import Rigid3
-from epipole.io import anchor_files, json_files
+from epipole.io import anchor_files, json_files, ros
+from epipole.io.bags import writing as bag_writing
 from epipole.io.calibration import camera_params
 from epipole.io.calibration import files as calibration_files
 from epipole.io.gaussians import compressed_ply, morton, sog, spz
@@ -93,7 +94,7 @@ def trajectory() -> Trajectory:
 
 def calls() -> Iterator[Row]:
     """Of readers and writers."""
-    for rows in (_models, _tables, _calibrations, _images, _gaussians, _names):
+    for rows in (_models, _tables, _calibrations, _images, _gaussians, _messages, _names):
         yield from rows()
 
 
@@ -299,6 +300,21 @@ def _gaussians() -> Iterator[Row]:
     shutil.copytree(at / "left", at / "llff" / "images", dirs_exist_ok=True)
     np.save(at / "llff" / "poses_bounds.npy", np.tile(np.r_[bounds.ravel(), 1.0, 9.0], (2, 1)))
     yield _row(llff.read_llff, folder=at / "llff", max_side_px=16)
+
+
+def _messages() -> Iterator[Row]:
+    pose = Rigid3.exp(np.array([0.3, -2.0, 1.0, 0.4, -0.2, 0.9]))
+    camera = Camera(CameraModel.PINHOLE, 64, 48, np.array([50.0, 50.0, 31.5, 23.5]))
+    yield _row(ros.header_fields, stamp_s=12.5, frame="world")
+    yield _row(ros.transform_fields, stamp_s=12.5, parent_from_child=pose, parent="world", child="body")
+    named = {"stamp_s": 12.5, "world": "world", "body": "body"}
+    yield _row(ros.odometry_fields, world_from_body=pose, covariance=np.eye(6), **named)
+    stamps, poses = np.array([1.0, 2.0]), Rigid3.identity(2)
+    yield _row(ros.path_fields, stamps_s=stamps, world_from_body=poses, world="world", stamp_s=12.5)
+    yield _row(ros.points_fields, stamp_s=12.5, xyz=np.ones((4, 3)), frame="world")
+    yield _row(ros.jpeg_fields, stamp_s=12.5, image=np.zeros((6, 8), np.uint8), frame="camera", quality=90)
+    yield _row(ros.camera_info_fields, stamp_s=12.5, camera=camera, frame="camera")
+    yield _row(bag_writing.require_writing, path=folder() / "run.mcap")
 
 
 def _names() -> Iterator[Row]:

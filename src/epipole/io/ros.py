@@ -14,7 +14,7 @@ from jaxtyping import Float64, UInt8
 
 from epipole._checks import checked
 from epipole.cameras import Camera
-from epipole.errors import ConfigError
+from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.calibration.coefficients import coefficients_of_camera
 
@@ -31,11 +31,16 @@ _DISTORTION = {
 }
 
 
+@checked
 def header_fields(stamp_s: float, frame: str) -> dict[str, Any]:
-    """std_msgs/msg/Header."""
-    seconds, nanoseconds = divmod(round(stamp_s * 1e9), 10**9)
-    if not -(2**31) <= seconds < 2**31:
+    """std_msgs/msg/Header.
+
+    Raises:
+        ConfigError: the time is not finite, or does not fit into a message.
+    """
+    if not abs(stamp_s) < 2**31:
         raise ConfigError(f"a message of ROS cannot have the time {stamp_s:g} s: its seconds have 32 bits")
+    seconds, nanoseconds = divmod(round(stamp_s * 1e9), 10**9)
     return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame}
 
 
@@ -97,7 +102,10 @@ def path_fields(
 
     Raises:
         ConfigError: a time does not fit into a message.
+        ShapeError: there are not as many poses as times.
     """
+    if world_from_body.rotation.shape != (len(stamps_s), 3, 3):
+        raise ShapeError(f"{len(stamps_s)} times need as many poses, got {world_from_body!r}")
     poses = [
         {"header": header_fields(time, world), "pose": _pose(world_from_body[n])}
         for n, time in enumerate(stamps_s.tolist())
@@ -135,8 +143,10 @@ def jpeg_fields(
     """sensor_msgs/msg/CompressedImage: a gray (h, w) or RGB (h, w, 3) image as JPEG.
 
     Raises:
-        ConfigError: the image is empty or has another number of channels, or the time does not fit into a message.
+        ConfigError: the image is empty or has another number of channels, or the quality or the time is out of range.
     """
+    if not 1 <= quality <= 100:
+        raise ConfigError(f"quality must be between 1 and 100, got {quality}")
     if image.size == 0 or image.ndim > 3 or (image.ndim == 3 and image.shape[2] != 3):
         raise ConfigError(f"an image must be gray or RGB and not empty, but its shape is {image.shape}")
     stored = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)

@@ -76,6 +76,7 @@ def written_bag(path: str | Path) -> Iterator[BagWriter]:
             shutil.rmtree(folder, ignore_errors=True)
 
 
+@checked
 def require_writing(path: str | Path) -> None:
     """Check that a recording of this name can be written.
 
