@@ -116,7 +116,7 @@ def _camera_of(
 
 def _from_last(path: Path, last: Mapping[str, Any], own: Mapping[str, Any], name: str) -> Rigid3:
     """A camera's pose in the previous one: from the chain, or else by way of the IMU."""
-    chained = _motion(path, own, "T_cn_cnm1") if "T_cn_cnm1" in own else None
+    chained = motion_of(path, own, "T_cn_cnm1") if "T_cn_cnm1" in own else None
     cam_from_imu, last_from_imu = camera_from_imu(path, own), camera_from_imu(path, last)
     if cam_from_imu is None or last_from_imu is None:
         if chained is None:
@@ -140,16 +140,21 @@ def camera_from_imu(path: Path, own: Mapping[str, Any]) -> Rigid3 | None:
     Raises:
         FileFormatError: the matrix is not a rigid motion, or the two contradict each other.
     """
-    motion = _motion(path, own, "T_cam_imu") if "T_cam_imu" in own else None
+    motion = motion_of(path, own, "T_cam_imu") if "T_cam_imu" in own else None
     if "T_imu_cam" not in own:
         return motion
-    inverse = _motion(path, own, "T_imu_cam").inverse()
+    inverse = motion_of(path, own, "T_imu_cam").inverse()
     if motion is not None and not _is_same(motion, inverse):
         raise FileFormatError(path, "T_imu_cam is not the inverse of T_cam_imu")
     return inverse
 
 
-def _motion(path: Path, own: Mapping[str, Any], key: str) -> Rigid3:
+def motion_of(path: Path, own: Mapping[str, Any], key: str) -> Rigid3:
+    """The rigid motion of a 4 x 4 matrix, whose rotation may be rounded.
+
+    Raises:
+        FileFormatError: the matrix is missing, or is not a rigid motion.
+    """
     matrix = numbers_of(path, own, key, 4, 4)
     rotation = matrix[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):

@@ -1,6 +1,6 @@
 """Calibration files: epipole's JSON with covariances, OpenCV's YAML/XML/JSON, ROS' camera_info, Kalibr's camchain.
 
-EuRoC, KITTI and Middlebury files can also be read.
+EuRoC, KITTI and Middlebury files, and the settings of ORB-SLAM and OKVIS can also be read.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from epipole.io.calibration.camera_chains import (
 from epipole.io.calibration.cameras import CalibrationFile as CalibrationFile
 from epipole.io.calibration.coefficients import camera_of_coefficients, coefficients_of_camera
 from epipole.io.calibration.model_names import named_model, refuse_binning, require_coefficients
+from epipole.io.calibration.slam_settings import is_okvis, is_orb_slam, okvis_cameras, orb_slam_cameras
 from epipole.io.files import file_bytes
 from epipole.io.json_files import json_text, json_values
 from epipole.scene import StereoRig
@@ -114,6 +115,10 @@ def _read(files: list[Path], size: tuple[int, int] | None) -> CalibrationFile:
         return _own(path, merged)
     if is_chain(merged) or is_link(merged):
         return CalibrationFile(*chain_cameras(path, merged, size))
+    if is_orb_slam(merged):
+        return CalibrationFile(*orb_slam_cameras(path, merged, size))
+    if is_okvis(merged):
+        return CalibrationFile(*okvis_cameras(path, merged))
     if is_camodocal(merged):
         camera = camodocal_camera(path, merged, _size(path, merged, size))
         return CalibrationFile((camera,), Rigid3.identity(1))
