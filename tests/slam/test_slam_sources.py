@@ -356,7 +356,7 @@ def test_paths_in_other_forms(tmp_path, format, names):
     path = recorded_ride("mcap", "stereo", 6).write(tmp_path)
     result = run_slam(path, tmp_path / "out", trajectory_format=format)
     written = sorted(p.name for p in (tmp_path / "out").glob("trajectory*"))
-    tum = ["trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"]
+    tum = [f"trajectory{kind}.txt" for kind in ("", "_causal", "_covariance", "_causal_covariance")]
     assert written == sorted([*tum, *names])
     expected = read_trajectory(tmp_path / "out" / "trajectory.txt")
     for name in names[:1]:

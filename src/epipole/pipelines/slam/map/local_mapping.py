@@ -37,13 +37,14 @@ from epipole.pipelines.slam.tracking.points import Tracks
 from epipole.pipelines.slam.tracking.redetection import link_tracks, redetect
 
 LOSS_SCALE_PX = 1.0
-LAST_SCALES_PX = (8.0, 2.0, 1.0)
-"""Loss scales of the last rounds: wide at first, to pull together what has drifted apart."""
+LAST_SCALES_PX, SCALES_OF_NOISE_PX = (8.0, 2.0), (1.0, 0.5)
+"""Loss scales of the last rounds: wide at first, to pull together what has drifted apart; then that of the noise, with a stereo pair and
+without. Residuals are 0.2 to 0.6 px, but the size of a stereo map should depend on all disparities."""
 FIRST_OPTIMIZED = 6
 """Keyframes of a new map."""
 GROWTH = 1.25
 """All keyframes are adjusted again when their number has grown by this factor."""
-LAST_STEPS = 1 + 2 * len(LAST_SCALES_PX)
+LAST_STEPS = 3 + 2 * len(LAST_SCALES_PX)
 COVARIANCES_EVERY = 3
 """Keyframes between computations of the covariances, which are propagated meanwhile."""
 MOST_CONSTRAINED = 30
@@ -190,7 +191,7 @@ class LocalMapper:
         adjusted = self.adjust_all()
         self.learn_inertial()
         done, total = number * LAST_STEPS + 1, count * LAST_STEPS
-        for loss_scale_px in LAST_SCALES_PX:
+        for loss_scale_px in (*LAST_SCALES_PX, SCALES_OF_NOISE_PX[self.sensor.baseline is None]):
             if not goes_on(done, total):
                 break
             link_tracks(self.map, self.camera, self.map.keyframes)
