@@ -14,7 +14,6 @@ from epipole.pipelines.slam.frames import Frame, TrackedFrame, TrackingState
 from epipole.pipelines.slam.loops.closing import LoopConstraint
 from epipole.pipelines.slam.loops.correction import close_in_map, refine_closed
 from epipole.pipelines.slam.loops.recognition import describe_keyframe
-from epipole.pipelines.slam.loops.relocalization import relocalize
 from epipole.pipelines.slam.map.covariance import own_covariance
 from epipole.pipelines.slam.map.culling import cull
 from epipole.pipelines.slam.map.map_copy import Change, world_motion
@@ -121,6 +120,7 @@ class Slam(SlamState):
     def _set_tracking(self) -> None:
         self.state = TrackingState.TRACKING if self.map is self.maps[0] else TrackingState.SUBMAP
         self._num_lost, self._rotation = 0, None
+        self._relocalizer.clear()
 
     # Tracking.
 
@@ -203,10 +203,8 @@ class Slam(SlamState):
         reason = f"{len(self.odometry.tracker.tracks)} points are tracked, but too few agree with the map"
         if self.state in (TrackingState.TRACKING, TrackingState.SUBMAP):
             self._lose()
-        for model in self.maps if self._quality.is_usable else ():
-            found = self._recognized(frame, model)
-            if found is not None:
-                return self._localized(frame, *found)
+        if self._quality.is_usable and (found := self._recognized(frame)) is not None:
+            return self._localized(frame, *found)
         self._num_lost += 1
         rotated = None if self.camera.measures_depth or self.is_map_fixed else self._track_rotation(frame)
         if rotated is not None:
@@ -216,15 +214,15 @@ class Slam(SlamState):
             return self._no_pose(frame, reason)
         return self._start_submap(frame, reason)
 
-    def _recognized(self, frame: Frame, model: SlamMap) -> tuple[RefinedPose, int] | None:
-        again = relocalize(frame.gray, model, self.camera.camera, self.config)
-        if again is None:
-            return None
-        self._enter(model)
-        found = self.odometry.tracker.take_up(frame, again)
-        if found is not None:
-            self._set_tracking()
-        return found
+    def _recognized(self, frame: Frame) -> tuple[RefinedPose, int] | None:
+        """The pose by similar keyframes, and the number of inliers; enters the map of the pose."""
+        for model, again in self._relocalizer.search(frame.gray, self.maps, self.map):
+            self._enter(model)
+            found = self.odometry.tracker.take_up(frame, again)
+            if found is not None:
+                self._set_tracking()
+                return found
+        return None
 
     def _lose(self) -> None:
         self._closer.clear()

@@ -14,6 +14,7 @@ from epipole.inertial import MountedImu
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, TrackingState
 from epipole.pipelines.slam.loops.closing import LoopCloser
+from epipole.pipelines.slam.loops.relocalization import Relocalizer
 from epipole.pipelines.slam.map.covariance import with_map_error
 from epipole.pipelines.slam.map.local_mapping import LocalMapper, focal_baseline_of
 from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
@@ -86,6 +87,7 @@ class SlamState:
         self._enter(self.maps[0], Rigid3.identity())
         self._closer = LoopCloser(camera.camera, self.config, is_metric=camera.measures_depth)
         self.loops = self._closer.ledger
+        self._relocalizer = Relocalizer(camera.camera, self.config)
         self._start = OneCameraStart(camera.camera, self.config)
         self._unconfirmed: OneCameraStart | None = None
         self.start_warnings: list[str] = []

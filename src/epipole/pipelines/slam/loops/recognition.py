@@ -85,7 +85,7 @@ def describe_keyframe(keyframe: Keyframe) -> View:
 
 
 def most_alike(
-    descriptor: np.ndarray, model: SlamMap, excluded: np.ndarray, count: int
+    descriptor: np.ndarray, model: SlamMap, excluded: np.ndarray, count: int | None
 ) -> list[tuple[int, float]]:
     """(keyframe, cosine) of the keyframes most similar to an image, best first.
 
@@ -93,7 +93,7 @@ def most_alike(
         descriptor: global descriptor of the image.
         model: the map.
         excluded: (k,) mask of keyframes to skip.
-        count: number of keyframes.
+        count: number of keyframes; None: all.
     """
     numbers = [k for k in np.flatnonzero(~excluded) if model.keyframes[k].descriptor is not None]
     if not numbers:
