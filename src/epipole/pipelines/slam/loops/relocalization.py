@@ -36,7 +36,7 @@ class Relocalizer:
         self._num_failures: Counter[tuple[int, int]] = Counter()
 
     def clear(self) -> None:
-        """Forget what was tried: the camera is localized."""
+        """Remove what was tried, when the camera is localized."""
         self._num_failures.clear()
 
     def search(
