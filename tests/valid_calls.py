@@ -455,6 +455,7 @@ def _images() -> Iterator[Row]:
     yield _row(image.census, image=_image().astype(np.uint16), window=(5, 5))
     yield _row(image.color_range, values=_some(5, 4))
     yield _row(image.color_map, values=_some(5, 4))
+    yield _row(image.gray_image, image=_image(3), white=200.0)
     yield _row(image.downscaled, image=_image(3), max_side_px=20)
     yield _row(image.undistort_points, pixels=np.ones((2, 2)), camera=PINHOLE, pinhole=None)
     yield _row(image.undistorted_camera, camera=LENS)

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
 from epipole._checks import check_fields
-from epipole.cameras import Camera
+from epipole.cameras import Camera, CameraModel
+from epipole.disparity_search.rectification import Rectification, rectify
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
+from epipole.image.gray import gray_image
 from epipole.image.pixels_without_ray import pixels_without_ray
 from epipole.pipelines.slam.shutter.shutter import Shutter
+from epipole.scene import StereoRig
 
 
 class TrackingState(StrEnum):
@@ -69,6 +74,21 @@ class SlamCamera:
             raise ConfigError("pass a baseline or depth, not both")
         if not 0 <= self.readout_s < 1:
             raise ConfigError(f"readout_s must be at least 0 and below 1, got {self.readout_s}")
+
+    @staticmethod
+    def of_rig(rig: StereoRig) -> SlamCamera:
+        """The camera of frames of `Frame.from_pair`: the rectified pair.
+
+        Raises:
+            ConfigError: left and right are swapped.
+            DegenerateGeometryError: the pair cannot be rectified to planes.
+        """
+        found = rectification_of(rig)
+        if found is None:
+            return SlamCamera(rig.left, rig.baseline)
+        flat = found.rig
+        params = np.array([flat.focal_px, flat.focal_px, flat.cx, flat.cy])
+        return SlamCamera(Camera(CameraModel.PINHOLE, *found.size, params), rig.baseline)
 
     @property
     def shutter(self) -> Shutter:
@@ -133,6 +153,59 @@ class Frame:
     ignored_mask: Bool[np.ndarray, "h w"] | None = None
     """True where the (left) image is ignored, such as people or the own vehicle."""
 
+    @staticmethod
+    def from_images(
+        timestamp_s: float,
+        image: Any,
+        right: Any = None,
+        *,
+        depth: Float32[np.ndarray, "h2 w2"] | None = None,
+        ignored_mask: Bool[np.ndarray, "h w"] | None = None,
+        white: float | None = None,
+    ) -> Frame:
+        """A frame of gray or color images of any type.
+
+        Args:
+            timestamp_s: time.
+            image: (left) image, as for `epipole.image.gray_image`.
+            right: right image of a rectified pair.
+            depth: meters along the optical axis.
+            ignored_mask: True where the image is ignored.
+            white: value of white; None: the largest of the type, or 1.0 for floating point.
+
+        Raises:
+            ShapeError: the images are of another kind, or their sizes do not match.
+            ConfigError: the timestamp is not finite, or values are out of range.
+        """
+        gray, other = gray_image(image, white), None if right is None else gray_image(right, white)
+        return Frame(timestamp_s, gray, other, depth, ignored_mask)
+
+    @staticmethod
+    def from_pair(
+        timestamp_s: float, left: Any, right: Any, rig: StereoRig, white: float | None = None
+    ) -> Frame:
+        """A frame of a raw pair, which is rectified; its camera is `SlamCamera.of_rig(rig)`.
+
+        The lookup tables are kept for the last rigs: pass the same object each time.
+
+        Args:
+            timestamp_s: time.
+            left: image of the left camera, as for `epipole.image.gray_image`.
+            right: image of the right camera.
+            rig: both cameras, of any models.
+            white: as for `from_images`.
+
+        Raises:
+            ShapeError: the images are of another kind, or do not have the cameras' sizes.
+            ConfigError: left and right are swapped, the timestamp is not finite, or values are out of range.
+            DegenerateGeometryError: the pair cannot be rectified to planes.
+        """
+        images = gray_image(left, white), gray_image(right, white)
+        for side, image, camera in zip(("left", "right"), images, (rig.left, rig.right)):
+            require_size(f"{side} image", image, camera)
+        found = rectification_of(rig)
+        return Frame(timestamp_s, *(images if found is None else found.apply(*images)))
+
     def is_used(self, pixels: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
         """Whether pixels are outside `ignored_mask`."""
         return is_outside(self.ignored_mask, pixels)
@@ -157,6 +230,29 @@ class Frame:
             ) from None
         if not np.isfinite(self.timestamp_s):
             raise ConfigError(f"timestamp_s must be finite, got {self.timestamp_s}")
+
+
+@lru_cache(maxsize=4)
+def rectification_of(rig: StereoRig) -> Rectification | None:
+    """How a pair is rectified; None if it is rectified already."""
+    is_flat = (
+        rig.left.model == rig.right.model == CameraModel.PINHOLE
+        and np.array_equal(rig.left.params, rig.right.params)
+        and np.abs(rig.right_from_left.rotation - np.eye(3)).max() < 1e-9
+        and np.abs(rig.right_from_left.translation[1:]).max() < 1e-9 * rig.baseline
+    )
+    return None if is_flat else rectify(rig)
+
+
+def require_size(what: str, image: np.ndarray, camera: Camera) -> None:
+    """Check the size, since lookup tables would read wrong pixels in an image of another size.
+
+    Raises:
+        ShapeError: the image does not have the camera's size.
+    """
+    if image.shape != (camera.height, camera.width):
+        size = f"{image.shape[1]} x {image.shape[0]}"
+        raise ShapeError(f"the {what} is {size}, but its camera is {camera.width} x {camera.height}")
 
 
 def is_outside(mask: np.ndarray | None, pixels: np.ndarray) -> np.ndarray:

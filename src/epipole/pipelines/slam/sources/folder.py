@@ -14,14 +14,13 @@ from jaxtyping import UInt8
 
 from epipole.cameras import Camera, CameraModel
 from epipole.cameras.image_fit import ImagePixels, ImageShape, fit_notes
-from epipole.disparity_search.rectification import Rectification, rectify
 from epipole.errors import ConfigError, EpipoleError, FileFormatError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.image.undistort import undistorted_camera, undistortion_map_px
 from epipole.io.images.depth_maps import read_png16
 from epipole.io.images.photographs import GrayRange, common_range, mask_of, read_gray, read_header, read_mask
 from epipole.io.sequences.sequence import CALIBRATION_NOT_USED, FrameFiles, ImageSequence
-from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
+from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera, rectification_of, require_size
 from epipole.pipelines.slam.sources.depth_range import DepthRange
 from epipole.scene import StereoRig
 
@@ -83,25 +82,14 @@ def of_one_camera(intrinsics: Camera) -> Preparation:
 
 def of_pair(rig: StereoRig) -> Preparation:
     """Rectify the images of two cameras, unless they are rectified already."""
-    is_flat = (
-        rig.left.model == rig.right.model == CameraModel.PINHOLE
-        and np.array_equal(rig.left.params, rig.right.params)
-        and np.abs(rig.right_from_left.rotation - np.eye(3)).max() < 1e-9
-        and np.abs(rig.right_from_left.translation[1:]).max() < 1e-9 * rig.baseline
-    )
-    if is_flat:
-        return Preparation(SlamCamera(rig.left, rig.baseline), Rigid3.identity(), Frame)
-    found = rectify(rig)
-    flat = found.rig
-    intrinsics = Camera(
-        CameraModel.PINHOLE, *found.size, np.array([flat.focal_px, flat.focal_px, flat.cx, flat.cy])
-    )
+    camera, found = SlamCamera.of_rig(rig), rectification_of(rig)
+    if found is None:
+        return Preparation(camera, Rigid3.identity(), Frame)
     rotated = Rigid3(found.rectified_from_left.T.copy(), np.zeros(3))
-    prepared = partial(_rectified, rig, found)
     return Preparation(
-        SlamCamera(intrinsics, rig.baseline),
+        camera,
         rotated,
-        prepared,
+        lambda seconds, left, right: Frame.from_pair(seconds, left, right, rig),
         flat=lambda image: found.apply(image, image)[0],
     )
 
@@ -122,7 +110,7 @@ def of_depth(intrinsics: Camera, sensor: Camera | None, depth_from_color: Rigid3
     def flat_image(gray: np.ndarray) -> np.ndarray:
         if table is None:
             return gray
-        _require_size("image", gray, intrinsics)
+        require_size("image", gray, intrinsics)
         return cv2.remap(gray, table[..., 0], table[..., 1], cv2.INTER_LINEAR)
 
     def frame(seconds: float, gray: np.ndarray, depth: np.ndarray) -> Frame:
@@ -304,18 +292,3 @@ def _read_with_depth(
     depth = np.nan_to_num(read_png16(files.depth, 1.0), nan=0.0)
     depth = np.where(depth == FAR_MM, 0.0, depth / unit).astype(np.float32)
     return made.frame(files.timestamp_s, rotation_tracker.left(files), depth)
-
-
-def _rectified(
-    rig: StereoRig, found: Rectification, seconds: float, left: np.ndarray, right: np.ndarray
-) -> Frame:
-    _require_size("left image", left, rig.left)
-    _require_size("right image", right, rig.right)
-    return Frame(seconds, *found.apply(left, right))
-
-
-def _require_size(what: str, image: np.ndarray, camera: Camera) -> None:
-    """Check the size, since lookup tables would read wrong pixels in an image of another size."""
-    if image.shape != (camera.height, camera.width):
-        size = f"{image.shape[1]} x {image.shape[0]}"
-        raise ShapeError(f"the {what} is {size}, but its camera is {camera.width} x {camera.height}")
