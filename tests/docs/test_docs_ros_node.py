@@ -17,7 +17,7 @@ NODE_NAMES = {
     "message_filters": ("Subscriber", "TimeSynchronizer"),
     "rclpy": (),
     "rclpy.node": ("Node",),
-    "rclpy.qos": ("qos_profile_sensor_data",),
+    "rclpy.qos": ("QoSProfile", "ReliabilityPolicy"),
     "cv_bridge": ("CvBridge",),
     "geometry_msgs.msg": ("TransformStamped",),
     "nav_msgs.msg": ("Odometry",),
@@ -30,6 +30,7 @@ NODE_NAMES = {
 class StandIn:
     """Takes any call, and notes what is published, sent and said."""
 
+    BEST_EFFORT = 2
     published: ClassVar[list] = []
     said: ClassVar[list] = []
 

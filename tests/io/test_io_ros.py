@@ -111,6 +111,19 @@ def test_what_a_message_cannot_contain_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_messages_that_do_not_fit_their_topic_are_refused(tmp_path):
+    string = "std_msgs/msg/String"
+    with written_bag(tmp_path / "run.mcap") as bag:
+        bag.write("/state", string, 1.0, {"data": "x"})
+        with pytest.raises(ConfigError, match="of the kind"):
+            bag.write("/state", "nav_msgs/msg/Path", 1.0, {})
+        with pytest.raises(ConfigError, match="not a kind"):
+            bag.write("/other", "no/msg/Kind", 1.0, {})
+        with pytest.raises(ConfigError, match="lacks the field data"):
+            bag.write("/state", string, 1.0, {})
+    assert len(messages_of(tmp_path / "run.mcap")["/state"]) == 1
+
+
 def test_a_recording_that_fails_leaves_nothing(tmp_path):
     with pytest.raises(RuntimeError), written_bag(tmp_path / "run.mcap") as bag:
         bag.write("/state", "std_msgs/msg/String", 1.0, {"data": "x"})

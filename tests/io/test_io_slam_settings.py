@@ -138,6 +138,7 @@ def test_a_rectified_pair_and_a_depth_camera(read, tmp_path):
     assert len(read(OLD + "DepthMapFactor: 5000\n").cameras) == 1
     rectified = PINHOLE.replace('"PinHole"', '"Rectified"') + "Stereo.b: 0.11\n"
     assert read(rectified).cam_from_rig[1].translation[0] == -0.11
+    assert read(rectified + SECOND).cam_from_rig[1].translation[0] == -0.11
     without_size = "\n".join(
         line for line in OLD.splitlines() if "width" not in line and "height" not in line
     )
@@ -149,7 +150,12 @@ def test_a_pair_that_is_rectified_by_orb_slam(read):
     for side, offset in (("LEFT", 0.0), ("RIGHT", -386.0)):
         raw += f"{side}.K: [700.0, 0, 600, 0, 701.0, 180, 0, 0, 1]\n{side}.D: [0.1, 0.01, 0, 0, 0]\n"
         raw += f"{side}.R: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n{side}.P: [720, 0, 600, {offset}, 0, 720, 180, 0, 0, 0, 1, 0]\n"
-    found = read(raw)
+    found = read(raw + "LEFT.width: 752\nLEFT.height: 480\n")
+    assert (found.cameras[0].width, found.cameras[0].height) == (752, 480)
+    with pytest.raises(FileFormatError, match="no baseline"):
+        read(raw.replace("-386.0", "0.0"))
+    with pytest.raises(FileFormatError, match="positive focal length"):
+        read(raw.replace("[720", "[0"))
     assert found.cameras[0].model == CameraModel.OPENCV and found.cameras[0].params[0] == 700.0
     np.testing.assert_allclose(found.cam_from_rig[1].translation, [-386.0 / 720, 0, 0])
 
@@ -160,6 +166,10 @@ def test_a_pair_that_is_rectified_by_orb_slam(read):
         (PINHOLE.replace("PinHole", "Omni"), "Camera.type is Omni"),
         (PINHOLE.replace("Camera1.fy", "Camera1.f"), "Camera1.fy is missing"),
         (PINHOLE.replace("Camera1.p2", "other"), "has k1, k2, p1, not"),
+        (
+            OLD.replace(".k", ".x").replace(".p", ".y") + 'Camera.type: "KannalaBrandt8"',
+            "Camera.k1 to Camera.k4",
+        ),
         (PINHOLE + SECOND.replace("Stereo.T_c1_c2", "other"), "Stereo.T_c1_c2 is missing"),
         (PINHOLE + SECOND.replace("0.999997256477797", "2.0"), "not a motion"),
         (PINHOLE + "Stereo.b: 0.11\n", "distortion, but not the second camera"),

@@ -296,3 +296,5 @@ def test_a_single_image_does_not_hold_two_parts_together(rng):
     hinges = are_hinges(graph, [true], ~over)
     np.testing.assert_array_equal(hinges, rows_of(graph, [0, 1], [2])[0])
     assert not are_hinges(graph, [model_without(true, [0, 1])], ~over).any()
+    alone, _ = rows_of(graph, [0], range(1, 7))  # no pair is strong enough: nothing is known about it
+    assert not are_hinges(graph, [true], ~alone).any()

@@ -1,11 +1,14 @@
 """The recording of a run: its poses are those of the trajectories, and a failure of the disk does not stop tracking."""
 
+import shutil
+import time
+
 import cv2
 import numpy as np
 import pytest
 from slam_rides import BASELINE, CAMERA, ride
 
-from epipole.errors import ConfigError
+from epipole.errors import ConfigError, WorkspaceError
 from epipole.geometry import Rigid3
 from epipole.io import read_trajectory
 from epipole.pipelines.slam.frames import SlamCamera, TrackedFrame, TrackingState
@@ -94,6 +97,28 @@ def test_a_file_that_cannot_be_written_is_a_warning(tmp_path):
         pass
 
 
+def test_a_file_that_cannot_be_completed_is_a_warning(tmp_path):
+    """The folder vanishes during the run: the error comes after the last message."""
+    frame, system = ride().frames("stereo")[0], Slam(SENSOR)
+    folder = tmp_path / "folder"
+    with open_recording(folder / "run.mcap", SENSOR, TURNED) as recording:
+        recording.add(system, frame, TrackedFrame(0.0, TrackingState.LOST, "", None, None, 0, False))
+        while not folder.exists() or not list(folder.rglob("*.mcap")):
+            time.sleep(0.01)
+        shutil.rmtree(folder)
+        recording.finish(system)
+    assert "was not recorded" in recording.warnings[0] and not folder.exists()
+
+
+def test_a_run_without_frames_leaves_an_earlier_recording(tmp_path):
+    (tmp_path / "run.mcap").write_bytes(b"earlier")
+    with pytest.raises(RuntimeError), open_recording(tmp_path / "run.mcap", SENSOR, TURNED):
+        raise RuntimeError
+    with open_recording(tmp_path / "run.mcap", SENSOR, TURNED) as recording:
+        recording.finish(Slam(SENSOR))
+    assert (tmp_path / "run.mcap").read_bytes() == b"earlier"
+
+
 def test_the_job_records_and_writes_causal_covariances(tmp_path):
     folder = tmp_path / "ride"
     for name, images in (("image_0", ride().left), ("image_1", ride().right)):
@@ -106,6 +131,10 @@ def test_the_job_records_and_writes_causal_covariances(tmp_path):
     with pytest.raises(ConfigError, match=r"\.mcap"):
         run_slam(folder, tmp_path / "out", record=tmp_path / "run.bag")
     result = run_slam(folder, tmp_path / "out", record=tmp_path / "run.mcap")
+    with pytest.raises(WorkspaceError, match="already exists"):
+        run_slam(folder, tmp_path / "out", record=tmp_path / "run.mcap")
+    with pytest.raises(WorkspaceError, match="is an input"):
+        run_slam(tmp_path / "run.mcap", tmp_path / "out2", record=tmp_path / "run.mcap")
     found = messages_of(tmp_path / "run.mcap")
     causal = read_trajectory(tmp_path / "out" / "trajectory_causal_covariance.txt")
     assert (

@@ -1,4 +1,4 @@
-"""Poses, points, images and cameras as the fields of ROS 2 messages: nested dictionaries, named and ordered as in the definitions.
+"""Poses, points, images and cameras as the fields of ROS 2 messages: nested dictionaries, named as in the definitions.
 
 They need no ROS: `epipole.io.bags.writing` stores them, and in a node `rosidl_runtime_py.set_message_fields(message, fields)` copies
 them to a message. Frames follow REP 103 and 105; a camera's frame has x right, y down and z forward (an optical frame).

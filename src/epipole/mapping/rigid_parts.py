@@ -80,7 +80,8 @@ def _grown_from(
     num_views = np.zeros(len(by_point.offsets) - 1, np.int64)
     shared = np.bincount(image[by_point.rows(point[by_image.rows(np.array([start]))])], minlength=num_images)
     shared[start] = 0
-    new = np.array([start, int(np.argmax(shared))]) if shared.max() >= least[start] else np.array([start])
+    other = int(np.argmax(shared))
+    new = np.array([start, other] if shared[other] >= max(least[start], least[other]) else [start])
     while len(new):
         part[new] = True
         seen, counts = np.unique(point[by_image.rows(new)], return_counts=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from epipole._checks import checked
 from epipole.errors import ConfigError, MissingDependencyError
-from epipole.io.atomic import atomic_write, part_beside
+from epipole.io.atomic import atomic_write, part_beside, remove_abandoned_parts
 from epipole.io.ros import header_fields
 
 
@@ -24,6 +24,7 @@ class BagWriter:
         self._writer, self._types = writer, types
         self._connections: dict[str, Any] = {}
         self._makers: dict[str, Callable[[Mapping[str, Any]], Any]] = {}
+        self._kinds: dict[str, str] = {}
 
     def write(self, topic: str, kind: str, stamp_s: float, fields: Mapping[str, Any]) -> None:
         """Append a message.
@@ -35,8 +36,12 @@ class BagWriter:
             fields: its content, as from `epipole.io.ros`.
 
         Raises:
-            ConfigError: the time cannot be recorded.
+            ConfigError: the time cannot be recorded, the kind is unknown or not that of the topic, or a field is missing.
         """
+        if kind not in self._types.types:
+            raise ConfigError(f"{kind} is not a kind of message of ROS 2 Humble")
+        if self._kinds.setdefault(topic, kind) != kind:
+            raise ConfigError(f"{topic} has messages of the kind {self._kinds[topic]}, not {kind}")
         stamp = header_fields(stamp_s, "")["stamp"]
         recorded_ns = 10**9 * stamp["sec"] + stamp["nanosec"]
         if recorded_ns < 0:
@@ -47,7 +52,11 @@ class BagWriter:
             )
         if kind not in self._makers:
             self._makers[kind] = _maker(self._types, kind)
-        data = self._types.serialize_cdr(self._makers[kind](fields), kind)
+        try:
+            message = self._makers[kind](fields)
+        except KeyError as error:
+            raise ConfigError(f"a message of {topic} lacks the field {error.args[0]}") from error
+        data = self._types.serialize_cdr(message, kind)
         self._writer.write(self._connections[topic], recorded_ns, data)
 
 
@@ -65,6 +74,7 @@ def written_bag(path: str | Path) -> Iterator[BagWriter]:
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
+    remove_abandoned_parts(Path(path).resolve().parent)
     with atomic_write(path) as part:
         # The package writes a folder with the recording and a description.
         folder = part_beside(part.with_suffix(""))

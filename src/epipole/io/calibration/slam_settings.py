@@ -54,13 +54,13 @@ def orb_slam_cameras(
     kind = str(content.get("Camera.type", _PERSPECTIVE))
     if kind not in (_FISHEYE, _PERSPECTIVE, _RECTIFIED):
         raise FileFormatError(path, f"Camera.type is {kind}, not {_PERSPECTIVE}, {_FISHEYE} or {_RECTIFIED}")
-    shape = _size(path, content, size)
     if "LEFT.K" in content:
-        return _raw_pair(path, content, shape)
+        return _raw_pair(path, content, _size(path, content, size, ("LEFT", "Camera")))
+    shape = _size(path, content, size, ("Camera",))
     camera = _camera(path, content, first, kind, shape)
     if any(key in content for key in _DEPTH):
         return (camera,), Rigid3.identity(1)
-    if "Camera2.fx" in content:
+    if "Camera2.fx" in content and kind != _RECTIFIED:
         key = next(
             (key for key in ("Stereo.T_c1_c2", "Tlr", "Stereo.Tlr") if key in content), "Stereo.T_c1_c2"
         )
@@ -98,8 +98,10 @@ def _rig(second_from_first: Rigid3) -> Rigid3:
     )
 
 
-def _size(path: Path, content: Mapping[str, Any], size: tuple[int, int] | None) -> tuple[int, int]:
-    for width, height in (("Camera.width", "Camera.height"), ("LEFT.width", "LEFT.height")):
+def _size(
+    path: Path, content: Mapping[str, Any], size: tuple[int, int] | None, names: tuple[str, ...]
+) -> tuple[int, int]:
+    for width, height in ((f"{name}.width", f"{name}.height") for name in names):
         if width in content and height in content:
             return size_of(path, *(numbers_of(path, content, key, 1)[0] for key in (width, height)))
     if size is None:
@@ -116,6 +118,8 @@ def _camera(path: Path, content: Mapping[str, Any], name: str, kind: str, size: 
     given = [key for key in names if f"{name}.{key}" in content]
     if kind == _RECTIFIED:
         given = []
+    elif kind == _FISHEYE and not given:
+        raise FileFormatError(path, f"the keys {name}.k1 to {name}.k4 are missing")
     elif given and (kind == _FISHEYE or len(given) < 4) and given != list(names[:4]):
         raise FileFormatError(
             path, f"the distortion of {name} has {', '.join(given)}, not {', '.join(names[:4])}"
@@ -144,7 +148,11 @@ def _raw_pair(
         cameras.append(camera_of_coefficients(path, size, K, d, is_fisheye=False))
         rotations.append(numbers_of(path, content, f"{side}.R", 3, 3))
         projection = numbers_of(path, content, f"{side}.P", 3, 4)
+        if not projection[0, 0] > 0:
+            raise FileFormatError(path, f"{side}.P has no positive focal length")
         offsets.append(projection[:, 3] / projection[0, 0])
+    if not np.abs(offsets[1] - offsets[0]).max() > 0:
+        raise FileFormatError(path, "RIGHT.P has no baseline (entry 1, 4 is zero)")
     return tuple(cameras), _rig(
         Rigid3(rotations[1].T @ rotations[0], rotations[1].T @ (offsets[1] - offsets[0]))
     )

@@ -210,8 +210,9 @@ def are_hinges(view_graph: ViewGraph, models: Sequence[Reconstruction], in_use: 
         joined = csr_matrix((strength, (view_graph.image1, view_graph.image2)), (num_images, num_images))
         joined += joined.T
         registered = np.flatnonzero(model.is_registered())
+        whole = connected_components(joined, directed=False)[1]
         for image in registered:
-            others = registered[registered != image]
+            others = registered[(registered != image) & (whole[registered] == whole[image])]
             count, part = connected_components(joined[others][:, others], directed=False)
             if count > 1:
                 matches = np.bincount(part, joined[image, others].toarray()[0], count)

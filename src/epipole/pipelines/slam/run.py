@@ -16,6 +16,7 @@ from epipole.cameras.image_fit import ImageShape
 from epipole.config import ANCHOR_FILES, AnchorOptions, options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
 from epipole.io.bags.recording import is_bag
+from epipole.io.bags.writing import require_writing
 from epipole.io.images.photographs import read_header
 from epipole.io.images.video import is_video
 from epipole.io.sequences.sequence import read_sequence
@@ -49,7 +50,16 @@ from epipole.pipelines.slam.sources.streams import (
     open_camera,
     open_video_frames,
 )
-from epipole.runs import Job, Progress, ProgressCallback, Run, graceful_interrupt, ignore_progress, open_run
+from epipole.runs import (
+    Job,
+    Progress,
+    ProgressCallback,
+    Run,
+    graceful_interrupt,
+    ignore_progress,
+    open_run,
+    refuse_existing,
+)
 from epipole.runs.earlier import refuse_poorer
 from epipole.runs.folder import check_output_path
 from epipole.scale import Anchoring, check_anchor_files, mounted_imu
@@ -137,9 +147,15 @@ def _check_target(source: Path, out: Path, job: JobOptions) -> None:
     """Check the output folder before any work.
 
     Raises:
-        WorkspaceError: the folder was not created by epipole, or its result has more frames than `max_frames`.
+        WorkspaceError: the folder was not created by epipole, its result has more frames than `max_frames`, or the recording exists.
+        ConfigError: the name of the recording does not end with .mcap.
+        MissingDependencyError: recording needs the package rosbags.
     """
     check_output_path(out, "slam", (_input(source),))
+    if job.record is not None:
+        require_writing(job.record)
+        inputs = (_input(source), *(path for path in (job.truth, job.map) if path is not None))
+        refuse_existing([job.record], "slam", inputs)
     if job.max_frames is not None:
         refuse_poorer(out, LOCALIZED, job.max_frames, LOCALIZED_WORDS)
 

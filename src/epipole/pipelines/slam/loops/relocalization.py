@@ -76,8 +76,8 @@ class Relocalizer:
         """The pose by the keyframe with most inliers; None if too few or ambiguous."""
         found = [recognize(view, model, k, self.camera, self.config) for k in keyframes]
         good = [f for f in found if not f.reason]
-        for failed in (f for f in found if f.reason):
-            self._num_failures[model.number, model.keyframes[failed.keyframe].number] += 1
+        for k in keyframes:  # a pose that is not confirmed is a failure, too; if it is, `clear` follows
+            self._num_failures[model.number, model.keyframes[k].number] += 1
         if not good:
             return None
         best = max(good, key=lambda f: len(f.points))

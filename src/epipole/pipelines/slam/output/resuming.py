@@ -26,7 +26,17 @@ from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame
 from epipole.runs import digest
 
-_FREE_OPTIONS = ("resume", "max_frames", "trajectory_format", "truth", "map", "view", "port", "host")
+_FREE_OPTIONS = (
+    "resume",
+    "max_frames",
+    "trajectory_format",
+    "truth",
+    "map",
+    "record",
+    "view",
+    "port",
+    "host",
+)
 """Options that may differ when a run continues: tracking does not depend on them, or their content is compared."""
 
 STARTED_AGAIN = (

@@ -27,7 +27,7 @@ import numpy as np
 
 from epipole.geometry import Rigid3
 from epipole.io import ros
-from epipole.io.bags.writing import BagWriter, require_writing, written_bag
+from epipole.io.bags.writing import require_writing, written_bag
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame
 from epipole.pipelines.slam.slam import Slam
 from epipole.scene import Trajectory
@@ -36,8 +36,8 @@ MAP, WORLD, BODY, CAMERA = "map", "world", "body", "camera"
 """Names of the frames."""
 GROWTH = 1.1
 """Growth of the trajectory after which path and points are recorded again: all of them together are eleven times the last ones."""
-MOST_WAITING = 64
-"""Frames that may wait for the disk."""
+MOST_WAITING = 256
+"""Messages that may wait for the disk (three to five per frame); then tracking waits, too."""
 
 
 class Message(NamedTuple):
@@ -63,17 +63,17 @@ class Recording:
 
 
 class McapRecording(Recording):
-    """Records to a file; a thread encodes and writes, so that tracking does not wait for it."""
+    """Records to a file; a thread encodes and writes, while tracking goes on."""
 
     def __init__(self, path: Path, camera: SlamCamera, body_from_camera: Rigid3) -> None:
         self.path, self._camera, self._body_from_camera = path, camera, body_from_camera
         self._queue: Queue[Any] = Queue(MOST_WAITING)
         self._error: Exception | None = None
+        self._has_ended = False
         self._worlds: set[str] = set()
         self._num_poses = self._num_recorded = 0
         self._stamp_s = 0.0
-        self._thread = Thread(target=self._write, name="epipole-record", daemon=True)
-        self._thread.start()
+        self._thread: Thread | None = None
 
     def add(self, system: Slam, frame: Frame, answer: TrackedFrame) -> None:
         """Record a tracked frame: its image, its state and, if known, its pose."""
@@ -96,6 +96,11 @@ class McapRecording(Recording):
 
     def finish(self, system: Slam) -> None:
         """Record the final trajectory and map, and complete the file."""
+        if self._thread is None:
+            return
+        world = _world(system.maps[0].number)
+        if self._worlds and world not in self._worlds:  # another map became the largest
+            self._put(partial(self._static, self._stamp_s, world))
         self._add_map(system, system.trajectory())
         self.stop()
         if self._error is not None:
@@ -103,7 +108,7 @@ class McapRecording(Recording):
 
     def stop(self) -> None:
         """Write what waits, and complete the file."""
-        if self._thread.is_alive():
+        if self._thread is not None and self._thread.is_alive():
             self._queue.put(None)
             self._thread.join()
 
@@ -134,23 +139,24 @@ class McapRecording(Recording):
         return [Message("/tf_static", "tf2_msgs/msg/TFMessage", stamp_s, {"transforms": transforms})]
 
     def _put(self, messages: Any) -> None:
-        """Let the thread write what a function returns."""
+        """Let the thread write what a function returns; it starts, and opens the file, with the first."""
+        if self._thread is None:
+            self._thread = Thread(target=self._write, name="epipole-record", daemon=True)
+            self._thread.start()
         if self._error is None:
             self._queue.put(messages)
 
     def _write(self) -> None:
         try:
             with written_bag(self.path) as bag:
-                self._write_all(bag)
+                while (messages := self._queue.get()) is not None:
+                    for message in messages():
+                        bag.write(*message)
+                self._has_ended = True
         except Exception as error:  # noqa: BLE001 - a thread has no caller; `finish` reports it
             self._error = error
-            while self._queue.get() is not None:  # nobody may wait for room
-                pass
-
-    def _write_all(self, bag: BagWriter) -> None:
-        while (messages := self._queue.get()) is not None:
-            for message in messages():
-                bag.write(*message)
+            while not self._has_ended:  # nobody may wait for room
+                self._has_ended = self._queue.get() is None
 
 
 @contextmanager
