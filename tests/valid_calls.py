@@ -413,6 +413,9 @@ def _features() -> Iterator[Row]:
     images = {"first": _image(), "second": _image()}
     yield _row(features.track_points, **images, **at, config=features.FlowConfig(levels=2), and_back=True)
     yield _row(features.align_patches, **images, **at, warps=np.tile(np.eye(2), (2, 1, 1)), half_px=4)
+    several = {"images": [_image(), _image()], "image": np.array([1, 0]), "second": _image()}
+    bent = np.tile(np.eye(2), (2, 1, 1))
+    yield _row(features.align_patches_of_images, **several, **at, warps=bent, half_px=4)
     yield _row(features.find_patches, **images, **at, warps=np.tile(np.eye(2), (2, 1, 1)), levels=2)
     yield _row(features.find_along_rows, **images, pixels=at["pixels"], max_shift=9, half_px=3)
     yield _row(features.root_sift, descriptors=np.abs(words))

@@ -9,6 +9,7 @@ from epipole.features import (
     FlowConfig,
     _patch_kernels,
     align_patches,
+    align_patches_of_images,
     find_along_rows,
     find_patches,
     patches,
@@ -91,6 +92,22 @@ def test_patches_that_say_nothing_have_no_score(image):
         align_patches(image, image, pixels, warps[:2], pixels)
     with pytest.raises(ConfigError, match="half_px"):
         align_patches(image, image, pixels, warps, pixels, 1)
+
+
+def test_patches_of_several_images_are_located_as_one_by_one(image, pixels, rng):
+    images = [image, image[::-1].copy(), np.full_like(image, 9)]
+    of, warps = rng.integers(0, 3, len(pixels)), np.tile(np.eye(2), (len(pixels), 1, 1))
+    guess = pixels + rng.uniform(-1, 1, pixels.shape)
+    found, score = align_patches_of_images(images, of, image, pixels, warps, guess)
+    for k, single in enumerate(images):
+        own = of == k
+        there, its = align_patches(single, image, pixels[own], warps[own], guess[own])
+        np.testing.assert_array_equal(found[own], there)
+        np.testing.assert_array_equal(score[own], its)
+    none = align_patches_of_images([], np.zeros(0, np.int64), image, np.zeros((0, 2)), warps[:0], guess[:0])
+    assert [len(part) for part in none] == [0, 0]
+    with pytest.raises(ShapeError, match="for 2 images"):
+        align_patches_of_images(images[:2], of, image, pixels, warps, guess)
 
 
 @pytest.mark.parametrize("gain", [0.3, 0.6, 1.3, 2.2])

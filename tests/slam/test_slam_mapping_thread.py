@@ -1,6 +1,7 @@
 """Mapping in a thread: tracking does not wait for it, and the results are as good."""
 
 import threading
+import time
 from concurrent.futures import Future
 
 import numpy as np
@@ -13,9 +14,10 @@ from epipole.metrics import absolute_error
 from epipole.pipelines.slam import mapping_thread
 from epipole.pipelines.slam.frames import SlamCamera, TrackingState
 from epipole.pipelines.slam.loops.closing import LoopConstraint
+from epipole.pipelines.slam.map.insertion import KeyframeInserter
 from epipole.pipelines.slam.map.local_mapping import LocalMapper
 from epipole.pipelines.slam.map.map_copy import MapCopy
-from epipole.pipelines.slam.mapping_thread import Mapped
+from epipole.pipelines.slam.mapping_thread import MOST_WAITING, Mapped
 from epipole.pipelines.slam.slam import Slam
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")
@@ -70,6 +72,77 @@ def test_no_frame_waits_for_mapping(gate, monkeypatch):
     assert slam.mapping_thread.num_merged == keyframes - 3
     final = absolute_error(slam.trajectory().world_from_body, ride().truth(), "none")
     assert final.position.rmse < 0.015
+
+
+def test_no_frame_waits_for_the_points_of_a_keyframe(monkeypatch):
+    opened, find_points = threading.Event(), KeyframeInserter.find_points
+    slam = Slam(STEREO, mapping="thread")
+    frames = ride().frames("stereo")
+    first = slam.track(frames[0])
+
+    def later(inserter, *arguments):
+        assert opened.wait(60.0)
+        return find_points(inserter, *arguments)
+
+    monkeypatch.setattr(KeyframeInserter, "find_points", later)
+    answers = [first]
+    while sum(answer.is_keyframe for answer in answers) < 2:
+        answers.append(slam.track(frames[len(answers)]))
+    answers += [slam.track(frame) for frame in frames[len(answers) : len(answers) + 3]]
+    newest = slam.map.keyframes[-1]
+    assert all(answer.has_pose for answer in answers) and not answers[-1].is_keyframe
+    assert len(slam.map.keyframes) == 2 and np.isnan(newest.disparity_px).all()
+    tracked, known = len(newest.point), set(slam.odometry.tracker.tracks.point.tolist())
+    opened.set()
+    slam.wait_for_mapping()
+    assert len(newest.point) > tracked and np.isfinite(newest.disparity_px).mean() > 0.5
+    # The added points are tracked from the keyframe, three frames ago, and the pose agrees with them.
+    added = [k for k, row in enumerate(slam.odometry.tracker.tracks.point) if int(row) not in known]
+    assert len(added) > 20
+    tracks, pose = slam.odometry.tracker.tracks, slam.odometry.cam_from_world
+    seen = [k for k in added if slam.map.is_triangulated(tracks.point[[k]])[0]]
+    off = CAMERA.project(pose.apply(slam.map.xyz[tracks.point[seen]])) - tracks.pixels[seen]
+    assert np.median(np.linalg.norm(off, axis=1)) < 0.5
+    for frame in frames[len(answers) :]:
+        assert slam.track(frame).has_pose
+    slam.finish()
+    final = absolute_error(slam.trajectory().world_from_body, ride().truth(), "none")
+    assert final.position.rmse < 0.015
+
+
+def test_an_error_of_the_search_is_raised_once(monkeypatch):
+    failures, find_points = [], KeyframeInserter.find_points
+    slam, raised = Slam(RGBD, mapping="thread"), 0
+
+    def fail_once(inserter, *arguments):
+        if len(slam.map.keyframes) > 1 and not failures:
+            failures.append(1)
+            raise MemoryError("no room")
+        return find_points(inserter, *arguments)
+
+    monkeypatch.setattr(KeyframeInserter, "find_points", fail_once)
+    for frame in ride().frames("rgbd"):
+        try:
+            slam.track(frame)
+        except MemoryError:
+            raised += 1
+            slam.track(frame)
+    assert raised == len(failures) == 1
+    slam.finish()
+    final = absolute_error(slam.trajectory().world_from_body, ride().truth(), "none")
+    assert len(slam.trajectory()) == 30 and final.position.rmse < 0.015  # a keyframe without new points
+
+
+def test_with_many_keyframes_waiting_a_frame_waits_a_little(gate, monkeypatch):
+    monkeypatch.setattr(mapping_thread, "LONGEST_WAIT_S", 0.3)
+    slam = Slam(RGBD, mapping="thread")
+    for frame in ride().frames("rgbd"):
+        slam.track(frame)
+    thread = slam.mapping_thread
+    for waiting, least, most in ((MOST_WAITING, 0.0, 0.25), (MOST_WAITING + 1, 0.25, 30.0)):
+        thread.num_waiting, start = waiting, time.monotonic()
+        assert thread.take() is None
+        assert least <= time.monotonic() - start < most
 
 
 def test_keyframes_become_rare_while_mapping_is_behind(gate):

@@ -46,3 +46,14 @@ def test_only_a_shift_that_patches_do_not_make_is_told(rng, shift_px, is_given):
     last = mapper.map.keyframes[-1].cam_from_world
     off = (last @ positions[LEAST_TOGETHER - 1].inverse()).log()
     assert np.linalg.norm(off[:3]) < 0.03  # of 2.8 m; a quarter of a pixel left in it makes it 8 cm
+
+
+def test_an_adjustment_ends_after_the_step_at_which_it_is_asked_to(rng):
+    mapper, _ = scene(rng, 0.0)
+    usual, asked = mapper.adjust_all(), []
+    assert usual is not None and usual.result.num_iterations > 1
+    hurried, _ = scene(np.random.default_rng(3), 0.0)
+    hurried.goes_on = lambda: bool(asked.append(1))
+    adjusted = hurried.adjust_all()
+    assert adjusted is not None and adjusted.result.num_iterations == 1 and asked
+    assert adjusted.result.final_cost < adjusted.result.initial_cost

@@ -10,6 +10,7 @@ from epipole.features.match import match_along_epipolar_lines as match_along_epi
 from epipole.features.match import match_descriptors as match_descriptors
 from epipole.features.match import match_near_pixels as match_near_pixels
 from epipole.features.patches import align_patches as align_patches
+from epipole.features.patches import align_patches_of_images as align_patches_of_images
 from epipole.features.patches import find_along_rows as find_along_rows
 from epipole.features.patches import find_patches as find_patches
 from epipole.features.retrieve import describe_image as describe_image

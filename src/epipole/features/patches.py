@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float64, Int64, UInt8
 
 from epipole import _parallel
 from epipole._checks import checked
@@ -46,19 +48,60 @@ def align_patches(
         ShapeError: array sizes do not match.
         ConfigError: half_px is not from 2 to 20.
     """
+    return align_patches_of_images(
+        [first], np.zeros(len(pixels), np.int64), second, pixels, warps, guess, half_px
+    )
+
+
+@checked
+def align_patches_of_images(
+    images: Sequence[UInt8[np.ndarray, "_ _"]],
+    image: Int64[np.ndarray, " n"],
+    second: UInt8[np.ndarray, "h2 w2"],
+    pixels: Float64[np.ndarray, "n 2"],
+    warps: Float64[np.ndarray, "n 2 2"],
+    guess: Float64[np.ndarray, "n 2"],
+    half_px: int = 6,
+) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, " n"]]:
+    """Like `align_patches`, for patches of several images in one call.
+
+    Args:
+        images: gray images with the patches.
+        image: index of each patch's image.
+        second: image to search.
+        pixels: positions in their images.
+        warps: d(pixel in second) / d(pixel in its image) around each point.
+        guess: predicted positions in the second image, within about three pixels.
+        half_px: patches have 2 half_px + 1 pixels per side.
+
+    Returns:
+        Pixels in the second image, and the correlation of the patches there, as in `align_patches`.
+
+    Raises:
+        ShapeError: array sizes do not match, or an index has no image.
+        ConfigError: half_px is not from 2 to 20.
+    """
     if not 2 <= half_px <= 20:
         raise ConfigError(f"half_px must be from 2 to 20, got {half_px}")
-    found, score = guess.copy(), np.full(len(pixels), np.nan)
+    if len(image) and not 0 <= image.min() <= image.max() < len(images):
+        raise ShapeError(f"image has indices from {image.min()} to {image.max()}, for {len(images)} images")
     usable = (
         np.isfinite(pixels).all(axis=1) & np.isfinite(guess).all(axis=1) & np.isfinite(warps).all(axis=(1, 2))
     )
-    at = np.where(usable[:, None], pixels, -1.0)
-    _parallel.map_chunks(
-        lambda a, b, _: kernels.align_patches(first, second, at, warps, half_px, a, b, found, score),
-        len(at),
-        max(1, min(4, len(at) // FEWEST_OF_CHUNK)),
-    )
-    return found, score
+    order = np.argsort(image, kind="stable")
+    at, bent = np.where(usable[:, None], pixels, -1.0)[order], warps[order]
+    found, score = guess[order], np.full(len(pixels), np.nan)
+    ends = np.searchsorted(image[order], np.arange(len(images) + 1))
+
+    def align(start: int, stop: int, _chunk: int) -> None:
+        for k in range(image[order[start]], image[order[stop - 1]] + 1):
+            a, b = max(start, int(ends[k])), min(stop, int(ends[k + 1]))
+            if a < b:
+                kernels.align_patches(images[k], second, at, bent, half_px, a, b, found, score)
+
+    _parallel.map_chunks(align, len(at), max(1, min(4, len(at) // FEWEST_OF_CHUNK)))
+    back = np.argsort(order)
+    return found[back], score[back]
 
 
 @checked

@@ -6,15 +6,19 @@ it, triangulate its points. Then `optimize_around_newest` adjusts the map. Map m
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from epipole.geometry import Rigid3
 from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.map.covariance import carry_covariance
+from epipole.pipelines.slam.map.insertion import KeyframeInserter
 from epipole.pipelines.slam.map.local_mapping import LocalMapper
 from epipole.pipelines.slam.map.map_copy import Change
-from epipole.pipelines.slam.map.slam_map import Keyframe
+from epipole.pipelines.slam.map.slam_map import Keyframe, Observations
 from epipole.pipelines.slam.map.triangulation import triangulate, triangulate_between_keyframes
 from epipole.pipelines.slam.tracking.frame_quality import FrameQuality
 from epipole.pipelines.slam.tracking.tracker import PointTracker
@@ -29,13 +33,15 @@ class Odometry:
         tracker: the points that are tracked from frame to frame.
         mapper: inserts keyframes and optimizes the map.
         is_mapping_behind: whether only a large loss of points makes a frame a keyframe.
+        is_incomplete: whether a thread still searches points of the newest keyframe; until then no frame becomes one.
     """
 
     def __init__(self, mapper: LocalMapper, cam_from_world: Rigid3) -> None:
         self.map, self.camera, self.config = mapper.map, mapper.sensor, mapper.config
         self.cam_from_world = cam_from_world
         self.tracker = PointTracker(self.map, self.camera, mapper.focal_baseline, self.config)
-        self.mapper, self.is_mapping_behind = mapper, False
+        self.inserter = KeyframeInserter(self.map, self.camera, mapper.focal_baseline, self.config)
+        self.mapper, self.is_mapping_behind, self.is_incomplete = mapper, False, False
 
     def track(self, previous: Frame, frame: Frame) -> tuple[RefinedPose, int] | None:
         """Pose of a frame and its number of inliers; None if there are too few.
@@ -51,7 +57,14 @@ class Odometry:
         return found
 
     def extend_map(
-        self, frame: Frame, refined: RefinedPose, num_agreeing: int, number: int, quality: FrameQuality
+        self,
+        frame: Frame,
+        refined: RefinedPose,
+        num_agreeing: int,
+        number: int,
+        quality: FrameQuality,
+        *,
+        is_complete: bool = True,
     ) -> str:
         """Triangulate points with the frame and, if the map needs it, insert the frame as a keyframe.
 
@@ -61,6 +74,7 @@ class Odometry:
             num_agreeing: number of inliers.
             number: frame number.
             quality: a frame of low quality does not become a keyframe.
+            is_complete: search the keyframe's points; else it has the tracked ones until `complete_keyframe`.
 
         Returns:
             why the frame became a keyframe; empty if it did not.
@@ -72,9 +86,10 @@ class Odometry:
         )
         reason = self._why_keyframe(num_agreeing, number, quality)
         if reason:
-            self.insert_keyframe(frame, number)
+            self.insert_keyframe(frame, number, is_complete=is_complete)
             carry_covariance(self.map, refined)
-            triangulate(self.map, self.camera.camera, self.config, len(self.map.keyframes) - 1)
+            if is_complete:
+                triangulate(self.map, self.camera.camera, self.config, len(self.map.keyframes) - 1)
         return reason
 
     def stay_in_map(
@@ -85,12 +100,25 @@ class Odometry:
         if self._why_keyframe(num_agreeing, number, quality):
             self.tracker.track_points_in_sight(frame, self.cam_from_world)
 
-    def insert_keyframe(self, frame: Frame, number: int) -> None:
-        """Insert the frame as a keyframe at the current pose, with tracked, redetected and new points."""
-        tracks, stale = self.tracker.tracks, self.tracker.stale
-        self.tracker.start_from(
-            self.mapper.insert_keyframe(frame, number, self.cam_from_world, tracks, stale)
-        )
+    def insert_keyframe(self, frame: Frame, number: int, *, is_complete: bool = True) -> None:
+        """Insert the frame as a keyframe at the current pose, with the tracked points, and if complete with all others."""
+        seen, stale = self._tracked(), self.tracker.stale
+        if is_complete:
+            seen = self.inserter.find_points(frame, self.cam_from_world, seen)
+        keyframe = self.inserter.insert(frame, number, self.cam_from_world, seen, stale)
+        self.tracker.start_from_keyframe(keyframe)
+
+    def search_of_points(self, frame: Frame) -> Callable[[], Observations]:
+        """The search for all points of the newest keyframe, inserted from this frame; the map must not change meanwhile."""
+        return partial(self.inserter.find_points, frame, self.cam_from_world, self._tracked())
+
+    def complete_keyframe(self, seen: Observations, last: Frame) -> None:
+        """Give the newest keyframe its points, and track the added ones from there to the last frame."""
+        self.tracker.track_added(self.inserter.complete(seen), last, self.cam_from_world)
+
+    def _tracked(self) -> Observations:
+        tracks = self.tracker.tracks
+        return Observations(tracks.pixels, np.full(len(tracks), np.nan), tracks.point)
 
     def optimize_around_newest(self) -> None:
         """Optimize the newest keyframe and those around it, update the pose and stop tracking outliers."""
@@ -109,7 +137,7 @@ class Odometry:
         return next(k for k in reversed(self.map.keyframes) if len(k.point))
 
     def _why_keyframe(self, num_agreeing: int, number: int, quality: FrameQuality) -> str:
-        if not quality.is_usable:
+        if not quality.is_usable or self.is_incomplete:
             return ""
         age = number - self.newest_keyframe().number
         return self.tracker.why_keyframe(num_agreeing, age, is_mapping_behind=self.is_mapping_behind)

@@ -15,11 +15,10 @@ from epipole.pipelines.slam.loops.closing import LoopConstraint
 from epipole.pipelines.slam.loops.correction import close_in_map, refine_closed
 from epipole.pipelines.slam.loops.recognition import describe_keyframe
 from epipole.pipelines.slam.map.covariance import own_covariance
-from epipole.pipelines.slam.map.culling import cull
 from epipole.pipelines.slam.map.map_copy import Change, world_motion
 from epipole.pipelines.slam.map.past_poses import refine_past_poses
 from epipole.pipelines.slam.map.slam_map import SlamMap
-from epipole.pipelines.slam.mapping_thread import Mapped
+from epipole.pipelines.slam.mapping_thread import Mapped, MappingThread
 from epipole.pipelines.slam.slam_state import SlamState
 from epipole.pipelines.slam.start.bootstrap import bootstrap_map
 from epipole.pipelines.slam.start.rotation import RotationEstimate, RotationTracker
@@ -150,15 +149,6 @@ class Slam(SlamState):
             self._unconfirmed = None
         return with_quality is Confirmation.REFUTED
 
-    def _leave_unconfirmed(self) -> None:
-        """Report that no later frame can confirm the initialization."""
-        if self._unconfirmed is not None:
-            self.start_warnings.append(
-                f"the map initialized at {self._unconfirmed.first_time_s:.2f} s could not be confirmed: its first points left the"
-                " view before the camera had moved far enough"
-            )
-        self._unconfirmed = None
-
     def _start_again(self, frame: Frame) -> TrackedFrame:
         """Discard a map that was initialized wrongly, with the poses of its frames, and initialize again."""
         if self.mapping_thread is not None:
@@ -183,11 +173,14 @@ class Slam(SlamState):
     def _localized(self, frame: Frame, refined: RefinedPose, num_agreeing: int) -> TrackedFrame:
         """Process a frame with a known pose: extend the map, close loops, refine past poses and cull."""
         known = frame, refined, num_agreeing, self._num_frames, self._quality
-        reason = "" if self.is_map_fixed else self.odometry.extend_map(*known)
+        reason, thread = "", self.mapping_thread
         if self.is_map_fixed:
             self.odometry.stay_in_map(*known)
-        elif reason and self.mapping_thread is not None:
-            self.mapping_thread.add(self.odometry.mapper, self._closer, self.maps)
+        else:
+            reason = self.odometry.extend_map(*known, is_complete=thread is None)
+        if reason and thread is not None:
+            thread.search(self.odometry.search_of_points(frame))
+            self.odometry.is_incomplete = True
         elif reason:
             self.odometry.optimize_around_newest()
             reason = self._close_loop() or reason
@@ -199,6 +192,8 @@ class Slam(SlamState):
 
     def _find_pose(self, frame: Frame) -> TrackedFrame:
         """Relocalize the frame in one of the maps; else track a pure rotation or start a separate map."""
+        if self.mapping_thread is not None:
+            self.mapping_thread.hurry()
         self.wait_for_mapping()
         reason = f"{len(self.odometry.tracker.tracks)} points are tracked, but too few agree with the map"
         if self.state in (TrackingState.TRACKING, TrackingState.SUBMAP):
@@ -258,7 +253,7 @@ class Slam(SlamState):
 
         Frames between two results are tracked in the map as it was; one step then replaces it and moves the pose with it.
         """
-        if self.mapping_thread is None:
+        if self.mapping_thread is None or not self._has_points(self.mapping_thread, wait=wait):
             return
         while (done := self._mapped(wait=wait)) is not None:
             self.odometry.mapper.num_optimized = done.mapper.num_optimized
@@ -272,6 +267,19 @@ class Slam(SlamState):
             self.mapping_thread.catch_up(self.odometry.mapper, self._closer, self.maps)
         self.odometry.is_mapping_behind = self.mapping_thread.is_behind
 
+    def _has_points(self, thread: MappingThread, *, wait: bool) -> bool:
+        """Whether the newest keyframe has its points; if the thread has just found them, they are tracked and mapped."""
+        try:
+            seen = thread.take_points(wait=wait)
+            if seen is not None:
+                assert self._before is not None
+                self.odometry.complete_keyframe(seen, self._before)
+        finally:
+            if self.odometry.is_incomplete and not thread.is_searching:
+                self.odometry.is_incomplete = False
+                thread.add(self.odometry.mapper, self._closer, self.maps)
+        return not thread.is_searching
+
     def _mapped(self, *, wait: bool) -> Mapped | None:
         """The result of the mapping thread; after an error it goes on with the keyframes that wait."""
         assert self.mapping_thread is not None
@@ -281,11 +289,6 @@ class Slam(SlamState):
             self._closer.clear()
             self.mapping_thread.catch_up(self.odometry.mapper, self._closer, self.maps)
             raise
-
-    def _refine_past(self) -> None:
-        """Estimate poses of earlier frames again, and cull the map, after its adjustment."""
-        refine_past_poses(self._path, self.odometry.tracker)
-        cull(self.map, self._path, self.odometry.tracker)
 
     # Loop closure.
 

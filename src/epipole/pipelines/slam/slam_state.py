@@ -16,7 +16,9 @@ from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, Track
 from epipole.pipelines.slam.loops.closing import LoopCloser
 from epipole.pipelines.slam.loops.relocalization import Relocalizer
 from epipole.pipelines.slam.map.covariance import with_map_error
+from epipole.pipelines.slam.map.culling import cull
 from epipole.pipelines.slam.map.local_mapping import LocalMapper, focal_baseline_of
+from epipole.pipelines.slam.map.past_poses import refine_past_poses
 from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
 from epipole.pipelines.slam.map.trajectory import Path
 from epipole.pipelines.slam.mapping_thread import MappingThread
@@ -149,6 +151,20 @@ class SlamState:
         """Copy of the current map and tracked points, for display."""
         source = self.odometry.tracker if self.map.num_points else self._start
         return snapshot_of(self.map, self.state, source.tracks)
+
+    def _leave_unconfirmed(self) -> None:
+        """Report that no later frame can confirm the initialization."""
+        if self._unconfirmed is not None:
+            self.start_warnings.append(
+                f"the map initialized at {self._unconfirmed.first_time_s:.2f} s could not be confirmed: its first points left the"
+                " view before the camera had moved far enough"
+            )
+        self._unconfirmed = None
+
+    def _refine_past(self) -> None:
+        """Estimate poses of earlier frames again, and cull the map, after its adjustment."""
+        refine_past_poses(self._path, self.odometry.tracker)
+        cull(self.map, self._path, self.odometry.tracker)
 
     def _relative_to(
         self, keyframe: Keyframe, frame: Frame, covariance: np.ndarray, num_points: int, reason: str

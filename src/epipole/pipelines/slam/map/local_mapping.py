@@ -1,10 +1,11 @@
-"""Local mapping: new keyframes and points, bundle adjustment of a window of keyframes, removal of outliers."""
+"""Local mapping: bundle adjustment of a window of keyframes, and removal of outliers."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -23,18 +24,15 @@ from epipole.optim import (
     with_fixed_gauge,
 )
 from epipole.pipelines.slam.config import OdometryConfig
-from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.map.covariance import CalibrationSigma, add_calibration_error, learn_covariances
 from epipole.pipelines.slam.map.gauge import align_gauge
 from epipole.pipelines.slam.map.imu import InertialConstraints, pixel_variance
 from epipole.pipelines.slam.map.pair_adjustment import adjust_pair
-from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.map.triangulation import positions_of
-from epipole.pipelines.slam.shutter.motion import points_by_depth, shutter_shifts, straighten
-from epipole.pipelines.slam.tracking.corners import new_corners
-from epipole.pipelines.slam.tracking.depth import disparities_of
-from epipole.pipelines.slam.tracking.points import Tracks
-from epipole.pipelines.slam.tracking.redetection import link_tracks, redetect
+from epipole.pipelines.slam.shutter.motion import straighten
+from epipole.pipelines.slam.tracking.redetection import link_tracks
 
 LOSS_SCALE_PX = 1.0
 LAST_SCALES_PX, SCALES_OF_NOISE_PX = (8.0, 2.0), (1.0, 0.5)
@@ -65,7 +63,7 @@ class Adjusted(NamedTuple):
 
 
 class LocalMapper:
-    """Extends and adjusts a map. Measured depth enters as an observation of a second camera beside the first."""
+    """Adjusts a map. Measured depth enters as an observation of a second camera beside the first."""
 
     def __init__(
         self,
@@ -82,63 +80,10 @@ class LocalMapper:
         """Measured camera positions in the world by frame number; used when all keyframes are adjusted."""
         self.position_sigma = 1.0
         self.inertial = None if imu is None else InertialConstraints(imu)
+        self.goes_on: Callable[[], bool] = lambda: True
+        """Asked after every step of an adjustment, which it ends by returning False."""
         self.num_optimized = FIRST_OPTIMIZED
         """Number of keyframes when all were last adjusted."""
-
-    def insert_keyframe(
-        self, frame: Frame, number: int, position: Rigid3, tracks: Tracks, stale: np.ndarray
-    ) -> Tracks:
-        """Add a keyframe with its tracked, re-detected and new points; returns the tracks of all of them.
-
-        Args:
-            frame: the images.
-            number: frame number.
-            position: cam_from_world.
-            tracks: tracked points.
-            stale: rows of points whose appearance has changed; their reference patches are replaced.
-        """
-        if self.map.keyframes:
-            tracks.add(*redetect(self.map, self.camera, frame.gray, position, tracks.point))
-            tracks.keep(frame.is_used(tracks.pixels))
-        corners = new_corners(frame.gray, tracks.pixels, self.config, frame.ignored_mask)
-        index = len(self.map.keyframes)
-        pixels = np.concatenate([tracks.pixels, corners])
-        points = np.concatenate([tracks.point, np.full(len(corners), -1)])
-        disparity = self._disparities(frame, pixels, points, position)
-        fresh = points < 0
-        made = self._from_depth(pixels, disparity, position)
-        points[fresh] = self.map.add_points(made[fresh], pixels[fresh], index)
-        lacking = ~self.map.is_triangulated(points) & ~fresh
-        self.map.xyz[points[lacking]] = made[lacking]
-        seen = Observations(pixels, disparity, points)
-        keyframe = Keyframe(number, frame.timestamp_s, frame.gray, position, seen)
-        keyframe.motion, keyframe.ignored_mask = self.map.motion, frame.ignored_mask
-        keyframe.shift_px = shutter_shifts(self.map, keyframe, keyframe.motion, self.sensor.shutter)
-        self.map.keyframes.append(keyframe)
-        anew = np.isin(points, stale)
-        self.map.anchor[points[anew]], self.map.anchor_px[points[anew]] = index, pixels[anew]
-        return Tracks(pixels.copy(), points.copy(), pixels.copy())
-
-    def _disparities(
-        self, frame: Frame, pixels: np.ndarray, points: np.ndarray, position: Rigid3
-    ) -> np.ndarray:
-        guess = np.full(len(pixels), np.nan)
-        if self.focal_baseline is None:
-            return guess
-        known = points >= 0
-        depth = position.apply(self.map.xyz[points[known]])[:, 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            guess[known] = np.where(depth > 0, self.focal_baseline / depth, np.nan) - self.map.right_shift_px
-        return disparities_of(frame, pixels, guess, self.sensor, self.config)
-
-    def _from_depth(self, pixels: np.ndarray, disparity: np.ndarray, position: Rigid3) -> np.ndarray:
-        """(n, 3) points in the world from their disparities; NaN without a disparity, or beyond `max_depth_baselines`."""
-        if self.focal_baseline is None:
-            return np.full((len(pixels), 3), np.nan)
-        most = self.config.max_depth_baselines
-        seen, motion = Observations(pixels, disparity, np.full(len(pixels), -1)), self.map.motion
-        in_cam = points_by_depth(self.map, seen, motion, self.sensor, self.focal_baseline, most)
-        return position.inverse().apply(in_cam)
 
     def window_of(self, newest: int) -> tuple[list[int], list[int]]:
         """Keyframes with most points in common with the newest, and the fixed ones with points in common with these."""
@@ -164,7 +109,9 @@ class LocalMapper:
             since, self.num_optimized = self.num_optimized, len(self.map.keyframes)
             if self.focal_baseline is None:
                 first = since if len(self.map.keyframes) > MOST_CONSTRAINED else 0
-                link_tracks(self.map, self.camera, self.map.keyframes[first:])
+                link_tracks(
+                    self.map, self.camera, takewhile(lambda _: self.goes_on(), self.map.keyframes[first:])
+                )
             self.adjust_all(max_iterations=8)
             self.learn_inertial()
             return
@@ -282,16 +229,16 @@ class LocalMapper:
     ) -> tuple[BundleProblem, BundleResult]:
         """Adjust with the IMU factors between the views, or without them if they contradict the images."""
         if self.inertial is None:
-            return adjust_pair(problem, config)
+            return adjust_pair(problem, config, self.goes_on)
         keyframes = [self.map.keyframes[k] for k in views]
         paths = self.inertial.factors(keyframes, pixel_variance(problem, self.camera))
         if paths:
             is_constrained = replace(problem, priors=replace(problem.priors or BundlePriors(), paths=paths))
             with suppress(DegenerateGeometryError):
-                is_constrained, result = adjust_pair(is_constrained, config)
+                is_constrained, result = adjust_pair(is_constrained, config, self.goes_on)
                 if self.inertial.agrees(paths, result.rig_from_world):
                     return is_constrained, result
-        return adjust_pair(problem, config)
+        return adjust_pair(problem, config, self.goes_on)
 
     def learn_inertial(self) -> None:
         """Align the map with the IMU, if any."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,17 +14,20 @@ LEAST_SHIFT_PX = 0.1
 was mistaken for a shift of 0.04 px, which made the trajectory 0.2 % too short."""
 
 
-def adjust_pair(problem: BundleProblem, config: BundleConfig) -> tuple[BundleProblem, BundleResult]:
+def adjust_pair(
+    problem: BundleProblem, config: BundleConfig, goes_on: Callable[[], bool] = lambda: True
+) -> tuple[BundleProblem, BundleResult]:
     """Adjust; if the second camera's free principal point barely moves, fix it and adjust again.
 
     Args:
         problem: in which all camera parameters except that principal point are fixed.
         config: of both adjustments.
+        goes_on: asked after every step of either, which it ends by returning False.
 
     Returns:
         the problem that was adjusted last, and its minimum.
     """
-    result = adjust_bundle(problem, config)
+    result = adjust_bundle(problem, config, lambda _: goes_on())
     if not problem.params_free.any() or problem.priors is None or problem.priors.params_expected is None:
         return problem, result
     said = problem.priors.params_expected
@@ -37,4 +41,4 @@ def adjust_pair(problem: BundleProblem, config: BundleConfig) -> tuple[BundlePro
         params_free=np.zeros_like(problem.params_free),
         priors=replace(problem.priors, params_expected=None, params_sigma=None),
     )
-    return fixed, adjust_bundle(fixed, config)
+    return fixed, adjust_bundle(fixed, config, lambda _: goes_on())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from epipole.cameras import Camera
-from epipole.features.patches import align_patches
+from epipole.features.patches import align_patches_of_images
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.map.slam_map import SlamMap
 
@@ -39,27 +39,18 @@ def align_to_reference_patch(
     Returns:
         Pixels; a mask of those whose patch correlates; a mask of those whose reference patch should be replaced.
     """
-    out, score = pixels.copy(), np.full(len(points), np.nan)
-    warps = warps_of(model, camera, cam_from_world, points)
-    anchors = model.anchor[points]
-    for k in np.unique(anchors):
-        rows = np.flatnonzero(anchors == k)
-        out[rows], score[rows] = align_patches(
-            model.keyframes[int(k)].gray, gray, model.anchor_px[points[rows]], warps[rows], pixels[rows]
-        )
+    anchors, which = np.unique(model.anchor[points], return_inverse=True)
+    keyframes = [model.keyframes[int(k)] for k in anchors]
+    then, anchor_px = [k.cam_from_world for k in keyframes], model.anchor_px[points]
+    warps = warps_between(then, which, anchor_px, model.xyz[points], camera, cam_from_world)
+    images = [k.gray for k in keyframes]
+    out, score = align_patches_of_images(images, which, gray, anchor_px, warps, pixels)
     near = np.linalg.norm(out - pixels, axis=1) <= FURTHEST_PX
     is_same = (score >= LEAST_SCORE) & near
     scale = np.sqrt(np.abs(np.linalg.det(warps)))
     is_stale = (scale > LARGEST_SCALE) | (scale < 1 / LARGEST_SCALE) | (score < LEAST_FRESH_SCORE)
     # A patch at the image border cannot be compared: keep the tracked pixel.
     return np.where(is_same[:, None], out, pixels), is_same | np.isnan(score), is_stale
-
-
-def warps_of(model: SlamMap, camera: Camera, cam_from_world: Rigid3, points: np.ndarray) -> np.ndarray:
-    """(n, 2, 2) d(pixel now) / d(pixel when first seen), for patches that faced the camera then."""
-    anchors, which = np.unique(model.anchor[points], return_inverse=True)
-    then = [model.keyframes[int(k)].cam_from_world for k in anchors]
-    return warps_between(then, which, model.anchor_px[points], model.xyz[points], camera, cam_from_world)
 
 
 def warps_between(

@@ -49,9 +49,13 @@ class Tracks:
 
     def add(self, pixels: np.ndarray, point: np.ndarray) -> None:
         """Start tracking more points."""
-        self.pixels = np.concatenate([self.pixels, pixels])
-        self.point = np.concatenate([self.point, point])
-        self.start_px = np.concatenate([self.start_px, pixels])
+        self.join(Tracks(pixels, point, pixels))
+
+    def join(self, others: Tracks) -> None:
+        """Add tracks of other points."""
+        self.pixels = np.concatenate([self.pixels, others.pixels])
+        self.point = np.concatenate([self.point, others.point])
+        self.start_px = np.concatenate([self.start_px, others.start_px])
 
     def keep_first(self) -> None:
         """Drop duplicate tracks of a point."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -101,7 +101,7 @@ def _usable(keyframe: Keyframe, model: SlamMap, missing: np.ndarray, cam_from_wo
     return own[(cosine > LEAST_COSINE) & (ratio < LARGEST_SCALE) & (ratio > 1 / LARGEST_SCALE)]
 
 
-def link_tracks(model: SlamMap, camera: Camera, keyframes: Sequence[Keyframe]) -> int:
+def link_tracks(model: SlamMap, camera: Camera, keyframes: Iterable[Keyframe]) -> int:
     """Add observations of all map points in sight of the keyframes; returns their number.
 
     The search radius is larger than during tracking, to find points despite drift.

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from epipole.features.flow import track_points
 from epipole.geometry import Rigid3
 from epipole.mapping import Disparities, RefinedPose
 from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.frames import Frame, MovingThing, SlamCamera
 from epipole.pipelines.slam.loops.recognition import Recognition
-from epipole.pipelines.slam.map.slam_map import Observations, SlamMap
+from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.shutter.motion import points_by_depth, shutter_shifts, straighten_recent
 from epipole.pipelines.slam.shutter.recent_motion import RecentMotion
 from epipole.pipelines.slam.shutter.shutter import PREDICTED_SIGMA, UNKNOWN_SIGMA
@@ -61,6 +62,10 @@ class PointTracker:
         self.static_part: StaticPart | None = None
         self._num_at_start = 1
         self._pose_before: Rigid3 | None = None
+        self._images = (np.zeros((0, 0), np.uint8),) * 2
+        """Previous and present image."""
+        self._is_checked = True
+        """Whether the tracks of the present frame were checked by tracking them back."""
         self.waiting: list[SeenFrame] = []
         self._seen: SeenFrame | None = None
 
@@ -83,7 +88,9 @@ class PointTracker:
             return None
         points = self.map.xyz[tracks.point]
         guess = predict_pixels(tracks.pixels, points, predicted, predicted, self.camera)
-        tracks.track(previous.gray, frame.gray, guess, self.config, and_back=True)
+        # With depth, the map's patches check nearly all points below.
+        self._is_checked, self._images = self.focal_baseline is None, (previous.gray, frame.gray)
+        tracks.track(*self._images, guess, self.config, and_back=self._is_checked)
         tracks.pixels, is_same, is_stale = align_to_reference_patch(
             self.map, self.camera, frame.gray, predicted, tracks.point, tracks.pixels
         )
@@ -260,7 +267,8 @@ class PointTracker:
     ) -> np.ndarray:
         """(n,) masked points that moved independently of the scene since the previous frame; none if fewer than LEAST_POINTS.
 
-        A point that was mismatched once, or that an unmodeled distortion displaces, does not keep moving.
+        A point that was mismatched once, that an unmodeled distortion displaces, or that slips along the edge of something near,
+        does not keep moving, or is not tracked back to where it was.
         """
         out, rows = np.zeros(len(points), bool), np.flatnonzero(mask)
         if self._pose_before is None or len(rows) < LEAST_POINTS:
@@ -275,7 +283,16 @@ class PointTracker:
         )
         step = position @ self._pose_before.inverse()
         out[rows] = off_px_of_scene(then, pixels[rows], self.camera, step, depth) > STEP_PX
+        if out.any() and not self._is_checked:
+            moved = out[rows]
+            out[rows[moved]] = self._returns(pixels[rows[moved]], then[moved])
         return out
+
+    def _returns(self, pixels: np.ndarray, pixels_before: np.ndarray) -> np.ndarray:
+        """Whether points are tracked back to where they were in the previous frame."""
+        before, now = self._images
+        back, found = track_points(now, before, pixels, pixels_before, self.config, and_back=False)
+        return found & (np.linalg.norm(back - pixels_before, axis=1) <= self.config.max_return_px)
 
     def _image_motion(self, last: Tracks, localized: np.ndarray, position: Rigid3) -> MovingThing | None:
         newest = len(self.map.keyframes) - 1
@@ -311,6 +328,21 @@ class PointTracker:
         """Replace the tracks."""
         self.tracks, self.stale = tracks, np.zeros(0, np.int64)
         self._num_at_start = max(int(self.map.is_triangulated(tracks.point).sum()), 1)
+
+    def start_from_keyframe(self, keyframe: Keyframe) -> None:
+        """Track all points of a keyframe from its pixels."""
+        self.start_from(Tracks(keyframe.pixels.copy(), keyframe.point.copy(), keyframe.pixels.copy()))
+
+    def track_added(self, added: Observations, last: Frame, cam_from_world: Rigid3) -> None:
+        """Track points that the newest keyframe has received from there to the last frame, whose pose is given."""
+        keyframe = self.map.keyframes[-1]
+        tracks = Tracks(added.pixels, added.point, added.pixels)
+        if last.timestamp_s > keyframe.timestamp_s:
+            points = self.map.xyz[added.point]
+            guess = predict_pixels(added.pixels, points, keyframe.cam_from_world, cam_from_world, self.camera)
+            tracks.track(keyframe.gray, last.gray, guess, self.config, and_back=True)
+        self.tracks.join(tracks)
+        self._num_at_start = max(int(self.map.is_triangulated(self.tracks.point).sum()), 1)
 
     def track_points_in_sight(self, frame: Frame, position: Rigid3) -> None:
         """Start tracking all points of the map that are in sight."""

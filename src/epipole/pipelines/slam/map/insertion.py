@@ -1,0 +1,104 @@
+"""Insertion of keyframes with their tracked, redetected and new points, and with depth if the camera measures it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from epipole.geometry import Rigid3
+from epipole.pipelines.slam.config import OdometryConfig
+from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.shutter.motion import points_by_depth, shutter_shifts
+from epipole.pipelines.slam.tracking.corners import new_corners
+from epipole.pipelines.slam.tracking.depth import disparities_of
+from epipole.pipelines.slam.tracking.redetection import redetect
+
+
+class KeyframeInserter:
+    """Adds keyframes to one map: `find_points` searches an image and only reads the map, `insert` and `complete` extend it."""
+
+    def __init__(
+        self, model: SlamMap, sensor: SlamCamera, focal_baseline: float | None, config: OdometryConfig
+    ) -> None:
+        self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera, config
+        self.focal_baseline = focal_baseline
+        """Focal length times baseline; None for a single camera."""
+
+    def find_points(self, frame: Frame, cam_from_world: Rigid3, tracked: Observations) -> Observations:
+        """The tracked points, then redetected ones, then new corners, whose rows are -1; with disparities.
+
+        Args:
+            frame: the images.
+            cam_from_world: pose of the frame.
+            tracked: points in the frame; their disparities are ignored.
+        """
+        pixels, points = tracked.pixels, tracked.point
+        if self.map.keyframes:
+            again, rows = redetect(self.map, self.camera, frame.gray, cam_from_world, points)
+            used = frame.is_used(again)
+            pixels, points = np.concatenate([pixels, again[used]]), np.concatenate([points, rows[used]])
+        corners = new_corners(frame.gray, pixels, self.config, frame.ignored_mask)
+        pixels = np.concatenate([pixels, corners])
+        points = np.concatenate([points, np.full(len(corners), -1)])
+        return Observations(pixels, self._disparities(frame, pixels, points, cam_from_world), points)
+
+    def insert(
+        self, frame: Frame, number: int, cam_from_world: Rigid3, seen: Observations, stale: np.ndarray
+    ) -> Keyframe:
+        """Append a keyframe.
+
+        Args:
+            frame: the images.
+            number: frame number.
+            cam_from_world: pose of the frame.
+            seen: its points; row -1 marks new ones.
+            stale: rows of points whose appearance has changed; their reference patches are replaced.
+        """
+        index = len(self.map.keyframes)
+        seen = self._with_rows(seen, index, cam_from_world)
+        keyframe = Keyframe(number, frame.timestamp_s, frame.gray, cam_from_world, seen)
+        keyframe.motion, keyframe.ignored_mask = self.map.motion, frame.ignored_mask
+        keyframe.shift_px = shutter_shifts(self.map, keyframe, keyframe.motion, self.sensor.shutter)
+        self.map.keyframes.append(keyframe)
+        anew = np.isin(seen.point, stale)
+        self.map.anchor[seen.point[anew]], self.map.anchor_px[seen.point[anew]] = index, seen.pixels[anew]
+        return keyframe
+
+    def complete(self, seen: Observations) -> Observations:
+        """Replace the observations of the newest keyframe, which had only the tracked points; returns those that were added."""
+        keyframe = self.map.keyframes[-1]
+        count, index = len(keyframe.point), len(self.map.keyframes) - 1
+        seen = self._with_rows(seen, index, keyframe.cam_from_world)
+        keyframe.disparity_px = seen.disparity_px[:count]
+        added = Observations(*(column[count:] for column in seen))
+        keyframe.add(*added)
+        return added
+
+    def _with_rows(self, seen: Observations, index: int, cam_from_world: Rigid3) -> Observations:
+        """The observations after new points were added to the map; measured depth triangulates those that are not yet."""
+        points, fresh = seen.point.copy(), seen.point < 0
+        made = self._from_depth(seen, cam_from_world)
+        points[fresh] = self.map.add_points(made[fresh], seen.pixels[fresh], index)
+        lacking = ~self.map.is_triangulated(points) & ~fresh
+        self.map.xyz[points[lacking]] = made[lacking]
+        return Observations(seen.pixels, seen.disparity_px, points)
+
+    def _disparities(
+        self, frame: Frame, pixels: np.ndarray, points: np.ndarray, cam_from_world: Rigid3
+    ) -> np.ndarray:
+        guess = np.full(len(pixels), np.nan)
+        if self.focal_baseline is None:
+            return guess
+        known = points >= 0
+        depth = cam_from_world.apply(self.map.xyz[points[known]])[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            guess[known] = np.where(depth > 0, self.focal_baseline / depth, np.nan) - self.map.right_shift_px
+        return disparities_of(frame, pixels, guess, self.sensor, self.config)
+
+    def _from_depth(self, seen: Observations, cam_from_world: Rigid3) -> np.ndarray:
+        """(n, 3) points in the world from their disparities; NaN without a disparity, or beyond `max_depth_baselines`."""
+        if self.focal_baseline is None:
+            return np.full((len(seen.pixels), 3), np.nan)
+        most, motion = self.config.max_depth_baselines, self.map.motion
+        in_cam = points_by_depth(self.map, seen, motion, self.sensor, self.focal_baseline, most)
+        return cam_from_world.inverse().apply(in_cam)
