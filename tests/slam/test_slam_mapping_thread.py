@@ -11,6 +11,7 @@ from slam_rides import CAMERA, CAMERAS, RGBD, STEREO, rendered, ride
 from epipole.errors import ConfigError
 from epipole.geometry import Similarity3
 from epipole.metrics import absolute_error
+from epipole.optim import bundle_adjustment
 from epipole.pipelines.slam import mapping_thread
 from epipole.pipelines.slam.frames import SlamCamera, TrackingState
 from epipole.pipelines.slam.loops.closing import LoopConstraint
@@ -131,6 +132,24 @@ def test_an_error_of_the_search_is_raised_once(monkeypatch):
     slam.finish()
     final = absolute_error(slam.trajectory().world_from_body, ride().truth(), "none")
     assert len(slam.trajectory()) == 30 and final.position.rmse < 0.015  # a keyframe without new points
+
+
+def test_a_lost_frame_does_not_wait_for_whole_adjustments(rng, monkeypatch):
+    slam, steps, step = Slam(RGBD, mapping="thread"), [], bundle_adjustment._try_step
+    for frame in ride().frames("rgbd"):
+        slam.track(frame)
+    slam.wait_for_mapping()
+    monkeypatch.setattr(bundle_adjustment, "_try_step", lambda *given: (steps.append(1), step(*given))[1])
+    counts = []
+    for is_urgent in (True, False):
+        slam.map.xyz[:] += rng.normal(0.0, 0.01, slam.map.xyz.shape)
+        slam.mapping_thread.is_urgent = is_urgent
+        steps.clear()
+        slam.mapping_thread.add(slam.odometry.mapper, slam._closer, slam.maps)
+        slam.wait_for_mapping(is_urgent=is_urgent)
+        counts.append(len(steps))
+    # One step, and one for the covariances.
+    assert counts[0] <= 2 < counts[1] and not slam.mapping_thread.is_urgent
 
 
 def test_with_many_keyframes_waiting_a_frame_waits_a_little(gate, monkeypatch):

@@ -19,7 +19,6 @@ from epipole.pipelines.slam.map.triangulation import triangulate
 
 MOST_WAITING = 1
 """Keyframes that may wait for mapping; with as many, only a large loss of points makes a frame a keyframe."""
-
 LONGEST_WAIT_S = 0.05
 """Longest time that a frame waits for mapping if more keyframes wait. Without it, the map of one camera drifts: 40 cm instead of 4 in a
 kitchen."""
@@ -46,6 +45,7 @@ class MappingThread:
     Attributes:
         num_merged: keyframes that were mapped together with a later one, since mapping was behind.
         num_waiting: keyframes inserted since the present copy.
+        is_urgent: whether adjustments end after their present step, since a frame of a lost camera waits for them.
     """
 
     def __init__(self) -> None:
@@ -53,15 +53,11 @@ class MappingThread:
         self._running: Future[Mapped] | None = None
         self._searchers = ThreadPoolExecutor(1, thread_name_prefix="epipole-points")
         self._search: Future[Observations] | None = None
-        self._is_urgent = False
         self.num_merged = self.num_waiting = 0
-
-    def hurry(self) -> None:
-        """End the running adjustment after its present step, since a frame of a lost camera waits for it."""
-        self._is_urgent = True
+        self.is_urgent = False
 
     def _goes_on(self) -> bool:
-        return not self._is_urgent and self.num_waiting <= MOST_WAITING
+        return not self.is_urgent and self.num_waiting <= MOST_WAITING
 
     @property
     def is_behind(self) -> bool:
@@ -113,7 +109,7 @@ class MappingThread:
         count, self.num_waiting = self.num_waiting, 0
         self.num_merged += count - 1
         closer.move_candidates(mapper.map, copied.map)
-        beside, self._is_urgent = copy(mapper), False
+        beside = copy(mapper)
         beside.map, beside.goes_on = copied.map, self._goes_on
         seen = [copied.map if model is mapper.map else model for model in maps]
         self._running = self._pool.submit(_mapped, copied, beside, closer, seen, count)

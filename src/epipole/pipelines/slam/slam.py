@@ -192,9 +192,7 @@ class Slam(SlamState):
 
     def _find_pose(self, frame: Frame) -> TrackedFrame:
         """Relocalize the frame in one of the maps; else track a pure rotation or start a separate map."""
-        if self.mapping_thread is not None:
-            self.mapping_thread.hurry()
-        self.wait_for_mapping()
+        self.wait_for_mapping(is_urgent=True)
         reason = f"{len(self.odometry.tracker.tracks)} points are tracked, but too few agree with the map"
         if self.state in (TrackingState.TRACKING, TrackingState.SUBMAP):
             self._lose()
@@ -244,9 +242,12 @@ class Slam(SlamState):
 
     # Mapping beside tracking.
 
-    def wait_for_mapping(self) -> None:
-        """Wait until all keyframes are mapped, if a thread maps them."""
-        self._take_over_mapping(wait=True)
+    def wait_for_mapping(self, *, is_urgent: bool = False) -> None:
+        """Wait until all keyframes are mapped, if a thread maps them; if urgent, adjustments end after their present step."""
+        if (thread := self.mapping_thread) is not None:
+            thread.is_urgent = is_urgent
+            self._take_over_mapping(wait=True)
+            thread.is_urgent = False
 
     def _take_over_mapping(self, *, wait: bool = False) -> None:
         """Take the result of the mapping thread, if it has one, and let it go on with the keyframes that wait.
