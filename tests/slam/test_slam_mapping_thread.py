@@ -11,9 +11,8 @@ from slam_rides import CAMERA, CAMERAS, RGBD, STEREO, rendered, ride
 from epipole.errors import ConfigError
 from epipole.geometry import Similarity3
 from epipole.metrics import absolute_error
-from epipole.optim import bundle_adjustment
 from epipole.pipelines.slam import mapping_thread
-from epipole.pipelines.slam.frames import SlamCamera, TrackingState
+from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackingState
 from epipole.pipelines.slam.loops.closing import LoopConstraint
 from epipole.pipelines.slam.map.insertion import KeyframeInserter
 from epipole.pipelines.slam.map.local_mapping import LocalMapper
@@ -134,22 +133,58 @@ def test_an_error_of_the_search_is_raised_once(monkeypatch):
     assert len(slam.trajectory()) == 30 and final.position.rmse < 0.015  # a keyframe without new points
 
 
-def test_a_lost_frame_does_not_wait_for_whole_adjustments(rng, monkeypatch):
-    slam, steps, step = Slam(RGBD, mapping="thread"), [], bundle_adjustment._try_step
-    for frame in ride().frames("rgbd"):
-        slam.track(frame)
-    slam.wait_for_mapping()
-    monkeypatch.setattr(bundle_adjustment, "_try_step", lambda *given: (steps.append(1), step(*given))[1])
-    counts = []
-    for is_urgent in (True, False):
-        slam.map.xyz[:] += rng.normal(0.0, 0.01, slam.map.xyz.shape)
-        slam.mapping_thread.is_urgent = is_urgent
-        steps.clear()
-        slam.mapping_thread.add(slam.odometry.mapper, slam._closer, slam.maps)
-        slam.wait_for_mapping(is_urgent=is_urgent)
-        counts.append(len(steps))
-    # One step, and one for the covariances.
-    assert counts[0] <= 2 < counts[1] and not slam.mapping_thread.is_urgent
+def watched_adjustment(monkeypatch, is_over):
+    """Mapping that does not end before the thread is asked to; the list of the answers to whether it may go on."""
+    asked, adjust = [], LocalMapper.adjust_around
+
+    def later(mapper, newest):
+        until = time.monotonic() + 20.0
+        while mapper.goes_on() and time.monotonic() < until and not is_over():
+            time.sleep(0.01)
+        asked.append(mapper.goes_on())
+        adjust(mapper, newest)
+
+    monkeypatch.setattr(LocalMapper, "adjust_around", later)
+    return asked
+
+
+def test_a_lost_frame_ends_the_adjustment(monkeypatch):
+    slam, is_over = Slam(RGBD, mapping="thread"), threading.Event()
+    asked = watched_adjustment(monkeypatch, is_over.is_set)
+    frames = ride().frames("rgbd")
+    while not slam.mapping_thread.num_waiting:
+        slam.track(frames[slam._num_frames])
+    blank = Frame(99.0, np.full_like(frames[0].gray, 127), depth=frames[0].depth)
+    assert not slam.track(blank).has_pose
+    assert asked and not any(asked) and not slam.mapping_thread.is_urgent
+    is_over.set()
+
+
+def test_keyframes_that_wait_end_the_adjustment(monkeypatch):
+    slam, is_over = Slam(RGBD, mapping="thread"), threading.Event()
+    asked = watched_adjustment(monkeypatch, is_over.is_set)
+    monkeypatch.setattr(mapping_thread, "LONGEST_WAIT_S", 20.0)
+    frames = ride().frames("rgbd")
+    while not slam.mapping_thread.num_waiting:
+        slam.track(frames[slam._num_frames])
+    slam.mapping_thread.num_waiting = MOST_WAITING + 1
+    slam.track(frames[slam._num_frames])
+    is_over.set()
+    assert asked and not asked[0]
+
+
+def test_an_urgent_wait_ends_with_an_error(monkeypatch):
+    slam = Slam(RGBD, mapping="thread")
+    frames = ride().frames("rgbd")
+    slam.track(frames[0])
+
+    def fail(**_):
+        raise MemoryError("no room")
+
+    monkeypatch.setattr(slam.mapping_thread, "take", fail)
+    with pytest.raises(MemoryError):
+        slam.wait_for_mapping(is_urgent=True)
+    assert not slam.mapping_thread.is_urgent
 
 
 def test_with_many_keyframes_waiting_a_frame_waits_a_little(gate, monkeypatch):

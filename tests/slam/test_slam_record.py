@@ -2,6 +2,7 @@
 
 import shutil
 import time
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -144,3 +145,23 @@ def test_the_job_records_and_writes_causal_covariances(tmp_path):
         np.testing.assert_allclose(
             pose_of(odometry.pose.pose).as_matrix(), causal.world_from_body[n].as_matrix(), atol=1e-9
         )
+
+
+def test_the_largest_world_is_connected_to_the_map(tmp_path):
+    """If a separate map has the most frames in the end, the final path is in its world."""
+    frames, system = ride().frames("stereo")[:6], Slam(SENSOR)
+    with open_recording(tmp_path / "run.mcap", SENSOR, Rigid3.identity()) as recording:
+        for n, frame in enumerate(frames):
+            answer = system.track(frame)
+            if n > 2:  # as if in a separate map
+                world = answer.world_from_body
+                answer = replace(answer, world_from_body=None, submap_from_body=world, map_number=1)
+            recording.add(system, frame, answer)
+        system.map.number = 1
+        recording.finish(system)
+    found = messages_of(tmp_path / "run.mcap")
+    frames_of = [
+        (t.header.frame_id, t.child_frame_id) for _, tf in found["/tf_static"] for t in tf.transforms
+    ]
+    assert frames_of[0] != ("map", "world_1") and ("map", "world_1") in frames_of
+    assert found["/path"][-1][1].header.frame_id == "world_1"

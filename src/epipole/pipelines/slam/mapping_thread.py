@@ -135,7 +135,11 @@ class MappingThread:
     def discard(self) -> None:
         """Wait for the threads, and leave out their results and what waits: their map is discarded."""
         running: list[Future[Any]] = [one for one in (self._running, self._search) if one is not None]
-        wait_for(running)
+        self.is_urgent = True
+        try:
+            wait_for(running)
+        finally:
+            self.is_urgent = False
         self._running, self._search, self.num_waiting = None, None, 0
 
 
@@ -153,6 +157,9 @@ def _mapped(
         for newest in range(len(copied.map.keyframes) - num_keyframes, len(copied.map.keyframes)):
             triangulate(copied.map, mapper.camera, mapper.config, newest)
         mapper.adjust_around(len(copied.map.keyframes) - 1)
+        mapper.goes_on = lambda: (
+            True
+        )  # a map corrected by a loop is adjusted to the end, before outliers are removed
         for keyframe in copied.map.keyframes:
             if keyframe.descriptor is None and len(keyframe.point):
                 describe_keyframe(keyframe)

@@ -102,7 +102,7 @@ class Odometry:
 
     def insert_keyframe(self, frame: Frame, number: int, *, is_complete: bool = True) -> None:
         """Insert the frame as a keyframe at the current pose, with the tracked points, and if complete with all others."""
-        seen, stale = self._tracked(), self.tracker.stale
+        seen, stale = self._tracked(frame), self.tracker.stale
         if is_complete:
             seen = self.inserter.find_points(frame, self.cam_from_world, seen)
         keyframe = self.inserter.insert(frame, number, self.cam_from_world, seen, stale)
@@ -110,14 +110,17 @@ class Odometry:
 
     def search_of_points(self, frame: Frame) -> Callable[[], Observations]:
         """The search for all points of the newest keyframe, inserted from this frame; the map must not change meanwhile."""
-        return partial(self.inserter.find_points, frame, self.cam_from_world, self._tracked())
+        return partial(self.inserter.find_points, frame, self.cam_from_world, self._tracked(frame))
 
-    def complete_keyframe(self, seen: Observations, last: Frame) -> None:
-        """Give the newest keyframe its points, and track the added ones from there to the last frame."""
-        self.tracker.track_added(self.inserter.complete(seen), last, self.cam_from_world)
+    def complete_keyframe(self, seen: Observations, last: Frame | None) -> None:
+        """Give the newest keyframe its points, and track the added ones from there to the last frame, if there is one."""
+        added = self.inserter.complete(seen)
+        if last is not None:
+            self.tracker.track_added(added, last, self.cam_from_world)
 
-    def _tracked(self) -> Observations:
+    def _tracked(self, frame: Frame) -> Observations:
         tracks = self.tracker.tracks
+        tracks.keep(frame.is_used(tracks.pixels))
         return Observations(tracks.pixels, np.full(len(tracks), np.nan), tracks.point)
 
     def optimize_around_newest(self) -> None:

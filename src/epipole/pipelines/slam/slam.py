@@ -246,8 +246,10 @@ class Slam(SlamState):
         """Wait until all keyframes are mapped, if a thread maps them; if urgent, adjustments end after their present step."""
         if (thread := self.mapping_thread) is not None:
             thread.is_urgent = is_urgent
-            self._take_over_mapping(wait=True)
-            thread.is_urgent = False
+            try:
+                self._take_over_mapping(wait=True)
+            finally:
+                thread.is_urgent = False
 
     def _take_over_mapping(self, *, wait: bool = False) -> None:
         """Take the result of the mapping thread, if it has one, and let it go on with the keyframes that wait.
@@ -273,8 +275,7 @@ class Slam(SlamState):
         try:
             seen = thread.take_points(wait=wait)
             if seen is not None:
-                assert self._before is not None
-                self.odometry.complete_keyframe(seen, self._before)
+                self.odometry.complete_keyframe(seen, None if thread.is_urgent else self._before)
         finally:
             if self.odometry.is_incomplete and not thread.is_searching:
                 self.odometry.is_incomplete = False
@@ -369,11 +370,8 @@ class Slam(SlamState):
         return frame
 
     def _rotated(self, frame: Frame, rotated: RotationEstimate, reason: str) -> TrackedFrame:
-        self.state, self.odometry.cam_from_world, self._num_lost = (
-            TrackingState.ROTATING,
-            rotated.cam_from_world,
-            0,
-        )
+        self.state, self._num_lost = TrackingState.ROTATING, 0
+        self.odometry.cam_from_world = rotated.cam_from_world
         if rotated.is_keyframe:
             self.map.keyframes.append(rotated.keyframe)
         if not self.map.num_points:

@@ -23,6 +23,7 @@ class KeyframeInserter:
         self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera, config
         self.focal_baseline = focal_baseline
         """Focal length times baseline; None for a single camera."""
+        self._stale = np.zeros(0, np.int64)
 
     def find_points(self, frame: Frame, cam_from_world: Rigid3, tracked: Observations) -> Observations:
         """The tracked points, then redetected ones, then new corners, whose rows are -1; with disparities.
@@ -60,9 +61,13 @@ class KeyframeInserter:
         keyframe.motion, keyframe.ignored_mask = self.map.motion, frame.ignored_mask
         keyframe.shift_px = shutter_shifts(self.map, keyframe, keyframe.motion, self.sensor.shutter)
         self.map.keyframes.append(keyframe)
-        anew = np.isin(seen.point, stale)
-        self.map.anchor[seen.point[anew]], self.map.anchor_px[seen.point[anew]] = index, seen.pixels[anew]
+        self._stale = stale
+        self._anchor_stale(seen, index)
         return keyframe
+
+    def _anchor_stale(self, seen: Observations, index: int) -> None:
+        anew = np.isin(seen.point, self._stale)
+        self.map.anchor[seen.point[anew]], self.map.anchor_px[seen.point[anew]] = index, seen.pixels[anew]
 
     def complete(self, seen: Observations) -> Observations:
         """Replace the observations of the newest keyframe, which had only the tracked points; returns those that were added."""
@@ -72,6 +77,7 @@ class KeyframeInserter:
         keyframe.disparity_px = seen.disparity_px[:count]
         added = Observations(*(column[count:] for column in seen))
         keyframe.add(*added)
+        self._anchor_stale(added, index)
         return added
 
     def _with_rows(self, seen: Observations, index: int, cam_from_world: Rigid3) -> Observations:

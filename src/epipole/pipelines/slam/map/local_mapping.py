@@ -113,7 +113,10 @@ class LocalMapper:
                     self.map, self.camera, takewhile(lambda _: self.goes_on(), self.map.keyframes[first:])
                 )
             self.adjust_all(max_iterations=8)
-            self.learn_inertial()
+            if self.goes_on():
+                self.learn_inertial()
+            else:  # the next keyframe adjusts all again
+                self.num_optimized = since
             return
         window, fixed = self.window_of(newest)
         self.adjust(window, fixed, 8)

@@ -22,12 +22,14 @@ def adjust_pair(
     Args:
         problem: in which all camera parameters except that principal point are fixed.
         config: of both adjustments.
-        goes_on: asked after every step of either, which it ends by returning False.
+        goes_on: asked after every step, which it ends by returning False; not asked while the principal point is free, since that
+            is judged at the minimum.
 
     Returns:
         the problem that was adjusted last, and its minimum.
     """
-    result = adjust_bundle(problem, config, lambda _: goes_on())
+    is_free = problem.params_free.any()
+    result = adjust_bundle(problem, config, None if is_free else lambda _: goes_on())
     if not problem.params_free.any() or problem.priors is None or problem.priors.params_expected is None:
         return problem, result
     said = problem.priors.params_expected

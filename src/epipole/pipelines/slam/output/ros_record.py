@@ -71,6 +71,8 @@ class McapRecording(Recording):
         self._error: Exception | None = None
         self._has_ended = False
         self._worlds: set[str] = set()
+        self._connected: set[str] = set()
+        """Worlds with a transform from `map`."""
         self._num_poses = self._num_recorded = 0
         self._stamp_s = 0.0
         self._thread: Thread | None = None
@@ -87,6 +89,7 @@ class McapRecording(Recording):
         if world not in self._worlds:
             self._worlds.add(world)
             is_first = answer.world_from_body is not None
+            self._connected |= {world} if is_first else set()
             self._put(partial(self._static, answer.timestamp_s, world if is_first else None))
         self._put(partial(_of_pose, answer, self._body_from_camera, world))
         self._num_poses += 1
@@ -99,7 +102,7 @@ class McapRecording(Recording):
         if self._thread is None:
             return
         world = _world(system.maps[0].number)
-        if self._worlds and world not in self._worlds:  # another map became the largest
+        if self._worlds and world not in self._connected:  # another map became the largest
             self._put(partial(self._static, self._stamp_s, world))
         self._add_map(system, system.trajectory())
         self.stop()

@@ -338,10 +338,13 @@ class PointTracker:
         keyframe = self.map.keyframes[-1]
         tracks = Tracks(added.pixels, added.point, added.pixels)
         if last.timestamp_s > keyframe.timestamp_s:
-            points = self.map.xyz[added.point]
-            guess = predict_pixels(added.pixels, points, keyframe.cam_from_world, cam_from_world, self.camera)
-            tracks.track(keyframe.gray, last.gray, guess, self.config, and_back=True)
+            # With all points of the keyframe: untriangulated ones are assumed at the median depth of the others.
+            points, then = self.map.xyz[keyframe.point], keyframe.cam_from_world
+            guess = predict_pixels(keyframe.pixels, points, then, cam_from_world, self.camera)
+            own = np.isin(keyframe.point, added.point)
+            tracks.track(keyframe.gray, last.gray, guess[own], self.config, and_back=True)
         self.tracks.join(tracks)
+        self.tracks.keep_first()  # some may have been detected again meanwhile
         self._num_at_start = max(int(self.map.is_triangulated(self.tracks.point).sum()), 1)
 
     def track_points_in_sight(self, frame: Frame, position: Rigid3) -> None:
