@@ -115,8 +115,7 @@ class LocalMapper:
             self.adjust_all(max_iterations=8)
             if self.goes_on():
                 self.learn_inertial()
-            else:  # the next keyframe adjusts all again
-                self.num_optimized = since
+            # An adjustment that was ended early is not repeated before the next growth: with one camera, mapping would fall behind.
             return
         window, fixed = self.window_of(newest)
         self.adjust(window, fixed, 8)
