@@ -110,9 +110,22 @@ def test_no_frame_waits_for_the_points_of_a_keyframe(monkeypatch):
     assert final.position.rmse < 0.015
 
 
+def raised_while_tracking(slam):
+    """Number of errors; each frame that raised one is tracked again."""
+    raised = 0
+    for frame in ride().frames("rgbd"):
+        try:
+            slam.track(frame)
+        except MemoryError:
+            raised += 1
+            slam.track(frame)
+    slam.finish()
+    return raised
+
+
 def test_an_error_of_the_search_is_raised_once(monkeypatch):
     failures, find_points = [], KeyframeInserter.find_points
-    slam, raised = Slam(RGBD, mapping="thread"), 0
+    slam = Slam(RGBD, mapping="thread")
 
     def fail_once(inserter, *arguments):
         if len(slam.map.keyframes) > 1 and not failures:
@@ -121,14 +134,8 @@ def test_an_error_of_the_search_is_raised_once(monkeypatch):
         return find_points(inserter, *arguments)
 
     monkeypatch.setattr(KeyframeInserter, "find_points", fail_once)
-    for frame in ride().frames("rgbd"):
-        try:
-            slam.track(frame)
-        except MemoryError:
-            raised += 1
-            slam.track(frame)
+    raised = raised_while_tracking(slam)
     assert raised == len(failures) == 1
-    slam.finish()
     final = absolute_error(slam.trajectory().world_from_body, ride().truth(), "none")
     assert len(slam.trajectory()) == 30 and final.position.rmse < 0.015  # a keyframe without new points
 
@@ -233,15 +240,9 @@ def test_an_error_of_the_thread_is_raised_once(monkeypatch):
         adjust(mapper, newest)
 
     monkeypatch.setattr(LocalMapper, "adjust_around", fail_once)
-    slam, raised = Slam(RGBD, mapping="thread"), 0
-    for frame in ride().frames("rgbd"):
-        try:
-            slam.track(frame)
-        except MemoryError:
-            raised += 1
-            slam.track(frame)
+    slam = Slam(RGBD, mapping="thread")
+    raised = raised_while_tracking(slam)
     assert raised == len(failures) == 1
-    slam.finish()
     final = absolute_error(slam.trajectory().world_from_body, ride().truth(), "none")
     assert len(slam.trajectory()) == 30 and final.position.rmse < 0.01
 

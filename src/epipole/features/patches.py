@@ -69,17 +69,17 @@ def align_patches_of_images(
         images: gray images with the patches.
         image: index of each patch's image.
         second: image to search.
-        pixels: positions in their images.
-        warps: d(pixel in second) / d(pixel in its image) around each point.
-        guess: predicted positions in the second image, within about three pixels.
-        half_px: patches have 2 half_px + 1 pixels per side.
+        pixels: as in `align_patches`, each in its own image.
+        warps: as in `align_patches`.
+        guess: as in `align_patches`.
+        half_px: as in `align_patches`.
 
     Returns:
-        Pixels in the second image, and the correlation of the patches there, as in `align_patches`.
+        As `align_patches`.
 
     Raises:
         ShapeError: array sizes do not match, or an index has no image.
-        ConfigError: half_px is not from 2 to 20.
+        ConfigError: half_px is out of range.
     """
     if not 2 <= half_px <= 20:
         raise ConfigError(f"half_px must be from 2 to 20, got {half_px}")

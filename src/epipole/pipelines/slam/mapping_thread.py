@@ -157,9 +157,8 @@ def _mapped(
         for newest in range(len(copied.map.keyframes) - num_keyframes, len(copied.map.keyframes)):
             triangulate(copied.map, mapper.camera, mapper.config, newest)
         mapper.adjust_around(len(copied.map.keyframes) - 1)
-        mapper.goes_on = lambda: (
-            True
-        )  # a map corrected by a loop is adjusted to the end, before outliers are removed
+        # A map that a loop corrects is adjusted to the end, before outliers are removed.
+        mapper.goes_on = lambda: True
         for keyframe in copied.map.keyframes:
             if keyframe.descriptor is None and len(keyframe.point):
                 describe_keyframe(keyframe)

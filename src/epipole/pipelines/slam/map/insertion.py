@@ -24,6 +24,7 @@ class KeyframeInserter:
         self.focal_baseline = focal_baseline
         """Focal length times baseline; None for a single camera."""
         self._stale = np.zeros(0, np.int64)
+        """Rows whose reference patches the newest keyframe replaces."""
 
     def find_points(self, frame: Frame, cam_from_world: Rigid3, tracked: Observations) -> Observations:
         """The tracked points, then redetected ones, then new corners, whose rows are -1; with disparities.
