@@ -7,7 +7,7 @@ import numpy as np
 from epipole._jit import kernel
 
 REASSOC = frozenset({"reassoc"})
-"""Allow reassociation of sums over a patch, so that they vectorize."""
+"""Allow reassociation of sums over a patch, so that they vectorize; only in loops that write nothing."""
 MOST_STEPS = 12
 CONVERGED_SQ = 0.01 * 0.01
 """Squared step, in pixels, at which a patch has converged."""
@@ -89,7 +89,23 @@ def _template(bordered, side, patch, gx, gy):
             gy[i, j] -= mean_y / count
 
 
-@kernel(allocates=True, extra_fastmath=REASSOC)
+@kernel(fuse=True, extra_fastmath=REASSOC)
+def _sums_of_template(patch, gx, gy):
+    """Sums of gx^2, gx gy, gy^2, patch^2, gx patch, gy patch."""
+    xx, xy, yy, spread, own_x, own_y = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(len(patch)):
+        p, dx, dy = patch[i], gx[i], gy[i]
+        for j in range(len(p)):
+            xx += dx[j] * dx[j]
+            xy += dx[j] * dy[j]
+            yy += dy[j] * dy[j]
+            spread += p[j] * p[j]
+            own_x += dx[j] * p[j]
+            own_y += dy[j] * p[j]
+    return xx, xy, yy, spread, own_x, own_y
+
+
+@kernel(allocates=True)
 def align_patches(image, other, pixels, warps, half, start, stop, found, score):
     """Locate each patch of `image` in `other`; `found` holds guesses and receives the positions.
 
@@ -107,15 +123,7 @@ def align_patches(image, other, pixels, warps, half, start, stop, found, score):
         if not _warped_patch(image, pixels[k, 0], pixels[k, 1], warps[k], half, bordered):
             continue
         _template(bordered, side, patch, gx, gy)
-        xx, xy, yy, spread, own_x, own_y = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in range(side):
-            for j in range(side):
-                xx += gx[i, j] * gx[i, j]
-                xy += gx[i, j] * gy[i, j]
-                yy += gy[i, j] * gy[i, j]
-                spread += patch[i, j] * patch[i, j]
-                own_x += gx[i, j] * patch[i, j]
-                own_y += gy[i, j] * patch[i, j]
+        xx, xy, yy, spread, own_x, own_y = _sums_of_template(patch, gx, gy)
         determinant = xx * yy - xy * xy
         if not (determinant > 1e-6 * (xx + yy) * (xx + yy) and spread > count):
             continue

@@ -15,7 +15,7 @@ import numpy as np
 
 from epipole._jit import kernel
 from epipole.cameras._camera_kernels import NUM_PARAMS, project_with_jacobian_one, unproject_one
-from epipole.robust._item_kernels import REASSOC, rotate_left
+from epipole.robust._item_kernels import rotate_left
 from epipole.robust._problem_kernels import Items, RobustProblem
 from epipole.solvers._absolute_pose_kernels import p3p, p3p_workspace
 from epipole.solvers._linear_kernels import copy_numbers
@@ -44,7 +44,7 @@ def pack_rays(model, params, cam_from_rig, points, pixels, order, items):
             items[12 + i, column] = -(r[i] * r[9] + r[3 + i] * r[10] + r[6 + i] * r[11])
 
 
-@kernel(extra_fastmath=REASSOC)
+@kernel
 def _rows_of_block(p, m, threshold_sq, soft_sq, start, stop, rows):
     """Residuals (rows 0 and 7) and derivatives by (translation, rotation) (rows 1:7 and 8:14), zero where truncated.
 
@@ -52,7 +52,7 @@ def _rows_of_block(p, m, threshold_sq, soft_sq, start, stop, rows):
     """
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8]
     t0, t1, t2 = p[9], p[10], p[11]
-    total = 0.0
+    error = rows[len(rows) - 1]
     for k in range(start, stop):
         a, b, c = m[0, k], m[1, k], m[2, k]
         gx = r0 * a + r1 * b + r2 * c + t0
@@ -65,9 +65,9 @@ def _rows_of_block(p, m, threshold_sq, soft_sq, start, stop, rows):
         v = (m[9, k] * x + m[10, k] * y + m[11, k] * z) * inverse
         r = u * u + v * v
         is_in = s > 0.0 and r < threshold_sq
-        total += r if is_in else threshold_sq
         keep = math.sqrt(1.0 / (1.0 + r / soft_sq)) if is_in else 0.0
         scale, i = keep * inverse, k - start
+        error[i] = r if is_in else threshold_sq
         wx, wy, wz = (
             (m[6, k] - u * m[3, k]) * scale,
             (m[7, k] - u * m[4, k]) * scale,
@@ -84,7 +84,6 @@ def _rows_of_block(p, m, threshold_sq, soft_sq, start, stop, rows):
         rows[7, i] = keep * v
         rows[8, i], rows[9, i], rows[10, i] = wx, wy, wz
         rows[11, i], rows[12, i], rows[13, i] = gy * wz - gz * wy, gz * wx - gx * wz, gx * wy - gy * wx
-    return total
 
 
 @kernel

@@ -9,19 +9,18 @@ import numpy as np
 
 from epipole._jit import kernel
 from epipole.robust._absolute_pose_kernels import retract_motion
-from epipole.robust._item_kernels import REASSOC
 from epipole.robust._problem_kernels import Items, RobustProblem
 from epipole.solvers._linear_kernels import copy_numbers
 from epipole.solvers._more_pose_kernels import FOCAL as FOCAL
 from epipole.solvers._more_pose_kernels import p4pf, p4pf_workspace
 
 
-@kernel(extra_fastmath=REASSOC)
+@kernel
 def _rows_of_block(p, m, threshold_sq, soft_sq, start, stop, rows):
     """Residuals (rows 0, 8) and derivatives by (translation, rotation, log f) (1:8, 9:16), zero where truncated."""
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8]
     t0, t1, t2, f = p[9], p[10], p[11], p[FOCAL]
-    total = 0.0
+    error = rows[len(rows) - 1]
     for k in range(start, stop):
         a, b, c = m[0, k], m[1, k], m[2, k]
         x = r0 * a + r1 * b + r2 * c + t0
@@ -32,8 +31,8 @@ def _rows_of_block(p, m, threshold_sq, soft_sq, start, stop, rows):
         du, dv = u - m[3, k], v - m[4, k]
         r = du * du + dv * dv
         is_in = z > 0.0 and r < threshold_sq
-        total += r if is_in else threshold_sq
         keep, i = (math.sqrt(1.0 / (1.0 + r / soft_sq)) if is_in else 0.0), k - start
+        error[i] = r if is_in else threshold_sq
         g, gu, gv = keep * f * inverse, keep * u * inverse, keep * v * inverse
         # d(u, v)/dx = (g, 0, -gu), (0, g, -gv); dx/dphi = -[x]x.
         rows[0, i] = keep * du
@@ -44,7 +43,6 @@ def _rows_of_block(p, m, threshold_sq, soft_sq, start, stop, rows):
         rows[9, i], rows[10, i], rows[11, i] = 0.0, g, -gv
         rows[12, i], rows[13, i], rows[14, i] = -z * g - y * gv, x * gv, x * g
         rows[15, i] = keep * v
-    return total
 
 
 class FocalPoseProblem(RobustProblem, Items):

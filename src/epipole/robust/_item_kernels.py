@@ -7,7 +7,8 @@ import numpy as np
 from epipole._jit import kernel
 
 BLOCK, MOST_NEAR = 128, 512
-# `reassoc` lets sums over a block vectorize (4 times faster, measured); the summation order stays fixed.
+# `reassoc` lets sums over a block vectorize (4 times faster, measured). It is only for loops that read: of a loop that writes, LLVM
+# keeps a version for arrays that overlap, and chooses it by their distance in memory, which would change the order of the sum.
 REASSOC = frozenset({"reassoc"})
 
 
@@ -21,6 +22,15 @@ def dot_rows(a, b, count):
 
 
 @kernel(extra_fastmath=REASSOC)
+def sum_row(a, count):
+    """Sum of the first `count` numbers."""
+    total = 0.0
+    for k in range(count):
+        total += a[k]
+    return total
+
+
+@kernel
 def _combine(d, rows, count, out):
     """Out = sum_i d_i rows[1 + i], the chain rule from the entries of a matrix to a parameter."""
     d0, d1, d2, d3, d4, d5, d6, d7, d8 = d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7], d[8]
@@ -103,7 +113,7 @@ def nine(model, start):
     return f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8]
 
 
-@kernel(fuse=True, extra_fastmath=REASSOC)
+@kernel(fuse=True)
 def sampson(f, m, k):
     """(e, s, F x1, F^T x2) of match k: the squared Sampson distance is r^2 = e^2 / s (Sampson 1982; HZ eq. 11.9).
 
@@ -116,7 +126,7 @@ def sampson(f, m, k):
     return e, l0 * l0 + l1 * l1 + g0 * g0 + g1 * g1 + 1e-300, (l0, l1, l2), (g0, g1)
 
 
-@kernel(fuse=True, extra_fastmath=REASSOC)
+@kernel(fuse=True)
 def sampson_row(m, k, e, inverse, root, line, back):
     """The residual of match k times `root`, and its derivatives by the entries of F: a tuple for ten rows.
 

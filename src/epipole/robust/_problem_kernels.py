@@ -15,7 +15,7 @@ from numba.extending import overload_method
 
 from epipole._jit import overload_options
 from epipole._jit.mode import KernelMode, kernel_mode
-from epipole.robust._item_kernels import BLOCK, REASSOC, add_normal_equations, columns_within, dot_rows
+from epipole.robust._item_kernels import BLOCK, REASSOC, add_normal_equations, columns_within, dot_rows, sum_row
 from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers
 
 MODEL_SIZE = 32  # size of the largest model
@@ -56,10 +56,11 @@ class RobustProblem:
         """Squared residual of item k; infinite if the model cannot explain it (within the threshold)."""
 
     def rows_of_block(self, model, threshold_sq, soft_sq, start, stop, rows):
-        """Residuals and their derivatives for items start..stop, one item per column; returns the MSAC score.
+        """Residuals and their derivatives for items start..stop, one item per column.
 
         Per number of a residual there is one row, then one row per parameter; zero where truncated, and multiplied by the square
-        root of the Cauchy weight 1 / (1 + r^2 / soft_sq), which is 1 for an infinite soft_sq.
+        root of the Cauchy weight 1 / (1 + r^2 / soft_sq), which is 1 for an infinite soft_sq. The last row has min(r^2,
+        threshold^2), whose sum is the MSAC score: this loop writes, so it must not sum (see `REASSOC`).
         """
 
     def retract(self, model, delta, out):
@@ -129,14 +130,16 @@ class RobustProblem:
         """Gauss-Newton terms J^T W J, J^T W r over items within the threshold; returns the MSAC score."""
         freedom = self.degrees_of_freedom()
         height = 1 + freedom
-        rows = np.empty((self.residual_size() * height, BLOCK))
+        last = self.residual_size() * height
+        rows = np.empty((last + 1, BLOCK))
         clear_rows(a)
         clear(b)
         total, n = 0.0, self.num_items()
         for start in range(0, n, BLOCK):
             stop = min(start + BLOCK, n)
-            total += self.rows_of_block(model, threshold_sq, soft_sq, start, stop, rows)
-            for first in range(0, len(rows), height):
+            self.rows_of_block(model, threshold_sq, soft_sq, start, stop, rows)
+            total += sum_row(rows[last], stop - start)
+            for first in range(0, last, height):
                 for i in range(freedom):
                     b[i] += dot_rows(rows[first + 1 + i], rows[first], stop - start)
                     for j in range(i + 1):
@@ -160,7 +163,7 @@ class RobustProblem:
 class MatrixProblem(RobustProblem):
     """Problems whose residuals depend on a 3 x 3 matrix with fewer degrees of freedom than entries.
 
-    `rows_of_block` differentiates by the entries (ten rows); the chain rule does the rest.
+    `rows_of_block` differentiates by the entries (ten rows and the score's); the chain rule does the rest.
     """
 
     __slots__ = ()
@@ -172,14 +175,15 @@ class MatrixProblem(RobustProblem):
     def linearize(self, model, threshold_sq, soft_sq, a, b):
         """As `RobustProblem.linearize`."""
         freedom = self.degrees_of_freedom()
-        d, rows, jac = np.empty((freedom, 9)), np.empty((10, BLOCK)), np.empty((freedom, BLOCK))
+        d, rows, jac = np.empty((freedom, 9)), np.empty((11, BLOCK)), np.empty((freedom, BLOCK))
         clear_rows(a)
         clear(b)
         self.derivatives(model, d)
         total, n = 0.0, self.num_items()
         for start in range(0, n, BLOCK):
             stop = min(start + BLOCK, n)
-            total += self.rows_of_block(model, threshold_sq, soft_sq, start, stop, rows)
+            self.rows_of_block(model, threshold_sq, soft_sq, start, stop, rows)
+            total += sum_row(rows[10], stop - start)
             add_normal_equations(d, rows, jac, stop - start, a, b)
         for i in range(freedom):
             for j in range(i):
@@ -189,7 +193,7 @@ class MatrixProblem(RobustProblem):
 
 _BORROW = {"num_items", "error_sq", "agreeing", "score_block", "score", "residuals_sq", "rows_of_block"}
 _FUSED = {"error_sq"}
-_SUMS = {"error_sq", "agreeing", "score_block"}
+_SUMS = {"agreeing", "score_block"}
 
 
 def compile_inside_kernels(declared_by, name):

@@ -73,7 +73,7 @@ def signed_epipole(model):
     return sense * model[EPIPOLE], sense * model[EPIPOLE + 1], sense * model[EPIPOLE + 2]
 
 
-@kernel(fuse=True, extra_fastmath=REASSOC)
+@kernel(fuse=True)
 def is_behind(epipole, m, k, line, threshold_sq):
     """Whether match k has the opposite line orientation to the sample, and is farther from e2 than the threshold.
 
@@ -97,23 +97,22 @@ def _score_block(model, m, threshold_sq, start, stop):
     return total
 
 
-@kernel(extra_fastmath=REASSOC)
+@kernel
 def _rows_of_block(model, m, threshold_sq, soft_sq, start, stop, rows):
     """Residuals (rows[0]) and their derivatives by the entries of F (rows[1:10]), zero where truncated."""
-    f, epipole, total = nine(model, 0), signed_epipole(model), 0.0
+    f, epipole, error = nine(model, 0), signed_epipole(model), rows[len(rows) - 1]
     for k in range(start, stop):
         e, s, line, back = sampson(f, m, k)
         inverse = 1.0 / s
         r = e * e * inverse
         is_out = is_behind(epipole, m, k, line, threshold_sq) or r > threshold_sq
-        total += threshold_sq if is_out else r
         root = 0.0 if is_out else math.sqrt(inverse / (1.0 + r / soft_sq))
         row, i = sampson_row(m, k, e, inverse, root, line, back), k - start
+        error[i] = threshold_sq if is_out else r
         rows[0, i] = row[0]
         rows[1, i], rows[2, i], rows[3, i] = row[1]
         rows[4, i], rows[5, i], rows[6, i] = row[2]
         rows[7, i], rows[8, i], rows[9, i] = row[3]
-    return total
 
 
 @kernel

@@ -11,12 +11,12 @@ import math
 import numpy as np
 
 from epipole._jit import kernel
-from epipole.robust._item_kernels import REASSOC, gather, nine
+from epipole.robust._item_kernels import gather, nine
 from epipole.robust._problem_kernels import Items, RobustProblem
 from epipole.solvers._two_view_kernels import homography_four_point
 
 
-@kernel(fuse=True, extra_fastmath=REASSOC)
+@kernel(fuse=True)
 def transfer(h, m, k):
     """(w, 1 / w, H x1, e, C) of match k: C = (1 + J J^T) / 2 as (c00, c01, c11); h is a tuple, H row by row."""
     a, b = m[0, k], m[1, k]
@@ -33,13 +33,13 @@ def transfer(h, m, k):
     return w, inverse, (u, v), (u - m[2, k], v - m[3, k]), covariance
 
 
-@kernel(extra_fastmath=REASSOC)
+@kernel
 def _rows_of_block(model, m, threshold_sq, soft_sq, start, stop, rows):
     """Whitened residuals (rows 0, 10) and derivatives by the entries of H (1:10, 11:20), zero where truncated.
 
     du/dh = (p, 0, -u p), dv/dh = (0, p, -v p) with p = x1 / w; both are multiplied by the inverse Cholesky factor of C.
     """
-    h, total = nine(model, 0), 0.0
+    h, error = nine(model, 0), rows[len(rows) - 1]
     for k in range(start, stop):
         w, inverse, (u, v), (du, dv), (c0, c1, c2) = transfer(h, m, k)
         f0 = 1.0 / math.sqrt(c0)
@@ -48,8 +48,8 @@ def _rows_of_block(model, m, threshold_sq, soft_sq, start, stop, rows):
         ru, rv = f0 * du, f1 * du + f2 * dv
         r = ru * ru + rv * rv
         is_in = w > 0.0 and r < threshold_sq
-        total += r if is_in else threshold_sq
         keep, i = (math.sqrt(1.0 / (1.0 + r / soft_sq)) if is_in else 0.0), k - start
+        error[i] = r if is_in else threshold_sq
         x, y, z = keep * m[0, k] * inverse, keep * m[1, k] * inverse, keep * inverse
         g0, g1, g2, g3 = f0, f1, f2, f1 * u + f2 * v
         rows[0, i], rows[10, i] = keep * ru, keep * rv
@@ -59,7 +59,6 @@ def _rows_of_block(model, m, threshold_sq, soft_sq, start, stop, rows):
         rows[11, i], rows[12, i], rows[13, i] = g1 * x, g1 * y, g1 * z
         rows[14, i], rows[15, i], rows[16, i] = g2 * x, g2 * y, g2 * z
         rows[17, i], rows[18, i], rows[19, i] = -g3 * x, -g3 * y, -g3 * z
-    return total
 
 
 @kernel

@@ -30,7 +30,7 @@ from epipole.solvers._two_view_kernels import essential_from_motion, motions_fro
 MATRIX = 12  # start of E in a model
 
 
-@kernel(fuse=True, extra_fastmath=REASSOC)
+@kernel(fuse=True)
 def diverge(r, t, one, two, slack):
     """Whether the rays of a match diverge by more than `slack`: then they have no point in front of both cameras.
 
@@ -59,25 +59,24 @@ def _score_block(model, m, threshold_sq, start, stop):
     return total
 
 
-@kernel(extra_fastmath=REASSOC)
+@kernel
 def _rows_of_block(model, m, threshold_sq, soft_sq, start, stop, rows):
     """Residuals (rows[0]) and their derivatives by E (rows[1:10]) of matches start..stop, zero where truncated."""
     r, t, f = nine(model, 0), (model[9], model[10], model[11]), nine(model, 12)
-    slack, total = math.sqrt(threshold_sq), 0.0
+    slack, errors = math.sqrt(threshold_sq), rows[len(rows) - 1]
     for k in range(start, stop):
         e, s, line, back = sampson(f, m, k)
         inverse = 1.0 / s
         error = e * e * inverse
         one, two = (m[0, k], m[1, k], 1.0), (m[2, k], m[3, k], 1.0)
         is_out = diverge(r, t, one, two, slack) or error > threshold_sq
-        total += threshold_sq if is_out else error
         root = 0.0 if is_out else math.sqrt(inverse / (1.0 + error / soft_sq))
         row, i = sampson_row(m, k, e, inverse, root, line, back), k - start
+        errors[i] = threshold_sq if is_out else error
         rows[0, i] = row[0]
         rows[1, i], rows[2, i], rows[3, i] = row[1]
         rows[4, i], rows[5, i], rows[6, i] = row[2]
         rows[7, i], rows[8, i], rows[9, i] = row[3]
-    return total
 
 
 @kernel

@@ -17,7 +17,7 @@ from epipole.robust.pairs._relative_pose_kernels import MotionProblem, diverge
 SECOND, FIRST_SLOPE, SECOND_SLOPE = 3, 6, 12
 
 
-@kernel(fuse=True, extra_fastmath=REASSOC)
+@kernel(fuse=True)
 def tangent_sampson(f, m, k):
     """(e, m, J1^T E^T y2, J2^T E y1): algebraic error, its squared slope, and the slopes by both pixels; f is a tuple."""
     x, y, z, u, v, w = m[0, k], m[1, k], m[2, k], m[3, k], m[4, k], m[5, k]
@@ -37,7 +37,7 @@ def tangent_sampson(f, m, k):
     return u * l0 + v * l1 + w * l2, slope, (p0, p1), (q0, q1)
 
 
-@kernel(fuse=True, extra_fastmath=REASSOC)
+@kernel(fuse=True)
 def _diverge(model, m, k, slack):
     one, two = (m[0, k], m[1, k], m[2, k]), (m[3, k], m[4, k], m[5, k])
     return diverge(nine(model, 0), (model[9], model[10], model[11]), one, two, slack)
@@ -53,17 +53,17 @@ def _agreeing_block(model, m, threshold_sq, start, stop):
     return count
 
 
-@kernel(extra_fastmath=REASSOC)
+@kernel
 def _rows_of_block(model, m, threshold_sq, soft_sq, start, stop, rows):
     """Residuals (rows[0]) and their derivatives by E (rows[1:10]) of matches start..stop, zero where truncated."""
-    slack, total, f = math.sqrt(threshold_sq), 0.0, nine(model, 12)
+    slack, f, error = math.sqrt(threshold_sq), nine(model, 12), rows[len(rows) - 1]
     for k in range(start, stop):
         e, slope, one, two = tangent_sampson(f, m, k)
         r = e * e / slope
         is_out = _diverge(model, m, k, slack) or r > threshold_sq
-        total += threshold_sq if is_out else r
         root = 0.0 if is_out else math.sqrt(1.0 / (slope * (1.0 + r / soft_sq)))
         ratio, n = e / slope, k - start
+        error[n] = threshold_sq if is_out else r
         rows[0, n] = root * e
         # dr / dE_ij = (y2_i y1_j - (e / m) ((J2 J2^T E y1)_i y1_j + (J1 J1^T E^T y2)_j y2_i)) / sqrt(m)
         for i in range(3):
@@ -73,7 +73,6 @@ def _rows_of_block(model, m, threshold_sq, soft_sq, start, stop, rows):
             for j in range(3):
                 right = m[FIRST_SLOPE + 2 * j, k] * one[0] + m[FIRST_SLOPE + 2 * j + 1, k] * one[1]
                 rows[1 + 3 * i + j, n] = root * (left * m[j, k] - ratio * right * m[SECOND + i, k])
-    return total
 
 
 class WideMotionProblem(MotionProblem, Items):
