@@ -50,9 +50,7 @@ def synthetic(count: int, *, constant_velocity: bool) -> Iterator[Trial]:
     for seed in range(count):
         motion = inertial_path(seed, constant_velocity=constant_velocity)
         try:
-            found = align_path_to_imu(
-                motion.timestamp_s, motion.world_from_camera, motion.log, motion.camera_from_imu, motion.noise
-            )
+            found = align_path_to_imu(motion.timestamp_s, motion.world_from_camera, motion.imu())
         except DegenerateGeometryError:
             yield None
         else:
@@ -62,19 +60,20 @@ def synthetic(count: int, *, constant_velocity: bool) -> Iterator[Trial]:
 def euroc(folder: Path, *, whole: bool) -> Iterator[Trial]:
     """Sections of the flight, starting every 5 s; or the whole flight."""
     log, noise = read_imu(folder / "mav0" / "imu0")
+    imu = MountedImu(log, Rigid3.identity(), noise)
     rows = np.loadtxt(folder / "V1_01_easy.csv", delimiter=",")[::5]
     times = rows[:, 0] * 1e-9
     inside = (times > log.timestamp_s[0]) & (times < log.timestamp_s[-1])
     rows, times = rows[inside], times[inside]
     poses = Rigid3(Rotation3.from_quat_wxyz(rows[:, 4:8]).matrix, rows[:, 1:4] / UNIT)
     if whole:
-        fitted = fit_scale_to_imu(times, poses, log, Rigid3.identity(), noise)
+        fitted = fit_scale_to_imu(times, poses, imu)
         yield UNIT, fitted.scale, fitted.scale * fitted.fraction
         return
     for start in np.arange(times[0], times[-1] - SECTION_S, 5.0):
         section = np.flatnonzero((times >= start) & (times < start + SECTION_S))
         try:
-            found = align_path_to_imu(times[section], poses[section], log, Rigid3.identity(), noise)
+            found = align_path_to_imu(times[section], poses[section], imu)
         except DegenerateGeometryError:
             yield None
         else:

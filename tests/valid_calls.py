@@ -440,14 +440,13 @@ def _inertial() -> Iterator[Row]:
     yield _row(inertial.preintegrate, log=log, instants_s=instants, **bias)
     trajectory = np.sin(2.0 * (instants - 0.2))[:, None] * np.array([1.0, 0.5, 0.2])
     path = geometry.Rigid3(np.tile(np.eye(3), (12, 1, 1)), trajectory)
-    given = {"world_from_camera": path, "log": log, "camera_from_imu": geometry.Rigid3.identity()}
-    options = {"noise": inertial.ImuNoise(), "position_sigma": 0.01, "rotation_sigma_rad": 0.01}
-    yield _row(inertial.align_path_to_imu, timestamp_s=instants, **given, **options)
     unit = inertial.MountedImu(log, geometry.Rigid3.identity())
+    options = {"position_sigma": 0.01, "rotation_sigma_rad": 0.01, "is_metric": True}
+    yield _row(inertial.align_path_to_imu, timestamp_s=instants, world_from_camera=path, imu=unit, **options)
     yield _row(inertial.MountedImu, log=log, camera_from_imu=geometry.Rigid3.identity(), noise=unit.noise)
     known = {"frames": np.arange(12), "timestamp_s": instants, "world_from_camera": path, "imu": unit}
-    aligned = inertial.align_path_to_imu(instants, path, log, geometry.Rigid3.identity(), **options)
-    yield _row(inertial.imu_factors, **known, aligned=aligned, weight=0.5)
+    aligned = inertial.align_path_to_imu(instants, path, unit, **options)
+    yield _row(inertial.imu_factors, **known, aligned=aligned, weight=0.5, is_metric=True)
 
 
 def _image(*channels: int) -> np.ndarray:
@@ -568,8 +567,8 @@ def _anchors(model: scene.Reconstruction) -> Iterator[Row]:
     instants = np.arange(12) * 0.25 + 0.2
     swing = np.sin(2.0 * (instants - 0.2))[:, None] * np.array([1.0, 0.5, 0.2])
     path = geometry.Rigid3(np.tile(np.eye(3), (12, 1, 1)), swing)
-    given = {"world_from_camera": path, "log": _imu_log(), "camera_from_imu": geometry.Rigid3.identity()}
-    yield _row(scale.fit_scale_to_imu, timestamp_s=instants, **given, noise=inertial.ImuNoise())
+    unit = inertial.MountedImu(_imu_log(), geometry.Rigid3.identity())
+    yield _row(scale.fit_scale_to_imu, timestamp_s=instants, world_from_camera=path, imu=unit)
     yield _row(scale.check_anchor_files, options=AnchorOptions())
     yield _row(scale.mounted_imu, options=AnchorOptions())
     estimate = {"kind": "tag", "name": "tag 1", "scale": 2.0, "sigma": 0.1, "shared_sigma": 0.01, "note": ""}

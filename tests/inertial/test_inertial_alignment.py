@@ -7,7 +7,7 @@ import pytest
 
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
-from epipole.inertial import ImuLog, ImuNoise, align_path_to_imu, preintegrate
+from epipole.inertial import ImuLog, ImuNoise, MountedImu, align_path_to_imu, preintegrate
 from epipole.inertial._inertial_problem import InertialProblem, States
 from epipole.io.sequences.imu_logs import read_camera_from_imu, read_imu
 from epipole.scale import fit_scale_to_imu
@@ -16,9 +16,7 @@ from whole import IS_WHOLE, in_whole_run
 
 
 def aligned(path: InertialPath, **options):
-    return align_path_to_imu(
-        path.timestamp_s, path.world_from_camera, path.log, path.camera_from_imu, path.noise, **options
-    )
+    return align_path_to_imu(path.timestamp_s, path.world_from_camera, path.imu(), **options)
 
 
 @pytest.mark.parametrize("seed", range(3 if IS_WHOLE else 1))
@@ -51,20 +49,22 @@ def test_without_noise_the_scale_is_exact():
 def test_another_units_log_is_refused():
     path, other = inertial_path(0), inertial_path(1)
     with pytest.raises(DegenerateGeometryError):
-        align_path_to_imu(path.timestamp_s, path.world_from_camera, other.log, path.camera_from_imu)
+        align_path_to_imu(path.timestamp_s, path.world_from_camera, replace(path.imu(), log=other.log))
     still = Rigid3(path.world_from_camera.rotation, np.zeros_like(path.world_from_camera.translation))
     with pytest.raises(DegenerateGeometryError, match="does not move"):
-        align_path_to_imu(path.timestamp_s, still, path.log, path.camera_from_imu)
+        align_path_to_imu(path.timestamp_s, still, path.imu())
     with pytest.raises(DegenerateGeometryError, match="8 are needed"):
-        align_path_to_imu(path.timestamp_s[:5], path.world_from_camera[:5], path.log, path.camera_from_imu)
+        align_path_to_imu(path.timestamp_s[:5], path.world_from_camera[:5], path.imu())
     rows = np.zeros(250, np.int64)
     with pytest.raises(ConfigError, match="250 poses"):
-        align_path_to_imu(np.arange(250) * 0.05, path.world_from_camera[rows], path.log, path.camera_from_imu)
+        align_path_to_imu(np.arange(250) * 0.05, path.world_from_camera[rows], path.imu())
     with pytest.raises(ShapeError, match="times"):
-        align_path_to_imu(path.timestamp_s[:5], path.world_from_camera, path.log, path.camera_from_imu)
+        align_path_to_imu(path.timestamp_s[:5], path.world_from_camera, path.imu())
     for mounting in (Rigid3(np.full((3, 3), np.nan), np.zeros(3)), Rigid3(np.eye(3), np.full(3, np.inf))):
         with pytest.raises(ShapeError, match="camera_from_imu must be finite"):
-            align_path_to_imu(path.timestamp_s, path.world_from_camera, path.log, mounting)
+            align_path_to_imu(
+                path.timestamp_s, path.world_from_camera, replace(path.imu(), camera_from_imu=mounting)
+            )
 
 
 def test_derivatives_are_those_of_the_terms(rng):
@@ -89,27 +89,28 @@ def test_derivatives_are_those_of_the_terms(rng):
 
 def test_stretches_give_one_scale_and_what_drifts_is_told_by_the_deviation():
     path = inertial_path(4, seconds=26.0)
-    found = fit_scale_to_imu(path.timestamp_s, path.world_from_camera, path.log, path.camera_from_imu)
+    found = fit_scale_to_imu(path.timestamp_s, path.world_from_camera, path.imu())
     assert found.note == "the IMU (2 of 2 segments)" and found.shared_sigma == 0.01
     assert abs(found.scale / path.scale - 1) < 2 * found.fraction < 0.03
     with pytest.raises(DegenerateGeometryError, match="no 12 consecutive poses"):
-        fit_scale_to_imu(path.timestamp_s + 900.0, path.world_from_camera, path.log, path.camera_from_imu)
+        fit_scale_to_imu(path.timestamp_s + 900.0, path.world_from_camera, path.imu())
 
 
 @in_whole_run
 def test_a_real_unit_on_a_drone_with_its_true_path(data_dir):
     """EuRoC V1_01: sensitivity, vibration and clock as they are; the truth is the path by a laser tracker's motion capture."""
     log, noise = read_imu(data_dir / "slam" / "euroc_static" / "mav0" / "imu0")
+    imu = MountedImu(log, Rigid3.identity(), noise)
     assert noise.accel_walk == 3e-3 and len(log) == 29120
     rows = np.loadtxt(data_dir / "slam" / "euroc_static" / "V1_01_easy.csv", delimiter=",")[:1200:5]
     times = rows[:, 0] * 1e-9
     inside = (times > log.timestamp_s[0]) & (times < log.timestamp_s[-1])
     rows, times = rows[inside], times[inside]
     path = Rigid3(Rotation3.from_quat_wxyz(rows[:, 4:8]).matrix, rows[:, 1:4] / 2.5)
-    found = fit_scale_to_imu(times, path, log, Rigid3.identity(), noise)
+    found = fit_scale_to_imu(times, path, imu)
     assert abs(found.scale / 2.5 - 1) < min(2 * found.fraction, 0.02)
     few = slice(0, 60)
-    one = align_path_to_imu(times[few], path[few], log, Rigid3.identity(), noise)
+    one = align_path_to_imu(times[few], path[few], imu)
     np.testing.assert_allclose(one.gyro_bias, rows[few, 11:14].mean(axis=0), atol=2e-3)
     assert np.degrees(np.arccos(-one.gravity_in_world[2] / 9.81)) < 1.0
     mounting = read_camera_from_imu(data_dir / "slam" / "euroc_static" / "mav0" / "cam0" / "sensor.yaml")

@@ -7,7 +7,7 @@ import pytest
 
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3, align_points
-from epipole.inertial import ImuNoise, MountedImu, align_path_to_imu, imu_factors
+from epipole.inertial import ImuNoise, align_path_to_imu, imu_factors
 from epipole.optim import (
     BundlePriors,
     BundleProblem,
@@ -23,8 +23,8 @@ QUIET = ImuNoise(accel_gain_sigma=1e-6)
 
 
 def factors_of(path, poses, weight=1.0):
-    imu = MountedImu(path.log, path.camera_from_imu, path.noise)
-    aligned = align_path_to_imu(path.timestamp_s, poses, path.log, path.camera_from_imu, path.noise)
+    imu = path.imu()
+    aligned = align_path_to_imu(path.timestamp_s, poses, imu)
     return imu_factors(np.arange(len(path.timestamp_s)), path.timestamp_s, poses, imu, aligned, weight)
 
 

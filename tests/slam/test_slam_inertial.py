@@ -13,6 +13,7 @@ from epipole.inertial import ImuFactors, ImuLog, ImuNoise, MountedImu
 from epipole.metrics import absolute_error
 from epipole.pipelines.slam import run
 from epipole.pipelines.slam.map.imu import InertialConstraints
+from epipole.pipelines.slam.map.imu_clock import CameraImu
 from epipole.pipelines.slam.slam import Slam
 from epipole.synthetic.inertial import imu_along, inertial_path
 from whole import IS_WHOLE, in_whole_run
@@ -120,23 +121,23 @@ def test_keyframes_are_in_a_row_where_the_log_covers_them(ride, with_unit, unit)
     keyframes = with_unit.maps[0].keyframes
     kept = (log.timestamp_s < 1.4) | (log.timestamp_s > 1.9)
     holed = ImuLog(log.timestamp_s[kept], log.gyro_rad_s[kept], log.accel_m_s2[kept])
-    ties = InertialConstraints(MountedImu(holed, MOUNTING, NOISE))
-    rows = ties._in_a_row(keyframes)
+    ties = InertialConstraints(CameraImu(MountedImu(holed, MOUNTING, NOISE)))
+    rows = ties._in_a_row(keyframes, 2.0)
     times = np.array([k.timestamp_s for k in keyframes])
     assert len(rows) == 2 and times[rows[0]].max() < 1.4 and times[rows[1]].min() > 1.9
     assert ties.factors(keyframes, 0.01) == ()
-    ties.learn(keyframes)
+    ties.learn(keyframes, is_last=True)
     assert ties.aligned is not None and len(ties.factors(keyframes[::-1], 0.01)) == 2
     nothing = InertialConstraints(
-        MountedImu(ImuLog(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))), MOUNTING)
+        CameraImu(MountedImu(ImuLog(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))), MOUNTING))
     )
-    nothing.learn(keyframes)
+    nothing.learn(keyframes, is_last=True)
     assert nothing.aligned is None and nothing.factors(keyframes, 0.01) == ()
 
 
 def test_noise_grows_as_it_shows_and_never_below_what_is_stated(ride, unit, with_unit, monkeypatch):
-    keyframes, ties = with_unit.maps[0].keyframes, InertialConstraints(unit)
-    ties.learn(keyframes)
+    keyframes, ties = with_unit.maps[0].keyframes, InertialConstraints(CameraImu(unit))
+    ties.learn(keyframes, is_last=True)
     factors, poses = ties.factors(keyframes, 0.01), Rigid3.identity(len(keyframes))
     given = [(4.0, 0.1), (1.0, 26.0), (np.nan, 1.0)]
     monkeypatch.setattr(ImuFactors, "variance_factors", lambda *_: given.pop(0))

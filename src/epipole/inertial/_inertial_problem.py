@@ -25,7 +25,7 @@ class States(NamedTuple):
     position: np.ndarray  # (n, 3)
     bias: np.ndarray  # (n, 6)
     log_scale: float
-    gravity: np.ndarray  # (3,), of fixed length
+    gravity: np.ndarray  # (3,), of fixed length, or for a metric trajectory of that length times the scale
 
 
 class Terms(NamedTuple):
@@ -47,6 +47,8 @@ class InertialProblem:
     """Standard deviation of a position, in the trajectory's unit, and of a rotation in radians."""
     integrated_at: np.ndarray
     """(3,) gyroscope bias used in the preintegration."""
+    is_metric: bool = False
+    """Whether the trajectory is in meters: then the scale is the accelerometer's gain, which scales gravity, too."""
 
     @property
     def scale_column(self) -> int:
@@ -59,20 +61,22 @@ class InertialProblem:
 
     def misfit(self, states: States) -> float:
         """Square root of chi^2 per degree of freedom."""
-        count = sum(terms.residual.size for terms in self._terms(states))
+        count = sum(terms.residual.size for terms in self._terms(states)) - int(not self.is_metric)
         return float(np.sqrt(2.0 * self.cost(states) / max(count - self.scale_column - 3, 1)))
 
     def moved(self, states: States, step: np.ndarray) -> States:
         """The states after a step."""
         own = step[: self.scale_column].reshape(-1, LANES)
-        rotation = _across(states.gravity) @ step[self.scale_column + 1 :]
+        rotation = across_gravity(states.gravity) @ step[self.scale_column + 1 :]
+        grown = float(np.clip(step[self.scale_column], -1.0, 1.0))
+        gravity = Rotation3.exp(rotation).apply(states.gravity)
         return States(
             states.rotation @ Rotation3.exp(own[:, :3]).matrix,
             states.velocity + own[:, 3:6],
             states.position + own[:, 6:9],
             states.bias + own[:, 9:],
-            states.log_scale + float(np.clip(step[self.scale_column], -1.0, 1.0)),
-            Rotation3.exp(rotation).apply(states.gravity),
+            states.log_scale + grown,
+            gravity * np.exp(grown) if self.is_metric else gravity,
         )
 
     def normal_equations(self, states: States) -> tuple[scipy.sparse.csc_matrix, np.ndarray]:
@@ -90,7 +94,7 @@ class InertialProblem:
         """
         normal, _ = self.normal_equations(states)
         inverse = np.linalg.inv(normal.toarray() + 1e-12 * np.eye(normal.shape[0]))
-        imu, _, positions, rotations, _ = self._terms(states)
+        imu, _, positions, rotations, *_ = self._terms(states)
         out = []
         for terms, rows in (
             (imu, slice(0, 3)),
@@ -119,12 +123,17 @@ class InertialProblem:
         return scipy.sparse.coo_matrix(entries, shape=(m * r, self.scale_column + 3))
 
     def _terms(self, states: States) -> list[Terms]:
-        imu, walk, first = self.imu_terms(states)
-        return [imu, walk, self._of_poses(states), self._of_rotations(states), first]
+        imu, walk, first, scale = self.imu_terms(states)
+        return [imu, walk, self._of_poses(states), self._of_rotations(states), first, scale]
 
     def imu_terms(self, states: States) -> list[Terms]:
-        """Terms of the IMU alone: measurements, bias random walk, and the prior of the first bias."""
-        return [self._of_imu(states), self._of_walk(states), self._of_first_bias(states)]
+        """Terms that poses do not enter: measurements, bias random walk, and the priors of the first bias and of the scale."""
+        return [
+            self._of_imu(states),
+            self._of_walk(states),
+            self._of_first_bias(states),
+            self._of_scale(states),
+        ]
 
     def _of_imu(self, states: States) -> Terms:
         """Equations 45 of Forster et al. 2017, and their derivatives (A.21 to A.33)."""
@@ -159,13 +168,14 @@ class InertialProblem:
         here[:, :3, 9:] = -right @ np.swapaxes(Rotation3.exp(off).matrix, 1, 2) @ by_bias
         next_one[:, :3, :3] = right
         next_one[:, 3:6, 3:6] = next_one[:, 6:, 6:9] = back
-        by_gravity = np.zeros((m, 9, 2))
-        tilt = -skew(states.gravity) @ _across(states.gravity)
-        by_gravity[:, 3:6], by_gravity[:, 6:] = (
-            -back @ tilt * dt[..., None],
-            -0.5 * back @ tilt * dt[..., None] ** 2,
-        )
-        blocks = [(first, here), (first + LANES, next_one), (np.array(self.scale_column + 1), by_gravity)]
+        by_gravity = np.zeros((m, 9, 3))
+        tilt = -skew(states.gravity) @ across_gravity(states.gravity)
+        moved = np.concatenate(
+            [self.is_metric * states.gravity[:, None], tilt], axis=1
+        )  # by scale and rotation
+        by_gravity[:, 3:6] = -back @ moved * dt[..., None]
+        by_gravity[:, 6:] = -0.5 * back @ moved * dt[..., None] ** 2
+        blocks = [(first, here), (first + LANES, next_one), (np.array(self.scale_column), by_gravity)]
         return Terms((root @ residual[..., None])[..., 0], [(at, root @ block) for at, block in blocks])
 
     def _of_walk(self, states: States) -> Terms:
@@ -198,6 +208,12 @@ class InertialProblem:
         sigma = np.repeat([self.noise.gyro_bias_sigma, self.noise.accel_bias_sigma], 3)
         return Terms(states.bias[:1] / sigma, [(np.array(9), np.diag(1.0 / sigma)[None])])
 
+    def _of_scale(self, states: States) -> Terms:
+        weight = self.is_metric / self.noise.accel_gain_sigma
+        return Terms(
+            np.array([[weight * states.log_scale]]), [(np.array(self.scale_column), np.array([[[weight]]]))]
+        )
+
 
 def _of_rotation(rotation: np.ndarray) -> np.ndarray:
     """(n, 3, 3) inverse right Jacobian of SO(3), from that of SE(3) without translation."""
@@ -205,7 +221,7 @@ def _of_rotation(rotation: np.ndarray) -> np.ndarray:
     return inverse_right_jacobian(motion)[:, 3:, 3:]
 
 
-def _across(gravity: np.ndarray) -> np.ndarray:
+def across_gravity(gravity: np.ndarray) -> np.ndarray:
     """(3, 2) two unit axes perpendicular to gravity."""
     unit = gravity / np.linalg.norm(gravity)
     first = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])

@@ -14,7 +14,8 @@ from epipole._damped import minimize
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.inertial._inertial_problem import InertialProblem, States
-from epipole.inertial.log import ImuLog, ImuNoise
+from epipole.inertial.dead_reckoning import ImuCalibration
+from epipole.inertial.log import ImuLog, ImuNoise, MountedImu
 from epipole.inertial.preintegration import Preintegrated, preintegrate
 
 GRAVITY = 9.81
@@ -27,6 +28,8 @@ OPEN = 0.5
 """Standard deviation of the log scale above which re-estimating the variances cannot help."""
 LEAST_SIGMA = 1e-5
 """Lower bound for positions, as a fraction of the trajectory's extent, and for rotations in radians."""
+METRIC_EXTENT = 1.0
+"""Least extent of a trajectory in meters by which its errors are judged: at rest, gravity and gyroscope bias are observable, too."""
 ROUNDS = 6
 """Rounds of estimating variances from the residuals."""
 LARGEST_MISFIT = 30.0
@@ -38,7 +41,7 @@ class InertialAlignment(Declared):
     """Scale, gravity, biases and velocities of a trajectory with an IMU."""
 
     scale: float
-    """Meters per unit of the trajectory."""
+    """Meters per unit of the trajectory; for a trajectory in meters the accelerometer's gain."""
     sigma: float
     """Standard deviation of the scale, including the accelerometer's gain error."""
     gravity_in_world: Float64[np.ndarray, " 3"]
@@ -49,6 +52,10 @@ class InertialAlignment(Declared):
     """m / s^2, mean over the trajectory."""
     velocity_in_world: Float64[np.ndarray, "n 3"]
     """m / s, in the trajectory's axes, at each pose."""
+    calibration: ImuCalibration
+    """Scale, gravity, and the biases at the last pose, for dead reckoning from there."""
+    path_sigma: tuple[float, float]
+    """Standard deviations of a position coordinate, in the trajectory's unit, and of a rotation in radians, as given or estimated."""
     misfit: float
     """Square root of chi^2 per degree of freedom, with the stated sigmas (before they are re-estimated)."""
 
@@ -60,11 +67,11 @@ class InertialAlignment(Declared):
 def align_path_to_imu(
     timestamp_s: Float64[np.ndarray, " n"],
     world_from_camera: Rigid3,
-    log: ImuLog,
-    camera_from_imu: Rigid3,
-    noise: ImuNoise | None = None,
+    imu: MountedImu,
     position_sigma: float | None = None,
     rotation_sigma_rad: float = 2e-3,
+    *,
+    is_metric: bool = False,
 ) -> InertialAlignment:
     """Scale, gravity, biases and velocities by maximum a posteriori estimation.
 
@@ -79,46 +86,49 @@ def align_path_to_imu(
     Args:
         timestamp_s: increasing times of the poses by the IMU's clock, some tenths of a second apart.
         world_from_camera: the poses, up to scale.
-        log: measurements that cover them.
-        camera_from_imu: extrinsics of the IMU, in meters.
-        noise: densities; None: the defaults.
+        imu: measurements that cover them, mounting and noise.
         position_sigma: standard deviation of a position coordinate, in the trajectory's unit; None: estimated.
         rotation_sigma_rad: standard deviation of the rotations.
+        is_metric: the trajectory is in meters. Then the scale is the accelerometer's gain, which gravity shows, too, and any
+            motion, even rest, determines gravity and biases.
 
     Raises:
         DegenerateGeometryError: scale and gravity cannot be determined.
         ShapeError: array sizes do not match, a pose is not finite, or times do not increase.
         ConfigError: a sigma is not positive, or there are more than 200 poses.
     """
-    noise = ImuNoise() if noise is None else noise
+    log, camera_from_imu, noise = imu.log, imu.camera_from_imu, imu.noise
     _check(timestamp_s, world_from_camera, position_sigma, rotation_sigma_rad)
     _check_mounting(camera_from_imu)
     extent = float(np.ptp(world_from_camera.translation, axis=0).max())
+    if is_metric:
+        extent = max(extent, METRIC_EXTENT)
     if not extent > 0:
         raise DegenerateGeometryError("the camera does not move, so the IMU cannot determine the scale")
-    given = position_sigma if position_sigma is not None else 1e-3 * extent
+    sigmas = (1e-3 * extent if position_sigma is None else position_sigma, rotation_sigma_rad)
     gyro_bias = _gyro_bias(timestamp_s, world_from_camera, log, camera_from_imu, noise)
     measured = preintegrate(log, timestamp_s, gyro_bias, np.zeros(3), noise)
     states = _linear_start(measured, world_from_camera, camera_from_imu, gyro_bias, noise)
+    if is_metric:
+        states = states._replace(log_scale=0.0)
     problem = InertialProblem(
-        measured, world_from_camera, camera_from_imu, noise, (given, rotation_sigma_rad), gyro_bias
+        measured, world_from_camera, camera_from_imu, noise, sigmas, gyro_bias, is_metric
     )
     try:
         states = _minimum(problem, states)
         stated = problem.misfit(states)
         if position_sigma is None:
-            problem, states = _with_found_deviations(problem, states, log, timestamp_s)
+            problem, states = _with_found_deviations(problem, states, extent, imu, timestamp_s)
         return _judged(problem, states, extent, stated)
     except np.linalg.LinAlgError as error:
         raise DegenerateGeometryError(f"no motion fits both the trajectory and the IMU ({error})") from error
 
 
 def _with_found_deviations(
-    problem: InertialProblem, states: States, log: ImuLog, times: np.ndarray
+    problem: InertialProblem, states: States, extent: float, imu: MountedImu, times: np.ndarray
 ) -> tuple[InertialProblem, States]:
     """Re-estimate the sigmas from the residuals in a few rounds; returns the problem and its minimum."""
-    stated, noise = problem.noise, problem.noise
-    extent = float(np.ptp(problem.world_from_camera.translation, axis=0).max())
+    stated, noise = imu.noise, imu.noise
     for _ in range(ROUNDS):
         if _sigma_of_log_scale(problem, states) > OPEN:
             break
@@ -132,7 +142,7 @@ def _with_found_deviations(
             max(problem.path_sigma[0] * position, LEAST_SIGMA * extent),
             max(problem.path_sigma[1] * rotation, LEAST_SIGMA),
         )
-        measured = preintegrate(log, times, problem.integrated_at, np.zeros(3), noise)
+        measured = preintegrate(imu.log, times, problem.integrated_at, np.zeros(3), noise)
         problem = replace(problem, measured=measured, noise=noise, path_sigma=sigmas)
         states = _minimum(problem, states)
         if max(abs(np.log([gyro, accel, position, rotation]))) < 0.05:
@@ -272,5 +282,24 @@ def _judged(problem: InertialProblem, states: States, extent: float, stated: flo
         gyro_bias=states.bias[:, :3].mean(axis=0),
         accel_bias=states.bias[:, 3:].mean(axis=0),
         velocity_in_world=states.velocity,
+        calibration=_calibration(problem, states, max(misfit, 1.0)),
+        path_sigma=problem.path_sigma,
         misfit=stated,
+    )
+
+
+def _calibration(problem: InertialProblem, states: States, factor: float) -> ImuCalibration:
+    """What dead reckoning from the last pose needs, with standard deviations multiplied by a factor."""
+    normal, _ = problem.normal_equations(states)
+    last, size = problem.scale_column - 6, normal.shape[0]
+    wanted = np.arange(last, last + 9)  # the last biases, scale and gravity
+    unit = np.zeros((size, 9))
+    unit[wanted, np.arange(9)] = 1.0
+    inverse = scipy.sparse.linalg.splu(normal + 1e-12 * scipy.sparse.eye(size, format="csc")).solve(unit)
+    covariance = factor**2 * inverse[wanted]
+    return ImuCalibration(
+        *(float(np.exp(states.log_scale)), states.gravity),
+        *(states.bias[-1, :3].copy(), states.bias[-1, 3:].copy()),
+        0.5 * (covariance + covariance.T),
+        problem.is_metric,
     )

@@ -129,7 +129,7 @@ class ImuFactors:
     def _equations(self, states: States, poses: Rigid3) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrix and gradient over all poses, then velocities and biases, scale and gravity."""
         n = len(self.frames)
-        imu, walk, first = self.problem.imu_terms(states)
+        imu, walk, first, scale = self.problem.imu_terms(states)
         by_all = self._by_unknowns(imu.blocks, walk.blocks, states, poses)
         residual = np.concatenate([imu.residual, walk.residual], axis=1)
         frame = np.arange(n - 1)[:, None]
@@ -144,6 +144,9 @@ class ImuFactors:
         by_first = first.blocks[0][1][0]
         matrix[np.ix_(biases, biases)] += by_first.T @ by_first
         gradient[biases] += by_first.T @ first.residual[0]
+        by_scale = float(scale.blocks[0][1][0, 0, 0])
+        matrix[LANES * n, LANES * n] += by_scale**2
+        gradient[LANES * n] += by_scale * scale.residual[0, 0]
         return matrix, gradient
 
     def _by_unknowns(
@@ -173,7 +176,7 @@ class ImuFactors:
             out[..., first + 6 : first + 9] = by_lane[end, ..., 3:6]
             out[..., first + 9 : first + 15] = by_lane[end, ..., 9:]
             out[..., 2 * LANES] += scale * (by_position @ there[..., None])[..., 0]
-        out[:, :9, 2 * LANES + 1 :] = of_imu[2][1]
+        out[:, :9, 2 * LANES :] += of_imu[2][1]
         return out
 
     def _inner_solve(self, matrix: np.ndarray, rhs: np.ndarray) -> np.ndarray:
@@ -198,6 +201,8 @@ def imu_factors(
     imu: MountedImu,
     aligned: InertialAlignment,
     weight: float = 1.0,
+    *,
+    is_metric: bool = False,
 ) -> ImuFactors:
     """Factors between consecutive frames.
 
@@ -208,6 +213,7 @@ def imu_factors(
         imu: measurements that cover them.
         aligned: initial scale, gravity and biases.
         weight: of the squares; the variance of a pixel, in an adjustment that assumes unit pixel variance.
+        is_metric: as for `align_path_to_imu`.
 
     Raises:
         ShapeError: array sizes do not match, or times do not increase.
@@ -217,8 +223,9 @@ def imu_factors(
     if len(timestamp_s) != n or world_from_camera.batch_shape() != (n,):
         raise ShapeError(f"timestamp_s and world_from_camera must have {n} rows, as frames has")
     measured = preintegrate(imu.log, timestamp_s, aligned.gyro_bias, np.zeros(3), imu.noise)
+    sigmas = (1.0, 1.0)  # of the poses, which are given
     problem = InertialProblem(
-        measured, world_from_camera, imu.camera_from_imu, imu.noise, (1.0, 1.0), aligned.gyro_bias
+        measured, world_from_camera, imu.camera_from_imu, imu.noise, sigmas, aligned.gyro_bias, is_metric
     )
     rotation, positions = _of_unit(world_from_camera, imu.camera_from_imu, aligned.scale)
     velocity = np.gradient(positions, timestamp_s, axis=0)

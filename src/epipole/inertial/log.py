@@ -11,6 +11,8 @@ from epipole._checks import Declared, check_fields
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 
+HOLD_S = 0.05
+"""Longest time after the last sample for which it is taken to be valid."""
 LARGEST_NOISE = 1e6
 """Limit of noise parameters, in their units: beyond it, squares overflow."""
 
@@ -38,6 +40,20 @@ class ImuLog(Declared):
         if (np.diff(self.timestamp_s) <= 0).any():
             raise ShapeError("IMU times must increase")
 
+    def between(self, start_s: float, stop_s: float) -> ImuLog:
+        """The samples that cover a span of time, as far as there are any; the last is held up to HOLD_S beyond the log's end.
+
+        Frames often arrive before the last measurements.
+        """
+        times = self.timestamp_s
+        first = max(int(np.searchsorted(times, start_s, side="right")) - 1, 0)
+        last = int(np.searchsorted(times, stop_s, side="left")) + 1
+        rows = np.arange(first, min(last, len(times)))
+        if len(rows) and 0 < stop_s - times[rows[-1]] <= HOLD_S:
+            rows = np.append(rows, rows[-1])
+            return ImuLog(np.append(times[rows[:-1]], stop_s), self.gyro_rad_s[rows], self.accel_m_s2[rows])
+        return ImuLog(times[rows], self.gyro_rad_s[rows], self.accel_m_s2[rows])
+
     def __len__(self) -> int:
         return len(self.timestamp_s)
 
@@ -46,6 +62,42 @@ class ImuLog(Declared):
             return f"ImuLog({len(self)} samples)"
         span = float(self.timestamp_s[-1] - self.timestamp_s[0])
         return f"ImuLog({len(self)} samples, {span:.1f} s, {(len(self) - 1) / span:.0f} Hz)"
+
+
+class ImuBuffer:
+    """A log that grows as measurements arrive; adding one takes constant time on average.
+
+    Attributes:
+        log: all measurements so far; earlier values of this attribute stay as they were.
+    """
+
+    def __init__(self, log: ImuLog) -> None:
+        self.log = log
+        self._notes = log.notes
+        self._times, self._values = log.timestamp_s, np.concatenate([log.gyro_rad_s, log.accel_m_s2], axis=1)
+
+    def add(self, samples: ImuLog) -> None:
+        """Append measurements.
+
+        Raises:
+            ShapeError: they are not later than those before.
+        """
+        old, new = len(self.log), len(self.log) + len(samples)
+        if old and len(samples) and samples.timestamp_s[0] <= self.log.timestamp_s[-1]:
+            raise ShapeError(
+                f"IMU times must increase: {samples.timestamp_s[0]:.6f} s after {self.log.timestamp_s[-1]:.6f} s"
+            )
+        if new > len(self._times):
+            room = max(2 * new, 1024)
+            self._times = np.resize(self._times[:old], room) if old else np.zeros(room)
+            self._values = np.resize(self._values[:old], (room, 6)) if old else np.zeros((room, 6))
+        self._times[old:new] = samples.timestamp_s
+        self._values[old:new, :3], self._values[old:new, 3:] = samples.gyro_rad_s, samples.accel_m_s2
+        # Its parts are checked; to check all of it again for each new sample would take longer and longer.
+        self.log = object.__new__(ImuLog)
+        columns = self._times[:new], self._values[:new, :3], self._values[:new, 3:], self._notes
+        for name, value in zip(ImuLog.__slots__, columns):
+            object.__setattr__(self.log, name, value)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,14 @@ from numba.extending import overload_method
 
 from epipole._jit import overload_options
 from epipole._jit.mode import KernelMode, kernel_mode
-from epipole.robust._item_kernels import BLOCK, REASSOC, add_normal_equations, columns_within, dot_rows, sum_row
+from epipole.robust._item_kernels import (
+    BLOCK,
+    REASSOC,
+    add_normal_equations,
+    columns_within,
+    dot_rows,
+    sum_row,
+)
 from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers
 
 MODEL_SIZE = 32  # size of the largest model

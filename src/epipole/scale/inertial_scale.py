@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from epipole._checks import checked
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3
-from epipole.inertial import ImuLog, ImuNoise, InertialAlignment, align_path_to_imu
+from epipole.inertial import ImuLog, InertialAlignment, MountedImu, align_path_to_imu
 from epipole.scale.scale_agreement import ScaleEstimate
 
 APART_S = 0.25
@@ -23,9 +23,7 @@ LEAST = 12  # minimum per segment
 def fit_scale_to_imu(
     timestamp_s: Float64[np.ndarray, " n"],
     world_from_camera: Rigid3,
-    log: ImuLog,
-    camera_from_imu: Rigid3,
-    noise: ImuNoise | None = None,
+    imu: MountedImu,
 ) -> ScaleEstimate:
     """Weighted mean of the scales of segments of about 15 s (`align_path_to_imu`).
 
@@ -34,9 +32,7 @@ def fit_scale_to_imu(
     Args:
         timestamp_s: times of the poses, increasing, by the IMU's clock.
         world_from_camera: the trajectory, up to scale.
-        log: measurements.
-        camera_from_imu: extrinsics of the IMU, in meters.
-        noise: densities; None: the defaults.
+        imu: measurements, mounting and noise.
 
     Raises:
         DegenerateGeometryError: no segment determines the scale.
@@ -48,7 +44,7 @@ def fit_scale_to_imu(
         )
     if (np.diff(timestamp_s) <= 0).any():
         raise ShapeError("timestamp_s must increase")
-    stretches = _stretches(timestamp_s, log)
+    stretches = _stretches(timestamp_s, imu.log)
     if not stretches:
         raise DegenerateGeometryError(
             f"IMU: its log covers no {LEAST} consecutive poses at most {LONGEST_S:g} s apart"
@@ -57,14 +53,12 @@ def fit_scale_to_imu(
     problem = ""
     for rows in stretches:
         try:
-            found.append(
-                align_path_to_imu(timestamp_s[rows], world_from_camera[rows], log, camera_from_imu, noise)
-            )
+            found.append(align_path_to_imu(timestamp_s[rows], world_from_camera[rows], imu))
         except DegenerateGeometryError as error:
             problem = str(error)
     if not found:
         raise DegenerateGeometryError(f"IMU: {problem}")
-    return _mean(found, len(stretches), (ImuNoise() if noise is None else noise).accel_gain_sigma)
+    return _mean(found, len(stretches), imu.noise.accel_gain_sigma)
 
 
 def _stretches(times: np.ndarray, log: ImuLog) -> list[np.ndarray]:

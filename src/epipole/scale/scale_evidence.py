@@ -249,7 +249,7 @@ def _of_odometry(views: AnchorViews, options: AnchorOptions) -> ScaleEstimate:
 
 def _of_imu(views: AnchorViews, imu: MountedImu) -> ScaleEstimate:
     times, path = _timed(views)
-    return fit_scale_to_imu(times, path, imu.log, imu.camera_from_imu, imu.noise)
+    return fit_scale_to_imu(times, path, imu)
 
 
 def _timed(views: AnchorViews) -> tuple[np.ndarray, Rigid3]:

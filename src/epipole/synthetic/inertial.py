@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from epipole._checks import checked
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
-from epipole.inertial import ImuLog, ImuNoise
+from epipole.inertial import ImuLog, ImuNoise, MountedImu
 
 RATE_HZ, STEP_S = 200.0, 1e-4
 GRAVITY = 9.81
@@ -36,6 +36,10 @@ class InertialPath:
     """Mean over the trajectory."""
     accel_bias: Float64[np.ndarray, " 3"]
     noise: ImuNoise = field(default_factory=ImuNoise)
+
+    def imu(self) -> MountedImu:
+        """The IMU on the camera."""
+        return MountedImu(self.log, self.camera_from_imu, self.noise)
 
 
 @checked

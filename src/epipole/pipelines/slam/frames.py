@@ -30,6 +30,8 @@ class TrackingState(StrEnum):
     ROTATING = "rotating"
     """One camera, at rest or in pure rotation: the orientation is known, the position is the last known one."""
     LOST = "lost"
+    INERTIAL = "inertial"
+    """The image shows nothing of the map; for a few seconds the IMU carries the pose, whose covariance grows."""
     SUBMAP = "submap"
     """Tracked in a separate map, started after the camera was lost; the pose in the first map is unknown."""
 

@@ -7,6 +7,7 @@ it, triangulate its points. Then `optimize_around_newest` adjusts the map. Map m
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from functools import partial
 
 import numpy as np
@@ -14,13 +15,14 @@ import numpy as np
 from epipole.geometry import Rigid3
 from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.frames import Frame
-from epipole.pipelines.slam.map.covariance import carry_covariance
+from epipole.pipelines.slam.map.covariance import by_errors, carry_covariance, with_map_error
 from epipole.pipelines.slam.map.insertion import KeyframeInserter
 from epipole.pipelines.slam.map.local_mapping import LocalMapper
-from epipole.pipelines.slam.map.map_copy import Change
+from epipole.pipelines.slam.map.map_copy import Change, world_motion
 from epipole.pipelines.slam.map.slam_map import Keyframe, Observations
 from epipole.pipelines.slam.map.triangulation import triangulate, triangulate_between_keyframes
 from epipole.pipelines.slam.tracking.frame_quality import FrameQuality
+from epipole.pipelines.slam.tracking.inertial_tracking import InertialTracking
 from epipole.pipelines.slam.tracking.tracker import PointTracker
 
 
@@ -31,6 +33,7 @@ class Odometry:
         map: keyframes and points.
         cam_from_world: pose of the last frame.
         tracker: the points that are tracked from frame to frame.
+        inertial: predicts poses by an IMU; None without one.
         mapper: inserts keyframes and optimizes the map.
         is_mapping_behind: whether only a large loss of points makes a frame a keyframe.
         is_incomplete: whether a thread still searches points of the newest keyframe; until then no frame becomes one.
@@ -41,20 +44,47 @@ class Odometry:
         self.cam_from_world = cam_from_world
         self.tracker = PointTracker(self.map, self.camera, mapper.focal_baseline, self.config)
         self.inserter = KeyframeInserter(self.map, self.camera, mapper.focal_baseline, self.config)
+        self.inertial = None if mapper.inertial is None else InertialTracking(mapper.inertial)
         self.mapper, self.is_mapping_behind, self.is_incomplete = mapper, False, False
 
     def track(self, previous: Frame, frame: Frame) -> tuple[RefinedPose, int] | None:
         """Pose of a frame and its number of inliers; None if there are too few.
 
-        The prediction is the previous pose. Points that slip along edges stay where they are predicted, and a constant-velocity
-        prediction would amplify this error from frame to frame.
+        The prediction is the previous pose, after the rotation that an IMU has measured. Points that slip along edges stay where
+        they are predicted, and a constant-velocity prediction would amplify this error from frame to frame.
         """
-        predicted, tracked = self.cam_from_world, self.tracker.tracks.point
-        last = self.tracker.track_points(previous, frame, predicted)
+        before, tracked = self.cam_from_world, self.tracker.tracks.point
+        predicted = before
+        if self.inertial is not None:
+            predicted = self.inertial.rotated(before, previous.timestamp_s, frame.timestamp_s)
+        last = self.tracker.track_points(previous, frame, before, predicted)
         found = None if last is None else self.tracker.estimate_pose(frame, predicted, last)
         if found is None:
             found = self.tracker.redetect_points(previous, frame, predicted, tracked)
         return found
+
+    def carry(self, timestamp_s: float) -> tuple[Rigid3, np.ndarray] | None:
+        """The pose by the IMU alone, with its covariance relative to the map; None without a trustworthy IMU, or for too long."""
+        return None if self.inertial is None else self.inertial.carry(self.map.keyframes, timestamp_s)
+
+    def find_carried(
+        self, frame: Frame, cam_from_world: Rigid3, covariance: np.ndarray
+    ) -> tuple[RefinedPose, int] | None:
+        """The pose of a frame from points of the map, searched around where a carried pose predicts them."""
+        return self.tracker.redetect_near(frame, cam_from_world, covariance)
+
+    def continue_at(self, frame: Frame, number: int, cam_from_world: Rigid3, covariance: np.ndarray) -> bool:
+        """Go on in the map at a carried pose whose image shows nothing of it, if the frame has enough points with depth."""
+        newest = self.newest_keyframe()
+        seen = self.inserter.find_points(frame, cam_from_world, Observations.none())
+        if np.isfinite(seen.disparity_px).sum() < self.config.min_tracked:
+            return False
+        keyframe = self.inserter.insert(frame, number, cam_from_world, seen, np.zeros(0, np.int64))
+        between = cam_from_world @ newest.cam_from_world.inverse()
+        keyframe.covariance = with_map_error(newest.covariance, between, covariance)
+        self.cam_from_world = cam_from_world
+        self.tracker.start_from_keyframe(keyframe)
+        return True
 
     def extend_map(
         self,
@@ -80,6 +110,7 @@ class Odometry:
             why the frame became a keyframe; empty if it did not.
         """
         self.cam_from_world = refined.cam_from_world
+        self._remember(frame, refined)
         self.tracker.remember(number)
         triangulate_between_keyframes(
             self.map, self.camera, self.config, self.cam_from_world, self.tracker.tracks
@@ -97,6 +128,7 @@ class Odometry:
     ) -> None:
         """Like `extend_map` for a fixed map: instead of inserting a keyframe, track all map points in sight."""
         self.cam_from_world = refined.cam_from_world
+        self._remember(frame, refined)
         if self._why_keyframe(num_agreeing, number, quality):
             self.tracker.track_points_in_sight(frame, self.cam_from_world)
 
@@ -118,6 +150,10 @@ class Odometry:
         if last is not None:
             self.tracker.track_added(added, last, self.cam_from_world)
 
+    def _remember(self, frame: Frame, refined: RefinedPose) -> None:
+        if self.inertial is not None:
+            self.inertial.remember(frame.timestamp_s, refined.cam_from_world, by_errors(refined))
+
     def _tracked(self, frame: Frame) -> Observations:
         tracks = self.tracker.tracks
         tracks.keep(frame.is_used(tracks.pixels))
@@ -125,13 +161,18 @@ class Odometry:
 
     def optimize_around_newest(self) -> None:
         """Optimize the newest keyframe and those around it, update the pose and stop tracking outliers."""
+        before = copy(self.map.keyframes[-1])
         self.mapper.adjust_around(len(self.map.keyframes) - 1)
         self.tracker.remove_outliers()
         self.cam_from_world = self.map.keyframes[-1].cam_from_world
+        if self.inertial is not None:
+            self.inertial.move(world_motion(before, self.map.keyframes[-1]))
 
     def take_over(self, change: Change) -> None:
         """Go on in the map after mapping has changed it."""
         self.cam_from_world = change.new_from_old.move_cam_from_source(self.cam_from_world)
+        if self.inertial is not None:
+            self.inertial.move(change.new_from_old)
         self.tracker.rename(change.into)
         self.tracker.tracks.keep(~np.isin(self.tracker.tracks.point, change.removed))
 

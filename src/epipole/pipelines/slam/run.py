@@ -38,7 +38,7 @@ from epipole.pipelines.slam.output.results import (
 )
 from epipole.pipelines.slam.output.resuming import Continued, completing, key_of, start_or_continue
 from epipole.pipelines.slam.output.ros_record import Recording, open_recording
-from epipole.pipelines.slam.output.scale import anchor_map, check_known_map, check_one_camera
+from epipole.pipelines.slam.output.scale import anchor_map, check_known_map, check_one_camera, level_map
 from epipole.pipelines.slam.output.truth import true_path_at
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.sources.folder import FrameSource, open_sequence
@@ -121,10 +121,12 @@ def slam(
             record.finish(system)
             run.warnings += record.warnings
             anchoring = _anchored(system, wanted.anchors, records, known, run)
+            leveled, notes = level_map(system, anchoring)
+            run.warnings += notes
         with completing(run.root / autosave.FOLDER, key, is_complete=not stream.is_interrupted):
             keep_better(system, run, can_repeat=not (frames.is_live or wanted.realtime))
             return write_results(
-                stream, system, records, RunInputs(truth, known, anchoring, found), wanted, run
+                stream, system, records, RunInputs(truth, known, anchoring, found, leveled), wanted, run
             )
 
 
@@ -184,7 +186,7 @@ def _anchored(
     system: Slam, options: AnchorOptions, records: list[FrameRecord], known: KnownMap | None, run: Run
 ) -> Anchoring | None:
     """Make the map metric with the given measurements; None, with a warning, if they do not determine the scale."""
-    if options.is_empty or not len(system.trajectory()):
+    if options.is_empty or system.camera.measures_depth or not len(system.trajectory()):
         return None
     frames = {r.answer.timestamp_s: r.name for r in records if r.answer is not None}
     try:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
 
 import numpy as np
 
@@ -11,15 +10,11 @@ from epipole._checks import checked
 from epipole.geometry import Rigid3, Similarity3
 from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.frames import Frame, TrackedFrame, TrackingState
-from epipole.pipelines.slam.loops.closing import LoopConstraint
-from epipole.pipelines.slam.loops.correction import close_in_map, refine_closed
 from epipole.pipelines.slam.loops.recognition import describe_keyframe
 from epipole.pipelines.slam.map.covariance import own_covariance
-from epipole.pipelines.slam.map.map_copy import Change, world_motion
 from epipole.pipelines.slam.map.past_poses import refine_past_poses
 from epipole.pipelines.slam.map.slam_map import SlamMap
-from epipole.pipelines.slam.mapping_thread import Mapped, MappingThread
-from epipole.pipelines.slam.slam_state import SlamState
+from epipole.pipelines.slam.slam_mapping import SlamMapping
 from epipole.pipelines.slam.start.bootstrap import bootstrap_map
 from epipole.pipelines.slam.start.rotation import RotationEstimate, RotationTracker
 from epipole.pipelines.slam.start.two_view import Confirmation, Initialization, OneCameraStart, initialize_map
@@ -29,7 +24,7 @@ LEAST_KEYFRAMES = 3
 """A separate map with fewer keyframes is discarded when the camera is lost again."""
 
 
-class Slam(SlamState):
+class Slam(SlamMapping):
     """Tracks a camera frame by frame and builds a map; unless a thread maps, results do not depend on the machine's load.
 
     The world is the first frame's camera (only approximately with one camera, whose map is not fixed to it). Its unit is the
@@ -50,7 +45,7 @@ class Slam(SlamState):
         self._quality = self._quality_monitor.assess(frame)
         if not self.map.num_points:
             answer = self._initialize(frame)
-        elif self.state in (TrackingState.LOST, TrackingState.ROTATING):
+        elif self.state in (TrackingState.LOST, TrackingState.ROTATING, TrackingState.INERTIAL):
             answer = self._find_pose(frame)
         else:
             answer = self._track(frame)
@@ -115,11 +110,6 @@ class Slam(SlamState):
         count = int(self.map.is_triangulated(self.odometry.tracker.tracks.point).sum())
         reason = "the map was initialized" if self.map is self.maps[0] else "a separate map was initialized"
         return self._relative_to(self.odometry.newest_keyframe(), frame, covariance, count, reason)
-
-    def _set_tracking(self) -> None:
-        self.state = TrackingState.TRACKING if self.map is self.maps[0] else TrackingState.SUBMAP
-        self._num_lost, self._rotation = 0, None
-        self._relocalizer.clear()
 
     # Tracking.
 
@@ -194,7 +184,10 @@ class Slam(SlamState):
         """Relocalize the frame in one of the maps; else track a pure rotation or start a separate map."""
         self.wait_for_mapping(is_urgent=True)
         reason = f"{len(self.odometry.tracker.tracks)} points are tracked, but too few agree with the map"
-        if self.state in (TrackingState.TRACKING, TrackingState.SUBMAP):
+        carried = self._carry(frame, reason)
+        if carried is not None:
+            return carried
+        if self.state in (TrackingState.TRACKING, TrackingState.SUBMAP, TrackingState.INERTIAL):
             self._lose()
         if self._quality.is_usable and (found := self._recognized(frame)) is not None:
             return self._localized(frame, *found)
@@ -206,6 +199,32 @@ class Slam(SlamState):
         if self._num_lost <= self.config.lost_patience or self.is_map_fixed or not self._quality.is_usable:
             return self._no_pose(frame, reason)
         return self._start_submap(frame, reason)
+
+    def _carry(self, frame: Frame, reason: str) -> TrackedFrame | None:
+        """While the image shows nothing of the map: the pose by the IMU, if there is one, for a few seconds."""
+        if self.state in (TrackingState.LOST, TrackingState.ROTATING):
+            return None
+        carried = self.odometry.carry(frame.timestamp_s)
+        if carried is None:
+            return None
+        if self._quality.is_usable:
+            found = self.odometry.find_carried(frame, *carried) or self._recognized(frame)
+            if found is not None:
+                self._set_tracking()
+                return self._localized(frame, *found)
+            if not self.is_map_fixed and self.odometry.continue_at(frame, self._num_frames, *carried):
+                return self._continued(frame)
+        self.state, self.odometry.cam_from_world = TrackingState.INERTIAL, carried[0]
+        newest = self.odometry.newest_keyframe()
+        return self._relative_to(newest, frame, carried[1], 0, f"{reason}; the IMU carries the pose")
+
+    def _continued(self, frame: Frame) -> TrackedFrame:
+        """The map goes on with a keyframe at a carried pose."""
+        self._set_tracking()
+        keyframe = self.odometry.newest_keyframe()
+        describe_keyframe(keyframe)
+        reason, count = "the map continues where the IMU has carried the camera", len(keyframe.point)
+        return self._relative_to(keyframe, frame, np.zeros((6, 6)), count, reason)
 
     def _recognized(self, frame: Frame) -> tuple[RefinedPose, int] | None:
         """The pose by similar keyframes, and the number of inliers; enters the map of the pose."""
@@ -239,100 +258,6 @@ class Slam(SlamState):
         self._num_maps -= 1
         self._enter(known)
         return self._no_pose(frame, f"{reason}; {answer.reason}", answer.num_points)
-
-    # Mapping beside tracking.
-
-    def wait_for_mapping(self, *, is_urgent: bool = False) -> None:
-        """Wait until all keyframes are mapped, if a thread maps them; if urgent, adjustments end after their present step."""
-        if (thread := self.mapping_thread) is not None:
-            thread.is_urgent = is_urgent
-            try:
-                self._take_over_mapping(wait=True)
-            finally:
-                thread.is_urgent = False
-
-    def _take_over_mapping(self, *, wait: bool = False) -> None:
-        """Take the result of the mapping thread, if it has one, and let it go on with the keyframes that wait.
-
-        Frames between two results are tracked in the map as it was; one step then replaces it and moves the pose with it.
-        """
-        if self.mapping_thread is None or not self._has_points(self.mapping_thread, wait=wait):
-            return
-        while (done := self._mapped(wait=wait)) is not None:
-            self.odometry.mapper.num_optimized = done.mapper.num_optimized
-            self._closer.move_candidates(done.copied.map, self.map)
-            self.odometry.take_over(done.copied.replace_original())
-            if done.joining is not None:
-                change = self._joined(done.joining)  # may enter the other map
-                self.odometry.take_over(change)
-            for _ in range(done.num_keyframes):
-                self._refine_past()
-            self.mapping_thread.catch_up(self.odometry.mapper, self._closer, self.maps)
-        self.odometry.is_mapping_behind = self.mapping_thread.is_behind
-
-    def _has_points(self, thread: MappingThread, *, wait: bool) -> bool:
-        """Whether the newest keyframe has its points; if the thread has just found them, they are tracked and mapped."""
-        try:
-            seen = thread.take_points(wait=wait)
-            if seen is not None:
-                self.odometry.complete_keyframe(seen, None if thread.is_urgent else self._before)
-        finally:
-            if self.odometry.is_incomplete and not thread.is_searching:
-                self.odometry.is_incomplete = False
-                thread.add(self.odometry.mapper, self._closer, self.maps)
-        return not thread.is_searching
-
-    def _mapped(self, *, wait: bool) -> Mapped | None:
-        """The result of the mapping thread; after an error it goes on with the keyframes that wait."""
-        assert self.mapping_thread is not None
-        try:
-            return self.mapping_thread.take(wait=wait)
-        except Exception:
-            self._closer.clear()
-            self.mapping_thread.catch_up(self.odometry.mapper, self._closer, self.maps)
-            raise
-
-    # Loop closure.
-
-    def _close_loop(self) -> str:
-        """Correct the map, or join two maps, if the newest keyframe closes a loop; returns the keyframe's reason."""
-        describe_keyframe(self.map.keyframes[-1])
-        return "a loop was closed" if self._closer.search(self.map, self.maps, self._is_closed) else ""
-
-    def _is_closed(self, constraint: LoopConstraint) -> bool:
-        if constraint.there is not self.map:
-            self._continue_corrected(self._joined(constraint).into)
-            return True
-        into = close_in_map(self.odometry.mapper, self._closer, constraint)
-        if into is not None:
-            self._continue_corrected(into)
-        return into is not None
-
-    def _joined(self, constraint: LoopConstraint) -> Change:
-        """Merge the younger map into the older one, in whose world results are given; how that changes the newest keyframe."""
-        here, there, tracks = self.map, constraint.there, self.odometry.tracker.tracks
-        newest, before = here.keyframes[-1], copy(here.keyframes[-1])
-        if self.maps.index(there) < self.maps.index(here):
-            here.move(constraint.there_from_here)
-            tracks.point = tracks.point + there.absorb(here)
-            self.maps.remove(here)
-            self._enter(there)
-            self.odometry.tracker.tracks = tracks
-        else:
-            there.move(constraint.there_from_here.inverse())
-            here.absorb(there)
-            self.maps.remove(there)
-        self._set_tracking()
-        self._unconfirmed = None
-        before.point = newest.point
-        into = refine_closed(self.odometry.mapper)
-        return Change(world_motion(before, newest), into, np.setdiff1d(into[before.point], newest.point))
-
-    def _continue_corrected(self, into: np.ndarray) -> None:
-        """Go on from the newest keyframe of a corrected map, with the new row of each point."""
-        self.odometry.tracker.rename(into)
-        self.odometry.tracker.remove_outliers()
-        self.odometry.cam_from_world = self.map.keyframes[-1].cam_from_world
 
     # Pure rotation.
 

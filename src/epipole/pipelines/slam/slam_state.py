@@ -10,13 +10,14 @@ import numpy as np
 from epipole._checks import checked
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
-from epipole.inertial import MountedImu
+from epipole.inertial import ImuLog, MountedImu
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, TrackingState
 from epipole.pipelines.slam.loops.closing import LoopCloser
 from epipole.pipelines.slam.loops.relocalization import Relocalizer
 from epipole.pipelines.slam.map.covariance import with_map_error
 from epipole.pipelines.slam.map.culling import cull
+from epipole.pipelines.slam.map.imu_clock import CameraImu
 from epipole.pipelines.slam.map.local_mapping import LocalMapper, focal_baseline_of
 from epipole.pipelines.slam.map.past_poses import refine_past_poses
 from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
@@ -65,8 +66,8 @@ class SlamState:
             config: options.
             known: map from an earlier run, in whose world results are given once the camera is relocalized in it.
             is_map_fixed: only localize in the known map, without changing it.
-            imu: one camera: IMU measurements in the frames' clock, used in optimization; ignored with a known map, whose clock
-                differs.
+            imu: measurements in the frames' clock, which join the optimization, predict rotations, and carry the pose for a few
+                seconds without usable images; ignored with a known map, whose clock differs.
             mapping: "inline" maps a keyframe before `track` returns, and results do not depend on the machine. "thread" maps in a
                 thread, for a live camera or a robot: only frames of a lost camera wait for it. Then results depend on the machine's
                 speed, and the object cannot be copied.
@@ -80,7 +81,8 @@ class SlamState:
         if mapping == "thread" and camera.shutter.is_rolling:
             raise ConfigError("mapping='thread' needs a global shutter: readout_s must be 0")
         self.config = (SlamConfig() if config is None else config).odometry
-        self.camera, self.imu = camera, imu if known is None and not camera.measures_depth else None
+        self.camera = camera
+        self._camera_imu = None if imu is None or known is not None else CameraImu(imu)
         self.focal_baseline = focal_baseline_of(camera, self.config)
         self.state = TrackingState.STARTING if known is None else TrackingState.LOST
         self.is_map_fixed = is_map_fixed
@@ -111,7 +113,35 @@ class SlamState:
 
     def local_mapper(self, model: SlamMap) -> LocalMapper:
         """A new local mapper of one of the maps."""
-        return LocalMapper(model, self.camera, self.focal_baseline, self.config, self.imu)
+        return LocalMapper(model, self.camera, self.focal_baseline, self.config, self._camera_imu)
+
+    @checked
+    def add_imu(self, samples: ImuLog) -> None:
+        """Add measurements of a live IMU, before the frames that they cover.
+
+        Args:
+            samples: later than those before, by the frames' clock.
+
+        Raises:
+            ConfigError: the IMU's mounting is unknown.
+            ShapeError: the times do not increase.
+        """
+        if self._camera_imu is None:
+            raise ConfigError(
+                "measurements of an IMU need its mounting: pass imu=MountedImu(log, camera_from_imu), with the log so far"
+            )
+        self._camera_imu.add(samples)
+
+    @property
+    def imu(self) -> MountedImu | None:
+        """The IMU with its measurements so far; None without one."""
+        return None if self._camera_imu is None else self._camera_imu.imu
+
+    @property
+    def gravity_in_world(self) -> np.ndarray | None:
+        """(3,) gravity in the world of the tracked map, in m / s^2; None until an IMU and the trajectory have shown it."""
+        inertial = self.odometry.mapper.inertial
+        return None if inertial is None or inertial.aligned is None else inertial.aligned.gravity_in_world
 
     def continue_in(self, model: SlamMap, answers: Sequence[TrackedFrame]) -> None:
         """Continue in a map after frames that another process tracked; the camera must be relocalized in it.

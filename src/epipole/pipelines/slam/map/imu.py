@@ -11,6 +11,7 @@ from epipole.cameras import Camera
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Rigid3
 from epipole.inertial import (
+    ImuCalibration,
     ImuFactors,
     InertialAlignment,
     MountedImu,
@@ -19,11 +20,14 @@ from epipole.inertial import (
 )
 from epipole.inertial.preintegration import LARGEST_GAP_S
 from epipole.optim import BundleConfig, BundleProblem, BundleResult, bundle_variance
+from epipole.pipelines.slam.map.imu_clock import CameraImu, path_of
 from epipole.pipelines.slam.map.slam_map import Keyframe
 from epipole.scale import ScaleEstimate
 
 LONGEST_S = 2.0
-"""Longest interval between keyframes: over longer ones the integrated biases are too large."""
+"""Longest interval between keyframes of an alignment: over longer ones the integrated biases are too large."""
+LONGEST_KNOWN_S = 4.0
+"""The same in a factor, for which the biases are known approximately."""
 SHORTEST_S = 0.02
 """Shortest interval between keyframes: shorter ones contain hardly any samples."""
 LEAST = 10
@@ -41,31 +45,58 @@ class InertialConstraints:
     """IMU constraints on the keyframes of one map.
 
     Attributes:
-        imu: log, mounting and specified noise.
+        camera_imu: measurements, mounting, specified noise and clock.
+        is_metric: whether the map is in meters.
         aligned: scale, gravity and biases of some keyframes; None until they are observable.
         noise: noise densities, at least the specified ones, raised to what the adjusted trajectory shows.
     """
 
-    def __init__(self, imu: MountedImu) -> None:
-        self.imu = imu
+    def __init__(self, camera_imu: CameraImu, *, is_metric: bool = False) -> None:
+        self.camera_imu, self.is_metric = camera_imu, is_metric
         self.aligned: InertialAlignment | None = None
-        self.noise = imu.noise
+        self.noise = camera_imu.imu.noise
 
-    def learn(self, keyframes: Sequence[Keyframe]) -> None:
-        """Align the newest consecutive keyframes to the IMU, until it succeeds once; from then on the factors estimate the scale."""
-        if self.aligned is not None:
+    @property
+    def imu(self) -> MountedImu:
+        """The measurements so far, with the noise as specified."""
+        return self.camera_imu.imu
+
+    def learn(self, keyframes: Sequence[Keyframe], *, is_last: bool = False) -> None:
+        """Align the newest consecutive keyframes to the IMU, until it succeeds once; from then on the factors estimate the scale.
+
+        The IMU waits until its clock is known, or the motion has not shown it for long, or these keyframes are the last.
+        """
+        if self.aligned is not None or not self.camera_imu.is_clock_known(is_last=is_last):
             return
-        rows = [own[-MOST_ALIGNED:] for own in self._in_a_row(keyframes)]
+        rows = [own[-MOST_ALIGNED:] for own in self._in_a_row(keyframes, LONGEST_S)]
         for own in reversed(rows):
-            times, positions = _path([keyframes[k] for k in own])
-            imu = self.imu
+            times, positions = self._path([keyframes[k] for k in own])
             try:
-                aligned = align_path_to_imu(times, positions, imu.log, imu.camera_from_imu, imu.noise)
+                aligned = align_path_to_imu(times, positions, self.imu, is_metric=self.is_metric)
                 if aligned.misfit <= LARGEST_MISFIT:
-                    self.aligned = aligned
+                    self.aligned, self.camera_imu.is_used = aligned, True
                     return
             except DegenerateGeometryError:
                 continue
+
+    def calibration(self, keyframes: Sequence[Keyframe]) -> ImuCalibration | None:
+        """Scale, gravity and present biases from the newest consecutive keyframes; None before the first alignment.
+
+        The trajectory's standard deviations are those of the first alignment, which takes six times as long to estimate them.
+        """
+        rows = self._in_a_row(keyframes, LONGEST_S)
+        if self.aligned is None or not rows:
+            return None
+        times, positions = self._path([keyframes[k] for k in rows[-1][-MOST_ALIGNED:]])
+        position_sigma, rotation_sigma = self.aligned.path_sigma
+        try:
+            found = align_path_to_imu(
+                *(times, positions, replace(self.imu, noise=self.noise), position_sigma, rotation_sigma),
+                is_metric=self.is_metric,
+            )
+        except DegenerateGeometryError:
+            return None
+        return found.calibration if found.misfit <= LARGEST_MISFIT else None
 
     def factors(self, keyframes: Sequence[Keyframe], variance_px: float) -> tuple[ImuFactors, ...]:
         """Factors between keyframes, by their index in the sequence; none before the first alignment.
@@ -77,11 +108,14 @@ class InertialConstraints:
         if self.aligned is None:
             return ()
         imu, out = replace(self.imu, noise=self.noise), []
-        for own in self._in_a_row(keyframes):
+        for own in self._in_a_row(keyframes, LONGEST_KNOWN_S):
             for part in np.array_split(own, -(-len(own) // MOST_CONSTRAINED)):
-                times, positions = _path([keyframes[k] for k in part])
+                times, positions = self._path([keyframes[k] for k in part])
                 out.append(
-                    imu_factors(part.astype(np.int64), times, positions, imu, self.aligned, variance_px)
+                    imu_factors(
+                        *(part.astype(np.int64), times, positions, imu, self.aligned, variance_px),
+                        is_metric=self.is_metric,
+                    )
                 )
         return tuple(out)
 
@@ -104,12 +138,12 @@ class InertialConstraints:
         )
         return True
 
-    def _in_a_row(self, keyframes: Sequence[Keyframe]) -> list[np.ndarray]:
-        """Indices of consecutive keyframes, in the order of time, between which the log has no gap."""
+    def _in_a_row(self, keyframes: Sequence[Keyframe], longest_s: float) -> list[np.ndarray]:
+        """Indices of consecutive keyframes, in the order of time, at most so far apart, between which the log has no gap."""
         log = self.imu.log.timestamp_s
         if len(log) < 2:
             return []
-        times = np.array([k.timestamp_s for k in keyframes])
+        times = np.array([k.timestamp_s + self.camera_imu.offset_s for k in keyframes])
         order = np.argsort(times, kind="stable")
         sample = np.searchsorted(log, times[order], side="right") - 1
         is_hole = np.append(np.diff(log) > LARGEST_GAP_S, True)
@@ -118,8 +152,13 @@ class InertialConstraints:
         apart = np.diff(times[order], prepend=-np.inf) > SHORTEST_S
         order, sample = order[apart], sample[apart]
         holes = np.cumsum(is_hole)[sample] - is_hole[sample]
-        cut = np.flatnonzero((np.diff(times[order]) > LONGEST_S) | (np.diff(holes) > 0)) + 1
+        cut = np.flatnonzero((np.diff(times[order]) > longest_s) | (np.diff(holes) > 0)) + 1
         return [own for own in np.split(order, cut) if len(own) >= LEAST]
+
+    def _path(self, keyframes: Sequence[Keyframe]) -> tuple[np.ndarray, Rigid3]:
+        """Times by the IMU's clock, and world_from_camera."""
+        times, positions = path_of(keyframes)
+        return times + self.camera_imu.offset_s, positions
 
 
 def scale_by_factors(
@@ -159,9 +198,3 @@ def pixel_variance(problem: BundleProblem, camera: Camera) -> float:
     squared = ((camera.project(there) - problem.pixels) ** 2).sum(axis=1)
     seen = squared[np.isfinite(squared)]
     return max(float(np.median(seen)) / (2.0 * np.log(2.0)) if len(seen) else 1.0, LEAST_NOISE_PX**2)
-
-
-def _path(keyframes: Sequence[Keyframe]) -> tuple[np.ndarray, Rigid3]:
-    positions = [k.cam_from_world for k in keyframes]
-    there = Rigid3(np.stack([p.rotation for p in positions]), np.stack([p.translation for p in positions]))
-    return np.array([k.timestamp_s for k in keyframes]), there.inverse()

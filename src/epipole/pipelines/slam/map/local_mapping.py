@@ -13,7 +13,6 @@ import numpy as np
 from epipole.cameras import CameraModel
 from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.geometry import Rigid3
-from epipole.inertial import MountedImu
 from epipole.optim import (
     BundleConfig,
     BundlePriors,
@@ -28,6 +27,7 @@ from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.map.covariance import CalibrationSigma, add_calibration_error, learn_covariances
 from epipole.pipelines.slam.map.gauge import align_gauge
 from epipole.pipelines.slam.map.imu import InertialConstraints, pixel_variance
+from epipole.pipelines.slam.map.imu_clock import CameraImu
 from epipole.pipelines.slam.map.pair_adjustment import adjust_pair
 from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.map.triangulation import positions_of
@@ -38,6 +38,10 @@ LOSS_SCALE_PX = 1.0
 LAST_SCALES_PX, SCALES_OF_NOISE_PX = (8.0, 2.0), (1.0, 0.5)
 """Loss scales of the last rounds: wide at first, to pull together what has drifted apart; then that of the noise, with a stereo pair and
 without. Residuals are 0.2 to 0.6 px, but the size of a stereo map should depend on all disparities."""
+FIRST_WITH_IMU = 30
+"""Iterations of the first adjustment with an IMU, whose measurements are much more accurate than the rotations until then."""
+IN_TIME = 4
+"""Keyframes before the newest that are adjusted with it if an IMU connects them."""
 FIRST_OPTIMIZED = 6
 """Keyframes of a new map."""
 GROWTH = 1.25
@@ -71,7 +75,7 @@ class LocalMapper:
         sensor: SlamCamera,
         focal_baseline: float | None,
         config: OdometryConfig,
-        imu: MountedImu | None = None,
+        imu: CameraImu | None = None,
     ) -> None:
         self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera, config
         self.focal_baseline = focal_baseline
@@ -79,7 +83,9 @@ class LocalMapper:
         self.positions: dict[int, np.ndarray] = {}
         """Measured camera positions in the world by frame number; used when all keyframes are adjusted."""
         self.position_sigma = 1.0
-        self.inertial = None if imu is None else InertialConstraints(imu)
+        self.inertial = (
+            None if imu is None else InertialConstraints(imu, is_metric=focal_baseline is not None)
+        )
         self.goes_on: Callable[[], bool] = lambda: True
         """Asked after every step of an adjustment, which it ends by returning False."""
         self.num_optimized = FIRST_OPTIMIZED
@@ -91,6 +97,8 @@ class LocalMapper:
         width = self.config.window * (2 if self.focal_baseline is None else 1)
         shared = self.map.num_shared([newest])
         shared[newest] = len(self.map.xyz) + 1
+        if self.inertial is not None and self.inertial.aligned is not None:
+            shared[max(newest - IN_TIME, 0) : newest] = len(self.map.xyz) + 1
         order = np.argsort(-shared, kind="stable")[:width]
         window = sorted(int(k) for k in order if shared[k] > 0)
         shared = self.map.num_shared(window)
@@ -113,8 +121,8 @@ class LocalMapper:
                     self.map, self.camera, takewhile(lambda _: self.goes_on(), self.map.keyframes[first:])
                 )
             self.adjust_all(max_iterations=8)
-            if self.goes_on():
-                self.learn_inertial()
+            if self.goes_on() and self.learn_inertial():
+                self.adjust_all(max_iterations=FIRST_WITH_IMU)
             # An adjustment that was ended early is not repeated before the next growth: with one camera, mapping would fall behind.
             return
         window, fixed = self.window_of(newest)
@@ -138,7 +146,7 @@ class LocalMapper:
         if len(self.map.keyframes) < 2:
             return True
         adjusted = self.adjust_all()
-        self.learn_inertial()
+        self.learn_inertial(is_last=True)
         done, total = number * LAST_STEPS + 1, count * LAST_STEPS
         for loss_scale_px in (*LAST_SCALES_PX, SCALES_OF_NOISE_PX[self.sensor.baseline is None]):
             if not goes_on(done, total):
@@ -242,10 +250,17 @@ class LocalMapper:
                     return is_constrained, result
         return adjust_pair(problem, config, self.goes_on)
 
-    def learn_inertial(self) -> None:
-        """Align the map with the IMU, if any."""
-        if self.inertial is not None:
-            self.inertial.learn([k for k in self.map.keyframes if self.map.is_triangulated(k.point).any()])
+    def learn_inertial(self, *, is_last: bool = False) -> bool:
+        """Align the map with the IMU, if any; whether it is aligned for the first time.
+
+        Args:
+            is_last: there will be no more keyframes.
+        """
+        if self.inertial is None or self.inertial.aligned is not None:
+            return False
+        seen = [k for k in self.map.keyframes if self.map.is_triangulated(k.point).any()]
+        self.inertial.learn(seen, is_last=is_last)
+        return self.inertial.aligned is not None
 
     def _observations(
         self, views: list[int], is_wanted: np.ndarray

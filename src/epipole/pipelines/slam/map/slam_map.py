@@ -18,6 +18,11 @@ class Observations(NamedTuple):
     disparity_px: np.ndarray  # (n,); NaN for none
     point: np.ndarray  # (n,) int64, rows of the map's points, without duplicates
 
+    @staticmethod
+    def none() -> Observations:
+        """No observations."""
+        return Observations(np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int64))
+
 
 class Keyframe:
     """A frame kept in the map: its image, pose and observations.

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from epipole.errors import NoModelError
-from epipole.geometry import Rigid3
+from epipole.geometry import Rigid3, Similarity3
 from epipole.image.pixels_without_ray import no_ray_warning, pixels_without_ray
 from epipole.io.colmap.model import write_colmap_model
 from epipole.io.meshes.ply import write_scene_ply
@@ -85,6 +85,8 @@ class RunInputs(NamedTuple):
     """How the map became metric."""
     camera: FoundCamera | None = None
     """The camera, if it was estimated from the images."""
+    leveled: Similarity3 | None = None
+    """Rotation of the map to gravity's direction, after it became metric."""
 
 
 def write_results(
@@ -114,8 +116,8 @@ def write_results(
     if not len(system.trajectory()):
         raise NoModelError(f"no frame was localized: {_last_reason(tracked, problems)}")
     came, anchoring = _causal(system, tracked), given.anchoring
-    if anchoring is not None:
-        came = moved_path(came, anchoring.world_from_model)
+    for moved in (None if anchoring is None else anchoring.world_from_model, given.leveled):
+        came = came if moved is None else moved_path(came, moved)
     final, causal = (_of_body(path, source) for path in (system.trajectory(), came))
     names = keyframe_names(system, records, given.map)
     model = reconstruction_of(system.maps[0], source.camera.camera, names)
@@ -333,7 +335,16 @@ def _meters(given: RunInputs, source: FrameSource, *, is_map_fixed: bool) -> tup
         words, scale = known.scale or "meters", f"meters, as in the known map{whence}"
     else:
         words, scale = "", "up to scale: one camera cannot measure lengths"
-    return words, {"scale": scale, "is_metric": bool(words), **more}
+    return words, {"scale": scale, "is_metric": bool(words), "world": _world_words(given), **more}
+
+
+def _world_words(given: RunInputs) -> str:
+    """What the axes of the world are."""
+    if given.leveled is not None:
+        return "z up, by the IMU; x ahead of the first camera"
+    if given.anchoring is not None and given.anchoring.positions is not None:
+        return "that of the measured positions"
+    return "that of the known map" if given.map is not None else "the first frame's camera"
 
 
 def _scale_words(source: FrameSource) -> str:

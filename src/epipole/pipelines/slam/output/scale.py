@@ -67,7 +67,7 @@ def anchor_map(
             k.number: p for k, p, is_known in zip(keyframes, positions.positions, known) if is_known
         }
         mapper.position_sigma = positions.sigma
-        mapper.learn_inertial()
+        mapper.learn_inertial(is_last=True)
         mapper.adjust_all()
         model.move(after_adjustment(anchoring, before, _centers(system)))
     return anchoring
@@ -78,7 +78,7 @@ def scale_by_imu(system: Slam) -> ScaleEstimate | None:
     if system.imu is None:
         return None
     mapper = system.local_mapper(system.maps[0])
-    mapper.learn_inertial()
+    mapper.learn_inertial(is_last=True)
     adjusted = mapper.adjust_all()
     try:
         return None if adjusted is None else scale_by_factors(*adjusted[:3], system.imu)
@@ -86,13 +86,51 @@ def scale_by_imu(system: Slam) -> ScaleEstimate | None:
         return None
 
 
+def level_map(system: Slam, anchoring: Anchoring | None) -> tuple[Similarity3 | None, list[str]]:
+    """Rotate the first map by the IMU's gravity: z up, x along the horizontal part of the first camera's view.
+
+    Args:
+        system: SLAM after the last frame.
+        anchoring: how the map became metric; measured positions determine the world already.
+
+    Returns:
+        the motion of the map (None without an IMU that agrees, or if the world is known), and notes on clock and mounting.
+    """
+    mapper = system.local_mapper(system.maps[0])
+    mapper.learn_inertial(is_last=True)
+    if mapper.inertial is None:
+        return None, []
+    aligned, notes = mapper.inertial.aligned, mapper.inertial.camera_imu.notes()
+    if aligned is None:
+        words = "the IMU does not agree with the trajectory, or there are too few keyframes: it was not used"
+        return None, [words, *notes]
+    if anchoring is not None and anchoring.positions is not None:
+        return None, notes
+    first = next(k for k in system.maps[0].keyframes if len(k.point))
+    leveled = Similarity3(
+        np.array(1.0), _upright_axes(first.cam_from_world, aligned.gravity_in_world), np.zeros(3)
+    )
+    system.maps[0].move(leveled)
+    return leveled, notes
+
+
+def _upright_axes(cam_from_world: Rigid3, gravity: np.ndarray) -> np.ndarray:
+    """(3, 3) rotation into a world with z up, in which the camera looks along x, or if it looks up or down, its upper edge does."""
+    up = -gravity / np.linalg.norm(gravity)
+    view, above = cam_from_world.rotation[2], -cam_from_world.rotation[1]
+    ahead = max((view, above), key=lambda axis: float(np.linalg.norm(np.cross(axis, up))))
+    left = np.cross(up, ahead)
+    left /= np.linalg.norm(left)
+    return np.stack([np.cross(left, up), left, up])
+
+
 def check_one_camera(options: AnchorOptions, *, measures_depth: bool) -> None:
-    """Check that options that set the scale are given for one camera only.
+    """Check that options that set the scale are given for one camera only; an IMU does more.
 
     Raises:
         ConfigError: the camera measures depth, so its map is metric already.
     """
-    if measures_depth and not options.is_empty:
+    if measures_depth and set(options.given) - {"imu"}:
         raise ConfigError(
             "positions, lengths, tags, boards and odometry set the scale of one camera, but the map of a stereo or depth"
             " camera is metric already"

@@ -23,6 +23,8 @@ REACH_PX = 2.0
 """Search radius of a patch at full resolution."""
 SEARCH_PX = 8.0
 """Largest distance of a re-detected point from its prediction while tracking."""
+MOST_SEARCH_PX = 64.0
+"""The same for an uncertain pose."""
 DRIFT_PX = 25.0
 """The same when keyframes are linked, to cover drift."""
 
@@ -63,6 +65,18 @@ def redetect(
         points.append(keyframe.point[own[found]])
         missing[points[-1]] = False
     return np.concatenate(pixels), np.concatenate(points)
+
+
+def search_radius(model: SlamMap, camera: Camera, cam_from_world: Rigid3, covariance: np.ndarray) -> float:
+    """Three standard deviations of the pixels of points in sight, for a pose with this covariance; limited."""
+    depth = cam_from_world.apply(model.xyz[np.isfinite(model.xyz[:, 0])])[:, 2]
+    near = float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0
+    shift, rotation = (
+        math.sqrt(np.linalg.eigvalsh(part)[-1]) for part in (covariance[:3, :3], covariance[3:, 3:])
+    )
+    return float(
+        np.clip(3.0 * camera.focal_px * math.hypot(shift / near, rotation), SEARCH_PX, MOST_SEARCH_PX)
+    )
 
 
 def _best_keyframes(

@@ -26,7 +26,7 @@ from epipole.pipelines.slam.tracking.moving_objects import (
 )
 from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
 from epipole.pipelines.slam.tracking.points import SeenFrame, Tracks, is_certain, locate, predict_pixels
-from epipole.pipelines.slam.tracking.redetection import redetect
+from epipole.pipelines.slam.tracking.redetection import redetect, search_radius
 from epipole.pipelines.slam.tracking.right_image import pose_from_right_image
 from epipole.pipelines.slam.tracking.static_points import StaticPart, find_static_part
 
@@ -69,25 +69,26 @@ class PointTracker:
         self.waiting: list[SeenFrame] = []
         self._seen: SeenFrame | None = None
 
-    def track_points(self, previous: Frame, frame: Frame, predicted: Rigid3) -> Tracks | None:
+    def track_points(self, previous: Frame, frame: Frame, before: Rigid3, predicted: Rigid3) -> Tracks | None:
         """Find the points by optical flow and align them to their reference patches; those not found are dropped.
 
         Args:
             previous: the frame before.
             frame: the frame.
-            predicted: cam_from_world.
+            before: cam_from_world of the previous frame.
+            predicted: cam_from_world of the frame.
 
         Returns:
             the points as they were in the previous frame; None if it shows nothing that could be tracked.
         """
         tracks = self.tracks
-        self._pose_before, self.map.recent = predicted, self.map.recent.start_at(previous.timestamp_s)
+        self._pose_before, self.map.recent = before, self.map.recent.start_at(previous.timestamp_s)
         last = Tracks(tracks.pixels, tracks.point, tracks.start_px)
         if not shows_something(previous.gray):
             tracks.keep(np.zeros(len(tracks), bool))
             return None
         points = self.map.xyz[tracks.point]
-        guess = predict_pixels(tracks.pixels, points, predicted, predicted, self.camera)
+        guess = predict_pixels(tracks.pixels, points, before, predicted, self.camera)
         # With depth, the map's patches check nearly all points below.
         self._is_checked, self._images = self.focal_baseline is None, (previous.gray, frame.gray)
         tracks.track(*self._images, guess, self.config, and_back=self._is_checked)
@@ -127,6 +128,18 @@ class PointTracker:
             return found
         refined, self.tracks = right
         return refined, len(self.tracks)
+
+    def redetect_near(
+        self, frame: Frame, cam_from_world: Rigid3, covariance: np.ndarray
+    ) -> tuple[RefinedPose, int] | None:
+        """The pose from the points of the map in sight of an uncertain pose, searched as far as three standard deviations."""
+        self._pose_before, self.tracks = None, Tracks.none()
+        reach = search_radius(self.map, self.camera, cam_from_world, covariance)
+        self.tracks.add(
+            *redetect(self.map, self.camera, frame.gray, cam_from_world, self.tracks.point, reach)
+        )
+        self.start_from(self.tracks)
+        return self.estimate_pose(frame, cam_from_world)
 
     def take_up(self, frame: Frame, recognized: Recognition) -> tuple[RefinedPose, int] | None:
         """Start tracking from a relocalized frame; returns its pose."""

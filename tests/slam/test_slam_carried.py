@@ -1,0 +1,172 @@
+"""An IMU beside a camera that measures depth: carries the pose while images are dark, finds its clock, gives what is up."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from slam_rides import rendered
+
+from epipole.errors import ConfigError, ShapeError
+from epipole.geometry import Rigid3, Rotation3
+from epipole.inertial import ImuLog, ImuNoise, MountedImu
+from epipole.pipelines.slam import run
+from epipole.pipelines.slam.frames import TrackingState
+from epipole.pipelines.slam.slam import Slam
+from epipole.synthetic.inertial import imu_along
+
+pytestmark = pytest.mark.usefixtures("unchecked_module")
+
+COUNT, DARK, LATE_S = 168, range(62, 74), 0.05
+MOUNTING = Rigid3(Rotation3.exp(np.array([0.4, -1.1, 0.7])).matrix, np.array([0.03, -0.02, 0.05]))
+NOISE = ImuNoise()
+
+
+@pytest.fixture(scope="module")
+def ride():
+    return rendered("loop_room", COUNT, 2)
+
+
+@pytest.fixture(scope="module")
+def imu(ride):
+    times = 0.1 * np.arange(len(ride.images))
+    log = imu_along(times, ride.truth(), MOUNTING, 0, NOISE, tuple(gravity_in_camera(ride)))
+    return MountedImu(log, MOUNTING, NOISE)
+
+
+def gravity_in_camera(ride):
+    return ride.ride.world_from_camera[0].rotation.T @ np.array([0.0, 0.0, -9.81])
+
+
+def frames_of(ride, dark=DARK):
+    out = ride.frames("rgbd")
+    for n in dark:
+        out[n] = replace(out[n], gray=np.full_like(out[n].gray, 2), depth=np.zeros_like(out[n].depth))
+    return out
+
+
+def later(imu, seconds):
+    log = imu.log
+    return replace(imu, log=ImuLog(log.timestamp_s + seconds, log.gyro_rad_s, log.accel_m_s2))
+
+
+def tracked(ride, imu, count=None):
+    system = Slam(ride.sensor("rgbd"), imu=imu)
+    return system, [system.track(frame) for frame in frames_of(ride)[:count]]
+
+
+@pytest.fixture(scope="module")
+def with_imu(ride, imu):
+    return tracked(ride, imu)
+
+
+def test_the_imu_carries_the_pose_through_dark_images(ride, with_imu):
+    system, answers = with_imu
+    truth, states = ride.truth(), [answer.state for answer in answers]
+    assert all(states[n] is TrackingState.INERTIAL for n in DARK)
+    assert all(states[n] is TrackingState.TRACKING for n in range(len(states)) if n not in DARK)
+    errors, sigmas = np.zeros(len(states)), np.zeros(len(states))
+    for n, answer in enumerate(answers):
+        errors[n] = np.linalg.norm(answer.world_from_body.translation - truth.translation[n])
+        sigmas[n] = np.sqrt(np.trace(answer.covariance[:3, :3]))
+    assert (np.diff(sigmas[list(DARK)]) > 0).all()
+    assert (errors[list(DARK)] < 3.0 * sigmas[list(DARK)]).all()
+    assert errors.max() < 0.03
+    assert len(system.maps) == 1
+    assert all(answers[n].num_points == 0 for n in DARK)
+
+
+def test_without_the_imu_the_camera_is_lost(ride, with_imu):
+    _, answers = tracked(ride, None)
+    assert all(answers[n].world_from_body is None for n in DARK)
+
+
+def test_it_carries_the_pose_for_some_seconds_only(ride, imu):
+    system, frames = Slam(ride.sensor("rgbd"), imu=imu), frames_of(ride, range(50, 84))
+    answers = [system.track(frame) for frame in frames]
+    assert [answers[n].state for n in (50, 79, 82)] == ["inertial", "inertial", "lost"]
+    assert answers[82].world_from_body is None
+
+
+def test_measurements_that_arrive_with_the_frames_give_the_same(ride, imu, with_imu):
+    none = ImuLog(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
+    system, log, done = Slam(ride.sensor("rgbd"), imu=replace(imu, log=none)), imu.log, 0
+    for frame, expected in zip(frames_of(ride), with_imu[1]):
+        until = int(np.searchsorted(log.timestamp_s, frame.timestamp_s)) + 1
+        rows, done = slice(done, until), until
+        system.add_imu(ImuLog(log.timestamp_s[rows], log.gyro_rad_s[rows], log.accel_m_s2[rows]))
+        answer = system.track(frame)
+        np.testing.assert_array_equal(
+            answer.world_from_body.translation, expected.world_from_body.translation
+        )
+    assert len(system.imu.log) == len(log)
+    with pytest.raises(ShapeError, match="must increase"):
+        system.add_imu(log)
+    with pytest.raises(ConfigError, match="mounting"):
+        Slam(ride.sensor("rgbd")).add_imu(log)
+
+
+def test_gravity_is_that_of_the_ride(ride, with_imu):
+    system, _ = with_imu
+    found = system.gravity_in_world
+    cosine = found @ gravity_in_camera(ride) / 9.81 / np.linalg.norm(found)
+    assert np.degrees(np.arccos(min(float(cosine), 1.0))) < 0.3
+
+
+def test_a_clock_that_is_late_is_found_and_corrected(ride, imu):
+    system, _ = tracked(ride, later(imu, LATE_S), DARK[0])
+    (note,) = system._camera_imu.notes()
+    assert "ahead of the camera's: corrected" in note
+    assert abs(system._camera_imu.offset_s - LATE_S) < 5e-3
+    assert system.gravity_in_world is not None
+
+
+def test_a_wrong_mounting_is_reported(ride, imu):
+    off = Rotation3.exp(np.array([0.0, 0.1, 0.0])).matrix @ MOUNTING.rotation
+    system, _ = tracked(ride, replace(imu, camera_from_imu=Rigid3(off, MOUNTING.translation)), DARK[0])
+    (note,) = system._camera_imu.notes()
+    assert "mounting differs by 5." in note or "mounting differs by 6." in note
+
+
+def test_the_map_goes_on_in_a_thread_too(ride, imu):
+    system, answers = Slam(ride.sensor("rgbd"), imu=imu, mapping="thread"), []
+    for frame in frames_of(ride)[: DARK[-1] + 3]:  # faster than a camera
+        answers.append(system.track(frame))
+        system.wait_for_mapping()
+    assert all(answers[n].state is TrackingState.INERTIAL for n in DARK)
+    system.finish()
+    assert len(system.maps) == 1 and len(system.trajectory()) == len(answers)
+
+
+def test_the_job_levels_the_world(ride, imu, tmp_path):
+    (tmp_path / "rgb").mkdir()
+    (tmp_path / "depth").mkdir()
+    lists = {"rgb": [], "depth": []}
+    for n, frame in enumerate(frames_of(ride, ())):
+        cv2.imwrite(str(tmp_path / "rgb" / f"{n:03d}.png"), frame.gray)
+        cv2.imwrite(str(tmp_path / "depth" / f"{n:03d}.png"), (5000 * frame.depth).astype(np.uint16))
+        for kind in lists:
+            lists[kind].append(f"{frame.timestamp_s:.3f} {kind}/{n:03d}.png")
+    for kind, lines in lists.items():
+        (tmp_path / f"{kind}.txt").write_text("\n".join(lines) + "\n")
+    log, there = later(imu, LATE_S).log, imu.camera_from_imu
+    np.savetxt(
+        tmp_path / "imu.txt", np.column_stack([log.timestamp_s, log.gyro_rad_s, log.accel_m_s2]), "%.9g"
+    )
+    rows = np.column_stack([there.rotation, there.translation]).tolist()
+    (tmp_path / "mounting.yaml").write_text(f"T_cam_imu: {json.dumps([*rows, [0, 0, 0, 1]])}\n")
+    params = ride.sensor("rgbd").camera.params
+    result = run.slam(
+        *(tmp_path, tmp_path / "out"),
+        camera_params=",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(params)),
+        imu=tmp_path / "imu.txt",
+        imu_mounting=tmp_path / "mounting.yaml",
+    )
+    assert result.summary["world"].startswith("z up") and result.summary["is_metric"]
+    assert any("clock" in words and "corrected" in words for words in result.warnings)
+    up_in_camera = -gravity_in_camera(ride) / 9.81
+    for path in (result.trajectory, result.causal):
+        up = path.world_from_body.rotation[0] @ up_in_camera
+        assert np.degrees(np.arccos(min(up[2], 1.0))) < 0.5
+        assert abs(path.world_from_body.rotation[0][1, 2]) < 1e-6  # x is ahead
