@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -49,6 +49,13 @@ class InertialProblem:
     """(3,) gyroscope bias used in the preintegration."""
     is_metric: bool = False
     """Whether the trajectory is in meters: then the scale is the accelerometer's gain, which scales gravity, too."""
+
+    whitening: np.ndarray = field(init=False)
+    """(m, 9, 9) inverse Cholesky factors of the measurements' covariances."""
+
+    def __post_init__(self) -> None:
+        """Compute what all evaluations share."""
+        object.__setattr__(self, "whitening", np.linalg.inv(np.linalg.cholesky(self.measured.covariance)))
 
     @property
     def scale_column(self) -> int:
@@ -153,8 +160,7 @@ class InertialProblem:
         off = Rotation3(np.swapaxes(rotated, 1, 2) @ there).log()
         by_speed, by_position = (back @ faster[..., None])[..., 0], (back @ further[..., None])[..., 0]
         residual = np.concatenate([off, by_speed - gained, by_position - went], axis=1)
-        root = np.linalg.inv(np.linalg.cholesky(data.covariance))
-        m = len(dt)
+        root, m = self.whitening, len(dt)
         here, next_one = np.zeros((m, 9, LANES)), np.zeros((m, 9, 9))
         right = _of_rotation(off)
         here[:, :3, :3] = -right @ np.swapaxes(there, 1, 2)

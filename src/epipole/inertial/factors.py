@@ -44,6 +44,8 @@ class ImuFactors:
     """Weight of the squares: the variance of a pixel, in an adjustment that assumes unit pixel variance."""
     _last: dict[bytes, tuple[float, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
     """Last result: an adjuster asks for a cost, and then for derivatives at the same poses."""
+    _best: dict[bytes, tuple[States, float]] = field(default_factory=dict, repr=False)
+    """Last optimum of the inner unknowns, from which the next search starts, unless the first start is better."""
 
     def __repr__(self) -> str:
         return f"ImuFactors({len(self.frames)} frames)"
@@ -101,7 +103,15 @@ class ImuFactors:
 
     def _at_best(self, poses: Rigid3) -> tuple[States, float]:
         """The inner unknowns that fit the poses best, by Gauss-Newton, and half the sum of squares."""
-        n, states = len(self.frames), self._localized(self.start, poses)
+        key = poses.rotation.tobytes() + poses.translation.tobytes()
+        if key not in self._best:
+            starts = [self._localized(start, poses) for start, _ in (*self._best.values(), (self.start, 0.0))]
+            self._best.clear()
+            self._best[key] = self._searched(min(starts, key=self._cost), poses)
+        return self._best[key]
+
+    def _searched(self, states: States, poses: Rigid3) -> tuple[States, float]:
+        n = len(self.frames)
         cost = self._cost(states)
         for _ in range(MOST_INNER_STEPS):
             matrix, gradient = self._equations(states, poses)
