@@ -198,6 +198,13 @@ def euroc(folder: Path) -> None:
     (unit / "data.csv").write_text("#timestamp [ns],w x,y,z,a x,y,z\n" + "".join(rows))
 
 
+def imu(folder: Path) -> None:
+    """A table of measurements, and a file of the mounting."""
+    log = imu_along(ride().path().timestamp_s, ride().path().world_from_body, Rigid3.identity(), 0)
+    np.savetxt(folder / "imu.txt", np.column_stack([log.timestamp_s, log.gyro_rad_s, log.accel_m_s2]))
+    (folder / "mounting.yaml").write_text(f"T_cam_imu: {np.eye(4).tolist()}\n")
+
+
 def recording(folder: Path, kind: str, name: str = "ride") -> Path:
     """Of ROS: NAME.bag, or the folder NAME, of a pair of cameras."""
     out, size = Recorded(kind), (LENS.width, LENS.height)

@@ -14,6 +14,7 @@ from PIL import Image
 from board_pictures import board_pictures
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Rotation3
+from epipole.inertial import ImuLog
 from epipole.io import write_colmap_model, write_g2o
 from epipole.io.calibration.files import CalibrationFile, write_calibration
 from epipole.optim import PoseGraph
@@ -123,7 +124,13 @@ def ride(_: Path) -> dict[str, Any]:
     seen = [render(courtyard(), camera, position) for position in positions]
     grays = [cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY) for image in seen]
     depths = [np.nan_to_num(image.depth, nan=0.0).astype(np.float32) for image in seen]
-    return {"camera": camera, "images": [(0.1 * n, *both) for n, both in enumerate(zip(grays, depths))]}
+    log = ImuLog(0.005 * np.arange(100), np.zeros((100, 3)), np.tile([0.0, -9.81, 0.0], (100, 1)))
+    return {
+        "camera": camera,
+        "images": [(0.1 * n, *both) for n, both in enumerate(zip(grays, depths))],
+        "camera_from_imu": Rigid3.identity(),
+        **{"times_s": log.timestamp_s, "gyro_rad_s": log.gyro_rad_s, "accel_m_s2": log.accel_m_s2},
+    }
 
 
 def ride_folder(folder: Path, count: int) -> None:

@@ -134,6 +134,11 @@ def meters_for_slam(folder: Path) -> None:
     docs_ride.positions(folder / "gps.txt")
 
 
+def ride_with_imu(folder: Path) -> None:
+    docs_ride.tum(folder / "ride")
+    docs_ride.imu(folder / "ride")
+
+
 def meters(folder: Path) -> None:
     docs_ride.wheels(folder / "wheels.txt")
     docs_ride.mounting(folder / "mount.yaml")
@@ -283,6 +288,7 @@ WORLDS: dict[str, Callable[[Path], None]] = {
     "scale-0": meters_for_photographs,
     "slam-0": stopped_ride,
     "slam-1": meters_for_slam,
+    "slam-2": ride_with_imu,
     "slam_maps-0": maps,
     "slam_maps-1": stopped_ride,
     "slam_ros-0": stopped_ride,

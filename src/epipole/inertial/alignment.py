@@ -298,8 +298,10 @@ def _calibration(problem: InertialProblem, states: States, factor: float) -> Imu
     inverse = scipy.sparse.linalg.splu(normal + 1e-12 * scipy.sparse.eye(size, format="csc")).solve(unit)
     covariance = factor**2 * inverse[wanted]
     return ImuCalibration(
-        *(float(np.exp(states.log_scale)), states.gravity),
-        *(states.bias[-1, :3].copy(), states.bias[-1, 3:].copy()),
+        float(np.exp(states.log_scale)),
+        states.gravity,
+        states.bias[-1, :3].copy(),
+        states.bias[-1, 3:].copy(),
         0.5 * (covariance + covariance.T),
         problem.is_metric,
     )

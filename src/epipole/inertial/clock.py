@@ -213,6 +213,4 @@ def _judged(
         raise DegenerateGeometryError(
             "the motion does not show the IMU's clock offset and rotation: rotate the camera back and forth about different axes"
         )
-    return ImuClock(
-        *(offset, offset_sigma, mount.matrix, covariance[1:4, 1:4].copy(), bias), len(residual) // 3
-    )
+    return ImuClock(offset, offset_sigma, mount.matrix, covariance[1:4, 1:4].copy(), bias, len(residual) // 3)

@@ -22,7 +22,7 @@ _BIAS, _SCALE, _GRAVITY = slice(9, 15), 15, slice(15, 18)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuCalibration(Declared):
-    """What turns measurements into motion in the world of a map."""
+    """What is needed to convert measurements to motion in the world of a map."""
 
     scale: float
     """The IMU's meters per unit of the map, which include its accelerometer's gain."""

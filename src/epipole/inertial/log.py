@@ -11,7 +11,7 @@ from epipole._checks import Declared, check_fields
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 
-HOLD_S = 0.05
+LAST_VALID_S = 0.05
 """Longest time after the last sample for which it is taken to be valid."""
 LARGEST_NOISE = 1e6
 """Limit of noise parameters, in their units: beyond it, squares overflow."""
@@ -41,7 +41,7 @@ class ImuLog(Declared):
             raise ShapeError("IMU times must increase")
 
     def between(self, start_s: float, stop_s: float) -> ImuLog:
-        """The samples that cover a span of time, as far as there are any; the last is held up to HOLD_S beyond the log's end.
+        """The samples that cover a span of time, as far as there are any; the last stays valid for LAST_VALID_S after the log's end.
 
         Frames often arrive before the last measurements.
         """
@@ -49,7 +49,7 @@ class ImuLog(Declared):
         first = max(int(np.searchsorted(times, start_s, side="right")) - 1, 0)
         last = int(np.searchsorted(times, stop_s, side="left")) + 1
         rows = np.arange(first, min(last, len(times)))
-        if len(rows) and 0 < stop_s - times[rows[-1]] <= HOLD_S:
+        if len(rows) and 0 < stop_s - times[rows[-1]] <= LAST_VALID_S:
             rows = np.append(rows, rows[-1])
             return ImuLog(np.append(times[rows[:-1]], stop_s), self.gyro_rad_s[rows], self.accel_m_s2[rows])
         return ImuLog(times[rows], self.gyro_rad_s[rows], self.accel_m_s2[rows])

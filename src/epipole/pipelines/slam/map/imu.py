@@ -88,12 +88,9 @@ class InertialConstraints:
         if self.aligned is None or not rows:
             return None
         times, positions = self._path([keyframes[k] for k in rows[-1][-MOST_ALIGNED:]])
-        position_sigma, rotation_sigma = self.aligned.path_sigma
+        imu, sigmas = replace(self.imu, noise=self.noise), self.aligned.path_sigma
         try:
-            found = align_path_to_imu(
-                *(times, positions, replace(self.imu, noise=self.noise), position_sigma, rotation_sigma),
-                is_metric=self.is_metric,
-            )
+            found = align_path_to_imu(times, positions, imu, sigmas[0], sigmas[1], is_metric=self.is_metric)
         except DegenerateGeometryError:
             return None
         return found.calibration if found.misfit <= LARGEST_MISFIT else None
@@ -110,12 +107,10 @@ class InertialConstraints:
         imu, out = replace(self.imu, noise=self.noise), []
         for own in self._in_a_row(keyframes, LONGEST_KNOWN_S):
             for part in np.array_split(own, -(-len(own) // MOST_CONSTRAINED)):
-                times, positions = self._path([keyframes[k] for k in part])
+                rows, (times, positions) = part.astype(np.int64), self._path([keyframes[k] for k in part])
+                aligned, is_metric = self.aligned, self.is_metric
                 out.append(
-                    imu_factors(
-                        *(part.astype(np.int64), times, positions, imu, self.aligned, variance_px),
-                        is_metric=self.is_metric,
-                    )
+                    imu_factors(rows, times, positions, imu, aligned, variance_px, is_metric=is_metric)
                 )
         return tuple(out)
 
