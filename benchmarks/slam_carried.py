@@ -18,6 +18,7 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmarks.measure import REPOSITORY, describe_machine
+from epipole._parallel import num_threads
 from epipole.geometry import Rigid3
 from epipole.inertial import ImuLog, MountedImu
 from epipole.metrics import absolute_error
@@ -60,7 +61,7 @@ def main() -> None:
             *(f"{row['median_error_over_sigma']:.2f}", f"{row['median_final_mm']:.1f}"),
         )
     Console().print(table)
-    content = {"machine": describe_machine(), "rows": rows}
+    content = {"machine": describe_machine(num_threads()), "rows": rows}
     (arguments.results / "slam_carried.json").write_text(json.dumps(content, indent=1) + "\n")
 
 

@@ -111,6 +111,8 @@ class SlamMapping(SlamState):
         self.odometry.tracker.rename(into)
         self.odometry.tracker.remove_outliers()
         self.odometry.cam_from_world = self.map.keyframes[-1].cam_from_world
+        if self.odometry.inertial is not None:
+            self.odometry.inertial.clear()
 
     def _set_tracking(self) -> None:
         self.state = TrackingState.TRACKING if self.map is self.maps[0] else TrackingState.SUBMAP

@@ -39,7 +39,6 @@ class InertialTracking:
     def remember(self, timestamp_s: float, cam_from_world: Rigid3, covariance: np.ndarray) -> None:
         """A frame that was localized by its image, with the covariance of its pose relative to the map."""
         self.constraints.camera_imu.see(timestamp_s, cam_from_world)
-        timestamp_s += self.constraints.camera_imu.offset_s
         self.carried, self._covariance = None, covariance
         self._recent.append((timestamp_s, cam_from_world))
         while timestamp_s - self._recent[0][0] > RECENT_S:
@@ -88,7 +87,7 @@ class InertialTracking:
         calibration = self.constraints.calibration(keyframes)
         if calibration is None:
             return None
-        times = np.array([t for t, _ in self._recent])
+        times = np.array([t for t, _ in self._recent]) + self.constraints.camera_imu.offset_s
         poses = [pose for _, pose in self._recent]
         there = Rigid3(np.stack([p.rotation for p in poses]), np.stack([p.translation for p in poses]))
         self._since_s = float(times[-1])
