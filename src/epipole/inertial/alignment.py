@@ -110,7 +110,8 @@ def align_path_to_imu(
     measured = preintegrate(log, timestamp_s, gyro_bias, np.zeros(3), noise)
     states = _linear_start(measured, world_from_camera, camera_from_imu, gyro_bias, noise)
     if is_metric:
-        states = states._replace(log_scale=0.0)
+        lever = (world_from_camera.rotation @ camera_from_imu.translation[:, None])[..., 0]
+        states = states._replace(log_scale=0.0, position=world_from_camera.translation + lever)
     problem = InertialProblem(
         measured, world_from_camera, camera_from_imu, noise, sigmas, gyro_bias, is_metric
     )

@@ -65,7 +65,9 @@ class Odometry:
 
     def carry(self, timestamp_s: float) -> tuple[Rigid3, np.ndarray] | None:
         """The pose by the IMU alone, with its covariance relative to the map; None without a trustworthy IMU, or for too long."""
-        return None if self.inertial is None else self.inertial.carry(self.map.keyframes, timestamp_s)
+        if self.inertial is None:
+            return None
+        return self.inertial.carry([k for k in self.map.keyframes if len(k.point)], timestamp_s)
 
     def find_carried(
         self, frame: Frame, cam_from_world: Rigid3, covariance: np.ndarray
@@ -73,18 +75,20 @@ class Odometry:
         """The pose of a frame from points of the map, searched around where a carried pose predicts them."""
         return self.tracker.redetect_near(frame, cam_from_world, covariance)
 
-    def continue_at(self, frame: Frame, number: int, cam_from_world: Rigid3, covariance: np.ndarray) -> bool:
-        """Go on in the map at a carried pose whose image shows nothing of it, if the frame has enough points with depth."""
-        newest = self.newest_keyframe()
-        seen = self.inserter.find_points(frame, cam_from_world, Observations.none())
-        if np.isfinite(seen.disparity_px).sum() < self.config.min_tracked:
-            return False
-        keyframe = self.inserter.insert(frame, number, cam_from_world, seen, np.zeros(0, np.int64))
-        between = cam_from_world @ newest.cam_from_world.inverse()
+    def join(self, other: Odometry, covariance: np.ndarray) -> None:
+        """Go on in another map of the same world, which becomes part of this one.
+
+        Args:
+            other: odometry in the other map, of one keyframe.
+            covariance: of the other keyframe's pose relative to this map.
+        """
+        newest, keyframe = self.newest_keyframe(), other.newest_keyframe()
+        between = keyframe.cam_from_world @ newest.cam_from_world.inverse()
         keyframe.covariance = with_map_error(newest.covariance, between, covariance)
-        self.cam_from_world = cam_from_world
-        self.tracker.start_from_keyframe(keyframe)
-        return True
+        tracks = other.tracker.tracks
+        tracks.point = tracks.point + self.map.absorb(other.map)
+        self.tracker.start_from(tracks)
+        self.cam_from_world = other.cam_from_world
 
     def extend_map(
         self,

@@ -104,7 +104,8 @@ def slam(
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
     system = _system(frames, wanted, known)
     check_one_camera(wanted.anchors, measures_depth=frames.camera.measures_depth)
-    check_known_map(wanted.anchors, known, is_map_fixed=wanted.localize)
+    if not frames.camera.measures_depth:
+        check_known_map(wanted.anchors, known, is_map_fixed=wanted.localize)
     settings = {name: value for name, value in asdict(wanted).items() if name != "resume"}
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     shown = open_live(system, FrameStream(frames, wanted).num_expected, wanted, out.name)
@@ -113,6 +114,8 @@ def slam(
         key = key_of(run.folder.source.fingerprint, frames, system, wanted)
         stands = start_or_continue(run.root / autosave.FOLDER, key, system, frames, wanted)
         run.warnings += [*_notes(found, system), *stands.notes]
+        if known is not None and wanted.anchors.imu is not None and frames.camera.measures_depth:
+            run.warnings.append("the IMU is ignored in a known map, whose clock differs")
         stream = FrameStream(stands.source, stands.job, is_stopped, num_dropped=stands.num_dropped)
         with run.stage("track"), closing(stands.autosave):
             records = _track(stream, system, progress, (live, record), stands, known)

@@ -16,6 +16,7 @@ from epipole.pipelines.slam.map.past_poses import refine_past_poses
 from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.slam_mapping import SlamMapping
 from epipole.pipelines.slam.start.bootstrap import bootstrap_map
+from epipole.pipelines.slam.start.provisional import Agreement, ProvisionalMap
 from epipole.pipelines.slam.start.rotation import RotationEstimate, RotationTracker
 from epipole.pipelines.slam.start.two_view import Confirmation, Initialization, OneCameraStart, initialize_map
 from epipole.pipelines.slam.tracking.points import Tracks
@@ -205,25 +206,51 @@ class Slam(SlamMapping):
         if self.state in (TrackingState.LOST, TrackingState.ROTATING):
             return None
         carried = self.odometry.carry(frame.timestamp_s)
+        if self.state is not TrackingState.INERTIAL:
+            self._provisional = None
         if carried is None:
             return None
         if self._quality.is_usable:
+            entered = self.map, self.odometry
             found = self.odometry.find_carried(frame, *carried) or self._recognized(frame)
             if found is not None:
                 self._set_tracking()
                 return self._localized(frame, *found)
-            if not self.is_map_fixed and self.odometry.continue_at(frame, self._num_frames, *carried):
+            self.map, self.odometry = entered
+            if self._agrees(frame, *carried):
                 return self._continued(frame)
         self.state, self.odometry.cam_from_world = TrackingState.INERTIAL, carried[0]
         newest = self.odometry.newest_keyframe()
         return self._relative_to(newest, frame, carried[1], 0, f"{reason}; the IMU carries the pose")
 
+    def _agrees(self, frame: Frame, carried: Rigid3, covariance: np.ndarray) -> bool:
+        """Whether what the camera sees outside the map has moved as the IMU says; then it becomes part of the map."""
+        inertial, agreement = self.odometry.inertial, Agreement.REFUTED
+        if self.is_map_fixed or not self.camera.measures_depth or inertial is None:
+            return False
+        if self._provisional is not None:
+            agreement = self._provisional[0].add(frame, carried, inertial.velocity_sigma())
+        if agreement is Agreement.CONFIRMED and self._provisional is not None:
+            self.odometry.join(self._provisional[0].odometry, self._provisional[1])
+            self._provisional = None
+            return True
+        if agreement is Agreement.REFUTED:
+            mapper = self.local_mapper(SlamMap(self._num_maps))
+            mapper.inertial = None
+            mapper.map.right_shift_px = self.map.right_shift_px
+            found = ProvisionalMap(mapper, frame, self._num_frames, carried)
+            self._provisional = (found, covariance) if found.is_rich else None
+        return False
+
     def _continued(self, frame: Frame) -> TrackedFrame:
-        """The map goes on with a keyframe at a carried pose."""
+        """The map goes on from a keyframe at a carried pose."""
         self._set_tracking()
         keyframe = self.odometry.newest_keyframe()
         describe_keyframe(keyframe)
-        reason, count = "the map continues where the IMU has carried the camera", len(keyframe.point)
+        reason, count = (
+            "the map continues where the IMU has carried the camera",
+            len(self.odometry.tracker.tracks),
+        )
         return self._relative_to(keyframe, frame, np.zeros((6, 6)), count, reason)
 
     def _recognized(self, frame: Frame) -> tuple[RefinedPose, int] | None:
@@ -311,7 +338,9 @@ class Slam(SlamMapping):
         The map with the most frames becomes the first one, unless a known map was given.
         """
         self.wait_for_mapping()
-        here = self.map
+        here = self.map, self.odometry
+        if self._camera_imu is not None:
+            self._camera_imu.is_clock_known(is_last=True)
         self._leave_unconfirmed()
         if not self.first_number:
             self.maps.sort(key=lambda model: -len(self._path.trajectory(model.keyframes)))
@@ -320,4 +349,4 @@ class Slam(SlamMapping):
             self._enter(model)
             if not self.odometry.mapper.adjust_for_good(number, len(self.maps), goes_on):
                 break
-        self._enter(here)
+        self.map, self.odometry = here

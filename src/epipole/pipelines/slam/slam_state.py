@@ -25,6 +25,7 @@ from epipole.pipelines.slam.map.trajectory import Path
 from epipole.pipelines.slam.mapping_thread import MappingThread
 from epipole.pipelines.slam.odometry import Odometry
 from epipole.pipelines.slam.snapshot import Snapshot, snapshot_of
+from epipole.pipelines.slam.start.provisional import ProvisionalMap
 from epipole.pipelines.slam.start.rotation import RotationTracker
 from epipole.pipelines.slam.start.two_view import OneCameraStart
 from epipole.pipelines.slam.tracking.frame_quality import FrameQuality, FrameQualityMonitor
@@ -95,6 +96,7 @@ class SlamState:
         self._start = OneCameraStart(camera.camera, self.config)
         self._unconfirmed: OneCameraStart | None = None
         self.start_warnings: list[str] = []
+        self._provisional: tuple[ProvisionalMap, np.ndarray] | None = None
         self._rotation: RotationTracker | None = None
         self._rotations: dict[int, Rigid3] = {}
         self._before: Frame | None = None
@@ -141,7 +143,8 @@ class SlamState:
     def gravity_in_world(self) -> np.ndarray | None:
         """(3,) gravity in the world of the tracked map, in m / s^2; None until an IMU and the trajectory have shown it."""
         inertial = self.odometry.mapper.inertial
-        return None if inertial is None or inertial.aligned is None else inertial.aligned.gravity_in_world
+        aligned = None if inertial is None else inertial.aligned
+        return None if aligned is None else aligned.gravity_in_world
 
     def continue_in(self, model: SlamMap, answers: Sequence[TrackedFrame]) -> None:
         """Continue in a map after frames that another process tracked; the camera must be relocalized in it.

@@ -79,21 +79,28 @@ class InertialConstraints:
             except DegenerateGeometryError:
                 continue
 
-    def calibration(self, keyframes: Sequence[Keyframe]) -> ImuCalibration | None:
-        """Scale, gravity and present biases from the newest consecutive keyframes; None before the first alignment.
+    def calibration(self, keyframes: Sequence[Keyframe], timestamp_s: float) -> ImuCalibration | None:
+        """Scale, gravity and biases at a time, from the newest consecutive keyframes; None before the first alignment.
 
         The trajectory's standard deviations are those of the first alignment, which takes six times as long to estimate them.
         """
         rows = self._in_a_row(keyframes, LONGEST_S)
         if self.aligned is None or not rows:
             return None
-        times, positions = self._path([keyframes[k] for k in rows[-1][-MOST_ALIGNED:]])
+        newest = rows[-1][-MOST_ALIGNED:]
+        times, positions = self._path([keyframes[k] for k in newest])
         imu, sigmas = replace(self.imu, noise=self.noise), self.aligned.path_sigma
         try:
             found = align_path_to_imu(times, positions, imu, sigmas[0], sigmas[1], is_metric=self.is_metric)
         except DegenerateGeometryError:
             return None
-        return found.calibration if found.misfit <= LARGEST_MISFIT else None
+        if found.misfit > LARGEST_MISFIT:
+            return None
+        covariance, noise = found.calibration.covariance.copy(), self.imu.noise
+        since = max(timestamp_s - keyframes[newest[-1]].timestamp_s, 0.0)
+        walked = since * np.repeat([noise.gyro_walk**2, noise.accel_walk**2], 3)
+        covariance[:6, :6] += np.diag(walked)
+        return replace(found.calibration, covariance=covariance)
 
     def factors(self, keyframes: Sequence[Keyframe], variance_px: float) -> tuple[ImuFactors, ...]:
         """Factors between keyframes, by their index in the sequence; none before the first alignment.
@@ -187,9 +194,9 @@ def scale_by_factors(
 
 
 def pixel_variance(problem: BundleProblem, camera: Camera) -> float:
-    """Variance of a pixel coordinate, in square pixels, from the median of one camera's current residuals."""
+    """Variance of a pixel coordinate, in square pixels, from the median of the first camera's current residuals."""
     point = np.repeat(np.arange(len(problem.points_in_world)), np.diff(problem.offsets))
     there = problem.rig_from_world[problem.frame].apply(problem.points_in_world[point])
     squared = ((camera.project(there) - problem.pixels) ** 2).sum(axis=1)
-    seen = squared[np.isfinite(squared)]
+    seen = squared[np.isfinite(squared) & (problem.sensor == 0)]
     return max(float(np.median(seen)) / (2.0 * np.log(2.0)) if len(seen) else 1.0, LEAST_NOISE_PX**2)

@@ -14,7 +14,7 @@ from epipole.pipelines.slam.map.slam_map import Keyframe
 
 LEAST_S, PATIENCE_S = 3.0, 6.0
 """Time from which the offset is estimated, and after which one that the motion does not show is assumed to be zero."""
-MOST_FRAMES = 1000
+MOST_FRAMES, MARGIN_S = 1000, 0.4
 LEAST_OFFSET_S = 2e-3
 """Smallest offset that is applied."""
 LEAST_ROTATION_RAD = 0.0175
@@ -71,7 +71,9 @@ class CameraImu:
         times, poses = zip(*list(self._seen))
         rotation = np.stack([pose.rotation.T for pose in poses])
         try:
-            found = fit_imu_clock(np.array(times), Rigid3(rotation, np.zeros((len(times), 3))), self.imu)
+            log = self.imu.log.between(times[0] - MARGIN_S, times[-1] + MARGIN_S)
+            there = Rigid3(rotation, np.zeros((len(times), 3)))
+            found = fit_imu_clock(np.array(times), there, replace(self.imu, log=log))
         except DegenerateGeometryError:
             return
         self.clock = found

@@ -40,6 +40,8 @@ LAST_SCALES_PX, SCALES_OF_NOISE_PX = (8.0, 2.0), (1.0, 0.5)
 without. Residuals are 0.2 to 0.6 px, but the size of a stereo map should depend on all disparities."""
 FIRST_WITH_IMU = 30
 """Iterations of the first adjustment with an IMU, whose measurements are much more accurate than the rotations until then."""
+LEARN_EVERY = 5
+"""Keyframes between attempts to align a metric map with the IMU."""
 IN_TIME = 4
 """Keyframes before the newest that are adjusted with it if an IMU connects them."""
 FIRST_OPTIMIZED = 6
@@ -124,6 +126,11 @@ class LocalMapper:
             if self.goes_on() and self.learn_inertial():
                 self.adjust_all(max_iterations=FIRST_WITH_IMU)
             # An adjustment that was ended early is not repeated before the next growth: with one camera, mapping would fall behind.
+            return
+        # In meters any motion shows gravity; with one camera an attempt often fails, and takes half a second.
+        is_due = self.focal_baseline is not None and len(self.map.keyframes) % LEARN_EVERY == 0
+        if is_due and self.learn_inertial():
+            self.adjust_all(max_iterations=FIRST_WITH_IMU)
             return
         window, fixed = self.window_of(newest)
         self.adjust(window, fixed, 8)

@@ -54,13 +54,17 @@ class InertialTracking:
         self.carried = None
 
     def rotated(self, cam_from_world: Rigid3, before_s: float, now_s: float) -> Rigid3:
-        """The pose after the rotation that the gyroscope measured between two frames; unchanged where the log does not cover it."""
+        """The pose after the rotation that the gyroscope measured between two frames.
+
+        Unchanged until the IMU agrees with the trajectory, and where its log does not cover the frames.
+        """
         aligned, offset_s = self.constraints.aligned, self.constraints.camera_imu.offset_s
+        if aligned is None:
+            return cam_from_world
         before_s, now_s = before_s + offset_s, now_s + offset_s
         imu = self._imu_between(before_s, now_s)
         try:
-            bias = None if aligned is None else aligned.gyro_bias
-            measured = preintegrate(imu.log, np.array([before_s, now_s]), bias)
+            measured = preintegrate(imu.log, np.array([before_s, now_s]), aligned.gyro_bias)
         except DegenerateGeometryError:
             return cam_from_world
         mount = imu.camera_from_imu.rotation
@@ -80,11 +84,16 @@ class InertialTracking:
             return None
         return self.carried.cam_from_world(imu.camera_from_imu)
 
+    def velocity_sigma(self) -> float:
+        """Standard deviation of the carried motion's velocity, in m / s."""
+        assert self.carried is not None
+        return float(np.sqrt(np.trace(self.carried.covariance[3:6, 3:6])))
+
     def _start(self, keyframes: Sequence[Keyframe]) -> ImuMotion | None:
         """The motion at the last frame that its image localized."""
-        if len(self._recent) < LEAST_RECENT:
+        if len(self._recent) < LEAST_RECENT or not np.isfinite(self._covariance).all():
             return None
-        calibration = self.constraints.calibration(keyframes)
+        calibration = self.constraints.calibration(keyframes, self._recent[-1][0])
         if calibration is None:
             return None
         times = np.array([t for t, _ in self._recent]) + self.constraints.camera_imu.offset_s
