@@ -43,6 +43,7 @@ from epipole.pipelines.sfm.config import MapperConfig
 from epipole.robust import PairMatches
 from epipole.solvers.two_view import hartley_normalization
 from epipole.synthetic import look_alike, problems, rides, stereo_rooms
+from epipole.synthetic.inertial import inertial_path
 from epipole.synthetic.ride import Shutter
 
 ROOMS = (
@@ -447,6 +448,41 @@ def _inertial() -> Iterator[Row]:
     known = {"frames": np.arange(12), "timestamp_s": instants, "world_from_camera": path, "imu": unit}
     aligned = inertial.align_path_to_imu(instants, path, unit, **options)
     yield _row(inertial.imu_factors, **known, aligned=aligned, weight=0.5, is_metric=True)
+    yield from _dead_reckoning(log, unit, instants, path, aligned.calibration)
+    moving = inertial_path(0, seconds=15.0, rotation_sigma_rad=1e-4)
+    seen = {"timestamp_s": moving.timestamp_s, "world_from_camera": moving.world_from_camera}
+    yield _row(inertial.fit_imu_clock, **seen, imu=moving.imu(), largest_offset_s=0.1)
+    given = {
+        "offset_s": 0.01,
+        "offset_sigma_s": 0.001,
+        "rotation": np.eye(3),
+        "rotation_covariance": np.eye(3),
+    }
+    yield _row(inertial.ImuClock, **given, gyro_bias=np.zeros(3), num_rotations=20)
+
+
+def _dead_reckoning(
+    log: inertial.ImuLog,
+    unit: inertial.MountedImu,
+    instants: np.ndarray,
+    path: geometry.Rigid3,
+    calibration: inertial.ImuCalibration,
+) -> Iterator[Row]:
+    yield _row(inertial.ImuBuffer, log=log)
+    values = {"scale": 1.0, "gravity_in_world": np.array([0.0, 0.0, -9.81]), "gyro_bias": np.zeros(3)}
+    yield _row(
+        inertial.ImuCalibration, **values, accel_bias=np.zeros(3), covariance=np.eye(9), is_metric=True
+    )
+    known = {"timestamp_s": instants[:4], "world_from_camera": path[:4], "covariance": 1e-6 * np.eye(6)}
+    yield _row(inertial.fit_imu_motion, **known, imu=unit, calibration=calibration)
+    motion = inertial.fit_imu_motion(**known, imu=unit, calibration=calibration)
+    yield _row(inertial.carry_motion, motion=motion, timestamp_s=float(instants[5]), imu=unit)
+    state = {
+        "timestamp_s": 0.5,
+        "world_from_imu": geometry.Rigid3.identity(),
+        "velocity_in_world": np.zeros(3),
+    }
+    yield _row(inertial.ImuMotion, **state, covariance=np.eye(18), calibration=calibration)
 
 
 def _image(*channels: int) -> np.ndarray:

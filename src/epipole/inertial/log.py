@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import Declared, check_fields
+from epipole._checks import Declared, check_fields, checked
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 
@@ -71,11 +71,13 @@ class ImuBuffer:
         log: all measurements so far; earlier values of this attribute stay as they were.
     """
 
+    @checked
     def __init__(self, log: ImuLog) -> None:
         self.log = log
         self._notes = log.notes
         self._times, self._values = log.timestamp_s, np.concatenate([log.gyro_rad_s, log.accel_m_s2], axis=1)
 
+    @checked
     def add(self, samples: ImuLog) -> None:
         """Append measurements.
 

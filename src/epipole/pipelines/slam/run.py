@@ -113,9 +113,7 @@ def slam(
     with recorded as record, open_run(task, out) as run, shown as live, graceful_interrupt() as is_stopped:
         key = key_of(run.folder.source.fingerprint, frames, system, wanted)
         stands = start_or_continue(run.root / autosave.FOLDER, key, system, frames, wanted)
-        run.warnings += [*_notes(found, system), *stands.notes]
-        if known is not None and wanted.anchors.imu is not None and frames.camera.measures_depth:
-            run.warnings.append("the IMU is ignored in a known map, whose clock differs")
+        run.warnings += [*_notes(found, system, wanted.anchors), *stands.notes]
         stream = FrameStream(stands.source, stands.job, is_stopped, num_dropped=stands.num_dropped)
         with run.stage("track"), closing(stands.autosave):
             records = _track(stream, system, progress, (live, record), stands, known)
@@ -143,9 +141,14 @@ def _system(frames: FrameSource, job: SlamConfig, known: KnownMap | None) -> Sla
     return Slam(frames.camera, job, model, is_map_fixed=job.localize, imu=imu, mapping=mapping)
 
 
-def _notes(found: FoundCamera | None, system: Slam) -> list[str]:
+def _notes(found: FoundCamera | None, system: Slam, given: AnchorOptions) -> list[str]:
     """Notes on the estimated camera and on the IMU log."""
-    return [*([] if found is None else found.notes()), *(() if system.imu is None else system.imu.log.notes)]
+    notes = [] if found is None else list(found.notes())
+    if system.imu is not None:
+        notes += system.imu.log.notes
+    elif given.imu is not None and system.camera.measures_depth:
+        notes.append("the IMU is ignored in a known map, whose clock differs")
+    return notes
 
 
 def _check_target(source: Path, out: Path, job: JobOptions) -> None:
