@@ -208,7 +208,8 @@ def test_the_job_levels_the_world(ride, imu, tmp_path):
     (tmp_path / "mounting.yaml").write_text(f"T_cam_imu: {json.dumps([*rows, [0, 0, 0, 1]])}\n")
     params = ride.sensor("rgbd").camera.params
     result = run.slam(
-        *(tmp_path, tmp_path / "out"),
+        tmp_path,
+        tmp_path / "out",
         camera_params=",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(params)),
         imu=tmp_path / "imu.txt",
         imu_mounting=tmp_path / "mounting.yaml",

@@ -247,10 +247,8 @@ class Slam(SlamMapping):
         self._set_tracking()
         keyframe = self.odometry.newest_keyframe()
         describe_keyframe(keyframe)
-        reason, count = (
-            "the map continues where the IMU has carried the camera",
-            len(self.odometry.tracker.tracks),
-        )
+        count = len(self.odometry.tracker.tracks)
+        reason = "the map continues where the IMU has carried the camera"
         return self._relative_to(keyframe, frame, np.zeros((6, 6)), count, reason)
 
     def _recognized(self, frame: Frame) -> tuple[RefinedPose, int] | None:

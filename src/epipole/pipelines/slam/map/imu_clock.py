@@ -83,7 +83,8 @@ class CameraImu:
     def notes(self) -> list[str]:
         """What clock and mounting turned out to be, if they are not as given."""
         if self.clock is None:
-            return []
+            words = "the motion does not show the offset of the IMU's clock: it was assumed to be zero"
+            return [words] if self.is_used else []
         out, sigma_s = [], self.clock.offset_sigma_s
         if self.offset_s:
             side = "ahead of" if self.offset_s > 0 else "behind"
