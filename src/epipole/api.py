@@ -55,6 +55,7 @@ from epipole.pipelines.viewing.loading import load as load
 from epipole.pipelines.viewing.run import share as share
 from epipole.pipelines.viewing.run import view as view
 from epipole.runs import Progress as Progress
+from epipole.scene import CameraRig as CameraRig
 from epipole.scene import DisparityMap as DisparityMap
 from epipole.scene import Mesh as Mesh
 from epipole.scene import Reconstruction as Reconstruction

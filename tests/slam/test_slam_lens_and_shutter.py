@@ -23,7 +23,8 @@ def keyframe(n):
 @pytest.fixture
 def mapper():
     return SimpleNamespace(
-        map=SimpleNamespace(keyframes=[keyframe(3), keyframe(0)], right_shift_px=0.0), camera=None
+        map=SimpleNamespace(keyframes=[keyframe(3), keyframe(0)], right_shift_px=0.0),
+        sensor=SimpleNamespace(camera=None),
     )
 
 

@@ -189,7 +189,7 @@ def test_an_even_drift_is_taken_out_of_a_ring(rotation_deg, growth):
     model, truth, true_points, there_from_here = ring(np.deg2rad(rotation_deg), growth)
     before, points_before = off_truth(model, truth), np.linalg.norm(model.xyz - true_points, axis=1)
     assert before.max() > 0.05
-    assert correct_drift(model, tie_of(model, there_from_here), is_metric=growth == 1.0)
+    assert correct_drift(model, tie_of(model, there_from_here), CAMERA, is_metric=growth == 1.0)
     after = off_truth(model, truth)
     assert after.max() < 0.1 * before.max() and after[0] < 1e-9  # the first keyframe is the world
     assert np.linalg.norm(model.xyz - true_points, axis=1).max() < 0.1 * points_before.max()
@@ -208,7 +208,7 @@ def test_a_false_tie_is_rejected_and_moves_nothing(is_metric, rotation_deg):
     positions, points = [k.cam_from_world.log() for k in model.keyframes], model.xyz.copy()
     rotated = Rigid3.exp(np.array([0, 0, 0, 0, np.deg2rad(rotation_deg), 0]))
     false = Similarity3(np.array(1.0), rotated.rotation, rotated.translation)
-    assert not correct_drift(model, tie_of(model, false), is_metric=is_metric)
+    assert not correct_drift(model, tie_of(model, false), CAMERA, is_metric=is_metric)
     np.testing.assert_array_equal(model.xyz, points)
     np.testing.assert_array_equal([k.cam_from_world.log() for k in model.keyframes], positions)
 

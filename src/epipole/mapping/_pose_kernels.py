@@ -1,4 +1,4 @@
-"""Motion-only bundle adjustment: the pose of one camera with the least robust error to known points."""
+"""Motion-only bundle adjustment: the pose of a camera, or of a rig of cameras, with the least robust error to known points."""
 
 import math
 
@@ -53,28 +53,44 @@ def _add_term(residual, row, weight, normal, gradient):
 
 
 @kernel(fuse=True)
-def _twist_row(a, b, c, x, y, z, row):
-    """Derivative of g . p by xi, for p moved by exp(xi): g and p x g."""
-    row[0], row[1], row[2] = a, b, c
-    row[3], row[4], row[5] = y * c - z * b, z * a - x * c, x * b - y * a
+def _twist_row(mounting, a, b, c, body, row):
+    """Derivative of g . (R p + t) by xi, for p moved by exp(xi): R^T g and p x R^T g."""
+    x, y, z = body
+    d = mounting[0] * a + mounting[3] * b + mounting[6] * c
+    e = mounting[1] * a + mounting[4] * b + mounting[7] * c
+    f = mounting[2] * a + mounting[5] * b + mounting[8] * c
+    row[0], row[1], row[2] = d, e, f
+    row[3], row[4], row[5] = y * f - z * e, z * d - x * f, x * e - y * d
+
+
+@kernel(fuse=True)
+def _moved(motion, point):
+    """R p + t of a motion (R row by row, then t)."""
+    a, b, c = point
+    return (
+        motion[0] * a + motion[1] * b + motion[2] * c + motion[9],
+        motion[3] * a + motion[4] * b + motion[5] * c + motion[10],
+        motion[6] * a + motion[7] * b + motion[8] * c + motion[11],
+    )
 
 
 @kernel
 def _linearize(view, motion, scale_sq, normal, gradient, error_sq, work):
     """Cost of a pose, its normal equations, and the squared error of every point, in units of sigma^2.
 
-    Cauchy loss of the pixel error, and of the error of the disparity f B / Z if one was measured.
+    Cauchy loss of the pixel error, and of the error of the disparity f B / Z if one was measured. A camera of a rig sees the point
+    `mounting` * `motion` * X; the mounting of a single camera is the identity.
     """
     jac_point, jac_params, row = work
     clear_rows(normal)
     clear(gradient)
     cost = 0.0
     for k in range(len(view.points)):
-        a, b, c = view.points[k, 0], view.points[k, 1], view.points[k, 2]
-        x = motion[0] * a + motion[1] * b + motion[2] * c + motion[9]
-        y = motion[3] * a + motion[4] * b + motion[5] * c + motion[10]
-        z = motion[6] * a + motion[7] * b + motion[8] * c + motion[11]
-        u, v = project_with_jacobian_one(view.model, view.params, x, y, z, jac_point, jac_params)
+        one = view.camera[k]
+        mounting = view.mountings[one]
+        body = _moved(motion, (view.points[k, 0], view.points[k, 1], view.points[k, 2]))
+        x, y, z = _moved(mounting, body)
+        u, v = project_with_jacobian_one(view.models[one], view.params[one], x, y, z, jac_point, jac_params)
         u, v = u - view.pixels[k, 0], v - view.pixels[k, 1]
         inverse_sq = 1.0 / (view.sigma_px[k] * view.sigma_px[k])
         s = (u * u + v * v) * inverse_sq
@@ -85,9 +101,9 @@ def _linearize(view, motion, scale_sq, normal, gradient, error_sq, work):
         error_sq[k] = s
         cost += scale_sq * math.log1p(s / scale_sq)
         weight = inverse_sq / (1.0 + s / scale_sq)
-        _twist_row(jac_point[0, 0], jac_point[0, 1], jac_point[0, 2], x, y, z, row)
+        _twist_row(mounting, jac_point[0, 0], jac_point[0, 1], jac_point[0, 2], body, row)
         _add_term(u, row, weight, normal, gradient)
-        _twist_row(jac_point[1, 0], jac_point[1, 1], jac_point[1, 2], x, y, z, row)
+        _twist_row(mounting, jac_point[1, 0], jac_point[1, 1], jac_point[1, 2], body, row)
         _add_term(v, row, weight, normal, gradient)
         d = view.disparity_px[k]
         if d == d:
@@ -96,7 +112,7 @@ def _linearize(view, motion, scale_sq, normal, gradient, error_sq, work):
             s = e * e * inverse_sq
             cost += scale_sq * math.log1p(s / scale_sq)
             weight = inverse_sq / (1.0 + s / scale_sq)
-            _twist_row(0.0, 0.0, -view.focal_baseline / (z * z), x, y, z, row)
+            _twist_row(mounting, 0.0, 0.0, -view.focal_baseline / (z * z), body, row)
             _add_term(e, row, weight, normal, gradient)
     for i in range(6):
         for j in range(i):
@@ -110,11 +126,11 @@ def _sum_scores(view, motion, scale_sq, scores, own, work):
     jac_point, jac_params, row = work
     clear_rows(scores)
     for k in range(len(view.points)):
-        a, b, c = view.points[k, 0], view.points[k, 1], view.points[k, 2]
-        x = motion[0] * a + motion[1] * b + motion[2] * c + motion[9]
-        y = motion[3] * a + motion[4] * b + motion[5] * c + motion[10]
-        z = motion[6] * a + motion[7] * b + motion[8] * c + motion[11]
-        u, v = project_with_jacobian_one(view.model, view.params, x, y, z, jac_point, jac_params)
+        one = view.camera[k]
+        mounting = view.mountings[one]
+        body = _moved(motion, (view.points[k, 0], view.points[k, 1], view.points[k, 2]))
+        x, y, z = _moved(mounting, body)
+        u, v = project_with_jacobian_one(view.models[one], view.params[one], x, y, z, jac_point, jac_params)
         u, v = u - view.pixels[k, 0], v - view.pixels[k, 1]
         inverse_sq = 1.0 / (view.sigma_px[k] * view.sigma_px[k])
         s = (u * u + v * v) * inverse_sq
@@ -124,13 +140,13 @@ def _sum_scores(view, motion, scale_sq, scores, own, work):
         gx = jac_point[0, 0] * u + jac_point[1, 0] * v
         gy = jac_point[0, 1] * u + jac_point[1, 1] * v
         gz = jac_point[0, 2] * u + jac_point[1, 2] * v
-        _twist_row(weight * gx, weight * gy, weight * gz, x, y, z, own)
+        _twist_row(mounting, weight * gx, weight * gy, weight * gz, body, own)
         d = view.disparity_px[k]
         if d == d:
             e = view.focal_baseline / z - d
             inverse_sq = 1.0 / (view.disparity_sigma_px * view.disparity_sigma_px)
             weight = inverse_sq / (1.0 + e * e * inverse_sq / scale_sq)
-            _twist_row(0.0, 0.0, -weight * e * view.focal_baseline / (z * z), x, y, z, row)
+            _twist_row(mounting, 0.0, 0.0, -weight * e * view.focal_baseline / (z * z), body, row)
             for i in range(6):
                 own[i] += row[i]
         for i in range(6):

@@ -1,4 +1,4 @@
-"""Motion-only bundle adjustment: the pose of one camera from known points."""
+"""Motion-only bundle adjustment: the pose of one camera, or of a rig of cameras, from known points."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.mapping import _pose_kernels as kernels
+from epipole.scene import CameraRig
 
 MAX_STEPS = 15
 
@@ -20,8 +21,12 @@ MAX_STEPS = 15
 class _View(NamedTuple):
     """Kernel input."""
 
-    model: int
+    models: np.ndarray
     params: np.ndarray
+    mountings: np.ndarray
+    """(c, 12): R row by row, then t of cam_from_rig."""
+    camera: np.ndarray
+    """(n,) of each point."""
     points: np.ndarray
     pixels: np.ndarray
     sigma_px: np.ndarray
@@ -47,9 +52,10 @@ class Disparities(Declared):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RefinedPose:
-    """A camera pose refined against known points."""
+    """A pose refined against known points."""
 
     cam_from_world: Rigid3
+    """Of the camera, or of the rig."""
     information: Float64[np.ndarray, "6 6"]
     """Inverse covariance of xi = (translation, rotation) in exp(xi) @ cam_from_world, if the sigmas are right."""
     scores: Float64[np.ndarray, "6 6"]
@@ -84,7 +90,7 @@ class RefinedPose:
 def refine_pose(
     points_in_world: Float64[np.ndarray, "n 3"],
     pixels: Float64[np.ndarray, "n 2"],
-    camera: Camera,
+    camera: Camera | CameraRig,
     start: Rigid3,
     sigma_px: Float64[np.ndarray, " n"] | None = None,
     disparities: Disparities | None = None,
@@ -95,16 +101,16 @@ def refine_pose(
 
     Args:
         points_in_world: the known points.
-        pixels: their observations in the camera.
+        pixels: their observations in the camera, or in the stacked image of the rig.
         camera: intrinsics, of any model.
-        start: initial cam_from_world.
+        start: initial cam_from_world, or rig_from_world.
         sigma_px: standard deviation of each pixel; None: 1.
         disparities: measured disparities of the points.
         loss_scale: of the Cauchy loss, in standard deviations.
 
     Raises:
         ShapeError: array sizes do not match, or the start is not a single motion.
-        ConfigError: the loss scale or a sigma is not positive.
+        ConfigError: the loss scale or a sigma is not positive, or disparities are given for a rig.
     """
     n = len(points_in_world)
     if not 0 < loss_scale < 1e6:
@@ -118,9 +124,10 @@ def refine_pose(
     depth = none if disparities is None else disparities
     if len(depth.disparity_px) != n:
         raise ShapeError(f"disparities must have {n} rows, got {len(depth.disparity_px)}")
+    if isinstance(camera, CameraRig) and disparities is not None:
+        raise ConfigError("disparities are those of one camera, not of a rig")
     view = _View(
-        int(camera.model),
-        camera.padded_params(),
+        *_cameras_of(camera, pixels),
         points_in_world,
         pixels,
         ones,
@@ -133,3 +140,21 @@ def refine_pose(
     cost, steps = kernels.refine_pose(view, loss_scale**2, MAX_STEPS, motion, information, scores, error_sq)
     pose = Rigid3(motion[:9].reshape(3, 3).copy(), motion[9:].copy())
     return RefinedPose(pose, information, scores, error_sq, float(cost), int(steps))
+
+
+def _cameras_of(
+    camera: Camera | CameraRig, pixels: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Models, parameters and mountings of the cameras, and the camera of each pixel."""
+    if isinstance(camera, CameraRig):
+        mounted = camera.cam_from_rig
+        mountings = np.column_stack([mounted.rotation.reshape(-1, 9), mounted.translation])
+        models = np.array([int(one.model) for one in camera.cameras])
+        return models, camera.padded_params(), mountings, camera.camera_of(pixels)
+    identity = np.concatenate([np.eye(3).ravel(), np.zeros(3)])[None]
+    return (
+        np.array([int(camera.model)]),
+        camera.padded_params()[None],
+        identity,
+        np.zeros(len(pixels), np.int64),
+    )

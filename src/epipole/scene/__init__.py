@@ -1,5 +1,6 @@
 """Immutable data: cameras, rigs, frames, images, points, tracks, reconstructions, view graphs, depth maps, clouds, curves."""
 
+from epipole.scene.camera_rig import CameraRig as CameraRig
 from epipole.scene.cameras import Cameras as Cameras
 from epipole.scene.curve import Curve as Curve
 from epipole.scene.curve import path_segments as path_segments

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
@@ -18,7 +19,7 @@ from epipole.geometry import Rigid3
 from epipole.image.gray import gray_image
 from epipole.image.pixels_without_ray import pixels_without_ray
 from epipole.pipelines.slam.shutter.shutter import Shutter
-from epipole.scene import StereoRig
+from epipole.scene import CameraRig, StereoRig
 
 
 class TrackingState(StrEnum):
@@ -54,7 +55,7 @@ class DepthCamera:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlamCamera:
-    """The tracked camera, with a second camera or a depth sensor if depth is measured."""
+    """The tracked camera, with a second camera or a depth sensor if depth is measured; or a rig of cameras."""
 
     camera: Camera
     baseline: float | None = None
@@ -62,12 +63,15 @@ class SlamCamera:
     depth: DepthCamera | None = None
     readout_s: float = 0.0
     """Rolling shutter: seconds from the first row to the one after the last; 0: global shutter."""
+    rig: CameraRig | None = None
+    """All cameras of a rig, whose poses are those of the rig: `SlamCamera.of_cameras`."""
 
     def __post_init__(self) -> None:
         """Check the values.
 
         Raises:
-            ConfigError: the baseline or the readout is out of range, or there are two sources of depth.
+            ConfigError: the baseline or the readout is out of range, there are two sources of depth, or a rig has another one or a
+                rolling shutter.
         """
         check_fields(self)
         if self.baseline is not None and not 0 < self.baseline < np.inf:
@@ -76,6 +80,13 @@ class SlamCamera:
             raise ConfigError("pass a baseline or depth, not both")
         if not 0 <= self.readout_s < 1:
             raise ConfigError(f"readout_s must be at least 0 and below 1, got {self.readout_s}")
+        if self.rig is not None and (self.measures_depth_beside_rig or self.readout_s):
+            raise ConfigError("a rig cannot be combined with a baseline, a depth sensor or a rolling shutter")
+
+    @staticmethod
+    def of_cameras(rig: CameraRig) -> SlamCamera:
+        """The camera of frames of `Frame.from_rig`: two to six rigidly mounted cameras, of any models."""
+        return SlamCamera(rig.cameras[0], rig=rig)
 
     @staticmethod
     def of_rig(rig: StereoRig) -> SlamCamera:
@@ -98,9 +109,19 @@ class SlamCamera:
         return Shutter(self.camera, self.readout_s)
 
     @property
+    def eyes(self) -> Camera | CameraRig:
+        """What the pixels of frames refer to: the camera, or the rig with its stacked image."""
+        return self.camera if self.rig is None else self.rig
+
+    @property
+    def measures_depth_beside_rig(self) -> bool:
+        """Whether a second camera of a rectified pair or a depth sensor measures depth."""
+        return self.depth is not None or self.baseline is not None
+
+    @property
     def measures_depth(self) -> bool:
         """Whether a single frame measures depth."""
-        return self.depth is not None or self.baseline is not None
+        return self.measures_depth_beside_rig or (self.rig is not None and self.rig.measures_depth)
 
     def checked(self, frame: Frame, after_s: float = -np.inf) -> Frame:
         """Check that the frame fits this camera and is later than `after_s`; pixels without a ray are masked.
@@ -111,14 +132,14 @@ class SlamCamera:
         """
         if frame.timestamp_s <= after_s:
             raise ConfigError(f"timestamps must increase: {frame.timestamp_s:.6f} s after {after_s:.6f} s")
-        camera = self.camera
+        camera = self.eyes
         if frame.gray.shape != (camera.height, camera.width):
             size = f"{frame.gray.shape[1]} x {frame.gray.shape[0]}"
             raise ShapeError(f"the image is {size}, but the camera is {camera.width} x {camera.height}")
         if self.baseline is not None and frame.right_gray is None:
             raise ConfigError("a frame of a stereo camera needs a right image")
         self._check_depth(frame)
-        blind = pixels_without_ray(camera)
+        blind = blind_pixels(camera)
         if blind is None:
             return frame
         ignored = blind if frame.ignored_mask is None else blind | frame.ignored_mask
@@ -208,6 +229,35 @@ class Frame:
         found = rectification_of(rig)
         return Frame(timestamp_s, *(images if found is None else found.apply(*images)))
 
+    @staticmethod
+    def from_rig(
+        timestamp_s: float,
+        images: Sequence[Any],
+        rig: CameraRig,
+        ignored_masks: Sequence[np.ndarray | None] | None = None,
+        white: float | None = None,
+    ) -> Frame:
+        """A frame of a rig; its camera is `SlamCamera.of_cameras(rig)`.
+
+        Args:
+            timestamp_s: time of all images.
+            images: one per camera, as for `epipole.image.gray_image`.
+            rig: the cameras.
+            ignored_masks: one mask per camera (None: nothing), True where the image is ignored.
+            white: as for `from_images`.
+
+        Raises:
+            ShapeError: the images are of another kind, not one per camera, or do not have the cameras' sizes.
+            ConfigError: the timestamp is not finite, or values are out of range.
+        """
+        gray = rig.stack([gray_image(image, white) for image in images])
+        mask = None
+        if ignored_masks is not None:
+            none = [np.zeros((camera.height, camera.width), np.uint8) for camera in rig.cameras]
+            given = [n if m is None else m.astype(np.uint8) for m, n in zip(ignored_masks, none, strict=True)]
+            mask = rig.stack(given).astype(bool)
+        return Frame(timestamp_s, gray, ignored_mask=mask)
+
     def is_used(self, pixels: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
         """Whether pixels are outside `ignored_mask`."""
         return is_outside(self.ignored_mask, pixels)
@@ -232,6 +282,18 @@ class Frame:
             ) from None
         if not np.isfinite(self.timestamp_s):
             raise ConfigError(f"timestamp_s must be finite, got {self.timestamp_s}")
+
+
+@lru_cache(maxsize=4)
+def blind_pixels(camera: Camera | CameraRig) -> np.ndarray | None:
+    """Mask of the pixels without a ray, and beside the images of a stacked image; None if there are none."""
+    if isinstance(camera, Camera):
+        return pixels_without_ray(camera)
+    blind = np.ones((camera.height, camera.width), bool)
+    for part, one in zip(camera.parts(blind), camera.cameras):
+        own = pixels_without_ray(one)
+        part[:] = False if own is None else own
+    return blind if blind.any() else None
 
 
 @lru_cache(maxsize=4)

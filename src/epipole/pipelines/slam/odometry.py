@@ -124,7 +124,7 @@ class Odometry:
             self.insert_keyframe(frame, number, is_complete=is_complete)
             carry_covariance(self.map, refined)
             if is_complete:
-                triangulate(self.map, self.camera.camera, self.config, len(self.map.keyframes) - 1)
+                triangulate(self.map, self.camera.eyes, self.config, len(self.map.keyframes) - 1)
         return reason
 
     def stay_in_map(
@@ -142,6 +142,8 @@ class Odometry:
         if is_complete:
             seen = self.inserter.find_points(frame, self.cam_from_world, seen)
         keyframe = self.inserter.insert(frame, number, self.cam_from_world, seen, stale)
+        if self.camera.rig is not None:
+            triangulate(self.map, self.camera.eyes, self.config, len(self.map.keyframes) - 1)
         self.tracker.start_from_keyframe(keyframe)
 
     def search_of_points(self, frame: Frame) -> Callable[[], Observations]:

@@ -90,9 +90,9 @@ class SlamState:
         self.maps: list[SlamMap] = [SlamMap() if known is None else known]
         self.first_number = self.first_frame = 1 + max((k.number for k in self.maps[0].keyframes), default=-1)
         self._enter(self.maps[0], Rigid3.identity())
-        self._closer = LoopCloser(camera.camera, self.config, is_metric=camera.measures_depth)
+        self._closer = LoopCloser(camera.eyes, self.config, is_metric=camera.measures_depth)
         self.loops = self._closer.ledger
-        self._relocalizer = Relocalizer(camera.camera, self.config)
+        self._relocalizer = Relocalizer(camera.eyes, self.config)
         self._start = OneCameraStart(camera.camera, self.config)
         self._unconfirmed: OneCameraStart | None = None
         self.start_warnings: list[str] = []

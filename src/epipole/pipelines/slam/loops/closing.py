@@ -20,6 +20,8 @@ from epipole.pipelines.slam.loops.recognition import (
     rival_of,
 )
 from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
+from epipole.pipelines.slam.tracking.projection import depth_of
+from epipole.scene import CameraRig
 
 CANDIDATES = 3
 CONFIRMATIONS = 3
@@ -71,7 +73,7 @@ class _Hypothesis:
 class LoopCloser:
     """Searches loops at every keyframe, in the present map and in maps from before tracking was lost."""
 
-    def __init__(self, camera: Camera, config: OdometryConfig, *, is_metric: bool) -> None:
+    def __init__(self, camera: Camera | CameraRig, config: OdometryConfig, *, is_metric: bool) -> None:
         self.camera, self.config, self.is_metric = camera, config, is_metric
         self.ledger: list[LoopCandidate] = []
         self._waiting: list[_Hypothesis] = []
@@ -145,7 +147,10 @@ class LoopCloser:
         rotated = float(
             np.degrees(Rotation3(position.rotation @ found.cam_from_world.rotation.T).angle_rad())
         )
-        fraction, depth = (0.06 if self.is_metric else 0.3), _median_depth(here)
+        fraction, depth = (
+            (0.06 if self.is_metric else 0.3),
+            median_depth(here, here.keyframes[-1], self.camera),
+        )
         if off > fraction * trajectory + 0.05 * depth:
             return f"the trajectory of length {trajectory:.3g} since then would have an error of {off:.3g}"
         if rotated > 5.0 + 0.04 * rotation:
@@ -189,8 +194,9 @@ class LoopCloser:
                 here.is_triangulated(newest.point[rows[rows >= 0]]), rows[rows >= 0], -1
             )
             both = np.flatnonzero(rows >= 0)
-            now = newest.cam_from_world.apply(here.xyz[newest.point[rows[both]]])[:, 2]
-            then = found.cam_from_world.apply(there.xyz[found.points[both]])[:, 2]
+            now = newest.cam_from_world.apply(here.xyz[newest.point[rows[both]]])
+            then = found.cam_from_world.apply(there.xyz[found.points[both]])
+            now, then = (depth_of(self.camera, x, found.pixels[both]) for x in (now, then))
             scale = float(np.median(then / now)) if len(both) >= 5 else 1.0
         rotation, position = found.cam_from_world.rotation.T, newest.cam_from_world
         moved = rotation @ (scale * position.translation - found.cam_from_world.translation)
@@ -220,7 +226,10 @@ def _motion_since(model: SlamMap, keyframe: int) -> tuple[float, float]:
     return trajectory, sum(float(np.degrees(Rotation3(s.rotation).angle_rad())) for s in steps)
 
 
-def _median_depth(model: SlamMap) -> float:
-    newest = model.keyframes[-1]
-    points = newest.point[model.is_triangulated(newest.point)]
-    return float(np.median(newest.cam_from_world.apply(model.xyz[points])[:, 2])) if len(points) else 0.0
+def median_depth(model: SlamMap, keyframe: Keyframe, camera: Camera | CameraRig) -> float:
+    """Median depth of a keyframe's points; zero if it has none."""
+    seen = model.is_triangulated(keyframe.point)
+    if not seen.any():
+        return 0.0
+    in_body = keyframe.cam_from_world.apply(model.xyz[keyframe.point[seen]])
+    return float(np.median(depth_of(camera, in_body, keyframe.pixels[seen])))

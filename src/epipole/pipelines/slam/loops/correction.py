@@ -8,12 +8,13 @@ from scipy.sparse import csr_array
 from epipole.cameras import Camera
 from epipole.geometry import Rigid2, Rigid3, Similarity3
 from epipole.optim import PoseGraph, PoseGraphConfig, optimize_pose_graph_robustly
-from epipole.pipelines.slam.loops.closing import LoopCloser, LoopConstraint, paired_rows
+from epipole.pipelines.slam.loops.closing import LoopCloser, LoopConstraint, median_depth, paired_rows
 from epipole.pipelines.slam.map.local_mapping import LocalMapper
 from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.map.triangulation import positions_of
 from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
 from epipole.pipelines.slam.tracking.redetection import redetect
+from epipole.scene import CameraRig
 
 LOOP_ITERATIONS = 10
 """Iterations of global bundle adjustment after a loop; after the last frame there are more."""
@@ -33,7 +34,7 @@ LOOP_DEPTH_FRACTION, LOOP_ROTATION_RAD, LOOP_SCALE = 0.002, 0.002, 0.01
 
 def close_in_map(mapper: LocalMapper, closer: LoopCloser, constraint: LoopConstraint) -> np.ndarray | None:
     """Correct a map that returns to where it has been; the new row of each point, or None if the pose graph contradicts."""
-    if not correct_drift(mapper.map, constraint, is_metric=mapper.sensor.measures_depth):
+    if not correct_drift(mapper.map, constraint, mapper.camera, is_metric=mapper.sensor.measures_depth):
         closer.reject_last("the pose graph contradicts the loop")
         return None
     return refine_closed(mapper)
@@ -48,7 +49,9 @@ def refine_closed(mapper: LocalMapper) -> np.ndarray:
     return into
 
 
-def correct_drift(model: SlamMap, constraint: LoopConstraint, *, is_metric: bool) -> bool:
+def correct_drift(
+    model: SlamMap, constraint: LoopConstraint, camera: Camera | CameraRig, *, is_metric: bool
+) -> bool:
     """Correct keyframes and points so that the newest keyframe satisfies the loop constraint.
 
     Pose graph whose edges are the present motions between keyframes with points in common, and the loop, which graduated
@@ -67,7 +70,7 @@ def correct_drift(model: SlamMap, constraint: LoopConstraint, *, is_metric: bool
     )
     loop = then @ constraint.there_from_here @ here
     between = positions[first] @ world_from_cam[second]
-    depth = _median_depth(model)
+    depth = _median_depth(model, camera)
     length = np.linalg.norm(between.translation, axis=1)
     deviation = np.empty((len(length) + 1, 7))
     steps = np.minimum(second - first, EDGES_EACH)
@@ -94,12 +97,8 @@ def correct_drift(model: SlamMap, constraint: LoopConstraint, *, is_metric: bool
     return True
 
 
-def _median_depth(model: SlamMap) -> float:
-    depths = [
-        np.median(k.cam_from_world.apply(model.xyz[k.point[model.is_triangulated(k.point)]])[:, 2])
-        for k in model.keyframes
-        if model.is_triangulated(k.point).any()
-    ]
+def _median_depth(model: SlamMap, camera: Camera | CameraRig) -> float:
+    depths = [depth for k in model.keyframes if (depth := median_depth(model, k, camera))]
     return float(np.median(depths)) if depths else 1.0
 
 
@@ -132,7 +131,7 @@ def _move(model: SlamMap, before: Rigid3, after: Rigid3 | Similarity3) -> None:
         keyframe.unit *= float(scale[k])
 
 
-def fuse(model: SlamMap, keyframes: list[int], camera: Camera) -> np.ndarray:
+def fuse(model: SlamMap, keyframes: list[int], camera: Camera | CameraRig) -> np.ndarray:
     """Add observations of all map points in sight of the keyframes, and merge duplicate points.
 
     Returns:

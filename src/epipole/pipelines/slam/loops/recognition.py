@@ -17,7 +17,9 @@ from epipole.mapping import refine_pose
 from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
 from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
-from epipole.robust import estimate_absolute_pose
+from epipole.pipelines.slam.tracking.pose_search import search_pose
+from epipole.pipelines.slam.tracking.projection import project_as, project_in_sight
+from epipole.scene import CameraRig
 
 WORDS = Path(__file__).parent / "assets" / "words.npy"
 NEIGHBORS = 3
@@ -106,7 +108,7 @@ def recognize(
     view: View,
     model: SlamMap,
     number: int,
-    camera: Camera,
+    camera: Camera | CameraRig,
     config: OdometryConfig,
     unwanted: np.ndarray | None = None,
 ) -> Recognition:
@@ -132,10 +134,10 @@ def recognize(
     pixels, rows = view.pixels[matches[:, 0]], points[matches[:, 1]]
     limit = config.max_error_px
     ransac = RansacConfig(max_error_px=limit, min_inliers=MIN_SAMPLE, seed=config.seed)
-    sought = estimate_absolute_pose(model.xyz[rows], pixels, camera, ransac)
-    if not sought.success:
+    sought = search_pose(model.xyz[rows], pixels, camera, ransac)
+    if sought is None:
         return Recognition(number, len(matches), f"no pose agrees with {MIN_SAMPLE} matches", *none)
-    refined = refine_pose(model.xyz[rows], pixels, camera, sought.model)
+    refined = refine_pose(model.xyz[rows], pixels, camera, sought)
     agrees = refined.error_sq <= limit**2
     if agrees.sum() < max(MIN_SAMPLE, MIN_FRACTION * len(matches)):
         words = f"the best pose agrees with only {int(agrees.sum())} of {len(matches)} matches"
@@ -150,14 +152,11 @@ def recognize(
 
 
 def _grown(
-    view: View, model: SlamMap, found: Recognition, camera: Camera, config: OdometryConfig
+    view: View, model: SlamMap, found: Recognition, camera: Camera | CameraRig, config: OdometryConfig
 ) -> Recognition:
     """Search all points in sight at a pose by their patches, and refine the pose with them."""
     position, points = found.cam_from_world, found.points
-    in_cam = position.apply(model.xyz[points])
-    pixels = camera.project(in_cam)
-    size = np.array([camera.width, camera.height])
-    inside = (in_cam[:, 2] > 0) & (pixels >= RIM_PX).all(axis=1) & (pixels < size - RIM_PX).all(axis=1)
+    pixels, inside = project_in_sight(camera, position.apply(model.xyz[points]), RIM_PX)
     points, pixels = points[inside], pixels[inside]
     # Each round starts from the projections of a better pose.
     agrees = np.zeros(len(points), bool)
@@ -173,7 +172,7 @@ def _grown(
         position = refined.cam_from_world
         agrees = is_alike.copy()
         agrees[is_alike] = refined.error_sq <= config.max_error_px**2
-        pixels = camera.project(position.apply(model.xyz[points]))
+        pixels = project_as(camera, position.apply(model.xyz[points]), pixels)
     reason = ""
     if agrees.sum() < MIN_AGREEING:
         reason = f"only {int(agrees.sum())} points with matching patches agree, {MIN_AGREEING} are needed"
@@ -182,16 +181,19 @@ def _grown(
     )
 
 
-def is_same_position(cam_from_world: Rigid3, found: Recognition, model: SlamMap, camera: Camera) -> bool:
+def is_same_position(
+    cam_from_world: Rigid3, found: Recognition, model: SlamMap, camera: Camera | CameraRig
+) -> bool:
     """Whether another pose projects the inliers to the same pixels."""
     points = model.xyz[found.points]
-    one = camera.project(cam_from_world.apply(points))
-    off = np.linalg.norm(one - camera.project(found.cam_from_world.apply(points)), axis=1)
+    one = project_as(camera, cam_from_world.apply(points), found.pixels)
+    other = project_as(camera, found.cam_from_world.apply(points), found.pixels)
+    off = np.linalg.norm(one - other, axis=1)
     return float(np.median(np.where(np.isfinite(off), off, np.inf))) <= SAME_POSITION_PX
 
 
 def rival_of(
-    best: Recognition, others: list[Recognition], model: SlamMap, camera: Camera
+    best: Recognition, others: list[Recognition], model: SlamMap, camera: Camera | CameraRig
 ) -> Recognition | None:
     """A different pose with nearly as many inliers, which makes the best one ambiguous; None if there is none."""
     for other in others:

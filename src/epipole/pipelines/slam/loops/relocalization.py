@@ -19,6 +19,7 @@ from epipole.pipelines.slam.loops.recognition import (
 )
 from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.tracking.corners import new_corners
+from epipole.scene import CameraRig
 
 LATEST = 2
 """Newest keyframes of the map in which the camera was lost, to which each lost frame is matched."""
@@ -31,7 +32,7 @@ PENALTY = 0.02
 class Relocalizer:
     """Matches lost frames to keyframes, and remembers to which since the camera was lost."""
 
-    def __init__(self, camera: Camera, config: OdometryConfig) -> None:
+    def __init__(self, camera: Camera | CameraRig, config: OdometryConfig) -> None:
         self.camera, self.config = camera, config
         self._num_failures: Counter[tuple[int, int]] = Counter()
 
@@ -49,7 +50,7 @@ class Relocalizer:
             maps: all maps, in the order in which they are tried.
             lost_in: the map in which the camera was tracked last.
         """
-        corners = new_corners(gray, np.zeros((0, 2)), self.config)
+        corners = new_corners(gray, np.zeros((0, 2)), self.config, camera=self.camera)
         if not len(corners):
             return
         view = view_of(gray, corners)

@@ -196,7 +196,9 @@ def scale_by_factors(
 def pixel_variance(problem: BundleProblem, camera: Camera) -> float:
     """Variance of a pixel coordinate, in square pixels, from the median of the first camera's current residuals."""
     point = np.repeat(np.arange(len(problem.points_in_world)), np.diff(problem.offsets))
-    there = problem.rig_from_world[problem.frame].apply(problem.points_in_world[point])
-    squared = ((camera.project(there) - problem.pixels) ** 2).sum(axis=1)
-    seen = squared[np.isfinite(squared) & (problem.sensor == 0)]
+    rows = np.flatnonzero(problem.sensor == 0)
+    in_rig = problem.rig_from_world[problem.frame[rows]].apply(problem.points_in_world[point[rows]])
+    seen = camera.project(problem.cam_from_rig[0].apply(in_rig))
+    squared = ((seen - problem.pixels[rows]) ** 2).sum(axis=1)
+    seen = squared[np.isfinite(squared)]
     return max(float(np.median(seen)) / (2.0 * np.log(2.0)) if len(seen) else 1.0, LEAST_NOISE_PX**2)

@@ -11,7 +11,9 @@ from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.shutter.motion import points_by_depth, shutter_shifts
 from epipole.pipelines.slam.tracking.corners import new_corners
 from epipole.pipelines.slam.tracking.depth import disparities_of
+from epipole.pipelines.slam.tracking.overlap import find_in_other_cameras, match_between_cameras
 from epipole.pipelines.slam.tracking.redetection import redetect
+from epipole.scene import CameraRig
 
 
 class KeyframeInserter:
@@ -20,14 +22,16 @@ class KeyframeInserter:
     def __init__(
         self, model: SlamMap, sensor: SlamCamera, focal_baseline: float | None, config: OdometryConfig
     ) -> None:
-        self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera, config
+        self.map, self.sensor, self.camera, self.config = model, sensor, sensor.eyes, config
         self.focal_baseline = focal_baseline
         """Focal length times baseline; None for a single camera."""
         self._stale = np.zeros(0, np.int64)
         """Rows whose reference patches the newest keyframe replaces."""
 
     def find_points(self, frame: Frame, cam_from_world: Rigid3, tracked: Observations) -> Observations:
-        """The tracked points, then redetected ones, then new corners, whose rows are -1; with disparities.
+        """The tracked points, then redetected ones, then new corners, whose rows are negative; with disparities.
+
+        A new point that two cameras of a rig see has the same negative number in both.
 
         Args:
             frame: the images.
@@ -39,9 +43,11 @@ class KeyframeInserter:
             again, rows = redetect(self.map, self.camera, frame.gray, cam_from_world, points)
             used = frame.is_used(again)
             pixels, points = np.concatenate([pixels, again[used]]), np.concatenate([points, rows[used]])
-        corners = new_corners(frame.gray, pixels, self.config, frame.ignored_mask)
+        corners = new_corners(frame.gray, pixels, self.config, frame.ignored_mask, self.camera)
         pixels = np.concatenate([pixels, corners])
-        points = np.concatenate([points, np.full(len(corners), -1)])
+        points = np.concatenate([points, -1 - np.arange(len(corners))])
+        if isinstance(self.camera, CameraRig):
+            pixels, points = self._in_all_cameras(self.camera, frame, pixels, points, cam_from_world)
         return Observations(pixels, self._disparities(frame, pixels, points, cam_from_world), points)
 
     def insert(
@@ -53,7 +59,7 @@ class KeyframeInserter:
             frame: the images.
             number: frame number.
             cam_from_world: pose of the frame.
-            seen: its points; row -1 marks new ones.
+            seen: its points; negative numbers mark new ones.
             stale: rows of points whose appearance has changed; their reference patches are replaced.
         """
         index = len(self.map.keyframes)
@@ -85,10 +91,25 @@ class KeyframeInserter:
         """The observations after new points were added to the map; measured depth triangulates those that are not yet."""
         points, fresh = seen.point.copy(), seen.point < 0
         made = self._from_depth(seen, cam_from_world)
-        points[fresh] = self.map.add_points(made[fresh], seen.pixels[fresh], index)
+        _, first, of_point = np.unique(-points[fresh], return_index=True, return_inverse=True)
+        points[fresh] = self.map.add_points(made[fresh][first], seen.pixels[fresh][first], index)[of_point]
         lacking = ~self.map.is_triangulated(points) & ~fresh
         self.map.xyz[points[lacking]] = made[lacking]
         return Observations(seen.pixels, seen.disparity_px, points)
+
+    def _in_all_cameras(
+        self, rig: CameraRig, frame: Frame, pixels: np.ndarray, points: np.ndarray, rig_from_world: Rigid3
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The observations with those of other cameras at the same instant: of known points, and of matching new ones."""
+        xyz = np.full((len(points), 3), np.nan)
+        xyz[points >= 0] = self.map.xyz[points[points >= 0]]
+        added = find_in_other_cameras(rig, frame.gray, rig_from_world, pixels, xyz, points)
+        points, unknown = points.copy(), np.flatnonzero(~np.isfinite(xyz[:, 0]))
+        for one, other in unknown[match_between_cameras(rig, frame.gray, pixels[unknown])]:
+            if points[other] < 0:  # observations of the map's points come first
+                points[other] = points[one]
+        used = frame.is_used(added[0])
+        return np.concatenate([pixels, added[0][used]]), np.concatenate([points, added[1][used]])
 
     def _disparities(
         self, frame: Frame, pixels: np.ndarray, points: np.ndarray, cam_from_world: Rigid3

@@ -32,7 +32,9 @@ from epipole.pipelines.slam.map.pair_adjustment import adjust_pair
 from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.map.triangulation import positions_of
 from epipole.pipelines.slam.shutter.motion import straighten
+from epipole.pipelines.slam.tracking.projection import project_as
 from epipole.pipelines.slam.tracking.redetection import link_tracks
+from epipole.scene import CameraRig
 
 LOSS_SCALE_PX = 1.0
 LAST_SCALES_PX, SCALES_OF_NOISE_PX = (8.0, 2.0), (1.0, 0.5)
@@ -79,15 +81,14 @@ class LocalMapper:
         config: OdometryConfig,
         imu: CameraImu | None = None,
     ) -> None:
-        self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera, config
+        self.map, self.sensor, self.camera, self.config = model, sensor, sensor.eyes, config
         self.focal_baseline = focal_baseline
-        """Focal length times baseline; None for a single camera."""
+        """Focal length times baseline; None for a single camera and for a rig."""
+        self.is_metric = sensor.measures_depth
         self.positions: dict[int, np.ndarray] = {}
         """Measured camera positions in the world by frame number; used when all keyframes are adjusted."""
         self.position_sigma = 1.0
-        self.inertial = (
-            None if imu is None else InertialConstraints(imu, is_metric=focal_baseline is not None)
-        )
+        self.inertial = None if imu is None else InertialConstraints(imu, is_metric=self.is_metric)
         self.goes_on: Callable[[], bool] = lambda: True
         """Asked after every step of an adjustment, which it ends by returning False."""
         self.num_optimized = FIRST_OPTIMIZED
@@ -96,7 +97,7 @@ class LocalMapper:
     def window_of(self, newest: int) -> tuple[list[int], list[int]]:
         """Keyframes with most points in common with the newest, and the fixed ones with points in common with these."""
         # The scale of a single camera drifts in a narrow window.
-        width = self.config.window * (2 if self.focal_baseline is None else 1)
+        width = self.config.window * (1 if self.is_metric else 2)
         shared = self.map.num_shared([newest])
         shared[newest] = len(self.map.xyz) + 1
         if self.inertial is not None and self.inertial.aligned is not None:
@@ -117,7 +118,7 @@ class LocalMapper:
         """
         if len(self.map.keyframes) >= GROWTH * self.num_optimized:
             since, self.num_optimized = self.num_optimized, len(self.map.keyframes)
-            if self.focal_baseline is None:
+            if not self.is_metric:
                 first = since if len(self.map.keyframes) > MOST_CONSTRAINED else 0
                 link_tracks(
                     self.map, self.camera, takewhile(lambda _: self.goes_on(), self.map.keyframes[first:])
@@ -128,7 +129,7 @@ class LocalMapper:
             # An adjustment that was ended early is not repeated before the next growth: with one camera, mapping would fall behind.
             return
         # In meters any motion shows gravity; with one camera an attempt often fails, and takes half a second.
-        is_due = self.focal_baseline is not None and len(self.map.keyframes) % LEARN_EVERY == 0
+        is_due = self.is_metric and len(self.map.keyframes) % LEARN_EVERY == 0
         if is_due and self.learn_inertial():
             self.adjust_all(max_iterations=FIRST_WITH_IMU)
             return
@@ -163,7 +164,7 @@ class LocalMapper:
                 break
             adjusted = self.adjust_all(loss_scale_px)
             done += 2
-        if adjusted is not None and self.focal_baseline is not None:
+        if adjusted is not None and self.is_metric:
             views, sigma = adjusted.views, CalibrationSigma.of(self.sensor, self.config)
             add_calibration_error([self.map.keyframes[k] for k in views], *adjusted[:3], sigma)
         return done == (number + 1) * LAST_STEPS and goes_on(done, total)
@@ -195,9 +196,9 @@ class LocalMapper:
         )
         is_outside, result = self._adjusted(is_outside, views, config)
         if self.focal_baseline is not None:
-            self.map.right_shift_px = float(result.camera_params[1, 2] - self.camera.params[2])
+            self.map.right_shift_px = float(result.camera_params[1, 2] - self.sensor.camera.params[2])
         # Align an unconstrained map to its previous poses, so that poses already returned stay valid.
-        if self.focal_baseline is None and not fixed and not self.positions:
+        if not self.is_metric and not fixed and not self.positions:
             back = align_gauge(result.rig_from_world, positions_of(self.map, window))
             result = replace(
                 result,
@@ -207,7 +208,7 @@ class LocalMapper:
         for position, k in enumerate(window):
             self.map.keyframes[k].cam_from_world = result.rig_from_world[position]
         is_due = len(self.map.keyframes) % COVARIANCES_EVERY == 0 or len(window) == len(self.map.keyframes)
-        if self.focal_baseline is not None and is_due:
+        if self.is_metric and is_due:
             learn_covariances([self.map.keyframes[k] for k in views], len(window), is_outside, result, config)
         self.map.xyz[rows] = result.points_in_world
         self.remove_outliers(views, max(self.config.max_error_px, 2.0 * loss_scale_px))
@@ -235,7 +236,7 @@ class LocalMapper:
     def _fixed(self, problem: BundleProblem) -> BundleProblem:
         """The problem with its gauge fixed: one pose, and for a single camera the scale."""
         is_fixed = (~problem.frame_free.any(axis=1)).any()
-        if self.focal_baseline is None:
+        if not self.is_metric:
             return with_fixed_gauge(problem)
         if not is_fixed:
             problem.frame_free[0] = 0.0
@@ -248,7 +249,7 @@ class LocalMapper:
         if self.inertial is None:
             return adjust_pair(problem, config, self.goes_on)
         keyframes = [self.map.keyframes[k] for k in views]
-        paths = self.inertial.factors(keyframes, pixel_variance(problem, self.camera))
+        paths = self.inertial.factors(keyframes, pixel_variance(problem, self.sensor.camera))
         if paths:
             is_constrained = replace(problem, priors=replace(problem.priors or BundlePriors(), paths=paths))
             with suppress(DegenerateGeometryError):
@@ -291,6 +292,8 @@ class LocalMapper:
     ) -> BundleProblem:
         frame, point, pixels, disparity = seen
         sensor = np.zeros(len(frame), np.int32)
+        if isinstance(self.camera, CameraRig):
+            sensor = self.camera.camera_of(pixels).astype(np.int32)
         deep = np.flatnonzero(np.isfinite(disparity))
         frame, point = np.concatenate([frame, frame[deep]]), np.concatenate([point, point[deep]])
         beside = pixels[deep] - np.stack([disparity[deep], np.zeros(len(deep))], axis=1)
@@ -299,14 +302,13 @@ class LocalMapper:
         order = np.argsort(point, kind="stable")
         free = np.zeros((len(views), 6))
         free[:num_free] = 1.0
-        baseline = 0.0 if self.focal_baseline is None else self.focal_baseline / self.camera.focal_px
-        params = np.tile(self.camera.padded_params(), (2, 1))
-        shifted, params_free, priors = self._right_camera(params, views, num_free)
+        mounted, models, params = self._cameras()
+        params, params_free, priors = self._right_camera(params, views, num_free)
         return BundleProblem(
             positions_of(self.map, views),
-            Rigid3(np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0, 0.0, 0.0], [-baseline, 0.0, 0.0]])),
-            np.full(2, int(self.camera.model), np.int32),
-            shifted,
+            mounted,
+            models,
+            params,
             self.map.xyz[rows].copy(),
             np.concatenate([[0], np.cumsum(np.bincount(point, minlength=len(rows)))]).astype(np.int64),
             frame[order].astype(np.int32),
@@ -319,6 +321,16 @@ class LocalMapper:
             priors=priors,
         )
 
+    def _cameras(self) -> tuple[Rigid3, np.ndarray, np.ndarray]:
+        """Mountings, models and parameters: of a rig's cameras, or of the camera and the second one beside it."""
+        if isinstance(self.camera, CameraRig):
+            models = np.array([int(one.model) for one in self.camera.cameras], np.int32)
+            return self.camera.cam_from_rig, models, self.camera.padded_params()
+        baseline = 0.0 if self.focal_baseline is None else self.focal_baseline / self.camera.focal_px
+        beside = Rigid3(np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0, 0.0, 0.0], [-baseline, 0.0, 0.0]]))
+        models = np.full(2, int(self.camera.model), np.int32)
+        return beside, models, np.tile(self.camera.padded_params(), (2, 1))
+
     def _right_camera(
         self, params: np.ndarray, views: list[int], num_free: int
     ) -> tuple[np.ndarray, np.ndarray, BundlePriors | None]:
@@ -327,7 +339,7 @@ class LocalMapper:
         A bias of all disparities bends the scene, which makes it observable from the motion: if all keyframes of a pair are
         adjusted jointly, so is the second camera's principal point.
         """
-        shifted, free = params.copy(), np.zeros((2, params.shape[1]))
+        shifted, free = params.copy(), np.zeros(params.shape)
         shifted[1, 2] += self.map.right_shift_px
         if num_free < len(views):
             return shifted, free, None
@@ -350,15 +362,16 @@ class LocalMapper:
         for k in keyframes:
             own = self.map.keyframes[k]
             localized = self.map.is_triangulated(own.point)
-            at = self.camera.project(own.cam_from_world.apply(self.map.xyz[own.point[localized]]))
+            straight, xyz = own.straight_px[localized], self.map.xyz[own.point[localized]]
+            at = project_as(self.camera, own.cam_from_world.apply(xyz), straight)
             off = np.zeros(len(own.point), bool)
-            off[localized] = ~(np.linalg.norm(at - own.straight_px[localized], axis=1) <= max_error_px)
+            off[localized] = ~(np.linalg.norm(at - straight, axis=1) <= max_error_px)
             if off.any():
                 own.keep(~off)
 
 
 def focal_baseline_of(sensor: SlamCamera, config: OdometryConfig) -> float | None:
-    """Focal length times baseline, for a depth sensor that of an equivalent pair; None for a single camera.
+    """Focal length times baseline, for a depth sensor that of an equivalent pair; None for a single camera and for a rig.
 
     Raises:
         ConfigError: the camera measures depth and is not a pinhole, so that its pair would have no common rows.

@@ -51,7 +51,7 @@ def with_readout(mapper: LocalMapper, path: Trajectory, readout_s: float) -> Ite
     keyframes = [keyframe for keyframe in mapper.map.keyframes if len(keyframe.point)]
     kept = [keyframe.shift_px for keyframe in keyframes]
     try:
-        if (shutter := Shutter(mapper.camera, readout_s)).is_rolling:
+        if (shutter := Shutter(mapper.sensor.camera, readout_s)).is_rolling:
             for keyframe, motion in zip(keyframes, motions_at(path, keyframes)):
                 keyframe.shift_px = shutter_shifts(mapper.map, keyframe, motion, shutter)
         yield
@@ -80,7 +80,7 @@ def find_readout(mapper: LocalMapper, path: Trajectory) -> ReadoutFound | None:
     kept = [k.shift_px for k in keyframes]
 
     def cost(fraction: float) -> float:
-        shutter = Shutter(mapper.camera, fraction * interval)
+        shutter = Shutter(mapper.sensor.camera, fraction * interval)
         for keyframe, motion in zip(keyframes, motions):
             keyframe.shift_px = shutter_shifts(mapper.map, keyframe, motion, shutter)
         return mapper.cost_of(numbers)

@@ -34,7 +34,9 @@ def bootstrap_map(
     unit = 1.0 / float(np.nanmedian(first.cam_from_world.apply(model.xyz[initial.tracks.point])[:, 2]))
     model.rescale(unit)
     out = []
-    for one, keyframe, position, covariance in initial.locate_waiting(model, mapper.camera, mapper.config):
+    for one, keyframe, position, covariance in initial.locate_waiting(
+        model, mapper.sensor.camera, mapper.config
+    ):
         straight = positions.get(one.frame.timestamp_s)
         if straight is not None and keyframe.number != one.number:
             position = Rigid3(straight.rotation, unit * straight.translation)
@@ -79,7 +81,7 @@ def _positions(
     mapper: LocalMapper, initial: Initialization, motions: dict[float, np.ndarray]
 ) -> dict[float, Rigid3]:
     """cam_from_world, by time, of the waiting frames and of the newest keyframe."""
-    model, camera = mapper.map, mapper.camera
+    model, camera = mapper.map, mapper.sensor.camera
     newest = model.keyframes[-1]
     seen = [(one.frame.timestamp_s, *initial.seen_by(one)) for one in initial.waiting]
     out, start = {}, model.keyframes[0].cam_from_world

@@ -5,7 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from epipole.cameras import Camera
 from epipole.pipelines.slam.config import OdometryConfig
+from epipole.scene import CameraRig
 
 BLOCK_PX = 5
 NOISE_FACTOR = 7.0
@@ -15,10 +17,35 @@ LEAST_NOISE = 0.5
 
 
 def new_corners(
-    gray: np.ndarray, present_px: np.ndarray, config: OdometryConfig, ignored_mask: np.ndarray | None = None
+    gray: np.ndarray,
+    present_px: np.ndarray,
+    config: OdometryConfig,
+    ignored_mask: np.ndarray | None = None,
+    camera: Camera | CameraRig | None = None,
 ) -> np.ndarray:
-    """(n, 2) corners (Shi and Tomasi, CVPR 1994), strongest first, to fill up the present ones to `num_features`."""
-    wanted = config.num_features - len(present_px)
+    """(n, 2) corners (Shi and Tomasi, CVPR 1994), strongest first, to fill up the present ones to `num_features`.
+
+    In the stacked image of a rig, each camera has an equal part of them: one in bad light still needs its own.
+    """
+    if not isinstance(camera, CameraRig):
+        return _corners(gray, present_px, config.num_features, config, ignored_mask)
+    which, found = camera.camera_of(present_px), []
+    masks = [None] * len(camera.cameras) if ignored_mask is None else camera.parts(ignored_mask)
+    for k, part in enumerate(camera.parts(gray)):
+        top = [0.0, float(camera.tops[k])]
+        count = config.num_features // len(camera.cameras)
+        found.append(_corners(part, present_px[which == k] - top, count, config, masks[k]) + top)
+    return np.concatenate(found)
+
+
+def _corners(
+    gray: np.ndarray,
+    present_px: np.ndarray,
+    count: int,
+    config: OdometryConfig,
+    ignored_mask: np.ndarray | None,
+) -> np.ndarray:
+    wanted = count - len(present_px)
     if wanted <= 0:
         return np.zeros((0, 2))
     mask = np.full(gray.shape, 255, np.uint8)

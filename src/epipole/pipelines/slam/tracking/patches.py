@@ -8,6 +8,8 @@ from epipole.cameras import Camera
 from epipole.features.patches import align_patches_of_images
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.map.slam_map import SlamMap
+from epipole.pipelines.slam.tracking.projection import depth_of, points_at_depth, project_as
+from epipole.scene import CameraRig
 
 STEP_PX = 4.0
 """Half the distance over which the warp of a patch is measured."""
@@ -20,7 +22,7 @@ LARGEST_SCALE, LEAST_FRESH_SCORE = 1.8, 0.65
 
 def align_to_reference_patch(
     model: SlamMap,
-    camera: Camera,
+    camera: Camera | CameraRig,
     gray: np.ndarray,
     cam_from_world: Rigid3,
     points: np.ndarray,
@@ -42,7 +44,7 @@ def align_to_reference_patch(
     anchors, which = np.unique(model.anchor[points], return_inverse=True)
     keyframes = [model.keyframes[int(k)] for k in anchors]
     then, anchor_px = [k.cam_from_world for k in keyframes], model.anchor_px[points]
-    warps = warps_between(then, which, anchor_px, model.xyz[points], camera, cam_from_world)
+    warps = warps_between(then, which, anchor_px, model.xyz[points], camera, cam_from_world, pixels)
     images = [k.gray for k in keyframes]
     out, score = align_patches_of_images(images, which, gray, anchor_px, warps, pixels)
     near = np.linalg.norm(out - pixels, axis=1) <= FURTHEST_PX
@@ -58,8 +60,9 @@ def warps_between(
     which: np.ndarray,
     pixels: np.ndarray,
     points_in_world: np.ndarray,
-    camera: Camera,
+    camera: Camera | CameraRig,
     cam_from_world: Rigid3,
+    pixels_now: np.ndarray,
 ) -> np.ndarray:
     """(n, 2, 2) d(pixel now) / d(pixel then), for patches that faced the camera then.
 
@@ -70,19 +73,21 @@ def warps_between(
         points_in_world: (n, 3); for NaN the median depth of the others is used.
         camera: any model.
         cam_from_world: of the present image.
+        pixels_now: (n, 2) expected in the present image.
     """
     out = np.tile(np.eye(2), (len(pixels), 1, 1))
     if not len(pixels):
         return out
     there = Rigid3(np.stack([p.rotation for p in then]), np.stack([p.translation for p in then]))
     motion = cam_from_world @ there.inverse()
-    in_cam = np.einsum("nj,nj->n", there.rotation[which, 2], points_in_world) + there.translation[which, 2]
+    in_body = np.einsum("nij,nj->ni", there.rotation[which], points_in_world) + there.translation[which]
+    in_cam = depth_of(camera, in_body, pixels)
     known = in_cam > 0
     depth = np.where(known, in_cam, np.median(in_cam[known]) if known.any() else 1.0)
-    ends = pixels + STEPS_PX[:, None]
-    rays = camera.unproject(ends.reshape(-1, 2)).reshape(4, -1, 3)
-    moved = np.einsum("nij,snj->sni", motion.rotation[which], rays / rays[..., 2:] * depth[:, None])
-    seen = camera.project((moved + motion.translation[which]).reshape(-1, 3)).reshape(4, -1, 2)
+    ends = (pixels + STEPS_PX[:, None]).reshape(-1, 2)
+    patches = points_at_depth(camera, ends, np.tile(depth, 4), np.tile(pixels, (4, 1))).reshape(4, -1, 3)
+    moved = np.einsum("nij,snj->sni", motion.rotation[which], patches) + motion.translation[which]
+    seen = project_as(camera, moved.reshape(-1, 3), np.tile(pixels_now, (4, 1))).reshape(4, -1, 2)
     warps = np.stack([seen[0] - seen[1], seen[2] - seen[3]], axis=2) / (2 * STEP_PX)
     good = np.asarray(np.isfinite(warps)).all(axis=(1, 2), keepdims=True)
     return np.where(good, warps, out)

@@ -10,7 +10,9 @@ from epipole.features.flow import track_points
 from epipole.geometry import Rigid3
 from epipole.mapping import Disparities, RefinedPose, refine_pose
 from epipole.pipelines.slam.config import OdometryConfig
-from epipole.robust import estimate_absolute_pose
+from epipole.pipelines.slam.tracking.pose_search import search_pose
+from epipole.pipelines.slam.tracking.projection import depth_of, points_at_depth, project_as
+from epipole.scene import CameraRig
 
 COARSE_PX = 15.0
 """Scale of the loss in the first refinement: with the final one a poor prediction ends in a local minimum."""
@@ -104,23 +106,24 @@ class SeenFrame:
 
 
 def predict_pixels(
-    pixels: np.ndarray, points_in_world: np.ndarray, before: Rigid3, now: Rigid3, camera: Camera
+    pixels: np.ndarray, points_in_world: np.ndarray, before: Rigid3, now: Rigid3, camera: Camera | CameraRig
 ) -> np.ndarray:
     """(n, 2) pixels of points after a motion; untriangulated points are assumed at the median depth of the others."""
     in_cam = now.apply(points_in_world)
-    localized = np.isfinite(in_cam[:, 0]) & (in_cam[:, 2] > 0)
-    depth = np.median(before.apply(points_in_world[localized])[:, 2]) if localized.any() else 1.0
-    rays = camera.unproject(pixels)
+    localized = np.isfinite(in_cam[:, 0]) & (depth_of(camera, in_cam, pixels) > 0)
+    then = depth_of(camera, before.apply(points_in_world[localized]), pixels[localized])
+    depth = np.full(len(pixels), np.median(then) if localized.any() else 1.0)
     motion = now @ before.inverse()
-    far = camera.project(motion.apply(rays / np.maximum(rays[:, 2:], 1e-6) * depth))
-    guess = np.where(localized[:, None], camera.project(np.where(localized[:, None], in_cam, 1.0)), far)
+    far = project_as(camera, motion.apply(points_at_depth(camera, pixels, depth, pixels)), pixels)
+    known = project_as(camera, np.where(localized[:, None], in_cam, 1.0), pixels)
+    guess = np.where(localized[:, None], known, far)
     return np.where(np.asarray(np.isfinite(guess)).all(axis=1, keepdims=True), guess, pixels)
 
 
 def locate(
     points_in_world: np.ndarray,
     pixels: np.ndarray,
-    camera: Camera,
+    camera: Camera | CameraRig,
     predicted: Rigid3,
     disparities: Disparities | None,
     config: OdometryConfig,
@@ -137,7 +140,7 @@ def locate(
     found = _search(points_in_world[is_proven], pixels[is_proven], camera, predicted, some, config)
     if found is None:
         return None
-    at = camera.project(found[0].cam_from_world.apply(points_in_world))
+    at = project_as(camera, found[0].cam_from_world.apply(points_in_world), pixels)
     agrees = np.linalg.norm(at - pixels, axis=1) <= config.max_error_px
     some = disparities and disparities.rows(agrees)
     refined = refine_pose(
@@ -150,7 +153,7 @@ def locate(
 def _search(
     points_in_world: np.ndarray,
     pixels: np.ndarray,
-    camera: Camera,
+    camera: Camera | CameraRig,
     predicted: Rigid3,
     disparities: Disparities | None,
     config: OdometryConfig,
@@ -167,9 +170,9 @@ def _search(
         ransac = RansacConfig(
             max_error_px=config.max_error_px, min_inliers=config.min_tracked, seed=config.seed
         )
-        sought = estimate_absolute_pose(points_in_world, pixels, camera, ransac)
-        if sought.success:
-            again = refine_pose(points_in_world, pixels, camera, sought.model, disparities=disparities)
+        sought = search_pose(points_in_world, pixels, camera, ransac)
+        if sought is not None:
+            again = refine_pose(points_in_world, pixels, camera, sought, disparities=disparities)
             if (again.error_sq <= limit).sum() > agrees.sum():
                 found, agrees = again, again.error_sq <= limit
     return (found, agrees) if agrees.sum() >= config.min_tracked else None

@@ -13,7 +13,11 @@ from epipole.geometry import Rigid3
 from epipole.pipelines.slam.frames import is_outside
 from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
 from epipole.pipelines.slam.tracking.patches import align_to_reference_patch, warps_between
+from epipole.pipelines.slam.tracking.projection import centers_of, project_in_sight
+from epipole.scene import CameraRig
 
+RIM_PX = 5.0
+"""Least distance of a point from the image's edges."""
 MOST_KEYFRAMES = 4
 LARGEST_SCALE, LEAST_COSINE = 1.6, math.cos(math.radians(35.0))
 """Limits of the change of scale and viewing direction beyond which patches do not match."""
@@ -31,7 +35,7 @@ DRIFT_PX = 25.0
 
 def redetect(
     model: SlamMap,
-    camera: Camera,
+    camera: Camera | CameraRig,
     gray: np.ndarray,
     cam_from_world: Rigid3,
     tracked: np.ndarray,
@@ -45,19 +49,14 @@ def redetect(
         return pixels[0], points[0]
     expected = np.full((model.num_points, 2), np.nan)
     rows = np.flatnonzero(missing)
-    in_cam = cam_from_world.apply(model.xyz[rows])
-    expected[rows] = camera.project(in_cam)
-    inside = (expected[rows] >= 5).all(axis=1) & (expected[rows] < [camera.width - 5, camera.height - 5]).all(
-        axis=1
-    )
-    missing[rows] = inside & (in_cam[:, 2] > 0)
-    for keyframe, usable in _best_keyframes(model, missing, cam_from_world):
+    expected[rows], missing[rows] = project_in_sight(camera, cam_from_world.apply(model.xyz[rows]), RIM_PX)
+    for keyframe, usable in _best_keyframes(model, camera, missing, cam_from_world):
         own = usable[missing[keyframe.point[usable]]]
         if len(own) < 5:
             continue
         at, wanted, xyz = keyframe.pixels[own], expected[keyframe.point[own]], model.xyz[keyframe.point[own]]
         then = [keyframe.cam_from_world]
-        warps = warps_between(then, np.zeros(len(own), np.int64), at, xyz, camera, cam_from_world)
+        warps = warps_between(then, np.zeros(len(own), np.int64), at, xyz, camera, cam_from_world, wanted)
         levels = 1 + math.ceil(math.log2(search_px / REACH_PX))
         there, score = find_patches(keyframe.gray, gray, at, warps, wanted, levels, HALF_PX)
         found = (score >= LEAST_SCORE) & (np.linalg.norm(there - wanted, axis=1) <= search_px)
@@ -67,7 +66,9 @@ def redetect(
     return np.concatenate(pixels), np.concatenate(points)
 
 
-def search_radius(model: SlamMap, camera: Camera, cam_from_world: Rigid3, covariance: np.ndarray) -> float:
+def search_radius(
+    model: SlamMap, camera: Camera | CameraRig, cam_from_world: Rigid3, covariance: np.ndarray
+) -> float:
     """Three standard deviations of the pixels of points in sight, for a pose with this covariance; limited."""
     depth = cam_from_world.apply(model.xyz[np.isfinite(model.xyz[:, 0])])[:, 2]
     near = float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0
@@ -80,7 +81,7 @@ def search_radius(model: SlamMap, camera: Camera, cam_from_world: Rigid3, covari
 
 
 def _best_keyframes(
-    model: SlamMap, missing: np.ndarray, cam_from_world: Rigid3
+    model: SlamMap, camera: Camera | CameraRig, missing: np.ndarray, cam_from_world: Rigid3
 ) -> list[tuple[Keyframe, np.ndarray]]:
     """The keyframes with most usable observations of missing points, and these; best first.
 
@@ -90,24 +91,32 @@ def _best_keyframes(
     rotations = np.stack([k.cam_from_world.rotation for k in keyframes])
     # The trace of a rotation is 1 + 2 cos of its angle.
     is_near = np.einsum("ij,kij->k", cam_from_world.rotation, rotations) >= 1 + 2 * LEAST_COSINE
+    if isinstance(camera, CameraRig):
+        is_near[:] = True  # a camera may see what another one has seen, whatever the rig's rotation
     most = np.array([np.count_nonzero(missing[k.point]) for k in keyframes]) * is_near
     count, views = np.zeros(max(len(keyframes), MOST_KEYFRAMES), np.int64), {}
     for index in np.argsort(-most, kind="stable").tolist():
         if most[index] < max(1, np.partition(count, -MOST_KEYFRAMES)[-MOST_KEYFRAMES]):
             break
-        views[index] = _usable(keyframes[index], model, missing, cam_from_world)
+        views[index] = _usable(keyframes[index], model, camera, missing, cam_from_world)
         count[index] = len(views[index])
     best = np.argsort(-count, kind="stable")[:MOST_KEYFRAMES].tolist()
     return [(keyframes[index], views[index]) for index in best if index in views]
 
 
-def _usable(keyframe: Keyframe, model: SlamMap, missing: np.ndarray, cam_from_world: Rigid3) -> np.ndarray:
+def _usable(
+    keyframe: Keyframe,
+    model: SlamMap,
+    camera: Camera | CameraRig,
+    missing: np.ndarray,
+    cam_from_world: Rigid3,
+) -> np.ndarray:
     """Observations of missing points from a similar distance and direction."""
     own = np.flatnonzero(missing[keyframe.point])
     if not len(own):
         return own
     xyz = model.xyz[keyframe.point[own]]
-    there = xyz - keyframe.cam_from_world.inverse().translation
+    there = xyz - centers_of(camera, keyframe.cam_from_world, keyframe.pixels[own])
     here = xyz - cam_from_world.inverse().translation
     far, near = np.linalg.norm(there, axis=1), np.linalg.norm(here, axis=1)
     cosine = (there * here).sum(axis=1) / np.maximum(far * near, 1e-12)
@@ -115,7 +124,7 @@ def _usable(keyframe: Keyframe, model: SlamMap, missing: np.ndarray, cam_from_wo
     return own[(cosine > LEAST_COSINE) & (ratio < LARGEST_SCALE) & (ratio > 1 / LARGEST_SCALE)]
 
 
-def link_tracks(model: SlamMap, camera: Camera, keyframes: Iterable[Keyframe]) -> int:
+def link_tracks(model: SlamMap, camera: Camera | CameraRig, keyframes: Iterable[Keyframe]) -> int:
     """Add observations of all map points in sight of the keyframes; returns their number.
 
     The search radius is larger than during tracking, to find points despite drift.

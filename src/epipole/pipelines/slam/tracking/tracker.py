@@ -29,6 +29,7 @@ from epipole.pipelines.slam.tracking.points import SeenFrame, Tracks, is_certain
 from epipole.pipelines.slam.tracking.redetection import redetect, search_radius
 from epipole.pipelines.slam.tracking.right_image import pose_from_right_image
 from epipole.pipelines.slam.tracking.static_points import StaticPart, find_static_part
+from epipole.scene import CameraRig
 
 SHUTTER_ROUNDS = 3
 """Alternations between a frame's pose and its motion during the readout."""
@@ -54,7 +55,7 @@ class PointTracker:
     def __init__(
         self, model: SlamMap, sensor: SlamCamera, focal_baseline: float | None, config: OdometryConfig
     ) -> None:
-        self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera, config
+        self.map, self.sensor, self.camera, self.config = model, sensor, sensor.eyes, config
         self.focal_baseline = focal_baseline
         self.tracks = Tracks.none()
         self.stale = np.zeros(0, np.int64)
@@ -194,6 +195,8 @@ class PointTracker:
     ) -> tuple[tuple[RefinedPose, np.ndarray], StaticPart | None]:
         """The pose, or that of a camera at rest if a large part of the image is static; and the static part."""
         pixels, pixels_before = self.tracks.pixels[localized], self.tracks.start_px[localized]
+        if isinstance(self.camera, CameraRig):
+            return found, None
         at = self.camera.project(found[0].cam_from_world.apply(self.map.xyz[rows]))
         errors_px = np.linalg.norm(at - pixels, axis=1)
         static = find_static_part(pixels_before, pixels, errors_px, self.camera)
@@ -264,7 +267,7 @@ class PointTracker:
         self, last: Tracks, points: np.ndarray, pixels: np.ndarray, agrees: np.ndarray, position: Rigid3
     ) -> MovingThing | None:
         """The moving object in the frame; None with a rolling shutter, whose distortion near the camera looks the same."""
-        if self.sensor.shutter.is_rolling:
+        if self.sensor.shutter.is_rolling or isinstance(self.camera, CameraRig):
             return None
         fresh = ~agrees & (self.map.anchor[points] == len(self.map.keyframes) - 1)
         fresh = self._moving_now(fresh, last, points, pixels, position)
@@ -295,7 +298,7 @@ class PointTracker:
             else 1.0
         )
         step = position @ self._pose_before.inverse()
-        out[rows] = off_px_of_scene(then, pixels[rows], self.camera, step, depth) > STEP_PX
+        out[rows] = off_px_of_scene(then, pixels[rows], self.sensor.camera, step, depth) > STEP_PX
         if out.any() and not self._is_checked:
             moved = out[rows]
             out[rows[moved]] = self._returns(pixels[rows[moved]], then[moved])
@@ -317,7 +320,9 @@ class PointTracker:
         now_from_then = position @ self.map.keyframes[newest].cam_from_world.inverse()
         depth = float(np.median(position.apply(self.map.xyz[localized])[:, 2]))
         then, now = self.map.anchor_px[points], self.tracks.pixels[lacking]
-        return find_moving_object_in_image(then, now, self.camera, now_from_then, depth, self.config.seed)
+        return find_moving_object_in_image(
+            then, now, self.sensor.camera, now_from_then, depth, self.config.seed
+        )
 
     def remember(self, number: int) -> None:
         """Queue the last localized frame, under this number, for another pose estimate later."""

@@ -1,0 +1,91 @@
+"""Projection with one camera or with a rig, whose pixels are those of its stacked image.
+
+The body frame is that of the camera or of the rig. A point that several cameras of a rig see has a pixel in each of them: the
+functions take the pixels that say which camera is meant.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.geometry import Rigid3
+from epipole.scene import CameraRig
+
+
+def project_as(camera: Camera | CameraRig, points_in_body: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """(n, 2) pixels of points, each in the camera to which the given pixel belongs."""
+    if isinstance(camera, CameraRig):
+        return camera.project(points_in_body, camera.camera_of(pixels))
+    return camera.project(points_in_body)
+
+
+def project_in_sight(
+    camera: Camera | CameraRig, points_in_body: np.ndarray, margin_px: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 2) pixels of points, and a mask of those in sight, at least `margin_px` from the image's edges.
+
+    If several cameras of a rig see a point, the pixel is in the one in whose image it is farthest from the edges.
+    """
+    if not isinstance(camera, CameraRig):
+        pixels = camera.project(points_in_body)
+        inside = (pixels >= margin_px).all(axis=1) & (
+            pixels < [camera.width - margin_px, camera.height - margin_px]
+        ).all(axis=1)
+        return pixels, inside & (points_in_body[:, 2] > 0)
+    best, pixels = np.full(len(points_in_body), -1.0), np.full((len(points_in_body), 2), np.nan)
+    for k, one in enumerate(camera.cameras):
+        top = [0.0, float(camera.tops[k])]
+        in_cam = camera.cam_from_rig[k].apply(points_in_body)
+        at = one.project(in_cam)
+        room = np.minimum(at, [one.width, one.height] - at).min(axis=1)
+        better = (in_cam[:, 2] > 0) & (room >= margin_px) & (room > best)
+        pixels[better], best[better] = at[better] + top, room[better]
+    return pixels, best >= 0
+
+
+def points_at_depth(
+    camera: Camera | CameraRig, pixels: np.ndarray, depth: np.ndarray, like: np.ndarray
+) -> np.ndarray:
+    """(n, 3) points in the body frame.
+
+    Args:
+        camera: the camera or the rig.
+        pixels: (n, 2), possibly just beyond the edge of their camera's image.
+        depth: (n,) along the optical axis.
+        like: (n, 2) pixels that say which camera is meant.
+    """
+    if not isinstance(camera, CameraRig):
+        rays = camera.unproject(pixels)
+        return rays / rays[:, 2:] * depth[:, None]
+    which = camera.camera_of(like)
+    rays = camera.unproject(pixels, which)
+    return _into_rig(camera, rays / rays[:, 2:] * depth[:, None], which)
+
+
+def depth_of(camera: Camera | CameraRig, points_in_body: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """(n,) depth of points along the optical axis of the camera to which each pixel belongs."""
+    if not isinstance(camera, CameraRig):
+        return points_in_body[:, 2]
+    which, mounted = camera.camera_of(pixels), camera.cam_from_rig
+    return np.einsum("nj,nj->n", mounted.rotation[which, 2], points_in_body) + mounted.translation[which, 2]
+
+
+def centers_of(camera: Camera | CameraRig, body_from_world: Rigid3, pixels: np.ndarray) -> np.ndarray:
+    """(n, 3) or (3,) center, in the world, of the camera to which each pixel belongs."""
+    world_from_body = body_from_world.inverse()
+    if not isinstance(camera, CameraRig):
+        return world_from_body.translation
+    return world_from_body.apply(camera.centers_in_rig)[camera.camera_of(pixels)]
+
+
+def image_parts(camera: Camera | CameraRig, image: np.ndarray) -> list[tuple[int, np.ndarray]]:
+    """The first row and the image of each camera."""
+    if not isinstance(camera, CameraRig):
+        return [(0, image)]
+    return list(zip(camera.tops.tolist(), camera.parts(image)))
+
+
+def _into_rig(rig: CameraRig, points_in_cam: np.ndarray, which: np.ndarray) -> np.ndarray:
+    back = rig.cam_from_rig.inverse()
+    return np.einsum("nij,nj->ni", back.rotation[which], points_in_cam) + back.translation[which]
