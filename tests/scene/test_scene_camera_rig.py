@@ -57,7 +57,7 @@ def test_the_stacked_image_has_each_cameras_image(rng):
 
 
 def test_the_pose_of_the_rig_is_exact_without_noise_and_ignores_wrong_matches(rng):
-    points, pixels, position, which = seen(rng, RIG)
+    points, pixels, position, _ = seen(rng, RIG)
     start = Rigid3.exp(0.03 * rng.normal(size=6)) @ position
     found = refine_pose(points, pixels, RIG, start)
     assert np.abs((found.cam_from_world @ position.inverse()).log()).max() < 1e-10

@@ -183,8 +183,8 @@ class CameraOptions:
 class JobOptions:
     """Options of input and output."""
 
-    sensor: Literal["auto", "mono", "stereo", "rgbd"] = "auto"
-    """Sensor to use; auto uses depth, else a second camera, if there is one."""
+    sensor: Literal["auto", "mono", "stereo", "rgbd", "rig"] = "auto"
+    """Sensor to use; auto: depth, else a second camera, if there is one; rig: folders cam0, cam1, ... and a calibration."""
     topics: str | None = None
     """ROS bags: image topic; LEFT,RIGHT; or IMAGES,DEPTH (None: found by type and name)."""
     start: int = 0

@@ -11,7 +11,7 @@ from epipole.config import AnchorOptions
 class SlamKeywords(TypedDict, total=False):
     """Fields of `SlamConfig`, each optional."""
 
-    sensor: Literal["auto", "mono", "stereo", "rgbd"]
+    sensor: Literal["auto", "mono", "stereo", "rgbd", "rig"]
     topics: str | None
     start: int
     stride: int

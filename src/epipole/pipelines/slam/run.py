@@ -44,6 +44,7 @@ from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.sources.folder import FrameSource, open_sequence
 from epipole.pipelines.slam.sources.frame_stream import FrameStream
 from epipole.pipelines.slam.sources.intrinsics import FoundCamera, find_camera
+from epipole.pipelines.slam.sources.rig_folder import open_rig_folder
 from epipole.pipelines.slam.sources.streams import (
     camera_index,
     open_bag_frames,
@@ -223,6 +224,8 @@ def _check_source(source: Path, job: SlamConfig) -> None:
     if job.map is not None:
         require_map(job.map)
     check_anchor_files(job.anchors)
+    if job.sensor == "rig" and not source.is_dir():
+        raise ConfigError("sensor rig is for folders of images: cam0, cam1, ...")
     if job.topics and not is_bag(source):
         raise ConfigError("topics is for ROS bags (.bag, .db3, .mcap or the folder of a ROS 2 bag)")
     if job.masks is not None and not source.is_dir():
@@ -259,6 +262,8 @@ def _open_without_readout(
 
 
 def _open_folder(folder: Path, job: JobOptions, given: CameraOptions, found: Camera | None) -> FrameSource:
+    if job.sensor == "rig":
+        return open_rig_folder(folder, job, given)
     sequence = read_sequence(folder, job.fps, given.depth_scale)
     header = read_header(sequence.frames[0].image)
     known = given.fitted_camera(ImageShape(header.width, header.height, header.orientation))

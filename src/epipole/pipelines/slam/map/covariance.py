@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from epipole.cameras import CameraModel
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Rigid3
 from epipole.mapping import RefinedPose
@@ -174,16 +175,19 @@ def add_calibration_error(
 
 
 def _off_calibrations(problem: BundleProblem, sigma: CalibrationSigma) -> Iterator[BundleProblem]:
-    """The problem with one parameter of both cameras changed by one standard deviation; last, the baseline."""
-    params = problem.camera_params
-    for columns, step in (
-        (slice(0, 2), sigma.focal_fraction * params[:, :2]),
-        (slice(2, 3), sigma.center_px),
-        (slice(3, 4), sigma.center_px),
-    ):
-        off = params.copy()
-        off[:, columns] += step
-        yield replace(problem, camera_params=off)
+    """The problem with one parameter changed by one standard deviation; last, the baseline.
+
+    The cameras of a rectified pair have the same parameters; those of a rig have errors of their own.
+    """
+    params, num = problem.camera_params, len(problem.camera_params)
+    is_pair = bool((problem.cam_from_rig.rotation == np.eye(3)).all() and num == 2)
+    for cameras in [list(range(num))] if is_pair else [[k] for k in range(num)]:
+        model = CameraModel(int(problem.camera_model[cameras[0]]))
+        focal, (cx, cy) = list(model.focal_indices), model.principal_point_indices
+        for columns in (focal, [cx], [cy]):
+            off, at = params.copy(), np.ix_(cameras, columns)
+            off[at] += sigma.focal_fraction * params[at] if columns is focal else sigma.center_px
+            yield replace(problem, camera_params=off)
     beside = problem.cam_from_rig
     longer = Rigid3(beside.rotation, beside.translation * (1.0 + sigma.depth_fraction))
     yield replace(problem, cam_from_rig=longer)

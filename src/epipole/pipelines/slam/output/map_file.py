@@ -18,9 +18,12 @@ from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.loops.recognition import describe_keyframe
 from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.runs.units import is_done, load, store, stored_key
+from epipole.scene import CameraRig
 
 MAP_FILE = Path("map") / "map.npz"
 VERSION = "epipole map 1"
+SAME_PARAMS, SAME_ROTATION = 0.02, 0.01
+"""Tolerated difference of a map's camera: relative, of parameters and of positions on a rig; and of entries of rotation matrices."""
 TABLE: Table = {
     "camera_model": Expected("int64"),
     "camera_params": Expected("float64", "_"),
@@ -42,8 +45,13 @@ TABLE: Table = {
     "anchor": Expected("int64", "p", least=-1, below="k"),
     "anchor_px": Expected("float64", "p 2"),
     "num_agreed": Expected("int64", "p", least=0),
+    "rig_model": Expected("int64", "r", is_optional=True),
+    "rig_params": Expected("float64", "r 12", is_optional=True),
+    "rig_size": Expected("int64", "r 2", least=1, is_optional=True),
+    "rig_rotation": Expected("float64", "r 3 3", is_rotation=True, is_optional=True),
+    "rig_translation": Expected("float64", "r 3", is_optional=True),
 }
-"""Arrays of the file: k keyframes, n observations, p points."""
+"""Arrays of the file: k keyframes, n observations, p points, r cameras of a rig."""
 
 
 class KnownMap(NamedTuple):
@@ -78,11 +86,11 @@ def write_slam_map(
     keyframes = [k for k in model.keyframes if len(k.point)]
     column = np.array([number.get(id(k), -1) for k in model.keyframes], np.int64)
     camera = sensor.camera
-    size = (camera.height, camera.width)
+    size = (sensor.eyes.height, sensor.eyes.width)
     arrays = {
         "camera_model": np.array(int(camera.model)),
         "camera_params": camera.params,
-        "size": np.array([camera.width, camera.height]),
+        "size": np.array(size[::-1]),
         "is_metric": np.array(sensor.measures_depth or bool(scale)),
         "scale": np.array(scale),
         "right_shift_px": np.array(model.right_shift_px),
@@ -101,18 +109,19 @@ def write_slam_map(
         "anchor_px": model.anchor_px,
         "num_agreed": model.num_agreed,
     }
-    store(as_path(path), VERSION, arrays)
+    store(as_path(path), VERSION, arrays | _rig_arrays(sensor.rig))
 
 
 class MapSummary(NamedTuple):
     """The visible content of a map."""
 
     camera: Camera
+    """The first one of a rig."""
     names: tuple[str, ...]
     """Image names of the keyframes."""
     cams_from_world: Rigid3
     gray: np.ndarray
-    """Images of the keyframes (k, h, w)."""
+    """Images of the keyframes (k, h, w); of the first camera of a rig."""
     xyz_in_world: np.ndarray
     """Triangulated points (n, 3)."""
     num_agreed: np.ndarray
@@ -130,11 +139,13 @@ def summary_of_map(path: str | Path) -> MapSummary:
     """
     arrays = _arrays(_file_of(as_path(path)))
     localized = np.isfinite(arrays["xyz"]).all(axis=1) & (arrays["anchor"] >= 0)
+    camera, poses = _camera_of(arrays), Rigid3(arrays["rotation"], arrays["translation"])
+    rig = _rig_of(arrays)
     return MapSummary(
-        _camera_of(arrays),
+        camera,
         tuple(str(n) for n in arrays["name"]),
-        Rigid3(arrays["rotation"], arrays["translation"]),
-        arrays["grey"],
+        poses if rig is None else rig.cam_from_rig[0] @ poses,
+        arrays["grey"][:, : camera.height, : camera.width],
         arrays["xyz"][localized],
         arrays["num_agreed"][localized],
         bool(arrays["is_metric"]),
@@ -142,7 +153,7 @@ def summary_of_map(path: str | Path) -> MapSummary:
 
 
 def camera_of_map(path: str | Path) -> Camera:
-    """Intrinsics of the camera that made a map.
+    """Intrinsics of the camera that made a map, the first one of a rig.
 
     Args:
         path: the file, the folder `map`, or the output folder of a run.
@@ -190,13 +201,17 @@ def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
     """
     path = _file_of(as_path(path))
     arrays = _arrays(path)
-    camera = sensor.camera
+    camera, eyes = sensor.camera, sensor.eyes
     size, params = arrays["size"], arrays["camera_params"]
-    if (int(size[0]), int(size[1])) != (camera.width, camera.height):
+    if not _is_same_rig(_rig_of(arrays), sensor.rig):
+        raise ConfigError(f"the map {path} was made with another camera or rig of cameras")
+    if (int(size[0]), int(size[1])) != (eyes.width, eyes.height):
         raise ConfigError(
-            f"the map {path} was made from images of {size[0]}x{size[1]}, but these are {camera.width}x{camera.height}"
+            f"the map {path} was made from images of {size[0]}x{size[1]}, but these are {eyes.width}x{eyes.height}"
         )
-    if int(arrays["camera_model"]) != int(camera.model) or not np.allclose(params, camera.params, rtol=0.02):
+    if int(arrays["camera_model"]) != int(camera.model) or not np.allclose(
+        params, camera.params, rtol=SAME_PARAMS
+    ):
         raise ConfigError(f"{path} is the map of another camera: {params} instead of {camera.params}")
     if sensor.measures_depth and not arrays["is_metric"]:
         raise ConfigError(f"the map {path} is up to scale: use it with one camera")
@@ -233,8 +248,58 @@ def _arrays(path: Path) -> Arrays:
 
 
 def _camera_of(arrays: Arrays) -> Camera:
+    rig = _rig_of(arrays)
+    if rig is not None:
+        return rig.cameras[0]
     width, height = (int(side) for side in arrays["size"])
     return Camera(CameraModel(int(arrays["camera_model"])), width, height, arrays["camera_params"])
+
+
+def _rig_arrays(rig: CameraRig | None) -> dict[str, np.ndarray]:
+    if rig is None:
+        return {}
+    return {
+        "rig_model": np.array([int(camera.model) for camera in rig.cameras]),
+        "rig_params": np.array([camera.padded_params() for camera in rig.cameras]),
+        "rig_size": np.array([(camera.width, camera.height) for camera in rig.cameras]),
+        "rig_rotation": rig.cam_from_rig.rotation,
+        "rig_translation": rig.cam_from_rig.translation,
+    }
+
+
+def _rig_of(arrays: Arrays) -> CameraRig | None:
+    """The rig of the map; None for a single camera.
+
+    Raises:
+        EpipoleError: the arrays are not those of a rig.
+    """
+    if not any(name.startswith("rig_") for name in arrays):
+        return None
+    missing = [name for name in TABLE if name.startswith("rig_") and name not in arrays]
+    if missing:
+        raise ShapeError(f"the arrays {', '.join(missing)} of the rig are missing")
+    cameras = []
+    for model, params, size in zip(arrays["rig_model"], arrays["rig_params"], arrays["rig_size"].tolist()):
+        kind = CameraModel(int(model))
+        cameras.append(Camera(kind, size[0], size[1], params[: kind.num_params]))
+    return CameraRig(tuple(cameras), Rigid3(arrays["rig_rotation"], arrays["rig_translation"]))
+
+
+def _is_same_rig(one: CameraRig | None, other: CameraRig | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    if len(one.cameras) != len(other.cameras):
+        return False
+    moved = one.cam_from_rig @ other.cam_from_rig.inverse()
+    is_mounted_alike = bool(
+        (np.abs(moved.rotation - np.eye(3)) < SAME_ROTATION).all()
+        and (np.linalg.norm(moved.translation, axis=1) <= SAME_PARAMS * one.length).all()
+    )
+    return is_mounted_alike and all(
+        (a.model, a.width, a.height) == (b.model, b.width, b.height)
+        and np.allclose(a.params, b.params, rtol=SAME_PARAMS)
+        for a, b in zip(one.cameras, other.cameras)
+    )
 
 
 def _check(arrays: Arrays) -> None:

@@ -120,7 +120,7 @@ def write_results(
         came = came if moved is None else moved_path(came, moved)
     final, causal = (_of_body(path, source) for path in (system.trajectory(), came))
     names = keyframe_names(system, records, given.map)
-    model = reconstruction_of(system.maps[0], source.camera.camera, names)
+    model = reconstruction_of(system.maps[0], source.camera.eyes, names)
     num_frames = len(records) + stream.num_dropped
     run.warnings += [*problems, *missing_rows(final, num_frames, job.trajectory_format)]
     checked = _checked(system, tracked, final, run)
@@ -169,9 +169,12 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
     with run.stage("check"):
         model = system.maps[0]
         mapper = system.local_mapper(model)
-        shutter = None if system.camera.shutter.is_rolling else find_readout(mapper, system.trajectory())
+        # Neither the shutter nor the intrinsics of a rig are checked: both checks are made for one camera.
+        is_rig = system.camera.rig is not None
+        is_unchecked = is_rig or system.camera.shutter.is_rolling
+        shutter = None if is_unchecked else find_readout(mapper, system.trajectory())
         with with_readout(mapper, system.trajectory(), 0.0 if shutter is None else shutter.readout_s):
-            camera = check_camera(model, system.camera.camera)
+            camera = None if is_rig else check_camera(model, system.camera.camera)
         blind = pixels_without_ray(system.camera.camera)
         run.warnings += no_ray_warning(system.camera.camera)
         run.warnings += [] if shutter is None else [shutter.warning()]
@@ -350,6 +353,9 @@ def _world_words(given: RunInputs) -> str:
 def _scale_words(source: FrameSource) -> str:
     if source.camera.depth is not None:
         return "meters, from the depth sensor"
+    if source.camera.rig is not None:
+        rig = source.camera.rig
+        return f"meters, from the positions of the rig's {len(rig.cameras)} cameras, up to {rig.length:.4g} m apart"
     return f"meters, from the baseline of {source.camera.baseline:.4g} m"
 
 

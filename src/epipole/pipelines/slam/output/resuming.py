@@ -88,6 +88,13 @@ def key_of(fingerprint: Sequence[str], source: FrameSource, system: Slam, job: J
         other, pose = depth.camera, depth.depth_from_color
         seen += [int(other.model), other.width, other.height, other.params, depth.scale]
         seen += [pose.rotation, pose.translation]
+    if camera.rig is not None:
+        seen += [
+            camera.rig.padded_params(),
+            camera.rig.cam_from_rig.rotation,
+            camera.rig.cam_from_rig.translation,
+        ]
+        seen += [number for own in camera.rig.cameras for number in (int(own.model), own.width, own.height)]
     known = system.maps[0]
     free = {*_FREE_OPTIONS, *(each.name for each in fields(CameraOptions))}
     own = {name: value for name, value in asdict(job).items() if name not in free}

@@ -118,7 +118,8 @@ def find_camera(
         ConfigError: the images do not determine the intrinsics; the message says why.
         FileFormatError: the source cannot be read.
     """
-    if given.camera_params or given.calibration or is_bag(source) or camera_index(source) is not None:
+    is_given = given.camera_params or given.calibration or job.sensor == "rig"
+    if is_given or is_bag(source) or camera_index(source) is not None:
         return None
     images = _images(source, job)
     if images is None:
