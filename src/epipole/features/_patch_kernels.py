@@ -1,4 +1,4 @@
-"""Subpixel alignment of small patches, each predicted by an affine warp."""
+"""Subpixel alignment of small patches, each predicted by a warp of first or second order."""
 
 import math
 
@@ -27,7 +27,8 @@ def _value_at(image, x, y):
 def _warped_patch(image, x, y, warp, half, patch):
     """The patch as predicted for the other image; False if it leaves its own image.
 
-    patch[i, j] is the value at (x, y) + warp^-1 (j - half - 1, i - half - 1), with a border of one for gradients.
+    patch[i, j] is the value at (x, y) + p, with a border of one for gradients. For w = (j - half - 1, i - half - 1), p is A^-1 w less
+    the second order A^-1 H[p, p] / 2; warp has the columns A, then H_uu, H_uv, H_vv.
     """
     determinant = warp[0, 0] * warp[1, 1] - warp[0, 1] * warp[1, 0]
     if not abs(determinant) > 1e-3:
@@ -37,13 +38,20 @@ def _warped_patch(image, x, y, warp, half, patch):
     reach = half + 1
     side = 2 * reach + 1
     far_x, far_y = (abs(a) + abs(b)) * reach, (abs(c) + abs(d)) * reach
+    far_u, far_v = 0.0, 0.0
+    for term, size in enumerate((0.5 * far_x * far_x, far_x * far_y, 0.5 * far_y * far_y)):
+        far_u, far_v = far_u + abs(warp[0, 2 + term]) * size, far_v + abs(warp[1, 2 + term]) * size
+    far_x, far_y = far_x + abs(a) * far_u + abs(b) * far_v, far_y + abs(c) * far_u + abs(d) * far_v
     height, width = image.shape
     if not (x - far_x >= 0 and y - far_y >= 0 and x + far_x < width - 1 and y + far_y < height - 1):
         return False
     for i in range(side):
         for j in range(side):
             u, v = j - reach, i - reach
-            patch[i, j] = _value_at(image, x + a * u + b * v, y + c * u + d * v)
+            p, q = a * u + b * v, c * u + d * v
+            e = 0.5 * warp[0, 2] * p * p + warp[0, 3] * p * q + 0.5 * warp[0, 4] * q * q
+            f = 0.5 * warp[1, 2] * p * p + warp[1, 3] * p * q + 0.5 * warp[1, 4] * q * q
+            patch[i, j] = _value_at(image, x + (p - (a * e + b * f)), y + (q - (c * e + d * f)))
     return True
 
 

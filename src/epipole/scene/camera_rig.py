@@ -79,7 +79,7 @@ class CameraRig:
     @property
     def tops(self) -> Int64[np.ndarray, " k1"]:
         """First row of each camera in the stacked image, and the row after the last."""
-        return np.cumsum([0, *(camera.height for camera in self.cameras)])
+        return _tops(self)
 
     @property
     def focal_px(self) -> float:
@@ -160,20 +160,7 @@ class CameraRig:
 
     def common_views(self) -> Float64[np.ndarray, "k k"]:
         """Fraction of the pixels of each camera (row) that each other camera (column) sees at some usual depth."""
-        count = len(self.cameras)
-        out = np.zeros((count, count))
-        rig_from_cam = self.cam_from_rig.inverse()
-        for k, camera in enumerate(self.cameras):
-            u, v = np.meshgrid(*((np.arange(GRID) + 0.5) / GRID for _ in range(2)))
-            rays = camera.unproject(np.column_stack([u.ravel() * camera.width, v.ravel() * camera.height]))
-            for other in range(count):
-                seen = np.zeros(len(rays), bool)
-                for depth in OVERLAP_DEPTHS:
-                    points = rig_from_cam[k].apply(depth * self.length * rays)
-                    which = np.full(len(rays), other)
-                    seen |= self.sees(self.project(points, which), which)
-                out[k, other] = seen.mean()
-        return out
+        return _common_views(self)
 
     @property
     def measures_depth(self) -> bool:
@@ -184,7 +171,38 @@ class CameraRig:
         return f"CameraRig({len(self.cameras)} cameras, {self.length:.4g} long)"
 
 
+# Properties of the last rigs are kept, since every frame needs them.
+
+
+@lru_cache(maxsize=8)
+def _tops(rig: CameraRig) -> np.ndarray:
+    return _unwritable(np.cumsum([0, *(camera.height for camera in rig.cameras)]))
+
+
 @lru_cache(maxsize=8)
 def _measures_depth(rig: CameraRig) -> bool:
     apart = np.linalg.norm(rig.centers_in_rig[:, None] - rig.centers_in_rig[None], axis=2)
     return bool((rig.common_views()[apart > 0] >= LEAST_COMMON).any())
+
+
+@lru_cache(maxsize=8)
+def _common_views(rig: CameraRig) -> np.ndarray:
+    count = len(rig.cameras)
+    out = np.zeros((count, count))
+    rig_from_cam = rig.cam_from_rig.inverse()
+    for k, camera in enumerate(rig.cameras):
+        u, v = np.meshgrid(*((np.arange(GRID) + 0.5) / GRID for _ in range(2)))
+        rays = camera.unproject(np.column_stack([u.ravel() * camera.width, v.ravel() * camera.height]))
+        for other in range(count):
+            seen = np.zeros(len(rays), bool)
+            for depth in OVERLAP_DEPTHS:
+                points = rig_from_cam[k].apply(depth * rig.length * rays)
+                which = np.full(len(rays), other)
+                seen |= rig.sees(rig.project(points, which), which)
+            out[k, other] = seen.mean()
+    return _unwritable(out)
+
+
+def _unwritable(values: np.ndarray) -> np.ndarray:
+    values.flags.writeable = False
+    return values

@@ -104,9 +104,10 @@ class KeyframeInserter:
         xyz = np.full((len(points), 3), np.nan)
         xyz[points >= 0] = self.map.xyz[points[points >= 0]]
         added = find_in_other_cameras(rig, frame.gray, rig_from_world, pixels, xyz, points)
-        points, unknown = points.copy(), np.flatnonzero(~np.isfinite(xyz[:, 0]))
+        points, unknown, which = points.copy(), np.flatnonzero(~np.isfinite(xyz[:, 0])), rig.camera_of(pixels)
         for one, other in unknown[match_between_cameras(rig, frame.gray, pixels[unknown])]:
-            if points[other] < 0:  # observations of the map's points come first
+            is_seen = (points == points[one]) & (which == which[other])
+            if points[other] < 0 and not is_seen.any():  # observations of the map's points come first
                 points[other] = points[one]
         used = frame.is_used(added[0])
         return np.concatenate([pixels, added[0][used]]), np.concatenate([points, added[1][used]])

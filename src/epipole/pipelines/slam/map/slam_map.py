@@ -16,7 +16,7 @@ class Observations(NamedTuple):
 
     pixels: np.ndarray  # (n, 2)
     disparity_px: np.ndarray  # (n,); NaN for none
-    point: np.ndarray  # (n,) int64, rows of the map's points, without duplicates
+    point: np.ndarray  # (n,) int64, rows of the map's points, without duplicates in an image
 
     @staticmethod
     def none() -> Observations:
@@ -36,7 +36,7 @@ class Keyframe:
         disparity_px: (n,) their disparities; NaN for none.
         motion: (12,) velocity and acceleration of a camera with a rolling shutter.
         shift_px: (n, 3) correction of pixels and disparities to those of a global shutter; zero for a global shutter.
-        point: (n,) rows of the map's points, without duplicates.
+        point: (n,) rows of the map's points, without duplicates except in different cameras of a rig.
         descriptors: (n, 128) of the observations; zeros if not computed.
         descriptor: global descriptor of the image, for finding similar images; None until computed.
         unit: scale factor applied to the map around the keyframe since it was created.
@@ -211,13 +211,16 @@ class SlamMap:
         into[gone] = kept
         for keyframe in self.keyframes:
             point = into[keyframe.point]
-            # If a keyframe observes both, the observation of the kept point stays.
-            order = np.lexsort((point != keyframe.point, point))
-            first = np.ones(len(point), bool)
-            first[order[1:]] = point[order[1:]] != point[order[:-1]]
+            moved = point != keyframe.point
+            # If a keyframe observes both, the observations of the kept point stay; else those of the first of several merged ones.
+            surplus = moved & np.isin(point, point[~moved])
+            rest = np.flatnonzero(moved & ~surplus)
+            targets, first = np.unique(point[rest], return_index=True)
+            chosen = keyframe.point[rest[first]][np.searchsorted(targets, point[rest])]
+            surplus[rest] = keyframe.point[rest] != chosen
             keyframe.point = point
-            if not first.all():
-                keyframe.keep(first)
+            if surplus.any():
+                keyframe.keep(~surplus)
         self.xyz[gone] = np.nan
         return into
 

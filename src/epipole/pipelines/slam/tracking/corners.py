@@ -12,6 +12,8 @@ from epipole.scene import CameraRig
 BLOCK_PX = 5
 NOISE_FACTOR = 7.0
 """Smallest ratio of a corner's smaller eigenvalue to that of noise alone. At 7, noise moves a corner by a quarter of a pixel."""
+LEAST_FRACTION = 0.375
+"""A camera of a rig has at least this fraction of the features of a single camera."""
 LEAST_NOISE = 0.5
 """In gray levels. Rounding alone contributes a third."""
 
@@ -25,7 +27,8 @@ def new_corners(
 ) -> np.ndarray:
     """(n, 2) corners (Shi and Tomasi, CVPR 1994), strongest first, to fill up the present ones to `num_features`.
 
-    In the stacked image of a rig, each camera has an equal part of them: one in bad light still needs its own.
+    In the stacked image of a rig, each camera has an equal part of them, or more if the cameras are many: one in bad light still
+    needs its own.
     """
     if not isinstance(camera, CameraRig):
         return _corners(gray, present_px, config.num_features, config, ignored_mask)
@@ -33,7 +36,7 @@ def new_corners(
     masks = [None] * len(camera.cameras) if ignored_mask is None else camera.parts(ignored_mask)
     for k, part in enumerate(camera.parts(gray)):
         top = [0.0, float(camera.tops[k])]
-        count = config.num_features // len(camera.cameras)
+        count = int(max(1.0 / len(camera.cameras), LEAST_FRACTION) * config.num_features)
         found.append(_corners(part, present_px[which == k] - top, count, config, masks[k]) + top)
     return np.concatenate(found)
 

@@ -59,9 +59,10 @@ class Tracks:
         self.point = np.concatenate([self.point, others.point])
         self.start_px = np.concatenate([self.start_px, others.start_px])
 
-    def keep_first(self) -> None:
-        """Drop duplicate tracks of a point."""
-        _, first = np.unique(self.point, return_index=True)
+    def keep_first(self, camera: Camera | CameraRig) -> None:
+        """Drop duplicate tracks of a point in one camera."""
+        keys = [self.point, camera.camera_of(self.pixels)] if isinstance(camera, CameraRig) else [self.point]
+        _, first = np.unique(np.stack(keys), axis=1, return_index=True)
         self.keep(np.isin(np.arange(len(self.point)), first))
 
     def track(

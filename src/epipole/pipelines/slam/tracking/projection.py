@@ -79,11 +79,11 @@ def centers_of(camera: Camera | CameraRig, body_from_world: Rigid3, pixels: np.n
     return world_from_body.apply(camera.centers_in_rig)[camera.camera_of(pixels)]
 
 
-def image_parts(camera: Camera | CameraRig, image: np.ndarray) -> list[tuple[int, np.ndarray]]:
-    """The first row and the image of each camera."""
+def are_in_one_camera(camera: Camera | CameraRig, pixels: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """(n,) whether two pixels belong to the same camera."""
     if not isinstance(camera, CameraRig):
-        return [(0, image)]
-    return list(zip(camera.tops.tolist(), camera.parts(image)))
+        return np.ones(len(pixels), bool)
+    return camera.camera_of(pixels) == camera.camera_of(others)
 
 
 def _into_rig(rig: CameraRig, points_in_cam: np.ndarray, which: np.ndarray) -> np.ndarray:

@@ -52,6 +52,7 @@ def redetect(
     expected[rows], missing[rows] = project_in_sight(camera, cam_from_world.apply(model.xyz[rows]), RIM_PX)
     for keyframe, usable in _best_keyframes(model, camera, missing, cam_from_world):
         own = usable[missing[keyframe.point[usable]]]
+        own = own if isinstance(camera, Camera) else _one_of_each(keyframe, camera, own, expected)
         if len(own) < 5:
             continue
         at, wanted, xyz = keyframe.pixels[own], expected[keyframe.point[own]], model.xyz[keyframe.point[own]]
@@ -64,6 +65,15 @@ def redetect(
         points.append(keyframe.point[own[found]])
         missing[points[-1]] = False
     return np.concatenate(pixels), np.concatenate(points)
+
+
+def _one_of_each(keyframe: Keyframe, rig: CameraRig, own: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """One observation of each point, in the camera where the point is expected if that one has seen it."""
+    point = keyframe.point[own]
+    is_other = rig.camera_of(keyframe.pixels[own]) != rig.camera_of(expected[point])
+    order = np.argsort(is_other, kind="stable")
+    _, first = np.unique(point[order], return_index=True)
+    return own[np.sort(order[first])]
 
 
 def search_radius(

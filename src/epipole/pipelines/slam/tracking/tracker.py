@@ -26,6 +26,7 @@ from epipole.pipelines.slam.tracking.moving_objects import (
 )
 from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
 from epipole.pipelines.slam.tracking.points import SeenFrame, Tracks, is_certain, locate, predict_pixels
+from epipole.pipelines.slam.tracking.projection import are_in_one_camera
 from epipole.pipelines.slam.tracking.redetection import redetect, search_radius
 from epipole.pipelines.slam.tracking.right_image import pose_from_right_image
 from epipole.pipelines.slam.tracking.static_points import StaticPart, find_static_part
@@ -97,7 +98,8 @@ class PointTracker:
             self.map, self.camera, frame.gray, predicted, tracks.point, tracks.pixels
         )
         self.stale = tracks.point[is_stale]
-        tracks.keep(is_same)
+        # At the seam of two images of a rig, a point could pass into the other camera's image.
+        tracks.keep(is_same & are_in_one_camera(self.camera, tracks.start_px, tracks.pixels))
         return last
 
     def redetect_points(
@@ -334,7 +336,7 @@ class PointTracker:
     def rename(self, into: np.ndarray) -> None:
         """Apply a merge of points; of two tracks of the same point, one is kept."""
         self.move_rows(into)
-        self.tracks.keep_first()
+        self.tracks.keep_first(self.camera)
 
     def move_rows(self, into: np.ndarray) -> None:
         """Renumber points, given the new row of each."""
@@ -359,10 +361,10 @@ class PointTracker:
             # With all points of the keyframe: untriangulated ones are assumed at the median depth of the others.
             points, then = self.map.xyz[keyframe.point], keyframe.cam_from_world
             guess = predict_pixels(keyframe.pixels, points, then, cam_from_world, self.camera)
-            own = np.isin(keyframe.point, added.point)
-            tracks.track(keyframe.gray, last.gray, guess[own], self.config, and_back=True)
+            own = guess[len(guess) - len(tracks) :]  # the added ones are the last
+            tracks.track(keyframe.gray, last.gray, own, self.config, and_back=True)
         self.tracks.join(tracks)
-        self.tracks.keep_first()  # some may have been detected again meanwhile
+        self.tracks.keep_first(self.camera)  # some may have been detected again meanwhile
         self._num_at_start = max(int(self.map.is_triangulated(self.tracks.point).sum()), 1)
 
     def track_points_in_sight(self, frame: Frame, position: Rigid3) -> None:

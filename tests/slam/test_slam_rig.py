@@ -1,0 +1,188 @@
+"""SLAM with a rig of three fisheye cameras, two of which look ahead and one back: meters, a covered camera, maps and files."""
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from epipole.cameras import Camera
+from epipole.errors import ConfigError, ShapeError
+from epipole.geometry import Rigid3, Rotation3
+from epipole.geometry.alignment import align_points
+from epipole.io import read_colmap_model, read_trajectory
+from epipole.metrics import absolute_error
+from epipole.pipelines.slam import run
+from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.output.export import reconstruction_of
+from epipole.pipelines.slam.output.map_file import read_slam_map, write_slam_map
+from epipole.pipelines.slam.slam import Slam
+from epipole.scene import CameraRig, Trajectory
+from epipole.synthetic import render, rides
+
+pytestmark = pytest.mark.usefixtures("unchecked_module")
+
+COUNT, STEP = 26, 4
+SIZE = (240, 180)
+PARAMS = [95.0, 95.0, 119.5, 89.5, 0.02, 0.0, 0.0, 0.0]
+CAMERA = Camera("OPENCV_FISHEYE", *SIZE, PARAMS)
+
+
+def rig_of(*mounted):
+    """Cameras that look to these sides (degrees), at these positions (x right, z ahead)."""
+    rotations = [Rotation3.exp(np.array([0.0, np.radians(yaw), 0.0])).matrix.T for yaw, _ in mounted]
+    shifts = [-r @ np.array([x, 0.0, z]) for r, (_, (x, z)) in zip(rotations, mounted)]
+    return CameraRig((CAMERA,) * len(mounted), Rigid3(np.stack(rotations), np.stack(shifts)))
+
+
+RIG = rig_of((0, (0.0, 0.0)), (25, (0.18, 0.0)), (180, (0.1, -0.15)))
+
+
+@pytest.fixture(scope="module")
+def ride():
+    return rides.loop_room(COUNT * STEP, SIZE)
+
+
+@pytest.fixture(scope="module")
+def images(ride):
+    """Images of each instant, and rig_from_world."""
+    positions = ride.world_from_camera.inverse()
+    out = []
+    for n in range(COUNT):
+        scene = ride.scene_at(float(ride.timestamp_s[STEP * n]))
+        poses = [RIG.cam_from_rig[k] @ positions[STEP * n] for k in range(3)]
+        seen = [render(scene, CAMERA, pose, noise_sigma=2.0, seed=n).rgb for pose in poses]
+        out.append([cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in seen])
+    return out
+
+
+@pytest.fixture(scope="module")
+def truth(ride):
+    positions = ride.world_from_camera.inverse()[np.arange(0, COUNT * STEP, STEP)]
+    return (positions @ positions[0].inverse()).inverse()
+
+
+def frames_of(images, covered=None):
+    for n, row in enumerate(images):
+        row = [np.zeros_like(i) if k == covered and n >= COUNT // 2 else i for k, i in enumerate(row)]
+        yield Frame.from_rig(0.1 * n, row, RIG)
+
+
+@pytest.fixture(scope="module")
+def tracked(images):
+    system = Slam(SlamCamera.of_cameras(RIG))
+    return system, [system.track(frame) for frame in frames_of(images)]
+
+
+def test_the_trajectory_is_in_meters_and_the_covariance_covers_its_error(tracked, truth):
+    system, answers = tracked
+    assert all(answer.world_from_body is not None for answer in answers)
+    positions = np.stack([answer.world_from_body.translation for answer in answers])
+    off = np.linalg.norm(positions - truth.translation, axis=1)
+    length = np.linalg.norm(np.diff(truth.translation, axis=0), axis=1).sum()
+    assert off.max() < 0.02 and length > 1.5
+    scale = 1.0 / float(align_points(positions, truth.translation, with_scale=True).scale)
+    assert abs(scale - 1.0) < 0.004
+    sigma = np.sqrt([np.trace(answer.covariance[:3, :3]) for answer in answers])
+    assert np.median(off[5:] / sigma[5:]) < 2.0 and np.median(sigma[5:]) < 0.02
+
+
+def test_points_are_seen_by_several_cameras_and_fit_all_of_them(tracked):
+    system, _ = tracked
+    newest = system.map.keyframes[-1]
+    which = RIG.camera_of(newest.pixels)
+    assert set(which) == {0, 1, 2}
+    both = np.intersect1d(newest.point[which == 0], newest.point[which == 1])
+    assert len(both) > 30
+    pairs = np.stack([newest.point, which])
+    assert len(np.unique(pairs, axis=1)[0]) == len(newest.point)  # once in each image
+    names = [f"cam0/{k.number:03d}.png" for k in system.map.keyframes]
+    model = reconstruction_of(system.map, RIG, names)
+    assert len(model.images) == 3 * len(names) and model.images.name[2] == "cam2/000.png"
+    errors = model.reprojection_errors_px()
+    assert np.nanmedian(errors) < 0.5 and np.isfinite(errors).mean() > 0.99
+
+
+@pytest.mark.parametrize("covered", [0, 2])
+def test_a_covered_camera_does_not_stop_the_others(images, truth, covered):
+    system = Slam(SlamCamera.of_cameras(RIG))
+    answers = [system.track(frame) for frame in frames_of(images, covered)]
+    assert all(answer.world_from_body is not None for answer in answers)
+    found = Rigid3(
+        np.stack([a.world_from_body.rotation for a in answers]),
+        np.stack([a.world_from_body.translation for a in answers]),
+    )
+    assert absolute_error(found, truth, "none").position.max < 0.05
+
+
+def test_the_map_is_read_back_and_localizes_the_rig(tracked, images, truth, tmp_path):
+    system, _ = tracked
+    camera, path = SlamCamera.of_cameras(RIG), tmp_path / "map.npz"
+    write_slam_map(path, system.map, [f"{k.number}" for k in system.map.keyframes], camera)
+    known = read_slam_map(path, camera)
+    assert known.is_metric and len(known.model.keyframes) == len(system.map.keyframes)
+    again = Slam(camera, known=known.model, is_map_fixed=True)
+    frames = list(frames_of(images))[10:14]
+    found = [again.track(frame).world_from_body for frame in frames]
+    for pose, true in zip(found, truth.translation[10:14]):
+        assert pose is not None and np.linalg.norm(pose.translation - true) < 0.02
+    for other in (
+        SlamCamera(CAMERA),
+        SlamCamera.of_cameras(rig_of((0, (0.0, 0.0)), (25, (0.28, 0.0)), (180, (0.1, -0.15)))),
+    ):
+        with pytest.raises(ConfigError, match="another camera or rig"):
+            read_slam_map(path, other)
+
+
+def test_a_thread_maps_beside_tracking(images, truth):
+    system = Slam(SlamCamera.of_cameras(RIG), mapping="thread")
+    answers = [system.track(frame) for frame in frames_of(images)]
+    system.finish()
+    assert all(answer.world_from_body is not None for answer in answers)
+    assert absolute_error(system.trajectory().world_from_body, truth, "none").position.rmse < 0.02
+
+
+def test_a_folder_of_cameras_and_kalibrs_calibration_are_enough(images, truth, tmp_path):
+    source, chain = tmp_path / "ride", {}
+    for k in range(3):
+        (source / f"cam{k}").mkdir(parents=True)
+        for n, row in enumerate(images[:12]):
+            cv2.imwrite(str(source / f"cam{k}" / f"{n:03d}.png"), row[k])
+        chain[f"cam{k}"] = {
+            "camera_model": "pinhole", "distortion_model": "equidistant", "distortion_coeffs": PARAMS[4:],
+            "intrinsics": PARAMS[:4], "resolution": list(SIZE),
+        }  # fmt: skip
+        if k:
+            moved = RIG.cam_from_rig[k] @ RIG.cam_from_rig[k - 1].inverse()
+            matrix = np.eye(4)
+            matrix[:3, :3], matrix[:3, 3] = moved.rotation, moved.translation
+            chain[f"cam{k}"]["T_cn_cnm1"] = matrix.tolist()
+    calibration = tmp_path / "camchain.yaml"
+    calibration.write_text(yaml.safe_dump(chain))
+    found = run.slam(source, tmp_path / "out", sensor="rig", calibration=calibration, fps=10)
+    assert found.summary["is_metric"] and "rig's 3 cameras" in found.summary["scale"]
+    path = read_trajectory(tmp_path / "out" / "trajectory.txt")
+    assert isinstance(path, Trajectory) and len(path) == 12
+    assert absolute_error(path.world_from_body, truth[np.arange(12)], "none").position.max < 0.02
+    model = read_colmap_model(tmp_path / "out" / "sparse" / "0")
+    assert len(model.cameras) == 3 and len(model.rigs) == 1 and "cam2/000.png" in model.images.name
+    with pytest.raises(ConfigError, match="pass --calibration"):
+        run.slam(source, tmp_path / "out2", sensor="rig", fps=10)
+
+
+def test_frames_and_cameras_that_do_not_fit_are_refused(images):
+    camera = SlamCamera.of_cameras(RIG)
+    with pytest.raises(ShapeError, match="needs as many images"):
+        Frame.from_rig(0.0, images[0][:2], RIG)
+    with pytest.raises(ShapeError, match="the camera is 240 x 540"):
+        Slam(camera).track(Frame(0.0, images[0][0]))
+    with pytest.raises(ConfigError, match="a rig cannot be combined"):
+        SlamCamera(CAMERA, baseline=0.1, rig=RIG)
+    with pytest.raises(ConfigError, match="a rig cannot be combined"):
+        SlamCamera(CAMERA, readout_s=0.02, rig=RIG)
+
+
+def test_masks_of_the_cameras_are_stacked(images):
+    masked = np.zeros(images[0][1].shape, bool)
+    masked[:50] = True
+    frame = Frame.from_rig(0.0, images[0], RIG, [None, masked, None])
+    assert frame.ignored_mask.sum() == masked.sum() and frame.ignored_mask[180:230].all()
