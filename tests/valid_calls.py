@@ -530,6 +530,13 @@ def _columns() -> Iterator[Row]:
     yield _row(scene.RectifiedRig(**numbers).calibration_sigma, disparity_px=single)
     right = Rigid3(np.eye(3), np.array([-0.1, 0.0, 0.0]))
     yield _row(scene.StereoRig, left=LENS, right=LENS, right_from_left=right, covariance=np.eye(30))
+    mounted = Rigid3(np.stack([np.eye(3), np.eye(3)]), np.stack([np.zeros(3), right.translation]))
+    yield _row(scene.CameraRig, cameras=(LENS, LENS), cam_from_rig=mounted)
+    cameras, at = scene.CameraRig((LENS, LENS), mounted), {"camera": np.array([0, 1])}
+    yield _row(cameras.camera_of, pixels=np.array([[3.0, 2.0], [3.0, 60.0]]))
+    yield _row(cameras.project, points_in_rig=np.array([[0.0, 0.0, 2.0], [0.1, 0.0, 3.0]]), **at)
+    yield _row(cameras.sees, pixels=np.array([[3.0, 2.0], [3.0, 60.0]]), margin_px=1.0, **at)
+    yield _row(cameras.unproject, pixels=np.array([[3.0, 2.0], [3.0, 60.0]]), **at)
     rig = scene.StereoRig(LENS, LENS, right)
     yield _row(rig.check_image_sizes, left=_image(), right=_image())
     yield _row(rig.perturbed, change=1e-3 * _some(30))

@@ -10,7 +10,6 @@ from epipole.config import FeatureConfig as FeatureConfig
 from epipole.config import MatchConfig as MatchConfig
 from epipole.config import RansacConfig as RansacConfig
 from epipole.geometry import Rigid3 as Rigid3
-from epipole.image import undistort_points as undistort_points
 from epipole.inertial import MountedImu as MountedImu
 from epipole.pipelines.calibration.config import CalibrationConfig as CalibrationConfig
 from epipole.pipelines.calibration.files import CalibrationRun as CalibrationRun

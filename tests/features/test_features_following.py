@@ -80,6 +80,48 @@ def test_a_foretold_warp_is_placed_exactly(image, pixels, rng, rotation_deg, sca
         assert np.nanmedian(plain) < np.nanmedian(score) - 0.03
 
 
+def test_a_bent_patch_is_found_at_its_center(rng):
+    """Two views of a far scene 60 degrees apart: the warp of first order alone finds patches to one side."""
+    size, focal = (320, 240), 200.0
+    center = np.array([159.5, 119.5])
+    rotation = cv2.Rodrigues(np.array([0.0, np.radians(60.0), 0.0]))[0]
+    texture = cv2.GaussianBlur(rng.normal(size=(900, 2400)).astype(np.float32), None, 2.0)
+    texture = np.clip(128 + 250 * texture, 0, 255).astype(np.uint8)
+
+    def view(turn):
+        """A panorama on a cylinder, seen by a camera that is turned."""
+        u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
+        rays = (
+            np.stack([(u - center[0]) / focal, (v - center[1]) / focal, np.ones(u.shape)], axis=-1) @ turn.T
+        )
+        at = (
+            800 * np.arctan2(rays[..., 0], rays[..., 2]) + 1200,
+            800 * rays[..., 1] / np.hypot(rays[..., 0], rays[..., 2]) + 450,
+        )
+        return cv2.remap(texture, *(x.astype(np.float32) for x in at), cv2.INTER_CUBIC)
+
+    def moved(pixels):
+        rays = np.column_stack([(pixels - center) / focal, np.ones(len(pixels))]) @ rotation.T
+        return focal * rays[:, :2] / rays[:, 2:] + center
+
+    first, second = view(np.eye(3)), view(rotation.T)
+    pixels = np.column_stack([rng.uniform(30, 80, 200), rng.uniform(40, 200, 200)])
+    h, x, y = 1e-2, np.array([1e-2, 0.0]), np.array([0.0, 1e-2])
+    linear = np.stack([moved(pixels + d) - moved(pixels - d) for d in (x, y)], axis=2) / (2 * h)
+    mixed = moved(pixels + x + y) - moved(pixels + x - y) - moved(pixels - x + y) + moved(pixels - x - y)
+    straight = [moved(pixels + d) + moved(pixels - d) - 2 * moved(pixels) for d in (x, y)]
+    second_order = np.stack([straight[0], mixed / 4, straight[1]], axis=2) / h**2
+    off = {}
+    for order, warps in ((1, linear), (2, np.concatenate([linear, second_order], axis=2))):
+        found, score = align_patches(first, second, pixels, warps, moved(pixels))
+        good = score > 0.9
+        assert good.mean() > 0.6
+        off[order] = np.median((found - moved(pixels))[good, 0])
+    assert abs(off[1]) > 0.03 and abs(off[2]) < 0.1 * abs(off[1])
+    with pytest.raises(ShapeError, match=r"\(n, 2, 2\) or \(n, 2, 5\)"):
+        align_patches(first, second, pixels, linear[..., :1], pixels)
+
+
 def test_patches_that_say_nothing_have_no_score(image):
     pixels = np.array([[2.0, 2.0], [160.0, 120.0], [np.nan, 3.0], [160.0, 120.0]])
     warps = np.tile(np.eye(2), (4, 1, 1))

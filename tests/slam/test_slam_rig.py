@@ -74,7 +74,7 @@ def tracked(images):
 
 
 def test_the_trajectory_is_in_meters_and_the_covariance_covers_its_error(tracked, truth):
-    system, answers = tracked
+    _, answers = tracked
     assert all(answer.world_from_body is not None for answer in answers)
     positions = np.stack([answer.world_from_body.translation for answer in answers])
     off = np.linalg.norm(positions - truth.translation, axis=1)

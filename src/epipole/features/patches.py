@@ -36,8 +36,8 @@ def align_patches(
         first: gray image with the patches.
         second: image to search.
         pixels: positions in the first image.
-        warps: (n, 2, 2) d(pixel in second) / d(pixel in first) around each point; or (n, 2, 5), followed by its second derivatives
-            uu, uv and vv, without which a patch that is bent is found off its center, by 0.1 px between views 60 degrees apart.
+        warps: (n, 2, 2) d(pixel in second) / d(pixel in first) around each point; or (n, 2, 5), with its second derivatives by
+            uu, uv and vv, too. Without these, a bent patch is found off its center: by 0.1 px between views 60 degrees apart.
         guess: predicted positions in the second image, within about three pixels.
         half_px: patches have 2 half_px + 1 pixels per side.
 

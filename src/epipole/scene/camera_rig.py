@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
-from epipole._checks import check_fields
+from epipole._checks import check_fields, checked
 from epipole.cameras import MAX_PARAMS, Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
@@ -94,12 +94,14 @@ class CameraRig:
             out[k, camera.model.principal_point_indices[1]] += top
         return out
 
+    @checked
     def camera_of(self, pixels: Float64[np.ndarray, "n 2"]) -> Int64[np.ndarray, " n"]:
         """The camera to which each pixel belongs."""
         return np.clip(
             np.searchsorted(self.tops - 0.5, pixels[:, 1], side="right") - 1, 0, len(self.cameras) - 1
         )
 
+    @checked
     def project(
         self, points_in_rig: Float64[np.ndarray, "n 3"], camera: Int64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 2"]:
@@ -111,17 +113,25 @@ class CameraRig:
             out[rows, 1] += self.tops[k]
         return out
 
+    @checked
     def sees(
         self,
         pixels: Float64[np.ndarray, "n 2"],
         camera: Int64[np.ndarray, " n"],
         margin_px: float = 0.0,
     ) -> Bool[np.ndarray, " n"]:
-        """Whether projected pixels are inside the image of their camera, at least `margin_px` from its edges."""
+        """Whether projected pixels are inside the image of their camera, at least `margin_px` from its edges.
+
+        Raises:
+            ConfigError: a camera does not exist.
+        """
+        if len(camera) and not 0 <= camera.min() <= camera.max() < len(self.cameras):
+            raise ConfigError(f"camera must be from 0 to {len(self.cameras) - 1}")
         size = np.array([(c.width, c.height) for c in self.cameras], float)[camera]
         local = pixels - np.column_stack([np.zeros(len(pixels)), self.tops[camera]])
         return ((local >= margin_px) & (local < size - margin_px)).all(axis=1)
 
+    @checked
     def unproject(
         self, pixels: Float64[np.ndarray, "n 2"], camera: Int64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3"]:

@@ -109,6 +109,11 @@ class SlamCamera:
         return Shutter(self.camera, self.readout_s)
 
     @property
+    def is_metric(self) -> bool:
+        """Whether lengths are those of the baseline, the depth sensor or the rig."""
+        return self.measures_depth_beside_rig or self.rig is not None
+
+    @property
     def eyes(self) -> Camera | CameraRig:
         """What the pixels of frames refer to: the camera, or the rig with its stacked image."""
         return self.camera if self.rig is None else self.rig

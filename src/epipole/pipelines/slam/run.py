@@ -104,8 +104,8 @@ def slam(
     frames = _open(source, wanted, wanted, found)
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
     system = _system(frames, wanted, known)
-    check_one_camera(wanted.anchors, measures_depth=frames.camera.measures_depth)
-    if not frames.camera.measures_depth:
+    check_one_camera(wanted.anchors, measures_depth=frames.camera.is_metric)
+    if not frames.camera.is_metric:
         check_known_map(wanted.anchors, known, is_map_fixed=wanted.localize)
     settings = {name: value for name, value in asdict(wanted).items() if name != "resume"}
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
@@ -147,7 +147,7 @@ def _notes(found: FoundCamera | None, system: Slam, given: AnchorOptions) -> lis
     notes = [] if found is None else list(found.notes())
     if system.imu is not None:
         notes += system.imu.log.notes
-    elif given.imu is not None and system.camera.measures_depth:
+    elif given.imu is not None and system.camera.is_metric:
         notes.append("the IMU is ignored in a known map, whose clock differs")
     return notes
 
@@ -193,7 +193,7 @@ def _anchored(
     system: Slam, options: AnchorOptions, records: list[FrameRecord], known: KnownMap | None, run: Run
 ) -> Anchoring | None:
     """Make the map metric with the given measurements; None, with a warning, if they do not determine the scale."""
-    if options.is_empty or system.camera.measures_depth or not len(system.trajectory()):
+    if options.is_empty or system.camera.is_metric or not len(system.trajectory()):
         return None
     frames = {r.answer.timestamp_s: r.name for r in records if r.answer is not None}
     try:

@@ -17,9 +17,11 @@ from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.slam_mapping import SlamMapping
 from epipole.pipelines.slam.start.bootstrap import bootstrap_map
 from epipole.pipelines.slam.start.provisional import Agreement, ProvisionalMap
+from epipole.pipelines.slam.start.rig_start import RigStart
 from epipole.pipelines.slam.start.rotation import RotationEstimate, RotationTracker
 from epipole.pipelines.slam.start.two_view import Confirmation, Initialization, OneCameraStart, initialize_map
 from epipole.pipelines.slam.tracking.points import Tracks
+from epipole.scene import CameraRig
 
 LEAST_KEYFRAMES = 3
 """A separate map with fewer keyframes is discarded when the camera is lost again."""
@@ -59,7 +61,9 @@ class Slam(SlamMapping):
     def _initialize(self, frame: Frame) -> TrackedFrame:
         """Initialize a map from this frame if it measures depth, else from it and earlier frames."""
         if not self.camera.measures_depth:
-            return self._wait(frame)
+            return (
+                self._wait(frame) if self.camera.rig is None else self._wait_for_rig(frame, self.camera.rig)
+            )
         self.odometry.cam_from_world = Rigid3.identity()
         self.odometry.tracker.tracks = Tracks.none()
         self.odometry.insert_keyframe(frame, self._num_frames)
@@ -79,6 +83,28 @@ class Slam(SlamMapping):
             return self._rotated(frame, rotated, initial)
         self.state = TrackingState.STARTING if self.map is self.maps[0] else self.state
         return self._no_pose(frame, initial, len(self._start.tracks))
+
+    def _wait_for_rig(self, frame: Frame, rig: CameraRig) -> TrackedFrame:
+        """Cameras without a common view: initialize a map once their motions show its scale."""
+        if self._rig_start is None:
+            self._rig_start = RigStart(rig, lambda camera: Slam(camera, self.given_config))
+        initial = self._rig_start.add(frame, self._num_frames)
+        if isinstance(initial, str):
+            self.state = TrackingState.STARTING if self.map is self.maps[0] else self.state
+            return self._no_pose(frame, initial, 0)
+        self._rig_start = None
+        if self.map is self.maps[0]:
+            self.first_frame = initial.model.keyframes[0].number
+        self.map.absorb(initial.model)
+        for number, time_s, position in initial.frames:
+            before = [k for k in self.map.keyframes if k.number <= number]
+            keyframe = before[-1] if before else self.map.keyframes[0]
+            self._path.add(number, time_s, keyframe, position, np.zeros((6, 6)))
+        self.odometry.cam_from_world = initial.frames[-1][2]
+        self.odometry.insert_keyframe(frame, self._num_frames)
+        self.odometry.mapper.adjust_all()
+        self.odometry.cam_from_world = self.map.keyframes[-1].cam_from_world
+        return self._initialized(frame, np.zeros((6, 6)))
 
     def _start_with_one_camera(self, frame: Frame, initial: Initialization) -> TrackedFrame:
         """Add a monocular map, in the world of a preceding pure rotation if the map's first frame is part of it."""
@@ -176,7 +202,7 @@ class Slam(SlamMapping):
             self.odometry.optimize_around_newest()
             reason = self._close_loop() or reason
             self._refine_past()
-        own = own_covariance(refined, self.map, self._num_frames, measures_depth=self.camera.measures_depth)
+        own = own_covariance(refined, self.map, self._num_frames, measures_depth=self.camera.is_metric)
         return self._relative_to(self.odometry.newest_keyframe(), frame, own, num_agreeing, reason)
 
     # Relocalization and separate maps.
@@ -193,7 +219,7 @@ class Slam(SlamMapping):
         if self._quality.is_usable and (found := self._recognized(frame)) is not None:
             return self._localized(frame, *found)
         self._num_lost += 1
-        rotated = None if self.camera.measures_depth or self.is_map_fixed else self._track_rotation(frame)
+        rotated = None if self.camera.is_metric or self.is_map_fixed else self._track_rotation(frame)
         if rotated is not None:
             return self._rotated(frame, rotated, "the camera only rotates: last known position")
         self.state = TrackingState.LOST

@@ -26,6 +26,7 @@ from epipole.pipelines.slam.mapping_thread import MappingThread
 from epipole.pipelines.slam.odometry import Odometry
 from epipole.pipelines.slam.snapshot import Snapshot, snapshot_of
 from epipole.pipelines.slam.start.provisional import ProvisionalMap
+from epipole.pipelines.slam.start.rig_start import RigStart
 from epipole.pipelines.slam.start.rotation import RotationTracker
 from epipole.pipelines.slam.start.two_view import OneCameraStart
 from epipole.pipelines.slam.tracking.frame_quality import FrameQuality, FrameQualityMonitor
@@ -81,7 +82,8 @@ class SlamState:
             raise ConfigError("is_map_fixed=True needs a map: pass known=")
         if mapping == "thread" and camera.shutter.is_rolling:
             raise ConfigError("mapping='thread' needs a global shutter: readout_s must be 0")
-        self.config = (SlamConfig() if config is None else config).odometry
+        self.given_config = SlamConfig() if config is None else config
+        self.config = self.given_config.odometry
         self.camera = camera
         self._camera_imu = None if imu is None or known is not None else CameraImu(imu)
         self.focal_baseline = focal_baseline_of(camera, self.config)
@@ -90,10 +92,11 @@ class SlamState:
         self.maps: list[SlamMap] = [SlamMap() if known is None else known]
         self.first_number = self.first_frame = 1 + max((k.number for k in self.maps[0].keyframes), default=-1)
         self._enter(self.maps[0], Rigid3.identity())
-        self._closer = LoopCloser(camera.eyes, self.config, is_metric=camera.measures_depth)
+        self._closer = LoopCloser(camera.eyes, self.config, is_metric=camera.is_metric)
         self.loops = self._closer.ledger
         self._relocalizer = Relocalizer(camera.eyes, self.config)
         self._start = OneCameraStart(camera.camera, self.config)
+        self._rig_start: RigStart | None = None
         self._unconfirmed: OneCameraStart | None = None
         self.start_warnings: list[str] = []
         self._provisional: tuple[ProvisionalMap, np.ndarray] | None = None

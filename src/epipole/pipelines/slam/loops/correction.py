@@ -34,7 +34,7 @@ LOOP_DEPTH_FRACTION, LOOP_ROTATION_RAD, LOOP_SCALE = 0.002, 0.002, 0.01
 
 def close_in_map(mapper: LocalMapper, closer: LoopCloser, constraint: LoopConstraint) -> np.ndarray | None:
     """Correct a map that returns to where it has been; the new row of each point, or None if the pose graph contradicts."""
-    if not correct_drift(mapper.map, constraint, mapper.camera, is_metric=mapper.sensor.measures_depth):
+    if not correct_drift(mapper.map, constraint, mapper.camera, is_metric=mapper.sensor.is_metric):
         closer.reject_last("the pose graph contradicts the loop")
         return None
     return refine_closed(mapper)

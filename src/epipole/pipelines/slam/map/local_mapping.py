@@ -84,7 +84,7 @@ class LocalMapper:
         self.map, self.sensor, self.camera, self.config = model, sensor, sensor.eyes, config
         self.focal_baseline = focal_baseline
         """Focal length times baseline; None for a single camera and for a rig."""
-        self.is_metric = sensor.measures_depth
+        self.is_metric = sensor.is_metric
         self.positions: dict[int, np.ndarray] = {}
         """Measured camera positions in the world by frame number; used when all keyframes are adjusted."""
         self.position_sigma = 1.0

@@ -54,6 +54,6 @@ def _localized(
     if tracker.focal_baseline is not None and seen.disparity_px is not None:
         deep = Disparities(seen.disparity_px[localized], tracker.focal_baseline, config.depth_sigma_px)
     refined = refine_pose(points, pixels, tracker.camera, start, disparities=deep)
-    if tracker.sensor.measures_depth:
+    if tracker.sensor.is_metric:
         covariance = by_errors(refined)
     return refined.cam_from_world, covariance

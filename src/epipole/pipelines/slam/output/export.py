@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,83 +22,89 @@ def reconstruction_of(model: SlamMap, camera: Camera | CameraRig, names: Sequenc
         camera: camera of all keyframes, or the rig, of which every keyframe has one image per camera.
         names: image names of the keyframes; for a rig those of cam0, which contain its name.
     """
-    keyframes = [k for k in model.keyframes if len(k.point)]  # rotation-only keyframes see no points
-    n, counts = len(keyframes), model.counts(list(range(len(model.keyframes))))
-    rows = np.flatnonzero((counts >= 2) & np.isfinite(model.xyz[:, 0]))
-    column = np.full(model.num_points, -1)
-    column[rows] = np.arange(len(rows))
     rig = camera if isinstance(camera, CameraRig) else None
     cameras = camera.cameras if isinstance(camera, CameraRig) else (camera,)
-    num = len(cameras)
-    images = [_image_rows(keyframe, rig) for keyframe in keyframes]
-    own = [row for rows_of_frame in images for row in rows_of_frame]  # observations of each image
-    frame = np.repeat(np.arange(n), num)
-    pixels = [
-        keyframes[i].straight_px[row] - _top(rig, k)
-        for i, k, row in zip(frame, np.tile(np.arange(num), n), own)
-    ]
-    image = np.repeat(np.arange(len(own)), [len(row) for row in own])
-    keypoint = np.concatenate([np.arange(len(row)) for row in own] or [np.zeros(0, int)])
-    point = column[
-        np.concatenate([keyframes[i].point[row] for i, row in zip(frame, own)] or [np.zeros(0, int)])
-    ]
+    keyframes = [k for k in model.keyframes if len(k.point)]  # rotation-only keyframes see no points
+    named = [name for name, k in zip(names, model.keyframes) if len(k.point)]
+    images = [i for n, k in enumerate(keyframes) for i in _images_of(k, n, named[n], rig)]
+    rows = np.flatnonzero(
+        (model.counts(list(range(len(model.keyframes)))) >= 2) & np.isfinite(model.xyz[:, 0])
+    )
+    column = np.full(model.num_points, -1)
+    column[rows] = np.arange(len(rows))
+    counts = [len(image.point) for image in images]
+    point = column[np.concatenate([image.point for image in images] or [np.zeros(0, int)])]
     order = np.argsort(point, kind="stable")
     order = order[point[order] >= 0]
-    offsets = np.concatenate([[0], np.cumsum(np.bincount(point[order], minlength=len(rows)))])
-    gray = np.full(len(rows), 128, np.uint8)
-    for j, row in enumerate(rows):
-        x, y = np.rint(model.anchor_px[row]).astype(int)
-        name = model.keyframes[int(model.anchor[row])].gray
-        gray[j] = name[np.clip(y, 0, name.shape[0] - 1), np.clip(x, 0, name.shape[1] - 1)]
-    first_from_body = Rigid3.identity() if rig is None else rig.cam_from_rig[0]
-    positions = [first_from_body @ k.cam_from_world for k in keyframes]
+    keypoint = np.concatenate([np.arange(count) for count in counts] or [np.zeros(0, int)])
     made = Reconstruction(
-        Cameras.from_list(cameras, is_constant=[True] * num),
+        Cameras.from_list(cameras, is_constant=[True] * len(cameras)),
         _rigs(rig),
-        Frames(
-            np.zeros(n, np.int32),
-            Rigid3(
-                np.array([p.rotation for p in positions]).reshape(-1, 3, 3),
-                np.array([p.translation for p in positions]).reshape(-1, 3),
-            ),
-            np.array([k.timestamp_s for k in keyframes], np.float64),
-        ),
+        _frames(keyframes, rig),
         Images(
-            tuple(
-                name_of_camera(name, k, rig)
-                for name, keyframe in zip(names, model.keyframes)
-                if len(keyframe.point)
-                for k in range(num)
-            ),
-            frame.astype(np.int32),
-            np.tile(np.arange(num, dtype=np.int32), n),
-            np.concatenate([[0], np.cumsum([len(row) for row in own])]).astype(np.int64),
-            np.concatenate(pixels or [np.zeros((0, 2))]),
+            tuple(image.name for image in images),
+            np.array([image.keyframe for image in images], np.int32),
+            np.array([image.sensor for image in images], np.int32),
+            np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+            np.concatenate([image.pixels for image in images] or [np.zeros((0, 2))]),
         ),
-        Points(model.xyz[rows].copy(), np.repeat(gray[:, None], 3, axis=1), np.zeros(len(rows))),
-        Tracks(offsets.astype(np.int64), image[order].astype(np.int32), keypoint[order].astype(np.int32)),
+        Points(model.xyz[rows].copy(), _colors(model, rows), np.zeros(len(rows))),
+        Tracks(
+            np.concatenate([[0], np.cumsum(np.bincount(point[order], minlength=len(rows)))]).astype(np.int64),
+            np.repeat(np.arange(len(images)), counts)[order].astype(np.int32),
+            keypoint[order].astype(np.int32),
+        ),
     )
     return replace(made, points=replace(made.points, error_px=_mean_errors_px(made)))
 
 
-def name_of_camera(name: str, k: int, rig: CameraRig | None) -> str:
+class _Image(NamedTuple):
+    keyframe: int
+    sensor: int
+    name: str
+    pixels: np.ndarray
+    point: np.ndarray
+
+
+def _images_of(keyframe: Keyframe, number: int, name: str, rig: CameraRig | None) -> list[_Image]:
+    """The image of a keyframe, or those of the rig's cameras, with their observations."""
+    pixels = keyframe.straight_px
+    if rig is None:
+        return [_Image(number, 0, name, pixels, keyframe.point)]
+    which, out = rig.camera_of(keyframe.pixels), []
+    for k, top in enumerate(rig.tops[:-1].tolist()):
+        own = which == k
+        out.append(_Image(number, k, name_of_camera(name, k), pixels[own] - [0.0, top], keyframe.point[own]))
+    return out
+
+
+def _frames(keyframes: Sequence[Keyframe], rig: CameraRig | None) -> Frames:
+    first_from_body = Rigid3.identity() if rig is None else rig.cam_from_rig[0]
+    positions = [first_from_body @ k.cam_from_world for k in keyframes]
+    return Frames(
+        np.zeros(len(keyframes), np.int32),
+        Rigid3(
+            np.array([p.rotation for p in positions]).reshape(-1, 3, 3),
+            np.array([p.translation for p in positions]).reshape(-1, 3),
+        ),
+        np.array([k.timestamp_s for k in keyframes], np.float64),
+    )
+
+
+def _colors(model: SlamMap, rows: np.ndarray) -> np.ndarray:
+    """(n, 3) gray values of points in their anchor keyframes."""
+    gray = np.full(len(rows), 128, np.uint8)
+    for j, row in enumerate(rows):
+        x, y = np.rint(model.anchor_px[row]).astype(int)
+        image = model.keyframes[int(model.anchor[row])].gray
+        gray[j] = image[np.clip(y, 0, image.shape[0] - 1), np.clip(x, 0, image.shape[1] - 1)]
+    return np.repeat(gray[:, None], 3, axis=1)
+
+
+def name_of_camera(name: str, k: int) -> str:
     """The image name of another camera of the rig: cam0/NAME becomes cam1/NAME."""
-    if rig is None or k == 0:
-        return name
     first, *rest = name.split("/")
     return "/".join([f"cam{k}", *(rest if first == "cam0" else [name])])
-
-
-def _image_rows(keyframe: Keyframe, rig: CameraRig | None) -> list[np.ndarray]:
-    """The observations of each camera's image."""
-    if rig is None:
-        return [np.arange(len(keyframe.point))]
-    which = rig.camera_of(keyframe.pixels)
-    return [np.flatnonzero(which == k) for k in range(len(rig.cameras))]
-
-
-def _top(rig: CameraRig | None, k: int) -> np.ndarray:
-    return np.zeros(2) if rig is None else np.array([0.0, float(rig.tops[k])])
 
 
 def _rigs(rig: CameraRig | None) -> Rigs:

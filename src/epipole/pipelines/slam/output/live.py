@@ -179,7 +179,7 @@ def _scene(system: Slam, now: Snapshot, curves: tuple[Curve, ...], view: FirstVi
     return SpaceScene(
         title="SLAM",
         words="",
-        unit=METERS if system.camera.measures_depth else NO_UNIT,
+        unit=METERS if system.camera.is_metric else NO_UNIT,
         points=(PointLayer("Points", now.points_in_world, rgb),),
         cameras=keyframes,
         curves=(*path, Curve("current camera", none, NOW_RGB)),

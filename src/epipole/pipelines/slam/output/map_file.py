@@ -91,7 +91,7 @@ def write_slam_map(
         "camera_model": np.array(int(camera.model)),
         "camera_params": camera.params,
         "size": np.array(size[::-1]),
-        "is_metric": np.array(sensor.measures_depth or bool(scale)),
+        "is_metric": np.array(sensor.is_metric or bool(scale)),
         "scale": np.array(scale),
         "right_shift_px": np.array(model.right_shift_px),
         "number": np.array([k.number for k in keyframes], np.int64),
@@ -213,7 +213,7 @@ def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
         params, camera.params, rtol=SAME_PARAMS
     ):
         raise ConfigError(f"{path} is the map of another camera: {params} instead of {camera.params}")
-    if sensor.measures_depth and not arrays["is_metric"]:
+    if sensor.is_metric and not arrays["is_metric"]:
         raise ConfigError(f"the map {path} is up to scale: use it with one camera")
     scale = arrays.get("scale")
     return KnownMap(

@@ -191,7 +191,7 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
 
 def _covariance_words(system: Slam) -> str:
     """Which errors the covariances of the trajectory cover, and which they exclude."""
-    if not system.camera.measures_depth:
+    if not system.camera.is_metric:
         return (
             "they cover the image noise of each frame (one pixel); they exclude errors of the map, of its scale and of the"
             " calibration"
@@ -321,7 +321,7 @@ def _submap_words(slam: Slam, number: int) -> dict[str, Any]:
         "num_keyframes": len(slam.maps[number].keyframes),
         "from_s": float(path.timestamp_s[0]) if len(path) else None,
         "to_s": float(path.timestamp_s[-1]) if len(path) else None,
-        "is_metric": slam.camera.measures_depth,
+        "is_metric": slam.camera.is_metric,
     }
 
 
@@ -331,7 +331,7 @@ def _meters(given: RunInputs, source: FrameSource, *, is_map_fixed: bool) -> tup
     if given.anchoring is not None:
         words = scale = given.anchoring.scale.in_words()
         more = {"anchor": given.anchoring.scale.summary()}
-    elif source.camera.measures_depth and not is_map_fixed:
+    elif source.camera.is_metric and not is_map_fixed:
         words = scale = _scale_words(source)
     elif known is not None and known.is_metric:
         whence = f" ({known.scale.removeprefix('meters, ')})" if known.scale else ""

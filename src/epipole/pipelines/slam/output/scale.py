@@ -41,7 +41,7 @@ def anchor_map(
         DegenerateGeometryError: the measurements do not determine the scale; the message says why.
         FileFormatError: a given file cannot be read.
     """
-    check_one_camera(options, measures_depth=system.camera.measures_depth)
+    check_one_camera(options, measures_depth=system.camera.is_metric)
     model, camera = system.maps[0], system.camera.camera
     keyframes = [k for k in model.keyframes if len(k.point)]
     views = views_of_model(reconstruction_of(model, camera, keyframe_names), lambda row: keyframes[row].gray)
