@@ -133,6 +133,29 @@ def test_the_map_is_read_back_and_localizes_the_rig(tracked, images, truth, tmp_
             read_slam_map(path, other)
 
 
+def test_cameras_without_a_common_view_start_when_their_motion_shows_the_scale(images, truth):
+    apart = CameraRig(
+        (CAMERA, CAMERA), Rigid3(RIG.cam_from_rig.rotation[[0, 2]], RIG.cam_from_rig.translation[[0, 2]])
+    )
+    assert not apart.measures_depth
+    system = Slam(SlamCamera.of_cameras(apart))
+    answers = [system.track(Frame.from_rig(0.1 * n, [row[0], row[2]], apart)) for n, row in enumerate(images)]
+    started = next(n for n, answer in enumerate(answers) if answer.has_pose)
+    assert 10 < started < COUNT - 3 and "common view" in answers[started - 1].reason
+    assert all(answer.has_pose for answer in answers[started:])
+    system.finish()
+    path = system.trajectory()
+    assert len(path) > COUNT - 5  # with the frames before the start
+    rows = np.rint(path.timestamp_s / 0.1).astype(int)
+    found = path.world_from_body
+    assert absolute_error(found, truth[rows], "rigid").position.max < 0.03
+    scale = 1.0 / float(align_points(found.translation, truth.translation[rows], with_scale=True).scale)
+    # A quarter of a circle nearly around the rig's center hides the scale, and the covariance says so.
+    off = np.linalg.norm(found.translation - truth.translation[rows], axis=1)
+    sigma = np.sqrt(np.trace(path.covariance[:, :3, :3], axis1=1, axis2=2))
+    assert abs(scale - 1.0) < 0.05 and np.median(off[5:] / sigma[5:]) < 2.0
+
+
 def test_a_thread_maps_beside_tracking(images, truth):
     system = Slam(SlamCamera.of_cameras(RIG), mapping="thread")
     answers = [system.track(frame) for frame in frames_of(images)]

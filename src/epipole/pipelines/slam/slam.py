@@ -102,7 +102,7 @@ class Slam(SlamMapping):
             self._path.add(number, time_s, keyframe, position, np.zeros((6, 6)))
         self.odometry.cam_from_world = initial.frames[-1][2]
         self.odometry.insert_keyframe(frame, self._num_frames)
-        self.odometry.mapper.adjust_all()
+        self.odometry.mapper.adjust_start()
         self.odometry.cam_from_world = self.map.keyframes[-1].cam_from_world
         return self._initialized(frame, np.zeros((6, 6)))
 

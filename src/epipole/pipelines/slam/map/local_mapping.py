@@ -48,6 +48,8 @@ IN_TIME = 4
 """Keyframes before the newest that are adjusted with it if an IMU connects them."""
 FIRST_OPTIMIZED = 6
 """Keyframes of a new map."""
+START_ROUNDS = 3
+"""Rounds of linking and adjusting at the start of such a map."""
 GROWTH = 1.25
 """All keyframes are adjusted again when their number has grown by this factor."""
 LAST_STEPS = 3 + 2 * len(LAST_SCALES_PX)
@@ -139,6 +141,15 @@ class LocalMapper:
     def adjust_all(self, loss_scale_px: float = LOSS_SCALE_PX, max_iterations: int = 40) -> Adjusted | None:
         """Adjust all keyframes and points."""
         return self.adjust(list(range(len(self.map.keyframes))), [], max_iterations, loss_scale_px)
+
+    def adjust_start(self) -> None:
+        """Adjust the first keyframes of cameras without a common view, whose scale is only known to some percent.
+
+        Linked to the points of all keyframes, they determine it better; it converges slowly.
+        """
+        for _ in range(START_ROUNDS):
+            link_tracks(self.map, self.camera, self.map.keyframes)
+            self.adjust_all()
 
     def adjust_for_good(self, number: int, count: int, goes_on: Callable[[int, int], bool]) -> bool:
         """Final adjustment after the last frame: alternately link keyframes to the points in sight and adjust everything.

@@ -23,7 +23,7 @@ EVERY = 5
 """Frames between two attempts."""
 KEPT = 200
 """Latest frames that are kept, since a camera's map may start from earlier frames."""
-LARGEST_SIGMA = 0.04
+LARGEST_SIGMA = 0.08
 """Relative standard deviation of an accepted scale; the adjustments of the rig's map make it smaller."""
 LARGEST_ROTATION_DEG, LARGEST_RESIDUAL = 2.0, 0.2
 """Largest contradiction between the cameras' motions."""
@@ -74,7 +74,7 @@ class RigStart:
         count = sum(bool(system.maps[0].num_points) for system in self.systems)
         if count < 2:
             return f"{count} of {len(self.systems)} cameras have moved enough to start; two are needed"
-        return "the cameras have no common view: the rig must rotate while it moves, which shows the scale"
+        return "the cameras have no common view: the scale is unknown until the rig has rotated and moved in several directions"
 
     def _attempt(self) -> RigInitialization | str:
         paths = [system.trajectory() for system in self.systems]
