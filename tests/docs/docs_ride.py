@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+import yaml
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3
@@ -162,6 +163,23 @@ def kitti(folder: Path) -> None:
     rows = [[f, 0, cx, x, 0, f, cy, 0, 0, 0, 1, 0] for x in (0.0, -f * BASELINE)]
     lines = [f"P{k}: {' '.join(map(str, row))}\n" for k, row in enumerate(rows)]
     (folder / "calib.txt").write_text("".join(lines))
+
+
+def rig(folder: Path, calibration: Path) -> None:
+    """The pairs as the images of a rig, with Kalibr's calibration."""
+    chain = {}
+    for name, seen in (("cam0", ride().left[:PAIRS]), ("cam1", ride().right)):
+        (folder / name).mkdir(parents=True)
+        for n, image in enumerate(seen):
+            cv2.imwrite(str(folder / name / f"{n:06d}.png"), gray(image))
+        f, _, cx, cy = LENS.params.tolist()
+        size = [LENS.width, LENS.height]
+        chain[name] = {"camera_model": "pinhole", "intrinsics": [f, f, cx, cy], "resolution": size}
+        chain[name] |= {"distortion_model": "radtan", "distortion_coeffs": [0.0, 0.0, 0.0, 0.0]}
+    matrix = np.eye(4)
+    matrix[0, 3] = -BASELINE
+    chain["cam1"]["T_cn_cnm1"] = matrix.tolist()
+    calibration.write_text(yaml.safe_dump(chain))
 
 
 def tum(folder: Path) -> None:

@@ -133,6 +133,20 @@ def ride(_: Path) -> dict[str, Any]:
     }
 
 
+def rig_instants(_: Path) -> dict[str, Any]:
+    """Two parallel cameras that move sideways before the courtyard."""
+    given = ride(_)
+    camera, poses = (
+        given["camera"],
+        Rigid3(np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0] * 3, [-0.12, 0, 0]])),
+    )
+    instants = []
+    for n in range(4):
+        first = look_at((0.03 * n, -4.0, 1.4), (0.03 * n, 0.4, 0.6))
+        instants.append((0.1 * n, [render(courtyard(), camera, poses[k] @ first).rgb for k in range(2)]))
+    return {"camera": camera, "poses": poses, "instants": instants}
+
+
 def ride_folder(folder: Path, count: int) -> None:
     """The same in the form of KITTI: pairs of gray images and calib.txt."""
     camera = Camera("PINHOLE", *SIZE, [260.0, 260.0, 159.5, 119.5])
@@ -240,6 +254,7 @@ PREPARED: dict[str, Callable[[Path], dict[str, Any]]] = {
     "slam": pair_ride,
     "slam_live": ride,
     "slam_maps": mapped_ride,
+    "slam_rigs": rig_instants,
     "scale": lambda _: {},
     "stereo": stereo_pair,
     "tour/3_points": toured_model,

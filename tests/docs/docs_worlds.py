@@ -139,6 +139,10 @@ def ride_with_imu(folder: Path) -> None:
     docs_ride.imu(folder / "ride")
 
 
+def rig_ride(folder: Path) -> None:
+    docs_ride.rig(folder / "ride", folder / "camchain.yaml")
+
+
 def meters(folder: Path) -> None:
     docs_ride.wheels(folder / "wheels.txt")
     docs_ride.mounting(folder / "mount.yaml")
@@ -291,6 +295,7 @@ WORLDS: dict[str, Callable[[Path], None]] = {
     "slam-2": ride_with_imu,
     "slam_maps-0": maps,
     "slam_maps-1": stopped_ride,
+    "slam_rigs-0": rig_ride,
     "slam_ros-0": stopped_ride,
     "slam_sources-0": sources_of_slam,
     "stereo-0": pair,

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from rosbags.highlevel import AnyReader
 
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
@@ -181,13 +182,17 @@ def test_a_folder_of_cameras_and_kalibrs_calibration_are_enough(images, truth, t
             chain[f"cam{k}"]["T_cn_cnm1"] = matrix.tolist()
     calibration = tmp_path / "camchain.yaml"
     calibration.write_text(yaml.safe_dump(chain))
-    found = run.slam(source, tmp_path / "out", sensor="rig", calibration=calibration, fps=10)
+    record = tmp_path / "ride.mcap"
+    found = run.slam(source, tmp_path / "out", sensor="rig", calibration=calibration, fps=10, record=record)
     assert found.summary["is_metric"] and "rig's 3 cameras" in found.summary["scale"]
     path = read_trajectory(tmp_path / "out" / "trajectory.txt")
     assert isinstance(path, Trajectory) and len(path) == 12
     assert absolute_error(path.world_from_body, truth[np.arange(12)], "none").position.max < 0.02
     model = read_colmap_model(tmp_path / "out" / "sparse" / "0")
     assert len(model.cameras) == 3 and len(model.rigs) == 1 and "cam2/000.png" in model.images.name
+    with AnyReader([record]) as bag:
+        counts = {c.topic: c.msgcount for c in bag.connections}
+    assert [counts[f"/camera{k}/image/compressed"] for k in range(3)] == [12, 12, 12]
     with pytest.raises(ConfigError, match="pass --calibration"):
         run.slam(source, tmp_path / "out2", sensor="rig", fps=10)
 

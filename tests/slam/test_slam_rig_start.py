@@ -23,7 +23,7 @@ def walk(rng, rotation=0.8):
 
 
 def alone(rng, cam_from_rig, rig_from_world, scales, noise_m=0.0):
-    """What each camera estimates: in a world and a unit of its own."""
+    """What each camera estimates: in another world and unit."""
     out = []
     for k, scale in enumerate(scales):
         world = Rigid3.exp(rng.normal(size=6))

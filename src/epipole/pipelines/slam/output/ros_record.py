@@ -7,7 +7,7 @@
 | `/odometry` | nav_msgs/Odometry | the same pose with its covariance |
 | `/path`, `/points` | nav_msgs/Path, sensor_msgs/PointCloud2 | keyframes and map when the run has grown by a tenth; final trajectory |
 | `/state` | std_msgs/String | tracking state of each frame, and the reason |
-| `/camera/image/compressed`, `/camera/camera_info` | sensor_msgs | the left images, and their camera |
+| `/camera/image/compressed`, `/camera/camera_info` | sensor_msgs | the left images, and their camera; of a rig `/camera0/...` and so on |
 
 Poses are those of the moment (the causal trajectory); the last `/path` is the final trajectory. The frame of a separate map is
 `world_1` and so on; no transform connects it to the first.
@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from epipole.cameras import Camera
 from epipole.geometry import Rigid3
 from epipole.io import ros
 from epipole.io.bags.writing import require_writing, written_bag
@@ -135,7 +136,10 @@ class McapRecording(Recording):
 
     def _static(self, stamp_s: float, world: str | None) -> list[Message]:
         """The transforms that do not change; tools keep the last message of a pair of frames."""
-        transforms = [ros.transform_fields(stamp_s, self._body_from_camera, BODY, CAMERA)]
+        transforms = [
+            ros.transform_fields(stamp_s, self._body_from_camera @ pose, BODY, name)
+            for name, _, pose in _cameras_of(self._camera)
+        ]
         if world is not None:
             map_from_world = Rigid3(ros.REP103_FROM_OPTICAL, np.zeros(3))
             transforms.append(ros.transform_fields(stamp_s, map_from_world, MAP, world))
@@ -196,15 +200,24 @@ def _path_of(keyframes: list[tuple[float, Rigid3]]) -> Trajectory:
     )
 
 
+def _cameras_of(camera: SlamCamera) -> list[tuple[str, Camera, Rigid3]]:
+    """Name, intrinsics and pose in the tracked frame of the camera, or of each camera of a rig."""
+    if camera.rig is None:
+        return [(CAMERA, camera.camera, Rigid3.identity())]
+    poses = camera.rig.cam_from_rig.inverse()
+    return [(f"{CAMERA}{k}", one, poses[k]) for k, one in enumerate(camera.rig.cameras)]
+
+
 def _of_image(frame: Frame, camera: SlamCamera) -> list[Message]:
-    stamp_s = frame.timestamp_s
+    stamp_s, out = frame.timestamp_s, []
     kinds = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo")
-    return [
-        Message("/camera/image/compressed", kinds[0], stamp_s, ros.jpeg_fields(stamp_s, frame.gray, CAMERA)),
-        Message(
-            "/camera/camera_info", kinds[1], stamp_s, ros.camera_info_fields(stamp_s, camera.camera, CAMERA)
-        ),
-    ]
+    images = [frame.gray] if camera.rig is None else camera.rig.parts(frame.gray)
+    for image, (name, one, _) in zip(images, _cameras_of(camera), strict=True):
+        jpeg = ros.jpeg_fields(stamp_s, np.ascontiguousarray(image), name)
+        out.append(Message(f"/{name}/image/compressed", kinds[0], stamp_s, jpeg))
+        info = ros.camera_info_fields(stamp_s, one, name)
+        out.append(Message(f"/{name}/camera_info", kinds[1], stamp_s, info))
+    return out
 
 
 def _of_pose(answer: TrackedFrame, body_from_camera: Rigid3, world: str) -> list[Message]:

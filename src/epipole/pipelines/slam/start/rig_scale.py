@@ -30,7 +30,7 @@ class RigScales(NamedTuple):
     rotation_deg: float
     """Median difference between the rotations of the first camera and of another one; large if they do not move together."""
     residual: float
-    """Root mean square of the differences, as a fraction of the distance travelled."""
+    """Root mean square of the differences, as a fraction of the distance traveled."""
 
 
 def fit_rig_scales(cam_from_rig: Rigid3, cams_from_world: Sequence[Rigid3]) -> RigScales:
@@ -41,7 +41,7 @@ def fit_rig_scales(cam_from_rig: Rigid3, cams_from_world: Sequence[Rigid3]) -> R
 
     Args:
         cam_from_rig: (k,) of the cameras.
-        cams_from_world: for each camera (n,) poses at the same instants, each in a world and unit of its own.
+        cams_from_world: for each camera (n,) poses at the same instants, each in another world and unit.
     """
     count, num = len(cams_from_world), len(cams_from_world[0])
     rows, right, angles = [], [], []

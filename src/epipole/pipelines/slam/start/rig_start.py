@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from epipole.geometry import Rigid3, Similarity3
-from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame
 from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
 from epipole.pipelines.slam.start.rig_scale import RigScales, fit_rig_scales
 from epipole.pipelines.slam.tracking.points import Tracks
 from epipole.scene import CameraRig, Trajectory
-
-if TYPE_CHECKING:
-    from epipole.pipelines.slam.slam import Slam
 
 LEAST_FRAMES = 15
 """Frames that two cameras must have localized."""
@@ -29,6 +26,18 @@ LARGEST_ROTATION_DEG, LARGEST_RESIDUAL = 2.0, 0.2
 """Largest contradiction between the cameras' motions."""
 
 
+class OneCameraSlam(Protocol):
+    """What is used of `Slam`."""
+
+    maps: list[SlamMap]
+
+    def track(self, frame: Frame) -> TrackedFrame:
+        """Estimate the pose of the next frame."""
+
+    def trajectory(self) -> Trajectory:
+        """Poses in the first map."""
+
+
 class RigInitialization(NamedTuple):
     """The start of a rig's map."""
 
@@ -39,9 +48,9 @@ class RigInitialization(NamedTuple):
 
 
 class RigStart:
-    """Tracks each camera of a rig by a SLAM of its own."""
+    """Tracks each camera of a rig alone, by a separate SLAM."""
 
-    def __init__(self, rig: CameraRig, make: Callable[[SlamCamera], Slam]) -> None:
+    def __init__(self, rig: CameraRig, make: Callable[[SlamCamera], OneCameraSlam]) -> None:
         self.rig = rig
         self.systems = [make(SlamCamera(camera)) for camera in rig.cameras]
         self.tracks = Tracks.none()
