@@ -80,7 +80,7 @@ class SlamCamera:
             raise ConfigError("pass a baseline or depth, not both")
         if not 0 <= self.readout_s < 1:
             raise ConfigError(f"readout_s must be at least 0 and below 1, got {self.readout_s}")
-        if self.rig is not None and (self.measures_depth_beside_rig or self.readout_s):
+        if self.rig is not None and (self.measures_disparity or self.readout_s):
             raise ConfigError("a rig cannot be combined with a baseline, a depth sensor or a rolling shutter")
 
     @staticmethod
@@ -111,7 +111,7 @@ class SlamCamera:
     @property
     def is_metric(self) -> bool:
         """Whether lengths are those of the baseline, the depth sensor or the rig."""
-        return self.measures_depth_beside_rig or self.rig is not None
+        return self.measures_disparity or self.rig is not None
 
     @property
     def eyes(self) -> Camera | CameraRig:
@@ -119,14 +119,14 @@ class SlamCamera:
         return self.camera if self.rig is None else self.rig
 
     @property
-    def measures_depth_beside_rig(self) -> bool:
+    def measures_disparity(self) -> bool:
         """Whether a second camera of a rectified pair or a depth sensor measures depth."""
         return self.depth is not None or self.baseline is not None
 
     @property
     def measures_depth(self) -> bool:
         """Whether a single frame measures depth."""
-        return self.measures_depth_beside_rig or (self.rig is not None and self.rig.measures_depth)
+        return self.measures_disparity or (self.rig is not None and self.rig.measures_depth)
 
     def checked(self, frame: Frame, after_s: float = -np.inf) -> Frame:
         """Check that the frame fits this camera and is later than `after_s`; pixels without a ray are masked.

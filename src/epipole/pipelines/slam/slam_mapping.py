@@ -116,5 +116,5 @@ class SlamMapping(SlamState):
 
     def _set_tracking(self) -> None:
         self.state = TrackingState.TRACKING if self.map is self.maps[0] else TrackingState.SUBMAP
-        self._num_lost, self._rotation = 0, None
+        self._num_lost, self._rotation, self._rig_start = 0, None, None
         self._relocalizer.clear()

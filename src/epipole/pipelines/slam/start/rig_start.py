@@ -18,7 +18,7 @@ LEAST_FRAMES = 15
 """Frames that two cameras must have localized."""
 EVERY = 5
 """Frames between two attempts."""
-KEPT = 200
+KEPT = 100
 """Latest frames that are kept, since a camera's map may start from earlier frames."""
 LARGEST_SIGMA = 0.08
 """Relative standard deviation of an accepted scale; the adjustments of the rig's map make it smaller."""
