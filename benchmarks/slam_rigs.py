@@ -77,7 +77,7 @@ def main() -> None:
     )
     for row in rows:
         table.add_row(
-            row["rig"], f"{row['localized']} of {NUM_FRAMES}", f"{row['final_mm']:.1f}", f"{row['causal_mm']:.1f}",
+            row["rig"], f"{row['localized']} of {NUM_FRAMES}", f"{row['final_mm']:.1f}", _rounded(row["causal_mm"]),
             f"{row['scale_percent']:+.2f}", f"{row['error_over_sigma']:.2f}", f"{row['median_ms']:.0f}", f"{row['ms_95']:.0f}",
         )  # fmt: skip
     Console().print(table)
@@ -151,11 +151,15 @@ def measured(name: str, rig: CameraRig, images: Images, truth: Rigid3) -> dict[s
     }
 
 
-def _error_mm(estimate: Rigid3, truth: Rigid3) -> float:
-    """Root mean square error after alignment; NaN if a new map started at once, so that there are few poses."""
+def _error_mm(estimate: Rigid3, truth: Rigid3) -> float | None:
+    """Root mean square error after alignment; None if a new map started at once, so that there are few poses."""
     if len(estimate) < LEAST_POSES:
-        return float("nan")
+        return None
     return 1e3 * absolute_error(estimate, truth, "rigid").position.rmse
+
+
+def _rounded(value: float | None) -> str:
+    return "" if value is None else f"{value:.1f}"
 
 
 def _image(scene: Any, camera: Camera, cam_from_world: Rigid3, seed: int) -> np.ndarray:
