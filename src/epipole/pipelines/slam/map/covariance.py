@@ -182,7 +182,9 @@ def _off_calibrations(problem: BundleProblem, sigma: CalibrationSigma) -> Iterat
     params, num = problem.camera_params, len(problem.camera_params)
     is_pair = num == 2 and problem.camera_model[0] == problem.camera_model[1]
     is_pair &= bool((problem.cam_from_rig.rotation == np.eye(3)).all())
-    is_pair &= np.array_equal(*np.delete(params[:2], 2, axis=1))  # a pair's principal points may differ along the rows
+    is_pair &= np.array_equal(
+        *np.delete(params[:2], 2, axis=1)
+    )  # a pair's principal points may differ along the rows
     for cameras in [list(range(num))] if is_pair else [[k] for k in range(num)]:
         model = CameraModel(int(problem.camera_model[cameras[0]]))
         focal, (cx, cy) = list(model.focal_indices), model.principal_point_indices
