@@ -68,6 +68,14 @@ def test_maps_of_different_rooms_are_not_merged(ride):
     assert len(merged.model.keyframes) == len(first.keyframes)
 
 
+def test_a_copied_map_shares_nothing_that_moving_it_changes():
+    model = SlamMap()
+    model.recent.steps = [Rigid3(np.eye(3), np.array([1.0, 0.0, 0.0]))]
+    copied = model.copied()
+    copied.rescale(3.0)
+    assert [step.translation[0] for step in model.recent.steps] == [1.0]
+
+
 def test_an_empty_map_is_refused(ride):
-    with pytest.raises(ConfigError, match="must have points"):
+    with pytest.raises(ConfigError, match="keyframes with points"):
         merge_maps(SlamMap(), SlamMap(), ride.sensor("rgbd"))

@@ -7,6 +7,7 @@ import yaml
 from rosbags.highlevel import AnyReader
 
 from epipole.cameras import Camera
+from epipole.config import RansacConfig
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.geometry.alignment import align_points
@@ -17,6 +18,8 @@ from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.output.export import reconstruction_of
 from epipole.pipelines.slam.output.map_file import read_slam_map, write_slam_map
 from epipole.pipelines.slam.slam import Slam
+from epipole.pipelines.slam.tracking.points import predict_pixels
+from epipole.pipelines.slam.tracking.pose_search import search_pose
 from epipole.scene import CameraRig, Trajectory
 from epipole.synthetic import render, rides
 
@@ -207,6 +210,54 @@ def test_frames_and_cameras_that_do_not_fit_are_refused(images):
         SlamCamera(CAMERA, baseline=0.1, rig=RIG)
     with pytest.raises(ConfigError, match="a rig cannot be combined"):
         SlamCamera(CAMERA, readout_s=0.02, rig=RIG)
+
+
+def test_masks_that_do_not_fit_are_refused(images):
+    with pytest.raises(ShapeError, match="as many masks, got 1"):
+        Frame.from_rig(0.0, images[0], RIG, [None])
+    with pytest.raises(ShapeError, match="mask of camera 1"):
+        Frame.from_rig(0.0, images[0], RIG, [None, np.zeros((4, 5), bool), None])
+    with pytest.raises(ConfigError, match="not the rig's first"):
+        SlamCamera(Camera("PINHOLE", *SIZE, [95.0, 95.0, 119.5, 89.5]), rig=RIG)
+
+
+def test_a_pose_is_found_from_few_points_in_each_camera(rng):
+    """Eight in each of three cameras, no camera with the 20 that are needed."""
+    which = np.repeat(np.arange(3), 8)
+    pixels = rng.uniform(20, 160, (24, 2)) + np.column_stack([np.zeros(24), 180.0 * which])
+    in_cam = RIG.unproject(pixels, which) * rng.uniform(2, 5, (24, 1))
+    points = np.stack([RIG.cam_from_rig[k].inverse().apply(x) for k, x in zip(which, in_cam)])
+    pose = Rigid3.exp(0.3 * rng.normal(size=6))
+    found = search_pose(
+        pose.inverse().apply(points), pixels, RIG, RansacConfig(max_error_px=2.0, min_inliers=20)
+    )
+    assert np.abs((found @ pose.inverse()).log()).max() < 1e-6
+    assert search_pose(points, pixels, RIG, RansacConfig(max_error_px=2.0, min_inliers=25)) is None
+
+
+def test_points_behind_a_fisheye_camera_are_not_mirrored():
+    wide = Camera("OPENCV_FISHEYE", 400, 400, [100.0, 100.0, 199.5, 199.5, 0.0, 0.0, 0.0, 0.0])
+    pixels, none = np.array([[370.0, 200.0], [220.0, 210.0]]), np.full((2, 3), np.nan)
+    at = predict_pixels(pixels, none, Rigid3.identity(), Rigid3.identity(), wide)
+    np.testing.assert_allclose(at, pixels, atol=1e-9)
+
+
+def test_only_the_observation_that_was_removed_stops_being_tracked(tracked):
+    system, _ = tracked
+    tracker, newest = system.odometry.tracker, system.map.keyframes[-1]
+    before, kept = (
+        tracker.tracks,
+        (newest.pixels, newest.point, newest.disparity_px, newest.descriptors, newest.shift_px),
+    )
+    tracker.start_from_keyframe(newest)
+    which = RIG.camera_of(newest.pixels)
+    point = np.intersect1d(newest.point[which == 0], newest.point[which == 1])[0]
+    newest.keep(~((newest.point == point) & (which == 1)))
+    tracker.remove_outliers()
+    own = tracker.tracks.point == point
+    assert RIG.camera_of(tracker.tracks.pixels[own]).tolist() == [0]
+    newest.pixels, newest.point, newest.disparity_px, newest.descriptors, newest.shift_px = kept
+    tracker.start_from(before)
 
 
 def test_masks_of_the_cameras_are_stacked(images):

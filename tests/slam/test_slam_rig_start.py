@@ -1,10 +1,17 @@
 """The scale of cameras without a common view: exact without noise, within its deviation, refused where the motion hides it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Rotation3, Similarity3
+from epipole.pipelines.slam.frames import Frame
+from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.start.rig_scale import fit_rig_scales
+from epipole.pipelines.slam.start.rig_start import RigStart
+from epipole.scene import CameraRig, Trajectory
 
 NUM = 40
 
@@ -87,6 +94,66 @@ def test_cameras_at_rest_have_no_scale(rng):
     rest = Rigid3.identity(NUM)
     found = fit_rig_scales(rig, alone(rng, rig, rest, (1.0, 1.0)))
     assert np.isinf(found.sigma).all()
+
+
+class Alone:
+    """Stands for the SLAM of one camera: it is right, except for frames in which it sees nothing."""
+
+    def __init__(self, path, first, blind):
+        self.path, self.first, self.blind = path, first, blind
+        self.maps, self.seen, self.count = [SlamMap()], [], 0
+        seen = Observations(np.array([[5.0, 5.0]]), np.array([np.nan]), np.array([0]))
+        self.maps[0].add_points(np.array([[0.0, 0.0, 1.0]]), seen.pixels, 0)
+        self.maps[0].keyframes.append(Keyframe(0, 0.0, np.zeros((24, 32), np.uint8), path[first], seen))
+
+    def track(self, frame):
+        number = self.first + self.count
+        self.count += 1
+        is_seen = number not in self.blind
+        if is_seen:
+            self.seen.append((frame.timestamp_s, number))
+        return SimpleNamespace(world_from_body=self.path[number] if is_seen else None)
+
+    def trajectory(self):
+        times, numbers = (np.array(column) for column in zip(*self.seen)) if self.seen else (np.zeros(0),) * 2
+        return Trajectory(times, self.path[numbers.astype(int)].inverse())
+
+
+def started(rng, path, blind=()):
+    """The frame in which a rig of four cameras starts, and the words before."""
+    pinhole = Camera("PINHOLE", 32, 24, [30.0, 30.0, 15.5, 11.5])
+    rig = CameraRig((pinhole,) * 4, mounting(rng, 4))
+    paths = alone(rng, rig.cam_from_rig, path, (1.0, 2.0, 0.5, 1.5), noise_m=0.001)
+    made, frames = [], 0
+
+    def make(_):
+        k = len(made) % 4 if len(made) < 4 else 3
+        made.append(k)
+        return Alone(paths[k], frames, blind if k == 3 else ())
+
+    start, words = RigStart(rig, make), ""
+    for frames in range(NUM):
+        frame = Frame.from_rig(0.1 * frames, [np.zeros((24, 32), np.uint8)] * 4, rig)
+        found = start.add(frame, frames)
+        if not isinstance(found, str):
+            return frames, words
+        words = found
+    return None, words
+
+
+def test_a_camera_that_is_covered_does_not_keep_the_others_from_starting(rng):
+    path = walk(rng)
+    first, _ = started(rng, path)
+    again, _ = started(rng, path, blind=range(10, NUM))
+    assert first is not None and again is not None and again <= first + 5
+
+
+def test_a_straight_ride_is_not_called_a_wrong_calibration(rng):
+    path = walk(rng)
+    noise = np.stack([Rotation3.exp(v).matrix for v in 1e-4 * rng.normal(size=(NUM, 3))])
+    straight = Rigid3(noise @ path.rotation[0], path.translation)
+    number, words = started(rng, straight)
+    assert number is None and "scale is unknown" in words
 
 
 @pytest.fixture

@@ -21,6 +21,9 @@ from epipole.image.pixels_without_ray import pixels_without_ray
 from epipole.pipelines.slam.shutter.shutter import Shutter
 from epipole.scene import CameraRig, StereoRig
 
+LEAST_COSINE = 0.05
+"""Of the angle between a direction and its camera's axis, in a rig: 87 degrees."""
+
 
 class TrackingState(StrEnum):
     """Tracking state of a frame."""
@@ -82,6 +85,8 @@ class SlamCamera:
             raise ConfigError(f"readout_s must be at least 0 and below 1, got {self.readout_s}")
         if self.rig is not None and (self.measures_disparity or self.readout_s):
             raise ConfigError("a rig cannot be combined with a baseline, a depth sensor or a rolling shutter")
+        if self.rig is not None and self.camera is not self.rig.cameras[0]:
+            raise ConfigError("the camera is not the rig's first one: use SlamCamera.of_cameras(rig)")
 
     @staticmethod
     def of_cameras(rig: CameraRig) -> SlamCamera:
@@ -258,9 +263,7 @@ class Frame:
         gray = rig.stack([gray_image(image, white) for image in images])
         mask = None
         if ignored_masks is not None:
-            none = [np.zeros((camera.height, camera.width), np.uint8) for camera in rig.cameras]
-            given = [n if m is None else m.astype(np.uint8) for m, n in zip(ignored_masks, none, strict=True)]
-            mask = rig.stack(given).astype(bool)
+            mask = stacked_mask(rig, ignored_masks)
         return Frame(timestamp_s, gray, ignored_mask=mask)
 
     def is_used(self, pixels: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
@@ -291,13 +294,18 @@ class Frame:
 
 @lru_cache(maxsize=4)
 def blind_pixels(camera: Camera | CameraRig) -> np.ndarray | None:
-    """Mask of the pixels without a ray, and beside the images of a stacked image; None if there are none."""
+    """Mask of the pixels without a ray; None if there are none.
+
+    In a stacked image also of those beside the images, and of directions near 90 degrees and more from their camera's axis.
+    """
     if isinstance(camera, Camera):
         return pixels_without_ray(camera)
     blind = np.ones((camera.height, camera.width), bool)
     for part, one in zip(camera.parts(blind), camera.cameras):
+        at = np.stack(np.meshgrid(np.arange(one.width), np.arange(one.height)), axis=-1).reshape(-1, 2)
+        part[:] = ~(one.unproject(at.astype(np.float64))[:, 2] > LEAST_COSINE).reshape(part.shape)
         own = pixels_without_ray(one)
-        part[:] = False if own is None else own
+        part[:] |= False if own is None else own
     return blind if blind.any() else None
 
 
@@ -311,6 +319,22 @@ def rectification_of(rig: StereoRig) -> Rectification | None:
         and np.abs(rig.right_from_left.translation[1:]).max() < 1e-9 * rig.baseline
     )
     return None if is_flat else rectify(rig)
+
+
+def stacked_mask(rig: CameraRig, masks: Sequence[np.ndarray | None]) -> np.ndarray:
+    """The masks of a rig's cameras, of which None masks nothing, in the stacked image.
+
+    Raises:
+        ShapeError: there is not one mask per camera, or one does not have its camera's size.
+    """
+    if len(masks) != len(rig.cameras):
+        raise ShapeError(f"a rig of {len(rig.cameras)} cameras needs as many masks, got {len(masks)}")
+    out = np.zeros((rig.height, rig.width), bool)
+    for k, (part, mask) in enumerate(zip(rig.parts(out), masks)):
+        if mask is not None and mask.shape != part.shape:
+            raise ShapeError(f"the mask of camera {k} has the shape {mask.shape}, but the image {part.shape}")
+        part[:] = False if mask is None else mask
+    return out
 
 
 def require_size(what: str, image: np.ndarray, camera: Camera) -> None:

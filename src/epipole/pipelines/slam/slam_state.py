@@ -104,7 +104,7 @@ class SlamState:
         self._rotations: dict[int, Rigid3] = {}
         self._before: Frame | None = None
         self._time_s = -np.inf
-        self._quality_monitor, self._quality = FrameQualityMonitor(), FrameQuality()
+        self._quality_monitor, self._quality = FrameQualityMonitor(camera.rig), FrameQuality()
         self._path = Path(self.first_number)
         self._num_frames, self._num_lost = self.first_number, 0
         self._num_maps = 1

@@ -15,8 +15,10 @@ from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.loops.closing import CONFIRMATIONS, LoopCloser, LoopConstraint
 from epipole.pipelines.slam.loops.correction import EDGE_POINTS, LOOP_ITERATIONS, fuse
 from epipole.pipelines.slam.loops.recognition import describe_keyframe
+from epipole.pipelines.slam.map.gauge import align_gauge
 from epipole.pipelines.slam.map.local_mapping import LocalMapper, focal_baseline_of
 from epipole.pipelines.slam.map.slam_map import SlamMap
+from epipole.pipelines.slam.map.triangulation import positions_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,10 +63,13 @@ def merge_maps(
         config: options of tracking and mapping.
 
     Raises:
-        ConfigError: a map is empty.
+        ConfigError: a map is empty, or its images do not have the camera's size.
     """
-    if not first.num_points or not second.num_points:
-        raise ConfigError("both maps must have points")
+    for model in (first, second):
+        if not any(len(keyframe.point) for keyframe in model.keyframes):
+            raise ConfigError("both maps must have keyframes with points")
+        if model.keyframes[-1].gray.shape != (camera.eyes.height, camera.eyes.width):
+            raise ConfigError("the images of a map do not have the camera's size")
     options = (SlamConfig() if config is None else config).odometry
     one, other = first.copied(), second.copied()
     for model in (one, other):
@@ -81,6 +86,7 @@ def merge_maps(
         best = max((entry.num_agreeing for entry in closer.ledger), default=0)
         words = f"no place of the second map was recognized in the first by {CONFIRMATIONS} keyframes (at most {best} points agreed)"
         return MergedMaps(False, words, one, identity, 0)
+    second_poses = positions_of(other, range(len(other.keyframes)))
     other.move(constraint.there_from_here)
     for keyframe in other.keyframes:
         keyframe.number += offset
@@ -92,11 +98,16 @@ def merge_maps(
     mapper.adjust_all(max_iterations=LOOP_ITERATIONS)
     fuse(one, added, camera.eyes)
     mapper.adjust_all()
+    # The adjustment of one camera's map moves its world.
+    if not camera.is_metric:
+        one.move(align_gauge(positions_of(one, range(count)), positions_of(first, range(count))))
     shared = [int((np.isin(one.keyframes[k].point, _points_of(one, count))).sum()) for k in added]
     if sum(number >= EDGE_POINTS for number in shared) < CONFIRMATIONS:
         words = f"the maps have too few points in common after merging: at most {max(shared)} in a keyframe"
         return MergedMaps(False, words, first.copied(), identity, 0)
-    return MergedMaps(True, "", one, constraint.there_from_here, offset)
+    moved = align_gauge(positions_of(one, added), second_poses).inverse()
+    scale = np.array(1.0) if camera.is_metric else moved.scale
+    return MergedMaps(True, "", one, Similarity3(scale, moved.rotation, moved.translation), offset)
 
 
 def _recognized(closer: LoopCloser, here: SlamMap, there: SlamMap) -> LoopConstraint | None:

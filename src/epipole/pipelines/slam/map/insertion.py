@@ -43,11 +43,14 @@ class KeyframeInserter:
             again, rows = redetect(self.map, self.camera, frame.gray, cam_from_world, points)
             used = frame.is_used(again)
             pixels, points = np.concatenate([pixels, again[used]]), np.concatenate([points, rows[used]])
+        if isinstance(self.camera, CameraRig):
+            others = self._in_other_cameras(self.camera, frame, pixels, points, cam_from_world)
+            pixels, points = np.concatenate([pixels, others[0]]), np.concatenate([points, others[1]])
         corners = new_corners(frame.gray, pixels, self.config, frame.ignored_mask, self.camera)
         pixels = np.concatenate([pixels, corners])
         points = np.concatenate([points, -1 - np.arange(len(corners))])
         if isinstance(self.camera, CameraRig):
-            pixels, points = self._in_all_cameras(self.camera, frame, pixels, points, cam_from_world)
+            points = self._matched(self.camera, frame, pixels, points)
         return Observations(pixels, self._disparities(frame, pixels, points, cam_from_world), points)
 
     def insert(
@@ -97,20 +100,24 @@ class KeyframeInserter:
         self.map.xyz[points[lacking]] = made[lacking]
         return Observations(seen.pixels, seen.disparity_px, points)
 
-    def _in_all_cameras(
+    def _in_other_cameras(
         self, rig: CameraRig, frame: Frame, pixels: np.ndarray, points: np.ndarray, rig_from_world: Rigid3
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The observations with those of other cameras at the same instant: of known points, and of matching new ones."""
-        xyz = np.full((len(points), 3), np.nan)
-        xyz[points >= 0] = self.map.xyz[points[points >= 0]]
-        added = find_in_other_cameras(rig, frame.gray, rig_from_world, pixels, xyz, points)
-        points, unknown, which = points.copy(), np.flatnonzero(~np.isfinite(xyz[:, 0])), rig.camera_of(pixels)
+        """Pixels and rows of known points in the other cameras of the rig."""
+        found = find_in_other_cameras(rig, frame.gray, rig_from_world, pixels, self.map.xyz[points], points)
+        used = frame.is_used(found[0])
+        return found[0][used], found[1][used]
+
+    def _matched(self, rig: CameraRig, frame: Frame, pixels: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """The numbers of the points, with the same one for pixels of two cameras that show the same new point."""
+        is_known = np.zeros(len(points), bool)
+        is_known[points >= 0] = self.map.is_triangulated(points[points >= 0])
+        out, unknown, which = points.copy(), np.flatnonzero(~is_known), rig.camera_of(pixels)
         for one, other in unknown[match_between_cameras(rig, frame.gray, pixels[unknown])]:
-            is_seen = (points == points[one]) & (which == which[other])
-            if points[other] < 0 and not is_seen.any():  # observations of the map's points come first
-                points[other] = points[one]
-        used = frame.is_used(added[0])
-        return np.concatenate([pixels, added[0][used]]), np.concatenate([points, added[1][used]])
+            is_seen = (out == out[one]) & (which == which[other])
+            if out[other] < 0 and not is_seen.any():  # observations of the map's points come first
+                out[other] = out[one]
+        return out
 
     def _disparities(
         self, frame: Frame, pixels: np.ndarray, points: np.ndarray, cam_from_world: Rigid3

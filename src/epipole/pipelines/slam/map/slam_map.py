@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from copy import copy
+from copy import copy, deepcopy
 from typing import NamedTuple
 
 import numpy as np
@@ -154,6 +154,7 @@ class SlamMap:
     def copied(self) -> SlamMap:
         """An independent copy; images and descriptors, which are never written to, are shared."""
         out = copy(self)
+        out.recent = deepcopy(self.recent)
         out.keyframes = [copy(keyframe) for keyframe in self.keyframes]
         for name in ("_xyz", "_anchor", "_anchor_px", "_num_agreed"):
             setattr(out, name, getattr(self, name).copy())

@@ -175,14 +175,15 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
         shutter = None if is_unchecked else find_readout(mapper, system.trajectory())
         with with_readout(mapper, system.trajectory(), 0.0 if shutter is None else shutter.readout_s):
             camera = None if is_rig else check_camera(model, system.camera.camera)
-        blind = pixels_without_ray(system.camera.camera)
-        run.warnings += no_ray_warning(system.camera.camera)
+        cameras = [system.camera.camera] if system.camera.rig is None else system.camera.rig.cameras
+        blind = [pixels_without_ray(one) for one in cameras]
+        run.warnings += [words for one in cameras for words in no_ray_warning(one)]
         run.warnings += [] if shutter is None else [shutter.warning()]
         run.warnings += [*camera_warnings(camera, model.right_shift_px), *warnings(tracked, path)]
         return {
             "readout_s": system.camera.readout_s if shutter is None else shutter.readout_s,
             "camera_check": None if camera is None else asdict(camera),
-            "fraction_without_ray": 0.0 if blind is None else float(blind.mean()),
+            "fraction_without_ray": float(np.mean([0.0 if one is None else one.mean() for one in blind])),
             "right_principal_point_shift_px": model.right_shift_px,
             "poor_images": poor_images(tracked),
             "moving": moving_things(tracked),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import combinations
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -18,6 +19,10 @@ LEAST_FRAMES = 15
 """Frames that two cameras must have localized."""
 EVERY = 5
 """Frames between two attempts."""
+PATIENCE = 10
+"""Frames after which a lost camera starts again."""
+MOST_KEYFRAMES = 100
+"""Keyframes after which a camera starts again, so that a long straight ride does not fill the memory."""
 KEPT = 100
 """Latest frames that are kept, since a camera's map may start from earlier frames."""
 LARGEST_SIGMA = 0.08
@@ -51,33 +56,40 @@ class RigStart:
     """Tracks each camera of a rig alone, by a separate SLAM."""
 
     def __init__(self, rig: CameraRig, make: Callable[[SlamCamera], OneCameraSlam]) -> None:
-        self.rig = rig
-        self.systems = [make(SlamCamera(camera)) for camera in rig.cameras]
+        self.rig, self._make = rig, make
         self.tracks = Tracks.none()
         self._frames: dict[int, Frame] = {}
         self._numbers: list[int] = []
         self._times: list[float] = []
+        self.systems: list[OneCameraSlam] = [make(SlamCamera(camera)) for camera in rig.cameras]
+        self._firsts, self._num_lost = [0] * len(rig.cameras), [0] * len(rig.cameras)
+        """Of each camera: the frame with which it started, and the frames since it was localized."""
 
     def add(self, frame: Frame, number: int) -> RigInitialization | str:
         """Track a frame; the start of the map once the motions show its scale, else what is missing."""
         self._numbers.append(number)
         self._times.append(frame.timestamp_s)
         self._frames[number] = frame
-        for k, (system, gray) in enumerate(zip(self.systems, self.rig.parts(frame.gray))):
+        for k, gray in enumerate(self.rig.parts(frame.gray)):
             mask = None if frame.ignored_mask is None else self.rig.parts(frame.ignored_mask)[k].copy()
-            system.track(Frame(frame.timestamp_s, np.ascontiguousarray(gray), ignored_mask=mask))
-        self._drop_frames()
-        if len(self._numbers) % EVERY:
-            return self._waiting()
-        return self._attempt()
-
-    def _drop_frames(self) -> None:
-        used = {self._number_of(k) for system in self.systems for k in system.maps[0].keyframes}
+            self._track(k, Frame(frame.timestamp_s, np.ascontiguousarray(gray), ignored_mask=mask))
+        used = {self._number_of(k, one) for k, s in enumerate(self.systems) for one in s.maps[0].keyframes}
         used.update(self._numbers[-KEPT:])
-        self._frames = {n: frame for n, frame in self._frames.items() if n in used}
+        self._frames = {n: kept for n, kept in self._frames.items() if n in used}
+        return self._waiting() if len(self._numbers) % EVERY else self._attempt()
 
-    def _number_of(self, keyframe: Keyframe) -> int:
-        return self._numbers[keyframe.number]
+    def _track(self, k: int, frame: Frame) -> None:
+        """Track one camera, which starts again if it is lost, or if the scale has not shown for long."""
+        system = self.systems[k]
+        answer = system.track(frame)
+        self._num_lost[k] = 0 if answer.world_from_body is not None else self._num_lost[k] + 1
+        is_lost = bool(system.maps[0].num_points) and self._num_lost[k] > PATIENCE
+        if is_lost or len(system.maps[0].keyframes) > MOST_KEYFRAMES:
+            self.systems[k] = self._make(SlamCamera(self.rig.cameras[k]))
+            self._firsts[k], self._num_lost[k] = len(self._numbers), 0
+
+    def _number_of(self, k: int, keyframe: Keyframe) -> int:
+        return self._numbers[self._firsts[k] + keyframe.number]
 
     def _waiting(self) -> str:
         count = sum(bool(system.maps[0].num_points) for system in self.systems)
@@ -86,27 +98,34 @@ class RigStart:
         return "the cameras have no common view: the scale is unknown until the rig has rotated and moved in several directions"
 
     def _attempt(self) -> RigInitialization | str:
+        """Start with all cameras that see the map now, or with two of them if others contradict."""
         paths = [system.trajectory() for system in self.systems]
-        started = [k for k, path in enumerate(paths) if len(path) >= LEAST_FRAMES]
-        if len(started) < 2:
-            return self._waiting()
-        times = paths[started[0]].timestamp_s
-        for k in started[1:]:
-            times = np.intersect1d(times, paths[k].timestamp_s)
+        seeing = [k for k, path in enumerate(paths) if len(path) and path.timestamp_s[-1] == self._times[-1]]
+        chosen = [tuple(seeing)] if len(seeing) > 2 else []
+        reason = ""
+        for some in [*chosen, *combinations(seeing, 2)]:
+            found = self._start_with(some, [paths[k] for k in some])
+            if not isinstance(found, str):
+                return found
+            reason = reason or found
+        return reason or self._waiting()
+
+    def _start_with(self, some: Sequence[int], paths: Sequence[Trajectory]) -> RigInitialization | str:
+        times = paths[0].timestamp_s
+        for path in paths[1:]:
+            times = np.intersect1d(times, path.timestamp_s)
         if len(times) < LEAST_FRAMES:
             return self._waiting()
-        poses = [_at(paths[k], times) for k in started]
-        rotation, translation = (
-            getattr(self.rig.cam_from_rig, n)[started] for n in ("rotation", "translation")
-        )
-        found = fit_rig_scales(Rigid3(rotation, translation), poses)
-        if found.rotation_deg > LARGEST_ROTATION_DEG or found.residual > LARGEST_RESIDUAL:
+        mounted, poses = self.rig.cam_from_rig, [_at(path, times) for path in paths]
+        rows = list(some)
+        found = fit_rig_scales(Rigid3(mounted.rotation[rows], mounted.translation[rows]), poses)
+        is_known = (found.sigma <= LARGEST_SIGMA * np.abs(found.scale)).all()
+        does_fit = found.residual <= LARGEST_RESIDUAL and (found.scale > 0).all()
+        if found.rotation_deg > LARGEST_ROTATION_DEG or (is_known and not does_fit):
             return "the cameras' motions contradict the rig's calibration, or something moves before them"
-        if not (found.scale > 0).all() or not (found.sigma <= LARGEST_SIGMA * found.scale).all():
-            return self._waiting()
-        return self._joined(started, found, poses)
+        return self._joined(rows, found, poses) if is_known else self._waiting()
 
-    def _joined(self, started: list[int], found: RigScales, poses: list[Rigid3]) -> RigInitialization | str:
+    def _joined(self, started: list[int], found: RigScales, poses: list[Rigid3]) -> RigInitialization:
         """One map of all started cameras, in the world of the rig at the first common instant."""
         frames: dict[int, tuple[int, float, Rigid3]] = {}
         model = SlamMap()
@@ -123,16 +142,14 @@ class RigStart:
             own = self.systems[k].maps[0].copied()
             for index in reversed(range(len(own.keyframes))):
                 one = own.keyframes[index]
-                if (
-                    not len(one.point) or self._number_of(one) not in self._frames
-                ):  # of pure rotation, or too old
+                # Of pure rotation, or too old; and the present frame will become one of the rig.
+                number = self._number_of(k, one)
+                if not len(one.point) or number not in self._frames or number == self._numbers[-1]:
                     own.remove_keyframe(index)
             own.move(new_from_old)
             self._see_with_rig(own, k)
             model.absorb(own)
         _join_instants(model)
-        if self._numbers[-1] not in frames:
-            return self._waiting()
         return RigInitialization(model, [frames[number] for number in sorted(frames)])
 
     def _see_with_rig(self, model: SlamMap, k: int) -> None:
@@ -140,7 +157,7 @@ class RigStart:
         rig_from_cam, top = self.rig.cam_from_rig[k].inverse(), np.array([0.0, float(self.rig.tops[k])])
         model.anchor_px[:] += top
         for keyframe in model.keyframes:
-            keyframe.number = self._number_of(keyframe)
+            keyframe.number = self._number_of(k, keyframe)
             frame = self._frames[keyframe.number]
             keyframe.gray, keyframe.ignored_mask = frame.gray, frame.ignored_mask
             keyframe.cam_from_world = rig_from_cam @ keyframe.cam_from_world

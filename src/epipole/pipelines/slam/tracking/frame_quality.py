@@ -10,6 +10,7 @@ import numpy as np
 from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.config import OdometryConfig
 from epipole.pipelines.slam.frames import Frame, TrackedFrame
+from epipole.scene import CameraRig
 
 REMEMBERED = 15
 """Previous frames that define the usual detail. A persistent blur becomes usual."""
@@ -73,11 +74,17 @@ class FrameQuality:
 class FrameQualityMonitor:
     """Assesses every frame's images before they are tracked."""
 
-    def __init__(self) -> None:
+    def __init__(self, rig: CameraRig | None = None) -> None:
         self._usual: list[np.ndarray] = []
+        self._rig = rig
+        self._of_each = [] if rig is None else [FrameQualityMonitor() for _ in rig.cameras]
 
     def assess(self, frame: Frame) -> FrameQuality:
-        """Problems of the images."""
+        """Problems of the images; of a rig only if all of its images have one."""
+        if self._rig is not None:
+            images = zip(self._of_each, self._rig.parts(frame.gray))
+            found = [one.assess(Frame(frame.timestamp_s, np.ascontiguousarray(gray))) for one, gray in images]
+            return found[0] if all(one.problem for one in found) else FrameQuality()
         problem, detail = _examined(frame.gray)
         shows_nothing = bool(problem)
         if not shows_nothing:

@@ -10,7 +10,8 @@ from epipole.features import describe_upright
 from epipole.features.patches import find_patches
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.tracking.patches import warps_between
-from epipole.pipelines.slam.tracking.redetection import HALF_PX, LEAST_SCORE, REACH_PX, RIM_PX, SEARCH_PX
+from epipole.pipelines.slam.tracking.projection import SEAM_PX
+from epipole.pipelines.slam.tracking.redetection import HALF_PX, LEAST_SCORE, REACH_PX, SEARCH_PX
 from epipole.scene import CameraRig
 
 EPIPOLAR_PX = 2.0
@@ -53,7 +54,7 @@ def find_in_other_cameras(
         rows = first[lacking[first]]
         camera = np.full(len(rows), k)
         wanted = rig.project(in_rig[rows], camera)
-        rows, wanted = (x[rig.sees(wanted, camera, RIM_PX)] for x in (rows, wanted))
+        rows, wanted = (x[rig.sees(wanted, camera, SEAM_PX)] for x in (rows, wanted))
         if not len(rows):
             continue
         same, at = np.zeros(len(rows), np.int64), pixels[rows]
@@ -61,7 +62,7 @@ def find_in_other_cameras(
         levels = 1 + math.ceil(math.log2(SEARCH_PX / REACH_PX))
         there, score = find_patches(gray, gray, at, warps, wanted, levels, HALF_PX)
         near = np.linalg.norm(there - wanted, axis=1) <= SEARCH_PX
-        good = (score >= LEAST_SCORE) & near & rig.sees(there, camera[: len(rows)], RIM_PX)
+        good = (score >= LEAST_SCORE) & near & rig.sees(there, camera[: len(rows)], SEAM_PX)
         found_px.append(there[good])
         found_point.append(point[rows[good]])
     return np.concatenate(found_px), np.concatenate(found_point)

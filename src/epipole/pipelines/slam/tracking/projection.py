@@ -12,6 +12,9 @@ from epipole.cameras import Camera
 from epipole.geometry import Rigid3
 from epipole.scene import CameraRig
 
+SEAM_PX = 8.0
+"""Least distance of a point from the edges of its camera's image in a stacked image; patches have half widths of 6 px."""
+
 
 def project_as(camera: Camera | CameraRig, points_in_body: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """(n, 2) pixels of points, each in the camera to which the given pixel belongs."""
@@ -25,7 +28,8 @@ def project_in_sight(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(n, 2) pixels of points, and a mask of those in sight, at least `margin_px` from the image's edges.
 
-    If several cameras of a rig see a point, the pixel is in the one in whose image it is farthest from the edges.
+    If several cameras of a rig see a point, the pixel is in the one in whose image it is farthest from the edges; these are seams of
+    the stacked image, across which no patch may reach.
     """
     if not isinstance(camera, CameraRig):
         pixels = camera.project(points_in_body)
@@ -39,7 +43,7 @@ def project_in_sight(
         in_cam = camera.cam_from_rig[k].apply(points_in_body)
         at = one.project(in_cam)
         room = np.minimum(at, [one.width, one.height] - at).min(axis=1)
-        better = (in_cam[:, 2] > 0) & (room >= margin_px) & (room > best)
+        better = (in_cam[:, 2] > 0) & (room >= max(margin_px, SEAM_PX)) & (room > best)
         pixels[better], best[better] = at[better] + top, room[better]
     return pixels, best >= 0
 
@@ -47,7 +51,7 @@ def project_in_sight(
 def points_at_depth(
     camera: Camera | CameraRig, pixels: np.ndarray, depth: np.ndarray, like: np.ndarray
 ) -> np.ndarray:
-    """(n, 3) points in the body frame.
+    """(n, 3) points in the body frame; NaN for directions at 90 degrees or more from the axis, which have no such depth.
 
     Args:
         camera: the camera or the rig.
@@ -56,11 +60,9 @@ def points_at_depth(
         like: (n, 2) pixels that say which camera is meant.
     """
     if not isinstance(camera, CameraRig):
-        rays = camera.unproject(pixels)
-        return rays / rays[:, 2:] * depth[:, None]
+        return _to_depth(camera.unproject(pixels), depth)
     which = camera.camera_of(like)
-    rays = camera.unproject(pixels, which)
-    return _into_rig(camera, rays / rays[:, 2:] * depth[:, None], which)
+    return _into_rig(camera, _to_depth(camera.unproject(pixels, which), depth), which)
 
 
 def depth_of(camera: Camera | CameraRig, points_in_body: np.ndarray, pixels: np.ndarray) -> np.ndarray:
@@ -79,11 +81,16 @@ def centers_of(camera: Camera | CameraRig, body_from_world: Rigid3, pixels: np.n
     return world_from_body.apply(camera.centers_in_rig)[camera.camera_of(pixels)]
 
 
-def are_in_one_camera(camera: Camera | CameraRig, pixels: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """(n,) whether two pixels belong to the same camera."""
+def stay_in_camera(camera: Camera | CameraRig, start_px: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """(n,) whether pixels are still in the camera in which they started, and not near a seam of a stacked image."""
     if not isinstance(camera, CameraRig):
         return np.ones(len(pixels), bool)
-    return camera.camera_of(pixels) == camera.camera_of(others)
+    return camera.sees(pixels, camera.camera_of(start_px), SEAM_PX)
+
+
+def _to_depth(rays: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(rays[:, 2:] > 0, rays / rays[:, 2:] * depth[:, None], np.nan)
 
 
 def _into_rig(rig: CameraRig, points_in_cam: np.ndarray, which: np.ndarray) -> np.ndarray:

@@ -50,7 +50,7 @@ def redetect(
     expected = np.full((model.num_points, 2), np.nan)
     rows = np.flatnonzero(missing)
     expected[rows], missing[rows] = project_in_sight(camera, cam_from_world.apply(model.xyz[rows]), RIM_PX)
-    for keyframe, usable in _best_keyframes(model, camera, missing, cam_from_world):
+    for keyframe, usable in _best_keyframes(model, camera, missing, cam_from_world, expected):
         own = usable[missing[keyframe.point[usable]]]
         own = own if isinstance(camera, Camera) else _one_of_each(keyframe, camera, own, expected)
         if len(own) < 5:
@@ -80,7 +80,8 @@ def search_radius(
     model: SlamMap, camera: Camera | CameraRig, cam_from_world: Rigid3, covariance: np.ndarray
 ) -> float:
     """Three standard deviations of the pixels of points in sight, for a pose with this covariance; limited."""
-    depth = cam_from_world.apply(model.xyz[np.isfinite(model.xyz[:, 0])])[:, 2]
+    in_body = cam_from_world.apply(model.xyz[np.isfinite(model.xyz[:, 0])])
+    depth = np.linalg.norm(in_body, axis=1) if isinstance(camera, CameraRig) else in_body[:, 2]
     near = float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0
     shift, rotation = (
         math.sqrt(np.linalg.eigvalsh(part)[-1]) for part in (covariance[:3, :3], covariance[3:, 3:])
@@ -91,7 +92,11 @@ def search_radius(
 
 
 def _best_keyframes(
-    model: SlamMap, camera: Camera | CameraRig, missing: np.ndarray, cam_from_world: Rigid3
+    model: SlamMap,
+    camera: Camera | CameraRig,
+    missing: np.ndarray,
+    cam_from_world: Rigid3,
+    expected: np.ndarray,
 ) -> list[tuple[Keyframe, np.ndarray]]:
     """The keyframes with most usable observations of missing points, and these; best first.
 
@@ -108,7 +113,7 @@ def _best_keyframes(
     for index in np.argsort(-most, kind="stable").tolist():
         if most[index] < max(1, np.partition(count, -MOST_KEYFRAMES)[-MOST_KEYFRAMES]):
             break
-        views[index] = _usable(keyframes[index], model, camera, missing, cam_from_world)
+        views[index] = _usable(keyframes[index], model, camera, missing, cam_from_world, expected)
         count[index] = len(views[index])
     best = np.argsort(-count, kind="stable")[:MOST_KEYFRAMES].tolist()
     return [(keyframes[index], views[index]) for index in best if index in views]
@@ -120,6 +125,7 @@ def _usable(
     camera: Camera | CameraRig,
     missing: np.ndarray,
     cam_from_world: Rigid3,
+    expected: np.ndarray,
 ) -> np.ndarray:
     """Observations of missing points from a similar distance and direction."""
     own = np.flatnonzero(missing[keyframe.point])
@@ -127,7 +133,7 @@ def _usable(
         return own
     xyz = model.xyz[keyframe.point[own]]
     there = xyz - centers_of(camera, keyframe.cam_from_world, keyframe.pixels[own])
-    here = xyz - cam_from_world.inverse().translation
+    here = xyz - centers_of(camera, cam_from_world, expected[keyframe.point[own]])
     far, near = np.linalg.norm(there, axis=1), np.linalg.norm(here, axis=1)
     cosine = (there * here).sum(axis=1) / np.maximum(far * near, 1e-12)
     ratio = near / np.maximum(far, 1e-12)

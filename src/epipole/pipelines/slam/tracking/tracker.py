@@ -26,7 +26,7 @@ from epipole.pipelines.slam.tracking.moving_objects import (
 )
 from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
 from epipole.pipelines.slam.tracking.points import SeenFrame, Tracks, is_certain, locate, predict_pixels
-from epipole.pipelines.slam.tracking.projection import are_in_one_camera
+from epipole.pipelines.slam.tracking.projection import stay_in_camera
 from epipole.pipelines.slam.tracking.redetection import redetect, search_radius
 from epipole.pipelines.slam.tracking.right_image import pose_from_right_image
 from epipole.pipelines.slam.tracking.static_points import StaticPart, find_static_part
@@ -99,7 +99,7 @@ class PointTracker:
         )
         self.stale = tracks.point[is_stale]
         # At the seam of two images of a rig, a point could pass into the other camera's image.
-        tracks.keep(is_same & are_in_one_camera(self.camera, tracks.start_px, tracks.pixels))
+        tracks.keep(is_same & stay_in_camera(self.camera, tracks.start_px, tracks.pixels))
         return last
 
     def redetect_points(
@@ -392,4 +392,10 @@ class PointTracker:
 
     def remove_outliers(self) -> None:
         """Stop tracking points whose observation in the newest keyframe was removed as an outlier."""
-        self.tracks.keep(np.isin(self.tracks.point, self.map.keyframes[-1].point))
+        newest, tracks = self.map.keyframes[-1], self.tracks
+        if not isinstance(self.camera, CameraRig):
+            tracks.keep(np.isin(tracks.point, newest.point))
+            return
+        count = len(self.camera.cameras)
+        seen = count * newest.point + self.camera.camera_of(newest.pixels)
+        tracks.keep(np.isin(count * tracks.point + self.camera.camera_of(tracks.pixels), seen))
