@@ -17,12 +17,9 @@ from epipole.disparity_search.rectification import Rectification, rectify
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.image.gray import gray_image
-from epipole.image.pixels_without_ray import pixels_without_ray
 from epipole.pipelines.slam.shutter.shutter import Shutter
+from epipole.pipelines.slam.tracking.projection import blind_pixels
 from epipole.scene import CameraRig, StereoRig
-
-LEAST_COSINE = 0.05
-"""Of the angle between a direction and its camera's axis, in a rig: 87 degrees."""
 
 
 class TrackingState(StrEnum):
@@ -290,23 +287,6 @@ class Frame:
             ) from None
         if not np.isfinite(self.timestamp_s):
             raise ConfigError(f"timestamp_s must be finite, got {self.timestamp_s}")
-
-
-@lru_cache(maxsize=4)
-def blind_pixels(camera: Camera | CameraRig) -> np.ndarray | None:
-    """Mask of the pixels without a ray; None if there are none.
-
-    In a stacked image also of those beside the images, and of directions near 90 degrees and more from their camera's axis.
-    """
-    if isinstance(camera, Camera):
-        return pixels_without_ray(camera)
-    blind = np.ones((camera.height, camera.width), bool)
-    for part, one in zip(camera.parts(blind), camera.cameras):
-        at = np.stack(np.meshgrid(np.arange(one.width), np.arange(one.height)), axis=-1).reshape(-1, 2)
-        part[:] = ~(one.unproject(at.astype(np.float64))[:, 2] > LEAST_COSINE).reshape(part.shape)
-        own = pixels_without_ray(one)
-        part[:] |= False if own is None else own
-    return blind if blind.any() else None
 
 
 @lru_cache(maxsize=4)

@@ -51,7 +51,7 @@ class MergedMaps:
 def merge_maps(
     first: SlamMap, second: SlamMap, camera: SlamCamera, config: SlamConfig | None = None
 ) -> MergedMaps:
-    """Merge two maps of one camera, if three successive keyframes of the second recognize the same place in the first.
+    """Merge two maps of one camera, if three successive keyframes of the second are recognized in the first.
 
     The same tests as for loop closures: matching points, a pose that most of them agree with, patches that look alike there, and no
     other pose that explains the image nearly as well. Then points that both maps have are merged, and everything is adjusted.
@@ -84,7 +84,7 @@ def merge_maps(
     constraint = _recognized(closer, other, one)
     if constraint is None:
         best = max((entry.num_agreeing for entry in closer.ledger), default=0)
-        words = f"no place of the second map was recognized in the first by {CONFIRMATIONS} keyframes (at most {best} points agreed)"
+        words = f"no {CONFIRMATIONS} successive keyframes of the second map were recognized in the first (at most {best} points agreed)"
         return MergedMaps(False, words, one, identity, 0)
     second_poses = positions_of(other, range(len(other.keyframes)))
     other.move(constraint.there_from_here)
@@ -111,7 +111,7 @@ def merge_maps(
 
 
 def _recognized(closer: LoopCloser, here: SlamMap, there: SlamMap) -> LoopConstraint | None:
-    """The first place of one map that is recognized in another; its keyframes are tried as if they came one after the other."""
+    """Where one map is first recognized in another; its keyframes are tried as if they came one after the other."""
     growing = copy(here)
     for index, keyframe in enumerate(here.keyframes):
         if not len(keyframe.point):

@@ -6,12 +6,17 @@ functions take the pixels that say which camera is meant.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3
+from epipole.image.pixels_without_ray import pixels_without_ray
 from epipole.scene import CameraRig
 
+LEAST_COSINE = 0.05
+"""Of the angle between a direction and its camera's axis, in a rig: 87 degrees."""
 SEAM_PX = 8.0
 """Least distance of a point from the edges of its camera's image in a stacked image; patches have half widths of 6 px."""
 
@@ -86,6 +91,23 @@ def stay_in_camera(camera: Camera | CameraRig, start_px: np.ndarray, pixels: np.
     if not isinstance(camera, CameraRig):
         return np.ones(len(pixels), bool)
     return camera.sees(pixels, camera.camera_of(start_px), SEAM_PX)
+
+
+@lru_cache(maxsize=4)
+def blind_pixels(camera: Camera | CameraRig) -> np.ndarray | None:
+    """Mask of the pixels without a ray; None if there are none.
+
+    In a stacked image also of those beside the images, and of directions near 90 degrees and more from their camera's axis.
+    """
+    if isinstance(camera, Camera):
+        return pixels_without_ray(camera)
+    blind = np.ones((camera.height, camera.width), bool)
+    for part, one in zip(camera.parts(blind), camera.cameras):
+        at = np.stack(np.meshgrid(np.arange(one.width), np.arange(one.height)), axis=-1).reshape(-1, 2)
+        part[:] = ~(one.unproject(at.astype(np.float64))[:, 2] > LEAST_COSINE).reshape(part.shape)
+        own = pixels_without_ray(one)
+        part[:] |= False if own is None else own
+    return blind if blind.any() else None
 
 
 def _to_depth(rays: np.ndarray, depth: np.ndarray) -> np.ndarray:

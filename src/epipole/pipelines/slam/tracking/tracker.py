@@ -98,7 +98,6 @@ class PointTracker:
             self.map, self.camera, frame.gray, predicted, tracks.point, tracks.pixels
         )
         self.stale = tracks.point[is_stale]
-        # At the seam of two images of a rig, a point could pass into the other camera's image.
         tracks.keep(is_same & stay_in_camera(self.camera, tracks.start_px, tracks.pixels))
         return last
 
