@@ -87,6 +87,7 @@ from epipole.io.images.video import extract_frames, frame_size
 from epipole.io.meshes.mesh_ply import read_mesh_ply, write_mesh_ply
 from epipole.io.models.llff import read_llff
 from epipole.io.sequences.imu_logs import read_camera_from_imu, read_imu
+from epipole.io.sequences.rig_folders import read_rig_sequence
 from epipole.io.sequences.stereo_video import extract_pairs
 from epipole.io.trajectories.files import read_pose_matrix, trajectory_format
 from epipole.io.trajectories.frame_tables import read_frame_table
@@ -187,6 +188,21 @@ def _sequence(folder: Path) -> None:
     times = np.array([frame.timestamp_s for frame in found.frames])
     assert len(found) and np.isfinite(times).all() and (np.diff(times) >= 0).all()
     assert all(folder in frame.image.parents for frame in found.frames)
+
+
+def _rig(folder: Path) -> None:
+    found = read_rig_sequence(folder, 2)
+    times = np.array([frame.timestamp_s for frame in found.frames])
+    assert len(times) and np.isfinite(times).all() and (np.diff(times) >= 0).all()
+    assert all(folder in image.parents for frame in found.frames for image in frame.images)
+
+
+def _rig_folder(folder: Path) -> None:
+    for name in ("cam0", "cam1"):
+        (folder / name / "data").mkdir(parents=True, exist_ok=True)
+        for n in (1, 2):
+            cv2.imwrite(str(folder / name / "data" / f"{n}.png"), np.zeros((8, 8), np.uint8))
+        (folder / name / "data.csv").write_text("#timestamp,name\n1000000000,1.png\n1100000000,2.png\n")
 
 
 def _tum_folder(folder: Path) -> None:
@@ -773,6 +789,7 @@ FORMATS: dict[str, Format] = {
     "sequence-tum": Format(_tum_folder, "rgb.txt", "text", _sequence, ("read_sequence",)),
     "sequence-tum-depth": Format(_tum_folder, "depth.txt", "text", _sequence, ("read_sequence",)),
     "sequence-euroc": Format(_euroc_folder, "cam0/data.csv", "text", _sequence, ("read_sequence",)),
+    "sequence-rig": Format(_rig_folder, "cam1/data.csv", "text", _rig, ("read_rig_sequence",)),
     "sequence-info": Format(_numbered_folder, "info.txt", "text", _sequence, ("read_sequence",)),
     "sequence-intrinsics": Format(_plain_folder, "intrinsics.txt", "text", _sequence, ("read_sequence",)),
     "true-path": Format(_posed_folder, "frame-000001.pose.txt", "text", _true_path, ("true_path_at",)),
