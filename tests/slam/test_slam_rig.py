@@ -8,15 +8,17 @@ from rosbags.highlevel import AnyReader
 
 from epipole.cameras import Camera
 from epipole.config import RansacConfig
-from epipole.errors import ConfigError, ShapeError
+from epipole.errors import ConfigError, FileFormatError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.geometry.alignment import align_points
 from epipole.io import read_colmap_model, read_trajectory
 from epipole.metrics import absolute_error
 from epipole.pipelines.slam import run
 from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.map.mounting_check import check_mounting
 from epipole.pipelines.slam.output.export import reconstruction_of
 from epipole.pipelines.slam.output.map_file import read_slam_map, write_slam_map
+from epipole.pipelines.slam.output.scene import image_loader
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.tracking.points import predict_pixels
 from epipole.pipelines.slam.tracking.pose_search import search_pose
@@ -145,7 +147,7 @@ def test_cameras_without_a_common_view_start_when_their_motion_shows_the_scale(i
     system = Slam(SlamCamera.of_cameras(apart))
     answers = [system.track(Frame.from_rig(0.1 * n, [row[0], row[2]], apart)) for n, row in enumerate(images)]
     started = next(n for n, answer in enumerate(answers) if answer.has_pose)
-    assert 10 < started < COUNT - 3 and "common view" in answers[started - 1].reason
+    assert 10 < started < COUNT - 3 and "scale is unknown" in answers[started - 1].reason
     assert all(answer.has_pose for answer in answers[started:])
     system.finish()
     path = system.trajectory()
@@ -158,6 +160,25 @@ def test_cameras_without_a_common_view_start_when_their_motion_shows_the_scale(i
     off = np.linalg.norm(found.translation - truth.translation[rows], axis=1)
     sigma = np.sqrt(np.trace(path.covariance[:, :3, :3], axis1=1, axis2=2))
     assert abs(scale - 1.0) < 0.05 and np.median(off[5:] / sigma[5:]) < 2.0
+
+
+def test_the_other_cameras_start_if_one_of_those_with_a_common_view_is_covered(images):
+    """Cameras 0 and 1 have a common view; with camera 1 covered from the beginning, motion shows the scale."""
+    system, dark = Slam(SlamCamera.of_cameras(RIG)), np.zeros_like(images[0][1])
+    answers = [
+        system.track(Frame.from_rig(0.1 * n, [row[0], dark, row[2]], RIG)) for n, row in enumerate(images)
+    ]
+    assert not answers[0].has_pose and "too few points together" in answers[0].reason
+    assert answers[-1].has_pose and sum(answer.has_pose for answer in answers) > 3
+
+
+def test_images_of_one_instant_keep_their_names(tracked):
+    system, _ = tracked
+    names = [f"cam0/{k.number:03d}.png" for k in system.map.keyframes]
+    given = {names[0]: (names[0], "cam1/late.png", "cam2/later.png")}
+    model = reconstruction_of(system.map, RIG, names, given)
+    assert model.images.name[:3] == (names[0], "cam1/late.png", "cam2/later.png")
+    assert model.images.name[3:6] == tuple(names[1].replace("cam0", f"cam{k}") for k in range(3))
 
 
 def test_a_thread_maps_beside_tracking(images, truth):
@@ -183,21 +204,53 @@ def test_a_folder_of_cameras_and_kalibrs_calibration_are_enough(images, truth, t
             matrix = np.eye(4)
             matrix[:3, :3], matrix[:3, 3] = moved.rotation, moved.translation
             chain[f"cam{k}"]["T_cn_cnm1"] = matrix.tolist()
+    (source / "cam1" / "000.png").write_bytes(b"damaged")
     calibration = tmp_path / "camchain.yaml"
     calibration.write_text(yaml.safe_dump(chain))
     record = tmp_path / "ride.mcap"
     found = run.slam(source, tmp_path / "out", sensor="rig", calibration=calibration, fps=10, record=record)
     assert found.summary["is_metric"] and "rig's 3 cameras" in found.summary["scale"]
     path = read_trajectory(tmp_path / "out" / "trajectory.txt")
-    assert isinstance(path, Trajectory) and len(path) == 12
-    assert absolute_error(path.world_from_body, truth[np.arange(12)], "none").position.max < 0.02
+    assert isinstance(path, Trajectory) and len(path) == 11  # without the damaged one
+    true = truth[1].inverse() @ truth[np.arange(1, 12)]
+    assert absolute_error(path.world_from_body, true, "none").position.max < 0.02
     model = read_colmap_model(tmp_path / "out" / "sparse" / "0")
-    assert len(model.cameras) == 3 and len(model.rigs) == 1 and "cam2/000.png" in model.images.name
+    assert len(model.cameras) == 3 and len(model.rigs) == 1 and "cam2/001.png" in model.images.name
+    load = image_loader(tmp_path / "out")
+    assert load("cam1/001.png").shape[:2] == (SIZE[1], SIZE[0]) and load("cam1/none.png") is None
+    assert load("../ride/cam1/001.png") is None
     with AnyReader([record]) as bag:
         counts = {c.topic: c.msgcount for c in bag.connections}
-    assert [counts[f"/camera{k}/image/compressed"] for k in range(3)] == [12, 12, 12]
+    assert [counts[f"/camera{k}/image/compressed"] for k in range(3)] == [11, 11, 11]
     with pytest.raises(ConfigError, match="pass --calibration"):
         run.slam(source, tmp_path / "out2", sensor="rig", fps=10)
+
+
+@pytest.mark.parametrize(("camera", "off_deg"), [(1, 0.0), (1, 1.0), (2, 0.5)])
+def test_a_camera_that_is_mounted_otherwise_is_reported(images, camera, off_deg):
+    rotation = RIG.cam_from_rig.rotation.copy()
+    rotation[camera] = Rotation3.exp(np.radians([0.0, off_deg, 0.0])).matrix @ rotation[camera]
+    off = CameraRig(RIG.cameras, Rigid3(rotation, RIG.cam_from_rig.translation))
+    system = Slam(SlamCamera.of_cameras(off))
+    for n, row in enumerate(images):
+        system.track(Frame.from_rig(0.1 * n, row, off))
+    system.finish()
+    found = check_mounting(system.local_mapper(system.maps[0]))
+    expected = np.zeros(3)
+    expected[camera] = off_deg
+    np.testing.assert_allclose(found.rotation_deg, expected, atol=found.tolerance_deg[camera])
+    words = found.warnings()
+    assert len(words) == bool(off_deg) and all(f"camera {camera}" in one for one in words)
+
+
+def test_the_calibration_is_the_only_source_of_intrinsics(tmp_path):
+    for folder in ("cam0", "cam1"):
+        (tmp_path / folder).mkdir()
+    options = {"sensor": "rig", "calibration": tmp_path / "chain.yaml", "fps": 10.0}
+    with pytest.raises(ConfigError, match="omit camera_params"):
+        run.slam(tmp_path, tmp_path / "out", camera_params="1,1,1,1", **options)
+    with pytest.raises(FileFormatError, match="it does not exist"):
+        run.slam(tmp_path / "nowhere", tmp_path / "out", **options)
 
 
 def test_frames_and_cameras_that_do_not_fit_are_refused(images):

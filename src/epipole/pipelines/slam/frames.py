@@ -116,7 +116,7 @@ class SlamCamera:
         return self.measures_disparity or self.rig is not None
 
     @property
-    def eyes(self) -> Camera | CameraRig:
+    def camera_or_rig(self) -> Camera | CameraRig:
         """What the pixels of frames refer to: the camera, or the rig with its stacked image."""
         return self.camera if self.rig is None else self.rig
 
@@ -139,7 +139,7 @@ class SlamCamera:
         """
         if frame.timestamp_s <= after_s:
             raise ConfigError(f"timestamps must increase: {frame.timestamp_s:.6f} s after {after_s:.6f} s")
-        camera = self.eyes
+        camera = self.camera_or_rig
         if frame.gray.shape != (camera.height, camera.width):
             size = f"{frame.gray.shape[1]} x {frame.gray.shape[0]}"
             raise ShapeError(f"the image is {size}, but the camera is {camera.width} x {camera.height}")

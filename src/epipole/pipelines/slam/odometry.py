@@ -123,8 +123,8 @@ class Odometry:
         if reason:
             self.insert_keyframe(frame, number, is_complete=is_complete)
             carry_covariance(self.map, refined)
-            if is_complete:
-                triangulate(self.map, self.camera.eyes, self.config, len(self.map.keyframes) - 1)
+            if is_complete and self.camera.rig is None:  # insertion has triangulated a rig's points
+                triangulate(self.map, self.camera.camera_or_rig, self.config, len(self.map.keyframes) - 1)
         return reason
 
     def stay_in_map(
@@ -143,7 +143,7 @@ class Odometry:
             seen = self.inserter.find_points(frame, self.cam_from_world, seen)
         keyframe = self.inserter.insert(frame, number, self.cam_from_world, seen, stale)
         if self.camera.rig is not None:
-            triangulate(self.map, self.camera.eyes, self.config, len(self.map.keyframes) - 1)
+            triangulate(self.map, self.camera.camera_or_rig, self.config, len(self.map.keyframes) - 1)
         self.tracker.start_from_keyframe(keyframe)
 
     def search_of_points(self, frame: Frame) -> Callable[[], Observations]:

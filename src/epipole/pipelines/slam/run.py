@@ -224,7 +224,7 @@ def _check_source(source: Path, job: SlamConfig) -> None:
     if job.map is not None:
         require_map(job.map)
     check_anchor_files(job.anchors)
-    if job.sensor == "rig" and not source.is_dir():
+    if job.sensor == "rig" and source.exists() and not source.is_dir():
         raise ConfigError("sensor rig is for folders of images: cam0, cam1, ...")
     if job.topics and not is_bag(source):
         raise ConfigError("topics is for ROS bags (.bag, .db3, .mcap or the folder of a ROS 2 bag)")

@@ -60,10 +60,9 @@ class Slam(SlamMapping):
 
     def _initialize(self, frame: Frame) -> TrackedFrame:
         """Initialize a map from this frame if it measures depth, else from it and earlier frames."""
+        rig = self.camera.rig
         if not self.camera.measures_depth:
-            return (
-                self._wait(frame) if self.camera.rig is None else self._wait_for_rig(frame, self.camera.rig)
-            )
+            return self._wait(frame) if rig is None else self._wait_for_rig(frame, rig)
         self.odometry.cam_from_world = Rigid3.identity()
         self.odometry.tracker.tracks = Tracks.none()
         self.odometry.insert_keyframe(frame, self._num_frames)
@@ -71,6 +70,8 @@ class Slam(SlamMapping):
             return self._initialized(frame, np.zeros((6, 6)))
         self.map.clear()
         self.odometry.tracker.tracks = Tracks.none()
+        if rig is not None:  # its cameras with a common view may be covered, or the scene too far for them
+            return self._wait_for_rig(frame, rig)
         return self._no_pose(frame, "too few points with depth: blank or dark image, or nothing in range")
 
     def _wait(self, frame: Frame) -> TrackedFrame:
@@ -85,9 +86,9 @@ class Slam(SlamMapping):
         return self._no_pose(frame, initial, len(self._start.tracks))
 
     def _wait_for_rig(self, frame: Frame, rig: CameraRig) -> TrackedFrame:
-        """Cameras without a common view: initialize a map once their motions show its scale."""
+        """Too few points that two cameras see together: initialize a map once the cameras' motions show its scale."""
         if self._rig_start is None:
-            self._rig_start = RigStart(rig, lambda camera: Slam(camera, self.given_config))
+            self._rig_start = RigStart(rig, lambda camera: Slam(camera, self._given_config))
         initial = self._rig_start.add(frame, self._num_frames)
         if isinstance(initial, str):
             self.state = TrackingState.STARTING if self.map is self.maps[0] else self.state

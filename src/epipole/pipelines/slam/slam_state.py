@@ -82,8 +82,8 @@ class SlamState:
             raise ConfigError("is_map_fixed=True needs a map: pass known=")
         if mapping == "thread" and camera.shutter.is_rolling:
             raise ConfigError("mapping='thread' needs a global shutter: readout_s must be 0")
-        self.given_config = SlamConfig() if config is None else config
-        self.config = self.given_config.odometry
+        self._given_config = SlamConfig() if config is None else config
+        self.config = self._given_config.odometry
         self.camera = camera
         self._camera_imu = None if imu is None or known is not None else CameraImu(imu)
         self.focal_baseline = focal_baseline_of(camera, self.config)
@@ -92,9 +92,9 @@ class SlamState:
         self.maps: list[SlamMap] = [SlamMap() if known is None else known]
         self.first_number = self.first_frame = 1 + max((k.number for k in self.maps[0].keyframes), default=-1)
         self._enter(self.maps[0], Rigid3.identity())
-        self._closer = LoopCloser(camera.eyes, self.config, is_metric=camera.is_metric)
+        self._closer = LoopCloser(camera.camera_or_rig, self.config, is_metric=camera.is_metric)
         self.loops = self._closer.ledger
-        self._relocalizer = Relocalizer(camera.eyes, self.config)
+        self._relocalizer = Relocalizer(camera.camera_or_rig, self.config)
         self._start = OneCameraStart(camera.camera, self.config)
         self._rig_start: RigStart | None = None
         self._unconfirmed: OneCameraStart | None = None

@@ -68,14 +68,14 @@ def merge_maps(
     for model in (first, second):
         if not any(len(keyframe.point) for keyframe in model.keyframes):
             raise ConfigError("both maps must have keyframes with points")
-        if model.keyframes[-1].gray.shape != (camera.eyes.height, camera.eyes.width):
+        if model.keyframes[-1].gray.shape != (camera.camera_or_rig.height, camera.camera_or_rig.width):
             raise ConfigError("the images of a map do not have the camera's size")
     options = (SlamConfig() if config is None else config).odometry
     one, other = first.copied(), second.copied()
     for model in (one, other):
         for keyframe in (k for k in model.keyframes if len(k.point)):
             describe_keyframe(keyframe)
-    closer = LoopCloser(camera.eyes, options, is_metric=camera.is_metric)
+    closer = LoopCloser(camera.camera_or_rig, options, is_metric=camera.is_metric)
     none, identity = (
         1 + max(k.number for k in one.keyframes),
         Similarity3(np.array(1.0), np.eye(3), np.zeros(3)),
@@ -94,9 +94,9 @@ def merge_maps(
     one.absorb(other)
     mapper = LocalMapper(one, camera, focal_baseline_of(camera, options), options)
     added = list(range(count, len(one.keyframes)))
-    fuse(one, added, camera.eyes)
+    fuse(one, added, camera.camera_or_rig)
     mapper.adjust_all(max_iterations=LOOP_ITERATIONS)
-    fuse(one, added, camera.eyes)
+    fuse(one, added, camera.camera_or_rig)
     mapper.adjust_all()
     # The adjustment of one camera's map moves its world.
     if not camera.is_metric:

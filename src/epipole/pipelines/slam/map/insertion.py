@@ -22,7 +22,7 @@ class KeyframeInserter:
     def __init__(
         self, model: SlamMap, sensor: SlamCamera, focal_baseline: float | None, config: OdometryConfig
     ) -> None:
-        self.map, self.sensor, self.camera, self.config = model, sensor, sensor.eyes, config
+        self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera_or_rig, config
         self.focal_baseline = focal_baseline
         """Focal length times baseline; None for a single camera."""
         self._stale = np.zeros(0, np.int64)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import takewhile
@@ -49,7 +49,7 @@ IN_TIME = 4
 FIRST_OPTIMIZED = 6
 """Keyframes of a new map."""
 START_ROUNDS = 3
-"""Rounds of linking and adjusting at the start of such a map."""
+"""Rounds of linking and adjusting at the start of a map of cameras without a common view."""
 GROWTH = 1.25
 """All keyframes are adjusted again when their number has grown by this factor."""
 LAST_STEPS = 3 + 2 * len(LAST_SCALES_PX)
@@ -83,7 +83,7 @@ class LocalMapper:
         config: OdometryConfig,
         imu: CameraImu | None = None,
     ) -> None:
-        self.map, self.sensor, self.camera, self.config = model, sensor, sensor.eyes, config
+        self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera_or_rig, config
         self.focal_baseline = focal_baseline
         """Focal length times baseline; None for a single camera and for a rig."""
         self.is_metric = sensor.is_metric
@@ -227,12 +227,15 @@ class LocalMapper:
 
     def cost_of(self, window: list[int]) -> float:
         """Final cost of an adjustment of keyframes; the map is not changed."""
-        window = [k for k in window if self.map.is_triangulated(self.map.keyframes[k].point).any()]
-        rows, is_outside = self._built(window, window)
-        if not len(rows):
-            return 0.0
+        problem = self.problem_of(window)
         config = BundleConfig(loss=Loss.CAUCHY, max_iterations=15, function_tolerance=1e-4)
-        return adjust_bundle(is_outside, config).final_cost
+        return 0.0 if problem is None else adjust_bundle(problem, config).final_cost
+
+    def problem_of(self, window: Sequence[int]) -> BundleProblem | None:
+        """The adjustment of keyframes and their points; None if there is nothing to adjust."""
+        window = [k for k in window if self.map.is_triangulated(self.map.keyframes[k].point).any()]
+        rows, problem = self._built(window, window)
+        return problem if len(rows) else None
 
     def _built(self, window: list[int], views: list[int]) -> tuple[np.ndarray, BundleProblem]:
         """Rows of the points that take part, and the problem of the views, of which those in the window are free."""

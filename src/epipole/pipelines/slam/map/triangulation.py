@@ -57,7 +57,7 @@ def triangulate_between_keyframes(
     """
     if sensor.shutter.is_rolling:
         return 0  # the rolling-shutter correction is known in keyframes only
-    points, camera, count = tracks.point, sensor.eyes, 0
+    points, camera, count = tracks.point, sensor.camera_or_rig, 0
     lacking = ~model.is_triangulated(points)
     for k in np.unique(model.anchor[points[lacking]]):
         there, own = model.keyframes[int(k)].cam_from_world, lacking & (model.anchor[points] == k)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -14,19 +14,29 @@ from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
 from epipole.scene import CameraRig, Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
 
 
-def reconstruction_of(model: SlamMap, camera: Camera | CameraRig, names: Sequence[str]) -> Reconstruction:
+def reconstruction_of(
+    model: SlamMap,
+    camera: Camera | CameraRig,
+    names: Sequence[str],
+    rig_names: Mapping[str, Sequence[str]] | None = None,
+) -> Reconstruction:
     """Reconstruction of the keyframes and of the points that at least two of them see.
 
     Args:
         model: the map.
         camera: camera of all keyframes, or the rig, of which every keyframe has one image per camera.
-        names: image names of the keyframes; for a rig those of cam0, which contain its name.
+        names: image names of the keyframes; for a rig those of cam0.
+        rig_names: names of the images of all cameras of a rig by that of cam0; for others, the same name in cam1, cam2 ...
     """
     rig = camera if isinstance(camera, CameraRig) else None
     cameras = camera.cameras if isinstance(camera, CameraRig) else (camera,)
     keyframes = [k for k in model.keyframes if len(k.point)]  # rotation-only keyframes see no points
     named = [name for name, k in zip(names, model.keyframes) if len(k.point)]
-    images = [i for n, k in enumerate(keyframes) for i in _images_of(k, n, named[n], rig)]
+    images = [
+        i
+        for n, k in enumerate(keyframes)
+        for i in _images_of(k, n, _names_of(named[n], rig, rig_names or {}), rig)
+    ]
     rows = np.flatnonzero(
         (model.counts(list(range(len(model.keyframes)))) >= 2) & np.isfinite(model.xyz[:, 0])
     )
@@ -66,15 +76,15 @@ class _Image(NamedTuple):
     point: np.ndarray
 
 
-def _images_of(keyframe: Keyframe, number: int, name: str, rig: CameraRig | None) -> list[_Image]:
+def _images_of(keyframe: Keyframe, number: int, names: Sequence[str], rig: CameraRig | None) -> list[_Image]:
     """The image of a keyframe, or those of the rig's cameras, with their observations."""
     pixels = keyframe.straight_px
     if rig is None:
-        return [_Image(number, 0, name, pixels, keyframe.point)]
+        return [_Image(number, 0, names[0], pixels, keyframe.point)]
     which, out = rig.camera_of(keyframe.pixels), []
     for k, top in enumerate(rig.tops[:-1].tolist()):
         own = which == k
-        out.append(_Image(number, k, name_of_camera(name, k), pixels[own] - [0.0, top], keyframe.point[own]))
+        out.append(_Image(number, k, names[k], pixels[own] - [0.0, top], keyframe.point[own]))
     return out
 
 
@@ -101,10 +111,15 @@ def _colors(model: SlamMap, rows: np.ndarray) -> np.ndarray:
     return np.repeat(gray[:, None], 3, axis=1)
 
 
-def name_of_camera(name: str, k: int) -> str:
-    """The image name of another camera of the rig: cam0/NAME becomes cam1/NAME."""
+def _names_of(name: str, rig: CameraRig | None, rig_names: Mapping[str, Sequence[str]]) -> Sequence[str]:
+    """The names of a keyframe's images; if not given, those of other cameras are cam1/NAME for cam0/NAME."""
+    if rig is None or name in rig_names:
+        return rig_names.get(name, (name,))
     first, *rest = name.split("/")
-    return "/".join([f"cam{k}", *(rest if first == "cam0" else [name])])
+    return [
+        name,
+        *("/".join([f"cam{k}", *(rest if first == "cam0" else [name])]) for k in range(1, len(rig.cameras))),
+    ]
 
 
 def _rigs(rig: CameraRig | None) -> Rigs:

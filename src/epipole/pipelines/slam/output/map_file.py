@@ -86,7 +86,7 @@ def write_slam_map(
     keyframes = [k for k in model.keyframes if len(k.point)]
     column = np.array([number.get(id(k), -1) for k in model.keyframes], np.int64)
     camera = sensor.camera
-    size = (sensor.eyes.height, sensor.eyes.width)
+    size = (sensor.camera_or_rig.height, sensor.camera_or_rig.width)
     arrays = {
         "camera_model": np.array(int(camera.model)),
         "camera_params": camera.params,
@@ -201,13 +201,13 @@ def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
     """
     path = _file_of(as_path(path))
     arrays = _arrays(path)
-    camera, eyes = sensor.camera, sensor.eyes
+    camera, camera_or_rig = sensor.camera, sensor.camera_or_rig
     size, params = arrays["size"], arrays["camera_params"]
     if not _is_same_rig(_rig_of(arrays), sensor.rig):
         raise ConfigError(f"the map {path} was made with another camera or rig of cameras")
-    if (int(size[0]), int(size[1])) != (eyes.width, eyes.height):
+    if (int(size[0]), int(size[1])) != (camera_or_rig.width, camera_or_rig.height):
         raise ConfigError(
-            f"the map {path} was made from images of {size[0]}x{size[1]}, but these are {eyes.width}x{eyes.height}"
+            f"the map {path} was made from images of {size[0]}x{size[1]}, but these are {camera_or_rig.width}x{camera_or_rig.height}"
         )
     if int(arrays["camera_model"]) != int(camera.model) or not np.allclose(
         params, camera.params, rtol=SAME_PARAMS

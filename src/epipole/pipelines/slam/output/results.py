@@ -21,6 +21,7 @@ from epipole.pipelines.slam.config import JobOptions
 from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
 from epipole.pipelines.slam.loops.recognition import MIN_SAMPLE
 from epipole.pipelines.slam.map.covariance import CalibrationSigma
+from epipole.pipelines.slam.map.mounting_check import check_mounting
 from epipole.pipelines.slam.output.camera_check import camera_warnings, check_camera
 from epipole.pipelines.slam.output.export import reconstruction_of
 from epipole.pipelines.slam.output.formats import missing_rows, write_in_format
@@ -120,7 +121,7 @@ def write_results(
         came = came if moved is None else moved_path(came, moved)
     final, causal = (_of_body(path, source) for path in (system.trajectory(), came))
     names = keyframe_names(system, records, given.map)
-    model = reconstruction_of(system.maps[0], source.camera.eyes, names)
+    model = reconstruction_of(system.maps[0], source.camera.camera_or_rig, names, source.rig_names)
     num_frames = len(records) + stream.num_dropped
     run.warnings += [*problems, *missing_rows(final, num_frames, job.trajectory_format)]
     checked = _checked(system, tracked, final, run)
@@ -169,20 +170,23 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
     with run.stage("check"):
         model = system.maps[0]
         mapper = system.local_mapper(model)
-        # Neither the shutter nor the intrinsics of a rig are checked: both checks are made for one camera.
+        # Of a rig, the mounting is checked instead of the shutter and the intrinsics.
         is_rig = system.camera.rig is not None
         is_unchecked = is_rig or system.camera.shutter.is_rolling
         shutter = None if is_unchecked else find_readout(mapper, system.trajectory())
         with with_readout(mapper, system.trajectory(), 0.0 if shutter is None else shutter.readout_s):
             camera = None if is_rig else check_camera(model, system.camera.camera)
+        mounting = check_mounting(mapper) if is_rig else None
         cameras = [system.camera.camera] if system.camera.rig is None else system.camera.rig.cameras
         blind = [pixels_without_ray(one) for one in cameras]
         run.warnings += [words for one in cameras for words in no_ray_warning(one)]
         run.warnings += [] if shutter is None else [shutter.warning()]
+        run.warnings += [] if mounting is None else mounting.warnings()
         run.warnings += [*camera_warnings(camera, model.right_shift_px), *warnings(tracked, path)]
         return {
             "readout_s": system.camera.readout_s if shutter is None else shutter.readout_s,
             "camera_check": None if camera is None else asdict(camera),
+            "mounting_check": None if mounting is None else asdict(mounting),
             "fraction_without_ray": float(np.mean([0.0 if one is None else one.mean() for one in blind])),
             "right_principal_point_shift_px": model.right_shift_px,
             "poor_images": poor_images(tracked),

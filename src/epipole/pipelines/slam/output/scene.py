@@ -14,6 +14,7 @@ from epipole.image import color_map
 from epipole.io.convert import read_model
 from epipole.io.files import read_json
 from epipole.io.images.photographs import read_rgb
+from epipole.io.names import path_inside
 from epipole.io.sequences.sequence import read_sequence
 from epipole.io.trajectories.files import read_trajectory, trajectory_format
 from epipole.io.trajectories.frame_tables import FRAME_TABLE, read_frame_table
@@ -159,20 +160,30 @@ def image_loader(out: Path) -> Callable[[str], np.ndarray | None]:
     """Function that reads a keyframe's image from the run's source, or returns None if it is gone."""
     mark = read_mark(out)
     files: dict[str, Path] = {}
-    if mark is not None and mark.source.paths:
+    source = mark.source.paths[0] if mark is not None and mark.source.paths else None
+    if source is not None:
         try:
-            frames = read_sequence(mark.source.paths[0]).frames
+            frames = read_sequence(source).frames
         except EpipoleError:
             frames = ()
         files = {frame.image.name: frame.image for frame in frames}
 
     def load_image(name: str) -> np.ndarray | None:
         try:
+            if name not in files and source is not None:
+                return _image_of_rig(Path(source), name)
             return read_rgb(files[name], IMAGE_PX) if name in files else None
         except FileFormatError:
             return None
 
     return load_image
+
+
+def _image_of_rig(source: Path, name: str) -> np.ndarray | None:
+    """The image of one of a rig's cameras, whose name contains its folder, such as cam1/0001.png."""
+    found = [path_inside(folder, name) for folder in (source, source / "mav0")]
+    file = next((path for path in found if path.is_file()), None)
+    return None if file is None else read_rgb(file, IMAGE_PX)
 
 
 def _summary(path: Path) -> dict[str, Any]:

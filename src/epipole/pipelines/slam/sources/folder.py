@@ -58,6 +58,8 @@ class FrameSource:
     """Warnings about the frames read so far."""
     is_live: bool = False
     """Whether this is a live camera, whose frames cannot be read again."""
+    rig_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Of a rig: the names of all images of an instant, by the frame's name, which is that of the first camera's image."""
     about: Mapping[str, Any] = field(default_factory=dict)
     """For the summary: layout, and sources of the intrinsics and of the depth unit."""
 

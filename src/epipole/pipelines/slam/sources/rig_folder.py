@@ -3,32 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from epipole.errors import ConfigError
+from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io.calibration.files import read_calibration
-from epipole.io.images.photographs import common_range, mask_of, read_gray, read_header, read_mask
+from epipole.io.images.photographs import (
+    PhotographHeader,
+    common_range,
+    mask_of,
+    read_gray,
+    read_header,
+    read_mask,
+)
 from epipole.io.sequences.rig_folders import RigFiles, RigSequence, read_rig_sequence
 from epipole.pipelines.slam.config import CameraOptions, JobOptions
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame
 from epipole.scene import CameraRig
 
+MOST_DAMAGED = 20
+"""Images at the beginning among which one must be readable to check the size before the run."""
+
 
 def open_rig_folder(folder: Path, job: JobOptions, given: CameraOptions) -> FrameSource:
     """Open the frames of the folders cam0, cam1, ..., with the cameras of a calibration file.
 
     Raises:
-        ConfigError: there is no calibration, it has one camera only, or the images do not have the cameras' sizes.
+        ConfigError: there is no calibration, or one camera's parameters besides; it has one camera only; or the images do not have
+            the cameras' sizes.
         FileFormatError: the calibration or the folder cannot be read.
     """
     if given.calibration is None:
         raise ConfigError(
             "sensor rig needs the cameras' intrinsics and poses: pass --calibration FILE, such as Kalibr's"
+        )
+    if given.camera_params or given.camera_model:
+        raise ConfigError(
+            "sensor rig takes all intrinsics from the calibration: omit camera_params and camera_model"
         )
     found = read_calibration(given.calibration)
     if len(found.cameras) < 2:
@@ -57,7 +73,13 @@ def open_rig_folder(folder: Path, job: JobOptions, given: CameraOptions) -> Fram
     camera = SlamCamera.of_cameras(rig)
     about = {"layout": "a folder for each camera", "sensor": "rig", "camera_source": "given"}
     return FrameSource(
-        camera, len(sequence.frames), frames, Rigid3.identity(), lambda: sequence.warnings, about=about
+        camera,
+        len(sequence.frames),
+        frames,
+        Rigid3.identity(),
+        lambda: sequence.warnings,
+        rig_names={row[0]: row for row in names},
+        about=about,
     )
 
 
@@ -71,10 +93,18 @@ def _ignored(masks: Path, name: str) -> np.ndarray | None:
     return None if used is None else ~used
 
 
+def _first_header(images: Sequence[Path]) -> PhotographHeader | None:
+    for image in images:
+        with suppress(FileFormatError):
+            return read_header(image)
+    return None
+
+
 def _check_sizes(rig: CameraRig, sequence: RigSequence) -> None:
-    for k, (camera, image) in enumerate(zip(rig.cameras, sequence.frames[0].images)):
-        header = read_header(image)
-        if (header.width, header.height) != (camera.width, camera.height):
+    """Check the first readable image of each camera; damaged ones are reported when their frames are read."""
+    for k, camera in enumerate(rig.cameras):
+        header = _first_header([files.images[k] for files in sequence.frames[:MOST_DAMAGED]])
+        if header is not None and (header.width, header.height) != (camera.width, camera.height):
             raise ConfigError(
                 f"the images of cam{k} are {header.width} x {header.height}, but the calibration is for {camera.width} x"
                 f" {camera.height}"

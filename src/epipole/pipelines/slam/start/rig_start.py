@@ -1,4 +1,4 @@
-"""Start of a map with a rig whose cameras have no common view: each camera alone, until their motions show the scale."""
+"""Start of a map with a rig whose cameras see too few points together: each camera alone, until their motions show the scale."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from epipole.pipelines.slam.start.rig_scale import RigScales, fit_rig_scales
 from epipole.pipelines.slam.tracking.points import Tracks
 from epipole.scene import CameraRig, Trajectory
 
+TOO_FEW = "the cameras see too few points together"
 LEAST_FRAMES = 15
 """Frames that two cameras must have localized."""
 EVERY = 5
@@ -94,8 +95,8 @@ class RigStart:
     def _waiting(self) -> str:
         count = sum(bool(system.maps[0].num_points) for system in self.systems)
         if count < 2:
-            return f"{count} of {len(self.systems)} cameras have moved enough to start; two are needed"
-        return "the cameras have no common view: the scale is unknown until the rig has rotated and moved in several directions"
+            return f"{TOO_FEW}, and {count} of {len(self.systems)} have moved enough to start alone; two are needed"
+        return f"{TOO_FEW}: the scale is unknown until the rig has rotated and moved in several directions"
 
     def _attempt(self) -> RigInitialization | str:
         """Start with all cameras that see the map now, or with two of them if others contradict."""

@@ -56,7 +56,7 @@ class PointTracker:
     def __init__(
         self, model: SlamMap, sensor: SlamCamera, focal_baseline: float | None, config: OdometryConfig
     ) -> None:
-        self.map, self.sensor, self.camera, self.config = model, sensor, sensor.eyes, config
+        self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera_or_rig, config
         self.focal_baseline = focal_baseline
         self.tracks = Tracks.none()
         self.stale = np.zeros(0, np.int64)
