@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import yaml
+from docs_pages import PAGES
 
 REPOSITORY = Path(__file__).parents[2]
 MOST_LINES = 120
@@ -41,3 +42,12 @@ def test_how_to_pages_are_short_and_have_headings() -> None:
         text = (REPOSITORY / "docs" / name).read_text()
         assert words_of(text) <= MOST_WORDS, f"{name}: {words_of(text)} words"
         assert len(re.findall(r"^## ", text, re.MULTILINE)) >= 2, f"{name} has no headings"
+
+
+def test_every_table_has_a_header() -> None:
+    """Rows after a blank line or text, without a header of their own, are shown as text with bars."""
+    for page in PAGES.values():
+        lines = page.read_text(encoding="utf-8").splitlines()
+        for n, line in enumerate(lines[:-1]):
+            if line.startswith("| ") and not (n and lines[n - 1].startswith("|")):
+                assert re.match(r"\|[\s:|-]+\|$", lines[n + 1]), f"{page.name}: line {n + 1}"
