@@ -4,6 +4,7 @@ from epipole.mapping.adjustment import Freedom as Freedom
 from epipole.mapping.adjustment import PositionPriors as PositionPriors
 from epipole.mapping.adjustment import adjust_all as adjust_all
 from epipole.mapping.adjustment import adjust_around as adjust_around
+from epipole.mapping.adjustment import adjust_sample as adjust_sample
 from epipole.mapping.conflicting_points import ConflictingPoints as ConflictingPoints
 from epipole.mapping.conflicting_points import find_conflicting_points as find_conflicting_points
 from epipole.mapping.consistency import MatchConsistency as MatchConsistency
@@ -19,6 +20,7 @@ from epipole.mapping.model_builder import ModelBuilder as ModelBuilder
 from epipole.mapping.model_builder import Snapshot as Snapshot
 from epipole.mapping.pair_consistency import PairConsistency as PairConsistency
 from epipole.mapping.pair_consistency import check_rotation_cycles as check_rotation_cycles
+from epipole.mapping.point_sample import sample_points as sample_points
 from epipole.mapping.pose_refinement import Disparities as Disparities
 from epipole.mapping.pose_refinement import RefinedPose as RefinedPose
 from epipole.mapping.pose_refinement import refine_pose as refine_pose

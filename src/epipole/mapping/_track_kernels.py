@@ -80,6 +80,23 @@ def cover_images(offsets, image, is_member, order, per_image, count, chosen):
                 count[image[row]] += 1
 
 
+@kernel
+def cover_cells(offsets, image, cell, order, min_new, is_covered, chosen):
+    """Choose points in the given order if `min_new` of their observations, and two, lie in cells without a chosen point.
+
+    `is_covered` (images, cells) is updated.
+    """
+    for j in order:
+        num_new = 0
+        for row in range(offsets[j], offsets[j + 1]):
+            num_new += not is_covered[image[row], cell[row]]
+        if num_new < 2 or num_new < min_new * (offsets[j + 1] - offsets[j]):
+            continue
+        chosen[j] = True
+        for row in range(offsets[j], offsets[j + 1]):
+            is_covered[image[row], cell[row]] = True
+
+
 @kernel(allocates=True)
 def triangulate_components(
     rows,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -11,6 +11,7 @@ from epipole._checks import Declared, check_index, checked
 from epipole.cameras import CameraModel
 from epipole.geometry import Rigid3
 from epipole.mapping.model_builder import ModelBuilder
+from epipole.mapping.point_sample import sample_points
 from epipole.optim import (
     BundleConfig,
     BundlePriors,
@@ -27,6 +28,10 @@ TRUSTED_FOCAL_SIGMA = (
 )
 GUESSED_FOCAL_SIGMA = 0.6  # relative standard deviation of a guessed initial focal length
 DISTORTION_SIGMA = 0.1
+MOST_SAMPLED = 0.5
+"""Fraction of the observations in a sample of the points above which all points are adjusted."""
+POINT_ITERATIONS = 5
+"""Steps for the points that are not in the sample, which have three unknowns each."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +73,28 @@ def adjust_all(
     order, _ = model.rows_by_point()
     images = np.flatnonzero(model.registered)
     return _adjust(model, order, images, np.arange(model.num_points), config, freedom, priors)
+
+
+@checked
+def adjust_sample(
+    model: ModelBuilder, config: BundleConfig, freedom: Freedom, priors: PositionPriors | None = None
+) -> None:
+    """Adjust as `adjust_all`, with a sample of the points if it is much smaller; then the other points with fixed images.
+
+    Points that show the same parts of the same images as others cost time, and change the images little. The result is for models
+    that are adjusted again.
+    """
+    is_chosen = sample_points(model)
+    order, _ = model.rows_by_point()
+    is_sampled = is_chosen[model.row_point[order]]
+    if is_sampled.sum() > MOST_SAMPLED * len(order):
+        adjust_all(model, config, freedom, priors)
+        return
+    images, every = np.flatnonzero(model.registered), np.arange(model.num_points)
+    _adjust(model, order[is_sampled], images, every, config, freedom, priors)
+    rest = replace(config, max_iterations=POINT_ITERATIONS)
+    none = np.zeros(0, np.int64)
+    _adjust(model, order[~is_sampled], none, every, rest, Freedom(focal=False, distortion=False), None)
 
 
 @checked

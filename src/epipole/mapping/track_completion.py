@@ -8,15 +8,16 @@ extend tracks, because the model that predicts them cannot also be supported by 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sparse
+from jaxtyping import UInt8
 
 from epipole import _parallel
 from epipole._checks import checked
 from epipole.config import MatchConfig
 from epipole.features import Features, match_near_pixels
+from epipole.mapping import _view_kernels as kernels
 from epipole.mapping.match_components import FurtherMatches
 from epipole.mapping.model_builder import ModelBuilder
 
@@ -24,16 +25,6 @@ MIN_SHARED_POINTS = 15
 """Images that observe fewer common points are not neighbors."""
 MIN_VIEW_COSINE = np.cos(np.deg2rad(40.0))
 """Cosine of the largest angle between two views of a point: beyond it, SIFT descriptors rarely match (Lowe 2004, 7.3)."""
-
-
-class _Observations(NamedTuple):
-    """Observations of a model, sorted by point."""
-
-    point: np.ndarray
-    image: np.ndarray
-    keypoint: np.ndarray
-    to_camera: np.ndarray
-    """(k, 3) unit vector from the point to the camera."""
 
 
 @checked
@@ -58,12 +49,35 @@ def find_further_matches(
         shape=(len(model.registered), model.num_points),
     )
     shared = (incidence @ incidence.T).tocsr()
-    found = _parallel.map_chunks(
-        lambda a, b, _: [
-            _matches_in(int(i), model, features, observed, shared, radius_px, config) for i in images[a:b]
-        ],
-        len(images),
-    )
+    descriptors = _descriptors_of(observed, features)
+
+    def search(start: int, stop: int, _: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        best, cosine = np.full(model.num_points, kernels.NOT_FOUND, np.int64), np.empty(model.num_points)
+        out = []
+        for image in images[start:stop].tolist():
+            row = slice(shared.indptr[image], shared.indptr[image + 1])
+            neighbors = np.sort(shared.indices[row][shared.data[row] >= MIN_SHARED_POINTS]).astype(np.int64)
+            found = np.empty(model.num_points, np.int64)
+            count = kernels.closest_views(
+                observed,
+                image,
+                neighbors,
+                model.center[image],
+                model.points,
+                MIN_VIEW_COSINE,
+                best,
+                cosine,
+                found,
+            )
+            references = np.sort(found[:count])
+            out.append(
+                _matches_in(
+                    image, model, features[image], observed, references, descriptors, radius_px, config
+                )
+            )
+        return out
+
+    found = _parallel.map_chunks(search, len(images))
     parts = [part for chunk in found for part in chunk]
     table = np.concatenate([rows for rows, _ in parts]) if parts else np.zeros((0, 4), np.int32)
     angles = np.concatenate([angle for _, angle in parts]) if parts else np.zeros(0)
@@ -99,57 +113,58 @@ def median_error_px(model: ModelBuilder) -> float:
     return float(np.nanmedian(every)) if np.isfinite(every).any() else np.nan
 
 
-def _observations_of(model: ModelBuilder) -> _Observations:
+def _observations_of(model: ModelBuilder) -> kernels.Observations:
     rows, _ = model.rows_by_point()
     point, image = model.row_point[rows], model.row_image[rows]
     away = model.center[image] - model.points[point]
     away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-300)
-    return _Observations(point, image, model.components.keypoint[rows], away)
+    counts = np.bincount(image, minlength=len(model.registered))
+    return kernels.Observations(
+        point.astype(np.int32),
+        image.astype(np.int32),
+        model.components.keypoint[rows].astype(np.int32),
+        away,
+        np.argsort(image, kind="stable").astype(np.int64),
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+    )
+
+
+def _descriptors_of(
+    observed: kernels.Observations, features: Sequence[Features]
+) -> UInt8[np.ndarray, "k 128"]:
+    """The descriptor of each observation: an eighth of all descriptors, which are not in memory."""
+    out = np.empty((len(observed.point), 128), np.uint8)
+
+    def load(start: int, stop: int, _: int) -> None:
+        for image in range(start, stop):
+            rows = observed.by_image[observed.starts[image] : observed.starts[image + 1]]
+            if len(rows):
+                out[rows] = features[image].descriptors[observed.keypoint[rows]]
+
+    _parallel.map_chunks(load, len(observed.starts) - 1)
+    return out
 
 
 def _matches_in(
     image: int,
     model: ModelBuilder,
-    features: Sequence[Features],
-    observed: _Observations,
-    shared: sparse.csr_array,
+    features: Features,
+    observed: kernels.Observations,
+    references: np.ndarray,
+    descriptors: np.ndarray,
     radius_px: float,
     config: MatchConfig,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(k, 4) rows (image1, keypoint1, image2, keypoint2) with image2 = `image`, and the angles of the descriptors."""
-    row = slice(shared.indptr[image], shared.indptr[image + 1])
-    neighbors = shared.indices[row][shared.data[row] >= MIN_SHARED_POINTS]
-    is_neighbor, is_seen = np.zeros(len(model.registered), bool), np.zeros(model.num_points, bool)
-    is_neighbor[neighbors] = True
-    is_seen[observed.point[observed.image == image]] = True
-    near = np.flatnonzero(is_neighbor[observed.image] & ~is_seen[observed.point])
-    references = _closest_views(near, observed, model, image)
+    """(k, 4) rows (image1, keypoint1, image2, keypoint2) with image2 = `image`, and the angles of the descriptors.
+
+    `references` are observations in other images.
+    """
     points = model.points[observed.point[references]]
     camera = model.camera(int(model.camera_of_image[image]))
     pixels = camera.project(model.cam_from_world(image).apply(points))
     inside = ((pixels > -0.5) & (pixels < np.array([camera.width, camera.height]) - 0.5)).all(axis=1)
     references, pixels = references[inside], pixels[inside]
-    descriptors = np.empty((len(references), 128), np.uint8)
-    for other in np.unique(observed.image[references]):
-        own = observed.image[references] == other
-        descriptors[own] = features[other].descriptors[observed.keypoint[references[own]]]
-    matches, angles = match_near_pixels(pixels, descriptors, features[image], radius_px, config)
+    matches, angles = match_near_pixels(pixels, descriptors[references], features, radius_px, config)
     source = references[matches[:, 0]]
     columns = (observed.image[source], observed.keypoint[source], np.full(len(source), image), matches[:, 1])
     return np.stack(columns, axis=1).astype(np.int32), angles
-
-
-def _closest_views(near: np.ndarray, observed: _Observations, model: ModelBuilder, image: int) -> np.ndarray:
-    """For each point of the observations `near`, sorted by point, the one whose direction is closest to that of `image`."""
-    point = observed.point[near]
-    starts = np.flatnonzero(np.diff(point, prepend=-1))
-    if not len(starts):
-        return near
-    away = model.center[image] - model.points[point[starts]]
-    away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-300)
-    counts = np.diff(np.append(starts, len(near)))
-    cosine = np.einsum("ka,ka->k", np.repeat(away, counts, axis=0), observed.to_camera[near])
-    largest = np.maximum.reduceat(cosine, starts)
-    row = np.where(cosine == np.repeat(largest, counts), np.arange(len(near)), len(near))
-    best = np.minimum.reduceat(row, starts)  # the first one that is closest
-    return np.asarray(near[best[largest >= MIN_VIEW_COSINE]])

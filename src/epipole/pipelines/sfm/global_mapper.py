@@ -151,7 +151,7 @@ def _adjust_coarsely(mapper: IncrementalMapper, factor: float) -> None:
     bundle = BundleConfig(
         loss=Loss.SOFT_L1,
         loss_scale_px=max(limit_px / 4.0, config.loss_scale_px),
-        max_iterations=30,
+        max_iterations=10,
         function_tolerance=1e-5,
     )
     is_first = factor == ERROR_FACTORS[0]

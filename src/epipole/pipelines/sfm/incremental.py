@@ -17,6 +17,7 @@ from epipole.mapping import (
     Snapshot,
     adjust_all,
     adjust_around,
+    adjust_sample,
     drop_short_tracks,
     largest_rigid_part,
     median_error_px,
@@ -56,10 +57,18 @@ class IncrementalMapper:
     """Grows one model from a pair of images until no further image fits (Snavely et al. 2006; Schoenberger 2016)."""
 
     def __init__(
-        self, model: ModelBuilder, view_graph: ViewGraph, config: MapperConfig, *, min_track_length: int = 2
+        self,
+        model: ModelBuilder,
+        view_graph: ViewGraph,
+        config: MapperConfig,
+        *,
+        min_track_length: int = 2,
+        is_last: bool = True,
     ) -> None:
         self.model, self.view_graph, self.config = model, view_graph, config
         self.min_track_length = min_track_length
+        self.is_last = is_last
+        """Whether `finish` adjusts all points; False if the model will be completed and adjusted again."""
         self.consistency = MatchConsistency(model, view_graph)
         self.rejections: dict[int, Rejection] = {}
         self._started: set[int] = set()
@@ -116,12 +125,8 @@ class IncrementalMapper:
         """
         for _ in range(2):
             self._drop_short_tracks()
-            adjust_all(
-                self.model,
-                final_bundle(self.config, median_error_px(self.model)),
-                self.freedom(),
-                self.priors,
-            )
+            bundle = final_bundle(self.config, median_error_px(self.model))
+            (adjust_all if self.is_last else adjust_sample)(self.model, bundle, self.freedom(), self.priors)
             self.model.filter(self.config.max_error_px, self._angle)
         self._drop_short_tracks()
         self.keep_rigid_part()
@@ -294,7 +299,7 @@ class IncrementalMapper:
         everything = np.arange(len(model.components))
         for round_ in range(max(rounds, 1)):
             self._drop_short_tracks()
-            adjust_all(model, self._global_bundle(), self.freedom(), self.priors)
+            adjust_sample(model, self._global_bundle(), self.freedom(), self.priors)
             dropped = model.filter(config.max_error_px, self._angle)
             self.drop_lost_images()
             done(min(round_ + 1, rounds))

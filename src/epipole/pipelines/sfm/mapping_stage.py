@@ -90,7 +90,7 @@ def map_images(
     rejections: dict[int, Rejection] = {}
     while remaining.sum() >= 2 and len(found) < config.max_models:
         builder = ModelBuilder(cameras, images.camera_of_image, keypoints, components)
-        mapper = IncrementalMapper(builder, view_graph, config)
+        mapper = IncrementalMapper(builder, view_graph, config, is_last=features is None)
         method = map_with(mapper, remaining, _counting(progress, remaining), _adjusting(progress))
         if method is None:
             break
