@@ -28,6 +28,10 @@ def set_two_rows(target, a, x, b, y, lanes):
     target[: len(lanes)] = a * _row(x, lanes) + b * _row(y, lanes)
 
 
+def subtract_product(block, x, y, height, lanes):
+    block[:height, : len(lanes)] -= x[:, :height].T.astype(np.float64) @ y[:, : len(lanes)].astype(np.float64)
+
+
 def scale_row(target, a, x, lanes):
     target[: len(lanes)] = a * _row(x, lanes)
 

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from epipole._jit import kernel
-from epipole._simd_kernels import add_product, add_rows, add_two_rows, scale_row, set_rows, set_two_rows
+from epipole._simd_kernels import (
+    add_product,
+    add_rows,
+    add_two_rows,
+    scale_row,
+    set_rows,
+    set_two_rows,
+    subtract_product,
+)
 
 
 @kernel
@@ -33,3 +41,20 @@ def test_rows_are_combined(rng, width, dtype):
     expected[5, own] = 2.0 * x - 3.0 * before[5, own]
     np.testing.assert_allclose(target, expected, rtol=2e-6 if dtype is np.float32 else 1e-14, atol=1e-6)
     np.testing.assert_array_equal(target[:, width:], before[:, width:].astype(dtype))
+
+
+@kernel
+def subtract(block, x, y, height, lanes):
+    subtract_product(block, x, y, height, lanes)
+
+
+@pytest.mark.parametrize("width", [8, 12, 16, 20])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("height", [0, 1, 6, 8])
+def test_a_product_of_three_rows_is_subtracted(rng, width, dtype, height):
+    x, y = rng.normal(size=(2, 3, width)).astype(dtype)
+    block = rng.normal(size=(width, width))
+    expected = block.copy()
+    expected[:height] -= x[:, :height].T.astype(np.float64) @ y.astype(np.float64)
+    subtract(block, x, y, height, (0,) * width)
+    np.testing.assert_allclose(block, expected, rtol=1e-13, atol=1e-14)

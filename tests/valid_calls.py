@@ -718,6 +718,8 @@ def _mapping() -> Iterator[Row]:
     yield _row(free_params_of, cameras=model.cameras, freedom=freedom)
     yield _row(expected_params, model=builder)
     yield _row(mapping.adjust_all, model=builder, config=quick, freedom=freedom, priors=priors)
+    yield _row(mapping.adjust_sample, model=builder, config=quick, freedom=freedom, priors=priors)
+    yield _row(mapping.sample_points, model=builder)
     around = {"image": 1, "num_images": 2, "config": quick, "freedom": freedom}
     yield _row(mapping.adjust_around, model=builder, **around)
     yield _row(mapping.median_error_px, model=builder)

@@ -44,7 +44,7 @@ def prepare(name: str, data: Path, work: Path) -> SfmTask:
         FileNotFoundError: the data folder does not have the set.
         KeyError: there is no set of this name.
     """
-    folder = data / ("slam" if name in HELD_OUT else "sfm")
+    folder = data / ("slam" if name in SEQUENCES else "sfm")
     if not folder.is_dir():
         raise FileNotFoundError(
             f"There is no folder {folder}: pass the data folder with --data or $EPIPOLE_DATA."
@@ -142,6 +142,15 @@ def _kitchen(folder: Path, work: Path) -> SfmTask:
     return of_frames("kitchen", frames, (585.0, 585.0, 320.0, 240.0), work)
 
 
+def _kitchen_all(folder: Path, work: Path) -> SfmTask:
+    """All 325 frames at hand of the same sequence, with the color camera's focal length."""
+    source = folder / "7scenes"
+    rows = np.loadtxt(source / "poses_sfm.txt")
+    frames = [(source / f"frame-{int(row[0]):06d}.color.jpg", matrix_of(row[1:8])) for row in rows]
+    frames = [frame for frame in frames if frame[0].is_file()]
+    return of_frames("kitchen-all", frames, (525.5, 525.5, 320.5, 240.5), work)
+
+
 def _kitchen_start(folder: Path, work: Path) -> SfmTask:
     """The first 125 frames at hand of the same sequence, with the color camera's focal length, and with depth images."""
     source = folder / "7scenes"
@@ -190,6 +199,7 @@ SETS: dict[str, Callable[[Path, Path], SfmTask]] = {
     "kitti00": _kitti00,
     "kitchen": _kitchen,
     "kitchen-start": _kitchen_start,
+    "kitchen-all": _kitchen_all,
 }
-HELD_OUT = ("kitti00", "kitchen", "kitchen-start")
-"""Sets that were not used to choose defaults."""
+SEQUENCES = ("kitti00", "kitchen", "kitchen-start", "kitchen-all")
+"""Sets from the sequences of the SLAM data."""

@@ -104,6 +104,47 @@ def _add_product(target, x, y, lanes):
     target[:width] += x[:width].astype(float) * y[:width]
 
 
+def _subtract_product(block, x, y, height, lanes):
+    width = len(lanes)
+    block[:height, :width] -= x[:, :height].T.astype(float) @ y[:, :width].astype(float)
+
+
+@row_intrinsic(_subtract_product)
+def subtract_product(typingctx, block, x, y, height, lanes):
+    """Rows 0 to height of the block -= x^T y, where x and y have three rows, all of len(lanes) numbers; y stays in registers."""
+    signature = types.void(block, x, y, types.int64, lanes)
+
+    def generate(context, builder, signature, arguments):
+        kinds, width = signature.args, len(signature.args[-1])
+        index = cgutils.intp_t
+
+        def element(k, at):
+            data = context.make_array(kinds[k])(context, builder, arguments[k]).data
+            return builder.gep(data, [at])
+
+        def as_row(k, at):
+            vector = ir.VectorType(context.get_value_type(kinds[k].dtype), width)
+            return builder.bitcast(element(k, at), vector.as_pointer())
+
+        def load(k, pointer, width):
+            value = builder.load(pointer, align=kinds[k].dtype.bitwidth // 8)
+            if kinds[k].dtype == types.float32:
+                value = builder.fpext(value, _DOUBLE if width is None else ir.VectorType(_DOUBLE, width))
+            return value
+
+        rows = [load(2, as_row(2, index(c * width)), width) for c in range(3)]
+        with cgutils.for_range(builder, arguments[3], intp=index) as loop:
+            target = as_row(0, builder.mul(loop.index, index(width)))
+            total = load(0, target, width)
+            for c, row in enumerate(rows):
+                factor = load(1, element(1, builder.add(loop.index, index(c * width))), None)
+                total = _fused(builder, _spread(builder, builder.fneg(factor), width), row, total, width)
+            builder.store(total, target, align=8)
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
 @row_intrinsic(_add_rows)
 def add_rows(typingctx, target, a, x, b, y, c, z, lanes):
     """Row target += a x + b y + c z."""

@@ -77,15 +77,45 @@ def test_a_turned_picture_has_the_turned_features(image):
 
 def test_largest_features_are_kept(image):
     everything = sift.detect_sift(image, FeatureConfig(max_features=100_000))
-    few = sift.detect_sift(image, FeatureConfig(max_features=100))
-    assert len(few) == 100
-    np.testing.assert_array_equal(few.scale_px, everything.scale_px[:100])
+    most = image.size // sift.PIXELS_PER_FEATURE + 1
+    few = sift.detect_sift(image, FeatureConfig(max_features=most))
+    assert len(few) == most
+    np.testing.assert_array_equal(few.scale_px, everything.scale_px[:most])
     assert (np.diff(everything.scale_px) <= 0).all()
+
+
+def test_without_the_doubled_octave_the_largest_features_are_the_same(image, monkeypatch):
+    config = FeatureConfig(max_features=100)
+    assert image.size > sift.PIXELS_PER_FEATURE * config.max_features
+    calls = []
+    monkeypatch.setattr(sift, "_doubled_base", calls.append)
+    fast = sift.detect_sift(image, config)
+    monkeypatch.undo()
+    assert not calls
+    monkeypatch.setattr(sift, "PIXELS_PER_FEATURE", np.inf)
+    slow = sift.detect_sift(image, config)
+    distance, nearest = cKDTree(position(slow)).query(position(fast))
+    same = distance < 0.5
+    assert same.mean() > 0.9
+    assert np.abs(fast.pixels - slow.pixels[nearest])[same].max() < 0.2
+    assert np.median(cosine(fast.descriptors, slow.descriptors[nearest])[same]) > 0.995
+
+
+def test_a_large_image_with_little_texture_gets_the_doubled_octave(image, monkeypatch):
+    config = FeatureConfig(max_features=2000)
+    monkeypatch.setattr(sift, "PIXELS_PER_FEATURE", np.inf)
+    whole = sift.detect_sift(image, config)
+    monkeypatch.setattr(sift, "PIXELS_PER_FEATURE", 1)
+    found = sift.detect_sift(image, config)
+    assert len(whole) < 2000 and abs(len(found) - len(whole)) < 0.05 * len(whole)
+    is_small = found.scale_px < 2.0 * sift._SIGMA
+    distance, _ = cKDTree(position(whole)).query(position(found)[is_small])
+    assert is_small.sum() > 100 and (distance == 0).all()
 
 
 def test_more_extrema_than_expected_are_all_kept():
     noise = np.random.default_rng(0).integers(0, 255, (64, 64)).astype(np.uint8)
-    levels = next(sift._octaves(noise))
+    levels = next(sift._octaves(sift._doubled_base(noise)))
     found = sift._find_extrema(levels, 0.0001)
     assert len(found) == space.find_extrema(
         levels, np.float32(0), 0.0001 / 3, 10.0, np.empty((9999, 4), np.float32)

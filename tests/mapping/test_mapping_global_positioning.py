@@ -98,7 +98,7 @@ def dense_step(seen, centers, points, inverse, weight, damping):
     return H, g
 
 
-@reference_of(kernels.reduce_points, kernels.substitute_back)
+@reference_of(kernels.reduce_points, kernels.find_blocks, kernels.substitute_back)
 def test_elimination_and_back_substitution_solve_the_whole_system(rng):
     n = 4
     centers, offsets, image, direction, _ = walk(rng, n, 12, noise_rad=0.05)
@@ -113,7 +113,25 @@ def test_elimination_and_back_substitution_solve_the_whole_system(rng):
     r = len(image)
     kept = kernels.Eliminated(*(np.empty(s) for s in ((r, 6), (r, 3), (12, 6), (12, 3))))
     blocks, gradient, half = np.zeros((len(column), 3, 3)), np.zeros((n, 3)), np.empty((n, 3, 3))
-    given = (seen, centers, points, inverse, weight, 0.0, kept, row_start, column, blocks, gradient, half)
+    count = kernels.find_blocks(seen, row_start, column, np.empty(0, np.int32))
+    assert count == sum(k * (k + 1) // 2 for k in lengths)
+    found = (seen, row_start, column, np.empty(count, np.int32))
+    _, (*_, block_of_pair) = assert_same_as_python(kernels.find_blocks, *found)
+    diagonal = row_start[1:] - 1
+    given = (
+        seen,
+        centers,
+        points,
+        inverse,
+        weight,
+        0.0,
+        kept,
+        diagonal,
+        block_of_pair,
+        blocks,
+        gradient,
+        half,
+    )
     _, changed = assert_same_as_python(kernels.reduce_points, *given, rtol=1e-9, atol=1e-12)
     kept, blocks, gradient = changed[6], changed[9], changed[10]
     H, g = dense_step(seen, centers, points, inverse, weight, 0.0)

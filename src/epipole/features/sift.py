@@ -20,6 +20,8 @@ _SIGMA = 1.6
 """Blur of the first level of every octave, in pixels of the octave."""
 _CAMERA_SIGMA = 0.5
 """Assumed blur of the input image."""
+PIXELS_PER_FEATURE = 200
+"""Pixels of an image per wanted feature above which the doubled octave is computed only if it is needed."""
 _POOLED_OCTAVES = 1.0
 """Windows that are averaged are smaller and larger than the feature's by up to this many octaves."""
 _LEAST_SIDE = 2 * space.BORDER + 2
@@ -31,17 +33,22 @@ def detect_sift(gray: UInt8[np.ndarray, "h w"], config: FeatureConfig) -> Featur
     """The largest-scale SIFT features of a gray image, as root-SIFT.
 
     The first octave has twice the image's size. Pixel (x, y) of the image is pixel (2 x, 2 y) there, so keypoints are
-    not shifted. Work per pixel of an octave: five blurs of 11 to 27 taps along rows and columns, then 27 comparisons for
-    each of three levels.
+    not shifted. It has most of the work and the smallest features: with more than `PIXELS_PER_FEATURE` pixels per wanted feature, the
+    larger octaves, here computed from the image itself, usually have enough features. Work per pixel of an octave: five blurs of 11 to
+    27 taps along rows and columns, then 27 comparisons for each of three levels.
 
     Args:
         gray: at least 16 pixels per side.
         config: `max_features`, `contrast_threshold` and `domain_sizes`.
     """
-    octaves, limit = [], config.max_features
-    for number, levels in enumerate(_octaves(gray)):
-        extrema = _find_extrema(levels, config.contrast_threshold)
-        octaves.append(_Octave(levels[1 : 1 + space.SCALES], extrema, 0.5 * 2.0**number))
+    limit, threshold = config.max_features, config.contrast_threshold
+    if gray.size > PIXELS_PER_FEATURE * limit:
+        octaves = [_Octave.of(levels, 2.0**n, threshold) for n, levels in enumerate(_octaves(_base(gray)))]
+        if sum(len(o.extrema) for o in octaves) < limit:
+            octaves.insert(0, _Octave.of(next(_octaves(_doubled_base(gray))), 0.5, threshold))
+    else:
+        levels_of = enumerate(_octaves(_doubled_base(gray)))
+        octaves = [_Octave.of(levels, 0.5 * 2.0**n, threshold) for n, levels in levels_of]
     pixel = np.concatenate([np.full(len(o.extrema), o.pixel) for o in octaves])
     sigma = np.concatenate([o.sigma() for o in octaves])
     largest = np.argsort(-sigma * pixel, kind="stable")[:limit]
@@ -64,17 +71,31 @@ class _Octave:
     pixel: float
     """Side of a pixel of the octave, in pixels of the image."""
 
+    @staticmethod
+    def of(levels: tuple[np.ndarray, ...], pixel: float, contrast_threshold: float) -> _Octave:
+        """The extrema of these levels."""
+        return _Octave(levels[1 : 1 + space.SCALES], _find_extrema(levels, contrast_threshold), pixel)
+
     def sigma(self) -> np.ndarray:
         """Scale of each extremum, in pixels of the octave."""
         return _SIGMA * 2.0 ** (self.extrema[:, 2].astype(np.float64) / space.SCALES)
 
 
-def _octaves(gray: np.ndarray) -> Iterator[tuple[np.ndarray, ...]]:
-    """Levels of each octave; every octave is half the size of the previous one."""
+def _base(gray: np.ndarray) -> np.ndarray:
+    """First level of the octave with the image's size."""
+    return _blurred(gray.astype(np.float32), np.sqrt(_SIGMA**2 - _CAMERA_SIGMA**2))
+
+
+def _doubled_base(gray: np.ndarray) -> np.ndarray:
+    """First level of the octave with twice the image's size."""
     height, width = gray.shape
-    base = np.empty((2 * height, 2 * width), np.float32)
-    space.upsample(gray, base)
-    base = _blurred(base, np.sqrt(_SIGMA**2 - (2.0 * _CAMERA_SIGMA) ** 2))
+    doubled = np.empty((2 * height, 2 * width), np.float32)
+    space.upsample(gray, doubled)
+    return _blurred(doubled, np.sqrt(_SIGMA**2 - (2.0 * _CAMERA_SIGMA) ** 2))
+
+
+def _octaves(base: np.ndarray) -> Iterator[tuple[np.ndarray, ...]]:
+    """Levels of each octave from the first level of the first; every octave is half the size of the previous one."""
     steps = [_SIGMA * 2.0 ** (s / space.SCALES) for s in range(space.SCALES + 3)]
     while min(base.shape) >= _LEAST_SIDE:
         levels = [base]

@@ -111,13 +111,31 @@ def _forward(f, b0, b1, b2):
 
 
 @kernel
-def reduce_points(
-    seen, centers, points, inverse, weight, damping, kept, row_start, column, blocks, gradient, half
-):
-    """Add the system of the centers: blocks of its lower triangle (by rows, with sorted columns) and its right side.
+def find_blocks(seen, row_start, column, block_of_pair):
+    """The block of each pair of observations of a point, in the order of `reduce_points`; returns the number of pairs.
 
-    `half` (longest track, 3, 3) is scratch.
+    The blocks are those of a lower triangle, by rows, with sorted columns. With an empty `block_of_pair`, the pairs are only counted.
     """
+    count = np.int64(0)
+    for j in range(len(seen.offsets) - 1):
+        for k in range(seen.offsets[j], seen.offsets[j + 1]):
+            for other in range(seen.offsets[j], seen.offsets[j + 1]):
+                if seen.image[other] <= seen.image[k]:
+                    if len(block_of_pair) > 0:
+                        block_of_pair[count] = _block_at(row_start, column, seen.image[k], seen.image[other])
+                    count += 1
+    return count
+
+
+@kernel
+def reduce_points(
+    seen, centers, points, inverse, weight, damping, kept, diagonal, block_of_pair, blocks, gradient, half
+):
+    """Add the system of the centers: blocks of its lower triangle and its right side.
+
+    `diagonal` has the block of each image, `block_of_pair` those of `find_blocks`; `half` (longest track, 3, 3) is scratch.
+    """
+    at = 0
     for j in range(len(points)):
         first, last = seen.offsets[j], seen.offsets[j + 1]
         for k in range(first, last):
@@ -144,12 +162,13 @@ def reduce_points(
         for k in range(first, last):
             for other in range(first, last):
                 if seen.image[other] <= seen.image[k]:
-                    block = blocks[_block_at(row_start, column, seen.image[k], seen.image[other])]
+                    block = blocks[block_of_pair[at]]
+                    at += 1
                     z, y = half[k - first], half[other - first]
                     for p in range(3):
                         for q in range(3):
                             block[p, q] -= z[0, p] * y[0, q] + z[1, p] * y[1, q] + z[2, p] * y[2, q]
-            _add_symmetric(blocks[_block_at(row_start, column, seen.image[k], seen.image[k])], kept.normal[k])
+            _add_symmetric(blocks[diagonal[seen.image[k]]], kept.normal[k])
 
 
 @kernel

@@ -120,10 +120,11 @@ class _System:
     """The normal equations of the centers."""
 
     plan: CholeskyPlan
-    row_start: np.ndarray
-    column: np.ndarray
+    num_blocks: int
     diagonal: np.ndarray
     """Number of each image's diagonal block."""
+    block_of_pair: np.ndarray
+    """Number of the block of each pair of observations of a point."""
     kept: kernels.Eliminated
     half: np.ndarray
 
@@ -136,11 +137,14 @@ class _System:
         shared.sort_indices()
         row_start, column = shared.indptr.astype(np.int64), shared.indices.astype(np.int64)
         row = np.repeat(np.arange(num_images), np.diff(row_start))
+        num_pairs = kernels.find_blocks(seen, row_start, column, np.empty(0, np.int32))
+        block_of_pair = np.empty(num_pairs, np.int32)
+        kernels.find_blocks(seen, row_start, column, block_of_pair)
         return _System(
             plan_cholesky(BlockPattern(np.full(num_images, 3, np.int64), row, column)),
-            row_start,
-            column,
+            len(column),
             np.flatnonzero(row == column),
+            block_of_pair,
             kernels.Eliminated(
                 *(np.empty((m, c)) for m, c in ((r, 6), (r, 3), (num_points, 6), (num_points, 3)))
             ),
@@ -151,15 +155,15 @@ class _System:
         self, seen: kernels.Directions, state: _State, weight: np.ndarray, damping: float
     ) -> _State | None:
         """The state that the damped normal equations lead to; None if they are singular."""
-        blocks, gradient = np.zeros((len(self.column), 3, 3)), np.zeros_like(state.centers)
+        blocks, gradient = np.zeros((self.num_blocks, 3, 3)), np.zeros_like(state.centers)
         kernels.reduce_points(
             seen,
             *state,
             weight,
             damping,
             self.kept,
-            self.row_start,
-            self.column,
+            self.diagonal,
+            self.block_of_pair,
             blocks,
             gradient,
             self.half,

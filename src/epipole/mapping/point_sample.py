@@ -18,7 +18,7 @@ LONG_TRACK = 20
 the track length."""
 LEAST_TRACK = 3
 """A wrong match along the epipolar line makes a point in two images that no residual reveals."""
-LEAST_PER_IMAGE = 100
+LEAST_PER_IMAGE = 200
 """Observations that an image should have, if it has as many."""
 
 

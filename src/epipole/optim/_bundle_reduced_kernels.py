@@ -4,34 +4,46 @@ from epipole._jit import kernel
 from epipole._simd_kernels import (
     add_product,
     add_rows,
+    subtract_product,
 )
 
 
 @kernel
 def reduce_rows(start, stop, entries, z, row_start, column, blocks, slot, lanes):
-    """Subtract Z Z^T from the blocks of rows start..stop of the lower triangle; slot (nodes,) must be filled with -1."""
-    for a in range(start, stop):
-        for b in range(row_start[a], row_start[a + 1]):
-            slot[column[b]] = b
-        _reduce_row(a, entries, z, slot, blocks, lanes)
-        for b in range(row_start[a], row_start[a + 1]):
-            slot[column[b]] = -1
+    """Subtract Z Z^T from the blocks of rows start..stop of the lower triangle.
+
+    Rows go in groups of len(slot), so that Z of a point is read once for all rows of a group; slot (rows, nodes) must be filled with -1.
+    """
+    for low in range(start, stop, len(slot)):
+        high = min(low + len(slot), stop)
+        for a in range(low, high):
+            for b in range(row_start[a], row_start[a + 1]):
+                slot[a - low, column[b]] = b
+        for a in range(low, high):
+            for at in range(entries.node_start[a], entries.node_start[a + 1]):
+                _reduce_point(
+                    entries.point[entries.by_node[at]], low, a, high, entries, z, blocks, slot, lanes
+                )
+        for a in range(low, high):
+            for b in range(row_start[a], row_start[a + 1]):
+                slot[a - low, column[b]] = -1
 
 
 @kernel(fuse=True)
-def _reduce_row(a, entries, z, slot, blocks, lanes):
-    height = entries.width[a]
-    for at in range(entries.node_start[a], entries.node_start[a + 1]):
-        e = entries.by_node[at]
-        j = entries.point[e]
-        own = z[e]
+def _reduce_point(j, low, first, high, entries, z, blocks, slot, lanes):
+    """Subtract the products of point j from rows low..high; nothing if a row before `first` has done so."""
+    for e in range(entries.start[j], entries.start[j + 1]):
+        if low <= entries.node[e] < first:
+            return
+    for e in range(entries.start[j], entries.start[j + 1]):
+        row = entries.node[e]
+        if row < first or row >= high:
+            continue
+        own, target = z[e], slot[row - low]
         for other in range(entries.start[j], entries.start[j + 1]):
-            target = slot[entries.node[other]]
-            if target < 0:
-                continue
-            block, theirs = blocks[target], z[other]
-            for p in range(height):
-                add_rows(block[p], -own[0, p], theirs[0], -own[1, p], theirs[1], -own[2, p], theirs[2], lanes)
+            block = target[entries.node[other]]
+            if block >= 0:
+                subtract_product(blocks[block], own, z[other], entries.width[row], lanes)
 
 
 @kernel
