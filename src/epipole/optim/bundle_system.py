@@ -228,7 +228,7 @@ class BundleSystem:
 
     def _subtract_eliminated(self, row_start: np.ndarray, column: np.ndarray, blocks: np.ndarray) -> None:
         """Subtract Z Z^T from the blocks, in chunks of rows with similar work."""
-        inner = [] if self.layout.num_chunks == 1 else self._pieces
+        inner: list[int] = [] if self.layout.num_chunks == 1 else self._pieces.tolist()
         ranges = list(pairwise([0, *inner, self.layout.num_nodes]))
 
         def reduce(piece: int) -> None:
