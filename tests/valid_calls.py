@@ -407,6 +407,7 @@ def _features() -> Iterator[Row]:
     near = {"pixels": _some(len(one), 2), "descriptors": one.descriptors, "features": two}
     yield _row(features.match_near_pixels, **near, radius_px=3.0, config=MatchConfig())
     yield _row(features.describe_image, descriptors=one.descriptors, words=words)
+    yield _row(features.describe_images, descriptors=[one.descriptors] * 2, words=words)
     yield _row(features.most_similar, vectors=_some(6, 16).astype(np.float32), count=3)
     lists = [one.descriptors, two.descriptors]
     yield _row(features.train_vocabulary, descriptors=lists, num_words=4, seed=1, rounds=2)

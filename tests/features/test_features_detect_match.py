@@ -9,6 +9,7 @@ from epipole.errors import ShapeError
 from epipole.features import (
     Features,
     describe_image,
+    describe_images,
     detect_features,
     match_along_epipolar_lines,
     match_descriptors,
@@ -145,3 +146,37 @@ def test_retrieval_finds_the_picture_with_the_same_features(rng):
     words = train_vocabulary(images, num_words=16)
     nearest = most_similar(np.stack([describe_image(p, words) for p in images]), 1)[:, 0]
     np.testing.assert_array_equal(nearest, np.arange(12) ^ 1)
+
+
+def test_all_images_are_described_as_one_by_one(rng):
+    images = [root_sift(rng.gamma(0.3, 1, (k, 128)).astype(np.float32)) for k in (0, 1, 40, 300)]
+    words = train_vocabulary(images, num_words=8)
+    expected = np.stack([describe_image(p, words) for p in images])
+    np.testing.assert_array_equal(describe_images(images, words), expected)
+    sums = np.zeros_like(words)
+    values = images[3].astype(np.float32)
+    word = np.argmin(((values[:, None] - words) ** 2).sum(axis=2), axis=1)
+    np.add.at(sums, word, values - words[word])
+    sums /= np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-12)
+    vlad = (np.sign(sums) * np.sqrt(np.abs(sums))).ravel()
+    np.testing.assert_allclose(expected[3], vlad / np.linalg.norm(vlad), atol=1e-5)
+
+
+def test_many_images_are_compared_by_principal_components(rng):
+    n, width = 1500, 256
+    path = np.cumsum(rng.normal(size=(n, 8)), axis=0)  # images along a path: neighbors are similar
+    axes = rng.normal(size=(8, width))
+    vectors = (np.sin(0.3 * path) @ axes + 0.2 * rng.normal(size=(n, width))).astype(np.float32)
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    found = most_similar(vectors, 50)
+    similarity = vectors @ vectors.T
+    np.fill_diagonal(similarity, -np.inf)
+    true = np.argsort(-similarity, axis=1)[:, :10]
+    recall = np.mean([np.isin(t, f).mean() for t, f in zip(true, found)])
+    assert found.shape == (n, 50) and (found != np.arange(n)[:, None]).all()
+    assert recall > 0.95
+
+
+def test_equal_images_have_no_principal_components():
+    vectors = np.tile(np.ones((1, 8), np.float32) / np.sqrt(8), (1100, 1))
+    assert most_similar(vectors, 3).shape == (1100, 3)

@@ -14,6 +14,7 @@ from epipole.features.patches import align_patches_of_images as align_patches_of
 from epipole.features.patches import find_along_rows as find_along_rows
 from epipole.features.patches import find_patches as find_patches
 from epipole.features.retrieve import describe_image as describe_image
+from epipole.features.retrieve import describe_images as describe_images
 from epipole.features.retrieve import most_similar as most_similar
 from epipole.features.retrieve import train_vocabulary as train_vocabulary
 from epipole.features.sift import describe_upright as describe_upright

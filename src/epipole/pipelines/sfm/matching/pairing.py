@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64, Int32
 
 from epipole.errors import ConfigError, FileFormatError
-from epipole.features import describe_image, most_similar, train_vocabulary
+from epipole.features import describe_images, most_similar, train_vocabulary
 from epipole.io.files import file_text
 from epipole.io.images.exif import gps_to_enu
 from epipole.pipelines.sfm.config import PairingConfig
@@ -55,7 +55,7 @@ def choose_pairs(
 
 def _similar_images(descriptors: Sequence[np.ndarray], count: int) -> list[tuple[int, int]]:
     words = train_vocabulary(descriptors)
-    nearest = most_similar(np.stack([describe_image(d, words) for d in descriptors]), count)
+    nearest = most_similar(describe_images(descriptors, words), count)
     return [(i, int(j)) for i in range(len(nearest)) for j in nearest[i]]
 
 
