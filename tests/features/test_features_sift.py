@@ -183,3 +183,14 @@ def test_domain_sizes_find_more_matches_between_distant_views(image):
         right[sizes], wrong[sizes] = int((off < 2.0).sum()), int((off >= 2.0).sum())
     assert right[5] > 1.3 * right[1] > 30
     assert wrong[5] <= wrong[1]
+
+
+@pytest.mark.parametrize("pixels_per_feature", [1, np.inf])
+def test_low_contrast_gives_no_features_with_and_without_the_doubled_octave(
+    image, monkeypatch, pixels_per_feature
+):
+    monkeypatch.setattr(sift, "PIXELS_PER_FEATURE", pixels_per_feature)
+    faint = np.rint(128 + 0.004 * (image.astype(float) - 128)).astype(np.uint8)
+    assert np.ptp(faint) > 0
+    assert len(sift.detect_sift(faint, FeatureConfig())) == 0
+    assert len(sift.detect_sift(image, FeatureConfig())) > 400

@@ -11,7 +11,7 @@ from epipole import _parallel
 from epipole._checks import checked
 from epipole.errors import ConfigError, ShapeError
 
-_BLOCK_ROWS = 512
+_BLOCK_ROWS = 128
 """Images compared with all others at a time, so that memory grows linearly with their number."""
 _COMPONENTS, _COMPONENT_SAMPLE = 512, 1024
 """Principal components that more images than the sample are compared by, and images that these are computed from."""
@@ -83,7 +83,7 @@ def describe_images(
 def most_similar(vectors: Float32[np.ndarray, "n v"], count: int) -> Int32[np.ndarray, "n c"]:
     """For each image, the `count` other images with the largest cosine, best first.
 
-    More than 1,024 images are compared by 512 principal components of their vectors (Jegou and Chum, ECCV 2012, without whitening),
+    More than 1,024 images are compared by 512 principal components of their centered vectors (Jegou and Chum, ECCV 2012, without whitening),
     with work of n v 512 + n^2 512 instead of n^2 v.
     """
     n = len(vectors)
@@ -96,9 +96,10 @@ def most_similar(vectors: Float32[np.ndarray, "n v"], count: int) -> Int32[np.nd
             rows = np.arange(block * _BLOCK_ROWS, min((block + 1) * _BLOCK_ROWS, n))
             similarity = compared[rows] @ compared.T
             similarity[np.arange(len(rows)), rows] = -np.inf
-            best = np.argpartition(-similarity, kept - 1, axis=1)[:, :kept]
+            np.negative(similarity, out=similarity)
+            best = np.argpartition(similarity, kept - 1, axis=1)[:, :kept]
             best.sort(axis=1)
-            order = np.argsort(-np.take_along_axis(similarity, best, axis=1), axis=1, kind="stable")
+            order = np.argsort(np.take_along_axis(similarity, best, axis=1), axis=1, kind="stable")
             out[rows] = np.take_along_axis(best, order, axis=1)
 
         if kept:
@@ -118,7 +119,8 @@ def _principal_components(vectors: np.ndarray) -> np.ndarray:
     out = np.empty((len(vectors), axes.shape[1]), np.float32)
 
     def project(start: int, stop: int, _: int) -> None:
-        out[start:stop] = (vectors[start:stop] - mean) @ axes
+        is_blank = ~vectors[start:stop].any(axis=1, keepdims=True)  # similar to nothing
+        out[start:stop] = np.where(is_blank, 0.0, (vectors[start:stop] - mean) @ axes)
 
     _parallel.map_chunks(project, len(vectors), 64)
     return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12))

@@ -82,12 +82,13 @@ class _Octave:
 
 
 def _base(gray: np.ndarray) -> np.ndarray:
-    """First level of the octave with the image's size."""
-    return _blurred(gray.astype(np.float32), np.sqrt(_SIGMA**2 - _CAMERA_SIGMA**2))
+    """First level of the octave with the image's size; white is 1."""
+    scaled = gray.astype(np.float32) / np.float32(255.0)
+    return _blurred(scaled, np.sqrt(_SIGMA**2 - _CAMERA_SIGMA**2))
 
 
 def _doubled_base(gray: np.ndarray) -> np.ndarray:
-    """First level of the octave with twice the image's size."""
+    """First level of the octave with twice the image's size; white is 1."""
     height, width = gray.shape
     doubled = np.empty((2 * height, 2 * width), np.float32)
     space.upsample(gray, doubled)

@@ -21,7 +21,7 @@ from epipole.pipelines.sfm.matching.unit_tables import FEATURES
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.runs import Unit, digest, load
 
-FORMAT = 4
+FORMAT = 5
 """Increase when the contents of the files change."""
 THUMBNAIL_PX = 320
 

@@ -234,6 +234,8 @@ class LocalMapper:
     def problem_of(self, window: Sequence[int]) -> BundleProblem | None:
         """The adjustment of keyframes and their points; None if there is nothing to adjust."""
         window = [k for k in window if self.map.is_triangulated(self.map.keyframes[k].point).any()]
+        if not window:
+            return None
         rows, problem = self._built(window, window)
         return problem if len(rows) else None
 
