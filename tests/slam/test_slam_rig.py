@@ -15,6 +15,7 @@ from epipole.io import read_colmap_model, read_trajectory
 from epipole.metrics import absolute_error
 from epipole.pipelines.slam import run
 from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.map import mounting_check
 from epipole.pipelines.slam.map.mounting_check import check_mounting
 from epipole.pipelines.slam.output.export import reconstruction_of
 from epipole.pipelines.slam.output.map_file import read_slam_map, write_slam_map
@@ -227,7 +228,7 @@ def test_a_folder_of_cameras_and_kalibrs_calibration_are_enough(images, truth, t
 
 
 @pytest.mark.parametrize(("camera", "off_deg"), [(1, 0.0), (1, 1.0), (2, 0.5)])
-def test_a_camera_that_is_mounted_otherwise_is_reported(images, camera, off_deg):
+def test_a_camera_that_is_mounted_otherwise_is_reported(images, camera, off_deg, monkeypatch):
     rotation = RIG.cam_from_rig.rotation.copy()
     rotation[camera] = Rotation3.exp(np.radians([0.0, off_deg, 0.0])).matrix @ rotation[camera]
     off = CameraRig(RIG.cameras, Rigid3(rotation, RIG.cam_from_rig.translation))
@@ -241,6 +242,8 @@ def test_a_camera_that_is_mounted_otherwise_is_reported(images, camera, off_deg)
     np.testing.assert_allclose(found.rotation_deg, expected, atol=found.tolerance_deg[camera])
     words = found.warnings()
     assert len(words) == bool(off_deg) and all(f"camera {camera}" in one for one in words)
+    monkeypatch.setattr(mounting_check, "LEAST_OBSERVATIONS", 10**6)
+    assert check_mounting(system.local_mapper(system.maps[0])) is None  # nothing to compare with
 
 
 def test_the_calibration_is_the_only_source_of_intrinsics(tmp_path):

@@ -132,7 +132,7 @@ def _observations_of(model: ModelBuilder) -> kernels.Observations:
 def _descriptors_of(
     observed: kernels.Observations, features: Sequence[Features]
 ) -> UInt8[np.ndarray, "k 128"]:
-    """The descriptor of each observation: an eighth of all descriptors, which are not in memory."""
+    """The descriptor of each observation; the files of the features are read once."""
     out = np.empty((len(observed.point), 128), np.uint8)
 
     def load(start: int, stop: int, _: int) -> None:

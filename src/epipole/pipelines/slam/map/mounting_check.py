@@ -45,13 +45,15 @@ class MountingCheck:
 
 
 def check_mounting(mapper: LocalMapper) -> MountingCheck | None:
-    """Estimate the orientations of a rig's cameras in the finished map; None for a single camera or a small map."""
+    """Estimate the orientations of a rig's cameras in the finished map; None for a single camera, a small map, or a first camera that sees too little."""
     if not isinstance(mapper.camera, CameraRig):
         return None
     problem = mapper.problem_of(range(len(mapper.map.keyframes)))
     if problem is None or len(problem.frame_free) < LEAST_KEYFRAMES:
         return None
     counts = np.bincount(problem.sensor, minlength=len(problem.cam_from_rig))
+    if counts[0] < LEAST_OBSERVATIONS:  # the others would be compared with a camera that no image determines
+        return None
     free = np.zeros((len(counts), 6))
     free[counts >= LEAST_OBSERVATIONS, 3:] = 1.0
     free[0] = 0.0
