@@ -246,6 +246,17 @@ def bundle_growth() -> None:
     curve("bundle_growth", millions, series, ("million observations", "seconds, GB"))
 
 
+def mapping_growth() -> None:
+    """Time and memory of mapping against its size, from the results of `python -m benchmarks.mapping_growth`."""
+    drives = json.loads((IMAGES.parents[1] / "benchmarks/results/mapping_growth.json").read_text())["drives"]
+    millions, seconds, memory = (
+        np.array([drive[key] for drive in drives]) * factor
+        for key, factor in (("observations", 1e-6), ("seconds", 1.0), ("peak_gb", 1.0))
+    )
+    series = [("seconds of mapping", seconds, RED), ("peak memory (GB)", memory, BLUE)]
+    curve("mapping_growth", millions, series, ("million observations", "seconds, GB"))
+
+
 def stereo() -> None:
     """A rendered pair: left image, disparity, standard deviation, and error in standard deviations."""
     pair = stereo_room(2, (480, 360))
@@ -334,6 +345,6 @@ def conventions() -> None:
 if __name__ == "__main__":
     for make_figure in (
         *(conventions, homography, fundamental, relative_pose, triangulation, absolute_pose),
-        *(bundle_adjustment, bundle_growth, stereo, stereo_range),
+        *(bundle_adjustment, bundle_growth, mapping_growth, stereo, stereo_range),
     ):
         make_figure()

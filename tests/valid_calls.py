@@ -654,7 +654,14 @@ def _global(graph: scene.ViewGraph, components: mapping.MatchComponents, num_ima
     yield _row(mapping.average_rotations, **pairs)
     averaged = mapping.average_rotations(**pairs)
     yield _row(mapping.AveragedRotations, **{n: getattr(averaged, n) for n in averaged.__slots__})
-    yield _row(mapping.choose_tracks, components=components, is_member=np.ones(num_images, bool), per_image=5)
+    yield _row(
+        mapping.choose_tracks,
+        components=components,
+        is_member=np.ones(num_images, bool),
+        per_image=5,
+        view_graph=graph,
+        per_pair=2,
+    )
     ray = np.array([0.0, 0.0, 5.0]) + _some(6, 3)
     seen = {
         "num_images": 3,
@@ -663,6 +670,9 @@ def _global(graph: scene.ViewGraph, components: mapping.MatchComponents, num_ima
         "directions_in_world": ray / np.linalg.norm(ray, axis=1, keepdims=True),
         "seed": 0,
     }
+    pairs = {"image1": pairs["image1"], "image2": pairs["image2"], "direction_in_world": np.eye(3)}
+    yield _row(mapping.PairDirections, **pairs)
+    seen["pairs"] = mapping.PairDirections(**pairs)
     yield _row(mapping.position_globally, **seen)
     placed = mapping.position_globally(**seen)
     yield _row(mapping.GlobalPositions, **{n: getattr(placed, n) for n in placed.__slots__})

@@ -31,6 +31,7 @@ from epipole.mapping.resection import resect_image as resect_image
 from epipole.mapping.rigid_parts import largest_rigid_part as largest_rigid_part
 from epipole.mapping.rotation_averaging import AveragedRotations as AveragedRotations
 from epipole.mapping.rotation_averaging import average_rotations as average_rotations
+from epipole.mapping.start_positions import PairDirections as PairDirections
 from epipole.mapping.track_completion import drop_short_tracks as drop_short_tracks
 from epipole.mapping.track_completion import find_further_matches as find_further_matches
 from epipole.mapping.track_completion import median_error_px as median_error_px

@@ -9,6 +9,10 @@ For observation k of point j in image i, with the unit direction v in world axes
 ds eliminates first and leaves A (dX - dc) = b; then dX = M^-1 (sum b + sum A dc) with M = sum A, and the system of the centers:
 
     sum_k A_k - A_k M^-1 A_l  of images k, l,    right side  A_k M^-1 (sum b) - b_k
+
+Near the solution, each point is refined alone after each step of the centers (variable projection: Golub and Pereyra,
+1973). Otherwise a few points that fit badly would make the steps of all centers short. Far from it, points must be able to pass
+through the cameras, which the linear step of the inverse distances allows.
 """
 
 import math
@@ -19,6 +23,7 @@ import numpy as np
 from epipole._jit import kernel
 
 LEAST_INVERSE_DISTANCE = 1e-5
+REFINING_STEPS, REFINING_TRIES, SMALL_REFINEMENT = 2, 3, 1e-3
 SMALLEST = 1e-9  # relative damping of a point that its observations leave undetermined
 
 
@@ -40,24 +45,36 @@ class Eliminated(NamedTuple):
 
 
 @kernel
-def robust_cost(seen, centers, points, inverse, scale, weight, size):
-    """Huber's loss of all residuals; writes the weight and the size of each."""
+def robust_cost(seen, centers, points, inverse, scale, weight):
+    """Huber's loss of all residuals; writes the weight of each."""
     cost = 0.0
     for j in range(len(points)):
         for k in range(seen.offsets[j], seen.offsets[j + 1]):
-            c, v, s = centers[seen.image[k]], seen.direction[k], inverse[k]
-            r0 = v[0] - s * (points[j, 0] - c[0])
-            r1 = v[1] - s * (points[j, 1] - c[1])
-            r2 = v[2] - s * (points[j, 2] - c[2])
-            norm = math.sqrt(r0 * r0 + r1 * r1 + r2 * r2)
-            size[k] = norm
-            if norm <= scale:
-                weight[k] = 1.0
-                cost += norm * norm
-            else:
-                weight[k] = scale / norm
-                cost += 2.0 * scale * norm - scale * scale
+            norm = _residual(centers[seen.image[k]], points[j], seen.direction[k], inverse[k])
+            weight[k] = 1.0 if norm <= scale else scale / norm
+            cost += _huber(norm, scale)
     return cost
+
+
+@kernel
+def _residual(c, x, v, s):
+    r0 = v[0] - s * (x[0] - c[0])
+    r1 = v[1] - s * (x[1] - c[1])
+    r2 = v[2] - s * (x[2] - c[2])
+    return math.sqrt(r0 * r0 + r1 * r1 + r2 * r2)
+
+
+@kernel
+def _huber(norm, scale):
+    return norm * norm if norm <= scale else 2.0 * scale * norm - scale * scale
+
+
+@kernel
+def _best_inverse(c, x, v):
+    """The inverse distance with the smallest residual."""
+    u0, u1, u2 = x[0] - c[0], x[1] - c[1], x[2] - c[2]
+    squared = u0 * u0 + u1 * u1 + u2 * u2 + 1e-300
+    return max((u0 * v[0] + u1 * v[1] + u2 * v[2]) / squared, LEAST_INVERSE_DISTANCE)
 
 
 @kernel
@@ -108,6 +125,14 @@ def _forward(f, b0, b1, b2):
     y0 = b0 / f[0]
     y1 = (b1 - f[1] * y0) / f[2]
     return y0, y1, (b2 - f[3] * y0 - f[4] * y1) / f[5]
+
+
+@kernel
+def _backward(f, y0, y1, y2):
+    """L^-T y."""
+    d2 = y2 / f[5]
+    d1 = (y1 - f[4] * d2) / f[2]
+    return (y0 - f[1] * d1 - f[3] * d2) / f[0], d1, d2
 
 
 @kernel
@@ -208,9 +233,7 @@ def substitute_back(seen, centers, points, inverse, damping, step, kept, moved, 
             t2 += a[3] * e[0] + a[4] * e[1] + a[5] * e[2]
         f = kept.factor[j]
         y0, y1, y2 = _forward(f, t0, t1, t2)
-        d2 = y2 / f[5]
-        d1 = (y1 - f[4] * d2) / f[2]
-        d0 = (y0 - f[1] * d1 - f[3] * d2) / f[0]
+        d0, d1, d2 = _backward(f, y0, y1, y2)
         moved[j, 0], moved[j, 1], moved[j, 2] = points[j, 0] + d0, points[j, 1] + d1, points[j, 2] + d2
         for k in range(seen.offsets[j], seen.offsets[j + 1]):
             c, e, v, s = centers[seen.image[k]], step[seen.image[k]], seen.direction[k], inverse[k]
@@ -220,3 +243,56 @@ def substitute_back(seen, centers, points, inverse, damping, step, kept, moved, 
             change = u0 * (d0 - e[0]) + u1 * (d1 - e[1]) + u2 * (d2 - e[2])
             s += (toward - s * change) / (squared * (1.0 + damping) + 1e-300)
             moved_inverse[k] = max(s, LEAST_INVERSE_DISTANCE)
+
+
+@kernel
+def refine_points(seen, centers, points, inverse, scale, kept, moved):
+    """Lower the cost of each point with the centers fixed, in a few steps; `moved` (3,) is scratch."""
+    for j in range(len(points)):
+        cost = _cost_of_point(seen, j, centers, points[j], scale)
+        for _ in range(REFINING_STEPS):
+            d0, d1, d2 = _step_of_point(seen, j, centers, points[j], scale, kept)
+            length, after = 1.0, cost
+            for _ in range(REFINING_TRIES):
+                moved[0], moved[1], moved[2] = (
+                    points[j, 0] + length * d0,
+                    points[j, 1] + length * d1,
+                    points[j, 2] + length * d2,
+                )
+                after = _cost_of_point(seen, j, centers, moved, scale)
+                if after < cost:
+                    break
+                length *= 0.25
+            if not after < cost:
+                break
+            gain, cost = cost - after, after
+            points[j, 0], points[j, 1], points[j, 2] = moved[0], moved[1], moved[2]
+            if gain < SMALL_REFINEMENT * cost:
+                break
+        for k in range(seen.offsets[j], seen.offsets[j + 1]):
+            inverse[k] = _best_inverse(centers[seen.image[k]], points[j], seen.direction[k])
+
+
+@kernel
+def _cost_of_point(seen, j, centers, x, scale):
+    """Its cost with the best inverse distances."""
+    cost = 0.0
+    for k in range(seen.offsets[j], seen.offsets[j + 1]):
+        c, v = centers[seen.image[k]], seen.direction[k]
+        cost += _huber(_residual(c, x, v, _best_inverse(c, x, v)), scale)
+    return cost
+
+
+@kernel
+def _step_of_point(seen, j, centers, x, scale, kept):
+    """Gauss-Newton's step M^-1 sum b."""
+    for k in range(seen.offsets[j], seen.offsets[j + 1]):
+        c, v = centers[seen.image[k]], seen.direction[k]
+        s = _best_inverse(c, x, v)
+        norm = _residual(c, x, v, s)
+        weight = 1.0 if norm <= scale else scale / norm
+        _eliminate_distance(c, x, v, s, weight, 0.0, kept.normal[k], kept.right[k])
+    _factor_point(seen, j, 0.0, kept)
+    f, h = kept.factor[j], kept.sum_right[j]
+    y0, y1, y2 = _forward(f, h[0], h[1], h[2])
+    return _backward(f, y0, y1, y2)

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from epipole._checks import Declared, checked
 from epipole.mapping._conflict_kernels import NOT_MARKED, NUM_KINDS, Scratch, Views, collect_views
+from epipole.mapping.sorting import distinct
 from epipole.scene import Reconstruction
 
 NUM_NEIGHBORS = 16
@@ -130,7 +131,7 @@ def _batches(lengths: np.ndarray) -> list[tuple[int, int]]:
 def _views_of(model: Reconstruction) -> Views:
     """Each image once per point."""
     num_images, num_points = len(model.images), len(model.points)
-    seen = np.unique(model.tracks.point_of_observation().astype(np.int64) * num_images + model.tracks.image)
+    seen = distinct(model.tracks.point_of_observation().astype(np.int64) * num_images + model.tracks.image)
     point, image = np.divmod(seen, max(num_images, 1))
     offsets = np.searchsorted(point, np.arange(num_points + 1))
     ray = model.points.xyz_in_world[point] - model.camera_centers_in_world()[image]

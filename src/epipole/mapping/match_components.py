@@ -82,14 +82,22 @@ def connect_matches(
 
 @checked
 def choose_tracks(
-    components: MatchComponents, is_member: Bool[np.ndarray, " n"], per_image: int
+    components: MatchComponents,
+    is_member: Bool[np.ndarray, " n"],
+    per_image: int,
+    view_graph: ViewGraph | None = None,
+    per_pair: int = 0,
 ) -> Int64[np.ndarray, " k"]:
-    """Rows of the longest components that give each image about `per_image` observations.
+    """Rows of the longest components that give each image about `per_image` observations, and each pair `per_pair`.
+
+    The longest components of an image may all lie on one side of it, and not connect it with the images on the other.
 
     Args:
         components: keypoints connected by matches.
         is_member: mask of images; others do not count.
         per_image: a component is chosen if one of its images has fewer observations so far.
+        view_graph: pairs of images whose matches should be among the chosen components.
+        per_pair: number of such matches of each pair.
 
     Returns:
         Rows of the chosen components in member images, grouped by component; each component has three or more.
@@ -110,7 +118,42 @@ def choose_tracks(
         np.zeros(len(is_member), np.int64),
         chosen,
     )
+    if view_graph is not None:
+        chosen |= _missing_in_pairs(components, view_graph, per_pair, lengths, chosen)
     return np.flatnonzero(inside & chosen[component])
+
+
+def _missing_in_pairs(
+    components: MatchComponents, view_graph: ViewGraph, per_pair: int, lengths: np.ndarray, chosen: np.ndarray
+) -> np.ndarray:
+    """(t,) the longest components that pairs of images with fewer than `per_pair` chosen matches need."""
+    counts = np.zeros(
+        int(max(components.image.max(initial=0), view_graph.image2.max(initial=0))) + 1, np.int64
+    )
+    pair = np.repeat(np.arange(len(view_graph)), view_graph.num_inliers())
+    for image, keypoint in (
+        (components.image, components.keypoint),
+        (view_graph.image1[pair], view_graph.keypoint1),
+        (view_graph.image2[pair], view_graph.keypoint2),
+    ):
+        np.maximum.at(counts, image, keypoint + 1)
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    component_of = np.full(starts[-1], -1)
+    component_of[starts[components.image] + components.keypoint] = np.repeat(
+        np.arange(len(components)), np.diff(components.offsets)
+    )
+    component = component_of[starts[view_graph.image1[pair]] + view_graph.keypoint1]
+    is_used = component == component_of[starts[view_graph.image2[pair]] + view_graph.keypoint2]
+    is_used &= (component >= 0) & (lengths[component] >= LEAST_TRACK)
+    num_missing = per_pair - np.bincount(pair[is_used & chosen[component]], minlength=len(view_graph))
+    is_wanted = is_used & ~chosen[component] & (num_missing > 0)[pair]
+    pair, component = pair[is_wanted], component[is_wanted]
+    ranked = np.lexsort((-lengths[component], pair))
+    pair, component = pair[ranked], component[ranked]
+    rank = np.arange(len(pair)) - np.searchsorted(pair, pair)
+    needed = np.zeros(len(chosen), bool)
+    needed[component[rank < num_missing[pair]]] = True
+    return needed
 
 
 def check_matches(view_graph: ViewGraph, num_keypoints: Int64[np.ndarray, " n"]) -> None:

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Int64
 
 from epipole._checks import checked
 from epipole.errors import ConfigError
+from epipole.mapping.sorting import distinct
 
 MIN_POINTS = 6
 """Points of a part, each seen by two of its images, that another image must see to belong to it. One would determine the scale."""
@@ -44,7 +45,7 @@ def largest_rigid_part(
     if min_points < 1 or (point < 0).any() or ((image < 0) | (image >= num_images)).any():
         raise ConfigError("min_points must be positive, and images and points must exist")
     num_points = int(point.max(initial=-1)) + 1
-    image, point = np.divmod(np.unique(image * num_points + point), max(num_points, 1))
+    image, point = np.divmod(distinct(image * num_points + point), max(num_points, 1))
     by_image = _Groups(image, num_images)
     by_point = _Groups(point, num_points)
     is_done, best = np.zeros(num_images, bool), np.zeros(num_images, bool)

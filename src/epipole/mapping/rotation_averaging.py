@@ -9,11 +9,11 @@ import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Float64, Int32
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
-from scipy.sparse.linalg import splu
 
 from epipole._checks import Declared, check_count, check_indices, checked, require_same_length
 from epipole.errors import ConfigError
 from epipole.geometry import Rotation3
+from epipole.mapping.laplacian import solve_laplacian
 
 L1_ROUNDS, ROBUST_ROUNDS = 10, 30
 SCALE_RAD = np.deg2rad(5.0)
@@ -22,8 +22,6 @@ SMALLEST_RAD = np.deg2rad(0.1)
 """Residual below which the L1 norm is treated as a square, so that weights stay finite."""
 CONVERGED_RAD = 1e-5
 ROTATION_TOLERANCE = 1e-6
-SMALLEST_PIVOT = 1e-12
-"""Added to the diagonal, relative to its largest element: images whose pairs are all rejected stay."""
 MAX_TRIANGLE_RAD = np.deg2rad(5.0)
 """Largest angle by which the product of a triangle's rotations may differ from the identity."""
 LEAST_TRUST = 1e-6
@@ -92,7 +90,7 @@ def average_rotations(
         angle = np.linalg.norm(residuals, axis=1)
         is_l1 = round_ < L1_ROUNDS
         robust = 1.0 / np.maximum(angle, SMALLEST_RAD) if is_l1 else (1.0 + (angle / SCALE_RAD) ** 2) ** -2.0
-        step = _solve_laplacian(image1, image2, component, weights * robust, residuals)
+        step = solve_laplacian(image1, image2, component, weights * robust, residuals)
         rotations = rotations @ Rotation3.exp(step).matrix
         if np.abs(step).max(initial=0.0) < CONVERGED_RAD and not is_l1:
             break
@@ -170,24 +168,3 @@ def _residuals(
 ) -> np.ndarray:
     """(p, 3) log of R_j^T R_ij R_i, zero where a pair agrees."""
     return Rotation3(np.swapaxes(rotations[image2], 1, 2) @ relative @ rotations[image1]).log()
-
-
-def _solve_laplacian(
-    image1: np.ndarray, image2: np.ndarray, component: np.ndarray, weights: np.ndarray, residuals: np.ndarray
-) -> np.ndarray:
-    """(n, 3) steps d that minimize sum w |d_j - d_i - r|^2; the first image of each component stays."""
-    n, p = len(component), len(image1)
-    rows = np.concatenate([np.arange(p), np.arange(p)])
-    signs = np.concatenate([-np.ones(p), np.ones(p)])
-    A = sparse.csc_array((signs, (rows, np.concatenate([image1, image2]))), shape=(p, n))
-    free = np.setdiff1d(np.arange(n), np.unique(component, return_index=True)[1])
-    step = np.zeros((n, 3))
-    if len(free):
-        A = A[:, free]
-        weighted = sparse.diags_array(weights) @ A
-        normal = A.T @ weighted
-        normal = sparse.csc_matrix(
-            normal + SMALLEST_PIVOT * normal.diagonal().max() * sparse.eye_array(len(free))
-        )
-        step[free] = splu(normal).solve(weighted.T @ residuals)
-    return step

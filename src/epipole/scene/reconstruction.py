@@ -157,8 +157,10 @@ class Reconstruction:
         cams_from_world, camera_of_image = self.cams_from_world(), self.camera_of_image
         points, pixels = self.points.xyz_in_world[self.tracks.point_of_observation()], self.observed_pixels()
         out = np.full(len(pixels), np.nan)
-        for image in np.unique(self.tracks.image):
-            rows = np.flatnonzero(self.tracks.image == image)
+        order = np.argsort(self.tracks.image, kind="stable")
+        bounds = np.searchsorted(self.tracks.image[order], np.arange(len(self.images) + 1))
+        for image in np.flatnonzero(np.diff(bounds)):
+            rows = order[bounds[image] : bounds[image + 1]]
             in_cam = cams_from_world[image].apply(points[rows])
             projected = self.cameras[int(camera_of_image[image])].project(in_cam)
             out[rows] = np.linalg.norm(projected - pixels[rows], axis=1)

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from epipole.geometry import Rigid3
+from epipole.geometry import Rigid3, Rotation3
 from epipole.mapping import (
     AveragedRotations,
     Freedom,
-    ModelBuilder,
+    PairDirections,
     adjust_all,
     average_rotations,
     choose_tracks,
@@ -29,6 +29,8 @@ from epipole.scene import ViewGraph
 
 TRACKS_PER_IMAGE = 200
 """Observations that each image should have for positioning; the longest tracks are chosen."""
+TRACKS_PER_PAIR = 20
+"""Matches that each pair should have among them."""
 LEAST_IMAGES = 3
 MAX_AVERAGINGS = 5
 """Most times that rotations are averaged again without the pairs that contradict them."""
@@ -67,7 +69,7 @@ def map_globally(
     progress(0, total)
     model.clear()
     cameras = average_cameras(mapper.view_graph, usable, config)
-    if not position_images(model, cameras, config.seed):
+    if not position_images(mapper, cameras):
         return False
     progress(int(model.registered.sum()), total)
     for done, factor in enumerate((*ERROR_FACTORS, 0.0)):
@@ -123,9 +125,12 @@ def _average(view_graph: ViewGraph, num_images: int) -> AveragedRotations:
     )
 
 
-def position_images(model: ModelBuilder, cameras: AveragedCameras, seed: int) -> bool:
+def position_images(mapper: IncrementalMapper, cameras: AveragedCameras) -> bool:
     """Register the images and the points of their longest tracks; False if too few images have such tracks."""
-    rows = choose_tracks(model.components, cameras.is_member, TRACKS_PER_IMAGE)
+    model, config = mapper.model, mapper.config
+    rows = choose_tracks(
+        model.components, cameras.is_member, TRACKS_PER_IMAGE, mapper.view_graph, TRACKS_PER_PAIR
+    )
     images, row_image = np.unique(model.row_image[rows], return_inverse=True)
     if len(images) < LEAST_IMAGES:
         return False
@@ -133,7 +138,10 @@ def position_images(model: ModelBuilder, cameras: AveragedCameras, seed: int) ->
     rotations = cameras.cams_from_world[images]
     directions = np.einsum("kba,kb->ka", rotations[row_image], model.row_ray[rows])
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    found = position_globally(len(images), offsets, row_image.astype(np.int32), directions, seed)
+    pairs = _directions_between(cameras, images, mapper.view_graph, np.deg2rad(config.max_contradiction_deg))
+    found = position_globally(
+        len(images), offsets, row_image.astype(np.int32), directions, config.seed, pairs
+    )
     translations = -np.einsum("nab,nb->na", rotations, found.centers_in_world)
     for k, image in enumerate(images):
         model.register(int(image), Rigid3(rotations[k], translations[k]))
@@ -141,6 +149,24 @@ def position_images(model: ModelBuilder, cameras: AveragedCameras, seed: int) ->
     fits &= np.bincount(point[fits], minlength=len(counts))[point] >= 2
     model.replace_points(rows[fits], point[fits], found.points_in_world)
     return bool(fits.any())
+
+
+def _directions_between(
+    cameras: AveragedCameras, images: np.ndarray, view_graph: ViewGraph, limit_rad: float
+) -> PairDirections:
+    """Directions of the pairs of these images whose rotations agree with the averaged ones; images are numbered by their rows."""
+    rotations, num_images = cameras.cams_from_world[images], len(cameras.is_member)
+    row = np.full(num_images, -1, np.int32)
+    row[images] = np.arange(len(images))
+    first, second = row[view_graph.image1], row[view_graph.image2]
+    relative = view_graph.cam2_from_cam1
+    used = np.flatnonzero(np.isfinite(relative.translation).all(axis=1) & (first >= 0) & (second >= 0))
+    first, second, relative = first[used], second[used], relative[used]
+    averaged = rotations[second] @ np.swapaxes(rotations[first], 1, 2)
+    off_rad = Rotation3(averaged @ np.swapaxes(relative.rotation, 1, 2)).angle_rad()
+    agrees = off_rad < limit_rad
+    direction = -np.einsum("pba,pb->pa", rotations[second], relative.translation)
+    return PairDirections(first[agrees], second[agrees], direction[agrees])
 
 
 def _adjust_coarsely(mapper: IncrementalMapper, factor: float) -> None:
