@@ -1,6 +1,8 @@
 """An executor of the user's does the units of a reconstruction, as Dask's or Ray's would."""
 
+import os
 import pickle
+import signal
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
@@ -8,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from epipole import reconstruct
+from epipole.runs import Progress
 
 
 class Elsewhere(Executor):
@@ -54,6 +57,47 @@ def test_the_same_bytes_from_an_executor_of_the_users(few: Path, tmp_path: Path)
     for name in [*files, Path("points.ply")]:
         assert (here.out / name).read_bytes() == (there.out / name).read_bytes(), name
     executor.shutdown()
+
+
+def same_files(here: Path, there: Path) -> None:
+    """The same results of every stage; only what contains times differs."""
+    files = sorted(p.relative_to(here) for p in here.rglob("*") if p.is_file() and p.parts[-1][0] != ".")
+    timed = {"summary.json", "report.html", "epipole.json", "config.json"}
+    assert len([path for path in files if path.suffix == ".npz"]) >= 4 + 1 + 1
+    for name in files:
+        if name.name not in timed:
+            assert (here / name).read_bytes() == (there / name).read_bytes(), name
+
+
+def test_the_same_bytes_from_a_cluster_without_a_shared_folder(few: Path, tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    here, reports = reconstruct(few, tmp_path / "here"), []
+    there = reconstruct(
+        few, tmp_path / "there", progress=reports.append, cluster="local:2", shared_folder=False
+    )
+    same_files(here.out, there.out)
+    assert any(report.stage == "connect" and "http" in report.note for report in reports)
+
+
+def test_the_same_bytes_from_a_cluster_that_loses_a_worker(few: Path, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    here, killed = reconstruct(few, tmp_path / "here"), []
+    with (
+        distributed.LocalCluster(
+            2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0"
+        ) as local,
+        distributed.Client(local, set_as_default=False) as client,
+    ):
+        processes = list(client.run(os.getpid).values())
+
+        def kill(report: Progress) -> None:
+            if report.stage == "features" and report.done == 1 and not killed:
+                killed.append(os.kill(processes[0], signal.SIGKILL))
+
+        there = reconstruct(few, tmp_path / "there", progress=kill, executor=client)
+        assert client.status == "running"
+    assert killed
+    same_files(here.out, there.out)
 
 
 def test_an_error_elsewhere_reaches_the_caller(few: Path, tmp_path: Path) -> None:

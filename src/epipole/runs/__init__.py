@@ -1,6 +1,10 @@
 """The run layer, common to all jobs that write an output folder."""
 
+from epipole.runs.cluster import Cluster as Cluster
+from epipole.runs.cluster import ClusterClient as ClusterClient
+from epipole.runs.cluster import joined as joined
 from epipole.runs.contents import content_digests as content_digests
+from epipole.runs.dispatch import run_units as run_units
 from epipole.runs.executors import ExecutorChoice as ExecutorChoice
 from epipole.runs.folder import OutputFolder as OutputFolder
 from epipole.runs.folder import claim as claim
@@ -23,6 +27,5 @@ from epipole.runs.units import Unit as Unit
 from epipole.runs.units import digest as digest
 from epipole.runs.units import is_done as is_done
 from epipole.runs.units import load as load
-from epipole.runs.units import run_units as run_units
 from epipole.runs.units import store as store
 from epipole.runs.units import stored_key as stored_key

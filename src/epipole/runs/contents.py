@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
+from concurrent.futures import Executor
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +45,7 @@ def content_digests(
     changed = [path for path in states if path not in known]
     with opened("threads" if len(changed) > 1 else "inline") as pool:
         progress(Progress("digest", 0, len(changed)))
-        digests = (pool.map if pool is not None else map)(_digest_of, changed)
+        digests = (pool.map if isinstance(pool, Executor) else map)(_digest_of, changed)
         for n, (path, digest) in enumerate(zip(changed, digests), 1):
             known[path] = digest
             progress(Progress("digest", n, len(changed)))

@@ -1,4 +1,4 @@
-"""Executors of units of work: threads, processes, the calling thread, or an executor passed by the user."""
+"""Executors of units of work: threads, processes, the calling thread, a cluster, or an executor passed by the user."""
 
 from __future__ import annotations
 
@@ -9,17 +9,37 @@ from multiprocessing import get_context
 from typing import Literal
 
 from epipole import _parallel
+from epipole.runs.cluster import Cluster, Connection, connected
 
-ExecutorChoice = Literal["threads", "processes", "inline"] | Executor
-"""A name, or any `concurrent.futures.Executor`, such as Dask's `Client.get_executor()`. Its workers must have epipole
-installed and see the output folder and the images under the same paths. It is not shut down."""
+ExecutorChoice = Literal["threads", "processes", "inline"] | Executor | Cluster | Connection
+"""A name, a cluster, or any `concurrent.futures.Executor`. Its workers must have epipole installed and see the output folder and the
+images under the same paths. It is not shut down."""
 
 
 @contextmanager
-def opened(choice: ExecutorChoice) -> Iterator[Executor | None]:
-    """The executor that runs the units; None: run them in the calling thread."""
-    if isinstance(choice, Executor):
+def started(choice: ExecutorChoice) -> Iterator[ExecutorChoice]:
+    """Connect to a cluster for the block; other choices stay as they are.
+
+    Raises:
+        MissingDependencyError: `distributed` is not installed.
+        WorkspaceError: the cluster cannot be used.
+    """
+    if isinstance(choice, Cluster):
+        with connected(choice) as connection:
+            yield connection
+    else:
         yield choice
+
+
+@contextmanager
+def opened(choice: ExecutorChoice) -> Iterator[Executor | Connection | None]:
+    """What runs the units; None: run them in the calling thread."""
+    if isinstance(choice, Executor | Connection):
+        yield choice
+        return
+    if isinstance(choice, Cluster):
+        with connected(choice) as connection:
+            yield connection
         return
     count = _parallel.num_threads()
     if choice == "inline" or count == 1:

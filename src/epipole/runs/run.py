@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -12,12 +12,14 @@ from typing import Any
 from epipole._checks import check_fields, checked
 from epipole._version import __version__
 from epipole.errors import WorkspaceError
-from epipole.runs.executors import ExecutorChoice
+from epipole.runs.cluster import Connection
+from epipole.runs.dispatch import run_units
+from epipole.runs.executors import ExecutorChoice, started
 from epipole.runs.folder import MARK, OutputFolder, check_output_path, claim, read_mark
 from epipole.runs.lock import alone_in
 from epipole.runs.progress import Progress, ProgressCallback, ignore_progress
 from epipole.runs.threads import thread_scope
-from epipole.runs.units import Unit, digest, remove_other_results, run_units
+from epipole.runs.units import Unit, digest, remove_other_results
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -120,8 +122,15 @@ def open_run(job: Job, out: Path) -> Iterator[Run]:
         WorkspaceError: the folder belongs to another job, is used by another run, or cannot be written.
     """
     check_output_path(out, job.kind, job.inputs)
-    with alone_in(out), thread_scope(job.threads, opencv_alone=job.opencv_alone):
-        run = Run(job, claim(out, job.kind, job.inputs))
+    with (
+        alone_in(out),
+        thread_scope(job.threads, opencv_alone=job.opencv_alone),
+        started(job.executor) as executor,
+    ):
+        run = Run(replace(job, executor=executor), claim(out, job.kind, job.inputs))
+        if isinstance(executor, Connection):
+            threads = executor.num_threads()
+            run.report("connect", threads, threads, f"dashboard: {executor.client.dashboard_link}")
         try:
             yield run
         except BaseException as error:

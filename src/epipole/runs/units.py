@@ -10,8 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, as_completed
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -25,8 +24,6 @@ from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io.array_files import checked_arrays, read_archive
 from epipole.io.atomic import atomic_write
 from epipole.io.files import open_file, require_file
-from epipole.runs.executors import ExecutorChoice, opened
-from epipole.runs.progress import Progress, ProgressCallback, ignore_progress
 from epipole.runs.threads import opencv_in_one_thread
 
 _SEAL_BYTES = 16
@@ -59,52 +56,12 @@ def digest(*parts: object) -> str:
     return state.hexdigest()
 
 
-def run_units(
-    units: Sequence[Unit],
-    *,
-    stage: str,
-    executor: ExecutorChoice = "threads",
-    progress: ProgressCallback = ignore_progress,
-) -> int:
-    """Run the units whose files are missing or stale; returns the number of units run.
-
-    After an error or an interrupt, no further unit is started, running ones finish, and the error is raised.
-
-    Raises:
-        WorkspaceError: a result cannot be written, or the executor's workers died.
-    """
-    waiting = [unit for unit in units if not is_done(unit.path, unit.key)]
-    total = sum(unit.size for unit in units)
-    done = total - sum(unit.size for unit in waiting)
-    progress(Progress(stage, done, total))
-    with opened(executor if len(waiting) > 1 else "inline") as pool:
-        for size in map(do_unit, waiting) if pool is None else _shared_out(pool, waiting):
-            done += size
-            progress(Progress(stage, done, total))
-    return len(waiting)
-
-
 def remove_other_results(folder: Path, units: Sequence[Unit]) -> None:
     """Remove results in a folder that do not belong to these units, left by other options and inputs."""
     made = {unit.path.name for unit in units}
     for path in sorted(folder.glob("*.npz")):
         if path.name not in made and not path.is_symlink() and stored_key(path):
             path.unlink(missing_ok=True)
-
-
-def _shared_out(pool: Executor, units: Sequence[Unit]) -> Iterator[int]:
-    futures = [pool.submit(do_unit_as_worker, unit) for unit in units]
-    try:
-        for future in as_completed(futures):
-            yield future.result()
-    except BrokenExecutor as error:
-        raise WorkspaceError(
-            "the worker processes died: out of memory, or a script that starts them "
-            "outside `if __name__ == '__main__':`"
-        ) from error
-    finally:
-        for future in futures:
-            future.cancel()
 
 
 def do_unit(unit: Unit) -> int:

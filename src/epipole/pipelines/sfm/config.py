@@ -161,6 +161,10 @@ class ReconstructConfig:
     """Maximum number of frames taken from a video."""
     executor: Literal["threads", "processes", "inline"] = "threads"
     """Where images and pairs are processed: threads, processes, or the calling thread (inline)."""
+    cluster: str | None = None
+    """Process images and pairs on a Dask cluster: tcp://HOST:PORT, tls://HOST:PORT, local:N or slurm:N."""
+    shared_folder: bool = True
+    """All machines of the cluster see images and output folder under the same paths; otherwise files are sent."""
     threads: int | None = None
     """Number of threads, which does not affect results. None: all processors."""
     seed: int = 0
@@ -191,6 +195,10 @@ class ReconstructConfig:
             raise ConfigError("masks cannot be combined with database: its features are already extracted")
         if self.learned is not None and self.database is not None:
             raise ConfigError("learned cannot be combined with database: its features are already extracted")
+        if self.cluster is not None:
+            from epipole.runs import Cluster  # not needed for --help
+
+            Cluster(self.cluster)
         if self.max_frames < 2:
             raise ConfigError(f"max_frames must be at least 2, got {self.max_frames}")
         if self.threads is not None and self.threads < 1:

@@ -25,6 +25,8 @@ class ReconstructKeywords(TypedDict, total=False):
     learned: str | Path | None
     learned_network: Literal["xfeat", "aliked"]
     max_frames: int
+    cluster: str | None
+    shared_folder: bool
     threads: int | None
     seed: int
     features: FeatureConfig

@@ -28,7 +28,16 @@ from epipole.pipelines.sfm.page.content import page_content
 from epipole.pipelines.sfm.page.page import render_report
 from epipole.pipelines.sfm.pipeline import Solution, solve
 from epipole.pipelines.sfm.results import write_results
-from epipole.runs import ExecutorChoice, Job, ProgressCallback, ignore_progress, open_run
+from epipole.runs import (
+    Cluster,
+    ClusterClient,
+    ExecutorChoice,
+    Job,
+    ProgressCallback,
+    ignore_progress,
+    joined,
+    open_run,
+)
 from epipole.runs.earlier import note_on_poorer
 from epipole.scale import check_anchor_files
 from epipole.scene import Reconstruction
@@ -68,7 +77,7 @@ def reconstruct(
     config: ReconstructConfig | None = None,
     progress: ProgressCallback = ignore_progress,
     *,
-    executor: ExecutorChoice | None = None,
+    executor: ExecutorChoice | ClusterClient | None = None,
     **options: Unpack[ReconstructKeywords],
 ) -> ReconstructionResult:
     """Reconstruct a 3D model from a folder of photographs or a video, with a report; an interrupted run continues.
@@ -79,7 +88,7 @@ def reconstruct(
         config: options; None for the defaults.
         progress: called with the progress of each stage.
         executor: executor for images and pairs, instead of the config's choice: a name or any
-            `concurrent.futures.Executor`, such as Dask's `Client.get_executor()`.
+            `concurrent.futures.Executor`, or a `distributed.Client` (Dask) whose workers see the same folders.
         **options: single options by name, which override `config`: `single_camera=True`.
 
     Raises:
@@ -96,7 +105,7 @@ def reconstruct(
         inputs=(source,),
         settings={"seed": config.seed, "config": asdict(config)},
         threads=config.threads,
-        executor=config.executor if executor is None else executor,
+        executor=_executor(executor, config),
         progress=progress,
         opencv_alone=True,
     )
@@ -122,6 +131,17 @@ def reconstruct(
     return ReconstructionResult(
         out, solution.mapped.models, reasons, tuple(run.warnings), run.timings_s, summary
     )
+
+
+def _executor(given: ExecutorChoice | ClusterClient | None, config: ReconstructConfig) -> ExecutorChoice:
+    """The executor that is passed, else the cluster of the options, else their executor."""
+    if isinstance(given, ClusterClient):
+        return joined(given, has_shared_folder=config.shared_folder)
+    if given is not None:
+        return given
+    if config.cluster is not None:
+        return Cluster(config.cluster, config.shared_folder)
+    return config.executor
 
 
 def _check_inputs(source: Path, config: ReconstructConfig) -> None:

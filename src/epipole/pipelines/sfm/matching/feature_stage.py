@@ -16,7 +16,7 @@ from epipole.errors import FileFormatError, MissingDependencyError
 from epipole.features import Features, detect_features
 from epipole.features.kinds import SIFT
 from epipole.image.encoding import encoded_image
-from epipole.io.images.photographs import read_header, read_mask, read_rgb
+from epipole.io.images.photographs import mask_of, read_header, read_mask_file, read_rgb
 from epipole.pipelines.sfm.matching.unit_tables import FEATURES
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.runs import Unit, digest, load
@@ -32,18 +32,24 @@ class FeaturePayload:
 
     path: Path
     name: str
-    masks: Path | None
+    mask: Path | None
     config: FeatureConfig
 
 
 def feature_units(images: ImageSet, folder: Path, config: FeatureConfig, masks: Path | None) -> list[Unit]:
     """One unit per image."""
     units = []
-    for name, image, mask in zip(images.names, images.fingerprints, images.mask_fingerprints):
+    for n, (image, mask) in enumerate(zip(images.fingerprints, images.mask_fingerprints)):
+        payload = payload_of(images, n, masks, config)
         key = digest("features", FORMAT, image, mask, asdict(config))
-        payload = FeaturePayload(images.folder / name, name, masks, config)
         units.append(Unit(folder / f"{key}.npz", key, detect_in_file, payload))
     return units
+
+
+def payload_of(images: ImageSet, image: int, masks: Path | None, config: FeatureConfig) -> FeaturePayload:
+    """Input of the unit of one image, whose mask is in the folder `masks`."""
+    name = images.names[image]
+    return FeaturePayload(images.folder / name, name, None if masks is None else mask_of(masks, name), config)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,8 +96,8 @@ def in_mask(payload: FeaturePayload, image: Image, pixels: np.ndarray) -> np.nda
         MissingDependencyError: its format needs a package that is not installed.
     """
     mask = None
-    if payload.masks is not None:
-        mask = read_mask(payload.masks, payload.name, size=(image.width, image.height))
+    if payload.mask is not None:
+        mask = read_mask_file(payload.mask, payload.name, size=(image.width, image.height))
     if mask is None:
         return np.ones(len(pixels), bool)
     at = np.clip(np.rint(pixels).astype(int), 0, [image.width - 1, image.height - 1])

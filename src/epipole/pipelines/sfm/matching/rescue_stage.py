@@ -28,6 +28,7 @@ from epipole.pipelines.sfm.matching.feature_stage import (
     as_unit_arrays,
     in_mask,
     load_features,
+    payload_of,
     read_image,
 )
 from epipole.pipelines.sfm.matching.pair_blocks import PairBlock, PairResult, block_units, filled
@@ -139,8 +140,8 @@ def learned_units(
             images.mask_fingerprints[i],
             config.max_size_px,
         )
-        payload = FeaturePayload(images.folder / images.names[i], images.names[i], masks, config)
-        units[i] = Unit(folder / f"{key}.npz", key, detect_learned, _Detection(payload, choice))
+        payload = _Detection(payload_of(images, i, masks, config), choice)
+        units[i] = Unit(folder / f"{key}.npz", key, detect_learned, payload)
     return units
 
 
