@@ -14,7 +14,8 @@ import signal
 import statistics
 import tempfile
 import threading
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -63,31 +64,44 @@ def measure(images: Path, folder: Path, num_runs: int, num_losses: int) -> dict[
     reference = folder / "reference"
     num_images = reconstruct(images, reference).summary["num_images"]
     rows: dict[str, list[dict[str, Any]]] = {}
-    with (
-        distributed.LocalCluster(2, threads_per_worker=1, host="127.0.0.1") as local,
-        distributed.Client(local, set_as_default=False) as client,
-    ):
+    with _cluster() as client:
         reconstruct(images, folder / "warm-up", executor=client)
         for n in range(num_runs):
             for where in ("threads", "shared folder", "no shared folder"):
                 rows.setdefault(where, []).append(
                     _run(images, folder / f"{where} {n}", reference, client, where)
                 )
-        usual_s = statistics.median(run["seconds"] for run in rows["shared folder"])
-        for n in range(num_losses):
-            where = ("shared folder", "no shared folder")[n % 2]
-            client.wait_for_workers(2)
+    usual_s = statistics.median(run["seconds"] for run in rows["shared folder"])
+    for n in range(num_losses):
+        where = ("shared folder", "no shared folder")[n % 2]
+        with (
+            _cluster() as client
+        ):  # Dask does not always start a worker again that was killed while it started
             _later(random.Random(n).uniform(0.0, 0.7 * usual_s), client, signal.SIGKILL)
             rows.setdefault("a worker killed", []).append(
                 _run(images, folder / f"killed {n}", reference, client, where)
             )
-        if num_losses:
-            client.wait_for_workers(2)
+    if num_losses:
+        with _cluster() as client:
             process = _later(0.2 * usual_s, client, signal.SIGSTOP)
-            threading.Timer(FROZEN_S, _send, (process, signal.SIGCONT)).start()
+            thaw = threading.Timer(FROZEN_S, _send, (process, signal.SIGCONT))
+            thaw.start()
             rows["a worker frozen"] = [_run(images, folder / "frozen", reference, client, "shared folder")]
+            thaw.cancel()
+            _send(process, signal.SIGCONT)
     first = statistics.median(run["seconds"] for run in rows["threads"])
     return {"rows": [_summary(where, runs, first, num_images) for where, runs in rows.items()]}
+
+
+@contextmanager
+def _cluster() -> Iterator[Any]:
+    with (
+        distributed.LocalCluster(
+            2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0"
+        ) as local,
+        distributed.Client(local, set_as_default=False) as client,
+    ):
+        yield client
 
 
 def _later(seconds: float, client: Any, number: signal.Signals) -> int:

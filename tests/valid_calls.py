@@ -680,7 +680,7 @@ def _global(graph: scene.ViewGraph, components: mapping.MatchComponents, num_ima
 
 def _mapping() -> Iterator[Row]:
     model, graph = _ring().start, _view_graph()
-    yield _row(mapping.find_conflicting_points, model=model)
+    yield _row(mapping.find_conflicting_points, model=model, matched=np.array([[0, 1]], np.int32))
     conflicts = mapping.find_conflicting_points(model)
     yield _row(mapping.ConflictingPoints, **{n: getattr(conflicts, n) for n in conflicts.__slots__})
     first = np.array([0, 1], np.int32)

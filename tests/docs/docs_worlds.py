@@ -275,6 +275,7 @@ WORLDS: dict[str, Callable[[Path], None]] = {
     "README-2": known_ride,
     "README-3": field_sources(),
     "README-4": nothing,
+    "cluster-0": walk,
     "command_line-0": nothing,
     "calibration-0": boards,
     "calibration-1": pair,

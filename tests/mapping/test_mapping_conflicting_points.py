@@ -140,3 +140,21 @@ def test_the_kernel_agrees_with_python_and_with_sets(rng, monkeypatch):
     np.testing.assert_array_equal(
         np.stack([found.num_common, found.num_missed, found.num_conflicting], 1), expected
     )
+
+
+def test_images_that_were_not_matched_are_not_judged(rng):
+    """Two halves of the points, each seen by other images: a conflict, unless these images were never compared."""
+
+    def sees(camera, points):
+        return (np.arange(len(points)) % 2 == camera % 2) & (rng.random(len(points)) < 0.9)
+
+    model = row_of_cameras(rng, 10, sees)
+    everything = find_conflicting_points(model)
+    assert everything.contradicts_model
+    within = np.array([(i, j) for i in range(10) for j in range(i + 2, 10, 2)][::-1], np.int32)[:, ::-1]
+    found = find_conflicting_points(model, np.ascontiguousarray(within))
+    assert not found.contradicts_model and not found.is_contradiction.any() and len(found) > 0
+    kept = (everything.image1 + everything.image2) % 2 == 0
+    for name in ("image1", "image2", "num_common", "num_missed", "num_conflicting"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(everything, name)[kept])
+    assert len(find_conflicting_points(model, np.zeros((0, 2), np.int32))) == 0

@@ -97,10 +97,17 @@ class ConflictingPoints(Declared):
 
 
 @checked
-def find_conflicting_points(model: Reconstruction) -> ConflictingPoints:
+def find_conflicting_points(
+    model: Reconstruction, matched: Int32[np.ndarray, "m 2"] | None = None
+) -> ConflictingPoints:
     """Compare each point of a model with its nearest neighbors.
 
     The work is the number of points times the neighbors and the square of the images of a point.
+
+    Args:
+        model: the model.
+        matched: pairs of images that were matched; None for all. Two images that were not compared need not have points in common,
+            whatever they show, and are left out.
     """
     num_images, xyz = len(model.images), model.points.xyz_in_world
     views, centers, neighbors = _views_of(model), model.camera_centers_in_world(), _neighbors_of(model)
@@ -117,6 +124,10 @@ def find_conflicting_points(model: Reconstruction) -> ConflictingPoints:
     pair, row = np.unique(key // NUM_KINDS, return_inverse=True)
     found = np.zeros((NUM_KINDS, len(pair)), np.int64)
     np.add.at(found, (key % NUM_KINDS, row), count)
+    if matched is not None:
+        tried = matched.min(axis=1).astype(np.int64) * num_images + matched.max(axis=1)
+        was_tried = np.isin(pair, tried)
+        pair, found = pair[was_tried], found[:, was_tried]
     image1, image2 = np.divmod(pair, max(num_images, 1))
     return ConflictingPoints(image1.astype(np.int32), image2.astype(np.int32), *found)
 

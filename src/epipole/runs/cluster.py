@@ -56,18 +56,17 @@ class ClusterClient(Protocol):
         """Threads of each worker."""
 
 
-@dataclass(slots=True, eq=False)
 class Connection:
     """An open connection to a cluster."""
 
-    client: Any
-    """`distributed.Client`"""
-    has_shared_folder: bool
-    has_patience: bool = False
-    """Whether workers may appear at any time."""
-    bytes_sent: int = 0
-    bytes_received: int = 0
-    """Content of files that was sent without a shared folder."""
+    def __init__(self, client: Any, *, has_shared_folder: bool, has_patience: bool = False) -> None:
+        self.client = client
+        """`distributed.Client`"""
+        self.has_shared_folder = has_shared_folder
+        self.has_patience = has_patience
+        """Whether workers may appear at any time."""
+        self.bytes_sent = self.bytes_received = 0
+        """Content of files that was sent without a shared folder."""
 
     def num_threads(self) -> int:
         """Threads of all workers that are there now."""
@@ -116,7 +115,7 @@ def joined(client: Any, *, has_shared_folder: bool = True, has_patience: bool = 
     Raises:
         WorkspaceError: there is no worker, or one has another version of epipole or none.
     """
-    connection = Connection(client, has_shared_folder, has_patience)
+    connection = Connection(client, has_shared_folder=has_shared_folder, has_patience=has_patience)
     wait_for_workers(connection)
     workers = client.get_versions(check=False, packages=["epipole"])["workers"]
     for address, found in workers.items():

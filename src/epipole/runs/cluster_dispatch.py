@@ -29,11 +29,11 @@ IN_FLIGHT = 2
 """Chunks per thread of the cluster that are sent at the same time."""
 CHUNK_BYTES, CHUNK_UNITS, LEAST_CHUNKS = 16_000_000, 16, 8
 """Most bytes of files and most units in a chunk of several units, and least chunks per thread."""
-WAIT_S = 1.0
+WAIT_S, FETCH_S = 1.0, 10.0
 SHARED_FOLDER_S = 10.0
 """How long to wait for a file that a worker has written: network folders show it late."""
 SLOW_FACTOR, SLOW_S = 4.0, 10.0
-"""When nothing waits, a chunk that takes so many times the median, and longer than this, runs on another worker too."""
+"""When nothing waits, a chunk that takes this multiple of the median, and longer than this, runs on another worker too."""
 SILENT_S = 4.0
 """Time after which a worker that the scheduler has not heard from counts as silent; one that lives is heard several times."""
 MAX_ATTEMPTS = 4
@@ -188,24 +188,22 @@ class _Dispatch:
 
     def _fail(self, chunk: _Chunk, future: Any) -> None:
         """Send a chunk again whose worker or files were lost; raise any other error."""
-        from distributed.client import FutureCancelledError
         from distributed.scheduler import KilledWorker
 
-        error: BaseException | None = None  # lost: the worker that had its files is gone
-        with suppress(FutureCancelledError, TimeoutError):
-            error = future.exception(timeout=10)
+        # Without an error, the worker that had its files or its result is gone.
+        error = future.exception(timeout=FETCH_S) if future.status == "error" else None
         if isinstance(error, KilledWorker):
             names = ", ".join(unit.path.name for unit in chunk.units[:3])
             raise WorkspaceError(
                 f"several workers died one after the other at the same work ({names}): probably out of memory"
             ) from error
-        if error is not None and not isinstance(error, FutureCancelledError):
+        if error is not None:
             raise _in_words(error) from error
         if chunk.num_attempts >= MAX_ATTEMPTS:
             raise WorkspaceError(
                 f"work was lost on the cluster {chunk.num_attempts} times ({error})"
             ) from error
-        self._sent.forget(chunk)
+        self._sent.remove(chunk)
         chunk.is_repeated = False
         self.chunks.appendleft(chunk)
 
@@ -243,7 +241,7 @@ class _SentFiles:
             if self._num_needed[path] == 0:
                 self._futures.pop(path, None)
 
-    def forget(self, chunk: _Chunk) -> None:
+    def remove(self, chunk: _Chunk) -> None:
         """The chunk's files may be lost with their worker."""
         for path in chunk.files:
             self._futures.pop(path, None)

@@ -67,7 +67,7 @@ def _own_folder() -> Path:
 
 
 def _below(root: Path, path: Path) -> Path:
-    """The place of an absolute path in the worker's folder."""
+    """An absolute path, inside the worker's folder."""
     return root.joinpath(*path.parts[1:])
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
-from typing import Literal
+from typing import Any, Literal
 
 from epipole import _parallel
 from epipole.runs.cluster import Cluster, Connection, connected
@@ -14,6 +14,10 @@ from epipole.runs.cluster import Cluster, Connection, connected
 ExecutorChoice = Literal["threads", "processes", "inline"] | Executor | Cluster | Connection
 """A name, a cluster, or any `concurrent.futures.Executor`. Its workers must have epipole installed and see the output folder and the
 images under the same paths. It is not shut down."""
+
+
+PassedExecutor = Literal["threads", "processes", "inline"] | Executor | Any
+"""What the user passes: a name, an executor, or a `distributed.Client`, whose type is known only where Dask is installed."""
 
 
 @contextmanager

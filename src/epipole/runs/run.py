@@ -17,6 +17,7 @@ from epipole.runs.dispatch import run_units
 from epipole.runs.executors import ExecutorChoice, started
 from epipole.runs.folder import MARK, OutputFolder, check_output_path, claim, read_mark
 from epipole.runs.lock import alone_in
+from epipole.runs.memory import peak_memory_mb
 from epipole.runs.progress import Progress, ProgressCallback, ignore_progress
 from epipole.runs.threads import thread_scope
 from epipole.runs.units import Unit, digest, remove_other_results
@@ -53,6 +54,8 @@ class Run:
     def __init__(self, job: Job, folder: OutputFolder) -> None:
         self.job, self.folder = job, folder
         self.warnings: list[str] = []
+        self.peak_memory_mb: dict[str, float | None] = {}
+        """Largest memory of this process up to the end of each stage."""
         self._start = perf_counter()
         # Timings of a stopped run are added; those of a finished run only if its units are reused.
         self._earlier_s = {} if folder.finished else folder.timings_s
@@ -85,6 +88,7 @@ class Run:
             self.timings_s[name] = (
                 self.timings_s.get(name, self._earlier_s.pop(name, 0.0)) + perf_counter() - start
             )
+            self.peak_memory_mb[name] = peak_memory_mb()
 
     def report(self, stage: str, done: int, total: int, note: str = "") -> None:
         """Report the progress of a stage, with an optional note."""

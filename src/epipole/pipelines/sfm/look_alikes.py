@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int32
 
 from epipole.mapping import ConflictingPoints, find_conflicting_points
 from epipole.pipelines.sfm.false_pairs import (
@@ -57,15 +57,20 @@ class Separation:
     """The verified pairs that the models do not use."""
 
 
-def map_apart(view_graph: ViewGraph, map_pairs: Callable[[Bool[np.ndarray, " n"]], Attempt]) -> Separation:
+def map_apart(
+    view_graph: ViewGraph,
+    map_pairs: Callable[[Bool[np.ndarray, " n"]], Attempt],
+    matched: Int32[np.ndarray, "m 2"] | None = None,
+) -> Separation:
     """Map the images; while points of a model conflict, map them again without the pairs that hold it together.
 
     Args:
         view_graph: verified pairs.
         map_pairs: maps the images with the pairs of a mask.
+        matched: pairs of images that were matched, verified or not; None for all.
     """
     used, fraction = np.ones(len(view_graph), bool), np.full(len(view_graph), np.nan)
-    found = map_once(view_graph, map_pairs)
+    found = map_once(view_graph, map_pairs, matched)
     if not any(conflicts.contradicts_model for conflicts in found.conflicts):
         return found
     was_false = np.zeros(len(view_graph), bool)
@@ -97,7 +102,7 @@ def map_apart(view_graph: ViewGraph, map_pairs: Callable[[Bool[np.ndarray, " n"]
             is_known = dropped & np.isfinite(p.fraction)
             fraction[is_known] = p.fraction[is_known]
         unused = _unused(view_graph, attempt, used, fraction)
-        found = Separation(attempt, _conflicts_of(attempt.mapped), unused)
+        found = Separation(attempt, _conflicts_of(attempt.mapped, matched), unused)
     return found
 
 
@@ -119,12 +124,16 @@ def _doubtful_pairs(
     ]
 
 
-def map_once(view_graph: ViewGraph, map_pairs: Callable[[Bool[np.ndarray, " n"]], Attempt]) -> Separation:
+def map_once(
+    view_graph: ViewGraph,
+    map_pairs: Callable[[Bool[np.ndarray, " n"]], Attempt],
+    matched: Int32[np.ndarray, "m 2"] | None = None,
+) -> Separation:
     """Map the images with all pairs, even if points of a model conflict."""
     used = np.ones(len(view_graph), bool)
     attempt = map_pairs(used)
     unused = _unused(view_graph, attempt, used, np.full(len(view_graph), np.nan))
-    return Separation(attempt, _conflicts_of(attempt.mapped), unused)
+    return Separation(attempt, _conflicts_of(attempt.mapped, matched), unused)
 
 
 def _unused(
@@ -139,6 +148,6 @@ def _unused(
     )
 
 
-def _conflicts_of(mapped: Mapped) -> tuple[ConflictingPoints, ...]:
+def _conflicts_of(mapped: Mapped, matched: np.ndarray | None) -> tuple[ConflictingPoints, ...]:
     """Conflicting points of each model."""
-    return tuple(find_conflicting_points(model) for model in mapped.models)
+    return tuple(find_conflicting_points(model, matched) for model in mapped.models)

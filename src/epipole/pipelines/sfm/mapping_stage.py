@@ -92,7 +92,7 @@ def map_images(
         builder = ModelBuilder(cameras, images.camera_of_image, keypoints, components)
         mapper = IncrementalMapper(builder, view_graph, config, is_last=features is None)
         method = map_with(mapper, remaining, _counting(progress, remaining), _adjusting(progress))
-        if method is None:
+        if method is None or builder.registered.sum() < 2:  # adjustment may leave nothing of a weak start
             break
         if features is not None:
             mapper = complete_model(mapper, features, starts)

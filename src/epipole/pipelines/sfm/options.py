@@ -47,6 +47,7 @@ class ReconstructKeywords(TypedDict, total=False):
     preemptive_min_matches: int
     exhaustive_limit: int
     neighbors: int
+    expansion: int
     overlap: int
     confidence: float
     min_iterations: int

@@ -33,7 +33,9 @@ from epipole.runs import (
     ClusterClient,
     ExecutorChoice,
     Job,
+    PassedExecutor,
     ProgressCallback,
+    Run,
     ignore_progress,
     joined,
     open_run,
@@ -77,7 +79,7 @@ def reconstruct(
     config: ReconstructConfig | None = None,
     progress: ProgressCallback = ignore_progress,
     *,
-    executor: ExecutorChoice | ClusterClient | None = None,
+    executor: PassedExecutor | None = None,
     **options: Unpack[ReconstructKeywords],
 ) -> ReconstructionResult:
     """Reconstruct a 3D model from a folder of photographs or a video, with a report; an interrupted run continues.
@@ -126,19 +128,20 @@ def reconstruct(
             content = page_content(solution, reasons, run, asdict(config))
             run.folder.write_text("report.html", render_report(content))
         run.warnings += absences_of(solution, reasons)  # the report has its own text for these
-        summary = _summary(solution, reasons, run.warnings, run.seconds, run.timings_s)
+        summary = _summary(solution, reasons, run)
         run.finish(summary)
     return ReconstructionResult(
         out, solution.mapped.models, reasons, tuple(run.warnings), run.timings_s, summary
     )
 
 
-def _executor(given: ExecutorChoice | ClusterClient | None, config: ReconstructConfig) -> ExecutorChoice:
+def _executor(given: PassedExecutor | None, config: ReconstructConfig) -> ExecutorChoice:
     """The executor that is passed, else the cluster of the options, else their executor."""
     if isinstance(given, ClusterClient):
         return joined(given, has_shared_folder=config.shared_folder)
     if given is not None:
-        return given
+        chosen: ExecutorChoice = given
+        return chosen
     if config.cluster is not None:
         return Cluster(config.cluster, config.shared_folder)
     return config.executor
@@ -208,9 +211,7 @@ def _rescue(solution: Solution) -> dict[str, Any]:
 def _summary(
     solution: Solution,
     reasons: dict[str, str],
-    warnings: list[str],
-    seconds: float,
-    timings_s: dict[str, float],
+    run: Run,
 ) -> dict[str, Any]:
     models, images = solution.mapped.models, solution.images
     model, gps, scale = models[0], solution.mapped.gps[0], solution.mapped.scale
@@ -256,10 +257,11 @@ def _summary(
         "contradicting_pairs": _contradicting(solution),
         "rescue": _rescue(solution),
         "not_registered": reasons,
-        "warnings": warnings,
-        "seconds": seconds,
+        "warnings": run.warnings,
+        "seconds": run.seconds,
         "compile_seconds": compile_seconds(),
-        "timings_s": timings_s,
+        "timings_s": run.timings_s,
+        "peak_memory_mb": run.peak_memory_mb,
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float64, Int32
@@ -27,16 +28,8 @@ def choose_pairs(
     Raises:
         ConfigError: spatial pairs are requested, but fewer than two images have GPS.
     """
-    n = len(descriptors)
+    n, method = len(descriptors), method_of(lat_lon_alt, config, is_video=is_video)
     has_gps = np.isfinite(lat_lon_alt[:, :2]).all(axis=1)
-    method = config.method
-    if method == "auto":
-        if is_video:
-            method = "sequential"
-        elif n <= config.exhaustive_limit:
-            method = "exhaustive"
-        else:
-            method = "spatial" if has_gps.mean() > 0.9 else "retrieval"
     if method == "exhaustive":
         return np.stack(np.triu_indices(n, 1), axis=1).astype(np.int32)
     if method == "spatial":
@@ -51,6 +44,19 @@ def choose_pairs(
         pairs += [(i, i + step) for i in range(n) for step in range(1, reach + 1) if i + step < n]
     neighbors = min(config.neighbors, 10) if method == "sequential" else config.neighbors
     return sorted_pairs([*pairs, *_similar_images(descriptors, neighbors)])
+
+
+def method_of(
+    lat_lon_alt: Float64[np.ndarray, "n 3"], config: PairingConfig, *, is_video: bool
+) -> Literal["exhaustive", "sequential", "spatial", "retrieval"]:
+    """The method of the options, or the one that fits the images."""
+    if config.method != "auto":
+        return config.method
+    if is_video:
+        return "sequential"
+    if len(lat_lon_alt) <= config.exhaustive_limit:
+        return "exhaustive"
+    return "spatial" if np.isfinite(lat_lon_alt[:, :2]).all(axis=1).mean() > 0.9 else "retrieval"
 
 
 def _similar_images(descriptors: Sequence[np.ndarray], count: int) -> list[tuple[int, int]]:
