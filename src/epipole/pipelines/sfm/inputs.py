@@ -24,7 +24,7 @@ CONTENTS = "work/contents.npz"
 """Paths in the output folder."""
 
 
-def read_images(source: Path, run: Run, config: ReconstructConfig) -> ImageSet:
+def image_set_of(source: Path, run: Run, config: ReconstructConfig) -> ImageSet:
     """The images of a folder, or frames of a video.
 
     Raises:

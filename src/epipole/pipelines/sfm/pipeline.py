@@ -23,11 +23,11 @@ from epipole.pipelines.sfm.inputs import (
     UNITS,
     detect,
     expansion_of,
+    image_set_of,
     in_order,
     keypoints_of,
     open_database,
     pairs_to_match,
-    read_images,
 )
 from epipole.pipelines.sfm.look_alikes import Attempt, Separation, map_apart, map_once
 from epipole.pipelines.sfm.mapping_stage import Detections, Mapped, map_images
@@ -122,7 +122,7 @@ def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
     compiling = threading.Thread(target=warm_up, name="epipole-compile", daemon=True)
     compiling.start()
     with run.stage("read"):
-        images = read_images(source, run, config)
+        images = image_set_of(source, run, config)
         database, images = open_database(images, run, config)
     with run.stage("features"):
         images, features = detect(images, run, config, database)
