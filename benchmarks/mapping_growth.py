@@ -65,7 +65,8 @@ def map_task(task: StreetTask, config: MapperConfig) -> Separation:
         mapped = map_images(images, task.cameras, graph, detections, config, ignore_progress)
         return Attempt(mapped, graph, contradiction_rad)
 
-    return map_apart(task.view_graph, map_pairs)
+    matched = np.stack([task.view_graph.image1, task.view_graph.image2], axis=1)
+    return map_apart(task.view_graph, map_pairs, matched)
 
 
 def measure(num_images: int) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from epipole.errors import ShapeError
+from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import align_points
 from epipole.mapping import PairDirections, global_positioning, position_globally
 from epipole.mapping.laplacian import solve_laplacian
@@ -112,6 +112,9 @@ def test_without_pairs_the_start_is_random(rng):
     outside = PairDirections(np.array([0], np.int32), np.array([30], np.int32), np.array([[1.0, 0.0, 0.0]]))
     with pytest.raises(ShapeError, match="image2"):
         position_globally(30, offsets, image, seen, 0, outside)
+    unknown = PairDirections(np.array([0], np.int32), np.array([1], np.int32), np.full((1, 3), np.nan))
+    with pytest.raises(ConfigError, match="direction_in_world must be finite"):
+        position_globally(30, offsets, image, seen, 0, unknown)
 
 
 def test_values_from_differences_are_zero_at_the_first_node_of_each_component(rng):

@@ -127,6 +127,16 @@ def test_a_worker_that_is_frozen_delays_nothing(
     assert time.monotonic() - start < 20
 
 
+def test_paths_with_dots_stay_in_the_folder_of_the_worker(client: Any, tmp_path: Path) -> None:
+    unit = tasks(tmp_path / "there", 1)[0]
+    path = tmp_path / "not" / "there" / ".." / ".." / "inputs" / "0.txt"
+    dotted = Unit(unit.path, unit.key, doubled, Task(Path(os.path.relpath(path))))
+    (tmp_path / "not" / "there").mkdir(parents=True)
+    connection = joined(client, has_shared_folder=False)
+    assert list(cluster_dispatch.run_on_cluster(connection, [dotted])) == [1]
+    assert connection.bytes_sent == 1
+
+
 def test_an_error_of_a_unit_reaches_the_caller(connection: Connection, tmp_path: Path) -> None:
     units = tasks(tmp_path / "there")
     missing = Unit(tmp_path / "there" / "x.npz", "x", doubled, Task(tmp_path / "inputs" / "none.txt"))

@@ -11,6 +11,7 @@ from jaxtyping import Float64, Int32, Int64
 
 from epipole import _parallel
 from epipole._checks import Declared, check_count, check_indices, check_offsets, checked, require_same_length
+from epipole.errors import ConfigError
 from epipole.mapping import _positioning_kernels as kernels
 from epipole.mapping.start_positions import PairDirections, positions_from_pairs
 from epipole.optim.block_cholesky import BlockPattern, CholeskyPlan, plan_cholesky
@@ -71,17 +72,21 @@ def position_globally(
         image: image of each observation.
         directions_in_world: unit direction from the camera to the point, with the camera's rotation applied.
         seed: of the random positions at the start.
-        pairs: directions between images. The start is random for what they do not determine, or if it fits better.
+        pairs: directions between images. The start is random for what they do not determine, and for all if they fit badly.
 
     Raises:
         ShapeError: an image does not exist, or the arrays have different lengths.
-        ConfigError: there are too many images.
+        ConfigError: there are too many images, or a direction is not finite.
     """
     require_same_length(image=image, directions_in_world=directions_in_world)
     check_offsets(offsets, "offsets", len(image))
     check_count(num_images, "num_images")
     check_indices(image, "image", num_images)
+    if not np.isfinite(directions_in_world).all():
+        raise ConfigError("directions_in_world must be finite")
     if pairs is not None:
+        if not np.isfinite(pairs.direction_in_world).all():
+            raise ConfigError("pairs.direction_in_world must be finite")
         check_indices(pairs.image1, "pairs.image1", num_images)
         check_indices(pairs.image2, "pairs.image2", num_images)
     num_points = len(offsets) - 1

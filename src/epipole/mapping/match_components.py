@@ -119,7 +119,11 @@ def choose_tracks(
         chosen,
     )
     if view_graph is not None:
-        chosen |= _missing_in_pairs(components, view_graph, per_pair, lengths, chosen)
+        check_indices(view_graph.image1, "view_graph.image1", len(is_member))
+        check_indices(view_graph.image2, "view_graph.image2", len(is_member))
+        inner = view_graph.select(is_member[view_graph.image1] & is_member[view_graph.image2])
+        if len(components):
+            chosen |= _missing_in_pairs(components, inner, per_pair, lengths, chosen)
     return np.flatnonzero(inside & chosen[component])
 
 

@@ -72,7 +72,9 @@ def positions_from_pairs(
     directions_in_world: Float64[np.ndarray, "r 3"],
     pairs: PairDirections,
 ) -> StartPositions:
-    """Positions of the largest group of images that pairs with common tracks connect.
+    """Positions of the largest group of images that pairs connect.
+
+    Where two pairs of an image have no track in common, the ratio of their baselines is not determined, and arbitrary.
 
     Args:
         num_images: number of images.

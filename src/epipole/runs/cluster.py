@@ -103,7 +103,7 @@ def connected(cluster: Cluster) -> Iterator[Connection]:
     else:
         try:
             client = distributed.Client(cluster.address, timeout=FIRST_WORKER_S / 4, set_as_default=False)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, TypeError) as error:  # TypeError: tls:// without certificates
             raise WorkspaceError(f"no Dask scheduler answers at {cluster.address} ({error})") from error
         with client:
             yield joined(client, has_shared_folder=cluster.has_shared_folder)

@@ -11,6 +11,7 @@ import statistics
 import threading
 from collections import deque
 from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,6 +37,8 @@ SLOW_FACTOR, SLOW_S = 4.0, 10.0
 """When nothing waits, a chunk that takes this multiple of the median, and longer than this, runs on another worker too."""
 SILENT_S = 4.0
 """Time after which a worker that the scheduler has not heard from counts as silent; one that lives is heard several times."""
+HEARTBEATS = 3.0
+"""Times between the reports of a worker that make it silent, as they grow with the number of workers: by a second for 200."""
 MAX_ATTEMPTS = 4
 LOST = "the connection to the Dask scheduler is lost; what is finished is kept: run the command again"
 
@@ -115,7 +118,7 @@ class _Dispatch:
         shared = self.connection.has_shared_folder
         units = with_paths(chunk.units, Path.absolute)
         names = [] if shared else [str(path) for path in chunk.files]
-        files = [] if shared else [self._sent.future_of(path) for path in chunk.files]
+        files = [] if shared else [self._sent.future_of(path, self._others) for path in chunk.files]
         future = self.client.submit(
             run_chunk, __version__, units, names, files, shared, pure=False, retries=0, **where
         )
@@ -129,7 +132,9 @@ class _Dispatch:
         self._looked = monotonic()
         workers = self.client.scheduler_info(n_workers=-1)["workers"]
         heard = {address: worker["last_seen"] for address, worker in workers.items()}
-        self._silent = {a for a, time_s in heard.items() if max(heard.values()) - time_s > SILENT_S}
+        newest = max(heard.values(), default=0.0)
+        limit_s = SILENT_S + HEARTBEATS * len(heard) / 200.0
+        self._silent = {address for address, time_s in heard.items() if newest - time_s > limit_s}
         self._others = [address for address in heard if address not in self._silent]
 
     def _repeat_slow(self) -> None:
@@ -153,21 +158,27 @@ class _Dispatch:
         """Wait a moment; the units of the chunks that have ended, whose results are here."""
         self._has_ended.wait(WAIT_S)
         self._has_ended.clear()
-        for chunk in [c for c in self.running if any(future.done() for future in c.futures)]:
-            ended = next(
-                (f for f in chunk.futures if f.status == "finished"),
-                next(f for f in chunk.futures if f.done()),
-            )
+        for chunk in list(self.running):
+            done = [future for future in chunk.futures if future.done()]
+            if not done:
+                continue
+            ended = next((future for future in done if future.status == "finished"), done[0])
             self.running.remove(chunk)
-            if ended.status == "finished":
-                self._durations_s.append(monotonic() - chunk.since)
-                self._accept(chunk, ended)
-                yield from chunk.units
-            else:
+            try:
+                contents = ended.result() if ended.status == "finished" else None
+            except CancelledError:  # the result was lost with its worker just now
+                contents = None
+            if contents is None:
                 self._fail(chunk, ended)
+                continue
+            self._durations_s.append(monotonic() - chunk.since)
+            self._accept(chunk, contents)
+            self.cancel([future for future in chunk.futures if future is not ended])
+            yield from chunk.units
 
-    def _accept(self, chunk: _Chunk, future: Any) -> None:
-        for unit, content in zip(chunk.units, future.result()):
+    def _accept(self, chunk: _Chunk, contents: list[bytes | None]) -> None:
+        """Write the results here, or see that they are here."""
+        for unit, content in zip(chunk.units, contents):
             if content is not None:
                 self.connection.bytes_received += len(content)
                 with atomic_write(unit.path) as aside:
@@ -178,7 +189,6 @@ class _Dispatch:
                     " use --no-shared-folder"
                 )
         self._sent.release(chunk)
-        self.cancel([f for f in chunk.futures if f is not future])
 
     def cancel(self, futures: Sequence[Any]) -> None:
         """Cancel futures, as far as the scheduler can be reached."""
@@ -219,20 +229,23 @@ class _SentFiles:
             for path in chunk.files:
                 self._num_needed[path] = self._num_needed.get(path, 0) + 1
 
-    def future_of(self, path: Path) -> Any:
+    def future_of(self, path: Path, workers: Sequence[str]) -> Any:
+        """The file's content on the cluster; sent to one of the workers that are heard, if it is not there yet."""
         if path not in self._futures:
             content = path.read_bytes()
             self.connection.bytes_sent += len(content)
-            self._futures[path] = self._scattered(RemoteFile(content))
+            self._futures[path] = self._scattered(RemoteFile(content), workers)
         return self._futures[path]
 
-    def _scattered(self, file: RemoteFile) -> Any:
+    def _scattered(self, file: RemoteFile, workers: Sequence[str]) -> Any:
         """Send a file to a worker, and to another one if that worker is just being lost."""
+        client = self.connection.client
         for _ in range(MAX_ATTEMPTS - 1):
-            with suppress(OSError):
-                return self.connection.client.scatter(file, hash=False)
+            with suppress(OSError, KeyError):
+                return client.scatter(file, workers=list(workers) or None, hash=False)
             sleep(WAIT_S)
-        return self.connection.client.scatter(file, hash=False)
+            workers = ()
+        return client.scatter(file, hash=False)
 
     def release(self, chunk: _Chunk) -> None:
         """The chunk has its result."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -68,7 +69,7 @@ def _own_folder() -> Path:
 
 def _below(root: Path, path: Path) -> Path:
     """An absolute path, inside the worker's folder."""
-    return root.joinpath(*path.parts[1:])
+    return root.joinpath(*Path(os.path.normpath(path)).parts[1:])
 
 
 def _keep(path: Path, content: bytes) -> None:

@@ -97,7 +97,8 @@ def expand(
         view_graph = view_graph.joined(new)
         if (new.num_inliers() >= STRONG).sum() < LEAST_SUCCESS * len(pairs):
             break
-    _remove_rounds(folders, len(rounds.works))
+    calibrated = folders[1].with_name(f"{folders[1].name}-calibrated")
+    _remove_rounds((*folders, calibrated), len(rounds.works))
     return rounds, view_graph
 
 
@@ -106,7 +107,7 @@ def neighbors_of_neighbors(
 ) -> Int32[np.ndarray, "q 2"]:
     """Pairs (i, j), i < j, sorted, that were not tried, of weakly connected images i or j with a common neighbor.
 
-    A candidate counts as much as the weaker pair of the better way to it; each image has up to `per_image` new pairs.
+    A candidate counts as much as the weaker pair of the better way to it; each image chooses up to `per_image` new pairs.
     """
     is_strong = view_graph.num_inliers() >= STRONG
     ends = view_graph.image1[is_strong], view_graph.image2[is_strong]
@@ -139,7 +140,7 @@ def _numbered(folder: Path, number: int) -> Path:
     return folder.with_name(f"{folder.name}-round-{number + 1}") if number else folder
 
 
-def _remove_rounds(folders: tuple[Path, Path], number: int) -> None:
+def _remove_rounds(folders: Sequence[Path], number: int) -> None:
     """Remove results of further rounds, from other options."""
     for folder in folders:
         for later in range(number, MAX_ROUNDS + 1):

@@ -62,7 +62,13 @@ class Image:
 
 
 def read_image(path: Path, max_size_px: int) -> Image | str:
-    """Read an image, downscaled to `max_size_px`; returns the reason if it is damaged."""
+    """Read an image, downscaled to `max_size_px`; returns the reason if it is damaged.
+
+    Raises:
+        FileFormatError: it is not there. That is no property of the image: a worker may see other folders.
+    """
+    if not path.exists():
+        raise FileFormatError(path, "it does not exist, or is not visible here")
     try:
         header = read_header(path)
         return Image(read_rgb(path, max_size_px), header.width, header.height)
