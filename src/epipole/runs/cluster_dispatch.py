@@ -11,7 +11,6 @@ import statistics
 import threading
 from collections import deque
 from collections.abc import Iterator, Sequence
-from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -166,8 +165,10 @@ class _Dispatch:
             self.running.remove(chunk)
             try:
                 contents = ended.result() if ended.status == "finished" else None
-            except CancelledError:  # the result was lost with its worker just now
-                contents = None
+            except Exception:
+                if ended.status == "finished":
+                    raise
+                contents = None  # the result was lost with its worker just now
             if contents is None:
                 self._fail(chunk, ended)
                 continue
