@@ -120,7 +120,7 @@ def _run(images: Path, out: Path, reference: Path, client: Any, where: str) -> d
     connection = joined(client, has_shared_folder=where != "no shared folder")
     executor: Connection | str = "threads" if where == "threads" else connection
     start = perf_counter()
-    reconstruct(images, out, executor=executor)  # type: ignore[arg-type]
+    reconstruct(images, out, executor=executor)
     seconds = perf_counter() - start
     moved = {"sent": connection.bytes_sent, "received": connection.bytes_received}
     return {"seconds": seconds, "is_same": _is_same(reference, out), **moved}

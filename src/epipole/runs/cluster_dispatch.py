@@ -212,9 +212,10 @@ class _Dispatch:
             raise _in_words(error) from error
         if chunk.num_attempts >= MAX_ATTEMPTS:
             raise WorkspaceError(
-                f"work was lost on the cluster {chunk.num_attempts} times ({error})"
-            ) from error
+                f"the same work was lost on the cluster {chunk.num_attempts} times; what is finished is kept"
+            )
         self._sent.remove(chunk)
+        self.cancel([other for other in chunk.futures if other is not future])
         chunk.is_repeated = False
         self.chunks.appendleft(chunk)
 
