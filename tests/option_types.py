@@ -20,6 +20,7 @@ PIPELINES = {
     "fields": ("SplatConfig", "NerfConfig", "RenderConfig", "MeshConfig"),
     "stereo": ("StereoConfig",),
     "calibration": ("CalibrationConfig",),
+    "localization": ("LocalizeConfig",),
 }
 """Of each pipeline, the configs of its jobs."""
 TAKEN = {"ReconstructConfig": ("executor",)}

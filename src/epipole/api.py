@@ -31,6 +31,12 @@ from epipole.pipelines.fields.rendering import render as render
 from epipole.pipelines.fields.run import FieldResult as FieldResult
 from epipole.pipelines.fields.run import nerf as nerf
 from epipole.pipelines.fields.run import splat as splat
+from epipole.pipelines.localization.config import LocalizeConfig as LocalizeConfig
+from epipole.pipelines.localization.config import LocalizerConfig as LocalizerConfig
+from epipole.pipelines.localization.localizer import LocalizedImage as LocalizedImage
+from epipole.pipelines.localization.localizer import Localizer as Localizer
+from epipole.pipelines.localization.run import LocalizationResult as LocalizationResult
+from epipole.pipelines.localization.run import localize as localize
 from epipole.pipelines.sfm.config import MapperConfig as MapperConfig
 from epipole.pipelines.sfm.config import PairingConfig as PairingConfig
 from epipole.pipelines.sfm.config import ReconstructConfig as ReconstructConfig

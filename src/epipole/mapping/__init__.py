@@ -21,6 +21,7 @@ from epipole.mapping.model_builder import Snapshot as Snapshot
 from epipole.mapping.pair_consistency import PairConsistency as PairConsistency
 from epipole.mapping.pair_consistency import check_rotation_cycles as check_rotation_cycles
 from epipole.mapping.point_sample import sample_points as sample_points
+from epipole.mapping.point_views import PointViews as PointViews
 from epipole.mapping.pose_refinement import Disparities as Disparities
 from epipole.mapping.pose_refinement import RefinedPose as RefinedPose
 from epipole.mapping.pose_refinement import refine_pose as refine_pose
@@ -28,6 +29,7 @@ from epipole.mapping.readjustment import adjust_reconstruction as adjust_reconst
 from epipole.mapping.readjustment import bundle_problem_of as bundle_problem_of
 from epipole.mapping.resection import refine_resection as refine_resection
 from epipole.mapping.resection import resect_image as resect_image
+from epipole.mapping.resection import resect_with_focal as resect_with_focal
 from epipole.mapping.rigid_parts import largest_rigid_part as largest_rigid_part
 from epipole.mapping.rotation_averaging import AveragedRotations as AveragedRotations
 from epipole.mapping.rotation_averaging import average_rotations as average_rotations

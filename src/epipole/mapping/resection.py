@@ -38,21 +38,42 @@ def resect_image(
     rows, points = model.points_in_sight(image)
     camera = model.camera(int(model.camera_of_image[image]))
     pixels, xyz = model.row_pixel[rows], model.points[points]
-    if not search_focal:
-        return estimate_absolute_pose(xyz, pixels, camera, config), camera, rows
+    if search_focal:
+        return *resect_with_focal(xyz, pixels, camera, config), rows
+    return estimate_absolute_pose(xyz, pixels, camera, config), camera, rows
+
+
+@checked
+def resect_with_focal(
+    points_in_world: Float64[np.ndarray, "n 3"],
+    pixels: Float64[np.ndarray, "n 2"],
+    camera: Camera,
+    config: RansacConfig,
+) -> tuple[Estimate, Camera]:
+    """Estimate cam_from_world and the focal length of an image from known points.
+
+    Args:
+        points_in_world: the points.
+        pixels: their observations.
+        camera: intrinsics with a guessed focal length.
+        config: threshold in pixels and minimum number of inliers.
+
+    Returns:
+        The estimate, and the camera with the estimated focal length; the guess if it cannot be estimated.
+    """
     center = camera.params[list(camera.model.principal_point_indices)]
-    found = estimate_pose_and_focal(xyz, pixels, center, config)
+    found = estimate_pose_and_focal(points_in_world, pixels, center, config)
     factor = found.model.focal_px / camera.focal_px
     if found.success and MIN_FOCAL_FACTOR < factor < MAX_FOCAL_FACTOR:
         camera = _with_focal(camera, factor)
-    estimate = estimate_absolute_pose(xyz, pixels, camera, config)
+    estimate = estimate_absolute_pose(points_in_world, pixels, camera, config)
     if not estimate.success:
-        return estimate, camera, rows
-    focal_only = refine_resection(xyz, pixels, estimate, camera, focal=True)
+        return estimate, camera
+    focal_only = refine_resection(points_in_world, pixels, estimate, camera, focal=True)
     if focal_only is not None:
         camera = focal_only[1]
-        estimate = estimate_absolute_pose(xyz, pixels, camera, config)
-    return estimate, camera, rows
+        estimate = estimate_absolute_pose(points_in_world, pixels, camera, config)
+    return estimate, camera
 
 
 @checked

@@ -17,14 +17,12 @@ from epipole import _parallel
 from epipole._checks import checked
 from epipole.config import MatchConfig
 from epipole.features import Features, match_near_pixels
-from epipole.mapping import _view_kernels as kernels
 from epipole.mapping.match_components import FurtherMatches
 from epipole.mapping.model_builder import ModelBuilder
+from epipole.mapping.point_views import PointViews
 
 MIN_SHARED_POINTS = 15
 """Images that observe fewer common points are not neighbors."""
-MIN_VIEW_COSINE = np.cos(np.deg2rad(40.0))
-"""Cosine of the largest angle between two views of a point: beyond it, SIFT descriptors rarely match (Lowe 2004, 7.3)."""
 
 
 @checked
@@ -52,24 +50,11 @@ def find_further_matches(
     descriptors = _descriptors_of(observed, features)
 
     def search(start: int, stop: int, _: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        best, cosine = np.full(model.num_points, kernels.NOT_FOUND, np.int64), np.empty(model.num_points)
-        out = []
+        scratch, out = observed.scratch(), []
         for image in images[start:stop].tolist():
             row = slice(shared.indptr[image], shared.indptr[image + 1])
             neighbors = np.sort(shared.indices[row][shared.data[row] >= MIN_SHARED_POINTS]).astype(np.int64)
-            found = np.empty(model.num_points, np.int64)
-            count = kernels.closest_views(
-                observed,
-                image,
-                neighbors,
-                model.center[image],
-                model.points,
-                MIN_VIEW_COSINE,
-                best,
-                cosine,
-                found,
-            )
-            references = np.sort(found[:count])
+            references = observed.seen_from(model.center[image], neighbors, image, scratch)
             out.append(
                 _matches_in(
                     image, model, features[image], observed, references, descriptors, radius_px, config
@@ -113,31 +98,24 @@ def median_error_px(model: ModelBuilder) -> float:
     return float(np.nanmedian(every)) if np.isfinite(every).any() else np.nan
 
 
-def _observations_of(model: ModelBuilder) -> kernels.Observations:
+def _observations_of(model: ModelBuilder) -> PointViews:
     rows, _ = model.rows_by_point()
-    point, image = model.row_point[rows], model.row_image[rows]
-    away = model.center[image] - model.points[point]
-    away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-300)
-    counts = np.bincount(image, minlength=len(model.registered))
-    return kernels.Observations(
-        point.astype(np.int32),
-        image.astype(np.int32),
+    return PointViews.of(
+        model.points[: model.num_points],
+        model.center,
+        model.row_point[rows].astype(np.int32),
+        model.row_image[rows].astype(np.int32),
         model.components.keypoint[rows].astype(np.int32),
-        away,
-        np.argsort(image, kind="stable").astype(np.int64),
-        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
     )
 
 
-def _descriptors_of(
-    observed: kernels.Observations, features: Sequence[Features]
-) -> UInt8[np.ndarray, "k 128"]:
+def _descriptors_of(observed: PointViews, features: Sequence[Features]) -> UInt8[np.ndarray, "k 128"]:
     """The descriptor of each observation; the files of the features are read once."""
     out = np.empty((len(observed.point), 128), np.uint8)
 
     def load(start: int, stop: int, _: int) -> None:
         for image in range(start, stop):
-            rows = observed.by_image[observed.starts[image] : observed.starts[image + 1]]
+            rows = observed.rows_of(image)
             if len(rows):
                 out[rows] = features[image].descriptors[observed.keypoint[rows]]
 
@@ -149,7 +127,7 @@ def _matches_in(
     image: int,
     model: ModelBuilder,
     features: Features,
-    observed: kernels.Observations,
+    observed: PointViews,
     references: np.ndarray,
     descriptors: np.ndarray,
     radius_px: float,

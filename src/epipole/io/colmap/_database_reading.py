@@ -41,8 +41,8 @@ _KEYPOINT_WIDTHS = (2, 4, 6)
 """x, y; optionally with scale and angle, or an affine shape."""
 
 
-def read_contents(database: DatabaseReader) -> DatabaseContents:
-    """Read all tables that epipole uses.
+def read_contents(database: DatabaseReader, *, with_pairs: bool) -> DatabaseContents:
+    """Read all tables that epipole uses, or only those of cameras and images.
 
     Raises:
         FileFormatError: a cell is truncated, or an id is missing.
@@ -56,7 +56,7 @@ def read_contents(database: DatabaseReader) -> DatabaseContents:
     require_cameras(image_ids, camera_ids, camera_rows, database.path)
     rigs, positions = _rigs_and_poses(database, camera_rows, image_ids, camera_ids)
     images = _images(database, image_ids, tuple(str(row[1]) for row in image_rows), positions)
-    matches = _matches(database, image_ids, images)
+    matches = _matches(database, image_ids, images) if with_pairs else {}
     return DatabaseContents(
         cameras,
         rigs,
@@ -68,7 +68,7 @@ def read_contents(database: DatabaseReader) -> DatabaseContents:
         images,
         _descriptors(database, image_ids, images),
         matches,
-        _view_graph(database, image_ids, images, matches),
+        _view_graph(database, image_ids, images, matches) if with_pairs else None,
         _gps(database, image_ids),
     )
 

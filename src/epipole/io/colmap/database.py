@@ -54,8 +54,12 @@ def write_database(path: str | Path, contents: DatabaseContents) -> None:
 
 
 @checked
-def read_database(path: str | Path) -> DatabaseContents:
+def read_database(path: str | Path, *, with_pairs: bool = True) -> DatabaseContents:
     """Read a database without writing to its folder; rows are in the order of its ids.
+
+    Args:
+        path: the file.
+        with_pairs: read matches and verified pairs, too, which are most of a database.
 
     Raises:
         FileFormatError: the file is not a COLMAP database, a cell is truncated, or an id is missing.
@@ -67,7 +71,7 @@ def read_database(path: str | Path) -> DatabaseContents:
     uri = f"{path.resolve().as_uri()}?mode=ro{'' if in_use else '&immutable=1'}"
     try:
         with closing(sqlite3.connect(uri, uri=True)) as connection:
-            return read_contents(DatabaseReader(path, connection, num_bytes))
+            return read_contents(DatabaseReader(path, connection, num_bytes), with_pairs=with_pairs)
     except FileFormatError:
         raise
     except sqlite3.Error as error:

@@ -12,6 +12,7 @@ from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.files import missing_in_words
 from epipole.pipelines.calibration import scene as calibration
 from epipole.pipelines.fields import scene as fields
+from epipole.pipelines.localization import scene as localization
 from epipole.pipelines.sfm.page import scene as sfm
 from epipole.pipelines.slam.output import scene as slam
 from epipole.pipelines.stereo import scene as stereo
@@ -33,6 +34,7 @@ KINDS: tuple[tuple[Callable[[Path], bool], Callable[[Path], SpaceScene]], ...] =
     (slam.is_map, slam.scene_of_map),
     (slam.is_trajectory, slam.scene_of_trajectory),
     (calibration.is_mine, calibration.scene),
+    (localization.is_mine, localization.scene),
 )
 """Checked in this order; anything else is a model, or cannot be shown."""
 

@@ -1,0 +1,1 @@
+"""Localization of images in a finished model."""

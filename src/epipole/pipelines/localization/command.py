@@ -1,0 +1,70 @@
+"""`epipole localize`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from epipole._terminal import one_line
+from epipole.pipelines.localization.config import LocalizeConfig
+from epipole.pipelines.sfm.command import STAGES
+
+if TYPE_CHECKING:
+    from epipole.pipelines.localization.run import LocalizationResult
+
+DEFAULTS = LocalizeConfig()
+WORDS = {**STAGES, "open": "Opening the model", "localize": "Localizing images"}
+REASONS_SHOWN = 10
+
+
+def localize(
+    images: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="IMAGES")],
+    workspace: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="WORKSPACE")],
+    out: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")] = None,
+    config: Annotated[LocalizeConfig, tyro.conf.arg(name=""), tyro.conf.UseAppendAction] = DEFAULTS,
+) -> None:
+    """Localize new images in a finished model, with error bars; the model stays as it is.
+
+    Args:
+        images: Folder of photographs, one photograph, or a video.
+        workspace: Output folder of `reconstruct`, or a COLMAP model beside its database.db.
+        out: Output folder. Default: WORKSPACE/localized.
+        config: Options.
+    """
+    from epipole.screen import progress_on_screen
+
+    with progress_on_screen(WORDS) as progress:
+        from epipole.pipelines.localization.run import localize as run
+
+        result = run(images, workspace, out, config, progress)
+    _show(result)
+
+
+def _show(result: LocalizationResult) -> None:
+    """Print the result and its location."""
+    from rich.table import Table
+
+    from epipole.screen import open_console, print_warnings
+
+    console, summary = open_console(), result.summary
+    table = Table(box=None, show_header=False)
+    table.add_row("images localized", f"{summary['num_localized']} of {summary['num_images']}")
+    if summary["median_error_px"] is not None:
+        table.add_row("reprojection error", f"{summary['median_error_px']:.2f} px")
+    times = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result.summary["timings_s"].items())
+    table.add_row("time", f"{summary['seconds']:.1f} s (stages: {times})")
+    console.print(table)
+    print_warnings(console, result.warnings)
+    for name, reason in list(result.reasons.items())[:REASONS_SHOWN]:
+        console.print(one_line(f"  {name}: {reason}"), highlight=False, markup=False)
+    if (more := len(result.reasons) - REASONS_SHOWN) > 0:
+        console.print(f"  and {more} more, in the report", highlight=False, markup=False)
+    console.print(
+        f"poses   {result.out / 'poses.txt'}\nreport  {result.out / 'report.html'}",
+        highlight=False,
+        markup=False,
+    )
+    console.print(f"view    epipole view {quote(str(result.out))}", highlight=False, markup=False)

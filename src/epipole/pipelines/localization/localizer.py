@@ -1,0 +1,377 @@
+"""Localization of an image in a fixed model: retrieval, matching, PnP, a search for further points, and refinement.
+
+The steps are those of hierarchical localization (Sarlin et al., CVPR 2019) with classical features: VLAD instead of NetVLAD, SIFT instead
+of SuperPoint. The pose that they give predicts where further points of the model are; the fraction of these that is found
+confirms it, since the prediction does not depend on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from epipole._checks import checked
+from epipole.cameras import Camera
+from epipole.config import RansacConfig
+from epipole.errors import ConfigError
+from epipole.features import Features, detect_features, match_descriptors, match_near_pixels
+from epipole.geometry import Rigid3
+from epipole.image.gray import gray_image
+from epipole.mapping import refine_pose, resect_with_focal
+from epipole.pipelines.localization.config import LocalizerConfig
+from epipole.pipelines.localization.focal_step import focal_step
+from epipole.pipelines.localization.reference import ReferenceModel
+from epipole.robust import estimate_absolute_pose
+from epipole.scene import unregistered
+
+REFINEMENTS = 3
+"""Rounds of refining the pose and choosing its inliers again."""
+INLIER_SIGMAS = 4.0
+LEAST_SIGMA_PX = 0.3
+"""Smaller standard deviations of a pixel are not believed: they come from few inliers."""
+DISPLACEMENTS = 4.0
+"""Displacement of the predictions with which chance is measured, in search radii."""
+CHANCE_SIGMAS = 3.0
+"""Standard deviations by which the number of found points must exceed chance."""
+CLEAR_INLIERS, CLEAR_RATIO = 100, 0.3
+"""Number and fraction of inliers of a first pose that needs no confirmation: after them, there may be nothing left to find.
+Images of other scenes gave at most 11 inliers, of up to 600 matches."""
+FOCAL_SIGMAS, FOCAL_CHANGE = 4.0, 0.015
+"""A focal length is contradicted if the points change it by more than both of these (the second relative)."""
+
+
+class LocalizationReason(StrEnum):
+    """Why an image is not localized, or OK."""
+
+    OK = "ok"
+    FEW_FEATURES = "too few features"
+    FEW_MATCHES = "too few matches with the points of the model"
+    FEW_INLIERS = "its matches with the model agree on no pose"
+    NOT_CONFIRMED = "too few of the points that its pose predicts are found"
+    UNDETERMINED = "the matched points do not determine the pose"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalizedImage:
+    """Pose of an image in a model; failures are reported in it, not raised."""
+
+    reason: LocalizationReason
+    cam_from_world: Rigid3
+    """NaN if the image is not localized."""
+    covariance: Float64[np.ndarray, "6 6"]
+    """Of xi = (translation, rotation) in exp(xi) @ cam_from_world, from the residuals; infinite if unknown. It includes noise
+    of the image and of its points, but no deformation of the model."""
+    camera: Camera
+    """Intrinsics, with the estimated focal length if it was unknown."""
+    pixels: Float64[np.ndarray, "k 2"]
+    """Observations of points, with which the pose was computed."""
+    point: Int64[np.ndarray, " k"]
+    """Row of each in the model's points."""
+    num_matches: int
+    """Number of matches found by descriptors alone."""
+    num_inliers: int
+    """Number of these that agree with the first pose."""
+    num_confirmed: int
+    """Number of other points found near their projections."""
+    num_by_chance: int
+    """The same with displaced projections: what chance finds."""
+    focal_correction: float
+    """Relative change of the focal length that the points ask for; NaN if the image is not localized."""
+    is_focal_contradicted: bool
+    """Whether the points contradict the focal length, clearly and by more than 1.5 percent."""
+    error_px: float
+    """Median reprojection error; NaN if the image is not localized."""
+    neighbors: tuple[int, ...]
+    """Rows of the model's images that it was matched with, most similar first."""
+
+    @property
+    def success(self) -> bool:
+        """Whether the image is localized."""
+        return self.reason is LocalizationReason.OK
+
+    def position_in_world(self) -> Float64[np.ndarray, " 3"]:
+        """Camera center."""
+        return self.cam_from_world.centers()
+
+    def position_sigma(self) -> float:
+        """Standard deviation of the camera center's position: root of the summed variances of its axes."""
+        # The center -R^T t moves by -R^T times the translation of xi, as exp(xi) acts in the camera frame.
+        return float(np.sqrt(np.trace(self.covariance[:3, :3])))
+
+    def rotation_sigma_rad(self) -> float:
+        """Standard deviation of the orientation: root of the summed variances of its axes."""
+        return float(np.sqrt(np.trace(self.covariance[3:, 3:])))
+
+    def __repr__(self) -> str:
+        if not self.success:
+            return f"LocalizedImage({self.reason.value})"
+        return f"LocalizedImage({len(self.point)} points, {self.error_px:.2f} px, sigma {self.position_sigma():.3g})"
+
+
+class _Matches(NamedTuple):
+    """Features of an image and points of the model."""
+
+    feature: np.ndarray
+    point: np.ndarray
+
+
+class Localizer:
+    """Localizes images in a fixed model, one at a time.
+
+    Args:
+        reference: the model with its descriptors.
+        config: options; None for the defaults.
+    """
+
+    def __init__(self, reference: ReferenceModel, config: LocalizerConfig | None = None) -> None:
+        self.reference = reference
+        self.config = LocalizerConfig() if config is None else config
+        self._ransac = RansacConfig(
+            max_error_px=self.config.max_error_px,
+            min_inliers=self.config.min_inliers,
+            min_inlier_ratio=self.config.min_ratio,
+            seed=self.config.seed,
+        )
+
+    @staticmethod
+    def open(workspace: str | Path, config: LocalizerConfig | None = None) -> Localizer:
+        """Localizer in the model of an output folder of `reconstruct`, or of a COLMAP model beside its database.db.
+
+        Args:
+            workspace: the folder.
+            config: options; None for the defaults.
+
+        Raises:
+            FileFormatError: there is no model or no database, or they do not belong to each other.
+        """
+        return Localizer(ReferenceModel.open(workspace), config)
+
+    @checked
+    def localize(self, image: Any, camera: Camera | None = None) -> LocalizedImage:
+        """Pose of an image.
+
+        Args:
+            image: upright, (h, w), RGB (h, w, 3) or RGBA (h, w, 4), 8 or 16 bits or floating point.
+            camera: intrinsics; None: those of the model if its images of this size share one camera, otherwise the focal length
+                is estimated.
+
+        Raises:
+            ConfigError: the camera is for images of another size.
+            ShapeError: the array is not an image.
+        """
+        gray = gray_image(image)
+        height, width = gray.shape
+        known = self._camera_of_model(width, height) if camera is None else camera
+        if known is not None and (known.width, known.height) != (width, height):
+            raise ConfigError(
+                f"the camera is for images of {known.width}x{known.height}, but the image is {width}x{height}"
+            )
+        guess = Camera(
+            "SIMPLE_RADIAL", width, height, [1.2 * max(width, height), (width - 1) / 2, (height - 1) / 2, 0.0]
+        )
+        features = detect_features(gray, self.config.features)
+        return self.localize_features(features, known or guess, search_focal=known is None)
+
+    @checked
+    def localize_features(
+        self, features: Features, camera: Camera, *, search_focal: bool = False
+    ) -> LocalizedImage:
+        """Pose of an image from its SIFT features.
+
+        Args:
+            features: features of the upright image.
+            camera: intrinsics.
+            search_focal: estimate the focal length; that of `camera` is a guess.
+        """
+        if len(features) < self.config.min_inliers:
+            return _failure(LocalizationReason.FEW_FEATURES, camera)
+        neighbors = self.reference.most_similar(features, self.config.neighbors)
+        matches = self._match(features, neighbors)
+        failure = replace(
+            _failure(LocalizationReason.FEW_MATCHES, camera),
+            num_matches=len(matches.point),
+            neighbors=tuple(neighbors.tolist()),
+        )
+        if len(matches.point) < self.config.min_inliers:
+            return failure
+        points, pixels = self.reference.views.points_in_world[matches.point], _pixels(features, matches)
+        if search_focal:
+            first, camera = resect_with_focal(points, pixels, camera, self._ransac)
+        else:
+            first = estimate_absolute_pose(points, pixels, camera, self._ransac)
+        failure = replace(failure, num_inliers=first.num_inliers, reason=LocalizationReason.FEW_INLIERS)
+        if not first.success or first.num_inliers < self.config.min_ratio * len(matches.point):
+            return failure
+        inliers = _Matches(matches.feature[first.inlier_mask], matches.point[first.inlier_mask])
+        return self._refined(features, camera, first.model, inliers, not search_focal, failure)
+
+    def _camera_of_model(self, width: int, height: int) -> Camera | None:
+        """The camera of the model's images of this size, if they share one."""
+        model = self.reference.model
+        used = np.unique(model.camera_of_image[model.is_registered()]).tolist()
+        cameras = [model.cameras[c] for c in used]
+        same = [camera for camera in cameras if (camera.width, camera.height) == (width, height)]
+        return same[0] if len(same) == 1 else None
+
+    def _match(self, features: Features, neighbors: np.ndarray) -> _Matches:
+        """For each feature the point that most neighbors match it with, and for each point one feature."""
+        views, votes = self.reference.views, []
+        for image in neighbors.tolist():
+            rows = views.rows_of(image)
+            pairs = match_descriptors(
+                features.descriptors, self.reference.descriptors[rows], self.config.matching
+            )
+            votes.append(np.stack([pairs[:, 0], views.point[rows[pairs[:, 1]]]], axis=1))
+        found, count = np.unique(np.concatenate(votes), axis=0, return_counts=True)
+        return _one_to_one(found[np.argsort(-count, kind="stable")])
+
+    def _refined(
+        self,
+        features: Features,
+        camera: Camera,
+        start: Rigid3,
+        inliers: _Matches,
+        is_focal_known: bool,
+        failure: LocalizedImage,
+    ) -> LocalizedImage:
+        """Refine the pose with all points of the model that are found near their projections."""
+        views = self.reference.views
+        start = refine_pose(
+            views.points_in_world[inliers.point], _pixels(features, inliers), camera, start, loss_scale=2.0
+        ).cam_from_world
+        found, is_new, by_chance = self._search(features, camera, start, inliers)
+        num_new = int(is_new.sum())
+        failure = replace(
+            failure,
+            num_confirmed=num_new,
+            num_by_chance=by_chance,
+            reason=LocalizationReason.NOT_CONFIRMED,
+        )
+        num_first = len(inliers.point)
+        is_clear = num_first >= max(CLEAR_INLIERS, CLEAR_RATIO * failure.num_matches)
+        if not is_clear and num_new - by_chance < CHANCE_SIGMAS * np.sqrt(num_new + by_chance):
+            return failure
+        matches = _one_to_one(
+            np.stack(
+                [np.append(inliers.feature, found.feature), np.append(inliers.point, found.point)], axis=1
+            )
+        )
+        points, pixels = views.points_in_world[matches.point], _pixels(features, matches)
+        pose, sigma, kept = start, 1.0, np.ones(len(points), bool)
+        for _ in range(REFINEMENTS):
+            refined = refine_pose(
+                points[kept], pixels[kept], camera, pose, np.full(int(kept.sum()), sigma), loss_scale=2.0
+            )
+            pose = refined.cam_from_world
+            error_px = _errors_px(camera, pose, points, pixels)
+            # The median of a Rayleigh distribution is 1.177 sigma.
+            sigma = max(LEAST_SIGMA_PX, float(np.median(error_px[kept])) / 1.177)
+            kept = error_px < INLIER_SIGMAS * sigma
+            if kept.sum() < self.config.min_inliers:
+                return replace(failure, reason=LocalizationReason.FEW_INLIERS)
+        matches = _Matches(matches.feature[kept], matches.point[kept])
+        return self._result(features, camera, pose, matches, sigma, is_focal_known, failure)
+
+    def _result(
+        self,
+        features: Features,
+        camera: Camera,
+        start: Rigid3,
+        matches: _Matches,
+        sigma_px: float,
+        is_focal_known: bool,
+        failure: LocalizedImage,
+    ) -> LocalizedImage:
+        """The last refinement, its covariance, and a check of the focal length."""
+        points, pixels = self.reference.views.points_in_world[matches.point], _pixels(features, matches)
+        refined = refine_pose(points, pixels, camera, start, np.full(len(points), sigma_px), loss_scale=2.0)
+        pose = refined.cam_from_world
+        step = focal_step(points, pixels, camera, pose, sigma_px)
+        covariance = refined.covariance_by_errors() if is_focal_known else step.covariance
+        if not np.isfinite(covariance).all():
+            return replace(failure, reason=LocalizationReason.UNDETERMINED)
+        change = abs(step.log_focal)
+        return replace(
+            failure,
+            reason=LocalizationReason.OK,
+            cam_from_world=pose,
+            covariance=covariance,
+            camera=camera,
+            pixels=pixels,
+            point=matches.point,
+            focal_correction=float(np.expm1(step.log_focal)),
+            is_focal_contradicted=change > max(FOCAL_CHANGE, FOCAL_SIGMAS * step.sigma),
+            error_px=float(np.median(_errors_px(camera, pose, points, pixels))),
+        )
+
+    def _search(
+        self, features: Features, camera: Camera, cam_from_world: Rigid3, inliers: _Matches
+    ) -> tuple[_Matches, np.ndarray, int]:
+        """Points found near their projections, which of them are not inliers, and how many others chance finds."""
+        views = self.reference.views
+        is_inlier = np.zeros(len(views.points_in_world), bool)
+        is_inlier[inliers.point] = True
+        shared = np.bincount(views.image[is_inlier[views.point]], minlength=len(views.starts) - 1)
+        count = min(self.config.further_neighbors, int((shared > 0).sum()))
+        neighbors = np.sort(np.argsort(-shared, kind="stable")[:count])
+        rows = views.seen_from(cam_from_world.centers(), neighbors)
+        pixels = camera.project(cam_from_world.apply(views.points_in_world[views.point[rows]]))
+        size = np.array([camera.width, camera.height])
+        with np.errstate(invalid="ignore"):
+            is_inside = ((pixels > -0.5) & (pixels < size - 0.5)).all(axis=1)
+        rows, pixels = rows[is_inside], pixels[is_inside]
+        descriptors, point = self.reference.descriptors[rows], views.point[rows].astype(np.int64)
+
+        def found_near(predicted: np.ndarray) -> _Matches:
+            pairs, _ = match_near_pixels(
+                predicted, descriptors, features, self.config.search_px, self.config.matching
+            )
+            return _Matches(pairs[:, 1].astype(np.int64), point[pairs[:, 0]])
+
+        found = found_near(pixels)
+        displaced = found_near(pixels + np.array([DISPLACEMENTS * self.config.search_px, 0.0]))
+        return found, ~is_inlier[found.point], int((~is_inlier[displaced.point]).sum())
+
+
+def _one_to_one(pairs: np.ndarray) -> _Matches:
+    """(feature, point) rows without those whose feature or point is in an earlier one."""
+    for column in (0, 1):
+        _, first = np.unique(pairs[:, column], return_index=True)
+        pairs = pairs[np.sort(first)]
+    return _Matches(pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64))
+
+
+def _pixels(features: Features, matches: _Matches) -> np.ndarray:
+    return features.pixels[matches.feature].astype(np.float64)
+
+
+def _errors_px(
+    camera: Camera, cam_from_world: Rigid3, points: np.ndarray, pixels: np.ndarray
+) -> Float64[np.ndarray, " n"]:
+    """Reprojection errors; infinite for points that the camera cannot see."""
+    error_px = np.linalg.norm(camera.project(cam_from_world.apply(points)) - pixels, axis=1)
+    return np.where(np.isfinite(error_px), error_px, np.inf)
+
+
+def _failure(reason: LocalizationReason, camera: Camera) -> LocalizedImage:
+    return LocalizedImage(
+        reason,
+        unregistered(1)[0],
+        np.full((6, 6), np.inf),
+        camera,
+        np.zeros((0, 2)),
+        np.zeros(0, np.int64),
+        num_matches=0,
+        num_inliers=0,
+        num_confirmed=0,
+        num_by_chance=0,
+        focal_correction=float("nan"),
+        is_focal_contradicted=False,
+        error_px=float("nan"),
+        neighbors=(),
+    )

@@ -1,0 +1,128 @@
+"""The model that images are localized in: its points, their descriptors, and a global descriptor of each image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, Int64, UInt8
+
+from epipole._checks import Declared, checked
+from epipole.errors import FileFormatError, ShapeError
+from epipole.features import Features, describe_image, describe_images, train_vocabulary
+from epipole.io.colmap.database import read_database
+from epipole.io.colmap.model import find_model, read_colmap_model
+from epipole.mapping import PointViews
+from epipole.scene import Reconstruction
+
+DATABASE = "database.db"
+WIDTH = 128
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReferenceModel(Declared):
+    """A model with the SIFT descriptors of its observations, sorted by image."""
+
+    model: Reconstruction
+    views: PointViews
+    descriptors: UInt8[np.ndarray, "k 128"]
+    """Of each observation."""
+    words: Float32[np.ndarray, "w 128"]
+    """Visual words of the global descriptors."""
+    image_descriptors: Float32[np.ndarray, "n v"]
+    """Global descriptor of each image (VLAD of its observed points); zeros without points."""
+
+    @staticmethod
+    @checked
+    def of(model: Reconstruction, descriptors: Sequence[UInt8[np.ndarray, "_ 128"]]) -> ReferenceModel:
+        """Prepare a model for localization.
+
+        Args:
+            model: the model; its points are fixed.
+            descriptors: SIFT descriptors of each image, one row per keypoint.
+
+        Raises:
+            ShapeError: their numbers differ from those of images and keypoints.
+        """
+        counts = np.diff(model.images.keypoint_offsets)
+        if [len(d) for d in descriptors] != counts.tolist():
+            raise ShapeError("descriptors must have one row per keypoint of each image")
+        point, tracks = model.tracks.point_of_observation(), model.tracks
+        used = np.flatnonzero(model.is_registered()[tracks.image])
+        used = used[np.argsort(tracks.image[used], kind="stable")]
+        views = PointViews.of(
+            model.points.xyz_in_world,
+            np.nan_to_num(model.camera_centers_in_world()),
+            point[used].astype(np.int32),
+            tracks.image[used],
+            tracks.keypoint[used],
+        )
+        own = [descriptors[i][views.keypoint[views.rows_of(i)]] for i in range(len(model.images))]
+        words = train_vocabulary(own)
+        return ReferenceModel(
+            model,
+            views,
+            np.concatenate([*own, np.zeros((0, WIDTH), np.uint8)]),
+            words,
+            describe_images(own, words),
+        )
+
+    @staticmethod
+    @checked
+    def open(workspace: str | Path) -> ReferenceModel:
+        """Read a model and its descriptors from an output folder of `reconstruct`, or a COLMAP model beside its database.db.
+
+        Raises:
+            FileFormatError: there is no model or no database, or they do not belong to each other.
+        """
+        folder = find_model(workspace)
+        at = folder.resolve()
+        positions = (Path(workspace), at, at.parent, at.parent.parent)
+        database = next((path for p in positions if (path := p / DATABASE).is_file()), None)
+        if database is None:
+            raise FileFormatError(
+                workspace,
+                f"it has no {DATABASE} with descriptors, which localization needs besides the model",
+            )
+        model = read_colmap_model(folder)
+        return ReferenceModel.of(model, _descriptors_of(model, database, folder))
+
+    def most_similar(self, features: Features, count: int) -> Int64[np.ndarray, " c"]:
+        """Images with the most similar global descriptors, best first."""
+        similarity = self.image_descriptors @ describe_image(features.descriptors, self.words)
+        return np.argsort(-similarity, kind="stable")[:count]
+
+    def __repr__(self) -> str:
+        return f"ReferenceModel({self.model!r})"
+
+
+def _descriptors_of(model: Reconstruction, database: Path, folder: Path) -> list[np.ndarray]:
+    """Descriptors of the model's keypoints; empty rows for images that are not registered.
+
+    Raises:
+        FileFormatError: an image has none, or other keypoints than in the model.
+    """
+    stored = read_database(database, with_pairs=False)
+    row_of = {name: row for row, name in enumerate(stored.images.name)}
+    out = []
+    for image, is_registered in enumerate(model.is_registered()):
+        name, pixels = model.images.name[image], model.images.keypoints_of(image)
+        if not is_registered:
+            out.append(np.zeros((len(pixels), WIDTH), np.uint8))
+            continue
+        row = row_of.get(name)
+        own = None if row is None or stored.descriptors is None else stored.descriptors[row]
+        if row is None or own is None or own.shape[1] != WIDTH:
+            raise FileFormatError(
+                database, f"it has no SIFT descriptors of {name}, an image of the model {folder}"
+            )
+        there = stored.images.keypoints_of(row)
+        if there.shape != pixels.shape or (len(pixels) and np.abs(there - pixels).max() > 0.01):
+            raise FileFormatError(
+                database,
+                f"its keypoints of {name} are not those of the model {folder}: they come from different runs",
+            )
+        out.append(own)
+    return out

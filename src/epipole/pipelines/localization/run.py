@@ -1,0 +1,259 @@
+"""The localization job: poses of new images in a finished model, which stays as it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Unpack
+
+import numpy as np
+
+from epipole import _parallel
+from epipole._checks import as_path
+from epipole.config import options_of
+from epipole.errors import ConfigError, FileFormatError, NoModelError
+from epipole.io.colmap.model import write_colmap_model
+from epipole.io.files import missing_in_words
+from epipole.io.images.formats import FORMAT_OF_SUFFIX
+from epipole.io.json_files import json_text
+from epipole.io.meshes.ply import write_scene_ply
+from epipole.pipelines.localization.config import LocalizeConfig
+from epipole.pipelines.localization.extended_model import names_in_model, with_localized
+from epipole.pipelines.localization.localizer import LocalizedImage, Localizer
+from epipole.pipelines.localization.options import LocalizeKeywords
+from epipole.pipelines.localization.page import render_page
+from epipole.pipelines.localization.query_cameras import QueryCamera, query_cameras
+from epipole.pipelines.localization.results import image_summary, poses_text
+from epipole.pipelines.sfm.inputs import UNITS, image_set_of
+from epipole.pipelines.sfm.matching.feature_stage import feature_units, load_features
+from epipole.pipelines.sfm.matching.unit_tables import FEATURES
+from epipole.pipelines.sfm.photographs import ImageSet
+from epipole.runs import Job, ProgressCallback, Run, Unit, ignore_progress, load, open_run
+from epipole.scene import Reconstruction
+
+IMAGES = "images"
+FOLDER = "localized"
+"""Output folder in that of the model, unless another is given."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalizationResult:
+    """Result of `localize`, which is also in the output folder."""
+
+    out: Path
+    model: Reconstruction
+    """The model with the localized images."""
+    images: dict[str, LocalizedImage]
+    """Of each image, by name."""
+    reasons: dict[str, str]
+    """Reason for each image that is not localized."""
+    warnings: tuple[str, ...]
+    summary: dict[str, Any]
+    """As in `summary.json`."""
+
+    @property
+    def num_localized(self) -> int:
+        """Number of localized images."""
+        return sum(image.success for image in self.images.values())
+
+    def __repr__(self) -> str:
+        count = len(self.images) + sum(name not in self.images for name in self.reasons)
+        return f"LocalizationResult({self.num_localized} of {count} images in {self.out})"
+
+
+def localize(
+    images: str | Path,
+    workspace: str | Path,
+    out: str | Path | None = None,
+    config: LocalizeConfig | None = None,
+    progress: ProgressCallback = ignore_progress,
+    **options: Unpack[LocalizeKeywords],
+) -> LocalizationResult:
+    """Localize images in a finished model: poses with covariances; the model stays as it is.
+
+    Args:
+        images: folder of photographs, one photograph, or a video.
+        workspace: output folder of `reconstruct`, or a COLMAP model beside its database.db.
+        out: output folder; None: `WORKSPACE/localized`.
+        config: options; None for the defaults.
+        progress: called with the progress of each stage.
+        **options: single options by name, which override `config`: `camera_params="525,525,320,240"`.
+
+    Raises:
+        FileFormatError: there is no model or no database, or they do not belong to each other.
+        NoModelError: there are no usable images. An image that cannot be localized is no error.
+        WorkspaceError: the output folder cannot be used.
+        ConfigError: an option is unknown, or does not match the images.
+    """
+    config = options_of(LocalizeConfig, config, options, ["out", "config", "progress"])
+    source, workspace = as_path(images), as_path(workspace)
+    source, config = _as_folder(source, config)
+    out = workspace / FOLDER if out is None else as_path(out)
+    if not workspace.exists():
+        raise FileFormatError(workspace, missing_in_words(workspace))
+    job = Job(
+        kind="localize",
+        inputs=(source, workspace),
+        settings={"config": asdict(config)},
+        threads=config.threads,
+        progress=progress,
+        opencv_alone=True,
+    )
+    with open_run(job, out) as run:
+        with run.stage("open"):
+            run.report("open", 0, 1)
+            localizer = Localizer.open(workspace, config.localizer)
+            run.report("open", 1, 1)
+        with run.stage("read"):
+            found = image_set_of(source, run, config.for_images())
+            folder = workspace / IMAGES
+            cameras = query_cameras(
+                found,
+                localizer.reference.model,
+                folder if folder.is_dir() else None,
+                is_given=config.for_images().has_known_camera,
+            )
+        with run.stage("features"):
+            units = feature_units(
+                found, run.root / UNITS / "features", config.localizer.features, config.masks
+            )
+            run.do(units, "features")
+        with run.stage("localize"):
+            localized, failures = _localize_all(localizer, found, cameras, units, run)
+        return _write(localizer, found, cameras, localized, failures, run)
+
+
+def _as_folder(source: Path, config: LocalizeConfig) -> tuple[Path, LocalizeConfig]:
+    """A single photograph as the folder that it is in, with its name as the only one to include.
+
+    Raises:
+        NoModelError: the path does not exist.
+        ConfigError: patterns are given, too.
+    """
+    if not source.exists():
+        raise NoModelError(f"{source} does not exist")
+    if not source.is_file() or source.suffix.lower() not in FORMAT_OF_SUFFIX:
+        return source, config
+    if config.include or config.exclude:
+        raise ConfigError(f"include and exclude select images of a folder, but {source} is one image")
+    return source.parent, replace(config, include=(source.name,))
+
+
+def _localize_all(
+    localizer: Localizer,
+    images: ImageSet,
+    cameras: Sequence[QueryCamera],
+    units: Sequence[Unit],
+    run: Run,
+) -> tuple[dict[int, LocalizedImage], dict[int, str]]:
+    """The result of each readable image, and why the others are not readable."""
+    failures = {
+        row: why
+        for row, unit in enumerate(units)
+        if (why := str(load(unit.path, FEATURES, "failure")["failure"]))
+    }
+    rows = [row for row in range(len(images)) if row not in failures]
+    done = 0
+
+    def one(k: int) -> LocalizedImage:
+        nonlocal done
+        query = cameras[int(images.camera_of_image[rows[k]])]
+        features = load_features(units[rows[k]].path)
+        found = localizer.localize_features(features, query.camera, search_focal=not query.is_known)
+        if found.is_focal_contradicted and not query.is_given:
+            found = localizer.localize_features(features, query.camera, search_focal=True)
+        done += 1
+        run.report("localize", done, len(rows))
+        return found
+
+    run.report("localize", 0, len(rows))
+    return dict(zip(rows, _parallel.map_items(one, len(rows)))), failures
+
+
+def _write(
+    localizer: Localizer,
+    images: ImageSet,
+    cameras: Sequence[QueryCamera],
+    localized: dict[int, LocalizedImage],
+    failures: dict[int, str],
+    run: Run,
+) -> LocalizationResult:
+    rows = sorted(localized)
+    names = [images.names[row] for row in rows]
+    found = [localized[row] for row in rows]
+    before = localizer.reference.model
+    model = with_localized(before, names, found, images.timestamps_s[rows])
+    reasons = {
+        **images.left_out,
+        **{images.names[row]: why for row, why in failures.items()},
+        **{name: image.reason.value for name, image in zip(names, found) if not image.success},
+    }
+    run.warnings += [
+        *images.notes,
+        *_warnings(names, found, [cameras[int(images.camera_of_image[r])] for r in rows]),
+    ]
+    entries = {
+        name: image_summary(image, before, camera=cameras[int(images.camera_of_image[row])])
+        for row, name, image in zip(rows, names, found)
+    }
+    localized_names = names_in_model(before, [name for name, image in zip(names, found) if image.success])
+    with run.stage("write"), run.folder.publish("model") as aside:
+        write_colmap_model(model, aside / "sparse" / "0")
+        write_scene_ply(aside / "points.ply", before)
+        (aside / "localized.json").write_text(json_text(entries, indent=1), encoding="utf-8")
+        (aside / "poses.txt").write_text(poses_text(names, found), encoding="utf-8")
+    num = sum(image.success for image in found)
+    errors = [image.error_px for image in found if image.success]
+    summary = {
+        "num_images": len(images) + len(images.left_out),
+        "num_localized": num,
+        "median_error_px": float(np.median(errors)) if errors else None,
+        "names_in_model": list(localized_names),
+        "not_localized": reasons,
+        "warnings": run.warnings,
+        "seconds": run.seconds,
+        "timings_s": run.timings_s,
+        "peak_memory_mb": run.peak_memory_mb,
+    }
+    run.folder.write_text("report.html", render_page(run, model, localized_names, entries, reasons))
+    run.finish(summary)
+    return LocalizationResult(run.root, model, dict(zip(names, found)), reasons, tuple(run.warnings), summary)
+
+
+def _warnings(
+    names: Sequence[str], found: Sequence[LocalizedImage], cameras: Sequence[QueryCamera]
+) -> list[str]:
+    """Notes on focal lengths that the points contradict."""
+    out = []
+    wrong = [
+        k
+        for k, image in enumerate(found)
+        if image.success and image.is_focal_contradicted and cameras[k].is_given
+    ]
+    if wrong:
+        percent = 100.0 * float(np.median([found[k].focal_correction for k in wrong]))
+        out.append(
+            f"the points contradict the given focal length in {len(wrong)} images ({names[wrong[0]]}, ...), where it is off by "
+            f"{percent:+.1f} %: check --camera-params or --calibration"
+        )
+    changed = [
+        k
+        for k, image in enumerate(found)
+        if image.success
+        and cameras[k].is_known
+        and not cameras[k].is_given
+        and _is_other_focal(image, cameras[k])
+    ]
+    if changed:
+        k = changed[0]
+        out.append(
+            f"{len(changed)} images ({names[k]}, ...) have the size of the model's images, but another focal length "
+            f"({found[k].camera.focal_px:.0f} instead of {cameras[k].camera.focal_px:.0f} px), which was estimated"
+        )
+    return out
+
+
+def _is_other_focal(image: LocalizedImage, query: QueryCamera) -> bool:
+    return not math.isclose(image.camera.focal_px, query.camera.focal_px, rel_tol=1e-9)
