@@ -763,8 +763,25 @@ def _mapping() -> Iterator[Row]:
     rows, points = builder.points_in_sight(1)
     camera, xyz, pixels = builder.camera(0), builder.points[points], builder.row_pixel[rows]
     estimate = robust.estimate_absolute_pose(xyz, pixels, camera, QUICK)
-    found = {"points_in_world": xyz, "pixels": pixels, "estimate": estimate, "camera": camera, "focal": True}
-    yield _row(mapping.refine_resection, **found)
+    seen = {"points_in_world": xyz, "pixels": pixels, "camera": camera}
+    yield _row(mapping.resect_with_focal, **seen, config=QUICK)
+    yield _row(mapping.refine_resection, **seen, estimate=estimate, focal=True)
+    yield from _point_views(model)
+
+
+def _point_views(model: scene.Reconstruction) -> Iterator[Row]:
+    own = {
+        "points_in_world": model.points.xyz_in_world,
+        "point": model.tracks.point_of_observation().astype(np.int32),
+        "image": model.tracks.image,
+        "keypoint": model.tracks.keypoint,
+    }
+    centers = model.camera_centers_in_world()
+    views = mapping.PointViews.of(centers_in_world=centers, **own)
+    yield _row(mapping.PointViews.of, centers_in_world=centers, **own)
+    yield _row(mapping.PointViews, **{name: getattr(views, name) for name in views.__slots__})
+    yield _row(views.rows_of, image=1)
+    yield _row(views.seen_from, center_in_world=centers[0], neighbors=np.array([1, 2]), image=0, scratch=None)
 
 
 def _disparities() -> Iterator[Row]:

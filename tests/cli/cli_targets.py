@@ -15,6 +15,7 @@ import numpy as np
 from PIL import Image
 
 from epipole.io import write_colmap_model
+from epipole.io.colmap.database import DatabaseContents, write_database
 from epipole.io.gaussians.files import write_gaussians
 from io_models import mappable_model
 
@@ -44,6 +45,7 @@ def file(words: str, name: str, source: str) -> Target:
 
 TARGETS: dict[str, tuple[Target, ...]] = {
     "reconstruct": (folder("reconstruct photos OUT", "photos"),),
+    "localize": (folder("localize photos model OUT", "photos"),),
     "slam": (folder("slam photos OUT --camera-params 60,60,32,24 --camera-model PINHOLE", "photos"),),
     "splat": (folder("splat scene OUT --steps 2", "scene"),),
     "nerf": (folder("nerf scene OUT --steps 2", "scene"),),
@@ -97,6 +99,10 @@ def make_inputs(root: Path) -> None:
     write_gaussians(root / "field.ply", scene())
     model = mappable_model()
     write_colmap_model(model, root / "model" / "sparse" / "0")
+    counts = np.diff(model.images.keypoint_offsets)
+    descriptors = [np.full((count, 128), 20, np.uint8) for count in counts]
+    contents = DatabaseContents(model.cameras, model.rigs, model.frames, model.images, descriptors)
+    write_database(root / "model" / "database.db", contents)
     (root / "model" / "images").mkdir()
     for row, name in enumerate(model.images.name):
         one = model.cameras[int(model.camera_of_image[row])]

@@ -252,6 +252,13 @@ def nothing(_: Path) -> None:
     """The lines name no file."""
 
 
+def new_photographs(folder: Path) -> None:
+    """Two of the photographs, under other names."""
+    (folder / "NEW").mkdir(exist_ok=True)
+    for name, path in zip(("photo.jpg", "other.jpg"), sorted((folder / "IMAGES").iterdir())):
+        shutil.copy2(path, folder / "NEW" / name)
+
+
 def no_cloud(folder: Path) -> None:
     """No cloud of another program."""
     (folder / "cloud.ply").unlink(missing_ok=True)
@@ -264,6 +271,7 @@ AFTER_RECONSTRUCTING: dict[str, Callable[[Path], None]] = {
     "first_model-1": nothing,
     "first_model-2": no_cloud,
     "index-0": nothing,
+    "localization-0": new_photographs,
     "tour/4_depth-0": tour_model,
     "tour/6_splats-0": tour_untrained,
     "tour/7_mesh-0": tour_splats,

@@ -5,9 +5,10 @@ import pytest
 
 from epipole.errors import ShapeError
 from epipole.geometry import align_points
-from epipole.mapping import MatchComponents, choose_tracks, global_positioning, position_globally
-from epipole.mapping import _positioning_kernels as kernels
+from epipole.mapping import MatchComponents, choose_tracks, position_globally
 from epipole.mapping import _track_kernels as track_kernels
+from epipole.mapping.positions import _positioning_kernels as kernels
+from epipole.mapping.positions import global_positioning
 from kernel_references import assert_same_as_python, record_calls, reference_of
 from mapping_graphs import graph_of_rotations
 

@@ -6,9 +6,9 @@ import pytest
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import align_points
 from epipole.mapping import PairDirections, global_positioning, position_globally
-from epipole.mapping.laplacian import solve_laplacian
+from epipole.mapping.positions.laplacian import solve_laplacian
+from epipole.mapping.positions.start_positions import positions_from_pairs
 from epipole.mapping.sorting import distinct
-from epipole.mapping.start_positions import positions_from_pairs
 
 
 def chain(rng, num_images=120, per_image=15, noise_rad=0.0):

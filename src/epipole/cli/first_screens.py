@@ -24,6 +24,16 @@ FIRST_SCREENS = {
             "--max-frames --pairing.method --features.max-features --threads"
         ),
     ),
+    "localize": FirstScreen(
+        (
+            "epipole localize NEW OUT",
+            "epipole localize photo.jpg OUT DEST",
+        ),
+        (
+            "--calibration --camera-params --camera-model --include --masks --max-frames --threads "
+            "--neighbors --min-inliers"
+        ),
+    ),
     "slam": FirstScreen(
         (
             "epipole slam rgbd_dataset_freiburg1_xyz OUT",

@@ -9,8 +9,6 @@ from epipole.mapping.conflicting_points import ConflictingPoints as ConflictingP
 from epipole.mapping.conflicting_points import find_conflicting_points as find_conflicting_points
 from epipole.mapping.consistency import MatchConsistency as MatchConsistency
 from epipole.mapping.consistency import explained_matches as explained_matches
-from epipole.mapping.global_positioning import GlobalPositions as GlobalPositions
-from epipole.mapping.global_positioning import position_globally as position_globally
 from epipole.mapping.image_clusters import cluster_images as cluster_images
 from epipole.mapping.match_components import FurtherMatches as FurtherMatches
 from epipole.mapping.match_components import MatchComponents as MatchComponents
@@ -25,6 +23,9 @@ from epipole.mapping.point_views import PointViews as PointViews
 from epipole.mapping.pose_refinement import Disparities as Disparities
 from epipole.mapping.pose_refinement import RefinedPose as RefinedPose
 from epipole.mapping.pose_refinement import refine_pose as refine_pose
+from epipole.mapping.positions.global_positioning import GlobalPositions as GlobalPositions
+from epipole.mapping.positions.global_positioning import position_globally as position_globally
+from epipole.mapping.positions.start_positions import PairDirections as PairDirections
 from epipole.mapping.readjustment import adjust_reconstruction as adjust_reconstruction
 from epipole.mapping.readjustment import bundle_problem_of as bundle_problem_of
 from epipole.mapping.resection import refine_resection as refine_resection
@@ -33,7 +34,6 @@ from epipole.mapping.resection import resect_with_focal as resect_with_focal
 from epipole.mapping.rigid_parts import largest_rigid_part as largest_rigid_part
 from epipole.mapping.rotation_averaging import AveragedRotations as AveragedRotations
 from epipole.mapping.rotation_averaging import average_rotations as average_rotations
-from epipole.mapping.start_positions import PairDirections as PairDirections
 from epipole.mapping.track_completion import drop_short_tracks as drop_short_tracks
 from epipole.mapping.track_completion import find_further_matches as find_further_matches
 from epipole.mapping.track_completion import median_error_px as median_error_px

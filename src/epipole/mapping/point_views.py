@@ -75,6 +75,7 @@ class PointViews(Declared):
         """The observations in an image."""
         return self.by_image[self.starts[image] : self.starts[image + 1]]
 
+    @checked
     def seen_from(
         self,
         center_in_world: Float64[np.ndarray, " 3"],

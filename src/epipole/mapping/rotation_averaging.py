@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 from epipole._checks import Declared, check_count, check_indices, checked, require_same_length
 from epipole.errors import ConfigError
 from epipole.geometry import Rotation3
-from epipole.mapping.laplacian import solve_laplacian
+from epipole.mapping.positions.laplacian import solve_laplacian
 
 L1_ROUNDS, ROBUST_ROUNDS = 10, 30
 SCALE_RAD = np.deg2rad(5.0)

@@ -26,7 +26,7 @@ def localize(
     out: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")] = None,
     config: Annotated[LocalizeConfig, tyro.conf.arg(name=""), tyro.conf.UseAppendAction] = DEFAULTS,
 ) -> None:
-    """Localize new images in a finished model, with error bars; the model stays as it is.
+    """Localize new images in a finished model, with error bars; the model does not change.
 
     Args:
         images: Folder of photographs, one photograph, or a video.

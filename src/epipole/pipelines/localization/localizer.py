@@ -43,6 +43,8 @@ CLEAR_INLIERS, CLEAR_RATIO = 100, 0.3
 Images of other scenes gave at most 11 inliers, of up to 600 matches."""
 FOCAL_SIGMAS, FOCAL_CHANGE = 4.0, 0.015
 """A focal length is contradicted if the points change it by more than both of these (the second relative)."""
+MORE_INLIERS, MORE_INLIERS_RATIO = 20, 1.1
+"""It is contradicted, too, if a free focal length gives this number and this ratio of inliers more: a linear step fails far from the solution."""
 
 
 class LocalizationReason(StrEnum):
@@ -83,7 +85,7 @@ class LocalizedImage:
     focal_correction: float
     """Relative change of the focal length that the points ask for; NaN if the image is not localized."""
     is_focal_contradicted: bool
-    """Whether the points contradict the focal length, clearly and by more than 1.5 percent."""
+    """Whether the points contradict a fixed focal length clearly."""
     error_px: float
     """Median reprojection error; NaN if the image is not localized."""
     neighbors: tuple[int, ...]
@@ -200,11 +202,22 @@ class Localizer:
         if len(matches.point) < self.config.min_inliers:
             return failure
         points, pixels = self.reference.views.points_in_world[matches.point], _pixels(features, matches)
+        first, freed = resect_with_focal(points, pixels, camera, self._ransac)
+        is_other_focal = False
         if search_focal:
-            first, camera = resect_with_focal(points, pixels, camera, self._ransac)
+            camera = freed
         else:
-            first = estimate_absolute_pose(points, pixels, camera, self._ransac)
-        failure = replace(failure, num_inliers=first.num_inliers, reason=LocalizationReason.FEW_INLIERS)
+            fixed = estimate_absolute_pose(points, pixels, camera, self._ransac)
+            least = max(fixed.num_inliers + MORE_INLIERS, MORE_INLIERS_RATIO * fixed.num_inliers)
+            is_other_focal = first.success and first.num_inliers > least
+            first = fixed
+        failure = replace(
+            failure,
+            num_inliers=first.num_inliers,
+            is_focal_contradicted=is_other_focal,
+            focal_correction=freed.focal_px / camera.focal_px - 1.0 if is_other_focal else float("nan"),
+            reason=LocalizationReason.FEW_INLIERS,
+        )
         if not first.success or first.num_inliers < self.config.min_ratio * len(matches.point):
             return failure
         inliers = _Matches(matches.feature[first.inlier_mask], matches.point[first.inlier_mask])
@@ -304,8 +317,11 @@ class Localizer:
             camera=camera,
             pixels=pixels,
             point=matches.point,
-            focal_correction=float(np.expm1(step.log_focal)),
-            is_focal_contradicted=change > max(FOCAL_CHANGE, FOCAL_SIGMAS * step.sigma),
+            focal_correction=failure.focal_correction
+            if failure.is_focal_contradicted
+            else float(np.expm1(step.log_focal)),
+            is_focal_contradicted=failure.is_focal_contradicted
+            or change > max(FOCAL_CHANGE, FOCAL_SIGMAS * step.sigma),
             error_px=float(np.median(_errors_px(camera, pose, points, pixels))),
         )
 

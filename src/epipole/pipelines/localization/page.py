@@ -22,6 +22,7 @@ def render_page(
     localized: Collection[str],
     entries: Mapping[str, Mapping[str, Any]],
     reasons: Mapping[str, str],
+    unit: str,
 ) -> str:
     """One self-contained HTML page.
 
@@ -31,16 +32,18 @@ def render_page(
         localized: their names in it.
         entries: what `localized.json` says about each image.
         reasons: reason for each image that is not localized.
+        unit: unit of lengths; empty if the scale is unknown.
     """
     good = {name: entry for name, entry in entries.items() if entry["is_localized"]}
-    scene = scene_of_localized(model, localized, title="Localized images")
+    scene = scene_of_localized(model, localized, title="Localized images", unit=unit)
     return render(
         __package__,
         "localization.html.jinja",
         title="Localized images",
         num_localized=len(good),
         num_images=len(good) + len(reasons),
-        tiles=_tiles(good, len(good) + len(reasons)),
+        tiles=_tiles(good, len(good) + len(reasons), unit or "model units"),
+        unit=unit or "model units",
         warnings=list(run.warnings),
         space=space_data(scene, MAX_POINTS),
         rows=[_row(name, entry) for name, entry in good.items()],
@@ -50,7 +53,7 @@ def render_page(
     )
 
 
-def _tiles(good: Mapping[str, Mapping[str, Any]], total: int) -> list[tuple[str, str, str]]:
+def _tiles(good: Mapping[str, Mapping[str, Any]], total: int, unit: str) -> list[tuple[str, str, str]]:
     """Name, value and unit of the key figures."""
 
     def median(key: str) -> float:
@@ -58,8 +61,8 @@ def _tiles(good: Mapping[str, Mapping[str, Any]], total: int) -> list[tuple[str,
 
     return [
         ("Images localized", count(len(good)), f"of {count(total)}"),
-        ("Median position sigma", number(median("position_sigma")), "model units"),
-        ("Median rotation sigma", number(median("rotation_sigma_deg"), 3), "degrees"),
+        ("Median position sigma", _digits(median("position_sigma")), unit),
+        ("Median rotation sigma", _digits(median("rotation_sigma_deg")), "degrees"),
         ("Median reprojection error", number(median("error_px")), "px"),
         ("Median number of points", count(int(median("num_points"))) if good else "0", ""),
     ]
@@ -70,8 +73,8 @@ def _row(name: str, entry: Mapping[str, Any]) -> tuple[str, ...]:
     return (
         name,
         ", ".join(number(value, 3) for value in (x, y, z)),
-        f"{entry['position_sigma']:.2g}",
-        f"{entry['rotation_sigma_deg']:.2g}",
+        _digits(entry["position_sigma"]),
+        _digits(entry["rotation_sigma_deg"]),
         f"{entry['num_points']:,}",
         number(entry["error_px"]),
         f"{number(entry['camera']['params'][0], 0)} px, {entry['focal_source']}",
@@ -80,3 +83,8 @@ def _row(name: str, entry: Mapping[str, Any]) -> tuple[str, ...]:
 
 def _evidence(entry: Mapping[str, Any]) -> str:
     return f"{entry['num_matches']:,} matches, {entry['num_inliers']:,} of them agree with one pose"
+
+
+def _digits(value: float) -> str:
+    """A standard deviation with two digits."""
+    return f"{value:.2g}" if np.isfinite(value) else number(value)

@@ -20,7 +20,7 @@ SAME_FOCAL = 0.01
 """Relative difference of the focal lengths of a model's cameras up to which they count as one camera."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class QueryCamera:
     """Intrinsics of images to localize."""
 

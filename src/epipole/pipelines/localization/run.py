@@ -1,4 +1,4 @@
-"""The localization job: poses of new images in a finished model, which stays as it is."""
+"""The localization job: poses of new images in a finished model, which does not change."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ import numpy as np
 
 from epipole import _parallel
 from epipole._checks import as_path
+from epipole.cameras import Camera
 from epipole.config import options_of
 from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.io.colmap.model import write_colmap_model
-from epipole.io.files import missing_in_words
+from epipole.io.files import missing_in_words, read_json
 from epipole.io.images.formats import FORMAT_OF_SUFFIX
 from epipole.io.json_files import json_text
 from epipole.io.meshes.ply import write_scene_ply
@@ -26,10 +27,12 @@ from epipole.pipelines.localization.options import LocalizeKeywords
 from epipole.pipelines.localization.page import render_page
 from epipole.pipelines.localization.query_cameras import QueryCamera, query_cameras
 from epipole.pipelines.localization.results import image_summary, poses_text
+from epipole.pipelines.localization.shared_focal import localize_images_of_camera
 from epipole.pipelines.sfm.inputs import UNITS, image_set_of
 from epipole.pipelines.sfm.matching.feature_stage import feature_units, load_features
 from epipole.pipelines.sfm.matching.unit_tables import FEATURES
 from epipole.pipelines.sfm.photographs import ImageSet
+from epipole.report.space_scene import METERS, NO_UNIT
 from epipole.runs import Job, ProgressCallback, Run, Unit, ignore_progress, load, open_run
 from epipole.scene import Reconstruction
 
@@ -71,7 +74,7 @@ def localize(
     progress: ProgressCallback = ignore_progress,
     **options: Unpack[LocalizeKeywords],
 ) -> LocalizationResult:
-    """Localize images in a finished model: poses with covariances; the model stays as it is.
+    """Localize images in a finished model: poses with covariances; the model does not change.
 
     Args:
         images: folder of photographs, one photograph, or a video.
@@ -157,19 +160,23 @@ def _localize_all(
     rows = [row for row in range(len(images)) if row not in failures]
     done = 0
 
-    def one(k: int) -> LocalizedImage:
-        nonlocal done
-        query = cameras[int(images.camera_of_image[rows[k]])]
-        features = load_features(units[rows[k]].path)
-        found = localizer.localize_features(features, query.camera, search_focal=not query.is_known)
-        if found.is_focal_contradicted and not query.is_given:
-            found = localizer.localize_features(features, query.camera, search_focal=True)
-        done += 1
-        run.report("localize", done, len(rows))
-        return found
+    def localize_all(chosen: Sequence[int], camera: Camera, search_focal: bool) -> list[LocalizedImage]:
+        def one(k: int) -> LocalizedImage:
+            nonlocal done
+            features = load_features(units[chosen[k]].path)
+            found = localizer.localize_features(features, camera, search_focal=search_focal)
+            done += 1
+            run.report("localize", min(done, len(rows)), len(rows))
+            return found
+
+        return _parallel.map_items(one, len(chosen))
 
     run.report("localize", 0, len(rows))
-    return dict(zip(rows, _parallel.map_items(one, len(rows)))), failures
+    out: dict[int, LocalizedImage] = {}
+    for c, query in enumerate(cameras):
+        chosen = [row for row in rows if images.camera_of_image[row] == c]
+        out |= dict(zip(chosen, localize_images_of_camera(query, chosen, localize_all)))
+    return out, failures
 
 
 def _write(
@@ -204,11 +211,13 @@ def _write(
         write_scene_ply(aside / "points.ply", before)
         (aside / "localized.json").write_text(json_text(entries, indent=1), encoding="utf-8")
         (aside / "poses.txt").write_text(poses_text(names, found), encoding="utf-8")
+    unit = _unit_of(run.job.inputs[1])
     num = sum(image.success for image in found)
     errors = [image.error_px for image in found if image.success]
     summary = {
         "num_images": len(images) + len(images.left_out),
         "num_localized": num,
+        "is_metric": unit == METERS,
         "median_error_px": float(np.median(errors)) if errors else None,
         "names_in_model": list(localized_names),
         "not_localized": reasons,
@@ -217,9 +226,18 @@ def _write(
         "timings_s": run.timings_s,
         "peak_memory_mb": run.peak_memory_mb,
     }
-    run.folder.write_text("report.html", render_page(run, model, localized_names, entries, reasons))
+    run.folder.write_text("report.html", render_page(run, model, localized_names, entries, reasons, unit))
     run.finish(summary)
     return LocalizationResult(run.root, model, dict(zip(names, found)), reasons, tuple(run.warnings), summary)
+
+
+def _unit_of(workspace: Path) -> str:
+    """Unit of the model, from the summary of the run that made it."""
+    try:
+        summary = read_json(workspace / "summary.json")
+    except FileFormatError:
+        return NO_UNIT
+    return METERS if isinstance(summary, dict) and summary.get("is_metric") is True else NO_UNIT
 
 
 def _warnings(

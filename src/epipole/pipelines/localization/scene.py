@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,14 +13,14 @@ from epipole.geometry import Rigid3
 from epipole.io.convert import read_model
 from epipole.io.files import read_json
 from epipole.report.space_model import scene_of_model, stage_of
-from epipole.report.space_scene import NO_UNIT, SpaceScene
+from epipole.report.space_scene import METERS, NO_UNIT, SpaceScene
 from epipole.runs import read_mark
 from epipole.scene import Curve, Reconstruction
 
 KIND = "localize"
 COLOR = (255, 140, 0)
 """Of localized images: orange."""
-FRUSTUM = 0.04
+FRUSTUM = 0.02
 """Depth of a frustum, relative to the extent of the model."""
 
 
@@ -45,7 +44,8 @@ def scene(path: Path) -> SpaceScene:
     names = summary.get("names_in_model") if isinstance(summary, dict) else None
     if not isinstance(names, list):
         raise FileFormatError(path / "summary.json", "it does not list the localized images")
-    return scene_of_localized(model, {str(name) for name in names}, title=path.resolve().name)
+    unit = METERS if summary.get("is_metric") is True else NO_UNIT
+    return scene_of_localized(model, {str(name) for name in names}, title=path.resolve().name, unit=unit)
 
 
 def scene_of_localized(
@@ -53,7 +53,7 @@ def scene_of_localized(
     localized: Collection[str],
     *,
     title: str,
-    load_image: Callable[[str], Any] | None = None,
+    unit: str,
 ) -> SpaceScene:
     """Scene of a model whose images with these names were localized in it."""
     is_new = np.array([name in localized for name in model.images.name], bool)
@@ -69,10 +69,9 @@ def scene_of_localized(
     found = scene_of_model(
         before,
         title=title,
-        unit=NO_UNIT,
+        unit=unit,
         cameras="Images of the model",
         curves=[Curve("Localized images", _frustums(model, np.flatnonzero(is_new)), COLOR)],
-        load_image=load_image,
     )
     return replace(found, words=f"{found.words}; {int(is_new.sum())} localized images")
 

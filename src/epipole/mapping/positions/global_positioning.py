@@ -12,8 +12,8 @@ from jaxtyping import Float64, Int32, Int64
 from epipole import _parallel
 from epipole._checks import Declared, check_count, check_indices, check_offsets, checked, require_same_length
 from epipole.errors import ConfigError
-from epipole.mapping import _positioning_kernels as kernels
-from epipole.mapping.start_positions import PairDirections, positions_from_pairs
+from epipole.mapping.positions import _positioning_kernels as kernels
+from epipole.mapping.positions.start_positions import PairDirections, positions_from_pairs
 from epipole.optim.block_cholesky import BlockPattern, CholeskyPlan, plan_cholesky
 
 SCALE = 0.1

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, cg
 
 from epipole._checks import Declared
-from epipole.mapping.laplacian import solve_laplacian
+from epipole.mapping.positions.laplacian import solve_laplacian
 
 TRACKS_PER_PAIR, LEAST_TRACKS = 40, 5
 RAY_NOISE, DIRECTION_NOISE = np.deg2rad(0.1), np.deg2rad(0.5)

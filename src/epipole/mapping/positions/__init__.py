@@ -1,0 +1,1 @@
+"""Positions of all cameras at once, from rotations, directions and tracks."""
