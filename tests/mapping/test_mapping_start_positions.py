@@ -5,7 +5,8 @@ import pytest
 
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import align_points
-from epipole.mapping import PairDirections, global_positioning, position_globally
+from epipole.mapping import PairDirections, position_globally
+from epipole.mapping.positions import global_positioning
 from epipole.mapping.positions.laplacian import solve_laplacian
 from epipole.mapping.positions.start_positions import positions_from_pairs
 from epipole.mapping.sorting import distinct

@@ -22,6 +22,7 @@ from epipole.errors import ConfigError
 from epipole.features import Features, detect_features, match_descriptors, match_near_pixels
 from epipole.geometry import Rigid3
 from epipole.image.gray import gray_image
+from epipole.io.images.photographs import read_rgb
 from epipole.mapping import refine_pose, resect_with_focal
 from epipole.pipelines.localization.config import LocalizerConfig
 from epipole.pipelines.localization.focal_step import focal_step
@@ -158,15 +159,16 @@ class Localizer:
         """Pose of an image.
 
         Args:
-            image: upright, (h, w), RGB (h, w, 3) or RGBA (h, w, 4), 8 or 16 bits or floating point.
+            image: file, or upright array: (h, w), RGB (h, w, 3) or RGBA (h, w, 4), 8 or 16 bits or floating point.
             camera: intrinsics; None: those of the model if its images of this size share one camera, otherwise the focal length
                 is estimated.
 
         Raises:
             ConfigError: the camera is for images of another size.
             ShapeError: the array is not an image.
+            FileFormatError: the file is not an image, or is damaged.
         """
-        gray = gray_image(image)
+        gray = gray_image(read_rgb(image) if isinstance(image, str | Path) else image)
         height, width = gray.shape
         known = self._camera_of_model(width, height) if camera is None else camera
         if known is not None and (known.width, known.height) != (width, height):
