@@ -272,6 +272,7 @@ AFTER_RECONSTRUCTING: dict[str, Callable[[Path], None]] = {
     "first_model-2": no_cloud,
     "index-0": nothing,
     "localization-0": new_photographs,
+    "reconstruction-1": nothing,
     "tour/4_depth-0": tour_model,
     "tour/6_splats-0": tour_untrained,
     "tour/7_mesh-0": tour_splats,

@@ -8,7 +8,7 @@ from epipole.geometry import Rigid3, Rotation3, align_points, essential_from_cam
 from epipole.geometry import fundamental_from_essential as fundamental_of
 from epipole.mapping import ModelBuilder, connect_matches
 from epipole.pipelines.sfm.config import MapperConfig
-from epipole.pipelines.sfm.incremental import IncrementalMapper
+from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper
 from epipole.robust import PairKind
 from epipole.scene import Reconstruction, ViewGraph
 

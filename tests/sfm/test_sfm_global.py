@@ -10,9 +10,9 @@ from sfm_rings import EXACT, errors_of, mapper_of, view_graph_of
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3, Rotation3
 from epipole.mapping import ModelBuilder, connect_matches
-from epipole.pipelines.sfm.global_mapper import average_cameras, map_globally
-from epipole.pipelines.sfm.incremental import IncrementalMapper
-from epipole.pipelines.sfm.mappers import map_with
+from epipole.pipelines.sfm.mappers.choice import map_with
+from epipole.pipelines.sfm.mappers.global_mapper import average_cameras, map_globally
+from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper
 from epipole.pipelines.sfm.matching.pair_selection import consistent_pairs
 from epipole.robust import PairKind
 from epipole.scene import Cameras, ViewGraph

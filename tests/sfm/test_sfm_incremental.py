@@ -7,7 +7,7 @@ import pytest
 from sfm_rings import EXACT, errors_of, mapper_of, view_graph_of
 
 from epipole.mapping import ModelBuilder, connect_matches
-from epipole.pipelines.sfm.incremental import IncrementalMapper, spread_score
+from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper, spread_score
 from epipole.robust import PairKind
 from epipole.scene import Reconstruction, ViewGraph
 from epipole.synthetic.problems import bundle_problem

@@ -18,9 +18,9 @@ from epipole.pipelines.sfm.false_pairs import (
     are_within,
     is_doubtful,
 )
-from epipole.pipelines.sfm.incremental import IncrementalMapper
 from epipole.pipelines.sfm.look_alikes import Attempt, map_apart, map_once
-from epipole.pipelines.sfm.mappers import map_with
+from epipole.pipelines.sfm.mappers.choice import map_with
+from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper
 from epipole.pipelines.sfm.mapping_stage import Mapped
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
 

@@ -14,7 +14,7 @@ from epipole.mapping import adjust_reconstruction
 from epipole.optim import BundlePriors
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.gps.alignment import gps_distances
-from epipole.pipelines.sfm.incremental import final_bundle
+from epipole.pipelines.sfm.mappers.incremental import final_bundle
 from epipole.pipelines.sfm.mapping_stage import Mapped
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.pipelines.sfm.pipeline import Solution

@@ -159,6 +159,8 @@ class ReconstructConfig:
     """Folder of learned features (tools/convert_learned_features.py) for images that SIFT connects to few others."""
     learned_network: Literal["xfeat", "aliked"] = "xfeat"
     """aliked: more right matches, several times slower."""
+    grow: bool = False
+    """Start from the model that OUT has from an earlier run, keep its coordinates, and only register further images."""
     max_frames: int = 200
     """Maximum number of frames taken from a video."""
     executor: Literal["threads", "processes", "inline"] = "threads"

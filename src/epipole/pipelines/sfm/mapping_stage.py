@@ -10,7 +10,6 @@ import numpy as np
 from epipole.features import Features
 from epipole.io.images.exif import gps_to_enu
 from epipole.mapping import ModelBuilder, PositionPriors, connect_matches
-from epipole.pipelines.sfm.completion import complete_model
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.pipelines.sfm.gps.alignment import (
     MIN_POSITIONS,
@@ -21,8 +20,10 @@ from epipole.pipelines.sfm.gps.alignment import (
     is_wide_enough,
 )
 from epipole.pipelines.sfm.gps.evidence import meters_in_words
-from epipole.pipelines.sfm.incremental import IncrementalMapper, Rejection
-from epipole.pipelines.sfm.mappers import Method, map_with
+from epipole.pipelines.sfm.mappers.choice import Method, map_with
+from epipole.pipelines.sfm.mappers.completion import GROWN_ROUNDS, ROUNDS, complete_model
+from epipole.pipelines.sfm.mappers.growth import grow_model, keep_coordinates
+from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper, Rejection
 from epipole.pipelines.sfm.orientation import upright_from_world
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.pipelines.sfm.up_direction import up_directions
@@ -79,8 +80,9 @@ def map_images(
     detections: Detections,
     config: MapperConfig,
     progress: ProgressCallback,
+    earlier: Reconstruction | None = None,
 ) -> Mapped:
-    """Map each connected component of the images to a model."""
+    """Map each connected component of the images to a model; the first grows from the earlier one, if there is one and it fits."""
     keypoints, features = detections.keypoints, detections.features
     starts = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
     components = connect_matches(view_graph, starts)
@@ -91,13 +93,25 @@ def map_images(
     while remaining.sum() >= 2 and len(found) < config.max_models:
         builder = ModelBuilder(cameras, images.camera_of_image, keypoints, components)
         mapper = IncrementalMapper(builder, view_graph, config, is_last=features is None)
-        method = map_with(mapper, remaining, _counting(progress, remaining), _adjusting(progress))
+        counting = _counting(progress, remaining)
+        method: Method | None = None
+        if (
+            earlier is not None
+            and not found
+            and grow_model(mapper, earlier, images.names, remaining, counting)
+        ):
+            method = "grown"
+        else:
+            method = map_with(mapper, remaining, counting, _adjusting(progress))
         if method is None or builder.registered.sum() < 2:  # adjustment may leave nothing of a weak start
             break
         if features is not None:
-            mapper = complete_model(mapper, features, starts)
+            rounds = GROWN_ROUNDS if method == "grown" else ROUNDS
+            mapper = complete_model(mapper, features, starts, rounds)
             builder = mapper.model
         gps = _publish(mapper, positions, images.up_in_cams, config, _adjusting(progress))
+        if method == "grown" and gps is None and earlier is not None:
+            keep_coordinates(builder, earlier, images.names)
         rejections.update({i: r for i, r in mapper.rejections.items() if not found})
         if builder.registered.sum() < 2 or len(np.unique(builder.row_point[builder.row_point >= 0])) < 3:
             break

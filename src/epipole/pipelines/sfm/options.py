@@ -24,6 +24,7 @@ class ReconstructKeywords(TypedDict, total=False):
     database: str | Path | None
     learned: str | Path | None
     learned_network: Literal["xfeat", "aliked"]
+    grow: bool
     max_frames: int
     cluster: str | None
     shared_folder: bool

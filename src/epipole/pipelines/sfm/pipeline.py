@@ -30,6 +30,7 @@ from epipole.pipelines.sfm.inputs import (
     pairs_to_match,
 )
 from epipole.pipelines.sfm.look_alikes import Attempt, Separation, map_apart, map_once
+from epipole.pipelines.sfm.mappers.growth import read_earlier_model
 from epipole.pipelines.sfm.mapping_stage import Detections, Mapped, map_images
 from epipole.pipelines.sfm.matching.database_stage import DatabaseSource
 from epipole.pipelines.sfm.matching.database_stage import match_units as given_match_units
@@ -45,7 +46,7 @@ from epipole.pipelines.sfm.rescue import Rescue, choice_of, rescue_weak_images
 from epipole.pipelines.sfm.shared_focals import contradicted_cameras, with_own_cameras
 from epipole.pipelines.sfm.warm_up import warm_up
 from epipole.runs import Run, Unit
-from epipole.scene import Cameras, ViewGraph
+from epipole.scene import Cameras, Reconstruction, ViewGraph
 
 FOCAL_CORRECTION = 0.1
 """Relative change of a trusted focal length by mapping (logarithm) above which matching is repeated."""
@@ -101,6 +102,8 @@ class _Detected:
     """(p, 2) pairs of images to match."""
     expansion: int
     """Further pairs of each image that verified ones may add."""
+    earlier: Reconstruction | None
+    """Model from which the new one grows."""
 
 
 def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
@@ -119,6 +122,7 @@ def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
     """
     if (choice := choice_of(config)) is not None:
         choice.load()  # an unusable folder is reported before any work
+    earlier = read_earlier_model(run.root) if config.grow else None
     compiling = threading.Thread(target=warm_up, name="epipole-compile", daemon=True)
     compiling.start()
     with run.stage("read"):
@@ -132,10 +136,10 @@ def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
     with run.stage("match"):
         given = database.matches(images.names) if database is not None else {}
         run.report("pair", 0, 1)
-        pairs = pairs_to_match(images, features, config, given)
+        pairs = pairs_to_match(images, features, config, given, run.root)
         run.report("pair", 1, 1)
     expansion = expansion_of(images, config, is_given=bool(given))
-    detected = _Detected(features, keypoints, colors, database, given, pairs, expansion)
+    detected = _Detected(features, keypoints, colors, database, given, pairs, expansion, earlier)
     solution = _match_and_map(images, detected, run, config)
     if (corrected := _corrected_cameras(solution)) is not None:
         images = replace(solution.images, cameras=corrected)
@@ -216,6 +220,7 @@ def _map(
 ) -> Separation:
     """Map the pairs that contradict neither the others nor the model."""
     detections = Detections(detected.keypoints, detected.colors, sift_features(detected.features))
+    earlier = [detected.earlier]
 
     def map_pairs(used: Bool[np.ndarray, " n"]) -> Attempt:
         chosen, found_rad = consistent_pairs(
@@ -223,7 +228,8 @@ def _map(
         )
         contradiction_rad = np.full(len(used), np.nan)
         contradiction_rad[used] = found_rad
-        mapped = map_images(images, cameras, chosen, detections, config.mapper, run.job.progress)
+        start = earlier.pop() if earlier else None  # an attempt to separate look-alikes starts anew
+        mapped = map_images(images, cameras, chosen, detections, config.mapper, run.job.progress, start)
         return Attempt(mapped, chosen, contradiction_rad)
 
     return (map_apart if config.mapper.separate_look_alikes else map_once)(

@@ -15,8 +15,8 @@ from epipole.features import Features, detect_features, match_descriptors, match
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1, fundamental_from_essential
 from epipole.mapping import ModelBuilder, connect_matches
 from epipole.pipelines.sfm.config import MapperConfig
-from epipole.pipelines.sfm.global_mapper import map_globally
-from epipole.pipelines.sfm.incremental import IncrementalMapper
+from epipole.pipelines.sfm.mappers.global_mapper import map_globally
+from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper
 from epipole.robust import PairKind, verify_pair
 from epipole.scene import Cameras, ViewGraph
 

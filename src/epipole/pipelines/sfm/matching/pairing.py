@@ -11,6 +11,7 @@ from jaxtyping import Float64, Int32
 
 from epipole.errors import ConfigError, FileFormatError
 from epipole.features import describe_images, most_similar, train_vocabulary
+from epipole.io.colmap.database import read_database
 from epipole.io.files import file_text
 from epipole.io.images.exif import gps_to_enu
 from epipole.pipelines.sfm.config import PairingConfig
@@ -44,6 +45,35 @@ def choose_pairs(
         pairs += [(i, i + step) for i in range(n) for step in range(1, reach + 1) if i + step < n]
     neighbors = min(config.neighbors, 10) if method == "sequential" else config.neighbors
     return sorted_pairs([*pairs, *_similar_images(descriptors, neighbors)])
+
+
+def further_pairs(
+    descriptors: Sequence[np.ndarray], names: Sequence[str], database: Path, neighbors: int
+) -> Int32[np.ndarray, "p 2"]:
+    """Pairs (i, j), i < j, sorted: those that match in an earlier run, and the most similar images of further ones.
+
+    Args:
+        descriptors: of each image.
+        names: of each image.
+        database: database of the earlier run.
+        neighbors: pairs of each image that the database does not have.
+
+    Raises:
+        FileFormatError: the database is missing or damaged.
+    """
+    stored = read_database(database)
+    row = {name: i for i, name in enumerate(names)}
+    earlier = [row.get(name, -1) for name in stored.images.name]
+    pairs = [
+        (earlier[a], earlier[b])
+        for (a, b), matches in stored.matches.items()
+        if len(matches) and min(earlier[a], earlier[b]) >= 0
+    ]
+    further = sorted(set(range(len(names))) - set(earlier))
+    if further:
+        nearest = most_similar(describe_images(descriptors, train_vocabulary(descriptors)), neighbors)
+        pairs += [(i, int(j)) for i in further for j in nearest[i]]
+    return sorted_pairs(pairs)
 
 
 def method_of(

@@ -7,13 +7,14 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool
 
-from epipole.pipelines.sfm.global_mapper import map_globally
-from epipole.pipelines.sfm.incremental import IncrementalMapper, Progress, ignore_progress
+from epipole.pipelines.sfm.mappers.global_mapper import map_globally
+from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper, Progress, ignore_progress
 
 LEAST_COVERAGE = 0.8
 """Fraction of the images connected to a global model that it must have; below it, the incremental mapper tries too."""
 
-Method = Literal["global", "incremental"]
+Method = Literal["global", "incremental", "grown"]
+"""How a model was made; grown: from the poses of an earlier one."""
 
 
 def map_with(

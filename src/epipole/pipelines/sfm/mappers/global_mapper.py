@@ -24,7 +24,7 @@ from epipole.mapping import (
 )
 from epipole.optim import BundleConfig, Loss
 from epipole.pipelines.sfm.config import MapperConfig
-from epipole.pipelines.sfm.incremental import IncrementalMapper, Progress, ignore_progress
+from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper, Progress, ignore_progress
 from epipole.scene import ViewGraph
 
 TRACKS_PER_IMAGE = 200

@@ -9,9 +9,10 @@ import numpy as np
 from epipole.config import MatchConfig
 from epipole.features import Features
 from epipole.mapping import ModelBuilder, connect_matches, find_further_matches, median_error_px
-from epipole.pipelines.sfm.incremental import IncrementalMapper
+from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper
 
-ROUNDS = 3
+ROUNDS, GROWN_ROUNDS = 3, 1
+"""Most rounds of adjustment of a completed model, and of one that grew from an earlier model: most of it is adjusted already."""
 RADIUS_FACTOR = 4.0
 """Multiple of the median reprojection error within which features are looked for: 99.9 % of the right ones, if both errors
 are normal. A larger radius adds other features nearby, which double the error of a rendered scene."""
@@ -20,7 +21,10 @@ MIN_RADIUS_PX = 1.0
 
 
 def complete_model(
-    mapper: IncrementalMapper, features: Sequence[Features], keypoint_offsets: np.ndarray
+    mapper: IncrementalMapper,
+    features: Sequence[Features],
+    keypoint_offsets: np.ndarray,
+    rounds: int = ROUNDS,
 ) -> IncrementalMapper:
     """Complete the tracks of a finished model, triangulate them again with its poses, and adjust it.
 
@@ -31,6 +35,7 @@ def complete_model(
         mapper: a mapper that has finished a model.
         features: SIFT features of each image, in the order of its keypoints.
         keypoint_offsets: first keypoint of each image, and the number of all.
+        rounds: most rounds of adjustment.
 
     Returns:
         A mapper with the completed model; the same mapper if its model has no points.
@@ -51,6 +56,6 @@ def complete_model(
     model.triangulate(np.arange(len(components)), config.max_error_px, np.deg2rad(config.min_angle_deg))
     after = IncrementalMapper(model, mapper.view_graph, config, min_track_length=config.min_track_length)
     after.rejections = mapper.rejections
-    after.adjust_globally(ROUNDS)
+    after.adjust_globally(rounds)
     after.finish()
     return after

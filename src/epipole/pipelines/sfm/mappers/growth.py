@@ -1,0 +1,103 @@
+"""Growth of an earlier model: its images keep their poses as a start, and only further images are registered."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from epipole.errors import ConfigError, FileFormatError
+from epipole.geometry import align_points
+from epipole.io.colmap.model import find_model, read_colmap_model
+from epipole.mapping import ModelBuilder
+from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper, Progress, ignore_progress
+from epipole.scene import Reconstruction
+
+LEAST_IMAGES = 3
+"""Images of the earlier model that must be among the images."""
+ROUNDS = 2
+"""Rounds of adjustment after the further images are registered."""
+
+
+def read_earlier_model(out: Path) -> Reconstruction:
+    """The largest model in the output folder.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    try:
+        return read_colmap_model(find_model(out / "sparse" / "0"))
+    except FileFormatError as error:
+        raise ConfigError(f"grow needs an earlier model in {out}: {error}") from error
+
+
+def grow_model(
+    mapper: IncrementalMapper,
+    earlier: Reconstruction,
+    names: tuple[str, ...],
+    usable: np.ndarray,
+    progress: Progress = ignore_progress,
+) -> bool:
+    """Start from the poses of an earlier model, triangulate anew, and register the other images; False if that is impossible.
+
+    It is impossible if fewer than three usable images have an earlier pose, or if the earlier model disagrees with the matches.
+
+    Args:
+        mapper: an incremental mapper, which has the model.
+        earlier: the earlier model.
+        names: names of the images.
+        usable: mask of images.
+        progress: called with the number of registered and of usable images.
+    """
+    model, config = mapper.model, mapper.config
+    model.clear()
+    known = _rows_of(earlier, names, usable)
+    if len(known) < LEAST_IMAGES:
+        return False
+    _take_cameras(model, earlier, known)
+    poses = earlier.cams_from_world()
+    for row, before in known.items():
+        model.register(row, poses[before])
+    everything = np.arange(len(model.components))
+    model.triangulate(everything, config.max_error_px, np.deg2rad(config.min_angle_deg))
+    if mapper.consistency.overall(model) < config.min_match_agreement:
+        model.clear()
+        return False
+    mapper.grow(usable, int(usable.sum()), progress)
+    mapper.adjust_globally(ROUNDS)
+    mapper.finish()
+    for image in np.flatnonzero(
+        model.registered & (mapper.consistency.of_images(model) < config.image_fraction)
+    ):
+        mapper.take_out_if_wrong(int(image))
+    return int(model.registered.sum()) >= LEAST_IMAGES
+
+
+def keep_coordinates(model: ModelBuilder, earlier: Reconstruction, names: tuple[str, ...]) -> None:
+    """Move a model to the coordinates of the earlier one, by the centers of common images."""
+    known = _rows_of(earlier, names, model.registered)
+    centers = earlier.camera_centers_in_world()[list(known.values())]
+    model.move(align_points(model.center[list(known)], centers))
+
+
+def _rows_of(earlier: Reconstruction, names: tuple[str, ...], usable: np.ndarray) -> dict[int, int]:
+    """Row of each usable image that the earlier model has registered, and its row there."""
+    before = {name: k for k, name in enumerate(earlier.images.name)}
+    registered = earlier.is_registered()
+    return {
+        row: before[name]
+        for row, name in enumerate(names)
+        if usable[row] and name in before and registered[before[name]]
+    }
+
+
+def _take_cameras(model: ModelBuilder, earlier: Reconstruction, known: dict[int, int]) -> None:
+    """Start from the earlier intrinsics of each camera that is not constant, if it has the same model and size."""
+    params = model.params.copy()
+    for row, before in known.items():
+        own, there = int(model.camera_of_image[row]), earlier.cameras[int(earlier.camera_of_image[before])]
+        camera = model.camera(own)
+        is_same = (camera.model, camera.width, camera.height) == (there.model, there.width, there.height)
+        if is_same and not model.cameras.is_constant[own]:
+            params[own] = there.padded_params()
+    model.set_params(params)
