@@ -116,7 +116,7 @@ class LocalizedImage:
         return f"LocalizedImage({len(self.point)} points, {self.error_px:.2f} px, sigma {self.position_sigma():.3g})"
 
 
-class _Matches(NamedTuple):
+class Matches2D3D(NamedTuple):
     """Features of an image and points of the model."""
 
     feature: np.ndarray
@@ -195,7 +195,7 @@ class Localizer:
         if len(features) < self.config.min_inliers:
             return _failure(LocalizationReason.FEW_FEATURES, camera)
         neighbors = self.reference.most_similar(features, self.config.neighbors)
-        matches = self._match(features, neighbors)
+        matches = self.match(features, neighbors)
         failure = replace(
             _failure(LocalizationReason.FEW_MATCHES, camera),
             num_matches=len(matches.point),
@@ -222,7 +222,7 @@ class Localizer:
         )
         if not first.success or first.num_inliers < self.config.min_ratio * len(matches.point):
             return failure
-        inliers = _Matches(matches.feature[first.inlier_mask], matches.point[first.inlier_mask])
+        inliers = Matches2D3D(matches.feature[first.inlier_mask], matches.point[first.inlier_mask])
         return self._refined(features, camera, first.model, inliers, not search_focal, failure)
 
     def _camera_of_model(self, width: int, height: int) -> Camera | None:
@@ -233,7 +233,7 @@ class Localizer:
         same = [camera for camera in cameras if (camera.width, camera.height) == (width, height)]
         return same[0] if len(same) == 1 else None
 
-    def _match(self, features: Features, neighbors: np.ndarray) -> _Matches:
+    def match(self, features: Features, neighbors: Int64[np.ndarray, " m"]) -> Matches2D3D:
         """For each feature the point that most neighbors match it with, and for each point one feature."""
         views, votes = self.reference.views, []
         for image in neighbors.tolist():
@@ -250,7 +250,7 @@ class Localizer:
         features: Features,
         camera: Camera,
         start: Rigid3,
-        inliers: _Matches,
+        inliers: Matches2D3D,
         is_focal_known: bool,
         failure: LocalizedImage,
     ) -> LocalizedImage:
@@ -289,7 +289,7 @@ class Localizer:
             kept = error_px < INLIER_SIGMAS * sigma
             if kept.sum() < self.config.min_inliers:
                 return replace(failure, reason=LocalizationReason.FEW_INLIERS)
-        matches = _Matches(matches.feature[kept], matches.point[kept])
+        matches = Matches2D3D(matches.feature[kept], matches.point[kept])
         return self._result(features, camera, pose, matches, sigma, is_focal_known, failure)
 
     def _result(
@@ -297,7 +297,7 @@ class Localizer:
         features: Features,
         camera: Camera,
         start: Rigid3,
-        matches: _Matches,
+        matches: Matches2D3D,
         sigma_px: float,
         is_focal_known: bool,
         failure: LocalizedImage,
@@ -328,8 +328,8 @@ class Localizer:
         )
 
     def _search(
-        self, features: Features, camera: Camera, cam_from_world: Rigid3, inliers: _Matches
-    ) -> tuple[_Matches, np.ndarray, int]:
+        self, features: Features, camera: Camera, cam_from_world: Rigid3, inliers: Matches2D3D
+    ) -> tuple[Matches2D3D, np.ndarray, int]:
         """Points found near their projections, which of them are not inliers, and how many others chance finds."""
         views = self.reference.views
         is_inlier = np.zeros(len(views.points_in_world), bool)
@@ -345,26 +345,26 @@ class Localizer:
         rows, pixels = rows[is_inside], pixels[is_inside]
         descriptors, point = self.reference.descriptors[rows], views.point[rows].astype(np.int64)
 
-        def found_near(predicted: np.ndarray) -> _Matches:
+        def found_near(predicted: np.ndarray) -> Matches2D3D:
             pairs, _ = match_near_pixels(
                 predicted, descriptors, features, self.config.search_px, self.config.matching
             )
-            return _Matches(pairs[:, 1].astype(np.int64), point[pairs[:, 0]])
+            return Matches2D3D(pairs[:, 1].astype(np.int64), point[pairs[:, 0]])
 
         found = found_near(pixels)
         displaced = found_near(pixels + np.array([DISPLACEMENTS * self.config.search_px, 0.0]))
         return found, ~is_inlier[found.point], int((~is_inlier[displaced.point]).sum())
 
 
-def _one_to_one(pairs: np.ndarray) -> _Matches:
+def _one_to_one(pairs: np.ndarray) -> Matches2D3D:
     """(feature, point) rows without those whose feature or point is in an earlier one."""
     for column in (0, 1):
         _, first = np.unique(pairs[:, column], return_index=True)
         pairs = pairs[np.sort(first)]
-    return _Matches(pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64))
+    return Matches2D3D(pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64))
 
 
-def _pixels(features: Features, matches: _Matches) -> np.ndarray:
+def _pixels(features: Features, matches: Matches2D3D) -> np.ndarray:
     return features.pixels[matches.feature].astype(np.float64)
 
 

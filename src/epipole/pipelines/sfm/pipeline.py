@@ -30,7 +30,7 @@ from epipole.pipelines.sfm.inputs import (
     pairs_to_match,
 )
 from epipole.pipelines.sfm.look_alikes import Attempt, Separation, map_apart, map_once
-from epipole.pipelines.sfm.mappers.growth import read_earlier_model
+from epipole.pipelines.sfm.mappers.growth import earlier_model_in
 from epipole.pipelines.sfm.mapping_stage import Detections, Mapped, map_images
 from epipole.pipelines.sfm.matching.database_stage import DatabaseSource
 from epipole.pipelines.sfm.matching.database_stage import match_units as given_match_units
@@ -122,7 +122,7 @@ def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
     """
     if (choice := choice_of(config)) is not None:
         choice.load()  # an unusable folder is reported before any work
-    earlier = read_earlier_model(run.root) if config.grow else None
+    earlier = earlier_model_in(run.root) if config.grow else None
     compiling = threading.Thread(target=warm_up, name="epipole-compile", daemon=True)
     compiling.start()
     with run.stage("read"):

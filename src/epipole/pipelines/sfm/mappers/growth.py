@@ -19,7 +19,7 @@ ROUNDS = 2
 """Rounds of adjustment after the further images are registered."""
 
 
-def read_earlier_model(out: Path) -> Reconstruction:
+def earlier_model_in(out: Path) -> Reconstruction:
     """The largest model in the output folder.
 
     Raises:
