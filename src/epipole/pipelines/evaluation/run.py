@@ -14,6 +14,8 @@ from epipole.io.colmap.model import find_model, read_colmap_model
 from epipole.io.truth import read_truth
 from epipole.metrics import camera_errors, relative_pose_auc
 
+THRESHOLDS_DEG = (0.5, 1, 3, 5, 10)
+"""Limits of the recall curves, among them those of COLMAP's benchmarks."""
 TRAJECTORY_SUFFIXES = (".txt", ".csv", ".tum", ".kitti")
 
 
@@ -28,10 +30,14 @@ class Evaluation:
     """After the best similarity transform, in the ground truth's unit."""
     position_median: float
     position_max: float
+    position_rmse: float
+    """ATE: root mean square of the position errors."""
     rotation_mean_deg: float
     rotation_max_deg: float
-    auc: dict[int, float]
-    """Area under the recall curve of relative pose errors over all pairs, up to 1, 3 and 5 degrees."""
+    scale: float
+    """Ground truth's units per unit of the model; if both are meters, its difference from 1 is the scale error."""
+    auc: dict[float, float]
+    """Area under the recall curve of relative pose errors over all pairs, up to 0.5, 1, 3, 5 and 10 degrees."""
 
     def __repr__(self) -> str:
         return (
@@ -79,14 +85,16 @@ def evaluate(out: str | Path, truth: str | Path) -> Evaluation:
         raise DegenerateGeometryError("only one known camera is registered; errors need at least two")
     estimated = Rigid3(rotation, translation)
     errors = camera_errors(estimated, known.cams_from_world)
-    auc = relative_pose_auc(estimated, known.cams_from_world, found, (1, 3, 5))
+    auc = relative_pose_auc(estimated, known.cams_from_world, found, THRESHOLDS_DEG)
     return Evaluation(
         len(known.names),
         int(found.sum()),
         errors.mean_position,
         errors.median_position,
         errors.max_position,
+        float(np.sqrt(np.nanmean(errors.position**2))),
         errors.mean_rotation_deg,
         errors.max_rotation_deg,
-        {degrees: float(value) for degrees, value in zip((1, 3, 5), auc)},
+        float(errors.alignment.truth_from_estimated.scale),
+        {degrees: float(value) for degrees, value in zip(THRESHOLDS_DEG, auc)},
     )
