@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64
 from scipy.spatial import cKDTree
 
+from epipole import _parallel
 from epipole._checks import Declared, checked
 from epipole.mapping._conflict_kernels import NOT_MARKED, NUM_KINDS, Scratch, Views, collect_views
 from epipole.mapping.sorting import distinct
@@ -111,16 +112,19 @@ def find_conflicting_points(
     """
     num_images, xyz = len(model.images), model.points.xyz_in_world
     views, centers, neighbors = _views_of(model), model.camera_centers_in_world(), _neighbors_of(model)
-    scratch = Scratch(np.full(num_images, NOT_MARKED, np.int8), np.zeros(num_images, np.int64))
-    keys, counts = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
-    for batch in _batches(np.diff(views.offsets)):
-        key = np.zeros(0, np.int64)
-        num_keys = collect_views(views, xyz, centers, neighbors, batch, LIMITS, scratch, key)
-        key = np.zeros(num_keys, np.int64)
-        collect_views(views, xyz, centers, neighbors, batch, LIMITS, scratch, key)
-        for column, values in zip((keys, counts), np.unique(key, return_counts=True)):
-            column.append(values)
-    key, count = np.concatenate(keys), np.concatenate(counts)
+    batches = _batches(np.diff(views.offsets))
+
+    def count_in(number: int) -> tuple[np.ndarray, np.ndarray]:
+        scratch = Scratch(np.full(num_images, NOT_MARKED, np.int8), np.zeros(num_images, np.int64))
+        given = views, xyz, centers, neighbors, batches[number], LIMITS, scratch
+        key = np.zeros(collect_views(*given, np.zeros(0, np.int64)), np.int64)
+        collect_views(*given, key)
+        values, counts = np.unique(key, return_counts=True)
+        return values, counts
+
+    none = np.zeros(0, np.int64)
+    parts = [(none, none), *_parallel.map_items(count_in, len(batches))]
+    key, count = (np.concatenate(column) for column in zip(*parts))
     pair, row = np.unique(key // NUM_KINDS, return_inverse=True)
     found = np.zeros((NUM_KINDS, len(pair)), np.int64)
     np.add.at(found, (key % NUM_KINDS, row), count)

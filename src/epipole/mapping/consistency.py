@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from epipole._checks import checked
-from epipole.mapping.match_components import check_matches
+from epipole.mapping.match_components import check_matches, num_keypoints_in
 from epipole.mapping.model_builder import ModelBuilder
 from epipole.scene import Reconstruction, ViewGraph
 
@@ -23,12 +23,15 @@ class MatchConsistency:
     def __init__(self, model: ModelBuilder, view_graph: ViewGraph) -> None:
         check_matches(view_graph, np.array([len(k) for k in model.keypoints], np.int64))
         starts = np.concatenate([[0], np.cumsum([len(k) for k in model.keypoints])]).astype(np.int64)
-        row_of_keypoint = np.full(starts[-1], -1, np.int64)
+        row_of_keypoint = np.full(
+            starts[-1], -1, np.int32
+        )  # there are two arrays of all matches: small numbers
         components = model.components
         row_of_keypoint[starts[components.image] + components.keypoint] = np.arange(len(components.image))
-        self._pair = np.repeat(np.arange(len(view_graph)), view_graph.num_inliers())
-        self._row1 = row_of_keypoint[starts[view_graph.image1[self._pair]] + view_graph.keypoint1]
-        self._row2 = row_of_keypoint[starts[view_graph.image2[self._pair]] + view_graph.keypoint2]
+        counts = view_graph.num_inliers()
+        first1, first2 = starts[view_graph.image1], starts[view_graph.image2]
+        self._row1 = row_of_keypoint[np.repeat(first1, counts) + view_graph.keypoint1]
+        self._row2 = row_of_keypoint[np.repeat(first2, counts) + view_graph.keypoint2]
         self._view_graph = view_graph
 
     @checked
@@ -36,8 +39,8 @@ class MatchConsistency:
         """Per pair: fraction of its matches that became one point (NaN unless both are registered), and number of matches."""
         point1, point2 = model.row_point[self._row1], model.row_point[self._row2]
         has_point = (point1 >= 0) | (point2 >= 0)
-        count = np.bincount(self._pair, has_point, len(self._view_graph)).astype(np.int64)
-        same = np.bincount(self._pair, (point1 == point2) & (point1 >= 0), len(self._view_graph))
+        count = _num_in_pairs(has_point, self._view_graph)
+        same = _num_in_pairs((point1 == point2) & (point1 >= 0), self._view_graph)
         both = model.registered[self._view_graph.image1] & model.registered[self._view_graph.image2]
         return np.where(both, same / np.maximum(count, 1), np.nan), count
 
@@ -64,6 +67,15 @@ class MatchConsistency:
         return np.divide(total[0], total[1], out=np.ones(len(total[0])), where=total[1] > 0)
 
 
+def _num_in_pairs(mask: np.ndarray, view_graph: ViewGraph) -> Int64[np.ndarray, " n"]:
+    """For each pair, the number of its matches in a mask (m,) of all matches."""
+    out = np.zeros(len(view_graph), np.int64)
+    pairs = np.flatnonzero(view_graph.num_inliers())
+    if len(pairs):
+        out[pairs] = np.add.reduceat(mask, view_graph.match_offsets[pairs], dtype=np.int64)
+    return out
+
+
 @checked
 def explained_matches(
     model: Reconstruction, view_graph: ViewGraph
@@ -73,15 +85,10 @@ def explained_matches(
     Both are 0 unless both images are registered.
     """
     num_images, tracks = len(model.images), model.tracks
-    sizes = np.zeros(num_images, np.int64)
+    sizes = num_keypoints_in(view_graph, num_images)
+    np.maximum.at(sizes, tracks.image, tracks.keypoint + 1)
     pair = np.repeat(np.arange(len(view_graph)), view_graph.num_inliers())
     image1, image2 = view_graph.image1[pair], view_graph.image2[pair]
-    for image, keypoint in (
-        (tracks.image, tracks.keypoint),
-        (image1, view_graph.keypoint1),
-        (image2, view_graph.keypoint2),
-    ):
-        np.maximum.at(sizes, image, keypoint + 1)
     starts = np.concatenate([[0], np.cumsum(sizes)])
     point_of_keypoint = np.full(starts[-1], -1, np.int64)
     point_of_keypoint[starts[tracks.image] + tracks.keypoint] = tracks.point_of_observation()
@@ -89,6 +96,5 @@ def explained_matches(
     point2 = point_of_keypoint[starts[image2] + view_graph.keypoint2]
     registered = model.is_registered()
     both = registered[image1] & registered[image2]
-    count = len(view_graph)
-    same = np.bincount(pair, both & (point1 == point2) & (point1 >= 0), count).astype(np.int64)
-    return same, np.bincount(pair, both & ((point1 >= 0) | (point2 >= 0)), count).astype(np.int64)
+    same = _num_in_pairs(both & (point1 == point2) & (point1 >= 0), view_graph)
+    return same, _num_in_pairs(both & ((point1 >= 0) | (point2 >= 0)), view_graph)

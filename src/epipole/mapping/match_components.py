@@ -52,17 +52,14 @@ def connect_matches(
     """Merge matches into components with at most one keypoint per image: those of the strongest pair first, further ones last."""
     check_offsets(keypoint_offsets, "keypoint_offsets")
     check_matches(view_graph, np.diff(keypoint_offsets))
-    pair = np.repeat(np.arange(len(view_graph)), view_graph.num_inliers())
-    strongest_first = np.argsort(-view_graph.num_inliers()[pair], kind="stable")
-    row1 = (keypoint_offsets[view_graph.image1[pair]] + view_graph.keypoint1)[strongest_first]
-    row2 = (keypoint_offsets[view_graph.image2[pair]] + view_graph.keypoint2)[strongest_first]
+    row1, row2 = _rows_of_strongest_first(view_graph, keypoint_offsets)
     if further is not None:
         row1 = np.concatenate([row1, keypoint_offsets[further.image1] + further.keypoint1])
         row2 = np.concatenate([row2, keypoint_offsets[further.image2] + further.keypoint2])
     parent = np.arange(keypoint_offsets[-1], dtype=np.int64)
     kernels.connect_without_conflict(
-        row1.astype(np.int64),
-        row2.astype(np.int64),
+        row1,
+        row2,
         np.repeat(np.arange(len(keypoint_offsets) - 1), np.diff(keypoint_offsets)),
         parent,
         parent.copy(),
@@ -78,6 +75,36 @@ def connect_matches(
         image.astype(np.int32),
         (rows - keypoint_offsets[image]).astype(np.int32),
     )
+
+
+def _rows_of_strongest_first(
+    view_graph: ViewGraph, keypoint_offsets: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Both keypoints of each match, as rows of all keypoints; the matches of the pair with most matches first."""
+    counts = view_graph.num_inliers().astype(np.int64)
+    pairs = np.argsort(-counts, kind="stable")
+    counts = counts[pairs]
+    ends = np.cumsum(counts)
+    match = np.arange(counts.sum()) + np.repeat(view_graph.match_offsets[pairs] - (ends - counts), counts)
+    row1 = np.repeat(keypoint_offsets[view_graph.image1[pairs]], counts)
+    row1 += view_graph.keypoint1[match]
+    row2 = np.repeat(keypoint_offsets[view_graph.image2[pairs]], counts)
+    row2 += view_graph.keypoint2[match]
+    return row1, row2
+
+
+def num_keypoints_in(view_graph: ViewGraph, num_images: int) -> Int64[np.ndarray, " n"]:
+    """For each image, the largest keypoint of its matches plus one."""
+    out = np.zeros(num_images, np.int64)
+    pairs = np.flatnonzero(view_graph.num_inliers())
+    if len(pairs):
+        for image, keypoint in (
+            (view_graph.image1, view_graph.keypoint1),
+            (view_graph.image2, view_graph.keypoint2),
+        ):
+            largest = np.maximum.reduceat(keypoint, view_graph.match_offsets[pairs])
+            np.maximum.at(out, image[pairs], largest + 1)
+    return out
 
 
 @checked
@@ -131,16 +158,12 @@ def _missing_in_pairs(
     components: MatchComponents, view_graph: ViewGraph, per_pair: int, lengths: np.ndarray, chosen: np.ndarray
 ) -> np.ndarray:
     """(t,) the longest components that pairs of images with fewer than `per_pair` chosen matches need."""
-    counts = np.zeros(
-        int(max(components.image.max(initial=0), view_graph.image2.max(initial=0))) + 1, np.int64
+    num_images = 1 + max(
+        int(a.max(initial=0)) for a in (components.image, view_graph.image1, view_graph.image2)
     )
+    counts = num_keypoints_in(view_graph, num_images)
+    np.maximum.at(counts, components.image, components.keypoint + 1)
     pair = np.repeat(np.arange(len(view_graph)), view_graph.num_inliers())
-    for image, keypoint in (
-        (components.image, components.keypoint),
-        (view_graph.image1[pair], view_graph.keypoint1),
-        (view_graph.image2[pair], view_graph.keypoint2),
-    ):
-        np.maximum.at(counts, image, keypoint + 1)
     starts = np.concatenate([[0], np.cumsum(counts)])
     component_of = np.full(starts[-1], -1)
     component_of[starts[components.image] + components.keypoint] = np.repeat(
