@@ -136,7 +136,7 @@ def count_pairs(database: Path) -> dict[str, int]:
 
 
 def score(task: RenderedSet, out: Path) -> dict[str, float]:
-    """Errors of the largest model in meters after the best similarity and, with GPS, as it is in meters east, north and up."""
+    """Errors of the largest model in meters after the best similarity and, with GPS, in meters east, north and up without alignment."""
     model, _ = largest_model(out / "sparse")
     if model is None:
         return {}

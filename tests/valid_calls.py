@@ -765,6 +765,7 @@ def _mapping() -> Iterator[Row]:
     estimate = robust.estimate_absolute_pose(xyz, pixels, camera, QUICK)
     seen = {"points_in_world": xyz, "pixels": pixels, "camera": camera}
     yield _row(mapping.resect_with_focal, **seen, config=QUICK)
+    yield _row(mapping.camera_with_focal, camera=camera, factor=1.1)
     yield _row(mapping.refine_resection, **seen, estimate=estimate, focal=True)
     yield from _point_views(model)
 

@@ -1,6 +1,6 @@
 """Large sets of rendered images with exact poses: a room that the camera circles, and a street of a kilometer with GPS.
 
-Images are written once; a complete folder is used as it is. Poses and fixes are kept beside the images, in truth.npz.
+Images are written once; a complete folder is reused. Poses and fixes are kept beside the images, in truth.npz.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ from epipole.pipelines.fields.run import nerf as nerf
 from epipole.pipelines.fields.run import splat as splat
 from epipole.pipelines.localization.config import LocalizeConfig as LocalizeConfig
 from epipole.pipelines.localization.config import LocalizerConfig as LocalizerConfig
-from epipole.pipelines.localization.localizer import LocalizationReason as LocalizationReason
-from epipole.pipelines.localization.localizer import LocalizedImage as LocalizedImage
+from epipole.pipelines.localization.localized_image import LocalizationReason as LocalizationReason
+from epipole.pipelines.localization.localized_image import LocalizedImage as LocalizedImage
 from epipole.pipelines.localization.localizer import Localizer as Localizer
 from epipole.pipelines.localization.reference import ReferenceModel as ReferenceModel
 from epipole.pipelines.localization.run import LocalizationResult as LocalizationResult

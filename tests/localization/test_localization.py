@@ -11,12 +11,12 @@ import pytest
 from photographs import CAMERA, FOCAL_35MM, HEIGHT, WIDTH
 
 import epipole
-from epipole.errors import ConfigError, FileFormatError, NoModelError, ShapeError
+from epipole.errors import ConfigError, FileFormatError, NoModelError, ShapeError, WorkspaceError
 from epipole.geometry import Rotation3, align_points
 from epipole.io.colmap.model import read_colmap_model, write_colmap_model
 from epipole.io.images.photographs import read_rgb, write_jpeg_with_exif
 from epipole.pipelines.localization.extended_model import names_in_model, with_localized
-from epipole.pipelines.localization.localizer import LocalizationReason
+from epipole.pipelines.localization.localized_image import LocalizationReason
 
 
 @pytest.fixture(scope="module")
@@ -229,3 +229,50 @@ def test_exif_of_another_camera_of_the_same_size(workspace, photographs, tmp_pat
     assert found.num_localized == 3 and not found.warnings
     for image in found.images.values():
         assert image.camera.focal_px == pytest.approx(600.0, rel=0.03)
+
+
+def test_a_minority_with_another_zoom_gets_its_own_focal_length(
+    workspace, photographs, views, truth, tmp_path
+):
+    """Two of three images have the model's focal length, one was cropped."""
+    without = tmp_path / "model"
+    shutil.copytree(workspace, without)
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for path in (without / "images").iterdir():
+        cv2.imwrite(str(path), cv2.imread(str(path)))
+    for k, path in enumerate(sorted(photographs.iterdir())):
+        image = cv2.imread(str(path))
+        if k == 1:
+            large = cv2.resize(image, None, fx=1.1, fy=1.1, interpolation=cv2.INTER_CUBIC)
+            y, x = (large.shape[0] - HEIGHT) // 2, (large.shape[1] - WIDTH) // 2
+            image = large[y : y + HEIGHT, x : x + WIDTH]
+        cv2.imwrite(str(folder / path.name), image)
+    found = list(epipole.localize(folder, without, tmp_path / "out").images.values())
+    to_model = map_from_truth(read_colmap_model(workspace / "sparse" / "0"), views)
+    for k, (image, zoom) in enumerate(zip(found, (1.0, 1.1, 1.0), strict=True)):
+        assert image.success
+        assert image.camera.focal_px == pytest.approx(zoom * FOCAL_35MM / 36 * WIDTH, rel=0.03)
+        off = image.position_in_world() - to_model.apply(truth[k].centers()[None])[0]
+        assert np.linalg.norm(off) / float(to_model.scale) < 0.1
+
+
+def test_a_photograph_is_one_file_whatever_its_name(photographs, workspace, tmp_path):
+    folder = tmp_path / "images"
+    (folder / "below").mkdir(parents=True)
+    first = sorted(photographs.iterdir())[0]
+    for name in ("photo[1].jpg", "below/photo[1].jpg", "notes.txt"):
+        shutil.copy(first, folder / name)
+    found = epipole.localize(folder / "photo[1].jpg", workspace, tmp_path / "out")
+    assert list(found.images) == ["photo[1].jpg"] and not found.reasons
+    with pytest.raises(WorkspaceError):  # another photograph has other results
+        epipole.localize(first, workspace, tmp_path / "out")
+
+
+def test_an_image_of_the_same_camera_from_an_array_with_another_zoom(localizer, photographs):
+    image = read_rgb(sorted(photographs.iterdir())[1])
+    large = cv2.resize(image, None, fx=1.2, fy=1.2, interpolation=cv2.INTER_CUBIC)
+    y, x = (large.shape[0] - HEIGHT) // 2, (large.shape[1] - WIDTH) // 2
+    found = localizer.localize(np.ascontiguousarray(large[y : y + HEIGHT, x : x + WIDTH]))
+    assert found.success
+    assert found.camera.focal_px == pytest.approx(1.2 * FOCAL_35MM / 36 * WIDTH, rel=0.02)

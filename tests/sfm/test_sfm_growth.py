@@ -92,3 +92,29 @@ def test_images_that_are_gone_and_nothing_to_grow_from(work, tmp_path):
     assert found.model.is_registered().sum() == 5
     with pytest.raises(ConfigError, match="grow needs an earlier model"):
         reconstruct(work / "images", tmp_path / "empty", grow=True)
+
+
+def test_a_replaced_image_is_another_image(work):
+    """The file of an earlier image now shows what another one showed: its old pose does not count."""
+    paths = sorted((work / "images").iterdir())
+    content = paths[5].read_bytes()
+    paths[5].unlink()
+    paths[0].write_bytes(content)
+    found = reconstruct(work / "images", work / "out", grow=True)
+    assert found.model.is_registered().sum() == 5
+    centers = found.model.camera_centers_in_world()
+    order = np.argsort([int(name[5:7]) for name in found.model.images.name])
+    steps = np.linalg.norm(np.diff(centers[order], axis=0), axis=1)
+    assert steps[0] > 2.0 * steps[1:].max()  # from the position of view 5 to that of view 1
+
+
+def test_a_model_that_did_not_grow_is_reported(work):
+    for path in sorted((work / "images").iterdir())[:4]:
+        path.unlink()
+    for path in sorted((work / "images").iterdir()):
+        shutil.copy(path, path.with_name(f"copy_{path.name}"))
+    shutil.copytree(work.with_name("stored") / "images", work / "images", dirs_exist_ok=True)
+    for number, path in enumerate(sorted((work / "images").glob("view_0[0-3]*"))):
+        path.rename(path.with_name(f"renamed_{number}.jpg"))  # no image of the earlier model has its name
+    found = reconstruct(work / "images", work / "out", grow=True)
+    assert any("mapped anew" in warning for warning in found.warnings)

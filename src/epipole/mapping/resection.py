@@ -65,7 +65,7 @@ def resect_with_focal(
     found = estimate_pose_and_focal(points_in_world, pixels, center, config)
     factor = found.model.focal_px / camera.focal_px
     if found.success and MIN_FOCAL_FACTOR < factor < MAX_FOCAL_FACTOR:
-        camera = _with_focal(camera, factor)
+        camera = camera_with_focal(camera, factor)
     estimate = estimate_absolute_pose(points_in_world, pixels, camera, config)
     if not estimate.success:
         return estimate, camera
@@ -122,7 +122,15 @@ def refine_resection(
     return result.rig_from_world[0], replace(camera, params=params)
 
 
-def _with_focal(camera: Camera, factor: float) -> Camera:
+@checked
+def camera_with_focal(camera: Camera, factor: float) -> Camera:
+    """The camera with its focal lengths multiplied by a factor.
+
+    Raises:
+        ConfigError: the factor is not positive.
+    """
+    if not factor > 0:
+        raise ConfigError(f"factor must be positive, got {factor}")
     params = camera.params.copy()
     params[list(camera.model.focal_indices)] *= factor
     return replace(camera, params=params)

@@ -9,7 +9,7 @@ import numpy as np
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3
-from epipole.pipelines.localization.localizer import LocalizedImage
+from epipole.pipelines.localization.localized_image import LocalizedImage
 from epipole.scene import Cameras, Frames, Images, Reconstruction, Rigs, Tracks
 
 PREFIX = "localized/"

@@ -9,6 +9,7 @@ from jaxtyping import Float64
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3
+from epipole.mapping import camera_with_focal
 
 STEP = 1e-6
 """Relative step of the numerical derivatives."""
@@ -30,7 +31,7 @@ class FocalStep(NamedTuple):
 def focal_step(
     points_in_world: np.ndarray, pixels: np.ndarray, camera: Camera, cam_from_world: Rigid3, sigma_px: float
 ) -> FocalStep:
-    """Step of the focal length that the points ask for.
+    """Step of the focal length that reduces the reprojection errors most.
 
     This is the score test of a fixed parameter (C. R. Rao, 1948) with a covariance from the residuals (H. White, Econometrica 1980).
     Residuals are weighted with Cauchy's loss, w = 1 / (1 + |r|^2 / (c sigma)^2).
@@ -53,10 +54,7 @@ def focal_step(
         columns.append((camera.project(in_cam + STEP * size * axis) - projected) / (STEP * size))
     for axis in np.eye(3):
         columns.append((camera.project(in_cam + STEP * np.cross(axis, in_cam)) - projected) / STEP)
-    params = camera.params.copy()
-    params[list(camera.model.focal_indices)] *= 1.0 + STEP
-    longer = Camera(camera.model.name, camera.width, camera.height, params)
-    columns.append((longer.project(in_cam) - projected) / STEP)
+    columns.append((camera_with_focal(camera, 1.0 + STEP).project(in_cam) - projected) / STEP)
     jacobian = np.stack(columns, axis=-1) / sigma_px
     residual = residual / sigma_px
     weight = 1.0 / (1.0 + (residual**2).sum(axis=1) / CAUCHY_SCALE**2)

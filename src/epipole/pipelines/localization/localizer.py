@@ -7,10 +7,9 @@ confirms it, since the prediction does not depend on it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -23,9 +22,10 @@ from epipole.features import Features, detect_features, match_descriptors, match
 from epipole.geometry import Rigid3
 from epipole.image.gray import gray_image
 from epipole.io.images.photographs import read_rgb
-from epipole.mapping import refine_pose, resect_with_focal
+from epipole.mapping import camera_with_focal, refine_pose, resect_with_focal
 from epipole.pipelines.localization.config import LocalizerConfig
 from epipole.pipelines.localization.focal_step import focal_step
+from epipole.pipelines.localization.localized_image import LocalizationReason, LocalizedImage
 from epipole.pipelines.localization.reference import ReferenceModel
 from epipole.robust import estimate_absolute_pose
 from epipole.scene import unregistered
@@ -39,81 +39,17 @@ DISPLACEMENTS = 4.0
 """Displacement of the predictions with which chance is measured, in search radii."""
 CHANCE_SIGMAS = 3.0
 """Standard deviations by which the number of found points must exceed chance."""
-CLEAR_INLIERS, CLEAR_RATIO = 100, 0.3
-"""Number and fraction of inliers of a first pose that needs no confirmation: after them, there may be nothing left to find.
-Images of other scenes gave at most 11 inliers, of up to 600 matches."""
+CLEAR_INLIERS = 40
+"""Inliers of a first pose that needs no confirmation, as nothing may be left to find; images of other scenes gave at most 11."""
+CLEAR_RATIO = 0.3
+"""Fraction of the matches that these must be, too."""
 FOCAL_SIGMAS, FOCAL_CHANGE = 4.0, 0.015
 """A focal length is contradicted if the points change it by more than both of these (the second relative)."""
 MORE_INLIERS, MORE_INLIERS_RATIO = 20, 1.1
 """It is contradicted, too, if a free focal length gives this number and this ratio of inliers more: a linear step fails far from the solution."""
 
 
-class LocalizationReason(StrEnum):
-    """Why an image is not localized, or OK."""
-
-    OK = "ok"
-    FEW_FEATURES = "too few features"
-    FEW_MATCHES = "too few matches with the points of the model"
-    FEW_INLIERS = "its matches with the model agree on no pose"
-    NOT_CONFIRMED = "too few of the points that its pose predicts are found"
-    UNDETERMINED = "the matched points do not determine the pose"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LocalizedImage:
-    """Pose of an image in a model; failures are reported in it, not raised."""
-
-    reason: LocalizationReason
-    cam_from_world: Rigid3
-    """NaN if the image is not localized."""
-    covariance: Float64[np.ndarray, "6 6"]
-    """Of xi = (translation, rotation) in exp(xi) @ cam_from_world, from the residuals; infinite if unknown. It includes noise
-    of the image and of its points, but no deformation of the model."""
-    camera: Camera
-    """Intrinsics, with the estimated focal length if it was unknown."""
-    pixels: Float64[np.ndarray, "k 2"]
-    """Observations of points, with which the pose was computed."""
-    point: Int64[np.ndarray, " k"]
-    """Row of each in the model's points."""
-    num_matches: int
-    """Number of matches found by descriptors alone."""
-    num_inliers: int
-    """Number of these that agree with the first pose."""
-    num_confirmed: int
-    """Number of other points found near their projections."""
-    num_by_chance: int
-    """The same with displaced projections: what chance finds."""
-    focal_correction: float
-    """Relative change of the focal length that the points ask for; NaN if the image is not localized."""
-    is_focal_contradicted: bool
-    """Whether the points contradict a fixed focal length clearly."""
-    error_px: float
-    """Median reprojection error; NaN if the image is not localized."""
-    neighbors: tuple[int, ...]
-    """Rows of the model's images that it was matched with, most similar first."""
-
-    @property
-    def success(self) -> bool:
-        """Whether the image is localized."""
-        return self.reason is LocalizationReason.OK
-
-    def position_in_world(self) -> Float64[np.ndarray, " 3"]:
-        """Camera center."""
-        return self.cam_from_world.centers()
-
-    def position_sigma(self) -> float:
-        """Standard deviation of the camera center's position: root of the summed variances of its axes."""
-        # The center -R^T t moves by -R^T times the translation of xi, as exp(xi) acts in the camera frame.
-        return float(np.sqrt(np.trace(self.covariance[:3, :3])))
-
-    def rotation_sigma_rad(self) -> float:
-        """Standard deviation of the orientation: root of the summed variances of its axes."""
-        return float(np.sqrt(np.trace(self.covariance[3:, 3:])))
-
-    def __repr__(self) -> str:
-        if not self.success:
-            return f"LocalizedImage({self.reason.value})"
-        return f"LocalizedImage({len(self.point)} points, {self.error_px:.2f} px, sigma {self.position_sigma():.3g})"
+FocalKnowledge = Literal["known", "approximate", "unknown"]
 
 
 class Matches2D3D(NamedTuple):
@@ -160,8 +96,8 @@ class Localizer:
 
         Args:
             image: file, or upright array: (h, w), RGB (h, w, 3) or RGBA (h, w, 4), 8 or 16 bits or floating point.
-            camera: intrinsics; None: those of the model if its images of this size share one camera, otherwise the focal length
-                is estimated.
+            camera: intrinsics; None: those of the model if its images of this size share one camera and the points agree with it,
+                otherwise the focal length is estimated.
 
         Raises:
             ConfigError: the camera is for images of another size.
@@ -179,18 +115,23 @@ class Localizer:
             "SIMPLE_RADIAL", width, height, [1.2 * max(width, height), (width - 1) / 2, (height - 1) / 2, 0.0]
         )
         features = detect_features(gray, self.config.features)
-        return self.localize_features(features, known or guess, search_focal=known is None)
+        found = self.localize_features(features, known or guess, "unknown" if known is None else "known")
+        if camera is None and known is not None and found.is_focal_contradicted:  # another camera or zoom
+            again = self.localize_features(features, known, "unknown")
+            return again if again.success or not found.success else found
+        return found
 
     @checked
     def localize_features(
-        self, features: Features, camera: Camera, *, search_focal: bool = False
+        self, features: Features, camera: Camera, focal: FocalKnowledge = "known"
     ) -> LocalizedImage:
         """Pose of an image from its SIFT features.
 
         Args:
             features: features of the upright image.
             camera: intrinsics.
-            search_focal: estimate the focal length; that of `camera` is a guess.
+            focal: known: exact; approximate: kept, but its error is part of the covariance; unknown: estimated, from that of
+                `camera` as a guess.
         """
         if len(features) < self.config.min_inliers:
             return _failure(LocalizationReason.FEW_FEATURES, camera)
@@ -206,7 +147,7 @@ class Localizer:
         points, pixels = self.reference.views.points_in_world[matches.point], _pixels(features, matches)
         first, freed = resect_with_focal(points, pixels, camera, self._ransac)
         is_other_focal = False
-        if search_focal:
+        if focal == "unknown":
             camera = freed
         else:
             fixed = estimate_absolute_pose(points, pixels, camera, self._ransac)
@@ -223,7 +164,7 @@ class Localizer:
         if not first.success or first.num_inliers < self.config.min_ratio * len(matches.point):
             return failure
         inliers = Matches2D3D(matches.feature[first.inlier_mask], matches.point[first.inlier_mask])
-        return self._refined(features, camera, first.model, inliers, not search_focal, failure)
+        return self._refined(features, camera, first.model, inliers, focal, failure)
 
     def _camera_of_model(self, width: int, height: int) -> Camera | None:
         """The camera of the model's images of this size, if they share one."""
@@ -251,7 +192,7 @@ class Localizer:
         camera: Camera,
         start: Rigid3,
         inliers: Matches2D3D,
-        is_focal_known: bool,
+        focal: FocalKnowledge,
         failure: LocalizedImage,
     ) -> LocalizedImage:
         """Refine the pose with all points of the model that are found near their projections."""
@@ -269,7 +210,8 @@ class Localizer:
         )
         num_first = len(inliers.point)
         is_clear = num_first >= max(CLEAR_INLIERS, CLEAR_RATIO * failure.num_matches)
-        if not is_clear and num_new - by_chance < CHANCE_SIGMAS * np.sqrt(num_new + by_chance):
+        is_above_chance = num_new > by_chance + CHANCE_SIGMAS * np.sqrt(num_new + by_chance)
+        if not (is_clear or is_above_chance):
             return failure
         matches = _one_to_one(
             np.stack(
@@ -290,7 +232,7 @@ class Localizer:
             if kept.sum() < self.config.min_inliers:
                 return replace(failure, reason=LocalizationReason.FEW_INLIERS)
         matches = Matches2D3D(matches.feature[kept], matches.point[kept])
-        return self._result(features, camera, pose, matches, sigma, is_focal_known, failure)
+        return self._result(features, camera, pose, matches, sigma, focal, failure)
 
     def _result(
         self,
@@ -299,7 +241,7 @@ class Localizer:
         start: Rigid3,
         matches: Matches2D3D,
         sigma_px: float,
-        is_focal_known: bool,
+        focal: FocalKnowledge,
         failure: LocalizedImage,
     ) -> LocalizedImage:
         """The last refinement, its covariance, and a check of the focal length."""
@@ -307,7 +249,16 @@ class Localizer:
         refined = refine_pose(points, pixels, camera, start, np.full(len(points), sigma_px), loss_scale=2.0)
         pose = refined.cam_from_world
         step = focal_step(points, pixels, camera, pose, sigma_px)
-        covariance = refined.covariance_by_errors() if is_focal_known else step.covariance
+        if focal == "unknown" and np.isfinite(
+            step.sigma
+        ):  # with all points, not only those of the first pose
+            camera = camera_with_focal(camera, float(np.exp(step.log_focal)))
+            refined = refine_pose(
+                points, pixels, camera, pose, np.full(len(points), sigma_px), loss_scale=2.0
+            )
+            pose = refined.cam_from_world
+            step = focal_step(points, pixels, camera, pose, sigma_px)
+        covariance = refined.covariance_by_errors() if focal == "known" else step.covariance
         if not np.isfinite(covariance).all():
             return replace(failure, reason=LocalizationReason.UNDETERMINED)
         change = abs(step.log_focal)

@@ -19,6 +19,7 @@ from epipole.scene import Reconstruction
 
 DATABASE = "database.db"
 WIDTH = 128
+"""Bytes of a SIFT descriptor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,6 +53,8 @@ class ReferenceModel(Declared):
         point, tracks = model.tracks.point_of_observation(), model.tracks
         used = np.flatnonzero(model.is_registered()[tracks.image])
         used = used[np.argsort(tracks.image[used], kind="stable")]
+        is_described = [own.any(axis=1) for own in descriptors]  # keypoints of other detectors have zeros
+        used = used[[bool(is_described[i][k]) for i, k in zip(tracks.image[used], tracks.keypoint[used])]]
         views = PointViews.of(
             model.points.xyz_in_world,
             np.nan_to_num(model.camera_centers_in_world()),
@@ -99,10 +102,10 @@ class ReferenceModel(Declared):
 
 
 def _descriptors_of(model: Reconstruction, database: Path, folder: Path) -> list[np.ndarray]:
-    """Descriptors of the model's keypoints; empty rows for images that are not registered.
+    """Descriptors of the model's keypoints; zeros for images that are not registered or have none.
 
     Raises:
-        FileFormatError: an image has none, or other keypoints than in the model.
+        FileFormatError: no image has any, or one has other keypoints than in the model.
     """
     stored = read_database(database, with_pairs=False)
     row_of = {name: row for row, name in enumerate(stored.images.name)}
@@ -115,9 +118,8 @@ def _descriptors_of(model: Reconstruction, database: Path, folder: Path) -> list
         row = row_of.get(name)
         own = None if row is None or stored.descriptors is None else stored.descriptors[row]
         if row is None or own is None or own.shape[1] != WIDTH:
-            raise FileFormatError(
-                database, f"it has no SIFT descriptors of {name}, an image of the model {folder}"
-            )
+            out.append(np.zeros((len(pixels), WIDTH), np.uint8))
+            continue
         there = stored.images.keypoints_of(row)
         if there.shape != pixels.shape or (len(pixels) and np.abs(there - pixels).max() > 0.01):
             raise FileFormatError(
@@ -125,4 +127,6 @@ def _descriptors_of(model: Reconstruction, database: Path, folder: Path) -> list
                 f"its keypoints of {name} are not those of the model {folder}: they come from different runs",
             )
         out.append(own)
+    if not any(own.any() for own in out):
+        raise FileFormatError(database, f"it has no SIFT descriptors of the images of the model {folder}")
     return out

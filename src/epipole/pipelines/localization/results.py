@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from epipole.geometry import Rotation3
-from epipole.pipelines.localization.localizer import LocalizedImage
+from epipole.pipelines.localization.localized_image import LocalizedImage
 from epipole.pipelines.localization.query_cameras import QueryCamera
 from epipole.scene import Reconstruction
 
@@ -51,6 +51,7 @@ def image_summary(image: LocalizedImage, model: Reconstruction, *, camera: Query
             if image.camera.focal_px == camera.camera.focal_px
             else "estimated from the points",
             "focal_correction": image.focal_correction,
+            "is_focal_contradicted": image.is_focal_contradicted,
         }
     return out | {
         "num_matches": image.num_matches,

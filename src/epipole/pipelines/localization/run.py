@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -18,25 +19,30 @@ from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.io.colmap.model import write_colmap_model
 from epipole.io.files import missing_in_words, read_json
 from epipole.io.images.formats import FORMAT_OF_SUFFIX
+from epipole.io.images.photographs import link_or_copy
 from epipole.io.json_files import json_text
 from epipole.io.meshes.ply import write_scene_ply
 from epipole.pipelines.localization.config import LocalizeConfig
 from epipole.pipelines.localization.extended_model import names_in_model, with_localized
-from epipole.pipelines.localization.localizer import LocalizedImage, Localizer
+from epipole.pipelines.localization.localized_image import LocalizedImage
+from epipole.pipelines.localization.localizer import FocalKnowledge, Localizer
 from epipole.pipelines.localization.options import LocalizeKeywords
 from epipole.pipelines.localization.page import render_page
 from epipole.pipelines.localization.query_cameras import QueryCamera, query_cameras
 from epipole.pipelines.localization.results import image_summary, poses_text
 from epipole.pipelines.localization.shared_focal import localize_images_of_camera
-from epipole.pipelines.sfm.inputs import UNITS, image_set_of
+from epipole.pipelines.sfm.inputs import CONTENTS, UNITS, image_set_of
 from epipole.pipelines.sfm.matching.feature_stage import feature_units, load_features
 from epipole.pipelines.sfm.matching.unit_tables import FEATURES
-from epipole.pipelines.sfm.photographs import ImageSet
+from epipole.pipelines.sfm.photographs import ImageSet, read_image_set
+from epipole.report.markup import plural
 from epipole.report.space_scene import METERS, NO_UNIT
 from epipole.runs import Job, ProgressCallback, Run, Unit, ignore_progress, load, open_run
 from epipole.scene import Reconstruction
 
 IMAGES = "images"
+AT_ONCE = 16
+"""Images between two reports of progress."""
 FOLDER = "localized"
 """Output folder in that of the model, unless another is given."""
 
@@ -92,7 +98,7 @@ def localize(
     """
     config = options_of(LocalizeConfig, config, options, ["out", "config", "progress"])
     source, workspace = as_path(images), as_path(workspace)
-    source, config = _as_folder(source, config)
+    _check_source(source, config)
     out = workspace / FOLDER if out is None else as_path(out)
     if not workspace.exists():
         raise FileFormatError(workspace, missing_in_words(workspace))
@@ -110,7 +116,7 @@ def localize(
             localizer = Localizer.open(workspace, config.localizer)
             run.report("open", 1, 1)
         with run.stage("read"):
-            found = image_set_of(source, run, config.for_images())
+            found = _images_of(source, run, config)
             folder = workspace / IMAGES
             cameras = query_cameras(
                 found,
@@ -128,20 +134,32 @@ def localize(
         return _write(localizer, found, cameras, localized, failures, run)
 
 
-def _as_folder(source: Path, config: LocalizeConfig) -> tuple[Path, LocalizeConfig]:
-    """A single photograph as the folder that it is in, with its name as the only one to include.
+def _check_source(source: Path, config: LocalizeConfig) -> None:
+    """Check that the images exist.
 
     Raises:
         NoModelError: the path does not exist.
-        ConfigError: patterns are given, too.
+        ConfigError: it is a photograph, but patterns are given, too.
     """
     if not source.exists():
         raise NoModelError(f"{source} does not exist")
-    if not source.is_file() or source.suffix.lower() not in FORMAT_OF_SUFFIX:
-        return source, config
-    if config.include or config.exclude:
+    if _is_photograph(source) and (config.include or config.exclude):
         raise ConfigError(f"include and exclude select images of a folder, but {source} is one image")
-    return source.parent, replace(config, include=(source.name,))
+
+
+def _is_photograph(source: Path) -> bool:
+    return source.is_file() and source.suffix.lower() in FORMAT_OF_SUFFIX
+
+
+def _images_of(source: Path, run: Run, config: LocalizeConfig) -> ImageSet:
+    """The images of a folder, a video, or a single photograph, which is copied to a separate folder."""
+    if not _is_photograph(source):
+        return image_set_of(source, run, config.for_images())
+    folder = run.root / UNITS / "photograph"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    link_or_copy(source.resolve(), folder / source.name)
+    return read_image_set(folder, config.for_images(), run.root / CONTENTS, progress=run.job.progress)
 
 
 def _localize_all(
@@ -160,16 +178,20 @@ def _localize_all(
     rows = [row for row in range(len(images)) if row not in failures]
     done = 0
 
-    def localize_all(chosen: Sequence[int], camera: Camera, search_focal: bool) -> list[LocalizedImage]:
-        def one(k: int) -> LocalizedImage:
-            nonlocal done
-            features = load_features(units[chosen[k]].path)
-            found = localizer.localize_features(features, camera, search_focal=search_focal)
-            done += 1
-            run.report("localize", min(done, len(rows)), len(rows))
-            return found
+    def localize_all(chosen: Sequence[int], camera: Camera, focal: FocalKnowledge) -> list[LocalizedImage]:
+        nonlocal done
+        found: list[LocalizedImage] = []
+        for start in range(0, len(chosen), AT_ONCE):
+            some = chosen[start : start + AT_ONCE]
 
-        return _parallel.map_items(one, len(chosen))
+            def one(k: int, some: Sequence[int] = some) -> LocalizedImage:
+                features = load_features(units[some[k]].path)
+                return localizer.localize_features(features, camera, focal)
+
+            found += _parallel.map_items(one, len(some))
+            done = min(done + len(some), len(rows))  # images may be localized a second time
+            run.report("localize", done, len(rows))
+        return found
 
     run.report("localize", 0, len(rows))
     out: dict[int, LocalizedImage] = {}
@@ -253,8 +275,8 @@ def _warnings(
     if wrong:
         percent = 100.0 * float(np.median([found[k].focal_correction for k in wrong]))
         out.append(
-            f"the points contradict the given focal length in {len(wrong)} images ({names[wrong[0]]}, ...), where it is off by "
-            f"{percent:+.1f} %: check --camera-params or --calibration"
+            f"the points of {plural(len(wrong), 'image')} (such as {names[wrong[0]]}) contradict the given focal length: one that is "
+            f"{abs(percent):.1f} % {'longer' if percent > 0 else 'shorter'} fits better; check --camera-params or --calibration"
         )
     changed = [
         k
@@ -267,7 +289,7 @@ def _warnings(
     if changed:
         k = changed[0]
         out.append(
-            f"{len(changed)} images ({names[k]}, ...) have the size of the model's images, but another focal length "
+            f"{plural(len(changed), 'image')} (such as {names[k]}) of the size of the model's images: another focal length "
             f"({found[k].camera.focal_px:.0f} instead of {cameras[k].camera.focal_px:.0f} px), which was estimated"
         )
     return out

@@ -117,7 +117,9 @@ def pairs_to_match(
         return requested
     descriptors = _Descriptors([u.path for u in features])
     if config.grow:
-        return further_pairs(descriptors, images.names, out / DATABASE, config.pairing.neighbors)
+        return further_pairs(
+            descriptors, keypoints_of(features)[0], images.names, out / DATABASE, config.pairing.neighbors
+        )
     return choose_pairs(descriptors, images.lat_lon_alt, config.pairing, is_video=images.is_video)
 
 

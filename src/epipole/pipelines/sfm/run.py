@@ -122,7 +122,7 @@ def reconstruct(
         reasons = _reasons(solution, config)
         with run.stage("write"):
             write_results(solution, run)
-        run.warnings += _note_on_fewer(solution, out)
+        run.warnings += _notes_on_earlier(solution, out, config)
         run.warnings += [*notes_on_choice_and_cameras(solution), *warnings_of(solution, config.mapper)]
         with run.stage("report"):
             content = page_content(solution, reasons, run, asdict(config))
@@ -164,10 +164,15 @@ def _check_inputs(source: Path, config: ReconstructConfig) -> None:
     check_anchor_files(config.anchors)
 
 
-def _note_on_fewer(solution: Solution, out: Path) -> list[str]:
-    """Warning if an earlier result has more registered images."""
+def _notes_on_earlier(solution: Solution, out: Path, config: ReconstructConfig) -> list[str]:
+    """Warnings if an earlier result has more registered images, or if the model does not grow from it."""
     num_registered = int(solution.mapped.models[0].is_registered().sum())
-    return note_on_poorer(out, "num_registered", num_registered, "registered images")
+    notes = note_on_poorer(out, "num_registered", num_registered, "registered images")
+    if config.grow and solution.mapped.methods[0] != "grown":
+        notes.append(
+            "the earlier model does not fit the images, so they were mapped anew: the coordinates are different (grow)"
+        )
+    return notes
 
 
 def _reasons(solution: Solution, config: ReconstructConfig) -> dict[str, str]:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
-from epipole.errors import ConfigError, FileFormatError
-from epipole.geometry import align_points
+from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
+from epipole.geometry import Rigid3
 from epipole.io.colmap.model import find_model, read_colmap_model
 from epipole.mapping import ModelBuilder
+from epipole.metrics import align_cameras
 from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper, Progress, ignore_progress
+from epipole.pipelines.sfm.matching.pairing import has_same_keypoints
 from epipole.scene import Reconstruction
 
 LEAST_IMAGES = 3
@@ -51,7 +55,7 @@ def grow_model(
     """
     model, config = mapper.model, mapper.config
     model.clear()
-    known = _rows_of(earlier, names, usable)
+    known = _rows_of(earlier, names, model.keypoints, usable)
     if len(known) < LEAST_IMAGES:
         return False
     _take_cameras(model, earlier, known)
@@ -74,20 +78,32 @@ def grow_model(
 
 
 def keep_coordinates(model: ModelBuilder, earlier: Reconstruction, names: tuple[str, ...]) -> None:
-    """Move a model to the coordinates of the earlier one, by the centers of common images."""
-    known = _rows_of(earlier, names, model.registered)
-    centers = earlier.camera_centers_in_world()[list(known.values())]
-    model.move(align_points(model.center[list(known)], centers))
+    """Move a model to the coordinates of the earlier one, by the cameras of common images."""
+    known = _rows_of(earlier, names, model.keypoints, model.registered)
+    if len(known) < 2:
+        return
+    before = earlier.cams_from_world()[np.array(list(known.values()))]
+    after = Rigid3(
+        np.stack([model.cam_from_world(row).rotation for row in known]),
+        np.stack([model.cam_from_world(row).translation for row in known]),
+    )
+    with suppress(DegenerateGeometryError):  # too few common images are left
+        model.move(align_cameras(after, before).truth_from_estimated)
 
 
-def _rows_of(earlier: Reconstruction, names: tuple[str, ...], usable: np.ndarray) -> dict[int, int]:
-    """Row of each usable image that the earlier model has registered, and its row there."""
+def _rows_of(
+    earlier: Reconstruction, names: tuple[str, ...], keypoints: Sequence[np.ndarray], usable: np.ndarray
+) -> dict[int, int]:
+    """Row of each usable image that the earlier model has registered with the same keypoints, and its row there."""
     before = {name: k for k, name in enumerate(earlier.images.name)}
     registered = earlier.is_registered()
     return {
         row: before[name]
         for row, name in enumerate(names)
-        if usable[row] and name in before and registered[before[name]]
+        if usable[row]
+        and name in before
+        and registered[before[name]]
+        and has_same_keypoints(keypoints[row], earlier.images.keypoints_of(before[name]))
     }
 
 

@@ -16,6 +16,9 @@ from epipole.io.files import file_text
 from epipole.io.images.exif import gps_to_enu
 from epipole.pipelines.sfm.config import PairingConfig
 
+SAME_PIXEL = 0.01
+"""Difference between pixels that are the same, but stored with different precision."""
+
 
 def choose_pairs(
     descriptors: Sequence[np.ndarray],
@@ -48,12 +51,17 @@ def choose_pairs(
 
 
 def further_pairs(
-    descriptors: Sequence[np.ndarray], names: Sequence[str], database: Path, neighbors: int
+    descriptors: Sequence[np.ndarray],
+    keypoints: Sequence[np.ndarray],
+    names: Sequence[str],
+    database: Path,
+    neighbors: int,
 ) -> Int32[np.ndarray, "p 2"]:
     """Pairs (i, j), i < j, sorted: those that match in an earlier run, and the most similar images of further ones.
 
     Args:
         descriptors: of each image.
+        keypoints: of each image; one that has others in the database is another image of that name.
         names: of each image.
         database: database of the earlier run.
         neighbors: pairs of each image that the database does not have.
@@ -64,6 +72,9 @@ def further_pairs(
     stored = read_database(database)
     row = {name: i for i, name in enumerate(names)}
     earlier = [row.get(name, -1) for name in stored.images.name]
+    for k, i in enumerate(earlier):
+        if i >= 0 and not has_same_keypoints(keypoints[i], stored.images.keypoints_of(k)):
+            earlier[k] = -1
     pairs = [
         (earlier[a], earlier[b])
         for (a, b), matches in stored.matches.items()
@@ -74,6 +85,11 @@ def further_pairs(
         nearest = most_similar(describe_images(descriptors, train_vocabulary(descriptors)), neighbors)
         pairs += [(i, int(j)) for i in further for j in nearest[i]]
     return sorted_pairs(pairs)
+
+
+def has_same_keypoints(first: np.ndarray, second: np.ndarray) -> bool:
+    """Whether two lists of pixels are those of one image; files store them in single precision."""
+    return first.shape == second.shape and bool((np.abs(first - second) < SAME_PIXEL).all())
 
 
 def method_of(
