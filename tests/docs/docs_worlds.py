@@ -265,7 +265,7 @@ def no_cloud(folder: Path) -> None:
 
 
 AFTER_RECONSTRUCTING: dict[str, Callable[[Path], None]] = {
-    "README-0": nothing,
+    "README-0": new_photographs,
     "command_line-1": results,
     "first_model-0": nothing,
     "first_model-1": nothing,

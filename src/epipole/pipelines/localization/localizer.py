@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from epipole import _parallel
 from epipole._checks import checked
 from epipole.cameras import Camera
 from epipole.config import RansacConfig
@@ -176,14 +177,16 @@ class Localizer:
 
     def match(self, features: Features, neighbors: Int64[np.ndarray, " m"]) -> Matches2D3D:
         """For each feature the point that most neighbors match it with, and for each point one feature."""
-        views, votes = self.reference.views, []
-        for image in neighbors.tolist():
-            rows = views.rows_of(image)
-            pairs = match_descriptors(
-                features.descriptors, self.reference.descriptors[rows], self.config.matching
-            )
-            votes.append(np.stack([pairs[:, 0], views.point[rows[pairs[:, 1]]]], axis=1))
-        found, count = np.unique(np.concatenate(votes), axis=0, return_counts=True)
+        views = self.reference.views
+
+        def match_with(n: int) -> np.ndarray:
+            rows = views.rows_of(int(neighbors[n]))
+            descriptors = self.reference.descriptors[rows]
+            pairs = match_descriptors(features.descriptors, descriptors, self.config.matching)
+            return np.stack([pairs[:, 0], views.point[rows[pairs[:, 1]]]], axis=1)
+
+        votes = np.concatenate(_parallel.map_items(match_with, len(neighbors)))
+        found, count = np.unique(votes, axis=0, return_counts=True)
         return _one_to_one(found[np.argsort(-count, kind="stable")])
 
     def _refined(
