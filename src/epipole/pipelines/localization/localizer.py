@@ -46,6 +46,8 @@ CLEAR_RATIO = 0.3
 """Fraction of the matches that these must be, too."""
 FOCAL_SIGMAS, FOCAL_CHANGE = 4.0, 0.015
 """A focal length is contradicted if the points change it by more than both of these (the second relative)."""
+MAX_FOCAL_STEP = 0.1
+"""Largest step of the logarithm of a focal length: a linear step is not valid beyond it."""
 MORE_INLIERS, MORE_INLIERS_RATIO = 20, 1.1
 """It is contradicted, too, if a free focal length gives this number and this ratio of inliers more: a linear step fails far from the solution."""
 
@@ -252,9 +254,8 @@ class Localizer:
         refined = refine_pose(points, pixels, camera, start, np.full(len(points), sigma_px), loss_scale=2.0)
         pose = refined.cam_from_world
         step = focal_step(points, pixels, camera, pose, sigma_px)
-        if focal == "unknown" and np.isfinite(
-            step.sigma
-        ):  # with all points, not only those of the first pose
+        if focal == "unknown" and abs(step.log_focal) < MAX_FOCAL_STEP:
+            # The first pose had fewer points, and an error of its focal length.
             camera = camera_with_focal(camera, float(np.exp(step.log_focal)))
             refined = refine_pose(
                 points, pixels, camera, pose, np.full(len(points), sigma_px), loss_scale=2.0
@@ -307,7 +308,12 @@ class Localizer:
 
         found = found_near(pixels)
         displaced = found_near(pixels + np.array([DISPLACEMENTS * self.config.search_px, 0.0]))
-        return found, ~is_inlier[found.point], int((~is_inlier[displaced.point]).sum())
+        is_used = np.zeros(len(features), bool)
+        is_used[inliers.feature] = True
+        is_new, is_new_by_chance = (
+            ~(is_inlier[pairs.point] | is_used[pairs.feature]) for pairs in (found, displaced)
+        )
+        return found, is_new, int(is_new_by_chance.sum())
 
 
 def _one_to_one(pairs: np.ndarray) -> Matches2D3D:
