@@ -12,10 +12,11 @@ import pytest
 
 import epipole
 from epipole import api, splat
+from epipole.pipelines.localization.page import render_page
 from epipole.pipelines.sfm.page.content import ReportContent
 from epipole.pipelines.sfm.page.page import render_report
 from epipole.pipelines.slam.run import slam as run_slam
-from epipole.scene import RectifiedRig
+from epipole.scene import Reconstruction, RectifiedRig
 from page_checks import (
     DESK,
     PHONE,
@@ -48,12 +49,37 @@ PAGES = {
     "calibration": 0,
     "field": 3,
     "scene": 0,
+    "localization": 0,
 }
 """Of every kind of report: the least number of texts in its charts."""
 TEMPLATES = {
     "reconstruction": ("reconstruction", "nothing-reconstructed"),
-    **{name: (name,) for name in ("slam", "stereo", "calibration", "field", "scene")},
+    **{name: (name,) for name in ("slam", "stereo", "calibration", "field", "scene", "localization")},
 }
+
+
+def localization_page(model: Reconstruction) -> str:
+    """A report of one localized image, and one that is not."""
+    name = model.images.name[0]
+    entry = {
+        "is_localized": True,
+        "position_in_world": [1.0, -2.0, 0.5],
+        "position_sigma": 0.0123,
+        "rotation_sigma_deg": 0.045,
+        "num_points": 1234,
+        "error_px": 0.82,
+        "camera": {"params": [525.5]},
+        "focal_source": "the model's camera",
+    }
+    lost = {"is_localized": False, "num_matches": 31, "num_inliers": 5}
+    return render_page(
+        ["something is wrong"],
+        model,
+        (name,),
+        {name: entry, "lost.jpg": lost},
+        {"lost.jpg": "its matches with the model agree on no pose"},
+        "m",
+    )
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +100,7 @@ def reports(
         "nothing-reconstructed": render_report(empty_content),
         "stereo": page_of(("something is wrong",), RectifiedRig(40.0, 20.0, 15.0, 0.1)),
         "calibration": calibration_page.__wrapped__(),
+        "localization": localization_page(content.reconstruction),
     }
     for name, html in pages.items():
         (root / f"{name}.html").write_text(html, encoding="utf-8", errors="replace")

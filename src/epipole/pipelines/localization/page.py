@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,11 @@ from epipole.report.frame import render
 from epipole.report.markup import count, number
 from epipole.report.space import space_data
 from epipole.report.space_model import MAX_POINTS
-from epipole.runs import Run
 from epipole.scene import Reconstruction
 
 
 def render_page(
-    run: Run,
+    warnings: Sequence[str],
     model: Reconstruction,
     localized: Collection[str],
     entries: Mapping[str, Mapping[str, Any]],
@@ -27,7 +26,7 @@ def render_page(
     """One self-contained HTML page.
 
     Args:
-        run: for its warnings.
+        warnings: shown above the model.
         model: the model with the localized images.
         localized: their names in it.
         entries: what `localized.json` says about each image.
@@ -44,7 +43,7 @@ def render_page(
         num_images=len(good) + len(reasons),
         tiles=_tiles(good, len(good) + len(reasons), unit or "model units"),
         unit=unit or "model units",
-        warnings=list(run.warnings),
+        warnings=list(warnings),
         space=space_data(scene, MAX_POINTS),
         rows=[_row(name, entry) for name, entry in good.items()],
         reasons=[

@@ -248,7 +248,9 @@ def _write(
         "timings_s": run.timings_s,
         "peak_memory_mb": run.peak_memory_mb,
     }
-    run.folder.write_text("report.html", render_page(run, model, localized_names, entries, reasons, unit))
+    run.folder.write_text(
+        "report.html", render_page(run.warnings, model, localized_names, entries, reasons, unit)
+    )
     run.finish(summary)
     return LocalizationResult(run.root, model, dict(zip(names, found)), reasons, tuple(run.warnings), summary)
 
