@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -191,10 +193,36 @@ def test_a_model_of_another_run_is_refused(workspace, tmp_path):
 def test_names_that_the_model_has_get_a_prefix(localizer, result):
     model = localizer.reference.model
     first = next(iter(result.images.values()))
-    assert names_in_model(model, ["view_00.jpg", "b.jpg"]) == ("localized/view_00.jpg", "b.jpg")
-    grown = with_localized(model, ["view_00.jpg"], [first], np.array([np.nan]))
+    names = names_in_model(model, ["view_00.jpg", "b.jpg"])
+    assert names == ("localized/view_00.jpg", "b.jpg")
+    grown = with_localized(model, names[:1], [first], np.array([np.nan]))
     assert len(set(grown.images.name)) == 7 and grown.is_registered().all()
     assert with_localized(model, [], [], np.zeros(0)) is model
+
+
+def test_the_folder_of_the_model_stands_for_its_workspace(workspace, photographs, result, tmp_path):
+    """Not only the model, but also its images and its unit are found."""
+    copy = tmp_path / "out"
+    shutil.copytree(workspace, copy)
+    found = epipole.localize(photographs, copy / "sparse" / "0")
+    assert found.out == copy / "localized"
+    first = (result.out / "localized.json").read_bytes()
+    assert (found.out / "localized.json").read_bytes() == first  # the EXIF of the model's images was read
+
+
+def test_images_without_descriptors_are_left_out(workspace, photographs, tmp_path):
+    """A database may lack the SIFT descriptors of some images, but not of all."""
+    copy = tmp_path / "out"
+    shutil.copytree(workspace, copy)
+    with closing(sqlite3.connect(copy / "database.db")) as database:
+        database.execute("DELETE FROM descriptors WHERE image_id = 1")
+        database.commit()
+        localizer = epipole.Localizer.open(copy)
+        assert localizer.localize(sorted(photographs.iterdir())[1]).success
+        database.execute("DELETE FROM descriptors")
+        database.commit()
+    with pytest.raises(FileFormatError, match="no SIFT descriptors"):
+        epipole.Localizer.open(copy)
 
 
 def test_a_single_photograph_and_the_command(photographs, workspace, tmp_path, capsys):

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from epipole._terminal import one_line
 from epipole.pipelines.localization.config import LocalizeConfig
-from epipole.pipelines.sfm.command import STAGES
+from epipole.pipelines.sfm.command import STAGES, show_location, show_reasons
 
 if TYPE_CHECKING:
     from epipole.pipelines.localization.run import LocalizationResult
 
 DEFAULTS = LocalizeConfig()
 WORDS = {**STAGES, "open": "Opening the model", "localize": "Localizing images"}
-REASONS_SHOWN = 10
 
 
 def localize(
@@ -58,13 +55,5 @@ def _show(result: LocalizationResult) -> None:
     table.add_row("time", f"{summary['seconds']:.1f} s (stages: {times})")
     console.print(table)
     print_warnings(console, result.warnings)
-    for name, reason in list(result.reasons.items())[:REASONS_SHOWN]:
-        console.print(one_line(f"  {name}: {reason}"), highlight=False, markup=False)
-    if (more := len(result.reasons) - REASONS_SHOWN) > 0:
-        console.print(f"  and {more} more, in the report", highlight=False, markup=False)
-    console.print(
-        f"poses   {result.out / 'poses.txt'}\nreport  {result.out / 'report.html'}",
-        highlight=False,
-        markup=False,
-    )
-    console.print(f"view    epipole view {quote(str(result.out))}", highlight=False, markup=False)
+    show_reasons(console, result.reasons)
+    show_location(console, result.out, {"poses": result.out / "poses.txt"})

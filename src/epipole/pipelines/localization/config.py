@@ -21,7 +21,7 @@ class LocalizerConfig:
     neighbors: int = 10
     """Number of most similar images of the model that an image is matched with."""
     further_neighbors: int = 20
-    """Number of images that share most points with these matches, whose points are then looked for near their projections."""
+    """Number of images with most of the matched points, whose other points are looked for, too."""
     max_error_px: float = 12.0
     """Points with a larger reprojection error are outliers of the first pose."""
     search_px: float = 6.0

@@ -37,20 +37,18 @@ def with_localized(
 
     Args:
         model: the model.
-        names: names of the images.
-        images: their poses; those that are not localized are left out.
+        names: names of the images in the model (`names_in_model`).
+        images: their poses; all are localized.
         timestamps_s: their times, NaN where unknown.
     """
-    rows = [row for row, image in enumerate(images) if image.success]
-    added = [images[row] for row in rows]
-    if not added:
+    if not images:
         return model
-    num, count = len(model.images), len(added)
-    cameras, rigs, sensor_of = _with_cameras(model, added)
+    num, count = len(model.images), len(images)
+    cameras, rigs, sensor_of = _with_cameras(model, images)
     rig_of = rigs.rig_of_sensor()[sensor_of]
     poses = Rigid3(
-        np.stack([image.cam_from_world.rotation for image in added]),
-        np.stack([image.cam_from_world.translation for image in added]),
+        np.stack([image.cam_from_world.rotation for image in images]),
+        np.stack([image.cam_from_world.translation for image in images]),
     )
     frames = Frames(
         np.append(model.frames.rig, rig_of).astype(np.int32),
@@ -58,18 +56,18 @@ def with_localized(
             np.concatenate([model.frames.rig_from_world.rotation, poses.rotation]),
             np.concatenate([model.frames.rig_from_world.translation, poses.translation]),
         ),
-        np.append(model.frames.timestamp_s, timestamps_s[rows]),
+        np.append(model.frames.timestamp_s, timestamps_s),
     )
-    sizes = [len(image.pixels) for image in added]
+    sizes = [len(image.pixels) for image in images]
     offsets = model.images.keypoint_offsets
     all_images = Images(
-        (*model.images.name, *names_in_model(model, [names[row] for row in rows])),
+        (*model.images.name, *names),
         np.append(model.images.frame, len(model.frames) + np.arange(count)).astype(np.int32),
         np.append(model.images.sensor, sensor_of).astype(np.int32),
         np.concatenate([offsets, offsets[-1] + np.cumsum(sizes)]).astype(np.int64),
-        np.concatenate([model.images.keypoints_px, *(image.pixels for image in added)]),
+        np.concatenate([model.images.keypoints_px, *(image.pixels for image in images)]),
     )
-    point = np.concatenate([model.tracks.point_of_observation(), *(image.point for image in added)])
+    point = np.concatenate([model.tracks.point_of_observation(), *(image.point for image in images)])
     image_of = np.append(model.tracks.image, np.repeat(num + np.arange(count), sizes))
     keypoint = np.concatenate([model.tracks.keypoint, *(np.arange(size) for size in sizes)])
     order = np.argsort(point, kind="stable")
@@ -82,7 +80,9 @@ def with_localized(
     return replace(model, cameras=cameras, rigs=rigs, frames=frames, images=all_images, tracks=tracks)
 
 
-def _with_cameras(model: Reconstruction, added: Sequence[LocalizedImage]) -> tuple[Cameras, Rigs, np.ndarray]:
+def _with_cameras(
+    model: Reconstruction, images: Sequence[LocalizedImage]
+) -> tuple[Cameras, Rigs, np.ndarray]:
     """Cameras and rigs with those of the images, and the sensor of each image.
 
     Images of a camera of the model share it, unless it is a part of a rig of several cameras.
@@ -94,7 +94,7 @@ def _with_cameras(model: Reconstruction, added: Sequence[LocalizedImage]) -> tup
         for s in np.flatnonzero(is_single[rigs.rig_of_sensor()])[::-1]
     }
     sensors = []
-    for image in added:
+    for image in images:
         key = _key(image.camera)
         if key not in sensor_of_key:
             sensor_of_key[key] = len(rigs.sensor_camera) + len(all_cameras) - len(model.cameras)

@@ -34,6 +34,7 @@ from epipole.scene import unregistered
 REFINEMENTS = 3
 """Rounds of refining the pose and choosing its inliers again."""
 INLIER_SIGMAS = 4.0
+"""Points with a larger error are outliers of the refined pose, in standard deviations."""
 LEAST_SIGMA_PX = 0.3
 """Smaller standard deviations of a pixel are not believed: they come from few inliers."""
 DISPLACEMENTS = 4.0
@@ -44,14 +45,16 @@ CLEAR_INLIERS = 40
 """Inliers of a first pose that needs no confirmation, as nothing may be left to find; images of other scenes gave at most 11."""
 CLEAR_RATIO = 0.3
 """Fraction of the matches that these must be, too."""
-FOCAL_SIGMAS, FOCAL_CHANGE = 4.0, 0.015
-"""A focal length is contradicted if the points change it by more than both of these (the second relative)."""
+FOCAL_SIGMAS = 4.0
+"""A focal length is contradicted if the points change it by more standard deviations, and by more than `FOCAL_CHANGE`."""
+FOCAL_CHANGE = 0.015
+"""Change of the logarithm of a focal length that is accepted: distortion and noise of the model shift it by up to 1.3 percent."""
 MAX_FOCAL_STEP = 0.1
 """Largest step of the logarithm of a focal length: a linear step is not valid beyond it."""
-MORE_INLIERS, MORE_INLIERS_RATIO = 20, 1.1
-"""It is contradicted, too, if a free focal length gives this number and this ratio of inliers more: a linear step fails far from the solution."""
-
-
+MORE_INLIERS = 20
+"""A focal length is contradicted, too, if a free one gives this number of inliers more: a linear step fails far from the solution."""
+MORE_INLIERS_RATIO = 1.1
+"""Smallest ratio of these numbers of inliers."""
 FocalKnowledge = Literal["known", "approximate", "unknown"]
 
 
@@ -109,7 +112,7 @@ class Localizer:
         """
         gray = gray_image(read_rgb(image) if isinstance(image, str | Path) else image)
         height, width = gray.shape
-        known = self._camera_of_model(width, height) if camera is None else camera
+        known = self.reference.camera_of_size(width, height) if camera is None else camera
         if known is not None and (known.width, known.height) != (width, height):
             raise ConfigError(
                 f"the camera is for images of {known.width}x{known.height}, but the image is {width}x{height}"
@@ -168,14 +171,6 @@ class Localizer:
             return failure
         inliers = Matches2D3D(matches.feature[first.inlier_mask], matches.point[first.inlier_mask])
         return self._refined(features, camera, first.model, inliers, focal, failure)
-
-    def _camera_of_model(self, width: int, height: int) -> Camera | None:
-        """The camera of the model's images of this size, if they share one."""
-        model = self.reference.model
-        used = np.unique(model.camera_of_image[model.is_registered()]).tolist()
-        cameras = [model.cameras[c] for c in used]
-        same = [camera for camera in cameras if (camera.width, camera.height) == (width, height)]
-        return same[0] if len(same) == 1 else None
 
     def match(self, features: Features, neighbors: Int64[np.ndarray, " m"]) -> Matches2D3D:
         """For each feature the point that most neighbors match it with, and for each point one feature."""

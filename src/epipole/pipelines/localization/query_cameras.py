@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,13 +10,12 @@ import numpy as np
 
 from epipole.cameras import Camera
 from epipole.errors import EpipoleError
-from epipole.io.images.photographs import PhotographHeader, read_header
+from epipole.io.images.photographs import read_header
 from epipole.io.names import path_inside
+from epipole.pipelines.localization.reference import shared_camera
+from epipole.pipelines.sfm.cameras import camera_key
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.scene import Reconstruction
-
-SAME_FOCAL = 0.01
-"""Relative difference of the focal lengths of a model's cameras up to which they count as one camera."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +32,7 @@ class QueryCamera:
 
 
 def query_cameras(
-    images: ImageSet, model: Reconstruction, folder_of_model: Path | None, *, is_given: bool
+    images: ImageSet, model: Reconstruction, folder_of_model: Path, *, is_given: bool
 ) -> tuple[QueryCamera, ...]:
     """For each camera of the images, its intrinsics.
 
@@ -44,7 +42,7 @@ def query_cameras(
     Args:
         images: the images to localize.
         model: the model.
-        folder_of_model: folder of the model's images; None if it is missing.
+        folder_of_model: folder of the model's images, which may be missing.
         is_given: whether the intrinsics of `images` are given by the user.
     """
     if is_given:
@@ -56,8 +54,8 @@ def query_cameras(
     out = []
     for c in range(len(images.cameras)):
         first = int(np.flatnonzero(images.camera_of_image == c)[0])
-        key = _key(read_header(images.folder / images.names[first]))
-        found = _common([camera for known, camera in of_model if known == key])
+        key = camera_key(read_header(images.folder / images.names[first]))
+        found = shared_camera([camera for known, camera in of_model if known == key])
         if found is not None:
             out.append(QueryCamera(found, True, False, "the model's camera"))
         else:
@@ -65,29 +63,16 @@ def query_cameras(
     return tuple(out)
 
 
-def _key(header: PhotographHeader) -> tuple:
-    return header.make, header.model, header.width, header.height, round(header.focal_px or 0.0, 1)
-
-
-def _cameras_of_model(model: Reconstruction, folder: Path | None) -> list[tuple[tuple, Camera]]:
-    """The cameras of registered images, each with what its first image says about it."""
+def _cameras_of_model(model: Reconstruction, folder: Path) -> list[tuple[tuple, Camera]]:
+    """The cameras of registered images, each with the key of its first image."""
     out = []
     registered = np.flatnonzero(model.is_registered())
     rows, firsts = np.unique(model.camera_of_image[registered], return_index=True)
     for row, first in zip(rows.tolist(), registered[firsts].tolist()):
         camera = model.cameras[row]
         key = ("", "", camera.width, camera.height, 0.0)
-        if folder is not None:
-            with suppress(EpipoleError):  # the image is missing: only its size is known
-                key = _key(read_header(path_inside(folder, model.images.name[first])))
+        with suppress(EpipoleError):  # the image is missing: only its size is known
+            key = camera_key(read_header(path_inside(folder, model.images.name[first])))
         if key[2:4] == (camera.width, camera.height):  # not an image at another scale
             out.append((key, camera))
     return out
-
-
-def _common(cameras: Sequence[Camera]) -> Camera | None:
-    """One camera for all; None if their focal lengths differ, or there is none."""
-    if not cameras:
-        return None
-    focals = np.array([camera.focal_px for camera in cameras])
-    return cameras[0] if focals.max() <= (1.0 + SAME_FOCAL) * focals.min() else None

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float32, Int64, UInt8
 
 from epipole._checks import Declared, checked
+from epipole.cameras import Camera
 from epipole.errors import FileFormatError, ShapeError
 from epipole.features import Features, describe_image, describe_images, train_vocabulary
 from epipole.io.colmap.database import read_database
@@ -20,6 +21,8 @@ from epipole.scene import Reconstruction
 DATABASE = "database.db"
 WIDTH = 128
 """Bytes of a SIFT descriptor."""
+SAME_FOCAL = 0.01
+"""Relative difference of the focal lengths of a model's cameras up to which they count as one camera."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,8 +56,9 @@ class ReferenceModel(Declared):
         point, tracks = model.tracks.point_of_observation(), model.tracks
         used = np.flatnonzero(model.is_registered()[tracks.image])
         used = used[np.argsort(tracks.image[used], kind="stable")]
-        is_described = [own.any(axis=1) for own in descriptors]  # keypoints of other detectors have zeros
-        used = used[[bool(is_described[i][k]) for i, k in zip(tracks.image[used], tracks.keypoint[used])]]
+        # Keypoints of other detectors have zeros.
+        is_described = np.concatenate([np.zeros(0, bool), *(own.any(axis=1) for own in descriptors)])
+        used = used[is_described[model.keypoint_rows()[used]]]
         views = PointViews.of(
             model.points.xyz_in_world,
             np.nan_to_num(model.camera_centers_in_world()),
@@ -80,17 +84,16 @@ class ReferenceModel(Declared):
         Raises:
             FileFormatError: there is no model or no database, or they do not belong to each other.
         """
-        folder = find_model(workspace)
-        at = folder.resolve()
-        positions = (Path(workspace), at, at.parent, at.parent.parent)
-        database = next((path for p in positions if (path := p / DATABASE).is_file()), None)
-        if database is None:
-            raise FileFormatError(
-                workspace,
-                f"it has no {DATABASE} with descriptors, which localization needs besides the model",
-            )
+        folder, root = find_model(workspace), workspace_of(workspace)
         model = read_colmap_model(folder)
-        return ReferenceModel.of(model, _descriptors_of(model, database, folder))
+        return ReferenceModel.of(model, _descriptors_of(model, root / DATABASE, folder))
+
+    def camera_of_size(self, width: int, height: int) -> Camera | None:
+        """The camera of the registered images of this size, if they share one."""
+        model = self.model
+        used = np.unique(model.camera_of_image[model.is_registered()]).tolist()
+        cameras = [model.cameras[c] for c in used]
+        return shared_camera([one for one in cameras if (one.width, one.height) == (width, height)])
 
     def most_similar(self, features: Features, count: int) -> Int64[np.ndarray, " c"]:
         """Images with the most similar global descriptors, best first."""
@@ -99,6 +102,30 @@ class ReferenceModel(Declared):
 
     def __repr__(self) -> str:
         return f"ReferenceModel({self.model!r})"
+
+
+@checked
+def workspace_of(path: str | Path) -> Path:
+    """The folder with the database of a model, which also has the images: the given one, or a parent of the model's folder.
+
+    Raises:
+        FileFormatError: there is no model, or no database.
+    """
+    at = find_model(path).resolve()
+    for folder in (Path(path), at, at.parent, at.parent.parent):
+        if (folder / DATABASE).is_file():
+            return folder
+    raise FileFormatError(
+        path, f"it has no {DATABASE} with descriptors, which localization needs besides the model"
+    )
+
+
+def shared_camera(cameras: Sequence[Camera]) -> Camera | None:
+    """One camera for all; None if their focal lengths differ, or there is none."""
+    if not cameras:
+        return None
+    focals = np.array([camera.focal_px for camera in cameras])
+    return cameras[0] if focals.max() <= (1.0 + SAME_FOCAL) * focals.min() else None
 
 
 def _descriptors_of(model: Reconstruction, database: Path, folder: Path) -> list[np.ndarray]:

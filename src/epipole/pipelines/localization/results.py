@@ -12,6 +12,7 @@ from epipole.pipelines.localization.query_cameras import QueryCamera
 from epipole.scene import Reconstruction
 
 NEIGHBORS_SHOWN = 5
+"""Neighbors of each image in `localized.json`."""
 
 
 def poses_text(names: Sequence[str], images: Sequence[LocalizedImage]) -> str:

@@ -29,6 +29,7 @@ from epipole.pipelines.localization.localizer import FocalKnowledge, Localizer
 from epipole.pipelines.localization.options import LocalizeKeywords
 from epipole.pipelines.localization.page import render_page
 from epipole.pipelines.localization.query_cameras import QueryCamera, query_cameras
+from epipole.pipelines.localization.reference import workspace_of
 from epipole.pipelines.localization.results import image_summary, poses_text
 from epipole.pipelines.localization.shared_focal import localize_images_of_camera
 from epipole.pipelines.sfm.inputs import CONTENTS, UNITS, image_set_of
@@ -41,6 +42,7 @@ from epipole.runs import Job, ProgressCallback, Run, Unit, ignore_progress, load
 from epipole.scene import Reconstruction
 
 IMAGES = "images"
+"""Folder of the model's images in its workspace."""
 AT_ONCE = 16
 """Images between two reports of progress."""
 FOLDER = "localized"
@@ -99,9 +101,10 @@ def localize(
     config = options_of(LocalizeConfig, config, options, ["out", "config", "progress"])
     source, workspace = as_path(images), as_path(workspace)
     _check_source(source, config)
-    out = workspace / FOLDER if out is None else as_path(out)
     if not workspace.exists():
         raise FileFormatError(workspace, missing_in_words(workspace))
+    root = workspace_of(workspace)
+    out = root / FOLDER if out is None else as_path(out)
     job = Job(
         kind="localize",
         inputs=(source, workspace),
@@ -117,13 +120,8 @@ def localize(
             run.report("open", 1, 1)
         with run.stage("read"):
             found = _images_of(source, run, config)
-            folder = workspace / IMAGES
-            cameras = query_cameras(
-                found,
-                localizer.reference.model,
-                folder if folder.is_dir() else None,
-                is_given=config.for_images().has_known_camera,
-            )
+            model, is_given = localizer.reference.model, config.for_images().has_known_camera
+            cameras = query_cameras(found, model, root / IMAGES, is_given=is_given)
         with run.stage("features"):
             units = feature_units(
                 found, run.root / UNITS / "features", config.localizer.features, config.masks
@@ -213,7 +211,10 @@ def _write(
     names = [images.names[row] for row in rows]
     found = [localized[row] for row in rows]
     before = localizer.reference.model
-    model = with_localized(before, names, found, images.timestamps_s[rows])
+    good = [k for k, image in enumerate(found) if image.success]
+    localized_names = names_in_model(before, [names[k] for k in good])
+    timestamps_s = images.timestamps_s[[rows[k] for k in good]]
+    model = with_localized(before, localized_names, [found[k] for k in good], timestamps_s)
     reasons = {
         **images.left_out,
         **{images.names[row]: why for row, why in failures.items()},
@@ -227,18 +228,16 @@ def _write(
         name: image_summary(image, before, camera=cameras[int(images.camera_of_image[row])])
         for row, name, image in zip(rows, names, found)
     }
-    localized_names = names_in_model(before, [name for name, image in zip(names, found) if image.success])
     with run.stage("write"), run.folder.publish("model") as aside:
         write_colmap_model(model, aside / "sparse" / "0")
         write_scene_ply(aside / "points.ply", before)
         (aside / "localized.json").write_text(json_text(entries, indent=1), encoding="utf-8")
         (aside / "poses.txt").write_text(poses_text(names, found), encoding="utf-8")
-    unit = _unit_of(run.job.inputs[1])
-    num = sum(image.success for image in found)
-    errors = [image.error_px for image in found if image.success]
+    unit = _unit_of(workspace_of(run.job.inputs[1]))
+    errors = [found[k].error_px for k in good]
     summary = {
         "num_images": len(images) + len(images.left_out),
-        "num_localized": num,
+        "num_localized": len(good),
         "is_metric": unit == METERS,
         "median_error_px": float(np.median(errors)) if errors else None,
         "names_in_model": list(localized_names),
@@ -256,7 +255,7 @@ def _write(
 
 
 def _unit_of(workspace: Path) -> str:
-    """Unit of the model, from the summary of the run that made it."""
+    """Unit of the model, from the summary of the run that made it; of a COLMAP model, it is unknown."""
     try:
         summary = read_json(workspace / "summary.json")
     except FileFormatError:

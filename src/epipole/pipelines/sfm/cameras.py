@@ -63,8 +63,7 @@ def group_cameras(headers: Mapping[str, PhotographHeader], config: ReconstructCo
     sources: list[str] = []
     rows: list[int] = []
     for header in headers.values():
-        # Without make, model and focal length in the EXIF, only the size distinguishes cameras.
-        key = (header.make, header.model, header.width, header.height, round(header.focal_px or 0.0, 1))
+        key = camera_key(header)
         if key not in groups:
             groups[key] = len(cameras)
             camera, source = _camera_of(header, model)
@@ -74,6 +73,11 @@ def group_cameras(headers: Mapping[str, PhotographHeader], config: ReconstructCo
     trusted = [not s.startswith("assumed") for s in sources]
     columns = Cameras.from_list(cameras, is_focal_trusted=trusted)
     return GroupedCameras(columns, np.array(rows, np.int32), tuple(sources))
+
+
+def camera_key(header: PhotographHeader) -> tuple[str, str, int, int, float]:
+    """Key that images of one camera have in common; without make, model and focal length in the EXIF, only the size distinguishes cameras."""
+    return header.make, header.model, header.width, header.height, round(header.focal_px or 0.0, 1)
 
 
 def _check_one_size(headers: Mapping[str, PhotographHeader]) -> None:

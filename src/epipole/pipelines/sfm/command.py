@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated
@@ -12,6 +13,8 @@ from epipole._terminal import one_line
 from epipole.pipelines.sfm.config import ReconstructConfig
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from epipole.pipelines.sfm.run import ReconstructionResult
 
 DEFAULTS = ReconstructConfig()
@@ -75,13 +78,20 @@ def show_reconstruction(result: ReconstructionResult) -> None:
         table.add_row("", f"of which compiling kernels, once per machine: {summary['compile_seconds']:.0f} s")
     console.print(table)
     print_warnings(console, result.warnings)
-    for name, reason in list(result.reasons.items())[:REASONS_SHOWN]:
+    show_reasons(console, result.reasons)
+    show_location(console, result.out, {"model": result.out / "sparse" / "0"})
+
+
+def show_reasons(console: Console, reasons: Mapping[str, str]) -> None:
+    """Print why images have no pose, for the first ones."""
+    for name, reason in list(reasons.items())[:REASONS_SHOWN]:
         console.print(one_line(f"  {name}: {reason}"), highlight=False, markup=False)
-    if (more := len(result.reasons) - REASONS_SHOWN) > 0:
+    if (more := len(reasons) - REASONS_SHOWN) > 0:
         console.print(f"  and {more} more, in the report", highlight=False, markup=False)
-    console.print(
-        f"model   {result.out / 'sparse' / '0'}\nreport  {result.out / 'report.html'}",
-        highlight=False,
-        markup=False,
-    )
-    console.print(f"view    epipole view {quote(str(result.out))}", highlight=False, markup=False)
+
+
+def show_location(console: Console, out: Path, files: Mapping[str, Path]) -> None:
+    """Print where the results are, and the command that shows them."""
+    lines = {**files, "report": out / "report.html", "view": f"epipole view {quote(str(out))}"}
+    for name, where in lines.items():
+        console.print(f"{name:<7} {where}", highlight=False, markup=False)

@@ -160,7 +160,7 @@ class ReconstructConfig:
     learned_network: Literal["xfeat", "aliked"] = "xfeat"
     """aliked: more right matches, several times slower."""
     grow: bool = False
-    """Start from the model that OUT has from an earlier run, keep its coordinates, and only register further images."""
+    """Start from the model in OUT, keep its coordinates, and register further images."""
     max_frames: int = 200
     """Maximum number of frames taken from a video."""
     executor: Literal["threads", "processes", "inline"] = "threads"

@@ -11,8 +11,10 @@ from epipole.features import Features
 from epipole.mapping import ModelBuilder, connect_matches, find_further_matches, median_error_px
 from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper
 
-ROUNDS, GROWN_ROUNDS = 3, 1
-"""Most rounds of adjustment of a completed model, and of one that grew from an earlier model: most of it is adjusted already."""
+ROUNDS = 3
+"""Most rounds of adjustment of a completed model."""
+GROWN_ROUNDS = 1
+"""The same for a model that grew from an earlier one: most of it is adjusted already."""
 RADIUS_FACTOR = 4.0
 """Multiple of the median reprojection error within which features are looked for: 99.9 % of the right ones, if both errors
 are normal. A larger radius adds other features nearby, which double the error of a rendered scene."""
