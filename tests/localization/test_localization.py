@@ -180,6 +180,21 @@ def test_damaged_images_and_missing_models(workspace, photographs, tmp_path):
         epipole.localize(sorted(photographs.iterdir())[0], workspace, tmp_path / "out2", include=("*.jpg",))
 
 
+def test_a_damaged_photograph_or_database_is_named(workspace, photographs, tmp_path):
+    junk = tmp_path / "junk.jpg"
+    junk.write_text("no image")
+    with pytest.raises(FileFormatError, match=r"junk\.jpg: not an image"):
+        epipole.localize(junk, workspace, tmp_path / "out")
+    with pytest.raises(WorkspaceError, match="the folder of the model"):
+        epipole.localize(photographs, workspace, workspace)
+    copy = tmp_path / "copy"
+    shutil.copytree(workspace, copy)
+    content = (copy / "database.db").read_bytes()
+    (copy / "database.db").write_bytes(content[: len(content) // 2])
+    with pytest.raises(FileFormatError, match=r"database\.db"):
+        epipole.localize(photographs, copy, tmp_path / "out")
+
+
 def test_a_model_of_another_run_is_refused(workspace, tmp_path):
     copy = tmp_path / "copy"
     shutil.copytree(workspace, copy)

@@ -77,7 +77,7 @@ def localization_page(model: Reconstruction) -> str:
         model,
         (name,),
         {name: entry, "lost.jpg": lost},
-        {"lost.jpg": "its matches with the model agree on no pose"},
+        {"lost.jpg": "no pose fits enough of its matches with the model"},
         "m",
     )
 

@@ -18,7 +18,7 @@ class LocalizationReason(StrEnum):
     OK = "ok"
     FEW_FEATURES = "too few features"
     FEW_MATCHES = "too few matches with the points of the model"
-    FEW_INLIERS = "its matches with the model agree on no pose"
+    FEW_INLIERS = "no pose fits enough of its matches with the model"
     NOT_CONFIRMED = "too few of the points that its pose predicts are found"
     UNDETERMINED = "the matched points do not determine the pose"
 
@@ -46,7 +46,7 @@ class LocalizedImage:
     num_confirmed: int
     """Number of other points found near their projections."""
     num_by_chance: int
-    """The same with displaced projections: what chance finds."""
+    """The same with displaced projections: the number found by chance."""
     focal_correction: float
     """Relative change of the focal length that fits the points better; NaN if unknown."""
     is_focal_contradicted: bool

@@ -280,7 +280,7 @@ class Localizer:
     def _search(
         self, features: Features, camera: Camera, cam_from_world: Rigid3, inliers: Matches2D3D
     ) -> tuple[Matches2D3D, np.ndarray, int]:
-        """Points found near their projections, which of them are not inliers, and how many others chance finds."""
+        """Points found near their projections, which of them are not inliers, and the number of others found by chance."""
         views = self.reference.views
         is_inlier = np.zeros(len(views.points_in_world), bool)
         is_inlier[inliers.point] = True

@@ -15,11 +15,11 @@ from epipole import _parallel
 from epipole._checks import as_path
 from epipole.cameras import Camera
 from epipole.config import options_of
-from epipole.errors import ConfigError, FileFormatError, NoModelError
+from epipole.errors import ConfigError, FileFormatError, NoModelError, WorkspaceError
 from epipole.io.colmap.model import write_colmap_model
 from epipole.io.files import missing_in_words, read_json
 from epipole.io.images.formats import FORMAT_OF_SUFFIX
-from epipole.io.images.photographs import link_or_copy
+from epipole.io.images.photographs import link_or_copy, read_header
 from epipole.io.json_files import json_text
 from epipole.io.meshes.ply import write_scene_ply
 from epipole.pipelines.localization.config import LocalizeConfig
@@ -93,7 +93,7 @@ def localize(
         **options: single options by name, which override `config`: `camera_params="525,525,320,240"`.
 
     Raises:
-        FileFormatError: there is no model or no database, or they do not belong to each other.
+        FileFormatError: there is no model or no database, they do not belong to each other, or the photograph is damaged.
         NoModelError: there are no usable images. An image that cannot be localized is no error.
         WorkspaceError: the output folder cannot be used.
         ConfigError: an option is unknown, or does not match the images.
@@ -104,7 +104,7 @@ def localize(
     if not workspace.exists():
         raise FileFormatError(workspace, missing_in_words(workspace))
     root = workspace_of(workspace)
-    out = root / FOLDER if out is None else as_path(out)
+    out = _output_folder(out, root)
     job = Job(
         kind="localize",
         inputs=(source, workspace),
@@ -132,17 +132,33 @@ def localize(
         return _write(localizer, found, cameras, localized, failures, run)
 
 
+def _output_folder(out: str | Path | None, root: Path) -> Path:
+    """The given folder, or the usual one in the workspace.
+
+    Raises:
+        WorkspaceError: it is the workspace.
+    """
+    folder = root / FOLDER if out is None else as_path(out)
+    if folder.resolve() == root.resolve():
+        raise WorkspaceError(f"{folder} is the folder of the model: choose another output folder")
+    return folder
+
+
 def _check_source(source: Path, config: LocalizeConfig) -> None:
     """Check that the images exist.
 
     Raises:
         NoModelError: the path does not exist.
+        FileFormatError: it is a photograph that cannot be read.
         ConfigError: it is a photograph, but patterns are given, too.
     """
     if not source.exists():
         raise NoModelError(f"{source} does not exist")
-    if _is_photograph(source) and (config.include or config.exclude):
+    if not _is_photograph(source):
+        return
+    if config.include or config.exclude:
         raise ConfigError(f"include and exclude select images of a folder, but {source} is one image")
+    read_header(source)
 
 
 def _is_photograph(source: Path) -> bool:
