@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
+from pathlib import Path
+from shlex import quote
 from time import monotonic, perf_counter
 from typing import TYPE_CHECKING, Literal
 
@@ -43,7 +45,7 @@ LINE_EVERY_S = 10.0
 SHORT_S = 1.0
 """Work shorter than this (seconds) is not announced."""
 MOST_PRINTED = 10
-"""Largest number of warnings on the screen if a file has all of them."""
+"""Largest number of warnings or reasons on the screen if a file has all of them."""
 Loudness = Literal["quiet", "normal", "verbose"]
 _LOUDNESS: ContextVar[Loudness] = ContextVar("loudness", default="normal")
 
@@ -373,3 +375,18 @@ def print_warnings(console: Console, warnings: Iterable[str], word: str = "note"
     for warning in [*shown, *([f"{more} more, in {rest_in}"] if more else [])]:
         text = one_line(f"{word}: {in_words_of_caller(warning)}")
         console.print(text, style="yellow", highlight=False, markup=False, soft_wrap=True)
+
+
+def show_reasons(console: Console, reasons: Mapping[str, str]) -> None:
+    """Print why images have no pose, for the first ones."""
+    for name, reason in list(reasons.items())[:MOST_PRINTED]:
+        console.print(one_line(f"  {name}: {reason}"), highlight=False, markup=False)
+    if (more := len(reasons) - MOST_PRINTED) > 0:
+        console.print(f"  and {more} more, in the report", highlight=False, markup=False)
+
+
+def show_location(console: Console, out: Path, files: Mapping[str, Path]) -> None:
+    """Print where the results are, and the command that shows them."""
+    lines = {**files, "report": out / "report.html", "view": f"epipole view {quote(str(out))}"}
+    for name, where in lines.items():
+        console.print(f"{name:<7} {where}", highlight=False, markup=False)

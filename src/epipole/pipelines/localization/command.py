@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from epipole.pipelines.localization.config import LocalizeConfig
-from epipole.pipelines.sfm.command import STAGES, show_location, show_reasons
+from epipole.pipelines.sfm.command import STAGES
 
 if TYPE_CHECKING:
     from epipole.pipelines.localization.run import LocalizationResult
@@ -44,7 +44,7 @@ def _show(result: LocalizationResult) -> None:
     """Print the result and its location."""
     from rich.table import Table
 
-    from epipole.screen import open_console, print_warnings
+    from epipole.screen import open_console, print_warnings, show_location, show_reasons
 
     console, summary = open_console(), result.summary
     table = Table(box=None, show_header=False)

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from epipole._terminal import one_line
 from epipole.pipelines.sfm.config import ReconstructConfig
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from epipole.pipelines.sfm.run import ReconstructionResult
 
 DEFAULTS = ReconstructConfig()
-REASONS_SHOWN = 10
 STAGES = {
     "video": "Extracting frames",
     "read": "Reading headers",
@@ -60,7 +54,7 @@ def show_reconstruction(result: ReconstructionResult) -> None:
     """Print the result and its location."""
     from rich.table import Table
 
-    from epipole.screen import open_console, print_warnings
+    from epipole.screen import open_console, print_warnings, show_location, show_reasons
 
     console, model, summary = open_console(), result.model, result.summary
     table = Table(box=None, show_header=False)
@@ -80,18 +74,3 @@ def show_reconstruction(result: ReconstructionResult) -> None:
     print_warnings(console, result.warnings)
     show_reasons(console, result.reasons)
     show_location(console, result.out, {"model": result.out / "sparse" / "0"})
-
-
-def show_reasons(console: Console, reasons: Mapping[str, str]) -> None:
-    """Print why images have no pose, for the first ones."""
-    for name, reason in list(reasons.items())[:REASONS_SHOWN]:
-        console.print(one_line(f"  {name}: {reason}"), highlight=False, markup=False)
-    if (more := len(reasons) - REASONS_SHOWN) > 0:
-        console.print(f"  and {more} more, in the report", highlight=False, markup=False)
-
-
-def show_location(console: Console, out: Path, files: Mapping[str, Path]) -> None:
-    """Print where the results are, and the command that shows them."""
-    lines = {**files, "report": out / "report.html", "view": f"epipole view {quote(str(out))}"}
-    for name, where in lines.items():
-        console.print(f"{name:<7} {where}", highlight=False, markup=False)
