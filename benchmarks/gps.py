@@ -9,9 +9,9 @@ import numpy as np
 from benchmarks.tasks.sfm import SfmTask
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Similarity3, align_points
-from epipole.io.images.exif import gps_to_enu
 from epipole.io.images.photographs import read_header
 from epipole.scene import Reconstruction
+from epipole.scene.georeference import gps_to_enu
 
 MAX_TRIPLES = 2000
 """Maximum number of samples in the robust alignment."""

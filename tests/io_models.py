@@ -1,6 +1,7 @@
 """Small models shared by the tests: one with a rig and an unregistered frame, and a plain one."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -120,3 +121,25 @@ def mappable_model(num_images: int = 6, num_points: int = 200) -> Reconstruction
     )
     points = Points(xyz, np.zeros((num_points, 3), np.uint8), np.full(num_points, np.nan))
     return Reconstruction(cameras, Rigs.of_single_cameras(1), frames, images, points, tracks)
+
+
+def write_gcp_list(path: Path, model: Reconstruction, num_control: int = 5, num_check: int = 2) -> None:
+    """Points of a model as surveyed points in local coordinates, ten times as large; the last ones are check points."""
+    lengths = np.diff(model.tracks.offsets)
+    candidates = np.flatnonzero(lengths >= min(3, lengths.max()))
+    chosen = [int(candidates[0])]
+    xyz = model.points.xyz_in_world
+    near = np.argsort(np.linalg.norm(xyz[candidates] - np.median(xyz[candidates], axis=0), axis=1))
+    candidates = candidates[near[: max(len(near) * 3 // 4, num_control + num_check)]]
+    while len(chosen) < num_control + num_check:  # farthest from those chosen
+        distance = np.linalg.norm(xyz[candidates][:, None] - xyz[chosen], axis=2).min(axis=1)
+        chosen.append(int(candidates[np.argmax(distance)]))
+    lines = ["LOCAL"]
+    for n, point in enumerate(chosen):
+        name = f"P{n + 1}" if n < num_control else f"CHK-P{n + 1}"
+        numbers = " ".join(f"{10.0 * value:.6f}" for value in xyz[point])
+        for row in range(model.tracks.offsets[point], model.tracks.offsets[point + 1]):
+            image = int(model.tracks.image[row])
+            u, v = model.images.keypoints_of(image)[model.tracks.keypoint[row]]
+            lines.append(f"{numbers} {u:.2f} {v:.2f} {model.images.name[image]} {name}")
+    path.write_text("\n".join(lines) + "\n")

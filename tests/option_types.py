@@ -21,6 +21,7 @@ PIPELINES = {
     "stereo": ("StereoConfig",),
     "calibration": ("CalibrationConfig",),
     "localization": ("LocalizeConfig",),
+    "georeferencing": ("GeoreferenceConfig",),
 }
 """Of each pipeline, the configs of its jobs."""
 TAKEN = {"ReconstructConfig": ("executor",)}

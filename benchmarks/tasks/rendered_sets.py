@@ -13,8 +13,8 @@ import numpy as np
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3
-from epipole.io.images.exif import gps_to_enu
 from epipole.io.images.photographs import write_jpeg_with_exif
+from epipole.scene import Georeference
 from epipole.synthetic import Box, Plane, Sphere, SyntheticScene, render
 from epipole.synthetic.rides import facing, loop_room
 from epipole.synthetic.scene import Primitive, Vector
@@ -29,7 +29,6 @@ GPS_SIGMA_M = np.array([2.0, 2.0, 3.0])
 """Standard deviations of the fixes: east, north, up."""
 ORIGIN = np.array([48.2, 11.6, 520.0])
 """Latitude and longitude in degrees and altitude in meters of the start of the street."""
-METERS_PER_DEGREE = 111_200.0
 HALF_STREET_M, SIGHT_M, BEHIND_M = 6.0, 180.0, 25.0
 """From the center line to the facades; how far ahead and behind the camera things are rendered."""
 CROSSING_M = (60.0, 100.0)
@@ -112,18 +111,12 @@ def _with_noise(centers: np.ndarray) -> np.ndarray:
 
 def _lat_lon_alt(enu: np.ndarray) -> np.ndarray:
     """WGS84 positions of points (n, 3) in meters east, north and up of `ORIGIN`."""
-    table = np.tile(ORIGIN, (len(enu), 1))
-    scale = np.array([METERS_PER_DEGREE, METERS_PER_DEGREE * np.cos(np.deg2rad(ORIGIN[0])), 1.0])
-    for _ in range(6):  # the inverse of `enu_about`, by fixed-point iteration
-        east, north, up = (enu - enu_about(table, ORIGIN)).T
-        table = table + np.stack([north, east, up], axis=1) / scale
-    return table
+    return Georeference(*ORIGIN.tolist()).lat_lon_alt_of(enu)
 
 
 def enu_about(lat_lon_alt: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """Meters east, north and up of a position, with the axes of `gps_to_enu`, which is about the median of its positions."""
-    most = np.tile(origin, (len(lat_lon_alt) + 1, 1))
-    return gps_to_enu(np.concatenate([lat_lon_alt, most]))[: len(lat_lon_alt)]
+    """Meters east, north and up of a position."""
+    return Georeference(*origin.tolist()).enu_of(lat_lon_alt)
 
 
 def _room_plan(num_images: int) -> _Plan:

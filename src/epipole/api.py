@@ -31,6 +31,9 @@ from epipole.pipelines.fields.rendering import render as render
 from epipole.pipelines.fields.run import FieldResult as FieldResult
 from epipole.pipelines.fields.run import nerf as nerf
 from epipole.pipelines.fields.run import splat as splat
+from epipole.pipelines.georeferencing.config import GeoreferenceConfig as GeoreferenceConfig
+from epipole.pipelines.georeferencing.run import GeoreferenceResult as GeoreferenceResult
+from epipole.pipelines.georeferencing.run import georeference as georeference
 from epipole.pipelines.localization.config import LocalizeConfig as LocalizeConfig
 from epipole.pipelines.localization.config import LocalizerConfig as LocalizerConfig
 from epipole.pipelines.localization.localized_image import LocalizationReason as LocalizationReason
@@ -64,6 +67,7 @@ from epipole.pipelines.viewing.run import view as view
 from epipole.runs import Progress as Progress
 from epipole.scene import CameraRig as CameraRig
 from epipole.scene import DisparityMap as DisparityMap
+from epipole.scene import Georeference as Georeference
 from epipole.scene import Mesh as Mesh
 from epipole.scene import Reconstruction as Reconstruction
 from epipole.scene import RectifiedRig as RectifiedRig

@@ -23,6 +23,7 @@ from epipole.io.calibration.files import (
     write_calibration,
     write_opencv_yaml,
 )
+from epipole.io.colmap.model import read_colmap_model
 from epipole.io.images.photographs import write_jpeg_with_exif
 from epipole.io.meshes.ply import write_points_ply
 from epipole.scene import Trajectory
@@ -32,6 +33,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fields"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "io"))
 from fields_scenes import CAMERA, camera, frames_of, views
 from test_io_llff import write_scene
+
+from io_models import write_gcp_list
 
 LARGE = Camera("PINHOLE", 1536, 1024, [1380.0, 1380.0, 767.5, 511.5])
 
@@ -259,18 +262,29 @@ def new_photographs(folder: Path) -> None:
         shutil.copy2(path, folder / "NEW" / name)
 
 
+def surveyed(folder: Path) -> None:
+    """Control points on the reconstruction."""
+    write_gcp_list(folder / "gcp_list.txt", read_colmap_model(folder / "OUT" / "sparse" / "0"))
+
+
+def new_and_surveyed(folder: Path) -> None:
+    new_photographs(folder)
+    surveyed(folder)
+
+
 def no_cloud(folder: Path) -> None:
     """No cloud of another program."""
     (folder / "cloud.ply").unlink(missing_ok=True)
 
 
 AFTER_RECONSTRUCTING: dict[str, Callable[[Path], None]] = {
-    "README-0": new_photographs,
+    "README-0": new_and_surveyed,
     "command_line-1": results,
     "first_model-0": nothing,
     "first_model-1": nothing,
     "first_model-2": no_cloud,
     "index-0": nothing,
+    "georeferencing-0": surveyed,
     "localization-0": new_photographs,
     "reconstruction-1": nothing,
     "tour/4_depth-0": tour_model,

@@ -1,6 +1,5 @@
 """Focal length, place and time from EXIF."""
 
-import math
 from datetime import datetime
 
 import numpy as np
@@ -15,7 +14,6 @@ from epipole.io.images.exif import (
     focal_of,
     gimbal_up_of,
     gps_of,
-    gps_to_enu,
     new_exif,
     orientation_of,
     upright_exif,
@@ -23,7 +21,6 @@ from epipole.io.images.exif import (
 from epipole.io.images.sensor_widths import SENSOR_WIDTH_MM, camera_key, sensor_width_mm
 
 FOCAL_MM, FOCAL_35MM, PIXEL_WIDTH, PLANE_X, PLANE_UNIT = 0x920A, 0xA405, 0xA002, 0xA20E, 0xA210
-SEMI_MAJOR_M, E2 = 6378137.0, 0.00669437999014
 
 
 def block(details=None, gps=None, **tags):
@@ -188,63 +185,6 @@ def test_upright_exif_keeps_facts_and_drops_orientation():
     assert 0x927C not in upright.get_ifd(0x8769)
     for fact in (camera_of, gps_of, capture_time_of, lambda e: focal_of(e, 5184, 3456)):
         assert fact(upright) == fact(exif) is not None
-
-
-def radii_m(lat_deg):
-    """Radii of curvature of the meridian and of the prime vertical."""
-    w = math.sqrt(1.0 - E2 * math.sin(math.radians(lat_deg)) ** 2)
-    return SEMI_MAJOR_M * (1.0 - E2) / w**3, SEMI_MAJOR_M / w
-
-
-@pytest.mark.parametrize(
-    ("lat", "lon"), [(0.0, 0.0), (55.7, 13.2), (-33.9, 151.2), (10.0, 180.0), (80.0, -179.9999)]
-)
-def test_enu_agrees_with_the_radii_of_curvature(lat, lon):
-    step_deg, alt_m = 1e-3, 120.0
-    meridian_m, vertical_m = radii_m(lat)
-    east_m = math.radians(step_deg) * (vertical_m + alt_m) * math.cos(math.radians(lat))
-    north_m = math.radians(step_deg) * (meridian_m + alt_m)
-    steps = np.array([[0, 0, 0], [0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0], [0, 0, 5], [0, 0, -5]], float)
-    table = np.array([lat, lon, alt_m]) + steps * [step_deg, step_deg, 1.0]
-    table[:, 1] = (table[:, 1] + 180.0) % 360.0 - 180.0
-    enu = gps_to_enu(table)
-    expected = np.array(
-        [[0, 0, 0], [east_m, 0, 0], [-east_m, 0, 0], [0, north_m, 0], [0, -north_m, 0], [0, 0, 5], [0, 0, -5]]
-    )
-    np.testing.assert_allclose(enu, expected, atol=0.01)
-
-
-def test_enu_keeps_distances():
-    rng = np.random.default_rng(3)
-    table = np.column_stack([rng.uniform(47, 48, 20), rng.uniform(8, 9, 20), rng.uniform(0, 2000, 20)])
-    lat, lon = np.radians(table[:, :2].T)
-    n = SEMI_MAJOR_M / np.sqrt(1 - E2 * np.sin(lat) ** 2)
-    ecef = np.column_stack(
-        [
-            (n + table[:, 2]) * np.cos(lat) * np.cos(lon),
-            (n + table[:, 2]) * np.cos(lat) * np.sin(lon),
-            (n * (1 - E2) + table[:, 2]) * np.sin(lat),
-        ]
-    )
-    enu = gps_to_enu(table)
-    distances = [np.linalg.norm(p[:, None] - p[None], axis=-1) for p in (enu, ecef)]
-    np.testing.assert_allclose(distances[0], distances[1], atol=1e-5)
-
-
-def test_enu_with_missing_values():
-    table = np.array([[50.0, 8.0, 100.0], [np.nan, 8.0, 100.0], [50.001, 8.0, np.nan], [50.0, 8.0, 100.0]])
-    before = table.copy()
-    enu = gps_to_enu(table)
-    np.testing.assert_array_equal(table, before)
-    assert np.isnan(enu[1]).all()
-    assert enu[2, 1] == pytest.approx(math.radians(1e-3) * (radii_m(50.0)[0] + 100), abs=0.01)
-    assert np.isnan(enu[2, 2])
-    np.testing.assert_allclose(enu[[0, 3]], 0.0, atol=1e-9)
-    assert gps_to_enu(np.zeros((0, 3))).shape == (0, 3)
-    assert np.isnan(gps_to_enu(np.full((2, 3), np.nan))).all()
-    without_altitude = gps_to_enu(np.array([[50.0, 8.0, np.nan], [50.001, 8.0, np.nan]]))
-    assert np.isfinite(without_altitude[:, :2]).all()
-    assert np.isnan(without_altitude[:, 2]).all()
 
 
 @pytest.mark.parametrize(

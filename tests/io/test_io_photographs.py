@@ -15,7 +15,7 @@ from PIL import Image
 
 from epipole.errors import FileFormatError, MissingDependencyError
 from epipole.io.images import pixels as _photograph_pixels
-from epipole.io.images.exif import GpsPosition, gps_to_enu
+from epipole.io.images.exif import GpsPosition
 from epipole.io.images.photographs import (
     copy_or_rotate,
     list_photographs,
@@ -26,6 +26,7 @@ from epipole.io.images.photographs import (
     read_rgb,
     write_jpeg_with_exif,
 )
+from epipole.scene.georeference import gps_to_enu
 
 DATA = Path(os.environ.get("EPIPOLE_DATA", Path(__file__).resolve().parents[2].parent / "shared" / "data"))
 

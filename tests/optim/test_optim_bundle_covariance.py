@@ -15,6 +15,7 @@ from epipole.optim import (
     BundlePriors,
     BundleProblem,
     PointDistances,
+    PointPositions,
     adjust_bundle,
     bundle_covariance,
     with_fixed_gauge,
@@ -199,6 +200,43 @@ def test_known_distances_make_the_scale_known(rng):
     scaled = replace(unscaled, priors=BundlePriors(distances=bar))
     found = bundle_covariance(scaled, adjust_bundle(scaled, EXACT))
     assert np.isfinite(found.points_in_world).all() and np.isfinite(found.rig_from_world).all()
+
+
+def surveyed_ring(rng, sigma: float, num: int = 5):
+    """A ring with measured positions of its first points, and one more point that is checked; truth and problem."""
+    truth, start = ring(rng)
+    rows = np.arange(num + 1)
+    error = sigma * rng.normal(size=(num + 1, 3))
+    sigmas = np.full((num + 1, 3), sigma)
+    sigmas[num] = np.inf
+    points = PointPositions(rows, truth.points_in_world[rows] + error, sigmas)
+    return truth, replace(start, priors=BundlePriors(points=points))
+
+
+def test_measured_points_fix_position_orientation_and_scale():
+    """Errors of a point without a measurement are as large as its covariance says."""
+    sigma, squared = 0.05, []
+    for seed in range(40):
+        truth, problem = surveyed_ring(np.random.default_rng(seed), sigma)
+        assert with_fixed_gauge(problem) is problem
+        result = adjust_bundle(problem, EXACT)
+        found = bundle_covariance(problem, result, noise_px=1.0)
+        off = result.points_in_world[5] - truth.points_in_world[5]
+        squared.append(off @ np.linalg.solve(found.points_in_world[5], off))
+    assert 2.0 < np.mean(squared) < 4.2  # chi-squared with three degrees of freedom, standard error 0.39
+
+
+def test_pixels_of_a_point_can_be_less_precise(rng):
+    """Twice the standard deviation of all pixels: the minimum is the same, the cost a quarter, the variances four times."""
+    _, start = ring(rng)
+    problem = with_fixed_gauge(start)
+    coarse = replace(problem, point_sigma_px=np.full(len(problem.point_free), 2.0))
+    fine, other = adjust_bundle(problem, EXACT), adjust_bundle(coarse, EXACT)
+    np.testing.assert_allclose(other.points_in_world, fine.points_in_world, atol=1e-6)
+    np.testing.assert_allclose(4.0 * other.final_cost, fine.final_cost, rtol=1e-6)
+    one, two = (bundle_covariance(p, r, noise_px=1.0) for p, r in ((problem, fine), (coarse, other)))
+    np.testing.assert_allclose(two.rig_from_world, 4.0 * one.rig_from_world, rtol=1e-4)
+    np.testing.assert_allclose(two.points_in_world, 4.0 * one.points_in_world, rtol=1e-4)
 
 
 def test_no_more_residuals_than_unknowns_raises(rng):

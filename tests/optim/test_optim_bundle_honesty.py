@@ -14,6 +14,7 @@ from epipole.optim import (
     LinearSolver,
     Loss,
     PointDistances,
+    PointPositions,
     StopReason,
     adjust_bundle,
     with_fixed_gauge,
@@ -264,6 +265,11 @@ def bar(first, second, sigma):
     return PointDistances(np.array([first]), np.array([second]), np.array([1.0]), np.array([sigma]))
 
 
+def surveyed(rows, expected=1.0, sigma=0.1):
+    size = (len(rows), 3)
+    return PointPositions(np.array(rows), np.full(size, expected), np.full(size, sigma))
+
+
 @pytest.mark.parametrize(
     ("wrong", "error", "message"),
     [
@@ -275,6 +281,10 @@ def bar(first, second, sigma):
         ({"rig_information": -np.tile(np.eye(6), (8, 1, 1))}, ConfigError, "positive definite"),
         ({"rig_from_world": Rigid3.identity(2)}, ShapeError, "rig_from_world"),
         ({"params_sigma": np.zeros((1, 12))}, ConfigError, "params_sigma"),
+        ({"points": surveyed([150])}, ShapeError, "a point that does not exist"),
+        ({"points": surveyed([3, 3])}, ShapeError, "two measured positions"),
+        ({"points": surveyed([3], sigma=0.0)}, ConfigError, "sigma must be positive"),
+        ({"points": surveyed([3], expected=np.nan)}, ConfigError, "not finite"),
         ({"distances": bar(0, 150, 1.0)}, ShapeError, "a point that does not exist"),
         ({"distances": bar(-1, 3, 1.0)}, ShapeError, "a point that does not exist"),
         ({"distances": bar(3, 3, 1.0)}, ShapeError, "to itself"),

@@ -13,6 +13,7 @@ from epipole.optim import (
     BundleConfig,
     BundlePriors,
     PointDistances,
+    PointPositions,
     adjust_bundle,
     bundle_covariance,
     bundle_layout,
@@ -89,6 +90,11 @@ VARIANTS = {
             distances=PointDistances(np.array([2]), np.array([3]), np.array([1.0]), np.array([0.1]))
         ),
     ),
+    "positions": (
+        1,
+        BundleConfig(loss=Loss.CAUCHY, loss_scale_px=2.0, solver=LinearSolver.DIRECT, max_iterations=2),
+        BundlePriors(points=PointPositions(np.array([2]), np.ones((1, 3)), np.full((1, 3), 0.1))),
+    ),
     "empty": (1, BundleConfig(solver=LinearSolver.DIRECT, max_iterations=2), None),
 }
 
@@ -98,6 +104,8 @@ def calls_of(variant: str) -> dict[object, list[tuple[object, ...]]]:
     """What each kernel is called with in two steps of an adjustment."""
     num_sensors, config, priors = VARIANTS[variant]
     problem = replace(rig(num_sensors), priors=priors)
+    if variant == "positions":
+        problem = replace(problem, point_sigma_px=np.linspace(0.5, 2.0, len(problem.point_free)))
     if variant == "empty":
         nothing = {
             name: getattr(problem, name)[:0]
@@ -133,7 +141,7 @@ def test_who_meets_whom(variant: str) -> None:
         np.testing.assert_array_equal(point, np.repeat(np.arange(len(start) - 1), np.diff(start)))
         np.testing.assert_array_equal(by_node, np.argsort(node, kind="stable"))
         assert node_start[-1] == len(node)
-    if variant in ("direct", "distances"):
+    if variant in ("direct", "distances", "positions"):
         compare(layout_kernels.find_pattern, variant)
         arguments = calls_of(variant)[layout_kernels.find_pattern][0]
         start, node, _, _, _, _, row_count, column = arguments
@@ -189,7 +197,7 @@ def dense_z(entries: Entries, z: np.ndarray, num_nodes: int) -> np.ndarray:
 
 @reference_of(reduced_kernels.reduce_rows)
 def test_the_reduced_system() -> None:
-    for variant in ("direct", "iterative", "distances"):
+    for variant in ("direct", "iterative", "distances", "positions"):
         ((_, after), *_) = compare(reduced_kernels.reduce_rows, variant, **ROUNDING)
         _, stop, entries, z, row_start, column, blocks, _, _ = after
         before = calls_of(variant)[reduced_kernels.reduce_rows][0][6]

@@ -12,11 +12,13 @@ import pytest
 
 import epipole
 from epipole import api, splat
+from epipole.io.colmap.model import write_colmap_model
 from epipole.pipelines.localization.page import render_page
 from epipole.pipelines.sfm.page.content import ReportContent
 from epipole.pipelines.sfm.page.page import render_report
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.scene import Reconstruction, RectifiedRig
+from io_models import mappable_model, write_gcp_list
 from page_checks import (
     DESK,
     PHONE,
@@ -50,11 +52,15 @@ PAGES = {
     "field": 3,
     "scene": 0,
     "localization": 0,
+    "georeference": 0,
 }
 """Of every kind of report: the least number of texts in its charts."""
 TEMPLATES = {
     "reconstruction": ("reconstruction", "nothing-reconstructed"),
-    **{name: (name,) for name in ("slam", "stereo", "calibration", "field", "scene", "localization")},
+    **{
+        name: (name,)
+        for name in ("slam", "stereo", "calibration", "field", "scene", "localization", "georeference")
+    },
 }
 
 
@@ -82,6 +88,22 @@ def localization_page(model: Reconstruction) -> str:
     )
 
 
+def georeference_page(root: Path) -> str:
+    """A report of a model with control points, of which one is rejected, and check points."""
+    model = mappable_model()
+    write_colmap_model(model, root / "surveyed" / "sparse" / "0")
+    write_gcp_list(root / "gcp_list.txt", model, num_control=6)
+    lines = (root / "gcp_list.txt").read_text().splitlines()
+    own = [n for n, line in enumerate(lines) if line.endswith(" P3")]
+    for n in own:
+        x, rest = lines[n].split(" ", 1)
+        lines[n] = f"{float(x) + 1.0} {rest}"
+    (root / "gcp_list.txt").write_text("\n".join(lines))
+    found = api.georeference(root / "surveyed", gcp=root / "gcp_list.txt")
+    assert found.points["P3"]["role"] == "rejected"
+    return (found.out / "report.html").read_text(encoding="utf-8")
+
+
 @pytest.fixture(scope="module")
 def reports(
     tmp_path_factory: pytest.TempPathFactory, content: ReportContent, empty_content: ReportContent
@@ -101,6 +123,7 @@ def reports(
         "stereo": page_of(("something is wrong",), RectifiedRig(40.0, 20.0, 15.0, 0.1)),
         "calibration": calibration_page.__wrapped__(),
         "localization": localization_page(content.reconstruction),
+        "georeference": georeference_page(root),
     }
     for name, html in pages.items():
         (root / f"{name}.html").write_text(html, encoding="utf-8", errors="replace")

@@ -8,13 +8,13 @@ from photographs import CAMERA, FOCAL_35MM, neighboring_views
 
 from epipole import reconstruct
 from epipole.geometry import Rigid3, Rotation3, Similarity3
-from epipole.io.images.exif import gps_to_enu
 from epipole.io.images.photographs import read_header, read_rgb, write_jpeg_with_exif
 from epipole.pipelines.sfm.config import MapperConfig, ReconstructConfig
 from epipole.pipelines.sfm.gps.alignment import align_to_gps
 from epipole.pipelines.sfm.gps.evidence import gps_evidence
 from epipole.pipelines.sfm.orientation import upright_from_world
 from epipole.pipelines.sfm.up_direction import UpDirection, up_directions
+from epipole.scene.georeference import gps_to_enu
 from epipole.synthetic import courtyard, courtyard_views, render
 from whole import IS_WHOLE
 

@@ -34,6 +34,16 @@ FIRST_SCREENS = {
             "--neighbors --min-inliers"
         ),
     ),
+    "georeference": FirstScreen(
+        (
+            "epipole georeference OUT --gcp gcp_list.txt",
+            "epipole georeference OUT DEST --gcp gcp_list.txt --check P4 --check P9",
+        ),
+        (
+            "--gcp --check --gcp-sigma-m --gcp-height-sigma-m --mark-sigma-px --use-gps --gps-sigma-m "
+            "--refine-cameras --seed --threads"
+        ),
+    ),
     "slam": FirstScreen(
         (
             "epipole slam rgbd_dataset_freiburg1_xyz OUT",

@@ -25,6 +25,7 @@ from epipole.errors import ConfigError, EpipoleError, FileFormatError
 COMMANDS = (
     "epipole.pipelines.sfm.command:reconstruct",
     "epipole.pipelines.localization.command:localize",
+    "epipole.pipelines.georeferencing.command:georeference",
     "epipole.pipelines.slam.command:slam",
     "epipole.pipelines.fields.command:splat",
     "epipole.pipelines.fields.command:nerf",

@@ -13,6 +13,7 @@ from epipole.optim.bundle_problem import BundlePriors as BundlePriors
 from epipole.optim.bundle_problem import BundleProblem as BundleProblem
 from epipole.optim.bundle_problem import PathFactors as PathFactors
 from epipole.optim.bundle_problem import PointDistances as PointDistances
+from epipole.optim.bundle_problem import PointPositions as PointPositions
 from epipole.optim.bundle_problem import free_params_mask as free_params_mask
 from epipole.optim.bundle_problem import with_fixed_gauge as with_fixed_gauge
 from epipole.optim.bundle_system import LinearSolver as LinearSolver

@@ -18,6 +18,8 @@ class Observations(NamedTuple):
     pixels: np.ndarray
     used: np.ndarray
     """False if excluded from the problem (behind the camera at the start, or not finite)."""
+    weight: np.ndarray
+    """(points,), square root of the weight of each point's observations."""
 
 
 class Scene(NamedTuple):

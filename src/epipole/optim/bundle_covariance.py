@@ -69,7 +69,7 @@ def bundle_covariance(
         config: options of the adjustment, for the loss.
         noise_px: standard deviation of the pixel errors; None: that of the residuals, after the loss.
         clustered: allow for errors of a point that are correlated between images and with neighbors in the list of points:
-            scale the covariances, except those of points, by the points' scores (see `cluster_robust`).
+            scale the covariances, except those of points without a prior, by the points' scores (see `cluster_robust`).
 
     Raises:
         DegenerateGeometryError: there are no more residuals than unknowns, and noise_px is not given.
@@ -92,11 +92,14 @@ def bundle_covariance(
         if clustered:
             loss = config.loss, config.loss_scale_px
             nodes *= error_growth(system, state, equations, nodes, loss)[:, None, None]
+        points *= variance
+        kept = layout.nodes.point >= 0
+        points[kept] = nodes[layout.nodes.point[kept], :3, :3]
     return BundleCovariance(
         _of_nodes(nodes, layout.nodes.frame),
         _of_nodes(nodes, layout.nodes.sensor),
         _of_params(nodes, layout),
-        variance * points,
+        points,
         noise_px,
     )
 
@@ -196,8 +199,6 @@ def _covariances_of_nodes_and_points(
     nodes[layout.fixed_mask] = 0.0
     np.swapaxes(nodes, 1, 2)[layout.fixed_mask] = 0.0
     nodes[lost] = np.inf
-    kept = layout.nodes.point >= 0
-    points[kept] = nodes[layout.nodes.point[kept], :3, :3]
     return nodes, points
 
 

@@ -165,6 +165,7 @@ def lay_out(problem: BundleProblem) -> BundleLayout:
         image,
         np.ascontiguousarray(problem.pixels),
         np.empty(len(image), bool),
+        np.ones(len(role)) if problem.point_sigma_px is None else 1.0 / problem.point_sigma_px,
     )
     sums = 8 * len(images.frame) * len(wide) * (len(wide) + 1) + 8 * len(nodes.width) * len(lanes)
     # Small problems stay in one chunk: dispatching one costs as much as a few hundred observations.
@@ -293,11 +294,17 @@ def _images(problem: BundleProblem) -> tuple[Images, np.ndarray]:
 
 
 def _roles(problem: BundleProblem) -> np.ndarray:
-    """Free points are eliminated, unless a known distance couples them: then they cannot be eliminated one by one."""
+    """Free points are eliminated, unless a prior concerns them: a distance couples two, a position adds terms to one."""
     role = np.where(problem.point_free > 0, arrays.ELIMINATED, arrays.FIXED).astype(np.int8)
-    if problem.priors is not None and problem.priors.distances is not None:
-        ends = np.concatenate([problem.priors.distances.first, problem.priors.distances.second])
-        role[ends[problem.point_free[ends] > 0]] = arrays.KEPT
+    if problem.priors is None:
+        return role
+    concerned = [np.zeros(0, np.int64)]
+    if problem.priors.distances is not None:
+        concerned += [problem.priors.distances.first, problem.priors.distances.second]
+    if problem.priors.points is not None:
+        concerned.append(problem.priors.points.point)
+    rows = np.concatenate(concerned)
+    role[rows[problem.point_free[rows] > 0]] = arrays.KEPT
     return role
 
 

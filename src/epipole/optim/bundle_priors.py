@@ -1,4 +1,4 @@
-"""Terms of bundle adjustment that do not come from pixels: priors of poses, gravity, intrinsics and distances."""
+"""Terms of bundle adjustment that do not come from pixels: priors of poses, gravity, intrinsics, points and distances."""
 
 from __future__ import annotations
 
@@ -53,6 +53,7 @@ def prior_terms(priors: BundlePriors | None, layout: BundleLayout, state: Bundle
         _add_motions(priors, layout, positions, terms)
         _add_gravity(priors, layout, positions, terms)
         _add_params(priors, layout, state.params, terms)
+        _add_points(priors, layout, state.points, terms)
         _add_distances(priors, layout, state.points, terms)
         for path in priors.paths:
             _add_path(path, layout, positions, terms)
@@ -112,6 +113,17 @@ def _add_params(priors: BundlePriors, layout: BundleLayout, params: np.ndarray, 
         terms.cost += 0.5 * float((residual**2).sum())
         np.add.at(terms.gradient, (node, column), weight * residual)
         np.add.at(terms.diagonal, (node, column, column), weight**2)
+
+
+def _add_points(priors: BundlePriors, layout: BundleLayout, points: np.ndarray, terms: _Sums) -> None:
+    """The residual (X - expected) / sigma of each coordinate."""
+    if priors.points is None:
+        return
+    own = priors.points.point
+    weight = 1.0 / priors.points.sigma
+    residual = np.where(weight > 0, weight * (points[own] - priors.points.expected), 0.0)
+    terms.cost += 0.5 * float((residual**2).sum())
+    terms.add(layout.nodes.point[own], weight[:, :, None] * np.eye(3), residual)
 
 
 def _add_distances(priors: BundlePriors, layout: BundleLayout, points: np.ndarray, terms: _Sums) -> None:

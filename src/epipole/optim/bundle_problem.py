@@ -28,6 +28,17 @@ class PointDistances(Declared):
     """Standard deviations, in world units."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PointPositions(Declared):
+    """Measured positions of points: control points of a survey."""
+
+    point: Int64[np.ndarray, " d"]
+    """Rows of the points; each at most once."""
+    expected: Float64[np.ndarray, "d 3"]
+    sigma: Float64[np.ndarray, "d 3"]
+    """Standard deviation of each coordinate, in world units; infinite if it was not measured."""
+
+
 @runtime_checkable
 class PathFactors(Protocol):
     """A term over many frames that optimizes its own inner unknowns, such as the measurements of an IMU."""
@@ -67,6 +78,7 @@ class BundlePriors(Declared):
     """Expected camera parameters."""
     params_sigma: Float64[np.ndarray, "c 12"] | None = None
     """Standard deviations of the camera parameters; infinite for no prior."""
+    points: PointPositions | None = None
     distances: PointDistances | None = None
     paths: tuple[PathFactors, ...] = ()
 
@@ -91,6 +103,9 @@ class BundlePriors(Declared):
             raise ShapeError(f"rig_from_world must have {num_frames} rows")
         sigmas = {"position_sigma": self.position_sigma, "down_sigma_rad": self.down_sigma_rad}
         sigmas["params_sigma"] = 1.0 if self.params_sigma is None else self.params_sigma
+        if self.points is not None:
+            self._check_points(num_points)
+            sigmas["the points' sigma"] = self.points.sigma
         if self.distances is not None:
             sigmas["the distances' sigma"] = self.distances.sigma
             ends = np.concatenate([self.distances.first, self.distances.second])
@@ -111,6 +126,16 @@ class BundlePriors(Declared):
             if not (np.isfinite(known).all() and (np.linalg.eigvalsh(known) > 0).all()):
                 raise ConfigError("rig_information must be zero or positive definite")
 
+    def _check_points(self, num_points: int) -> None:
+        assert self.points is not None
+        point, expected = self.points.point, self.points.expected
+        if len(point) and not (point.min() >= 0 and point.max() < num_points):
+            raise ShapeError(f"a position belongs to a point that does not exist (there are {num_points})")
+        if len(np.unique(point)) < len(point):
+            raise ShapeError("a point has two measured positions")
+        if not (np.isfinite(expected) | np.isinf(self.points.sigma)).all():
+            raise ConfigError("a measured position is not finite")
+
     @property
     def fixes_gauge(self) -> bool:
         """Whether a prior constrains position, orientation or scale of the model, which images leave free."""
@@ -118,10 +143,11 @@ class BundlePriors(Declared):
 
     @property
     def fixes_position(self) -> bool:
-        """Whether a prior constrains frame positions."""
+        """Whether a prior constrains the positions of frames or points."""
         at = self.position_in_world is not None and bool(
             np.isfinite(self.position_in_world).all(axis=1).any()
         )
+        at |= self.points is not None and bool(np.isfinite(self.points.sigma).any())
         return at or (self.rig_information is not None and bool(self.rig_information.any()))
 
 
@@ -155,6 +181,8 @@ class BundleProblem:
     """1 where a point may move, else 0."""
     sensor_free: Float64[np.ndarray, "s 6"] | None = None
     """1 where a tangent component of cam_from_rig may change, else 0; None: all constant."""
+    point_sigma_px: Float64[np.ndarray, " p"] | None = None
+    """Standard deviation of each point's pixels, relative to that of usual ones; None: one."""
     priors: BundlePriors | None = None
 
     @staticmethod
@@ -237,6 +265,10 @@ class BundleProblem:
             "point_free": (len(self.point_free), num_points),
             "offsets": (len(self.offsets), num_points + 1),
             "sensor_free": (num_sensors if self.sensor_free is None else len(self.sensor_free), num_sensors),
+            "point_sigma_px": (
+                num_points if self.point_sigma_px is None else len(self.point_sigma_px),
+                num_points,
+            ),
         }
         lengths |= {name: (len(getattr(self, name)), num_seen) for name in ("frame", "sensor", "camera")}
         for name, (found, wanted) in lengths.items():
@@ -253,6 +285,11 @@ class BundleProblem:
             if free is not None and not ((free == 0) | (free == 1)).all():
                 raise ShapeError(f"{name} must be 0 or 1")
         check_models(self.camera_model)
+        if (
+            self.point_sigma_px is not None
+            and not ((self.point_sigma_px > 0) & np.isfinite(self.point_sigma_px)).all()
+        ):
+            raise ConfigError("point_sigma_px must be positive and finite")
         if self.priors is not None:
             self.priors.check(num_frames, num_cameras, num_points)
 

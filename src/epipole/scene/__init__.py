@@ -14,6 +14,7 @@ from epipole.scene.extent import frustum_size as frustum_size
 from epipole.scene.frames import Frames as Frames
 from epipole.scene.frames import Rigs as Rigs
 from epipole.scene.frames import unregistered as unregistered
+from epipole.scene.georeference import Georeference as Georeference
 from epipole.scene.images import Images as Images
 from epipole.scene.mesh import Mesh as Mesh
 from epipole.scene.point_cloud import PointCloud as PointCloud

@@ -14,6 +14,7 @@ from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, Similarity3
 from epipole.scene.cameras import Cameras
 from epipole.scene.frames import Frames, Rigs
+from epipole.scene.georeference import Georeference
 from epipole.scene.images import Images
 from epipole.scene.notebook import table_html
 from epipole.scene.points import Points, Tracks
@@ -29,6 +30,8 @@ class Reconstruction:
     images: Images
     points: Points
     tracks: Tracks
+    georeference: Georeference | None = None
+    """Position on Earth of the world's origin, if the world coordinates are meters east, north and up; else None."""
 
     def __post_init__(self) -> None:
         """Check the references between rows.
@@ -174,7 +177,7 @@ class Reconstruction:
 
     @checked
     def transformed(self, target_from_world: Similarity3) -> Reconstruction:
-        """The same model in other coordinates, including the scale of its rigs."""
+        """The same model in other coordinates, including the scale of its rigs; without its position on Earth."""
         rig_from_target = target_from_world.move_cam_from_source(self.frames.rig_from_world)
         cam_from_rig = Rigid3(
             self.rigs.cam_from_rig.rotation,
@@ -185,6 +188,7 @@ class Reconstruction:
             rigs=replace(self.rigs, cam_from_rig=cam_from_rig),
             frames=replace(self.frames, rig_from_world=rig_from_target),
             points=replace(self.points, xyz_in_world=target_from_world.apply(self.points.xyz_in_world)),
+            georeference=None,
         )
 
     def __repr__(self) -> str:

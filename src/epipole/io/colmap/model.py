@@ -7,6 +7,7 @@ Ids in a written file are row + 1.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import count, pairwise
 from pathlib import Path
 
@@ -37,6 +38,7 @@ from epipole.io.colmap.cameras import params_from_colmap as params_from_colmap
 from epipole.io.colmap.cameras import params_to_colmap as params_to_colmap
 from epipole.io.contents_in_words import results_of, with_what_it_is
 from epipole.io.files import missing_in_words
+from epipole.io.georeference import GEOREFERENCE, read_georeference, write_georeference
 from epipole.io.images.formats import FORMAT_OF_SUFFIX
 from epipole.scene import Reconstruction, Rigs
 
@@ -46,7 +48,8 @@ def write_colmap_model(reconstruction: Reconstruction, folder: str | Path, *, te
     """Write the registered images and the points as a COLMAP model; the output is deterministic.
 
     A camera shared by several sensors is written once per sensor, as COLMAP requires. Model files of the other kind
-    (text or binary) in the folder are removed; other files stay.
+    (text or binary) in the folder are removed; other files stay. The position on Earth, which COLMAP's files cannot
+    store, is written to georeference.json.
 
     Raises:
         ConfigError: an image's name cannot be written to such a file.
@@ -59,22 +62,31 @@ def write_colmap_model(reconstruction: Reconstruction, folder: str | Path, *, te
                 f"the image name {image.name!r} cannot be written as text because it would lose its spaces"
             )
     names = [f"{name}.{suffix}" for name in FILE_NAMES for suffix in ("bin", "txt")]
-    with atomic_folder(folder, stale=names) as part:
+    with atomic_folder(folder, stale=[*names, GEOREFERENCE]) as part:
         (write_text if text else write_binary)(tables, part)
+        if reconstruction.georeference is not None:
+            write_georeference(part / GEOREFERENCE, reconstruction.georeference)
 
 
 @checked
 def read_colmap_model(folder: str | Path) -> Reconstruction:
-    """Read a COLMAP model, binary if there is one, otherwise text. Rows are in the order of the file's ids.
+    """Read a COLMAP model, binary if there is one, otherwise text; and its georeference.json if there is one.
+
+    Rows are in the order of the file's ids.
 
     Raises:
         FileFormatError: there is no model, or a file is truncated or inconsistent with another.
     """
     folder = Path(folder)
+    georeference = None
+    if (folder / GEOREFERENCE).is_file():
+        georeference = read_georeference(folder / GEOREFERENCE)
     if (folder / "cameras.bin").is_file():
-        return reconstruction_of(read_binary(folder), folder, "bin")
+        model = reconstruction_of(read_binary(folder), folder, "bin")
+        return replace(model, georeference=georeference)
     if (folder / "cameras.txt").is_file():
-        return reconstruction_of(read_text(folder), folder, "txt")
+        model = reconstruction_of(read_text(folder), folder, "txt")
+        return replace(model, georeference=georeference)
     raise FileFormatError(
         folder,
         "no COLMAP model here (neither cameras.bin nor cameras.txt); pass the folder with these files, such as OUT/sparse/0",

@@ -18,12 +18,10 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
-from jaxtyping import Float64
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
-from epipole._checks import as_points, checked
+from epipole._checks import checked
 from epipole.errors import ConfigError
 from epipole.io.images.sensor_widths import sensor_width_mm
 
@@ -36,16 +34,17 @@ _DATE_TIME_ORIGINAL, _SUBSECOND_ORIGINAL, _FOCAL_LENGTH = 0x9003, 0x9291, 0x920A
 _PIXEL_WIDTH, _PIXEL_HEIGHT, _FOCAL_35MM = 0xA002, 0xA003, 0xA405
 _FOCAL_PLANE_X_RESOLUTION, _FOCAL_PLANE_UNIT = 0xA20E, 0xA210
 _LAT_REF, _LAT, _LON_REF, _LON, _ALT_REF, _ALT, _GPS_STATUS = 1, 2, 3, 4, 5, 6, 9
+_GPS_HORIZONTAL_ERROR = 31
 
 _GIMBAL_ANGLE = re.compile(r"Gimbal(Pitch|Roll)Degree\s*(?:=\s*[\"']|>)\s*([+-]?\d{1,3}(?:\.\d{1,9})?)\b")
+_RTK_VALUE = re.compile(r"Rtk(Flag|StdLon|StdLat|StdHgt)\s*(?:=\s*[\"']|>)\s*\+?(\d{1,3}(?:\.\d{1,9})?)\b")
+_RTK_FIXED = 50
+"""`RtkFlag` of DJI for a fixed solution, of centimeters; others (float, single point) have no useful deviations."""
 _MAX_XMP_CHARACTERS = 100_000
 
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 _FILM_WIDTH_MM = 36.0
 _MIN_FOCAL_IN_SIZES, _MAX_FOCAL_IN_SIZES = 0.2, 20.0
-
-_WGS84_SEMI_MAJOR_M = 6378137.0
-_WGS84_FLATTENING = 1.0 / 298.257223563
 
 EXIF_ERRORS = (
     OSError,
@@ -119,6 +118,25 @@ def gps_of(exif: Image.Exif) -> GpsPosition | None:
     if alt_m is not None and block.get(_ALT_REF) in (1, b"\x01", "\x01"):
         alt_m = -abs(alt_m)
     return GpsPosition(lat_deg, lon_deg, alt_m)
+
+
+@checked
+def gps_sigma_of(exif: Image.Exif, xmp: object) -> tuple[float, float, float] | None:
+    """Standard deviations of the GPS position in meters, east, north and up; None if not recorded.
+
+    From the XMP block of a drone with a fixed RTK solution (`RtkStdLon`, `RtkStdLat`, `RtkStdHgt`, as written by DJI), or else
+    from EXIF's GPSHPositioningError, with twice that for the altitude.
+    """
+    text = xmp.decode("utf-8", "replace") if isinstance(xmp, bytes) else xmp
+    if isinstance(text, str):
+        found = {name: float(value) for name, value in _RTK_VALUE.findall(text[:_MAX_XMP_CHARACTERS])}
+        east, north, up = (found.get(name, 0.0) for name in ("StdLon", "StdLat", "StdHgt"))
+        if found.get("Flag") == _RTK_FIXED and min(east, north, up) > 0:
+            return (east, north, up)
+    error_m = _number(_block(exif, _GPS_IFD).get(_GPS_HORIZONTAL_ERROR))
+    if error_m is None or not 0 < error_m < _MOST_ALTITUDE_M:
+        return None
+    return (error_m, error_m, 2.0 * error_m)
 
 
 @checked
@@ -205,54 +223,6 @@ def new_exif(
             block[_ALT_REF] = b"\x01" if alt_m < 0 else b"\x00"
             block[_ALT] = IFDRational(round(abs(alt_m) * 1000), 1000)
     return out
-
-
-@checked
-def gps_to_enu(lat_lon_alt: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-    """Meters east, north and up of the median position, on the WGS84 ellipsoid.
-
-    p_enu = R (p_ecef - o_ecef), with p_ecef = ((N + h) cos(lat) cos(lon), (N + h) cos(lat) sin(lon),
-    (N (1 - e^2) + h) sin(lat)) and N = a / sqrt(1 - e^2 sin(lat)^2) (Torge, Geodesy, 2001, section 4.1).
-
-    Args:
-        lat_lon_alt: degrees, degrees, meters. A row without position (NaN) stays NaN; a row without altitude gets
-            the median altitude (0 if none is known) and its "up" is NaN.
-    """
-    table = as_points(lat_lon_alt, "lat_lon_alt", 3)
-    is_known = np.isfinite(table[:, :2]).all(axis=1)
-    out = np.full((len(table), 3), np.nan)
-    if not is_known.any():
-        return out
-    lat_deg, lon_deg, alt_m = table[is_known].T
-    lon_period_deg = (lon_deg - lon_deg[0] + 180.0) % 360.0 - 180.0
-    has_alt = np.isfinite(alt_m)
-    alt_median_m = float(np.median(alt_m[has_alt])) if has_alt.any() else 0.0
-    lat0, lon0 = np.deg2rad(np.median(lat_deg)), np.deg2rad(lon_deg[0] + np.median(lon_period_deg))
-    origin = _ecef_m(lat0, lon0, np.float64(alt_median_m))
-    offsets = (
-        _ecef_m(np.deg2rad(lat_deg), np.deg2rad(lon_deg), np.where(has_alt, alt_m, alt_median_m)) - origin
-    )
-    sin_lat, cos_lat, sin_lon, cos_lon = np.sin(lat0), np.cos(lat0), np.sin(lon0), np.cos(lon0)
-    enu_from_ecef = np.array(
-        [
-            [-sin_lon, cos_lon, 0.0],
-            [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
-            [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
-        ]
-    )
-    enu = offsets @ enu_from_ecef.T
-    enu[~has_alt, 2] = np.nan
-    out[is_known] = enu
-    return out
-
-
-def _ecef_m(lat_rad: Any, lon_rad: Any, alt_m: Any) -> Float64[np.ndarray, "*batch 3"]:
-    """Earth-centered coordinates of WGS84 latitude, longitude and ellipsoidal height."""
-    e2 = _WGS84_FLATTENING * (2.0 - _WGS84_FLATTENING)
-    n = _WGS84_SEMI_MAJOR_M / np.sqrt(1.0 - e2 * np.sin(lat_rad) ** 2)
-    x = (n + alt_m) * np.cos(lat_rad) * np.cos(lon_rad)
-    y = (n + alt_m) * np.cos(lat_rad) * np.sin(lon_rad)
-    return np.stack([x, y, (n * (1.0 - e2) + alt_m) * np.sin(lat_rad)], axis=-1)
 
 
 def _focal_in_sizes_from_35mm(details: Mapping[int, Any]) -> float | None:

@@ -42,6 +42,7 @@ from epipole.io.images.exif import (
     focal_of,
     gimbal_up_of,
     gps_of,
+    gps_sigma_of,
     orientation_of,
 )
 from epipole.io.images.formats import (
@@ -130,6 +131,8 @@ class PhotographHeader:
     """Whether it is a 16-bit gray PNG, as used for depth."""
     up_in_camera: tuple[float, float, float] | None = None
     """Direction of up in camera coordinates as measured by a gimbal; None if the XMP block has none."""
+    gps_sigma_m: tuple[float, float, float] | None = None
+    """Standard deviations of the GPS position, east, north and up; None if not recorded."""
 
 
 @checked
@@ -208,6 +211,7 @@ def read_header(path: Path | str) -> PhotographHeader:
         capture_time_of(exif),
         is_deep_gray_png,
         gimbal_up_of(image.info.get("xmp")) if orientation == 1 else None,
+        gps_sigma_of(exif, image.info.get("xmp")),
     )
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from epipole.errors import DegenerateGeometryError, EpipoleError
 from epipole.geometry import Similarity3
-from epipole.io.images.exif import gps_to_enu
 from epipole.io.images.photographs import read_gray
 from epipole.mapping import adjust_reconstruction
 from epipole.optim import BundlePriors
@@ -70,14 +69,14 @@ def with_scale(
         return replace(mapped, scale=_of_gps(gps)), [f"{words}: {error}"]
     model, alignment = _moved(model, found, config), mapped.gps[0]
     progress(Progress("anchor", num_images, num_images))
+    georeference = mapped.models[0].georeference if found.positions is None else None
     if alignment is not None:
-        positions = gps_to_enu(images.lat_lon_alt)
-        residuals_m = gps_distances(model.camera_centers_in_world(), positions)
+        residuals_m = gps_distances(model.camera_centers_in_world(), _fixes(mapped, images))
         alignment = replace(alignment, residuals_m=residuals_m) if found.positions is None else None
     return (
         replace(
             mapped,
-            models=(model, *mapped.models[1:]),
+            models=(replace(model, georeference=georeference), *mapped.models[1:]),
             gps=(alignment, *mapped.gps[1:]),
             scale=found.scale,
         ),
@@ -113,11 +112,17 @@ def _of_gps(gps: ScaleEstimate | None) -> MetricScale | None:
     return None if gps is None else MetricScale(gps.scale, gps.sigma, (gps,), np.ones(1, bool))
 
 
+def _fixes(mapped: Mapped, images: ImageSet) -> np.ndarray:
+    """GPS positions in the coordinates of the largest model, which GPS has aligned."""
+    origin = mapped.models[0].georeference
+    return np.full((len(images), 3), np.nan) if origin is None else origin.enu_of(images.lat_lon_alt)
+
+
 def _gps_estimate(mapped: Mapped, images: ImageSet, config: ReconstructConfig) -> ScaleEstimate | None:
     """Scale estimate of a model that GPS has made metric: one, with its standard deviation."""
     if mapped.gps[0] is None:
         return None
-    centers, fixes = mapped.models[0].camera_centers_in_world(), gps_to_enu(images.lat_lon_alt)
+    centers, fixes = mapped.models[0].camera_centers_in_world(), _fixes(mapped, images)
     fixes = np.where(np.isfinite(fixes), fixes, np.where(np.isfinite(fixes[:, :1]), centers, np.nan))
     rows = np.flatnonzero(np.isfinite(fixes).all(axis=1) & np.isfinite(centers).all(axis=1))
     spread = float(np.sqrt(((centers[rows] - centers[rows].mean(axis=0)) ** 2).sum()))

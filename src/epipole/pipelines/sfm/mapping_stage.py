@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from epipole.features import Features
-from epipole.io.images.exif import gps_to_enu
 from epipole.mapping import ModelBuilder, PositionPriors, connect_matches
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.pipelines.sfm.gps.alignment import (
@@ -30,7 +29,8 @@ from epipole.pipelines.sfm.up_direction import up_directions
 from epipole.robust import PairKind
 from epipole.runs import Progress, ProgressCallback
 from epipole.scale import MetricScale
-from epipole.scene import Cameras, Reconstruction, ViewGraph
+from epipole.scene import Cameras, Georeference, Reconstruction, ViewGraph
+from epipole.scene.georeference import gps_to_enu
 
 GPS_OUTLIER_SIGMAS = 5.0
 UNKNOWN_ALTITUDE_SIGMA_M = 1e4
@@ -86,7 +86,7 @@ def map_images(
     keypoints, features = detections.keypoints, detections.features
     starts = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
     components = connect_matches(view_graph, starts)
-    positions = gps_to_enu(images.lat_lon_alt) if config.use_gps else np.full((len(images), 3), np.nan)
+    origin, positions = _positions_enu(images, config, earlier)
     remaining = np.ones(len(images), bool)
     found: list[tuple[Reconstruction, GpsAlignment | None, float, Method]] = []
     rejections: dict[int, Rejection] = {}
@@ -110,19 +110,32 @@ def map_images(
             mapper = complete_model(mapper, features, starts, rounds)
             builder = mapper.model
         gps = _publish(mapper, positions, images.up_in_cams, config, _adjusting(progress))
+        georeference = origin if gps is not None else None
         if method == "grown" and gps is None and earlier is not None:
             keep_coordinates(builder, earlier, images.names)
+            georeference = earlier.georeference
         rejections.update({i: r for i, r in mapper.rejections.items() if not found})
         if builder.registered.sum() < 2 or len(np.unique(builder.row_point[builder.row_point >= 0])) < 3:
             break
         agreement = mapper.consistency.overall(builder)
         model = builder.freeze(images.names, detections.colors, images.timestamps_s)
-        found.append((model, gps, agreement, method))
+        found.append((replace(model, georeference=georeference), gps, agreement, method))
         remaining &= ~builder.registered
     progress(Progress("map", int((~remaining).sum()), len(images)))
     found.sort(key=lambda m: (-int(m[0].is_registered().sum()), -len(m[0].points)))
     models, alignments, agreements, methods = zip(*found) if found else ((), (), (), ())
     return Mapped(tuple(models), rejections, tuple(alignments), tuple(agreements), tuple(methods))
+
+
+def _positions_enu(
+    images: ImageSet, config: MapperConfig, earlier: Reconstruction | None
+) -> tuple[Georeference | None, np.ndarray]:
+    """Origin of the coordinates if GPS is used, that of the earlier model if it has one; GPS positions, NaN without."""
+    origin = None if earlier is None else earlier.georeference
+    origin = origin or Georeference.about(images.lat_lon_alt)
+    if origin is None or not config.use_gps:
+        return None, np.full((len(images), 3), np.nan)
+    return origin, origin.enu_of(images.lat_lon_alt)
 
 
 def _counting(progress: ProgressCallback, remaining: np.ndarray) -> Callable[[int, int], None]:

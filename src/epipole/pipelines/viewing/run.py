@@ -12,6 +12,7 @@ from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.files import missing_in_words
 from epipole.pipelines.calibration import scene as calibration
 from epipole.pipelines.fields import scene as fields
+from epipole.pipelines.georeferencing import scene as georeferencing
 from epipole.pipelines.localization import scene as localization
 from epipole.pipelines.sfm.page import scene as sfm
 from epipole.pipelines.slam.output import scene as slam
@@ -35,6 +36,7 @@ KINDS: tuple[tuple[Callable[[Path], bool], Callable[[Path], SpaceScene]], ...] =
     (slam.is_trajectory, slam.scene_of_trajectory),
     (calibration.is_mine, calibration.scene),
     (localization.is_mine, localization.scene),
+    (georeferencing.is_mine, georeferencing.scene),
 )
 """Checked in this order; anything else is a model, or cannot be shown."""
 

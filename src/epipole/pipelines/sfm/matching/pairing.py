@@ -13,8 +13,8 @@ from epipole.errors import ConfigError, FileFormatError
 from epipole.features import describe_images, most_similar, train_vocabulary
 from epipole.io.colmap.database import read_database
 from epipole.io.files import file_text
-from epipole.io.images.exif import gps_to_enu
 from epipole.pipelines.sfm.config import PairingConfig
+from epipole.scene.georeference import gps_to_enu
 
 SAME_PIXEL = 0.01
 """Difference between pixels that are the same, but stored with different precision."""

@@ -1,0 +1,1 @@
+"""Files of surveys: control points and coordinate systems."""

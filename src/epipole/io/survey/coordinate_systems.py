@@ -1,0 +1,121 @@
+"""Coordinate systems of control points: WGS84, local meters, and projections by way of pyproj."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from epipole._checks import as_points, checked
+from epipole.errors import FileFormatError, MissingDependencyError
+
+WGS84 = ""
+"""Longitude and latitude in degrees, and altitude in meters."""
+LOCAL = "LOCAL"
+"""Meters along x, y and z (up), at an unknown position on Earth."""
+_UTM = re.compile(r"WGS\s*84\s*[/ ]\s*UTM\s+(?:zone\s+)?(\d{1,2})\s*([NS])", re.IGNORECASE)
+_EPSG = re.compile(r"EPSG:\s*(\d{4,6})", re.IGNORECASE)
+
+
+@checked
+def coordinate_system_of(path: str | Path, words: str) -> str:
+    """The coordinate system that the first line of a file names: WGS84, LOCAL, EPSG:number or a PROJ string.
+
+    Raises:
+        FileFormatError: it is not a known coordinate system.
+    """
+    text = words.strip()
+    if text.upper().replace(" ", "") in ("WGS84", "EPSG:4326", "EPSG:4979"):
+        return WGS84
+    if text.upper() == LOCAL:
+        return LOCAL
+    if found := _UTM.fullmatch(text):
+        zone = int(found[1])
+        if 1 <= zone <= 60:
+            return f"EPSG:{(32600 if found[2].upper() == 'N' else 32700) + zone}"
+    if found := _EPSG.fullmatch(text):
+        return f"EPSG:{int(found[1])}"
+    if text.startswith("+proj="):
+        return text
+    raise FileFormatError(
+        path,
+        f"line 1 must name the coordinate system, got {text[:80]!r}: use WGS84, WGS84 UTM 32N, EPSG:25832, a PROJ string "
+        "(+proj=...), or LOCAL for meters at an unknown position on Earth",
+    )
+
+
+@checked
+def lat_lon_alt_of(
+    path: str | Path, coordinates: Float64[np.ndarray, "n 3"], crs: str
+) -> Float64[np.ndarray, "n 3"]:
+    """Latitude and longitude (WGS84) in degrees; heights stay as given.
+
+    Args:
+        path: the file of the coordinates, for error messages.
+        coordinates: east or longitude, north or latitude, and height in meters; NaN if unknown.
+        crs: the coordinate system, as from `coordinate_system_of`, other than LOCAL.
+
+    Raises:
+        FileFormatError: pyproj does not know the coordinate system, or a point is outside it.
+        MissingDependencyError: pyproj is not installed.
+    """
+    points = as_points(coordinates, "coordinates", 3)
+    if crs == WGS84:
+        out = points[:, [1, 0, 2]]
+    else:
+        lon, lat = _transformer(path, crs).transform(points[:, 0], points[:, 1])
+        out = np.stack([lat, lon, points[:, 2]], axis=1)
+    wrong = ~((np.abs(out[:, 0]) <= 90.0) & (np.abs(out[:, 1]) <= 360.0))
+    if wrong.any():
+        x, y, _ = points[int(np.argmax(wrong))]
+        order = "longitude comes before latitude" if crs == WGS84 else "the easting comes before the northing"
+        raise FileFormatError(
+            path, f"the point {x:.10g} {y:.10g} is not in {crs or 'WGS84'}; {order} in this file"
+        )
+    return out
+
+
+@checked
+def coordinates_of(lat_lon_alt: Float64[np.ndarray, "n 3"], crs: str) -> Float64[np.ndarray, "n 3"]:
+    """The inverse of `lat_lon_alt_of`.
+
+    Args:
+        lat_lon_alt: degrees, degrees, meters.
+        crs: the coordinate system, other than LOCAL.
+
+    Raises:
+        FileFormatError: pyproj does not know the coordinate system.
+        MissingDependencyError: pyproj is not installed.
+    """
+    table = as_points(lat_lon_alt, "lat_lon_alt", 3)
+    if crs == WGS84:
+        return table[:, [1, 0, 2]]
+    x, y = _transformer(Path(crs), crs).transform(table[:, 1], table[:, 0], direction="INVERSE")
+    return np.stack([x, y, table[:, 2]], axis=1)
+
+
+def _transformer(path: str | Path, crs: str) -> Any:
+    """Transformer from a horizontal coordinate system to longitude and latitude.
+
+    Raises:
+        FileFormatError: the coordinate system is unknown, or its unit is not a meter.
+        MissingDependencyError: pyproj is not installed.
+    """
+    try:
+        import pyproj
+    except ImportError as error:
+        raise MissingDependencyError(f"{crs} needs pyproj: pip install 'epipole[survey]'") from error
+    try:
+        found = pyproj.CRS.from_user_input(crs)
+        horizontal = found.sub_crs_list[0] if found.is_compound else found
+        units = [axis.unit_conversion_factor for axis in horizontal.axis_info[:2]]
+        if horizontal.is_projected and not all(math.isclose(unit, 1.0) for unit in units):
+            unit = horizontal.axis_info[0].unit_name
+            raise FileFormatError(path, f"the unit of {crs} is {unit}: convert the control points to meters")
+        return pyproj.Transformer.from_crs(horizontal, "EPSG:4326", always_xy=True)
+    except pyproj.exceptions.ProjError as error:
+        raise FileFormatError(path, f"pyproj does not know the coordinate system {crs}") from error

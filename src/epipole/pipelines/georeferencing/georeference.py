@@ -1,0 +1,226 @@
+"""Georeferencing of a model: alignment, adjustment with the survey, rejection of what contradicts it, and error bars."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from epipole._checks import checked
+from epipole.errors import ConfigError
+from epipole.mapping import Freedom
+from epipole.pipelines.georeferencing.adjustment import (
+    Adjusted,
+    adjust_with_survey,
+    contradicting_marks,
+    contradicting_point,
+    mark_errors,
+)
+from epipole.pipelines.georeferencing.config import GeoreferenceConfig
+from epipole.pipelines.georeferencing.start import find_start
+from epipole.pipelines.georeferencing.survey import GpsFixes, SurveyedPoints
+from epipole.robust import triangulate_points
+from epipole.scene import Reconstruction
+
+MAX_MARK_ERROR_PX = 12.0
+"""Observations farther from the point that the others give are rejected before the adjustment, which moves a model by less."""
+MAX_ROUNDS = 10
+"""Adjustments, at most: each rejects what contradicts the rest."""
+
+
+class PointRole(StrEnum):
+    """What a surveyed point was used for."""
+
+    CONTROL = "control"
+    """Determines the result."""
+    CHECK = "check"
+    """Checks the result."""
+    REJECTED = "rejected"
+    """A control point that contradicts the others."""
+    UNSEEN = "unseen"
+    """Fewer than two images show it, or their observations contradict each other."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GeoreferencedModel:
+    """A model in meters east, north and up, and how well it agrees with the survey."""
+
+    model: Reconstruction
+    roles: tuple[PointRole, ...]
+    """Of each surveyed point."""
+    adjusted: Adjusted
+    used_mask: Bool[np.ndarray, " k"]
+    """Observations of surveyed points that were used."""
+    residuals_m: Float64[np.ndarray, "n 3"]
+    """Adjusted minus measured position of each surveyed point; NaN if unknown."""
+    sigmas_m: Float64[np.ndarray, "n 3"]
+    """Standard deviation expected of these residuals for check points, of the adjusted position for control points."""
+    gps_residuals_m: Float64[np.ndarray, "i 3"]
+    """Camera minus GPS position of each image, without the offset; NaN if unknown."""
+    gps_offset_m: Float64[np.ndarray, " 3"] | None
+    """Constant offset of GPS from the control points; None if either is missing."""
+    warnings: tuple[str, ...]
+
+    def rms_m(self, role: PointRole) -> Float64[np.ndarray, " 3"]:
+        """Root mean square of the residuals of the points with a role; NaN without such points."""
+        own = self.residuals_m[[one is role for one in self.roles]]
+        with np.errstate(invalid="ignore"):
+            count = np.isfinite(own).sum(axis=0)
+            return np.sqrt(np.nansum(own**2, axis=0) / np.where(count > 0, count, np.nan))
+
+
+@checked
+def georeference_model(
+    model: Reconstruction, surveyed: SurveyedPoints, gps: GpsFixes | None, config: GeoreferenceConfig
+) -> GeoreferencedModel:
+    """Align a model with control points and GPS, and adjust it with them.
+
+    Args:
+        model: the model, in any coordinates.
+        surveyed: control points and check points, in the coordinates of the result.
+        gps: GPS positions of the images, in these coordinates.
+        config: standard deviations and options.
+
+    Raises:
+        ConfigError: neither control points nor GPS determine position, orientation and scale, or they contradict the images.
+    """
+    used, triangulated = _triangulated(model, surveyed, np.ones(len(surveyed.point), bool))
+    start = find_start(model, surveyed, triangulated, gps, config.gps_sigma_m, config.seed)
+    model = model.transformed(start.enu_from_world)
+    freedom = Freedom(focal=config.refine_cameras, distortion=config.refine_cameras)
+    warnings = [*start.warnings, *_unseen_warnings(surveyed, used, triangulated)]
+    rejected: set[int] = set()
+    points, current = start.enu_from_world.apply(triangulated), surveyed
+    for _ in range(MAX_ROUNDS):
+        adjusted = adjust_with_survey(
+            model,
+            current,
+            points,
+            used,
+            start.gps,
+            mark_sigma_px=config.mark_sigma_px,
+            freedom=freedom,
+        )
+        model = adjusted.model
+        errors = mark_errors(model, current, _triangulated(model, current, used)[1], used)
+        wrong = contradicting_marks(errors, config.mark_sigma_px)
+        point = contradicting_point(adjusted, current)
+        if wrong.any():
+            warnings += _mark_warnings(current, errors, model, wrong)
+            used, points = _triangulated(model, current, used & ~wrong)
+        elif point is not None:
+            rejected.add(point)
+            current = current.without_control(point)
+            points = adjusted.positions_m
+        else:
+            break
+    for point in sorted(rejected):
+        off_m = current.position_m[point] - adjusted.positions_m[point]
+        warnings.append(_rejection(current.name[point], off_m))
+    return _result(current, adjusted, used, rejected, start.gps, start.gps_offset_m, warnings)
+
+
+def _triangulated(
+    model: Reconstruction, surveyed: SurveyedPoints, used: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Observations that agree with a point, and the points (n, 3); NaN if fewer than two agree."""
+    points, kept = np.full((len(surveyed), 3), np.nan), np.zeros(len(surveyed.point), bool)
+    cams = model.cams_from_world()
+    for row in range(len(surveyed)):
+        own = np.flatnonzero(used & (surveyed.point == row))
+        if len(own) < 2:
+            continue
+        images = surveyed.image[own]
+        found = triangulate_points(
+            cams[images],
+            [model.cameras[int(model.camera_of_image[i])] for i in images],
+            surveyed.pixels[own][:, None, :],
+            max_error_px=MAX_MARK_ERROR_PX,
+        )
+        if found.success_mask[0]:
+            points[row] = found.points_in_world[0]
+            kept[own[found.inlier_mask[:, 0]]] = True
+    return kept, points
+
+
+def _result(
+    surveyed: SurveyedPoints,
+    adjusted: Adjusted,
+    used: np.ndarray,
+    rejected: set[int],
+    gps: GpsFixes | None,
+    gps_offset_m: np.ndarray | None,
+    warnings: list[str],
+) -> GeoreferencedModel:
+    seen = np.isfinite(adjusted.positions_m).all(axis=1)
+    roles = [PointRole.CONTROL if control else PointRole.CHECK for control in surveyed.is_control]
+    for row in range(len(surveyed)):
+        if not seen[row]:
+            roles[row] = PointRole.UNSEEN
+        elif row in rejected:
+            roles[row] = PointRole.REJECTED
+    variances = np.einsum("nii->ni", adjusted.covariances)
+    is_checked = np.array([role is not PointRole.CONTROL for role in roles], bool)[:, None]
+    variances = variances + np.where(is_checked, surveyed.sigma_m**2, 0.0)
+    centers = adjusted.model.camera_centers_in_world()
+    off = np.full(centers.shape, np.nan) if gps is None else centers - gps.position_m
+    return GeoreferencedModel(
+        adjusted.model,
+        tuple(roles),
+        adjusted,
+        used,
+        adjusted.positions_m - surveyed.position_m,
+        np.sqrt(variances),
+        off,
+        gps_offset_m,
+        tuple(warnings),
+    )
+
+
+def _unseen_warnings(surveyed: SurveyedPoints, used: np.ndarray, triangulated: np.ndarray) -> list[str]:
+    """Points that cannot be used, and observations that contradict the others of their point."""
+    out = []
+    counts = np.bincount(surveyed.point, minlength=len(surveyed))
+    for row in np.flatnonzero(~np.isfinite(triangulated).all(axis=1)).tolist():
+        why = {
+            0: "no registered image shows it",
+            1: "only one registered image shows it, and at least two are needed",
+        }.get(int(counts[row]), "its observations do not agree on a point")
+        out.append(f"the point {surveyed.name[row]} is not used: {why}")
+    for k in np.flatnonzero(~used & np.isfinite(triangulated).all(axis=1)[surveyed.point]).tolist():
+        name = surveyed.name[int(surveyed.point[k])]
+        out.append(
+            f"an observation of {name} at pixel {surveyed.pixels[k, 0]:.0f}, {surveyed.pixels[k, 1]:.0f} contradicts the others of this "
+            "point, and is not used"
+        )
+    return out
+
+
+def _mark_warnings(
+    surveyed: SurveyedPoints, errors: np.ndarray, model: Reconstruction, wrong: np.ndarray
+) -> list[str]:
+    return [
+        f"the observation of {surveyed.name[int(surveyed.point[k])]} in {model.images.name[int(surveyed.image[k])]} is "
+        f"{errors[k]:.1f} px from where the other images show the point, and is not used"
+        for k in np.flatnonzero(wrong).tolist()
+    ]
+
+
+def _rejection(name: str, off_m: np.ndarray) -> str:
+    east, north, up = (f"{value:+.2f}" for value in np.nan_to_num(off_m))
+    return (
+        f"the control point {name} contradicts the others and is not used: its coordinates are off by {east} m east, {north} m north "
+        f"and {up} m up, as the images show it"
+    )
+
+
+def require_something(surveyed: SurveyedPoints, gps: GpsFixes | None) -> None:
+    """Check that there is anything to georeference with.
+
+    Raises:
+        ConfigError: there are neither control points nor GPS positions.
+    """
+    if not len(surveyed) and gps is None:
+        raise ConfigError("the images have no GPS positions: pass --gcp FILE with control points")

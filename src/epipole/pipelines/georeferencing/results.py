@@ -1,0 +1,82 @@
+"""What is known about each surveyed point and the result, for `control_points.json` and `summary.json`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from epipole.io.georeference import georeference_words
+from epipole.pipelines.georeferencing.georeference import GeoreferencedModel, PointRole
+from epipole.pipelines.georeferencing.survey import SurveyedPoints
+from epipole.scene import Georeference
+
+AXES = ("east_m", "north_m", "up_m")
+RMS_OF = (PointRole.CONTROL, PointRole.CHECK)
+
+
+def point_entries(
+    found: GeoreferencedModel, surveyed: SurveyedPoints, origin: Georeference | None
+) -> dict[str, dict[str, Any]]:
+    """Everything known about each surveyed point, by name."""
+    out = {}
+    lat_lon_alt = None
+    if origin is not None and len(surveyed):
+        lat_lon_alt = origin.lat_lon_alt_of(np.nan_to_num(found.adjusted.positions_m))
+    for row, name in enumerate(surveyed.name):
+        own = np.flatnonzero(surveyed.point == row)
+        used = own[found.used_mask[own]]
+        errors = found.adjusted.mark_errors_px[used]
+        entry: dict[str, Any] = {
+            "role": found.roles[row].value,
+            "num_observations": len(own),
+            "num_used": len(used),
+            "error_px": float(np.sqrt(np.mean(errors**2))) if len(errors) else None,
+            "measured_m": _by_axis(surveyed.position_m[row]),
+        }
+        if np.isfinite(found.adjusted.positions_m[row]).all():
+            entry |= {
+                "adjusted_m": _by_axis(found.adjusted.positions_m[row]),
+                "residual_m": _by_axis(found.residuals_m[row]),
+                "sigma_m": _by_axis(found.sigmas_m[row]),
+            }
+            if lat_lon_alt is not None:
+                entry["adjusted_lat_lon_alt"] = lat_lon_alt[row].tolist()
+        out[name] = entry
+    return out
+
+
+def summary_of(found: GeoreferencedModel, origin: Georeference | None) -> dict[str, Any]:
+    """The result in numbers."""
+    roles = [role.value for role in found.roles]
+    model = found.model
+    sigmas = np.sqrt(np.einsum("nii->ni", found.adjusted.center_covariances))
+    horizontal = np.hypot(found.gps_residuals_m[:, 0], found.gps_residuals_m[:, 1])
+    num_gps = int(np.isfinite(horizontal).sum())
+    return {
+        "is_metric": True,
+        "georeference": None if origin is None else georeference_words(origin),
+        "num_images": int(model.is_registered().sum()),
+        "num_points": len(model.points),
+        **{f"num_{role.value}": roles.count(role.value) for role in PointRole},
+        "rms_m": {role.value: _by_axis(found.rms_m(role)) for role in RMS_OF},
+        "fraction_within_two_sigma": _within(found),
+        "num_gps": num_gps,
+        "median_gps_residual_m": float(np.nanmedian(horizontal)) if num_gps else None,
+        "gps_offset_m": None if found.gps_offset_m is None else _by_axis(found.gps_offset_m),
+        "median_image_sigma_m": _by_axis(np.nanmedian(sigmas, axis=0)),
+        "mean_error_px": model.mean_reprojection_error_px(),
+        "noise_px": found.adjusted.noise_px,
+    }
+
+
+def _within(found: GeoreferencedModel) -> float | None:
+    """Fraction of the coordinates of check points that are within two standard deviations; None without check points."""
+    rows = [row for row, role in enumerate(found.roles) if role is PointRole.CHECK]
+    ratio = np.abs(found.residuals_m[rows] / found.sigmas_m[rows])
+    ratio = ratio[np.isfinite(ratio)]
+    return float((ratio <= 2.0).mean()) if len(ratio) else None
+
+
+def _by_axis(values: np.ndarray) -> dict[str, float | None]:
+    return {axis: float(v) if np.isfinite(v) else None for axis, v in zip(AXES, values.tolist())}
