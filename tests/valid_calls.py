@@ -323,6 +323,7 @@ def _bundles() -> Iterator[Row]:
     free = {"sensor_free": np.zeros((c, 6)), "priors": BundlePriors(**priors)}
     ends = {name: getattr(distances, name) for name in distances.__slots__}
     yield _row(optim.PointDistances, **ends)
+    yield _row(optim.PointPositions, point=np.array([0, 2]), expected=_some(2, 3), sigma=np.ones((2, 3)))
     yield _row(BundlePriors, **priors)
     yield _row(BundlePriors(**priors).check, num_frames=f, num_cameras=c, num_points=20)
     yield _row(optim.BundleProblem, **fields | free)
@@ -510,6 +511,8 @@ def _columns() -> Iterator[Row]:
     yield _row(model.images.keypoints_of, image=1)
     yield _row(model.transformed, target_from_world=Similarity3.exp(0.1 * _some(7)))
     yield _row(scene.unregistered, count=3)
+    yield _row(scene.Georeference, lat_deg=48.2, lon_deg=11.6, alt_m=520.0, crs="EPSG:32632")
+    yield _row(scene.Georeference.about, lat_lon_alt=_some(4, 3), crs="")
     single, small = np.zeros((3, 4), np.float32), np.zeros((3, 4))
     yield _row(scene.DisparityMap, disparity_px=single, sigma_px=single, reason=np.zeros((3, 4), np.uint8))
     yield _row(scene.DepthMap, depth=small, sigma=small, calibration_sigma=small)

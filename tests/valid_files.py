@@ -16,6 +16,7 @@ from epipole.cameras import Camera, CameraModel
 from epipole.fields.nerf import hash_files, voxel_files
 from epipole.geometry import Rigid3
 from epipole.io import anchor_files, json_files, ros
+from epipole.io import georeference as georeference_files
 from epipole.io.bags import writing as bag_writing
 from epipole.io.calibration import camera_params
 from epipole.io.calibration import files as calibration_files
@@ -30,9 +31,10 @@ from epipole.io.meshes import mesh_ply, ply
 from epipole.io.models import llff
 from epipole.io.models import transforms as transforms_json
 from epipole.io.sequences import imu_logs, stereo_folders
+from epipole.io.survey import control_points, coordinate_systems
 from epipole.io.trajectories import files as trajectories
 from epipole.io.trajectories import frame_tables
-from epipole.scene import Trajectory
+from epipole.scene import Georeference, Trajectory
 from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.synthetic import problems
 
@@ -105,14 +107,26 @@ def _models() -> Iterator[Row]:
         ("scene.ply", io.write_scene_ply, {}),
         ("transforms.json", io.write_transforms, {"image_folder": "images", "origin_in_world": np.ones(3)}),
         ("bundler.out", io.write_bundler, {"image_folder": "images"}),
+        ("reconstruction.json", io.write_opensfm, {}),
+        ("cameras.xml", io.write_metashape, {}),
+        ("kapture", io.write_kapture, {}),
     ):
-        position = "folder" if write is io.write_colmap_model else "path"
+        position = "folder" if write in (io.write_colmap_model, io.write_kapture) else "path"
         write(**{"reconstruction": model, position: at / name})
         yield _row(write, **{"reconstruction": model, position: at / name}, **more)
     yield _row(io.read_colmap_model, folder=at / "colmap")
     yield _row(io.read_model, source=at / "colmap")
     yield _row(io.read_transforms, path=at / "transforms.json", image_folder="images")
     yield _row(transforms_json.read_transforms_scene, path=at / "transforms.json", image_folder="images")
+    yield _row(io.read_opensfm, path=at / "reconstruction.json")
+    yield _row(io.read_metashape, path=at / "cameras.xml")
+    yield _row(io.read_kapture, folder=at / "kapture")
+    (at / "images").mkdir(exist_ok=True)  # the list that `write_bundler` writes may lead there
+    for row, name in enumerate(model.images.name):
+        camera = model.cameras[int(model.camera_of_image[row])]
+        for file in (at / name, at / "images" / name):
+            cv2.imwrite(str(file), np.zeros((camera.height, camera.width), np.uint8))
+    yield _row(io.read_bundler, path=at / "bundler.out", image_folder="images")
     yield _row(ply.num_cameras_of_scene, path=at / "scene.ply")
     for function in (io.params_to_colmap, io.params_from_colmap):
         yield _row(function, model=int(LENS.model), params=LENS.params)
@@ -152,6 +166,22 @@ def _tables() -> Iterator[Row]:
     yield _row(
         anchor_files.read_lengths, path=_text("lengths.txt", "L 1.5 a one.jpg 1 2\nL 1.5 b one.jpg 3 4\n")
     )
+    gcp = _text("gcp_list.txt", "WGS84\n13.4 52.5 12 26 9 a.jpg P1\n")
+    yield _row(control_points.read_control_points, path=gcp)
+    yield _row(coordinate_systems.coordinate_system_of, path=gcp, words="WGS84")
+    table = np.array([[52.5, 13.4, 12.0]])
+    yield _row(coordinate_systems.lat_lon_alt_of, path=gcp, coordinates=table[:, [1, 0, 2]], crs="")
+    yield _row(coordinate_systems.coordinates_of, lat_lon_alt=table, crs="")
+    origin = Georeference(52.5, 13.4, 12.0)
+    yield _row(georeference_files.georeference_words, georeference=origin)
+    yield _row(
+        georeference_files.georeference_of_words,
+        path="a.json",
+        content=georeference_files.georeference_words(origin),
+    )
+    yield _row(georeference_files.write_georeference, path=folder() / "o.json", georeference=origin)
+    there = _text("georeference.json", '{"lat_deg": 1, "lon_deg": 2, "alt_m": 3}')
+    yield _row(georeference_files.read_georeference, path=there)
     yield _row(
         anchor_files.read_anchor_positions,
         path=_text("places.txt", "one.jpg 1 2 3\ntwo.jpg 4 5 6\nd.jpg 7 8 9\n"),
@@ -203,7 +233,6 @@ def _calibrations() -> Iterator[Row]:
     yield _row(camera_params.refuse_impossible, camera=LENS, where="here")
     yield _row(sensor_widths.sensor_width_mm, make="Canon", model="Canon EOS 5D")
     yield _row(exif.new_exif, make="a", model="b", focal_35mm=35.0, gps=(1.0, 2.0, 3.0))
-    yield _row(exif.gps_to_enu, lat_lon_alt=np.array([[1.0, 2.0, 3.0], [1.1, 2.1, 3.1]]))
 
 
 def _images() -> Iterator[Row]:

@@ -45,6 +45,7 @@ from epipole.pipelines.localization.run import localize as localize
 from epipole.pipelines.sfm.config import MapperConfig as MapperConfig
 from epipole.pipelines.sfm.config import PairingConfig as PairingConfig
 from epipole.pipelines.sfm.config import ReconstructConfig as ReconstructConfig
+from epipole.pipelines.sfm.merge import merge as merge
 from epipole.pipelines.sfm.run import ReconstructionResult as ReconstructionResult
 from epipole.pipelines.sfm.run import reconstruct as reconstruct
 from epipole.pipelines.slam.config import SlamConfig as SlamConfig

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import socket
 import stat
 import sys
@@ -17,7 +18,7 @@ from PIL import Image
 from epipole.io import write_colmap_model
 from epipole.io.colmap.database import DatabaseContents, write_database
 from epipole.io.gaussians.files import write_gaussians
-from io_models import mappable_model
+from io_models import mappable_model, write_gcp_list
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fields"))
 from fields_scenes import camera, frames_of, scene, views
@@ -46,6 +47,8 @@ def file(words: str, name: str, source: str) -> Target:
 TARGETS: dict[str, tuple[Target, ...]] = {
     "reconstruct": (folder("reconstruct photos OUT", "photos"),),
     "localize": (folder("localize photos model OUT", "photos"),),
+    "merge": (folder("merge model model2 OUT", "model"),),
+    "georeference": (folder("georeference model OUT --gcp gcp_list.txt", "model"),),
     "slam": (folder("slam photos OUT --camera-params 60,60,32,24 --camera-model PINHOLE", "photos"),),
     "splat": (folder("splat scene OUT --steps 2", "scene"),),
     "nerf": (folder("nerf scene OUT --steps 2", "scene"),),
@@ -70,7 +73,7 @@ TARGETS: dict[str, tuple[Target, ...]] = {
     "convert": (
         *(
             folder(f"convert model OUT --format {form}", "model")
-            for form in ("txt", "bin", "transforms", "bundler")
+            for form in ("txt", "bin", "transforms", "bundler", "opensfm", "metashape", "kapture")
         ),
         file("convert model OUT --format ply", "scene.ply", "model/sparse/0/points3D.bin"),
         *(
@@ -103,12 +106,15 @@ def make_inputs(root: Path) -> None:
     descriptors = [np.full((count, 128), 20, np.uint8) for count in counts]
     contents = DatabaseContents(model.cameras, model.rigs, model.frames, model.images, descriptors)
     write_database(root / "model" / "database.db", contents)
+    write_gcp_list(root / "gcp_list.txt", model)
     (root / "model" / "images").mkdir()
     for row, name in enumerate(model.images.name):
         one = model.cameras[int(model.camera_of_image[row])]
         Image.fromarray(np.full((one.height, one.width, 3), 90, np.uint8)).save(
             root / "model" / "images" / name
         )
+
+    shutil.copytree(root / "model", root / "model2")
 
 
 def mine(path: Path) -> None:

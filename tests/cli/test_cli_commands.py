@@ -145,7 +145,7 @@ def test_evaluate_undistort_and_convert(workspace, here):
     assert flat.cameras[0].model.name == "PINHOLE"
     assert len(list((folder / "out" / "undistorted" / "images").iterdir())) == len(names)
     assert flat.mean_reprojection_error_px() < 0.8
-    for form in ("txt", "bin", "ply", "transforms", "bundler"):
+    for form in ("txt", "bin", "ply", "transforms", "bundler", "opensfm", "metashape", "kapture"):
         here("convert", folder / "out", folder / f"as_{form}", "--format", form)
 
 

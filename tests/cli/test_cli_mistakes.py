@@ -83,10 +83,15 @@ def test_without_a_command_the_commands_are_listed(capsys: pytest.CaptureFixture
         ("completion tcsh", ["must be bash, zsh or fish, got tcsh; see `epipole completion --help`"]),
         ("render a b --output purple", ["--output must be color, depth, normals or coverage, got purple;"]),
         ("evaluate a", ["`epipole evaluate` needs OUT --truth, got a;"]),
-        ("convert a b", ["unknown output format of ", "one of txt, bin, ply, transforms, bundler, splat"]),
+        (
+            "convert a b",
+            ["unknown output format of ", "one of txt, bin, ply, transforms, bundler, opensfm, "],
+        ),
         (
             "convert a b --format obj",
-            ["--format must be bin, bundler, ply, splat, transforms or txt, got obj;"],
+            [
+                "--format must be bin, bundler, kapture, metashape, opensfm, ply, splat, transforms or txt, got obj;"
+            ],
         ),
         ("--quiet --verbose version", ["exclude each other"]),
     ],

@@ -6,14 +6,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
-from epipole.io import read_colmap_model, read_points_ply, read_transforms, write_colmap_model
+from epipole.io import (
+    read_colmap_model,
+    read_model,
+    read_points_ply,
+    read_transforms,
+    write_colmap_model,
+    write_opensfm,
+)
 from epipole.io.gaussians.files import read_gaussians, write_gaussians
 from epipole.pipelines.conversion.run import convert
-from epipole.scene import Reconstruction
+from epipole.scene import Georeference, Reconstruction
 from epipole.scene.gaussian_cloud import GaussianCloud
-from io_models import mappable_model
+from io_models import mappable_model, small_model
 
 
 def names_in(folder: Path) -> list[str]:
@@ -90,9 +98,11 @@ def test_what_is_there_is_kept(tmp_path: Path) -> None:
     out = output_folder(tmp_path / "out", model)
     mine = tmp_path / "mine"
     mine.mkdir()
-    for name in ("cameras.txt", "cameras.bin", "transforms.json", "scene.ply"):
+    names = ("cameras.txt", "cameras.bin", "transforms.json", "scene.ply", "tracks.csv", "cameras.xml")
+    for name in (*names, "sensors/sensors.txt"):
+        (mine / name).parent.mkdir(exist_ok=True)
         (mine / name).write_text("mine")
-    for form in ("txt", "bin", "transforms", "bundler", "ply"):
+    for form in ("txt", "bin", "transforms", "bundler", "opensfm", "metashape", "kapture", "ply"):
         with pytest.raises(WorkspaceError):
             convert(out, mine, form)
     with pytest.raises(WorkspaceError, match="is the folder of"):
@@ -117,7 +127,10 @@ def test_names_that_lead_out_are_refused(tmp_path: Path, name: str) -> None:
 
 
 def test_misuse_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="supported are txt, bin, ply, transforms, bundler"):
+    with pytest.raises(
+        ConfigError,
+        match="supported are txt, bin, ply, transforms, bundler, opensfm, metashape, kapture, splat",
+    ):
         convert(tmp_path, tmp_path / "out", "obj")
     with pytest.raises(FileFormatError, match="it does not exist"):
         convert(tmp_path / "nothing", tmp_path / "out", "ply")
@@ -150,6 +163,76 @@ def test_what_convert_wrote_can_be_read_and_a_ply_is_no_model(tmp_path: Path) ->
     convert(one, tmp_path / "scene.ply", "ply")
     with pytest.raises(FileFormatError, match="points but no cameras"):
         convert(tmp_path / "scene.ply", tmp_path / "x", "txt")
+
+
+OTHERS = {
+    "opensfm": ("reconstruction.json", "images"),
+    "metashape": ("cameras.xml", "images"),
+    "kapture": ("sensors/sensors.txt", "sensors/records_data"),
+    "bundler": ("bundle.out", "images"),
+    "transforms": ("transforms.json", "images"),
+}
+
+
+def with_images(root: Path, model: Reconstruction) -> Path:
+    """An output folder whose images can be read."""
+    output_folder(root, model)
+    for image, name in enumerate(model.images.name):
+        camera = model.cameras[int(model.camera_of_image[image])]
+        Image.new("RGB", (camera.width, camera.height), (image, 0, 0)).save(
+            root / "images" / name, format="PNG"
+        )
+    return root
+
+
+@pytest.mark.parametrize("form", OTHERS)
+def test_every_format_of_other_programs_is_read_again(tmp_path: Path, form: str) -> None:
+    """By its folder and by its file, with its images."""
+    model = mappable_model()
+    source = with_images(tmp_path / "one", model)
+    file, images = OTHERS[form]
+    done = convert(source, tmp_path / form, form)
+    assert done.num_images == len(model.images) and not done.missing
+    assert (done.out / file).is_file()
+    assert sorted(path.name for path in (done.out / images).iterdir()) == sorted(model.images.name)
+    again = convert(done.out, tmp_path / "again", "bin")
+    expected = model.cams_from_world().as_matrix()
+    found = read_colmap_model(again.out)
+    assert found.images.name == model.images.name and not again.warnings
+    np.testing.assert_allclose(found.cams_from_world().as_matrix(), expected, atol=1e-12)
+    if form != "kapture":
+        np.testing.assert_allclose(
+            read_model(done.out / file).cams_from_world().as_matrix(), expected, atol=1e-12
+        )
+    nerf = convert(done.out, tmp_path / "nerf", "transforms")
+    assert nerf.num_images == len(model.images)
+
+
+def test_content_that_a_format_cannot_store_is_named(tmp_path: Path) -> None:
+    model = replace(small_model(), georeference=Georeference(48.0, 11.0, 500.0))
+    write_colmap_model(model, tmp_path / "bin")
+    assert convert(tmp_path / "bin", tmp_path / "a", "opensfm").losses == ()
+    losses = convert(tmp_path / "bin", tmp_path / "b", "metashape").losses
+    assert losses == ("metashape cannot store points and tracks", "metashape cannot store rigs")
+    assert convert(tmp_path / "bin", tmp_path / "c", "kapture").losses == (
+        "kapture cannot store the position on Earth",
+    )
+
+
+def test_content_of_the_source_that_is_not_read_is_named(tmp_path: Path) -> None:
+    write_opensfm(mappable_model(), tmp_path / "reconstruction.json")
+    content = json.loads((tmp_path / "reconstruction.json").read_text())
+    (tmp_path / "reconstruction.json").write_text(json.dumps([*content, {"cameras": {}, "shots": {}}]))
+    done = convert(tmp_path / "reconstruction.json", tmp_path / "txt", "txt")
+    assert len(done.warnings) == 1 and "2 disconnected reconstructions" in done.warnings[0]
+
+
+def test_the_name_of_a_file_only_suggests_its_format(tmp_path: Path) -> None:
+    model = mappable_model()
+    write_opensfm(model, tmp_path / "model.xml")
+    (tmp_path / "transforms.json").write_bytes((tmp_path / "model.xml").read_bytes())
+    assert len(read_model(tmp_path / "model.xml").images) == len(model.images)
+    assert len(read_model(tmp_path).images) == len(model.images)
 
 
 def test_gaussians_are_written_in_the_format_of_the_name(tmp_path: Path, rng) -> None:

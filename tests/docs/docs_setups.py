@@ -15,7 +15,7 @@ from board_pictures import board_pictures
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Rotation3
 from epipole.inertial import ImuLog
-from epipole.io import write_colmap_model, write_g2o
+from epipole.io import read_colmap_model, write_colmap_model, write_g2o
 from epipole.io.calibration.files import CalibrationFile, write_calibration
 from epipole.optim import PoseGraph
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
@@ -24,6 +24,7 @@ from epipole.pipelines.slam.slam import Slam
 from epipole.synthetic import courtyard, look_at, render
 from epipole.synthetic.problems import absolute_pose_problem, bundle_problem, two_view_problem
 from epipole.synthetic.stereo_rooms import stereo_room
+from io_models import write_gcp_list
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "sfm"))
 from photographs import neighboring_views, render_to
@@ -235,6 +236,7 @@ def usual(folder: Path, reconstructed: Path) -> dict[str, Any]:
     """For pages without a setup of their own: a reconstruction of IMAGES in OUT, and arrays of two views and of known points."""
     shutil.copytree(reconstructed, folder, dirs_exist_ok=True)
     calibration(folder)
+    write_gcp_list(folder / "gcp_list.txt", read_colmap_model(folder / "OUT" / "sparse" / "0"))
     image = np.asarray(Image.open(sorted((folder / "IMAGES").iterdir())[0]))
     return {"image": image, **known_points(folder), **two_views(), **ten_tasks()}
 

@@ -5,9 +5,10 @@ import io
 import json
 import os
 import shutil
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -52,18 +53,27 @@ from epipole.fields.nerf.voxel_files import GridContents, read_grid, write_grid
 from epipole.geometry import Rigid2, Rigid3, Rotation3
 from epipole.io import (
     read_bal,
+    read_bundler,
     read_colmap_model,
     read_database,
     read_g2o,
+    read_kapture,
+    read_metashape,
+    read_model,
+    read_opensfm,
     read_points_ply,
     read_positions,
     read_sequence,
     read_trajectory,
     read_transforms,
     read_truth,
+    write_bundler,
     write_colmap_model,
     write_database,
     write_g2o,
+    write_kapture,
+    write_metashape,
+    write_opensfm,
     write_points_ply,
     write_trajectory,
 )
@@ -79,6 +89,7 @@ from epipole.io.calibration.files import (
 )
 from epipole.io.gaussians.files import read_gaussians, write_gaussians
 from epipole.io.gaussians.ply import read_gaussian_ply, write_gaussian_ply
+from epipole.io.georeference import read_georeference
 from epipole.io.images.depth_maps import read_pfm, read_png16, write_pfm, write_png16
 from epipole.io.images.exif import new_exif
 from epipole.io.images.photographs import copy_or_rotate, read_gray, read_header, read_mask, read_rgb
@@ -89,6 +100,7 @@ from epipole.io.models.llff import read_llff
 from epipole.io.sequences.imu_logs import read_camera_from_imu, read_imu
 from epipole.io.sequences.rig_folders import read_rig_sequence
 from epipole.io.sequences.stereo_video import extract_pairs
+from epipole.io.survey.control_points import read_control_points
 from epipole.io.trajectories.files import read_pose_matrix, trajectory_format
 from epipole.io.trajectories.frame_tables import read_frame_table
 from epipole.io.trajectories.true_trajectories import true_path_at
@@ -106,10 +118,10 @@ from epipole.pipelines.stereo.pairs import read_summary
 from epipole.runs.folder import OutputFolder, read_mark
 from epipole.runs.source import Source
 from epipole.runs.units import load, store, stored_key
-from epipole.scene import Trajectory
+from epipole.scene import Georeference, Trajectory
 from epipole.scene.gaussian_cloud import GaussianCloud
 from hostile_bytes import assert_model, assert_motions
-from io_models import small_model
+from io_models import mappable_model, small_model
 
 
 @dataclass(frozen=True)
@@ -331,6 +343,18 @@ def _lengths(folder: Path) -> None:
 
 def _places(folder: Path) -> None:
     assert np.isfinite(read_anchor_positions(folder / "a.txt").positions).all()
+
+
+def _control_points(folder: Path) -> None:
+    path = next(folder.glob("a.*"))
+    found = read_control_points(path)
+    assert len(found) and np.isfinite(found.coordinates[:, :2]).all() and np.isfinite(found.pixels).all()
+    assert all(0 <= row < len(found) for row in found.point) and len(set(found.name)) == len(found)
+
+
+def _georeference(folder: Path) -> None:
+    found = read_georeference(folder / "a.json")
+    assert abs(found.lat_deg) <= 90 and np.isfinite([found.lon_deg, found.alt_m]).all()
 
 
 def _odometry(folder: Path) -> None:
@@ -750,6 +774,66 @@ def _transforms_file(known: str) -> Callable[[Path], None]:
     return write
 
 
+def _read_quietly(read: Callable[[Path], Any], name: str) -> Callable[[Path], None]:
+    """Warnings name what is left out, and stay in the process."""
+
+    def checked_read(folder: Path) -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            model = read(folder / name if name else folder)
+        assert_model(model)
+        assert all(name.encode() for name in model.images.name)
+
+    return checked_read
+
+
+def _put_opensfm(folder: Path) -> None:
+    write_opensfm(replace(small_model(), georeference=Georeference(48.0, 11.0, 500.0)), folder / OPENSFM)
+
+
+def _put_metashape(folder: Path) -> None:
+    write_metashape(replace(small_model(), georeference=Georeference(48.0, 11.0, 500.0)), folder / METASHAPE)
+
+
+def _put_bundler(folder: Path) -> None:
+    model = mappable_model(3, 12)
+    write_bundler(model, folder / BUNDLE)
+    for name in model.images.name:
+        Image.new("L", (640, 480)).save(folder / name)
+
+
+def _put_kapture(folder: Path) -> None:
+    write_kapture(small_model(), folder)
+
+
+OPENSFM, METASHAPE, BUNDLE = "reconstruction.json", "cameras.xml", "bundle.out"
+_OPENSFM = _read_quietly(read_opensfm, OPENSFM)
+_BUNDLER = _read_quietly(read_bundler, BUNDLE)
+_KAPTURE = _read_quietly(read_kapture, "")
+OTHER_MODELS = {
+    "opensfm": Format(_put_opensfm, OPENSFM, "json", _OPENSFM, ("read_opensfm",)),
+    "opensfm-tracks": Format(_put_opensfm, "tracks.csv", "text", _OPENSFM, ("read_opensfm",)),
+    "opensfm-head": Format(_put_opensfm, OPENSFM, "text", _read_quietly(read_model, ""), ("read_model",)),
+    "metashape": Format(
+        *(_put_metashape, METASHAPE, "text", _read_quietly(read_metashape, METASHAPE), ("read_metashape",))
+    ),
+    "bundler": Format(_put_bundler, BUNDLE, "text", _BUNDLER, ("read_bundler",)),
+    "bundler-list": Format(_put_bundler, "list.txt", "text", _BUNDLER, ("read_bundler",)),
+    **{
+        f"kapture-{name.split('/')[-1]}": Format(_put_kapture, name, kind, _KAPTURE, ("read_kapture",), 0.5)
+        for name, kind in (
+            ("sensors/sensors.txt", "text"),
+            ("sensors/rigs.txt", "text"),
+            ("sensors/trajectories.txt", "text"),
+            ("sensors/records_camera.txt", "text"),
+            ("reconstruction/points3d.txt", "text"),
+            ("reconstruction/observations.txt", "text"),
+            ("reconstruction/keypoints/epipole/keypoints.txt", "text"),
+            ("reconstruction/keypoints/epipole/a1.jpg.kpt", "binary"),
+        )
+    },
+}
+
 _PARTS = ("cameras", "rigs", "frames", "images", "points3D")
 
 FORMATS: dict[str, Format] = {
@@ -781,6 +865,7 @@ FORMATS: dict[str, Format] = {
         ("read_transforms", "read_transforms_scene"),
         must_name=False,
     ),
+    **OTHER_MODELS,
     "convert": Format(
         *(lambda folder: write_colmap_model(small_model(), folder), "images.bin", "binary", _converted),
         readers=("read_model",),
@@ -847,6 +932,28 @@ FORMATS: dict[str, Format] = {
     "places": Format(
         _put("a.txt", b"# n\none.jpg 1 2 3\ntwo.jpg 4 5 6\nd e.jpg 7 8 9\n"),
         *("a.txt", "text", _places, ("read_anchor_positions",)),
+    ),
+    "control-points": Format(
+        _put(
+            "a.txt",
+            b"WGS84\n# n\n13.4 52.5 12.1 26.2 9.4 2.jpg P1\n13.4 52.5 12.1 23 14 1.jpg P1\n13.5 52.6 NaN 3 4 1.jpg P2\n",
+        ),
+        *("a.txt", "text", _control_points, ("read_control_points",)),
+    ),
+    "control-points-json": Format(
+        _put(
+            "a.json",
+            b'{"points": [{"id": "7", "position": {"latitude": 52.5, "longitude": 13.4, "altitude": 14.9},'
+            b' "observations": [{"shot_id": "01.jpg", "projection": [-0.004, -0.035]}]}]}',
+        ),
+        *("a.json", "text", _control_points, ("read_control_points",)),
+    ),
+    "georeference": Format(
+        _put(
+            "a.json",
+            b'{"lat_deg": 48.2, "lon_deg": 11.6, "alt_m": 520.5, "axes": "east, north, up", "crs": ""}',
+        ),
+        *("a.json", "text", _georeference, ("read_georeference",)),
     ),
     "odometry": Format(
         _put("a.txt", b"# s m\n0.5 1\n0.6 1.5\n0.7 2.25\n"),

@@ -145,7 +145,7 @@ def test_exchanged_axes_are_refused_with_and_without_gps():
 
 def test_heights_above_the_geoid_are_noticed():
     one = usual()
-    above = GpsFixes(one.gps.position_m + [0.0, 0.0, 46.5], one.gps.sigma_m)
+    above = GpsFixes(one.gps.position_m + np.array([0.0, 0.0, 46.5]), one.gps.sigma_m)
     found = adjusted(one, gps=above)
     (warning,) = found.warnings
     assert "46." in warning and "above the ellipsoid" in warning
@@ -155,7 +155,7 @@ def test_heights_above_the_geoid_are_noticed():
 
 def test_a_constant_offset_of_gps_does_not_matter():
     one = usual()
-    moved = GpsFixes(one.gps.position_m + [4.0, -3.0, 1.0], one.gps.sigma_m)
+    moved = GpsFixes(one.gps.position_m + np.array([4.0, -3.0, 1.0]), one.gps.sigma_m)
     before, after = adjusted(one), adjusted(one, gps=moved)
     assert not after.warnings
     np.testing.assert_allclose(

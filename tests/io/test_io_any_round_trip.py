@@ -22,12 +22,18 @@ from epipole.io import (
     read_colmap_model,
     read_database,
     read_g2o,
+    read_kapture,
+    read_metashape,
+    read_opensfm,
     read_points_ply,
     read_transforms,
     write_bal,
     write_colmap_model,
     write_database,
     write_g2o,
+    write_kapture,
+    write_metashape,
+    write_opensfm,
     write_points_ply,
     write_transforms,
 )
@@ -129,6 +135,54 @@ def test_transforms(tmp_path: Path, model: Reconstruction) -> None:
     # Points are stored in single precision, or in double where that is too coarse.
     np.testing.assert_allclose(found.points.xyz_in_world, model.points.xyz_in_world, rtol=2**-24, atol=1e-40)
     np.testing.assert_array_equal(found.points.rgb, model.points.rgb)
+
+
+def assert_same_views(found: Reconstruction, model: Reconstruction) -> None:
+    """The same poses and cameras, image by image; the cameras may be of other models."""
+    assert_same_motions(found.cams_from_world(), model.cams_from_world(), 1e-9)
+    for image in range(len(model.images)):
+        own, theirs = (m.cameras[int(m.camera_of_image[image])] for m in (found, model))
+        pixels = np.array([[10.0, 20.0], [300.0, 250.0], [600.0, 400.0]])
+        np.testing.assert_allclose(own.unproject(pixels), theirs.unproject(pixels), atol=1e-9)
+        assert (own.width, own.height) == (theirs.width, theirs.height)
+
+
+def numbered(model: Reconstruction) -> Reconstruction:
+    """With image names that every format can store."""
+    names = tuple(f"{image}/a b.jpg" for image in range(len(model.images)))
+    return replace(model, images=replace(model.images, name=names))
+
+
+@given(model=reconstructions(models=LENSES[:2]))
+def test_models_of_opensfm(tmp_path: Path, model: Reconstruction) -> None:
+    write_opensfm(model, tmp_path / "reconstruction.json")
+    found = read_opensfm(tmp_path / "reconstruction.json")
+    assert_same_views(found, model)
+    assert found.images.name == model.images.name
+    np.testing.assert_array_equal(found.points.xyz_in_world, model.points.xyz_in_world)
+    np.testing.assert_array_equal(found.points.rgb, model.points.rgb)
+    np.testing.assert_array_equal(found.tracks.offsets, model.tracks.offsets)
+    np.testing.assert_array_equal(found.tracks.image, model.tracks.image)
+    np.testing.assert_allclose(found.observed_pixels(), model.observed_pixels(), rtol=0, atol=1e-9)
+
+
+@given(model=reconstructions(models=LENSES[:2]))
+def test_cameras_of_metashape(tmp_path: Path, model: Reconstruction) -> None:
+    write_metashape(numbered(model), tmp_path / "cameras.xml")
+    assert_same_views(read_metashape(tmp_path / "cameras.xml"), model)
+
+
+@given(model=reconstructions())
+def test_datasets_of_kapture(tmp_path: Path, model: Reconstruction) -> None:
+    write_kapture(numbered(model), tmp_path / "kapture")
+    found = read_kapture(tmp_path / "kapture")
+    assert_same_views(found, model)
+    for column in ("keypoint_offsets", "frame"):
+        np.testing.assert_array_equal(getattr(found.images, column), getattr(model.images, column))
+    np.testing.assert_allclose(found.images.keypoints_px, model.images.keypoints_px, rtol=0, atol=1e-11)
+    np.testing.assert_array_equal(found.points.xyz_in_world, model.points.xyz_in_world)
+    for column in ("offsets", "image", "keypoint"):
+        np.testing.assert_array_equal(getattr(found.tracks, column), getattr(model.tracks, column))
 
 
 @given(xyz=rows(5, 3), rgb=arrays_of.arrays(np.uint8, (5, 3)), count=st.integers(0, 5))

@@ -108,7 +108,9 @@ def test_projections_there_and_back():
     table = np.array([[48.2, 11.6, 520.0], [48.3, 11.7, np.nan]])
     for crs in ("", "EPSG:32632", "EPSG:25832", "+proj=utm +zone=32 +datum=WGS84 +units=m +no_defs"):
         np.testing.assert_allclose(lat_lon_alt_of("x", coordinates_of(table, crs), crs), table, atol=1e-9)
-    np.testing.assert_allclose(coordinates_of(table, "EPSG:32632")[0, :2], [693190.164, 5341798.526], atol=0.01)
+    np.testing.assert_allclose(
+        coordinates_of(table, "EPSG:32632")[0, :2], [693190.164, 5341798.526], atol=0.01
+    )
 
 
 def test_coordinates_that_cannot_be_are_refused():

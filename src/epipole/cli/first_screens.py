@@ -24,6 +24,13 @@ FIRST_SCREENS = {
             "--max-frames --pairing.method --features.max-features --threads"
         ),
     ),
+    "merge": FirstScreen(
+        ("epipole merge MODEL1 MODEL2 OUT",),
+        (
+            "--calibration --camera-params --camera-model --single-camera --pairing.neighbors "
+            "--features.max-features --mapper.use-gps --threads"
+        ),
+    ),
     "localize": FirstScreen(
         (
             "epipole localize NEW OUT",

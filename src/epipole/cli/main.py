@@ -24,6 +24,7 @@ from epipole.errors import ConfigError, EpipoleError, FileFormatError
 
 COMMANDS = (
     "epipole.pipelines.sfm.command:reconstruct",
+    "epipole.pipelines.sfm.command:merge",
     "epipole.pipelines.localization.command:localize",
     "epipole.pipelines.georeferencing.command:georeference",
     "epipole.pipelines.slam.command:slam",

@@ -1,4 +1,4 @@
-"""Conversion of models between all supported formats."""
+"""Reading and writing of models in all supported formats."""
 
 from __future__ import annotations
 
@@ -6,35 +6,85 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from epipole._checks import checked
 from epipole.errors import FileFormatError
 from epipole.io.colmap.model import find_model, read_colmap_model, write_colmap_model
 from epipole.io.contents_in_words import what_it_is
-from epipole.io.models.bundler import write_bundler
-from epipole.io.models.transforms import read_transforms, write_transforms
+from epipole.io.files import open_file
+from epipole.io.models.bundler import bundler_contents, write_bundler
+from epipole.io.models.kapture import IMAGES as KAPTURE_IMAGES
+from epipole.io.models.kapture import SENSORS, kapture_contents, write_kapture
+from epipole.io.models.metashape import CAMERAS_XML, metashape_contents, write_metashape
+from epipole.io.models.model_file import ModelFile
+from epipole.io.models.opensfm import RECONSTRUCTION, opensfm_contents, write_opensfm
+from epipole.io.models.transforms import read_transforms_scene, write_transforms
 from epipole.scene import Reconstruction
 
-ModelFormat = Literal["txt", "bin", "ply", "transforms", "bundler", "splat"]
+ModelFormat = Literal[
+    "txt", "bin", "ply", "transforms", "bundler", "opensfm", "metashape", "kapture", "splat"
+]
 IMAGE_FOLDER = "images"
-"""Folder of the images beside a transforms.json or a bundle.out."""
+"""Folder of the images beside a transforms.json, a bundle.out, a reconstruction.json or a cameras.xml."""
 
-TRANSFORMS = "transforms.json"
+TRANSFORMS, BUNDLE = "transforms.json", "bundle.out"
 
 FOLDER_WRITERS: dict[str, Callable[[Reconstruction, Path], None]] = {
     "txt": lambda model, folder: write_colmap_model(model, folder, text=True),
     "bin": write_colmap_model,
     "transforms": lambda model, folder: write_transforms(model, folder / TRANSFORMS, IMAGE_FOLDER),
-    "bundler": lambda model, folder: write_bundler(model, folder / "bundle.out", IMAGE_FOLDER),
+    "bundler": lambda model, folder: write_bundler(model, folder / BUNDLE, IMAGE_FOLDER),
+    "opensfm": lambda model, folder: write_opensfm(model, folder / RECONSTRUCTION),
+    "metashape": lambda model, folder: write_metashape(model, folder / CAMERAS_XML),
+    "kapture": write_kapture,
 }
 """Writers of the formats that consist of several files."""
 
+IMAGE_FOLDERS = {
+    **dict.fromkeys(("transforms", "bundler", "opensfm", "metashape"), IMAGE_FOLDER),
+    "kapture": KAPTURE_IMAGES,
+}
+"""Folder of the images, for formats whose files refer to them."""
 
-MODELS = "models are read from an output folder of `epipole reconstruct`, a COLMAP model or a transforms.json"
+_POINTS, _RIGS, _POSITION, _TIMES = "points and tracks", "rigs", "the position on Earth", "capture times"
+_NOT_STORED = {
+    "transforms": (_POSITION,),
+    "bundler": (_RIGS, _POSITION),
+    "metashape": (_POINTS, _RIGS, _TIMES),
+    "kapture": (_POSITION, _TIMES),
+}
+"""Content of a model that a format cannot store."""
+
+MODELS = (
+    "models are read from an output folder of `epipole reconstruct`, a COLMAP model, a transforms.json, or files of"
+    " OpenSfM, Metashape, Bundler or kapture"
+)
+_HEAD_BYTES = 4096
 
 
 @checked
 def read_model(source: str | Path) -> Reconstruction:
-    """Read the model in an output folder, a COLMAP model, or a transforms.json (or its folder).
+    """Read a model: an output folder, a COLMAP model, a transforms.json, or the files of another program.
+
+    The content of a file decides, not its name: a reconstruction.json (OpenSfM), cameras as XML (Metashape), a bundle.out
+    (Bundler); or the folder of a dataset (kapture). Issues a Python warning for everything in the file that is not read.
+
+    Args:
+        source: the file, or the folder with one.
+
+    Raises:
+        FileFormatError: there is no readable model.
+    """
+    return model_contents(source).warned()
+
+
+@checked
+def model_contents(source: str | Path) -> ModelFile:
+    """Read a model, and warnings about the content of its file that is not read.
+
+    Args:
+        source: as in `read_model`.
 
     Raises:
         FileFormatError: there is no readable model.
@@ -47,11 +97,49 @@ def read_model(source: str | Path) -> Reconstruction:
     if source.is_file():
         if what := what_it_is(source):
             raise FileFormatError(source, f"not a model: {what}; {MODELS}")
-        return read_transforms(source)
+        return _reader_of(source)(source)
     try:
         folder = find_model(source)
     except FileFormatError:
-        if (source / TRANSFORMS).is_file():
-            return read_transforms(source / TRANSFORMS)
+        for name in (TRANSFORMS, RECONSTRUCTION, CAMERAS_XML, BUNDLE):
+            if (source / name).is_file():
+                return _reader_of(source / name)(source / name)
+        if (source / SENSORS).is_file():
+            return kapture_contents(source)
         raise
-    return read_colmap_model(folder)
+    return ModelFile(folder, read_colmap_model(folder))
+
+
+def _reader_of(file: Path) -> Callable[[Path], ModelFile]:
+    """The reader for the content of a file; files of no known format are left to that of transforms.json."""
+    with open_file(file) as stream:
+        head = stream.read(_HEAD_BYTES).removeprefix(b"\xef\xbb\xbf").lstrip()
+    if head.startswith(b"["):
+        return opensfm_contents
+    if head.startswith(b"<"):
+        return metashape_contents
+    if head.startswith(b"# Bundle file"):
+        return bundler_contents
+    return _transforms_contents
+
+
+def _transforms_contents(file: Path) -> ModelFile:
+    scene = read_transforms_scene(file)
+    return ModelFile(file, scene.reconstruction, scene.warnings)
+
+
+@checked
+def content_not_stored(model: Reconstruction, format: str) -> tuple[str, ...]:
+    """Sentences about the content of a model that a format cannot store.
+
+    Args:
+        model: the model.
+        format: a key of `FOLDER_WRITERS`.
+    """
+    present = {
+        _POINTS: len(model.points) > 0,
+        _RIGS: bool((np.diff(model.rigs.sensor_offsets) > 1).any()),
+        _POSITION: model.georeference is not None,
+        _TIMES: bool(np.isfinite(model.frames.timestamp_s).any()),
+    }
+    return tuple(f"{format} cannot store {what}" for what in _NOT_STORED.get(format, ()) if present[what])

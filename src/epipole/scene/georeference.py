@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_points, checked
+from epipole._checks import as_points, check_fields, checked
 from epipole.errors import ConfigError
 from epipole.geometry.geodesy import (
     ecef_from_lat_lon_alt,
@@ -33,6 +33,7 @@ class Georeference:
         Raises:
             ConfigError: not a position on Earth.
         """
+        check_fields(self)
         if not (abs(self.lat_deg) <= 90.0 and abs(self.lon_deg) <= 360.0 and abs(self.alt_m) <= 1e6):
             raise ConfigError(
                 f"not a latitude, longitude and altitude: {self.lat_deg}, {self.lon_deg}, {self.alt_m}"

@@ -11,15 +11,17 @@ import tyro
 def convert(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
     target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")],
-    format: Literal["txt", "bin", "ply", "transforms", "bundler", "splat"] | None = None,
+    format: Literal["txt", "bin", "ply", "transforms", "bundler", "opensfm", "metashape", "kapture", "splat"]
+    | None = None,
 ) -> None:
     """Convert a model or a splat to another format.
 
     Args:
-        source: Output folder of a reconstruction, a COLMAP model, or a transforms.json; for splat a file of Gaussians.
-        target: A file for PLY and splat (.ply, .compressed.ply, .spz, .sog or .splat), otherwise a new folder; transforms and bundler also get their images.
-        format: COLMAP txt or bin, PLY, nerfstudio transforms.json, Bundler, or splat; required unless the target's suffix determines it.
+        source: Output folder of a reconstruction, a COLMAP model, a transforms.json, or files of OpenSfM, Metashape, Bundler or kapture; for splat a file of Gaussians.
+        target: A file for PLY and splat (.ply, .compressed.ply, .spz, .sog or .splat), otherwise a new folder; all but COLMAP's formats also get their images.
+        format: COLMAP txt or bin, PLY, nerfstudio transforms.json, Bundler, OpenSfM, Metashape, kapture, or splat; required unless the target's suffix determines it.
     """
+    from epipole.io.convert import IMAGE_FOLDER, IMAGE_FOLDERS
     from epipole.pipelines.conversion.run import convert as run
     from epipole.screen import open_console, print_warnings, working
 
@@ -30,5 +32,6 @@ def convert(
     console.print(f"Written {done.out}{images}", highlight=False, markup=False)
     print_warnings(console, [*done.warnings, *done.losses])
     if done.missing:
-        note = f"{len(done.missing)} images were not found (such as {done.missing[0]}): copy them to {done.out}/images"
+        folder = done.out / IMAGE_FOLDERS.get(format or "", IMAGE_FOLDER)
+        note = f"{len(done.missing)} images were not found (such as {done.missing[0]}): copy them to {folder}"
         print_warnings(console, [note])

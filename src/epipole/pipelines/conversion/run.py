@@ -8,7 +8,14 @@ from typing import get_args
 
 from epipole._checks import as_path, checked
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
-from epipole.io.convert import FOLDER_WRITERS, IMAGE_FOLDER, ModelFormat, read_model
+from epipole.io.convert import (
+    FOLDER_WRITERS,
+    IMAGE_FOLDER,
+    IMAGE_FOLDERS,
+    ModelFormat,
+    content_not_stored,
+    model_contents,
+)
 from epipole.io.files import missing_in_words
 from epipole.io.gaussians.files import (
     META,
@@ -22,6 +29,7 @@ from epipole.io.gaussians.files import (
 )
 from epipole.io.images.photographs import link_or_copy
 from epipole.io.meshes.ply import write_scene_ply
+from epipole.io.models.kapture import IMAGES as KAPTURE_IMAGES
 from epipole.io.models.losses import losses_in
 from epipole.io.names import path_inside
 from epipole.runs import Job, open_run, refuse_existing, replacing_file
@@ -29,8 +37,7 @@ from epipole.scene import Reconstruction
 from epipole.scene.gaussian_cloud import GaussianCloud
 
 KIND = "convert"
-_WITH_IMAGES = ("transforms", "bundler")
-_SUFFIXES_OF_FILES = (".json", ".out", ".txt", ".bin", ".ply", ".db")
+_SUFFIXES_OF_FILES = (".json", ".out", ".txt", ".bin", ".ply", ".db", ".xml")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +51,8 @@ class Conversion:
     missing: tuple[str, ...]
     """Names of the model's images that were not found."""
     warnings: tuple[str, ...] = ()
-    """Images and models that the source reconstruction has lost, and that are therefore not in the output."""
+    """Images and models that the source reconstruction has lost, and content of the source that is not read; these are
+    therefore not in the output."""
     losses: tuple[str, ...] = ()
     """Content that the format cannot store."""
 
@@ -65,13 +73,14 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
     """Write a model in another format.
 
     Args:
-        source: output folder of `reconstruct`, a COLMAP model, or a transforms.json; for `splat` an output folder of
-            `splat`, or a file of Gaussians.
+        source: output folder of `reconstruct`, a COLMAP model, a transforms.json, or files of OpenSfM, Metashape, Bundler
+            or kapture; for `splat` an output folder of `splat`, or a file of Gaussians.
         target: for `ply` a file; for `splat` a .ply, .compressed.ply, .spz, .sog or .splat file; for the other formats,
             which consist of several files, a new folder, or that of an earlier conversion of the same model, whose
-            other formats stay. For `transforms` and `bundler`, the images are copied (hard-linked if possible) to
-            `images/`, so that the paths in these files are valid.
-        format: txt or bin (COLMAP), transforms (nerfstudio), bundler, ply or splat; None: given by the target's suffix.
+            other formats stay. For formats other than COLMAP's, the images are copied (hard-linked if possible) to
+            `images/` (kapture: `sensors/records_data/`), so that the paths in these files are valid.
+        format: txt or bin (COLMAP), transforms (nerfstudio), bundler, opensfm, metashape, kapture, ply or splat; None:
+            given by the target's suffix.
 
     Raises:
         ConfigError: the format is unknown or cannot represent the cameras, or is None and the suffix does not determine
@@ -94,20 +103,28 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
         return _convert_gaussians(source, target)
     if format == "ply":
         return _convert_to_ply(source, target)
-    model, losses = read_model(source), tuple(losses_in(source))
+    model, warnings = _model_of(source)
     if target.suffix.lower() in _SUFFIXES_OF_FILES and not target.is_dir():
         raise WorkspaceError(f"{target}: {format} writes several files; pass the name of a folder")
-    names = _names_with_pose(model) if format in _WITH_IMAGES else []
+    image_folder = IMAGE_FOLDERS.get(format)
+    names = _names_with_pose(model) if image_folder else []
     found = {name: path for name in names if (path := _image(source, name)) is not None}
     with open_run(Job(kind=KIND, inputs=(source,), settings={"format": format}), target) as run:
-        if format in _WITH_IMAGES:
-            with run.folder.replacing(IMAGE_FOLDER, [f"{IMAGE_FOLDER}/{name}" for name in found]):
+        if image_folder:
+            with run.folder.replacing(image_folder, [f"{image_folder}/{name}" for name in found]):
                 for name, path in found.items():
-                    link_or_copy(path, run.root / IMAGE_FOLDER / name)
+                    link_or_copy(path, run.root / image_folder / name)
         with run.folder.publish(format) as aside:  # last, so that the model's images exist when it does
             FOLDER_WRITERS[format](model, aside)
-        run.finish({"num_images": len(found), "warnings": losses})
-    return Conversion(target, len(found), tuple(name for name in names if name not in found), losses)
+        run.finish({"num_images": len(found), "warnings": warnings})
+    missing = tuple(name for name in names if name not in found)
+    return Conversion(target, len(found), missing, warnings, content_not_stored(model, format))
+
+
+def _model_of(source: Path) -> tuple[Reconstruction, tuple[str, ...]]:
+    """The model, and warnings about what it and its file have lost."""
+    contents = model_contents(source)
+    return contents.reconstruction, (*losses_in(source), *contents.warnings)
 
 
 def _convert_gaussians(source: Path, target: Path) -> Conversion:
@@ -137,10 +154,10 @@ def _losses(target: Path, cloud: GaussianCloud) -> tuple[str, ...]:
 def _convert_to_ply(source: Path, target: Path) -> Conversion:
     target = target / "scene.ply" if target.is_dir() else target
     refuse_existing([target], KIND, (source,))
-    model, losses = read_model(source), tuple(losses_in(source))
+    model, warnings = _model_of(source)
     with replacing_file(target, KIND, (source,)) as aside:
         write_scene_ply(aside, model)
-    return Conversion(target, 0, (), losses)
+    return Conversion(target, 0, (), warnings)
 
 
 def _names_with_pose(model: Reconstruction) -> list[str]:
@@ -148,7 +165,7 @@ def _names_with_pose(model: Reconstruction) -> list[str]:
 
 
 def _image(source: Path, name: str) -> Path | None:
-    """The file of an image: in `images/` of the output folder of the model, or beside the model's file.
+    """The file of an image: in `images/` of the output folder of the model, beside the model's file, or in that of a dataset.
 
     Raises:
         FileFormatError: the name leads out of the folder.
@@ -156,5 +173,7 @@ def _image(source: Path, name: str) -> Path | None:
     roots = [source.parent / IMAGE_FOLDER, source.parent]
     if source.is_dir():
         at = source.resolve()
-        roots = [folder / IMAGE_FOLDER for folder in (at, at.parent, at.parent.parent)]
+        roots = [folder / IMAGE_FOLDER for folder in (at, at.parent, at.parent.parent)] + [
+            at / KAPTURE_IMAGES
+        ]
     return next((path for root in roots if (path := path_inside(root, name)).is_file()), None)

@@ -22,6 +22,7 @@ from epipole.io.models.losses import SUMMARY, losses_of
 from epipole.io.names import path_inside
 from epipole.io.survey.control_points import ControlPoints, read_control_points
 from epipole.io.survey.coordinate_systems import LOCAL, WGS84, coordinates_of, lat_lon_alt_of
+from epipole.io.workspaces import DATABASE, IMAGES, workspace_of_model
 from epipole.pipelines.georeferencing.config import GeoreferenceConfig
 from epipole.pipelines.georeferencing.georeference import (
     GeoreferencedModel,
@@ -36,7 +37,6 @@ from epipole.pipelines.georeferencing.survey import GpsFixes, SurveyedPoints, ob
 from epipole.runs import Job, ProgressCallback, Run, ignore_progress, open_run
 from epipole.scene import Georeference, Reconstruction
 
-IMAGES, DATABASE = "images", "database.db"
 FOLDER = "georeferenced"
 """Output folder in that of the model, unless another is given."""
 ALTITUDE_RATIO = 2.0
@@ -128,12 +128,8 @@ def georeference(
 
 
 def _root_of(workspace: Path) -> Path:
-    """The folder with the images and the database of a model: the given one, or a parent of the model's folder."""
-    at = find_model(workspace).resolve()
-    for folder in (workspace, at, at.parent, at.parent.parent):
-        if (folder / IMAGES).is_dir() or (folder / DATABASE).is_file():
-            return folder
-    return workspace
+    """The folder with the images or the database of a model; the given one if there are none."""
+    return workspace_of_model(workspace, IMAGES) or workspace_of_model(workspace, DATABASE) or workspace
 
 
 def _lost_before(root: Path) -> list[str]:

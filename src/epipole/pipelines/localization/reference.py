@@ -15,10 +15,10 @@ from epipole.errors import FileFormatError, ShapeError
 from epipole.features import Features, describe_image, describe_images, train_vocabulary
 from epipole.io.colmap.database import read_database
 from epipole.io.colmap.model import find_model, read_colmap_model
+from epipole.io.workspaces import DATABASE, workspace_of_model
 from epipole.mapping import PointViews
 from epipole.scene import Reconstruction
 
-DATABASE = "database.db"
 WIDTH = 128
 """Bytes of a SIFT descriptor."""
 SAME_FOCAL = 0.01
@@ -111,13 +111,12 @@ def workspace_of(path: str | Path) -> Path:
     Raises:
         FileFormatError: there is no model, or no database.
     """
-    at = find_model(path).resolve()
-    for folder in (Path(path), at, at.parent, at.parent.parent):
-        if (folder / DATABASE).is_file():
-            return folder
-    raise FileFormatError(
-        path, f"it has no {DATABASE} with descriptors, which localization needs besides the model"
-    )
+    found = workspace_of_model(path, DATABASE)
+    if found is None:
+        raise FileFormatError(
+            path, f"it has no {DATABASE} with descriptors, which localization needs besides the model"
+        )
+    return found
 
 
 def shared_camera(cameras: Sequence[Camera]) -> Camera | None:

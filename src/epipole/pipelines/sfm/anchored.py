@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from epipole.errors import DegenerateGeometryError, EpipoleError
+from epipole.errors import DegenerateGeometryError, EpipoleError, FileFormatError
 from epipole.geometry import Similarity3
+from epipole.io.files import read_json
 from epipole.io.images.photographs import read_gray
 from epipole.mapping import adjust_reconstruction
 from epipole.optim import BundlePriors
@@ -32,7 +34,10 @@ UP_TO_SCALE = "up to scale: images alone do not determine lengths"
 
 
 def with_scale(
-    solution: Solution, config: ReconstructConfig, progress: ProgressCallback
+    solution: Solution,
+    config: ReconstructConfig,
+    progress: ProgressCallback,
+    earlier: ScaleEstimate | None = None,
 ) -> tuple[Mapped, list[str]]:
     """Scale the largest model to meters, if its scale can be determined; also returns warnings.
 
@@ -40,12 +45,15 @@ def with_scale(
         solution: the models.
         config: options with the known measurements.
         progress: called with each image that is searched for objects of known size.
+        earlier: scale of the model from which the largest one grew; it counts if nothing else determines the scale.
 
     Raises:
         FileFormatError: a file given as an option cannot be read.
     """
     mapped, images = solution.mapped, solution.images
     model, gps = mapped.models[0], _gps_estimate(mapped, images, config)
+    if gps is None and mapped.methods[0] == "grown":
+        gps = earlier
     if config.anchors.is_empty:
         return replace(mapped, scale=_of_gps(gps)), []
 
@@ -82,6 +90,19 @@ def with_scale(
         ),
         found.scale.warnings(),
     )
+
+
+def scale_of_workspace(workspace: Path) -> ScaleEstimate | None:
+    """Scale of a finished model in meters, according to its summary; None if it is up to scale or unknown."""
+    try:
+        summary = read_json(workspace / "summary.json")
+    except FileFormatError:
+        return None
+    anchor = summary.get("anchor") if isinstance(summary, dict) else None
+    sigma = anchor.get("relative_sigma") if isinstance(anchor, dict) else None
+    if not isinstance(sigma, float) or not 0 <= sigma < 1:
+        return None
+    return ScaleEstimate("earlier model", "earlier model", 1.0, sigma, 0.0, "scale of the earlier model")
 
 
 def _moved(model: Reconstruction, found: Anchoring, config: ReconstructConfig) -> Reconstruction:

@@ -1,4 +1,4 @@
-"""`epipole reconstruct`."""
+"""`epipole reconstruct` and `epipole merge`."""
 
 from __future__ import annotations
 
@@ -47,6 +47,29 @@ def reconstruct(
         from epipole.pipelines.sfm.run import reconstruct as run
 
         result = run(images, out, config, progress)
+    show_reconstruction(result)
+
+
+def merge(
+    first: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL1")],
+    second: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL2")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    config: Annotated[ReconstructConfig, tyro.conf.arg(name=""), tyro.conf.UseAppendAction] = DEFAULTS,
+) -> None:
+    """Merge two finished models of overlapping images, in the coordinates of the first.
+
+    Args:
+        first: Output folder of `reconstruct`, or a COLMAP model with images and database.
+        second: The other model.
+        out: Output folder.
+        config: Options.
+    """
+    from epipole.screen import progress_on_screen
+
+    with progress_on_screen({**STAGES, "open": "Opening the models"}, compiles_much=True) as progress:
+        from epipole.pipelines.sfm.merge import merge as run
+
+        result = run([first, second], out, config, progress)
     show_reconstruction(result)
 
 

@@ -15,7 +15,13 @@ from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.matching.database_stage import DatabaseSource, open_source
 from epipole.pipelines.sfm.matching.database_stage import feature_units as given_feature_units
 from epipole.pipelines.sfm.matching.feature_stage import feature_units
-from epipole.pipelines.sfm.matching.pairing import choose_pairs, further_pairs, method_of, read_pairs
+from epipole.pipelines.sfm.matching.pairing import (
+    EarlierDatabase,
+    choose_pairs,
+    further_pairs,
+    method_of,
+    read_pairs,
+)
 from epipole.pipelines.sfm.matching.unit_tables import FEATURES
 from epipole.pipelines.sfm.photographs import ImageSet, read_image_set
 from epipole.runs import Run, Unit, load
@@ -106,7 +112,7 @@ def pairs_to_match(
     features: Sequence[Unit],
     config: ReconstructConfig,
     given: dict[tuple[int, int], np.ndarray],
-    out: Path,
+    earlier: Sequence[EarlierDatabase] = (),
 ) -> np.ndarray:
     """Pairs to match: the requested ones, restricted to pairs with given matches, if there are any."""
     requested = read_pairs(config.pairs, images.names) if config.pairs is not None else None
@@ -116,9 +122,9 @@ def pairs_to_match(
     if requested is not None:
         return requested
     descriptors = _Descriptors([u.path for u in features])
-    if config.grow:
+    if earlier:
         return further_pairs(
-            descriptors, keypoints_of(features)[0], images.names, out / DATABASE, config.pairing.neighbors
+            descriptors, keypoints_of(features)[0], images.names, earlier, config.pairing.neighbors
         )
     return choose_pairs(descriptors, images.lat_lon_alt, config.pairing, is_video=images.is_video)
 

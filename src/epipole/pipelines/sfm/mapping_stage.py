@@ -80,9 +80,9 @@ def map_images(
     detections: Detections,
     config: MapperConfig,
     progress: ProgressCallback,
-    earlier: Reconstruction | None = None,
+    earlier: Sequence[Reconstruction] = (),
 ) -> Mapped:
-    """Map each connected component of the images to a model; the first grows from the earlier one, if there is one and it fits."""
+    """Map each connected component of the images to a model; the first grows from the earlier ones, if there are any and they fit."""
     keypoints, features = detections.keypoints, detections.features
     starts = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
     components = connect_matches(view_graph, starts)
@@ -95,11 +95,7 @@ def map_images(
         mapper = IncrementalMapper(builder, view_graph, config, is_last=features is None)
         counting = _counting(progress, remaining)
         method: Method | None = None
-        if (
-            earlier is not None
-            and not found
-            and grow_model(mapper, earlier, images.names, remaining, counting)
-        ):
+        if earlier and not found and grow_model(mapper, earlier, images.names, remaining, counting):
             method = "grown"
         else:
             method = map_with(mapper, remaining, counting, _adjusting(progress))
@@ -111,9 +107,9 @@ def map_images(
             builder = mapper.model
         gps = _publish(mapper, positions, images.up_in_cams, config, _adjusting(progress))
         georeference = origin if gps is not None else None
-        if method == "grown" and gps is None and earlier is not None:
-            keep_coordinates(builder, earlier, images.names)
-            georeference = earlier.georeference
+        if method == "grown" and gps is None:
+            keep_coordinates(builder, earlier[0], images.names)
+            georeference = earlier[0].georeference
         rejections.update({i: r for i, r in mapper.rejections.items() if not found})
         if builder.registered.sum() < 2 or len(np.unique(builder.row_point[builder.row_point >= 0])) < 3:
             break
@@ -128,10 +124,10 @@ def map_images(
 
 
 def _positions_enu(
-    images: ImageSet, config: MapperConfig, earlier: Reconstruction | None
+    images: ImageSet, config: MapperConfig, earlier: Sequence[Reconstruction]
 ) -> tuple[Georeference | None, np.ndarray]:
-    """Origin of the coordinates if GPS is used, that of the earlier model if it has one; GPS positions, NaN without."""
-    origin = None if earlier is None else earlier.georeference
+    """Origin of the coordinates if GPS is used, that of an earlier model if it has one; GPS positions, NaN without."""
+    origin = earlier[0].georeference if earlier else None
     origin = origin or Georeference.about(images.lat_lon_alt)
     if origin is None or not config.use_gps:
         return None, np.full((len(images), 3), np.nan)

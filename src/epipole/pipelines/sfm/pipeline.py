@@ -30,7 +30,7 @@ from epipole.pipelines.sfm.inputs import (
     pairs_to_match,
 )
 from epipole.pipelines.sfm.look_alikes import Attempt, Separation, map_apart, map_once
-from epipole.pipelines.sfm.mappers.growth import earlier_model_in
+from epipole.pipelines.sfm.mappers.growth import Earlier
 from epipole.pipelines.sfm.mapping_stage import Detections, Mapped, map_images
 from epipole.pipelines.sfm.matching.database_stage import DatabaseSource
 from epipole.pipelines.sfm.matching.database_stage import match_units as given_match_units
@@ -43,10 +43,10 @@ from epipole.pipelines.sfm.matching.match_stage import (
 from epipole.pipelines.sfm.matching.pair_selection import ContradictingPairs, consistent_pairs
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.pipelines.sfm.rescue import Rescue, choice_of, rescue_weak_images
-from epipole.pipelines.sfm.shared_focals import contradicted_cameras, with_own_cameras
+from epipole.pipelines.sfm.shared_focals import contradicted_cameras, with_cameras_of, with_own_cameras
 from epipole.pipelines.sfm.warm_up import warm_up
 from epipole.runs import Run, Unit
-from epipole.scene import Cameras, Reconstruction, ViewGraph
+from epipole.scene import Cameras, ViewGraph
 
 FOCAL_CORRECTION = 0.1
 """Relative change of a trusted focal length by mapping (logarithm) above which matching is repeated."""
@@ -102,17 +102,18 @@ class _Detected:
     """(p, 2) pairs of images to match."""
     expansion: int
     """Further pairs of each image that verified ones may add."""
-    earlier: Reconstruction | None
-    """Model from which the new one grows."""
+    earlier: Earlier | None
+    """Models from which the new one grows."""
 
 
-def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
+def solve(source: Path, run: Run, config: ReconstructConfig, earlier: Earlier | None = None) -> Solution:
     """Run all stages: read, detect, match, verify and map.
 
     Args:
         source: folder of photographs, or a video file.
         run: output folder, executor and progress.
         config: options.
+        earlier: models from which the new one grows, if any.
 
     Raises:
         NoModelError: there are no usable images. A solution without a model is not an error here.
@@ -122,11 +123,12 @@ def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
     """
     if (choice := choice_of(config)) is not None:
         choice.load()  # an unusable folder is reported before any work
-    earlier = earlier_model_in(run.root) if config.grow else None
     compiling = threading.Thread(target=warm_up, name="epipole-compile", daemon=True)
     compiling.start()
     with run.stage("read"):
         images = image_set_of(source, run, config)
+        if earlier is not None and len(earlier.models) > 1:
+            images = with_cameras_of(images, earlier.models)
         database, images = open_database(images, run, config)
     with run.stage("features"):
         images, features = detect(images, run, config, database)
@@ -136,7 +138,7 @@ def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
     with run.stage("match"):
         given = database.matches(images.names) if database is not None else {}
         run.report("pair", 0, 1)
-        pairs = pairs_to_match(images, features, config, given, run.root)
+        pairs = pairs_to_match(images, features, config, given, () if earlier is None else earlier.databases)
         run.report("pair", 1, 1)
     expansion = expansion_of(images, config, is_given=bool(given))
     detected = _Detected(features, keypoints, colors, database, given, pairs, expansion, earlier)
@@ -220,7 +222,7 @@ def _map(
 ) -> Separation:
     """Map the pairs that contradict neither the others nor the model."""
     detections = Detections(detected.keypoints, detected.colors, sift_features(detected.features))
-    earlier = [detected.earlier]
+    earlier = [() if detected.earlier is None else detected.earlier.models]
 
     def map_pairs(used: Bool[np.ndarray, " n"]) -> Attempt:
         chosen, found_rad = consistent_pairs(
@@ -228,7 +230,7 @@ def _map(
         )
         contradiction_rad = np.full(len(used), np.nan)
         contradiction_rad[used] = found_rad
-        start = earlier.pop() if earlier else None  # an attempt to separate look-alikes starts anew
+        start = earlier.pop() if earlier else ()  # an attempt to separate look-alikes starts anew
         mapped = map_images(images, cameras, chosen, detections, config.mapper, run.job.progress, start)
         return Attempt(mapped, chosen, contradiction_rad)
 

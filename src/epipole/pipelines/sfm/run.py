@@ -13,8 +13,9 @@ from epipole._checks import as_path
 from epipole._jit import compile_seconds
 from epipole.config import options_of
 from epipole.errors import ConfigError, FileFormatError, NoModelError
-from epipole.pipelines.sfm.anchored import UP_TO_SCALE, with_scale
+from epipole.pipelines.sfm.anchored import UP_TO_SCALE, scale_of_workspace, with_scale
 from epipole.pipelines.sfm.config import ReconstructConfig
+from epipole.pipelines.sfm.mappers.growth import Earlier
 from epipole.pipelines.sfm.mapping_stage import reasons_in_words
 from epipole.pipelines.sfm.notes import (
     absences_of,
@@ -101,7 +102,7 @@ def reconstruct(
     """
     config = options_of(ReconstructConfig, config, options, ["config", "progress", "executor"]).seeded()
     out, source = as_path(out), as_path(images)
-    _check_inputs(source, config)
+    check_inputs(source, config)
     job = Job(
         kind="reconstruct",
         inputs=(source,),
@@ -112,26 +113,45 @@ def reconstruct(
         opencv_alone=True,
     )
     with open_run(job, out) as run:
-        solution = solve(source, run, config)
-        if solution.mapped.models:
-            with run.stage("anchor"):
-                mapped, notes = with_scale(solution, config, progress)
-            run.warnings += notes
-            with run.stage("check"):
-                solution = replace(solution, mapped=mapped).with_focals()
-        reasons = _reasons(solution, config)
-        with run.stage("write"):
-            write_results(solution, run)
-        run.warnings += _notes_on_earlier(solution, out, config)
-        run.warnings += [*notes_on_choice_and_cameras(solution), *warnings_of(solution, config.mapper)]
-        with run.stage("report"):
-            content = page_content(solution, reasons, run, asdict(config))
-            run.folder.write_text("report.html", render_report(content))
-        run.warnings += absences_of(solution, reasons)  # the report has its own text for these
-        summary = _summary(solution, reasons, run)
-        run.finish(summary)
+        earlier = Earlier.of_output(run.root) if config.grow else None
+        solution = solve(source, run, config, earlier)
+        return finish_reconstruction(solution, run, config, run.root if config.grow else None)
+
+
+def finish_reconstruction(
+    solution: Solution, run: Run, config: ReconstructConfig, earlier: Path | None = None
+) -> ReconstructionResult:
+    """Determine the scale, and write the models and the report.
+
+    Args:
+        solution: the models.
+        run: output folder and progress.
+        config: options.
+        earlier: workspace of the model from which the first one grew, whose scale it keeps.
+
+    Raises:
+        NoModelError: there is no model; the message gives the reason.
+    """
+    if solution.mapped.models:
+        with run.stage("anchor"):
+            before = None if earlier is None else scale_of_workspace(earlier)
+            mapped, notes = with_scale(solution, config, run.job.progress, before)
+        run.warnings += notes
+        with run.stage("check"):
+            solution = replace(solution, mapped=mapped).with_focals()
+    reasons = _reasons(solution, config)
+    with run.stage("write"):
+        write_results(solution, run)
+    run.warnings += _notes_on_earlier(solution, run.root, config)
+    run.warnings += [*notes_on_choice_and_cameras(solution), *warnings_of(solution, config.mapper)]
+    with run.stage("report"):
+        content = page_content(solution, reasons, run, asdict(config))
+        run.folder.write_text("report.html", render_report(content))
+    run.warnings += absences_of(solution, reasons)  # the report has its own text for these
+    summary = _summary(solution, reasons, run)
+    run.finish(summary)
     return ReconstructionResult(
-        out, solution.mapped.models, reasons, tuple(run.warnings), run.timings_s, summary
+        run.root, solution.mapped.models, reasons, tuple(run.warnings), run.timings_s, summary
     )
 
 
@@ -147,8 +167,14 @@ def _executor(given: PassedExecutor | None, config: ReconstructConfig) -> Execut
     return config.executor
 
 
-def _check_inputs(source: Path, config: ReconstructConfig) -> None:
-    """Check, before any work, that all given files exist."""
+def check_inputs(source: Path, config: ReconstructConfig) -> None:
+    """Check, before any work, that all given files exist.
+
+    Raises:
+        NoModelError: the source is missing.
+        ConfigError: the folder of masks is missing.
+        FileFormatError: another file is missing.
+    """
     if not source.exists():
         hint = "; give the folder, and the pattern with --include" if set("*?[") & set(source.name) else ""
         raise NoModelError(f"{source} does not exist{hint}")

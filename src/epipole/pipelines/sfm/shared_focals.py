@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Int32
 
 from epipole.pipelines.sfm.focal import FACTORS, Ballot, ballots_of, climbed
+from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.robust import PairKind
-from epipole.scene import Cameras, ViewGraph
+from epipole.scene import Cameras, Reconstruction, ViewGraph
 
 WIDTH = 0.05
 """Disagreement at which a pair's vote for a focal length has half its weight."""
@@ -19,6 +21,8 @@ was 0.91 or more with one camera (photographs, video frames, noise of 1 px), and
 differ by 10 %."""
 LEAST_PAIRS, LEAST_IMAGES, MAX_IMAGES = 3, 3, 20
 """Minimum pairs and images of a camera for the check; of more images, those with the most matches are used."""
+OTHER_FOCAL = 0.03
+"""Difference of the logarithms of focal lengths above which images of two models have different cameras."""
 STARTS = (0.5, 0.7, 1.0, 1.4, 2.0)
 """Factors of the best shared focal length at which the search for separate ones starts."""
 
@@ -87,3 +91,35 @@ def with_own_cameras(
     rows = np.array(source)
     columns = {name: getattr(cameras, name)[rows] for name in cameras.__slots__}
     return Cameras(**columns), out
+
+
+def with_cameras_of(images: ImageSet, models: Sequence[Reconstruction]) -> ImageSet:
+    """Give the images of a further model their own camera if its focal length contradicts that of an earlier one.
+
+    Without EXIF, images of one size count as those of one camera; models know better.
+    """
+    focal: dict[int, float] = {}
+    out, source = images.camera_of_image.copy(), list(range(len(images.cameras)))
+    taken = np.zeros(len(images), bool)
+    for model in models:
+        rows, focals = _focals_in(model, images, taken)
+        taken[rows] = True
+        for camera in np.unique(images.camera_of_image[rows]).tolist():
+            own = rows[images.camera_of_image[rows] == camera]
+            here = float(np.median(focals[images.camera_of_image[rows] == camera]))
+            before = focal.setdefault(camera, here)
+            if not images.cameras.is_constant[camera] and abs(np.log(here / before)) > OTHER_FOCAL:
+                out[own] = len(source)
+                source.append(camera)
+    columns = {name: getattr(images.cameras, name)[np.array(source)] for name in images.cameras.__slots__}
+    sources = tuple(images.focal_sources[c] for c in source)
+    return replace(images, cameras=Cameras(**columns), camera_of_image=out, focal_sources=sources)
+
+
+def _focals_in(model: Reconstruction, images: ImageSet, taken: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the images that a model has and that are not taken yet, and their focal lengths in it."""
+    row = {name: k for k, name in enumerate(images.names)}
+    registered = np.flatnonzero(model.is_registered()).tolist()
+    found = [(row[n], k) for k in registered if (n := model.images.name[k]) in row and not taken[row[n]]]
+    focals = [model.cameras[int(model.camera_of_image[k])].focal_px for _, k in found]
+    return np.array([at for at, _ in found], np.int64), np.array(focals, np.float64)

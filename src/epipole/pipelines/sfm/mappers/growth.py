@@ -1,9 +1,10 @@
-"""Growth of an earlier model: its images keep their poses as a start, and only further images are registered."""
+"""Growth of earlier models: their images keep their poses as a start, and only further images are registered."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,15 @@ from epipole.io.colmap.model import find_model, read_colmap_model
 from epipole.mapping import ModelBuilder
 from epipole.metrics import align_cameras
 from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper, Progress, ignore_progress
-from epipole.pipelines.sfm.matching.pairing import has_same_keypoints
+from epipole.pipelines.sfm.mappers.joining import join_models
+from epipole.pipelines.sfm.matching.pairing import EarlierDatabase, has_same_keypoints
 from epipole.scene import Reconstruction
 
 LEAST_IMAGES = 3
-"""Images of the earlier model that must be among the images."""
+"""Images of the first earlier model that must be among the images."""
+LOOSE = 4.0
+"""Multiple of the usual reprojection error with which points of joined models are triangulated first."""
+DATABASE = "database.db"
 ROUNDS = 2
 """Rounds of adjustment after the further images are registered."""
 
@@ -35,35 +40,57 @@ def earlier_model_in(out: Path) -> Reconstruction:
         raise ConfigError(f"grow needs an earlier model in {out}: {error}") from error
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Earlier:
+    """Finished models that a new one starts from, and the databases of their runs."""
+
+    models: tuple[Reconstruction, ...]
+    """The new model has the coordinates of the first."""
+    databases: tuple[EarlierDatabase, ...]
+
+    @staticmethod
+    def of_output(out: Path) -> Earlier:
+        """The largest model of an output folder.
+
+        Raises:
+            ConfigError: there is none.
+        """
+        return Earlier((earlier_model_in(out),), (EarlierDatabase(out / DATABASE),))
+
+
 def grow_model(
     mapper: IncrementalMapper,
-    earlier: Reconstruction,
+    earlier: Sequence[Reconstruction],
     names: tuple[str, ...],
     usable: np.ndarray,
     progress: Progress = ignore_progress,
 ) -> bool:
-    """Start from the poses of an earlier model, triangulate anew, and register the other images; False if that is impossible.
+    """Start from the poses of earlier models, triangulate anew, and register the other images; False if that is impossible.
 
-    It is impossible if fewer than three usable images have an earlier pose, or if the earlier model disagrees with the matches.
+    It is impossible if fewer than three usable images have a pose in the first model, or if the models disagree with the matches.
 
     Args:
         mapper: an incremental mapper, which has the model.
-        earlier: the earlier model.
+        earlier: the earlier models, which are joined by their common points; one that has too few starts no images.
         names: names of the images.
         usable: mask of images.
         progress: called with the number of registered and of usable images.
     """
     model, config = mapper.model, mapper.config
     model.clear()
-    known = _rows_of(earlier, names, model.keypoints, usable)
-    if len(known) < LEAST_IMAGES:
+    known = [_rows_of(one, names, model.keypoints, usable) for one in earlier]
+    if len(known[0]) < LEAST_IMAGES:
         return False
-    _take_cameras(model, earlier, known)
-    poses = earlier.cams_from_world()
-    for row, before in known.items():
-        model.register(row, poses[before])
-    everything = np.arange(len(model.components))
-    model.triangulate(everything, config.max_error_px, np.deg2rad(config.min_angle_deg))
+    for one, rows in reversed(list(zip(earlier, known))):  # the first model decides on cameras in common
+        _take_cameras(model, one, rows)
+    for row, pose in join_models(model, earlier, known, config).cams_from_world.items():
+        model.register(row, pose)
+    everything, angle_rad = np.arange(len(model.components)), np.deg2rad(config.min_angle_deg)
+    if len(earlier) > 1:
+        model.triangulate(everything, LOOSE * config.max_error_px, angle_rad)
+        mapper.adjust_globally(1)
+        model.replace_points(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros((0, 3)))
+    model.triangulate(everything, config.max_error_px, angle_rad)
     if mapper.consistency.overall(model) < config.min_match_agreement:
         model.clear()
         return False

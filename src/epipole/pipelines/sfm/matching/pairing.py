@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -18,6 +19,17 @@ from epipole.scene.georeference import gps_to_enu
 
 SAME_PIXEL = 0.01
 """Difference between pixels that are the same, but stored with different precision."""
+ROWS_AT_ONCE = 1024
+"""Images that are compared with all others at once, which limits the memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class EarlierDatabase:
+    """Database of an earlier run, some of whose images have other names now."""
+
+    path: Path
+    names: Mapping[str, str] = field(default_factory=dict)
+    """Present name by the name in the database, where they differ."""
 
 
 def choose_pairs(
@@ -54,37 +66,67 @@ def further_pairs(
     descriptors: Sequence[np.ndarray],
     keypoints: Sequence[np.ndarray],
     names: Sequence[str],
-    database: Path,
+    databases: Sequence[EarlierDatabase],
     neighbors: int,
 ) -> Int32[np.ndarray, "p 2"]:
-    """Pairs (i, j), i < j, sorted: those that match in an earlier run, and the most similar images of further ones.
+    """Pairs (i, j), i < j, sorted: those that match in earlier runs, and the most similar images of further ones and of other runs.
 
     Args:
         descriptors: of each image.
-        keypoints: of each image; one that has others in the database is another image of that name.
+        keypoints: of each image; one that has others in a database is another image of that name.
         names: of each image.
-        database: database of the earlier run.
-        neighbors: pairs of each image that the database does not have.
+        databases: databases of the earlier runs.
+        neighbors: pairs of each image that the databases do not have.
 
     Raises:
-        FileFormatError: the database is missing or damaged.
+        FileFormatError: a database is missing or damaged.
     """
-    stored = read_database(database)
+    is_in, pairs = np.zeros((len(databases), len(names)), bool), list[tuple[int, int]]()
+    for k, database in enumerate(databases):
+        rows, matched = _stored_pairs(database, keypoints, names)
+        is_in[k, rows] = True
+        pairs += matched
+    further = np.flatnonzero(~is_in.any(axis=0)).tolist()
+    if not further and len(databases) < 2:
+        return sorted_pairs(pairs)
+    vectors = describe_images(descriptors, train_vocabulary(descriptors))
+    nearest = most_similar(vectors, neighbors)
+    pairs += [(i, int(j)) for i in further for j in nearest[i]]
+    return sorted_pairs([*pairs, *_pairs_between(vectors, is_in, neighbors)])
+
+
+def _stored_pairs(
+    database: EarlierDatabase, keypoints: Sequence[np.ndarray], names: Sequence[str]
+) -> tuple[list[int], list[tuple[int, int]]]:
+    """Rows of the images that a database has, and pairs of them that match there."""
+    stored = read_database(database.path)
     row = {name: i for i, name in enumerate(names)}
-    earlier = [row.get(name, -1) for name in stored.images.name]
-    for k, i in enumerate(earlier):
+    rows = [row.get(database.names.get(name, name), -1) for name in stored.images.name]
+    for k, i in enumerate(rows):
         if i >= 0 and not has_same_keypoints(keypoints[i], stored.images.keypoints_of(k)):
-            earlier[k] = -1
+            rows[k] = -1
     pairs = [
-        (earlier[a], earlier[b])
+        (rows[a], rows[b])
         for (a, b), matches in stored.matches.items()
-        if len(matches) and min(earlier[a], earlier[b]) >= 0
+        if len(matches) and min(rows[a], rows[b]) >= 0
     ]
-    further = sorted(set(range(len(names))) - set(earlier))
-    if further:
-        nearest = most_similar(describe_images(descriptors, train_vocabulary(descriptors)), neighbors)
-        pairs += [(i, int(j)) for i in further for j in nearest[i]]
-    return sorted_pairs(pairs)
+    return [i for i in rows if i >= 0], pairs
+
+
+def _pairs_between(vectors: np.ndarray, is_in: np.ndarray, count: int) -> list[tuple[int, int]]:
+    """The most similar images of each image among those that no run had together with it."""
+    earlier = np.flatnonzero(is_in.any(axis=0))
+    member = is_in[:, earlier].astype(np.float32)
+    out = []
+    for start in range(0, len(earlier), ROWS_AT_ONCE):
+        rows = np.arange(start, min(start + ROWS_AT_ONCE, len(earlier)))
+        similarity = vectors[earlier[rows]] @ vectors[earlier].T
+        similarity[member[:, rows].T @ member > 0] = -np.inf
+        best = np.argsort(-similarity, axis=1, kind="stable")[:, :count]
+        for n, row in enumerate(rows.tolist()):
+            found = best[n][np.isfinite(similarity[n, best[n]])]
+            out += [(int(earlier[row]), int(earlier[j])) for j in found]
+    return out
 
 
 def has_same_keypoints(first: np.ndarray, second: np.ndarray) -> bool:

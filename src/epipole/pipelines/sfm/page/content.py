@@ -152,8 +152,8 @@ def _contradicting(solution: Solution) -> list[ContradictingPair]:
             ContradictingPair(
                 (images.names[first], images.names[second]),
                 (positions1, positions2),
-                at.stop - at.start,
-                solution.contradicting.reason(e),
+                int(at.stop - at.start),
+                solution.contradicting.reason(int(e)),
             )
         )
     return found
