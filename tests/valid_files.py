@@ -20,6 +20,7 @@ from epipole.io import georeference as georeference_files
 from epipole.io.bags import writing as bag_writing
 from epipole.io.calibration import camera_params
 from epipole.io.calibration import files as calibration_files
+from epipole.io.colmap import rig_config
 from epipole.io.gaussians import compressed_ply, morton, sog, spz
 from epipole.io.gaussians import files as gaussian_files
 from epipole.io.gaussians import ply as gaussian_ply
@@ -166,6 +167,8 @@ def _tables() -> Iterator[Row]:
     yield _row(
         anchor_files.read_lengths, path=_text("lengths.txt", "L 1.5 a one.jpg 1 2\nL 1.5 b one.jpg 3 4\n")
     )
+    rig = _text("rig.json", '[{"cameras": [{"image_prefix": "a/", "ref_sensor": true}]}]')
+    yield _row(rig_config.read_rig_config, path=rig)
     gcp = _text("gcp_list.txt", "WGS84\n13.4 52.5 12 26 9 a.jpg P1\n")
     yield _row(control_points.read_control_points, path=gcp)
     yield _row(coordinate_systems.coordinate_system_of, path=gcp, words="WGS84")

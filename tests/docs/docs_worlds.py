@@ -33,6 +33,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fields"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "io"))
 from fields_scenes import CAMERA, camera, frames_of, views
 from test_io_llff import write_scene
+from test_sfm_rigs import write_pair_photographs
 
 from io_models import write_gcp_list
 
@@ -262,6 +263,17 @@ def new_photographs(folder: Path) -> None:
         shutil.copy2(path, folder / "NEW" / name)
 
 
+def two_models(folder: Path) -> None:
+    """The reconstruction twice."""
+    for name in ("OUT1", "OUT2"):
+        shutil.copytree(folder / "OUT", folder / name, dirs_exist_ok=True)
+
+
+def pair_with_rig(folder: Path) -> None:
+    """Photographs of two cameras, and their rig."""
+    write_pair_photographs(folder / "IMAGES", folder / "rig.json")
+
+
 def surveyed(folder: Path) -> None:
     """Control points on the reconstruction."""
     write_gcp_list(folder / "gcp_list.txt", read_colmap_model(folder / "OUT" / "sparse" / "0"))
@@ -286,6 +298,8 @@ AFTER_RECONSTRUCTING: dict[str, Callable[[Path], None]] = {
     "index-0": nothing,
     "georeferencing-0": surveyed,
     "localization-0": new_photographs,
+    "merging-0": nothing,
+    "merging-1": two_models,
     "reconstruction-1": nothing,
     "tour/4_depth-0": tour_model,
     "tour/6_splats-0": tour_untrained,
@@ -313,6 +327,7 @@ WORLDS: dict[str, Callable[[Path], None]] = {
     "install-1": nothing,
     "install-2": nothing,
     "reconstruction-0": walk,
+    "rigs-0": pair_with_rig,
     "scale-0": meters_for_photographs,
     "slam-0": stopped_ride,
     "slam-1": meters_for_slam,

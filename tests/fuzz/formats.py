@@ -87,6 +87,7 @@ from epipole.io.calibration.files import (
     write_opencv_yaml,
     write_ros_yaml,
 )
+from epipole.io.colmap.rig_config import read_rig_config
 from epipole.io.gaussians.files import read_gaussians, write_gaussians
 from epipole.io.gaussians.ply import read_gaussian_ply, write_gaussian_ply
 from epipole.io.georeference import read_georeference
@@ -350,6 +351,13 @@ def _control_points(folder: Path) -> None:
     found = read_control_points(path)
     assert len(found) and np.isfinite(found.coordinates[:, :2]).all() and np.isfinite(found.pixels).all()
     assert all(0 <= row < len(found) for row in found.point) and len(set(found.name)) == len(found)
+
+
+def _rig_config(folder: Path) -> None:
+    for rig in read_rig_config(folder / "a.json"):
+        assert len(rig.sensors) and all(np.isfinite(sensor.params).all() for sensor in rig.sensors)
+        for sensor in rig.sensors:
+            assert sensor.cam_from_rig is None or np.isfinite(sensor.cam_from_rig.translation).all()
 
 
 def _georeference(folder: Path) -> None:
@@ -954,6 +962,14 @@ FORMATS: dict[str, Format] = {
             b'{"lat_deg": 48.2, "lon_deg": 11.6, "alt_m": 520.5, "axes": "east, north, up", "crs": ""}',
         ),
         *("a.json", "text", _georeference, ("read_georeference",)),
+    ),
+    "rig-config": Format(
+        _put(
+            "a.json",
+            b'[{"cameras": [{"image_prefix": "l/", "ref_sensor": true}, {"image_prefix": "r/", "cam_from_rig_rotation": [1, 0, 0, 0],'
+            b' "cam_from_rig_translation": [-0.5, 0, 0], "camera_model_name": "PINHOLE", "camera_params": [5, 5, 3, 2]}]}]',
+        ),
+        *("a.json", "text", _rig_config, ("read_rig_config",)),
     ),
     "odometry": Format(
         _put("a.txt", b"# s m\n0.5 1\n0.6 1.5\n0.7 2.25\n"),

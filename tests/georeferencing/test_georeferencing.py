@@ -16,7 +16,7 @@ from epipole.pipelines.georeferencing.start import find_start, fit_similarity, i
 from epipole.pipelines.georeferencing.survey import GpsFixes
 
 sys.path.insert(0, str(Path(__file__).parent))
-from surveyed_flights import MARK_SIGMA_PX, NUM_CONTROL, Flight, flight, with_positions
+from surveyed_flights import MARK_SIGMA_PX, NUM_CONTROL, ORIGIN, Flight, flight, with_positions
 
 from whole import IS_WHOLE
 
@@ -77,7 +77,7 @@ def _in_model(one: Flight, found: GeoreferencedModel) -> np.ndarray:
     """The surveyed points in the coordinates of the model before it was adjusted."""
     from epipole.pipelines.georeferencing.georeference import _triangulated
 
-    return _triangulated(one.model, one.surveyed, found.used_mask)[1]
+    return _triangulated(one.model, one.surveyed, found.used_mask, 12.0)[1]
 
 
 def test_gps_alone():
@@ -108,6 +108,62 @@ def test_a_wrong_coordinate_is_found_and_named():
     (warning,) = found.warnings
     assert "P2 contradicts the others" in warning and "+1.0" in warning
     assert (np.abs(ratios(found, one.truth)) < 4.0).all()
+
+
+@pytest.mark.parametrize("off_m", [0.2, 0.3, 0.5])
+def test_small_errors_of_coordinates_are_found(off_m: float):
+    """Ten standard deviations, which the correlated residuals of the images must not hide."""
+    num_found = 0
+    for seed in range(SEEDS):
+        one = flight(seed)
+        wrong = one.surveyed.position_m.copy()
+        wrong[1, 1] += off_m
+        found = adjusted(one, surveyed=with_positions(one.surveyed, wrong))
+        num_found += found.roles[1] is PointRole.REJECTED
+    assert num_found >= 0.8 * SEEDS
+
+
+def test_many_wrong_points_are_all_rejected():
+    one = flight(0)
+    more = replace(one.surveyed, is_control=np.ones(len(one.surveyed), bool))
+    wrong = more.position_m.copy()
+    wrong[[1, 6, 9]] += [[0.5, 0, 0], [0, 0.7, 0], [0, -0.6, 0.5]]
+    found = adjusted(one, surveyed=with_positions(more, wrong))
+    assert {n for n, role in enumerate(found.roles) if role is PointRole.REJECTED} == {1, 6, 9}
+    assert (np.abs(ratios(found, one.truth)) < 4.5).all()
+
+
+def test_a_wrong_point_of_four_is_not_silent():
+    one = usual()
+    few = replace(one.surveyed, is_control=np.arange(len(one.surveyed)) < 4)
+    wrong = few.position_m.copy()
+    wrong[1, 0] += 1.0
+    found = adjusted(one, surveyed=with_positions(few, wrong))
+    assert PointRole.REJECTED not in found.roles
+    assert any("P1" in warning and "wrong" in warning for warning in found.warnings)
+
+
+@pytest.mark.parametrize("num_control", [1, 2])
+def test_one_or_two_control_points_remove_the_offset_of_gps(num_control: int):
+    """GPS 40 m too high: the images, and not only the control points, are at the heights of the control points."""
+    one = usual()
+    few = replace(one.surveyed, is_control=np.arange(len(one.surveyed)) < num_control)
+    above = GpsFixes(one.gps.position_m + np.array([0.0, 0.0, 40.0]), one.gps.sigma_m)
+    found = adjusted(one, surveyed=few, gps=above)
+    assert np.abs((found.model.camera_centers_in_world() - one.centers)[:, 2]).max() < 6.0
+    assert any("above the ellipsoid" in warning for warning in found.warnings)
+    assert found.model.mean_reprojection_error_px() < 0.8
+
+
+def test_gps_moves_a_model_that_was_georeferenced_elsewhere():
+    one = usual()
+    none = replace(one.surveyed, is_control=np.zeros(len(one.surveyed), bool))
+    true = georeference_model(one.model, one.surveyed, None, CONFIG).model
+    moved = true.transformed(Similarity3(np.asarray(1.0), np.eye(3), np.array([5.0, 20.0, -30.0])))
+    moved = replace(moved, georeference=ORIGIN)
+    found = georeference_model(moved, none, one.gps, CONFIG)
+    off = found.model.camera_centers_in_world() - one.centers
+    assert np.abs(off.mean(axis=0)).max() < 1.5
 
 
 @pytest.mark.parametrize("off_px", [200.0, 9.0])

@@ -116,5 +116,5 @@ def test_images_that_the_model_does_not_have_are_named(workspace: Path):
     gcp = workspace.parent / "gcp_list.txt"
     gcp.write_text(gcp.read_text() + "11.6 48.2 500 10 10 other.jpg P0x\n")
     result = epipole.georeference(workspace, gcp=gcp)
-    assert any("refer to images that the model does not have: other.jpg" in w for w in result.warnings)
+    assert any("under several folders: other.jpg" in w for w in result.warnings)
     assert result.points["P0x"]["role"] == "unseen"

@@ -119,6 +119,9 @@ def test_coordinates_that_cannot_be_are_refused():
     pytest.importorskip("pyproj")
     with pytest.raises(FileFormatError, match="pyproj does not know"):
         lat_lon_alt_of("x", np.zeros((1, 3)), "EPSG:999999")
+    for crs in ("+proj=utm +zone=33 +vunits=us-ft", "EPSG:4978"):
+        with pytest.raises(FileFormatError, match=r"not in meters|geocentric"):
+            lat_lon_alt_of("x", np.zeros((1, 3)), crs)
     with pytest.raises(FileFormatError, match="US survey foot: convert"):
         lat_lon_alt_of("x", np.zeros((1, 3)), "EPSG:2263")
 

@@ -93,8 +93,9 @@ def test_what_is_missing_is_named(parts, tmp_path):
     first, second = parts / "first", parts / "second"
     with pytest.raises(ConfigError, match="two models or more, got 1"):
         merge([first], tmp_path / "out")
-    with pytest.raises(ConfigError, match="given twice"):
-        merge([first, first], tmp_path / "out")
+    for same in (first, first / "sparse" / "0"):
+        with pytest.raises(ConfigError, match="given twice"):
+            merge([first, same], tmp_path / "twice")
     with pytest.raises(ConfigError, match="is one of the models"):
         merge([first, second], second)
     with pytest.raises(ConfigError, match="masks cannot be used"):
@@ -109,6 +110,40 @@ def test_what_is_missing_is_named(parts, tmp_path):
     (tmp_path / "lost" / "images" / "view_05.jpg").unlink()
     with pytest.raises(FileFormatError, match=r"it has no view_05.jpg, which the model has registered"):
         merge([first, tmp_path / "lost"], tmp_path / "out2")
+
+
+def test_a_georeferenced_model_keeps_its_coordinates(parts, tmp_path):
+    """Also if the images have GPS, which is less precise than control points."""
+    from epipole.io.colmap.model import write_colmap_model
+    from epipole.io.images.exif import GpsPosition
+    from epipole.scene import Georeference
+
+    origin = Georeference(48.2, 11.6, 520.0)
+    meters = Similarity3(np.asarray(20.0), np.eye(3), np.array([5.0, 3.0, 1.0]))
+    elsewhere = meters.apply(VIEWS.centers()) + np.array([40.0, 0.0, 30.0])
+    for name, rows in (("first", FIRST), ("second", SECOND)):
+        (tmp_path / f"{name}_images").mkdir()
+        for row in rows:
+            rgb = cv2.imread(str(parts / "all" / f"view_{row:02d}.jpg"))[..., ::-1]
+            gps = GpsPosition(*origin.lat_lon_alt_of(elsewhere[row][None])[0].tolist())
+            path = tmp_path / f"{name}_images" / f"view_{row:02d}.jpg"
+            write_jpeg_with_exif(path, rgb.copy(), focal_35mm=FOCAL_35MM, gps=gps)
+        reconstruct(tmp_path / f"{name}_images", tmp_path / name, use_gps=False)
+    model = read_colmap_model(tmp_path / "first" / "sparse" / "0")
+    true = VIEWS.centers()[FIRST]
+    known = model.transformed(meters @ align_points(model.camera_centers_in_world(), true))
+    write_colmap_model(_with_origin(known, origin), tmp_path / "first" / "sparse" / "0")
+    result = merge([tmp_path / "first", tmp_path / "second"], tmp_path / "out")
+    assert result.model.georeference == origin
+    after = dict(zip(result.model.images.name, result.model.camera_centers_in_world()))
+    off = [after[n] - c for n, c in zip(known.images.name, known.camera_centers_in_world())]
+    assert np.abs(off).max() < 1.0  # GPS is 50 m away
+
+
+def _with_origin(model, origin):
+    from dataclasses import replace
+
+    return replace(model, georeference=origin)
 
 
 def test_names_that_are_taken_get_a_folder(tmp_path, ring):

@@ -49,7 +49,6 @@ IMAGE_FOLDERS = {
 
 _POINTS, _RIGS, _POSITION, _TIMES = "points and tracks", "rigs", "the position on Earth", "capture times"
 _NOT_STORED = {
-    "transforms": (_POSITION,),
     "bundler": (_RIGS, _POSITION),
     "metashape": (_POINTS, _RIGS, _TIMES),
     "kapture": (_POSITION, _TIMES),

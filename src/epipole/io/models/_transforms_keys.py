@@ -17,7 +17,7 @@ SPLIT_KEYS = {"train": "train_filenames", "val": "val_filenames", "test": "test_
 
 _USED_WORDS = (
     "camera_model is_fisheye w h width height image_width image_height fl_x fl_y cx cy k1 k2 k3 k4 k5 k6 p1 p2 camera_angle_x camera_angle_y x_fov y_fov "
-    "frames ply_file_path file_path transform_matrix mask_path is_bad applied_transform applied_scale origin_in_world "
+    "frames ply_file_path file_path transform_matrix mask_path is_bad applied_transform applied_scale origin_in_world georeference "
     "train_filenames val_filenames test_filenames"
 )
 # Settings of trainers and viewers, and metadata about the capture, which do not affect poses and intrinsics.

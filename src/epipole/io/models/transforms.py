@@ -2,7 +2,7 @@
 
 A frame's matrix is world_from_cam with OpenGL camera axes: x right, y up, looking down -z. The principal point is
 relative to the image corner, half a pixel before the center of the first pixel. If the file has `origin_in_world`, its
-coordinates, and those of its points, are relative to that origin.
+coordinates, and those of its points, are relative to that origin. `georeference` is the position of the world on Earth.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -25,6 +25,7 @@ from epipole.io._named_numbers import numbers_of
 from epipole.io.atomic import atomic_write
 from epipole.io.colmap.cameras import HALF_PIXEL
 from epipole.io.files import problem_of_name, read_json, require_file
+from epipole.io.georeference import georeference_of_words, georeference_words
 from epipole.io.json_files import json_text
 from epipole.io.meshes.ply import read_points_ply, write_points_ply
 from epipole.io.models._transforms_cameras import (
@@ -40,6 +41,7 @@ from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs,
 from epipole.scene.local_origin import ORIGIN
 
 POINTS_FILE = "sparse_pc.ply"
+GEOREFERENCE_KEY = "georeference"
 """Name of the point file, written beside the cameras."""
 
 
@@ -63,7 +65,7 @@ def write_transforms(
     Raises:
         WorkspaceError: the file cannot be written.
     """
-    path = Path(path)
+    path, georeference = Path(path), reconstruction.georeference
     if origin_in_world is not None:
         reconstruction = reconstruction.transformed(_translation(-np.asarray(origin_in_world)))
     cams_from_world, camera_of_image = reconstruction.cams_from_world(), reconstruction.camera_of_image
@@ -71,6 +73,8 @@ def write_transforms(
     used = sorted({int(camera_of_image[image]) for image in registered})
     intrinsics = {row: _intrinsics(reconstruction.cameras[row]) for row in used}
     content: dict[str, Any] = dict(intrinsics[used[0]]) if len(used) == 1 else {}
+    if georeference is not None:
+        content[GEOREFERENCE_KEY] = georeference_words(georeference)
     if origin_in_world is not None:
         content[ORIGIN] = np.asarray(origin_in_world, np.float64).tolist()
     if len(reconstruction.points):
@@ -297,9 +301,11 @@ class _Frames:
         matrices = np.array(self._worlds_from_cams).reshape(-1, 4, 4)[:, :3]
         cams_from_world = Rigid3.from_matrix(matrices).inverse()
         model = model_of_cameras(self.names, self._cameras, self._camera_rows, cams_from_world, points)
-        if ORIGIN not in self._content:
+        if ORIGIN in self._content:
+            model = model.transformed(_translation(numbers_of(self._path, self._content, ORIGIN, 3)))
+        if GEOREFERENCE_KEY not in self._content:
             return model
-        return model.transformed(_translation(numbers_of(self._path, self._content, ORIGIN, 3)))
+        return replace(model, georeference=georeference_of_words(self._path, self._content[GEOREFERENCE_KEY]))
 
 
 def _translation(offset: np.ndarray) -> Similarity3:

@@ -128,7 +128,8 @@ def _points_of_list(path: Path, text: str) -> ControlPoints:
     found = _Collected(path)
     name_at: dict[tuple[float, float, float], str] = {}
     for number, line in lines[1:]:
-        words, where = line.split(), f"line {number}"
+        words, where = (line.split("\t") if "\t" in line else line.split()), f"line {number}"
+        words = [word.strip() for word in words if word.strip()]
         if len(words) < _FEWEST:
             raise FileFormatError(
                 path, f"{where}: expected x y z pixel_x pixel_y image [name], got {line[:80]!r}"
@@ -147,7 +148,11 @@ def _points_of_list(path: Path, text: str) -> ControlPoints:
 
 def _require_one_name(path: Path, where: str, name: str, earlier: str) -> None:
     if name != earlier:
-        raise FileFormatError(path, f"{where}: the points {earlier} and {name} have the same coordinates")
+        raise FileFormatError(
+            path,
+            f"{where}: the points {earlier} and {name} have the same coordinates; name a point in all its lines or in none, and separate "
+            "the columns by tabs if image names have spaces",
+        )
 
 
 def _points_of_json(path: Path, content: Any) -> ControlPoints:

@@ -112,6 +112,20 @@ def _transformer(path: str | Path, crs: str) -> Any:
     try:
         found = pyproj.CRS.from_user_input(crs)
         horizontal = found.sub_crs_list[0] if found.is_compound else found
+        if found.is_geocentric:
+            raise FileFormatError(
+                path, f"{crs} is geocentric: use longitude, latitude and height, or a projection"
+            )
+        vertical = [axis for axis in found.axis_info if axis.direction in ("up", "down")]
+        if any(
+            axis.direction == "down" or not math.isclose(axis.unit_conversion_factor, 1.0)
+            for axis in vertical
+        ):
+            raise FileFormatError(
+                path, f"the heights of {crs} are not in meters, upward: convert the control points"
+            )
+        if "vunits=" in crs.replace("vunits=m ", "").replace("+vunits=m", "") or "vto_meter" in crs:
+            raise FileFormatError(path, f"the heights of {crs} are not in meters: convert the control points")
         units = [axis.unit_conversion_factor for axis in horizontal.axis_info[:2]]
         if horizontal.is_projected and not all(math.isclose(unit, 1.0) for unit in units):
             unit = horizontal.axis_info[0].unit_name

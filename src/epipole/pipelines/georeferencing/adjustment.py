@@ -1,7 +1,7 @@
 """Bundle adjustment of a model with control points and GPS, and what it says about the survey.
 
     min  sum rho(|project(X_j) - pixel_ij|^2 / sigma_px^2) + sum rho_m(|project(Y_k) - mark_ik|^2 / sigma_mark^2)
-         + sum |(Y_k - measured_k) / sigma_k|^2  +  sum log(1 + |(c_i - gps_i) / sigma_gps|^2)
+         + sum |(Y_k - measured_k) / sigma_k|^2  +  sum rho_g(|(c_i - gps_i) / sigma_gps|^2)
 
 over poses, intrinsics, points X of the model and control points Y. Check points have marks, but no measured position.
 """
@@ -31,6 +31,7 @@ from epipole.optim import (
 from epipole.pipelines.georeferencing.survey import GpsFixes, SurveyedPoints
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.pipelines.sfm.mappers.incremental import final_bundle
+from epipole.pipelines.sfm.mapping_stage import UNKNOWN_ALTITUDE_SIGMA_M
 from epipole.scene import Cameras, Reconstruction
 from epipole.scene.point_accuracy import pixel_noise
 
@@ -41,7 +42,6 @@ MIN_TO_REJECT = 5
 MARK_SIGMAS = 5.0
 """Residual of a mark, in standard deviations, above which it is rejected."""
 LEAST_NOISE_PX = 0.05
-UNKNOWN_ALTITUDE_SIGMA_M = 1e4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,11 +53,14 @@ class Adjusted:
     """Control and check points; NaN if fewer than two images show them."""
     covariances: Float64[np.ndarray, "n 3 3"]
     """Of `positions_m`; NaN if unknown."""
+    independent_covariances: Float64[np.ndarray, "n 3 3"]
+    """The same if the errors of all pixels are independent, which tests of the survey need: they compare it with the measurements'."""
     mark_errors_px: Float64[np.ndarray, " k"]
     """Reprojection error of each observation; NaN if it was not used."""
     center_covariances: Float64[np.ndarray, "i 3 3"]
-    """Of the camera centers; NaN if not registered."""
+    """Of the camera centers; NaN if not registered, infinite if undetermined."""
     noise_px: float
+    mark_sigma_px: float
 
 
 def adjust_with_survey(
@@ -86,7 +89,7 @@ def adjust_with_survey(
     problem = _with_points(bundle_problem_of(model, freedom), model, surveyed, points_m, rows, used_mask)
     num_model = len(model.points)
     sigma_px = np.ones(num_model + len(rows))
-    sigma_px[num_model:] = max(mark_sigma_px / noise_px, 0.1)
+    sigma_px[num_model:] = mark_sigma_px / noise_px
     is_measured = surveyed.is_control[rows, None] & np.isfinite(surveyed.position_m[rows])
     expected = PointPositions(
         np.arange(num_model, num_model + len(rows)),
@@ -100,8 +103,11 @@ def adjust_with_survey(
         function_tolerance=1e-7,
     )
     result = adjust_bundle(problem, config)
+    plain = bundle_covariance(problem, result, config, noise_px=noise_px)
     found = bundle_covariance(problem, result, config, noise_px=noise_px, clustered=True)
-    return _adjusted(model, surveyed, result, found, rows, used_mask, noise_px)
+    adjusted = _adjusted(model, surveyed, result, found, rows, used_mask, (noise_px, mark_sigma_px))
+    adjusted.independent_covariances[rows] = plain.points_in_world[num_model:]
+    return adjusted
 
 
 def contradicting_point(adjusted: Adjusted, surveyed: SurveyedPoints) -> int | None:
@@ -118,7 +124,7 @@ def contradicting_point(adjusted: Adjusted, surveyed: SurveyedPoints) -> int | N
         known = np.flatnonzero(np.isfinite(surveyed.position_m[row]))
         off = (adjusted.positions_m[row] - surveyed.position_m[row])[known]
         measured = surveyed.sigma_m[row, known]
-        own = np.diag(measured**2) - adjusted.covariances[row][np.ix_(known, known)]
+        own = np.diag(measured**2) - adjusted.independent_covariances[row][np.ix_(known, known)]
         white = own / np.outer(measured, measured)
         values, vectors = np.linalg.eigh(white)
         # Directions without redundancy, in which the point alone determines the model, show no error.
@@ -128,6 +134,32 @@ def contradicting_point(adjusted: Adjusted, surveyed: SurveyedPoints) -> int | N
         scores[n] = parts.sum() / limit
     worst = int(np.argmax(scores))
     return int(rows[worst]) if scores[worst] > 1.0 else None
+
+
+def without_itself(
+    adjusted: Adjusted, surveyed: SurveyedPoints
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
+    """Residual of each control point against the position that all other measurements give it, and its standard deviation.
+
+    From C^-1 = C_measured^-1 + C_others^-1, the information filter backwards. NaN for check points, which have no part in the result,
+    and where the others do not determine the position.
+    """
+    residual, sigma = np.full((2, len(surveyed), 3), np.nan)
+    for row in np.flatnonzero(surveyed.is_control & np.isfinite(adjusted.positions_m).all(axis=1)):
+        if not np.isfinite(surveyed.position_m[row]).all():
+            continue
+        measured = np.diag(surveyed.sigma_m[row] ** -2.0)
+        information = np.linalg.inv(adjusted.independent_covariances[row]) - measured
+        values = np.linalg.eigvalsh(
+            information / np.outer(surveyed.sigma_m[row], surveyed.sigma_m[row]) ** -1.0
+        )
+        if not values.min() > 1e-4:
+            continue
+        others = np.linalg.inv(information)
+        off = adjusted.positions_m[row] - surveyed.position_m[row]
+        residual[row] = off + others @ measured @ off
+        sigma[row] = np.sqrt(np.diag(others) + surveyed.sigma_m[row] ** 2)
+    return residual, sigma
 
 
 def contradicting_marks(errors: Float64[np.ndarray, " k"], mark_sigma_px: float) -> Bool[np.ndarray, " k"]:
@@ -218,7 +250,7 @@ def _adjusted(
     covariance: BundleCovariance,
     rows: np.ndarray,
     used_mask: np.ndarray,
-    noise_px: float,
+    noise: tuple[float, float],
 ) -> Adjusted:
     num_model = len(model.points)
     registered = model.frames.is_registered()
@@ -240,9 +272,10 @@ def _adjusted(
         _with_errors(moved),
         positions,
         covariances,
+        np.full_like(covariances, np.nan),
         mark_errors(moved, surveyed, positions, used_mask),
         _center_covariances(moved, covariance.rig_from_world),
-        noise_px,
+        *noise,
     )
 
 
@@ -272,7 +305,9 @@ def _center_covariances(model: Reconstruction, of_frames: np.ndarray) -> Float64
     """Covariances of the centers -R^T t of reference cameras: d center / d translation tangent = -R^T."""
     poses = model.frames.rig_from_world
     rotated = np.swapaxes(poses.rotation, 1, 2)
-    of_centers = rotated @ of_frames[:, :3, :3] @ poses.rotation
     registered = model.frames.is_registered()
+    known = registered & np.isfinite(of_frames).all(axis=(1, 2))
+    of_centers = np.full((len(registered), 3, 3), np.inf)
+    of_centers[known] = rotated[known] @ of_frames[known, :3, :3] @ poses.rotation[known]
     of_centers[~registered] = np.nan
     return np.asarray(of_centers[model.images.frame])

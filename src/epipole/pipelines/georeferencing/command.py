@@ -19,7 +19,6 @@ WORDS = {
     "adjust": "Adjusting the model",
     "write": "Writing the results",
 }
-AXES = ("east_m", "north_m", "up_m")
 
 
 def georeference(
@@ -47,6 +46,7 @@ def _show(result: GeoreferenceResult) -> None:
     """Print the result and its location."""
     from rich.table import Table
 
+    from epipole.pipelines.georeferencing.results import AXES
     from epipole.screen import open_console, print_warnings, show_location
 
     console, summary = open_console(), result.summary

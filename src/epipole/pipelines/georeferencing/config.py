@@ -44,7 +44,9 @@ class GeoreferenceConfig:
             ConfigError: a value is out of range, or there is nothing to georeference with.
         """
         check_options(self)
-        for name in ("gcp_sigma_m", "gcp_height_sigma_m", "mark_sigma_px", "gps_sigma_m"):
+        if not 0.01 <= self.mark_sigma_px <= 1e3:
+            raise ConfigError(f"mark_sigma_px must be from 0.01 to 1000, got {self.mark_sigma_px}")
+        for name in ("gcp_sigma_m", "gcp_height_sigma_m", "gps_sigma_m"):
             if not 1e-6 <= getattr(self, name) <= 1e6:
                 raise ConfigError(f"{name} must be from 1e-6 to 1e6, got {getattr(self, name)}")
         if self.gcp is None and not self.use_gps:

@@ -12,11 +12,13 @@ from epipole._checks import checked
 from epipole.errors import ConfigError
 from epipole.mapping import Freedom
 from epipole.pipelines.georeferencing.adjustment import (
+    MARK_SIGMAS,
     Adjusted,
     adjust_with_survey,
     contradicting_marks,
     contradicting_point,
     mark_errors,
+    without_itself,
 )
 from epipole.pipelines.georeferencing.config import GeoreferenceConfig
 from epipole.pipelines.georeferencing.start import find_start
@@ -26,8 +28,12 @@ from epipole.scene import Reconstruction
 
 MAX_MARK_ERROR_PX = 12.0
 """Observations farther from the point that the others give are rejected before the adjustment, which moves a model by less."""
-MAX_ROUNDS = 10
-"""Adjustments, at most: each rejects what contradicts the rest."""
+BROKEN, BROKEN_PX = 2.0, 2.0
+"""Growth of the mean reprojection error, and least error, above which the survey contradicts the images."""
+MARK_RMS = 4.0
+"""RMS error of the observations of a control point, in their standard deviations, above which its coordinates contradict them."""
+CONTROL_SIGMAS = 4.0
+"""Residual of a control point against all others, in standard deviations, above which a warning is given."""
 
 
 class PointRole(StrEnum):
@@ -57,6 +63,10 @@ class GeoreferencedModel:
     """Adjusted minus measured position of each surveyed point; NaN if unknown."""
     sigmas_m: Float64[np.ndarray, "n 3"]
     """Standard deviation expected of these residuals for check points, of the adjusted position for control points."""
+    others_residuals_m: Float64[np.ndarray, "n 3"]
+    """Residual of each control point against the position that all other measurements give it; NaN if they do not."""
+    others_sigmas_m: Float64[np.ndarray, "n 3"]
+    """Standard deviations of these residuals."""
     gps_residuals_m: Float64[np.ndarray, "i 3"]
     """Camera minus GPS position of each image, without the offset; NaN if unknown."""
     gps_offset_m: Float64[np.ndarray, " 3"] | None
@@ -86,14 +96,16 @@ def georeference_model(
     Raises:
         ConfigError: neither control points nor GPS determine position, orientation and scale, or they contradict the images.
     """
-    used, triangulated = _triangulated(model, surveyed, np.ones(len(surveyed.point), bool))
+    limit_px = max(MAX_MARK_ERROR_PX, MARK_SIGMAS * config.mark_sigma_px)
+    used, triangulated = _triangulated(model, surveyed, np.ones(len(surveyed.point), bool), limit_px)
     start = find_start(model, surveyed, triangulated, gps, config.gps_sigma_m, config.seed)
     model = model.transformed(start.enu_from_world)
     freedom = Freedom(focal=config.refine_cameras, distortion=config.refine_cameras)
     warnings = [*start.warnings, *_unseen_warnings(surveyed, used, triangulated)]
     rejected: set[int] = set()
     points, current = start.enu_from_world.apply(triangulated), surveyed
-    for _ in range(MAX_ROUNDS):
+    error_before_px = float(np.nanmean(model.reprojection_errors_px()))
+    while True:  # each round rejects an observation or a control point, so it ends
         adjusted = adjust_with_survey(
             model,
             current,
@@ -104,26 +116,41 @@ def georeference_model(
             freedom=freedom,
         )
         model = adjusted.model
-        errors = mark_errors(model, current, _triangulated(model, current, used)[1], used)
+        errors = mark_errors(model, current, _triangulated(model, current, used, limit_px)[1], used)
         wrong = contradicting_marks(errors, config.mark_sigma_px)
         point = contradicting_point(adjusted, current)
         if wrong.any():
             warnings += _mark_warnings(current, errors, model, wrong)
-            used, points = _triangulated(model, current, used & ~wrong)
+            used, points = _triangulated(model, current, used & ~wrong, limit_px)
         elif point is not None:
             rejected.add(point)
             current = current.without_control(point)
             points = adjusted.positions_m
         else:
             break
+    _refuse_broken(model, error_before_px)
     for point in sorted(rejected):
         off_m = current.position_m[point] - adjusted.positions_m[point]
         warnings.append(_rejection(current.name[point], off_m))
     return _result(current, adjusted, used, rejected, start.gps, start.gps_offset_m, warnings)
 
 
+def _refuse_broken(model: Reconstruction, error_before_px: float) -> None:
+    """Refuse a model that the survey has bent until it no longer fits its images.
+
+    Raises:
+        ConfigError: the reprojection error has grown much.
+    """
+    error_px = float(np.nanmean(model.reprojection_errors_px()))
+    if error_px > max(BROKEN * error_before_px, BROKEN_PX):
+        raise ConfigError(
+            f"the control points and GPS positions contradict the images: with them, the mean reprojection error grows from "
+            f"{error_before_px:.2f} to {error_px:.2f} px; check their coordinates, heights and standard deviations"
+        )
+
+
 def _triangulated(
-    model: Reconstruction, surveyed: SurveyedPoints, used: np.ndarray
+    model: Reconstruction, surveyed: SurveyedPoints, used: np.ndarray, limit_px: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Observations that agree with a point, and the points (n, 3); NaN if fewer than two agree."""
     points, kept = np.full((len(surveyed), 3), np.nan), np.zeros(len(surveyed.point), bool)
@@ -137,7 +164,7 @@ def _triangulated(
             cams[images],
             [model.cameras[int(model.camera_of_image[i])] for i in images],
             surveyed.pixels[own][:, None, :],
-            max_error_px=MAX_MARK_ERROR_PX,
+            max_error_px=limit_px,
         )
         if found.success_mask[0]:
             points[row] = found.points_in_world[0]
@@ -155,6 +182,8 @@ def _result(
     warnings: list[str],
 ) -> GeoreferencedModel:
     seen = np.isfinite(adjusted.positions_m).all(axis=1)
+    others_m, others_sigma_m = without_itself(adjusted, surveyed)
+    warnings = [*warnings, *_control_warnings(surveyed, adjusted, others_m, others_sigma_m)]
     roles = [PointRole.CONTROL if control else PointRole.CHECK for control in surveyed.is_control]
     for row in range(len(surveyed)):
         if not seen[row]:
@@ -173,10 +202,35 @@ def _result(
         used,
         adjusted.positions_m - surveyed.position_m,
         np.sqrt(variances),
+        others_m,
+        others_sigma_m,
         off,
         gps_offset_m,
         tuple(warnings),
     )
+
+
+def _control_warnings(
+    surveyed: SurveyedPoints, adjusted: Adjusted, others_m: np.ndarray, others_sigma_m: np.ndarray
+) -> list[str]:
+    """Control points whose coordinates contradict their observations or the other measurements, but were not rejected."""
+    out = []
+    for row in np.flatnonzero(surveyed.is_control & np.isfinite(adjusted.positions_m).all(axis=1)).tolist():
+        errors = adjusted.mark_errors_px[surveyed.point == row]
+        rms_px = float(np.sqrt(np.nanmean(errors**2)))
+        ratio = float(np.nanmax(np.abs(others_m[row] / others_sigma_m[row]), initial=0.0))
+        if rms_px > MARK_RMS * max(adjusted.mark_sigma_px, 2.0 * adjusted.noise_px):
+            out.append(
+                f"the observations of {surveyed.name[row]} are {rms_px:.1f} px from its coordinates: those of this control point, or of another "
+                "one, are wrong"
+            )
+        elif ratio > CONTROL_SIGMAS:
+            away_m = float(np.linalg.norm(others_m[row]))
+            out.append(
+                f"the control point {surveyed.name[row]} is {away_m:.2f} m from where the other measurements put it, {ratio:.0f} standard "
+                "deviations: one of the control points is wrong, or they are less precise than stated"
+            )
+    return out
 
 
 def _unseen_warnings(surveyed: SurveyedPoints, used: np.ndarray, triangulated: np.ndarray) -> list[str]:

@@ -95,8 +95,12 @@ def _row(name: str, entry: Mapping[str, Any]) -> tuple[str, ...]:
         return (name, entry["role"], observations, "", "", "", "", error)
     residual, sigma = entry["residual_m"], entry["sigma_m"]
     values = ["" if residual[axis] is None else f"{residual[axis]:+.3f} ({sigma[axis]:.3f})" for axis in AXES]
-    ratios = [abs(residual[a] / sigma[a]) for a in AXES if residual[a] is not None and sigma[a]]
-    worst = number(max(ratios), 1) if ratios and entry["role"] != "control" else ""
+    tested, deviation = residual, sigma
+    if entry["role"] == "control":  # its own residual is small whatever its error
+        tested = entry.get("residual_from_others_m", {})
+        deviation = entry.get("sigma_from_others_m", {})
+    ratios = [abs(tested[a] / deviation[a]) for a in AXES if tested.get(a) is not None and deviation[a]]
+    worst = number(max(ratios), 1) if ratios else ""
     return (name, entry["role"], observations, *values, worst, error)
 
 

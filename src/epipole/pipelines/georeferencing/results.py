@@ -40,6 +40,11 @@ def point_entries(
                 "residual_m": _by_axis(found.residuals_m[row]),
                 "sigma_m": _by_axis(found.sigmas_m[row]),
             }
+            if np.isfinite(found.others_residuals_m[row]).all():
+                entry |= {
+                    "residual_from_others_m": _by_axis(found.others_residuals_m[row]),
+                    "sigma_from_others_m": _by_axis(found.others_sigmas_m[row]),
+                }
             if lat_lon_alt is not None:
                 entry["adjusted_lat_lon_alt"] = lat_lon_alt[row].tolist()
         out[name] = entry
@@ -56,6 +61,7 @@ def summary_of(found: GeoreferencedModel, origin: Georeference | None) -> dict[s
     return {
         "is_metric": True,
         "georeference": None if origin is None else georeference_words(origin),
+        "anchor": {"scale": 1.0, "relative_sigma": _relative_sigma(found)},
         "num_images": int(model.is_registered().sum()),
         "num_points": len(model.points),
         **{f"num_{role.value}": roles.count(role.value) for role in PointRole},
@@ -65,9 +71,19 @@ def summary_of(found: GeoreferencedModel, origin: Georeference | None) -> dict[s
         "median_gps_residual_m": float(np.nanmedian(horizontal)) if num_gps else None,
         "gps_offset_m": None if found.gps_offset_m is None else _by_axis(found.gps_offset_m),
         "median_image_sigma_m": _by_axis(np.nanmedian(sigmas, axis=0)),
+        "num_undetermined_images": int(np.isinf(sigmas).any(axis=1).sum()),
         "mean_error_px": model.mean_reprojection_error_px(),
         "noise_px": found.adjusted.noise_px,
     }
+
+
+def _relative_sigma(found: GeoreferencedModel) -> float | None:
+    """Standard deviation of a length, about that of an image's position relative to the extent of the images; None if unknown."""
+    variances = np.einsum("nii->ni", found.adjusted.center_covariances)
+    centers = found.model.camera_centers_in_world()
+    extent = float(np.linalg.norm(np.nanmax(centers, axis=0) - np.nanmin(centers, axis=0)))
+    sigma = float(np.sqrt(np.nanmedian(variances.max(axis=1))))
+    return sigma / extent if extent > 0 and np.isfinite(sigma) and sigma < extent else None
 
 
 def _within(found: GeoreferencedModel) -> float | None:

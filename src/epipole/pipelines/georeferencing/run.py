@@ -172,8 +172,10 @@ def _measured(model: Reconstruction, root: Path, config: GeoreferenceConfig, run
     if points is not None and not is_local:
         control = lat_lon_alt_of(config.gcp or "", points.coordinates, points.crs)
         exchanged = _exchanged(points, config)
-        if known.any():
-            refuse_other_area(control, exchanged, table)
+        here = table
+        if model.georeference is not None and not known.any():
+            here = model.georeference.lat_lon_alt_of(np.zeros((1, 3)))
+        refuse_other_area(control, exchanged, here)
     crs = WGS84 if points is None or is_local else points.crs
     origin = None
     if not is_local:
@@ -210,6 +212,8 @@ def _surveyed(
     if unknown:
         raise ConfigError(f"check names a point that {config.gcp} does not have: {unknown[0]}")
     kept, images, pixels, notes = observations_in_model(points, model)
+    if not len(kept):
+        raise ConfigError(f"no observation of {config.gcp} is in a registered image: {'; '.join(notes)}")
     if origin is None:
         position, other = points.coordinates, points.coordinates[:, [1, 0, 2]]
     else:

@@ -16,6 +16,7 @@ from epipole.geometry import Similarity3, align_points
 from epipole.geometry.geodesy import ecef_from_lat_lon_alt
 from epipole.pipelines.georeferencing.survey import GpsFixes, SurveyedPoints
 from epipole.pipelines.sfm.gps.alignment import align_to_gps
+from epipole.pipelines.sfm.mapping_stage import GPS_OUTLIER_SIGMAS, VAGUE_UP_RAD
 from epipole.pipelines.sfm.up_direction import up_directions
 from epipole.robust import estimate_similarity
 from epipole.scene import Reconstruction
@@ -25,7 +26,6 @@ MIN_WIDTH = 0.02
 """Width of the control points across their longest direction, relative to their length, below which they are on a line."""
 TOLERANCE = 0.01
 """Distance of an inlier, relative to the extent of the control points: models are bent before they are adjusted."""
-GPS_OUTLIER_SIGMAS = 5.0
 FAR_M = 20_000.0
 """Distance between control points and GPS positions beyond which they are not of the same area."""
 DIFFERENT_M = 30.0
@@ -81,7 +81,7 @@ def find_start(
     if not is_wide(target) or not is_wide(source):
         if gps is None:
             raise ConfigError(_too_few(len(rows)))
-        return Start(_start_of_gps(model, gps, gps_sigma_m, len(rows), seed), gps, None, ())
+        return _start_with_gps(model, gps, gps_sigma_m, source, target, seed)
     enu_from_world = fit_similarity(source, target, seed)
     _refuse_exchanged_axes(model, source, target, surveyed.exchanged_m[rows], enu_from_world, seed)
     if enu_from_world is None:
@@ -94,6 +94,18 @@ def find_start(
         return Start(enu_from_world, gps, None, ())
     shift = np.nan_to_num(-offset_m)
     return Start(enu_from_world, gps.shifted(shift), offset_m, tuple(_offset_warnings(offset_m)))
+
+
+def _start_with_gps(
+    model: Reconstruction, gps: GpsFixes, sigma_m: float, source: np.ndarray, target: np.ndarray, seed: int
+) -> Start:
+    """Start from GPS, without its constant offset from the control points if there are one or two."""
+    enu_from_world, warnings = _start_of_gps(model, gps, sigma_m, len(source), seed)
+    if not len(source):
+        return Start(enu_from_world, gps, None, tuple(warnings))
+    shift_m = (target - enu_from_world.apply(source)).mean(axis=0)
+    moved = Similarity3(enu_from_world.scale, enu_from_world.rotation, enu_from_world.translation + shift_m)
+    return Start(moved, gps.shifted(shift_m), -shift_m, (*warnings, *_offset_warnings(-shift_m)))
 
 
 def is_wide(points: np.ndarray) -> bool:
@@ -133,9 +145,12 @@ def gps_offset(model: Reconstruction, enu_from_world: Similarity3, gps: GpsFixes
 
 def _start_of_gps(
     model: Reconstruction, gps: GpsFixes, sigma_m: float, num_control: int, seed: int
-) -> Similarity3:
-    if model.georeference is not None:  # the model is in these coordinates already
-        return Similarity3(np.asarray(1.0), np.eye(3), np.zeros(3))
+) -> tuple[Similarity3, list[str]]:
+    """Similarity from GPS, and a warning if the up direction is assumed.
+
+    Raises:
+        ConfigError: GPS does not fit the model.
+    """
     registered = model.is_registered()
     ups = up_directions(model.cams_from_world()[np.flatnonzero(registered)])
     centers = model.camera_centers_in_world()
@@ -144,7 +159,12 @@ def _start_of_gps(
         raise ConfigError(
             f"{_too_few(num_control)}; the GPS positions of the images do not fit the model either"
         )
-    return found.enu_from_world
+    warnings = []
+    if found.up_sigma_rad > VAGUE_UP_RAD:
+        warnings.append(
+            "the GPS positions lie nearly on a line and do not determine the up direction, which is assumed from the orientation of the cameras"
+        )
+    return found.enu_from_world, warnings
 
 
 def _too_few(num_control: int) -> str:
@@ -173,7 +193,10 @@ def _refuse_exchanged_axes(
         return
     if as_given is not None:
         before, after = _residual(as_given, source, target), _residual(other, source, exchanged)
-        looks_up = _upward(model, as_given) > STEEP and _upward(model, other) < -STEEP
+        upward, otherwise = _upward(model, as_given), _upward(model, other)
+        if otherwise > STEEP > upward:  # exchanged axes would put the cameras below what they see
+            return
+        looks_up = upward > STEEP and otherwise < -STEEP
         extent = float(np.linalg.norm(np.ptp(target, axis=0)))
         fits_better = before > 0.1 * TOLERANCE * extent and after < MUCH_BETTER * before
         if not (fits_better or looks_up):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 
@@ -62,16 +62,16 @@ def observations_in_model(
 ) -> tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"], Float64[np.ndarray, "m 2"], list[str]]:
     """Rows of the observations in registered images, their images and pixels, and notes on the others.
 
-    An image is recognized by its name in the model or, if that is unique, by its file name without folders.
+    An image is recognized by its name in the model or, if that is unique, by its file name without folders, in any case.
     """
-    row_of = _rows_by_name(model)
+    find = _finder(model)
     registered = model.is_registered()
     kept, images, pixels = [], [], []
     unknown: list[str] = []
     unregistered: list[str] = []
     outside: list[str] = []
     for k, name in enumerate(points.image):
-        row = row_of.get(name)
+        row = find(name)
         if row is None:
             unknown.append(name)
             continue
@@ -92,7 +92,10 @@ def observations_in_model(
         images.append(row)
         pixels.append(pixel)
     notes = [
-        *_note("observations of control points refer to images that the model does not have", unknown),
+        *_note(
+            "observations of control points refer to images that the model does not have, or has under several folders",
+            unknown,
+        ),
         *_note("observations of control points are in images that are not registered", unregistered),
         *_note("observations of control points are outside their image", outside),
     ]
@@ -104,12 +107,24 @@ def observations_in_model(
     )
 
 
-def _rows_by_name(model: Reconstruction) -> dict[str, int]:
+def _finder(model: Reconstruction) -> Callable[[str], int | None]:
+    """Finds an image by its name or else, if that is unique, by its file name without folders and in any case."""
     rows = {name: row for row, name in enumerate(model.images.name)}
     short: dict[str, list[int]] = {}
     for name, row in rows.items():
-        short.setdefault(PurePosixPath(name).name, []).append(row)
-    return {name: own[0] for name, own in short.items() if len(own) == 1} | rows
+        short.setdefault(_file_name(name), []).append(row)
+
+    def find(name: str) -> int | None:
+        if name in rows:
+            return rows[name]
+        own = short.get(_file_name(name), [])
+        return own[0] if len(own) == 1 else None
+
+    return find
+
+
+def _file_name(name: str) -> str:
+    return PurePosixPath(name.replace("\\", "/")).name.lower()
 
 
 def _note(words: str, names: Sequence[str]) -> list[str]:

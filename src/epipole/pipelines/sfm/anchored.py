@@ -37,7 +37,7 @@ def with_scale(
     solution: Solution,
     config: ReconstructConfig,
     progress: ProgressCallback,
-    earlier: ScaleEstimate | None = None,
+    known: ScaleEstimate | None = None,
 ) -> tuple[Mapped, list[str]]:
     """Scale the largest model to meters, if its scale can be determined; also returns warnings.
 
@@ -45,15 +45,15 @@ def with_scale(
         solution: the models.
         config: options with the known measurements.
         progress: called with each image that is searched for objects of known size.
-        earlier: scale of the model from which the largest one grew; it counts if nothing else determines the scale.
+        known: scale of the largest model from its rigs, or from the model from which it grew; it counts unless GPS gives the scale.
 
     Raises:
         FileFormatError: a file given as an option cannot be read.
     """
     mapped, images = solution.mapped, solution.images
     model, gps = mapped.models[0], _gps_estimate(mapped, images, config)
-    if gps is None and mapped.methods[0] == "grown":
-        gps = earlier
+    if gps is None:
+        gps = known
     if config.anchors.is_empty:
         return replace(mapped, scale=_of_gps(gps)), []
 

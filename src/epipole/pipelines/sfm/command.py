@@ -24,6 +24,7 @@ STAGES = {
     "verify": "Verifying pairs",
     "map": "Registering images",
     "adjust": "Adjusting the model",
+    "rigs": "Adjusting rigs",
     "anchor": "Determining the scale",
     "write": "Writing images",
 }

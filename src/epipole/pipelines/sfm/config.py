@@ -143,6 +143,8 @@ class ReconstructConfig:
     """Calibration file of the camera, from `epipole calibrate`, OpenCV, ROS or Kalibr."""
     refine_known: bool = False
     """Refine known intrinsics too."""
+    rigs: Path | None = None
+    """Rigs of cameras, as in COLMAP's rig_config.json: known or constant geometry, and known intrinsics."""
     single_camera: bool = False
     """All images were taken with one camera."""
     include: tuple[str, ...] = ()
@@ -199,6 +201,8 @@ class ReconstructConfig:
             raise ConfigError("masks cannot be combined with database: its features are already extracted")
         if self.learned is not None and self.database is not None:
             raise ConfigError("learned cannot be combined with database: its features are already extracted")
+        if self.rigs is not None and self.database is not None:
+            raise ConfigError("rigs cannot be combined with database, whose cameras are given")
         if self.cluster is not None:
             from epipole.runs import Cluster  # not needed for --help
 
@@ -218,7 +222,7 @@ class ReconstructConfig:
 
     def named_files(self) -> list[Path]:
         """Files given as options."""
-        mine = (self.calibration, self.pairs, self.database)
+        mine = (self.calibration, self.pairs, self.database, self.rigs)
         anchors = (getattr(self.anchors, name) for name in ANCHOR_FILES)
         return [path for path in (*mine, *anchors) if path is not None]
 

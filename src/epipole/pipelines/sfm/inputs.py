@@ -11,6 +11,7 @@ import numpy as np
 from epipole.errors import ConfigError, NoModelError
 from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.images.video import extract_frames, frame_orientation, is_video
+from epipole.io.workspaces import DATABASE
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.matching.database_stage import DatabaseSource, open_source
 from epipole.pipelines.sfm.matching.database_stage import feature_units as given_feature_units
@@ -26,7 +27,7 @@ from epipole.pipelines.sfm.matching.unit_tables import FEATURES
 from epipole.pipelines.sfm.photographs import ImageSet, read_image_set
 from epipole.runs import Run, Unit, load
 
-UNITS, FRAMES, DATABASE = "work", "work/frames", "database.db"
+UNITS, FRAMES = "work", "work/frames"
 CONTENTS = "work/contents.npz"
 """Paths in the output folder."""
 

@@ -86,7 +86,6 @@ def map_images(
     keypoints, features = detections.keypoints, detections.features
     starts = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
     components = connect_matches(view_graph, starts)
-    origin, positions = _positions_enu(images, config, earlier)
     remaining = np.ones(len(images), bool)
     found: list[tuple[Reconstruction, GpsAlignment | None, float, Method]] = []
     rejections: dict[int, Rejection] = {}
@@ -105,11 +104,16 @@ def map_images(
             rounds = GROWN_ROUNDS if method == "grown" else ROUNDS
             mapper = complete_model(mapper, features, starts, rounds)
             builder = mapper.model
+        before = earlier[0] if method == "grown" else None
+        origin = _origin_of(images, builder.registered, config, before)
+        positions = np.full((len(images), 3), np.nan) if origin is None else origin.enu_of(images.lat_lon_alt)
         gps = _publish(mapper, positions, images.up_in_cams, config, _adjusting(progress))
         georeference = origin if gps is not None else None
-        if method == "grown" and gps is None:
-            keep_coordinates(builder, earlier[0], images.names)
-            georeference = earlier[0].georeference
+        if before is not None and (gps is None or before.georeference is not None):
+            keep_coordinates(builder, before, images.names)
+            georeference = before.georeference
+            if gps is not None:
+                gps = replace(gps, residuals_m=gps_distances(builder.center, positions))
         rejections.update({i: r for i, r in mapper.rejections.items() if not found})
         if builder.registered.sum() < 2 or len(np.unique(builder.row_point[builder.row_point >= 0])) < 3:
             break
@@ -123,15 +127,14 @@ def map_images(
     return Mapped(tuple(models), rejections, tuple(alignments), tuple(agreements), tuple(methods))
 
 
-def _positions_enu(
-    images: ImageSet, config: MapperConfig, earlier: Sequence[Reconstruction]
-) -> tuple[Georeference | None, np.ndarray]:
-    """Origin of the coordinates if GPS is used, that of an earlier model if it has one; GPS positions, NaN without."""
-    origin = earlier[0].georeference if earlier else None
-    origin = origin or Georeference.about(images.lat_lon_alt)
-    if origin is None or not config.use_gps:
-        return None, np.full((len(images), 3), np.nan)
-    return origin, origin.enu_of(images.lat_lon_alt)
+def _origin_of(
+    images: ImageSet, registered: np.ndarray, config: MapperConfig, before: Reconstruction | None
+) -> Georeference | None:
+    """Origin of a model's coordinates if GPS is used: that of the model that it grew from, or the middle of its images."""
+    if not config.use_gps:
+        return None
+    known = None if before is None else before.georeference
+    return known or Georeference.about(np.where(registered[:, None], images.lat_lon_alt, np.nan))
 
 
 def _counting(progress: ProgressCallback, remaining: np.ndarray) -> Callable[[int, int], None]:

@@ -63,7 +63,7 @@ def merge(
         **options: single options by name, which override `config`.
 
     Returns:
-        As of `reconstruct`. If the models have too few points in common, they stay separate, with a warning.
+        As of `reconstruct`. If the models have too few points in common, the others are mapped anew as separate models, with a warning.
 
     Raises:
         FileFormatError: a model, its images or its database are missing.
@@ -87,6 +87,8 @@ def merge(
     with open_run(job, target) as run:
         with run.stage("open"):
             parts = [_part_of(folder) for folder in folders]
+            if len({part.root.resolve() for part in parts}) < len(parts):
+                raise ConfigError("the same model is given twice")
             names = _link_images(parts, run)
             _link_units(parts, run)
         earlier = Earlier(
@@ -101,8 +103,6 @@ def merge(
 def _check(folders: Sequence[Path], target: Path, config: ReconstructConfig) -> None:
     if len(folders) < 2:
         raise ConfigError(f"merging needs two models or more, got {len(folders)}")
-    if len({folder.resolve() for folder in folders}) < len(folders):
-        raise ConfigError("the same model is given twice")
     for name in ("database", "pairs", "grow", "masks", "include", "exclude"):
         if getattr(config, name):
             raise ConfigError(
@@ -148,7 +148,9 @@ def _link_images(parts: Sequence[_Part], run: Run) -> list[dict[str, str]]:
         own: dict[str, str] = {}
         for name in part.images:
             key = digests[part.root / IMAGES / name]
-            if key not in by_content:
+            if (
+                key not in by_content or by_content[key] in own.values()
+            ):  # a copy within one model is another image
                 by_content[key] = _free_name(name, part, number, taken)
                 taken.add(by_content[key])
             own[name] = by_content[key]
@@ -187,19 +189,24 @@ def _notes(solution: Solution, parts: Sequence[_Part], names: Sequence[dict[str,
     """Warnings about models that stay separate, and about images that the merged model lost."""
     if not solution.mapped.models:
         return []
-    first = solution.mapped.models[0]
-    registered = {first.images.name[k] for k in np.flatnonzero(first.is_registered()).tolist()}
-    out = []
-    if solution.mapped.methods[0] != "grown":
+    methods, out = solution.mapped.methods, []
+    merged = solution.mapped.models[methods.index("grown") if "grown" in methods else 0]
+    registered = {merged.images.name[k] for k in np.flatnonzero(merged.is_registered()).tolist()}
+    if "grown" not in methods:
         out.append(
             "the given models do not fit the matches, so all images were mapped anew: the coordinates are different"
+        )
+    elif merged.georeference is not None and parts[0].model.georeference is None:
+        out.append(
+            f"GPS determines the coordinates of the merged model, which are not those of {parts[0].root}"
         )
     for part, own in zip(parts, names):
         at = part.model.is_registered()
         here = {own[name] for k, name in enumerate(part.model.images.name) if at[k]}
         if not here & registered:
             out.append(
-                f"{part.root} has too few points in common with the other models and stays separate: their images do not overlap enough"
+                f"{part.root} has too few points in common with the other models, since their images do not overlap enough: it was mapped "
+                "anew as a separate model"
             )
         elif lost := sorted(here - registered):
             out.append(

@@ -16,6 +16,7 @@ class ReconstructKeywords(TypedDict, total=False):
     camera_params: str | None
     calibration: str | Path | None
     refine_known: bool
+    rigs: str | Path | None
     single_camera: bool
     include: tuple[str, ...]
     exclude: tuple[str, ...]

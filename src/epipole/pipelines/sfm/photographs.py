@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float64, Int32
 
 from epipole.errors import ConfigError, FileFormatError, MissingDependencyError, NoModelError
+from epipole.io.colmap.rig_config import read_rig_config
 from epipole.io.images.image_names import depth_among, fits
 from epipole.io.images.photographs import (
     PhotographHeader,
@@ -20,8 +21,9 @@ from epipole.io.images.photographs import (
     mask_of,
     read_header,
 )
-from epipole.pipelines.sfm.cameras import group_cameras
+from epipole.pipelines.sfm.cameras import GroupedCameras, group_cameras
 from epipole.pipelines.sfm.config import ReconstructConfig
+from epipole.pipelines.sfm.rigs.assignment import with_rig_cameras
 from epipole.runs import Progress, ProgressCallback, content_digests
 from epipole.scene import Cameras
 
@@ -121,7 +123,7 @@ def read_image_set(
     if not headers:
         reasons = "; ".join(f"{n}: {why}" for n, why in list(left_out.items())[:NAMES_SHOWN])
         raise NoModelError(f"none of the images in {folder} can be used ({reasons})")
-    grouped = group_cameras(headers, config)
+    grouped = _cameras_of(headers, config)
     masks, mask_note = _masks_of(tuple(headers), config.masks)
     digests = content_digests([*(folder / name for name in headers), *masks.values()], memory, progress)
     return ImageSet(
@@ -139,6 +141,14 @@ def read_image_set(
         bool(timestamps_s),
         tuple(filter(None, [*notes, *grouped.notes, mask_note])),
     )
+
+
+def _cameras_of(headers: dict[str, PhotographHeader], config: ReconstructConfig) -> GroupedCameras:
+    """Cameras of the images; those of rigs have the intrinsics of the rig file, where it has them."""
+    grouped = group_cameras(headers, config)
+    if config.rigs is None:
+        return grouped
+    return with_rig_cameras(grouped, headers, read_rig_config(config.rigs), config)
 
 
 def _nothing_in(listed: PhotographList) -> str:

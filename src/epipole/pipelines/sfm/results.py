@@ -14,7 +14,8 @@ from epipole.io.files import read_json
 from epipole.io.images.photographs import copy_or_rotate
 from epipole.io.json_files import json_text
 from epipole.io.meshes.ply import write_scene_ply
-from epipole.pipelines.sfm.inputs import DATABASE, UNITS
+from epipole.io.workspaces import DATABASE
+from epipole.pipelines.sfm.inputs import UNITS
 from epipole.pipelines.sfm.mapping_stage import no_model_reason
 from epipole.pipelines.sfm.matching.match_stage import load_putative
 from epipole.pipelines.sfm.matching.unit_tables import FEATURES

@@ -13,6 +13,7 @@ from epipole._checks import as_path
 from epipole._jit import compile_seconds
 from epipole.config import options_of
 from epipole.errors import ConfigError, FileFormatError, NoModelError
+from epipole.io.colmap.rig_config import read_rig_config
 from epipole.pipelines.sfm.anchored import UP_TO_SCALE, scale_of_workspace, with_scale
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.mappers.growth import Earlier
@@ -29,6 +30,8 @@ from epipole.pipelines.sfm.page.content import page_content
 from epipole.pipelines.sfm.page.page import render_report
 from epipole.pipelines.sfm.pipeline import Solution, solve
 from epipole.pipelines.sfm.results import write_results
+from epipole.pipelines.sfm.rigs.assignment import assign_images
+from epipole.pipelines.sfm.rigs.rig_model import with_rigs
 from epipole.runs import (
     Cluster,
     ClusterClient,
@@ -42,7 +45,7 @@ from epipole.runs import (
     open_run,
 )
 from epipole.runs.earlier import note_on_poorer
-from epipole.scale import check_anchor_files
+from epipole.scale import ScaleEstimate, check_anchor_files
 from epipole.scene import Reconstruction
 from epipole.scene.notebook import table_html
 
@@ -132,9 +135,15 @@ def finish_reconstruction(
     Raises:
         NoModelError: there is no model; the message gives the reason.
     """
+    rigs: dict[str, Any] = {}
     if solution.mapped.models:
+        is_grown = solution.mapped.methods[0] == "grown"
+        before = scale_of_workspace(earlier) if earlier is not None and is_grown else None
+        if config.rigs is not None:
+            with run.stage("rigs"):
+                solution, scale, rigs = _with_rigs(solution, run, config)
+            before = scale or before
         with run.stage("anchor"):
-            before = None if earlier is None else scale_of_workspace(earlier)
             mapped, notes = with_scale(solution, config, run.job.progress, before)
         run.warnings += notes
         with run.stage("check"):
@@ -148,11 +157,25 @@ def finish_reconstruction(
         content = page_content(solution, reasons, run, asdict(config))
         run.folder.write_text("report.html", render_report(content))
     run.warnings += absences_of(solution, reasons)  # the report has its own text for these
-    summary = _summary(solution, reasons, run)
+    summary = _summary(solution, reasons, run) | ({"rigs": rigs} if rigs else {})
     run.finish(summary)
     return ReconstructionResult(
         run.root, solution.mapped.models, reasons, tuple(run.warnings), run.timings_s, summary
     )
+
+
+def _with_rigs(
+    solution: Solution, run: Run, config: ReconstructConfig
+) -> tuple[Solution, ScaleEstimate | None, dict[str, Any]]:
+    """The solution with the rigs of the option; also the scale that they give the largest model, and their geometry there."""
+    assert config.rigs is not None
+    run.report("rigs", 0, 1)
+    assignment = assign_images(solution.images.names, read_rig_config(config.rigs))
+    found = [with_rigs(model, assignment, config.mapper) for model in solution.mapped.models]
+    run.report("rigs", 1, 1)
+    run.warnings += found[0].notes
+    mapped = replace(solution.mapped, models=tuple(one.model for one in found))
+    return replace(solution, mapped=mapped), found[0].scale, found[0].geometry
 
 
 def _executor(given: PassedExecutor | None, config: ReconstructConfig) -> ExecutorChoice:

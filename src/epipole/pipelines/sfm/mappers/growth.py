@@ -12,6 +12,7 @@ import numpy as np
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io.colmap.model import find_model, read_colmap_model
+from epipole.io.workspaces import DATABASE
 from epipole.mapping import ModelBuilder
 from epipole.metrics import align_cameras
 from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper, Progress, ignore_progress
@@ -23,7 +24,6 @@ LEAST_IMAGES = 3
 """Images of the first earlier model that must be among the images."""
 LOOSE = 4.0
 """Multiple of the usual reprojection error with which points of joined models are triangulated first."""
-DATABASE = "database.db"
 ROUNDS = 2
 """Rounds of adjustment after the further images are registered."""
 

@@ -1,0 +1,1 @@
+"""Rigs in reconstruction: cameras that move together, with known or constant geometry."""
