@@ -762,6 +762,8 @@ def _mapping() -> Iterator[Row]:
     yield _row(mapping.bundle_problem_of, **whole)
     yield _row(focal_accuracies, model=model)
     yield _row(mapping.adjust_reconstruction, **whole, config=quick, progress=lambda _: True)
+    adjusted = optim.adjust_bundle(mapping.bundle_problem_of(_ring().start), quick)
+    yield _row(mapping.with_adjustment, model=_ring().start, result=adjusted)
     yield _row(mapping.resect_image, model=builder, image=1, config=QUICK, search_focal=True)
     rows, points = builder.points_in_sight(1)
     camera, xyz, pixels = builder.camera(0), builder.points[points], builder.row_pixel[rows]

@@ -94,7 +94,7 @@ def test_earth_centered_coordinates_agree_with_pyproj():
 
 @pytest.mark.parametrize("wrong", [(91.0, 0.0, 0.0), (0.0, 400.0, 0.0), (0.0, 0.0, 2e6), (np.nan, 0.0, 0.0)])
 def test_an_origin_must_be_on_earth(wrong):
-    with pytest.raises(ConfigError, match="not a latitude"):
+    with pytest.raises(ConfigError, match=r"not a latitude|must be a number"):
         Georeference(*wrong)
 
 

@@ -28,6 +28,7 @@ from epipole.mapping.positions.global_positioning import position_globally as po
 from epipole.mapping.positions.start_positions import PairDirections as PairDirections
 from epipole.mapping.readjustment import adjust_reconstruction as adjust_reconstruction
 from epipole.mapping.readjustment import bundle_problem_of as bundle_problem_of
+from epipole.mapping.readjustment import with_adjustment as with_adjustment
 from epipole.mapping.resection import camera_with_focal as camera_with_focal
 from epipole.mapping.resection import refine_resection as refine_resection
 from epipole.mapping.resection import resect_image as resect_image

@@ -66,19 +66,31 @@ def adjust_reconstruction(
     """
     problem = bundle_problem_of(model, freedom, priors)
     result = adjust_bundle(problem, config, progress)
+    return with_adjustment(model, result), result
+
+
+@checked
+def with_adjustment(model: Reconstruction, result: BundleResult) -> Reconstruction:
+    """The model with adjusted intrinsics, rigs, poses and points, and their mean reprojection errors.
+
+    Args:
+        model: the model that was adjusted.
+        result: the adjustment; it may have further points after those of the model.
+    """
     registered = model.frames.is_registered()
-    positions = model.frames.rig_from_world
+    before, after = model.frames.rig_from_world, result.rig_from_world
     moved = Rigid3(
-        np.where(registered[:, None, None], result.rig_from_world.rotation, positions.rotation),
-        np.where(registered[:, None], result.rig_from_world.translation, positions.translation),
+        np.where(registered[:, None, None], after.rotation, before.rotation),
+        np.where(registered[:, None], after.translation, before.translation),
     )
     adjusted = replace(
         model,
         cameras=replace(model.cameras, params=result.camera_params),
+        rigs=replace(model.rigs, cam_from_rig=result.cam_from_rig),
         frames=replace(model.frames, rig_from_world=moved),
-        points=replace(model.points, xyz_in_world=result.points_in_world),
+        points=replace(model.points, xyz_in_world=result.points_in_world[: len(model.points)]),
     )
-    errors, counts = adjusted.reprojection_errors_px(), np.diff(model.tracks.offsets)
+    errors, counts = np.nan_to_num(adjusted.reprojection_errors_px()), np.diff(model.tracks.offsets)
     sums = np.bincount(model.tracks.point_of_observation(), errors, minlength=len(counts))
     error_px = np.divide(sums, counts, out=np.zeros(len(counts)), where=counts > 0)
-    return replace(adjusted, points=replace(adjusted.points, error_px=error_px)), result
+    return replace(adjusted, points=replace(adjusted.points, error_px=error_px))

@@ -15,8 +15,7 @@ from jaxtyping import Bool, Float64
 from scipy.special import chdtri
 
 from epipole.cameras import CameraModel
-from epipole.geometry import Rigid3
-from epipole.mapping import Freedom, bundle_problem_of
+from epipole.mapping import Freedom, bundle_problem_of, with_adjustment
 from epipole.mapping.adjustment import DISTORTION_SIGMA, TRUSTED_FOCAL_SIGMA
 from epipole.optim import (
     BundleCovariance,
@@ -253,23 +252,12 @@ def _adjusted(
     noise: tuple[float, float],
 ) -> Adjusted:
     num_model = len(model.points)
-    registered = model.frames.is_registered()
-    before, after = model.frames.rig_from_world, result.rig_from_world
-    poses = Rigid3(
-        np.where(registered[:, None, None], after.rotation, before.rotation),
-        np.where(registered[:, None], after.translation, before.translation),
-    )
-    moved = replace(
-        model,
-        cameras=replace(model.cameras, params=result.camera_params),
-        frames=replace(model.frames, rig_from_world=poses),
-        points=replace(model.points, xyz_in_world=result.points_in_world[:num_model]),
-    )
+    moved = with_adjustment(model, result)
     positions, covariances = np.full((len(surveyed), 3), np.nan), np.full((len(surveyed), 3, 3), np.nan)
     positions[rows] = result.points_in_world[num_model:]
     covariances[rows] = covariance.points_in_world[num_model:]
     return Adjusted(
-        _with_errors(moved),
+        moved,
         positions,
         covariances,
         np.full_like(covariances, np.nan),
@@ -291,14 +279,6 @@ def mark_errors(
         pixel = camera.project(cams[image].apply(points_m[surveyed.point[k]][None]))[0]
         out[k] = np.linalg.norm(pixel - surveyed.pixels[k])
     return out
-
-
-def _with_errors(model: Reconstruction) -> Reconstruction:
-    """The model with the mean reprojection error of each point."""
-    errors, counts = np.nan_to_num(model.reprojection_errors_px()), np.diff(model.tracks.offsets)
-    sums = np.bincount(model.tracks.point_of_observation(), errors, minlength=len(counts))
-    error_px = np.divide(sums, counts, out=np.zeros(len(counts)), where=counts > 0)
-    return replace(model, points=replace(model.points, error_px=error_px))
 
 
 def _center_covariances(model: Reconstruction, of_frames: np.ndarray) -> Float64[np.ndarray, "i 3 3"]:

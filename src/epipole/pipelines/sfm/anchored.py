@@ -50,9 +50,9 @@ def with_scale(
     Raises:
         FileFormatError: a file given as an option cannot be read.
     """
-    mapped, images = solution.mapped, solution.images
+    mapped, images = _with_residuals(solution.mapped, solution.images), solution.images
     model, gps = mapped.models[0], _gps_estimate(mapped, images, config)
-    if gps is None:
+    if known is not None and (gps is None or known.kind == "rig"):
         gps = known
     if config.anchors.is_empty:
         return replace(mapped, scale=_of_gps(gps)), []
@@ -90,6 +90,14 @@ def with_scale(
         ),
         found.scale.warnings(),
     )
+
+
+def _with_residuals(mapped: Mapped, images: ImageSet) -> Mapped:
+    """With the present distances of the largest model from GPS: an adjustment with rigs has moved its images."""
+    if mapped.gps[0] is None:
+        return mapped
+    residuals_m = gps_distances(mapped.models[0].camera_centers_in_world(), _fixes(mapped, images))
+    return replace(mapped, gps=(replace(mapped.gps[0], residuals_m=residuals_m), *mapped.gps[1:]))
 
 
 def scale_of_workspace(workspace: Path) -> ScaleEstimate | None:

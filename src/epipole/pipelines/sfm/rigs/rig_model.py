@@ -14,13 +14,12 @@ import numpy as np
 
 from epipole.cameras import CameraModel
 from epipole.geometry import Rigid3, Rotation3, Similarity3
-from epipole.mapping import Freedom, bundle_problem_of
+from epipole.mapping import Freedom, bundle_problem_of, with_adjustment
 from epipole.optim import BundlePriors, BundleProblem, BundleResult, adjust_bundle, bundle_covariance
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.pipelines.sfm.mappers.incremental import final_bundle
 from epipole.pipelines.sfm.rigs.assignment import RigAssignment
 from epipole.pipelines.sfm.rigs.geometry import (
-    MIN_FRAMES,
     contradiction_of,
     inconstancy_of,
     relative_poses,
@@ -66,10 +65,7 @@ def with_rigs(model: Reconstruction, assignment: RigAssignment, config: MapperCo
     scaled = _scale_of_rigs(model, assignment, usable)
     if scaled is not None:
         factor = Similarity3(np.asarray(scaled[0]), np.eye(3), np.zeros(3))
-        georeference = model.georeference
-        model = replace(
-            model.transformed(factor), georeference=None if georeference is None else georeference
-        )
+        model = replace(model.transformed(factor), georeference=model.georeference)
     geometry = _geometry(model, assignment, usable)
     if not any(len(own) > 1 for own in _sensors_by_rig(assignment, geometry).values()):
         return RigModel(model, None, {}, tuple(notes))
@@ -80,13 +76,14 @@ def with_rigs(model: Reconstruction, assignment: RigAssignment, config: MapperCo
     given = [
         row for s, row in row_of.items() if _is_given(assignment, s) and not _is_reference(assignment, s)
     ]
-    adjusted, problem, result = _adjusted(rigged, free, given, config)
+    adjusted, problem, result = _adjusted(rigged, free, given, config, is_metric=scaled is not None)
     notes += _principal_notes(rigged, adjusted, given)
     sigmas, relative_sigma = _accuracy(adjusted, problem, result, config, free)
     scale = None
     if scaled is not None:
         words = f"known geometry of rigs in {scaled[1]} frames"
-        scale = ScaleEstimate("rig", words, 1.0, relative_sigma, CALIBRATION_SIGMA, words)
+        total_sigma = float(np.hypot(relative_sigma, CALIBRATION_SIGMA))
+        scale = ScaleEstimate("rig", words, 1.0, total_sigma, 0.0, words)
     entries = {
         assignment.sensors[s].prefix: _entry(adjusted.rigs.cam_from_rig[row], sigmas.get(row))
         for s, row in row_of.items()
@@ -117,6 +114,8 @@ def _usable_sensors(model: Reconstruction, assignment: RigAssignment) -> tuple[s
         found = relative_poses(cams, assignment, s)
         given = sensor.cam_from_rig
         why = inconstancy_of(found, extent) if given is None else contradiction_of(found, given)
+        if given is not None and not len(found):
+            why = "no frame has it and the reference registered, so its scale is unknown"
         if why:
             notes.append(f"the rig is not used for the images {sensor.prefix}...: {why}")
         else:
@@ -138,7 +137,7 @@ def _scale_of_rigs(
         if known > 0:
             ratios.append(known / length[length > 0])
     every = np.concatenate([np.zeros(0), *ratios])
-    return (float(np.median(every)), len(every)) if len(every) >= MIN_FRAMES else None
+    return (float(np.median(every)), len(every)) if len(every) else None
 
 
 def _is_reference(assignment: RigAssignment, sensor: int) -> bool:
@@ -241,7 +240,12 @@ def _frame_poses(
 
 
 def _adjusted(
-    model: Reconstruction, free: Sequence[int], given: Sequence[int], config: MapperConfig
+    model: Reconstruction,
+    free: Sequence[int],
+    given: Sequence[int],
+    config: MapperConfig,
+    *,
+    is_metric: bool,
 ) -> tuple[Reconstruction, BundleProblem, BundleResult]:
     """Adjust poses of frames, estimated geometry, intrinsics and points; known geometry fixes the scale.
 
@@ -253,6 +257,7 @@ def _adjusted(
         free: sensors with estimated geometry.
         given: sensors with known geometry, other than references.
         config: options of the adjustment.
+        is_metric: whether known distances between cameras determine the scale.
     """
     freedom = Freedom(focal=config.refine_focal, distortion=config.refine_distortion)
     problem = bundle_problem_of(model, freedom)
@@ -269,21 +274,9 @@ def _adjusted(
         params_free=params_free,
         priors=BundlePriors(params_expected=problem.camera_params.copy(), params_sigma=sigma),
     )
-    problem = _with_fixed_start(problem, is_metric=len(given) > 0)
+    problem = _with_fixed_start(problem, is_metric=is_metric)
     result = adjust_bundle(problem, final_bundle(config, float(np.nanmedian(model.reprojection_errors_px()))))
-    registered, before = model.frames.is_registered(), model.frames.rig_from_world
-    poses = Rigid3(
-        np.where(registered[:, None, None], result.rig_from_world.rotation, before.rotation),
-        np.where(registered[:, None], result.rig_from_world.translation, before.translation),
-    )
-    moved = replace(
-        model,
-        cameras=replace(model.cameras, params=result.camera_params),
-        rigs=replace(model.rigs, cam_from_rig=result.cam_from_rig),
-        frames=replace(model.frames, rig_from_world=poses),
-        points=replace(model.points, xyz_in_world=result.points_in_world),
-    )
-    return moved, problem, result
+    return with_adjustment(model, result), problem, result
 
 
 def _principal_notes(before: Reconstruction, after: Reconstruction, given: Sequence[int]) -> list[str]:
