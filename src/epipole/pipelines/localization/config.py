@@ -19,7 +19,7 @@ class LocalizerConfig:
     """Options of the localization of one image."""
 
     neighbors: int = 10
-    """Number of most similar images of the model that an image is matched with."""
+    """Most similar images of the model that an image is matched with, at most."""
     further_neighbors: int = 20
     """Number of images with most of the matched points, whose other points are looked for, too."""
     max_error_px: float = 12.0

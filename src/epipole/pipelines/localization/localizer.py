@@ -7,7 +7,7 @@ confirms it, since the prediction does not depend on it.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -45,6 +45,12 @@ CLEAR_INLIERS = 40
 """Inliers of a first pose that needs no confirmation, as nothing may be left to find; images of other scenes gave at most 11."""
 CLEAR_RATIO = 0.3
 """Fraction of the matches that these must be, too."""
+FEW_NEIGHBORS = 4
+"""Most similar images that are matched first; the others follow unless the pose is clear."""
+MANY_INLIERS = 150
+"""Inliers of a clear first pose."""
+MOST_MATCHES = 0.5
+"""Fraction of the matches that are inliers of a clear first pose."""
 FOCAL_SIGMAS = 4.0
 """A focal length is contradicted if the points change it by more standard deviations, and by more than `FOCAL_CHANGE`."""
 FOCAL_CHANGE = 0.015
@@ -63,6 +69,26 @@ class Matches2D3D(NamedTuple):
 
     feature: np.ndarray
     point: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FirstPose:
+    """A pose from matches with some images of the model."""
+
+    failure: LocalizedImage
+    """The result so far, if the pose is not confirmed."""
+    camera: Camera
+    cam_from_world: Rigid3
+    inliers: Matches2D3D | None
+    """None if there is no pose."""
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether further matches would not change the pose: the search finds the other points."""
+        count = self.failure.num_inliers
+        return self.inliers is not None and count >= max(
+            MANY_INLIERS, MOST_MATCHES * self.failure.num_matches
+        )
 
 
 class Localizer:
@@ -142,6 +168,19 @@ class Localizer:
         if len(features) < self.config.min_inliers:
             return _failure(LocalizationReason.FEW_FEATURES, camera)
         neighbors = self.reference.most_similar(features, self.config.neighbors)
+        found = self._first_pose(features, camera, focal, neighbors[:FEW_NEIGHBORS])
+        if not found.is_clear and len(neighbors) > FEW_NEIGHBORS:
+            found = self._first_pose(features, camera, focal, neighbors)
+        if found.inliers is None:
+            return found.failure
+        return self._refined(
+            features, found.camera, found.cam_from_world, found.inliers, focal, found.failure
+        )
+
+    def _first_pose(
+        self, features: Features, camera: Camera, focal: FocalKnowledge, neighbors: Int64[np.ndarray, " m"]
+    ) -> _FirstPose:
+        """Pose from the matches with some images of the model, and what is known if there is none."""
         matches = self.match(features, neighbors)
         failure = replace(
             _failure(LocalizationReason.FEW_MATCHES, camera),
@@ -149,7 +188,7 @@ class Localizer:
             neighbors=tuple(neighbors.tolist()),
         )
         if len(matches.point) < self.config.min_inliers:
-            return failure
+            return _FirstPose(failure, camera, failure.cam_from_world, None)
         points, pixels = self.reference.views.points_in_world[matches.point], _pixels(features, matches)
         first, freed = resect_with_focal(points, pixels, camera, self._ransac)
         is_other_focal = False
@@ -168,9 +207,9 @@ class Localizer:
             reason=LocalizationReason.FEW_INLIERS,
         )
         if not first.success or first.num_inliers < self.config.min_ratio * len(matches.point):
-            return failure
+            return _FirstPose(failure, camera, failure.cam_from_world, None)
         inliers = Matches2D3D(matches.feature[first.inlier_mask], matches.point[first.inlier_mask])
-        return self._refined(features, camera, first.model, inliers, focal, failure)
+        return _FirstPose(failure, camera, first.model, inliers)
 
     def match(self, features: Features, neighbors: Int64[np.ndarray, " m"]) -> Matches2D3D:
         """For each feature the point that most neighbors match it with, and for each point one feature."""
