@@ -13,6 +13,7 @@ import subprocess
 import sys
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -114,9 +115,9 @@ def similarity_of_colmap(source: np.ndarray, target: np.ndarray) -> tuple[np.nda
     ), "Umeyama (pycolmap is not installed)"
 
 
-def run(num_flights: int, num_seeds: int, work: Path) -> list[dict[str, object]]:
+def run(num_flights: int, num_seeds: int, work: Path) -> list[dict[str, Any]]:
     """A row of results for each survey."""
-    rows: list[dict[str, object]] = []
+    rows: list[dict[str, Any]] = []
     for number in range(num_flights):
         flight = prepare_flight(number, work)
         model = reconstruct(flight.images, work / f"flight_{number}" / "out").models[0]
@@ -134,7 +135,7 @@ def run(num_flights: int, num_seeds: int, work: Path) -> list[dict[str, object]]
 
 def _row(
     found: GeoreferencedModel, surveyed: SurveyedPoints, truth: np.ndarray, model: Reconstruction
-) -> dict[str, object]:
+) -> dict[str, Any]:
     check = ~surveyed.is_control
     off = (found.adjusted.positions_m - truth)[check]
     ratios = np.abs(found.residuals_m / found.sigmas_m)[check]
@@ -168,7 +169,7 @@ def main() -> None:
     )
 
     def middle(key: str) -> float:
-        return float(np.median([row[key] for row in rows]))  # type: ignore[misc]
+        return float(np.median([row[key] for row in rows]))
 
     within = np.array([row["within"] for row in rows])
     table = Table(title=f"{len(rows)} surveys of {arguments.flights} flights, {NUM_CONTROL} control points")
@@ -191,9 +192,9 @@ def main() -> None:
     console.print(
         f"coordinates within two stated standard deviations: {100 * within.mean():.1f} % "
         f"(east, north, up {', '.join(f'{100 * v:.1f}' for v in within.mean(axis=0))}); "
-        f"points with all three: {100 * np.mean([row['all_within'] for row in rows]):.1f} %; "  # type: ignore[arg-type]
+        f"points with all three: {100 * np.mean([row['all_within'] for row in rows]):.1f} %; "
         f"surveys with at least 90 % of their coordinates: {int((within.mean(axis=1) >= 0.9).sum())} of {len(rows)}; "
-        f"mean sigma {np.round(np.mean([row['sigma_m'] for row in rows], axis=0), 3).tolist()} m; "  # type: ignore[arg-type]
+        f"mean sigma {np.round(np.mean([row['sigma_m'] for row in rows], axis=0), 3).tolist()} m; "
         f"warnings in {sum(bool(row['warnings']) for row in rows)}; origin {ORIGIN.lat_deg}, {ORIGIN.lon_deg}"
     )
 

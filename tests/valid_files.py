@@ -176,11 +176,11 @@ def _tables() -> Iterator[Row]:
     yield _row(coordinate_systems.lat_lon_alt_of, path=gcp, coordinates=table[:, [1, 0, 2]], crs="")
     yield _row(coordinate_systems.coordinates_of, lat_lon_alt=table, crs="")
     origin = Georeference(52.5, 13.4, 12.0)
-    yield _row(georeference_files.georeference_words, georeference=origin)
+    yield _row(georeference_files.georeference_fields, georeference=origin)
     yield _row(
-        georeference_files.georeference_of_words,
+        georeference_files.georeference_of_fields,
         path="a.json",
-        content=georeference_files.georeference_words(origin),
+        content=georeference_files.georeference_fields(origin),
     )
     yield _row(georeference_files.write_georeference, path=folder() / "o.json", georeference=origin)
     there = _text("georeference.json", '{"lat_deg": 1, "lon_deg": 2, "alt_m": 3}')

@@ -782,7 +782,7 @@ def _transforms_file(known: str) -> Callable[[Path], None]:
     return write
 
 
-def _read_quietly(read: Callable[[Path], Any], name: str) -> Callable[[Path], None]:
+def _read_without_warnings(read: Callable[[Path], Any], name: str) -> Callable[[Path], None]:
     """Warnings name what is left out, and stay in the process."""
 
     def checked_read(folder: Path) -> None:
@@ -815,15 +815,23 @@ def _put_kapture(folder: Path) -> None:
 
 
 OPENSFM, METASHAPE, BUNDLE = "reconstruction.json", "cameras.xml", "bundle.out"
-_OPENSFM = _read_quietly(read_opensfm, OPENSFM)
-_BUNDLER = _read_quietly(read_bundler, BUNDLE)
-_KAPTURE = _read_quietly(read_kapture, "")
+_OPENSFM = _read_without_warnings(read_opensfm, OPENSFM)
+_BUNDLER = _read_without_warnings(read_bundler, BUNDLE)
+_KAPTURE = _read_without_warnings(read_kapture, "")
 OTHER_MODELS = {
     "opensfm": Format(_put_opensfm, OPENSFM, "json", _OPENSFM, ("read_opensfm",)),
     "opensfm-tracks": Format(_put_opensfm, "tracks.csv", "text", _OPENSFM, ("read_opensfm",)),
-    "opensfm-head": Format(_put_opensfm, OPENSFM, "text", _read_quietly(read_model, ""), ("read_model",)),
+    "opensfm-head": Format(
+        _put_opensfm, OPENSFM, "text", _read_without_warnings(read_model, ""), ("read_model",)
+    ),
     "metashape": Format(
-        *(_put_metashape, METASHAPE, "text", _read_quietly(read_metashape, METASHAPE), ("read_metashape",))
+        *(
+            _put_metashape,
+            METASHAPE,
+            "text",
+            _read_without_warnings(read_metashape, METASHAPE),
+            ("read_metashape",),
+        )
     ),
     "bundler": Format(_put_bundler, BUNDLE, "text", _BUNDLER, ("read_bundler",)),
     "bundler-list": Format(_put_bundler, "list.txt", "text", _BUNDLER, ("read_bundler",)),

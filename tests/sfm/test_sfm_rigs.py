@@ -171,6 +171,45 @@ def test_known_geometry_without_a_common_frame_is_not_used():
     assert found.scale is None and any("no frame has it and the reference" in note for note in found.notes)
 
 
+def test_images_of_two_cameras_are_no_sensor():
+    """Otherwise all of them would get the intrinsics of the first."""
+    model, _ = mapped(0)
+    sensor = model.images.sensor.copy()
+    sensor[model.images.name.index("cam1/003.png")] = 2
+    mixed = replace(model, images=replace(model.images, sensor=sensor))
+    found = with_rigs(mixed, assign_images(mixed.images.name, [KNOWN]), MapperConfig())
+    assert any("cam1/" in note and "of 2 cameras" in note for note in found.notes)
+    assert "cam1/" not in found.geometry and "cam2/" in found.geometry
+
+
+def test_one_instant_of_a_pair_has_a_finite_standard_deviation():
+    model, _ = mapped(0)
+    names = [name if name.endswith("005.png") and name < "cam2" else f"x{name}" for name in model.images.name]
+    poses = model.frames.rig_from_world
+    hidden = np.array([name.startswith("x") for name in names])
+    translation = poses.translation.copy()
+    translation[model.images.frame[hidden]] = np.nan
+    keep = ~hidden[model.tracks.image]
+    counts = np.bincount(model.tracks.point_of_observation()[keep], minlength=len(model.points))
+    tracks = type(model.tracks)(
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        model.tracks.image[keep],
+        model.tracks.keypoint[keep],
+    )
+    model = replace(
+        model,
+        frames=replace(model.frames, rig_from_world=Rigid3(poses.rotation, translation)),
+        images=replace(model.images, name=tuple(names)),
+        tracks=tracks,
+    )
+    found = with_rigs(model, assign_images(names, [rig([GEOMETRY[0], GEOMETRY[1]])]), MapperConfig())
+    assert found.scale is not None and found.scale.sigma == pytest.approx(CALIBRATION_SIGMA)
+    centers = found.model.camera_centers_in_world()[~hidden]
+    np.testing.assert_allclose(
+        np.linalg.norm(centers[1] - centers[0]), np.linalg.norm(GEOMETRY.translation[1])
+    )
+
+
 def test_two_frames_of_a_pair_give_meters():
     model, frames = mapped(0)
     names = [f"x{name}" if int(name[5:8]) > 1 else name for name in model.images.name]

@@ -49,6 +49,7 @@ IMAGE_FOLDERS = {
 
 _POINTS, _RIGS, _POSITION, _TIMES = "points and tracks", "rigs", "the position on Earth", "capture times"
 _NOT_STORED = {
+    "transforms": (_RIGS,),
     "bundler": (_RIGS, _POSITION),
     "metashape": (_POINTS, _RIGS, _TIMES),
     "kapture": (_POSITION, _TIMES),

@@ -19,7 +19,7 @@ AXES = "east, north, up"
 
 
 @checked
-def georeference_words(georeference: Georeference) -> dict[str, Any]:
+def georeference_fields(georeference: Georeference) -> dict[str, Any]:
     """The content of the file, which other formats can include, too."""
     return {
         "lat_deg": georeference.lat_deg,
@@ -31,12 +31,12 @@ def georeference_words(georeference: Georeference) -> dict[str, Any]:
 
 
 @checked
-def georeference_of_words(path: str | Path, content: Any) -> Georeference:
+def georeference_of_fields(path: str | Path, content: Any) -> Georeference:
     """The position on Earth from the content of a file.
 
     Args:
         path: the file, for error messages.
-        content: as in `georeference_words`.
+        content: as in `georeference_fields`.
 
     Raises:
         FileFormatError: a number is missing or out of range, or the axes are others.
@@ -68,7 +68,7 @@ def write_georeference(path: str | Path, georeference: Georeference) -> None:
         WorkspaceError: it cannot be written.
     """
     with atomic_write(Path(path)) as aside:
-        aside.write_text(json_text(georeference_words(georeference)), encoding="utf-8")
+        aside.write_text(json_text(georeference_fields(georeference)), encoding="utf-8")
 
 
 @checked
@@ -78,4 +78,4 @@ def read_georeference(path: str | Path) -> Georeference:
     Raises:
         FileFormatError: it is missing or damaged.
     """
-    return georeference_of_words(path, read_json(Path(path)))
+    return georeference_of_fields(path, read_json(Path(path)))

@@ -18,8 +18,8 @@ class Observations(NamedTuple):
     pixels: np.ndarray
     used: np.ndarray
     """False if excluded from the problem (behind the camera at the start, or not finite)."""
-    weight: np.ndarray
-    """(points,), square root of the weight of each point's observations."""
+    inverse_sigma: np.ndarray
+    """(points,), inverse standard deviation of each point's pixels, relative to that of usual ones."""
 
 
 class Scene(NamedTuple):

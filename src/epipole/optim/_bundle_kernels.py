@@ -1,7 +1,7 @@
 """Bundle adjustment kernels: linearize, eliminate the points, sum the reduced system, substitute back.
 
 Observation k of point X in image i, taken by sensor s of frame f with camera c:
-    x_cam = cam_from_rig_s (rig_from_world_f X),   r_k = weight_X (project(c, x_cam) - pixel_k),
+    x_cam = cam_from_rig_s (rig_from_world_f X),   r_k = (project(c, x_cam) - pixel_k) / sigma_X,
 is linearized under exp(xi) @ rig_from_world with xi = (translation, rotation), so that
     d x_rig / d xi = [I, -[x_rig]x],   d x_cam / d X = R_cam_from_world,
 and likewise for cam_from_rig. Unknowns other than points are grouped into nodes: a frame (with its camera if no other
@@ -73,7 +73,7 @@ def find_visible(obs, start, stop, scene):
 @kernel(fuse=True)
 def _point_cost(obs, j, scene, x, y, z, loss, scale_sq):
     """Sum of rho over the observations of point j if it were at (x, y, z); infinite if it is behind a camera."""
-    total, weight = 0.0, obs.weight[j] * obs.weight[j]
+    total, weight = 0.0, obs.inverse_sigma[j] * obs.inverse_sigma[j]
     for k in range(obs.offsets[j], obs.offsets[j + 1]):
         if obs.used[k]:
             ru, rv = _residual(obs, k, scene, x, y, z)
@@ -121,7 +121,7 @@ def _newton_point(obs, j, scene, loss, scale_sq, scratch):
     """Cost of point j (infinite if behind a camera), and its position after a Gauss-Newton step with fixed cameras."""
     by_cam, by_params, factor = scratch.by_point_in_cam, scratch.by_params, scratch.factor
     x, y, z = scene.points[j, 0], scene.points[j, 1], scene.points[j, 2]
-    weight = obs.weight[j] * obs.weight[j]
+    weight = obs.inverse_sigma[j] * obs.inverse_sigma[j]
     cost = v0 = v1 = v2 = v3 = v4 = v5 = g0 = g1 = g2 = 0.0
     for k in range(obs.offsets[j], obs.offsets[j + 1]):
         if not obs.used[k]:
@@ -212,13 +212,13 @@ def _jacobians(obs, k, x, y, z, scene, unknowns, scratch):
 
 
 @kernel(fuse=True)
-def _weigh(j, j_point, weight, wide):
+def _scale_rows(j, j_point, factor, wide):
     """Multiply the derivatives of an observation."""
     for row in range(2):
         for p in range(len(wide)):
-            j[row, p] *= weight
+            j[row, p] *= factor
         for c in range(3):
-            j_point[row, c] *= weight
+            j_point[row, c] *= factor
 
 
 @kernel(fuse=True)
@@ -311,9 +311,9 @@ def linearize(
             for q in range(6, len(wide)):
                 jac[0, q] = jac[1, q] = 0.0
             ru, rv = _jacobians(obs, k, x, y, z, scene, unknowns, scratch)
-            if obs.weight[j] != 1.0:
-                ru, rv = ru * obs.weight[j], rv * obs.weight[j]
-                _weigh(jac, jp, obs.weight[j], wide)
+            if obs.inverse_sigma[j] != 1.0:
+                ru, rv = ru * obs.inverse_sigma[j], rv * obs.inverse_sigma[j]
+                _scale_rows(jac, jp, obs.inverse_sigma[j], wide)
             _, w = robust_loss(loss, ru * ru + rv * rv, scale_sq)
             if w == 0.0:
                 continue

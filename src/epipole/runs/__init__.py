@@ -16,6 +16,7 @@ from epipole.runs.guard import overwriting as overwriting
 from epipole.runs.guard import refuse_existing as refuse_existing
 from epipole.runs.guard import replacing_file as replacing_file
 from epipole.runs.interrupts import graceful_interrupt as graceful_interrupt
+from epipole.runs.output_kind import is_output_of as is_output_of
 from epipole.runs.progress import Progress as Progress
 from epipole.runs.progress import ProgressCallback as ProgressCallback
 from epipole.runs.progress import ignore_progress as ignore_progress

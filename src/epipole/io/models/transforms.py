@@ -25,7 +25,7 @@ from epipole.io._named_numbers import numbers_of
 from epipole.io.atomic import atomic_write
 from epipole.io.colmap.cameras import HALF_PIXEL
 from epipole.io.files import problem_of_name, read_json, require_file
-from epipole.io.georeference import georeference_of_words, georeference_words
+from epipole.io.georeference import georeference_fields, georeference_of_fields
 from epipole.io.json_files import json_text
 from epipole.io.meshes.ply import read_points_ply, write_points_ply
 from epipole.io.models._transforms_cameras import (
@@ -74,7 +74,7 @@ def write_transforms(
     intrinsics = {row: _intrinsics(reconstruction.cameras[row]) for row in used}
     content: dict[str, Any] = dict(intrinsics[used[0]]) if len(used) == 1 else {}
     if georeference is not None:
-        content[GEOREFERENCE_KEY] = georeference_words(georeference)
+        content[GEOREFERENCE_KEY] = georeference_fields(georeference)
     if origin_in_world is not None:
         content[ORIGIN] = np.asarray(origin_in_world, np.float64).tolist()
     if len(reconstruction.points):
@@ -305,7 +305,9 @@ class _Frames:
             model = model.transformed(_translation(numbers_of(self._path, self._content, ORIGIN, 3)))
         if GEOREFERENCE_KEY not in self._content:
             return model
-        return replace(model, georeference=georeference_of_words(self._path, self._content[GEOREFERENCE_KEY]))
+        return replace(
+            model, georeference=georeference_of_fields(self._path, self._content[GEOREFERENCE_KEY])
+        )
 
 
 def _translation(offset: np.ndarray) -> Similarity3:

@@ -115,7 +115,8 @@ def contradicting_point(adjusted: Adjusted, surveyed: SurveyedPoints) -> int | N
     The residual v = adjusted - measured has the covariance C_measured - C_adjusted; v^T C^-1 v is chi-squared if the survey is
     correct (data snooping: Baarda, A testing procedure for use in geodetic networks, 1968).
     """
-    rows = np.flatnonzero(surveyed.is_control & np.isfinite(adjusted.positions_m).all(axis=1))
+    is_determined = np.isfinite(adjusted.independent_covariances).all(axis=(1, 2))
+    rows = np.flatnonzero(surveyed.is_control & is_determined)
     if len(rows) < MIN_TO_REJECT:
         return None
     scores = np.zeros(len(rows))
@@ -145,13 +146,12 @@ def without_itself(
     """
     residual, sigma = np.full((2, len(surveyed), 3), np.nan)
     for row in np.flatnonzero(surveyed.is_control & np.isfinite(adjusted.positions_m).all(axis=1)):
-        if not np.isfinite(surveyed.position_m[row]).all():
+        is_known = np.isfinite(surveyed.position_m[row]).all()
+        if not (is_known and np.isfinite(adjusted.independent_covariances[row]).all()):
             continue
         measured = np.diag(surveyed.sigma_m[row] ** -2.0)
         information = np.linalg.inv(adjusted.independent_covariances[row]) - measured
-        values = np.linalg.eigvalsh(
-            information / np.outer(surveyed.sigma_m[row], surveyed.sigma_m[row]) ** -1.0
-        )
+        values = np.linalg.eigvalsh(information * np.outer(surveyed.sigma_m[row], surveyed.sigma_m[row]))
         if not values.min() > 1e-4:
             continue
         others = np.linalg.inv(information)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from epipole.io.georeference import georeference_words
+from epipole.io.georeference import georeference_fields
 from epipole.pipelines.georeferencing.georeference import GeoreferencedModel, PointRole
 from epipole.pipelines.georeferencing.survey import SurveyedPoints
 from epipole.scene import Georeference
@@ -60,7 +60,7 @@ def summary_of(found: GeoreferencedModel, origin: Georeference | None) -> dict[s
     num_gps = int(np.isfinite(horizontal).sum())
     return {
         "is_metric": True,
-        "georeference": None if origin is None else georeference_words(origin),
+        "georeference": None if origin is None else georeference_fields(origin),
         "anchor": {"scale": 1.0, "relative_sigma": _relative_sigma(found)},
         "num_images": int(model.is_registered().sum()),
         "num_points": len(model.points),

@@ -217,12 +217,12 @@ def _upward(model: Reconstruction, enu_from_world: Similarity3) -> float:
 def refuse_other_area(
     control_lat_lon_alt: np.ndarray, exchanged_lat_lon_alt: np.ndarray, gps_lat_lon_alt: np.ndarray
 ) -> None:
-    """Refuse control points far from the GPS positions of the images.
+    """Refuse control points far from the images.
 
     Args:
         control_lat_lon_alt: (n, 3) degrees, degrees, meters.
         exchanged_lat_lon_alt: (n, 3) the same, with the first two columns of their file exchanged; NaN if impossible.
-        gps_lat_lon_alt: (m, 3) of the images.
+        gps_lat_lon_alt: (m, 3) of the images, from GPS; or that of the origin of a georeferenced model.
 
     Raises:
         ConfigError: they are elsewhere; the message says so if exchanged columns explain it.
@@ -234,7 +234,7 @@ def refuse_other_area(
     if float(np.linalg.norm(_middle(exchanged_lat_lon_alt) - here)) < FAR_M:
         raise ConfigError(EXCHANGED)
     raise ConfigError(
-        f"the control points are {distance_m / 1000.0:,.0f} km from the GPS positions of the images: check the coordinate system "
+        f"the control points are {distance_m / 1000.0:,.0f} km from the images, according to GPS or an earlier georeference: check the coordinate system "
         "in the first line of their file (zone, hemisphere, order of the axes)"
     )
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole.errors import FileFormatError, WorkspaceError
+from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io.convert import read_model
 from epipole.io.files import read_json
 from epipole.report.space_model import scene_of_model, stage_of
 from epipole.report.space_scene import METERS, NO_UNIT, SpaceScene
-from epipole.runs import read_mark
+from epipole.runs import is_output_of
 from epipole.scene import Curve, Reconstruction
 
 KIND = "localize"
@@ -26,11 +26,7 @@ FRUSTUM = 0.02
 
 def is_mine(path: Path) -> bool:
     """Whether a path is an output folder of `localize`."""
-    try:
-        mark = read_mark(path) if path.is_dir() else None
-    except WorkspaceError:
-        return False
-    return mark is not None and mark.kind == KIND
+    return is_output_of(path, KIND)
 
 
 def scene(path: Path) -> SpaceScene:

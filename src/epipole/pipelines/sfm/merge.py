@@ -200,6 +200,10 @@ def _notes(solution: Solution, parts: Sequence[_Part], names: Sequence[dict[str,
         out.append(
             f"GPS determines the coordinates of the merged model, which are not those of {parts[0].root}"
         )
+    if any((np.diff(part.model.rigs.sensor_offsets) > 1).any() for part in parts):
+        out.append(
+            "the merged model has no rigs, which a given model has: pass --rigs again, with the present image names"
+        )
     for part, own in zip(parts, names):
         at = part.model.is_registered()
         here = {own[name] for k, name in enumerate(part.model.images.name) if at[k]}

@@ -83,7 +83,7 @@ def grow_model(
         return False
     for one, rows in reversed(list(zip(earlier, known))):  # the first model decides on cameras in common
         _take_cameras(model, one, rows)
-    for row, pose in join_models(model, earlier, known, config).cams_from_world.items():
+    for row, pose in join_models(model, earlier, known, config).items():
         model.register(row, pose)
     everything, angle_rad = np.arange(len(model.components)), np.deg2rad(config.min_angle_deg)
     if len(earlier) > 1:

@@ -7,7 +7,6 @@ so a robust similarity needs neither common images nor further matching.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,23 +25,13 @@ TOLERANCE = 0.02
 """Distance of an inlier, relative to the median distance of the points from the cameras; the adjustment reduces it."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Joined:
-    """Poses of the images of all joined models, in the coordinates of the first."""
-
-    cams_from_world: Mapping[int, Rigid3]
-    """By row of the image."""
-    left_out: tuple[int, ...]
-    """Models that have too few points in common with the others."""
-
-
 def join_models(
     model: ModelBuilder,
     earlier: Sequence[Reconstruction],
     known: Sequence[Mapping[int, int]],
     config: MapperConfig,
-) -> Joined:
-    """Transform models into the coordinates of the first one.
+) -> dict[int, Rigid3]:
+    """Poses of the images of all models, by row, in the coordinates of the first one; without models that share too few points.
 
     Args:
         model: keypoints and tracks of all images; it is emptied, but keeps its intrinsics.
@@ -51,30 +40,25 @@ def join_models(
         config: thresholds of triangulation.
     """
     own = [one.cams_from_world() for one in earlier]
-    poses = {row: own[0][before] for row, before in known[0].items()}
-    waiting = list(range(1, len(earlier)))
+    out = {row: own[0][before] for row, before in known[0].items()}
+    waiting = {
+        k: _points_of_tracks(model, {row: own[k][before] for row, before in known[k].items()}, config)
+        for k in range(1, len(earlier))
+    }
     while waiting:
-        target = _points_of_tracks(model, poses, config)
-        depth = _median_depth(target, poses)
-        found: tuple[int, Similarity3] | None = None
-        for k in waiting:
-            source = _points_of_tracks(
-                model, {row: own[k][before] for row, before in known[k].items()}, config
-            )
-            fitted = _similarity(source, target, TOLERANCE * depth, config.seed)
-            if fitted is not None:
-                found = k, fitted
-                break
-        if found is None:
+        target = _points_of_tracks(model, out, config)
+        tolerance = TOLERANCE * _median_depth(target, out)
+        fits = ((k, _similarity(points, target, tolerance, config.seed)) for k, points in waiting.items())
+        k, target_from_source = next(((k, fit) for k, fit in fits if fit is not None), (-1, None))
+        if target_from_source is None:
             break
-        k, target_from_source = found
-        rows = [row for row in known[k] if row not in poses]
+        del waiting[k]
+        rows = [row for row in known[k] if row not in out]
         if rows:
             moved = target_from_source.move_cam_from_source(own[k][[known[k][row] for row in rows]])
-            poses |= {row: moved[n] for n, row in enumerate(rows)}
-        waiting.remove(k)
+            out |= {row: moved[n] for n, row in enumerate(rows)}
     _empty(model)
-    return Joined(poses, tuple(waiting))
+    return out
 
 
 def _points_of_tracks(model: ModelBuilder, poses: Mapping[int, Rigid3], config: MapperConfig) -> np.ndarray:

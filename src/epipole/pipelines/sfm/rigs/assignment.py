@@ -28,6 +28,10 @@ class RigAssignment:
     frame: Int32[np.ndarray, " n"]
     """Images of one rig whose names differ only in the prefix have the same frame."""
 
+    def reference_of(self, sensor: int) -> int:
+        """The reference of a sensor's rig: its first sensor."""
+        return int(np.flatnonzero(self.rig_of_sensor == self.rig_of_sensor[sensor])[0])
+
 
 def assign_images(names: Sequence[str], rigs: Sequence[RigConfig]) -> RigAssignment:
     """Find the sensor and the frame of each image; the longest prefix counts.

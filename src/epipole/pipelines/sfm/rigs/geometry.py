@@ -36,7 +36,7 @@ class RelativePoses:
 
 def relative_poses(cams_from_world: Rigid3, assignment: RigAssignment, sensor: int) -> RelativePoses:
     """Relative poses of a sensor in the frames in which it and the reference are registered."""
-    reference = int(np.flatnonzero(assignment.rig_of_sensor == assignment.rig_of_sensor[sensor])[0])
+    reference = assignment.reference_of(sensor)
     known = np.isfinite(cams_from_world.translation).all(axis=1)
     of_frame = {int(assignment.frame[k]): k for k in np.flatnonzero((assignment.sensor == reference) & known)}
     pairs = [

@@ -108,19 +108,28 @@ def _usable_sensors(model: Reconstruction, assignment: RigAssignment) -> tuple[s
     centers = model.camera_centers_in_world()
     extent = float(np.linalg.norm(np.nanmax(centers, axis=0) - np.nanmin(centers, axis=0)))
     for s, sensor in enumerate(assignment.sensors):
-        if _is_reference(assignment, s):
-            out.add(s)
-            continue
-        found = relative_poses(cams, assignment, s)
-        given = sensor.cam_from_rig
-        why = inconstancy_of(found, extent) if given is None else contradiction_of(found, given)
-        if given is not None and not len(found):
-            why = "no frame has it and the reference registered, so its scale is unknown"
+        why = _several_cameras(model, assignment, s)
+        if not why and not _is_reference(assignment, s):
+            found, given = relative_poses(cams, assignment, s), sensor.cam_from_rig
+            why = inconstancy_of(found, extent) if given is None else contradiction_of(found, given)
+            if given is not None and not len(found):
+                why = "no frame has it and the reference registered"
         if why:
             notes.append(f"the rig is not used for the images {sensor.prefix}...: {why}")
         else:
             out.add(s)
-    return out, notes
+    without_reference = {s for s in out if assignment.reference_of(s) not in out}
+    return out - without_reference, notes
+
+
+def _several_cameras(model: Reconstruction, assignment: RigAssignment, sensor: int) -> str:
+    """Why the images of a sensor are not those of one camera; empty if they are."""
+    rows = np.unique(model.camera_of_image[assignment.sensor == sensor]).tolist()
+    if len(rows) == 1:
+        return ""
+    cameras = [model.cameras[c] for c in rows[:2]]
+    words = " and ".join(f"{c.width}x{c.height} with a focal length of {c.focal_px:.0f} px" for c in cameras)
+    return f"they are of {len(rows)} cameras ({words})"
 
 
 def _scale_of_rigs(
@@ -141,7 +150,7 @@ def _scale_of_rigs(
 
 
 def _is_reference(assignment: RigAssignment, sensor: int) -> bool:
-    return sensor == int(np.flatnonzero(assignment.rig_of_sensor == assignment.rig_of_sensor[sensor])[0])
+    return sensor == assignment.reference_of(sensor)
 
 
 def _is_given(assignment: RigAssignment, sensor: int) -> bool:
@@ -218,6 +227,7 @@ def _frame_poses(
     own = rigs.cam_from_rig[sensor].inverse() @ model.cams_from_world()
     known = np.isfinite(own.translation).all(axis=1)
     out, num_further = unregistered(count), 0
+    num_observations = np.bincount(model.tracks.image, minlength=len(model.images))
     order = np.argsort(frame, kind="stable")
     bounds = np.searchsorted(frame[order], np.arange(count + 1))
     for f in range(count):
@@ -229,7 +239,8 @@ def _frame_poses(
         spread = [
             float(rotation_angles_rad(own.rotation[rows_known], own.rotation[k]).sum()) for k in rows_known
         ]
-        best = int(rows_known[int(np.argmin(spread))])
+        # Of two images that contradict each other, the one with more observations.
+        best = int(rows_known[np.lexsort((-num_observations[rows_known], np.round(spread, 6)))[0]])
         near = rows_known[rotation_angles_rad(own.rotation[rows_known], own.rotation[best]) <= OUTLIER_RAD]
         mean = robust_mean(own[near])
         out.rotation[f] = mean.rotation
@@ -323,9 +334,10 @@ def _accuracy(
     found = bundle_covariance(problem, result, bundle, noise_px=noise_px, clustered=True)
     sigmas = {}
     for row in free:
-        position = float(np.sqrt(np.linalg.eigvalsh(found.cam_from_rig[row, :3, :3])[-1]))
-        rotation = float(np.degrees(np.sqrt(np.linalg.eigvalsh(found.cam_from_rig[row, 3:, 3:])[-1])))
-        sigmas[row] = (position, rotation)
+        position, rotation = (
+            _largest_sigma(found.cam_from_rig[row, at, at]) for at in (slice(0, 3), slice(3, 6))
+        )
+        sigmas[row] = (position, float(np.degrees(rotation)))
     # The first frame is fixed; a center c moves by -R^T rho under exp(rho, phi) @ rig_from_world.
     first = int(np.flatnonzero(~problem.frame_free.any(axis=1))[0])
     poses = result.rig_from_world
@@ -333,6 +345,15 @@ def _accuracy(
     offset = poses.centers() - poses[first].centers()
     length = np.where(is_observed, np.linalg.norm(offset, axis=1), 0.0)
     far = int(np.argmax(length))
-    direction = poses.rotation[far] @ (offset[far] / max(float(length[far]), 1e-300))
+    if not length[far] > 0 or not np.isfinite(found.rig_from_world[far]).all():
+        return sigmas, 0.0  # one frame: its lengths are as precise as the given geometry
+    direction = poses.rotation[far] @ (offset[far] / length[far])
     variance = float(direction @ found.rig_from_world[far, :3, :3] @ direction)
-    return sigmas, float(np.sqrt(variance)) / max(float(length[far]), 1e-300)
+    return sigmas, float(np.sqrt(variance) / length[far])
+
+
+def _largest_sigma(covariance: np.ndarray) -> float:
+    """Standard deviation in the least certain direction; infinite if undetermined."""
+    return (
+        float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])) if np.isfinite(covariance).all() else float("inf")
+    )
