@@ -78,6 +78,7 @@ def show_reconstruction(result: ReconstructionResult) -> None:
     """Print the result and its location."""
     from rich.table import Table
 
+    from epipole.pipelines.sfm.notes import rig_in_words
     from epipole.screen import open_console, print_warnings, show_location, show_reasons
 
     console, model, summary = open_console(), result.model, result.summary
@@ -87,6 +88,8 @@ def show_reconstruction(result: ReconstructionResult) -> None:
     error_px = summary["mean_reprojection_error_px"]
     table.add_row("reprojection error", "unknown" if error_px is None else f"{error_px:.2f} px")
     table.add_row("scale", summary["scale"])
+    for prefix, entry in summary.get("rigs", {}).items():
+        table.add_row(f"rig, {prefix}", rig_in_words(entry))
     if summary["median_gps_residual_m"] is not None:
         table.add_row("GPS", f"{summary['median_gps_residual_m']:.1f} m from the GPS positions (median)")
     times = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result.timings_s.items())

@@ -202,7 +202,7 @@ def _notes(solution: Solution, parts: Sequence[_Part], names: Sequence[dict[str,
         )
     if any((np.diff(part.model.rigs.sensor_offsets) > 1).any() for part in parts):
         out.append(
-            "the merged model has no rigs, which a given model has: pass --rigs again, with the present image names"
+            "the given models have rigs, but the merged model does not: pass --rigs with a file for the present image names"
         )
     for part, own in zip(parts, names):
         at = part.model.is_registered()

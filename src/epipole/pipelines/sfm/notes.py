@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -177,6 +178,17 @@ def _shape_warnings(solution: Solution) -> list[str]:
         f"the images do not determine {of_all} (standard deviation: {_first_of(sigmas)}), so the shape of the model may be wrong"
         " by as much: give known values with --calibration or --camera-params, or add images of things at different depths"
     ]
+
+
+def rig_in_words(entry: Mapping[str, Any]) -> str:
+    """Position of a camera in its rig, and how precisely it is known (`RigModel.geometry`)."""
+    if entry["is_reference"]:
+        return "reference"
+    translation = ", ".join(f"{value:.4g}" for value in entry["cam_from_rig_translation"])
+    words = f"translation in the rig {translation}"
+    if entry["is_given"]:
+        return f"{words}, as given"
+    return f"{words}, estimated to {entry['position_sigma']:.2g}; rotation estimated to {entry['rotation_sigma_deg']:.2g} degrees (1 sigma)"
 
 
 def focal_source(solution: Solution, camera: int) -> str:

@@ -154,7 +154,7 @@ def finish_reconstruction(
     run.warnings += _notes_on_earlier(solution, run.root, config)
     run.warnings += [*notes_on_choice_and_cameras(solution), *warnings_of(solution, config.mapper)]
     with run.stage("report"):
-        content = page_content(solution, reasons, run, asdict(config))
+        content = page_content(solution, reasons, run, asdict(config), rigs)
         run.folder.write_text("report.html", render_report(content))
     run.warnings += absences_of(solution, reasons)  # the report has its own text for these
     summary = _summary(solution, reasons, run) | ({"rigs": rigs} if rigs else {})

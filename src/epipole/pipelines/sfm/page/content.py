@@ -12,7 +12,13 @@ from jaxtyping import Float
 from epipole._jit import compile_seconds
 from epipole.pipelines.sfm.anchored import UP_TO_SCALE
 from epipole.pipelines.sfm.matching.unit_tables import FEATURES
-from epipole.pipelines.sfm.notes import focal_source, focal_verdict, images_of_camera, title_of
+from epipole.pipelines.sfm.notes import (
+    focal_source,
+    focal_verdict,
+    images_of_camera,
+    rig_in_words,
+    title_of,
+)
 from epipole.pipelines.sfm.pipeline import Solution
 from epipole.runs import Run, load
 from epipole.scene import Reconstruction, ViewGraph
@@ -86,9 +92,21 @@ class ReportContent:
 
 
 def page_content(
-    solution: Solution, reasons: Mapping[str, str], run: Run, settings: dict[str, Any]
+    solution: Solution,
+    reasons: Mapping[str, str],
+    run: Run,
+    settings: dict[str, Any],
+    rigs: Mapping[str, Mapping[str, Any]],
 ) -> ReportContent:
-    """Gather what the report shows."""
+    """Gather what the report shows.
+
+    Args:
+        solution: the models.
+        reasons: why images are not registered.
+        run: output folder and timings.
+        settings: the options.
+        rigs: geometry of each camera of a rig, by prefix (`RigModel.geometry`).
+    """
     models, images = solution.mapped.models, solution.images
     model = models[0]
     component = np.full(len(images), -1)
@@ -128,7 +146,10 @@ def page_content(
         image_rows=tuple(rows),
         contradicting=tuple(_contradicting(solution)),
         other_components=tuple(int(m.is_registered().sum()) for m in models[1:]),
-        camera_lines=tuple(_camera_line(solution, c) for c in range(len(images.focal_sources))),
+        camera_lines=(
+            *(_camera_line(solution, c) for c in range(len(images.focal_sources))),
+            *(f"{prefix}: {rig_in_words(entry)}" for prefix, entry in rigs.items()),
+        ),
         timings=dict(run.timings_s),
         compile_seconds=compile_seconds(),
         warnings=tuple(run.warnings),

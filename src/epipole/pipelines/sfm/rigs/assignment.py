@@ -53,9 +53,8 @@ def assign_images(names: Sequence[str], rigs: Sequence[RigConfig]) -> RigAssignm
         frame[k] = frames.setdefault(key, len(frames))
     for s, one in enumerate(sensors):
         if not (sensor == s).any():
-            example = names[0] if len(names) else "no image"
             raise ConfigError(
-                f"no image name starts with the prefix {one.prefix!r} of the rigs, such as {example}"
+                f"no image name starts with the prefix {one.prefix!r} of the rigs; the names are {', '.join(names[:3])} and so on"
             )
     return RigAssignment(tuple(sensors), rig_of_sensor, sensor, frame)
 

@@ -85,7 +85,10 @@ def with_rigs(model: Reconstruction, assignment: RigAssignment, config: MapperCo
         total_sigma = float(np.hypot(relative_sigma, CALIBRATION_SIGMA))
         scale = ScaleEstimate("rig", words, 1.0, total_sigma, 0.0, words)
     entries = {
-        assignment.sensors[s].prefix: _entry(adjusted.rigs.cam_from_rig[row], sigmas.get(row))
+        assignment.sensors[s].prefix: {
+            **_entry(adjusted.rigs.cam_from_rig[row], sigmas.get(row)),
+            "is_reference": _is_reference(assignment, s),
+        }
         for s, row in row_of.items()
     }
     return RigModel(adjusted, scale, entries, tuple(notes))
