@@ -108,11 +108,44 @@ def page_content(
         rigs: geometry of each camera of a rig, by prefix (`RigModel.geometry`).
     """
     models, images = solution.mapped.models, solution.images
+    rows, thumbnails, inliers = _of_images(solution, reasons)
+    gps, scale = solution.mapped.gps[0], solution.mapped.scale
+    scale_note = UP_TO_SCALE if scale is None else scale.in_words()
+    if gps is not None:
+        scale_note += f"; median distance of the cameras from their GPS positions {gps.median_m:.2f} m"
+    return ReportContent(
+        title=title_of(run.job.inputs[0]),
+        reconstruction=models[0],
+        view_graph=solution.view_graph,
+        image_rows=tuple(rows),
+        contradicting=tuple(_contradicting(solution)),
+        other_components=tuple(int(m.is_registered().sum()) for m in models[1:]),
+        camera_lines=(
+            *(_camera_line(solution, c) for c in range(len(images.focal_sources))),
+            *(f"{prefix}: {rig_in_words(entry)}" for prefix, entry in rigs.items()),
+        ),
+        timings=dict(run.timings_s),
+        compile_seconds=compile_seconds(),
+        warnings=tuple(run.warnings),
+        settings=settings,
+        thumbnails=thumbnails,
+        inliers=inliers,
+        scale_note=scale_note,
+        is_metric=scale is not None,
+    )
+
+
+def _of_images(
+    solution: Solution, reasons: Mapping[str, str]
+) -> tuple[list[ImageRow], dict[str, bytes], dict[str, np.ndarray]]:
+    """Row, thumbnail, and used features of each image."""
+    models, images = solution.mapped.models, solution.images
     model = models[0]
     component = np.full(len(images), -1)
     for number in reversed(range(len(models))):
         component[models[number].is_registered()] = number
-    rows, thumbnails, inliers = [], {}, {}
+    rows = list[ImageRow]()
+    thumbnails, inliers = dict[str, bytes](), dict[str, np.ndarray]()
     per_model = [(_observations_per_image(m)) for m in models]
     for i, name in enumerate(images.names):
         shown = max(int(component[i]), 0)
@@ -135,30 +168,7 @@ def page_content(
         pixels = model.images.keypoints_of(i)[np.sort(own)[:: max(1, len(own) // MAX_INLIERS_SHOWN)]]
         inliers[name] = (pixels + 0.5) / [camera.width, camera.height]
     rows += [ImageRow(n, False, -1, 0, 0, float("nan"), why) for n, why in images.left_out.items()]
-    gps, scale = solution.mapped.gps[0], solution.mapped.scale
-    scale_note = UP_TO_SCALE if scale is None else scale.in_words()
-    if gps is not None:
-        scale_note += f"; median distance of the cameras from their GPS positions {gps.median_m:.2f} m"
-    return ReportContent(
-        title=title_of(run.job.inputs[0]),
-        reconstruction=model,
-        view_graph=solution.view_graph,
-        image_rows=tuple(rows),
-        contradicting=tuple(_contradicting(solution)),
-        other_components=tuple(int(m.is_registered().sum()) for m in models[1:]),
-        camera_lines=(
-            *(_camera_line(solution, c) for c in range(len(images.focal_sources))),
-            *(f"{prefix}: {rig_in_words(entry)}" for prefix, entry in rigs.items()),
-        ),
-        timings=dict(run.timings_s),
-        compile_seconds=compile_seconds(),
-        warnings=tuple(run.warnings),
-        settings=settings,
-        thumbnails=thumbnails,
-        inliers=inliers,
-        scale_note=scale_note,
-        is_metric=scale is not None,
-    )
+    return rows, thumbnails, inliers
 
 
 def _contradicting(solution: Solution) -> list[ContradictingPair]:
