@@ -190,20 +190,21 @@ class Localizer:
         if len(matches.point) < self.config.min_inliers:
             return _FirstPose(failure, camera, failure.cam_from_world, None)
         points, pixels = self.reference.views.points_in_world[matches.point], _pixels(features, matches)
-        first, freed = resect_with_focal(points, pixels, camera, self._ransac)
-        is_other_focal = False
+        other_focal_px = float("nan")
         if focal == "unknown":
-            camera = freed
+            first, camera = resect_with_focal(points, pixels, camera, self._ransac)
         else:
-            fixed = estimate_absolute_pose(points, pixels, camera, self._ransac)
-            least = max(fixed.num_inliers + MORE_INLIERS, MORE_INLIERS_RATIO * fixed.num_inliers)
-            is_other_focal = first.success and first.num_inliers > least
-            first = fixed
+            first = estimate_absolute_pose(points, pixels, camera, self._ransac)
+            least = max(first.num_inliers + MORE_INLIERS, MORE_INLIERS_RATIO * first.num_inliers)
+            if least < len(points):  # else a free focal length cannot have more inliers than that
+                free, freed = resect_with_focal(points, pixels, camera, self._ransac)
+                if free.success and free.num_inliers > least:
+                    other_focal_px = freed.focal_px
         failure = replace(
             failure,
             num_inliers=first.num_inliers,
-            is_focal_contradicted=is_other_focal,
-            focal_correction=freed.focal_px / camera.focal_px - 1.0 if is_other_focal else float("nan"),
+            is_focal_contradicted=bool(np.isfinite(other_focal_px)),
+            focal_correction=other_focal_px / camera.focal_px - 1.0,
             reason=LocalizationReason.FEW_INLIERS,
         )
         if not first.success or first.num_inliers < self.config.min_ratio * len(matches.point):

@@ -95,8 +95,9 @@ def grow_model(
         model.clear()
         return False
     mapper.grow(usable, int(usable.sum()), progress)
-    mapper.adjust_globally(ROUNDS)
-    mapper.finish()
+    mapper.adjust_globally(ROUNDS if mapper.is_last else 1)
+    if mapper.is_last:  # else the model is completed, and adjusted again
+        mapper.finish()
     for image in np.flatnonzero(
         model.registered & (mapper.consistency.of_images(model) < config.image_fraction)
     ):
