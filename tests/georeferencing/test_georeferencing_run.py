@@ -98,6 +98,16 @@ def test_control_points_elsewhere_are_refused(one: Flight, workspace: Path):
         epipole.georeference(workspace, gcp=path)
 
 
+@pytest.mark.parametrize("is_given", [True, False])
+def test_given_intrinsics_stay(one: Flight, workspace: Path, is_given: bool):
+    source = "given" if is_given else "EXIF, 35 mm equivalent, then refined with the model"
+    (workspace / "config.json").write_text(json.dumps({"config": {"refine_known": False}}))
+    (workspace / "summary.json").write_text(json.dumps({"focal_sources": [source]}))
+    result = epipole.georeference(workspace, gcp=workspace.parent / "gcp_list.txt")
+    before, after = one.model.cameras.params, result.model.cameras.params
+    assert np.array_equal(before, after) == is_given
+
+
 def test_what_is_missing_is_named(one: Flight, workspace: Path, tmp_path: Path):
     gcp = workspace.parent / "gcp_list.txt"
     with pytest.raises(ConfigError, match="no GPS positions"):

@@ -100,6 +100,7 @@ def test_known_geometry_gives_meters():
     for seed in range(SEEDS):
         found, frames = rigged(seed, KNOWN)
         assert found.scale is not None and not [n for n in found.notes if "not used" in n]
+        assert len(found.model.rigs) == 1 and len(found.model.rigs.sensor_camera) == 4
         true = frames.centers()
         ends = found.model.frames.rig_from_world.centers()
         rows = [

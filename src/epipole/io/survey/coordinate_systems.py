@@ -18,6 +18,8 @@ WGS84 = ""
 LOCAL = "LOCAL"
 """Meters along x, y and z (up), at an unknown position on Earth."""
 _UTM = re.compile(r"WGS\s*84\s*[/ ]\s*UTM\s+(?:zone\s+)?(\d{1,2})\s*([NS])", re.IGNORECASE)
+_OTHER_HEIGHTS = re.compile(r"\+vunits=(?!m\b)|\+vto_meter=")
+"""Units of heights other than meters in a PROJ string, which pyproj drops with the vertical axis."""
 _EPSG = re.compile(r"EPSG:\s*(\d{4,6})", re.IGNORECASE)
 
 
@@ -124,7 +126,7 @@ def _transformer(path: str | Path, crs: str) -> Any:
             raise FileFormatError(
                 path, f"the heights of {crs} are not in meters, upward: convert the control points"
             )
-        if "vunits=" in crs.replace("vunits=m ", "").replace("+vunits=m", "") or "vto_meter" in crs:
+        if _OTHER_HEIGHTS.search(crs):
             raise FileFormatError(path, f"the heights of {crs} are not in meters: convert the control points")
         units = [axis.unit_conversion_factor for axis in horizontal.axis_info[:2]]
         if horizontal.is_projected and not all(math.isclose(unit, 1.0) for unit in units):

@@ -39,6 +39,8 @@ from epipole.scene import Georeference, Reconstruction
 
 FOLDER = "georeferenced"
 """Output folder in that of the model, unless another is given."""
+GIVEN = "given"
+"""Start of the source of a focal length that is known, in the summary of `reconstruct`."""
 ALTITUDE_RATIO = 2.0
 """Standard deviation of GPS altitudes, relative to a horizontal coordinate."""
 
@@ -144,17 +146,19 @@ def _lost_before(root: Path) -> list[str]:
 
 
 def _with_known_cameras(model: Reconstruction, root: Path) -> Reconstruction:
-    """The model with constant cameras if its run was given their intrinsics."""
+    """The model with constant intrinsics where its run was given them, and not asked to refine them."""
     try:
-        stored = read_json(root / "config.json")
+        stored, summary = read_json(root / "config.json"), read_json(root / SUMMARY)
     except FileFormatError:
         return model
     config = stored.get("config") if isinstance(stored, dict) else None
-    is_given = isinstance(config, dict) and any(config.get(k) for k in ("camera_params", "calibration"))
-    if not is_given:
+    sources = summary.get("focal_sources") if isinstance(summary, dict) else None
+    if not isinstance(config, dict) or config.get("refine_known") or not isinstance(sources, list):
         return model
-    constant = np.ones(len(model.cameras), bool)
-    return replace(model, cameras=replace(model.cameras, is_constant=constant))
+    is_given = np.array([str(source).startswith(GIVEN) for source in sources], bool)
+    if len(is_given) != len(model.cameras):
+        return model
+    return replace(model, cameras=replace(model.cameras, is_constant=is_given))
 
 
 def _measured(model: Reconstruction, root: Path, config: GeoreferenceConfig, run: Run) -> _Measured:

@@ -191,12 +191,13 @@ def _with_frames(
             sensor_camera.append(int(camera[np.flatnonzero(assignment.sensor == s)[0]]))
             poses.append(geometry[s])
         offsets.append(len(sensor_camera))
-    first_single = len(sensor_camera)
-    for c in range(len(model.cameras)):  # a rig of one sensor for images of no rig
+    others = [k for k, s in enumerate(assignment.sensor.tolist()) if s not in in_rig]
+    single_of = {c: len(sensor_camera) + n for n, c in enumerate(np.unique(camera[others]).tolist())}
+    for c in single_of:  # a rig of one sensor for the cameras of other images
         sensor_camera.append(c)
         poses.append(Rigid3.identity())
         offsets.append(len(sensor_camera))
-    start = [offsets[r] for r in range(len(by_rig))]
+    start, start_of_singles = [offsets[r] for r in range(len(by_rig))], offsets[len(by_rig)]
     sensor, frame_key = np.empty(len(camera), np.int32), list[tuple[int, int]]()
     for k in range(len(camera)):
         s = int(assignment.sensor[k])
@@ -205,8 +206,8 @@ def _with_frames(
             sensor[k] = start[r] + n
             frame_key.append((r, int(assignment.frame[k])))
         else:
-            sensor[k] = first_single + int(camera[k])
-            frame_key.append((len(by_rig) + int(camera[k]), -1 - k))
+            sensor[k] = single_of[int(camera[k])]
+            frame_key.append((len(by_rig) + int(sensor[k]) - start_of_singles, -1 - k))
     keys = {key: f for f, key in enumerate(dict.fromkeys(frame_key))}
     frame = np.array([keys[key] for key in frame_key], np.int32)
     rigs = Rigs(
