@@ -22,6 +22,7 @@ PIPELINES = {
     "calibration": ("CalibrationConfig",),
     "localization": ("LocalizeConfig",),
     "georeferencing": ("GeoreferenceConfig",),
+    "surfaces": ("SurfaceConfig",),
 }
 """Of each pipeline, the configs of its jobs."""
 TAKEN = {"ReconstructConfig": ("executor",)}

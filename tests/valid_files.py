@@ -28,14 +28,14 @@ from epipole.io.images import depth_maps, exif, photographs, sensor_widths, vide
 from epipole.io.images import image_names as picture_names
 from epipole.io.images import rgba as rgba_pictures
 from epipole.io.images import writing as photograph_writing
-from epipole.io.meshes import mesh_ply, ply
+from epipole.io.meshes import gltf, mesh_ply, obj, ply, textured_ply
 from epipole.io.models import llff
 from epipole.io.models import transforms as transforms_json
 from epipole.io.sequences import imu_logs, stereo_folders
-from epipole.io.survey import control_points, coordinate_systems
+from epipole.io.survey import control_points, coordinate_systems, point_clouds, rasters
 from epipole.io.trajectories import files as trajectories
 from epipole.io.trajectories import frame_tables
-from epipole.scene import Georeference, Trajectory
+from epipole.scene import Georeference, TexturedMesh, Trajectory
 from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.synthetic import problems
 
@@ -328,6 +328,31 @@ def _gaussians() -> Iterator[Row]:
     yield _row(ply.frustum_segments, corners=np.zeros((2, 5, 3)))
     yield _row(mesh_ply.write_mesh_ply, path=at / "bmesh.ply", vertices=points, faces=faces, rgb=colors)
     yield _row(mesh_ply.read_mesh_ply, path=at / "mesh.ply")
+    corners: dict[str, Any] = {"vertices_in_world": points, "faces": faces, "uv": np.full((2, 3, 2), 0.5)}
+    corners |= {"texture_of_face": np.array([0, 1]), "textures": (np.zeros((4, 4, 3), np.uint8),) * 2}
+    textured = TexturedMesh(**corners)
+    gltf.write_glb(at / "mesh.glb", textured)
+    yield _row(TexturedMesh, **corners)
+    up = {"up": np.array([0.0, -1, 0]), "origin_in_world": np.ones(3)}
+    yield _row(gltf.write_glb, path=at / "b.glb", mesh=textured, jpeg_quality=90, **up)
+    yield _row(gltf.read_glb, path=at / "mesh.glb")
+    yield _row(obj.write_obj, path=at / "b.obj", mesh=textured, jpeg_quality=90)
+    yield _row(textured_ply.write_textured_ply, path=at / "textured.ply", mesh=textured, jpeg_quality=90)
+    raster = rasters.Raster(np.ones((3, 4), np.float32), 500000.0, 5300000.0, 0.5, "EPSG:32632")
+    rasters.write_geotiff(at / "dsm.tif", raster)
+    fields = {name: getattr(raster, name) for name in rasters.Raster.__dataclass_fields__}
+    yield _row(rasters.Raster, **fields)
+    yield _row(rasters.write_geotiff, path=at / "bdsm.tif", raster=raster)
+    yield _row(rasters.read_geotiff, path=at / "dsm.tif")
+    known = {"crs": "EPSG:32632", "sigma": np.ones(6, np.float32), "classification": np.full(6, 2, np.uint8)}
+    point_clouds.write_laz(at / "a.laz", points, colors, **known)
+    yield _row(point_clouds.write_laz, path=at / "b.laz", points=points, rgb=colors, **known)
+    chunks = [point_clouds.LazChunk(points, colors, known["sigma"])]
+    bounds = np.stack([points.min(axis=0), points.max(axis=0)])
+    yield _row(
+        point_clouds.write_laz_chunks, path=at / "b.laz", chunks=chunks, bounds=bounds, crs="EPSG:32632"
+    )
+    yield _row(point_clouds.read_laz, path=at / "a.laz")
     bounds = np.column_stack([np.eye(3, 4), [12.0, 16.0, 15.0]])
     shutil.copytree(at / "left", at / "llff" / "images", dirs_exist_ok=True)
     np.save(at / "llff" / "poses_bounds.npy", np.tile(np.r_[bounds.ravel(), 1.0, 9.0], (2, 1)))

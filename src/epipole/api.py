@@ -61,6 +61,9 @@ from epipole.pipelines.stereo.arrays import match_stereo as match_stereo
 from epipole.pipelines.stereo.config import StereoConfig as StereoConfig
 from epipole.pipelines.stereo.pair import StereoResult as StereoResult
 from epipole.pipelines.stereo.run import stereo as stereo
+from epipole.pipelines.surfaces.config import SurfaceConfig as SurfaceConfig
+from epipole.pipelines.surfaces.run import SurfaceResult as SurfaceResult
+from epipole.pipelines.surfaces.run import surface as surface
 from epipole.pipelines.undistortion.run import undistort as undistort
 from epipole.pipelines.viewing.loading import load as load
 from epipole.pipelines.viewing.run import share as share

@@ -96,12 +96,15 @@ from epipole.io.images.exif import new_exif
 from epipole.io.images.photographs import copy_or_rotate, read_gray, read_header, read_mask, read_rgb
 from epipole.io.images.rgba import read_rgba
 from epipole.io.images.video import extract_frames, frame_size
+from epipole.io.meshes.gltf import read_glb, write_glb
 from epipole.io.meshes.mesh_ply import read_mesh_ply, write_mesh_ply
 from epipole.io.models.llff import read_llff
 from epipole.io.sequences.imu_logs import read_camera_from_imu, read_imu
 from epipole.io.sequences.rig_folders import read_rig_sequence
 from epipole.io.sequences.stereo_video import extract_pairs
 from epipole.io.survey.control_points import read_control_points
+from epipole.io.survey.point_clouds import read_laz, write_laz
+from epipole.io.survey.rasters import Raster, read_geotiff, write_geotiff
 from epipole.io.trajectories.files import read_pose_matrix, trajectory_format
 from epipole.io.trajectories.frame_tables import read_frame_table
 from epipole.io.trajectories.true_trajectories import true_path_at
@@ -119,7 +122,7 @@ from epipole.pipelines.stereo.pairs import read_summary
 from epipole.runs.folder import OutputFolder, read_mark
 from epipole.runs.source import Source
 from epipole.runs.units import load, store, stored_key
-from epipole.scene import Georeference, Trajectory
+from epipole.scene import Georeference, TexturedMesh, Trajectory
 from epipole.scene.gaussian_cloud import GaussianCloud
 from hostile_bytes import assert_model, assert_motions
 from io_models import mappable_model, small_model
@@ -446,6 +449,48 @@ def _mesh(folder: Path) -> None:
     found = read_mesh_ply(folder / "mesh.ply")
     assert found.rgb is None or found.rgb.shape == found.xyz.shape
     assert not len(found.faces) or (found.faces.min() >= 0 and found.faces.max() < len(found.xyz))
+
+
+def _raster(folder: Path) -> None:
+    found = read_geotiff(folder / "a.tif")
+    assert np.isfinite([found.x_min, found.y_max, found.resolution_m]).all() and found.resolution_m > 0
+    assert found.is_color or not np.isinf(found.values).any()
+
+
+def _put_heights(folder: Path) -> None:
+    values = np.linspace(0, 9, 40 * 30, dtype=np.float32).reshape(40, 30)
+    write_geotiff(folder / "a.tif", Raster(values, 500000.0, 5300000.0, 0.5, "EPSG:32632"))
+
+
+def _put_colors(folder: Path) -> None:
+    values = np.arange(600 * 20 * 4, dtype=np.uint32).astype(np.uint8).reshape(600, 20, 4)
+    write_geotiff(folder / "a.tif", Raster(values, 500000.0, 5300000.0, 0.5))
+
+
+def _laz(folder: Path) -> None:
+    found = read_laz(folder / "a.laz")
+    assert np.isfinite(found.points).all() and len(found.classification) == len(found)
+    assert found.rgb is None or found.rgb.shape == found.points.shape
+    assert found.sigma is None or len(found.sigma) == len(found)
+
+
+def _put_laz(folder: Path) -> None:
+    points = np.linspace(0, 100, 300).reshape(100, 3) + np.array([500000.0, 5300000.0, 400.0])
+    sigma = np.full(100, 0.1, np.float32)
+    write_laz(folder / "a.laz", points, np.zeros((100, 3), np.uint8), crs="EPSG:32632", sigma=sigma)
+
+
+def _put_glb(folder: Path) -> None:
+    uv, textures = np.linspace(0, 1, 12).reshape(2, 3, 2), (RGB[:16, :24], RGB[16:32, :8])
+    corners = np.array([[5e5, 5e6, 0], [5e5 + 1, 5e6, 0], [5e5, 5e6 + 1, 0], [5e5 + 1, 5e6 + 1, 0]])
+    mesh = TexturedMesh(corners, [[0, 1, 2], [2, 1, 3]], uv, [0, 1], textures)
+    write_glb(folder / "mesh.glb", mesh, up=[0, 0, 1])
+
+
+def _glb(folder: Path) -> None:
+    found = read_glb(folder / "mesh.glb")
+    assert len(found) and all(texture.size for texture in found.textures)
+    assert np.isfinite(found.vertices_in_world).all() and np.isfinite(found.uv).all()
 
 
 def _gaussians(folder: Path) -> None:
@@ -1017,7 +1062,12 @@ FORMATS: dict[str, Format] = {
         *("cloud.ply", "ply", _cloud, ("read_points_ply",)),
     ),
     "mesh": Format(_put_mesh, "mesh.ply", "ply", _mesh, ("read_mesh_ply",)),
+    "geotiff-heights": Format(_put_heights, "a.tif", "binary", _raster, ("read_geotiff",)),
+    "geotiff-colors": Format(_put_colors, "a.tif", "binary", _raster, ("read_geotiff",)),
+    "laz": Format(_put_laz, "a.laz", "binary", _laz, ("read_laz",)),
     "mesh-text": Format(_put("mesh.ply", TEXT_MESH), "mesh.ply", "text", _mesh, ("read_mesh_ply",)),
+    "mesh-glb": Format(_put_glb, "mesh.glb", "binary", _glb, ("read_glb",)),
+    "mesh-glb-text": Format(_put_glb, "mesh.glb", "text", _glb, ("read_glb",), weight=0.5),
     "grid": Format(_put_grid, "grid.npz", "zip", _grid, ("read_grid", "read_voxels")),
     "hash": Format(_put_hash, "hash.npz", "zip", _hash, ("read_hash", "read_neural")),
     "llff": Format(_put_llff, "poses_bounds.npy", "binary", _llff, ("read_llff",)),

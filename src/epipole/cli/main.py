@@ -27,6 +27,7 @@ COMMANDS = (
     "epipole.pipelines.sfm.command:merge",
     "epipole.pipelines.localization.command:localize",
     "epipole.pipelines.georeferencing.command:georeference",
+    "epipole.pipelines.surfaces.command:surface",
     "epipole.pipelines.slam.command:slam",
     "epipole.pipelines.fields.command:splat",
     "epipole.pipelines.fields.command:nerf",

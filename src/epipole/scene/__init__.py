@@ -24,5 +24,6 @@ from epipole.scene.points import Tracks as Tracks
 from epipole.scene.reconstruction import Reconstruction as Reconstruction
 from epipole.scene.rectified_rig import RectifiedRig as RectifiedRig
 from epipole.scene.stereo_rig import StereoRig as StereoRig
+from epipole.scene.textured_mesh import TexturedMesh as TexturedMesh
 from epipole.scene.trajectory import Trajectory as Trajectory
 from epipole.scene.view_graph import ViewGraph as ViewGraph

@@ -10,25 +10,19 @@ from pathlib import Path
 import numpy as np
 
 from epipole.cameras import Camera
-from epipole.errors import ConfigError, EpipoleError, FileFormatError, NoModelError
+from epipole.errors import ConfigError, EpipoleError, NoModelError
 from epipole.fields.training_view import TrainingView, shrunk, shrunk_mask
 from epipole.geometry import Rigid3
 from epipole.image import undistort_image, undistorted_camera
-from epipole.io.colmap.model import find_model, read_colmap_model
 from epipole.io.contents_in_words import results_of
 from epipole.io.images.photographs import GrayRange, common_range, mask_of, read_mask, read_mask_file
 from epipole.io.images.rgba import read_rgba
 from epipole.io.models.images import ModelImage, ModelImages
-from epipole.io.models.llff import LLFF, read_llff
-from epipole.io.models.transforms import read_transforms_scene
 from epipole.io.names import path_inside
 from epipole.pipelines.fields.config import FieldOptions
-from epipole.runs import Progress, ProgressCallback, has_own_model, ignore_progress
-from epipole.scene import Reconstruction
+from epipole.runs import Progress, ProgressCallback, ignore_progress
+from epipole.runs.model_source import SPLITS, ModelSource, model_source_of, transforms_source
 from epipole.scene.local_origin import local_origin
-
-SPLITS = ("transforms_train.json", "transforms_test.json")
-"""Splits of NeRF-synthetic scenes; the validation split is not used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,19 +63,6 @@ def _relative_to(view: TrainingView, origin_in_world: np.ndarray) -> TrainingVie
     )
 
 
-def is_model(source: Path) -> bool:
-    """Whether a source has cameras; otherwise it is a folder of photographs or a video."""
-    if source.suffix == ".json":
-        return True
-    if any((source / name).is_file() for name in (SPLITS[0], "transforms.json", LLFF)):
-        return True
-    try:
-        find_model(source)
-    except FileFormatError:
-        return False
-    return True
-
-
 def gather_field_images(
     source: Path,
     options: FieldOptions,
@@ -104,7 +85,8 @@ def gather_field_images(
     """
     problems: list[str] = []
     if (source / SPLITS[0]).is_file():
-        parts = [_transforms_source(source / name, problems) for name in SPLITS if (source / name).is_file()]
+        parts = [transforms_source(source / name) for name in SPLITS if (source / name).is_file()]
+        problems += [warning for part in parts for warning in part.warnings]
         model = parts[0].model
         if any(part.splits for part in parts):
             problems.append(
@@ -113,7 +95,8 @@ def gather_field_images(
         train = _views(parts[0], options, problems, progress)
         test = _views(parts[1], options, problems, progress) if len(parts) > 1 else []
     else:
-        found = _source_of(source, options.max_side_px, photographs, problems)
+        found = model_source_of(source, options.max_side_px, photographs)
+        problems += found.warnings
         model = found.model
         train, test = _split(_views(found, options, problems, progress), found.splits, options, problems)
     if len(train) < 2:
@@ -124,21 +107,6 @@ def gather_field_images(
         )
     has_alpha = any(view.image.shape[2] == 4 for view in train)
     return FieldImages(train, test, model.points.xyz_in_world, model.points.rgb, has_alpha, problems)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Source:
-    """A model and its images."""
-
-    model: Reconstruction
-    folder: Path
-    """Folder that image names are relative to."""
-    is_own: bool = False
-    """Whether epipole made the model, so that it describes upright images."""
-    masks: Mapping[str, Path] = field(default_factory=dict)
-    """Masks by image name."""
-    splits: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Image names of the splits train, val and test."""
 
 
 def _split(
@@ -186,36 +154,8 @@ def _split_of_file(
     ]
 
 
-def _transforms_source(file: Path, problems: list[str]) -> _Source:
-    scene = read_transforms_scene(file, image_folder="")
-    problems.extend(f"{file.name}: {warning}" for warning in scene.warnings)
-    masks = {name: path_inside(file.parent, mask) for name, mask in scene.masks.items()}
-    return _Source(scene.reconstruction, file.parent, masks=masks, splits=scene.splits)
-
-
-def _source_of(source: Path, max_side_px: int, photographs: Path | None, problems: list[str]) -> _Source:
-    """Read a model of any format.
-
-    Raises:
-        FileFormatError: there is none, or it is damaged.
-    """
-    file = source if source.suffix == ".json" else source / "transforms.json"
-    if (source / LLFF).is_file():
-        scene = read_llff(source, max_side_px)
-        found = _Source(scene.reconstruction, scene.image_folder)
-    elif file.is_file():
-        found = _transforms_source(file, problems)
-    else:
-        folder = find_model(source)
-        at = folder.resolve()
-        positions = (source, folder, at.parent, at.parent.parent)
-        workspace = next((position for position in positions if (position / "images").is_dir()), source)
-        found = _Source(read_colmap_model(folder), workspace / "images", has_own_model(workspace))
-    return found if photographs is None else replace(found, folder=photographs)
-
-
 def _views(
-    source: _Source, options: FieldOptions, problems: list[str], progress: ProgressCallback
+    source: ModelSource, options: FieldOptions, problems: list[str], progress: ProgressCallback
 ) -> list[TrainingView]:
     """Views sorted by name; images that cannot be read are left out with a warning.
 
@@ -251,7 +191,7 @@ def _views(
     return out
 
 
-def _mask(source: _Source, options: FieldOptions, name: str, size: tuple[int, int]) -> np.ndarray | None:
+def _mask(source: ModelSource, options: FieldOptions, name: str, size: tuple[int, int]) -> np.ndarray | None:
     """Mask of an image, from the folder of masks if given, else from the file."""
     if options.masks is not None:
         return read_mask(options.masks, name, size=size)

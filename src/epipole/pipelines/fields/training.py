@@ -20,7 +20,7 @@ from epipole.io.models.losses import losses_in, losses_of
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions, NerfConfig, SplatConfig
 from epipole.pipelines.fields.held_out import probed
-from epipole.pipelines.fields.images import FieldImages, gather_field_images, is_model
+from epipole.pipelines.fields.images import FieldImages, gather_field_images
 from epipole.pipelines.fields.page import FieldPage, render_page
 from epipole.pipelines.fields.scene import FIRST_VIEW, SPLAT, scene_of_training
 from epipole.pipelines.fields.surface_points import scene_of_surface
@@ -30,6 +30,7 @@ from epipole.pipelines.sfm.run import reconstruct
 from epipole.report.space_scene import SpaceScene
 from epipole.runs import Job, ProgressCallback, Run, graceful_interrupt
 from epipole.runs.earlier import note_on_poorer
+from epipole.runs.model_source import is_model
 
 METRICS, MODEL, REPORT = "metrics.json", "sfm", "report.html"
 C = TypeVar("C", SplatConfig, NerfConfig)

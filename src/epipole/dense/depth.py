@@ -1,0 +1,195 @@
+"""Depth of each pixel of a view, from semi-global matching with several other views.
+
+Each source is rectified with the reference view and matched (Hirschmueller, PAMI 2008); the depths of all sources are combined by
+agreement, as by Rothermel, Wenzel, Fritsch and Haala (SURE, LC3D 2012).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from epipole import _parallel
+from epipole._checks import checked
+from epipole.dense import _depth_kernels as kernels
+from epipole.dense.pair_rectification import RectifiedPair, rectify_views
+from epipole.dense.view import DenseView
+from epipole.disparity_search.config import DisparityConfig
+from epipole.disparity_search.search import match_stereo
+from epipole.errors import ConfigError, DegenerateGeometryError
+from epipole.scene.view_depth import DepthReason, ViewDepth
+
+AGREEING_SIGMAS, AGREEING_FRACTION = 3.0, 0.003
+"""Two sources agree up to this number of standard deviations plus this fraction of the inverse depth."""
+SHARED = 0.3
+"""Part of the variance that all sources share, as they see the same pixels of the reference (fitted: `benchmarks.surfaces --fit`)."""
+PRIOR = 4.0
+"""Weight of the view's variance against that of a pixel, in observations."""
+MEDIAN_CHI_SQUARE, LEAST_PIXELS, SCALES = 0.77, 1000, (0.05, 20.0)
+"""Median of chi-square per degree of freedom (3 of them); fewest pixels; smallest and largest variance, relative to the pair's."""
+LEAST_AGREEING = 2
+"""Sources that must agree, if a view has as many."""
+MOST_SIGMA = 0.02
+"""Largest standard deviation, relative to the depth."""
+LEAST_CHANGE, BLANK_PX, FLAT_PX = 6, 25, 5
+"""Smallest gray-level difference that is texture; sides of the windows without texture that begin and extend a blank area."""
+_ROWS = 32
+_NAMES = np.array(
+    [
+        DepthReason.OK,
+        DepthReason.OCCLUDED,
+        DepthReason.OUT_OF_VIEW,
+        DepthReason.AMBIGUOUS,
+        DepthReason.AMBIGUOUS,
+        DepthReason.TEXTURELESS,
+        DepthReason.UNCERTAIN,
+    ],
+    np.uint8,
+)
+"""Reason of each `StereoReason`."""
+
+
+@checked
+def view_depth(
+    reference: DenseView,
+    sources: Sequence[DenseView],
+    depths: tuple[float, float],
+    model_sigma_px: float = 0.1,
+) -> ViewDepth:
+    """Depth of a view from its sources.
+
+    Args:
+        reference: the view whose depth is wanted.
+        sources: views of the same surfaces from other positions.
+        depths: smallest and largest depth in the view.
+        model_sigma_px: standard deviation of a pixel due to errors of the poses.
+
+    Raises:
+        ConfigError: depths is not an increasing pair of positive numbers.
+    """
+    if not 0.0 < depths[0] < depths[1] < np.inf:
+        raise ConfigError(f"depths must be two increasing positive numbers, got {depths}")
+    if not 0.0 <= model_sigma_px < np.inf:
+        raise ConfigError(f"model_sigma_px must not be negative, got {model_sigma_px}")
+    height, width = reference.rgb.shape[:2]
+    shape = (max(len(sources), 1), height, width)
+    inverse, sigma = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
+    reason = np.full(shape, DepthReason.OUT_OF_VIEW, np.uint8)
+    gray, num_used = _gray(reference), 0
+    for k, source in enumerate(sources):
+        try:
+            pair = rectify_views(reference, source, depths)
+        except DegenerateGeometryError:
+            continue
+        num_used += 1
+        _match(pair, gray, source, reference, model_sigma_px, (inverse[k], sigma[k], reason[k]))
+    return _combined(reference, inverse, sigma, reason, min(LEAST_AGREEING, max(num_used, 1)))
+
+
+def _gray(view: DenseView) -> np.ndarray:
+    return np.asarray(cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY))
+
+
+def _match(
+    pair: RectifiedPair,
+    gray: np.ndarray,
+    source: DenseView,
+    reference: DenseView,
+    model_sigma_px: float,
+    out: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    """Match one source, and write inverse depth, sigma and reason in the reference view."""
+    config = DisparityConfig(max_disparity_px=min(pair.num_disparities, pair.size[0] - 1))
+    found = match_stereo(*pair.apply(gray, _gray(source)), config)
+    why = found.reason
+    if source.used_mask is not None:
+        why = np.where(_is_masked(pair, source.used_mask, found.disparity_px), DepthReason.OCCLUDED, why)
+    K = reference.camera.K
+    geometry = (
+        np.linalg.inv(pair.reference_from_rectified).ravel(),
+        pair.inverse_depth_of_ray,
+        pair.first_disparity_px,
+        np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]),
+    )
+    arrays = found.disparity_px, found.sigma_px, np.ascontiguousarray(why, np.uint8)
+    _by_rows(
+        len(gray),
+        lambda start, stop, _: kernels.sample_pair(
+            geometry, arrays, (_NAMES, np.float32(model_sigma_px)), start, stop, out
+        ),
+    )
+
+
+def _is_masked(pair: RectifiedPair, used: np.ndarray, disparity: np.ndarray) -> np.ndarray:
+    """Whether the match of each rectified pixel is masked in the source."""
+    warped = cv2.warpPerspective(
+        used.astype(np.uint8),
+        pair.source_from_rectified,
+        pair.size,
+        None,
+        cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
+    )
+    columns = np.arange(pair.size[0]) - np.nan_to_num(disparity)
+    at = np.clip(np.rint(columns).astype(np.int64), 0, pair.size[0] - 1)
+    return np.asarray(np.take_along_axis(warped, at, axis=1) == 0)
+
+
+def _combined(
+    reference: DenseView, inverse: np.ndarray, sigma: np.ndarray, reason: np.ndarray, least: int
+) -> ViewDepth:
+    """Depth where enough sources agree, with its standard deviation, and reasons elsewhere."""
+    height, width = inverse.shape[1:]
+    q, spread, chi = (np.empty((height, width), np.float32) for _ in range(3))
+    agreeing, differing, why = (np.empty((height, width), np.uint8) for _ in range(3))
+    out, options = (q, spread, chi, agreeing, differing, why), (AGREEING_SIGMAS, AGREEING_FRACTION)
+    _by_rows(
+        height, lambda start, stop, _: kernels.merge_rows(inverse, sigma, reason, options, start, stop, out)
+    )
+    spread *= _scale_of_sigma(chi, agreeing)
+    found = why == DepthReason.OK
+    why[found & ((agreeing < least) | (differing > agreeing))] = DepthReason.DISAGREEING
+    why[(why == DepthReason.OK) & (spread > MOST_SIGMA * q)] = DepthReason.UNCERTAIN
+    why[(why == DepthReason.OK) & _is_blank(_gray(reference))] = DepthReason.TEXTURELESS
+    if reference.used_mask is not None:
+        why[~reference.used_mask] = DepthReason.MASKED
+    known, nan = why == DepthReason.OK, np.float32(np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.where(known, 1.0 / q, nan).astype(np.float32)
+        return ViewDepth(depth, np.where(known, spread * depth * depth, nan), why, agreeing)
+
+
+def _is_blank(gray: np.ndarray) -> np.ndarray:
+    """Pixels of areas without texture, up to their borders.
+
+    The smoothness term extends the depth at the border of a blank area into it, so that walls would grow into the sky in all views alike. Small
+    areas without texture are kept.
+    """
+    changes = np.zeros(gray.shape, np.uint8)
+    signed = gray.astype(np.int16)
+    changes[:, 1:-1] |= np.abs(signed[:, 2:] - signed[:, :-2]) >= LEAST_CHANGE
+    changes[1:-1] |= np.abs(signed[2:] - signed[:-2]) >= LEAST_CHANGE
+    wide, near = (np.ones((side, side), np.uint8) for side in (BLANK_PX, FLAT_PX))
+    core = (cv2.dilate(changes, wide) == 0).astype(np.uint8)
+    return np.asarray((cv2.dilate(core, wide) > 0) & (cv2.dilate(changes, near) == 0))
+
+
+def _scale_of_sigma(chi: np.ndarray, agreeing: np.ndarray) -> np.ndarray:
+    """(h, w) factor of the standard deviations: how much the sources really differ, in the view and at the pixel.
+
+    The variance of a pixel is a mean of the view's, weighted as PRIOR observations, and of its own chi-square; the part that sources share is added.
+    """
+    extra = np.maximum(agreeing.astype(np.float32) - 1, 0)
+    many = agreeing >= 3
+    view = 1.0
+    if many.sum() >= LEAST_PIXELS:
+        view = float(np.median(chi[many] / extra[many])) / MEDIAN_CHI_SQUARE
+    view = float(np.clip(view, *SCALES))
+    with np.errstate(invalid="ignore"):
+        variance = (PRIOR * view + chi) / (PRIOR + extra)
+        return np.asarray(np.sqrt(variance * (1.0 + SHARED * extra)), np.float32)
+
+
+def _by_rows(height: int, work: object) -> None:
+    _parallel.map_chunks(work, height, -(-height // _ROWS))

@@ -1,0 +1,1 @@
+"""Surfaces from images: depth of each view, a fused cloud and a mesh."""

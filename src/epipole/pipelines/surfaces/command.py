@@ -1,0 +1,70 @@
+"""`epipole surface`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from epipole.pipelines.sfm.command import STAGES
+from epipole.pipelines.surfaces.config import SurfaceConfig
+
+if TYPE_CHECKING:
+    from epipole.pipelines.surfaces.run import SurfaceResult
+
+DEFAULTS = SurfaceConfig()
+WORDS = {
+    **STAGES,
+    "depth": "Matching each view",
+    "cloud": "Fusing points",
+    "mesh": "Building the mesh",
+}
+
+
+def surface(
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    config: Annotated[SurfaceConfig, tyro.conf.arg(name="")] = DEFAULTS,
+) -> None:
+    """Reconstruct surfaces from images, without a GPU: depth with an error bar, a dense cloud and a mesh.
+
+    Args:
+        source: Photographs or a video (reconstructed first), an output folder of `reconstruct`, a COLMAP model with its
+            images, or a transforms.json.
+        out: Output folder: cloud.ply, mesh.ply, report.html.
+        config: Options.
+    """
+    from epipole.screen import progress_on_screen
+
+    with progress_on_screen(WORDS) as progress:
+        from epipole.pipelines.surfaces.run import surface as run
+
+        result = run(source, out, config, progress)
+    _show(result)
+
+
+def _show(result: SurfaceResult) -> None:
+    """Print the result and its location."""
+    from rich.table import Table
+
+    from epipole.screen import open_console, print_warnings, show_location
+
+    console, summary = open_console(), result.summary
+    table = Table(box=None, show_header=False)
+    sigma = summary["relative_sigma"]
+    accuracy = "" if sigma is None else f", standard deviation {100 * sigma:.2g} % of the depth (median)"
+    table.add_row(
+        f"depth of {summary['num_views']} views", f"{100 * summary['density']:.0f} % of the pixels{accuracy}"
+    )
+    files = {}
+    if "num_points" in summary:
+        table.add_row("cloud", f"{summary['num_points']:,} points")
+        files["cloud"] = result.out / "cloud.ply"
+    if "num_faces" in summary:
+        table.add_row("mesh", f"{summary['num_faces']:,} triangles")
+        files["mesh"] = result.out / "mesh.ply"
+    table.add_row("time", f"{summary['seconds']:.1f} s")
+    console.print(table)
+    print_warnings(console, result.warnings)
+    show_location(console, result.out, files)

@@ -1,0 +1,52 @@
+"""Options of `epipole surface`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from epipole._checks import check_options
+from epipole.errors import ConfigError
+
+STAGES = ("depth", "cloud", "mesh")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceConfig:
+    """Options of `epipole surface`; the defaults suit objects, rooms and facades."""
+
+    until: Literal["depth", "cloud", "mesh"] = "mesh"
+    """Last stage: depth of each view, fused cloud, or mesh."""
+    max_size_px: int = 1600
+    """Longer side at which images are matched; larger ones are downscaled."""
+    sources: int = 5
+    """Number of other views that each view is matched with."""
+    images: Path | None = None
+    """Folder of the images. Default: next to the model."""
+    masks: Path | None = None
+    """Folder of masks: NAME.png, black where a pixel is not used."""
+    voxel: float | None = None
+    """Side of a voxel of the mesh. Default: from the resolution of the views."""
+    min_component: float = 0.02
+    """Remove parts of the mesh with fewer triangles than this fraction of the largest."""
+    threads: int | None = None
+    """Number of threads. Default: all cores."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value is out of range.
+        """
+        check_options(self)
+        if not 64 <= self.max_size_px <= 16384:
+            raise ConfigError(f"max_size_px must be from 64 to 16384, got {self.max_size_px}")
+        if not 1 <= self.sources <= 20:
+            raise ConfigError(f"sources must be from 1 to 20, got {self.sources}")
+        if self.voxel is not None and not self.voxel > 0:
+            raise ConfigError(f"voxel must be positive, got {self.voxel}")
+        if not 0 <= self.min_component <= 1:
+            raise ConfigError(f"min_component must be from 0 to 1, got {self.min_component}")
+        if self.threads is not None and self.threads < 1:
+            raise ConfigError(f"threads must be at least 1, got {self.threads}")

@@ -1,0 +1,155 @@
+"""Which views a surface is made of: their files, sources and ranges of depth."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from epipole.dense.source_selection import SharedPoints, depth_range, select_sources
+from epipole.errors import ConfigError, EpipoleError, NoModelError
+from epipole.io.images.photographs import common_range, mask_of
+from epipole.io.models.images import ModelImages
+from epipole.io.models.losses import losses_in, losses_of
+from epipole.io.names import path_inside
+from epipole.pipelines.sfm.run import reconstruct
+from epipole.pipelines.surfaces.config import SurfaceConfig
+from epipole.pipelines.surfaces.view_files import ViewFile, pinhole_of
+from epipole.runs import Run, content_digests, digest
+from epipole.runs.model_source import ModelSource, is_model, model_source_of
+from epipole.scene import Reconstruction
+
+MODEL = "sfm"
+"""Subfolder of the model of photographs that are reconstructed first."""
+DIGESTS = "files.npz"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceInputs:
+    """Views in the order of their names, with the sources and the range of depth of each."""
+
+    model: Reconstruction
+    is_own: bool
+    """Whether epipole made the model, so that +z is up."""
+    views: tuple[ViewFile, ...]
+    sources: tuple[tuple[int, ...], ...]
+    depths: tuple[tuple[float, float], ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def usable(self) -> list[int]:
+        """Views with at least one source."""
+        return [k for k, row in enumerate(self.sources) if row]
+
+
+def surface_inputs(source: Path, run: Run, config: SurfaceConfig) -> SurfaceInputs:
+    """Find the views of a source; photographs are reconstructed first, into a subfolder.
+
+    Raises:
+        NoModelError: fewer than two views share points.
+        FileFormatError: there is no model, or it is damaged.
+        ConfigError: there are masks, but none for any image.
+    """
+    found, lost = _model_of(source, run, config)
+    warnings = [*lost, *found.warnings]
+    views = _view_files(found, run, config, warnings)
+    model = found.model
+    row_of_name = {name: row for row, name in enumerate(model.images.name)}
+    rows = [row_of_name[view.name] for view in views]
+    points = _shared_points(model, rows)
+    if not len(points.point_of_observation):
+        raise NoModelError(
+            f"{source} has no points that its images see, so the range of depth is unknown: pass a model with points"
+        )
+    centers = np.array([view.cam_from_world.inverse().translation for view in views]).reshape(-1, 3)
+    focals = np.array([view.pinhole.focal_px for view in views], np.float64)
+    sources = select_sources(points, centers, focals, config.sources)
+    depths = [_depths_of(view, points, k) for k, view in enumerate(views)]
+    usable = [tuple(row.tolist()) if depths[k] is not None else () for k, row in enumerate(sources)]
+    alone = [view.name for view, row in zip(views, usable) if not row]
+    if len(views) - len(alone) < 2:
+        raise NoModelError(
+            f"no two of the {len(views)} images see enough common points from different positions: a surface needs overlapping images"
+        )
+    if alone:
+        warnings.append(
+            f"{len(alone)} images have no depth, because no other image sees the same points from a suitable position ({alone[0]})"
+        )
+    return SurfaceInputs(
+        model,
+        found.is_own,
+        tuple(views),
+        tuple(usable),
+        tuple(row or (1.0, 2.0) for row in depths),
+        tuple(warnings),
+    )
+
+
+def _model_of(source: Path, run: Run, config: SurfaceConfig) -> tuple[ModelSource, list[str]]:
+    if is_model(source):
+        return model_source_of(source, config.max_size_px, config.images), losses_in(source)
+    out = run.root / MODEL
+    done = reconstruct(source, out, progress=run.job.progress, masks=config.masks)
+    photographs = source if source.is_dir() else out / "images"
+    return model_source_of(out, config.max_size_px, photographs), losses_of(done.summary, out)
+
+
+def _view_files(found: ModelSource, run: Run, config: SurfaceConfig, warnings: list[str]) -> list[ViewFile]:
+    """Views of the registered images; images that cannot be read are left out with a warning."""
+    model, cams_from_world = found.model, found.model.cams_from_world()
+    files = ModelImages(model, found.folder, is_own=found.is_own)
+    rows = sorted(np.flatnonzero(model.is_registered()).tolist(), key=lambda k: model.images.name[k])
+    images, paths = {}, list[Path]()
+    for row in rows:
+        name = model.images.name[row]
+        try:
+            images[row] = files.find(name), _mask_of(found, config, name)
+        except EpipoleError as error:
+            warnings.append(f"{name} is left out: {error}")
+            continue
+        paths += [images[row][0].path, *([images[row][1]] if images[row][1] is not None else [])]
+    if config.masks is not None and not any(mask is not None for _, mask in images.values()):
+        raise ConfigError(f"masks {config.masks} has no mask for any image (expected NAME.png)")
+    digests = content_digests(paths, run.root / "units" / DIGESTS, run.job.progress)
+    with suppress(EpipoleError):
+        paths = [path_inside(found.folder, model.images.name[row]) for row in images]
+    limits = common_range(paths)
+    views = []
+    for row, (image, mask) in images.items():
+        name = model.images.name[row]
+        try:
+            pinhole = pinhole_of(image.camera, config.max_size_px)
+        except EpipoleError as error:
+            warnings.append(f"{name} is left out: {error}")
+            continue
+        motion = cams_from_world[row]
+        key = digest(
+            digests[image.path],
+            "" if mask is None else digests[mask],
+            [image.orientation, str(limits), int(image.camera.model), pinhole.width, pinhole.height],
+            image.camera.params,
+            motion.as_matrix(),
+        )
+        views.append(ViewFile(name, image, pinhole, motion, mask, limits, key))
+    return views
+
+
+def _mask_of(found: ModelSource, config: SurfaceConfig, name: str) -> Path | None:
+    return found.masks.get(name) if config.masks is None else mask_of(config.masks, name)
+
+
+def _shared_points(model: Reconstruction, rows: list[int]) -> SharedPoints:
+    """Points of the model, and their observations in these images."""
+    view_of_image = np.full(len(model.images), -1, np.int64)
+    view_of_image[rows] = np.arange(len(rows))
+    view = view_of_image[model.tracks.image]
+    point = model.tracks.point_of_observation().astype(np.int64)
+    used = (view >= 0) & np.isfinite(model.points.xyz_in_world[point]).all(axis=1)
+    return SharedPoints(model.points.xyz_in_world, view[used], point[used])
+
+
+def _depths_of(view: ViewFile, points: SharedPoints, k: int) -> tuple[float, float] | None:
+    seen = points.point_of_observation[points.view_of_observation == k]
+    return depth_range(view.cam_from_world.apply(points.points_in_world[seen])[:, 2])

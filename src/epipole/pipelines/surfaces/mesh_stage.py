@@ -1,0 +1,96 @@
+"""Third stage: the mesh of all depths."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from epipole.dense.volume import SparseVolume, blocks_of_depth, blocks_of_keys
+from epipole.errors import ConfigError
+from epipole.pipelines.surfaces.cloud_stage import confirmed_depth
+from epipole.pipelines.surfaces.config import SurfaceConfig
+from epipole.pipelines.surfaces.inputs import SurfaceInputs
+from epipole.runs import Run, Unit
+from epipole.scene import Mesh
+from epipole.scene.view_depth import ViewDepth
+
+PIXELS_PER_VOXEL = 2.5
+"""Side of a voxel, in pixels at the median depth of all views."""
+USUAL_BLOCKS = 100_000
+"""Blocks of 512 voxels at which the voxels become larger."""
+MOST_PIXEL_VOXELS = 1.5
+"""Largest pixel, in voxels, that the mesh uses: farther surfaces are only in the cloud."""
+
+
+def mesh_of(
+    inputs: SurfaceInputs,
+    depths: Mapping[int, Unit],
+    clouds: Mapping[int, Unit],
+    config: SurfaceConfig,
+    run: Run,
+) -> tuple[Mesh, float]:
+    """The surface, and the side of its voxels.
+
+    Raises:
+        DegenerateGeometryError: there is no surface.
+        ConfigError: the voxels are too small for the scene.
+    """
+    views = list(depths)
+    voxel = config.voxel or PIXELS_PER_VOXEL * _median_pixel(inputs, depths, clouds)
+    keys = _blocks(inputs, depths, clouds, voxel)
+    while config.voxel is None and len(keys) > USUAL_BLOCKS:
+        voxel *= max(1.05, float(np.sqrt(len(keys) / USUAL_BLOCKS)))
+        keys = _blocks(inputs, depths, clouds, voxel)
+    if not len(keys):
+        raise ConfigError("no depth is fine enough for these voxels: pass larger ones (--voxel)")
+    volume = SparseVolume(blocks_of_keys(keys), voxel)
+    for n, k in enumerate(views):
+        run.report("mesh", n, len(views) + 1)
+        view = inputs.views[k]
+        volume.add(view.pinhole, view.cam_from_world, _fine_depth(inputs, depths, clouds, k, voxel))
+    run.report("mesh", len(views), len(views) + 1)
+    mesh = volume.mesh().without_small_components(config.min_component)
+    run.report("mesh", len(views) + 1, len(views) + 1)
+    return mesh, voxel
+
+
+def _median_pixel(inputs: SurfaceInputs, depths: Mapping[int, Unit], clouds: Mapping[int, Unit]) -> float:
+    """Side of a pixel at the median depth, in units of the model; the median over all views."""
+    sides = []
+    for k in depths:
+        depth = confirmed_depth(depths[k], clouds[k]).depth
+        if (depth > 0).any():
+            sides.append(float(np.nanmedian(depth)) / inputs.views[k].pinhole.focal_px)
+    if not sides:
+        raise ConfigError("no pixel has a depth that other images confirm, so there is no surface")
+    return float(np.median(sides))
+
+
+def _fine_depth(
+    inputs: SurfaceInputs, depths: Mapping[int, Unit], clouds: Mapping[int, Unit], k: int, voxel: float
+) -> ViewDepth:
+    """Confirmed depth of a view, without pixels that are larger than the voxels."""
+    found = confirmed_depth(depths[k], clouds[k])
+    farthest = np.float32(MOST_PIXEL_VOXELS * voxel * inputs.views[k].pinhole.focal_px)
+    near = np.where(found.depth <= farthest, found.depth, np.float32(np.nan))
+    return ViewDepth(near, found.sigma, found.reason, found.num_agreeing)
+
+
+def _blocks(
+    inputs: SurfaceInputs, depths: Mapping[int, Unit], clouds: Mapping[int, Unit], voxel: float
+) -> np.ndarray:
+    """Sorted keys of all blocks near the surface."""
+    keys = np.empty(0, np.int64)
+    for k in depths:
+        view, depth = inputs.views[k], _fine_depth(inputs, depths, clouds, k, voxel)
+        keys = np.union1d(keys, blocks_of_depth(view.pinhole, view.cam_from_world, depth, voxel))
+    return keys
+
+
+def first_view(inputs: SurfaceInputs, mesh: Mesh) -> np.ndarray:
+    """Position of the middle camera, the point of its axis at the distance of the mesh, and up; rows of (3, 3)."""
+    view = inputs.views[inputs.usable[len(inputs.usable) // 2]]
+    position, (_, down, ahead) = view.cam_from_world.centers(), view.cam_from_world.rotation
+    distance = float(np.median((mesh.vertices_in_world - position) @ ahead))
+    return np.stack([position, position + max(distance, 1e-6) * ahead, -down])

@@ -1,0 +1,19 @@
+"""Options that the jobs take by keyword, for editors and type checkers. Written by `tests/option_types.py`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, TypedDict
+
+
+class SurfaceKeywords(TypedDict, total=False):
+    """Fields of `SurfaceConfig`, each optional."""
+
+    until: Literal["depth", "cloud", "mesh"]
+    max_size_px: int
+    sources: int
+    images: str | Path | None
+    masks: str | Path | None
+    voxel: float | None
+    min_component: float
+    threads: int | None

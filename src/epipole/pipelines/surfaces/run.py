@@ -1,0 +1,128 @@
+"""The job `surface`: images in; depth of each view, a cloud and a mesh out."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Unpack
+
+from epipole._checks import as_path
+from epipole.config import options_of
+from epipole.errors import FileFormatError
+from epipole.io.files import missing_in_words
+from epipole.io.meshes.cloud_ply import write_cloud_ply
+from epipole.io.meshes.mesh_ply import write_mesh_ply
+from epipole.pipelines.surfaces.cloud_stage import cloud_units, read_points
+from epipole.pipelines.surfaces.config import STAGES, SurfaceConfig
+from epipole.pipelines.surfaces.depth_stage import depth_units
+from epipole.pipelines.surfaces.inputs import SurfaceInputs, surface_inputs
+from epipole.pipelines.surfaces.mesh_stage import first_view, mesh_of
+from epipole.pipelines.surfaces.options import SurfaceKeywords
+from epipole.pipelines.surfaces.results import DepthFigures, depth_figures, summary_of
+from epipole.runs import Job, ProgressCallback, Run, Unit, ignore_progress, open_run
+from epipole.scene import Mesh
+from epipole.scene.notebook import table_html
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceResult:
+    """Result of `surface`, whose arrays are in the files of the output folder."""
+
+    out: Path
+    mesh: Mesh | None
+    """None if it ended before the mesh."""
+    summary: dict[str, Any]
+    """As in `summary.json`."""
+    warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"SurfaceResult({self.summary.get('num_points', 0):,} points in {self.out})"
+
+    def _repr_html_(self) -> str:
+        rows = {name: self.summary.get(name) for name in ("num_views", "num_points", "num_faces")}
+        return table_html("SurfaceResult", rows | {"warnings": len(self.warnings), "folder": self.out})
+
+
+def surface(
+    source: str | Path,
+    out: str | Path,
+    config: SurfaceConfig | None = None,
+    progress: ProgressCallback = ignore_progress,
+    **options: Unpack[SurfaceKeywords],
+) -> SurfaceResult:
+    """Reconstruct surfaces: depth of each image, a cloud of all, and a mesh.
+
+    Called again with the same options, an interrupted run continues with the images that are left.
+
+    Args:
+        source: a folder of photographs or a video, which is reconstructed first (`OUT/sfm`); an output folder of `reconstruct`; a COLMAP
+            model with its images; or a transforms.json.
+        out: output folder: `cloud.ply`, `mesh.ply`, `report.html`.
+        config: options; None for the defaults.
+        progress: called with the progress of each stage.
+        **options: single options by name, which override `config`: `until="cloud"`.
+
+    Raises:
+        NoModelError: the images cannot be reconstructed, or no two of them share points.
+        ConfigError: an option is unknown or invalid.
+        DegenerateGeometryError: no surface was seen by enough images.
+        FileFormatError: the source cannot be read.
+        WorkspaceError: the output folder cannot be used, or the disk is full.
+    """
+    wanted = options_of(SurfaceConfig, config, options, ["config", "progress"])
+    source, target = as_path(source), as_path(out)
+    if not source.exists():
+        raise FileFormatError(source, missing_in_words(source))
+    settings = {"config": {name: value for name, value in asdict(wanted).items() if name != "threads"}}
+    job = Job(kind="surface", inputs=(source,), settings=settings, threads=wanted.threads, progress=progress)
+    with open_run(job, target) as run:
+        with run.stage("read"):
+            inputs = surface_inputs(source, run, wanted)
+        run.warnings += inputs.warnings
+        for warning in inputs.warnings:
+            run.report("read", 0, 1, warning)
+        return _surface_of(inputs, wanted, run)
+
+
+def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> SurfaceResult:
+    last = STAGES.index(config.until)
+    units = run.root / "units"
+    with run.stage("depth"):
+        depths = depth_units(inputs, units / "depth")
+        run.do(list(depths.values()), "depth")
+        figures = depth_figures(inputs, depths)
+    facts: dict[str, Any] = {}
+    clouds, mesh = dict[int, Unit](), None
+    if last >= STAGES.index("cloud"):
+        with run.stage("cloud"):
+            clouds = cloud_units(inputs, depths, units / "cloud")
+            run.do(list(clouds.values()), "cloud")
+            facts |= _write_cloud(clouds, run)
+    if last >= STAGES.index("mesh"):
+        with run.stage("mesh"):
+            mesh, voxel = mesh_of(inputs, depths, clouds, config, run)
+            facts |= {"num_faces": len(mesh), "num_vertices": len(mesh.vertices_in_world), "voxel": voxel}
+            with run.folder.publish("mesh") as aside:
+                view = first_view(inputs, mesh)
+                write_mesh_ply(aside / "mesh.ply", mesh.vertices_in_world, mesh.faces, mesh.rgb, view)
+    return _finished(inputs, figures, facts, mesh, run)
+
+
+def _write_cloud(clouds: dict[int, Unit], run: Run) -> dict[str, Any]:
+    """Write `cloud.ply`; returns the number of points."""
+    row = list(clouds.values())
+    count = sum(len(points) for points in read_points(row))
+    with run.folder.publish("cloud") as aside:
+        columns = (
+            (points.points_in_world, points.normals, points.rgb, points.sigma) for points in read_points(row)
+        )
+        write_cloud_ply(aside / "cloud.ply", columns, count)
+    return {"num_points": count}
+
+
+def _finished(
+    inputs: SurfaceInputs, figures: DepthFigures, facts: dict[str, Any], mesh: Mesh | None, run: Run
+) -> SurfaceResult:
+    summary = summary_of(inputs, figures, facts, run)
+    run.finish(summary)
+    return SurfaceResult(run.root, mesh, summary, tuple(run.warnings))

@@ -1,0 +1,87 @@
+"""The views of a model as files, read when they are needed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.dense.view import DenseView
+from epipole.geometry import Rigid3
+from epipole.image import undistort_image, undistorted_camera
+from epipole.io.images.photographs import GrayRange, read_mask_file
+from epipole.io.images.rgba import read_rgba
+from epipole.io.models.images import ModelImage
+
+CACHED_VIEWS = 24
+"""Views kept in memory: neighbors share most of their sources."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewFile:
+    """An image of a model, its camera before and after undistortion, and its pose."""
+
+    name: str
+    image: ModelImage
+    pinhole: Camera
+    """Camera of the undistorted view at working size."""
+    cam_from_world: Rigid3
+    mask: Path | None
+    limits: GrayRange | None
+    fingerprint: str
+    """Digest of everything that the view depends on."""
+
+
+def pinhole_of(camera: Camera, max_size_px: int) -> Camera:
+    """Undistorted camera with at most `max_size_px` on its longer side.
+
+    Raises:
+        DegenerateGeometryError: the camera's distortion is invalid over almost all of its image.
+    """
+    full = undistorted_camera(camera)
+    factor = max(full.width, full.height) / max_size_px
+    if factor <= 1.0:
+        return full
+    return full.scaled_to(max(1, round(full.width / factor)), max(1, round(full.height / factor)))
+
+
+@lru_cache(maxsize=CACHED_VIEWS)
+def read_view(file: ViewFile) -> DenseView:
+    """Read and undistort a view; the last ones stay in memory.
+
+    Raises:
+        FileFormatError: the image or its mask cannot be read.
+    """
+    rgba = read_rgba(file.image.path, orientation=file.image.orientation)
+    rgb = file.image.read(limits=file.limits) if rgba is None else np.ascontiguousarray(rgba[..., :3])
+    used = None
+    if file.mask is not None:
+        used = read_mask_file(file.mask, file.name, size=(rgb.shape[1], rgb.shape[0]))
+    if rgba is not None and not (rgba[..., 3] == 255).all():
+        opaque = rgba[..., 3] == 255
+        used = opaque if used is None else used & opaque
+    return DenseView(
+        file.name,
+        _shrunk(rgb, file),
+        file.pinhole,
+        file.cam_from_world,
+        None
+        if used is None
+        else _shrunk(np.repeat(used[..., None], 3, axis=2) * np.uint8(255), file)[..., 0] == 255,
+    )
+
+
+def _shrunk(rgb: np.ndarray, file: ViewFile) -> np.ndarray:
+    """The image undistorted at full size, then averaged to the working size."""
+    full = undistorted_camera(file.image.camera)
+    flat = undistort_image(rgb, file.image.camera, full)
+    size = file.pinhole.width, file.pinhole.height
+    return (
+        flat
+        if size == (full.width, full.height)
+        else np.asarray(cv2.resize(flat, size, interpolation=cv2.INTER_AREA))
+    )

@@ -1,0 +1,98 @@
+"""A model of any format with the folder of its images."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from epipole._checks import check_fields, checked
+from epipole.errors import FileFormatError
+from epipole.io.colmap.model import find_model, read_colmap_model
+from epipole.io.models.llff import LLFF, read_llff
+from epipole.io.models.transforms import read_transforms_scene
+from epipole.io.names import path_inside
+from epipole.runs.folder import has_own_model
+from epipole.scene import Reconstruction
+
+SPLITS = ("transforms_train.json", "transforms_test.json")
+"""Splits of NeRF-synthetic scenes; the validation split is not used."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelSource:
+    """A model and its images."""
+
+    model: Reconstruction
+    folder: Path
+    """Folder that image names are relative to."""
+    is_own: bool = False
+    """Whether epipole made the model, so that it describes upright images."""
+    masks: Mapping[str, Path] = field(default_factory=dict)
+    """Masks by image name."""
+    splits: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Image names of the splits train, val and test."""
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the fields.
+
+        Raises:
+            ConfigError: a field has the wrong type.
+        """
+        check_fields(self)
+
+
+@checked
+def is_model(source: Path) -> bool:
+    """Whether a source has cameras; otherwise it is a folder of photographs or a video."""
+    if source.suffix == ".json":
+        return True
+    if any((source / name).is_file() for name in (SPLITS[0], "transforms.json", LLFF)):
+        return True
+    try:
+        find_model(source)
+    except FileFormatError:
+        return False
+    return True
+
+
+@checked
+def model_source_of(source: Path, max_side_px: int, photographs: Path | None = None) -> ModelSource:
+    """Read a model of any format.
+
+    Args:
+        source: an output folder of `reconstruct`, a COLMAP model with `images` next to it, a transforms.json, or a folder with one or with
+            LLFF's poses_bounds.npy.
+        max_side_px: longer side at which the images will be used: LLFF has images of several sizes.
+        photographs: folder of the images, if not next to the model.
+
+    Raises:
+        FileFormatError: there is none, or it is damaged.
+    """
+    file = source if source.suffix == ".json" else source / "transforms.json"
+    if (source / LLFF).is_file():
+        scene = read_llff(source, max_side_px)
+        found = ModelSource(scene.reconstruction, scene.image_folder)
+    elif file.is_file():
+        found = transforms_source(file)
+    else:
+        folder = find_model(source)
+        at = folder.resolve()
+        positions = (source, folder, at.parent, at.parent.parent)
+        workspace = next((position for position in positions if (position / "images").is_dir()), source)
+        found = ModelSource(read_colmap_model(folder), workspace / "images", has_own_model(workspace))
+    return found if photographs is None else replace(found, folder=photographs)
+
+
+@checked
+def transforms_source(file: Path) -> ModelSource:
+    """Read a transforms.json with its masks and splits.
+
+    Raises:
+        FileFormatError: it is damaged.
+    """
+    scene = read_transforms_scene(file, image_folder="")
+    masks = {name: path_inside(file.parent, mask) for name, mask in scene.masks.items()}
+    warnings = tuple(f"{file.name}: {warning}" for warning in scene.warnings)
+    return ModelSource(scene.reconstruction, file.parent, False, masks, scene.splits, warnings)
