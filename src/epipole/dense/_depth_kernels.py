@@ -58,21 +58,23 @@ def sample_pair(geometry, found, limits, start, stop, out):
 
 
 @kernel
-def merge_rows(inverse, spread, why, options, start, stop, out):
+def merge_rows(inverse, spread, why, views, options, start, stop, out):
     """Combine the inverse depths (n, h, w) of rows start..stop by agreement.
 
     Two sources agree if they differ by at most `width` times their combined standard deviation, or by the fraction `floor`. The largest
     group that agrees with one source gives the weighted mean, the standard deviation of independent errors, and the chi-square of the
-    group. options = (width, floor), out = (inverse depth, sigma, chi-square, number agreeing, number differing, reason).
+    group. options = (width, floor), out = (inverse depth, sigma, chi-square, number agreeing, number differing, number of sources in whose
+    image the point is, reason). views = (K of the reference (fx, fy, cx, cy), R (n, 9), t (n, 3), K (n, 4), size (n, 2)) of the sources.
     """
     width, floor = options
-    merged, sigma, chi_square, agreeing, differing, reason = out
+    merged, sigma, chi_square, agreeing, differing, seeing, reason = out
     count = inverse.shape[0]
     nan = np.float32(np.nan)
     for v in range(start, stop):
         for u in range(inverse.shape[2]):
             best, best_weight = -1, 0.0
             num = 0
+            seeing[v, u] = 0
             for i in range(count):
                 q = inverse[i, v, u]
                 if not np.isfinite(q):
@@ -108,6 +110,23 @@ def merge_rows(inverse, spread, why, options, start, stop, out):
                     chi += ((p - mean) / spread[j, v, u]) ** 2
             merged[v, u], sigma[v, u], chi_square[v, u] = mean, 1.0 / np.sqrt(total), chi
             agreeing[v, u], differing[v, u], reason[v, u] = number, num - number, OK
+            seeing[v, u] = _num_in_view(views, u, v, mean)
+
+
+@kernel
+def _num_in_view(views, u, v, q):
+    """Number of sources in whose image the point at inverse depth q of pixel (u, v) is."""
+    k, r, t, ks, size = views
+    x, y = (u - k[2]) / k[0], (v - k[3]) / k[1]
+    number = 0
+    for i in range(len(r)):
+        z = r[i, 6] * x + r[i, 7] * y + r[i, 8] + t[i, 2] * q
+        if not z > 0.0:
+            continue
+        column = ks[i, 0] * (r[i, 0] * x + r[i, 1] * y + r[i, 2] + t[i, 0] * q) / z + ks[i, 2]
+        row = ks[i, 1] * (r[i, 3] * x + r[i, 4] * y + r[i, 5] + t[i, 1] * q) / z + ks[i, 3]
+        number += column > -0.5 and row > -0.5 and column < size[i, 0] - 0.5 and row < size[i, 1] - 0.5
+    return number
 
 
 @kernel

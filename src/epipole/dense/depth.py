@@ -15,7 +15,7 @@ from epipole import _parallel
 from epipole._checks import checked
 from epipole.dense import _depth_kernels as kernels
 from epipole.dense.pair_rectification import RectifiedPair, rectify_views
-from epipole.dense.view import DenseView
+from epipole.dense.view import DenseView, intrinsics_of
 from epipole.disparity_search.config import DisparityConfig
 from epipole.disparity_search.search import match_stereo
 from epipole.errors import ConfigError, DegenerateGeometryError
@@ -30,7 +30,7 @@ PRIOR = 4.0
 MEDIAN_CHI_SQUARE, LEAST_PIXELS, SCALES = 0.77, 1000, (0.05, 20.0)
 """Median of chi-square per degree of freedom (3 of them); fewest pixels; smallest and largest variance, relative to the pair's."""
 LEAST_AGREEING = 2
-"""Sources that must agree, if a view has as many."""
+"""Sources that must agree, unless only one has the pixel in its image."""
 MOST_SIGMA = 0.02
 """Largest standard deviation, relative to the depth."""
 LEAST_CHANGE, BLANK_PX, FLAT_PX = 6, 25, 5
@@ -77,15 +77,14 @@ def view_depth(
     shape = (max(len(sources), 1), height, width)
     inverse, sigma = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
     reason = np.full(shape, DepthReason.OUT_OF_VIEW, np.uint8)
-    gray, num_used = _gray(reference), 0
+    gray = _gray(reference)
     for k, source in enumerate(sources):
         try:
             pair = rectify_views(reference, source, depths)
         except DegenerateGeometryError:
             continue
-        num_used += 1
         _match(pair, gray, source, reference, model_sigma_px, (inverse[k], sigma[k], reason[k]))
-    return _combined(reference, inverse, sigma, reason, min(LEAST_AGREEING, max(num_used, 1)))
+    return _combined(reference, sources, inverse, sigma, reason)
 
 
 def _gray(view: DenseView) -> np.ndarray:
@@ -106,12 +105,11 @@ def _match(
     why = found.reason
     if source.used_mask is not None:
         why = np.where(_is_masked(pair, source.used_mask, found.disparity_px), DepthReason.OCCLUDED, why)
-    K = reference.camera.K
     geometry = (
         np.linalg.inv(pair.reference_from_rectified).ravel(),
         pair.inverse_depth_of_ray,
         pair.first_disparity_px,
-        np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]),
+        intrinsics_of(reference.camera),
     )
     arrays = found.disparity_px, found.sigma_px, np.ascontiguousarray(why, np.uint8)
     _by_rows(
@@ -137,19 +135,26 @@ def _is_masked(pair: RectifiedPair, used: np.ndarray, disparity: np.ndarray) -> 
 
 
 def _combined(
-    reference: DenseView, inverse: np.ndarray, sigma: np.ndarray, reason: np.ndarray, least: int
+    reference: DenseView,
+    sources: Sequence[DenseView],
+    inverse: np.ndarray,
+    sigma: np.ndarray,
+    reason: np.ndarray,
 ) -> ViewDepth:
     """Depth where enough sources agree, with its standard deviation, and reasons elsewhere."""
     height, width = inverse.shape[1:]
     q, spread, chi = (np.empty((height, width), np.float32) for _ in range(3))
-    agreeing, differing, why = (np.empty((height, width), np.uint8) for _ in range(3))
-    out, options = (q, spread, chi, agreeing, differing, why), (AGREEING_SIGMAS, AGREEING_FRACTION)
+    agreeing, differing, seeing, why = (np.empty((height, width), np.uint8) for _ in range(4))
+    views = _views_of(reference, sources)
+    out, options = (q, spread, chi, agreeing, differing, seeing, why), (AGREEING_SIGMAS, AGREEING_FRACTION)
     _by_rows(
-        height, lambda start, stop, _: kernels.merge_rows(inverse, sigma, reason, options, start, stop, out)
+        height,
+        lambda start, stop, _: kernels.merge_rows(inverse, sigma, reason, views, options, start, stop, out),
     )
     spread *= _scale_of_sigma(chi, agreeing)
     found = why == DepthReason.OK
-    why[found & ((agreeing < least) | (differing > agreeing))] = DepthReason.DISAGREEING
+    few = agreeing < np.minimum(LEAST_AGREEING, seeing)
+    why[found & (few | (differing > agreeing))] = DepthReason.DISAGREEING
     why[(why == DepthReason.OK) & (spread > MOST_SIGMA * q)] = DepthReason.UNCERTAIN
     why[(why == DepthReason.OK) & _is_blank(_gray(reference))] = DepthReason.TEXTURELESS
     if reference.used_mask is not None:
@@ -158,6 +163,21 @@ def _combined(
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = np.where(known, 1.0 / q, nan).astype(np.float32)
         return ViewDepth(depth, np.where(known, spread * depth * depth, nan), why, agreeing)
+
+
+def _views_of(reference: DenseView, sources: Sequence[DenseView]) -> tuple[np.ndarray, ...]:
+    """Intrinsics of the reference; motions to the sources, their intrinsics and sizes."""
+    world_from_reference = reference.cam_from_world.inverse()
+    motions = [source.cam_from_world @ world_from_reference for source in sources]
+    return (
+        intrinsics_of(reference.camera),
+        np.array([motion.rotation.ravel() for motion in motions]).reshape(-1, 9),
+        np.array([motion.translation for motion in motions]).reshape(-1, 3),
+        np.array([intrinsics_of(source.camera) for source in sources]).reshape(-1, 4),
+        np.array([[source.camera.width, source.camera.height] for source in sources], np.float64).reshape(
+            -1, 2
+        ),
+    )
 
 
 def _is_blank(gray: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float32, Float64, UInt8
 from epipole import _parallel
 from epipole._checks import Declared, check_fields, checked
 from epipole.dense import _fusion_kernels as kernels
-from epipole.dense.view import DenseView
+from epipole.dense.view import DenseView, intrinsics_of
 from epipole.errors import ShapeError
 from epipole.scene.view_depth import ViewDepth
 
@@ -96,8 +96,8 @@ def _compare(
 ) -> None:
     """Add what another view says about the depth of a view."""
     motion = other.cam_from_world @ view.cam_from_world.inverse()
-    own = depth.depth, depth.sigma, _intrinsics(view), view.name < other.name
-    there = seen.depth, seen.sigma, other.rgb, _intrinsics(other)
+    own = depth.depth, depth.sigma, intrinsics_of(view.camera), view.name < other.name
+    there = seen.depth, seen.sigma, other.rgb, intrinsics_of(other.camera)
     matrix, limits = (motion.rotation.ravel(), motion.translation), (AGREEING_SIGMAS, AGREEING_FRACTION)
     _by_rows(
         len(depth.depth),
@@ -108,7 +108,7 @@ def _compare(
 def _points(
     view: DenseView, depth: ViewDepth, chosen: np.ndarray, sums: np.ndarray, agreeing: np.ndarray
 ) -> DensePoints:
-    k, (row, column) = _intrinsics(view), np.nonzero(chosen)
+    k, (row, column) = intrinsics_of(view.camera), np.nonzero(chosen)
     z, relative = depth.depth[chosen].astype(np.float64), depth.sigma[chosen] / depth.depth[chosen]
     weight = 1.0 / relative.astype(np.float64) ** 2
     total = weight + sums[chosen, 0]
@@ -131,11 +131,6 @@ def _points(
         np.rint(rgb).astype(np.uint8),
         sigma.astype(np.float32),
     )
-
-
-def _intrinsics(view: DenseView) -> np.ndarray:
-    K = view.camera.K
-    return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
 
 
 def _check_size(view: DenseView, depth: ViewDepth) -> None:

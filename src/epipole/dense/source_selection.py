@@ -19,8 +19,8 @@ LEAST_POINTS, LEAST_SCORE = 12, 2.0
 """Fewest common points of a source, and the smallest sum of their scores."""
 SAME_SIDE = 0.4
 """Part of the score that a view loses that is on the same side as a chosen one: it has the same occlusions."""
-RANGE_QUANTILE, RANGE_MARGIN = 0.01, 0.25
-"""Quantile of inverse depths that bounds the range of a view, and its margin relative to the range."""
+RANGE_QUANTILE, NEAR_MARGIN, FAR_MARGIN = 0.01, 0.3, 0.6
+"""Quantile of inverse depths that bounds the range of a view, and the margins relative to the range."""
 MOST_FAR = 20.0
 """Largest ratio of the farthest depth to that of the farthest point."""
 
@@ -135,5 +135,7 @@ def depth_range(depths: Float64[np.ndarray, " n"]) -> tuple[float, float] | None
     if not len(positive):
         return None
     low, high = np.quantile(1.0 / positive, [RANGE_QUANTILE, 1.0 - RANGE_QUANTILE])
-    margin = max(RANGE_MARGIN * (high - low), 0.05 * high)
-    return float(1.0 / (high + margin)), float(1.0 / max(low - margin, low / MOST_FAR))
+    spread = max(high - low, 0.2 * high)
+    return float(1.0 / (high + NEAR_MARGIN * spread)), float(
+        1.0 / max(low - FAR_MARGIN * spread, low / MOST_FAR)
+    )

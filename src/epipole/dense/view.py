@@ -44,3 +44,9 @@ class DenseView(Declared):
 
     def __repr__(self) -> str:
         return f"DenseView({self.name!r}, {self.camera.width} x {self.camera.height})"
+
+
+def intrinsics_of(camera: Camera) -> np.ndarray:
+    """(fx, fy, cx, cy) of a pinhole camera."""
+    K = camera.K
+    return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])

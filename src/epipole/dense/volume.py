@@ -14,6 +14,7 @@ from epipole import _parallel
 from epipole._checks import checked
 from epipole.cameras import Camera
 from epipole.dense import _volume_kernels as kernels
+from epipole.dense.view import intrinsics_of
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.scene import Mesh
@@ -63,7 +64,7 @@ class SparseVolume:
         """
         if depth.depth.shape != (camera.height, camera.width):
             raise ShapeError("depth and camera have different sizes")
-        view = cam_from_world.rotation.ravel(), cam_from_world.translation, _intrinsics(camera)
+        view = cam_from_world.rotation.ravel(), cam_from_world.translation, intrinsics_of(camera)
         given = depth.depth, depth.sigma, view, self.blocks, self.voxel, BAND * self.voxel
         _parallel.map_chunks(
             lambda a, b, _: kernels.integrate(*given, a, b, self.distance, self.weight),
@@ -124,7 +125,7 @@ def blocks_of_depth(
         ConfigError: the scene is too large for the voxels.
     """
     world_from_cam = cam_from_world.inverse()
-    view = world_from_cam.rotation.ravel(), world_from_cam.translation, _intrinsics(camera)
+    view = world_from_cam.rotation.ravel(), world_from_cam.translation, intrinsics_of(camera)
     side = kernels.SIDE * voxel
     farthest = float(np.nanmax(depth.depth, initial=0.0)) * 4.0 + np.abs(view[1]).max()
     if not farthest < 0.5 * kernels.OFFSET * side:
@@ -165,8 +166,3 @@ def neighbors_of(blocks: Int64[np.ndarray, "b 3"], step: int) -> Int64[np.ndarra
 def _keys(blocks: np.ndarray) -> np.ndarray:
     x, y, z = (blocks + kernels.OFFSET).T
     return np.asarray((x << 42) | (y << 21) | z)
-
-
-def _intrinsics(camera: Camera) -> np.ndarray:
-    K = camera.K
-    return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])

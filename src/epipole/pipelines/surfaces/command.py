@@ -19,6 +19,7 @@ WORDS = {
     "depth": "Matching each view",
     "cloud": "Fusing points",
     "mesh": "Building the mesh",
+    "texture": "Texturing the mesh",
 }
 
 
@@ -27,12 +28,12 @@ def surface(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     config: Annotated[SurfaceConfig, tyro.conf.arg(name="")] = DEFAULTS,
 ) -> None:
-    """Reconstruct surfaces from images, without a GPU: depth with an error bar, a dense cloud and a mesh.
+    """Reconstruct surfaces from images, without a GPU: depth with an error bar, a dense cloud and a textured mesh.
 
     Args:
         source: Photographs or a video (reconstructed first), an output folder of `reconstruct`, a COLMAP model with its
             images, or a transforms.json.
-        out: Output folder: cloud.ply, mesh.ply, report.html.
+        out: Output folder: cloud.ply, mesh.ply, textured.glb, report.html.
         config: Options.
     """
     from epipole.screen import progress_on_screen
@@ -64,6 +65,10 @@ def _show(result: SurfaceResult) -> None:
     if "num_faces" in summary:
         table.add_row("mesh", f"{summary['num_faces']:,} triangles")
         files["mesh"] = result.out / "mesh.ply"
+    if "texture_size_px" in summary:
+        width, height = summary["texture_size_px"]
+        table.add_row("texture", f"{width} x {height} pixels")
+        files["textured"] = result.out / "textured.glb"
     table.add_row("time", f"{summary['seconds']:.1f} s")
     console.print(table)
     print_warnings(console, result.warnings)

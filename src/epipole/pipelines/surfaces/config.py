@@ -9,15 +9,16 @@ from typing import Literal
 from epipole._checks import check_options
 from epipole.errors import ConfigError
 
-STAGES = ("depth", "cloud", "mesh")
+STAGES = ("depth", "cloud", "mesh", "texture")
+FORMATS = ("glb", "obj")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceConfig:
     """Options of `epipole surface`; the defaults suit objects, rooms and facades."""
 
-    until: Literal["depth", "cloud", "mesh"] = "mesh"
-    """Last stage: depth of each view, fused cloud, or mesh."""
+    until: Literal["depth", "cloud", "mesh", "texture"] = "texture"
+    """Last stage: depth of each view, fused cloud, mesh, or its texture."""
     max_size_px: int = 1600
     """Longer side at which images are matched; larger ones are downscaled."""
     sources: int = 5
@@ -30,6 +31,10 @@ class SurfaceConfig:
     """Side of a voxel of the mesh. Default: from the resolution of the views."""
     min_component: float = 0.02
     """Remove parts of the mesh with fewer triangles than this fraction of the largest."""
+    texture_px: int = 4096
+    """Width of the texture, and its largest height."""
+    formats: tuple[Literal["glb", "obj"], ...] = ("glb",)
+    """Formats of the textured mesh."""
     threads: int | None = None
     """Number of threads. Default: all cores."""
 
@@ -48,5 +53,9 @@ class SurfaceConfig:
             raise ConfigError(f"voxel must be positive, got {self.voxel}")
         if not 0 <= self.min_component <= 1:
             raise ConfigError(f"min_component must be from 0 to 1, got {self.min_component}")
+        if not 256 <= self.texture_px <= 16384:
+            raise ConfigError(f"texture_px must be from 256 to 16384, got {self.texture_px}")
+        if not self.formats:
+            raise ConfigError("formats must name at least one format of the textured mesh")
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, got {self.threads}")

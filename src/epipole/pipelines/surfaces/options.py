@@ -9,11 +9,13 @@ from typing import Literal, TypedDict
 class SurfaceKeywords(TypedDict, total=False):
     """Fields of `SurfaceConfig`, each optional."""
 
-    until: Literal["depth", "cloud", "mesh"]
+    until: Literal["depth", "cloud", "mesh", "texture"]
     max_size_px: int
     sources: int
     images: str | Path | None
     masks: str | Path | None
     voxel: float | None
     min_component: float
+    texture_px: int
+    formats: tuple[Literal["glb", "obj"], ...]
     threads: int | None

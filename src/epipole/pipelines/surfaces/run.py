@@ -19,6 +19,7 @@ from epipole.pipelines.surfaces.inputs import SurfaceInputs, surface_inputs
 from epipole.pipelines.surfaces.mesh_stage import first_view, mesh_of
 from epipole.pipelines.surfaces.options import SurfaceKeywords
 from epipole.pipelines.surfaces.results import DepthFigures, depth_figures, summary_of
+from epipole.pipelines.surfaces.texture_stage import texture_of, up_of, write_textured
 from epipole.runs import Job, ProgressCallback, Run, Unit, ignore_progress, open_run
 from epipole.scene import Mesh
 from epipole.scene.notebook import table_html
@@ -105,6 +106,12 @@ def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> Surfa
             with run.folder.publish("mesh") as aside:
                 view = first_view(inputs, mesh)
                 write_mesh_ply(aside / "mesh.ply", mesh.vertices_in_world, mesh.faces, mesh.rgb, view)
+    if mesh is not None and last >= STAGES.index("texture"):
+        with run.stage("texture"):
+            textured = texture_of(mesh, inputs, depths, clouds, config, run)
+            with run.folder.publish("texture") as aside:
+                write_textured(aside, textured, up_of(inputs), config)
+            facts["texture_size_px"] = [textured.textures[0].shape[1], textured.textures[0].shape[0]]
     return _finished(inputs, figures, facts, mesh, run)
 
 

@@ -56,6 +56,24 @@ def read_view(file: ViewFile) -> DenseView:
     Raises:
         FileFormatError: the image or its mask cannot be read.
     """
+    rgb, used = _pixels_and_mask(file)
+    if used is not None:
+        used = _shrunk(np.repeat(used[..., None], 3, axis=2) * np.uint8(255), file)[..., 0] == 255
+    return DenseView(file.name, _shrunk(rgb, file), file.pinhole, file.cam_from_world, used)
+
+
+def read_full(file: ViewFile) -> np.ndarray:
+    """The undistorted image at full size.
+
+    Raises:
+        FileFormatError: the image cannot be read.
+    """
+    image = file.image.read(limits=file.limits)
+    return undistort_image(image, file.image.camera, undistorted_camera(file.image.camera))
+
+
+def _pixels_and_mask(file: ViewFile) -> tuple[np.ndarray, np.ndarray | None]:
+    """RGB, and the mask of pixels that are used; transparent ones are not."""
     rgba = read_rgba(file.image.path, orientation=file.image.orientation)
     rgb = file.image.read(limits=file.limits) if rgba is None else np.ascontiguousarray(rgba[..., :3])
     used = None
@@ -64,15 +82,7 @@ def read_view(file: ViewFile) -> DenseView:
     if rgba is not None and not (rgba[..., 3] == 255).all():
         opaque = rgba[..., 3] == 255
         used = opaque if used is None else used & opaque
-    return DenseView(
-        file.name,
-        _shrunk(rgb, file),
-        file.pinhole,
-        file.cam_from_world,
-        None
-        if used is None
-        else _shrunk(np.repeat(used[..., None], 3, axis=2) * np.uint8(255), file)[..., 0] == 255,
-    )
+    return rgb, used
 
 
 def _shrunk(rgb: np.ndarray, file: ViewFile) -> np.ndarray:

@@ -1,0 +1,1 @@
+"""Texture of a mesh from the images that see it."""

@@ -1,0 +1,78 @@
+"""Fourth stage: the texture of the mesh, and files that other programs open."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from epipole.dense.texturing.texture import texture_mesh
+from epipole.dense.texturing.texture_view import TextureView
+from epipole.image import undistorted_camera
+from epipole.io.meshes.gltf import write_glb
+from epipole.io.meshes.obj import write_obj
+from epipole.pipelines.surfaces.cloud_stage import confirmed_depth
+from epipole.pipelines.surfaces.config import SurfaceConfig
+from epipole.pipelines.surfaces.inputs import SurfaceInputs
+from epipole.pipelines.surfaces.view_files import ViewFile, read_full, read_view
+from epipole.runs import Run, Unit
+from epipole.scene import Mesh
+from epipole.scene.textured_mesh import TexturedMesh
+
+NAME = "textured"
+"""Of the files."""
+
+
+def texture_of(
+    mesh: Mesh,
+    inputs: SurfaceInputs,
+    depths: Mapping[int, Unit],
+    clouds: Mapping[int, Unit],
+    config: SurfaceConfig,
+    run: Run,
+) -> TexturedMesh:
+    """The mesh with a texture from all views that have a depth.
+
+    Raises:
+        ConfigError: the texture is too small for the mesh.
+        DegenerateGeometryError: no view shows the mesh.
+    """
+    views = [_texture_view(inputs.views[k], depths[k], clouds[k]) for k in depths]
+    return texture_mesh(
+        mesh, views, config.texture_px, lambda done, total: run.report("texture", done, total)
+    )
+
+
+def write_textured(folder: Path, mesh: TexturedMesh, up: np.ndarray, config: SurfaceConfig) -> None:
+    """Write the files of the requested formats.
+
+    Raises:
+        WorkspaceError: a file cannot be written.
+    """
+    if "glb" in config.formats:
+        write_glb(folder / f"{NAME}.glb", mesh, up=up)
+    if "obj" in config.formats:
+        write_obj(folder / f"{NAME}.obj", mesh)
+
+
+def up_of(inputs: SurfaceInputs) -> np.ndarray:
+    """The upward direction: +z in models of epipole, the mean upward axis of the cameras in others."""
+    if inputs.is_own:
+        return np.array([0.0, 0.0, 1.0])
+    mean = -np.mean([view.cam_from_world.rotation[1] for view in inputs.views], axis=0)
+    length = float(np.linalg.norm(mean))
+    return mean / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
+
+
+def _texture_view(view: ViewFile, depth: Unit, cloud: Unit) -> TextureView:
+    return TextureView(
+        view.name,
+        view.pinhole,
+        view.cam_from_world,
+        undistorted_camera(view.image.camera),
+        partial(read_view, view),
+        partial(read_full, view),
+        lambda: confirmed_depth(depth, cloud).depth,
+    )
