@@ -49,6 +49,7 @@ TARGETS: dict[str, tuple[Target, ...]] = {
     "localize": (folder("localize photos model OUT", "photos"),),
     "merge": (folder("merge model model2 OUT", "model"),),
     "georeference": (folder("georeference model OUT --gcp gcp_list.txt", "model"),),
+    "surface": (folder("surface model OUT --until depth", "model"),),
     "slam": (folder("slam photos OUT --camera-params 60,60,32,24 --camera-model PINHOLE", "photos"),),
     "splat": (folder("splat scene OUT --steps 2", "scene"),),
     "nerf": (folder("nerf scene OUT --steps 2", "scene"),),

@@ -298,6 +298,7 @@ AFTER_RECONSTRUCTING: dict[str, Callable[[Path], None]] = {
     "index-0": nothing,
     "georeferencing-0": surveyed,
     "localization-0": new_photographs,
+    "surfaces-0": nothing,
     "merging-0": nothing,
     "merging-1": two_models,
     "reconstruction-1": nothing,

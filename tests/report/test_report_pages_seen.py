@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from benchmarks.tasks.surfaces import prepare_scene
 
 import epipole
 from epipole import api, splat
@@ -53,13 +54,14 @@ PAGES = {
     "scene": 0,
     "localization": 0,
     "georeference": 0,
+    "surface": 0,
 }
 """Of every kind of report: the least number of texts in its charts."""
 TEMPLATES = {
     "reconstruction": ("reconstruction", "nothing-reconstructed"),
     **{
         name: (name,)
-        for name in ("slam", "stereo", "calibration", "field", "scene", "localization", "georeference")
+        for name in ("slam", "stereo", "calibration", "field", "scene", "localization", "georeference", "surface")
     },
 }
 
@@ -104,6 +106,12 @@ def georeference_page(root: Path) -> str:
     return (found.out / "report.html").read_text(encoding="utf-8")
 
 
+def surface_page(root: Path) -> str:
+    """A report of the surface of a few rendered images."""
+    scene = prepare_scene("courtyard", root, (192, 128), 5)
+    return (api.surface(scene.folder, root / "surface").out / "report.html").read_text(encoding="utf-8")
+
+
 @pytest.fixture(scope="module")
 def reports(
     tmp_path_factory: pytest.TempPathFactory, content: ReportContent, empty_content: ReportContent
@@ -124,6 +132,7 @@ def reports(
         "calibration": calibration_page.__wrapped__(),
         "localization": localization_page(content.reconstruction),
         "georeference": georeference_page(root),
+        "surface": surface_page(root),
     }
     for name, html in pages.items():
         (root / f"{name}.html").write_text(html, encoding="utf-8", errors="replace")

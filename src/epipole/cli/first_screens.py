@@ -51,6 +51,13 @@ FIRST_SCREENS = {
             "--refine-cameras --seed --threads"
         ),
     ),
+    "surface": FirstScreen(
+        (
+            "epipole surface PHOTOS OUT",
+            "epipole surface WORKSPACE OUT --until cloud",
+        ),
+        "--until --max-size-px --sources --images --masks --voxel --min-component --texture-px --formats --threads",
+    ),
     "slam": FirstScreen(
         (
             "epipole slam rgbd_dataset_freiburg1_xyz OUT",

@@ -9,7 +9,7 @@ from epipole._jit import kernel
 def compare_rows(own, other, motion, limits, start, stop, sums, counts):
     """Compare rows start..stop of a view with another view's depth.
 
-    own = (depth, sigma, K (fx, fy, cx, cy), is owner on ties), other = (depth, sigma, rgb, K), motion = (R (9), t (3)) from the view to
+    own = (depth, sigma, K (fx, fy, cx, cy), whether it contributes equal pixels), other = (depth, sigma, rgb, K), motion = (R (9), t (3)) from the view to
     the other, limits = (number of standard deviations, fraction of the depth). sums (h, w, 5) receives the sum of weights, of weighted
     depths, and of colors of agreeing views; counts (h, w, 3) the number of views that agree, that see through the point, and that agree with
     a smaller pixel, which then contributes the point.

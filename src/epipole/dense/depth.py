@@ -6,7 +6,7 @@ agreement, as by Rothermel, Wenzel, Fritsch and Haala (SURE, LC3D 2012).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
@@ -198,7 +198,7 @@ def _is_blank(gray: np.ndarray) -> np.ndarray:
 def _scale_of_sigma(chi: np.ndarray, agreeing: np.ndarray) -> np.ndarray:
     """(h, w) factor of the standard deviations: how much the sources really differ, in the view and at the pixel.
 
-    The variance of a pixel is a mean of the view's, weighted as PRIOR observations, and of its own chi-square; the part that sources share is added.
+    The variance of a pixel is a mean of the view's, weighted as PRIOR observations, and of the chi-square at the pixel; the part that sources share is added.
     """
     extra = np.maximum(agreeing.astype(np.float32) - 1, 0)
     many = agreeing >= 3
@@ -211,5 +211,5 @@ def _scale_of_sigma(chi: np.ndarray, agreeing: np.ndarray) -> np.ndarray:
         return np.asarray(np.sqrt(variance * (1.0 + SHARED * extra)), np.float32)
 
 
-def _by_rows(height: int, work: object) -> None:
+def _by_rows(height: int, work: Callable[[int, int, int], None]) -> None:
     _parallel.map_chunks(work, height, -(-height // _ROWS))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ from epipole import _parallel
 from epipole._checks import Declared, check_fields, checked
 from epipole.dense import _fusion_kernels as kernels
 from epipole.dense.view import DenseView, intrinsics_of
-from epipole.errors import ShapeError
+from epipole.errors import ConfigError, ShapeError
 from epipole.scene.view_depth import ViewDepth
 
 AGREEING_SIGMAS, AGREEING_FRACTION = 3.0, 0.003
@@ -43,6 +43,35 @@ class DensePoints(Declared):
             ShapeError: a column has the wrong type or shape.
         """
         check_fields(self)
+
+    @staticmethod
+    def joined(parts: Sequence[DensePoints]) -> DensePoints:
+        """All points of several sets."""
+        none = DensePoints(
+            np.empty((0, 3)),
+            np.empty((0, 3), np.float32),
+            np.empty((0, 3), np.uint8),
+            np.empty(0, np.float32),
+        )
+        every = [none, *parts]
+        return DensePoints(
+            *(
+                np.concatenate([getattr(part, name) for part in every])
+                for name in ("points_in_world", "normals", "rgb", "sigma")
+            )
+        )
+
+    def every(self, step: int) -> DensePoints:
+        """Every step-th point.
+
+        Raises:
+            ConfigError: step is less than 1.
+        """
+        if step < 1:
+            raise ConfigError(f"step must be at least 1, got {step}")
+        return DensePoints(
+            self.points_in_world[::step], self.normals[::step], self.rgb[::step], self.sigma[::step]
+        )
 
     def __len__(self) -> int:
         return len(self.points_in_world)
@@ -138,5 +167,5 @@ def _check_size(view: DenseView, depth: ViewDepth) -> None:
         raise ShapeError(f"{view.name}: depth and image have different sizes")
 
 
-def _by_rows(height: int, work: object) -> None:
+def _by_rows(height: int, work: Callable[[int, int, int], None]) -> None:
     _parallel.map_chunks(work, height, -(-height // _ROWS))

@@ -82,7 +82,7 @@ def rectify_views(reference: DenseView, source: DenseView, depths: tuple[float, 
     x = toward / baseline
     rotation = _rectifying_rotation(x, source_from_reference.rotation)
     rotations = rotation, rotation @ source_from_reference.rotation.T
-    one, two = (_extent(view.camera, turn) for view, turn in zip((reference, source), rotations))
+    one, two = (_extent(view.camera, own) for view, own in zip((reference, source), rotations))
     # Depth along the rectified axis differs from that along the reference's; the corners of the image bound it.
     ratios = _axis_ratios(reference.camera, rotation)
     near, far = depths[0] * ratios[0], depths[1] * ratios[1]
@@ -99,8 +99,8 @@ def rectify_views(reference: DenseView, source: DenseView, depths: tuple[float, 
     K = np.array([[focal, 0.0, -focal * left - 0.5], [0.0, focal, -focal * top - 0.5], [0.0, 0.0, 1.0]])
     shifted = K + np.array([[0.0, 0.0, first], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     homographies = [
-        view.camera.K @ turn.T @ np.linalg.inv(matrix)
-        for view, turn, matrix in zip((reference, source), rotations, (K, shifted))
+        view.camera.K @ own.T @ np.linalg.inv(matrix)
+        for view, own, matrix in zip((reference, source), rotations, (K, shifted))
     ]
     return RectifiedPair(
         homographies[0],

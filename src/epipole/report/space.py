@@ -26,7 +26,9 @@ from epipole.report.space_scene import (
     PointLayer,
     PointMeasure,
     SpaceScene,
+    TexturedMeshLayer,
 )
+from epipole.report.textured_layer import textured_data
 from epipole.scene import Curve, Extent, extent_of, frustum_corners_in_cam, frustum_size
 
 RADIUS_PERCENT = 85.0
@@ -128,6 +130,7 @@ def _points(
     together.view(np.uint8)[:, 12:15] = layer.rgb
     given = {
         "name": layer.name,
+        "shown": layer.is_shown,
         "count": len(rows),
         "whole": len(layer.xyz_in_world),
         "rows": data.put(f"points-{k}", np.take(together, rows, axis=0)),
@@ -209,7 +212,9 @@ def _cameras(data: SpaceData, layer: CameraLayer, origin: np.ndarray, extent: Ex
     }
 
 
-def _mesh(data: SpaceData, mesh: MeshLayer, origin: np.ndarray) -> dict[str, Any]:
+def _mesh(data: SpaceData, mesh: MeshLayer | TexturedMeshLayer, origin: np.ndarray) -> dict[str, Any]:
+    if isinstance(mesh, TexturedMeshLayer):
+        return textured_data(data.put, mesh, origin)
     rgba = np.full((len(mesh.rgb), 4), 255, np.uint8)
     rgba[:, :3] = mesh.rgb
     return {
@@ -218,6 +223,8 @@ def _mesh(data: SpaceData, mesh: MeshLayer, origin: np.ndarray) -> dict[str, Any
         "vertices": data.put("mesh-vertices", _near(mesh.vertices_in_world, origin)),
         "rgba": data.put("mesh-rgba", rgba),
         "faces": data.put("mesh-faces", mesh.faces.astype("<u4")),
+        "packed": None,
+        "textures": None,
     }
 
 

@@ -42,6 +42,8 @@ class PointLayer:
     covariances: Float[np.ndarray, "n 3 3"] | None = None
     error_words: str = ""
     """Which errors the covariances include."""
+    is_shown: bool = True
+    """Whether the layer is visible initially."""
 
     def __post_init__(self) -> None:
         """Check that the columns match, and that there are at most two measures.
@@ -83,6 +85,22 @@ class MeshLayer:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TexturedMeshLayer:
+    """Triangles with textures; `textured_layer` makes one."""
+
+    name: str
+    vertices_in_world: Float[np.ndarray, "n 3"]
+    faces: Int64[np.ndarray, "m 3"]
+    uv: Float64[np.ndarray, "m 3 2"]
+    """Texture coordinates of the corners of each triangle, as in `TexturedMesh`."""
+    texture_of_face: Int64[np.ndarray, " m"]
+    jpegs: tuple[bytes, ...]
+    """The textures as JPEG files."""
+    is_packed: bool = False
+    """Whether positions and coordinates are quantized and compressed, for a page that is a file."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FirstView:
     """The initial viewpoint of a scene."""
 
@@ -103,7 +121,7 @@ class SpaceScene:
     points: tuple[PointLayer, ...] = ()
     cameras: CameraLayer | None = None
     curves: tuple[Curve, ...] = ()
-    mesh: MeshLayer | None = None
+    mesh: MeshLayer | TexturedMeshLayer | None = None
     gaussians: GaussianCloud | None = None
     view: FirstView | None = None
     """None: from a corner above."""

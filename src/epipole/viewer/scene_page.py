@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from epipole.report.frame import render
 from epipole.report.markup import count
 from epipole.report.space import SpaceData, embedded_images, of_all, space_data
-from epipole.report.space_scene import METERS, NO_UNIT, SpaceScene
+from epipole.report.space_scene import METERS, NO_UNIT, SpaceScene, TexturedMeshLayer
+from epipole.report.textured_layer import reduced
 
+BYTES_PER_ITEM = 10
+"""Bytes of a page with a textured mesh for each of its `most` points: 5 MB by default."""
+PAGE_BYTES, LEAST_BYTES, MOST_IMAGES = 130_000, 30_000, 40
+"""Bytes for scripts and styles, least bytes of the mesh, and number of camera images, in such a page."""
 IMAGE_ADDRESS = "picture/"
 """Address of a served image, before the camera's number."""
 
@@ -25,13 +30,30 @@ class ScenePage:
 
 
 def scene_page(scene: SpaceScene, most: int) -> ScenePage:
-    """A self-contained page of a scene with at most `most` points per layer and at most `most` Gaussians."""
-    data = space_data(scene, most, most)
+    """A self-contained page of a scene with at most `most` points per layer and at most `most` Gaussians.
+
+    A textured mesh is reduced until the page has about 10 bytes times `most`, and points that are not visible initially
+    are left out.
+    """
+    is_textured = isinstance(scene.mesh, TexturedMeshLayer)
+    inside = None
     if scene.cameras is not None:
-        inside = embedded_images(scene.cameras)
+        inside = embedded_images(scene.cameras, *([MOST_IMAGES] if is_textured else []))
+    shown = _smaller(scene, most, sum(map(len, filter(None, inside or [])))) if is_textured else scene
+    data = space_data(shown, most, most)
+    if inside is not None:
         data.numbers["cameras"]["images"] = inside if any(inside) else None
     words = _with_what_is_left_out(scene, data)
     return ScenePage(_html(scene, data, words, data.blocks), words)
+
+
+def _smaller(scene: SpaceScene, most: int, image_bytes: int) -> SpaceScene:
+    """A scene with a textured mesh whose page has about 10 bytes times `most`, if it can be."""
+    points = tuple(layer for layer in scene.points if layer.is_shown)
+    num_points = sum(min(len(layer.xyz_in_world), most) for layer in points)
+    left = BYTES_PER_ITEM * most - PAGE_BYTES - image_bytes - 22 * num_points
+    assert isinstance(scene.mesh, TexturedMeshLayer)
+    return replace(scene, points=points, mesh=reduced(scene.mesh, max(LEAST_BYTES, 3 * left // 4)))
 
 
 def served_page(scene: SpaceScene, live: dict[str, Any] | None = None) -> tuple[str, SpaceData]:
@@ -74,6 +96,11 @@ def _with_what_is_left_out(scene: SpaceScene, data: SpaceData) -> str:
         for layer in data.numbers["points"]
         if layer["count"] < layer["whole"]
     ]
+    if isinstance(scene.mesh, TexturedMeshLayer):
+        mesh = data.numbers["mesh"]
+        if mesh["count"] < len(scene.mesh.faces):
+            left.append(f"{of_all(mesh['count'], len(scene.mesh.faces))} triangles")
+        left += [f"without the {layer.name.lower()}" for layer in scene.points if not layer.is_shown]
     gaussians = data.numbers["gaussians"]
     if gaussians is not None and gaussians["count"] < gaussians["whole"]:
         left.append(f"{count(gaussians['whole'])} Gaussians merged into {count(gaussians['count'])}")

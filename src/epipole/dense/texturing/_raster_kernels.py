@@ -6,8 +6,8 @@ from epipole._jit import kernel
 
 
 @kernel
-def draw_faces(pixels, depth, faces, inverse, face_of_pixel):
-    """Draw all faces with a depth buffer: inverse (h, w) receives 1/z, face_of_pixel (h, w) the nearest face.
+def render_faces(pixels, depth, faces, inverse, face_of_pixel):
+    """Render all faces with a depth buffer: inverse (h, w) receives 1/z, face_of_pixel (h, w) the nearest face.
 
     pixels (n, 2) and depth (n) of the vertices; faces with a vertex behind the camera or not finite are skipped. 1/z is linear in the image. A
     pixel belongs to a face if its center is inside.

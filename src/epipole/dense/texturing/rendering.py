@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from jaxtyping import Float32, UInt8
 
 from epipole._checks import checked
 from epipole.cameras import Camera
 from epipole.dense.texturing import _raster_kernels as raster
+from epipole.dense.texturing.sampling import colors_at
 from epipole.dense.view import intrinsics_of
 from epipole.geometry import Rigid3
 from epipole.scene.textured_mesh import TexturedMesh
@@ -31,7 +31,7 @@ def render_textured(
         pixels = in_cam[:, :2] / in_cam[:, 2:] * k[:2] + k[2:]
     inverse = np.zeros((camera.height, camera.width), np.float32)
     nearest = np.full(inverse.shape, -1, np.int32)
-    raster.draw_faces(pixels, in_cam[:, 2].copy(), mesh.faces, inverse, nearest)
+    raster.render_faces(pixels, in_cam[:, 2].copy(), mesh.faces, inverse, nearest)
     row, column = np.nonzero(nearest >= 0)
     face = nearest[row, column]
     weights = _barycentric(np.stack([column, row], axis=1), pixels[mesh.faces[face]])
@@ -60,11 +60,4 @@ def _barycentric(at: np.ndarray, corners: np.ndarray) -> np.ndarray:
 def _sampled(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """Bilinear colors (n, 3) at texture coordinates (n, 2)."""
     height, width = texture.shape[:2]
-    texel = (uv * [width, height] - 0.5).astype(np.float32)
-    side = 4096  # cv2.remap takes images with sides below 2^15
-    rows = -(-max(len(texel), 1) // side)
-    table = np.zeros((rows * side, 2), np.float32)
-    table[: len(texel)] = texel
-    table = table.reshape(rows, side, 2)
-    out = cv2.remap(texture, table[..., 0], table[..., 1], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
-    return np.asarray(out).reshape(-1, 3)[: len(texel)]
+    return colors_at(texture, (uv * [width, height] - 0.5).astype(np.float32))

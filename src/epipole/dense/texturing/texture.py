@@ -41,7 +41,7 @@ def texture_mesh(
         mesh: the mesh; the side from which its triangles are counterclockwise is textured.
         views: images with their cameras.
         side_px: width of the texture, and its largest height.
-        progress: called with the number of views done and the number of all, twice.
+        progress: called with the number of steps done and of all: two for each view.
 
     Raises:
         ConfigError: side_px is out of range, or too small for the mesh.
@@ -52,7 +52,7 @@ def texture_mesh(
     if not len(mesh) or not len(views):
         raise DegenerateGeometryError("there is no face to texture, or no view")
     neighbors = face_neighbors(mesh.faces)
-    found = candidate_views(mesh, views)
+    found = candidate_views(mesh, views, lambda done: progress(done, 2 * len(views)))
     label = choose_views(found, neighbors)
     if not (label >= 0).any():
         raise DegenerateGeometryError("no view shows the mesh")
@@ -63,14 +63,14 @@ def texture_mesh(
     flat = _flat_colors(charts, neighbors, colors + offsets)
     image = np.zeros((atlas.height_px, side_px, 3), np.uint8)
     for n, view in enumerate(views):
-        progress(n, len(views))
+        progress(len(views) + n, 2 * len(views))
         own = np.flatnonzero(charts.view == n)
         if len(own):
             _copy_charts(view, own, charts, atlas, corners_px, offsets, image)
     for chart in np.flatnonzero(charts.view < 0).tolist():
         (x, y), (w, h) = atlas.corner[chart], atlas.size[chart]
         image[y : y + h, x : x + w] = flat[chart]
-    progress(len(views), len(views))
+    progress(2 * len(views), 2 * len(views))
     uv = _uv(charts, atlas, corners_px)
     return TexturedMesh(mesh.vertices_in_world, mesh.faces, uv, np.zeros(len(mesh), np.int64), (image,))
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
 from epipole.cameras import Camera
+from epipole.dense.texturing.sampling import colors_at
 from epipole.dense.view import DenseView, intrinsics_of
 from epipole.geometry import Rigid3
 
@@ -40,19 +41,8 @@ class TextureView:
 
     def colors_at(self, points_in_world: Float64[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
         """Colors of points in front of the camera, from the blurred image at working size."""
-        blurred = cv2.GaussianBlur(self.read().rgb, (0, 0), BLUR_PX)
+        blurred = np.asarray(cv2.GaussianBlur(self.read().rgb, (0, 0), BLUR_PX), np.uint8)
         in_cam = self.cam_from_world.apply(points_in_world)
         k = intrinsics_of(self.camera)
         pixels = (in_cam[:, :2] / in_cam[:, 2:] * k[:2] + k[2:]).astype(np.float32)
-        # cv2.remap takes images with sides below 2^15, so points are arranged in rows.
-        rows = -(-max(len(pixels), 1) // 4096)
-        table = np.zeros((rows * 4096, 2), np.float32)
-        table[: len(pixels)] = pixels
-        table = table.reshape(rows, 4096, 2)
-        out = np.empty((rows, 4096, 3), np.float32)
-        for start in range(0, rows, 4096):
-            part = table[start : start + 4096]
-            out[start : start + 4096] = cv2.remap(
-                blurred, part[..., 0], part[..., 1], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE
-            )
-        return out.reshape(-1, 3)[: len(pixels)]
+        return colors_at(blurred, pixels).astype(np.float32)

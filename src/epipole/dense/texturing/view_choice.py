@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import cv2
@@ -75,7 +75,7 @@ def visible_faces(mesh: Mesh, view: TextureView) -> tuple[Int64[np.ndarray, " k"
         pixels = in_cam[:, :2] / depth[:, None] * [camera.K[0, 0], camera.K[1, 1]] + camera.K[:2, 2]
     inverse = np.zeros((camera.height, camera.width), np.float32)
     nearest = np.full(inverse.shape, -1, np.int32)
-    raster.draw_faces(pixels, depth, mesh.faces, inverse, nearest)
+    raster.render_faces(pixels, depth, mesh.faces, inverse, nearest)
     inside = (
         (depth > 0)
         & (pixels >= 0).all(axis=1)
@@ -100,12 +100,15 @@ def visible_faces(mesh: Mesh, view: TextureView) -> tuple[Int64[np.ndarray, " k"
     return found, area
 
 
-def candidate_views(mesh: Mesh, views: Sequence[TextureView]) -> FaceViews:
+def candidate_views(
+    mesh: Mesh, views: Sequence[TextureView], progress: Callable[[int], None] = lambda _: None
+) -> FaceViews:
     """The views in which each face is largest, one view after the other, with the color that they give it."""
     m = len(mesh)
     label, size = np.full((m, CANDIDATES), -1, np.int32), np.zeros((m, CANDIDATES), np.float32)
     rgb = np.zeros((m, CANDIDATES, 3), np.float32)
     for n, view in enumerate(views):
+        progress(n)
         found, area = visible_faces(mesh, view)
         smallest = np.argmin(size[found], axis=1)
         better = area > size[found, smallest]
@@ -122,20 +125,25 @@ def choose_views(found: FaceViews, neighbors: np.ndarray) -> np.ndarray:
     messages, after = (np.zeros((*neighbors.shape, label.shape[1]), np.float32) for _ in range(2))
     chunks = -(-len(label) // _FACES)
     for _ in range(ITERATIONS):
-        before = messages
-        _parallel.map_chunks(
-            lambda a, b, _, before=before, after=after: kernels.send_messages(
-                label, cost, neighbors, np.float32(JUMP), before, a, b, after
-            ),
-            len(label),
-            chunks,
-        )
+        _send(label, cost, neighbors, messages, after)
         messages, after = after, messages
     out = np.full(len(label), -1, np.int32)
     _parallel.map_chunks(
         lambda a, b, _: kernels.choose_labels(label, cost, neighbors, messages, a, b, out), len(label), chunks
     )
     return out
+
+
+def _send(
+    label: np.ndarray, cost: np.ndarray, neighbors: np.ndarray, before: np.ndarray, after: np.ndarray
+) -> None:
+    """One step of belief propagation."""
+    jump = np.float32(JUMP)
+    _parallel.map_chunks(
+        lambda a, b, _: kernels.send_messages(label, cost, neighbors, jump, before, a, b, after),
+        len(label),
+        -(-len(label) // _FACES),
+    )
 
 
 def _without_outliers(found: FaceViews) -> tuple[np.ndarray, np.ndarray]:

@@ -238,6 +238,19 @@ def read_glb(path: str | Path) -> TexturedMesh:
     return TexturedMesh(vertices, index[corners], uv, texture_of_face.astype(np.int64), textures)
 
 
+def up_of_glb(path: str | Path) -> Float64[np.ndarray, " 3"]:
+    """The upward direction of the coordinates of `read_glb`: as in `write_glb`, else +Y, as in every glTF file.
+
+    Raises:
+        FileFormatError: not a binary glTF 2.0 file, or damaged.
+    """
+    path = Path(path)
+    extras = parse_glb(path, file_bytes(path)).content["asset"].get("extras")
+    if not isinstance(extras, dict) or UP not in extras:
+        return _Y.copy()
+    return np.asarray(numbers_of(path, extras, UP, 3), np.float64)
+
+
 def _in_world(document: GlbDocument, vertices: np.ndarray) -> np.ndarray:
     """Vertices in the world of `write_glb`, from the coordinates of the scene."""
     extras = document.mapping(document.content["asset"], "asset").get("extras")

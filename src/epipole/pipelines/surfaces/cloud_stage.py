@@ -10,9 +10,9 @@ import numpy as np
 
 from epipole._checks.tables import Expected, Table
 from epipole.dense.fusion import DensePoints, fuse_view
-from epipole.pipelines.surfaces.depth_stage import read_depth
+from epipole.pipelines.surfaces.depth_stage import depth_in
 from epipole.pipelines.surfaces.inputs import SurfaceInputs
-from epipole.pipelines.surfaces.view_files import ViewFile, read_view
+from epipole.pipelines.surfaces.view_files import ViewFile, view_of_file
 from epipole.runs import Unit, digest, load
 from epipole.scene.view_depth import ViewDepth
 
@@ -54,8 +54,8 @@ def cloud_units(inputs: SurfaceInputs, depths: Mapping[int, Unit], folder: Path)
 
 def cloud_of_files(payload: CloudPayload) -> dict[str, np.ndarray]:
     """Points of a view, and the pixels that other views confirm."""
-    others = ((read_view(view), read_depth(path)) for view, path in payload.others)
-    found = fuse_view(read_view(payload.view), read_depth(payload.depth), others)
+    others = ((view_of_file(view), depth_in(path)) for view, path in payload.others)
+    found = fuse_view(view_of_file(payload.view), depth_in(payload.depth), others)
     return {
         "points_in_world": found.points.points_in_world,
         "normals": found.points.normals,
@@ -65,7 +65,7 @@ def cloud_of_files(payload: CloudPayload) -> dict[str, np.ndarray]:
     }
 
 
-def read_points(units: Sequence[Unit]) -> Iterator[DensePoints]:
+def points_in(units: Sequence[Unit]) -> Iterator[DensePoints]:
     """The points of each view.
 
     Raises:
@@ -82,7 +82,7 @@ def confirmed_depth(depth: Unit, cloud: Unit) -> ViewDepth:
     Raises:
         WorkspaceError: a file is missing or damaged.
     """
-    found = read_depth(depth.path)
+    found = depth_in(depth.path)
     bits = np.unpackbits(load(cloud.path, CLOUD, "confirmed")["confirmed"], count=found.depth.size)
     kept = bits.reshape(found.depth.shape).astype(bool)
     nan = np.float32(np.nan)

@@ -38,7 +38,7 @@ def surface(
     """
     from epipole.screen import progress_on_screen
 
-    with progress_on_screen(WORDS) as progress:
+    with progress_on_screen(WORDS, compiles_much=True) as progress:
         from epipole.pipelines.surfaces.run import surface as run
 
         result = run(source, out, config, progress)

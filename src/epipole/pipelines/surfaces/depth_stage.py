@@ -10,7 +10,7 @@ import numpy as np
 from epipole._checks.tables import Expected, Table
 from epipole.dense.depth import view_depth
 from epipole.pipelines.surfaces.inputs import SurfaceInputs
-from epipole.pipelines.surfaces.view_files import ViewFile, read_view
+from epipole.pipelines.surfaces.view_files import ViewFile, view_of_file
 from epipole.runs import Unit, digest, load
 from epipole.scene.view_depth import DepthReason, ViewDepth
 
@@ -53,7 +53,7 @@ def depth_units(inputs: SurfaceInputs, folder: Path) -> dict[int, Unit]:
 def depth_of_files(payload: DepthPayload) -> dict[str, np.ndarray]:
     """Depth of a view from its sources."""
     found = view_depth(
-        read_view(payload.view), [read_view(source) for source in payload.sources], payload.depths
+        view_of_file(payload.view), [view_of_file(source) for source in payload.sources], payload.depths
     )
     return {
         "depth": found.depth,
@@ -63,7 +63,7 @@ def depth_of_files(payload: DepthPayload) -> dict[str, np.ndarray]:
     }
 
 
-def read_depth(path: Path) -> ViewDepth:
+def depth_in(path: Path) -> ViewDepth:
     """Depth of a view, as stored by its unit.
 
     Raises:

@@ -11,7 +11,7 @@ import numpy as np
 from epipole.dense.source_selection import SharedPoints, depth_range, select_sources
 from epipole.errors import ConfigError, EpipoleError, NoModelError
 from epipole.io.images.photographs import common_range, mask_of
-from epipole.io.models.images import ModelImages
+from epipole.io.models.images import ModelImage, ModelImages
 from epipole.io.models.losses import losses_in, losses_of
 from epipole.io.names import path_inside
 from epipole.pipelines.sfm.run import reconstruct
@@ -101,15 +101,16 @@ def _view_files(found: ModelSource, run: Run, config: SurfaceConfig, warnings: l
     model, cams_from_world = found.model, found.model.cams_from_world()
     files = ModelImages(model, found.folder, is_own=found.is_own)
     rows = sorted(np.flatnonzero(model.is_registered()).tolist(), key=lambda k: model.images.name[k])
-    images, paths = {}, list[Path]()
+    images, paths = dict[int, tuple[ModelImage, Path | None]](), list[Path]()
     for row in rows:
         name = model.images.name[row]
         try:
-            images[row] = files.find(name), _mask_of(found, config, name)
+            image, mask = files.find(name), _mask_of(found, config, name)
         except EpipoleError as error:
             warnings.append(f"{name} is left out: {error}")
             continue
-        paths += [images[row][0].path, *([images[row][1]] if images[row][1] is not None else [])]
+        images[row] = image, mask
+        paths += [image.path] if mask is None else [image.path, mask]
     if config.masks is not None and not any(mask is not None for _, mask in images.values()):
         raise ConfigError(f"masks {config.masks} has no mask for any image (expected NAME.png)")
     digests = content_digests(paths, run.root / "units" / DIGESTS, run.job.progress)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from epipole.errors import ConfigError
 from epipole.pipelines.surfaces.cloud_stage import confirmed_depth
 from epipole.pipelines.surfaces.config import SurfaceConfig
 from epipole.pipelines.surfaces.inputs import SurfaceInputs
+from epipole.pipelines.surfaces.view_files import view_of_file
 from epipole.runs import Run, Unit
 from epipole.scene import Mesh
 from epipole.scene.view_depth import ViewDepth
@@ -21,6 +23,8 @@ USUAL_BLOCKS = 100_000
 """Blocks of 512 voxels at which the voxels become larger."""
 MOST_PIXEL_VOXELS = 1.5
 """Largest pixel, in voxels, that the mesh uses: farther surfaces are only in the cloud."""
+SAME_DEPTH, GRAY = 0.01, 160
+"""Relative difference up to which a view shows a vertex, and the color of vertices that none shows."""
 
 
 def mesh_of(
@@ -51,8 +55,31 @@ def mesh_of(
         volume.add(view.pinhole, view.cam_from_world, _fine_depth(inputs, depths, clouds, k, voxel))
     run.report("mesh", len(views), len(views) + 1)
     mesh = volume.mesh().without_small_components(config.min_component)
+    del volume
+    mesh = replace(mesh, rgb=_colors(mesh.vertices_in_world, inputs, depths, clouds))
     run.report("mesh", len(views) + 1, len(views) + 1)
     return mesh, voxel
+
+
+def _colors(
+    vertices: np.ndarray, inputs: SurfaceInputs, depths: Mapping[int, Unit], clouds: Mapping[int, Unit]
+) -> np.ndarray:
+    """(n, 3) mean color of each vertex in the views whose depth it has; gray without any."""
+    total, count = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
+    for k in depths:
+        view, depth = view_of_file(inputs.views[k]), confirmed_depth(depths[k], clouds[k]).depth
+        in_cam = view.cam_from_world.apply(vertices)
+        pixels = view.camera.project(in_cam)
+        inside = (in_cam[:, 2] > 0) & (pixels > -0.5).all(axis=1)
+        inside &= (pixels < [view.camera.width - 0.5, view.camera.height - 0.5]).all(axis=1)
+        rows = np.flatnonzero(inside)
+        column, row = np.rint(pixels[rows]).astype(np.int64).T
+        near = np.abs(depth[row, column] - in_cam[rows, 2]) <= SAME_DEPTH * in_cam[rows, 2]
+        rows = rows[near]
+        total[rows] += view.rgb[row[near], column[near]]
+        count[rows] += 1
+    mean = total / np.maximum(count, 1)[:, None]
+    return np.rint(np.where(count[:, None] > 0, mean, GRAY)).astype(np.uint8)
 
 
 def _median_pixel(inputs: SurfaceInputs, depths: Mapping[int, Unit], clouds: Mapping[int, Unit]) -> float:

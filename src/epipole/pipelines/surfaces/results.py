@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from epipole.pipelines.surfaces.depth_stage import read_depth
+from epipole.pipelines.surfaces.depth_stage import depth_in
 from epipole.pipelines.surfaces.inputs import SurfaceInputs
 from epipole.runs import Run, Unit
 from epipole.scene.view_depth import DepthReason
@@ -31,13 +31,14 @@ def depth_figures(inputs: SurfaceInputs, depths: Mapping[int, Unit]) -> DepthFig
     """Read the depth of each view, and summarize it."""
     rows = []
     for k, unit in depths.items():
-        found = read_depth(unit.path)
+        found = depth_in(unit.path)
         known = found.reason == DepthReason.OK
         sigma = float(np.median(found.sigma[known] / found.depth[known])) if known.any() else np.nan
         reasons = np.bincount(found.reason.ravel(), minlength=len(DepthReason)) / found.reason.size
         rows.append((inputs.views[k].name, found.density, sigma, reasons))
-    names, density, sigma, reasons = zip(*rows)
-    return DepthFigures(tuple(names), np.array(density), np.array(sigma), np.array(reasons))
+    return DepthFigures(
+        tuple(row[0] for row in rows), *(np.array([row[k] for row in rows]) for k in (1, 2, 3))
+    )
 
 
 def summary_of(

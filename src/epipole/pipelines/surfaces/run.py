@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Unpack
 
 from epipole._checks import as_path
 from epipole.config import options_of
+from epipole.dense.fusion import DensePoints
 from epipole.errors import FileFormatError
 from epipole.io.files import missing_in_words
-from epipole.io.meshes.cloud_ply import write_cloud_ply
+from epipole.io.meshes.cloud_ply import Columns, write_cloud_ply
 from epipole.io.meshes.mesh_ply import write_mesh_ply
-from epipole.pipelines.surfaces.cloud_stage import cloud_units, read_points
+from epipole.pipelines.surfaces.cloud_stage import cloud_units, points_in
 from epipole.pipelines.surfaces.config import STAGES, SurfaceConfig
 from epipole.pipelines.surfaces.depth_stage import depth_units
 from epipole.pipelines.surfaces.inputs import SurfaceInputs, surface_inputs
 from epipole.pipelines.surfaces.mesh_stage import first_view, mesh_of
 from epipole.pipelines.surfaces.options import SurfaceKeywords
-from epipole.pipelines.surfaces.results import DepthFigures, depth_figures, summary_of
+from epipole.pipelines.surfaces.page import render_page
+from epipole.pipelines.surfaces.results import depth_figures, summary_of
 from epipole.pipelines.surfaces.texture_stage import texture_of, up_of, write_textured
 from epipole.runs import Job, ProgressCallback, Run, Unit, ignore_progress, open_run
 from epipole.scene import Mesh
 from epipole.scene.notebook import table_html
+
+SAMPLE = 100_000
+"""Points of the cloud in the report, at most about twice as many."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,28 +83,25 @@ def surface(
     settings = {"config": {name: value for name, value in asdict(wanted).items() if name != "threads"}}
     job = Job(kind="surface", inputs=(source,), settings=settings, threads=wanted.threads, progress=progress)
     with open_run(job, target) as run:
-        with run.stage("read"):
+        with run.stage("open"):
             inputs = surface_inputs(source, run, wanted)
         run.warnings += inputs.warnings
-        for warning in inputs.warnings:
-            run.report("read", 0, 1, warning)
         return _surface_of(inputs, wanted, run)
 
 
 def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> SurfaceResult:
-    last = STAGES.index(config.until)
-    units = run.root / "units"
+    last, units = STAGES.index(config.until), run.root / "units"
     with run.stage("depth"):
         depths = depth_units(inputs, units / "depth")
         run.do(list(depths.values()), "depth")
         figures = depth_figures(inputs, depths)
     facts: dict[str, Any] = {}
-    clouds, mesh = dict[int, Unit](), None
+    clouds, mesh, sample = dict[int, Unit](), None, None
     if last >= STAGES.index("cloud"):
         with run.stage("cloud"):
             clouds = cloud_units(inputs, depths, units / "cloud")
             run.do(list(clouds.values()), "cloud")
-            facts |= _write_cloud(clouds, run)
+            facts["num_points"], sample = _write_cloud(clouds, run)
     if last >= STAGES.index("mesh"):
         with run.stage("mesh"):
             mesh, voxel = mesh_of(inputs, depths, clouds, config, run)
@@ -112,24 +115,25 @@ def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> Surfa
             with run.folder.publish("texture") as aside:
                 write_textured(aside, textured, up_of(inputs), config)
             facts["texture_size_px"] = [textured.textures[0].shape[1], textured.textures[0].shape[0]]
-    return _finished(inputs, figures, facts, mesh, run)
-
-
-def _write_cloud(clouds: dict[int, Unit], run: Run) -> dict[str, Any]:
-    """Write `cloud.ply`; returns the number of points."""
-    row = list(clouds.values())
-    count = sum(len(points) for points in read_points(row))
-    with run.folder.publish("cloud") as aside:
-        columns = (
-            (points.points_in_world, points.normals, points.rgb, points.sigma) for points in read_points(row)
-        )
-        write_cloud_ply(aside / "cloud.ply", columns, count)
-    return {"num_points": count}
-
-
-def _finished(
-    inputs: SurfaceInputs, figures: DepthFigures, facts: dict[str, Any], mesh: Mesh | None, run: Run
-) -> SurfaceResult:
-    summary = summary_of(inputs, figures, facts, run)
+    with run.stage("write"), run.folder.publish("report") as aside:
+        summary = summary_of(inputs, figures, facts, run)
+        page = render_page(inputs, depths, figures, sample, summary)
+        (aside / "report.html").write_text(page, encoding="utf-8", errors="replace")
     run.finish(summary)
     return SurfaceResult(run.root, mesh, summary, tuple(run.warnings))
+
+
+def _write_cloud(clouds: dict[int, Unit], run: Run) -> tuple[int, DensePoints]:
+    """Write `cloud.ply`; returns the number of points, and a sample of them."""
+    row = list(clouds.values())
+    count = sum(len(points) for points in points_in(row))
+    step, parts = max(1, count // SAMPLE), list[DensePoints]()
+
+    def columns() -> Iterator[Columns]:
+        for points in points_in(row):
+            parts.append(points.every(step))
+            yield points.points_in_world, points.normals, points.rgb, points.sigma
+
+    with run.folder.publish("cloud") as aside:
+        write_cloud_ply(aside / "cloud.ply", columns(), count)
+    return count, DensePoints.joined(parts)

@@ -16,7 +16,7 @@ from epipole.io.meshes.obj import write_obj
 from epipole.pipelines.surfaces.cloud_stage import confirmed_depth
 from epipole.pipelines.surfaces.config import SurfaceConfig
 from epipole.pipelines.surfaces.inputs import SurfaceInputs
-from epipole.pipelines.surfaces.view_files import ViewFile, read_full, read_view
+from epipole.pipelines.surfaces.view_files import ViewFile, full_image, view_of_file
 from epipole.runs import Run, Unit
 from epipole.scene import Mesh
 from epipole.scene.textured_mesh import TexturedMesh
@@ -72,7 +72,7 @@ def _texture_view(view: ViewFile, depth: Unit, cloud: Unit) -> TextureView:
         view.pinhole,
         view.cam_from_world,
         undistorted_camera(view.image.camera),
-        partial(read_view, view),
-        partial(read_full, view),
+        partial(view_of_file, view),
+        partial(full_image, view),
         lambda: confirmed_depth(depth, cloud).depth,
     )

@@ -50,7 +50,7 @@ def pinhole_of(camera: Camera, max_size_px: int) -> Camera:
 
 
 @lru_cache(maxsize=CACHED_VIEWS)
-def read_view(file: ViewFile) -> DenseView:
+def view_of_file(file: ViewFile) -> DenseView:
     """Read and undistort a view; the last ones stay in memory.
 
     Raises:
@@ -62,7 +62,7 @@ def read_view(file: ViewFile) -> DenseView:
     return DenseView(file.name, _shrunk(rgb, file), file.pinhole, file.cam_from_world, used)
 
 
-def read_full(file: ViewFile) -> np.ndarray:
+def full_image(file: ViewFile) -> np.ndarray:
     """The undistorted image at full size.
 
     Raises:

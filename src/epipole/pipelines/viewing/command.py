@@ -21,11 +21,11 @@ def view(
     """Show any result or file in the browser: model, trajectory with map, depth, Gaussians, points, mesh, calibration.
 
     Args:
-        out: Output folder of a job, a COLMAP model, or a file: PLY, SPZ, SOG (or its meta.json), .splat, depth map (PFM, 16-bit PNG), trajectory, map, calibration.
+        out: Output folder of a job, a COLMAP model, or a file: PLY, GLB, SPZ, SOG (or its meta.json), .splat, depth map (PFM, 16-bit PNG), trajectory, map, calibration.
         port: The port to listen on; None: 8080, or the next free one if it is in use.
         host: The address to listen on; 0.0.0.0 allows connections from other machines.
         share: Write a single .html file that any browser can show instead, and start no server.
-        share_max: Most points (sampled evenly) and Gaussians (merged) in that file.
+        share_max: Most points (sampled) and Gaussians (merged) in that file; 10 bytes each for a textured mesh.
     """
     import threading
 

@@ -1,4 +1,4 @@
-"""Scenes of single files that belong to no job: points, triangles and depth maps."""
+"""Scenes of single files that belong to no job: points, triangles with and without textures, and depth maps."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from pathlib import Path
 import numpy as np
 
 from epipole.errors import FileFormatError
-from epipole.geometry import Rigid3
+from epipole.geometry import Rigid3, Rotation3
 from epipole.image import color_map
 from epipole.io.images.depth_maps import PNG_SCALE, read_pfm, read_png16
+from epipole.io.meshes.gltf import read_glb, up_of_glb
 from epipole.io.meshes.mesh_ply import first_view_of_mesh, read_mesh_ply
 from epipole.io.meshes.ply import CAMERA_RGB, frustum_segments, num_cameras_of_scene
 from epipole.pipelines.stereo.scene import points_of_depths, view_of_depths
 from epipole.report.markup import plural
 from epipole.report.space_scene import CameraLayer, FirstView, MeshLayer, PointLayer, SpaceScene
+from epipole.report.textured_layer import textured_layer
 from epipole.scene import Curve, extent_of
 
 UNIT, FARTHEST = "units of the file", 1e30
@@ -67,6 +69,24 @@ def _scene_of_model(path: Path, xyz: np.ndarray, rgb: np.ndarray, num_cameras: i
     words = f"{plural(n, 'point')} and {plural(num_cameras, 'camera')}"
     points = PointLayer("Points", xyz[:n], rgb[:n])
     return SpaceScene(path.resolve().name, words, UNIT, (points,), curves=(lines,) if num_cameras else ())
+
+
+def is_glb(path: Path) -> bool:
+    """Whether a path is a binary glTF file."""
+    return path.suffix.lower() == ".glb" and path.is_file()
+
+
+def scene_of_glb(path: Path) -> SpaceScene:
+    """A scene with the textured triangles of a binary glTF file.
+
+    Raises:
+        FileFormatError: the file is damaged, or has no textured triangles.
+    """
+    mesh = read_glb(path)
+    upright = Rotation3.from_two_vectors(up_of_glb(path), np.array([0.0, 0.0, 1.0])).matrix
+    layer = textured_layer("Textured mesh", mesh)
+    words = f"{plural(len(mesh), 'triangle')} with {plural(len(mesh.textures), 'texture')}"
+    return SpaceScene(path.resolve().name, words, UNIT, mesh=layer, upright_from_world=upright)
 
 
 def is_depth_map(path: Path) -> bool:

@@ -12,6 +12,7 @@ from epipole.io.contents_in_words import results_of, with_what_it_is
 from epipole.io.convert import read_model
 from epipole.io.files import missing_in_words
 from epipole.io.images.depth_maps import read_pfm, read_png16
+from epipole.io.meshes.gltf import read_glb
 from epipole.io.meshes.mesh_ply import read_mesh_ply
 from epipole.io.trajectories.files import read_trajectory
 from epipole.pipelines.calibration import scene as calibration
@@ -23,10 +24,11 @@ from epipole.pipelines.slam.output import scene as slam
 from epipole.pipelines.slam.output.map_file import load_slam_map
 from epipole.pipelines.stereo import scene as stereo
 from epipole.pipelines.stereo.files import read_stereo
+from epipole.pipelines.surfaces import scene as surfaces
 from epipole.pipelines.viewing import files
 
 READABLE = (
-    "pass an output folder, a COLMAP model, a transforms.json, a SLAM map, Gaussians, a trajectory, a calibration, a PLY file "
+    "pass an output folder, a COLMAP model, a transforms.json, a SLAM map, Gaussians, a trajectory, a calibration, a PLY or GLB file, "
     "or a depth map (PFM, 16-bit PNG)"
 )
 WITH_MODEL = ("reconstruct", "slam", "demo")
@@ -46,7 +48,9 @@ def load(path: str | Path) -> Any:
     | map of SLAM (`OUT/map`, .npz) | SlamMap |
     | trajectory (TUM, KITTI, EuRoC) | Trajectory |
     | calibration | CalibrationFile |
+    | output folder of `surface` | TexturedMesh; PlyMesh if it has no texture, with points only if it has no mesh |
     | PLY file of points or triangles | PlyMesh |
+    | textured mesh (GLB) | TexturedMesh |
     | depth map (PFM, 16-bit PNG) | (h, w) array |
 
     Args:
@@ -63,6 +67,10 @@ def load(path: str | Path) -> Any:
         return seen_gaussians(path)[0] if found is None else found[0].read(found[1])
     if files.is_ply(path):
         return read_mesh_ply(path)
+    if files.is_glb(path):
+        return read_glb(path)
+    if surfaces.is_mine(path):
+        return surfaces.read(path)
     if stereo.is_mine(path) or stereo.is_pair_file(path):
         return read_stereo(path if path.is_dir() else path.parent)
     if files.is_depth_map(path):

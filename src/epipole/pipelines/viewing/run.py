@@ -17,6 +17,7 @@ from epipole.pipelines.localization import scene as localization
 from epipole.pipelines.sfm.page import scene as sfm
 from epipole.pipelines.slam.output import scene as slam
 from epipole.pipelines.stereo import scene as stereo
+from epipole.pipelines.surfaces import scene as surfaces
 from epipole.pipelines.viewing import files
 from epipole.pipelines.viewing.config import MOST_SHARED, USUAL_SHARED
 from epipole.report.space_scene import SpaceScene
@@ -28,6 +29,7 @@ PAGE_SUFFIXES = (".html", ".htm")
 KINDS: tuple[tuple[Callable[[Path], bool], Callable[[Path], SpaceScene]], ...] = (
     (fields.is_mine, fields.scene),
     (files.is_ply, files.scene_of_ply),
+    (files.is_glb, files.scene_of_glb),
     (stereo.is_pair_file, stereo.scene_of_file),
     (files.is_depth_map, files.scene_of_depth_map),
     (stereo.is_mine, stereo.scene),
@@ -37,6 +39,7 @@ KINDS: tuple[tuple[Callable[[Path], bool], Callable[[Path], SpaceScene]], ...] =
     (calibration.is_mine, calibration.scene),
     (localization.is_mine, localization.scene),
     (georeferencing.is_mine, georeferencing.scene),
+    (surfaces.is_mine, surfaces.scene),
 )
 """Checked in this order; anything else is a model, or cannot be shown."""
 
@@ -59,8 +62,8 @@ def view(
 
     Args:
         out: output folder of a job, a COLMAP model, a transforms.json, a PLY file (points, triangles or Gaussians),
-            other files of Gaussians, a depth map (PFM, 16-bit PNG), a trajectory (TUM, KITTI, EuRoC), a SLAM map, or
-            a calibration.
+            other files of Gaussians, a GLB file (textured mesh), a depth map (PFM, 16-bit PNG), a trajectory (TUM,
+            KITTI, EuRoC), a SLAM map, or a calibration.
         port: the port to listen on; None: 8080, or the next free port if that is in use (see the handle's note).
         host: the address to listen on; "0.0.0.0" allows connections from other machines.
         block: return only after Ctrl-C.
@@ -79,7 +82,8 @@ def share(out: str | Path, file: str | Path, *, share_max: int = USUAL_SHARED) -
     Args:
         out: as in `view`.
         file: the page; one written by an earlier call is replaced.
-        share_max: largest number of points (sampled evenly) and of Gaussians (merged) in the page.
+        share_max: largest number of points (sampled evenly) and of Gaussians (merged) in the page; a page with a
+            textured mesh has about 10 bytes times this number.
 
     Raises:
         FileFormatError: the path does not exist, contains nothing that can be shown, or is damaged.

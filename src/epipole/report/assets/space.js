@@ -18,8 +18,9 @@ async function spaceView(canvas, data) {
     byId("no-drawing").textContent = text;
     byId("no-drawing").hidden = !text;
   };
-  const countPoints = () => data.points.reduce((sum, layer) => sum + layer.count, 0);
-  let total = countPoints();
+  const countPoints = (isShown) =>
+    data.points.reduce((sum, layer, k) => sum + (isShown(layer, k) ? layer.count : 0), 0);
+  let total = countPoints((layer) => layer.shown); // those that are to be seen
   const isFine = total < FINE_POINTS && !data.gaussians && !data.live;
   const gl = canvas.getContext("webgl2", {
     alpha: false,
@@ -32,9 +33,16 @@ async function spaceView(canvas, data) {
     return null;
   }
   say("Loading \u2026");
+  const late = {
+    changed: () => redraw(),
+    failed(text) {
+      say(text);
+      redraw();
+    },
+  };
   let drawn = null;
   try {
-    drawn = spaceLayers(gl, data, await spaceBlocks(data));
+    drawn = spaceLayers(gl, data, await spaceBlocks(data), late);
   } catch (error) {
     say(`The scene cannot be drawn here: ${error.message}.`);
     return null;
@@ -224,9 +232,10 @@ async function spaceView(canvas, data) {
     const isSorted = !sorter || sort(eye.basis);
     if (isMoving || painted.share < 1) paint(eye, ratio, total ? portion / total : 1);
     tools.mark(eye);
-    canvas.dataset.settled = isSorted && painted.share === 1 ? "yes" : "no";
+    const isComplete = isSorted && painted.share === 1 && (!drawn.mesh || drawn.mesh.drawing.isComplete());
+    canvas.dataset.settled = isComplete ? "yes" : "no";
     if (painted.share < 1) ask();
-    else if (isSorted) settlers.splice(0).forEach((ready) => ready());
+    else if (isComplete) settlers.splice(0).forEach((ready) => ready());
   }
   function ask() {
     if (asked) return;
@@ -235,6 +244,7 @@ async function spaceView(canvas, data) {
   }
   function redraw() {
     canvas.dataset.settled = "no";
+    total = countPoints((_, k) => look.shown[`points-${k}`]);
     version++;
     ask();
   }
@@ -248,7 +258,7 @@ async function spaceView(canvas, data) {
       sort(view.basis()); // and draw once they are
     } else redraw();
     Object.assign(data, scene);
-    total = countPoints();
+    total = countPoints((_, k) => look.shown[`points-${k}`]);
     look.near = 0.002 * data.radius;
   }
   /* Once all of the scene is drawn, and the graphics card is done with it. */

@@ -221,6 +221,7 @@ function meshDrawing(gl, mesh, bytes) {
   gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, bytes(mesh.faces), gl.STATIC_DRAW);
   gl.bindVertexArray(null);
   return {
+    isComplete: () => true,
     draw(eye) {
       setEye(gl, made, eye);
       gl.bindVertexArray(array);

@@ -1,5 +1,5 @@
 /* What a 3D view holds, from the page's bytes or its server's to the graphics card. */
-/* global byId, bytesOf, gaussianDrawing */
+/* global byId, bytesOf, gaussianDrawing, unpackedMesh, texturedDrawing */
 /* global pointDrawing, lineDrawing, meshDrawing, pictureDrawing, frustumPieces, curvePieces */
 /* exported spaceBlocks, spaceLayers, gaussiansOf */
 "use strict";
@@ -22,15 +22,20 @@ async function spaceBytes(name) {
 async function spaceBlocks(data) {
   const blocks = {};
   for (const name of data.blocks) blocks[name] = await spaceBytes(name);
+  if (data.mesh && data.mesh.packed) {
+    const packed = data.mesh.packed.block;
+    Object.assign(blocks, await unpackedMesh(data.mesh, blocks[packed]));
+    delete blocks[packed];
+  }
   return blocks;
 }
 
 /* Everything on the graphics card, with what has to be looked up again kept beside it. `put(data, blocks)` replaces
-   points, lines and cameras by those of a scene with the same layers. */
-function spaceLayers(gl, data, blocks) {
+   points, lines and cameras by those of a scene with the same layers. `late` has functions for what is decoded later. */
+function spaceLayers(gl, data, blocks, late) {
   const out = { shown: {}, cameras: null, mesh: null, gaussians: null };
   out.points = data.points.map((layer, k) => {
-    out.shown[`points-${k}`] = true;
+    out.shown[`points-${k}`] = layer.shown;
     return { drawing: pointDrawing(gl, data.ramp) };
   });
   out.curves = data.curves.map((curve, k) => {
@@ -43,7 +48,9 @@ function spaceLayers(gl, data, blocks) {
   }
   out.picture = { drawing: pictureDrawing(gl), of: -1 };
   if (data.mesh) {
-    const drawing = meshDrawing(gl, data.mesh, (name) => blocks[name]);
+    const drawing = data.mesh.textures
+      ? texturedDrawing(gl, data.mesh, blocks, late)
+      : meshDrawing(gl, data.mesh, (name) => blocks[name]);
     out.mesh = {
       drawing,
       vertices: new Float32Array(blocks[data.mesh.vertices]),

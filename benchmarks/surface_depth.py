@@ -1,0 +1,217 @@
+"""Depth of views for `benchmarks.surfaces`: rendered scenes, a depth camera, and stereo pairs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+import epipole
+from benchmarks.tasks.stereo import StereoTask, figures, stereo_tasks
+from benchmarks.tasks.surface_scenes import PLANS
+from benchmarks.tasks.surfaces import NUM_SOURCES, SurfaceScene, prepare_scene, sources_of
+from epipole.cameras import Camera
+from epipole.dense.depth import SHARED, view_depth
+from epipole.dense.view import DenseView
+from epipole.geometry import Rigid3, Rotation3
+from epipole.io.calibration.built_in import SEVEN_SCENES_DEPTH_SCALE, seven_scenes_cameras
+from epipole.io.images.photographs import read_rgb
+from epipole.scene.view_depth import DepthReason, ViewDepth
+
+RIGHT, WRONG = 0.01, 0.05
+"""Relative errors up to which a depth is right, and beyond which it is wrong."""
+KITCHEN_FRAMES = range(0, 320, 16)
+KITCHEN_DEPTHS_M = (0.5, 5.0)
+BEST_BASELINE_M, LEAST_BASELINE_M, MOST_ANGLE_DEG = 0.3, 0.04, 35.0
+"""Baseline of 9 degrees at two meters; the smallest baseline, and the largest angle between optical axes, of a source."""
+CALIBRATIONS = {
+    "motorcycle": (994.978, 311.193, 254.877, 31.086, 193.001),
+    "cones": (935.0, 224.5, 187.0, 0.0, 160.0),
+    "teddy": (935.0, 224.5, 187.0, 0.0, 160.0),
+}
+"""Focal length, principal point and disparity offset in pixels, baseline in mm. Those of 2003 are nominal: disparities do not depend on them."""
+
+
+def depth_part(work: Path, _data: Path) -> dict[str, dict[str, float]]:
+    """Figures of each rendered scene, over the pixels of all its views."""
+    return {name: scene_figures(prepare_scene(name, work)) for name in PLANS}
+
+
+def scene_figures(scene: SurfaceScene) -> dict[str, float]:
+    """Match every view of a scene with its sources, and compare with the exact depth."""
+    sources, ranges = sources_of(scene, NUM_SOURCES)
+    sums: dict[str, np.ndarray] = {}
+    seconds = []
+    middle = len(scene.names) // 2
+    warm_up = scene.view(middle), [scene.view(j) for j in sources[middle]], ranges[middle]
+    view_depth(*warm_up)
+    repeated = np.median([_timed(lambda: view_depth(*warm_up))[1] for _ in range(3)], axis=0)
+    for k, row in enumerate(sources):
+        view, others = scene.view(k), [scene.view(j) for j in row]
+        found, one = _timed(lambda: view_depth(view, others, ranges[k]))  # noqa: B023 - called at once
+        seconds.append(one)
+        for name, pair in counts(scene, k, row, found).items():
+            sums[name] = sums.get(name, np.zeros(2)) + pair
+    pixels = scene.camera.width * scene.camera.height
+    return {
+        "views": len(scene.names),
+        **{name: float(part / whole) for name, (part, whole) in sums.items() if whole},
+        "us per pixel (middle view, median of 3)": 1e6 * float(repeated[0]) / pixels,
+        "processor us per pixel (the same)": 1e6 * float(repeated[1]) / pixels,
+        "us per pixel (median of the views)": 1e6 * float(np.median(seconds, axis=0)[0]) / pixels,
+        "processor us per pixel (median of the views)": 1e6 * float(np.median(seconds, axis=0)[1]) / pixels,
+    }
+
+
+def _timed(run: Callable[[], Any]) -> tuple[Any, np.ndarray]:
+    """Result, and (wall, processor) seconds: the latter hardly depend on other work of the machine."""
+    wall, processor = time.perf_counter(), time.process_time()
+    found = run()
+    return found, np.array([time.perf_counter() - wall, time.process_time() - processor])
+
+
+def counts(scene: SurfaceScene, k: int, sources: list[int], found: ViewDepth) -> dict[str, np.ndarray]:
+    """Numerator and denominator of every figure."""
+    truth, num = scene.depth(k), scene.num_seeing(k, sources)
+    known, is_sky = found.reason == DepthReason.OK, np.isnan(truth)
+    with np.errstate(invalid="ignore"):
+        error = np.abs(found.depth - truth)
+        right, wrong = known & (error <= RIGHT * truth), known & ~(error <= WRONG * truth)
+        sigmas = error / found.sigma
+    visible, judged = num >= 1, known & ~is_sky
+    is_thin = scene.is_thin(k) & visible
+    return {
+        "visible": _pair(visible, np.ones_like(visible)),
+        "known": _pair(known, visible),
+        "right": _pair(right, visible),
+        "right where two sources see": _pair(right, num >= 2),
+        "wrong": _pair(wrong, known),
+        "sky with a depth": _pair(known, is_sky),
+        "within 1 sigma": _pair(sigmas <= 1.0, judged),
+        "within 2 sigma": _pair(sigmas <= 2.0, judged),
+        "right on thin things": _pair(right, is_thin),
+        "wrong on thin things": _pair(wrong, is_thin),
+    }
+
+
+def _pair(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    return np.array([float((part & whole).sum()), float(whole.sum())])
+
+
+def fit_shared(work: Path) -> dict[str, float]:
+    """Fraction of the variance that sources share, from the errors of the courtyard by the number of agreeing sources."""
+    scene = prepare_scene("courtyard", work)
+    sources, ranges = sources_of(scene, NUM_SOURCES)
+    ratios: dict[int, list[np.ndarray]] = {n: [] for n in range(2, NUM_SOURCES + 1)}
+    for k in range(0, len(scene.names), 4):
+        found = view_depth(scene.view(k), [scene.view(j) for j in sources[k]], ranges[k])
+        for n, rows in ratios.items():
+            own = (found.num_agreeing == n) & (found.reason == DepthReason.OK) & np.isfinite(scene.depth(k))
+            rows.append((np.abs(found.depth - scene.depth(k)) / found.sigma)[own])
+    median = {n: float(np.median(np.concatenate(rows))) / 0.6745 for n, rows in ratios.items()}
+    extra = np.array([n - 1.0 for n in median])
+    variance = np.array(list(median.values())) ** 2 * (1.0 + SHARED * extra)
+    slope, constant = np.polyfit(extra, variance, 1)
+    return {f"error in sigmas, {n} agree": value for n, value in median.items()} | {
+        "SHARED": float(slope / constant)
+    }
+
+
+def real_part(_work: Path, data: Path) -> dict[str, dict[str, float]]:
+    """Twenty color images of a kitchen, compared with the depth camera beside them."""
+    folder = data / "slam" / "7scenes"
+    camera, _, _ = seven_scenes_cameras()
+    poses = kitchen_poses(folder / "poses_sfm.txt")
+    views = [
+        DenseView(f"{frame:06d}", read_rgb(folder / f"frame-{frame:06d}.color.jpg"), camera, poses[n])
+        for n, frame in enumerate(KITCHEN_FRAMES)
+    ]
+    errors, sigmas, num_known, num_measured, seconds, agree = [], [], 0, 0, [], []
+    for n, frame in enumerate(KITCHEN_FRAMES):
+        sources = nearest_views(poses, n)
+        found, one = _timed(
+            lambda: view_depth(views[n], [views[j] for j in sources], KITCHEN_DEPTHS_M)  # noqa: B023 - called at once
+        )
+        seconds.append(one)
+        measured = registered_depth(folder / f"frame-{frame:06d}.depth.png")
+        both = np.isfinite(measured) & (found.reason == DepthReason.OK)
+        num_measured, num_known = num_measured + int(np.isfinite(measured).sum()), num_known + int(both.sum())
+        errors.append((found.depth / measured - 1.0)[both])
+        sigmas.append((np.abs(found.depth - measured) / found.sigma)[both])
+        agree.append(len(sources))
+    error = np.abs(np.concatenate(errors))
+    return {
+        "kitchen": {
+            "views": len(views),
+            "sources (mean)": float(np.mean(agree)),
+            "density where the sensor measures": num_known / num_measured,
+            "median error": float(np.median(error)),
+            "median signed error": float(np.median(np.concatenate(errors))),
+            "within 1 %": float((error <= RIGHT).mean()),
+            "wrong": float((error > WRONG).mean()),
+            "within 2 sigma": float((np.concatenate(sigmas) <= 2.0).mean()),
+            "us per pixel": 1e6 * float(np.median(seconds, axis=0)[0]) / (camera.width * camera.height),
+        }
+    }
+
+
+def kitchen_poses(path: Path) -> Rigid3:
+    """cam_from_world of the frames in the color camera, from structure from motion over the room."""
+    table = np.loadtxt(path)
+    rows = table[np.searchsorted(table[:, 0], np.array(KITCHEN_FRAMES))]
+    assert np.array_equal(rows[:, 0], np.array(KITCHEN_FRAMES))
+    return Rigid3(Rotation3.from_quat_wxyz(rows[:, [7, 4, 5, 6]]).matrix, rows[:, 1:4].copy()).inverse()
+
+
+def nearest_views(poses: Rigid3, n: int) -> list[int]:
+    """Up to five sources: baselines nearest to `BEST_BASELINE_M`, with similar optical axes."""
+    baseline = np.linalg.norm(poses.centers() - poses.centers()[n], axis=1)
+    cosine = poses.rotation[:, 2] @ poses.rotation[n, 2]
+    usable = (baseline >= LEAST_BASELINE_M) & (cosine >= np.cos(np.deg2rad(MOST_ANGLE_DEG)))
+    order = np.argsort(np.abs(np.log(np.maximum(baseline, 1e-9) / BEST_BASELINE_M)), kind="stable")
+    return [int(k) for k in order if usable[k]][:NUM_SOURCES]
+
+
+def registered_depth(path: Path) -> np.ndarray:
+    """(h, w) depth image in the color camera, in meters; NaN where the sensor has none."""
+    color, sensor, depth_from_color = seven_scenes_cameras()
+    raw = np.asarray(Image.open(path)).astype(np.float64)
+    v, u = np.nonzero((raw > 0) & (raw < 65535))
+    rays = sensor.unproject(np.stack([u, v], axis=1).astype(np.float64))
+    in_sensor = rays / rays[:, 2:] * (raw[v, u, None] / SEVEN_SCENES_DEPTH_SCALE)
+    in_color = depth_from_color.inverse().apply(in_sensor)
+    at = np.rint(color.project(in_color)).astype(np.int64)
+    inside = (at >= 0).all(axis=1) & (at[:, 0] < color.width) & (at[:, 1] < color.height)
+    out = np.full((color.height, color.width), np.inf)
+    np.minimum.at(out, (at[inside, 1], at[inside, 0]), in_color[inside, 2])
+    return np.where(np.isfinite(out), out, np.nan)
+
+
+def stereo_part(_work: Path, data: Path) -> dict[str, dict[str, float]]:
+    """One source against `match_stereo` on the same pairs."""
+    rows = {}
+    tasks = stereo_tasks(data)
+    for name in CALIBRATIONS:
+        task = tasks[name]
+        found = epipole.match_stereo(task.left, task.right, max_disparity_px=task.num_disparities - 1)
+        rows[f"{name}, match_stereo"] = figures(found.disparity_px, task)
+        rows[f"{name}, view_depth"] = figures(disparity_of_view_depth(task, name), task)
+    return rows
+
+
+def disparity_of_view_depth(task: StereoTask, name: str) -> np.ndarray:
+    """Disparities that the depth of the left image corresponds to; its only source is the right image."""
+    focal, cx, cy, offset, baseline = CALIBRATIONS[name]
+    height, width = task.left.shape
+    views = []
+    for side, image, extra, shift in (("left", task.left, 0.0, 0.0), ("right", task.right, offset, baseline)):
+        camera = Camera("PINHOLE", width, height, [focal, focal, cx + extra, cy])
+        rgb = np.ascontiguousarray(np.repeat(image[..., None], 3, axis=2))
+        views.append(DenseView(side, rgb, camera, Rigid3(np.eye(3), np.array([-shift, 0.0, 0.0]))))
+    largest, least = task.num_disparities - 1 + offset, max(offset, 1.0)
+    found = view_depth(views[0], views[1:], (focal * baseline / largest, focal * baseline / least))
+    return np.asarray(focal * baseline / found.depth - offset)

@@ -1,0 +1,160 @@
+"""3D view of a surface: its textured mesh, else the mesh, else the cloud, with the cameras and their images."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from epipole.errors import EpipoleError, FileFormatError
+from epipole.geometry import Rotation3
+from epipole.io.files import read_json
+from epipole.io.meshes.gltf import read_glb
+from epipole.io.meshes.mesh_ply import PlyMesh, first_view_of_mesh, read_mesh_ply
+from epipole.io.models.images import ModelImages
+from epipole.pipelines.sfm.notes import title_of
+from epipole.pipelines.surfaces.inputs import MODEL
+from epipole.pipelines.surfaces.texture_stage import NAME
+from epipole.report.markup import plural
+from epipole.report.space import shuffled
+from epipole.report.space_model import cameras_of_model
+from epipole.report.space_scene import (
+    NO_UNIT,
+    CameraLayer,
+    FirstView,
+    MeshLayer,
+    PointLayer,
+    SpaceScene,
+    TexturedMeshLayer,
+)
+from epipole.report.textured_layer import textured_layer
+from epipole.runs import is_output_of, read_mark
+from epipole.runs.model_source import ModelSource, is_model, model_source_of
+from epipole.scene.textured_mesh import TexturedMesh
+
+KIND = "surface"
+MESH, CLOUD = "mesh.ply", "cloud.ply"
+IMAGE_PX = 640
+MOST_POINTS = 2_000_000
+"""Largest number of points of the cloud that are shown, an even sample of all."""
+GRAY = 190
+
+
+def is_mine(path: Path) -> bool:
+    """Whether a path is an output folder of `surface`."""
+    return is_output_of(path, KIND)
+
+
+def read(path: Path) -> TexturedMesh | PlyMesh:
+    """The textured mesh of an output folder, else the mesh, else the cloud.
+
+    Raises:
+        FileFormatError: the folder has none of them, or a file is damaged.
+    """
+    if (path / f"{NAME}.glb").is_file():
+        return read_glb(path / f"{NAME}.glb")
+    found = next((path / name for name in (MESH, CLOUD) if (path / name).is_file()), None)
+    if found is None:
+        raise FileFormatError(path, "it has no surface: the run did not finish")
+    return read_mesh_ply(found)
+
+
+def scene(path: Path) -> SpaceScene:
+    """The textured mesh, else the mesh, else the cloud; the cameras; and the cloud, hidden if there is a mesh.
+
+    Raises:
+        FileFormatError: the folder has no surface, or a file is damaged.
+    """
+    main, cloud = read(path), _cloud(path)
+    mesh, words = _layer_of(main), list[str]()
+    if mesh is not None:
+        words.append(plural(len(mesh.faces), "triangle"))
+        if isinstance(main, TexturedMesh):
+            sizes = (f"{t.shape[1]} x {t.shape[0]}" for t in main.textures)
+            words[0] += f" with a texture of {', '.join(sizes)} pixels"
+    points = () if cloud is None else (_sampled(cloud, is_shown=mesh is None),)
+    words += [] if cloud is None else [plural(len(cloud.xyz), "point")]
+    source = _model_source(path)
+    cameras = None if source is None else _cameras(source, is_shown=mesh is None)
+    words += [] if cameras is None else [plural(len(cameras.names), "image")]
+    return replace(
+        SpaceScene(_title(path), ", ".join(words), NO_UNIT, points, mesh=mesh),
+        cameras=cameras,
+        view=_first_view(path),
+        upright_from_world=_upright(source),
+    )
+
+
+def _cloud(path: Path) -> PlyMesh | None:
+    return read_mesh_ply(path / CLOUD) if (path / CLOUD).is_file() else None
+
+
+def _layer_of(main: TexturedMesh | PlyMesh) -> TexturedMeshLayer | MeshLayer | None:
+    if isinstance(main, TexturedMesh):
+        return textured_layer("Textured mesh", main)
+    return MeshLayer("Mesh", main.xyz, main.faces, _colors(main)) if len(main.faces) else None
+
+
+def _sampled(cloud: PlyMesh, *, is_shown: bool) -> PointLayer:
+    rows = shuffled(np.arange(len(cloud.xyz)), MOST_POINTS)
+    return PointLayer("Dense cloud", cloud.xyz[rows], _colors(cloud)[rows], is_shown=is_shown)
+
+
+def _colors(found: PlyMesh) -> np.ndarray:
+    return found.rgb if found.rgb is not None else np.full((len(found.xyz), 3), GRAY, np.uint8)
+
+
+def _title(path: Path) -> str:
+    mark = read_mark(path)
+    sources = mark.source.paths if mark is not None else ()
+    return title_of(Path(sources[0])) if sources else path.resolve().name
+
+
+def _model_source(path: Path) -> ModelSource | None:
+    """The model of the surface; None if it no longer exists."""
+    mark = read_mark(path)
+    if mark is None or not mark.source.paths:
+        return None
+    source = Path(mark.source.paths[0])
+    with suppress(EpipoleError):
+        if (path / MODEL / "sparse" / "0").is_dir():
+            photographs = source if source.is_dir() else path / MODEL / "images"
+            return model_source_of(path / MODEL, IMAGE_PX, photographs)
+        if source.exists() and is_model(source):
+            return model_source_of(source, IMAGE_PX, _given_images(path))
+    return None
+
+
+def _given_images(path: Path) -> Path | None:
+    """The folder of `--images`; None if it was not given."""
+    with suppress(EpipoleError):
+        config = read_json(path / "config.json")
+        given = config.get("config", {}).get("images") if isinstance(config, dict) else None
+        return Path(given) if isinstance(given, str) else None
+    return None
+
+
+def _cameras(source: ModelSource, *, is_shown: bool) -> CameraLayer | None:
+    if not source.model.is_registered().any():
+        return None
+    images = ModelImages(source.model, source.folder, is_own=source.is_own)
+    return replace(cameras_of_model(source.model, "Cameras", images.loader(IMAGE_PX)), is_shown=is_shown)
+
+
+def _first_view(path: Path) -> FirstView | None:
+    found = first_view_of_mesh(path / MESH) if (path / MESH).is_file() else None
+    return FirstView(*found) if found is not None else None
+
+
+def _upright(source: ModelSource | None) -> np.ndarray | None:
+    """The rotation that makes +z up in a model of another program: that of the mean camera, whose images are upright."""
+    if source is None or source.is_own:
+        return None
+    rotations = source.model.cams_from_world()[np.flatnonzero(source.model.is_registered())].rotation
+    up = -rotations[:, 1].mean(axis=0)
+    length = float(np.linalg.norm(up))
+    return (
+        Rotation3.from_two_vectors(up / length, np.array([0.0, 0.0, 1.0])).matrix if length > 1e-6 else None
+    )

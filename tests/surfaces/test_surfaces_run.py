@@ -1,0 +1,172 @@
+"""`epipole surface` on rendered images: results, continuation after a kill, stages, masks, and sources that cannot work."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from benchmarks.tasks.surfaces import prepare_scene
+
+from epipole import SurfaceConfig, surface
+from epipole.cli.main import main
+from epipole.errors import ConfigError, FileFormatError, NoModelError, WorkspaceError
+from epipole.io.colmap.model import read_colmap_model, write_colmap_model
+from epipole.io.images.rgba import write_png
+from epipole.io.meshes.gltf import read_glb
+from epipole.io.meshes.mesh_ply import read_mesh_ply
+from epipole.io.meshes.ply import read_points_ply
+from epipole.pipelines.surfaces import depth_stage
+
+VIEWS = 8
+
+
+@pytest.fixture(scope="session")
+def scene(tmp_path_factory):
+    return prepare_scene("courtyard", tmp_path_factory.mktemp("surfaces"), (384, 256), VIEWS)
+
+
+@pytest.fixture(scope="module")
+def done(scene, tmp_path_factory):
+    out = tmp_path_factory.mktemp("surface") / "out"
+    return surface(scene.folder, out, texture_px=1024, formats=("glb", "obj"))
+
+
+def copied(scene, path):
+    shutil.copytree(scene.folder, path)
+    return path
+
+
+def test_all_results_are_written_and_agree(done, scene):
+    summary = json.loads((done.out / "summary.json").read_text())
+    assert summary["num_views"] == VIEWS and summary["density"] > 0.5 and 0 < summary["relative_sigma"] < 0.01
+    cloud = read_points_ply(done.out / "cloud.ply")
+    assert len(cloud.xyz) == summary["num_points"] > 50_000
+    mesh = read_mesh_ply(done.out / "mesh.ply")
+    assert len(mesh.faces) == summary["num_faces"] == len(done.mesh)
+    textured = read_glb(done.out / "textured.glb")
+    assert len(textured) == len(done.mesh) and textured.textures[0].shape[1] == 1024
+    assert {"textured.obj", "textured.mtl", "report.html"} <= {path.name for path in done.out.iterdir()}
+    assert "done" not in done.warnings and repr(done).startswith("SurfaceResult(")
+    assert set(summary["views"]) == set(scene.names)
+
+
+def test_the_cloud_is_on_the_surfaces(done, scene):
+    cloud = read_points_ply(done.out / "cloud.ply").xyz[::50]
+    near = np.zeros(len(cloud), bool)
+    for k in range(VIEWS):
+        in_cam = scene.cams_from_world[k].apply(cloud)
+        pixels = np.rint(scene.camera.project(in_cam))
+        inside = (in_cam[:, 2] > 0) & (pixels >= 0).all(axis=1) & (pixels < [384, 256]).all(axis=1)
+        column, row = pixels[inside].astype(int).T
+        depth = scene.depth(k)[row, column]
+        near[np.flatnonzero(inside)[np.abs(depth / in_cam[inside, 2] - 1) < 0.02]] = True
+    assert near.mean() > 0.97
+
+
+def test_the_same_options_give_the_same_bytes_from_depth_ins(scene, done, monkeypatch):
+    before = {name: (done.out / name).read_bytes() for name in ("cloud.ply", "mesh.ply", "textured.glb")}
+    monkeypatch.setattr(depth_stage, "view_depth", lambda *_: pytest.fail("depths are stored"))
+    surface(scene.folder, done.out, texture_px=1024, formats=("glb", "obj"), threads=1)
+    assert before == {name: (done.out / name).read_bytes() for name in before}
+
+
+def test_it_ends_at_the_requested_stage(scene, tmp_path):
+    found = surface(scene.folder, tmp_path / "out", SurfaceConfig(until="cloud", max_size_px=192))
+    assert (found.out / "cloud.ply").is_file() and not (found.out / "mesh.ply").exists()
+    assert found.mesh is None and (found.out / "report.html").is_file()
+    surface(scene.folder, found.out, until="depth", max_size_px=192)
+    assert (found.out / "cloud.ply").is_file()
+
+
+def test_a_killed_run_continues(scene, tmp_path):
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "epipole", "surface", str(scene.folder), str(out), "--until", "cloud"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    limit = time.monotonic() + 120
+    while len(list((out / "units" / "depth").glob("*.npz"))) < 2 and time.monotonic() < limit:
+        assert process.poll() is None
+        time.sleep(0.02)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    stored = {path: path.stat().st_mtime_ns for path in (out / "units" / "depth").glob("*.npz")}
+    assert len(stored) >= 2 and not (out / "cloud.ply").exists()
+    surface(scene.folder, out, until="cloud")
+    assert all(path.stat().st_mtime_ns == stamp for path, stamp in stored.items())
+    whole = surface(scene.folder, tmp_path / "whole", until="cloud")
+    assert (out / "cloud.ply").read_bytes() == (whole.out / "cloud.ply").read_bytes()
+
+
+def test_masked_pixels_have_no_depth(scene, tmp_path):
+    masks = tmp_path / "masks"
+    masks.mkdir()
+    for name in scene.names:
+        mask = np.full((256, 384, 3), 255, np.uint8)
+        mask[:, :200] = 0
+        write_png(masks / f"{name}.png", mask)
+    found = surface(scene.folder, tmp_path / "out", until="depth", masks=masks, max_size_px=192)
+    assert found.summary["reasons"]["masked"] > 0.5 and found.summary["density"] < 0.5
+    for name in scene.names:
+        write_png(masks / f"{name}.png", np.zeros((256, 384, 3), np.uint8))
+    with pytest.raises(ConfigError, match="no pixel has a depth"):
+        surface(scene.folder, tmp_path / "nothing", masks=masks, max_size_px=192)
+    with pytest.raises(ConfigError, match="has no mask"):
+        (tmp_path / "empty").mkdir()
+        surface(scene.folder, tmp_path / "none", masks=tmp_path / "empty")
+
+
+def test_an_unreadable_image_is_left_out_and_said(scene, tmp_path):
+    source = copied(scene, tmp_path / "source")
+    (source / "images" / scene.names[2]).write_bytes(b"nothing")
+    found = surface(source, tmp_path / "out", until="depth", max_size_px=192)
+    assert found.summary["num_images"] == VIEWS - 1
+    assert any(scene.names[2] in warning for warning in found.warnings)
+
+
+def test_views_at_one_position_have_no_surface(scene, tmp_path):
+    source = copied(scene, tmp_path / "source")
+    model = read_colmap_model(source / "sparse" / "0")
+    poses = model.frames.rig_from_world
+    same = replace(poses, translation=-np.einsum("nij,j->ni", poses.rotation, np.array([0.0, -4.0, 1.0])))
+    write_colmap_model(
+        replace(model, frames=replace(model.frames, rig_from_world=same)), source / "sparse" / "0"
+    )
+    with pytest.raises(NoModelError, match="different positions"):
+        surface(source, tmp_path / "out")
+
+
+def test_sources_without_points_images_or_cameras_are_refused(scene, tmp_path):
+    source = copied(scene, tmp_path / "source")
+    model = read_colmap_model(source / "sparse" / "0")
+    tracks = replace(
+        model.tracks,
+        offsets=np.zeros(1, np.int64),
+        image=np.empty(0, np.int32),
+        keypoint=np.empty(0, np.int32),
+    )
+    points = replace(
+        model.points,
+        **{n: getattr(model.points, n)[:0] for n in model.points.__slots__ if n != "__weakref__"},
+    )
+    write_colmap_model(replace(model, points=points, tracks=tracks), source / "sparse" / "0")
+    with pytest.raises(NoModelError, match="has no points"):
+        surface(source, tmp_path / "out")
+    with pytest.raises(FileFormatError):
+        surface(tmp_path / "missing", tmp_path / "out")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("keep")
+    with pytest.raises(WorkspaceError):
+        surface(scene.folder, tmp_path / "mine")
+    with pytest.raises(ConfigError, match="texture_px"):
+        SurfaceConfig(texture_px=1)
+
+
+def test_the_command_prints_what_it_wrote(scene, tmp_path, capsys):
+    main(["surface", str(scene.folder), str(tmp_path / "out"), "--until", "cloud", "--max-size-px", "192"])
+    printed = "".join(capsys.readouterr().out.split())
+    assert "points" in printed and "cloud.ply" in printed
