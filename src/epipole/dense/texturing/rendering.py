@@ -32,19 +32,35 @@ def render_textured(
     inverse = np.zeros((camera.height, camera.width), np.float32)
     nearest = np.full(inverse.shape, -1, np.int32)
     raster.render_faces(pixels, in_cam[:, 2].copy(), mesh.faces, inverse, nearest)
-    row, column = np.nonzero(nearest >= 0)
-    face = nearest[row, column]
-    weights = _barycentric(np.stack([column, row], axis=1), pixels[mesh.faces[face]])
-    weights /= in_cam[mesh.faces[face], 2]  # perspective: u/z is linear in the image, u is not
-    weights /= weights.sum(axis=1, keepdims=True)
-    uv = (weights[..., None] * mesh.uv[face]).sum(axis=1)
-    rgb = np.zeros((*inverse.shape, 3), np.uint8)
-    for n, texture in enumerate(mesh.textures):
-        own = mesh.texture_of_face[face] == n
-        rgb[row[own], column[own]] = _sampled(texture, uv[own])
+    rgb = texture_colors(mesh, pixels, nearest, in_cam[:, 2])
     with np.errstate(divide="ignore"):
         depth = np.where(nearest >= 0, 1.0 / inverse, np.float32(np.nan))
     return rgb, depth.astype(np.float32)
+
+
+def texture_colors(
+    mesh: TexturedMesh, pixels: np.ndarray, face_of_pixel: np.ndarray, depth: np.ndarray | None
+) -> np.ndarray:
+    """(h, w, 3) colors of the pixels that show a face; black elsewhere.
+
+    Args:
+        mesh: the mesh.
+        pixels: (n, 2) of its vertices.
+        face_of_pixel: (h, w) face, -1 for none.
+        depth: (n,) of the vertices; None: parallel projection.
+    """
+    row, column = np.nonzero(face_of_pixel >= 0)
+    face = face_of_pixel[row, column]
+    weights = _barycentric(np.stack([column, row], axis=1), pixels[mesh.faces[face]])
+    if depth is not None:  # u/z is linear in the image, u is not
+        weights /= depth[mesh.faces[face]]
+        weights /= weights.sum(axis=1, keepdims=True)
+    uv = (weights[..., None] * mesh.uv[face]).sum(axis=1)
+    rgb = np.zeros((*face_of_pixel.shape, 3), np.uint8)
+    for n, texture in enumerate(mesh.textures):
+        own = mesh.texture_of_face[face] == n
+        rgb[row[own], column[own]] = _sampled(texture, uv[own])
+    return rgb
 
 
 def _barycentric(at: np.ndarray, corners: np.ndarray) -> np.ndarray:

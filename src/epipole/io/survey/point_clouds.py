@@ -157,6 +157,15 @@ def write_laz_chunks(
         writer.finish()
 
 
+def require_laspy() -> None:
+    """Check that laspy and lazrs are installed, before work whose result needs them.
+
+    Raises:
+        MissingDependencyError: one is not.
+    """
+    laspy_module()
+
+
 class _Writer:
     """A LAZ file that is being written."""
 

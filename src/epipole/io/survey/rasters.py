@@ -152,6 +152,15 @@ def read_geotiff(path: str | Path) -> Raster:
             return Raster(values, x_min, y_max, resolution_m, _crs_text(source.crs))
 
 
+def require_rasterio() -> None:
+    """Check that rasterio is installed, before work whose result needs it.
+
+    Raises:
+        MissingDependencyError: it is not.
+    """
+    _rasterio()
+
+
 def _rasterio() -> Any:
     try:
         import rasterio

@@ -69,6 +69,12 @@ def _show(result: SurfaceResult) -> None:
         width, height = summary["texture_size_px"]
         table.add_row("texture", f"{width} x {height} pixels")
         files["textured"] = result.out / "textured.glb"
+    if "raster_size" in summary:
+        width, height = summary["raster_size"]
+        table.add_row(
+            "survey", f"{width} x {height} cells of {summary['resolution_m']:g} m in {summary['crs']}"
+        )
+        files |= {"heights": result.out / "dsm.tif", "orthophoto": result.out / "orthophoto.tif"}
     table.add_row("time", f"{summary['seconds']:.1f} s")
     console.print(table)
     print_warnings(console, result.warnings)

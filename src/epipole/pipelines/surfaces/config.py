@@ -9,7 +9,7 @@ from typing import Literal
 from epipole._checks import check_options
 from epipole.errors import ConfigError
 
-STAGES = ("depth", "cloud", "mesh", "texture")
+STAGES = ("depth", "cloud", "mesh", "texture", "survey")
 FORMATS = ("glb", "obj")
 
 
@@ -17,8 +17,8 @@ FORMATS = ("glb", "obj")
 class SurfaceConfig:
     """Options of `epipole surface`; the defaults suit objects, rooms and facades."""
 
-    until: Literal["depth", "cloud", "mesh", "texture"] = "texture"
-    """Last stage: depth of each view, fused cloud, mesh, or its texture."""
+    until: Literal["depth", "cloud", "mesh", "texture", "survey"] = "texture"
+    """Last stage: depth, cloud, mesh, texture, or survey (height model, orthophoto, LAZ)."""
     max_size_px: int = 1600
     """Longer side at which images are matched; larger ones are downscaled."""
     sources: int = 5
@@ -35,6 +35,10 @@ class SurfaceConfig:
     """Width of the texture, and its largest height."""
     formats: tuple[Literal["glb", "obj"], ...] = ("glb",)
     """Formats of the textured mesh."""
+    resolution_m: float | None = None
+    """survey: side of a cell. Default: a pixel at the median depth."""
+    crs: str | None = None
+    """survey: coordinate system, such as EPSG:25832. Default: UTM."""
     threads: int | None = None
     """Number of threads. Default: all cores."""
 
@@ -57,5 +61,7 @@ class SurfaceConfig:
             raise ConfigError(f"texture_px must be from 256 to 16384, got {self.texture_px}")
         if not self.formats:
             raise ConfigError("formats must name at least one format of the textured mesh")
+        if self.resolution_m is not None and not self.resolution_m > 0:
+            raise ConfigError(f"resolution_m must be positive, got {self.resolution_m}")
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, got {self.threads}")

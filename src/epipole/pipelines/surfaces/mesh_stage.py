@@ -41,7 +41,7 @@ def mesh_of(
         ConfigError: the voxels are too small for the scene.
     """
     views = list(depths)
-    voxel = config.voxel or PIXELS_PER_VOXEL * _median_pixel(inputs, depths, clouds)
+    voxel = config.voxel or PIXELS_PER_VOXEL * median_pixel(inputs, depths, clouds)
     keys = _blocks(inputs, depths, clouds, voxel)
     while config.voxel is None and len(keys) > USUAL_BLOCKS:
         voxel *= max(1.05, float(np.sqrt(len(keys) / USUAL_BLOCKS)))
@@ -82,7 +82,7 @@ def _colors(
     return np.rint(np.where(count[:, None] > 0, mean, GRAY)).astype(np.uint8)
 
 
-def _median_pixel(inputs: SurfaceInputs, depths: Mapping[int, Unit], clouds: Mapping[int, Unit]) -> float:
+def median_pixel(inputs: SurfaceInputs, depths: Mapping[int, Unit], clouds: Mapping[int, Unit]) -> float:
     """Side of a pixel at the median depth, in units of the model; the median over all views."""
     sides = []
     for k in depths:

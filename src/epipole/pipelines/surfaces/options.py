@@ -9,7 +9,7 @@ from typing import Literal, TypedDict
 class SurfaceKeywords(TypedDict, total=False):
     """Fields of `SurfaceConfig`, each optional."""
 
-    until: Literal["depth", "cloud", "mesh", "texture"]
+    until: Literal["depth", "cloud", "mesh", "texture", "survey"]
     max_size_px: int
     sources: int
     images: str | Path | None
@@ -18,4 +18,6 @@ class SurfaceKeywords(TypedDict, total=False):
     min_component: float
     texture_px: int
     formats: tuple[Literal["glb", "obj"], ...]
+    resolution_m: float | None
+    crs: str | None
     threads: int | None

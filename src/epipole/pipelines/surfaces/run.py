@@ -18,10 +18,11 @@ from epipole.pipelines.surfaces.cloud_stage import cloud_units, points_in
 from epipole.pipelines.surfaces.config import STAGES, SurfaceConfig
 from epipole.pipelines.surfaces.depth_stage import depth_units
 from epipole.pipelines.surfaces.inputs import SurfaceInputs, surface_inputs
-from epipole.pipelines.surfaces.mesh_stage import first_view, mesh_of
+from epipole.pipelines.surfaces.mesh_stage import first_view, median_pixel, mesh_of
 from epipole.pipelines.surfaces.options import SurfaceKeywords
 from epipole.pipelines.surfaces.page import render_page
 from epipole.pipelines.surfaces.results import depth_figures, summary_of
+from epipole.pipelines.surfaces.survey_stage import require_georeference, write_survey
 from epipole.pipelines.surfaces.texture_stage import texture_of, up_of, write_textured
 from epipole.runs import Job, ProgressCallback, Run, Unit, ignore_progress, open_run
 from epipole.scene import Mesh
@@ -85,6 +86,8 @@ def surface(
     with open_run(job, target) as run:
         with run.stage("open"):
             inputs = surface_inputs(source, run, wanted)
+            if wanted.until == "survey":
+                require_georeference(inputs, wanted)
         run.warnings += inputs.warnings
         return _surface_of(inputs, wanted, run)
 
@@ -115,6 +118,10 @@ def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> Surfa
             with run.folder.publish("texture") as aside:
                 write_textured(aside, textured, up_of(inputs), config)
             facts["texture_size_px"] = [textured.textures[0].shape[1], textured.textures[0].shape[0]]
+        if last >= STAGES.index("survey"):
+            with run.stage("survey"), run.folder.publish("survey") as aside:
+                pixel = median_pixel(inputs, depths, clouds)
+                facts |= write_survey(aside, textured, clouds, inputs, pixel, config)
     with run.stage("write"), run.folder.publish("report") as aside:
         summary = summary_of(inputs, figures, facts, run)
         page = render_page(inputs, depths, figures, sample, summary)

@@ -1,0 +1,115 @@
+"""Survey products: height model, orthophoto and LAZ of a georeferenced model, read back by other libraries."""
+
+from dataclasses import replace
+
+import laspy
+import numpy as np
+import pytest
+import rasterio
+from benchmarks.tasks.surfaces import prepare_scene
+
+from epipole import surface
+from epipole.dense.orthophoto import top_view
+from epipole.errors import ConfigError, DegenerateGeometryError
+from epipole.io.colmap.model import read_colmap_model, write_colmap_model
+from epipole.io.meshes.ply import read_points_ply
+from epipole.io.survey.coordinate_systems import lat_lon_alt_of
+from epipole.scene import Georeference
+from epipole.scene.textured_mesh import TexturedMesh
+
+ORIGIN = Georeference(48.2, 11.6, 520.0)
+UTM = "EPSG:32632"
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    scene = prepare_scene("courtyard", tmp_path_factory.mktemp("survey"), (384, 256), 8)
+    folder = scene.folder / "sparse" / "0"
+    write_colmap_model(replace(read_colmap_model(folder), georeference=ORIGIN), folder)
+    return scene
+
+
+@pytest.fixture(scope="module")
+def done(source, tmp_path_factory):
+    return surface(source.folder, tmp_path_factory.mktemp("out") / "out", until="survey", texture_px=1024)
+
+
+def enu(positions):
+    """UTM coordinates as meters from the origin."""
+    return ORIGIN.enu_of(lat_lon_alt_of("test", positions, UTM))
+
+
+def test_heights_are_those_of_the_ground_and_the_boxes(done):
+    with rasterio.open(done.out / "dsm.tif") as file:
+        assert file.crs.to_epsg() == 32632 and np.isnan(file.nodata)
+        heights, transform = file.read(1), file.transform
+    assert done.summary["raster_size"] == [heights.shape[1], heights.shape[0]]
+    row, column = np.nonzero(np.isfinite(heights))
+    x, y = rasterio.transform.xy(transform, row, column)
+    local = enu(np.stack([np.asarray(x), np.asarray(y), heights[row, column].astype(float)], axis=1))
+    front = (np.abs(local[:, 0] - 0.6) < 0.3) & (np.abs(local[:, 1] + 1.4) < 0.3)
+    assert front.sum() > 20 and np.median(np.abs(local[front, 2])) < 0.12  # wavy ground, 10 cm
+    top = np.hypot(local[:, 0] - 0.2, local[:, 1] + 0.5) < 0.15
+    if top.any():
+        assert np.median(local[top, 2]) == pytest.approx(0.5, abs=0.06)
+
+
+def test_the_orthophoto_has_the_same_grid_and_is_transparent_in_holes(done):
+    with rasterio.open(done.out / "orthophoto.tif") as file, rasterio.open(done.out / "dsm.tif") as other:
+        assert file.transform == other.transform and file.crs == other.crs
+        colors, heights = file.read(), other.read(1)
+    assert ((colors[3] == 255) == np.isfinite(heights)).all()
+    assert colors[:3][:, colors[3] == 255].std() > 15
+
+
+def test_the_points_are_the_cloud_in_utm_to_a_millimeter(done):
+    with laspy.open(done.out / "cloud.laz") as file:
+        assert file.header.parse_crs().to_epsg() == 32632
+        read = file.read()
+    assert len(read.points) == done.summary["num_points"]
+    positions = enu(np.stack([read.x, read.y, read.z], axis=1))
+    cloud = read_points_ply(done.out / "cloud.ply").xyz
+    np.testing.assert_allclose(positions, cloud, atol=1.2e-3)
+
+
+def test_a_model_without_a_position_is_refused_before_the_work(source, tmp_path):
+    folder = tmp_path / "plain"
+    (folder / "sparse" / "0").mkdir(parents=True)
+    model = read_colmap_model(source.folder / "sparse" / "0")
+    write_colmap_model(replace(model, georeference=None), folder / "sparse" / "0")
+    with pytest.raises(ConfigError, match="position on Earth"):
+        surface(folder, tmp_path / "out", images=source.folder / "images", until="survey")
+    assert not (tmp_path / "out" / "units" / "depth").exists()
+
+
+def slab():
+    """Two triangles at height 5 over one at height 2."""
+    vertices = np.array([[0, 0, 2], [4, 0, 2], [4, 4, 2], [0, 4, 2], [0, 0, 5], [2, 0, 5], [0, 2, 5]], float)
+    faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6]])
+    uv = np.zeros((3, 3, 2))
+    uv[2] = 0.99
+    texture = np.zeros((2, 2, 3), np.uint8)
+    texture[0, 0], texture[1, 1] = (200, 0, 0), (0, 0, 200)
+    return TexturedMesh(vertices, faces, uv, np.zeros(3, np.int64), (texture,))
+
+
+def test_the_highest_surface_is_seen_from_above():
+    mesh = slab()
+    seen = top_view(mesh, mesh.vertices_in_world, 0.5)
+    assert seen.height.shape == (8, 8) and (seen.x_min, seen.y_max) == (0.0, 4.0)
+    assert seen.height[7, 0] == 5.0 and seen.height[0, 7] == 2.0 and seen.is_known.all()
+    assert tuple(seen.rgb[7, 0]) == (0, 0, 200) and tuple(seen.rgb[0, 7]) == (200, 0, 0)
+
+
+def test_wrong_resolutions_are_refused():
+    mesh = slab()
+    for resolution in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(ConfigError, match="resolution"):
+            top_view(mesh, mesh.vertices_in_world, resolution)
+    with pytest.raises(ConfigError):
+        top_view(mesh, mesh.vertices_in_world, 1e-7)
+    empty = TexturedMesh(
+        np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros((0, 3, 2)), np.zeros(0, np.int64), ()
+    )
+    with pytest.raises(DegenerateGeometryError, match="no face"):
+        top_view(empty, np.zeros((0, 3)), 1.0)
