@@ -107,7 +107,7 @@ def cloud_part(work: Path, _data: Path) -> dict[str, dict[str, float]]:
         seconds = {f"{stage}, s": times[stage] for stage in ("depth", "cloud", "mesh")}
         rate = len(points) / (times["depth"] + times["cloud"])
         rows[f"{name}, cloud"] = facts | truth.scores(points) | seconds | {"points per s": rate}
-        surface = sampled(mesh.vertices_in_world, mesh.faces, truth.side)
+        surface = sampled(mesh.xyz, mesh.faces, truth.side)
         rows[f"{name}, mesh"] = truth.scores(surface) | {"voxel": summary["voxel"] / truth.size}
     return rows
 

@@ -31,7 +31,7 @@ MEDIAN_CHI_SQUARE, LEAST_PIXELS, SCALES = 0.77, 1000, (0.05, 20.0)
 """Median of chi-square per degree of freedom (3 of them); fewest pixels; smallest and largest variance, relative to the pair's."""
 LEAST_AGREEING = 2
 """Sources that must agree, unless only one has the pixel in its image."""
-MOST_SIGMA = 0.02
+MOST_SIGMA = 0.05
 """Largest standard deviation, relative to the depth."""
 LEAST_CHANGE, BLANK_PX, FLAT_PX = 6, 25, 5
 """Smallest gray-level difference that is texture; sides of the windows without texture that begin and extend a blank area."""

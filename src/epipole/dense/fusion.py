@@ -21,6 +21,8 @@ ENOUGH_SOURCES = 3
 """Agreeing sources of a view's depth with which no other view must confirm it."""
 SHARED = 0.5
 """Part of the variance that views share, as each was matched with the others."""
+MOST_SIGMA = 0.02
+"""Largest standard deviation of a point, relative to the depth."""
 NORMAL_REACH_PX, NORMAL_STEP = 3, 0.02
 _ROWS = 32
 
@@ -112,6 +114,7 @@ def fuse_view(view: DenseView, depth: ViewDepth, others: Iterable[tuple[DenseVie
     agreeing, through, better = counts[..., 0], counts[..., 1], counts[..., 2]
     enough = (agreeing >= 1) | (depth.num_agreeing >= ENOUGH_SOURCES)
     confirmed = (depth.depth > 0) & enough & (through <= agreeing)
+    confirmed &= depth.sigma <= np.float32(MOST_SIGMA) * depth.depth
     return FusedView(_points(view, depth, confirmed & (better == 0), sums, agreeing), confirmed)
 
 
