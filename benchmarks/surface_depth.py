@@ -8,26 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 import epipole
 from benchmarks.tasks.stereo import StereoTask, figures, stereo_tasks
+from benchmarks.tasks.surface_kitchen import JUDGED_EVERY, Kitchen, prepare_kitchen
 from benchmarks.tasks.surface_scenes import PLANS
 from benchmarks.tasks.surfaces import NUM_SOURCES, SurfaceScene, prepare_scene, sources_of
 from epipole.cameras import Camera
 from epipole.dense.depth import SHARED, view_depth
 from epipole.dense.view import DenseView
-from epipole.geometry import Rigid3, Rotation3
-from epipole.io.calibration.built_in import SEVEN_SCENES_DEPTH_SCALE, seven_scenes_cameras
-from epipole.io.images.photographs import read_rgb
+from epipole.geometry import Rigid3
 from epipole.scene.view_depth import DepthReason, ViewDepth
 
 RIGHT, WRONG = 0.01, 0.05
 """Relative errors up to which a depth is right, and beyond which it is wrong."""
-KITCHEN_FRAMES = range(0, 320, 16)
-KITCHEN_DEPTHS_M = (0.5, 5.0)
-BEST_BASELINE_M, LEAST_BASELINE_M, MOST_ANGLE_DEG = 0.3, 0.04, 35.0
-"""Baseline of 9 degrees at two meters; the smallest baseline, and the largest angle between optical axes, of a source."""
 CALIBRATIONS = {
     "motorcycle": (994.978, 311.193, 254.877, 31.086, 193.001),
     "cones": (935.0, 224.5, 187.0, 0.0, 160.0),
@@ -121,74 +115,44 @@ def fit_shared(work: Path) -> dict[str, float]:
     }
 
 
-def real_part(_work: Path, data: Path) -> dict[str, dict[str, float]]:
-    """Twenty color images of a kitchen, compared with the depth camera beside them."""
-    folder = data / "slam" / "7scenes"
-    camera, _, _ = seven_scenes_cameras()
-    poses = kitchen_poses(folder / "poses_sfm.txt")
-    views = [
-        DenseView(f"{frame:06d}", read_rgb(folder / f"frame-{frame:06d}.color.jpg"), camera, poses[n])
-        for n, frame in enumerate(KITCHEN_FRAMES)
-    ]
-    errors, sigmas, num_known, num_measured, seconds, agree = [], [], 0, 0, [], []
-    for n, frame in enumerate(KITCHEN_FRAMES):
-        sources = nearest_views(poses, n)
-        found, one = _timed(
-            lambda: view_depth(views[n], [views[j] for j in sources], KITCHEN_DEPTHS_M)  # noqa: B023 - called at once
-        )
+def real_part(work: Path, data: Path) -> dict[str, dict[str, float]]:
+    """Color images of a kitchen, compared with the depth camera beside them: with the published poses, and with epipole's."""
+    kitchen = prepare_kitchen(work, data, NUM_SOURCES)
+    return {
+        "published poses": kitchen_figures(kitchen, kitchen.published),
+        "own poses": kitchen_figures(kitchen, kitchen.own),
+    }
+
+
+def kitchen_figures(kitchen: Kitchen, poses: Rigid3) -> dict[str, float]:
+    """Figures over the pixels that both have."""
+    rows = range(0, len(kitchen.frames), JUDGED_EVERY)
+    errors, sigmas, num_known, num_measured, seconds = [], [], 0, 0, []
+    for k in rows:
+        view, sources = kitchen.view(k, poses), [kitchen.view(j, poses) for j in kitchen.sources[k]]
+        found, one = _timed(lambda: view_depth(view, sources, kitchen.depths[k]))  # noqa: B023 - called at once
         seconds.append(one)
-        measured = registered_depth(folder / f"frame-{frame:06d}.depth.png")
+        measured = kitchen.measured(k)
         both = np.isfinite(measured) & (found.reason == DepthReason.OK)
         num_measured, num_known = num_measured + int(np.isfinite(measured).sum()), num_known + int(both.sum())
         errors.append((found.depth / measured - 1.0)[both])
         sigmas.append((np.abs(found.depth - measured) / found.sigma)[both])
-        agree.append(len(sources))
-    error = np.abs(np.concatenate(errors))
+    signed = np.concatenate(errors)
+    error, width, height = np.abs(signed), kitchen.view(0, poses).camera.width, len(measured)
     return {
-        "kitchen": {
-            "views": len(views),
-            "sources (mean)": float(np.mean(agree)),
-            "density where the sensor measures": num_known / num_measured,
-            "median error": float(np.median(error)),
-            "median signed error": float(np.median(np.concatenate(errors))),
-            "within 1 %": float((error <= RIGHT).mean()),
-            "wrong": float((error > WRONG).mean()),
-            "within 2 sigma": float((np.concatenate(sigmas) <= 2.0).mean()),
-            "us per pixel": 1e6 * float(np.median(seconds, axis=0)[0]) / (camera.width * camera.height),
-        }
+        "views": len(rows),
+        "sources (mean)": float(np.mean([len(kitchen.sources[k]) for k in rows])),
+        "density where the sensor measures": num_known / num_measured,
+        "median error": float(np.median(error)),
+        "median signed error": float(np.median(signed)),
+        "median error without the scale": float(
+            np.median(np.abs((1 + signed) / (1 + np.median(signed)) - 1))
+        ),
+        "within 1 %": float((error <= RIGHT).mean()),
+        "wrong": float((error > WRONG).mean()),
+        "within 2 sigma": float((np.concatenate(sigmas) <= 2.0).mean()),
+        "us per pixel": 1e6 * float(np.median(seconds, axis=0)[0]) / (width * height),
     }
-
-
-def kitchen_poses(path: Path) -> Rigid3:
-    """cam_from_world of the frames in the color camera, from structure from motion over the room."""
-    table = np.loadtxt(path)
-    rows = table[np.searchsorted(table[:, 0], np.array(KITCHEN_FRAMES))]
-    assert np.array_equal(rows[:, 0], np.array(KITCHEN_FRAMES))
-    return Rigid3(Rotation3.from_quat_wxyz(rows[:, [7, 4, 5, 6]]).matrix, rows[:, 1:4].copy()).inverse()
-
-
-def nearest_views(poses: Rigid3, n: int) -> list[int]:
-    """Up to five sources: baselines nearest to `BEST_BASELINE_M`, with similar optical axes."""
-    baseline = np.linalg.norm(poses.centers() - poses.centers()[n], axis=1)
-    cosine = poses.rotation[:, 2] @ poses.rotation[n, 2]
-    usable = (baseline >= LEAST_BASELINE_M) & (cosine >= np.cos(np.deg2rad(MOST_ANGLE_DEG)))
-    order = np.argsort(np.abs(np.log(np.maximum(baseline, 1e-9) / BEST_BASELINE_M)), kind="stable")
-    return [int(k) for k in order if usable[k]][:NUM_SOURCES]
-
-
-def registered_depth(path: Path) -> np.ndarray:
-    """(h, w) depth image in the color camera, in meters; NaN where the sensor has none."""
-    color, sensor, depth_from_color = seven_scenes_cameras()
-    raw = np.asarray(Image.open(path)).astype(np.float64)
-    v, u = np.nonzero((raw > 0) & (raw < 65535))
-    rays = sensor.unproject(np.stack([u, v], axis=1).astype(np.float64))
-    in_sensor = rays / rays[:, 2:] * (raw[v, u, None] / SEVEN_SCENES_DEPTH_SCALE)
-    in_color = depth_from_color.inverse().apply(in_sensor)
-    at = np.rint(color.project(in_color)).astype(np.int64)
-    inside = (at >= 0).all(axis=1) & (at[:, 0] < color.width) & (at[:, 1] < color.height)
-    out = np.full((color.height, color.width), np.inf)
-    np.minimum.at(out, (at[inside, 1], at[inside, 0]), in_color[inside, 2])
-    return np.where(np.isfinite(out), out, np.nan)
 
 
 def stereo_part(_work: Path, data: Path) -> dict[str, dict[str, float]]:

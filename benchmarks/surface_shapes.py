@@ -20,7 +20,7 @@ from epipole.io.meshes.mesh_ply import read_mesh_ply
 from epipole.io.meshes.ply import ply_columns
 from epipole.pipelines.surfaces.cloud_stage import cloud_units, confirmed_depth
 from epipole.pipelines.surfaces.config import SurfaceConfig
-from epipole.pipelines.surfaces.depth_stage import depth_units, depth_in
+from epipole.pipelines.surfaces.depth_stage import depth_in, depth_units
 from epipole.pipelines.surfaces.inputs import SurfaceInputs, surface_inputs
 from epipole.runs import Job, Unit, open_run
 

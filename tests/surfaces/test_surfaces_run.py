@@ -170,3 +170,29 @@ def test_the_command_prints_what_it_wrote(scene, tmp_path, capsys):
     main(["surface", str(scene.folder), str(tmp_path / "out"), "--until", "cloud", "--max-size-px", "192"])
     printed = "".join(capsys.readouterr().out.split())
     assert "points" in printed and "cloud.ply" in printed
+
+
+def test_two_images_are_enough(scene, tmp_path):
+    source = copied(scene, tmp_path / "source")
+    for k, name in enumerate(scene.names):
+        if k not in (3, 4):
+            (source / "images" / name).unlink()
+    found = surface(source, tmp_path / "out", until="mesh")
+    assert found.summary["num_views"] == 2 and found.summary["density"] > 0.4
+    assert found.mesh is not None and len(found.mesh) > 1000
+
+
+def test_images_without_overlap_are_refused(scene, tmp_path):
+    source = copied(scene, tmp_path / "source")
+    model = read_colmap_model(source / "sparse" / "0")
+    first = np.flatnonzero(model.tracks.image == 0)
+    point = model.tracks.point_of_observation()
+    alone = replace(
+        model.tracks,
+        offsets=np.searchsorted(point[first], np.arange(len(model.points) + 1)).astype(np.int64),
+        image=model.tracks.image[first],
+        keypoint=model.tracks.keypoint[first],
+    )
+    write_colmap_model(replace(model, tracks=alone), source / "sparse" / "0")
+    with pytest.raises(NoModelError, match="overlapping images"):
+        surface(source, tmp_path / "out")

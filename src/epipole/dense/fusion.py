@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
@@ -22,7 +22,7 @@ ENOUGH_SOURCES = 3
 SHARED = 0.5
 """Part of the variance that views share, as each was matched with the others."""
 MOST_SIGMA = 0.02
-"""Largest standard deviation of a point, relative to the depth."""
+"""Largest standard deviation of depths that are used, relative to the depth."""
 NORMAL_REACH_PX, NORMAL_STEP = 3, 0.02
 _ROWS = 32
 
@@ -106,16 +106,22 @@ def fuse_view(view: DenseView, depth: ViewDepth, others: Iterable[tuple[DenseVie
         ShapeError: a depth does not have its view's size.
     """
     _check_size(view, depth)
+    depth = _certain(depth)
     height, width = depth.depth.shape
     sums, counts = np.zeros((height, width, 5), np.float32), np.zeros((height, width, 3), np.uint8)
     for other, seen in others:
         _check_size(other, seen)
-        _compare(view, depth, other, seen, sums, counts)
+        _compare(view, depth, other, _certain(seen), sums, counts)
     agreeing, through, better = counts[..., 0], counts[..., 1], counts[..., 2]
     enough = (agreeing >= 1) | (depth.num_agreeing >= ENOUGH_SOURCES)
     confirmed = (depth.depth > 0) & enough & (through <= agreeing)
-    confirmed &= depth.sigma <= np.float32(MOST_SIGMA) * depth.depth
     return FusedView(_points(view, depth, confirmed & (better == 0), sums, agreeing), confirmed)
+
+
+def _certain(depth: ViewDepth) -> ViewDepth:
+    """The depth without uncertain pixels, which would agree with too much."""
+    kept = depth.sigma <= np.float32(MOST_SIGMA) * depth.depth
+    return replace(depth, depth=np.where(kept, depth.depth, np.float32(np.nan)))
 
 
 def _compare(
