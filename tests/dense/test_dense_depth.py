@@ -91,7 +91,16 @@ def test_masks_of_the_view_and_of_its_sources_are_respected():
     found = view_depth(replace(reference, used_mask=used), sources, RANGE)
     assert (found.reason[:, :100] == DepthReason.MASKED).all() and found.density > 0.4
     nothing = [replace(source, used_mask=np.zeros_like(used)) for source in sources]
-    assert view_depth(reference, nothing, RANGE).density == 0.0
+    found = view_depth(reference, nothing, RANGE)
+    assert found.density == 0.0 and (found.reason == DepthReason.OCCLUDED).mean() > 0.5
+
+
+def test_one_unmasked_source_is_enough_where_the_other_is_masked():
+    reference, one, other = views(REFERENCE, 9, 11)
+    whole = view_depth(reference, [one], RANGE)
+    masked = replace(other, used_mask=np.zeros((240, 320), bool))
+    found = view_depth(reference, [one, masked], RANGE)
+    assert found.density > 0.9 * whole.density
 
 
 def test_a_blank_image_has_no_depth_and_says_why():

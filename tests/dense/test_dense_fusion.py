@@ -90,6 +90,12 @@ def test_no_depth_gives_no_points():
         fuse_view(view, smaller, [])
 
 
+def test_any_number_of_views_may_agree():
+    view, depth = exact(10)
+    found = [fuse_view(view, depth, [exact(11)] * count).confirmed.sum() for count in (255, 256, 300)]
+    assert found[0] == found[1] == found[2] > 0
+
+
 @reference_of(_fusion_kernels.compare_rows, _fusion_kernels.normal_rows)
 def test_kernels_do_what_their_python_does(monkeypatch):
     compared = record_calls(monkeypatch, fusion, _fusion_kernels.compare_rows)

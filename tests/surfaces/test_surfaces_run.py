@@ -81,7 +81,36 @@ def test_it_ends_at_the_requested_stage(scene, tmp_path):
     assert (found.out / "cloud.ply").is_file() and not (found.out / "mesh.ply").exists()
     assert found.mesh is None and (found.out / "report.html").is_file()
     surface(scene.folder, found.out, until="depth", max_size_px=192)
-    assert (found.out / "cloud.ply").is_file()
+    assert not (found.out / "cloud.ply").exists()  # of other depths
+
+
+def test_large_coordinates_give_the_same_mesh(scene, done, tmp_path):
+    source = copied(scene, tmp_path / "source")
+    model = read_colmap_model(source / "sparse" / "0")
+    offset = np.array([500_000.0, 5_300_000.0, 400.0])
+    poses = model.frames.rig_from_world
+    moved = replace(poses, translation=poses.translation - poses.rotation @ offset)
+    points = replace(model.points, xyz_in_world=model.points.xyz_in_world + offset)
+    write_colmap_model(
+        replace(model, points=points, frames=replace(model.frames, rig_from_world=moved)),
+        source / "sparse" / "0",
+    )
+    found = surface(source, tmp_path / "out", texture_px=1024)
+    assert len(found.mesh) == pytest.approx(len(done.mesh), rel=0.06)  # voxels lie elsewhere
+    middle = found.mesh.vertices_in_world.mean(axis=0) - offset
+    np.testing.assert_allclose(middle, done.mesh.vertices_in_world.mean(axis=0), atol=0.02)
+    textured = read_glb(found.out / "textured.glb")
+    np.testing.assert_allclose(textured.vertices_in_world.mean(axis=0) - offset, middle, atol=0.05)
+
+
+def test_a_texture_that_is_too_small_is_a_warning_and_no_old_one_stays(scene, tmp_path):
+    out = surface(scene.folder, tmp_path / "out", max_size_px=192, texture_px=1024).out
+    assert (out / "textured.glb").is_file()
+    found = surface(scene.folder, out, max_size_px=192, texture_px=256, min_component=0.0)
+    if any("no texture" in warning for warning in found.warnings):
+        assert not (out / "textured.glb").exists()
+    surface(scene.folder, out, max_size_px=192, until="mesh")
+    assert not (out / "textured.glb").exists() and (out / "mesh.ply").is_file()
 
 
 def test_a_killed_run_continues(scene, tmp_path):

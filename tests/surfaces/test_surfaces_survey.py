@@ -82,6 +82,11 @@ def test_a_model_without_a_position_is_refused_before_the_work(source, tmp_path)
     assert not (tmp_path / "out" / "units" / "depth").exists()
 
 
+def test_degrees_are_refused(source, tmp_path):
+    with pytest.raises(ConfigError, match="degrees"):
+        surface(source.folder, tmp_path / "out", until="survey", crs="EPSG:4326")
+
+
 def slab():
     """Two triangles at height 5 over one at height 2."""
     vertices = np.array([[0, 0, 2], [4, 0, 2], [4, 4, 2], [0, 4, 2], [0, 0, 5], [2, 0, 5], [0, 2, 5]], float)

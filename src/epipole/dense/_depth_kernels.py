@@ -13,7 +13,7 @@ LARGEST_STEP_PX = np.float32(1.0)
 def sample_pair(geometry, found, limits, start, stop, out):
     """Inverse depth of rows start..stop of the reference view, from the disparities of a rectified pair.
 
-    geometry = (rectified pixel from reference pixel (9), n (3), d0, K^-1 of the reference (fx, fy, cx, cy)), found = (disparity, sigma,
+    geometry = (rectified pixel from reference pixel (9), n (3), d0, K of the reference (fx, fy, cx, cy)), found = (disparity, sigma,
     reason), limits = (reason of each value of found, extra sigma). out = (inverse depth, sigma, reason) of this pair.
     q = (d + d0) (n . r), r = ((u - cx) / fx, (v - cy) / fy, 1).
     """

@@ -14,7 +14,7 @@ OFFSET = 1 << 20
 def touched_blocks(depth, view, size, band, stride, start, stop, keys):
     """Keys of the blocks within the band of each stride-th pixel's depth, of rows start..stop; returns their number.
 
-    view = (world_from_cam rotation (9), center (3), K^-1 (fx, fy, cx, cy)). size: side of a block. Consecutive equal keys are written once.
+    view = (world_from_cam rotation (9), center (3), K (fx, fy, cx, cy)). size: side of a block. Consecutive equal keys are written once.
     """
     r, c, k = view
     number, last = 0, -1

@@ -19,6 +19,7 @@ from epipole.dense.view import DenseView, intrinsics_of
 from epipole.disparity_search.config import DisparityConfig
 from epipole.disparity_search.search import match_stereo
 from epipole.errors import ConfigError, DegenerateGeometryError
+from epipole.scene import StereoReason
 from epipole.scene.view_depth import DepthReason, ViewDepth
 
 AGREEING_SIGMAS, AGREEING_FRACTION = 3.0, 0.003
@@ -80,7 +81,7 @@ def view_depth(
     gray = _gray(reference)
     for k, source in enumerate(sources):
         try:
-            pair = rectify_views(reference, source, depths)
+            pair = rectify_views(reference, source, depths, k / len(sources))
         except DegenerateGeometryError:
             continue
         _match(pair, gray, source, reference, model_sigma_px, (inverse[k], sigma[k], reason[k]))
@@ -102,9 +103,10 @@ def _match(
     """Match one source, and write inverse depth, sigma and reason in the reference view."""
     config = DisparityConfig(max_disparity_px=min(pair.num_disparities, pair.size[0] - 1))
     found = match_stereo(*pair.apply(gray, _gray(source)), config)
-    why = found.reason
-    if source.used_mask is not None:
-        why = np.where(_is_masked(pair, source.used_mask, found.disparity_px), DepthReason.OCCLUDED, why)
+    why = found.reason.copy()
+    outside, masked = _beyond(pair, source, found.disparity_px)
+    why[outside & (why == StereoReason.OK)] = StereoReason.OUT_OF_VIEW
+    why[masked & (why == StereoReason.OK)] = StereoReason.OCCLUDED
     geometry = (
         np.linalg.inv(pair.reference_from_rectified).ravel(),
         pair.inverse_depth_of_ray,
@@ -120,18 +122,17 @@ def _match(
     )
 
 
-def _is_masked(pair: RectifiedPair, used: np.ndarray, disparity: np.ndarray) -> np.ndarray:
-    """Whether the match of each rectified pixel is masked in the source."""
-    warped = cv2.warpPerspective(
-        used.astype(np.uint8),
-        pair.source_from_rectified,
-        pair.size,
-        None,
-        cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
-    )
+def _beyond(pair: RectifiedPair, source: DenseView, disparity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Whether the match of each rectified pixel is outside the source's image, and whether it is masked there."""
+    flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+    image = np.full(source.rgb.shape[:2], 2, np.uint8)
+    if source.used_mask is not None:
+        image[~source.used_mask] = 1
+    warped = cv2.warpPerspective(image, pair.source_from_rectified, pair.size, None, flags)
     columns = np.arange(pair.size[0]) - np.nan_to_num(disparity)
     at = np.clip(np.rint(columns).astype(np.int64), 0, pair.size[0] - 1)
-    return np.asarray(np.take_along_axis(warped, at, axis=1) == 0)
+    matched = np.take_along_axis(np.asarray(warped), at, axis=1)
+    return matched == 0, matched == 1
 
 
 def _combined(
@@ -153,6 +154,8 @@ def _combined(
     )
     spread *= _scale_of_sigma(chi, agreeing)
     found = why == DepthReason.OK
+    for source in sources:
+        seeing -= _is_masked(reference, source, q).astype(np.uint8)
     few = agreeing < np.minimum(LEAST_AGREEING, seeing)
     why[found & (few | (differing > agreeing))] = DepthReason.DISAGREEING
     why[(why == DepthReason.OK) & (spread > MOST_SIGMA * q)] = DepthReason.UNCERTAIN
@@ -178,6 +181,24 @@ def _views_of(reference: DenseView, sources: Sequence[DenseView]) -> tuple[np.nd
             -1, 2
         ),
     )
+
+
+def _is_masked(reference: DenseView, source: DenseView, inverse_depth: np.ndarray) -> np.ndarray:
+    """(h, w) whether the mask of a source excludes the point of each pixel; false outside its image."""
+    out = np.zeros(inverse_depth.shape, bool)
+    if source.used_mask is None:
+        return out
+    row, column = np.nonzero(inverse_depth > 0)
+    k = intrinsics_of(reference.camera)
+    z = 1.0 / inverse_depth[row, column].astype(np.float64)
+    points = np.stack([(column - k[2]) / k[0] * z, (row - k[3]) / k[1] * z, z], axis=1)
+    in_cam = (source.cam_from_world @ reference.cam_from_world.inverse()).apply(points)
+    pixels = source.camera.project(in_cam)
+    limits = [source.camera.width - 0.5, source.camera.height - 0.5]
+    inside = (in_cam[:, 2] > 0) & (pixels > -0.5).all(axis=1) & (pixels < limits).all(axis=1)
+    at = np.rint(pixels[inside]).astype(np.int64)
+    out[row[inside], column[inside]] = ~source.used_mask[at[:, 1], at[:, 0]]
+    return out
 
 
 def _is_blank(gray: np.ndarray) -> np.ndarray:

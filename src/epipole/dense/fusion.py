@@ -108,7 +108,7 @@ def fuse_view(view: DenseView, depth: ViewDepth, others: Iterable[tuple[DenseVie
     _check_size(view, depth)
     depth = _certain(depth)
     height, width = depth.depth.shape
-    sums, counts = np.zeros((height, width, 5), np.float32), np.zeros((height, width, 3), np.uint8)
+    sums, counts = np.zeros((height, width, 5), np.float32), np.zeros((height, width, 3), np.uint16)
     for other, seen in others:
         _check_size(other, seen)
         _compare(view, depth, other, _certain(seen), sums, counts)

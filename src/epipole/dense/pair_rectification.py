@@ -61,7 +61,9 @@ class RectifiedPair(Declared):
 
 
 @checked
-def rectify_views(reference: DenseView, source: DenseView, depths: tuple[float, float]) -> RectifiedPair:
+def rectify_views(
+    reference: DenseView, source: DenseView, depths: tuple[float, float], phase_px: float = 0.0
+) -> RectifiedPair:
     """Rectify two views for depths within a range (Fusiello, Trucco and Verri 2000, with the mean of both optical axes).
 
     The x axis is along the baseline, from the reference to the source, whatever the direction: rectified images may be upside down.
@@ -70,6 +72,8 @@ def rectify_views(reference: DenseView, source: DenseView, depths: tuple[float, 
         reference: the view whose depth is wanted.
         source: the other view.
         depths: smallest and largest depth in the reference view.
+        phase_px: fraction of a pixel by which disparities are shifted. Errors of subpixel positions are periodic in the disparity, so
+            sources with different phases do not share them.
 
     Raises:
         DegenerateGeometryError: there is no baseline, it is along the viewing direction, or the views have no part in common.
@@ -95,7 +99,7 @@ def rectify_views(reference: DenseView, source: DenseView, depths: tuple[float, 
     size = round(focal * (right - left)), round(focal * (bottom - top))
     if min(size) < LEAST_SIDE_PX:
         raise DegenerateGeometryError("the views have no part in common")
-    first = focal * shifts[0]
+    first = focal * shifts[0] - phase_px
     K = np.array([[focal, 0.0, -focal * left - 0.5], [0.0, focal, -focal * top - 0.5], [0.0, 0.0, 1.0]])
     shifted = K + np.array([[0.0, 0.0, first], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     homographies = [
@@ -106,7 +110,7 @@ def rectify_views(reference: DenseView, source: DenseView, depths: tuple[float, 
         homographies[0],
         homographies[1],
         size,
-        int(np.ceil(focal * (shifts[1] - shifts[0]))) + 1,
+        int(np.ceil(focal * (shifts[1] - shifts[0]) + phase_px)) + 1,
         first,
         rotation[2] / (focal * baseline),
     )

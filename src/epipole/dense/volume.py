@@ -27,7 +27,7 @@ STRIDE_PX = 2
 LEAST_WEIGHT = 0.5
 """Smallest weight of a voxel, in depths without error."""
 MOST_BLOCKS = 1 << 18
-"""Blocks of 512 voxels, 4 kB each."""
+"""Blocks of 512 voxels, 6 kB each while the mesh is extracted."""
 _BLOCKS, _ROWS = 64, 64
 
 
@@ -79,7 +79,7 @@ class SparseVolume:
             DegenerateGeometryError: there is no surface.
         """
         ahead, behind = neighbors_of(self.blocks, 1), neighbors_of(self.blocks, -1)
-        index = np.full(self.distance.shape, -1, np.int64)
+        index = np.full(self.distance.shape, -1, np.int32)
         chunks = -(-len(self.blocks) // _BLOCKS)
         parts = _parallel.map_chunks(
             lambda a, b, _: self._vertices(ahead, index, a, b), len(self.blocks), chunks

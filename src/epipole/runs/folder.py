@@ -354,7 +354,9 @@ def _whose(found: OutputFolder) -> str:
     return f"{of}; choose another output folder, or pass --overwrite{back}"
 
 
-MODEL_KINDS = frozenset({"reconstruct", "slam", "undistort"})  # their models describe upright images
+MODEL_KINDS = frozenset(
+    {"reconstruct", "slam", "undistort", "merge", "georeference"}
+)  # their models describe upright images
 
 
 def has_own_model(root: Path) -> bool:

@@ -13,10 +13,13 @@ from epipole.io.models.llff import LLFF, read_llff
 from epipole.io.models.transforms import read_transforms_scene
 from epipole.io.names import path_inside
 from epipole.runs.folder import has_own_model
+from epipole.runs.output_kind import is_output_of
 from epipole.scene import Reconstruction
 
 SPLITS = ("transforms_train.json", "transforms_test.json")
 """Splits of NeRF-synthetic scenes; the validation split is not used."""
+Z_UP_KINDS = ("reconstruct", "slam", "merge", "georeference")
+"""Commands that make +z the upward direction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +31,8 @@ class ModelSource:
     """Folder that image names are relative to."""
     is_own: bool = False
     """Whether epipole made the model, so that it describes upright images."""
+    has_z_up: bool = False
+    """Whether +z is up: in models of epipole, and in georeferenced ones."""
     masks: Mapping[str, Path] = field(default_factory=dict)
     """Masks by image name."""
     splits: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -81,7 +86,9 @@ def model_source_of(source: Path, max_side_px: int, photographs: Path | None = N
         at = folder.resolve()
         positions = (source, folder, at.parent, at.parent.parent)
         workspace = next((position for position in positions if (position / "images").is_dir()), source)
-        found = ModelSource(read_colmap_model(folder), workspace / "images", has_own_model(workspace))
+        model, is_own = read_colmap_model(folder), has_own_model(workspace)
+        has_z_up = model.georeference is not None or any(is_output_of(workspace, kind) for kind in Z_UP_KINDS)
+        found = ModelSource(model, workspace / "images", is_own, has_z_up)
     return found if photographs is None else replace(found, folder=photographs)
 
 
@@ -95,4 +102,5 @@ def transforms_source(file: Path) -> ModelSource:
     scene = read_transforms_scene(file, image_folder="")
     masks = {name: path_inside(file.parent, mask) for name, mask in scene.masks.items()}
     warnings = tuple(f"{file.name}: {warning}" for warning in scene.warnings)
-    return ModelSource(scene.reconstruction, file.parent, False, masks, scene.splits, warnings)
+    has_z_up = scene.reconstruction.georeference is not None
+    return ModelSource(scene.reconstruction, file.parent, False, has_z_up, masks, scene.splits, warnings)

@@ -100,6 +100,27 @@ def coordinates_of(lat_lon_alt: Float64[np.ndarray, "n 3"], crs: str) -> Float64
     return np.stack([x, y, table[:, 2]], axis=1)
 
 
+@checked
+def has_meters(crs: str) -> bool:
+    """Whether the horizontal coordinates of a coordinate system are meters of a projection, rather than degrees.
+
+    Args:
+        crs: the coordinate system.
+
+    Raises:
+        FileFormatError: pyproj does not know the coordinate system.
+        MissingDependencyError: pyproj is not installed.
+    """
+    if crs in (WGS84, LOCAL):
+        return crs == LOCAL
+    _transformer(Path(crs), crs)
+    import pyproj
+
+    found = pyproj.CRS.from_user_input(crs)
+    horizontal = found.sub_crs_list[0] if found.is_compound else found
+    return bool(horizontal.is_projected)
+
+
 def _transformer(path: str | Path, crs: str) -> Any:
     """Transformer from a horizontal coordinate system to longitude and latitude.
 

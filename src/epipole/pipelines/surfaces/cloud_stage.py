@@ -16,8 +16,8 @@ from epipole.pipelines.surfaces.view_files import ViewFile, view_of_file
 from epipole.runs import Unit, digest, load
 from epipole.scene.view_depth import ViewDepth
 
-FORMAT = 1
-"""Increase when the contents of the files change."""
+FORMAT = 2
+"""Increase when the method or the contents of the files change."""
 CLOUD: Table = {
     "points_in_world": Expected("float64", "n 3"),
     "normals": Expected("float32", "n 3"),
@@ -46,7 +46,8 @@ def cloud_units(inputs: SurfaceInputs, depths: Mapping[int, Unit], folder: Path)
     units = {}
     for k, depth in depths.items():
         others = [(inputs.views[j], depths[j]) for j in sorted(neighbors[k])]
-        key = digest("cloud", FORMAT, depth.key, [unit.key for _, unit in others])
+        first = [inputs.views[k].name < view.name for view, _ in others]
+        key = digest("cloud", FORMAT, depth.key, [unit.key for _, unit in others], first)
         payload = CloudPayload(inputs.views[k], depth.path, tuple((view, unit.path) for view, unit in others))
         units[k] = Unit(folder / f"{key}.npz", key, cloud_of_files, payload)
     return units

@@ -14,8 +14,8 @@ from epipole.pipelines.surfaces.view_files import ViewFile, view_of_file
 from epipole.runs import Unit, digest, load
 from epipole.scene.view_depth import DepthReason, ViewDepth
 
-FORMAT = 1
-"""Increase when the contents of the files change."""
+FORMAT = 2
+"""Increase when the method or the contents of the files change."""
 DEPTH: Table = {
     "depth": Expected("float32", "h w", may_be_nan=True),
     "relative_sigma": Expected("float16", "h w", may_be_nan=True),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,10 +9,9 @@ import numpy as np
 
 from epipole.dense.source_selection import SharedPoints, depth_range, select_sources
 from epipole.errors import ConfigError, EpipoleError, NoModelError
-from epipole.io.images.photographs import common_range, mask_of
+from epipole.io.images.photographs import common_range, mask_of, read_mask_file
 from epipole.io.models.images import ModelImage, ModelImages
 from epipole.io.models.losses import losses_in, losses_of
-from epipole.io.names import path_inside
 from epipole.pipelines.sfm.run import reconstruct
 from epipole.pipelines.surfaces.config import SurfaceConfig
 from epipole.pipelines.surfaces.view_files import ViewFile, pinhole_of
@@ -31,8 +29,8 @@ class SurfaceInputs:
     """Views in the order of their names, with the sources and the range of depth of each."""
 
     model: Reconstruction
-    is_own: bool
-    """Whether epipole made the model, so that +z is up."""
+    up: np.ndarray
+    """(3,) upward direction."""
     views: tuple[ViewFile, ...]
     sources: tuple[tuple[int, ...], ...]
     depths: tuple[tuple[float, float], ...]
@@ -66,7 +64,7 @@ def surface_inputs(source: Path, run: Run, config: SurfaceConfig) -> SurfaceInpu
     centers = np.array([view.cam_from_world.inverse().translation for view in views]).reshape(-1, 3)
     focals = np.array([view.pinhole.focal_px for view in views], np.float64)
     sources = select_sources(points, centers, focals, config.sources)
-    depths = [_depths_of(view, points, k) for k, view in enumerate(views)]
+    depths = _depth_ranges(views, points)
     usable = [tuple(row.tolist()) if depths[k] is not None else () for k, row in enumerate(sources)]
     alone = [view.name for view, row in zip(views, usable) if not row]
     if len(views) - len(alone) < 2:
@@ -79,7 +77,7 @@ def surface_inputs(source: Path, run: Run, config: SurfaceConfig) -> SurfaceInpu
         )
     return SurfaceInputs(
         model,
-        found.is_own,
+        up_of(found),
         tuple(views),
         tuple(usable),
         tuple(row or (1.0, 2.0) for row in depths),
@@ -90,6 +88,10 @@ def surface_inputs(source: Path, run: Run, config: SurfaceConfig) -> SurfaceInpu
 def _model_of(source: Path, run: Run, config: SurfaceConfig) -> tuple[ModelSource, list[str]]:
     if is_model(source):
         return model_source_of(source, config.max_size_px, config.images), losses_in(source)
+    if config.images is not None:
+        raise ConfigError(
+            f"{source} has no cameras, so its images are used: pass images (--images) only with a model"
+        )
     out = run.root / MODEL
     done = reconstruct(source, out, progress=run.job.progress, masks=config.masks)
     photographs = source if source.is_dir() else out / "images"
@@ -97,7 +99,7 @@ def _model_of(source: Path, run: Run, config: SurfaceConfig) -> tuple[ModelSourc
 
 
 def _view_files(found: ModelSource, run: Run, config: SurfaceConfig, warnings: list[str]) -> list[ViewFile]:
-    """Views of the registered images; images that cannot be read are left out with a warning."""
+    """Views of the registered images; images that are missing, or do not fit camera or mask, are left out with a warning."""
     model, cams_from_world = found.model, found.model.cams_from_world()
     files = ModelImages(model, found.folder, is_own=found.is_own)
     rows = sorted(np.flatnonzero(model.is_registered()).tolist(), key=lambda k: model.images.name[k])
@@ -106,6 +108,8 @@ def _view_files(found: ModelSource, run: Run, config: SurfaceConfig, warnings: l
         name = model.images.name[row]
         try:
             image, mask = files.find(name), _mask_of(found, config, name)
+            if mask is not None:
+                read_mask_file(mask, name, size=(image.camera.width, image.camera.height))
         except EpipoleError as error:
             warnings.append(f"{name} is left out: {error}")
             continue
@@ -114,9 +118,7 @@ def _view_files(found: ModelSource, run: Run, config: SurfaceConfig, warnings: l
     if config.masks is not None and not any(mask is not None for _, mask in images.values()):
         raise ConfigError(f"masks {config.masks} has no mask for any image (expected NAME.png)")
     digests = content_digests(paths, run.root / "units" / DIGESTS, run.job.progress)
-    with suppress(EpipoleError):
-        paths = [path_inside(found.folder, model.images.name[row]) for row in images]
-    limits = common_range(paths)
+    limits = common_range([image.path for image, _ in images.values()])
     views = []
     for row, (image, mask) in images.items():
         name = model.images.name[row]
@@ -151,6 +153,21 @@ def _shared_points(model: Reconstruction, rows: list[int]) -> SharedPoints:
     return SharedPoints(model.points.xyz_in_world, view[used], point[used])
 
 
-def _depths_of(view: ViewFile, points: SharedPoints, k: int) -> tuple[float, float] | None:
-    seen = points.point_of_observation[points.view_of_observation == k]
-    return depth_range(view.cam_from_world.apply(points.points_in_world[seen])[:, 2])
+def _depth_ranges(views: list[ViewFile], points: SharedPoints) -> list[tuple[float, float] | None]:
+    """Range of the depth of each view; None for a view that sees no point."""
+    order = np.argsort(points.view_of_observation, kind="stable")
+    starts = np.searchsorted(points.view_of_observation[order], np.arange(len(views) + 1))
+    return [
+        depth_range(
+            view.cam_from_world.apply(points.points_in_world[points.point_of_observation[order[a:b]]])[:, 2]
+        )
+        for view, a, b in zip(views, starts[:-1], starts[1:])
+    ]
+
+
+def up_of(source: ModelSource) -> np.ndarray:
+    """(3,) the upward direction: +z if the model is known to have it, else the mean upward axis of the cameras."""
+    rotations = source.model.cams_from_world()[np.flatnonzero(source.model.is_registered())].rotation
+    mean = -rotations[:, 1].mean(axis=0) if len(rotations) else np.zeros(3)
+    length = float(np.linalg.norm(mean))
+    return np.array([0.0, 0.0, 1.0]) if source.has_z_up or length < 1e-6 else mean / length

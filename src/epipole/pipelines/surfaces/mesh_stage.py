@@ -9,12 +9,14 @@ import numpy as np
 
 from epipole.dense.volume import SparseVolume, blocks_of_depth, blocks_of_keys
 from epipole.errors import ConfigError
+from epipole.geometry import Rigid3
 from epipole.pipelines.surfaces.cloud_stage import confirmed_depth
 from epipole.pipelines.surfaces.config import SurfaceConfig
 from epipole.pipelines.surfaces.inputs import SurfaceInputs
 from epipole.pipelines.surfaces.view_files import view_of_file
 from epipole.runs import Run, Unit
 from epipole.scene import Mesh
+from epipole.scene.local_origin import local_origin
 from epipole.scene.view_depth import ViewDepth
 
 PIXELS_PER_VOXEL = 2.5
@@ -48,15 +50,18 @@ def mesh_of(
         keys = _blocks(inputs, depths, clouds, voxel)
     if not len(keys):
         raise ConfigError("no depth is fine enough for these voxels: pass larger ones (--voxel)")
-    volume = SparseVolume(blocks_of_keys(keys), voxel)
+    volume, about_origin = SparseVolume(blocks_of_keys(keys), voxel), _about_origin(inputs)
     for n, k in enumerate(views):
         run.report("mesh", n, len(views) + 1)
         view = inputs.views[k]
-        volume.add(view.pinhole, view.cam_from_world, _fine_depth(inputs, depths, clouds, k, voxel))
+        volume.add(
+            view.pinhole, view.cam_from_world @ about_origin, _fine_depth(inputs, depths, clouds, k, voxel)
+        )
     run.report("mesh", len(views), len(views) + 1)
     mesh = volume.mesh().without_small_components(config.min_component)
     del volume
-    mesh = replace(mesh, rgb=_colors(mesh.vertices_in_world, inputs, depths, clouds))
+    vertices = about_origin.apply(mesh.vertices_in_world)
+    mesh = replace(mesh, vertices_in_world=vertices, rgb=_colors(vertices, inputs, depths, clouds))
     run.report("mesh", len(views) + 1, len(views) + 1)
     return mesh, voxel
 
@@ -108,11 +113,19 @@ def _blocks(
     inputs: SurfaceInputs, depths: Mapping[int, Unit], clouds: Mapping[int, Unit], voxel: float
 ) -> np.ndarray:
     """Sorted keys of all blocks near the surface."""
-    keys = np.empty(0, np.int64)
+    keys, about_origin = np.empty(0, np.int64), _about_origin(inputs)
     for k in depths:
         view, depth = inputs.views[k], _fine_depth(inputs, depths, clouds, k, voxel)
-        keys = np.union1d(keys, blocks_of_depth(view.pinhole, view.cam_from_world, depth, voxel))
+        keys = np.union1d(
+            keys, blocks_of_depth(view.pinhole, view.cam_from_world @ about_origin, depth, voxel)
+        )
     return keys
+
+
+def _about_origin(inputs: SurfaceInputs) -> Rigid3:
+    """The shift from an origin near the cameras to the world's, which may be far away (UTM)."""
+    centers = np.array([view.cam_from_world.inverse().translation for view in inputs.views])
+    return Rigid3(np.eye(3), local_origin(centers))
 
 
 def first_view(inputs: SurfaceInputs, mesh: Mesh) -> np.ndarray:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Unpack
 
 from epipole._checks import as_path
 from epipole.config import options_of
 from epipole.dense.fusion import DensePoints
-from epipole.errors import FileFormatError
+from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.io.files import missing_in_words
 from epipole.io.meshes.cloud_ply import Columns, write_cloud_ply
 from epipole.io.meshes.mesh_ply import write_mesh_ply
@@ -23,7 +23,8 @@ from epipole.pipelines.surfaces.options import SurfaceKeywords
 from epipole.pipelines.surfaces.page import render_page
 from epipole.pipelines.surfaces.results import depth_figures, summary_of
 from epipole.pipelines.surfaces.survey_stage import require_georeference, write_survey
-from epipole.pipelines.surfaces.texture_stage import texture_of, up_of, write_textured
+from epipole.pipelines.surfaces.texture_stage import texture_of, write_textured
+from epipole.pipelines.surfaces.view_files import view_of_file
 from epipole.runs import Job, ProgressCallback, Run, Unit, ignore_progress, open_run
 from epipole.scene import Mesh
 from epipole.scene.notebook import table_html
@@ -65,7 +66,8 @@ def surface(
     Args:
         source: a folder of photographs or a video, which is reconstructed first (`OUT/sfm`); an output folder of `reconstruct`; a COLMAP
             model with its images; or a transforms.json.
-        out: output folder: `cloud.ply`, `mesh.ply`, `report.html`.
+        out: output folder: `cloud.ply`, `mesh.ply`, `textured.glb`, `report.html`; for `until="survey"`, also `dsm.tif`,
+            `orthophoto.tif` and `cloud.laz`.
         config: options; None for the defaults.
         progress: called with the progress of each stage.
         **options: single options by name, which override `config`: `until="cloud"`.
@@ -78,6 +80,7 @@ def surface(
         WorkspaceError: the output folder cannot be used, or the disk is full.
     """
     wanted = options_of(SurfaceConfig, config, options, ["config", "progress"])
+    wanted = replace(wanted, images=None if wanted.images is None else wanted.images.resolve())
     source, target = as_path(source), as_path(out)
     if not source.exists():
         raise FileFormatError(source, missing_in_words(source))
@@ -89,7 +92,10 @@ def surface(
             if wanted.until == "survey":
                 require_georeference(inputs, wanted)
         run.warnings += inputs.warnings
-        return _surface_of(inputs, wanted, run)
+        try:
+            return _surface_of(inputs, wanted, run)
+        finally:
+            view_of_file.cache_clear()
 
 
 def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> SurfaceResult:
@@ -98,6 +104,7 @@ def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> Surfa
         depths = depth_units(inputs, units / "depth")
         run.do(list(depths.values()), "depth")
         figures = depth_figures(inputs, depths)
+    _withdraw("cloud", run)
     facts: dict[str, Any] = {}
     clouds, mesh, sample = dict[int, Unit](), None, None
     if last >= STAGES.index("cloud"):
@@ -113,21 +120,47 @@ def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> Surfa
                 view = first_view(inputs, mesh)
                 write_mesh_ply(aside / "mesh.ply", mesh.vertices_in_world, mesh.faces, mesh.rgb, view)
     if mesh is not None and last >= STAGES.index("texture"):
-        with run.stage("texture"):
-            textured = texture_of(mesh, inputs, depths, clouds, config, run)
-            with run.folder.publish("texture") as aside:
-                write_textured(aside, textured, up_of(inputs), config)
-            facts["texture_size_px"] = [textured.textures[0].shape[1], textured.textures[0].shape[0]]
-        if last >= STAGES.index("survey"):
-            with run.stage("survey"), run.folder.publish("survey") as aside:
-                pixel = median_pixel(inputs, depths, clouds)
-                facts |= write_survey(aside, textured, clouds, inputs, pixel, config)
+        facts |= _texture(mesh, inputs, depths, clouds, config, run)
     with run.stage("write"), run.folder.publish("report") as aside:
         summary = summary_of(inputs, figures, facts, run)
         page = render_page(inputs, depths, figures, sample, summary)
         (aside / "report.html").write_text(page, encoding="utf-8", errors="replace")
     run.finish(summary)
     return SurfaceResult(run.root, mesh, summary, tuple(run.warnings))
+
+
+def _withdraw(first: str, run: Run) -> None:
+    """Remove the results of an earlier run from this stage on: they do not belong to the new ones."""
+    for group in STAGES[STAGES.index(first) :]:
+        with run.folder.publish(group):
+            pass
+
+
+def _texture(
+    mesh: Mesh,
+    inputs: SurfaceInputs,
+    depths: dict[int, Unit],
+    clouds: dict[int, Unit],
+    config: SurfaceConfig,
+    run: Run,
+) -> dict[str, Any]:
+    """Write the textured mesh and the survey products; a mesh that cannot be textured stays without, with a warning."""
+    with run.stage("texture"):
+        try:
+            textured = texture_of(mesh, inputs, depths, clouds, config, run)
+        except (ConfigError, DegenerateGeometryError) as error:
+            run.warnings.append(f"the mesh has no texture: {error}")
+            return {}
+        with run.folder.publish("texture") as aside:
+            write_textured(aside, textured, inputs.up, config)
+    facts: dict[str, Any] = {
+        "texture_size_px": [textured.textures[0].shape[1], textured.textures[0].shape[0]]
+    }
+    if config.until == "survey":
+        with run.stage("survey"), run.folder.publish("survey") as aside:
+            pixel = median_pixel(inputs, depths, clouds)
+            facts |= write_survey(aside, textured, clouds, inputs, pixel, config)
+    return facts
 
 
 def _write_cloud(clouds: dict[int, Unit], run: Run) -> tuple[int, DensePoints]:

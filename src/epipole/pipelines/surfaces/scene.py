@@ -15,12 +15,13 @@ from epipole.io.meshes.gltf import read_glb
 from epipole.io.meshes.mesh_ply import PlyMesh, first_view_of_mesh, read_mesh_ply
 from epipole.io.models.images import ModelImages
 from epipole.pipelines.sfm.notes import title_of
-from epipole.pipelines.surfaces.inputs import MODEL
+from epipole.pipelines.surfaces.inputs import MODEL, up_of
 from epipole.pipelines.surfaces.texture_stage import NAME
 from epipole.report.markup import plural
 from epipole.report.space import shuffled
 from epipole.report.space_model import cameras_of_model
 from epipole.report.space_scene import (
+    METERS,
     NO_UNIT,
     CameraLayer,
     FirstView,
@@ -79,8 +80,10 @@ def scene(path: Path) -> SpaceScene:
     source = _model_source(path)
     cameras = None if source is None else _cameras(source, is_shown=mesh is None)
     words += [] if cameras is None else [plural(len(cameras.names), "image")]
+    is_metric = source is not None and source.model.georeference is not None
+    unit = METERS if is_metric else NO_UNIT
     return replace(
-        SpaceScene(_title(path), ", ".join(words), NO_UNIT, points, mesh=mesh),
+        SpaceScene(_title(path), ", ".join(words), unit, points, mesh=mesh),
         cameras=cameras,
         view=_first_view(path),
         upright_from_world=_upright(source),
@@ -149,12 +152,7 @@ def _first_view(path: Path) -> FirstView | None:
 
 
 def _upright(source: ModelSource | None) -> np.ndarray | None:
-    """The rotation that makes +z up in a model of another program: that of the mean camera, whose images are upright."""
-    if source is None or source.is_own:
+    """The rotation that makes the upward direction +z; None if it is."""
+    if source is None or source.has_z_up:
         return None
-    rotations = source.model.cams_from_world()[np.flatnonzero(source.model.is_registered())].rotation
-    up = -rotations[:, 1].mean(axis=0)
-    length = float(np.linalg.norm(up))
-    return (
-        Rotation3.from_two_vectors(up / length, np.array([0.0, 0.0, 1.0])).matrix if length > 1e-6 else None
-    )
+    return Rotation3.from_two_vectors(up_of(source), np.array([0.0, 0.0, 1.0])).matrix

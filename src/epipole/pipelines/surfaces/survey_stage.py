@@ -10,7 +10,7 @@ import numpy as np
 
 from epipole.dense.orthophoto import top_view
 from epipole.errors import ConfigError
-from epipole.io.survey.coordinate_systems import coordinates_of
+from epipole.io.survey.coordinate_systems import LOCAL, WGS84, coordinates_of, has_meters
 from epipole.io.survey.point_clouds import LazChunk, require_laspy, write_laz_chunks
 from epipole.io.survey.rasters import Raster, require_rasterio, write_geotiff
 from epipole.pipelines.surfaces.cloud_stage import points_in
@@ -38,6 +38,10 @@ def require_georeference(inputs: SurfaceInputs, config: SurfaceConfig) -> Georef
             "survey products need a model with a position on Earth: run `epipole georeference` first, or reconstruct images with GPS"
         )
     crs = crs_of(found, config)
+    if not has_meters(crs):
+        raise ConfigError(
+            f"{crs} has degrees, but the cells of height models are in meters: pass a projection (--crs)"
+        )
     coordinates_of(np.array([[found.lat_deg, found.lon_deg, found.alt_m]]), crs)
     require_rasterio()
     require_laspy()
@@ -48,7 +52,7 @@ def crs_of(origin: Georeference, config: SurfaceConfig) -> str:
     """The requested coordinate system, else that of the control points if it has meters, else the UTM zone of the origin."""
     if config.crs is not None:
         return config.crs
-    if origin.crs.startswith("EPSG:"):
+    if origin.crs not in (WGS84, LOCAL) and has_meters(origin.crs):
         return origin.crs
     zone = int(np.clip(np.floor((origin.lon_deg + 180.0) / 6.0) + 1, 1, 60))
     return f"EPSG:{32600 + zone if origin.lat_deg >= 0 else 32700 + zone}"

@@ -57,15 +57,6 @@ def write_textured(folder: Path, mesh: TexturedMesh, up: np.ndarray, config: Sur
         write_obj(folder / f"{NAME}.obj", mesh)
 
 
-def up_of(inputs: SurfaceInputs) -> np.ndarray:
-    """The upward direction: +z in models of epipole, the mean upward axis of the cameras in others."""
-    if inputs.is_own:
-        return np.array([0.0, 0.0, 1.0])
-    mean = -np.mean([view.cam_from_world.rotation[1] for view in inputs.views], axis=0)
-    length = float(np.linalg.norm(mean))
-    return mean / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
-
-
 def _texture_view(view: ViewFile, depth: Unit, cloud: Unit) -> TextureView:
     return TextureView(
         view.name,

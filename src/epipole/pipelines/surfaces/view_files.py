@@ -75,7 +75,7 @@ def full_image(file: ViewFile) -> np.ndarray:
 def _pixels_and_mask(file: ViewFile) -> tuple[np.ndarray, np.ndarray | None]:
     """RGB, and the mask of pixels that are used; transparent ones are not."""
     rgba = read_rgba(file.image.path, orientation=file.image.orientation)
-    rgb = file.image.read(limits=file.limits) if rgba is None else np.ascontiguousarray(rgba[..., :3])
+    rgb = file.image.read(limits=file.limits)
     used = None
     if file.mask is not None:
         used = read_mask_file(file.mask, file.name, size=(rgb.shape[1], rgb.shape[0]))
