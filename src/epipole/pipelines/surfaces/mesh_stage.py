@@ -23,7 +23,7 @@ PIXELS_PER_VOXEL = 2.5
 """Side of a voxel, in pixels at the median depth of all views."""
 USUAL_BLOCKS = 100_000
 """Blocks of 512 voxels at which the voxels become larger."""
-MOST_PIXEL_VOXELS = 1.5
+MOST_PIXEL_VOXELS = 4.0
 """Largest pixel, in voxels, that the mesh uses: farther surfaces are only in the cloud."""
 SAME_DEPTH, GRAY = 0.01, 160
 """Relative difference up to which a view shows a vertex, and the color of vertices that none shows."""
