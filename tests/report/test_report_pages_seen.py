@@ -61,7 +61,16 @@ TEMPLATES = {
     "reconstruction": ("reconstruction", "nothing-reconstructed"),
     **{
         name: (name,)
-        for name in ("slam", "stereo", "calibration", "field", "scene", "localization", "georeference", "surface")
+        for name in (
+            "slam",
+            "stereo",
+            "calibration",
+            "field",
+            "scene",
+            "localization",
+            "georeference",
+            "surface",
+        )
     },
 }
 
