@@ -22,6 +22,8 @@ from epipole.scene.view_depth import DepthReason, ViewDepth
 
 RIGHT, WRONG = 0.01, 0.05
 """Relative errors up to which a depth is right, and beyond which it is wrong."""
+MEDIAN_OF_NORMAL = 0.6745
+"""Median of the absolute values of a standard normal distribution."""
 CALIBRATIONS = {
     "motorcycle": (994.978, 311.193, 254.877, 31.086, 193.001),
     "cones": (935.0, 224.5, 187.0, 0.0, 160.0),
@@ -97,22 +99,26 @@ def _pair(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
 
 
 def fit_shared(work: Path) -> dict[str, float]:
-    """Fraction of the variance that sources share, from the errors of the courtyard by the number of agreeing sources."""
+    """Fraction of the variance that sources share: errors of the same pixels of the courtyard with three to five agreeing sources."""
     scene = prepare_scene("courtyard", work)
     sources, ranges = sources_of(scene, NUM_SOURCES)
-    ratios: dict[int, list[np.ndarray]] = {n: [] for n in range(2, NUM_SOURCES + 1)}
-    for k in range(0, len(scene.names), 4):
-        found = view_depth(scene.view(k), [scene.view(j) for j in sources[k]], ranges[k])
-        for n, rows in ratios.items():
-            own = (found.num_agreeing == n) & (found.reason == DepthReason.OK) & np.isfinite(scene.depth(k))
-            rows.append((np.abs(found.depth - scene.depth(k)) / found.sigma)[own])
-    median = {n: float(np.median(np.concatenate(rows))) / 0.6745 for n, rows in ratios.items()}
+    numbers = range(
+        3, NUM_SOURCES + 1
+    )  # with two, the sigmas are not scaled by the differences of the sources
+    ratios: dict[int, list[np.ndarray]] = {n: [] for n in numbers}
+    for k in range(0, len(scene.names), 8):
+        others = [scene.view(j) for j in sources[k]]
+        found = [view_depth(scene.view(k), others[:n], ranges[k]) for n in numbers]
+        agree = [(one.num_agreeing == n) & (one.reason == DepthReason.OK) for n, one in zip(numbers, found)]
+        own = np.logical_and.reduce([*agree, np.isfinite(scene.depth(k))])
+        for n, one in zip(numbers, found):
+            ratios[n].append((np.abs(one.depth - scene.depth(k)) / one.sigma)[own])
+    median = {n: float(np.median(np.concatenate(rows))) / MEDIAN_OF_NORMAL for n, rows in ratios.items()}
     extra = np.array([n - 1.0 for n in median])
     variance = np.array(list(median.values())) ** 2 * (1.0 + SHARED * extra)
     slope, constant = np.polyfit(extra, variance, 1)
-    return {f"error in sigmas, {n} agree": value for n, value in median.items()} | {
-        "SHARED": float(slope / constant)
-    }
+    named = {f"error in sigmas, {n} sources": value for n, value in median.items()}
+    return named | {"SHARED": float(slope / constant)}
 
 
 def real_part(work: Path, data: Path) -> dict[str, dict[str, float]]:

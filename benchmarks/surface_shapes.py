@@ -35,26 +35,29 @@ LARGE, LARGE_VIEWS = (4000, 3000), 6
 
 
 class Truth:
-    """Points of the exact surfaces, thinned."""
+    """Points of the exact surfaces, thinned.
+
+    A result near a point that at least one view sees (`seen`) is right. It should have all points that at least two views see (`shared`).
+    """
 
     def __init__(self, scene: SurfaceScene) -> None:
-        """Sample the exact depth of all views."""
-        rows = range(len(scene.names))
+        """Sample the exact depth of all views, or read the points of an earlier call."""
+        rows, file = range(len(scene.names)), scene.folder / "truth.npz"
         sample = np.concatenate([scene.points(k, 16).reshape(-1, 3) for k in rows])
         low, high = np.nanquantile(sample, CENTRAL, axis=0)
         self.size = float(np.linalg.norm(high - low))
-        side = SPACING * min(TOLERANCES) * self.size
-        seen, shared = [], []
-        for k in rows:
-            points = scene.points(k, 2)
-            known, many = np.isfinite(points).all(axis=2), scene.num_seeing(k, rows, 2) >= 1
-            seen.append(thinned(points[known], side))
-            shared.append(thinned(points[known & many], side))
-        self.seen = thinned(np.concatenate(seen), side)
-        """Points that at least one view sees: a result near them is right."""
-        self.shared = thinned(np.concatenate(shared), side)
-        """Points that at least two views see: a result should have them."""
-        self.side = side
+        self.side = SPACING * min(TOLERANCES) * self.size
+        if not file.is_file():
+            seen, shared = [], []
+            for k in rows:
+                points = scene.points(k, 2)
+                known, many = np.isfinite(points).all(axis=2), scene.num_seeing(k, rows, 2) >= 1
+                seen.append(thinned(points[known], self.side))
+                shared.append(thinned(points[known & many], self.side))
+            every, common = (thinned(np.concatenate(part), self.side) for part in (seen, shared))
+            np.savez(file, seen=every, shared=common)
+        with np.load(file) as stored:
+            self.seen, self.shared = stored["seen"], stored["shared"]
 
     def scores(self, points: np.ndarray) -> dict[str, float]:
         """Precision, recall and F-score at both tolerances, and the median distance to the surface relative to the size."""
@@ -121,14 +124,13 @@ def units_of(scene: SurfaceScene, out: Path) -> tuple[SurfaceInputs, dict[int, U
     return inputs, depths, cloud_units(inputs, depths, out / "units" / "cloud")
 
 
-def peers_part(work: Path, data: Path, python: str) -> dict[str, dict[str, float]]:
-    """Open3D's TSDF of our confirmed depths, and its Poisson surface of our cloud, with the voxels of our mesh."""
+def peers_part(work: Path, _data: Path, python: str) -> dict[str, dict[str, float]]:
+    """Open3D's TSDF of epipole's confirmed depths with the same voxels, and its Poisson surface of epipole's cloud."""
     rows: dict[str, dict[str, float]] = {}
     for name in PLANS:
         scene = prepare_scene(name, work)
         out = work / "surface" / scene.folder.name
-        if not (out / "mesh.ply").is_file():
-            cloud_part(work, data)
+        epipole.surface(scene.folder, out, until="mesh", threads=2)  # continues that of the part `cloud`
         inputs, depths, clouds = units_of(scene, out)
         folder = work / "peers" / scene.folder.name
         folder.mkdir(parents=True, exist_ok=True)
@@ -156,6 +158,8 @@ def _peer(method: str, folder: Path, python: str, truth: Truth) -> dict[str, Any
     if found.returncode:
         return {"error": found.stderr.strip().splitlines()[-1]}
     with np.load(folder / f"{method}.npz") as stored:
+        if not len(stored["faces"]):
+            return {"error": "there is no surface"}
         scores = truth.scores(sampled(stored["vertices"], stored["faces"], truth.side))
         return scores | {"triangles": float(len(stored["faces"])), "seconds": float(stored["seconds"])}
 

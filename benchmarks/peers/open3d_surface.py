@@ -6,26 +6,29 @@ import time
 import numpy as np
 import open3d as o3d
 
-BAND_VOXELS, POISSON_DEPTH, LEAST_DENSITY = 4.0, 10, 0.05
-"""Truncation in voxels, as in epipole; depth of the octree; quantile of the density below which Poisson's surface is removed."""
+BAND_VOXELS, LEAST_WEIGHT = 4.0, 0.5
+"""Truncation in voxels, and number of depths that a voxel needs, as in epipole."""
+POISSON_DEPTH, LEAST_DENSITY = 10, 0.05
+"""Depth of the octree, and quantile of the density below which Poisson's surface is removed."""
 
 
 def tsdf(data: dict[str, np.ndarray]) -> o3d.geometry.TriangleMesh:
-    """Scalable TSDF volume (Zhou and Koltun 2013) of all depth images."""
-    voxel, (_, height, width) = float(data["voxel"]), data["depth"].shape
-    K = data["K"]
-    volume = o3d.pipelines.integration.ScalableTSDFVolume(
-        voxel, BAND_VOXELS * voxel, o3d.pipelines.integration.TSDFVolumeColorType.NoColor
+    """Truncated signed distances in blocks of voxels (Dong et al. 2021) from all depth images."""
+    most = float(data["depth"].max()) + 1.0
+    volume = o3d.t.geometry.VoxelBlockGrid(
+        attr_names=("tsdf", "weight"),
+        attr_dtypes=(o3d.core.float32, o3d.core.float32),
+        attr_channels=((1), (1)),
+        voxel_size=float(data["voxel"]),
+        block_resolution=8,
+        block_count=200_000,
     )
-    camera = o3d.camera.PinholeCameraIntrinsic(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
-    gray = o3d.geometry.Image(np.zeros((height, width, 3), np.uint8))
+    K = o3d.core.Tensor(data["K"])
     for depth, pose in zip(data["depth"], data["poses"]):
-        image = o3d.geometry.Image(np.ascontiguousarray(depth, np.float32))
-        pair = o3d.geometry.RGBDImage.create_from_color_and_depth(
-            gray, image, depth_scale=1.0, depth_trunc=float(depth.max()) + 1.0, convert_rgb_to_intensity=False
-        )
-        volume.integrate(pair, camera, np.vstack([pose, [0, 0, 0, 1]]) if pose.shape == (3, 4) else pose)
-    return volume.extract_triangle_mesh()
+        image, motion = o3d.t.geometry.Image(o3d.core.Tensor(depth)), o3d.core.Tensor(pose)
+        blocks = volume.compute_unique_block_coordinates(image, K, motion, 1.0, most, BAND_VOXELS)
+        volume.integrate(blocks, image, K, motion, 1.0, most, BAND_VOXELS)
+    return volume.extract_triangle_mesh(weight_threshold=LEAST_WEIGHT).to_legacy()
 
 
 def poisson(data: dict[str, np.ndarray]) -> o3d.geometry.TriangleMesh:
