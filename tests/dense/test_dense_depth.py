@@ -40,6 +40,11 @@ def test_a_point_has_the_same_row_and_the_stated_disparity(other):
         1.0 / z, (disparity + pair.first_disparity_px) * (rays @ pair.inverse_depth_of_ray), rtol=1e-9
     )
     assert (disparity >= 0).all() and (disparity <= pair.num_disparities).all()
+    in_image = (CAMERA.project(in_other) >= 0).all(axis=1) & (CAMERA.project(in_other) <= [319, 239]).all(
+        axis=1
+    )
+    matched = in_image & (left[:, 0] >= 0) & (left[:, 0] < pair.size[0])
+    assert matched.sum() > 15 and (right[matched, 0] > -1).all() and (right[matched, 0] < pair.size[0]).all()
 
 
 def homogeneous(matrix, pixels):

@@ -25,7 +25,7 @@ from epipole.scene.view_depth import DepthReason, ViewDepth
 AGREEING_SIGMAS, AGREEING_FRACTION = 3.0, 0.003
 """Two sources agree up to this number of standard deviations plus this fraction of the inverse depth."""
 SHARED = 0.3
-"""Part of the variance that all sources share, as they see the same pixels of the reference (fitted: `benchmarks.surfaces --fit`)."""
+"""Part of the variance that all sources share, as they see the same pixels of the reference (chosen on the courtyard, so that two thirds of the errors are within one sigma)."""
 PRIOR = 4.0
 """Weight of the view's variance against that of a pixel, in observations."""
 MEDIAN_CHI_SQUARE, LEAST_PIXELS, SCALES = 0.77, 1000, (0.05, 20.0)

@@ -91,7 +91,9 @@ def rectify_views(
     ratios = _axis_ratios(reference.camera, rotation)
     near, far = depths[0] * ratios[0], depths[1] * ratios[1]
     shifts = baseline / far, baseline / near  # disparities on the plane z = 1
-    left, right = max(one[0], two[0] + shifts[0]), min(one[1], two[1] + shifts[1])
+    # Both images have the same width, so the left border leaves room for the match of the first pixel at the largest disparity.
+    left = max(one[0] - (shifts[1] - shifts[0]), two[0] + shifts[0])
+    right = min(one[1], two[1] + shifts[1])
     top, bottom = max(one[2], two[2]), min(one[3], two[3])
     if right <= left or bottom <= top:
         raise DegenerateGeometryError("the views have no part in common")
