@@ -63,7 +63,10 @@ def _show(result: SurfaceResult) -> None:
         table.add_row("cloud", f"{summary['num_points']:,} points")
         files["cloud"] = result.out / "cloud.ply"
     if "num_faces" in summary:
-        table.add_row("mesh", f"{summary['num_faces']:,} triangles")
+        removed = ""
+        if summary["num_parts_removed"]:
+            removed = f"; {summary['num_parts_removed']:,} of {summary['num_parts']:,} parts removed as too small (--min-component)"
+        table.add_row("mesh", f"{summary['num_faces']:,} triangles{removed}")
         files["mesh"] = result.out / "mesh.ply"
     if "texture_size_px" in summary:
         width, height = summary["texture_size_px"]

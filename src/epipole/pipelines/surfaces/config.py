@@ -29,7 +29,7 @@ class SurfaceConfig:
     """Folder of masks: NAME.png, black where a pixel is not used."""
     voxel: float | None = None
     """Side of a voxel of the mesh. Default: from the resolution of the views."""
-    min_component: float = 0.02
+    min_component: float = 0.002
     """Remove parts of the mesh with fewer triangles than this fraction of the largest."""
     texture_px: int = 4096
     """Width of the texture, and its largest height."""

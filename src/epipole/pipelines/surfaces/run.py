@@ -116,6 +116,7 @@ def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> Surfa
         with run.stage("mesh"):
             mesh, voxel = mesh_of(inputs, depths, clouds, config, run)
             facts |= {"num_faces": len(mesh), "num_vertices": len(mesh.vertices_in_world), "voxel": voxel}
+            facts |= {"num_parts": mesh.num_components, "num_parts_removed": mesh.num_removed}
             with run.folder.publish("mesh") as aside:
                 view = first_view(inputs, mesh)
                 write_mesh_ply(aside / "mesh.ply", mesh.vertices_in_world, mesh.faces, mesh.rgb, view)
