@@ -135,12 +135,12 @@ def test_wrong_arguments_are_refused():
         replace(reference, rgb=reference.rgb[:-1])
 
 
-@reference_of(_depth_kernels.sample_pair, _depth_kernels.merge_rows)
+@reference_of(_depth_kernels.sample_pair, _depth_kernels.merge_rows, _depth_kernels.merge_near_rows)
 def test_kernels_do_what_their_python_does(monkeypatch):
     reference, *sources = views(REFERENCE, *SOURCES)
     calls = {
         kernel: record_calls(monkeypatch, depth, kernel)
-        for kernel in (_depth_kernels.sample_pair, _depth_kernels.merge_rows)
+        for kernel in (_depth_kernels.sample_pair, _depth_kernels.merge_rows, _depth_kernels.merge_near_rows)
     }
     view_depth(reference, sources, RANGE)
     for kernel, recorded in calls.items():

@@ -96,21 +96,45 @@ def merge_rows(inverse, spread, why, views, options, start, stop, out):
                 reason[v, u] = _commonest(why[:, v, u])
                 continue
             q, s = inverse[best, v, u], spread[best, v, u]
-            total, mean, number = 0.0, 0.0, 0
-            for j in range(count):
-                p = inverse[j, v, u]
-                if np.isfinite(p) and abs(p - q) <= width * np.sqrt(s**2 + spread[j, v, u] ** 2) + floor * q:
-                    one = 1.0 / spread[j, v, u] ** 2
-                    total, mean, number = total + one, mean + one * p, number + 1
-            mean /= total
-            chi = 0.0
-            for j in range(count):
-                p = inverse[j, v, u]
-                if np.isfinite(p) and abs(p - q) <= width * np.sqrt(s**2 + spread[j, v, u] ** 2) + floor * q:
-                    chi += ((p - mean) / spread[j, v, u]) ** 2
+            mean, total, chi, number = _mean_near(inverse, spread, u, v, q, s, options)
             merged[v, u], sigma[v, u], chi_square[v, u] = mean, 1.0 / np.sqrt(total), chi
             agreeing[v, u], differing[v, u], reason[v, u] = number, num - number, OK
             seeing[v, u] = _num_in_view(views, u, v, mean)
+
+
+@kernel
+def merge_near_rows(inverse, spread, zone, chosen, options, start, stop, out):
+    """In the zone, combine the sources that agree with the chosen inverse depth instead; out and options as in `merge_rows`, without counts of views."""
+    merged, sigma, chi_square, agreeing = out
+    for v in range(start, stop):
+        for u in range(inverse.shape[2]):
+            if not zone[v, u]:
+                continue
+            mean, total, chi, number = _mean_near(
+                inverse, spread, u, v, chosen[v, u], np.float32(0.0), options
+            )
+            agreeing[v, u] = number
+            if number:
+                merged[v, u], sigma[v, u], chi_square[v, u] = mean, 1.0 / np.sqrt(total), chi
+
+
+@kernel
+def _mean_near(inverse, spread, u, v, q, s, options):
+    """Weighted mean of the inverse depths that agree with q of standard deviation s; sum of weights, chi-square and number."""
+    width, floor = options
+    total, mean, chi, number = 0.0, 0.0, 0.0, 0
+    for j in range(inverse.shape[0]):
+        p = inverse[j, v, u]
+        if np.isfinite(p) and abs(p - q) <= width * np.sqrt(s**2 + spread[j, v, u] ** 2) + floor * q:
+            one = 1.0 / spread[j, v, u] ** 2
+            total, mean, number = total + one, mean + one * p, number + 1
+    if number:
+        mean /= total
+    for j in range(inverse.shape[0]):
+        p = inverse[j, v, u]
+        if np.isfinite(p) and abs(p - q) <= width * np.sqrt(s**2 + spread[j, v, u] ** 2) + floor * q:
+            chi += ((p - mean) / spread[j, v, u]) ** 2
+    return mean, total, chi, number
 
 
 @kernel

@@ -14,6 +14,7 @@ import numpy as np
 from epipole import _parallel
 from epipole._checks import checked
 from epipole.dense import _depth_kernels as kernels
+from epipole.dense.depth_edges import choose_at_edges
 from epipole.dense.pair_rectification import RectifiedPair, rectify_views
 from epipole.dense.view import DenseView, intrinsics_of
 from epipole.disparity_search.config import DisparityConfig
@@ -32,6 +33,9 @@ MEDIAN_CHI_SQUARE, LEAST_PIXELS, SCALES = 0.77, 1000, (0.05, 20.0)
 """Median of chi-square per degree of freedom (3 of them); fewest pixels; smallest and largest variance, relative to the pair's."""
 LEAST_AGREEING = 2
 """Sources that must agree, unless only one has the pixel in its image."""
+MOST_COST, ALONE_COST, ONLY_COST = 0.4, 0.25, 0.45
+"""Largest cost (`choose_at_edges`) of a depth at an edge that several sources have, one source has, or one has and no other matches. The cost of the
+last is a mean with a source that does not match."""
 MOST_SIGMA = 0.05
 """Largest standard deviation, relative to the depth."""
 LEAST_CHANGE, BLANK_PX, FLAT_PX = 6, 25, 5
@@ -152,20 +156,49 @@ def _combined(
         height,
         lambda start, stop, _: kernels.merge_rows(inverse, sigma, reason, views, options, start, stop, out),
     )
-    spread *= _scale_of_sigma(chi, agreeing)
-    found = why == DepthReason.OK
     for source in sources:
         seeing -= _is_masked(reference, source, q).astype(np.uint8)
     few = agreeing < np.minimum(LEAST_AGREEING, seeing)
-    why[found & (few | (differing > agreeing))] = DepthReason.DISAGREEING
+    why[(why == DepthReason.OK) & (few | (differing > agreeing))] = DepthReason.DISAGREEING
+    grays = [_gray(view) for view in (reference, *sources)]
+    if sources:
+        _choose_at_edges(inverse, sigma, grays, views, seeing, (q, spread, chi, agreeing, why))
+    spread *= _scale_of_sigma(chi, agreeing)
     why[(why == DepthReason.OK) & (spread > MOST_SIGMA * q)] = DepthReason.UNCERTAIN
-    why[(why == DepthReason.OK) & _is_blank(_gray(reference))] = DepthReason.TEXTURELESS
+    why[(why == DepthReason.OK) & _is_blank(grays[0])] = DepthReason.TEXTURELESS
     if reference.used_mask is not None:
         why[~reference.used_mask] = DepthReason.MASKED
     known, nan = why == DepthReason.OK, np.float32(np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = np.where(known, 1.0 / q, nan).astype(np.float32)
         return ViewDepth(depth, np.where(known, spread * depth * depth, nan), why, agreeing)
+
+
+def _choose_at_edges(
+    inverse: np.ndarray,
+    sigma: np.ndarray,
+    grays: Sequence[np.ndarray],
+    views: tuple[np.ndarray, ...],
+    seeing: np.ndarray,
+    merged: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    """At edges and in holes, combine the sources that agree with the depth that the images support there.
+
+    seeing: number of sources in whose image the point is. merged: inverse depth, standard deviation, chi-square, number agreeing, and reason,
+    all of which change.
+    """
+    q, spread, chi, agreeing, why = merged
+    known = np.where(why == DepthReason.OK, q, np.float32(np.nan))
+    is_hole = (why == DepthReason.DISAGREEING) | (why == DepthReason.OCCLUDED)
+    choice = choose_at_edges(known, is_hole, inverse, grays, views)
+    out, options = (q, spread, chi, agreeing), (AGREEING_SIGMAS, AGREEING_FRACTION)
+    arrays = inverse, sigma, choice.zone, choice.inverse_depth
+    _by_rows(len(q), lambda start, stop, _: kernels.merge_near_rows(*arrays, options, start, stop, out))
+    alone = (agreeing == 1) & (choice.cost <= np.where(choice.num_matching == 1, ONLY_COST, ALONE_COST))
+    only = (agreeing == 1) & (seeing == 1) & (why == DepthReason.OK)  # no other source can tell more
+    accepted = only | alone | ((agreeing >= LEAST_AGREEING) & (choice.cost <= MOST_COST))
+    why[choice.zone & accepted] = DepthReason.OK
+    why[choice.zone & ~accepted & (why == DepthReason.OK)] = DepthReason.DISAGREEING
 
 
 def _views_of(reference: DenseView, sources: Sequence[DenseView]) -> tuple[np.ndarray, ...]:
