@@ -57,6 +57,35 @@ def test_all_results_are_written_and_agree(done, scene):
     assert set(summary["views"]) == set(scene.names)
 
 
+def test_holes_are_closed_and_the_mesh_simplified_on_request(done, scene, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(done.out, out)
+    options = {"texture_px": 1024, "formats": ("ply", "usdz"), "close": 0.1, "faces": 6000}
+    again = surface(scene.folder, out, **options)
+    assert len(again.mesh) == again.summary["num_faces"] <= 6000 and again.summary["num_holes_closed"] > 0
+    assert {"textured.ply", "textured.usdz"} <= {path.name for path in out.iterdir()}
+    assert not (out / "textured.glb").exists()  # of the earlier run
+    before, after = (cKDTree(mesh.vertices_in_world) for mesh in (done.mesh, again.mesh))
+    distance = before.query(again.mesh.vertices_in_world)[0]
+    assert np.quantile(distance, 0.95) < 2 * again.summary["voxel"]
+    assert np.median(after.query(done.mesh.vertices_in_world)[0]) < 8 * again.summary["voxel"]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"close": -0.1}, "close must not be negative"),
+        ({"close": 1.5}, "close must be from 0 to 1"),
+        ({"faces": 2}, "faces must be"),
+        ({"crop": (1.0, 0.0, 0.0, 1.0)}, "west < east"),
+        ({"contour_m": 0.0}, "contour_m must be"),
+    ],
+)
+def test_wrong_options_are_named(options, words):
+    with pytest.raises(ConfigError, match=words):
+        SurfaceConfig(**options)
+
+
 def test_the_cloud_is_on_the_surfaces(done, scene):
     cloud = read_points_ply(done.out / "cloud.ply").xyz[::50]
     near = np.zeros(len(cloud), bool)

@@ -1,9 +1,11 @@
 """Survey products: height model, orthophoto and LAZ of a georeferenced model, read back by other libraries."""
 
+import shutil
 from dataclasses import replace
 
 import laspy
 import numpy as np
+import pyogrio
 import pytest
 import rasterio
 from benchmarks.tasks.surfaces import prepare_scene
@@ -70,6 +72,48 @@ def test_the_points_are_the_cloud_in_utm_to_a_millimeter(done):
     positions = enu(np.stack([read.x, read.y, read.z], axis=1))
     cloud = read_points_ply(done.out / "cloud.ply").xyz
     np.testing.assert_allclose(positions, cloud, atol=1.2e-3)
+
+
+def test_the_terrain_lies_below_the_boxes_on_the_same_grid(done):
+    with rasterio.open(done.out / "dtm.tif") as file, rasterio.open(done.out / "dsm.tif") as other:
+        assert file.transform == other.transform and file.crs.to_epsg() == 32632
+        terrain, heights = file.read(1), other.read(1)
+    assert (np.isfinite(terrain) == np.isfinite(heights)).all()
+    known = np.isfinite(heights)
+    assert np.quantile((heights - terrain)[known], 0.02) > -0.35 and (heights - terrain)[known].max() > 0.2
+
+
+def test_contour_lines_are_at_the_heights_that_they_state(done):
+    info = pyogrio.read_info(done.out / "contours.gpkg")
+    _, _, _, (elevation,) = pyogrio.raw.read(done.out / "contours.gpkg")
+    interval = done.summary["contour_m"]
+    assert info["crs"] == "EPSG:32632" and info["features"] == len(elevation) > 5
+    np.testing.assert_allclose(elevation / interval, np.rint(elevation / interval), atol=1e-6)
+
+
+def test_the_report_shows_the_products_and_their_figures(done):
+    page = (done.out / "report.html").read_text()
+    for words in ("orthophoto.tif", "dsm.tif", "dtm.tif", "ground sampling distance", "EPSG:32632"):
+        assert words in page
+    assert 0 < done.summary["area_m2"] < 500 and 0 < done.summary["gsd_m"] < 0.1
+
+
+def test_products_can_be_cropped(done, source, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(done.out, out)
+    with rasterio.open(out / "dsm.tif") as file:
+        x, y = file.xy(file.height // 2, file.width // 2)
+    crop = (x - 1.0, y - 0.75, x + 1.0, y + 0.75)
+    cropped = surface(source.folder, out, until="survey", texture_px=1024, crop=crop, contour_m=0.25)
+    resolution = cropped.summary["resolution_m"]
+    for name in ("dsm.tif", "dtm.tif", "orthophoto.tif"):
+        with rasterio.open(out / name) as file:
+            np.testing.assert_allclose(tuple(file.bounds), crop, atol=resolution)
+    points = laspy.read(out / "cloud.laz")
+    assert 0 < len(points.points) < cropped.summary["num_points"]
+    assert points.x.min() >= crop[0] - 1e-3 and points.y.max() <= crop[3] + 1e-3
+    with pytest.raises(ConfigError, match="nothing is inside the crop: the surface is from"):
+        surface(source.folder, out, until="survey", texture_px=1024, crop=(0.0, 0.0, 1.0, 1.0))
 
 
 def test_a_model_without_a_position_is_refused_before_the_work(source, tmp_path):

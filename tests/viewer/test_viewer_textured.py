@@ -19,13 +19,13 @@ from epipole.io.meshes.gltf import write_glb
 from epipole.io.meshes.mesh_ply import write_mesh_ply
 from epipole.io.meshes.ply import write_points_ply
 from epipole.pipelines.viewing.run import scene_of, write_page
-from epipole.report.mesh_simplification import Corners, simplified
 from epipole.report.packed_mesh import depth_first
 from epipole.report.space import space_data
 from epipole.report.space_scene import MeshLayer, SpaceScene, TexturedMeshLayer
 from epipole.report.texture_gaps import without_gaps
 from epipole.report.textured_layer import corners_of, reduced, textured_layer
 from epipole.runs import claim
+from epipole.scene.mesh_simplification import Corners, simplified
 from epipole.scene.textured_mesh import TexturedMesh
 
 COLORS = np.array([[200, 40, 40], [40, 180, 40], [40, 40, 220], [220, 200, 40]], np.uint8)

@@ -14,10 +14,10 @@ from PIL import Image
 
 from epipole.image import downscaled
 from epipole.image.encoding import encoded_image
-from epipole.report.mesh_simplification import Corners, simplified
 from epipole.report.packed_mesh import PackedMesh, depth_first, packed_mesh
 from epipole.report.space_scene import TexturedMeshLayer
 from epipole.report.texture_gaps import without_gaps
+from epipole.scene.mesh_simplification import Corners, simplified
 from epipole.scene.textured_mesh import TexturedMesh
 
 MOST_PX, SERVED_QUALITY = 8192, 92

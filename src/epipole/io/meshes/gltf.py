@@ -101,8 +101,8 @@ def write_glb(
     extras: dict[str, Any] = {ORIGIN: origin.tolist()} if origin.any() else {}
     node: dict[str, Any] = {"mesh": 0}
     if up is not None:
-        y_from_up, extras[UP] = _y_from_up(up)
-        node["rotation"] = np.roll(y_from_up.as_quat_wxyz(), -1).tolist()
+        rotation, extras[UP] = y_from_up(up)
+        node["rotation"] = np.roll(rotation.as_quat_wxyz(), -1).tolist()
     asset = {"version": "2.0", "generator": "epipole", **({"extras": extras} if extras else {})}
     is_tiled = bool((uv < 0).any() or (uv > 1).any())
     _write(Path(path), _content(asset, node, out, _REPEAT if is_tiled else _CLAMP_TO_EDGE), out)
@@ -138,8 +138,12 @@ def _sampler(wrap: int) -> dict[str, int]:
     return {"magFilter": _LINEAR, "minFilter": _LINEAR_MIPMAP_LINEAR, "wrapS": wrap, "wrapT": wrap}
 
 
-def _y_from_up(up: np.ndarray) -> tuple[Rotation3, list[float]]:
-    """The smallest rotation that maps the up direction to +Y, and the direction with unit length."""
+def y_from_up(up: np.ndarray) -> tuple[Rotation3, list[float]]:
+    """The smallest rotation that maps the up direction to +Y, and the direction with unit length.
+
+    Raises:
+        ShapeError: the direction is zero or not finite.
+    """
     largest = np.abs(up).max()
     if not 0 < largest < np.inf:
         raise ShapeError(f"up must be a finite, nonzero direction, got {up}")

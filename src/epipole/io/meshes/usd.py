@@ -17,7 +17,6 @@ from jaxtyping import Float64
 
 from epipole._checks import checked
 from epipole.errors import ConfigError, EpipoleError, MissingDependencyError, ShapeError
-from epipole.geometry import Rotation3
 from epipole.io.atomic import atomic_write
 from epipole.io.meshes._texture_files import (
     check_textured,
@@ -26,14 +25,12 @@ from epipole.io.meshes._texture_files import (
     used_textures,
     write_textures_beside,
 )
-from epipole.io.meshes.gltf import UP
+from epipole.io.meshes.gltf import UP, y_from_up
 from epipole.scene.local_origin import ORIGIN, local_origin
 from epipole.scene.textured_mesh import TexturedMesh
 
 _SUFFIXES = (".usdz", ".usdc", ".usda")
 _ROOT, _MATERIALS = "/model", "/model/materials"
-_Y = np.array([0.0, 1.0, 0.0])
-"""The up direction of written files, as in glTF; AR Quick Look requires it."""
 _METERS_PER_UNIT = 1.0
 """Without this entry, readers assume centimeters."""
 _ALIGNMENT = 64
@@ -150,13 +147,10 @@ def _new_stage(pxr: Any, origin: np.ndarray, up: np.ndarray | None) -> Any:
     pxr.Usd.ModelAPI(root).SetKind(pxr.Kind.Tokens.component)
     extras = {ORIGIN: pxr.Gf.Vec3d(origin.tolist())} if origin.any() else {}
     if up is not None:
-        largest = np.abs(up).max()
-        if not 0 < largest < np.inf:
-            raise ShapeError(f"up must be a finite, nonzero direction, got {up}")
-        unit = up / largest / np.linalg.norm(up / largest)
-        extras[UP] = pxr.Gf.Vec3d(unit.tolist())
+        rotation, unit = y_from_up(up)
+        extras[UP] = pxr.Gf.Vec3d(unit)
         matrix = np.eye(4)
-        matrix[:3, :3] = Rotation3.from_two_vectors(unit, _Y).matrix.T  # USD multiplies row vectors
+        matrix[:3, :3] = rotation.matrix.T  # USD multiplies row vectors
         root.AddTransformOp().Set(pxr.Gf.Matrix4d(matrix.tolist()))
     stage.GetRootLayer().customLayerData = {"generator": "epipole", **extras}
     return stage

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from epipole.pipelines.sfm.command import STAGES
-from epipole.pipelines.surfaces.config import SurfaceConfig
+from epipole.pipelines.surfaces.config import FORMATS, SurfaceConfig
 
 if TYPE_CHECKING:
     from epipole.pipelines.surfaces.run import SurfaceResult
@@ -66,18 +66,27 @@ def _show(result: SurfaceResult) -> None:
         removed = ""
         if summary["num_parts_removed"]:
             removed = f"; {summary['num_parts_removed']:,} of {summary['num_parts']:,} parts removed as too small (--min-component)"
-        table.add_row("mesh", f"{summary['num_faces']:,} triangles{removed}")
+        closed = ""
+        if summary["num_holes_closed"]:
+            closed = f"; {summary['num_holes_closed']:,} holes closed"
+        table.add_row("mesh", f"{summary['num_faces']:,} triangles{removed}{closed}")
         files["mesh"] = result.out / "mesh.ply"
     if "texture_size_px" in summary:
         width, height = summary["texture_size_px"]
         table.add_row("texture", f"{width} x {height} pixels")
-        files["textured"] = result.out / "textured.glb"
+        written = (result.out / f"textured.{suffix}" for suffix in FORMATS)
+        files["textured"] = next(path for path in written if path.is_file())
     if "raster_size" in summary:
         width, height = summary["raster_size"]
         table.add_row(
             "survey", f"{width} x {height} cells of {summary['resolution_m']:g} m in {summary['crs']}"
         )
-        files |= {"heights": result.out / "dsm.tif", "orthophoto": result.out / "orthophoto.tif"}
+        files |= {
+            "heights": result.out / "dsm.tif",
+            "ground": result.out / "dtm.tif",
+            "contour lines": result.out / "contours.gpkg",
+            "orthophoto": result.out / "orthophoto.tif",
+        }
     table.add_row("time", f"{summary['seconds']:.1f} s")
     console.print(table)
     print_warnings(console, result.warnings)

@@ -10,7 +10,7 @@ from epipole._checks import check_options
 from epipole.errors import ConfigError
 
 STAGES = ("depth", "cloud", "mesh", "texture", "survey")
-FORMATS = ("glb", "obj")
+FORMATS = ("glb", "obj", "ply", "usdz")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,14 +31,22 @@ class SurfaceConfig:
     """Side of a voxel of the mesh. Default: from the resolution of the views."""
     min_component: float = 0.002
     """Remove parts of the mesh with fewer triangles than this fraction of the largest."""
+    close: float = 0.0
+    """Close holes up to this width, relative to the size of the mesh, such as 0.05. Default: holes stay."""
+    faces: int | None = None
+    """Simplify the mesh to at most this number of triangles, where possible."""
     texture_px: int = 4096
     """Width of the texture, and its largest height."""
-    formats: tuple[Literal["glb", "obj"], ...] = ("glb",)
+    formats: tuple[Literal["glb", "obj", "ply", "usdz"], ...] = ("glb",)
     """Formats of the textured mesh."""
     resolution_m: float | None = None
     """survey: side of a cell. Default: a pixel at the median depth."""
     crs: str | None = None
     """survey: coordinate system, such as EPSG:25832. Default: UTM."""
+    crop: tuple[float, float, float, float] | None = None
+    """survey: west, south, east and north border in the coordinate system."""
+    contour_m: float | None = None
+    """survey: height between contour lines. Default: 16 to 40 lines."""
     threads: int | None = None
     """Number of threads. Default: all cores."""
 
@@ -57,11 +65,21 @@ class SurfaceConfig:
             raise ConfigError(f"voxel must be positive, got {self.voxel}")
         if not 0 <= self.min_component <= 1:
             raise ConfigError(f"min_component must be from 0 to 1, got {self.min_component}")
+        if not 0 <= self.close <= 1:
+            raise ConfigError(f"close must be from 0 to 1, got {self.close}")
+        if self.faces is not None and self.faces < 4:
+            raise ConfigError(f"faces must be at least 4, got {self.faces}")
         if not 256 <= self.texture_px <= 16384:
             raise ConfigError(f"texture_px must be from 256 to 16384, got {self.texture_px}")
         if not self.formats:
             raise ConfigError("formats must name at least one format of the textured mesh")
         if self.resolution_m is not None and not self.resolution_m > 0:
             raise ConfigError(f"resolution_m must be positive, got {self.resolution_m}")
+        if self.crop is not None and not (self.crop[0] < self.crop[2] and self.crop[1] < self.crop[3]):
+            raise ConfigError(
+                f"crop must be west, south, east, north with west < east and south < north, got {self.crop}"
+            )
+        if self.contour_m is not None and not self.contour_m > 0:
+            raise ConfigError(f"contour_m must be positive, got {self.contour_m}")
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, got {self.threads}")

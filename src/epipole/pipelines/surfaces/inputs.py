@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from epipole.dense.source_selection import SharedPoints, depth_range, select_sources
-from epipole.errors import ConfigError, EpipoleError, NoModelError
+from epipole.errors import ConfigError, EpipoleError, FileFormatError, NoModelError
+from epipole.io.files import read_json
 from epipole.io.images.photographs import common_range, mask_of, read_mask_file
 from epipole.io.models.images import ModelImage, ModelImages
 from epipole.io.models.losses import losses_in, losses_of
@@ -35,6 +37,8 @@ class SurfaceInputs:
     sources: tuple[tuple[int, ...], ...]
     depths: tuple[tuple[float, float], ...]
     warnings: tuple[str, ...]
+    accuracy: dict[str, Any]
+    """`summary.json` of the run that made the model, with the residuals of its survey; empty without one."""
 
     @property
     def usable(self) -> list[int]:
@@ -82,7 +86,20 @@ def surface_inputs(source: Path, run: Run, config: SurfaceConfig) -> SurfaceInpu
         tuple(usable),
         tuple(row or (1.0, 2.0) for row in depths),
         tuple(warnings),
+        _summary_of(source if is_model(source) else run.root / MODEL),
     )
+
+
+def _summary_of(folder: Path) -> dict[str, Any]:
+    """`summary.json` of an output folder; empty where there is none, or a damaged one, which only the report would show."""
+    path = folder / "summary.json"
+    if not path.is_file():
+        return {}
+    try:
+        found = read_json(path)
+    except FileFormatError:
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def _model_of(source: Path, run: Run, config: SurfaceConfig) -> tuple[ModelSource, list[str]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from epipole.pipelines.surfaces.view_files import view_of_file
 from epipole.runs import Run, Unit
 from epipole.scene import Mesh
 from epipole.scene.local_origin import local_origin
+from epipole.scene.mesh_holes import close_holes
+from epipole.scene.mesh_simplification import simplified_mesh
 from epipole.scene.view_depth import ViewDepth
 
 PIXELS_PER_VOXEL = 2.5
@@ -35,8 +38,8 @@ def mesh_of(
     clouds: Mapping[int, Unit],
     config: SurfaceConfig,
     run: Run,
-) -> tuple[Mesh, float]:
-    """The surface, and the side of its voxels.
+) -> tuple[Mesh, dict[str, Any]]:
+    """The surface, and its figures.
 
     Raises:
         DegenerateGeometryError: there is no surface.
@@ -60,10 +63,32 @@ def mesh_of(
     run.report("mesh", len(views), len(views) + 1)
     mesh = volume.mesh().without_small_components(config.min_component)
     del volume
+    mesh, num_closed = _finished(mesh, config, run)
     vertices = about_origin.apply(mesh.vertices_in_world)
     mesh = replace(mesh, vertices_in_world=vertices, rgb=_colors(vertices, inputs, depths, clouds))
     run.report("mesh", len(views) + 1, len(views) + 1)
-    return mesh, voxel
+    facts = {
+        "num_faces": len(mesh),
+        "num_vertices": len(vertices),
+        "voxel": voxel,
+        "num_holes_closed": num_closed,
+    }
+    return mesh, facts | {"num_parts": mesh.num_components, "num_parts_removed": mesh.num_removed}
+
+
+def _finished(mesh: Mesh, config: SurfaceConfig, run: Run) -> tuple[Mesh, int]:
+    """The mesh with holes closed and simplified, as the options say; number of holes that were closed."""
+    num = 0
+    if config.close:
+        size = float(np.linalg.norm(np.ptp(mesh.vertices_in_world, axis=0)))
+        mesh, num = close_holes(mesh, config.close * size)
+    if config.faces is not None and len(mesh) > config.faces:
+        mesh = simplified_mesh(mesh, config.faces)
+        if len(mesh) > config.faces:
+            run.warnings.append(
+                f"the mesh has {len(mesh):,} triangles, not {config.faces:,}: no other edge can be collapsed without changing its shape"
+            )
+    return mesh, num
 
 
 def _colors(

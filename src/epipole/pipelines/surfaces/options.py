@@ -16,8 +16,12 @@ class SurfaceKeywords(TypedDict, total=False):
     masks: str | Path | None
     voxel: float | None
     min_component: float
+    close: float
+    faces: int | None
     texture_px: int
-    formats: tuple[Literal["glb", "obj"], ...]
+    formats: tuple[Literal["glb", "obj", "ply", "usdz"], ...]
     resolution_m: float | None
     crs: str | None
+    crop: tuple[float, float, float, float] | None
+    contour_m: float | None
     threads: int | None

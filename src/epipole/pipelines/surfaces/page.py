@@ -12,6 +12,8 @@ from epipole.image import color_map
 from epipole.pipelines.surfaces.depth_stage import depth_in
 from epipole.pipelines.surfaces.inputs import SurfaceInputs
 from epipole.pipelines.surfaces.results import DepthFigures
+from epipole.pipelines.surfaces.survey_page import survey_images, survey_rows
+from epipole.pipelines.surfaces.survey_stage import Survey
 from epipole.pipelines.surfaces.view_files import view_of_file
 from epipole.report.frame import render
 from epipole.report.images import color_range_text, jpeg_uri
@@ -43,6 +45,7 @@ def render_page(
     figures: DepthFigures,
     sample: DensePoints | None,
     summary: Mapping[str, Any],
+    survey: Survey | None = None,
 ) -> str:
     """One self-contained HTML page.
 
@@ -52,6 +55,7 @@ def render_page(
         figures: figures of the depths.
         sample: some points of the cloud; None without a cloud.
         summary: the numbers of `summary.json`.
+        survey: rasters of the survey products; None without them.
     """
     order = np.argsort(figures.density, kind="stable")
     return render(
@@ -62,6 +66,8 @@ def render_page(
         tiles=_tiles(summary),
         warnings=list(summary["warnings"]),
         space=_space(inputs, sample),
+        survey=None if survey is None else survey_images(survey),
+        survey_rows=None if survey is None else survey_rows(survey, inputs.accuracy),
         views=[_images(inputs, depths, k) for k in _shown(list(depths))],
         reasons=_reasons(figures),
         rows=[_row(figures, k) for k in order.tolist()],

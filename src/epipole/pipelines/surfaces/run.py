@@ -14,6 +14,7 @@ from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.io.files import missing_in_words
 from epipole.io.meshes.cloud_ply import Columns, write_cloud_ply
 from epipole.io.meshes.mesh_ply import write_mesh_ply
+from epipole.io.meshes.usd import require_usd
 from epipole.pipelines.surfaces.cloud_stage import cloud_units, points_in
 from epipole.pipelines.surfaces.config import STAGES, SurfaceConfig
 from epipole.pipelines.surfaces.depth_stage import depth_units
@@ -28,6 +29,7 @@ from epipole.pipelines.surfaces.view_files import view_of_file
 from epipole.runs import Job, ProgressCallback, Run, Unit, ignore_progress, open_run
 from epipole.scene import Mesh
 from epipole.scene.notebook import table_html
+from epipole.scene.textured_mesh import TexturedMesh
 
 SAMPLE = 100_000
 """Points of the cloud in the report, at most about twice as many."""
@@ -67,7 +69,7 @@ def surface(
         source: a folder of photographs or a video, which is reconstructed first (`OUT/sfm`); an output folder of `reconstruct`; a COLMAP
             model with its images; or a transforms.json.
         out: output folder: `cloud.ply`, `mesh.ply`, `textured.glb`, `report.html`; for `until="survey"`, also `dsm.tif`,
-            `orthophoto.tif` and `cloud.laz`.
+            `dtm.tif`, `contours.gpkg`, `orthophoto.tif` and `cloud.laz`.
         config: options; None for the defaults.
         progress: called with the progress of each stage.
         **options: single options by name, which override `config`: `until="cloud"`.
@@ -91,6 +93,8 @@ def surface(
             inputs = surface_inputs(source, run, wanted)
             if wanted.until == "survey":
                 require_georeference(inputs, wanted)
+            if "usdz" in wanted.formats and STAGES.index(wanted.until) >= STAGES.index("texture"):
+                require_usd()
         run.warnings += inputs.warnings
         try:
             return _surface_of(inputs, wanted, run)
@@ -114,17 +118,25 @@ def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> Surfa
             facts["num_points"], sample = _write_cloud(clouds, run)
     if last >= STAGES.index("mesh"):
         with run.stage("mesh"):
-            mesh, voxel = mesh_of(inputs, depths, clouds, config, run)
-            facts |= {"num_faces": len(mesh), "num_vertices": len(mesh.vertices_in_world), "voxel": voxel}
-            facts |= {"num_parts": mesh.num_components, "num_parts_removed": mesh.num_removed}
+            mesh, figures_of_mesh = mesh_of(inputs, depths, clouds, config, run)
+            facts |= figures_of_mesh
             with run.folder.publish("mesh") as aside:
                 view = first_view(inputs, mesh)
                 write_mesh_ply(aside / "mesh.ply", mesh.vertices_in_world, mesh.faces, mesh.rgb, view)
+    survey = None
     if mesh is not None and last >= STAGES.index("texture"):
-        facts |= _texture(mesh, inputs, depths, clouds, config, run)
+        with run.stage("texture"):
+            textured = _texture(mesh, inputs, depths, clouds, config, run)
+        if textured is not None:
+            facts["texture_size_px"] = [textured.textures[0].shape[1], textured.textures[0].shape[0]]
+        if textured is not None and config.until == "survey":
+            with run.stage("survey"), run.folder.publish("survey") as aside:
+                pixel = median_pixel(inputs, depths, clouds)
+                survey = write_survey(aside, textured, clouds, inputs, pixel, config)
+                facts |= survey.facts
     with run.stage("write"), run.folder.publish("report") as aside:
         summary = summary_of(inputs, figures, facts, run)
-        page = render_page(inputs, depths, figures, sample, summary)
+        page = render_page(inputs, depths, figures, sample, summary, survey)
         (aside / "report.html").write_text(page, encoding="utf-8", errors="replace")
     run.finish(summary)
     return SurfaceResult(run.root, mesh, summary, tuple(run.warnings))
@@ -144,24 +156,16 @@ def _texture(
     clouds: dict[int, Unit],
     config: SurfaceConfig,
     run: Run,
-) -> dict[str, Any]:
-    """Write the textured mesh and the survey products; a mesh that cannot be textured stays without, with a warning."""
-    with run.stage("texture"):
-        try:
-            textured = texture_of(mesh, inputs, depths, clouds, config, run)
-        except (ConfigError, DegenerateGeometryError) as error:
-            run.warnings.append(f"the mesh has no texture: {error}")
-            return {}
-        with run.folder.publish("texture") as aside:
-            write_textured(aside, textured, inputs.up, config)
-    facts: dict[str, Any] = {
-        "texture_size_px": [textured.textures[0].shape[1], textured.textures[0].shape[0]]
-    }
-    if config.until == "survey":
-        with run.stage("survey"), run.folder.publish("survey") as aside:
-            pixel = median_pixel(inputs, depths, clouds)
-            facts |= write_survey(aside, textured, clouds, inputs, pixel, config)
-    return facts
+) -> TexturedMesh | None:
+    """The textured mesh, as written; a mesh that cannot be textured stays without, with a warning."""
+    try:
+        textured = texture_of(mesh, inputs, depths, clouds, config, run)
+    except (ConfigError, DegenerateGeometryError) as error:
+        run.warnings.append(f"the mesh has no texture: {error}")
+        return None
+    with run.folder.publish("texture") as aside:
+        write_textured(aside, textured, inputs.up, config)
+    return textured
 
 
 def _write_cloud(clouds: dict[int, Unit], run: Run) -> tuple[int, DensePoints]:

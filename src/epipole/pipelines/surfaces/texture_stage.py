@@ -13,6 +13,8 @@ from epipole.dense.texturing.texture_view import TextureView
 from epipole.image import undistorted_camera
 from epipole.io.meshes.gltf import write_glb
 from epipole.io.meshes.obj import write_obj
+from epipole.io.meshes.textured_ply import write_textured_ply
+from epipole.io.meshes.usd import write_usd
 from epipole.pipelines.surfaces.cloud_stage import confirmed_depth
 from epipole.pipelines.surfaces.config import SurfaceConfig
 from epipole.pipelines.surfaces.inputs import SurfaceInputs
@@ -55,6 +57,10 @@ def write_textured(folder: Path, mesh: TexturedMesh, up: np.ndarray, config: Sur
         write_glb(folder / f"{NAME}.glb", mesh, up=up)
     if "obj" in config.formats:
         write_obj(folder / f"{NAME}.obj", mesh)
+    if "ply" in config.formats:
+        write_textured_ply(folder / f"{NAME}.ply", mesh)
+    if "usdz" in config.formats:
+        write_usd(folder / f"{NAME}.usdz", mesh, up=up)
 
 
 def _texture_view(view: ViewFile, depth: Unit, cloud: Unit) -> TextureView:

@@ -8,11 +8,14 @@ triangles are all different.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.sparse import csr_array
+
+from epipole.scene.mesh import Mesh
 
 LEAST_COSINE = 0.3
 """Between the normals of a triangle before and after a collapse."""
@@ -74,6 +77,16 @@ def simplified(mesh: Corners, most_triangles: int) -> Corners:
         triangles = moved[triangles]
         triangles = triangles[_is_proper(mesh.vertex[triangles])]
     return mesh._replace(triangles=triangles)
+
+
+def simplified_mesh(mesh: Mesh, most_faces: int) -> Mesh:
+    """A mesh without texture, simplified to at most `most_faces` triangles where edges can be collapsed; see `simplified`."""
+    n = len(mesh.vertices_in_world)
+    corners = Corners(mesh.vertices_in_world, np.arange(n), np.zeros((n, 2)), mesh.faces)
+    used, faces = np.unique(simplified(corners, most_faces).triangles, return_inverse=True)
+    return replace(
+        mesh, vertices_in_world=mesh.vertices_in_world[used], faces=faces.reshape(-1, 3), rgb=mesh.rgb[used]
+    )
 
 
 def _is_proper(vertices: np.ndarray) -> np.ndarray:
