@@ -6,6 +6,8 @@
 - cloud: precision, recall and F-score of the fused cloud and of the mesh.
 - texture: held-out views rendered from the textured mesh, beside splats trained for a minute.
 - memory: peak memory on images of 12 megapixels.
+- survey: height models and orthophotos of rendered drone flights.
+- survey peers: pyOrthomosaic on the same photographs, in a Python that has it (`--orthomosaic-python`).
 - peers: Open3D's TSDF and Poisson surfaces of the same depths, in a Python that has Open3D (`--open3d-python`).
 
 The courtyard is in-sample: it was used while the code was written. The other two scenes, the kitchen and the pairs were not. Times depend on
@@ -28,6 +30,7 @@ from rich.table import Table
 from benchmarks.measure import REPOSITORY, describe_machine
 from benchmarks.surface_depth import depth_part, fit_shared, real_part, stereo_part
 from benchmarks.surface_shapes import cloud_part, memory_part, peers_part
+from benchmarks.surface_survey import survey_part, survey_peers_part
 from benchmarks.surface_texture import texture_part
 from benchmarks.tasks.sfm import data_root
 from epipole import _parallel
@@ -47,7 +50,9 @@ def parts_of(arguments: argparse.Namespace) -> dict[str, Callable[[Path, Path], 
         "cloud": cloud_part,
         "texture": texture_part,
         "memory": lambda work, _: memory_part(work, arguments.views),
+        "survey": survey_part,
         "peers": partial(peers_part, python=arguments.open3d_python),
+        "survey peers": partial(survey_peers_part, python=arguments.orthomosaic_python),
     }
 
 
@@ -65,13 +70,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    names = ("depth", "real", "stereo", "cloud", "texture", "memory", "peers")
-    parser.add_argument("--part", nargs="+", choices=names, default=list(names[:-1]))
+    names = ("depth", "real", "stereo", "cloud", "texture", "memory", "survey", "peers", "survey peers")
+    parser.add_argument("--part", nargs="+", choices=names, default=list(names[:-2]))
     parser.add_argument(
         "--fit", action="store_true", help="refit SHARED of dense/depth.py on the courtyard instead"
     )
     parser.add_argument("--views", type=int, default=24, help="number of images of the memory part")
     parser.add_argument("--open3d-python", default=sys.executable, help="Python interpreter that has Open3D")
+    parser.add_argument(
+        "--orthomosaic-python", default=sys.executable, help="Python interpreter that has pyOrthomosaic"
+    )
     parser.add_argument("--work", type=Path, default=REPOSITORY / "build" / "surfaces")
     parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     arguments = parser.parse_args()

@@ -45,8 +45,8 @@ def prepare_flight(seed: int, folder: Path, gps_sigma_m: float = 2.0, num_points
     at = folder / f"flight_{seed}"
     rng = np.random.default_rng(seed)
     camera = Camera("SIMPLE_RADIAL", WIDTH, HEIGHT, [FOCAL_PX, (WIDTH - 1) / 2, (HEIGHT - 1) / 2, DISTORTION])
-    poses = _poses(rng)
-    scene = _scene(rng, poses.centers())
+    poses = poses_of(rng)
+    scene = scene_around(rng, poses.centers())
     names = tuple(f"image_{k:03d}.jpg" for k in range(len(poses)))
     fixes = ORIGIN.lat_lon_alt_of(poses.centers() + gps_sigma_m * rng.normal(size=(len(poses), 3)))
     if not (at / "truth.npz").is_file():  # written last
@@ -64,7 +64,7 @@ def prepare_flight(seed: int, folder: Path, gps_sigma_m: float = 2.0, num_points
         return Flight(at / "images", names, camera, poses, truth["points"], truth["is_visible"])
 
 
-def _poses(rng: np.random.Generator) -> Rigid3:
+def poses_of(rng: np.random.Generator) -> Rigid3:
     """Nadir images along lines in alternating directions, with the wobble of a gimbal."""
     step = (1.0 - FORWARD_OVERLAP) * HEIGHT / FOCAL_PX * ALTITUDE_M
     side = (1.0 - SIDE_OVERLAP) * WIDTH / FOCAL_PX * ALTITUDE_M
@@ -82,7 +82,14 @@ def _poses(rng: np.random.Generator) -> Rigid3:
     return Rigid3(rotation, -np.einsum("nij,nj->ni", rotation, center))
 
 
-def _scene(rng: np.random.Generator, centers: np.ndarray) -> SyntheticScene:
+def scene_of(seed: int) -> SyntheticScene:
+    """The ground and the houses of a flight."""
+    rng = np.random.default_rng(seed)
+    return scene_around(rng, poses_of(rng).centers())
+
+
+def scene_around(rng: np.random.Generator, centers: np.ndarray) -> SyntheticScene:
+    """Ground and houses below the positions of the cameras."""
     middle, half = centers.mean(axis=0), np.ptp(centers, axis=0) / 2 + 80.0
     seeds = iter(rng.integers(1, 1 << 20, 100).tolist())
     ground = HeightField(

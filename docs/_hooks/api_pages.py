@@ -8,7 +8,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).resolve().parents[2] / "src" / "epipole"
 PACKAGES = (
     *("api", "cameras", "geometry", "solvers", "robust", "optim", "features", "image", "scene", "io"),
-    *("metrics", "mapping", "scale", "inertial", "synthetic", "config", "errors"),
+    *("metrics", "mapping", "dense", "scale", "inertial", "synthetic", "config", "errors"),
 )
 MODULES = {
     "calibration": ("features.boards", "io.calibration.files", "pipelines.calibration.calibrate"),

@@ -195,7 +195,9 @@ def _choose_at_edges(
     arrays = inverse, sigma, choice.zone, choice.inverse_depth
     _by_rows(len(q), lambda start, stop, _: kernels.merge_near_rows(*arrays, options, start, stop, out))
     alone = (agreeing == 1) & (choice.cost <= np.where(choice.num_matching == 1, ONLY_COST, ALONE_COST))
-    only = (agreeing == 1) & (seeing == 1) & (why == DepthReason.OK)  # no other source can tell more
+    only = (
+        (agreeing == 1) & (seeing == 1) & (why == DepthReason.OK)
+    )  # there is no other source to compare with
     accepted = only | alone | ((agreeing >= LEAST_AGREEING) & (choice.cost <= MOST_COST))
     why[choice.zone & accepted] = DepthReason.OK
     why[choice.zone & ~accepted & (why == DepthReason.OK)] = DepthReason.DISAGREEING

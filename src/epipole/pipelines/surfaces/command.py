@@ -20,6 +20,7 @@ WORDS = {
     "cloud": "Fusing points",
     "mesh": "Building the mesh",
     "texture": "Texturing the mesh",
+    "survey": "Writing survey products",
 }
 
 
@@ -33,7 +34,8 @@ def surface(
     Args:
         source: Photographs or a video (reconstructed first), an output folder of `reconstruct`, a COLMAP model with its
             images, or a transforms.json.
-        out: Output folder: cloud.ply, mesh.ply, textured.glb, report.html.
+        out: Output folder: cloud.ply, mesh.ply, textured.glb, report.html; with --until survey also dsm.tif, dtm.tif,
+            contours.gpkg, orthophoto.tif and cloud.laz.
         config: Options.
     """
     from epipole.screen import progress_on_screen
@@ -86,6 +88,7 @@ def _show(result: SurfaceResult) -> None:
             "ground": result.out / "dtm.tif",
             "contour lines": result.out / "contours.gpkg",
             "orthophoto": result.out / "orthophoto.tif",
+            "points on the map": result.out / "cloud.laz",
         }
     table.add_row("time", f"{summary['seconds']:.1f} s")
     console.print(table)

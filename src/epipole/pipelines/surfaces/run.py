@@ -24,7 +24,7 @@ from epipole.pipelines.surfaces.options import SurfaceKeywords
 from epipole.pipelines.surfaces.page import render_page
 from epipole.pipelines.surfaces.results import depth_figures, summary_of
 from epipole.pipelines.surfaces.survey_stage import require_georeference, write_survey
-from epipole.pipelines.surfaces.texture_stage import texture_of, write_textured
+from epipole.pipelines.surfaces.texture_stage import COARSE_TEXELS, texel_side, texture_of, write_textured
 from epipole.pipelines.surfaces.view_files import view_of_file
 from epipole.runs import Job, ProgressCallback, Run, Unit, ignore_progress, open_run
 from epipole.scene import Mesh
@@ -125,15 +125,15 @@ def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> Surfa
                 write_mesh_ply(aside / "mesh.ply", mesh.vertices_in_world, mesh.faces, mesh.rgb, view)
     survey = None
     if mesh is not None and last >= STAGES.index("texture"):
-        with run.stage("texture"):
-            textured = _texture(mesh, inputs, depths, clouds, config, run)
-        if textured is not None:
-            facts["texture_size_px"] = [textured.textures[0].shape[1], textured.textures[0].shape[0]]
+        pixel = median_pixel(inputs, depths, clouds)
+        textured = _texture(mesh, inputs, depths, clouds, config, run)
+        facts |= {} if textured is None else _texture_facts(textured, pixel, config, run)
         if textured is not None and config.until == "survey":
+            run.report("survey", 0, 1)
             with run.stage("survey"), run.folder.publish("survey") as aside:
-                pixel = median_pixel(inputs, depths, clouds)
                 survey = write_survey(aside, textured, clouds, inputs, pixel, config)
                 facts |= survey.facts
+            run.report("survey", 1, 1)
     with run.stage("write"), run.folder.publish("report") as aside:
         summary = summary_of(inputs, figures, facts, run)
         page = render_page(inputs, depths, figures, sample, summary, survey)
@@ -157,15 +157,30 @@ def _texture(
     config: SurfaceConfig,
     run: Run,
 ) -> TexturedMesh | None:
-    """The textured mesh, as written; a mesh that cannot be textured stays without, with a warning."""
-    try:
-        textured = texture_of(mesh, inputs, depths, clouds, config, run)
-    except (ConfigError, DegenerateGeometryError) as error:
-        run.warnings.append(f"the mesh has no texture: {error}")
-        return None
-    with run.folder.publish("texture") as aside:
-        write_textured(aside, textured, inputs.up, config)
-    return textured
+    """The textured mesh, as written; a mesh that cannot be textured stays without, with a warning, unless survey products need the colors."""
+    with run.stage("texture"):
+        try:
+            textured = texture_of(mesh, inputs, depths, clouds, config, run)
+        except (ConfigError, DegenerateGeometryError) as error:
+            if config.until == "survey":
+                raise
+            run.warnings.append(f"the mesh has no texture: {error}")
+            return None
+        with run.folder.publish("texture") as aside:
+            write_textured(aside, textured, inputs.up, config)
+        return textured
+
+
+def _texture_facts(textured: TexturedMesh, pixel: float, config: SurfaceConfig, run: Run) -> dict[str, Any]:
+    """Size of the texture and of its texels, with a warning if they are much larger than the pixels of the images."""
+    height, width = textured.textures[0].shape[:2]
+    texel = texel_side(textured)
+    if texel > COARSE_TEXELS * pixel:
+        results = "the texture and the orthophoto are" if config.until == "survey" else "the texture is"
+        run.warnings.append(
+            f"{results} coarser than the images: a texel is as large as {texel / pixel:.1f} pixels of the depth images; pass a larger texture (--texture-px, now {config.texture_px})"
+        )
+    return {"texture_size_px": [width, height], "texel": texel}
 
 
 def _write_cloud(clouds: dict[int, Unit], run: Run) -> tuple[int, DensePoints]:

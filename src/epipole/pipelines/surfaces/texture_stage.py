@@ -25,6 +25,8 @@ from epipole.scene.textured_mesh import TexturedMesh
 
 NAME = "textured"
 """Of the files."""
+COARSE_TEXELS = 2.0
+"""Side of a texel, in pixels at the median depth, above which the texture is said to be coarse."""
 
 
 def texture_of(
@@ -45,6 +47,17 @@ def texture_of(
     return texture_mesh(
         mesh, views, config.texture_px, lambda done, total: run.report("texture", done, total)
     )
+
+
+def texel_side(mesh: TexturedMesh) -> float:
+    """Side of a texel on the surface, in units of the model; the mean over the area."""
+    a, b, c = (mesh.vertices_in_world[mesh.faces[:, k]] for k in range(3))
+    area = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    (p, q, r), texels = (mesh.uv[:, k] for k in range(3)), 0.0
+    part = 0.5 * np.abs((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
+    for k, texture in enumerate(mesh.textures):
+        texels += float(part[mesh.texture_of_face == k].sum()) * texture.shape[0] * texture.shape[1]
+    return float(np.sqrt(area / max(texels, 1.0)))
 
 
 def write_textured(folder: Path, mesh: TexturedMesh, up: np.ndarray, config: SurfaceConfig) -> None:
