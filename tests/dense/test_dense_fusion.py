@@ -7,6 +7,7 @@ import pytest
 from dense_scenes import CAMERA, rendered
 
 from epipole.dense import _fusion_kernels, fusion
+from epipole.dense import normals as normals_module
 from epipole.dense.fusion import DensePoints, fuse_view
 from epipole.errors import ConfigError, ShapeError
 from epipole.scene.view_depth import ViewDepth
@@ -99,7 +100,7 @@ def test_any_number_of_views_may_agree():
 @reference_of(_fusion_kernels.compare_rows, _fusion_kernels.normal_rows)
 def test_kernels_do_what_their_python_does(monkeypatch):
     compared = record_calls(monkeypatch, fusion, _fusion_kernels.compare_rows)
-    normals = record_calls(monkeypatch, fusion, _fusion_kernels.normal_rows)
+    normals = record_calls(monkeypatch, normals_module, _fusion_kernels.normal_rows)
     fused()
     for kernel, calls, start in (
         (_fusion_kernels.compare_rows, compared, 4),

@@ -10,7 +10,9 @@ from slam_rides import CAMERA, ride
 from epipole.cli.main import main
 from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.io import read_colmap_model, read_trajectory
+from epipole.io.meshes.mesh_ply import read_mesh_ply
 from epipole.metrics import absolute_error, associate
+from epipole.pipelines.slam.output.scene import scene as scene_of
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.scene import Trajectory
 from whole import IS_WHOLE
@@ -91,6 +93,24 @@ def test_the_command(stereo_folder, tmp_path, capsys):
     assert "12 of 12 (12 when they arrived)" in said and "meters, from the baseline of 0.12 m" in said
 
 
+def check_kitchen_mesh(folder, result):
+    """The mesh agrees with the depth image of the last frame, on most of its pixels."""
+    mesh = read_mesh_ply(result.out / "mesh.ply")
+    assert (
+        len(mesh.faces) == result.summary["mesh"]["num_faces"] > 50_000
+        and scene_of(result.out).mesh is not None
+    )
+    last = sorted(folder.glob("*.depth.png"))[len(result.trajectory) - 1]
+    depth = cv2.imread(str(last), cv2.IMREAD_UNCHANGED).astype(float) / 1000.0
+    in_cam = result.trajectory.world_from_body[-1].inverse().apply(mesh.xyz)
+    u, v = np.rint(in_cam[:, :2] / in_cam[:, 2:] * 585.0 + [319.5, 239.5]).astype(int).T
+    inside = (in_cam[:, 2] > 0) & (u >= 0) & (v >= 0) & (u < 640) & (v < 480)
+    measured = depth[v[inside], u[inside]]
+    known = (measured > 0) & (measured < 8)
+    near = np.abs(in_cam[inside, 2] - measured)[known] < 0.06
+    assert known.sum() > 30_000 and near.mean() > 0.75
+
+
 KITCHEN = [("rgbd", 100, "rigid"), ("mono", 100, "similarity")] if IS_WHOLE else [("rgbd", 30, "rigid")]
 
 
@@ -103,8 +123,10 @@ def test_the_kitchen(data_dir, tmp_path, sensor, count, alignment):
         (data_dir / "slam" / "7scenes").glob("frame-0001*")
     ):
         (folder / path.name).symlink_to(path)
-    result = run_slam(folder, tmp_path / "out", sensor=sensor, max_frames=count)
+    result = run_slam(folder, tmp_path / "out", sensor=sensor, max_frames=count, mesh=sensor == "rgbd")
     assert result.summary["num_localized"] == result.summary["num_frames"] == count
+    if sensor == "rgbd":
+        check_kitchen_mesh(folder, result)
     rows = np.loadtxt(data_dir / "slam" / "7scenes" / "poses_sfm.txt")
     (tmp_path / "truth.txt").write_text(
         "\n".join(" ".join(map(str, [row[0] / 30, *row[1:]])) for row in rows), encoding="utf-8"
@@ -122,3 +144,8 @@ def test_a_resting_drone_rests(data_dir, tmp_path):
     assert result.summary["num_localized"] == 6 and result.trajectory.path_length() < 2e-3
     assert any(w.startswith("the camera is at rest: ") for w in result.warnings)
     assert result.summary["truth"]["final"]["rigid"]["ate_rmse"] < 5e-4
+
+
+def test_a_mesh_needs_depth(data_dir, tmp_path):
+    with pytest.raises(ConfigError, match="mesh needs a depth sensor or a stereo pair"):
+        run_slam(data_dir / "slam" / "kitti00_mono", tmp_path / "out", mesh=True, max_frames=3)

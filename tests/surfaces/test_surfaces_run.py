@@ -16,7 +16,13 @@ from scipy.spatial import cKDTree
 
 from epipole import SurfaceConfig, surface
 from epipole.cli.main import main
-from epipole.errors import ConfigError, FileFormatError, NoModelError, WorkspaceError
+from epipole.errors import (
+    ConfigError,
+    DegenerateGeometryError,
+    FileFormatError,
+    NoModelError,
+    WorkspaceError,
+)
 from epipole.io.colmap.model import read_colmap_model, write_colmap_model
 from epipole.io.images.rgba import write_png
 from epipole.io.meshes.gltf import read_glb
@@ -173,7 +179,7 @@ def test_masked_pixels_have_no_depth(scene, tmp_path):
     assert found.summary["reasons"]["masked"] > 0.5 and found.summary["density"] < 0.5
     for name in scene.names:
         write_png(masks / f"{name}.png", np.zeros((256, 384, 3), np.uint8))
-    with pytest.raises(ConfigError, match="no pixel has a depth"):
+    with pytest.raises(DegenerateGeometryError, match="no pixel has a depth"):
         surface(scene.folder, tmp_path / "nothing", masks=masks, max_size_px=192)
     with pytest.raises(ConfigError, match="has no mask"):
         (tmp_path / "empty").mkdir()

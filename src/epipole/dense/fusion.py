@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float32, Float64, UInt8
 from epipole import _parallel
 from epipole._checks import Declared, check_fields, checked
 from epipole.dense import _fusion_kernels as kernels
+from epipole.dense.normals import normals_of
 from epipole.dense.view import DenseView, intrinsics_of
 from epipole.errors import ConfigError, ShapeError
 from epipole.scene.view_depth import ViewDepth
@@ -23,7 +24,6 @@ SHARED = 0.5
 """Part of the variance that views share, as each was matched with the others."""
 MOST_SIGMA = 0.02
 """Largest standard deviation of depths that are used, relative to the depth."""
-NORMAL_REACH_PX, NORMAL_STEP = 3, 0.02
 _ROWS = 32
 
 
@@ -155,13 +155,7 @@ def _points(
     sigma = z / np.sqrt(total) * np.sqrt(1.0 + SHARED * (count - 1.0))
     rays = np.stack([(column - k[2]) / k[0], (row - k[3]) / k[1], np.ones(len(row))], axis=1)
     rgb = (view.rgb[chosen] + sums[chosen, 2:]) / count[:, None]
-    normals = np.empty((*depth.depth.shape, 3), np.float32)
-    _by_rows(
-        len(normals),
-        lambda start, stop, _: kernels.normal_rows(
-            depth.depth, k, NORMAL_REACH_PX, NORMAL_STEP, start, stop, normals
-        ),
-    )
+    normals = normals_of(view.camera, depth.depth)
     toward = np.nan_to_num(normals[chosen]) @ view.cam_from_world.rotation.astype(np.float32)
     return DensePoints(
         view.cam_from_world.inverse().apply(rays * z[:, None]),

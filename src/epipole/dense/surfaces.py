@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
@@ -19,8 +20,8 @@ from epipole.dense.source_selection import SharedPoints, select_sources
 from epipole.dense.texturing.texture import texture_mesh
 from epipole.dense.texturing.texture_view import TextureView
 from epipole.dense.view import DenseView
-from epipole.dense.volume import SparseVolume, blocks_of_depth, blocks_of_keys
-from epipole.errors import DegenerateGeometryError, ShapeError
+from epipole.dense.volume_building import DepthImage, build_volume
+from epipole.errors import ShapeError
 from epipole.geometry import Rigid3
 from epipole.scene import Mesh
 from epipole.scene.textured_mesh import TexturedMesh
@@ -28,8 +29,6 @@ from epipole.scene.view_depth import ViewDepth
 
 GRID, DEPTHS = 12, 5
 """Rays along each side of a view, and depths along each ray, whose points decide which views have a part in common."""
-PIXELS_PER_VOXEL = 2.5
-"""Side of a voxel, in pixels at the median depth."""
 
 Images = Sequence[UInt8[np.ndarray, "h w 3"]]
 
@@ -129,20 +128,15 @@ def mesh_depths(
     """
     _check_number(depths, "depths", len(cameras))
     _check_poses(cams_from_world, len(cameras))
-    pixels = [
-        float(np.nanmedian(depth.depth)) / camera.focal_px
-        for camera, depth in zip(cameras, depths)
-        if (depth.depth > 0).any()
+    images = [
+        DepthImage(camera, cams_from_world[k], partial(_same, depth))
+        for k, (camera, depth) in enumerate(zip(cameras, depths))
     ]
-    if not pixels:
-        raise DegenerateGeometryError("no pixel has a depth")
-    side = PIXELS_PER_VOXEL * float(np.median(pixels)) if voxel is None else voxel
-    rows = [(camera, cams_from_world[k], depth) for k, (camera, depth) in enumerate(zip(cameras, depths))]
-    keys = [blocks_of_depth(camera, pose, depth, side) for camera, pose, depth in rows]
-    volume = SparseVolume(blocks_of_keys(np.unique(np.concatenate(keys))), side)
-    for camera, pose, depth in rows:
-        volume.add(camera, pose, depth)
-    return volume.mesh()
+    return build_volume(images, voxel).mesh()
+
+
+def _same(depth: ViewDepth) -> ViewDepth:
+    return depth
 
 
 @checked

@@ -43,6 +43,8 @@ def slam(
         "choose": "Choosing images",
         "track": "Tracking the camera",
         "adjust": "Optimizing the map",
+        "depth": "Reading depth",
+        "mesh": "Building the mesh",
     }
     with progress_on_screen(words) as progress:
         from epipole.pipelines.slam.run import slam as run
@@ -100,6 +102,10 @@ def show_slam(result: SlamResult) -> None:
     for name, found in summary.get("truth", {}).items():
         if name in ("final", "causal") and found is not None:
             table.add_row(f"error, {name} trajectory", _error_words(found, is_metric=summary["is_metric"]))
+    if "mesh" in summary:
+        table.add_row(
+            "mesh", f"{summary['mesh']['num_faces']:,} triangles, of {summary['mesh']['voxel']:.2g} m"
+        )
     table.add_row("time per frame", f"{ms['median']:.1f} ms (median), {ms['p95']:.1f} ms (95 %)")
     console.print(table)
     for reason, count in summary["reasons"].items():
@@ -110,6 +116,8 @@ def show_slam(result: SlamResult) -> None:
         )
     print_warnings(console, result.warnings, rest_in=str(result.out / "summary.json"))
     console.print(f"trajectory  {result.out / 'trajectory.txt'}", highlight=False, markup=False)
+    if "mesh" in summary:
+        console.print(f"mesh        {result.out / 'mesh.ply'}", highlight=False, markup=False)
     console.print(f"report      {result.out / 'report.html'}", highlight=False, markup=False)
     console.print(f"viewer      epipole view {quote(str(result.out))}", highlight=False, markup=False)
 

@@ -207,6 +207,8 @@ class JobOptions:
     record: Path | None = None
     """Also record poses, map and images to this file (.mcap) for Foxglove, RViz and other tools of ROS (pip install
     'epipole[ros]')."""
+    mesh: bool = False
+    """Depth sensors and stereo: also write a mesh of the keyframes' depth, mesh.ply."""
     map: Path | None = None
     """Continue in the map of an earlier run (its output folder)."""
     localize: bool = False

@@ -22,6 +22,7 @@ class SlamKeywords(TypedDict, total=False):
     mapping: Literal["auto", "inline", "thread"]
     trajectory_format: Literal["tum", "kitti", "euroc"]
     record: str | Path | None
+    mesh: bool
     map: str | Path | None
     localize: bool
     anchors: AnchorOptions

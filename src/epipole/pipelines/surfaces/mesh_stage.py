@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from epipole.dense.volume import SparseVolume, blocks_of_depth, blocks_of_keys
-from epipole.errors import ConfigError
+from epipole.dense.volume_building import ColorImage, DepthImage, build_volume, vertex_colors
 from epipole.geometry import Rigid3
 from epipole.pipelines.surfaces.cloud_stage import confirmed_depth
 from epipole.pipelines.surfaces.config import SurfaceConfig
@@ -20,16 +20,6 @@ from epipole.scene import Mesh
 from epipole.scene.local_origin import local_origin
 from epipole.scene.mesh_holes import close_holes
 from epipole.scene.mesh_simplification import simplified_mesh
-from epipole.scene.view_depth import ViewDepth
-
-PIXELS_PER_VOXEL = 2.5
-"""Side of a voxel, in pixels at the median depth of all views."""
-USUAL_BLOCKS = 100_000
-"""Blocks of 512 voxels at which the voxels become larger."""
-MOST_PIXEL_VOXELS = 4.0
-"""Largest pixel, in voxels, that the mesh uses: farther surfaces are only in the cloud."""
-SAME_DEPTH, GRAY = 0.01, 160
-"""Relative difference up to which a view shows a vertex, and the color of vertices that none shows."""
 
 
 def mesh_of(
@@ -45,28 +35,16 @@ def mesh_of(
         DegenerateGeometryError: there is no surface.
         ConfigError: the voxels are too small for the scene.
     """
-    views = list(depths)
-    voxel = config.voxel or PIXELS_PER_VOXEL * median_pixel(inputs, depths, clouds)
-    keys = _blocks(inputs, depths, clouds, voxel)
-    while config.voxel is None and len(keys) > USUAL_BLOCKS:
-        voxel *= max(1.05, float(np.sqrt(len(keys) / USUAL_BLOCKS)))
-        keys = _blocks(inputs, depths, clouds, voxel)
-    if not len(keys):
-        raise ConfigError("no depth is fine enough for these voxels: pass larger ones (--voxel)")
-    volume, about_origin = SparseVolume(blocks_of_keys(keys), voxel), _about_origin(inputs)
-    for n, k in enumerate(views):
-        run.report("mesh", n, len(views) + 1)
-        view = inputs.views[k]
-        volume.add(
-            view.pinhole, view.cam_from_world @ about_origin, _fine_depth(inputs, depths, clouds, k, voxel)
-        )
-    run.report("mesh", len(views), len(views) + 1)
+    about_origin = _about_origin(inputs)
+    images = depth_images(inputs, depths, clouds, about_origin)
+    volume = build_volume(images, config.voxel, lambda done, total: run.report("mesh", done, total + 1))
+    voxel = volume.voxel
     mesh = volume.mesh().without_small_components(config.min_component)
     del volume
     mesh, num_closed = _finished(mesh, config, run)
     vertices = about_origin.apply(mesh.vertices_in_world)
     mesh = replace(mesh, vertices_in_world=vertices, rgb=_colors(vertices, inputs, depths, clouds))
-    run.report("mesh", len(views) + 1, len(views) + 1)
+    run.report("mesh", len(images) + 1, len(images) + 1)
     facts = {
         "num_faces": len(mesh),
         "num_vertices": len(vertices),
@@ -94,57 +72,28 @@ def _finished(mesh: Mesh, config: SurfaceConfig, run: Run) -> tuple[Mesh, int]:
 def _colors(
     vertices: np.ndarray, inputs: SurfaceInputs, depths: Mapping[int, Unit], clouds: Mapping[int, Unit]
 ) -> np.ndarray:
-    """(n, 3) mean color of each vertex in the views whose depth it has; gray without any."""
-    total, count = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
-    for k in depths:
-        view, depth = view_of_file(inputs.views[k]), confirmed_depth(depths[k], clouds[k]).depth
-        in_cam = view.cam_from_world.apply(vertices)
-        pixels = view.camera.project(in_cam)
-        inside = (in_cam[:, 2] > 0) & (pixels > -0.5).all(axis=1)
-        inside &= (pixels < [view.camera.width - 0.5, view.camera.height - 0.5]).all(axis=1)
-        rows = np.flatnonzero(inside)
-        column, row = np.rint(pixels[rows]).astype(np.int64).T
-        near = np.abs(depth[row, column] - in_cam[rows, 2]) <= SAME_DEPTH * in_cam[rows, 2]
-        rows = rows[near]
-        total[rows] += view.rgb[row[near], column[near]]
-        count[rows] += 1
-    mean = total / np.maximum(count, 1)[:, None]
-    return np.rint(np.where(count[:, None] > 0, mean, GRAY)).astype(np.uint8)
+    views = ((view_of_file(inputs.views[k]), confirmed_depth(depths[k], clouds[k]).depth) for k in depths)
+    return vertex_colors(
+        vertices, (ColorImage(view.camera, view.cam_from_world, view.rgb, depth) for view, depth in views)
+    )
 
 
-def median_pixel(inputs: SurfaceInputs, depths: Mapping[int, Unit], clouds: Mapping[int, Unit]) -> float:
-    """Side of a pixel at the median depth, in units of the model; the median over all views."""
-    sides = []
-    for k in depths:
-        depth = confirmed_depth(depths[k], clouds[k]).depth
-        if (depth > 0).any():
-            sides.append(float(np.nanmedian(depth)) / inputs.views[k].pinhole.focal_px)
-    if not sides:
-        raise ConfigError("no pixel has a depth that other images confirm, so there is no surface")
-    return float(np.median(sides))
-
-
-def _fine_depth(
-    inputs: SurfaceInputs, depths: Mapping[int, Unit], clouds: Mapping[int, Unit], k: int, voxel: float
-) -> ViewDepth:
-    """Confirmed depth of a view, without pixels that are larger than the voxels."""
-    found = confirmed_depth(depths[k], clouds[k])
-    farthest = np.float32(MOST_PIXEL_VOXELS * voxel * inputs.views[k].pinhole.focal_px)
-    near = np.where(found.depth <= farthest, found.depth, np.float32(np.nan))
-    return ViewDepth(near, found.sigma, found.reason, found.num_agreeing)
-
-
-def _blocks(
-    inputs: SurfaceInputs, depths: Mapping[int, Unit], clouds: Mapping[int, Unit], voxel: float
-) -> np.ndarray:
-    """Sorted keys of all blocks near the surface."""
-    keys, about_origin = np.empty(0, np.int64), _about_origin(inputs)
-    for k in depths:
-        view, depth = inputs.views[k], _fine_depth(inputs, depths, clouds, k, voxel)
-        keys = np.union1d(
-            keys, blocks_of_depth(view.pinhole, view.cam_from_world @ about_origin, depth, voxel)
+def depth_images(
+    inputs: SurfaceInputs,
+    depths: Mapping[int, Unit],
+    clouds: Mapping[int, Unit],
+    world_from_origin: Rigid3 | None = None,
+) -> list[DepthImage]:
+    """Confirmed depth of each view, with poses relative to an origin (None: the world's)."""
+    moved = Rigid3.identity() if world_from_origin is None else world_from_origin
+    return [
+        DepthImage(
+            inputs.views[k].pinhole,
+            inputs.views[k].cam_from_world @ moved,
+            partial(confirmed_depth, depths[k], clouds[k]),
         )
-    return keys
+        for k in depths
+    ]
 
 
 def _about_origin(inputs: SurfaceInputs) -> Rigid3:

@@ -10,6 +10,7 @@ from typing import Any, Unpack
 from epipole._checks import as_path
 from epipole.config import options_of
 from epipole.dense.fusion import DensePoints
+from epipole.dense.volume_building import median_pixel
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.io.files import missing_in_words
 from epipole.io.meshes.cloud_ply import Columns, write_cloud_ply
@@ -19,7 +20,7 @@ from epipole.pipelines.surfaces.cloud_stage import cloud_units, points_in
 from epipole.pipelines.surfaces.config import STAGES, SurfaceConfig
 from epipole.pipelines.surfaces.depth_stage import depth_units
 from epipole.pipelines.surfaces.inputs import SurfaceInputs, surface_inputs
-from epipole.pipelines.surfaces.mesh_stage import first_view, median_pixel, mesh_of
+from epipole.pipelines.surfaces.mesh_stage import depth_images, first_view, mesh_of
 from epipole.pipelines.surfaces.options import SurfaceKeywords
 from epipole.pipelines.surfaces.page import render_page
 from epipole.pipelines.surfaces.results import depth_figures, summary_of
@@ -125,7 +126,7 @@ def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> Surfa
                 write_mesh_ply(aside / "mesh.ply", mesh.vertices_in_world, mesh.faces, mesh.rgb, view)
     survey = None
     if mesh is not None and last >= STAGES.index("texture"):
-        pixel = median_pixel(inputs, depths, clouds)
+        pixel = median_pixel(depth_images(inputs, depths, clouds))
         textured = _texture(mesh, inputs, depths, clouds, config, run)
         facts |= {} if textured is None else _texture_facts(textured, pixel, config, run)
         if textured is not None and config.until == "survey":

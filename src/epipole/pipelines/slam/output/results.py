@@ -88,6 +88,8 @@ class RunInputs(NamedTuple):
     """The camera, if it was estimated from the images."""
     leveled: Similarity3 | None = None
     """Rotation of the map to gravity's direction, after it became metric."""
+    mesh: dict[str, Any] | None = None
+    """Figures of the mesh."""
 
 
 def write_results(
@@ -132,6 +134,7 @@ def write_results(
         summary["camera_found"] = given.camera.summary()
     meters, noted = _meters(given, source, is_map_fixed=job.localize)
     summary |= noted
+    summary |= {} if given.mesh is None else {"mesh": given.mesh}
     if truth is not None:
         known = truth_at_frames(truth, records)
         summary["truth"], odd = truth_summary(truth, known, (final, causal), len(records))

@@ -14,11 +14,13 @@ from epipole.image import color_map
 from epipole.io.convert import read_model
 from epipole.io.files import read_json
 from epipole.io.images.photographs import read_rgb
+from epipole.io.meshes.mesh_ply import read_mesh_ply
 from epipole.io.names import path_inside
 from epipole.io.sequences.sequence import read_sequence
 from epipole.io.trajectories.files import read_trajectory, trajectory_format
 from epipole.io.trajectories.frame_tables import FRAME_TABLE, read_frame_table
 from epipole.pipelines.slam.output.map_file import MAP_FILE, summary_of_map
+from epipole.pipelines.slam.output.meshing import MESH
 from epipole.pipelines.slam.output.rendering import (
     CAUSAL,
     CAUSAL_RGB,
@@ -30,13 +32,23 @@ from epipole.pipelines.slam.output.rendering import (
 )
 from epipole.report.markup import plural
 from epipole.report.space_model import scene_of_model
-from epipole.report.space_scene import METERS, NO_UNIT, CameraLayer, PointLayer, PointMeasure, SpaceScene
+from epipole.report.space_scene import (
+    METERS,
+    NO_UNIT,
+    CameraLayer,
+    MeshLayer,
+    PointLayer,
+    PointMeasure,
+    SpaceScene,
+)
 from epipole.runs.folder import read_mark
 
 TRAJECTORY, CAUSAL_TRAJECTORY = "trajectory.txt", "trajectory_causal.txt"
 IMAGE_PX = 640
 UNIT_OF_FILE = "units of the file"
 MANY_POSITIONS = 300
+GRAY = 160
+"""Color of meshes without colors."""
 
 
 def is_mine(path: Path) -> bool:
@@ -70,7 +82,21 @@ def scene(path: Path) -> SpaceScene:
         load_image=image_loader(path),
         curves=curves,
     )
-    return replace(found, upright_from_world=upright_from_world(final.world_from_body).rotation)
+    upright = upright_from_world(final.world_from_body).rotation
+    return replace(found, mesh=_mesh(path), upright_from_world=upright)
+
+
+def _mesh(path: Path) -> MeshLayer | None:
+    """The mesh of the keyframes' depth, if there is one.
+
+    Raises:
+        FileFormatError: the file is damaged.
+    """
+    if not (path / MESH).is_file():
+        return None
+    found = read_mesh_ply(path / MESH)
+    rgb = np.full((len(found.xyz), 3), GRAY, np.uint8) if found.rgb is None else found.rgb
+    return MeshLayer("Mesh", found.xyz, found.faces, rgb) if len(found.faces) else None
 
 
 def is_trajectory(path: Path) -> bool:
