@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).parent))
 import type_checks
@@ -20,6 +21,11 @@ from whole import IS_WHOLE
 # each test; an int may stand for a float, as in mypy. This must come before the first import of epipole.
 CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
 type_checks.install("epipole", CHECKER)
+
+# The workers of the tests share the processors: threads of BLAS would only wait for each other, and use them up by that. NumPy's is
+# loaded by a plugin before this file; the variable is for SciPy's, OpenCV's and those of other processes.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+threadpool_limits(1, user_api="blas")
 
 # Made-up examples are few and the same in every run, and may take as long as a kernel compiles;
 # `--hypothesis-profile=hunt` looks for new ones.

@@ -1,6 +1,7 @@
 """The motion by an IMU alone: exact without noise, with an honest covariance, and refused where it cannot be known."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -85,19 +86,26 @@ def test_the_covariance_grows_from_step_to_step_and_steps_are_one_step():
     )
 
 
+@cache
+def known_without_noise():
+    """Times, poses, measurements and the calibration that they give, which no test changes."""
+    path, times, poses, _ = seen_path(2, position_sigma=0.0, rotation_sigma=0.0, noise=QUIET)
+    imu = path.imu()
+    return times, poses, imu, align_path_to_imu(times[::8], poses[::8], imu, is_metric=True).calibration
+
+
 @pytest.mark.parametrize("column", range(9))
 def test_derivatives_by_the_calibration_are_those_of_the_motion(column):
     """Without other uncertainty, the covariance is that of the parameter alone."""
-    path, times, poses, _ = seen_path(2, position_sigma=0.0, rotation_sigma=0.0, noise=QUIET)
-    imu, rows, step = path.imu(), np.arange(40, 70), 1e-4
-    known = align_path_to_imu(times[::8], poses[::8], imu, is_metric=True).calibration
+    times, poses, imu, known = known_without_noise()
+    rows, step = np.arange(40, 70), 1e-4
 
     def end(calibration):
         start = fit_imu_motion(times[rows], poses[rows], np.zeros((6, 6)), imu, calibration)
         return carry_motion(start, times[90], imu).cam_from_world(imu.camera_from_imu)
 
     def moved(size):
-        values = [known.scale, known.gravity_in_world, known.gyro_bias.copy(), known.accel_bias.copy()]
+        values = [known.scale, known.gravity_in_world.copy(), known.gyro_bias.copy(), known.accel_bias.copy()]
         if column < 6:
             values[2 + column // 3][column % 3] += size
         elif column == 6:
