@@ -4,7 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-# Kernels are compiled once, for both workers of the tests.
+# Kernels and modules are compiled once, for all processes of the tests: a setting that keeps Python from saving bytecode would have each
+# of them compile the package again.
+unexport PYTHONDONTWRITEBYTECODE
 WARM_UP := $(BIN)/python tests/warm_up.py
 
 .PHONY: demo test test-whole docs test-numba fuzz clean
@@ -16,7 +18,7 @@ test: $(STAMP)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/lint-imports
-	$(BIN)/mypy & types=$$!; NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet & site=$$!; \
+	nice $(BIN)/mypy & types=$$!; NO_MKDOCS_2_WARNING=1 nice $(BIN)/mkdocs build --quiet & site=$$!; \
 		$(WARM_UP) && wait $$types && wait $$site
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
