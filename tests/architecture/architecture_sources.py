@@ -3,7 +3,7 @@
 import ast
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 
 import epipole
@@ -36,6 +36,11 @@ class Source:
         """The file or a folder of it begins with an underscore."""
         return any(part.startswith("_") and part != "__init__.py" for part in Path(self.name).parts)
 
+    @cached_property
+    def nodes(self) -> tuple[ast.AST, ...]:
+        """All nodes of the tree, collected once for all tests."""
+        return tuple(ast.walk(self.tree))
+
     @property
     def is_kernels(self) -> bool:
         return self.path.name.startswith("_") and self.path.name.endswith("_kernels.py")
@@ -63,7 +68,7 @@ def functions(source: Source) -> Iterator[tuple[str, Function]]:
 
 
 def classes(source: Source) -> Iterator[ast.ClassDef]:
-    return (node for node in ast.walk(source.tree) if isinstance(node, ast.ClassDef))
+    return (node for node in source.nodes if isinstance(node, ast.ClassDef))
 
 
 def is_public(name: str) -> bool:

@@ -19,7 +19,7 @@ def layers() -> list[list[str]]:
 
 def imported_modules(source: Source) -> Iterator[str]:
     """Every epipole module that a file names in an import, wherever the import stands."""
-    for node in ast.walk(source.tree):
+    for node in source.nodes:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -107,7 +107,7 @@ def test_kernel_files_import_little() -> None:
     for source in sources():
         if not source.is_kernels:
             continue
-        for node in ast.walk(source.tree):
+        for node in source.nodes:
             if isinstance(node, ast.Import):
                 names = [alias.name for alias in node.names]
             elif isinstance(node, ast.ImportFrom):
@@ -181,7 +181,7 @@ def test_there_is_no_circle_of_imports() -> None:
 
 def direct_imports(source: Source, names: set[str]) -> Iterator[str]:
     """The modules that the import statements of a file load; of `from package import module`, the module."""
-    for node in ast.walk(source.tree):
+    for node in source.nodes:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in names)
         elif isinstance(node, ast.ImportFrom) and node.module in names:

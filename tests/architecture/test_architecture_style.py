@@ -112,7 +112,7 @@ def test_functions_are_short() -> None:
     wrong = []
     for source in sources():
         limit = MAX_KERNEL if source.is_kernels else MAX_FUNCTION
-        for node in ast.walk(source.tree):
+        for node in source.nodes:
             if isinstance(node, ast.FunctionDef) and (lines := node.end_lineno - node.lineno + 1) > limit:
                 wrong.append(f"{source.name}:{node.lineno} {node.name}: {lines} lines")
     assert not wrong, "\n".join(wrong)
@@ -123,7 +123,7 @@ def test_no_tuple_is_unpacked_to_shorten_a_call() -> None:
     wrong = [
         f"{source.name}:{node.lineno}"
         for source in sources()
-        for node in ast.walk(source.tree)
+        for node in source.nodes
         if isinstance(node, ast.Starred) and isinstance(node.value, ast.Tuple)
     ]
     assert not wrong, "\n".join(wrong)
@@ -145,7 +145,7 @@ def test_only_the_command_line_prints() -> None:
     for source in sources():
         if source.room in ("cli", "_terminal") or source.path.name == "command.py":
             continue
-        for node in ast.walk(source.tree):
+        for node in source.nodes:
             if isinstance(node, ast.Call) and ast.unparse(node.func) in (
                 "print",
                 "sys.stdout.write",

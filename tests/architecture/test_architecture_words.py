@@ -107,7 +107,7 @@ FOREIGN = ("io/calibration/model_names.py", "io/models/_transforms_keys.py")
 
 def names_of(source: Source) -> Iterator[tuple[int, str]]:
     """Line and identifier of what a file defines, binds or takes."""
-    for node in ast.walk(source.tree):
+    for node in source.nodes:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             yield node.lineno, node.name
         elif isinstance(node, ast.arg):
