@@ -75,14 +75,13 @@ def test_the_covariance_is_that_of_the_pose_in_the_world(rng):
     half = 1e-3 * rng.normal(size=(6, 6))
     covariance = half @ half.T
     given = ros.odometry_fields(0.0, POSE, covariance, "world", "body")["pose"]["covariance"].reshape(6, 6)
-    errors = []
-    for xi in rng.multivariate_normal(np.zeros(6), covariance, 20_000):
-        sample = (Rigid3.exp(xi) @ POSE.inverse()).inverse()
-        turn = Rotation3(sample.rotation @ POSE.rotation.T).log()
-        errors.append(np.concatenate([sample.translation - POSE.translation, turn]))
+    xi = rng.multivariate_normal(np.zeros(6), covariance, 20_000)
+    samples = (Rigid3.exp(xi) @ POSE.inverse()).inverse()
+    turns = Rotation3(samples.rotation @ POSE.rotation.T).log()
+    errors = np.concatenate([samples.translation - POSE.translation, turns], axis=1)
     scale = np.sqrt(np.diag(given))
     np.testing.assert_allclose(
-        np.cov(np.array(errors).T) / np.outer(scale, scale), given / np.outer(scale, scale), atol=0.05
+        np.cov(errors.T) / np.outer(scale, scale), given / np.outer(scale, scale), atol=0.05
     )
     for unknown in (None, np.full((6, 6), np.inf)):
         fields = ros.odometry_fields(0.0, POSE, unknown, "world", "body")

@@ -113,6 +113,8 @@ def test_many_threads_read_at_once(tmp_path):
     def busy(*_: object) -> None:
         sum(range(20))
 
+    gc.collect()
+    gc.freeze()  # what the tests before have left is not searched each time
     gc.callbacks.append(busy)
     gc.set_threshold(10)
     sys.setswitchinterval(1e-6)
@@ -123,6 +125,7 @@ def test_many_threads_read_at_once(tmp_path):
         gc.set_threshold(*before[0])
         sys.setswitchinterval(before[1])
         gc.callbacks.remove(busy)
+        gc.unfreeze()
     assert all(arrays["pixels"].shape == (5, 2) for arrays in read)
 
 
