@@ -1,5 +1,7 @@
 """Rendered rides: a camera that goes past the courtyard, with exact truth."""
 
+import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -16,6 +18,7 @@ from epipole.pipelines.slam.slam import Slam
 from epipole.scene import Trajectory
 from epipole.synthetic import courtyard, look_at, render, rides
 from epipole.synthetic.ride import Ride as SyntheticRide
+from epipole.synthetic.ride import RideImage
 
 CAMERA = Camera("PINHOLE", 320, 240, [260.0, 260.0, 159.5, 119.5])
 BASELINE = 0.12
@@ -59,9 +62,34 @@ def position(n: int, kind: str) -> Rigid3:
     return seen
 
 
+class Shared:
+    """A folder of frames that all processes of this test run share (`conftest.py`)."""
+
+    folder: Path | None = None
+
+
+def once(key: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """What was made under this key in any process of the test run; two at the same time make the same."""
+    if Shared.folder is None:
+        return make()
+    path = Shared.folder / f"{key}.npz"
+    if not path.is_file():
+        made = make()
+        with tempfile.NamedTemporaryFile(dir=Shared.folder, delete=False) as stream:
+            np.savez(stream, **made)
+        Path(stream.name).replace(path)
+    with np.load(path) as arrays:
+        return dict(arrays)
+
+
 @cache
 def rendered_frame(n: int, kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Left and right image and depth, rendered once for all tests of a process."""
+    """Left and right image and depth, rendered once for all tests."""
+    frame = once(f"{kind}-{n}", lambda: dict(zip(("left", "right", "depth"), _rendered_frame(n, kind))))
+    return frame["left"], frame["right"], frame["depth"]
+
+
+def _rendered_frame(n: int, kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     seen = position(n, kind)
     image = render(courtyard(), CAMERA, seen, noise_sigma=1.5, seed=2 * n)
     left = cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY)
@@ -137,13 +165,23 @@ class Rendered:
 
 @cache
 def rendered(name: str, count: int, step: int, *, with_right: bool = False) -> Rendered:
-    """Every `step`-th of the first `count` frames, rendered once for all tests of a process."""
+    """Every `step`-th of the first `count` frames, rendered once for all tests of a process.
+
+    Frames of the room do not depend on how many there are: these are rendered once for all tests.
+    """
     ride = getattr(rides, name)(count, (320, 240))
     images = {}
     for number in range(0, count, step):
-        left = ride.left(number)
-        images[number] = left.gray, ride.right(number).gray if with_right else None, left.depth
+        if name == "loop_room":
+            left = once(f"{name}-{number}", lambda: _arrays(ride.left(number)))  # noqa: B023 - called at once
+        else:
+            left = _arrays(ride.left(number))
+        images[number] = left["gray"], ride.right(number).gray if with_right else None, left["depth"]
     return Rendered(ride, images)
+
+
+def _arrays(image: RideImage) -> dict[str, np.ndarray]:
+    return {"gray": image.gray, "depth": image.depth}
 
 
 def errors(slam: Slam, truth: Rigid3, alignment: str, number: int = 0):
