@@ -18,7 +18,7 @@ test: $(STAMP)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/lint-imports
-	nice $(BIN)/mypy & types=$$!; NO_MKDOCS_2_WARNING=1 nice $(BIN)/mkdocs build --quiet & site=$$!; \
+	$(BIN)/mypy & types=$$!; NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet & site=$$!; \
 		$(WARM_UP) && wait $$types && wait $$site
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
