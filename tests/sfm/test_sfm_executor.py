@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from epipole import reconstruct
+from epipole.pipelines.sfm.run import ReconstructionResult
 from epipole.runs import Progress
 
 
@@ -45,8 +46,15 @@ def _hand_over(done: Future, future: Future) -> None:
         future.set_result(pickle.loads(done.result()))
 
 
-def test_the_same_bytes_from_an_executor_of_the_users(few: Path, tmp_path: Path) -> None:
-    here = reconstruct(few, tmp_path / "here")
+@pytest.fixture(scope="module")
+def here(few: Path, tmp_path_factory: pytest.TempPathFactory) -> ReconstructionResult:
+    """The reconstruction by threads of this process, which no test changes."""
+    return reconstruct(few, tmp_path_factory.mktemp("executor") / "here")
+
+
+def test_the_same_bytes_from_an_executor_of_the_users(
+    few: Path, here: ReconstructionResult, tmp_path: Path
+) -> None:
     executor = Elsewhere()
     there = reconstruct(few, tmp_path / "there", executor=executor)
     assert executor.num_tasks >= 4 + 1 + 1  # an image each, and blocks of pairs
@@ -69,9 +77,11 @@ def same_files(here: Path, there: Path) -> None:
             assert (here / name).read_bytes() == (there / name).read_bytes(), name
 
 
-def test_the_same_bytes_from_a_cluster_without_a_shared_folder(few: Path, tmp_path: Path) -> None:
+def test_the_same_bytes_from_a_cluster_without_a_shared_folder(
+    few: Path, here: ReconstructionResult, tmp_path: Path
+) -> None:
     pytest.importorskip("distributed")
-    here, reports = reconstruct(few, tmp_path / "here"), []
+    reports = []
     there = reconstruct(
         few, tmp_path / "there", progress=reports.append, cluster="local:2", shared_folder=False
     )
@@ -79,9 +89,11 @@ def test_the_same_bytes_from_a_cluster_without_a_shared_folder(few: Path, tmp_pa
     assert any(report.stage == "connect" and "http" in report.note for report in reports)
 
 
-def test_the_same_bytes_from_a_cluster_that_loses_a_worker(few: Path, tmp_path: Path) -> None:
+def test_the_same_bytes_from_a_cluster_that_loses_a_worker(
+    few: Path, here: ReconstructionResult, tmp_path: Path
+) -> None:
     distributed = pytest.importorskip("distributed")
-    here, killed = reconstruct(few, tmp_path / "here"), []
+    killed = []
     with (
         distributed.LocalCluster(
             2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0"
