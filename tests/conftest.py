@@ -27,6 +27,9 @@ type_checks.install("epipole", CHECKER)
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 threadpool_limits(1, user_api="blas")
 
+# Numba colors the message of every error, also of those by which it finds out which form of a function fits: 4 % of a compilation.
+os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
+
 # Made-up examples are few and the same in every run, and may take as long as a kernel compiles;
 # `--hypothesis-profile=hunt` looks for new ones.
 QUIET = [HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
