@@ -4,6 +4,7 @@ import gc
 import os
 import shutil
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,10 @@ gc.set_threshold(200_000, 20, 100)
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup() -> None:
+    """Wait for what a job that was refused still compiles: Numba catches warnings there, also those of the next test."""
+    for thread in threading.enumerate():
+        if thread.name == "epipole-compile":
+            thread.join()
     type_checks.next_test()
 
 
