@@ -33,7 +33,7 @@ MEDIAN_CHI_SQUARE, LEAST_PIXELS, SCALES = 0.77, 1000, (0.05, 20.0)
 """Median of chi-square per degree of freedom (3 of them); fewest pixels; smallest and largest variance, relative to the pair's."""
 LEAST_AGREEING = 2
 """Sources that must agree, unless only one has the pixel in its image."""
-MOST_COST, ALONE_COST, ONLY_COST = 0.4, 0.25, 0.45
+MOST_COST, ALONE_COST, ONLY_COST = 0.3, 0.2, 0.4
 """Largest cost (`choose_at_edges`) of a depth at an edge that several sources have, one source has, or one has and no other matches. The cost of the
 last is a mean with a source that does not match."""
 MOST_SIGMA = 0.05

@@ -115,9 +115,17 @@ def show_slam(result: SlamResult) -> None:
             markup=False,
         )
     print_warnings(console, result.warnings, rest_in=str(result.out / "summary.json"))
+    _print_files(result)
+
+
+def _print_files(result: SlamResult) -> None:
+    from epipole.screen import open_console
+
+    console, summary = open_console(), result.summary
     console.print(f"trajectory  {result.out / 'trajectory.txt'}", highlight=False, markup=False)
     if "mesh" in summary:
-        console.print(f"mesh        {result.out / 'mesh.ply'}", highlight=False, markup=False)
+        faces = f"{summary['mesh']['num_faces']:,} triangles"
+        console.print(f"mesh        {result.out / 'mesh.ply'} ({faces})", highlight=False, markup=False)
     console.print(f"report      {result.out / 'report.html'}", highlight=False, markup=False)
     console.print(f"viewer      epipole view {quote(str(result.out))}", highlight=False, markup=False)
 

@@ -105,11 +105,7 @@ def slam(
     frames = _open(source, wanted, wanted, found)
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
     system = _system(frames, wanted, known)
-    if wanted.mesh:
-        require_depth(frames)
-    check_one_camera(wanted.anchors, measures_depth=frames.camera.is_metric)
-    if not frames.camera.is_metric:
-        check_known_map(wanted.anchors, known, is_map_fixed=wanted.localize)
+    _check_camera(frames, wanted, known)
     settings = {name: value for name, value in asdict(wanted).items() if name != "resume"}
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     shown = open_live(system, FrameStream(frames, wanted).num_expected, wanted, out.name)
@@ -155,6 +151,19 @@ def _write_mesh(frames: FrameSource, system: Slam, run: Run) -> dict[str, Any] |
             return None
         write_mesh(aside, found, system)
         return {"num_faces": len(found), "num_vertices": len(found.vertices_in_world), "voxel": voxel}
+
+
+def _check_camera(frames: FrameSource, job: SlamConfig, known: KnownMap | None) -> None:
+    """Check that the options fit the camera.
+
+    Raises:
+        ConfigError: one does not.
+    """
+    if job.mesh:
+        require_depth(frames)
+    check_one_camera(job.anchors, measures_depth=frames.camera.is_metric)
+    if not frames.camera.is_metric:
+        check_known_map(job.anchors, known, is_map_fixed=job.localize)
 
 
 def _notes(found: FoundCamera | None, system: Slam, given: AnchorOptions) -> list[str]:

@@ -14,7 +14,7 @@ from epipole.pipelines.surfaces.view_files import ViewFile, view_of_file
 from epipole.runs import Unit, digest, load
 from epipole.scene.view_depth import DepthReason, ViewDepth
 
-FORMAT = 4
+FORMAT = 5
 """Increase when the method or the contents of the files change."""
 DEPTH: Table = {
     "depth": Expected("float32", "h w", may_be_nan=True),

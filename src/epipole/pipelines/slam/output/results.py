@@ -133,8 +133,7 @@ def write_results(
     if given.camera is not None:
         summary["camera_found"] = given.camera.summary()
     meters, noted = _meters(given, source, is_map_fixed=job.localize)
-    summary |= noted
-    summary |= {} if given.mesh is None else {"mesh": given.mesh}
+    summary |= noted | ({} if given.mesh is None else {"mesh": given.mesh})
     if truth is not None:
         known = truth_at_frames(truth, records)
         summary["truth"], odd = truth_summary(truth, known, (final, causal), len(records))
