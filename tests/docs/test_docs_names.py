@@ -5,7 +5,7 @@ import re
 from docs_pages import DOCS, PAGES
 
 import epipole
-from epipole import geometry, robust, solvers
+from epipole import dense, geometry, robust, solvers
 
 
 def test_functions_named_in_the_pages_exist() -> None:
@@ -19,7 +19,9 @@ def test_functions_named_in_the_pages_exist() -> None:
         )
     )
     assert len(names) >= 10
-    missing = [n for n in names if not any(hasattr(room, n) for room in (robust, geometry, solvers, epipole))]
+    missing = [
+        n for n in names if not any(hasattr(room, n) for room in (robust, geometry, solvers, dense, epipole))
+    ]
     assert not missing
 
 

@@ -68,7 +68,7 @@ def survey_rows(survey: Survey, accuracy: Mapping[str, Any]) -> list[tuple[str, 
         ("coordinate system", facts["crs"]),
         ("ground sampling distance of the images (median)", f"{100 * facts['gsd_m']:.2g} cm"),
         ("grid", f"{count(width)} x {count(height)} cells of {100 * facts['resolution_m']:g} cm"),
-        ("covered area", f"{facts['area_m2']:,.0f} m\u00b2"),
+        ("covered area", f"{count(round(facts['area_m2']))} m\u00b2"),
         ("contour lines every", f"{facts['contour_m']:g} m"),
     ]
     for role, words in (("control", "control points"), ("check", "check points")):
@@ -78,7 +78,6 @@ def survey_rows(survey: Survey, accuracy: Mapping[str, Any]) -> list[tuple[str, 
             rows.append((f"{count(accuracy.get(f'num_{role}', 0))} {words}, root mean square", text))
     gps = accuracy.get("median_gps_residual_m")
     if gps is not None:
-        rows.append(
-            (f"GPS of {count(accuracy.get('num_gps', 0))} images, median horizontal residual", f"{gps:.2f} m")
-        )
+        images = f" of {count(accuracy['num_gps'])} images" if "num_gps" in accuracy else ""
+        rows.append((f"GPS{images}, median horizontal residual", f"{gps:.2f} m"))
     return rows
