@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from dense_scenes import CAMERA, RANGE, rendered
+from scipy.spatial import cKDTree
 
 from epipole.cameras import Camera
 from epipole.dense import estimate_depth, fuse_depths, mesh_depths, texture_from_images
@@ -43,6 +44,16 @@ def test_images_become_depth_points_a_mesh_and_a_texture(given, depths):
     assert covered.mean() > 0.6 and 20 * np.log10(255 / np.sqrt((error**2).mean())) > 22
 
 
+def test_a_model_far_from_the_origin_gives_the_same_mesh(given, depths):
+    _, cameras, poses = given
+    shift = np.array([5e5, 5.6e6, 200.0])
+    here = mesh_depths(cameras, poses, depths, 0.08)
+    there = mesh_depths(cameras, poses @ Rigid3(np.eye(3), -shift), depths, 0.08)
+    assert len(there) == pytest.approx(len(here), rel=0.2)
+    distance = cKDTree(here.vertices_in_world).query(there.vertices_in_world - shift)[0]
+    assert np.median(distance) < 0.5 * 0.08 and np.quantile(distance, 0.95) < 0.08
+
+
 def test_what_does_not_fit_is_named(given, depths):
     images, cameras, poses = given
     with pytest.raises(ShapeError, match="cameras must have 7 entries"):
@@ -56,6 +67,8 @@ def test_what_does_not_fit_is_named(given, depths):
         estimate_depth(images, [radial] * 7, poses, RANGE)
     with pytest.raises(ConfigError, match="increasing"):
         estimate_depth(images[:2], cameras[:2], poses[:2], (9.0, 1.0))
+    with pytest.raises(ShapeError, match="depths must be a pair"):
+        estimate_depth(images, cameras, poses, np.ones((3, 2)))
     with pytest.raises(DegenerateGeometryError, match="no pixel"):
         mesh_depths([], Rigid3(np.empty((0, 3, 3)), np.empty((0, 3))), [])
     alone = estimate_depth(images[:1], cameras[:1], poses[:1], RANGE)

@@ -146,6 +146,15 @@ def test_a_resting_drone_rests(data_dir, tmp_path):
     assert result.summary["truth"]["final"]["rigid"]["ate_rmse"] < 5e-4
 
 
+def test_a_mesh_of_an_earlier_run_does_not_stay(data_dir, tmp_path):
+    source = data_dir / "slam" / "kitti06_stereo"
+    with_mesh = run_slam(source, tmp_path / "out", mesh=True, max_frames=4)
+    assert (tmp_path / "out" / "mesh.ply").is_file() == ("mesh" in with_mesh.summary)
+    assert "mesh" in with_mesh.summary or any("there is no mesh" in words for words in with_mesh.warnings)
+    run_slam(source, tmp_path / "out", max_frames=4)
+    assert not (tmp_path / "out" / "mesh.ply").exists()
+
+
 def test_a_mesh_needs_depth(data_dir, tmp_path):
     with pytest.raises(ConfigError, match="mesh needs a depth sensor or a stereo pair"):
         run_slam(data_dir / "slam" / "kitti00_mono", tmp_path / "out", mesh=True, max_frames=3)

@@ -1,4 +1,4 @@
-"""Choice of the depth of a pixel by how well a small window around it matches, at depth edges and in small holes."""
+"""Choice of the depth of a pixel by how well a small window around it matches, at depth edges and in holes."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Depth at edges and in small holes: the hypothesis that a small window of the images supports.
+"""Depth at edges and in holes: the hypothesis that a small window of the images supports.
 
 Semi-global matching makes foreground objects wider by parts of its window, and sources hidden behind them disagree with the others. There, the
 depth of the pixel, of each source and of the pixels around is tested by the correlation of a 5 x 5 window with bilateral weights (Schoenberger,
@@ -32,7 +32,7 @@ class EdgeChoice:
 
     zone: np.ndarray
     inverse_depth: np.ndarray
-    """NaN where nothing could be tested."""
+    """The given one where nothing could be tested."""
     cost: np.ndarray
     """One minus the mean correlation with the two best sources."""
     num_matching: np.ndarray

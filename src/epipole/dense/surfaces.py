@@ -21,9 +21,10 @@ from epipole.dense.texturing.texture import texture_mesh
 from epipole.dense.texturing.texture_view import TextureView
 from epipole.dense.view import DenseView
 from epipole.dense.volume_building import DepthImage, build_volume
-from epipole.errors import ShapeError
+from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.scene import Mesh
+from epipole.scene.local_origin import local_origin
 from epipole.scene.textured_mesh import TexturedMesh
 from epipole.scene.view_depth import ViewDepth
 
@@ -70,7 +71,14 @@ def estimate_depth(
     """
     check_count(num_sources, "num_sources")
     views = _views(images, cameras, cams_from_world, masks)
-    ranges = np.broadcast_to(np.asarray(depths, np.float64), (len(views), 2))
+    given = np.asarray(depths, np.float64)
+    if given.shape not in ((2,), (len(views), 2)):
+        raise ShapeError(
+            f"depths must be a pair, or one for each of the {len(views)} images, got {given.shape}"
+        )
+    ranges = np.broadcast_to(given, (len(views), 2))
+    if not ((ranges[:, 0] > 0) & (ranges[:, 0] < ranges[:, 1]) & np.isfinite(ranges[:, 1])).all():
+        raise ConfigError("depths must be two increasing positive numbers")
     centers, focals = cams_from_world.centers(), np.array([camera.focal_px for camera in cameras])
     sources = select_sources(_frustum_points(views, ranges), centers, focals, num_sources)
     return [
@@ -128,11 +136,13 @@ def mesh_depths(
     """
     _check_number(depths, "depths", len(cameras))
     _check_poses(cams_from_world, len(cameras))
+    about_origin = Rigid3(np.eye(3), local_origin(cams_from_world.centers()))
     images = [
-        DepthImage(camera, cams_from_world[k], partial(_same, depth))
+        DepthImage(camera, cams_from_world[k] @ about_origin, partial(_same, depth))
         for k, (camera, depth) in enumerate(zip(cameras, depths))
     ]
-    return build_volume(images, voxel).mesh()
+    found = build_volume(images, voxel).mesh()
+    return replace(found, vertices_in_world=about_origin.apply(found.vertices_in_world))
 
 
 def _same(depth: ViewDepth) -> ViewDepth:

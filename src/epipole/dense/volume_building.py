@@ -59,7 +59,8 @@ def build_volume(
         DegenerateGeometryError: no pixel has a depth.
         ConfigError: voxel is not positive, or does not suit the scene.
     """
-    side = _usual_voxel(images) if voxel is None else voxel
+    usual = _usual_voxel(images)
+    side = usual if voxel is None else voxel
     keys = _blocks(images, side)
     while voxel is None and len(keys) > USUAL_BLOCKS:
         side *= max(1.05, float(np.sqrt(len(keys) / USUAL_BLOCKS)))

@@ -26,7 +26,7 @@ from epipole.pipelines.slam.options import SlamKeywords
 from epipole.pipelines.slam.output import autosave
 from epipole.pipelines.slam.output.live import LiveView, open_live
 from epipole.pipelines.slam.output.map_file import KnownMap, read_slam_map, require_map
-from epipole.pipelines.slam.output.meshing import mesh_of_keyframes, require_depth, write_mesh
+from epipole.pipelines.slam.output.meshing import check_mesh, publish_mesh
 from epipole.pipelines.slam.output.record import FrameRecord
 from epipole.pipelines.slam.output.results import (
     LOCALIZED,
@@ -126,7 +126,7 @@ def slam(
             run.warnings += notes
         with completing(run.root / autosave.FOLDER, key, is_complete=not stream.is_interrupted):
             keep_better(system, run, can_repeat=not (frames.is_live or wanted.realtime))
-            facts = _write_mesh(frames, system, run) if wanted.mesh else None
+            facts = publish_mesh(frames, system, run, is_wanted=wanted.mesh)
             given = RunInputs(truth, known, anchoring, found, leveled, facts)
             return write_results(stream, system, records, given, wanted, run)
 
@@ -141,26 +141,13 @@ def _system(frames: FrameSource, job: SlamConfig, known: KnownMap | None) -> Sla
     return Slam(frames.camera, job, model, is_map_fixed=job.localize, imu=imu, mapping=mapping)
 
 
-def _write_mesh(frames: FrameSource, system: Slam, run: Run) -> dict[str, Any] | None:
-    """Write the mesh, and return its figures; None without a surface, and a warning says why."""
-    with run.stage("mesh"), run.folder.publish("mesh") as aside:
-        try:
-            found, voxel = mesh_of_keyframes(frames, system, run)
-        except (ConfigError, DegenerateGeometryError) as error:
-            run.warnings.append(f"there is no mesh: {error}")
-            return None
-        write_mesh(aside, found, system)
-        return {"num_faces": len(found), "num_vertices": len(found.vertices_in_world), "voxel": voxel}
-
-
 def _check_camera(frames: FrameSource, job: SlamConfig, known: KnownMap | None) -> None:
     """Check that the options fit the camera.
 
     Raises:
         ConfigError: one does not.
     """
-    if job.mesh:
-        require_depth(frames)
+    check_mesh(frames, job)
     check_one_camera(job.anchors, measures_depth=frames.camera.is_metric)
     if not frames.camera.is_metric:
         check_known_map(job.anchors, known, is_map_fixed=job.localize)

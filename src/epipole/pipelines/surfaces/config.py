@@ -40,7 +40,7 @@ class SurfaceConfig:
     formats: tuple[Literal["glb", "obj", "ply", "usdz"], ...] = ("glb",)
     """Formats of the textured mesh."""
     resolution_m: float | None = None
-    """survey: side of a cell. Default: a pixel at the median depth."""
+    """survey: side of a cell. Default: a pixel at the median depth, rounded up to 1, 2 or 5 times a power of ten."""
     crs: str | None = None
     """survey: coordinate system, such as EPSG:25832. Default: UTM."""
     crop: tuple[float, float, float, float] | None = None

@@ -24,7 +24,11 @@ from epipole.pipelines.surfaces.mesh_stage import depth_images, first_view, mesh
 from epipole.pipelines.surfaces.options import SurfaceKeywords
 from epipole.pipelines.surfaces.page import render_page
 from epipole.pipelines.surfaces.results import depth_figures, summary_of
-from epipole.pipelines.surfaces.survey_stage import require_georeference, write_survey
+from epipole.pipelines.surfaces.survey_stage import (
+    require_georeference,
+    require_survey_packages,
+    write_survey,
+)
 from epipole.pipelines.surfaces.texture_stage import COARSE_TEXELS, texel_side, texture_of, write_textured
 from epipole.pipelines.surfaces.view_files import view_of_file
 from epipole.runs import Job, ProgressCallback, Run, Unit, ignore_progress, open_run
@@ -87,6 +91,7 @@ def surface(
     source, target = as_path(source), as_path(out)
     if not source.exists():
         raise FileFormatError(source, missing_in_words(source))
+    _require_packages(wanted)
     settings = {"config": {name: value for name, value in asdict(wanted).items() if name != "threads"}}
     job = Job(kind="surface", inputs=(source,), settings=settings, threads=wanted.threads, progress=progress)
     with open_run(job, target) as run:
@@ -94,13 +99,23 @@ def surface(
             inputs = surface_inputs(source, run, wanted)
             if wanted.until == "survey":
                 require_georeference(inputs, wanted)
-            if "usdz" in wanted.formats and STAGES.index(wanted.until) >= STAGES.index("texture"):
-                require_usd()
         run.warnings += inputs.warnings
         try:
             return _surface_of(inputs, wanted, run)
         finally:
             view_of_file.cache_clear()
+
+
+def _require_packages(config: SurfaceConfig) -> None:
+    """Check that the packages of the requested files are installed, before anything is computed.
+
+    Raises:
+        MissingDependencyError: one is not.
+    """
+    if config.until == "survey":
+        require_survey_packages()
+    if "usdz" in config.formats and STAGES.index(config.until) >= STAGES.index("texture"):
+        require_usd()
 
 
 def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> SurfaceResult:

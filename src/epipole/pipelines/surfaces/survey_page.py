@@ -72,12 +72,18 @@ def survey_rows(survey: Survey, accuracy: Mapping[str, Any]) -> list[tuple[str, 
         ("contour lines every", f"{facts['contour_m']:g} m"),
     ]
     for role, words in (("control", "control points"), ("check", "check points")):
-        rms = (accuracy.get("rms_m") or {}).get(role) or {}
-        if all(rms.get(axis) is not None for axis in ("east_m", "north_m", "up_m")):
+        rms = _entries(_entries(accuracy, "rms_m"), role)
+        if all(isinstance(rms.get(axis), float) for axis in ("east_m", "north_m", "up_m")):
             text = ", ".join(f"{100 * rms[f'{axis}_m']:.1f} cm {axis}" for axis in ("east", "north", "up"))
             rows.append((f"{count(accuracy.get(f'num_{role}', 0))} {words}, root mean square", text))
     gps = accuracy.get("median_gps_residual_m")
-    if gps is not None:
+    if isinstance(gps, float):
         images = f" of {count(accuracy['num_gps'])} images" if "num_gps" in accuracy else ""
         rows.append((f"GPS{images}, median horizontal residual", f"{gps:.2f} m"))
     return rows
+
+
+def _entries(values: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    """Entries of a summary, which may be that of another program."""
+    found = values.get(name)
+    return found if isinstance(found, dict) else {}

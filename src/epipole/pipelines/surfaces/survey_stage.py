@@ -31,11 +31,11 @@ CELL_PIXELS = 1.0
 
 
 def require_georeference(inputs: SurfaceInputs, config: SurfaceConfig) -> Georeference:
-    """The georeference of the model, before anything else is computed.
+    """The georeference of the model, before depth is computed.
 
     Raises:
         ConfigError: there is none.
-        MissingDependencyError: a package for survey files is not installed.
+        MissingDependencyError: pyproj is not installed.
         FileFormatError: the coordinate system is unknown.
     """
     found = inputs.model.georeference
@@ -49,10 +49,18 @@ def require_georeference(inputs: SurfaceInputs, config: SurfaceConfig) -> Georef
             f"{crs} has degrees, but the cells of height models are in meters: pass a projection (--crs)"
         )
     coordinates_of(np.array([[found.lat_deg, found.lon_deg, found.alt_m]]), crs)
+    return found
+
+
+def require_survey_packages() -> None:
+    """Check that the packages for survey files are installed.
+
+    Raises:
+        MissingDependencyError: one is not.
+    """
     require_rasterio()
     require_laspy()
     require_contours()
-    return found
 
 
 def crs_of(origin: Georeference, config: SurfaceConfig) -> str:
