@@ -104,7 +104,7 @@ def show_slam(result: SlamResult) -> None:
             table.add_row(f"error, {name} trajectory", _error_words(found, is_metric=summary["is_metric"]))
     if "mesh" in summary:
         table.add_row(
-            "mesh", f"{summary['mesh']['num_faces']:,} triangles, of {summary['mesh']['voxel']:.2g} m"
+            "mesh", f"{summary['mesh']['num_faces']:,} triangles, voxels of {summary['mesh']['voxel']:.2g} m"
         )
     table.add_row("time per frame", f"{ms['median']:.1f} ms (median), {ms['p95']:.1f} ms (95 %)")
     console.print(table)
@@ -124,8 +124,7 @@ def _print_files(result: SlamResult) -> None:
     console, summary = open_console(), result.summary
     console.print(f"trajectory  {result.out / 'trajectory.txt'}", highlight=False, markup=False)
     if "mesh" in summary:
-        faces = f"{summary['mesh']['num_faces']:,} triangles"
-        console.print(f"mesh        {result.out / 'mesh.ply'} ({faces})", highlight=False, markup=False)
+        console.print(f"mesh        {result.out / 'mesh.ply'}", highlight=False, markup=False)
     console.print(f"report      {result.out / 'report.html'}", highlight=False, markup=False)
     console.print(f"viewer      epipole view {quote(str(result.out))}", highlight=False, markup=False)
 

@@ -29,6 +29,7 @@ MESH = "mesh.ply"
 NEAREST, MARGIN = 8.0, 1.3
 """Stereo finds surfaces from this number of baselines on, and nearer ones if the map has points there; factor beyond its disparities."""
 LEAST_COMPONENT = 0.01
+"""Parts of the mesh with fewer triangles, relative to the largest, are removed."""
 
 
 def check_mesh(source: FrameSource, job: JobOptions) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from epipole.dense.volume_building import GRAY
 from epipole.errors import EpipoleError, FileFormatError
 from epipole.image import color_map
 from epipole.io.convert import read_model
@@ -47,8 +48,6 @@ TRAJECTORY, CAUSAL_TRAJECTORY = "trajectory.txt", "trajectory_causal.txt"
 IMAGE_PX = 640
 UNIT_OF_FILE = "units of the file"
 MANY_POSITIONS = 300
-GRAY = 160
-"""Color of meshes without colors."""
 
 
 def is_mine(path: Path) -> bool:
