@@ -1,5 +1,7 @@
 """Mapping in a thread: tracking does not wait for it, and the results are as good."""
 
+import os
+import sys
 import threading
 import time
 from concurrent.futures import Future
@@ -43,6 +45,18 @@ def test_one_camera():
     slam.finish()
     path = slam.trajectory().world_from_body
     assert absolute_error(path, ride().truth(), "similarity").position.rmse < 0.006
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has priorities of threads")
+def test_tracking_comes_first():
+    def niceness():
+        return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+
+    thread = mapping_thread.MappingThread()
+    own = niceness()
+    assert thread._pool.submit(niceness).result() == min(19, own + mapping_thread.MAPPING_NICENESS)
+    assert thread._searchers.submit(niceness).result() == min(19, own + mapping_thread.SEARCH_NICENESS)
+    assert niceness() == own
 
 
 @pytest.fixture
