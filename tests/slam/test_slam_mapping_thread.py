@@ -54,8 +54,8 @@ def test_tracking_comes_first():
 
     thread = mapping_thread.MappingThread()
     own = niceness()
-    assert thread._pool.submit(niceness).result() == min(19, own + mapping_thread.MAPPING_NICENESS)
-    assert thread._searchers.submit(niceness).result() == min(19, own + mapping_thread.SEARCH_NICENESS)
+    for pool in (thread._pool, thread._searchers):
+        assert pool.submit(niceness).result() == min(19, own + mapping_thread.NICENESS)
     assert niceness() == own
 
 

@@ -23,9 +23,9 @@ LONGEST_WAIT_S = 0.05
 """Longest time that a frame waits for mapping if more keyframes wait. Without it, the map of one camera drifts: 40 cm instead of 4 in a
 kitchen."""
 
-MAPPING_NICENESS, SEARCH_NICENESS = 10, 5
-"""Priorities of the threads below that of tracking, for fewer processors than threads: in a kitchen on two busy ones, half of the frames
-waited 8 ms for a processor without this."""
+NICENESS = 3
+"""Priority of the threads below that of tracking: with two processors for three threads, 5 % of the frames of a kitchen take 31 ms or more,
+35 without it. A thread with 10 waits so long on a busy machine, while it has the interpreter's lock, that frames wait 2 s for it."""
 
 
 class Mapped(NamedTuple):
@@ -53,9 +53,9 @@ class MappingThread:
     """
 
     def __init__(self) -> None:
-        self._pool = _single_thread("epipole-mapping", MAPPING_NICENESS)
+        self._pool = _single_thread("epipole-mapping")
         self._running: Future[Mapped] | None = None
-        self._searchers = _single_thread("epipole-points", SEARCH_NICENESS)
+        self._searchers = _single_thread("epipole-points")
         self._search: Future[Observations] | None = None
         self.num_merged = self.num_waiting = 0
         self.is_urgent = False
@@ -147,8 +147,8 @@ class MappingThread:
         self._running, self._search, self.num_waiting = None, None, 0
 
 
-def _single_thread(name: str, niceness: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(1, name, lower_priority_here, (niceness,))
+def _single_thread(name: str) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(1, name, lower_priority_here, (NICENESS,))
 
 
 def _searched(find_points: Callable[[], Observations]) -> Observations:
