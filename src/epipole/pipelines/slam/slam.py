@@ -16,10 +16,11 @@ from epipole.pipelines.slam.map.past_poses import refine_past_poses
 from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.slam_mapping import SlamMapping
 from epipole.pipelines.slam.start.bootstrap import bootstrap_map
+from epipole.pipelines.slam.start.one_camera import Initialization, initialize_map
 from epipole.pipelines.slam.start.provisional import Agreement, ProvisionalMap
 from epipole.pipelines.slam.start.rig_start import RigStart
 from epipole.pipelines.slam.start.rotation import RotationEstimate, RotationTracker
-from epipole.pipelines.slam.start.two_view import Confirmation, Initialization, OneCameraStart, initialize_map
+from epipole.pipelines.slam.start.two_view import Confirmation
 from epipole.pipelines.slam.tracking.points import Tracks
 from epipole.scene import CameraRig
 
@@ -128,7 +129,7 @@ class Slam(SlamMapping):
         here = initialize_map(self.map, now.point, now.pixels, now.cam_from_world, camera, self.config)
         # A rolling shutter displaces the points, and the check does not model it.
         self._unconfirmed = None if self.camera.shutter.is_rolling else self._start
-        self._start, self._rotations = OneCameraStart(camera, self.config), {}
+        self._start, self._rotations = self._one_camera_start(), {}
         return self._initialized(frame, np.full((6, 6), np.inf) if here is None else here.covariance())
 
     def _initialized(self, frame: Frame, covariance: np.ndarray) -> TrackedFrame:

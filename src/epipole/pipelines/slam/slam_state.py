@@ -25,10 +25,11 @@ from epipole.pipelines.slam.map.trajectory import Path
 from epipole.pipelines.slam.mapping_thread import MappingThread
 from epipole.pipelines.slam.odometry import Odometry
 from epipole.pipelines.slam.snapshot import Snapshot, snapshot_of
+from epipole.pipelines.slam.start.one_camera import OneCameraStart
 from epipole.pipelines.slam.start.provisional import ProvisionalMap
 from epipole.pipelines.slam.start.rig_start import RigStart
 from epipole.pipelines.slam.start.rotation import RotationTracker
-from epipole.pipelines.slam.start.two_view import OneCameraStart
+from epipole.pipelines.slam.start.two_view import Confirmation
 from epipole.pipelines.slam.tracking.frame_quality import FrameQuality, FrameQualityMonitor
 from epipole.scene import Trajectory
 
@@ -95,7 +96,8 @@ class SlamState:
         self._closer = LoopCloser(camera.camera_or_rig, self.config, is_metric=camera.is_metric)
         self.loops = self._closer.ledger
         self._relocalizer = Relocalizer(camera.camera_or_rig, self.config)
-        self._start = OneCameraStart(camera.camera, self.config)
+        self.mapping_thread = MappingThread() if mapping == "thread" and not is_map_fixed else None
+        self._start = self._one_camera_start()
         self._rig_start: RigStart | None = None
         self._unconfirmed: OneCameraStart | None = None
         self.start_warnings: list[str] = []
@@ -108,7 +110,10 @@ class SlamState:
         self._path = Path(self.first_number)
         self._num_frames, self._num_lost = self.first_number, 0
         self._num_maps = 1
-        self.mapping_thread = MappingThread() if mapping == "thread" and not is_map_fixed else None
+
+    def _one_camera_start(self) -> OneCameraStart:
+        judges = None if self.mapping_thread is None else self.mapping_thread.judges
+        return OneCameraStart(self.camera.camera, self.config, judges)
 
     def _enter(self, model: SlamMap, cam_from_world: Rigid3 | None = None) -> None:
         """Continue in this map from a pose (None: the last one)."""
@@ -189,13 +194,19 @@ class SlamState:
         return snapshot_of(self.map, self.state, source.tracks)
 
     def _leave_unconfirmed(self) -> None:
-        """Report that no later frame can confirm the initialization."""
-        if self._unconfirmed is not None:
-            self.start_warnings.append(
-                f"the map initialized at {self._unconfirmed.first_time_s:.2f} s could not be confirmed: its first points left the"
-                " view before the camera had moved far enough"
+        """Report an initialization that later frames contradict, or that none of them can confirm."""
+        start, self._unconfirmed = self._unconfirmed, None
+        verdict = Confirmation.CONFIRMED if start is None else start.verdict(wait=True)
+        if start is None or verdict is Confirmation.CONFIRMED:
+            return
+        self.start_warnings.append(
+            f"the map initialized at {start.first_time_s:.2f} s "
+            + (
+                "is contradicted by the last frames that show its first points"
+                if verdict is Confirmation.REFUTED
+                else "could not be confirmed: its first points left the view before the camera had moved far enough"
             )
-        self._unconfirmed = None
+        )
 
     def _refine_past(self) -> None:
         """Estimate poses of earlier frames again, and cull the map, after its adjustment."""

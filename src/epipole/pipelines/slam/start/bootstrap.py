@@ -9,7 +9,7 @@ from epipole.pipelines.slam.map.local_mapping import LocalMapper
 from epipole.pipelines.slam.map.slam_map import Keyframe
 from epipole.pipelines.slam.shutter.recent_motion import AROUND, NO_MOTION, motion_among
 from epipole.pipelines.slam.shutter.shutter import CONVERGED_SIGMA
-from epipole.pipelines.slam.start.two_view import Initialization, initialize_map
+from epipole.pipelines.slam.start.one_camera import Initialization, initialize_map
 
 ROUNDS = 4
 """Alternations between the map and the motions of its frames."""

@@ -1,20 +1,16 @@
-"""Initialization of a single camera's map from two frames, unless the camera is at rest or only rotates."""
+"""Initialization of a single camera's map from two frames, unless the camera is at rest or only rotates, and its confirmation."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
 
 import numpy as np
 
 from epipole.cameras import Camera
 from epipole.config import RansacConfig
 from epipole.geometry import Rigid3
-from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.config import OdometryConfig
-from epipole.pipelines.slam.frames import Frame
-from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.start.candidate_motions import (
     Judged,
     are_apart,
@@ -24,32 +20,21 @@ from epipole.pipelines.slam.start.candidate_motions import (
     motions_of_plane,
     rival_of,
 )
-from epipole.pipelines.slam.tracking.corners import new_corners
-from epipole.pipelines.slam.tracking.points import Tracks, locate
-from epipole.pipelines.slam.tracking.static_points import MOVING_PX, find_ambiguous_part
 from epipole.robust import PairKind, triangulate_points, verify_pair
 
 MIN_POINTS = 50
 LEAST_SHIFT = 0.015
 """Median shift of the points, as a fraction of the image width, below which no initialization is tried."""
-START_KEYFRAMES = 6
+LEAST_ANGLE_DEG = 0.3
+"""Smallest triangulation angle of the initialization."""
 CONFIRMING_ANGLE = 2.0
 """Later frames confirm the initialization at this multiple of `OdometryConfig.start_angle_deg`."""
-MAX_CONFIRMING_FRAMES = 24
 MIN_CONFIRMING = 30
 """Points of the first frame that are needed to confirm the initialization."""
-MOVING_QUANTILE = 0.75
-"""A frame moved if this quantile of its points' shifts exceeds MOVING_PX."""
 MAX_ROTATION_DEG, MAX_DIRECTION_DEG = 1.5, 15.0
 """The map's motion since its first frame may differ this much from the independent estimate, in rotation and direction."""
 MAX_EPIPOLAR_PX, MAX_EPIPOLAR_RATIO = 1.0, 3.0
 """A map is contradicted if its epipolar error (median) exceeds both this and this multiple of the independent estimate's."""
-MOST_WAITING = 300
-"""Frames kept before the initialization; their poses are estimated after it."""
-LEAST_ANGLE_DEG = 0.3
-"""Smallest triangulation angle of the initialization."""
-LEAST_KEPT = 0.4
-"""If a smaller fraction of the first frame's points is still tracked, the present frame becomes the first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,6 +111,27 @@ def start_by(
     return Start("", Rigid3(cam_from_first.rotation, cam_from_first.translation / depth), points)
 
 
+def best_start(started: Start, pixels: np.ndarray, camera: Camera, config: OdometryConfig) -> Start:
+    """Initialize with the motion that fits all frames best; a reason if another one fits as well.
+
+    Args:
+        started: from the first and the last frame.
+        pixels: (f, n, 2) of the same points in all frames.
+        camera: any model.
+        config: the smallest median angle, and the seed.
+    """
+    assert started.cam_from_first is not None
+    judged = _judged([started.cam_from_first], pixels, camera, config)
+    best = min(judged, key=lambda one: one.loss)
+    if rival_of(best, judged) is not None:
+        return Start("the points are near a plane, and two motions explain them: keep moving, along a curve")
+    if not best.median_angle_deg >= config.start_angle_deg:
+        return _too_narrow(best.median_angle_deg, config)
+    if not are_apart(best.cam_from_first, judged[0].cam_from_first):
+        return started
+    return start_by(best.cam_from_first, pixels[0], pixels[-1], camera)
+
+
 class Confirmation(Enum):
     """Verdict of later frames on the initialization of a map."""
 
@@ -136,228 +142,55 @@ class Confirmation(Enum):
     """Too few points of the first frame are still tracked."""
 
 
-class WaitingFrame(NamedTuple):
-    """A frame before the initialization."""
-
-    frame: Frame
-    number: int
-    pixels: np.ndarray  # (n, 2) of the tracked points
-    track: np.ndarray  # (n,) their indices
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Initialization:
-    """A new map of a single camera, not adjusted yet and without the present frame."""
-
-    model: SlamMap
-    tracks: Tracks
-    """Points tracked in the present frame."""
-    cam_from_world: Rigid3
-    """Of the present frame."""
-    waiting: list[WaitingFrame]
-    row_of_track: np.ndarray
-    """The map's point of each track; -1 for none."""
-
-    def seen_by(self, one: WaitingFrame) -> tuple[np.ndarray, np.ndarray]:
-        """A waiting frame's observations of the map: pixels (n, 2) and rows (n,) of the points."""
-        rows = self.row_of_track[one.track]
-        return one.pixels[rows >= 0], rows[rows >= 0]
-
-    def locate_waiting(
-        self, model: SlamMap, camera: Camera, config: OdometryConfig
-    ) -> list[tuple[WaitingFrame, Keyframe, Rigid3, np.ndarray]]:
-        """The waiting frames with their preceding keyframes, cam_from_world and covariances.
-
-        Args:
-            model: the map that has the points.
-            camera: any model.
-            config: thresholds.
-        """
-        out, keyframes = [], model.keyframes
-        numbers = [k.number for k in keyframes]
-        for one in self.waiting:
-            keyframe = keyframes[int(np.searchsorted(numbers, one.number, side="right")) - 1]
-            pixels, rows = self.seen_by(one)
-            found = initialize_map(model, rows, pixels, keyframe.cam_from_world, camera, config)
-            if found is not None:
-                is_keyframe = keyframe.number == one.number
-                position = keyframe.cam_from_world if is_keyframe else found.cam_from_world
-                out.append((one, keyframe, position, found.covariance()))
-        return out
+def is_wide_enough(
+    cam_from_first: Rigid3, first_px: np.ndarray, pixels: np.ndarray, camera: Camera, config: OdometryConfig
+) -> bool:
+    """Whether the triangulation angles of a motion suffice to confirm an initialization."""
+    least_deg = CONFIRMING_ANGLE * config.start_angle_deg
+    return median_angle_deg(cam_from_first, first_px, pixels, camera) >= least_deg
 
 
-class OneCameraStart:
-    """Collects frames of a single camera until a map can be initialized."""
+def confirm_start(
+    cam_from_first: Rigid3, pixels: np.ndarray, camera: Camera, config: OdometryConfig
+) -> Confirmation:
+    """Compare a map's motion since its first frame with an estimate from image tracks alone.
 
-    def __init__(self, camera: Camera, config: OdometryConfig) -> None:
-        self.camera, self.config = camera, config
-        self.tracks = Tracks.none()
-        self._waiting: list[WaitingFrame] = []
-        self._num_at_start = 0
+    Args:
+        cam_from_first: motion of the last frame since the first, from the map.
+        pixels: (f, n, 2) of the same points in all frames.
+        camera: any model.
+        config: the smallest median angle, and the seed.
+    """
+    first, now = pixels[0], pixels[-1]
+    ransac = RansacConfig(max_error_px=1.5, min_inliers=MIN_CONFIRMING, seed=config.seed)
+    found = verify_pair(first, now, camera, camera, is_calibrated=True, config=ransac)
+    epipolar = [found.cam2_from_cam1] if found.kind in (PairKind.GENERAL, PairKind.PLANAR) else []
+    judged = _judged([cam_from_first, *epipolar], pixels, camera, config)
+    best = min(judged, key=lambda one: one.loss)
+    is_wide = best.median_angle_deg >= CONFIRMING_ANGLE * config.start_angle_deg
+    if rival_of(best, judged) is not None or not is_wide:
+        return Confirmation.OPEN
+    if not are_apart(best.cam_from_first, cam_from_first, MAX_ROTATION_DEG, MAX_DIRECTION_DEG):
+        return Confirmation.CONFIRMED
+    off_px, least_px = (
+        median_off_px(motion, first, now, camera) for motion in (cam_from_first, best.cam_from_first)
+    )
+    return (
+        Confirmation.REFUTED
+        if off_px > max(MAX_EPIPOLAR_PX, MAX_EPIPOLAR_RATIO * least_px)
+        else Confirmation.OPEN
+    )
 
-    def add(self, frame: Frame, number: int, problem: str = "") -> Initialization | str:
-        """The map if it can be initialized with this frame, else the reason why not; never from an image with a problem."""
-        if not self._waiting:
-            return self._wait_from(frame, number, "the first frame: depth needs a second position")
-        self._track(frame)
-        tracks = self.tracks
-        started = try_start(tracks.start_px, tracks.pixels, self.camera, self.config)
-        reason = started.reason or self._may_rest() or problem
-        if not reason:
-            started = self._best_of(started)
-            reason = started.reason
-        initial = None if reason else self._initialize(started)
-        self._waiting.append(WaitingFrame(frame, number, tracks.pixels, tracks.point))
-        if initial is not None:
-            return initial
-        is_thin = len(tracks.pixels) < max(MIN_POINTS, LEAST_KEPT * self._num_at_start)
-        if is_thin or len(self._waiting) > MOST_WAITING:
-            return self._wait_from(frame, number, reason)
-        return reason
 
-    @property
-    def first_number(self) -> int:
-        """Number of the map's first frame."""
-        return self._waiting[0].number
-
-    @property
-    def first_time_s(self) -> float:
-        """Time of that frame."""
-        return self._waiting[0].frame.timestamp_s
-
-    def confirm(self, frame: Frame, number: int, cam_from_first: Rigid3) -> Confirmation:
-        """Compare the map's motion since its first frame with an estimate from image tracks alone.
-
-        Args:
-            frame: the present one.
-            number: its number.
-            cam_from_first: its motion since the first frame, from the map.
-        """
-        self._track(frame)
-        now, camera = self.tracks, self.camera
-        if len(now) < MIN_CONFIRMING or number - self.first_number > MOST_WAITING:
-            return Confirmation.OUT_OF_SIGHT
-        self._waiting.append(WaitingFrame(frame, number, now.pixels, now.point))
-        while len(self._waiting) > MAX_CONFIRMING_FRAMES:  # they hold their images
-            self._waiting = [*self._waiting[:-1:2], self._waiting[-1]]
-        least_deg = CONFIRMING_ANGLE * self.config.start_angle_deg
-        if not median_angle_deg(cam_from_first, now.start_px, now.pixels, camera) >= least_deg:
-            return Confirmation.OPEN
-        ransac = RansacConfig(max_error_px=1.5, min_inliers=MIN_CONFIRMING, seed=self.config.seed)
-        found = verify_pair(now.start_px, now.pixels, camera, camera, is_calibrated=True, config=ransac)
-        epipolar = [found.cam2_from_cam1] if found.kind in (PairKind.GENERAL, PairKind.PLANAR) else []
-        judged = self._judged([cam_from_first, *epipolar])
-        best = min(judged, key=lambda one: one.loss)
-        if rival_of(best, judged) is not None or not best.median_angle_deg >= least_deg:
-            return Confirmation.OPEN
-        if not are_apart(best.cam_from_first, cam_from_first, MAX_ROTATION_DEG, MAX_DIRECTION_DEG):
-            return Confirmation.CONFIRMED
-        off_px, least_px = (
-            median_off_px(motion, now.start_px, now.pixels, camera)
-            for motion in (cam_from_first, best.cam_from_first)
-        )
-        return (
-            Confirmation.REFUTED
-            if off_px > max(MAX_EPIPOLAR_PX, MAX_EPIPOLAR_RATIO * least_px)
-            else Confirmation.OPEN
-        )
-
-    def _track(self, frame: Frame) -> None:
-        tracks = self.tracks
-        tracks.track(self._waiting[-1].frame.gray, frame.gray, tracks.pixels, self.config, and_back=True)
-        tracks.keep(frame.is_used(tracks.pixels))
-
-    def _wait_from(self, frame: Frame, number: int, reason: str) -> str:
-        """Make this frame the first of a new attempt."""
-        corners = new_corners(frame.gray, np.zeros((0, 2)), self.config, frame.ignored_mask)
-        self.tracks = Tracks(corners, np.arange(len(corners)), corners)
-        self._num_at_start = len(corners)
-        self._waiting = [WaitingFrame(frame, number, corners, self.tracks.point)]
-        return reason
-
-    def _may_rest(self) -> str:
-        """Why the camera may have been at rest since the first frame while an object moved; empty if it cannot.
-
-        Lost points count with their last pixel, since the object gradually occludes the static scene.
-        """
-        last = self._waiting[0].pixels.copy()
-        for one in self._waiting:
-            moves = np.linalg.norm(one.pixels - self._waiting[0].pixels[one.track], axis=1)
-            if np.quantile(moves, MOVING_QUANTILE) > MOVING_PX:
-                last[one.track] = one.pixels
-            else:
-                last[one.track] = np.nan
-        last[self.tracks.point] = self.tracks.pixels
-        known = np.isfinite(last[:, 0])
-        static = find_ambiguous_part(self._waiting[0].pixels[known], last[known], self.camera)
-        if static is None:
-            return ""
-        return (
-            f"{100 * static.fraction:.0f} % of the image is static while the rest moves: one camera cannot distinguish an object"
-            " that passes it from a near object that it passes in front of a distant background"
-        )
-
-    def _best_of(self, started: Start) -> Start:
-        """Initialize with the motion that fits all frames since the first best; a reason if another one fits as well."""
-        assert started.cam_from_first is not None
-        judged = self._judged([started.cam_from_first])
-        best = min(judged, key=lambda one: one.loss)
-        if rival_of(best, judged) is not None:
-            return Start(
-                "the points are near a plane, and two motions explain them: keep moving, along a curve"
-            )
-        if not best.median_angle_deg >= self.config.start_angle_deg:
-            return _too_narrow(best.median_angle_deg, self.config)
-        if not are_apart(best.cam_from_first, judged[0].cam_from_first):
-            return started
-        return start_by(best.cam_from_first, self.tracks.start_px, self.tracks.pixels, self.camera)
-
-    def _judged(self, motions: list[Rigid3]) -> list[Judged]:
-        """These motions and those that a plane allows, in this order, optimized with the frames since the first."""
-        now, camera, waiting = self.tracks, self.camera, self._waiting
-        of_plane = motions_of_plane(now.start_px, now.pixels, camera, self.config.seed)
-        used = np.unique(np.linspace(0, len(waiting) - 1, START_KEYFRAMES).astype(int))
-        seen = [waiting[n].pixels[np.searchsorted(waiting[n].track, now.point)] for n in used]
-        pixels = np.stack([*seen, now.pixels])
-        return [judge(motion, pixels, camera) for motion in (*motions, *of_plane)]
-
-    def _initialize(self, started: Start) -> Initialization:
-        """Create the map, with keyframes in between: at small angles they contribute as much as the two ends."""
-        assert started.cam_from_first is not None and started.points_in_first is not None
-        model, waiting = SlamMap(), list(self._waiting)
-        points = model.add_points(started.points_in_first, self.tracks.start_px, 0)
-        row_of_track = np.full(self._num_at_start, -1)
-        row_of_track[self.tracks.point] = points
-        position = Rigid3.identity()
-        for n in np.unique(np.linspace(0, len(waiting) - 1, START_KEYFRAMES).astype(int)):
-            one = waiting[n]
-            rows = row_of_track[one.track]
-            pixels, rows = one.pixels[rows >= 0], rows[rows >= 0]
-            found = initialize_map(model, rows, pixels, position, self.camera, self.config)
-            position = found.cam_from_world if found is not None and n > 0 else position
-            seen = Observations(pixels, np.full(len(rows), np.nan), rows)
-            keyframe = Keyframe(one.number, one.frame.timestamp_s, one.frame.gray, position, seen)
-            keyframe.ignored_mask = one.frame.ignored_mask
-            model.keyframes.append(keyframe)
-        tracks = Tracks(self.tracks.pixels, points, self.tracks.start_px)
-        return Initialization(model, tracks, started.cam_from_first, waiting, row_of_track)
+def _judged(
+    motions: list[Rigid3], pixels: np.ndarray, camera: Camera, config: OdometryConfig
+) -> list[Judged]:
+    """These motions and those that a plane allows, in this order, optimized with all frames."""
+    of_plane = motions_of_plane(pixels[0], pixels[-1], camera, config.seed)
+    return [judge(motion, pixels, camera) for motion in (*motions, *of_plane)]
 
 
 def _too_narrow(angle_deg: float, config: OdometryConfig) -> Start:
     return Start(
         f"triangulation angle {angle_deg:.2f} degrees, {config.start_angle_deg:g} are needed: keep moving"
     )
-
-
-def initialize_map(
-    model: SlamMap,
-    rows: np.ndarray,
-    pixels: np.ndarray,
-    start: Rigid3,
-    camera: Camera,
-    config: OdometryConfig,
-) -> RefinedPose | None:
-    """The pose of a frame from its pixels alone; None if there are too few inliers."""
-    kept = model.is_triangulated(rows)
-    found = locate(model.xyz[rows[kept]], pixels[kept], camera, start, None, config)
-    return None if found is None else found[0]
