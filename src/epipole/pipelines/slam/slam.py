@@ -359,18 +359,20 @@ class Slam(SlamMapping):
     # Final optimization.
 
     def finish(self, goes_on: Callable[[int, int], bool] = lambda *_: True) -> None:
-        """After the last frame: connect keyframes that see the same and optimize all maps; `goes_on(done, of)` may stop it.
+        """After the last frame: join maps and connect keyframes that see the same, and optimize all maps; `goes_on(done, of)` may stop it.
 
         The map with the most frames becomes the first one, unless a known map was given.
         """
         self.wait_for_mapping()
-        here = self.map, self.odometry
         if self._camera_imu is not None:
             self._camera_imu.is_clock_known(is_last=True)
         self._leave_unconfirmed()
         if not self.first_number:
             self.maps.sort(key=lambda model: -len(self._path.trajectory(model.keyframes)))
         refine_past_poses(self._path, self.odometry.tracker, is_last=True)
+        if not self.is_map_fixed:
+            self._join_separate_maps()
+        here = self.map, self.odometry
         for number, model in enumerate([] if self.is_map_fixed else self.maps):
             self._enter(model)
             if not self.odometry.mapper.adjust_for_good(number, len(self.maps), goes_on):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from copy import copy
+from itertools import combinations
 
 import numpy as np
 
 from epipole.pipelines.slam.frames import TrackingState
 from epipole.pipelines.slam.loops.closing import LoopConstraint
 from epipole.pipelines.slam.loops.correction import close_in_map, refine_closed
+from epipole.pipelines.slam.loops.merging import join_maps
 from epipole.pipelines.slam.loops.recognition import describe_keyframe
 from epipole.pipelines.slam.map.map_copy import Change, world_motion
 from epipole.pipelines.slam.mapping_thread import Mapped, MappingThread
@@ -105,6 +107,21 @@ class SlamMapping(SlamState):
         before.point = newest.point
         into = refine_closed(self.odometry.mapper)
         return Change(world_motion(before, newest), into, np.setdiff1d(into[before.point], newest.point))
+
+    def _join_separate_maps(self) -> None:
+        """Join maps by any of their keyframes; while the camera is tracked, only the newest keyframe is compared with other maps."""
+        pairs = list(combinations(self.maps, 2))
+        while pairs:
+            there, here = pairs.pop(0)
+            are_full = all(any(len(k.point) for k in model.keyframes) for model in (there, here))
+            if not are_full or join_maps(there, here, self.camera, self.config):
+                continue
+            self.maps.remove(here)
+            if self.map is here:
+                self._enter(there)
+                self.state = TrackingState.LOST  # until the next frame is relocalized
+            # The larger map may have something in common with maps that were compared before.
+            pairs = list(combinations(self.maps, 2))
 
     def _continue_corrected(self, into: np.ndarray) -> None:
         """Go on from the newest keyframe of a corrected map, with the new row of each point."""

@@ -9,16 +9,16 @@ import numpy as np
 
 from epipole._checks import check_fields, checked
 from epipole.errors import ConfigError
-from epipole.geometry import Similarity3
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.geometry import Rigid3, Similarity3
+from epipole.pipelines.slam.config import OdometryConfig, SlamConfig
 from epipole.pipelines.slam.frames import SlamCamera
-from epipole.pipelines.slam.loops.closing import CONFIRMATIONS, LoopCloser, LoopConstraint
+from epipole.pipelines.slam.loops.closing import CONFIRMATIONS, LoopCloser
 from epipole.pipelines.slam.loops.correction import EDGE_POINTS, LOOP_ITERATIONS, fuse
 from epipole.pipelines.slam.loops.recognition import describe_keyframe
 from epipole.pipelines.slam.map.gauge import align_gauge
 from epipole.pipelines.slam.map.local_mapping import LocalMapper, focal_baseline_of
-from epipole.pipelines.slam.map.slam_map import SlamMap
-from epipole.pipelines.slam.map.triangulation import positions_of
+from epipole.pipelines.slam.map.map_copy import OF_MAPPING
+from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +51,7 @@ class MergedMaps:
 def merge_maps(
     first: SlamMap, second: SlamMap, camera: SlamCamera, config: SlamConfig | None = None
 ) -> MergedMaps:
-    """Merge two maps of one camera, if three successive keyframes of the second are recognized in the first.
+    """Merge two maps of one camera, if three successive keyframes of one are recognized in the other.
 
     The same tests as for loop closures: matching points, a pose that most of them agree with, patches that look alike there, and no
     other pose that explains the image nearly as well. Then points that both maps have are merged, and everything is adjusted.
@@ -72,46 +72,81 @@ def merge_maps(
             raise ConfigError("the images of a map do not have the camera's size")
     options = (SlamConfig() if config is None else config).odometry
     one, other = first.copied(), second.copied()
-    for model in (one, other):
-        for keyframe in (k for k in model.keyframes if len(k.point)):
-            describe_keyframe(keyframe)
-    closer = LoopCloser(camera.camera_or_rig, options, is_metric=camera.is_metric)
-    none, identity = (
-        1 + max(k.number for k in one.keyframes),
-        Similarity3(np.array(1.0), np.eye(3), np.zeros(3)),
-    )
-    offset = none - min(k.number for k in other.keyframes)
-    constraint = _recognized(closer, other, one)
-    if constraint is None:
-        best = max((entry.num_agreeing for entry in closer.ledger), default=0)
-        words = f"no {CONFIRMATIONS} successive keyframes of the second map were recognized in the first (at most {best} points agreed)"
-        return MergedMaps(False, words, one, identity, 0)
-    second_poses = positions_of(other, range(len(other.keyframes)))
-    other.move(constraint.there_from_here)
+    offset = 1 + max(k.number for k in one.keyframes) - min(k.number for k in other.keyframes)
     for keyframe in other.keyframes:
         keyframe.number += offset
-    count = len(one.keyframes)
+    found = _merged(one, other, camera, options)
+    if isinstance(found, str):
+        return MergedMaps(False, found, first.copied(), Similarity3(np.array(1.0), np.eye(3), np.zeros(3)), 0)
+    return MergedMaps(True, "", one, found, offset)
+
+
+def join_maps(first: SlamMap, second: SlamMap, camera: SlamCamera, config: OdometryConfig) -> str:
+    """Move the keyframes and points of a separate map of the same run into the first one, if both show a common area.
+
+    Args:
+        first: gives the world and, with one camera, the unit.
+        second: empty afterwards.
+        camera: of both maps.
+        config: options.
+
+    Returns:
+        why the maps cannot be merged; empty if they were.
+    """
+    one, other = first.copied(), second.copied()
+    found = _merged(one, other, camera, config)
+    if isinstance(found, str):
+        return found
+    first.absorb(second)
+    for own, changed in zip(first.keyframes, one.keyframes, strict=True):
+        for name in OF_MAPPING:
+            setattr(own, name, getattr(changed, name))
+    for name in ("xyz", "anchor", "anchor_px", "num_agreed"):
+        getattr(first, name)[:] = getattr(one, name)
+    first.right_shift_px = one.right_shift_px
+    return ""
+
+
+def _merged(one: SlamMap, other: SlamMap, camera: SlamCamera, config: OdometryConfig) -> Similarity3 | str:
+    """Move a map into another one, in place: the motion from its world, or why the maps have nothing in common."""
+    closer = LoopCloser(camera.camera_or_rig, config, is_metric=camera.is_metric)
+    for keyframe in (k for model in (one, other) for k in model.keyframes if len(k.point)):
+        describe_keyframe(keyframe)
+    one_from_other = _recognized(closer, other, one)
+    if one_from_other is None and (back := _recognized(closer, one, other)) is not None:
+        one_from_other = back.inverse()
+    if one_from_other is None:
+        best = max((entry.num_agreeing for entry in closer.ledger), default=0)
+        return f"no {CONFIRMATIONS} successive keyframes of one map were recognized in the other (at most {best} points agreed)"
+    ours, theirs = list(one.keyframes), list(other.keyframes)
+    our_poses, their_poses = _poses(ours), _poses(theirs)
+    other.move(one_from_other)
     one.absorb(other)
-    mapper = LocalMapper(one, camera, focal_baseline_of(camera, options), options)
-    added = list(range(count, len(one.keyframes)))
+    row = {id(keyframe): k for k, keyframe in enumerate(one.keyframes)}
+    added = [row[id(keyframe)] for keyframe in theirs]
+    mapper = LocalMapper(one, camera, focal_baseline_of(camera, config), config)
     fuse(one, added, camera.camera_or_rig)
     mapper.adjust_all(max_iterations=LOOP_ITERATIONS)
     fuse(one, added, camera.camera_or_rig)
     mapper.adjust_all()
     # The adjustment of one camera's map moves its world.
     if not camera.is_metric:
-        one.move(align_gauge(positions_of(one, range(count)), positions_of(first, range(count))))
-    shared = [int((np.isin(one.keyframes[k].point, _points_of(one, count))).sum()) for k in added]
+        one.move(align_gauge(_poses(ours), our_poses))
+    common = _points_of(one, [row[id(keyframe)] for keyframe in ours])
+    shared = [int(np.isin(keyframe.point, common).sum()) for keyframe in theirs]
     if sum(number >= EDGE_POINTS for number in shared) < CONFIRMATIONS:
-        words = f"the maps have too few points in common after merging: at most {max(shared)} in a keyframe"
-        return MergedMaps(False, words, first.copied(), identity, 0)
-    moved = align_gauge(positions_of(one, added), second_poses).inverse()
+        return f"the maps have too few points in common after merging: at most {max(shared)} in a keyframe"
+    moved = align_gauge(_poses(theirs), their_poses).inverse()
     scale = np.array(1.0) if camera.is_metric else moved.scale
-    return MergedMaps(True, "", one, Similarity3(scale, moved.rotation, moved.translation), offset)
+    return Similarity3(scale, moved.rotation, moved.translation)
 
 
-def _recognized(closer: LoopCloser, here: SlamMap, there: SlamMap) -> LoopConstraint | None:
-    """Where one map is first recognized in another; its keyframes are tried as if they came one after the other."""
+def _poses(keyframes: list[Keyframe]) -> Rigid3:
+    return Rigid3.stack([keyframe.cam_from_world for keyframe in keyframes])
+
+
+def _recognized(closer: LoopCloser, here: SlamMap, there: SlamMap) -> Similarity3 | None:
+    """there_from_here, where one map is first recognized in another; its keyframes are tried as if they came one after the other."""
     growing = copy(here)
     for index, keyframe in enumerate(here.keyframes):
         if not len(keyframe.point):
@@ -119,10 +154,10 @@ def _recognized(closer: LoopCloser, here: SlamMap, there: SlamMap) -> LoopConstr
         growing.keyframes = here.keyframes[: index + 1]
         found = closer.consider(growing, there)
         if found is not None:
-            return found
+            return found.there_from_here
     return None
 
 
-def _points_of(model: SlamMap, count: int) -> np.ndarray:
-    """Triangulated points that the first keyframes observe."""
-    return np.flatnonzero((model.counts(list(range(count))) > 0) & np.isfinite(model.xyz[:, 0]))
+def _points_of(model: SlamMap, keyframes: list[int]) -> np.ndarray:
+    """Triangulated points that these keyframes observe."""
+    return np.flatnonzero((model.counts(keyframes) > 0) & np.isfinite(model.xyz[:, 0]))
