@@ -58,7 +58,8 @@ def options_of(config: type) -> dict[str, str]:
 
 
 def accepted(kind: str) -> str:
-    """What may be given for a field: files also as text."""
+    """What may be given for a field: files also as text, and one file for several."""
+    kind = kind.replace("tuple[Path, ...]", "Path | tuple[Path, ...]")
     return re.sub(r"\bPath\b", "str | Path", kind)
 
 

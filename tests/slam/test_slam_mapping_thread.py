@@ -21,6 +21,7 @@ from epipole.pipelines.slam.map.local_mapping import LocalMapper
 from epipole.pipelines.slam.map.map_copy import MapCopy
 from epipole.pipelines.slam.mapping_thread import MOST_WAITING, Mapped
 from epipole.pipelines.slam.slam import Slam
+from epipole.pipelines.slam.start import one_camera
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")
 
@@ -38,7 +39,9 @@ def test_the_path_is_as_good(kind, most_cm):
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
 
 
-def test_one_camera():
+def test_one_camera(monkeypatch):
+    # The frame at which the map starts must not depend on the machine's load.
+    monkeypatch.setattr(one_camera, "LONGEST_WAIT_S", 60.0)
     slam = Slam(CAMERAS["mono"], mapping="thread")
     answers = [slam.track(frame) for frame in ride().frames("mono")]
     assert sum(answer.state is TrackingState.TRACKING for answer in answers) >= 24
@@ -65,7 +68,7 @@ def gate(monkeypatch):
     opened, adjust = threading.Event(), LocalMapper.adjust_around
 
     def later(mapper, newest):
-        assert opened.wait(60.0)
+        assert opened.wait(200.0)
         adjust(mapper, newest)
 
     monkeypatch.setattr(LocalMapper, "adjust_around", later)

@@ -26,7 +26,7 @@ INTERRUPTED = 130
 def slam(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
-    config: Annotated[SlamConfig, tyro.conf.arg(name="")] = DEFAULTS,
+    config: Annotated[SlamConfig, tyro.conf.arg(name=""), tyro.conf.UseAppendAction] = DEFAULTS,
 ) -> None:
     """Track a moving camera and map the scene. Ctrl-C stops early and writes the results so far.
 

@@ -209,8 +209,8 @@ class JobOptions:
     'epipole[ros]')."""
     mesh: bool = False
     """Depth sensors and stereo: also write a mesh of the keyframes' depth, mesh.ply."""
-    map: Path | None = None
-    """Continue in the map of an earlier run (its output folder)."""
+    map: tuple[Path, ...] = ()
+    """Continue in the map of an earlier run (its output folder); repeated: in several maps, merged where possible."""
     localize: bool = False
     """Only localize the camera in that map, which does not change."""
     anchors: Annotated[AnchorOptions, tyro.conf.arg(name="")] = field(default_factory=AnchorOptions)
@@ -239,7 +239,7 @@ class JobOptions:
             raise ConfigError(f"start must be >= 0 and stride >= 1, got {self.start} and {self.stride}")
         if self.fps is not None and not 0 < self.fps < 1e6:
             raise ConfigError(f"fps must be positive, got {self.fps}")
-        if self.localize and self.map is None:
+        if self.localize and not self.map:
             raise ConfigError("localize needs a map: pass map")
         if self.port is not None and not self.view:
             raise ConfigError("port belongs to the live view: pass view")

@@ -23,7 +23,7 @@ class SlamKeywords(TypedDict, total=False):
     trajectory_format: Literal["tum", "kitti", "euroc"]
     record: str | Path | None
     mesh: bool
-    map: str | Path | None
+    map: str | Path | tuple[str | Path, ...]
     localize: bool
     anchors: AnchorOptions
     truth: str | Path | None

@@ -24,8 +24,9 @@ from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.map.local_mapping import LAST_STEPS
 from epipole.pipelines.slam.options import SlamKeywords
 from epipole.pipelines.slam.output import autosave
+from epipole.pipelines.slam.output.known_maps import KnownMaps, read_known_maps
 from epipole.pipelines.slam.output.live import LiveView, open_live
-from epipole.pipelines.slam.output.map_file import KnownMap, read_slam_map, require_map
+from epipole.pipelines.slam.output.map_file import KnownMap, require_map
 from epipole.pipelines.slam.output.meshing import check_mesh, publish_mesh
 from epipole.pipelines.slam.output.record import FrameRecord
 from epipole.pipelines.slam.output.results import (
@@ -66,8 +67,8 @@ from epipole.runs.earlier import refuse_poorer
 from epipole.runs.folder import check_output_path
 from epipole.scale import Anchoring, check_anchor_files, mounted_imu
 
-FILES = ("truth", "map", "masks", "record", *ANCHOR_FILES)
-"""Options that name files."""
+FILES = ("truth", "masks", "record", *ANCHOR_FILES)
+"""Options that name a file."""
 
 
 @checked
@@ -103,8 +104,9 @@ def slam(
     truth = None if wanted.truth is None else true_path_at(wanted.truth)
     found = find_camera(source, wanted, wanted, progress)
     frames = _open(source, wanted, wanted, found)
-    known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
-    system = _system(frames, wanted, known)
+    maps = read_known_maps(wanted.map, frames.camera, wanted, progress)
+    known = None if maps is None else maps.first
+    system = _system(frames, wanted, maps)
     _check_camera(frames, wanted, known)
     settings = {name: value for name, value in asdict(wanted).items() if name != "resume"}
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
@@ -113,12 +115,13 @@ def slam(
     with recorded as record, open_run(task, out) as run, shown as live, graceful_interrupt() as is_stopped:
         key = key_of(run.folder.source.fingerprint, frames, system, wanted)
         stands = start_or_continue(run.root / autosave.FOLDER, key, system, frames, wanted)
-        run.warnings += [*_notes(found, system, wanted.anchors), *stands.notes]
+        run.warnings += [*_notes(found, system, wanted.anchors), *(maps.notes if maps else ()), *stands.notes]
         stream = FrameStream(stands.source, stands.job, is_stopped, num_dropped=stands.num_dropped)
         with run.stage("track"), closing(stands.autosave):
             records = _track(stream, system, progress, (live, record), stands, known)
         with run.stage("adjust"):
             _finish(stream, system, run, is_stopped)
+            run.warnings += _left_out(system, maps)
             record.finish(system)
             run.warnings += record.warnings
             anchoring = _anchored(system, wanted.anchors, records, known, run)
@@ -131,14 +134,14 @@ def slam(
             return write_results(stream, system, records, given, wanted, run)
 
 
-def _system(frames: FrameSource, job: SlamConfig, known: KnownMap | None) -> Slam:
+def _system(frames: FrameSource, job: SlamConfig, known: KnownMaps | None) -> Slam:
     """SLAM with the options; by default a thread adjusts the map if frames do not wait, and the shutter is global."""
     mapping = job.mapping
     if mapping == "auto":
         is_timed = frames.is_live or job.realtime
         mapping = "thread" if is_timed and not frames.camera.shutter.is_rolling else "inline"
-    model, imu = None if known is None else known.model, mounted_imu(job.anchors)
-    return Slam(frames.camera, job, model, is_map_fixed=job.localize, imu=imu, mapping=mapping)
+    models, imu = None if known is None else known.models, mounted_imu(job.anchors)
+    return Slam(frames.camera, job, models, is_map_fixed=job.localize, imu=imu, mapping=mapping)
 
 
 def _check_camera(frames: FrameSource, job: SlamConfig, known: KnownMap | None) -> None:
@@ -174,7 +177,7 @@ def _check_target(source: Path, out: Path, job: JobOptions) -> None:
     check_output_path(out, "slam", (_input(source),))
     if job.record is not None:
         require_writing(job.record)
-        inputs = (_input(source), *(path for path in (job.truth, job.map) if path is not None))
+        inputs = (_input(source), *([] if job.truth is None else [job.truth]), *job.map)
         refuse_existing([job.record], "slam", inputs)
     if job.max_frames is not None:
         refuse_poorer(out, LOCALIZED, job.max_frames, LOCALIZED_WORDS)
@@ -200,6 +203,20 @@ def _finish(stream: FrameStream, system: Slam, run: Run, is_stopped: Callable[[]
     run.report("adjust", total, total)
 
 
+def _left_out(system: Slam, known: KnownMaps | None) -> list[str]:
+    """Remove known maps without frames of this run that are still separate; what is missing in the new map."""
+    notes = []
+    for path, model in {} if known is None else known.separate.items():
+        if model not in system.maps:
+            continue
+        has_frames = len(system.trajectory(system.maps.index(model))) > 0
+        seen = "frames of this run were localized in it, but none" if has_frames else "no frame of this run"
+        notes.append(f"the map {path} is not part of the new map: {seen} connected it to the first map")
+        if not has_frames:
+            system.maps.remove(model)
+    return notes
+
+
 def _anchored(
     system: Slam, options: AnchorOptions, records: list[FrameRecord], known: KnownMap | None, run: Run
 ) -> Anchoring | None:
@@ -222,6 +239,10 @@ def _config_of(config: SlamConfig | None, options: Mapping[str, Any]) -> SlamCon
         name: as_path(value) if name in FILES and value is not None else value
         for name, value in options.items()
     }
+    if "map" in named:
+        maps = named["map"]
+        maps = () if maps is None else (maps,) if isinstance(maps, str | Path) else maps
+        named["map"] = tuple(as_path(path) for path in maps)
     return options_of(SlamConfig, config, named, ["config", "progress"])
 
 
@@ -232,8 +253,8 @@ def _check_source(source: Path, job: SlamConfig) -> None:
         ConfigError: an option does not fit.
         FileFormatError: the known map is not a map.
     """
-    if job.map is not None:
-        require_map(job.map)
+    for path in job.map:
+        require_map(path)
     check_anchor_files(job.anchors)
     if job.sensor == "rig" and source.exists() and not source.is_dir():
         raise ConfigError("sensor rig is for folders of images: cam0, cam1, ...")

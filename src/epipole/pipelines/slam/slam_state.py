@@ -56,7 +56,7 @@ class SlamState:
         self,
         camera: SlamCamera,
         config: SlamConfig | None = None,
-        known: SlamMap | None = None,
+        known: SlamMap | Sequence[SlamMap] | None = None,
         *,
         is_map_fixed: bool = False,
         imu: MountedImu | None = None,
@@ -67,7 +67,8 @@ class SlamState:
         Args:
             camera: the tracked camera.
             config: options.
-            known: map from an earlier run, in whose world results are given once the camera is relocalized in it.
+            known: map from an earlier run, in whose world results are given once the camera is relocalized in it; of several,
+                the first. Loop closures join the others to it.
             is_map_fixed: only localize in the known map, without changing it.
             imu: measurements in the frames' clock, which join the optimization, predict rotations, and carry the pose for a few
                 seconds without usable images; ignored with a known map, whose clock differs.
@@ -79,19 +80,23 @@ class SlamState:
             ConfigError: a camera with depth is not a pinhole, or is_map_fixed is set without a known map, or mapping is in a thread
                 with a rolling shutter, whose correction changes keyframes in every frame.
         """
-        if is_map_fixed and known is None:
+        maps = [known] if isinstance(known, SlamMap) else list(known or [])
+        if is_map_fixed and not maps:
             raise ConfigError("is_map_fixed=True needs a map: pass known=")
         if mapping == "thread" and camera.shutter.is_rolling:
             raise ConfigError("mapping='thread' needs a global shutter: readout_s must be 0")
         self._given_config = SlamConfig() if config is None else config
         self.config = self._given_config.odometry
         self.camera = camera
-        self._camera_imu = None if imu is None or known is not None else CameraImu(imu)
+        self._camera_imu = None if imu is None or maps else CameraImu(imu)
         self.focal_baseline = focal_baseline_of(camera, self.config)
-        self.state = TrackingState.STARTING if known is None else TrackingState.LOST
+        self.state = TrackingState.LOST if maps else TrackingState.STARTING
         self.is_map_fixed = is_map_fixed
-        self.maps: list[SlamMap] = [SlamMap() if known is None else known]
-        self.first_number = self.first_frame = 1 + max((k.number for k in self.maps[0].keyframes), default=-1)
+        self.maps: list[SlamMap] = maps or [SlamMap()]
+        for number, model in enumerate(self.maps):
+            model.number = number
+        numbers = [k.number for model in self.maps for k in model.keyframes]
+        self.first_number = self.first_frame = 1 + max(numbers, default=-1)
         self._enter(self.maps[0], Rigid3.identity())
         self._closer = LoopCloser(camera.camera_or_rig, self.config, is_metric=camera.is_metric)
         self.loops = self._closer.ledger
@@ -109,7 +114,7 @@ class SlamState:
         self._quality_monitor, self._quality = FrameQualityMonitor(camera.rig), FrameQuality()
         self._path = Path(self.first_number)
         self._num_frames, self._num_lost = self.first_number, 0
-        self._num_maps = 1
+        self._num_maps = len(self.maps)
 
     def _one_camera_start(self) -> OneCameraStart:
         judges = None if self.mapping_thread is None else self.mapping_thread.judges

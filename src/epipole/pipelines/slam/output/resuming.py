@@ -95,14 +95,14 @@ def key_of(fingerprint: Sequence[str], source: FrameSource, system: Slam, job: J
             camera.rig.cam_from_rig.translation,
         ]
         seen += [number for own in camera.rig.cameras for number in (int(own.model), own.width, own.height)]
-    known = system.maps[0]
+    known = [part for model in system.maps for part in (model.xyz, [k.number for k in model.keyframes])]
     free = {*_FREE_OPTIONS, *(each.name for each in fields(CameraOptions))}
     own = {name: value for name, value in asdict(job).items() if name not in free}
     return {
         "the version of epipole": __version__,
         "the source's files": "" if source.is_live else digest(*fingerprint),
         "the camera": digest(*seen),
-        "the known map": digest(known.xyz, [k.number for k in known.keyframes]) if known.num_points else "",
+        "the known map": digest(*known) if system.maps[0].num_points else "",
         **{
             f"--{name.replace('_', '-')}": str(value)
             for name, value in _flat({**own, **asdict(system.config)})

@@ -124,8 +124,8 @@ def find_camera(
     images = _images(source, job)
     if images is None:
         return None
-    if job.map is not None:
-        return FoundCamera(camera_of_map(job.map), 0, 0.0)
+    if job.map:
+        return FoundCamera(camera_of_map(job.map[0]), 0, 0.0)
     return _camera_of(images, job, given, progress)
 
 

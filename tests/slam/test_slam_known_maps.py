@@ -1,0 +1,109 @@
+"""Several known maps: merged where they show a common area, joined by frames, or left out with the reason."""
+
+import cv2
+import pytest
+from slam_rides import errors, rendered
+
+from epipole.errors import ConfigError, FileFormatError
+from epipole.pipelines.slam.output.map_file import load_slam_map, write_slam_map
+from epipole.pipelines.slam.run import slam as run_slam
+from epipole.pipelines.slam.slam import Slam
+
+pytestmark = pytest.mark.usefixtures("unchecked_module")
+
+FIRST, SECOND, NEW = range(0, 100, 4), range(64, 168, 4), range(80, 152, 4)
+
+
+@pytest.fixture(scope="module")
+def ride():
+    return rendered("loop_room", 168, 4)
+
+
+@pytest.fixture(scope="module")
+def saved(ride, tmp_path_factory):
+    """Maps of three runs with one camera, of which the last was in another scene, and images of a fourth run."""
+    folder = tmp_path_factory.mktemp("maps")
+    corridor = rendered("corridor", 60, 4)
+    for name, seen, numbers in (
+        ("first", ride, FIRST),
+        ("second", ride, SECOND),
+        ("corridor", corridor, range(0, 60, 4)),
+    ):
+        system = Slam(seen.sensor("mono"))
+        for frame in seen.frames("mono", numbers):
+            system.track(frame)
+        system.finish()
+        names = [f"{name}/{k.number}" for k in system.maps[0].keyframes]
+        write_slam_map(folder / name / "map.npz", system.maps[0], names, seen.sensor("mono"))
+    (folder / "new").mkdir()
+    for n in NEW:
+        cv2.imwrite(str(folder / "new" / f"{n:03d}.png"), ride.images[n][0])
+    return folder
+
+
+def given(ride):
+    f, _, cx, cy = ride.ride.camera.params
+    return {"camera_params": f"{f},{f},{cx + 0.5},{cy + 0.5}"}
+
+
+def test_maps_of_a_common_area_are_merged(ride, saved, tmp_path):
+    result = run_slam(saved / "new", tmp_path / "out", map=(saved / "first", saved / "second"), **given(ride))
+    assert any("was merged with" in words for words in result.warnings)
+    assert result.summary["num_localized"] == len(NEW)
+    model, parts = load_slam_map(tmp_path / "out"), [load_slam_map(saved / n) for n in ("first", "second")]
+    assert len(model.keyframes) >= sum(len(part.keyframes) for part in parts)
+    truth = ride.truth(NEW)
+    assert errors_of(result.trajectory.world_from_body, truth) < 0.02
+
+
+def errors_of(path, truth):
+    from epipole.metrics import absolute_error
+
+    return absolute_error(path, truth, "similarity").position.rmse
+
+
+def test_a_map_of_another_scene_is_left_out(ride, saved, tmp_path):
+    result = run_slam(
+        saved / "new", tmp_path / "out", map=[saved / "first", saved / "corridor"], **given(ride)
+    )
+    notes = [words for words in result.warnings if "corridor" in words]
+    assert any("is separate from" in words and "recognized" in words for words in notes)
+    assert any("is not part of the new map: no frame of this run" in words for words in notes)
+    assert result.summary["submaps"] == [] and result.summary["num_localized"] >= len(NEW) - 6
+    assert len(load_slam_map(tmp_path / "out").keyframes) >= len(load_slam_map(saved / "first").keyframes)
+
+
+def test_frames_join_maps_that_have_nothing_in_common(ride):
+    maps = []
+    for numbers in (range(0, 44, 4), range(124, 168, 4)):
+        system = Slam(ride.sensor("rgbd"))
+        for frame in ride.frames("rgbd", numbers):
+            system.track(frame)
+        system.finish()
+        maps.append(system.maps[0])
+    count = sum(len(model.keyframes) for model in maps)
+    for keyframe in maps[1].keyframes:
+        keyframe.number += 100
+    system = Slam(ride.sensor("rgbd"), known=maps)
+    assert [model.number for model in system.maps] == [0, 1]
+    for frame in ride.frames("rgbd"):
+        system.track(frame)
+    system.finish()
+    assert len(system.maps) == 1 and len(system.maps[0].keyframes) > count
+    assert len(system.trajectory()) == len(ride.images)
+    assert errors(system, ride.truth(), "rigid").position.rmse < 0.02
+
+
+def test_what_cannot_be_merged_is_refused(ride, saved, tmp_path):
+    with pytest.raises(ConfigError, match="given twice"):
+        run_slam(saved / "new", tmp_path / "out", map=(saved / "first", saved / "first"), **given(ride))
+    with pytest.raises(FileFormatError, match="no SLAM map"):
+        run_slam(saved / "new", tmp_path / "out", map=(saved / "first", saved / "new"), **given(ride))
+    model = load_slam_map(saved / "second")
+    names = [str(k.number) for k in model.keyframes]
+    write_slam_map(tmp_path / "metric.npz", model, names, ride.sensor("mono"), "meters, from a tag")
+    with pytest.raises(ConfigError, match="pass the metric map first"):
+        run_slam(
+            saved / "new", tmp_path / "out", map=(saved / "first", tmp_path / "metric.npz"), **given(ride)
+        )
+    assert not (tmp_path / "out").exists()
