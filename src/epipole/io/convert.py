@@ -97,6 +97,8 @@ MODELS = (
     "models are read from an output folder of `epipole reconstruct`, a COLMAP model, a transforms.json, or files of"
     " OpenSfM, Metashape, RealityScan, Bundler, kapture or Nuke (.chan)"
 )
+_SUFFIXES = (".xml", ".csv", ".out", CHAN_SUFFIX)
+"""Suffixes of models other than .json, of which many other files have one, too."""
 _HEAD_BYTES = 4096
 
 
@@ -145,6 +147,14 @@ def model_contents(source: str | Path) -> ModelFile:
             return kapture_contents(source)
         raise
     return ModelFile(folder, read_colmap_model(folder))
+
+
+@checked
+def is_model_file(path: Path) -> bool:
+    """Whether a file may be a model that `read_model` reads: its suffix is .json, or its suffix and its start are those of one."""
+    if not path.is_file() or path.suffix.lower() == ".json":
+        return path.is_file()
+    return path.suffix.lower() in _SUFFIXES and _reader_of(path) is not _transforms_contents
 
 
 def _reader_of(file: Path) -> Callable[[Path], ModelFile]:
