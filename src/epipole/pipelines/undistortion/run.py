@@ -19,7 +19,7 @@ from epipole.io.images.stmaps import write_stmap
 from epipole.io.images.writing import write_photograph
 from epipole.io.models.images import ModelImage, ModelImages
 from epipole.io.models.losses import losses_in
-from epipole.runs import Job, ProgressCallback, has_own_model, ignore_progress, open_run
+from epipole.runs import Job, ProgressCallback, Run, has_own_model, ignore_progress, open_run
 from epipole.scene import Cameras, Reconstruction
 
 STMAPS = "stmaps"
@@ -81,18 +81,19 @@ def undistort(
                 rgb = undistort_image(image.read(limits=limits), image.camera, pinhole)
                 write_photograph(run.root / "images" / name, rgb)
                 run.report("undistort", n, len(names))
-        maps = (
-            {f"{STMAPS}/camera_{c + 1}_{kind}.tif": (c, kind) for c in cameras for kind in _MAKERS}
-            if stmaps
-            else {}
-        )
-        with run.folder.replacing(STMAPS, list(maps)):
-            for map_name, (c, kind) in maps.items():
-                write_stmap(run.root / map_name, _MAKERS[kind](cameras[c], pinholes[c]))
+        _write_stmaps(run, cameras if stmaps else {}, pinholes)
         with run.folder.publish("model") as aside:
             write_colmap_model(without_distortion(found, pinholes), aside / "sparse" / "0")
         run.finish({"num_images": len(names), "warnings": run.warnings})
         return run.root
+
+
+def _write_stmaps(run: Run, cameras: Mapping[int, Camera], pinholes: Sequence[Camera]) -> None:
+    """Write the maps of cameras, and remove those of an earlier run."""
+    maps = {f"{STMAPS}/camera_{c + 1}_{kind}.tif": (c, kind) for c in cameras for kind in _MAKERS}
+    with run.folder.replacing(STMAPS, list(maps)):
+        for name, (c, kind) in maps.items():
+            write_stmap(run.root / name, _MAKERS[kind](cameras[c], pinholes[c]))
 
 
 def _cameras_of_files(
