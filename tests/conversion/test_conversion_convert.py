@@ -21,6 +21,8 @@ from epipole.io import (
 )
 from epipole.io.gaussians.files import read_gaussians, write_gaussians
 from epipole.pipelines.conversion.run import convert
+from epipole.pipelines.undistortion.run import undistort
+from epipole.runs import Job, open_run
 from epipole.scene import Cameras, Georeference, Reconstruction
 from epipole.scene.gaussian_cloud import GaussianCloud
 from io_models import mappable_model, small_model
@@ -338,3 +340,20 @@ def test_usd_rotates_the_upward_direction_to_y(tmp_path: Path) -> None:
         convert(source, tmp_path / f"{source.stem}.usda", "usd")
         stage = Usd.Stage.Open(str(tmp_path / f"{source.stem}.usda"))
         np.testing.assert_allclose(stage.GetRootLayer().customLayerData["up_in_world"], up, atol=1e-12)
+
+
+@pytest.mark.parametrize("given", ["out", "out/sparse/0", "out/undistorted", "out/undistorted/sparse/0"])
+def test_usd_of_an_undistorted_model_keeps_the_upward_direction(tmp_path: Path, given: str) -> None:
+    """`reconstruct` makes +z the upward direction, and the undistorted model has the same coordinates."""
+    model = mappable_model()
+    with open_run(Job(kind="reconstruct", inputs=(), settings={}), tmp_path / "out") as run:
+        with run.folder.publish("model") as aside:
+            write_colmap_model(model, aside / "sparse" / "0")
+        (run.root / "images").mkdir()
+        for name in model.images.name:
+            Image.new("RGB", (640, 480)).save(run.root / "images" / name)
+        run.finish({})
+    undistort(tmp_path / "out")
+    convert(tmp_path / given, tmp_path / "a.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    np.testing.assert_array_equal(stage.GetRootLayer().customLayerData["up_in_world"], [0, 0, 1])

@@ -12,10 +12,11 @@ from jaxtyping import Float64
 from epipole._checks import check_fields, checked
 from epipole.errors import FileFormatError
 from epipole.io.colmap.model import find_model, read_colmap_model
+from epipole.io.contents_in_words import MARK
 from epipole.io.models.llff import LLFF, read_llff
 from epipole.io.models.transforms import read_transforms_scene
 from epipole.io.names import path_inside
-from epipole.runs.folder import has_own_model
+from epipole.runs.folder import has_own_model, read_mark
 from epipole.runs.output_kind import is_output_of
 from epipole.scene import Reconstruction
 
@@ -23,6 +24,10 @@ SPLITS = ("transforms_train.json", "transforms_test.json")
 """Splits of NeRF-synthetic scenes; the validation split is not used."""
 Z_UP_KINDS = ("reconstruct", "slam", "merge", "georeference")
 """Commands that make +z the upward direction."""
+UNDISTORTED = "undistort"
+"""The command that keeps the upward direction of its source."""
+_MOST_STEPS = 8
+"""Number of undistorted models of undistorted models."""
 _LEAST_LENGTH = 1e-6
 """Length of the mean of unit vectors below which it has no direction."""
 
@@ -111,14 +116,28 @@ def transforms_source(file: Path) -> ModelSource:
 
 
 @checked
-def has_z_up(model: Reconstruction, workspace: Path) -> bool:
-    """Whether +z is up in a model: it is georeferenced, or epipole made it.
+def has_z_up(model: Reconstruction, source: Path) -> bool:
+    """Whether +z is up in a model: it is georeferenced, or epipole made it or the model that it undistorted.
 
     Args:
         model: the model.
-        workspace: output folder that the model is from.
+        source: the output folder that the model is from, or the model's folder in it.
     """
-    return model.georeference is not None or any(is_output_of(workspace, kind) for kind in Z_UP_KINDS)
+    if model.georeference is not None:
+        return True
+    at = source.resolve()
+    for _ in range(_MOST_STEPS):
+        workspace = next((folder for folder in (at, at.parent.parent) if (folder / MARK).is_file()), None)
+        if workspace is None:
+            return False
+        if not is_output_of(workspace, UNDISTORTED):
+            return any(is_output_of(workspace, kind) for kind in Z_UP_KINDS)
+        mark = read_mark(workspace)
+        paths = mark.source.paths if mark is not None else ()
+        if not paths:
+            return False
+        at = Path(paths[0])
+    return False
 
 
 @checked
