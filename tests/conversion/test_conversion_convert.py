@@ -292,6 +292,10 @@ def test_formats_of_visual_effects(tmp_path: Path) -> None:
     for suffix in ("usda", "usdc", "usdz"):
         done = convert(out, tmp_path / f"a.{suffix}")
         assert done.out.is_file() and done.losses == ("usd cannot store tracks",)
+        stage = Usd.Stage.Open(str(done.out))
+        assert stage.GetPrimAtPath("/model/camera").IsValid()
+    for suffix in ("usda", "usdz"):  # sealed, so an unchanged file is replaced
+        convert(out, tmp_path / f"a.{suffix}")
     (tmp_path / "folder").mkdir()
     assert convert(out, tmp_path / "folder", "usd").out.name == "cameras.usdc"
     assert convert(out, tmp_path / "folder", "chan").out.name == "camera.chan"
