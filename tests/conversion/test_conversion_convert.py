@@ -151,7 +151,7 @@ def test_names_that_lead_out_are_refused(tmp_path: Path, name: str) -> None:
 def test_misuse_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigError,
-        match="supported are txt, bin, transforms, bundler, opensfm, metashape, realityscan, kapture, chan, usd, ply, splat",
+        match="supported are txt, bin, ply, transforms, bundler, opensfm, metashape, realityscan, kapture, chan, usd, splat",
     ):
         convert(tmp_path, tmp_path / "out", "obj")
     with pytest.raises(FileFormatError, match="it does not exist"):

@@ -31,6 +31,7 @@ from epipole.scene import Reconstruction
 ModelFormat = Literal[
     "txt",
     "bin",
+    "ply",
     "transforms",
     "bundler",
     "opensfm",
@@ -39,7 +40,6 @@ ModelFormat = Literal[
     "kapture",
     "chan",
     "usd",
-    "ply",
     "splat",
 ]
 IMAGE_FOLDER = "images"

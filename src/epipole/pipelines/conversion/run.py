@@ -96,7 +96,7 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
     format = format_of(source, target) if format is None else format
     if format is None:
         raise ConfigError(
-            f"unknown output format of {target}: use the suffix .ply, {', '.join((*_FORMAT_OF_SUFFIX, *SUFFIXES[1:]))}, or pass "
+            f"unknown output format of {target}: use the suffix .ply or {', '.join((*_FORMAT_OF_SUFFIX, *SUFFIXES[1:]))}, or pass "
             f"format, one of "
             f"{', '.join(get_args(ModelFormat))}"
         )
