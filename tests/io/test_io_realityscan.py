@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, FileFormatError
@@ -45,6 +46,28 @@ def published_rotation(heading_deg: float, pitch_deg: float, roll_deg: float) ->
     )
 
 
+def test_the_angles_are_those_of_an_aircraft(tmp_path: Path) -> None:
+    """Hornacek 2026, section 5.1: yaw, pitch and roll in ZYX order rotate an aircraft's axes (nose, right wing, down) relative to
+    north, east, down; the camera's x (right) is the right wing, its y (up in the image) the nose, and it looks down.
+    """
+    rng = np.random.default_rng(3)
+    angles = rng.uniform([-180, -80, -180], [180, 80, 180], (20, 3))
+    rows = "".join(
+        f"{n}.png,0,{n},0,{y!r},{p!r},{r!r},18,0,0,0,0,0,0,0,0\n"
+        for n, (y, p, r) in enumerate(angles.tolist())
+    )
+    for n in range(20):
+        Image.new("L", (8, 6)).save(tmp_path / f"{n}.png")
+    (tmp_path / "a.csv").write_text(f"{HEADER}\n{rows}")
+    found = read_realityscan(tmp_path / "a.csv").cams_from_world().rotation
+    ned_from_body = Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
+    enu_from_ned = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+    nose, wing, down = (enu_from_ned @ ned_from_body[:, :, k, None] for k in range(3))
+    np.testing.assert_allclose(
+        found, np.stack([wing[..., 0], -nose[..., 0], down[..., 0]], axis=1), atol=1e-14
+    )
+
+
 def test_a_published_example(tmp_path: Path) -> None:
     model = read_realityscan(written(tmp_path))
     assert model.images.name == ("frame_00001.jpeg", "b.png")
@@ -67,7 +90,7 @@ def test_a_published_example(tmp_path: Path) -> None:
 
 
 def test_the_projection_is_browns(tmp_path: Path) -> None:
-    """t1 belongs to r^2 + 2 x^2: the program's export for OpenCV lists t2 first."""
+    """Hornacek 2026, equations 47 and 48: t1 belongs to r^2 + 2 x^2."""
     model = read_realityscan(written(tmp_path))
     x, y, t1, t2 = 0.3, -0.2, 0.01, -0.02
     r2 = x * x + y * y
@@ -191,6 +214,10 @@ def test_wrong_files_are_refused(tmp_path: Path, old: str, new: str, words: str)
             f"{HEADER}\nb.png,-34.828,7.1633,86,0,0,0,18,0,0,0,0,0,0,0,0\n"
             "frame_00001.jpeg,-34.829,7.1631,87,0,0,0,18,0,0,0,0,0,0,0,0\n",
             "x and y may be degrees of longitude and latitude",
+        ),
+        (
+            f"{HEADER}\nb.png,691000.5,5335000.25,86,0,0,0,18,0,0,0,0,0,0,0,0\n",
+            "x and y may be coordinates of a map projection",
         ),
     ],
 )

@@ -3,13 +3,13 @@
     cam_from_world = diag(1, -1, -1) R_y(-roll) R_x(-pitch) R_z(heading)
 
 x, y and alt are the position of the camera, z up. With angles of zero, the camera looks down and the top of its image
-points along +y; the heading is clockwise. (Capturing Reality's article "Registration export and camera orientations" has the
-nine elements of this matrix.)
+points along +y (north); the heading is clockwise. f is the focal length in millimeters on a frame whose longer side is 36 mm.
+px and py are the offset of the principal point from the image center, to the right and down, divided by the longer side of the
+image in pixels. The distortion is Brown's, where t1 belongs to r^2 + 2 x^2, so it is OpenCV's p2. (M. Hornacek, On the
+Coordinate Systems Employed in the Import, Estimation, and Export of Camera Geometry by RealityScan, Epic Games 2026, sections
+3 to 5 and appendix A.)
 
-f is the focal length in millimeters on a frame whose longer side is 36 mm. px and py are the offset of the principal point
-from the image center, to the right and down, divided by the longer side of the image in pixels. The distortion is Brown's;
-RealityScan's export for OpenCV lists the tangential coefficients as t2, t1, so t1 belongs to r^2 + 2 x^2. The file has neither image
-sizes nor the name of its coordinate system or distortion model.
+The file has neither image sizes nor the name of its coordinate system or distortion model.
 """
 
 from __future__ import annotations
@@ -62,6 +62,8 @@ _FLIP = np.array([1.0, -1.0, -1.0])
 _MOST_BYTES = 1 << 28
 _FARTHEST = 1e12
 _MOST_DEGREES = np.array([180.0, 90.0])
+_PROJECTED_M = 1e5
+"""Magnitude of x or y above which they are probably coordinates of a map projection."""
 _SMALL_SPREAD = 0.01
 """Spread of x and y relative to their magnitude below which values in the range of degrees are probably degrees."""
 
@@ -297,5 +299,10 @@ def _warnings_about(values: dict[str, np.ndarray], centers: np.ndarray) -> list[
     if len(centers) > 1 and (largest <= _MOST_DEGREES).all() and spread < _SMALL_SPREAD * largest.max():
         out.append(
             "x and y may be degrees of longitude and latitude, but are read as lengths; export in a metric coordinate system"
+        )
+    if largest.max() > _PROJECTED_M:
+        out.append(
+            "x and y may be coordinates of a map projection, whose north differs from that of the angles by up to some degrees;"
+            " export in local coordinates"
         )
     return out
