@@ -110,6 +110,7 @@ def _models() -> Iterator[Row]:
         ("bundler.out", io.write_bundler, {"image_folder": "images"}),
         ("reconstruction.json", io.write_opensfm, {}),
         ("cameras.xml", io.write_metashape, {}),
+        ("cameras.csv", io.write_realityscan, {}),
         ("kapture", io.write_kapture, {}),
     ):
         position = "folder" if write in (io.write_colmap_model, io.write_kapture) else "path"
@@ -127,7 +128,12 @@ def _models() -> Iterator[Row]:
         camera = model.cameras[int(model.camera_of_image[row])]
         for file in (at / name, at / "images" / name):
             cv2.imwrite(str(file), np.zeros((camera.height, camera.width), np.uint8))
+    yield _row(io.read_realityscan, path=at / "cameras.csv")
     yield _row(io.read_bundler, path=at / "bundler.out", image_folder="images")
+    (at / "shot.chan").write_text("1 0 0 0 10 20 30 40\n2 1 0 0 10 20 30 40\n")
+    frames = io.read_chan(at / "shot.chan", (64, 48))
+    yield _row(io.read_chan, path=at / "shot.chan", size=(64, 48))
+    yield _row(io.write_chan, reconstruction=frames, path=at / "again.chan")
     yield _row(ply.num_cameras_of_scene, path=at / "scene.ply")
     for function in (io.params_to_colmap, io.params_from_colmap):
         yield _row(function, model=int(LENS.model), params=LENS.params)

@@ -90,7 +90,7 @@ def test_without_a_command_the_commands_are_listed(capsys: pytest.CaptureFixture
         (
             "convert a b --format obj",
             [
-                "--format must be bin, bundler, kapture, metashape, opensfm, ply, splat, transforms or txt, got obj;"
+                "--format must be bin, bundler, chan, kapture, metashape, opensfm, ply, realityscan, splat, transforms, txt or usd, got obj;"
             ],
         ),
         ("--quiet --verbose version", ["exclude each other"]),

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from pxr import Usd
 
+from epipole.cameras import Camera
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io import (
     read_colmap_model,
@@ -19,7 +21,9 @@ from epipole.io import (
 )
 from epipole.io.gaussians.files import read_gaussians, write_gaussians
 from epipole.pipelines.conversion.run import convert
-from epipole.scene import Georeference, Reconstruction
+from epipole.pipelines.undistortion.run import undistort
+from epipole.runs import Job, open_run
+from epipole.scene import Cameras, Georeference, Reconstruction
 from epipole.scene.gaussian_cloud import GaussianCloud
 from io_models import mappable_model, small_model
 
@@ -98,11 +102,29 @@ def test_what_is_there_is_kept(tmp_path: Path) -> None:
     out = output_folder(tmp_path / "out", model)
     mine = tmp_path / "mine"
     mine.mkdir()
-    names = ("cameras.txt", "cameras.bin", "transforms.json", "scene.ply", "tracks.csv", "cameras.xml")
+    names = (
+        "cameras.txt",
+        "cameras.bin",
+        "transforms.json",
+        "scene.ply",
+        "tracks.csv",
+        "cameras.xml",
+        "cameras.csv",
+    )
     for name in (*names, "sensors/sensors.txt"):
         (mine / name).parent.mkdir(exist_ok=True)
         (mine / name).write_text("mine")
-    for form in ("txt", "bin", "transforms", "bundler", "opensfm", "metashape", "kapture", "ply"):
+    for form in (
+        "txt",
+        "bin",
+        "transforms",
+        "bundler",
+        "opensfm",
+        "metashape",
+        "realityscan",
+        "kapture",
+        "ply",
+    ):
         with pytest.raises(WorkspaceError):
             convert(out, mine, form)
     with pytest.raises(WorkspaceError, match="is the folder of"):
@@ -129,7 +151,7 @@ def test_names_that_lead_out_are_refused(tmp_path: Path, name: str) -> None:
 def test_misuse_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigError,
-        match="supported are txt, bin, ply, transforms, bundler, opensfm, metashape, kapture, splat",
+        match="supported are txt, bin, ply, transforms, bundler, opensfm, metashape, realityscan, kapture, chan, usd, splat",
     ):
         convert(tmp_path, tmp_path / "out", "obj")
     with pytest.raises(FileFormatError, match="it does not exist"):
@@ -251,3 +273,91 @@ def test_gaussians_are_written_in_the_format_of_the_name(tmp_path: Path, rng) ->
         convert(tmp_path / "a.ply", tmp_path / "b.txt", "splat")
     with pytest.raises(WorkspaceError, match="is a folder"):
         convert(tmp_path / "a.ply", tmp_path / "trained", "splat")
+
+
+def test_formats_of_visual_effects(tmp_path: Path) -> None:
+    """One file each, whose suffix gives the format, from a model and back."""
+    model = mappable_model()
+    out = output_folder(tmp_path / "out", model)
+    for row, name in enumerate(model.images.name):
+        camera = model.cameras[int(model.camera_of_image[row])]
+        Image.new("L", (camera.width, camera.height)).save(out / "images" / name)
+    chan = convert(out, tmp_path / "vfx" / "shot.chan")
+    assert chan.losses == ("chan cannot store points and tracks",)
+    (tmp_path / "vfx" / "images").symlink_to(out / "images")
+    found = read_colmap_model(convert(chan.out, tmp_path / "back", "bin").out)
+    np.testing.assert_allclose(
+        found.cams_from_world().as_matrix(), model.cams_from_world().as_matrix(), atol=1e-12
+    )
+    for suffix in ("usda", "usdc", "usdz"):
+        done = convert(out, tmp_path / f"a.{suffix}")
+        assert done.out.is_file() and done.losses == ("usd cannot store tracks",)
+        stage = Usd.Stage.Open(str(done.out))
+        assert stage.GetPrimAtPath("/model/camera").IsValid()
+    for suffix in ("usda", "usdz"):  # sealed, so an unchanged file is replaced
+        convert(out, tmp_path / f"a.{suffix}")
+    (tmp_path / "folder").mkdir()
+    assert convert(out, tmp_path / "folder", "usd").out.name == "cameras.usdc"
+    assert convert(out, tmp_path / "folder", "chan").out.name == "camera.chan"
+    done = convert(out, tmp_path / "rs", "realityscan")
+    assert (done.out / "cameras.csv").is_file() and done.num_images == len(model.images)
+    assert all((done.out / "images" / name).is_file() for name in model.images.name)
+    np.testing.assert_allclose(
+        read_model(done.out).cams_from_world().as_matrix(), model.cams_from_world().as_matrix(), atol=1e-12
+    )
+
+
+def test_what_one_file_cannot_store_is_named(tmp_path: Path) -> None:
+    camera = Camera("PINHOLE", 640, 480, [500.0, 501.0, 300.0, 239.5])
+    model = replace(mappable_model(), cameras=Cameras.from_list([camera]))
+    write_colmap_model(model, tmp_path / "m")
+    assert convert(tmp_path / "m", tmp_path / "a.chan").losses == (
+        "chan cannot store points and tracks",
+        "chan cannot store different focal lengths in x and y",
+        "chan cannot store principal points that are not the image center",
+    )
+    assert "realityscan cannot store different focal lengths in x and y" in (
+        convert(tmp_path / "m", tmp_path / "rs", "realityscan").losses
+    )
+    distorted = replace(
+        model, cameras=Cameras.from_list([Camera("RADIAL", 640, 480, [500, 320, 240, 0.1, 0])])
+    )
+    write_colmap_model(distorted, tmp_path / "d")
+    for name in ("b.chan", "b.usda"):
+        with pytest.raises(ConfigError, match="undistort the images first"):
+            convert(tmp_path / "d", tmp_path / name)
+        assert not (tmp_path / name).exists()
+
+
+def test_usd_rotates_the_upward_direction_to_y(tmp_path: Path) -> None:
+    """+z in models of epipole, and in georeferenced ones; else that of the cameras."""
+    model = mappable_model()
+    write_colmap_model(model, tmp_path / "m")
+    write_opensfm(
+        replace(model, georeference=Georeference(48.0, 11.0, 500.0)), tmp_path / "reconstruction.json"
+    )
+    mean = -model.cams_from_world().rotation[:, 1].mean(axis=0)
+    for source, up in (
+        (tmp_path / "m", mean / np.linalg.norm(mean)),
+        (tmp_path / "reconstruction.json", [0, 0, 1]),
+    ):
+        convert(source, tmp_path / f"{source.stem}.usda", "usd")
+        stage = Usd.Stage.Open(str(tmp_path / f"{source.stem}.usda"))
+        np.testing.assert_allclose(stage.GetRootLayer().customLayerData["up_in_world"], up, atol=1e-12)
+
+
+@pytest.mark.parametrize("given", ["out", "out/sparse/0", "out/undistorted", "out/undistorted/sparse/0"])
+def test_usd_of_an_undistorted_model_keeps_the_upward_direction(tmp_path: Path, given: str) -> None:
+    """`reconstruct` makes +z the upward direction, and the undistorted model has the same coordinates."""
+    model = mappable_model()
+    with open_run(Job(kind="reconstruct", inputs=(), settings={}), tmp_path / "out") as run:
+        with run.folder.publish("model") as aside:
+            write_colmap_model(model, aside / "sparse" / "0")
+        (run.root / "images").mkdir()
+        for name in model.images.name:
+            Image.new("RGB", (640, 480)).save(run.root / "images" / name)
+        run.finish({})
+    undistort(tmp_path / "out")
+    convert(tmp_path / given, tmp_path / "a.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    np.testing.assert_array_equal(stage.GetRootLayer().customLayerData["up_in_world"], [0, 0, 1])

@@ -299,6 +299,7 @@ AFTER_RECONSTRUCTING: dict[str, Callable[[Path], None]] = {
     "georeferencing-0": surveyed,
     "localization-0": new_photographs,
     "surfaces-0": nothing,
+    "visual_effects-0": nothing,
     "surfaces-1": surveyed,
     "merging-0": nothing,
     "merging-1": two_models,

@@ -54,6 +54,7 @@ from epipole.geometry import Rigid2, Rigid3, Rotation3
 from epipole.io import (
     read_bal,
     read_bundler,
+    read_chan,
     read_colmap_model,
     read_database,
     read_g2o,
@@ -63,11 +64,13 @@ from epipole.io import (
     read_opensfm,
     read_points_ply,
     read_positions,
+    read_realityscan,
     read_sequence,
     read_trajectory,
     read_transforms,
     read_truth,
     write_bundler,
+    write_chan,
     write_colmap_model,
     write_database,
     write_g2o,
@@ -75,6 +78,7 @@ from epipole.io import (
     write_metashape,
     write_opensfm,
     write_points_ply,
+    write_realityscan,
     write_trajectory,
 )
 from epipole.io.anchor_files import read_anchor_positions, read_lengths, read_odometry
@@ -96,6 +100,7 @@ from epipole.io.images.exif import new_exif
 from epipole.io.images.photographs import copy_or_rotate, read_gray, read_header, read_mask, read_rgb
 from epipole.io.images.rgba import read_rgba
 from epipole.io.images.video import extract_frames, frame_size
+from epipole.io.images.writing import write_jpeg_with_exif
 from epipole.io.meshes.gltf import read_glb, write_glb
 from epipole.io.meshes.mesh_ply import read_mesh_ply, write_mesh_ply
 from epipole.io.models.llff import read_llff
@@ -122,7 +127,7 @@ from epipole.pipelines.stereo.pairs import read_summary
 from epipole.runs.folder import OutputFolder, read_mark
 from epipole.runs.source import Source
 from epipole.runs.units import load, store, stored_key
-from epipole.scene import Georeference, TexturedMesh, Trajectory
+from epipole.scene import Georeference, Reconstruction, TexturedMesh, Trajectory
 from epipole.scene.gaussian_cloud import GaussianCloud
 from hostile_bytes import assert_model, assert_motions
 from io_models import mappable_model, small_model
@@ -855,13 +860,47 @@ def _put_bundler(folder: Path) -> None:
         Image.new("L", (640, 480)).save(folder / name)
 
 
+def _put_images(folder: Path, model: Reconstruction) -> None:
+    for row, name in enumerate(model.images.name):
+        camera = model.cameras[int(model.camera_of_image[row])]
+        (folder / "images" / name).parent.mkdir(parents=True, exist_ok=True)
+        Image.new("L", (camera.width, camera.height)).save(folder / "images" / name)
+
+
+def _put_realityscan(folder: Path) -> None:
+    model = small_model()
+    write_realityscan(model, folder / REALITYSCAN)
+    _put_images(folder, model)
+
+
+def _put_realityscan_poses(folder: Path) -> None:
+    """The export of positions and angles; the focal length is that of EXIF."""
+    rows = [f"{name},{n},2,3.5,{40 * n},85,{-n}\n" for n, name in enumerate(("a.jpg", "b.jpg"))]
+    (folder / REALITYSCAN).write_text(f"#cameras 2\n#name,x,y,z,heading,pitch,roll\n{''.join(rows)}")
+    for name in ("a.jpg", "b.jpg"):
+        write_jpeg_with_exif(folder / name, RGB, focal_35mm=27)
+
+
+def _put_chan(folder: Path) -> None:
+    model = mappable_model(4, 12)
+    write_chan(model, folder / CHAN)
+    _put_images(folder, model)
+
+
+def _chan_of_size(folder: Path) -> None:
+    assert_model(read_chan(folder / CHAN, (64, 48)))
+
+
 def _put_kapture(folder: Path) -> None:
     write_kapture(small_model(), folder)
 
 
 OPENSFM, METASHAPE, BUNDLE = "reconstruction.json", "cameras.xml", "bundle.out"
+REALITYSCAN, CHAN = "cameras.csv", "shot.chan"
 _OPENSFM = _read_without_warnings(read_opensfm, OPENSFM)
 _BUNDLER = _read_without_warnings(read_bundler, BUNDLE)
+_REALITYSCAN = _read_without_warnings(read_realityscan, REALITYSCAN)
+_CHAN = _read_without_warnings(read_chan, CHAN)
 _KAPTURE = _read_without_warnings(read_kapture, "")
 OTHER_MODELS = {
     "opensfm": Format(_put_opensfm, OPENSFM, "json", _OPENSFM, ("read_opensfm",)),
@@ -878,6 +917,14 @@ OTHER_MODELS = {
             ("read_metashape",),
         )
     ),
+    "realityscan": Format(_put_realityscan, REALITYSCAN, "text", _REALITYSCAN, ("read_realityscan",)),
+    "realityscan-poses": Format(
+        _put_realityscan_poses, REALITYSCAN, "text", _REALITYSCAN, ("read_realityscan",), 0.5
+    ),
+    "realityscan-head": Format(
+        _put_realityscan, REALITYSCAN, "text", _read_without_warnings(read_model, ""), ("read_model",), 0.5
+    ),
+    "chan": Format(_put_chan, CHAN, "text", _CHAN, ("read_chan",), also=(_chan_of_size,)),
     "bundler": Format(_put_bundler, BUNDLE, "text", _BUNDLER, ("read_bundler",)),
     "bundler-list": Format(_put_bundler, "list.txt", "text", _BUNDLER, ("read_bundler",)),
     **{

@@ -19,6 +19,7 @@ from epipole.geometry import Rigid2, Rigid3
 from epipole.io import (
     DatabaseContents,
     read_bal,
+    read_chan,
     read_colmap_model,
     read_database,
     read_g2o,
@@ -26,8 +27,10 @@ from epipole.io import (
     read_metashape,
     read_opensfm,
     read_points_ply,
+    read_realityscan,
     read_transforms,
     write_bal,
+    write_chan,
     write_colmap_model,
     write_database,
     write_g2o,
@@ -35,6 +38,7 @@ from epipole.io import (
     write_metashape,
     write_opensfm,
     write_points_ply,
+    write_realityscan,
     write_transforms,
 )
 from epipole.io.calibration.files import (
@@ -46,8 +50,9 @@ from epipole.io.calibration.files import (
 )
 from epipole.io.images.depth_maps import read_pfm, read_png16, write_pfm, write_png16
 from epipole.io.images.exif import gps_of, new_exif
+from epipole.io.models.model_file import Observations, model_of_single_images, no_points
 from epipole.optim import BundleProblem, free_params_mask
-from epipole.scene import Reconstruction
+from epipole.scene import Cameras, Reconstruction
 from io_models import mappable_model
 
 pytestmark = pytest.mark.usefixtures("unchecked")  # a thousand files, of types that other tests check
@@ -170,6 +175,43 @@ def test_models_of_opensfm(tmp_path: Path, model: Reconstruction) -> None:
 def test_cameras_of_metashape(tmp_path: Path, model: Reconstruction) -> None:
     write_metashape(numbered(model), tmp_path / "cameras.xml")
     assert_same_views(read_metashape(tmp_path / "cameras.xml"), model)
+
+
+def with_images(folder: Path, model: Reconstruction) -> Reconstruction:
+    """A model whose images exist, and whose cameras have one focal length, with images below 700 pixels."""
+    cameras = []
+    for camera in model.cameras:
+        params = camera.params.copy()
+        params[list(camera.model.focal_indices)] = camera.focal_px
+        cameras.append(Camera(camera.model, min(camera.width, 700), min(camera.height, 500), params))
+    model = replace(numbered(model), cameras=Cameras.from_list(cameras))
+    for row, name in enumerate(model.images.name):
+        camera = model.cameras[int(model.camera_of_image[row])]
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        Image.new("L", (camera.width, camera.height)).save(folder / name, quality=10)
+    return model
+
+
+@pytest.mark.filterwarnings("ignore:epipole")  # a file does not name its distortion model
+@given(model=reconstructions(models=LENSES[:1]))
+def test_cameras_of_realityscan(tmp_path: Path, model: Reconstruction) -> None:
+    model = with_images(tmp_path, model)
+    write_realityscan(model, tmp_path / "cameras.csv")
+    assert_same_views(read_realityscan(tmp_path / "cameras.csv"), model)
+
+
+@given(model=reconstructions(models=(CameraModel.SIMPLE_PINHOLE,)))
+def test_frames_of_chan(tmp_path: Path, model: Reconstruction) -> None:
+    """Of the first camera."""
+    own = np.flatnonzero(model.camera_of_image == model.camera_of_image[0])
+    width, height = 640, 480
+    camera = Camera("SIMPLE_PINHOLE", width, height, [model.cameras[0].focal_px, 319.5, 239.5])
+    none = Observations.none()
+    names = [f"{n:04d}" for n in range(1, len(own) + 1)]
+    motions = model.cams_from_world()[own]
+    frames = model_of_single_images(names, [camera], [0] * len(own), motions, no_points(), none)
+    write_chan(frames, tmp_path / "shot.chan")
+    assert_same_views(read_chan(tmp_path / "shot.chan", (width, height)), frames)
 
 
 @given(model=reconstructions())

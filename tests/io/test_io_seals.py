@@ -11,8 +11,10 @@ import pytest
 from epipole.io.gaussians.files import read_gaussians, write_gaussians
 from epipole.io.images.video_files import write_video
 from epipole.io.meshes.ply import read_points_ply, write_points_ply
+from epipole.io.meshes.usd_cameras import write_usd_cameras
 from epipole.io.seals import add_seal, sealed_by
 from epipole.scene.gaussian_cloud import GaussianCloud
+from io_models import mappable_model
 
 
 def cloud() -> GaussianCloud:
@@ -33,10 +35,16 @@ def video(path: Path) -> None:
     write_video(path, [np.full((48, 64, 3), 90, np.uint8)] * 3, 30.0)
 
 
+def stage(path: Path) -> None:
+    write_usd_cameras(path, mappable_model())
+
+
 MAKERS: dict[str, Callable[[Path], None]] = {
     "a.html": page,
     "a.mp4": video,
     "points.ply": points,
+    "a.usda": stage,
+    "a.usdz": stage,
     **{
         name: lambda path: write_gaussians(path, cloud())
         for name in ("a.ply", "a.compressed.ply", "a.spz", "a.sog")

@@ -235,7 +235,7 @@ def test_wrong_files_and_meshes_write_nothing(tmp_path: Path, monkeypatch: pytes
     )
     with pytest.raises(ShapeError, match="no triangles"):
         write_usd(tmp_path / "a.usdz", empty)
-    monkeypatch.setattr("epipole.io.meshes.usd._MAX_BYTES", 5000)
+    monkeypatch.setattr("epipole.io.meshes._usd_stages._MAX_BYTES", 5000)
     with pytest.raises(ShapeError, match=r"less than 2 GiB: write \.usdc"):
         write_usd(tmp_path / "a.usdz", mesh)
     assert not list(tmp_path.iterdir())

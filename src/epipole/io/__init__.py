@@ -1,4 +1,4 @@
-"""Readers and writers for common files (COLMAP, nerfstudio, OpenSfM, Metashape, kapture, Bundler, PLY), known cameras, and atomic writing."""
+"""Readers and writers for common files (COLMAP, nerfstudio, OpenSfM, Metashape, RealityScan, kapture, Bundler, PLY), known cameras, and atomic writing."""
 
 from epipole.io.atomic import atomic_folder as atomic_folder
 from epipole.io.atomic import atomic_write as atomic_write
@@ -22,12 +22,16 @@ from epipole.io.models.bal import read_bal as read_bal
 from epipole.io.models.bal import write_bal as write_bal
 from epipole.io.models.bundler import read_bundler as read_bundler
 from epipole.io.models.bundler import write_bundler as write_bundler
+from epipole.io.models.chan import read_chan as read_chan
+from epipole.io.models.chan import write_chan as write_chan
 from epipole.io.models.kapture import read_kapture as read_kapture
 from epipole.io.models.kapture import write_kapture as write_kapture
 from epipole.io.models.metashape import read_metashape as read_metashape
 from epipole.io.models.metashape import write_metashape as write_metashape
 from epipole.io.models.opensfm import read_opensfm as read_opensfm
 from epipole.io.models.opensfm import write_opensfm as write_opensfm
+from epipole.io.models.realityscan import read_realityscan as read_realityscan
+from epipole.io.models.realityscan import write_realityscan as write_realityscan
 from epipole.io.models.transforms import read_transforms as read_transforms
 from epipole.io.models.transforms import write_transforms as write_transforms
 from epipole.io.sequences.sequence import ImageSequence as ImageSequence

@@ -1,7 +1,7 @@
 """A seal inside a file that records which epipole command wrote it and detects later changes.
 
 The seal is a line of text in a comment of the file's format: `epipole-seal COMMAND DIGEST`. The digest is BLAKE2b of
-the file with zeros instead of the digest. Formats without comments (.splat) are not sealed.
+the file with zeros instead of the digest. Formats without comments (.splat, .usdc, .chan) are not sealed.
 """
 
 from __future__ import annotations
@@ -94,6 +94,11 @@ def _append_to_html(path: Path, seal: bytes) -> None:
         stream.write(b"\n<!-- " + seal + b" -->\n")
 
 
+def _append_to_usda(path: Path, seal: bytes) -> None:
+    with path.open("ab") as stream:
+        stream.write(b"\n# " + seal + b"\n")
+
+
 def _append_to_mp4(path: Path, seal: bytes) -> None:
     """Append a box of type `free`, which players skip (ISO/IEC 14496-12, section 8.1.2)."""
     with path.open("ab") as stream:
@@ -147,6 +152,7 @@ _FORMATS: tuple[tuple[Callable[[bytes], bool], Callable[[Path, bytes], None]], .
     (lambda head: head.lower().startswith(b"<!doctype html"), _append_to_html),
     (lambda head: head[4:8] == b"ftyp", _append_to_mp4),
     (lambda head: head.startswith(b"GIF89a"), _append_to_gif),
+    (lambda head: head.startswith(b"#usda "), _append_to_usda),
     (lambda head: head.startswith((b"ply\n", b"ply\r\n")), _insert_into_ply),
     (lambda head: head.startswith(b"PK\x03\x04"), _comment_on_zip),
     (lambda head: head.startswith(b"\x1f\x8b\x08\x00"), _comment_on_gzip),

@@ -6,13 +6,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float64
+
 from epipole._checks import check_fields, checked
 from epipole.errors import FileFormatError
 from epipole.io.colmap.model import find_model, read_colmap_model
+from epipole.io.contents_in_words import MARK
 from epipole.io.models.llff import LLFF, read_llff
 from epipole.io.models.transforms import read_transforms_scene
 from epipole.io.names import path_inside
-from epipole.runs.folder import has_own_model
+from epipole.runs.folder import has_own_model, read_mark
 from epipole.runs.output_kind import is_output_of
 from epipole.scene import Reconstruction
 
@@ -20,6 +24,12 @@ SPLITS = ("transforms_train.json", "transforms_test.json")
 """Splits of NeRF-synthetic scenes; the validation split is not used."""
 Z_UP_KINDS = ("reconstruct", "slam", "merge", "georeference")
 """Commands that make +z the upward direction."""
+UNDISTORTED = "undistort"
+"""The command that keeps the upward direction of its source."""
+_MOST_STEPS = 8
+"""Number of undistorted models of undistorted models."""
+_LEAST_LENGTH = 1e-6
+"""Length of the mean of unit vectors below which it has no direction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,8 +97,7 @@ def model_source_of(source: Path, max_side_px: int, photographs: Path | None = N
         positions = (source, folder, at.parent, at.parent.parent)
         workspace = next((position for position in positions if (position / "images").is_dir()), source)
         model, is_own = read_colmap_model(folder), has_own_model(workspace)
-        has_z_up = model.georeference is not None or any(is_output_of(workspace, kind) for kind in Z_UP_KINDS)
-        found = ModelSource(model, workspace / "images", is_own, has_z_up)
+        found = ModelSource(model, workspace / "images", is_own, has_z_up(model, workspace))
     return found if photographs is None else replace(found, folder=photographs)
 
 
@@ -102,5 +111,44 @@ def transforms_source(file: Path) -> ModelSource:
     scene = read_transforms_scene(file, image_folder="")
     masks = {name: path_inside(file.parent, mask) for name, mask in scene.masks.items()}
     warnings = tuple(f"{file.name}: {warning}" for warning in scene.warnings)
-    has_z_up = scene.reconstruction.georeference is not None
-    return ModelSource(scene.reconstruction, file.parent, False, has_z_up, masks, scene.splits, warnings)
+    is_on_earth = scene.reconstruction.georeference is not None
+    return ModelSource(scene.reconstruction, file.parent, False, is_on_earth, masks, scene.splits, warnings)
+
+
+@checked
+def has_z_up(model: Reconstruction, source: Path) -> bool:
+    """Whether +z is up in a model: it is georeferenced, or epipole made it or the model that it undistorted.
+
+    Args:
+        model: the model.
+        source: the output folder that the model is from, or the model's folder in it.
+    """
+    if model.georeference is not None:
+        return True
+    at = source.resolve()
+    for _ in range(_MOST_STEPS):
+        workspace = next((folder for folder in (at, at.parent.parent) if (folder / MARK).is_file()), None)
+        if workspace is None:
+            return False
+        if not is_output_of(workspace, UNDISTORTED):
+            return any(is_output_of(workspace, kind) for kind in Z_UP_KINDS)
+        mark = read_mark(workspace)
+        paths = mark.source.paths if mark is not None else ()
+        if not paths:
+            return False
+        at = Path(paths[0])
+    return False
+
+
+@checked
+def up_in_world(model: Reconstruction, is_z_up: bool) -> Float64[np.ndarray, " 3"]:
+    """The upward direction: +z if the model is known to have it, else the mean upward axis of the cameras.
+
+    Args:
+        model: the model.
+        is_z_up: whether +z is known to be up.
+    """
+    rotations = model.cams_from_world()[np.flatnonzero(model.is_registered())].rotation
+    mean = -rotations[:, 1].mean(axis=0) if len(rotations) else np.zeros(3)
+    length = float(np.linalg.norm(mean))
+    return np.array([0.0, 0.0, 1.0]) if is_z_up or length < _LEAST_LENGTH else np.asarray(mean / length)

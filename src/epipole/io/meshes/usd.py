@@ -1,23 +1,15 @@
-"""Writing textured meshes as USD files (OpenUSD, Pixar), which Apple's devices, Blender and game engines show, with usd-core.
-
-A USDZ file is a ZIP archive without compression whose files start at multiples of 64 bytes.
-"""
+"""Writing textured meshes as USD files (OpenUSD, Pixar), which Apple's devices, Blender and game engines show, with usd-core."""
 
 from __future__ import annotations
 
-import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
 from epipole._checks import checked
-from epipole.errors import ConfigError, EpipoleError, MissingDependencyError, ShapeError
-from epipole.io.atomic import atomic_write
+from epipole.errors import ShapeError
 from epipole.io.meshes._texture_files import (
     check_textured,
     distinct_rows,
@@ -25,26 +17,11 @@ from epipole.io.meshes._texture_files import (
     used_textures,
     write_textures_beside,
 )
-from epipole.io.meshes.gltf import UP, y_from_up
-from epipole.scene.local_origin import ORIGIN, local_origin
+from epipole.io.meshes._usd_stages import ROOT, check_suffix, new_stage, usd_modules, write_stage
+from epipole.scene.local_origin import local_origin
 from epipole.scene.textured_mesh import TexturedMesh
 
-_SUFFIXES = (".usdz", ".usdc", ".usda")
-_ROOT, _MATERIALS = "/model", "/model/materials"
-_METERS_PER_UNIT = 1.0
-"""Without this entry, readers assume centimeters."""
-_ALIGNMENT = 64
-"""Start of each file in a USDZ archive, in bytes."""
-_LOCAL_HEADER_BYTES, _EXTRA_HEADER_BYTES = 30, 4
-"""ZIP: a file's header without its name, and the header of an extra field, which fills up to the alignment."""
-_PADDING_ID = 0x1986
-"""Identifier of that extra field in the archives of OpenUSD."""
-_FIRST_DATE = (1980, 1, 1, 0, 0, 0)
-"""Date of all files in an archive, the earliest that ZIP has: equal meshes give equal bytes."""
-_MAX_BYTES = 2**31 - 1
-"""Size up to which the module zipfile writes archives without ZIP64, which USDZ does not allow."""
-_COPIED_AT_ONCE = 1 << 20
-"""Bytes."""
+_MATERIALS = f"{ROOT}/materials"
 
 
 @checked
@@ -83,14 +60,13 @@ def write_usd(
         MissingDependencyError: usd-core is not installed.
     """
     path = Path(path)
-    if path.suffix.lower() not in _SUFFIXES:
-        raise ConfigError(f"path must end in {', '.join(_SUFFIXES)}, got {path.name[:60]!r}")
+    check_suffix(path)
     check_textured(mesh, jpeg_quality)
-    pxr = _pxr()
+    pxr = usd_modules()
     origin = local_origin(mesh.vertices_in_world) if origin_in_world is None else origin_in_world
     positions, st = _single_precision(mesh, origin)
     textures, texture_of_face = used_textures(mesh)
-    stage = _new_stage(pxr, origin, up)
+    stage = new_stage(pxr, origin, up)
     is_tiled = bool((st < 0).any() or (st > 1).any())
     images = {}
     if is_package := path.suffix.lower() == ".usdz":
@@ -101,11 +77,7 @@ def write_usd(
         is_here = texture_of_face == k
         part = _add_mesh(pxr, stage, f"part_{k}", positions, mesh.faces[is_here], st[is_here])
         _bind_material(pxr, stage, part, f"texture_{k}", name, is_tiled)
-    with atomic_write(path) as part_path:
-        if is_package:
-            _write_package(part_path, stage, images)
-        else:
-            _export(stage, part_path)
+    write_stage(path, stage, images)
 
 
 def require_usd() -> None:
@@ -114,17 +86,7 @@ def require_usd() -> None:
     Raises:
         MissingDependencyError: it is not.
     """
-    _pxr()
-
-
-def _pxr() -> Any:
-    """The modules of usd-core."""
-    try:
-        from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
-    except ImportError as error:
-        problem = "USD files need the package usd-core: pip install 'epipole[usd]'"
-        raise MissingDependencyError(problem) from error
-    return SimpleNamespace(Gf=Gf, Kind=Kind, Sdf=Sdf, Usd=Usd, UsdGeom=UsdGeom, UsdShade=UsdShade, Vt=Vt)
+    usd_modules()
 
 
 def _single_precision(mesh: TexturedMesh, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -137,25 +99,6 @@ def _single_precision(mesh: TexturedMesh, origin: np.ndarray) -> tuple[np.ndarra
     return positions, st
 
 
-def _new_stage(pxr: Any, origin: np.ndarray, up: np.ndarray | None) -> Any:
-    """A stage in memory with the root prim, whose rotation maps the up direction to +Y."""
-    stage = pxr.Usd.Stage.CreateInMemory()
-    pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.y)
-    pxr.UsdGeom.SetStageMetersPerUnit(stage, _METERS_PER_UNIT)
-    root = pxr.UsdGeom.Xform.Define(stage, _ROOT)
-    stage.SetDefaultPrim(root.GetPrim())
-    pxr.Usd.ModelAPI(root).SetKind(pxr.Kind.Tokens.component)
-    extras = {ORIGIN: pxr.Gf.Vec3d(origin.tolist())} if origin.any() else {}
-    if up is not None:
-        rotation, unit = y_from_up(up)
-        extras[UP] = pxr.Gf.Vec3d(unit)
-        matrix = np.eye(4)
-        matrix[:3, :3] = rotation.matrix.T  # USD multiplies row vectors
-        root.AddTransformOp().Set(pxr.Gf.Matrix4d(matrix.tolist()))
-    stage.GetRootLayer().customLayerData = {"generator": "epipole", **extras}
-    return stage
-
-
 def _add_mesh(
     pxr: Any, stage: Any, name: str, positions: np.ndarray, faces: np.ndarray, st: np.ndarray
 ) -> Any:
@@ -164,7 +107,7 @@ def _add_mesh(
     points, st = positions[used], st.reshape(-1, 2)
     first, index = distinct_rows(st[:, 0], st[:, 1])
     vt, names = pxr.Vt, pxr.Sdf.ValueTypeNames
-    out = pxr.UsdGeom.Mesh.Define(stage, f"{_ROOT}/{name}")
+    out = pxr.UsdGeom.Mesh.Define(stage, f"{ROOT}/{name}")
     out.CreateSubdivisionSchemeAttr(pxr.UsdGeom.Tokens.none)  # the default smooths the mesh
     out.CreateDoubleSidedAttr(True)
     out.CreatePointsAttr(vt.Vec3fArray.FromNumpy(points))
@@ -209,56 +152,3 @@ def _bind_material(pxr: Any, stage: Any, mesh: Any, name: str, texture: str, is_
     result = surface.CreateOutput("surface", names.Token)
     material.CreateSurfaceOutput().ConnectToSource(result)
     shade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
-
-
-def _write_package(part: Path, stage: Any, images: dict[str, bytes]) -> None:
-    """Write a USDZ archive: the layer comes first."""
-    layer_part = part.with_suffix(".usdc")
-    try:
-        _export(stage, layer_part)
-        size = layer_part.stat().st_size + sum(map(len, images.values()))
-        if size + (len(images) + 1) * 1024 > _MAX_BYTES:
-            raise ShapeError(f"the mesh needs {size} bytes, and USDZ files have less than 2 GiB: write .usdc")
-        with part.open("wb") as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
-            with (
-                layer_part.open("rb") as source,
-                archive.open(_aligned("model.usdc", stream.tell()), "w") as out,
-            ):
-                while block := source.read(_COPIED_AT_ONCE):
-                    out.write(block)
-            for name, data in images.items():
-                with archive.open(_aligned(name, stream.tell()), "w") as out:
-                    out.write(data)
-    finally:
-        layer_part.unlink(missing_ok=True)
-
-
-def _aligned(name: str, start: int) -> zipfile.ZipInfo:
-    """The header, at a position of the archive, of a file whose data start at a multiple of 64 bytes."""
-    info = zipfile.ZipInfo(name, _FIRST_DATE)
-    info.create_system = 0  # the same on all platforms
-    padding = -(start + _LOCAL_HEADER_BYTES + len(name) + _EXTRA_HEADER_BYTES) % _ALIGNMENT
-    info.extra = _PADDING_ID.to_bytes(2, "little") + padding.to_bytes(2, "little") + bytes(padding)
-    return info
-
-
-def _export(stage: Any, path: Path) -> None:
-    with _written_by_usd():
-        if not stage.GetRootLayer().Export(str(path)):
-            raise OSError("OpenUSD cannot write the layer")
-
-
-@contextmanager
-def _written_by_usd() -> Iterator[None]:
-    """Convert the exceptions of OpenUSD.
-
-    Raises:
-        OSError: OpenUSD cannot write the file.
-    """
-    try:
-        yield
-    except (EpipoleError, OSError):
-        raise
-    except Exception as error:  # OpenUSD's exceptions have no base class of their own
-        words = str(error).strip().splitlines() or [type(error).__name__]
-        raise OSError(f"OpenUSD reports: {words[-1].strip()}") from error

@@ -17,6 +17,8 @@ import numpy as np
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError
 from epipole.io._spherical import SPHERICAL_REFUSAL, is_spherical_word
+from epipole.io.models._brown import COEFFICIENTS as BROWN_COEFFICIENTS
+from epipole.io.models._brown import brown_coefficients, brown_model
 
 FRAME, FISHEYE = "frame", "fisheye"
 _CENTER_OF_FIRST_PIXEL = 0.5
@@ -80,10 +82,7 @@ def _model_of(kind: str, k: dict[str, float]) -> tuple[CameraModel, list[float]]
             raise ConfigError(f"{key} = {k[key]:g} of a {kind} camera is not supported; {advice}")
     if kind == FISHEYE:
         return CameraModel.OPENCV_FISHEYE, [k["k1"], k["k2"], k["k3"], k["k4"]]
-    distortion = [k["k1"], k["k2"], k["p2"], k["p1"]]
-    if k["k3"]:
-        return CameraModel.FULL_OPENCV, [*distortion, k["k3"], 0.0, 0.0, 0.0]
-    return (CameraModel.OPENCV, distortion) if any(distortion) else (CameraModel.PINHOLE, [])
+    return brown_model(**{key: k[key] for key in BROWN_COEFFICIENTS})
 
 
 def calibration_values(camera: Camera) -> tuple[str, dict[str, float]]:
@@ -93,16 +92,12 @@ def calibration_values(camera: Camera) -> tuple[str, dict[str, float]]:
         ConfigError: Metashape has no such distortion.
     """
     (fx, fy), (cx, cy) = np.diag(camera.K)[:2].tolist(), camera.K[:2, 2].tolist()
-    d = np.zeros(8)
-    values = camera.params[list(camera.model.distortion_indices)]
-    d[: len(values)] = values
     is_fisheye = camera.model == CameraModel.OPENCV_FISHEYE
     if is_fisheye:
-        k = dict(zip(("k1", "k2", "k3", "k4"), d.tolist()))
-    elif d[5:].any():
-        raise ConfigError("Metashape has no rational camera model (k4 to k6): undistort the images first")
+        values = camera.params[list(camera.model.distortion_indices)]
+        k = dict(zip(("k1", "k2", "k3", "k4"), values.tolist()))
     else:
-        k = dict(zip(("k1", "k2", "p2", "p1", "k3"), d.tolist()))
+        k = brown_coefficients(camera, "Metashape")
     offset = {
         "cx": cx + _CENTER_OF_FIRST_PIXEL - 0.5 * camera.width,
         "cy": cy + _CENTER_OF_FIRST_PIXEL - 0.5 * camera.height,

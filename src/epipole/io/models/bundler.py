@@ -17,6 +17,7 @@ from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.atomic import atomic_write
 from epipole.io.images.photographs import read_header
+from epipole.io.models._brown import one_focal_px
 from epipole.io.models._bundler_values import (
     HEADER,
     LIST_FILE,
@@ -25,12 +26,14 @@ from epipole.io.models._bundler_values import (
     list_beside,
     listed_names,
 )
-from epipole.io.models.model_file import ModelFile, Observations, model_of_single_images
+from epipole.io.models.model_file import (
+    ModelFile,
+    Observations,
+    distinct_cameras,
+    model_of_single_images,
+)
 from epipole.io.names import path_inside
 from epipole.scene import Points, Reconstruction
-
-MAX_ASPECT_DIFFERENCE = 0.01
-"""Bundler has one focal length: fx and fy may differ by at most this fraction."""
 
 _BUNDLER_AXES = np.array([1.0, -1.0, -1.0])
 
@@ -74,9 +77,7 @@ def write_bundler(reconstruction: Reconstruction, path: str | Path, image_folder
 
 def _bundler_intrinsics(camera: Camera) -> np.ndarray:
     """(f, k1, k2)."""
-    fx, fy = camera.K[0, 0], camera.K[1, 1]
-    if abs(fx - fy) > MAX_ASPECT_DIFFERENCE * fx:
-        raise ConfigError(f"Bundler has a single focal length, but this camera has {fx:g} and {fy:g}")
+    focal_px = one_focal_px(camera, "Bundler")
     distortion = np.zeros(8)
     values = camera.params[list(camera.model.distortion_indices)]
     distortion[: len(values)] = values
@@ -85,7 +86,7 @@ def _bundler_intrinsics(camera: Camera) -> np.ndarray:
             f"Bundler cannot represent the distortion of {camera.model.name}, only k1 and k2: "
             "undistort the images first"
         )
-    return np.array([camera.focal_px, distortion[0], distortion[1]])
+    return np.array([focal_px, distortion[0], distortion[1]])
 
 
 def _numbers(values: np.ndarray) -> str:
@@ -148,16 +149,12 @@ def bundler_contents(path: str | Path, image_folder: str = "images") -> ModelFil
     registered = np.flatnonzero(values.intrinsics[:, 0] != 0.0)
     if not len(registered):
         raise FileFormatError(path, "none of its cameras is registered")
-    row_of_camera: dict[tuple, int] = {}
-    cameras: list[Camera] = []
-    camera_rows: list[int] = []
-    for k in registered.tolist():
-        camera = _camera(path, path_inside(list_file.parent, listed[k]), values.intrinsics[k])
-        key = (camera.width, camera.height, camera.params.tobytes())
-        if key not in row_of_camera:
-            row_of_camera[key] = len(cameras)
-            cameras.append(camera)
-        camera_rows.append(row_of_camera[key])
+    cameras, camera_rows = distinct_cameras(
+        [
+            _camera(path, path_inside(list_file.parent, listed[k]), values.intrinsics[k])
+            for k in registered.tolist()
+        ]
+    )
     rotation = Rotation3.nearest(_BUNDLER_AXES[:, None] * values.rotation[registered])
     cams_from_world = Rigid3(rotation.matrix, values.translation[registered] * _BUNDLER_AXES)
     prefix = f"{image_folder.rstrip('/')}/" if image_folder else ""

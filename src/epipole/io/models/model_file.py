@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from epipole._checks import check_fields, checked
-from epipole.cameras import Camera
+from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
 
@@ -103,6 +103,20 @@ def model_of_single_images(
         no_tracks(len(points)),
     )
     return with_observations(model, observations)
+
+
+def distinct_cameras(cameras: Sequence[Camera]) -> tuple[list[Camera], list[int]]:
+    """The different cameras, in the order of their first use, and the row of each camera in that list."""
+    rows: dict[tuple[CameraModel, int, int, bytes], int] = {}
+    out: list[Camera] = []
+    row_of_each = []
+    for camera in cameras:
+        key = camera.model, camera.width, camera.height, camera.params.tobytes()
+        if key not in rows:
+            rows[key] = len(out)
+            out.append(camera)
+        row_of_each.append(rows[key])
+    return out, row_of_each
 
 
 def no_points() -> Points:

@@ -7,19 +7,33 @@ from typing import Annotated, Literal
 
 import tyro
 
+_Format = Literal[
+    "txt",
+    "bin",
+    "ply",
+    "transforms",
+    "bundler",
+    "opensfm",
+    "metashape",
+    "realityscan",
+    "kapture",
+    "chan",
+    "usd",
+    "splat",
+]
+
 
 def convert(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
     target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")],
-    format: Literal["txt", "bin", "ply", "transforms", "bundler", "opensfm", "metashape", "kapture", "splat"]
-    | None = None,
+    format: Annotated[_Format | None, tyro.conf.arg(metavar="FORMAT")] = None,
 ) -> None:
     """Convert a model or a splat to another format.
 
     Args:
-        source: Output folder of a reconstruction, a COLMAP model, a transforms.json, or files of OpenSfM, Metashape, Bundler or kapture; for splat a file of Gaussians.
-        target: A file for PLY and splat (.ply, .compressed.ply, .spz, .sog or .splat), otherwise a new folder; all but COLMAP's formats also get their images.
-        format: COLMAP txt or bin, PLY, nerfstudio transforms.json, Bundler, OpenSfM, Metashape, kapture, or splat; required unless the target's suffix determines it.
+        source: Output folder of a reconstruction, a COLMAP model, a transforms.json, or files of OpenSfM, Metashape, RealityScan, Bundler, kapture or Nuke; for splat a file of Gaussians.
+        target: A file for PLY, chan, USD and splat (.ply, .chan, .usdc, .spz ...), otherwise a new folder; all but COLMAP's formats also get their images.
+        format: txt or bin (COLMAP), ply, transforms (nerfstudio), bundler, opensfm, metashape, realityscan, kapture, chan (Nuke), usd or splat; required unless the target's suffix determines it.
     """
     from epipole.io.convert import IMAGE_FOLDER, IMAGE_FOLDERS
     from epipole.pipelines.conversion.run import convert as run

@@ -9,6 +9,7 @@ from typing import get_args
 from epipole._checks import as_path, checked
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io.convert import (
+    FILE_WRITERS,
     FOLDER_WRITERS,
     IMAGE_FOLDER,
     IMAGE_FOLDERS,
@@ -28,16 +29,19 @@ from epipole.io.gaussians.files import (
     write_gaussians,
 )
 from epipole.io.images.photographs import link_or_copy
-from epipole.io.meshes.ply import write_scene_ply
 from epipole.io.models.kapture import IMAGES as KAPTURE_IMAGES
 from epipole.io.models.losses import losses_in
 from epipole.io.names import path_inside
 from epipole.runs import Job, open_run, refuse_existing, replacing_file
+from epipole.runs.model_source import has_z_up, up_in_world
 from epipole.scene import Reconstruction
 from epipole.scene.gaussian_cloud import GaussianCloud
 
 KIND = "convert"
-_SUFFIXES_OF_FILES = (".json", ".out", ".txt", ".bin", ".ply", ".db", ".xml")
+_SUFFIXES_OF_FILES = (".json", ".out", ".txt", ".bin", ".ply", ".db", ".xml", ".csv", ".chan")
+_FORMAT_OF_SUFFIX = {".chan": "chan", ".usda": "usd", ".usdc": "usd", ".usdz": "usd"}
+_NAMES = {"ply": "scene.ply", "chan": "camera.chan", "usd": "cameras.usdc"}
+"""Names of files in a folder that is given as target."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +69,7 @@ def format_of(source: Path, target: Path) -> str | None:
     if name.endswith(".ply"):
         is_splat = source.is_file() or (source / SPLAT).is_file() or is_unpacked_sog(source / META)
         return "splat" if is_splat else "ply"
-    return None
+    return _FORMAT_OF_SUFFIX.get(target.suffix.lower())
 
 
 @checked
@@ -73,14 +77,14 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
     """Write a model in another format.
 
     Args:
-        source: output folder of `reconstruct`, a COLMAP model, a transforms.json, or files of OpenSfM, Metashape, Bundler
-            or kapture; for `splat` an output folder of `splat`, or a file of Gaussians.
-        target: for `ply` a file; for `splat` a .ply, .compressed.ply, .spz, .sog or .splat file; for the other formats,
+        source: output folder of `reconstruct`, a COLMAP model, a transforms.json, or files of OpenSfM, Metashape,
+            RealityScan, Bundler, kapture or Nuke (.chan); for `splat` an output folder of `splat`, or a file of Gaussians.
+        target: for `ply`, `chan` and `usd` (.usda, .usdc, .usdz) a file; for `splat` a .ply, .compressed.ply, .spz, .sog or .splat file; for the other formats,
             which consist of several files, a new folder, or that of an earlier conversion of the same model, whose
             other formats stay. For formats other than COLMAP's, the images are copied (hard-linked if possible) to
             `images/` (kapture: `sensors/records_data/`), so that the paths in these files are valid.
-        format: txt or bin (COLMAP), transforms (nerfstudio), bundler, opensfm, metashape, kapture, ply or splat; None:
-            given by the target's suffix.
+        format: txt or bin (COLMAP), transforms (nerfstudio), bundler, opensfm, metashape, realityscan, kapture, chan
+            (Nuke), usd, ply or splat; None: given by the target's suffix.
 
     Raises:
         ConfigError: the format is unknown or cannot represent the cameras, or is None and the suffix does not determine
@@ -92,7 +96,8 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
     format = format_of(source, target) if format is None else format
     if format is None:
         raise ConfigError(
-            f"unknown output format of {target}: use the suffix .ply or {', '.join(SUFFIXES[1:])}, or pass format, one of "
+            f"unknown output format of {target}: use the suffix .ply or {', '.join((*_FORMAT_OF_SUFFIX, *SUFFIXES[1:]))}, or pass "
+            f"format, one of "
             f"{', '.join(get_args(ModelFormat))}"
         )
     if format not in get_args(ModelFormat):
@@ -101,8 +106,8 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
         raise FileFormatError(source, missing_in_words(source))
     if format == "splat":
         return _convert_gaussians(source, target)
-    if format == "ply":
-        return _convert_to_ply(source, target)
+    if format in FILE_WRITERS:
+        return _convert_to_file(source, target, format)
     model, warnings = _model_of(source)
     if target.suffix.lower() in _SUFFIXES_OF_FILES and not target.is_dir():
         raise WorkspaceError(f"{target}: {format} writes several files; pass the name of a folder")
@@ -151,13 +156,13 @@ def _losses(target: Path, cloud: GaussianCloud) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _convert_to_ply(source: Path, target: Path) -> Conversion:
-    target = target / "scene.ply" if target.is_dir() else target
+def _convert_to_file(source: Path, target: Path, format: str) -> Conversion:
+    target = target / _NAMES[format] if target.is_dir() else target
     refuse_existing([target], KIND, (source,))
     model, warnings = _model_of(source)
     with replacing_file(target, KIND, (source,)) as aside:
-        write_scene_ply(aside, model)
-    return Conversion(target, 0, (), warnings)
+        FILE_WRITERS[format](aside, model, up_in_world(model, has_z_up(model, source)))
+    return Conversion(target, 0, (), warnings, content_not_stored(model, format))
 
 
 def _names_with_pose(model: Reconstruction) -> list[str]:

@@ -18,7 +18,7 @@ from epipole.pipelines.sfm.run import reconstruct
 from epipole.pipelines.surfaces.config import SurfaceConfig
 from epipole.pipelines.surfaces.view_files import ViewFile, pinhole_of
 from epipole.runs import Run, content_digests, digest
-from epipole.runs.model_source import ModelSource, is_model, model_source_of
+from epipole.runs.model_source import ModelSource, is_model, model_source_of, up_in_world
 from epipole.scene import Reconstruction
 
 MODEL = "sfm"
@@ -81,7 +81,7 @@ def surface_inputs(source: Path, run: Run, config: SurfaceConfig) -> SurfaceInpu
         )
     return SurfaceInputs(
         model,
-        up_of(found),
+        up_in_world(found.model, found.has_z_up),
         tuple(views),
         tuple(usable),
         tuple(row or (1.0, 2.0) for row in depths),
@@ -180,11 +180,3 @@ def _depth_ranges(views: list[ViewFile], points: SharedPoints) -> list[tuple[flo
         )
         for view, a, b in zip(views, starts[:-1], starts[1:])
     ]
-
-
-def up_of(source: ModelSource) -> np.ndarray:
-    """(3,) the upward direction: +z if the model is known to have it, else the mean upward axis of the cameras."""
-    rotations = source.model.cams_from_world()[np.flatnonzero(source.model.is_registered())].rotation
-    mean = -rotations[:, 1].mean(axis=0) if len(rotations) else np.zeros(3)
-    length = float(np.linalg.norm(mean))
-    return np.array([0.0, 0.0, 1.0]) if source.has_z_up or length < 1e-6 else mean / length

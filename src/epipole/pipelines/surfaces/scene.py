@@ -15,7 +15,7 @@ from epipole.io.meshes.gltf import read_glb
 from epipole.io.meshes.mesh_ply import PlyMesh, first_view_of_mesh, read_mesh_ply
 from epipole.io.models.images import ModelImages
 from epipole.pipelines.sfm.notes import title_of
-from epipole.pipelines.surfaces.inputs import MODEL, up_of
+from epipole.pipelines.surfaces.inputs import MODEL
 from epipole.pipelines.surfaces.texture_stage import NAME
 from epipole.report.markup import plural
 from epipole.report.space import shuffled
@@ -32,7 +32,7 @@ from epipole.report.space_scene import (
 )
 from epipole.report.textured_layer import textured_layer
 from epipole.runs import is_output_of, read_mark
-from epipole.runs.model_source import ModelSource, is_model, model_source_of
+from epipole.runs.model_source import ModelSource, is_model, model_source_of, up_in_world
 from epipole.scene.textured_mesh import TexturedMesh
 
 KIND = "surface"
@@ -155,4 +155,6 @@ def _upright(source: ModelSource | None) -> np.ndarray | None:
     """The rotation that makes the upward direction +z; None if it is."""
     if source is None or source.has_z_up:
         return None
-    return Rotation3.from_two_vectors(up_of(source), np.array([0.0, 0.0, 1.0])).matrix
+    return Rotation3.from_two_vectors(
+        up_in_world(source.model, source.has_z_up), np.array([0.0, 0.0, 1.0])
+    ).matrix

@@ -14,6 +14,7 @@ def undistort(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     target: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[DEST]")] = None,
     model: int | None = None,
+    stmaps: bool = False,
 ) -> None:
     """Undistort images: write them with a PINHOLE model, for splat trainers and MVS.
 
@@ -21,11 +22,12 @@ def undistort(
         out: Output folder of a reconstruction, or one of its models (OUT/sparse/1).
         target: Where to write; default OUT/undistorted, or OUT/undistorted-1 for model 1.
         model: Number of the model in OUT/sparse, if there are several; the largest is 0.
+        stmaps: Also write STMaps (TIFF) that undistort and distort images in Nuke and similar programs.
     """
     from epipole.screen import progress_on_screen
 
     with progress_on_screen({"undistort": "Undistorting"}) as progress:
         from epipole.pipelines.undistortion.run import undistort as run
 
-        folder = run(out, progress, target=target, model=model)
+        folder = run(out, progress, target=target, model=model, stmaps=stmaps)
     say(f"Undistorted images and model in {folder}")

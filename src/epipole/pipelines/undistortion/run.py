@@ -1,8 +1,8 @@
-"""The undistortion job: undistorted images and a PINHOLE model, for splat trainers and MVS."""
+"""The undistortion job: undistorted images and a PINHOLE model, for splat trainers and MVS; STMaps for compositing."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,15 +11,20 @@ import numpy as np
 from epipole._checks import as_path, checked
 from epipole.cameras import Camera
 from epipole.errors import FileFormatError
-from epipole.image import undistort_image, undistorted_camera
+from epipole.image import distortion_stmap, undistort_image, undistorted_camera, undistortion_stmap
 from epipole.io.colmap.model import find_model, read_colmap_model, write_colmap_model
 from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.images.photographs import common_range
+from epipole.io.images.stmaps import write_stmap
 from epipole.io.images.writing import write_photograph
 from epipole.io.models.images import ModelImage, ModelImages
 from epipole.io.models.losses import losses_in
-from epipole.runs import Job, ProgressCallback, has_own_model, ignore_progress, open_run
+from epipole.runs import Job, ProgressCallback, Run, has_own_model, ignore_progress, open_run
 from epipole.scene import Cameras, Reconstruction
+
+STMAPS = "stmaps"
+"""Folder of the maps, and their group in the folder's marker."""
+_MAKERS = {"undistort": undistortion_stmap, "distort": distortion_stmap}
 
 
 @checked
@@ -29,17 +34,21 @@ def undistort(
     *,
     target: str | Path | None = None,
     model: int | None = None,
+    stmaps: bool = False,
 ) -> Path:
     """Write undistorted images and a PINHOLE model, for splat trainers and MVS.
+
+    STMaps are `stmaps/camera_1_undistort.tif` and `stmaps/camera_1_distort.tif`, with the camera's number in the model.
 
     Args:
         out: output folder of a reconstruction, or a model in it (`OUT/sparse/1`).
         progress: called with the progress.
         target: where to write; None: `OUT/undistorted`, or `OUT/undistorted-1` for model 1 and so on.
         model: number of the model in `OUT/sparse`; None: the largest, 0.
+        stmaps: also write maps that undistort, and distort again, the images of each camera in compositing programs.
 
     Returns:
-        The folder, with `images/` and `sparse/0/`.
+        The folder, with `images/`, `sparse/0/` and, with `stmaps`, `stmaps/`.
 
     Raises:
         FileFormatError: there is no such model, an image is missing or does not fit its camera, or its format cannot be written.
@@ -56,7 +65,8 @@ def undistort(
     names = [found.images.name[image] for image in registered]
     files = ModelImages(found, workspace / "images", is_own=has_own_model(workspace))
     images = [files.find(name) for name in names]
-    pinholes = _pinholes(found, registered, images)
+    cameras = _cameras_of_files(found, registered, images)
+    pinholes = _pinholes(found, cameras)
     is_further = folder.parent.name == "sparse" and folder.name != "0"
     usual = workspace / (f"undistorted-{folder.name}" if is_further else "undistorted")
     limits = common_range([image.path for image in images])
@@ -71,18 +81,28 @@ def undistort(
                 rgb = undistort_image(image.read(limits=limits), image.camera, pinhole)
                 write_photograph(run.root / "images" / name, rgb)
                 run.report("undistort", n, len(names))
+        _write_stmaps(run, cameras if stmaps else {}, pinholes)
         with run.folder.publish("model") as aside:
             write_colmap_model(without_distortion(found, pinholes), aside / "sparse" / "0")
         run.finish({"num_images": len(names), "warnings": run.warnings})
         return run.root
 
 
-def _pinholes(model: Reconstruction, registered: np.ndarray, images: Sequence[ModelImage]) -> list[Camera]:
-    """The model's cameras without distortion, at the scale of their image files.
+def _write_stmaps(run: Run, cameras: Mapping[int, Camera], pinholes: Sequence[Camera]) -> None:
+    """Write the maps of cameras, and remove those of an earlier run."""
+    maps = {f"{STMAPS}/camera_{c + 1}_{kind}.tif": (c, kind) for c in cameras for kind in _MAKERS}
+    with run.folder.replacing(STMAPS, list(maps)):
+        for name, (c, kind) in maps.items():
+            write_stmap(run.root / name, _MAKERS[kind](cameras[c], pinholes[c]))
+
+
+def _cameras_of_files(
+    model: Reconstruction, registered: np.ndarray, images: Sequence[ModelImage]
+) -> dict[int, Camera]:
+    """The cameras of registered images by their row, at the scale of the image files.
 
     Raises:
         FileFormatError: images of one camera have different sizes.
-        DegenerateGeometryError: a camera's distortion is invalid over almost all of its images.
     """
     used: dict[int, Camera] = {}
     for row, image in zip(registered, images):
@@ -93,6 +113,15 @@ def _pinholes(model: Reconstruction, registered: np.ndarray, images: Sequence[Mo
                 f"is {own.width} x {own.height}, but other images of its camera are {first.width} x {first.height}: scale all"
                 " images of a camera to the same size",
             )
+    return dict(sorted(used.items()))
+
+
+def _pinholes(model: Reconstruction, used: Mapping[int, Camera]) -> list[Camera]:
+    """The model's cameras without distortion; those in use at the scale of the image files.
+
+    Raises:
+        DegenerateGeometryError: a camera's distortion is invalid over almost all of its images.
+    """
     out = []
     for c in range(len(model.cameras)):
         camera, K = model.cameras[c], model.cameras[c].K

@@ -9,7 +9,7 @@ from epipole._checks import as_path, checked
 from epipole.errors import FileFormatError
 from epipole.io.calibration.files import read_calibration
 from epipole.io.contents_in_words import results_of, with_what_it_is
-from epipole.io.convert import read_model
+from epipole.io.convert import is_model_file, read_model
 from epipole.io.files import missing_in_words
 from epipole.io.images.depth_maps import read_pfm, read_png16
 from epipole.io.meshes.gltf import read_glb
@@ -28,8 +28,8 @@ from epipole.pipelines.surfaces import scene as surfaces
 from epipole.pipelines.viewing import files
 
 READABLE = (
-    "pass an output folder, a COLMAP model, a transforms.json, a SLAM map, Gaussians, a trajectory, a calibration, a PLY or GLB file, "
-    "or a depth map (PFM, 16-bit PNG)"
+    "pass an output folder, a COLMAP model, a transforms.json, cameras of OpenSfM, Metashape, RealityScan, Bundler or Nuke, a SLAM map, "
+    "Gaussians, a trajectory, a calibration, a PLY or GLB file, or a depth map (PFM, 16-bit PNG)"
 )
 WITH_MODEL = ("reconstruct", "slam", "demo")
 """Commands whose output folders have a model; if it is missing, the error names its files."""
@@ -42,6 +42,7 @@ def load(path: str | Path) -> Any:
     | path | result |
     |---|---|
     | output folder of `reconstruct` or `slam`, COLMAP model, transforms.json | Reconstruction |
+    | cameras of OpenSfM (.json), Metashape (.xml), RealityScan (.csv), Bundler (.out), Nuke (.chan), kapture | Reconstruction |
     | output folder of `splat`, file of Gaussians (PLY, SPZ, SOG, .splat) | GaussianCloud |
     | output folder of `nerf` | Voxels or HashField |
     | output folder of `stereo` | StereoFiles: disparities, reasons, depths, rig |
@@ -83,7 +84,7 @@ def load(path: str | Path) -> Any:
         return read_trajectory(path)
     if calibration.is_mine(path):
         return read_calibration(path / CALIBRATION if path.is_dir() else path)
-    if path.is_file() and path.suffix.lower() != ".json":
+    if path.is_file() and not is_model_file(path):
         raise FileFormatError(
             path, with_what_it_is("epipole.load cannot read this kind of file", path, READABLE)
         )
