@@ -114,13 +114,13 @@ def test_few_images_have_few_pairs(rng, num_images):
     assert len(find_conflicting_points(few)) == (1 if num_images == 2 else 0)
 
 
-@reference_of(kernels.collect_views)
+@reference_of(kernels.count_views)
 def test_the_kernel_agrees_with_python_and_with_sets(rng, monkeypatch):
     model = row_of_cameras(rng, 5, lambda i, p: rng.random(len(p)) < 0.3, num_points=60)
-    calls = record_calls(monkeypatch, conflicting_points, kernels.collect_views)
+    calls = record_calls(monkeypatch, conflicting_points, kernels.count_views)
     found = find_conflicting_points(model)
     for arguments in calls:
-        assert_same_as_python(kernels.collect_views, *arguments)
+        assert_same_as_python(kernels.count_views, *arguments)
     seen = [set(model.tracks.image[model.tracks.point_of_observation() == p]) for p in range(60)]
     neighbors = conflicting_points._neighbors_of(model)
     centers = model.camera_centers_in_world()

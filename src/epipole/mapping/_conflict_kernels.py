@@ -16,7 +16,7 @@ class Views(NamedTuple):
     """Images that see each point, once each."""
 
     offsets: np.ndarray  # (p + 1,) int64
-    image: np.ndarray  # (k,) int64
+    image: np.ndarray  # (k,) int64, in ascending order for each point
     ray: np.ndarray  # (k, 3) from the camera center to the point
 
 
@@ -28,30 +28,32 @@ class Scratch(NamedTuple):
 
 
 @kernel
-def collect_views(views, xyz, centers, neighbors, points, limits, scratch, key):
-    """Writes a key for each ordered pair of images i, j with similar views of a point p that i sees: 3 (min(i, j) n + max(i, j)) + kind.
+def count_views(views, xyz, centers, neighbors, block, limits, scratch, counts):
+    """Counts, for each image i of a block and each image j, the points p that i sees and that j sees or would see similarly.
 
     The kind is COMMON if j sees p, too. If j sees neighbors of p, it is MISSED if one of them has an image in common with p, and
     CONFLICTING if none has.
-    `points` is the range of p, `neighbors` (p, m) ends with -1, and `limits` are the least cosine of the angle between the views and the
-    largest ratio of the distances. Returns the number of keys, of which only those that fit into `key` are written.
+    `neighbors` (p, m) ends with -1, `block` is the range of i, `limits` are the least cosine of the angle between the views and the
+    largest ratio of the distances, and `counts` is (i, j, kind).
     """
-    num_images, count = len(centers), 0
     mark, marked = scratch.mark, scratch.marked
-    for p in range(points[0], points[1]):
+    for p in range(len(xyz)):
+        first, last = views.offsets[p], views.offsets[p + 1]
+        while first < last and views.image[first] < block[0]:
+            first += 1
+        while first < last and views.image[last - 1] >= block[1]:
+            last -= 1
+        if first == last:
+            continue
         num_marked = _mark(views, neighbors[p], p, mark, marked)
-        for k in range(views.offsets[p], views.offsets[p + 1]):
+        for k in range(first, last):
             i = views.image[k]
             for m in range(num_marked):
                 j = marked[m]
-                if j == i or not _is_similar(views.ray[k], xyz[p], centers[j], limits):
-                    continue
-                if count < len(key):
-                    key[count] = NUM_KINDS * (min(i, j) * num_images + max(i, j)) + mark[j]
-                count += 1
+                if j != i and _is_similar(views.ray[k], xyz[p], centers[j], limits):
+                    counts[i - block[0], j, mark[j]] += 1
         for m in range(num_marked):
             mark[marked[m]] = NOT_MARKED
-    return count
 
 
 @kernel

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from epipole import _parallel
 from epipole._checks import Declared, checked
-from epipole.mapping._conflict_kernels import NOT_MARKED, NUM_KINDS, Scratch, Views, collect_views
+from epipole.mapping._conflict_kernels import NOT_MARKED, NUM_KINDS, Scratch, Views, count_views
 from epipole.mapping.sorting import distinct
 from epipole.scene import Reconstruction
 
@@ -36,8 +36,8 @@ MAX_FRACTION = 0.15
 MAX_CONTRADICTING, MIN_PAIRS = 0.18, 10
 """A model is in doubt if more of its judged pairs, and at least 10, have more conflicts than MAX_FRACTION. In the right models at most
 10 % had, in the others 24 to 76 %."""
-BATCH = 1_000_000
-"""Limit of the sum of squared track lengths of the points that are compared at once: memory grows with it."""
+NUM_BLOCKS, MAX_COUNTS = 8, 16_000_000
+"""Least number of blocks of images, which are counted in parallel, and the most counts of a block, of 4 bytes each."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,35 +112,30 @@ def find_conflicting_points(
     """
     num_images, xyz = len(model.images), model.points.xyz_in_world
     views, centers, neighbors = _views_of(model), model.camera_centers_in_world(), _neighbors_of(model)
-    batches = _batches(np.diff(views.offsets))
+    size = max(1, min(-(-num_images // NUM_BLOCKS), MAX_COUNTS // max(NUM_KINDS * num_images, 1)))
 
-    def count_in(number: int) -> tuple[np.ndarray, np.ndarray]:
+    def count_in(number: int) -> tuple[np.ndarray, ...]:
+        block = number * size, min((number + 1) * size, num_images)
+        counts = np.zeros((block[1] - block[0], num_images, NUM_KINDS), np.int32)
         scratch = Scratch(np.full(num_images, NOT_MARKED, np.int8), np.zeros(num_images, np.int64))
-        given = views, xyz, centers, neighbors, batches[number], LIMITS, scratch
-        key = np.zeros(collect_views(*given, np.zeros(0, np.int64)), np.int64)
-        collect_views(*given, key)
-        values, counts = np.unique(key, return_counts=True)
-        return values, counts
+        count_views(views, xyz, centers, neighbors, block, LIMITS, scratch, counts)
+        image, other, kind = np.nonzero(counts)
+        count = counts[image, other, kind].astype(np.int64)
+        image += block[0]
+        return np.minimum(image, other) * num_images + np.maximum(image, other), kind, count
 
     none = np.zeros(0, np.int64)
-    parts = [(none, none), *_parallel.map_items(count_in, len(batches))]
-    key, count = (np.concatenate(column) for column in zip(*parts))
-    pair, row = np.unique(key // NUM_KINDS, return_inverse=True)
+    parts = [(none, none, none), *_parallel.map_items(count_in, -(-num_images // size))]
+    key, kind, count = (np.concatenate(column) for column in zip(*parts))
+    pair, row = np.unique(key, return_inverse=True)
     found = np.zeros((NUM_KINDS, len(pair)), np.int64)
-    np.add.at(found, (key % NUM_KINDS, row), count)
+    np.add.at(found, (kind, row), count)
     if matched is not None:
         tried = matched.min(axis=1).astype(np.int64) * num_images + matched.max(axis=1)
         was_tried = np.isin(pair, tried)
         pair, found = pair[was_tried], found[:, was_tried]
     image1, image2 = np.divmod(pair, max(num_images, 1))
     return ConflictingPoints(image1.astype(np.int32), image2.astype(np.int32), *found)
-
-
-def _batches(lengths: np.ndarray) -> list[tuple[int, int]]:
-    """Consecutive ranges of points with tracks of these lengths."""
-    batch = np.cumsum(lengths.astype(np.int64) ** 2) // BATCH
-    starts = np.flatnonzero(np.diff(batch, prepend=-1))
-    return list(zip(starts.tolist(), [*starts[1:].tolist(), len(lengths)]))
 
 
 def _views_of(model: Reconstruction) -> Views:
