@@ -193,6 +193,27 @@ def test_an_unreadable_image_is_left_out_and_said(scene, tmp_path):
     assert any(scene.names[2] in warning for warning in found.warnings)
 
 
+def test_truncated_images_are_left_out_unless_too_few_remain(scene, tmp_path):
+    source = copied(scene, tmp_path / "source")
+    for name in scene.names[2:4]:
+        content = (scene.folder / "images" / name).read_bytes()
+        (source / "images" / name).write_bytes(content[: len(content) // 2])
+    found = surface(source, tmp_path / "out", until="depth", max_size_px=192)
+    assert found.summary["num_images"] == VIEWS - 2
+    for name in scene.names[2:4]:
+        assert any(
+            f"{name} is left out: " in warning and "truncated" in warning for warning in found.warnings
+        )
+    for name in scene.names[1:]:
+        content = (scene.folder / "images" / name).read_bytes()
+        (source / "images" / name).write_bytes(content[: len(content) // 2])
+    with pytest.raises(NoModelError, match=r"1 images can be used, .* is left out: .*truncated"):
+        surface(source, tmp_path / "out", until="depth", max_size_px=192)
+    shutil.rmtree(source / "images")
+    shutil.copytree(scene.folder / "images", source / "images")
+    assert surface(source, tmp_path / "out", until="depth", max_size_px=192).summary["num_images"] == VIEWS
+
+
 def test_views_at_one_position_have_no_surface(scene, tmp_path):
     source = copied(scene, tmp_path / "source")
     model = read_colmap_model(source / "sparse" / "0")

@@ -16,6 +16,7 @@ from epipole.io.models.images import ModelImage, ModelImages
 from epipole.io.models.losses import losses_in, losses_of
 from epipole.pipelines.sfm.run import reconstruct
 from epipole.pipelines.surfaces.config import SurfaceConfig
+from epipole.pipelines.surfaces.image_check import failures_of
 from epipole.pipelines.surfaces.view_files import ViewFile, pinhole_of
 from epipole.runs import Run, content_digests, digest
 from epipole.runs.model_source import ModelSource, is_model, model_source_of
@@ -57,6 +58,9 @@ def surface_inputs(source: Path, run: Run, config: SurfaceConfig) -> SurfaceInpu
     found, lost = _model_of(source, run, config)
     warnings = [*lost, *found.warnings]
     views = _view_files(found, run, config, warnings)
+    if len(views) < 2:
+        reasons = "".join(f"; {warning}" for warning in warnings[:3])
+        raise NoModelError(f"{len(views)} images can be used, but a surface needs at least two{reasons}")
     model = found.model
     row_of_name = {name: row for row, name in enumerate(model.images.name)}
     rows = [row_of_name[view.name] for view in views]
@@ -135,6 +139,9 @@ def _view_files(found: ModelSource, run: Run, config: SurfaceConfig, warnings: l
     if config.masks is not None and not any(mask is not None for _, mask in images.values()):
         raise ConfigError(f"masks {config.masks} has no mask for any image (expected NAME.png)")
     digests = content_digests(paths, run.root / "units" / DIGESTS, run.job.progress)
+    failures = failures_of({image.path: digests[image.path] for image, _ in images.values()}, run)
+    for row in [row for row, (image, _) in images.items() if image.path in failures]:
+        warnings.append(f"{model.images.name[row]} is left out: {failures[images.pop(row)[0].path]}")
     limits = common_range([image.path for image, _ in images.values()])
     views = []
     for row, (image, mask) in images.items():
