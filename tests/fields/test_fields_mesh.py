@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from fields_scenes import CAMERA
 from plyfile_of import mesh_in
+from scipy.spatial import cKDTree
 
 from epipole import mesh, nerf, splat
 from epipole.cli.main import main
@@ -42,6 +43,16 @@ def test_a_trained_field_has_a_surface(source, tmp_path, kind):
         tmp_path / "out", tmp_path / "b.ply", voxels=48, cameras=source / "transforms.json", max_views=5
     )
     assert len(again) > 200
+
+
+def test_voxels_finer_than_the_pixels_are_filled(source, tmp_path):
+    splat(source, tmp_path / "out", steps=30, max_gaussians=300, test_every=0)
+    sharp, enlarged = (
+        mesh(tmp_path / "out", tmp_path / f"{width}.ply", voxels=256, width=width) for width in (256, 32)
+    )
+    assert len(enlarged) == pytest.approx(len(sharp), rel=0.05)
+    distance = cKDTree(sharp.vertices_in_world).query(enlarged.vertices_in_world)[0]
+    assert np.quantile(distance, 0.9) < 2.0 / 256  # a voxel
 
 
 def test_what_gives_no_mesh(source, tmp_path):

@@ -69,7 +69,9 @@ def build_volume(
     if not len(keys):
         median_pixel(images)  # raises if no pixel has a depth
         if box is not None:
-            raise DegenerateGeometryError("no surface was seen within the box")
+            raise DegenerateGeometryError(
+                "no surface was seen within the box, or only in pixels much larger than the voxels"
+            )
         raise ConfigError("no depth is fine enough for these voxels: pass larger ones (--voxel)")
     volume = SparseVolume(blocks_of_keys(keys), side)
     for n, image in enumerate(images):

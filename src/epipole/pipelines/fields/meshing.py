@@ -12,14 +12,21 @@ from typing import Unpack
 import numpy as np
 
 from epipole._checks import as_path
+from epipole.cameras import Camera
 from epipole.config import options_of
-from epipole.dense.volume_building import ColorImage, DepthImage, build_volume, vertex_colors
+from epipole.dense.volume_building import (
+    MOST_PIXEL_VOXELS,
+    ColorImage,
+    DepthImage,
+    build_volume,
+    vertex_colors,
+)
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError, NoModelError
 from epipole.geometry import Rigid3
 from epipole.io.files import missing_in_words
 from epipole.io.meshes.mesh_ply import write_mesh_ply
 from epipole.io.models.losses import losses_in
-from epipole.pipelines.fields.cameras import RenderView, render_views_of_model
+from epipole.pipelines.fields.cameras import RenderView, render_views_of_model, sized
 from epipole.pipelines.fields.config import MeshConfig, RenderConfig
 from epipole.pipelines.fields.options import MeshKeywords
 from epipole.pipelines.fields.scene import CAMERAS
@@ -27,6 +34,9 @@ from epipole.pipelines.fields.surfaces import LEAST_COVERAGE, Seen, seen_from
 from epipole.runs import Progress, ProgressCallback, ignore_progress, refuse_existing, replacing_file
 from epipole.scene import Mesh
 from epipole.scene.view_depth import ViewDepth
+
+MOST_ENLARGED = 8.0
+"""Largest factor by which depth images are larger than the images of the cameras, for voxels that are finer than pixels."""
 
 
 def mesh(
@@ -92,16 +102,18 @@ def _surface(
     """
     low, high = box
     about_low, size = Rigid3(np.eye(3), low), high - low
-    rendered = list[tuple[RenderView, Path]]()
+    voxel, rendered = float(size.max()) / wanted.voxels, list[tuple[RenderView, Path]]()
     for n, view in enumerate(views):
         near = replace(view, cam_from_world=view.cam_from_world @ about_low)
-        rendered.append((near, folder / f"{n:06d}.npz"))
-        _store(rendered[-1][1], see(view), _farthest(near, size))
+        farthest = _farthest(near, size)
+        camera = _fine_enough(view.camera, farthest, voxel)
+        rendered.append((replace(near, camera=camera), folder / f"{n:06d}.npz"))
+        _store(rendered[-1][1], see(replace(view, camera=camera)), farthest)
         progress(Progress("fuse", n + 1, len(views) + 1))
     images = [
         DepthImage(view.camera, view.cam_from_world, partial(_depth_in, path)) for view, path in rendered
     ]
-    volume = build_volume(images, float(size.max()) / wanted.voxels, box=(np.zeros(3), size))
+    volume = build_volume(images, voxel, box=(np.zeros(3), size))
     found = _inside(volume.mesh(), size).without_small_components(wanted.min_component)
     colored = (
         ColorImage(view.camera, view.cam_from_world, _rgb_in(path), _depth_in(path).depth)
@@ -116,6 +128,12 @@ def _farthest(view: RenderView, size: np.ndarray) -> float:
     """Largest depth of a box, whose lowest corner is the origin."""
     corners = size * np.stack(np.meshgrid(*[[0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
     return float(view.cam_from_world.apply(corners)[:, 2].max())
+
+
+def _fine_enough(camera: Camera, farthest: float, voxel: float) -> Camera:
+    """The camera, with more pixels if they would be too large for the voxels at the largest depth of the box."""
+    factor = min(1.01 * farthest / (MOST_PIXEL_VOXELS * voxel * camera.focal_px), MOST_ENLARGED)
+    return camera if factor <= 1.0 else sized(camera, round(factor * camera.width))
 
 
 def _store(path: Path, seen: Seen, farthest: float) -> None:
