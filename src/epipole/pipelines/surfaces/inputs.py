@@ -25,6 +25,8 @@ from epipole.scene import Reconstruction
 MODEL = "sfm"
 """Subfolder of the model of photographs that are reconstructed first."""
 DIGESTS = "files.npz"
+MOST_POINTS = 10_000
+"""Points without observations that are used, at most: an evenly spaced subset."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,10 +66,15 @@ def surface_inputs(source: Path, run: Run, config: SurfaceConfig) -> SurfaceInpu
     model = found.model
     row_of_name = {name: row for row, name in enumerate(model.images.name)}
     rows = [row_of_name[view.name] for view in views]
-    points = _shared_points(model, rows)
+    points = _shared_points(model, rows) if len(model.tracks.image) else _points_in_images(model, views)
     if not len(points.point_of_observation):
         raise NoModelError(
-            f"{source} has no points that its images see, so the range of depth is unknown: pass a model with points"
+            f"{source} has no points that its images see, so the range of depth is unknown: pass the output of `epipole reconstruct` on the"
+            " images, or add points to the model (ply_file_path in a transforms.json; COLMAP's point_triangulator)"
+        )
+    if not len(model.tracks.image):
+        warnings.append(
+            "the model does not say which images see its points, so each is assumed to see all points that project into it"
         )
     centers = np.array([view.cam_from_world.inverse().translation for view in views]).reshape(-1, 3)
     focals = np.array([view.pinhole.focal_px for view in views], np.float64)
@@ -175,6 +182,25 @@ def _shared_points(model: Reconstruction, rows: list[int]) -> SharedPoints:
     point = model.tracks.point_of_observation().astype(np.int64)
     used = (view >= 0) & np.isfinite(model.points.xyz_in_world[point]).all(axis=1)
     return SharedPoints(model.points.xyz_in_world, view[used], point[used])
+
+
+def _points_in_images(model: Reconstruction, views: list[ViewFile]) -> SharedPoints:
+    """Points of a model without observations; each view is assumed to see those that project into it, occluded or not."""
+    points = model.points.xyz_in_world
+    points = points[np.isfinite(points).all(axis=1)]
+    points = points[:: max(1, -(-len(points) // MOST_POINTS))]
+    seen = [_in_image(view, points) for view in views]
+    view = np.repeat(np.arange(len(views)), [len(row) for row in seen])
+    return SharedPoints(points, view, np.concatenate([np.empty(0, np.int64), *seen]))
+
+
+def _in_image(view: ViewFile, points: np.ndarray) -> np.ndarray:
+    """Rows of the points that project into a view."""
+    in_cam = view.cam_from_world.apply(points)
+    in_front = np.flatnonzero(in_cam[:, 2] > 0)
+    pixels = view.pinhole.project(in_cam[in_front])
+    size = view.pinhole.width - 0.5, view.pinhole.height - 0.5
+    return np.asarray(in_front[(pixels > -0.5).all(axis=1) & (pixels < size).all(axis=1)])
 
 
 def _depth_ranges(views: list[ViewFile], points: SharedPoints) -> list[tuple[float, float] | None]:

@@ -25,8 +25,7 @@ def check_extent(inputs: SurfaceInputs, origin: Georeference, crs: str, config: 
     Raises:
         ConfigError: they are not.
     """
-    seen = np.unique(inputs.model.tracks.point_of_observation())
-    points = inputs.model.points.xyz_in_world[seen]
+    points = inputs.model.points.xyz_in_world
     positions = coordinates_of(origin.lat_lon_alt_of(points[np.isfinite(points).all(axis=1)]), crs)
     if config.crop is not None:
         _check_crop(inputs, origin, crs, config.crop, positions)
