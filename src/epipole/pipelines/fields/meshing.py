@@ -162,7 +162,7 @@ def _inside(mesh: Mesh, size: np.ndarray) -> Mesh:
     Raises:
         DegenerateGeometryError: there is none.
     """
-    inside = ((mesh.vertices_in_world >= 0) & (mesh.vertices_in_world <= size)).all(axis=1)
+    inside = np.asarray(((mesh.vertices_in_world >= 0) & (mesh.vertices_in_world <= size)).all(axis=1))
     kept = inside[mesh.faces].all(axis=1)
     if not kept.any():
         raise DegenerateGeometryError("no surface was seen within the box of the mesh")
