@@ -37,6 +37,7 @@ def test_a_trained_field_has_a_surface(source, tmp_path, kind):
     vertices, faces, _ = mesh_in(tmp_path / "mesh.ply")
     assert len(faces) == len(found) > 500 and len(vertices) == len(found.vertices_in_world)
     assert np.percentile(np.linalg.norm(vertices, axis=1), 95) < 1.2
+    assert (found.rgb == 160).all(axis=1).mean() < 0.001  # gray is the color of vertices that no view shows
     position, target, _ = first_view_of_mesh(tmp_path / "mesh.ply")
     assert np.linalg.norm(target) < 1.2 < np.linalg.norm(position)
     again = mesh(

@@ -14,7 +14,9 @@ import numpy as np
 from epipole._checks import as_path
 from epipole.cameras import Camera
 from epipole.config import options_of
+from epipole.dense.volume import BAND
 from epipole.dense.volume_building import (
+    GRAY,
     MOST_PIXEL_VOXELS,
     ColorImage,
     DepthImage,
@@ -115,13 +117,22 @@ def _surface(
     ]
     volume = build_volume(images, voxel, box=(np.zeros(3), size))
     found = _inside(volume.mesh(), size).without_small_components(wanted.min_component)
-    colored = (
-        ColorImage(view.camera, view.cam_from_world, _rgb_in(path), _depth_in(path).depth)
-        for view, path in rendered
-    )
-    rgb = vertex_colors(found.vertices_in_world, colored, volume.voxel)
+    rgb = _colors(found.vertices_in_world, rendered, volume.voxel)
     progress(Progress("fuse", len(views) + 1, len(views) + 1))
     return replace(found, vertices_in_world=found.vertices_in_world + low, rgb=rgb)
+
+
+def _colors(vertices: np.ndarray, rendered: Sequence[tuple[RenderView, Path]], voxel: float) -> np.ndarray:
+    """Colors of vertices from the views that show them; of those that none shows, from views of the surface within the band."""
+    rgb = np.full((len(vertices), 3), GRAY, np.uint8)
+    for tolerance in (voxel, BAND * voxel):
+        rest = np.flatnonzero((rgb == GRAY).all(axis=1))
+        images = (
+            ColorImage(view.camera, view.cam_from_world, _rgb_in(path), _depth_in(path).depth)
+            for view, path in rendered
+        )
+        rgb[rest] = vertex_colors(vertices[rest], images, tolerance)
+    return rgb
 
 
 def _farthest(view: RenderView, size: np.ndarray) -> float:
