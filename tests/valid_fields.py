@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from epipole.cameras import Camera, CameraModel
-from epipole.dense import tsdf
+from epipole.dense import volume
 from epipole.fields import exposure, normals, photometric, point_depths, rays
 from epipole.fields.config import NerfTraining, SplatTraining
 from epipole.fields.nerf import hash_field, voxel_field
@@ -18,6 +18,7 @@ from epipole.fields.splat.trainer import SplatTrainer
 from epipole.fields.training_view import TrainingView
 from epipole.scene import Mesh
 from epipole.scene.gaussian_cloud import GaussianCloud
+from epipole.scene.view_depth import ViewDepth
 from epipole.synthetic import look_at
 
 Row = tuple[str, Callable[..., Any], dict[str, Any]]
@@ -145,13 +146,14 @@ def _trainers() -> Iterator[Row]:
 
 
 def _volumes() -> Iterator[Row]:
-    shape, ends = (24, 32), {"low": np.full(3, -1.0), "high": np.ones(3)}
-    yield _row(tsdf.DistanceVolume, **ends, voxels=16)
-    depth, coverage = np.full(shape, 2.0, np.float32), np.ones(shape, np.float32)
-    yield "DistanceVolume.add", lambda **given: tsdf.DistanceVolume(**ends, voxels=16).add(**given), {
-        "camera": LENS, "cam_from_world": views()[0].cam_from_world,
-        "depth": depth, "coverage": coverage, "rgb": np.ones((*shape, 3), np.float32),
-    }  # fmt: skip
+    shape, block = (24, 32), {"blocks": np.zeros((1, 3), np.int64), "voxel": 0.1}
+    yield _row(volume.SparseVolume, **block)
+    none = np.zeros(shape, np.uint8)
+    depth = ViewDepth(np.full(shape, 2.0, np.float32), np.zeros(shape, np.float32), none, none)
+    seen = {"camera": LENS, "cam_from_world": views()[0].cam_from_world, "depth": depth}
+    yield "SparseVolume.add", lambda **given: volume.SparseVolume(**block).add(**given), seen
+    yield _row(volume.blocks_of_depth, **seen, voxel=0.1)
+    yield _row(volume.keys_within, keys=np.zeros(1, np.int64), voxel=0.1, low=np.zeros(3), high=np.ones(3))
     corners = {
         "vertices_in_world": np.eye(3),
         "faces": np.array([[0, 1, 2]]),

@@ -21,7 +21,6 @@ MODULES = {
         "scene.gaussian_cloud",
         "io.gaussians.ply",
         "io.gaussians.files",
-        "dense.tsdf",
     ),
 }
 """Modules outside the public packages that other pages refer to, by page."""

@@ -1,8 +1,12 @@
 """Sources of each view: near ones with common points, at useful angles, from several sides."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
+from dense_scenes import CAMERA, RANGE, rendered
 
+from epipole.dense.frustum_sources import select_by_frusta
 from epipole.dense.source_selection import SharedPoints, depth_range, select_sources
 from epipole.errors import ConfigError, ShapeError
 
@@ -60,3 +64,43 @@ def test_the_range_contains_the_points_with_a_margin():
     assert depth_range(np.array([-1.0, np.nan])) is None
     near, far = depth_range(np.array([3.0]))
     assert near < 3.0 < far
+
+
+def frustum_points(views, near, far):
+    """12 x 12 rays of each view at five depths, and all observations of these points, at once."""
+    u, v = np.meshgrid(np.linspace(0, CAMERA.width - 1, 12), np.linspace(0, CAMERA.height - 1, 12))
+    rays = np.linalg.solve(CAMERA.K, np.stack([u.ravel(), v.ravel(), np.ones(u.size)])).T
+    in_cam = (rays[:, None] / np.linspace(1 / far, 1 / near, 5)[:, None]).reshape(-1, 3)
+    points = np.concatenate([view.cam_from_world.inverse().apply(in_cam) for view in views])
+    rows = []
+    for view in views:
+        x, y, z = (CAMERA.K @ view.cam_from_world.apply(points).T).reshape(3, -1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inside = (np.abs(x / z - (CAMERA.width - 1) / 2) < CAMERA.width / 2) & (
+                np.abs(y / z - (CAMERA.height - 1) / 2) < CAMERA.height / 2
+            )
+        rows.append(np.flatnonzero(inside & (z > 0.5 * near) & (z < 2 * far)))
+    view = np.repeat(np.arange(len(views)), [len(row) for row in rows])
+    return SharedPoints(points, view, np.concatenate(rows))
+
+
+def test_sources_by_frusta_are_those_of_all_points_in_a_fraction_of_the_memory():
+    views, _ = rendered()
+    ranges = np.tile(RANGE, (len(views), 1))
+    centers = np.array([view.cam_from_world.centers() for view in views])
+    points = frustum_points(views, *RANGE)
+    wanted = select_sources(points, centers, np.full(len(views), CAMERA.focal_px), 5)
+    tracemalloc.start()
+    try:
+        found = select_by_frusta(views, ranges, 5)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert len(found) == len(wanted) == 24 and all(len(row) for row in wanted)
+    for one, other in zip(found, wanted):
+        np.testing.assert_array_equal(one, other)
+    bytes_of_points = points.points_in_world.nbytes
+    assert peak < 30 * bytes_of_points  # a few arrays of points; not a column for each pair of views
+    assert select_by_frusta([], np.empty((0, 2)), 5) == []
+    with pytest.raises(ConfigError, match="most"):
+        select_by_frusta(views, ranges, 0)

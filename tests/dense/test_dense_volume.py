@@ -1,12 +1,16 @@
 """Sparse volumes: a ball becomes a closed surface of its size; blocks, neighbors; kernels against Python."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from epipole.cameras import Camera
 from epipole.dense import _volume_kernels, volume
 from epipole.dense.volume import SparseVolume, blocks_of_depth, blocks_of_keys, neighbors_of
+from epipole.dense.volume_building import DepthImage, build_volume
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
+from epipole.geometry import Rigid3
 from epipole.scene.view_depth import ViewDepth
 from epipole.synthetic import look_at
 from kernel_references import assert_same_as_python, record_calls, reference_of
@@ -84,8 +88,51 @@ def test_wrong_arguments_are_refused():
     out = ball(poses=AROUND[:1])
     with pytest.raises(ShapeError, match="different sizes"):
         out.add(Camera("PINHOLE", 80, 60, [75.0, 75.0, 39.5, 29.5]), AROUND[0], depth)
+    radial = Camera("RADIAL", 160, 120, [150.0, 79.5, 59.5, 0.1, 0.1])
+    two = Rigid3.identity(2)
+    nowhere = Rigid3(np.eye(3), np.full(3, np.nan))
+    for camera, pose, error in (
+        (radial, AROUND[0], ConfigError), (CAMERA, two, ShapeError), (CAMERA, nowhere, ShapeError)
+    ):  # fmt: skip
+        with pytest.raises(error):
+            out.add(camera, pose, depth)
+        with pytest.raises(error):
+            blocks_of_depth(camera, pose, depth, 0.1)
     with pytest.raises(DegenerateGeometryError, match="no surface"):
         SparseVolume(np.zeros((1, 3), np.int64), 0.1).mesh()
+
+
+def test_free_space_removes_a_surface_that_one_view_has_wrong():
+    def beside(elsewhere):
+        """Number of vertices beside the ball; pixels that do not show it have this depth, but some of the first view."""
+        depths = []
+        for pose in AROUND:
+            seen = ball_seen(pose)
+            depth = np.where(np.isnan(seen.depth), np.float32(elsewhere), seen.depth)
+            depths.append(replace(seen, depth=depth, sigma=np.nan_to_num(seen.sigma)))
+        depths[0].depth[:20, :20] = 3.0
+        images = [DepthImage(CAMERA, pose, lambda seen=seen: seen) for pose, seen in zip(AROUND, depths)]
+        found = build_volume(images, 0.05).mesh()
+        return (np.linalg.norm(found.vertices_in_world, axis=1) > RADIUS + 0.1).sum()
+
+    assert beside(np.nan) > 50 and beside(np.inf) == 0
+
+
+def test_a_box_limits_the_volume_to_its_blocks():
+    images = [DepthImage(CAMERA, pose, lambda pose=pose: ball_seen(pose)) for pose in AROUND]
+    low, high = np.array([-1.0, -1.0, 0.0]), np.ones(3)
+    whole, part = build_volume(images, 0.05), build_volume(images, 0.05, box=(low, high))
+    assert len(part.blocks) < 0.7 * len(whole.blocks)
+    corners = 8 * 0.05 * part.blocks
+    assert ((corners + 8 * 0.05 > low) & (corners < high)).all()
+    upper = part.mesh().vertices_in_world
+    every = {row.tobytes() for row in whole.mesh().vertices_in_world}
+    assert len(upper) > 1000 and all(row.tobytes() in every for row in upper)
+    with pytest.raises(DegenerateGeometryError, match="within the box"):
+        build_volume(images, 0.05, box=(np.full(3, 5.0), np.full(3, 6.0)))
+    nothing = replace(ball_seen(AROUND[0]), depth=np.full((120, 160), np.inf, np.float32))
+    with pytest.raises(DegenerateGeometryError, match="no pixel has a depth"):
+        build_volume([DepthImage(CAMERA, AROUND[0], lambda: nothing)], 0.05)
 
 
 @reference_of(

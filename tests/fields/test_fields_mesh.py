@@ -1,89 +1,16 @@
-"""Meshes: depth images fused into distances, surfaces against known ones, and `epipole.mesh` of every kind of field."""
+"""Meshes of fields: `epipole.mesh` of every kind of field, boxes, components, and files."""
 
 import numpy as np
 import pytest
 from fields_scenes import CAMERA
 from plyfile_of import mesh_in
+from scipy.spatial import cKDTree
 
 from epipole import mesh, nerf, splat
-from epipole.cameras import Camera
 from epipole.cli.main import main
-from epipole.dense import _tsdf_kernels
-from epipole.dense.tsdf import BAND, DistanceVolume
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError, NoModelError, ShapeError
 from epipole.io.meshes.mesh_ply import first_view_of_mesh, write_mesh_ply
 from epipole.scene import Mesh
-from epipole.synthetic import look_at
-from kernel_references import reference_of
-
-LENS = Camera("PINHOLE", 160, 120, [150.0, 150.0, 79.5, 59.5])
-AROUND = [
-    look_at(
-        3.0 * np.array([np.sqrt(1 - z * z) * np.cos(2.4 * n), np.sqrt(1 - z * z) * np.sin(2.4 * n), z]),
-        (0, 0, 0),
-    )
-    for n, z in enumerate(np.linspace(-0.9, 0.9, 24))
-]
-
-
-def sphere_seen(position, radius=0.8):
-    """Depth along the axis times coverage, coverage, and color of a ball at the middle."""
-    v, u = np.mgrid[:120, :160]
-    rays = np.stack([(u - 79.5) / 150.0, (v - 59.5) / 150.0, np.ones(u.shape)], axis=2)
-    middle = position.apply(np.zeros((1, 3)))[0]
-    a, b, c = (rays**2).sum(2), rays @ middle, middle @ middle - radius**2
-    root = b * b - a * c
-    depth = np.where(root > 0, (b - np.sqrt(np.maximum(root, 0))) / a, 0.0)
-    seen = (root > 0).astype(np.float32)
-    return depth.astype(np.float32), seen, np.float32([0.8, 0.4, 0.2]) * seen[..., None]
-
-
-def volume_of(positions, voxels=48):
-    volume = DistanceVolume(np.full(3, -1.0), np.full(3, 1.0), voxels)
-    for position in positions:
-        volume.add(LENS, position, *sphere_seen(position))
-    return volume
-
-
-@reference_of(_tsdf_kernels.fuse)
-def test_distances_are_means_of_what_pictures_say():
-    volume, images = volume_of(AROUND[:3], 12), [sphere_seen(position) for position in AROUND[:3]]
-    total, count = np.zeros((12,) * 3), np.zeros((12,) * 3)
-    for i, j, k in np.ndindex(12, 12, 12):
-        place_in_world = -1.0 + (np.array([i, j, k]) + 0.5) / 6.0
-        for position, (depth, seen, _) in zip(AROUND[:3], images):
-            x, y, z = position.apply(place_in_world[None])[0]
-            column, row = np.floor([150.0 * x / z + 80.0, 150.0 * y / z + 60.0]).astype(int)
-            if not (0 <= row < 120 and 0 <= column < 160):
-                continue
-            ahead = (depth[row, column] - z) / (BAND / 6.0) if seen[row, column] else 1.0
-            if ahead >= -1.0:
-                total[i, j, k] += min(ahead, 1.0)
-                count[i, j, k] += 1
-    np.testing.assert_array_equal(volume.weight, count)
-    seen = count > 0
-    np.testing.assert_allclose(volume.distance[seen], (total / np.maximum(count, 1))[seen], atol=1e-5)
-
-
-def test_a_ball_is_a_closed_surface_of_its_size():
-    found = volume_of(AROUND).mesh()
-    radius = np.linalg.norm(found.vertices_in_world, axis=1)
-    assert np.percentile(np.abs(radius - 0.8), 95) < 0.5 * 2.0 / 48
-    a, b, c = (found.vertices_in_world[found.faces[:, n]] for n in range(3))
-    volume = (np.cross(a, b) * c).sum() / 6.0  # above 0 where faces look outwards
-    assert volume == pytest.approx(4 / 3 * np.pi * 0.8**3, rel=0.04)
-    np.testing.assert_allclose(np.median(found.rgb, axis=0), [204, 102, 51], atol=1)
-    edges = np.sort(
-        np.concatenate([found.faces[:, [0, 1]], found.faces[:, [1, 2]], found.faces[:, [2, 0]]]), axis=1
-    )
-    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
-
-
-def test_what_holds_no_surface_is_refused():
-    with pytest.raises(DegenerateGeometryError, match="no surface"):
-        DistanceVolume(np.zeros(3), np.ones(3), 8).mesh()
-    with pytest.raises(DegenerateGeometryError, match="box"):
-        DistanceVolume(np.zeros(3), np.zeros(3), 8)
 
 
 def test_files_hold_the_triangles(tmp_path):
@@ -110,12 +37,23 @@ def test_a_trained_field_has_a_surface(source, tmp_path, kind):
     vertices, faces, _ = mesh_in(tmp_path / "mesh.ply")
     assert len(faces) == len(found) > 500 and len(vertices) == len(found.vertices_in_world)
     assert np.percentile(np.linalg.norm(vertices, axis=1), 95) < 1.2
+    assert (found.rgb == 160).all(axis=1).mean() < 0.001  # gray is the color of vertices that no view shows
     position, target, _ = first_view_of_mesh(tmp_path / "mesh.ply")
     assert np.linalg.norm(target) < 1.2 < np.linalg.norm(position)
     again = mesh(
         tmp_path / "out", tmp_path / "b.ply", voxels=48, cameras=source / "transforms.json", max_views=5
     )
     assert len(again) > 200
+
+
+def test_voxels_finer_than_the_pixels_are_filled(source, tmp_path):
+    splat(source, tmp_path / "out", steps=30, max_gaussians=300, test_every=0)
+    sharp, enlarged = (
+        mesh(tmp_path / "out", tmp_path / f"{width}.ply", voxels=256, width=width) for width in (256, 32)
+    )
+    assert len(enlarged) == pytest.approx(len(sharp), rel=0.05)
+    distance = cKDTree(sharp.vertices_in_world).query(enlarged.vertices_in_world)[0]
+    assert np.quantile(distance, 0.9) < 2.0 / 256  # a voxel
 
 
 def test_what_gives_no_mesh(source, tmp_path):
@@ -171,7 +109,7 @@ def test_small_components_are_removed():
 
 def test_a_box_is_meshed_alone_and_removed_components_are_said(source, tmp_path, capsys):
     splat(source, tmp_path / "out", steps=30, max_gaussians=300, test_every=0)
-    job = ["--voxels", "32", "--box", "-1", "-1", "-1", "0.25", "1", "1"]
+    job = ["--voxels", "64", "--box", "-1", "-1", "-1", "0.25", "1", "1"]
     main(["mesh", str(tmp_path / "out"), str(tmp_path / "a.ply"), *job, "--min-component", "0"])
     assert "removed" not in capsys.readouterr().out
     every = mesh_in(tmp_path / "a.ply")[0]

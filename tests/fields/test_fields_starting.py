@@ -29,17 +29,25 @@ YARD = Camera("PINHOLE", 160, 120, [150.0, 150.0, 79.5, 59.5])
 
 @cache
 def yard():
-    """Views of the courtyard, each with some of the points that it shows, and true depths."""
-    positions, rng, out, depths = courtyard_views(48)[:6], np.random.default_rng(3), [], []
-    for n in range(6):
-        rendered = render(courtyard(), YARD, positions[n])
-        row, column = (rng.integers(0, size, 200) for size in rendered.depth.shape)
-        depth = rendered.depth[row, column]
+    """Views of the courtyard with the points that they see, of 200 random pixels of each view, and true depths."""
+    positions, rng, points = courtyard_views(48)[:6], np.random.default_rng(3), []
+    rendered = [render(courtyard(), YARD, positions[n]) for n in range(6)]
+    for n, image in enumerate(rendered):
+        row, column = (rng.integers(0, size, 200) for size in image.depth.shape)
+        depth = image.depth[row, column]
         rays = YARD.unproject(np.stack([column, row], axis=1).astype(float))
-        points = positions[n].inverse().apply(rays / rays[:, 2:] * depth[:, None])[np.isfinite(depth)]
-        out.append(TrainingView(f"{n}", rendered.rgb, YARD, positions[n], points_in_world=points))
-        depths.append(rendered.depth)
-    return tuple(out), depths
+        points.append(positions[n].inverse().apply(rays / rays[:, 2:] * depth[:, None])[np.isfinite(depth)])
+    every, out = np.concatenate(points), []
+    for n, image in enumerate(rendered):
+        in_cam = positions[n].apply(every)
+        pixels = np.rint(YARD.project(in_cam))
+        inside = np.flatnonzero(
+            (in_cam[:, 2] > 0) & (pixels >= 0).all(axis=1) & (pixels < [160, 120]).all(axis=1)
+        )
+        column, row = pixels[inside].astype(int).T
+        seen = inside[np.abs(image.depth[row, column] - in_cam[inside, 2]) < 0.05 * in_cam[inside, 2]]
+        out.append(TrainingView(f"{n}", image.rgb, YARD, positions[n], points_in_world=every[seen]))
+    return tuple(out), [image.depth for image in rendered]
 
 
 def images(of, points=None):
@@ -87,7 +95,7 @@ def test_masked_pixels_give_no_points():
 
 
 def test_what_is_missing_is_filled_up_by_stereo():
-    of, points = yard()[0], yard()[0][2].points_in_world
+    of, points = yard()[0], yard()[0][2].points_in_world[::5]
     given = []
     plain = first_gaussians(images(of, points), SplatTraining(start="points"), 5000, untold).cloud
     assert len(points) <= len(plain) < 1.1 * len(points)  # and a few distant ones

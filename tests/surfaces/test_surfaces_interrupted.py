@@ -4,18 +4,22 @@ import errno
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
+import pyogrio
 import pytest
 from benchmarks.tasks.surfaces import prepare_scene
 
 from epipole import surface
 from epipole.errors import WorkspaceError
+from epipole.io.colmap.model import read_colmap_model, write_colmap_model
 from epipole.io.meshes.gltf import read_glb
 from epipole.io.meshes.mesh_ply import read_mesh_ply
 from epipole.io.meshes.ply import read_points_ply
+from epipole.scene import Georeference
 
-OPTIONS = {"max_size_px": 192, "texture_px": 1024}
+OPTIONS = {"max_size_px": 192, "texture_px": 1024, "until": "survey"}
 KILLED = """
 import os, signal, sys
 from epipole import surface
@@ -27,19 +31,29 @@ def killed(path, *args, **options):
     os.kill(os.getpid(), signal.SIGKILL)
 
 module.{function} = killed
-surface({source!r}, {out!r}, max_size_px=192, texture_px=1024)
+surface({source!r}, {out!r}, **{options!r})
 """
 STAGES = [
     ("epipole.pipelines.surfaces.run", "write_cloud_ply", ()),
     ("epipole.pipelines.surfaces.run", "write_mesh_ply", ("cloud.ply",)),
     ("epipole.pipelines.surfaces.texture_stage", "write_glb", ("cloud.ply", "mesh.ply")),
+    (
+        "epipole.pipelines.surfaces.survey_stage",
+        "write_laz_chunks",  # the last of the stage
+        ("cloud.ply", "mesh.ply", "textured.glb"),
+    ),
 ]
 """Module and name of the function in which the process is killed, and the files that are complete then."""
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    return prepare_scene("courtyard", tmp_path_factory.mktemp("interrupted"), (384, 256), 6)
+    scene = prepare_scene("courtyard", tmp_path_factory.mktemp("interrupted"), (384, 256), 6)
+    folder = scene.folder / "sparse" / "0"
+    write_colmap_model(
+        replace(read_colmap_model(folder), georeference=Georeference(48.2, 11.6, 520.0)), folder
+    )
+    return scene
 
 
 @pytest.fixture(scope="module")
@@ -48,12 +62,18 @@ def whole(scene, tmp_path_factory):
 
 
 def results(out):
-    return sorted(path.name for path in out.iterdir() if path.suffix in (".ply", ".glb", ".html"))
+    suffixes = (".ply", ".glb", ".tif", ".gpkg", ".laz", ".html")
+    return sorted(path.name for path in out.iterdir() if path.suffix in suffixes)
 
 
 def check_same(out, whole):
-    assert (out / "cloud.ply").read_bytes() == (whole.out / "cloud.ply").read_bytes()
-    assert (out / "mesh.ply").read_bytes() == (whole.out / "mesh.ply").read_bytes()
+    for name in ("cloud.ply", "mesh.ply", "dsm.tif", "dtm.tif", "orthophoto.tif", "cloud.laz"):
+        assert (out / name).read_bytes() == (whole.out / name).read_bytes(), name
+    lines = [
+        pyogrio.raw.read(folder / "contours.gpkg") for folder in (out, whole.out)
+    ]  # the file has its time
+    for found, wanted in zip(*((geometry, *fields) for _, _, geometry, fields in lines)):
+        np.testing.assert_array_equal(found, wanted)
     found, wanted = read_glb(out / "textured.glb"), read_glb(whole.out / "textured.glb")
     np.testing.assert_array_equal(found.textures[0], wanted.textures[0])
 
@@ -61,7 +81,9 @@ def check_same(out, whole):
 def test_a_run_killed_in_each_stage_leaves_whole_files_and_continues(scene, whole, tmp_path):
     out = tmp_path / "out"
     for module, function, complete in STAGES:
-        script = KILLED.format(module=module, function=function, source=str(scene.folder), out=str(out))
+        script = KILLED.format(
+            module=module, function=function, source=str(scene.folder), out=str(out), options=OPTIONS
+        )
         done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False)
         assert done.returncode == -9, done.stderr.decode()[-500:]
         assert results(out) == list(complete)

@@ -28,6 +28,7 @@ from epipole.io.images.rgba import write_png
 from epipole.io.meshes.gltf import read_glb
 from epipole.io.meshes.mesh_ply import read_mesh_ply
 from epipole.io.meshes.ply import read_points_ply
+from epipole.io.models.transforms import write_transforms
 from epipole.pipelines.surfaces import depth_stage
 
 VIEWS = 8
@@ -193,6 +194,27 @@ def test_an_unreadable_image_is_left_out_and_said(scene, tmp_path):
     assert any(scene.names[2] in warning for warning in found.warnings)
 
 
+def test_truncated_images_are_left_out_unless_too_few_remain(scene, tmp_path):
+    source = copied(scene, tmp_path / "source")
+    for name in scene.names[2:4]:
+        content = (scene.folder / "images" / name).read_bytes()
+        (source / "images" / name).write_bytes(content[: len(content) // 2])
+    found = surface(source, tmp_path / "out", until="depth", max_size_px=192)
+    assert found.summary["num_images"] == VIEWS - 2
+    for name in scene.names[2:4]:
+        assert any(
+            f"{name} is left out: " in warning and "truncated" in warning for warning in found.warnings
+        )
+    for name in scene.names[1:]:
+        content = (scene.folder / "images" / name).read_bytes()
+        (source / "images" / name).write_bytes(content[: len(content) // 2])
+    with pytest.raises(NoModelError, match=r"1 images can be used, .* is left out: .*truncated"):
+        surface(source, tmp_path / "out", until="depth", max_size_px=192)
+    shutil.rmtree(source / "images")
+    shutil.copytree(scene.folder / "images", source / "images")
+    assert surface(source, tmp_path / "out", until="depth", max_size_px=192).summary["num_images"] == VIEWS
+
+
 def test_views_at_one_position_have_no_surface(scene, tmp_path):
     source = copied(scene, tmp_path / "source")
     model = read_colmap_model(source / "sparse" / "0")
@@ -229,6 +251,22 @@ def test_sources_without_points_images_or_cameras_are_refused(scene, tmp_path):
         surface(scene.folder, tmp_path / "mine")
     with pytest.raises(ConfigError, match="texture_px"):
         SurfaceConfig(texture_px=1)
+
+
+def test_points_without_observations_are_projected_into_the_images(scene, done, tmp_path):
+    source = tmp_path / "source"
+    shutil.copytree(scene.folder / "images", source / "images")
+    write_transforms(read_colmap_model(scene.folder / "sparse" / "0"), source / "transforms.json")
+    found = surface(source / "transforms.json", tmp_path / "out", until="cloud")
+    assert found.summary["num_images"] == VIEWS and any("see all points" in w for w in found.warnings)
+    assert found.summary["density"] > 0.95 * done.summary["density"]
+    distance = cKDTree(read_points_ply(done.out / "cloud.ply").xyz).query(
+        read_points_ply(found.out / "cloud.ply").xyz[::20]
+    )[0]
+    assert np.quantile(distance, 0.9) < 2 * done.summary["voxel"]
+    (source / "sparse_pc.ply").unlink()
+    with pytest.raises(NoModelError, match=r"has no points .*ply_file_path"):
+        surface(source / "transforms.json", tmp_path / "none")
 
 
 def test_the_command_prints_what_it_wrote(scene, tmp_path, capsys):

@@ -112,8 +112,33 @@ def test_products_can_be_cropped(done, source, tmp_path):
     points = laspy.read(out / "cloud.laz")
     assert 0 < len(points.points) < cropped.summary["num_points"]
     assert points.x.min() >= crop[0] - 1e-3 and points.y.max() <= crop[3] + 1e-3
+    with rasterio.open(done.out / "dsm.tif") as file:
+        west, _, _, north = file.bounds
+    beyond = (
+        west - 0.2,
+        north - 1.0,
+        west - 0.1,
+        north,
+    )  # some image could show it, but the surface is elsewhere
     with pytest.raises(ConfigError, match="nothing is inside the crop: the surface is from"):
-        surface(source.folder, out, until="survey", texture_px=1024, crop=(0.0, 0.0, 1.0, 1.0))
+        surface(source.folder, out, until="survey", texture_px=1024, crop=beyond)
+
+
+def test_a_crop_elsewhere_and_too_many_contour_lines_are_refused_before_the_work(done, source, tmp_path):
+    with rasterio.open(done.out / "dsm.tif") as file:
+        (west, south, east, north), size = file.bounds, 1000.0
+    for crop in (
+        (0.0, 0.0, 1.0, 1.0),
+        (west - 2 * size, south, west - size, north),
+        (west, north + size, east, north + 2 * size),
+    ):
+        with pytest.raises(
+            ConfigError, match=r"no image shows the crop .*: the points of the model are from"
+        ):
+            surface(source.folder, tmp_path / "out", until="survey", crop=crop)
+    with pytest.raises(ConfigError, match=r"levels between .* use an interval of at least"):
+        surface(source.folder, tmp_path / "out", until="survey", contour_m=1e-5)
+    assert not (tmp_path / "out" / "units" / "depth").exists()
 
 
 def test_a_model_without_a_position_is_refused_before_the_work(source, tmp_path):

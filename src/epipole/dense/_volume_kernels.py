@@ -21,7 +21,7 @@ def touched_blocks(depth, view, size, band, stride, start, stop, keys):
     for v in range(start, stop, stride):
         for u in range(0, depth.shape[1], stride):
             z = depth[v, u]
-            if not z > 0.0:
+            if not 0.0 < z < np.inf:
                 continue
             x, y = (u - k[2]) / k[0], (v - k[3]) / k[1]
             dx = r[0] * x + r[1] * y + r[2]
@@ -45,7 +45,8 @@ def integrate(depth, sigma, view, blocks, voxel, band, start, stop, distance, we
     """Integrate a depth image into blocks start..stop (Curless and Levoy, SIGGRAPH 1996), weighted by the inverse variance.
 
     view = (cam_from_world rotation (9), translation (3), K (fx, fy, cx, cy)). blocks (b, 3): coordinates. distance (b, 8, 8, 8) is a mean in
-    units of the band, at most 1; voxels more than a band behind the surface are not changed. A weight of one is a depth without error.
+    units of the band, at most 1; voxels more than a band behind the surface are not changed. An infinite depth is free space. A weight of one
+    is a depth without error.
     """
     r, t, k = view
     height, width = depth.shape

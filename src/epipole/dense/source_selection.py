@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,9 +66,7 @@ def select_sources(
     Raises:
         ConfigError: most is less than 1.
     """
-    check_count(most, "most")
-    if most < 1:
-        raise ConfigError(f"most must be at least 1, got {most}")
+    check_most(most)
     n, p = len(centers_in_world), len(points.points_in_world)
     ones = np.ones(len(points.view_of_observation), np.int32)
     seen = csr_array((ones, (points.view_of_observation, points.point_of_observation)), shape=(n, p))
@@ -76,36 +75,54 @@ def select_sources(
     shared = (seen @ seen.T).tocsr()
     chosen = []
     for view in range(n):
-        row = shared.indices[shared.indptr[view] : shared.indptr[view + 1]]
-        counts = shared.data[shared.indptr[view] : shared.indptr[view + 1]]
-        usable = (row != view) & (counts >= LEAST_POINTS)
-        order = np.lexsort((row[usable], -counts[usable]))[:MOST_CANDIDATES]
-        candidates = row[usable][order].astype(np.int64)
-        own = seen.indices[seen.indptr[view] : seen.indptr[view + 1]]
-        chosen.append(_greedy(view, candidates, own, seen, points, centers_in_world, focals_px, most))
+        part = slice(shared.indptr[view], shared.indptr[view + 1])
+        candidates = candidates_of(view, shared.indices[part].astype(np.int64), shared.data[part])
+        own = _points_of(seen, view)
+        common = [np.isin(own, _points_of(seen, other), assume_unique=True) for other in candidates.tolist()]
+        rows = np.array([view, *candidates])
+        xyz = points.points_in_world[own]
+        best = best_sources(xyz, common, centers_in_world[rows], focals_px[rows], most)
+        chosen.append(candidates[best])
     return chosen
 
 
-def _greedy(
-    view: int,
-    candidates: np.ndarray,
-    own: np.ndarray,
-    seen: csr_array,
-    points: SharedPoints,
-    centers: np.ndarray,
-    focals: np.ndarray,
-    most: int,
+def check_most(most: int) -> None:
+    """Check the largest number of sources.
+
+    Raises:
+        ConfigError: it is less than 1.
+    """
+    check_count(most, "most")
+    if most < 1:
+        raise ConfigError(f"most must be at least 1, got {most}")
+
+
+def candidates_of(view: int, others: np.ndarray, num_common: np.ndarray) -> np.ndarray:
+    """The views with the most points in common with a view, most first, from the sorted other views and their numbers of common points."""
+    usable = (others != view) & (num_common >= LEAST_POINTS)
+    order = np.lexsort((others[usable], -num_common[usable]))[:MOST_CANDIDATES]
+    return np.asarray(others[usable][order])
+
+
+def best_sources(
+    xyz: np.ndarray, common: Sequence[np.ndarray], centers: np.ndarray, focals: np.ndarray, most: int
 ) -> np.ndarray:
-    """Candidates with the largest gains, one after the other."""
-    xyz = points.points_in_world[own]
-    weights = np.zeros((len(candidates), len(own)))
-    for k, other in enumerate(candidates.tolist()):
-        common = np.isin(own, seen.indices[seen.indptr[other] : seen.indptr[other + 1]], assume_unique=True)
-        weights[k, common] = _weights(xyz[common], centers[[view, other]], focals[[view, other]])
-    toward = centers[candidates] - centers[view]
+    """Candidates with the largest gains, one after the other.
+
+    Args:
+        xyz: (n, 3) points that the view sees.
+        common: (n,) mask of those that each candidate sees.
+        centers: (m + 1, 3) positions of the view and its m candidates.
+        focals: their focal lengths.
+        most: largest number of sources.
+    """
+    weights = np.zeros((len(common), len(xyz)))
+    for k, mask in enumerate(common):
+        weights[k, mask] = _weights(xyz[mask], centers[[0, k + 1]], focals[[0, k + 1]])
+    toward = centers[1:] - centers[0]
     toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-12)
-    cover, same, out = np.zeros(len(own)), np.zeros(len(candidates)), list[int]()
-    while len(out) < min(most, len(candidates)):
+    cover, same, out = np.zeros(len(xyz)), np.zeros(len(common)), list[int]()
+    while len(out) < min(most, len(common)):
         gain = (weights / (1.0 + cover)).sum(axis=1) * (1.0 - SAME_SIDE * same)
         gain[out] = -1.0
         best = int(np.argmax(gain))
@@ -114,7 +131,11 @@ def _greedy(
         out.append(best)
         cover += weights[best]
         same = np.maximum(same, np.clip(toward @ toward[best], 0.0, 1.0))
-    return candidates[out]
+    return np.array(out, np.int64)
+
+
+def _points_of(seen: csr_array, view: int) -> np.ndarray:
+    return np.asarray(seen.indices[seen.indptr[view] : seen.indptr[view + 1]])
 
 
 def _weights(xyz: np.ndarray, centers: np.ndarray, focals: np.ndarray) -> np.ndarray:

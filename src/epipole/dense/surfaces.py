@@ -15,8 +15,8 @@ from jaxtyping import Bool, Float64, UInt8
 from epipole._checks import Declared, check_count, checked
 from epipole.cameras import Camera
 from epipole.dense.depth import view_depth
+from epipole.dense.frustum_sources import select_by_frusta
 from epipole.dense.fusion import DensePoints, fuse_view
-from epipole.dense.source_selection import SharedPoints, select_sources
 from epipole.dense.texturing.texture import texture_mesh
 from epipole.dense.texturing.texture_view import TextureView
 from epipole.dense.view import DenseView
@@ -27,9 +27,6 @@ from epipole.scene import Mesh
 from epipole.scene.local_origin import local_origin
 from epipole.scene.textured_mesh import TexturedMesh
 from epipole.scene.view_depth import ViewDepth
-
-GRID, DEPTHS = 12, 5
-"""Rays along each side of a view, and depths along each ray, whose points decide which views have a part in common."""
 
 Images = Sequence[UInt8[np.ndarray, "h w 3"]]
 
@@ -79,8 +76,7 @@ def estimate_depth(
     ranges = np.broadcast_to(given, (len(views), 2))
     if not ((ranges[:, 0] > 0) & (ranges[:, 0] < ranges[:, 1]) & np.isfinite(ranges[:, 1])).all():
         raise ConfigError("depths must be two increasing positive numbers")
-    centers, focals = cams_from_world.centers(), np.array([camera.focal_px for camera in cameras])
-    sources = select_sources(_frustum_points(views, ranges), centers, focals, num_sources)
+    sources = select_by_frusta(views, ranges, num_sources)
     return [
         view_depth(view, [views[j] for j in row.tolist()], (float(near), float(far)))
         for view, row, (near, far) in zip(views, sources, ranges)
@@ -132,7 +128,7 @@ def mesh_depths(
     Raises:
         ShapeError: the numbers of cameras, poses and depths differ, or their sizes.
         DegenerateGeometryError: no pixel has a depth, or there is no surface.
-        ConfigError: the voxels are too small for the scene.
+        ConfigError: the voxels are too small for the scene, or a camera has distortion.
     """
     _check_number(depths, "depths", len(cameras))
     _check_poses(cams_from_world, len(cameras))
@@ -201,27 +197,3 @@ def _check_poses(cams_from_world: Rigid3, wanted: int) -> None:
         raise ShapeError(
             f"cams_from_world must have {wanted} poses, one for each image, got {cams_from_world.batch_shape()}"
         )
-
-
-def _frustum_points(views: Sequence[DenseView], ranges: np.ndarray) -> SharedPoints:
-    """Points in the part of space that each view sees, and which views have them in their images."""
-    points = []
-    for view, (near, far) in zip(views, ranges):
-        camera = view.camera
-        x, y = (np.linspace(0.0, side - 1.0, GRID) for side in (camera.width, camera.height))
-        rays = camera.unproject(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
-        depth = 1.0 / np.linspace(1.0 / far, 1.0 / near, DEPTHS)
-        positions = (rays / rays[:, 2:])[:, None] * depth[:, None]
-        points.append(view.cam_from_world.inverse().apply(positions.reshape(-1, 3)))
-    every = np.concatenate([np.empty((0, 3)), *points])
-    seen_by, seen = list[np.ndarray](), list[np.ndarray]()
-    for k, (view, (near, far)) in enumerate(zip(views, ranges)):
-        in_cam = view.cam_from_world.apply(every)
-        in_front = np.flatnonzero((in_cam[:, 2] > 0.5 * near) & (in_cam[:, 2] < 2.0 * far))
-        pixels = view.camera.project(in_cam[in_front])
-        size = view.camera.width - 0.5, view.camera.height - 0.5
-        own = in_front[(pixels > -0.5).all(axis=1) & (pixels < size).all(axis=1)]
-        seen.append(own)
-        seen_by.append(np.full(len(own), k))
-    none = np.empty(0, np.int64)
-    return SharedPoints(every, np.concatenate([none, *seen_by]), np.concatenate([none, *seen]))

@@ -8,11 +8,11 @@ along the surfaces only (Niessner et al., SIGGRAPH Asia 2013). The mesh has a ve
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Int64
+from jaxtyping import Float64, Int64
 
 from epipole import _parallel
 from epipole._checks import checked
-from epipole.cameras import Camera
+from epipole.cameras import Camera, CameraModel
 from epipole.dense import _volume_kernels as kernels
 from epipole.dense.view import intrinsics_of
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
@@ -57,13 +57,13 @@ class SparseVolume:
 
     @checked
     def add(self, camera: Camera, cam_from_world: Rigid3, depth: ViewDepth) -> None:
-        """Integrate the depth of a pinhole camera.
+        """Integrate the depth of a pinhole camera; where it is infinite, the space in front of the camera is free.
 
         Raises:
-            ShapeError: depth does not have the camera's size.
+            ShapeError: depth does not have the camera's size, or the pose is not a single finite one.
+            ConfigError: the camera has distortion.
         """
-        if depth.depth.shape != (camera.height, camera.width):
-            raise ShapeError("depth and camera have different sizes")
+        _check_view(camera, cam_from_world, depth)
         view = cam_from_world.rotation.ravel(), cam_from_world.translation, intrinsics_of(camera)
         given = depth.depth, depth.sigma, view, self.blocks, self.voxel, BAND * self.voxel
         _parallel.map_chunks(
@@ -122,12 +122,16 @@ def blocks_of_depth(
     """Sorted keys of the blocks within the band of a view's depth; `blocks_of_keys` gives their coordinates.
 
     Raises:
-        ConfigError: the scene is too large for the voxels.
+        ShapeError: depth does not have the camera's size, or the pose is not a single finite one.
+        ConfigError: the scene is too large for the voxels, or the camera has distortion.
     """
+    _check_view(camera, cam_from_world, depth)
     world_from_cam = cam_from_world.inverse()
     view = world_from_cam.rotation.ravel(), world_from_cam.translation, intrinsics_of(camera)
     side = kernels.SIDE * voxel
-    farthest = float(np.nanmax(depth.depth, initial=0.0)) * 4.0 + np.abs(view[1]).max()
+    farthest = (
+        float(depth.depth.max(initial=0.0, where=np.isfinite(depth.depth))) * 4.0 + np.abs(view[1]).max()
+    )
     if not farthest < 0.5 * kernels.OFFSET * side:
         raise ConfigError("the scene is too large for the voxels: use larger voxels")
 
@@ -150,6 +154,18 @@ def blocks_of_keys(keys: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, "n 3"]:
 
 
 @checked
+def keys_within(
+    keys: Int64[np.ndarray, " n"],
+    voxel: float,
+    low: Float64[np.ndarray, " 3"],
+    high: Float64[np.ndarray, " 3"],
+) -> Int64[np.ndarray, " m"]:
+    """Keys of the blocks that overlap a box, whose corners are in world units."""
+    blocks, side = blocks_of_keys(keys), kernels.SIDE * voxel
+    return keys[(((blocks + 1) * side > low) & (blocks * side < high)).all(axis=1)]
+
+
+@checked
 def neighbors_of(blocks: Int64[np.ndarray, "b 3"], step: int) -> Int64[np.ndarray, "b 8"]:
     """Rows of the blocks at offsets 0 and `step` along each axis, 4 x + 2 y + z; -1 where there is none."""
     keys = _keys(blocks)
@@ -161,6 +177,15 @@ def neighbors_of(blocks: Int64[np.ndarray, "b 3"], step: int) -> Int64[np.ndarra
         found = order[at]
         out[:, n] = np.where(keys[found] == wanted, found, -1)
     return out
+
+
+def _check_view(camera: Camera, cam_from_world: Rigid3, depth: ViewDepth) -> None:
+    if camera.model not in (CameraModel.PINHOLE, CameraModel.SIMPLE_PINHOLE):
+        raise ConfigError("the camera must be PINHOLE or SIMPLE_PINHOLE: undistort the images")
+    if depth.depth.shape != (camera.height, camera.width):
+        raise ShapeError("depth and camera have different sizes")
+    if cam_from_world.batch_shape() != () or not np.isfinite(cam_from_world.as_matrix()).all():
+        raise ShapeError("cam_from_world must be a single finite pose")
 
 
 def _keys(blocks: np.ndarray) -> np.ndarray:

@@ -143,6 +143,24 @@ def default_interval(raster: Raster) -> float:
     return next(each for each in candidates if each >= least)
 
 
+@checked
+def check_interval(interval: float, lowest: float, highest: float) -> None:
+    """Check that contour lines between two heights in meters are not too many.
+
+    Raises:
+        ConfigError: the interval is not positive, or gives too many levels.
+    """
+    if not 0 < interval < math.inf:
+        raise ConfigError(f"interval must be positive and finite, got {interval:g}")
+    count = (highest - lowest) / interval
+    if count > _MOST_LEVELS:
+        least = (highest - lowest) / _MOST_LEVELS
+        raise ConfigError(
+            f"an interval of {interval:g} m gives {count:.3g} levels between {lowest:g} m and {highest:g} m, and at "
+            f"most {_MOST_LEVELS} are possible: use an interval of at least {least:.3g} m"
+        )
+
+
 def require_contours() -> None:
     """Check that contourpy and pyogrio are installed, before work whose result needs them.
 
@@ -177,16 +195,8 @@ def _range(raster: Raster) -> tuple[float, float]:
 
 def _levels(raster: Raster, interval: float) -> list[float]:
     """The multiples of the interval between the lowest and the highest height."""
-    if not 0 < interval < math.inf:
-        raise ConfigError(f"interval must be positive and finite, got {interval:g}")
     lowest, highest = _range(raster)
-    count = (highest - lowest) / interval
-    if count > _MOST_LEVELS:
-        least = (highest - lowest) / _MOST_LEVELS
-        raise ConfigError(
-            f"an interval of {interval:g} m gives {count:.3g} levels between {lowest:g} m and {highest:g} m, and at "
-            f"most {_MOST_LEVELS} are possible: use an interval of at least {least:.3g} m"
-        )
+    check_interval(interval, lowest, highest)
     first, last = math.ceil(lowest / interval), math.floor(highest / interval)
     return [float(f"{k * interval:.{_DIGITS}g}") for k in range(first, last + 1)]
 

@@ -185,7 +185,7 @@ class MeshConfig:
     min_component: float = 0.01
     """Remove components with fewer triangles than this fraction of the largest one; 0 keeps all."""
     width: int | None = None
-    """Width of the depth images; that of the cameras."""
+    """Width of the depth images, or larger if the voxels need it; that of the cameras."""
 
     def __post_init__(self) -> None:
         """Check the ranges.

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 DEFAULTS = SurfaceConfig()
 WORDS = {
     **STAGES,
+    "images": "Checking images",
     "depth": "Matching each view",
     "cloud": "Fusing points",
     "mesh": "Building the mesh",

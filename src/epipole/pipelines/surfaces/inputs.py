@@ -16,6 +16,7 @@ from epipole.io.models.images import ModelImage, ModelImages
 from epipole.io.models.losses import losses_in, losses_of
 from epipole.pipelines.sfm.run import reconstruct
 from epipole.pipelines.surfaces.config import SurfaceConfig
+from epipole.pipelines.surfaces.image_check import failures_of
 from epipole.pipelines.surfaces.view_files import ViewFile, pinhole_of
 from epipole.runs import Run, content_digests, digest
 from epipole.runs.model_source import ModelSource, is_model, model_source_of, up_in_world
@@ -24,6 +25,8 @@ from epipole.scene import Reconstruction
 MODEL = "sfm"
 """Subfolder of the model of photographs that are reconstructed first."""
 DIGESTS = "files.npz"
+MOST_POINTS = 10_000
+"""Points without observations that are used, at most: an evenly spaced subset."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,13 +60,21 @@ def surface_inputs(source: Path, run: Run, config: SurfaceConfig) -> SurfaceInpu
     found, lost = _model_of(source, run, config)
     warnings = [*lost, *found.warnings]
     views = _view_files(found, run, config, warnings)
+    if len(views) < 2:
+        reasons = "".join(f"; {warning}" for warning in warnings[:3])
+        raise NoModelError(f"{len(views)} images can be used, but a surface needs at least two{reasons}")
     model = found.model
     row_of_name = {name: row for row, name in enumerate(model.images.name)}
     rows = [row_of_name[view.name] for view in views]
-    points = _shared_points(model, rows)
+    points = _shared_points(model, rows) if len(model.tracks.image) else _points_in_images(model, views)
     if not len(points.point_of_observation):
         raise NoModelError(
-            f"{source} has no points that its images see, so the range of depth is unknown: pass a model with points"
+            f"{source} has no points that its images see, so the range of depth is unknown: pass the output of `epipole reconstruct` on the"
+            " images, or add points to the model (ply_file_path in a transforms.json; COLMAP's point_triangulator)"
+        )
+    if not len(model.tracks.image):
+        warnings.append(
+            "the model does not say which images see its points, so each is assumed to see all points that project into it"
         )
     centers = np.array([view.cam_from_world.inverse().translation for view in views]).reshape(-1, 3)
     focals = np.array([view.pinhole.focal_px for view in views], np.float64)
@@ -135,6 +146,9 @@ def _view_files(found: ModelSource, run: Run, config: SurfaceConfig, warnings: l
     if config.masks is not None and not any(mask is not None for _, mask in images.values()):
         raise ConfigError(f"masks {config.masks} has no mask for any image (expected NAME.png)")
     digests = content_digests(paths, run.root / "units" / DIGESTS, run.job.progress)
+    failures = failures_of({image.path: digests[image.path] for image, _ in images.values()}, run)
+    for row in [row for row, (image, _) in images.items() if image.path in failures]:
+        warnings.append(f"{model.images.name[row]} is left out: {failures[images.pop(row)[0].path]}")
     limits = common_range([image.path for image, _ in images.values()])
     views = []
     for row, (image, mask) in images.items():
@@ -168,6 +182,25 @@ def _shared_points(model: Reconstruction, rows: list[int]) -> SharedPoints:
     point = model.tracks.point_of_observation().astype(np.int64)
     used = (view >= 0) & np.isfinite(model.points.xyz_in_world[point]).all(axis=1)
     return SharedPoints(model.points.xyz_in_world, view[used], point[used])
+
+
+def _points_in_images(model: Reconstruction, views: list[ViewFile]) -> SharedPoints:
+    """Points of a model without observations; each view is assumed to see those that project into it, occluded or not."""
+    points = model.points.xyz_in_world
+    points = points[np.isfinite(points).all(axis=1)]
+    points = points[:: max(1, -(-len(points) // MOST_POINTS))]
+    seen = [_in_image(view, points) for view in views]
+    view = np.repeat(np.arange(len(views)), [len(row) for row in seen])
+    return SharedPoints(points, view, np.concatenate([np.empty(0, np.int64), *seen]))
+
+
+def _in_image(view: ViewFile, points: np.ndarray) -> np.ndarray:
+    """Rows of the points that project into a view."""
+    in_cam = view.cam_from_world.apply(points)
+    in_front = np.flatnonzero(in_cam[:, 2] > 0)
+    pixels = view.pinhole.project(in_cam[in_front])
+    size = view.pinhole.width - 0.5, view.pinhole.height - 0.5
+    return np.asarray(in_front[(pixels > -0.5).all(axis=1) & (pixels < size).all(axis=1)])
 
 
 def _depth_ranges(views: list[ViewFile], points: SharedPoints) -> list[tuple[float, float] | None]:

@@ -24,11 +24,7 @@ from epipole.pipelines.surfaces.mesh_stage import depth_images, first_view, mesh
 from epipole.pipelines.surfaces.options import SurfaceKeywords
 from epipole.pipelines.surfaces.page import render_page
 from epipole.pipelines.surfaces.results import depth_figures, summary_of
-from epipole.pipelines.surfaces.survey_stage import (
-    require_georeference,
-    require_survey_packages,
-    write_survey,
-)
+from epipole.pipelines.surfaces.survey_stage import check_survey, require_survey_packages, write_survey
 from epipole.pipelines.surfaces.texture_stage import COARSE_TEXELS, texel_side, texture_of, write_textured
 from epipole.pipelines.surfaces.view_files import view_of_file
 from epipole.runs import Job, ProgressCallback, Run, Unit, ignore_progress, open_run
@@ -98,7 +94,7 @@ def surface(
         with run.stage("open"):
             inputs = surface_inputs(source, run, wanted)
             if wanted.until == "survey":
-                require_georeference(inputs, wanted)
+                check_survey(inputs, wanted)
         run.warnings += inputs.warnings
         try:
             return _surface_of(inputs, wanted, run)

@@ -20,6 +20,7 @@ from epipole.io.survey.rasters import Raster, require_rasterio, write_geotiff
 from epipole.pipelines.surfaces.cloud_stage import points_in
 from epipole.pipelines.surfaces.config import SurfaceConfig
 from epipole.pipelines.surfaces.inputs import SurfaceInputs
+from epipole.pipelines.surfaces.survey_extent import check_extent
 from epipole.runs import Unit
 from epipole.scene import Georeference
 from epipole.scene.textured_mesh import TexturedMesh
@@ -31,10 +32,10 @@ CELL_PIXELS = 1.0
 
 
 def require_georeference(inputs: SurfaceInputs, config: SurfaceConfig) -> Georeference:
-    """The georeference of the model, before depth is computed.
+    """The georeference of the model.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: there is none, or the coordinate system has degrees.
         MissingDependencyError: pyproj is not installed.
         FileFormatError: the coordinate system is unknown.
     """
@@ -50,6 +51,18 @@ def require_georeference(inputs: SurfaceInputs, config: SurfaceConfig) -> Georef
         )
     coordinates_of(np.array([[found.lat_deg, found.lon_deg, found.alt_m]]), crs)
     return found
+
+
+def check_survey(inputs: SurfaceInputs, config: SurfaceConfig) -> None:
+    """Check that survey products are possible, before depth is computed.
+
+    Raises:
+        ConfigError: the model has no position on Earth, no image shows the crop, or contour lines are too many.
+        MissingDependencyError: pyproj is not installed.
+        FileFormatError: the coordinate system is unknown.
+    """
+    origin = require_georeference(inputs, config)
+    check_extent(inputs, origin, crs_of(origin, config), config)
 
 
 def require_survey_packages() -> None:
