@@ -30,7 +30,7 @@ from epipole import reconstruct
 from epipole.runs import joined
 from epipole.runs.cluster import Connection
 
-TIMED = {"summary.json", "report.html", "epipole.json", "config.json"}
+TIMED = {"summary.json", "report.html", "epipole.json", "config.json", "log.txt"}
 """Files that contain times."""
 FROZEN_S = 30.0
 

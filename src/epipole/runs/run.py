@@ -19,6 +19,8 @@ from epipole.runs.folder import MARK, OutputFolder, check_output_path, claim, re
 from epipole.runs.lock import alone_in
 from epipole.runs.memory import peak_memory_mb
 from epipole.runs.progress import Progress, ProgressCallback, ignore_progress
+from epipole.runs.run_log import NAME as LOG
+from epipole.runs.run_log import RunLog
 from epipole.runs.threads import thread_scope
 from epipole.runs.units import Unit, digest, remove_other_results
 
@@ -38,6 +40,8 @@ class Job:
     progress: ProgressCallback = ignore_progress
     opencv_alone: bool = False
     """See `thread_scope`."""
+    has_log: bool = False
+    """Whether the run writes `log.txt`, with the progress of all stages."""
 
     def __post_init__(self) -> None:
         """Check the fields.
@@ -52,7 +56,9 @@ class Run:
     """A run in progress. Created by `open_run`."""
 
     def __init__(self, job: Job, folder: OutputFolder) -> None:
-        self.job, self.folder = job, folder
+        self._log = None if not job.has_log else _open_log(folder)
+        self.job, self.folder = replace(job, progress=self._report), folder
+        self._show = job.progress
         self.warnings: list[str] = []
         self.peak_memory_mb: dict[str, float | None] = {}
         """Largest memory of this process up to the end of each stage."""
@@ -85,10 +91,16 @@ class Run:
         try:
             yield
         finally:
-            self.timings_s[name] = (
-                self.timings_s.get(name, self._earlier_s.pop(name, 0.0)) + perf_counter() - start
-            )
+            seconds = perf_counter() - start
+            self.timings_s[name] = self.timings_s.get(name, self._earlier_s.pop(name, 0.0)) + seconds
             self.peak_memory_mb[name] = peak_memory_mb()
+            if self._log is not None:
+                self._log.write(name, f"ended after {seconds:,.1f} s")
+
+    def _report(self, report: Progress) -> None:
+        if self._log is not None:
+            self._log.add(report)
+        self._show(report)
 
     def report(self, stage: str, done: int, total: int, note: str = "") -> None:
         """Report the progress of a stage, with an optional note."""
@@ -102,6 +114,11 @@ class Run:
         if done < len(units) and stage in self._finished_s:
             self._earlier_s[stage] = self._finished_s.pop(stage)
 
+    def note_end(self, error: BaseException) -> None:
+        """Write to the log why the run ends."""
+        if self._log is not None:
+            self._log.write("stopped", f"{type(error).__name__}: {error}".splitlines()[0])
+
     def close(self) -> None:
         """Save the timings for a run that continues this one."""
         if (self.root / MARK).is_file():
@@ -113,8 +130,28 @@ class Run:
         self.folder.write_json("config.json", {"version": __version__, **self.job.settings})
         if summary is not None:
             self.folder.write_json("summary.json", {"version": __version__, **summary})
+        if self._log is not None:
+            peak = max((mb for mb in self.peak_memory_mb.values() if mb is not None), default=None)
+            self._log.write(
+                "finished",
+                f"after {self.seconds:,.1f} s" + ("" if peak is None else f", at most {peak:,.0f} MB"),
+            )
         self.folder.finished = digest(__version__, self.job.settings)
         self.folder.save()
+
+
+def _open_log(folder: OutputFolder) -> RunLog | None:
+    """The log of a new run, or that of the stopped run that it continues; None if the folder has another file of that name."""
+    path = folder.root / LOG
+    is_own = LOG in folder.files.get("log", ())
+    if path.exists() and not is_own:
+        return None
+    if folder.finished:
+        path.unlink(missing_ok=True)
+    folder.files["log"] = [LOG]
+    log = RunLog(path)
+    log.write("started", f"epipole {__version__} {folder.kind}")
+    return log
 
 
 @checked
@@ -138,6 +175,7 @@ def open_run(job: Job, out: Path) -> Iterator[Run]:
         try:
             yield run
         except BaseException as error:
+            run.note_end(error)
             with suppress(WorkspaceError, OSError):  # the first error is more informative
                 run.folder.give_up(has_failed=isinstance(error, Exception))
                 run.close()

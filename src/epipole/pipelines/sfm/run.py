@@ -114,6 +114,7 @@ def reconstruct(
         executor=_executor(executor, config),
         progress=progress,
         opencv_alone=True,
+        has_log=True,
     )
     with open_run(job, out) as run:
         earlier = Earlier.of_output(run.root) if config.grow else None

@@ -80,7 +80,7 @@ class SlamState:
             ConfigError: a camera with depth is not a pinhole, or is_map_fixed is set without a known map, or mapping is in a thread
                 with a rolling shutter, whose correction changes keyframes in every frame.
         """
-        maps = [known] if isinstance(known, SlamMap) else list(known or [])
+        maps = _numbered([known] if isinstance(known, SlamMap) else list(known or []))
         if is_map_fixed and not maps:
             raise ConfigError("is_map_fixed=True needs a map: pass known=")
         if mapping == "thread" and camera.shutter.is_rolling:
@@ -93,8 +93,6 @@ class SlamState:
         self.state = TrackingState.LOST if maps else TrackingState.STARTING
         self.is_map_fixed = is_map_fixed
         self.maps: list[SlamMap] = maps or [SlamMap()]
-        for number, model in enumerate(self.maps):
-            model.number = number
         numbers = [k.number for model in self.maps for k in model.keyframes]
         self.first_number = self.first_frame = 1 + max(numbers, default=-1)
         self._enter(self.maps[0], Rigid3.identity())
@@ -113,8 +111,7 @@ class SlamState:
         self._time_s = -np.inf
         self._quality_monitor, self._quality = FrameQualityMonitor(camera.rig), FrameQuality()
         self._path = Path(self.first_number)
-        self._num_frames, self._num_lost = self.first_number, 0
-        self._num_maps = len(self.maps)
+        self._num_frames, self._num_lost, self._num_maps = self.first_number, 0, len(self.maps)
 
     def _one_camera_start(self) -> OneCameraStart:
         judges = None if self.mapping_thread is None else self.mapping_thread.judges
@@ -252,3 +249,9 @@ class SlamState:
             answer = answer.with_words(UNCONFIRMED)
         static = self.odometry.tracker.static_part
         return answer if static is None else answer.with_words(static.in_words())
+
+
+def _numbered(maps: list[SlamMap]) -> list[SlamMap]:
+    for number, model in enumerate(maps):
+        model.number = number
+    return maps

@@ -89,7 +89,14 @@ def surface(
         raise FileFormatError(source, missing_in_words(source))
     _require_packages(wanted)
     settings = {"config": {name: value for name, value in asdict(wanted).items() if name != "threads"}}
-    job = Job(kind="surface", inputs=(source,), settings=settings, threads=wanted.threads, progress=progress)
+    job = Job(
+        kind="surface",
+        inputs=(source,),
+        settings=settings,
+        threads=wanted.threads,
+        progress=progress,
+        has_log=True,
+    )
     with open_run(job, target) as run:
         with run.stage("open"):
             inputs = surface_inputs(source, run, wanted)

@@ -1,0 +1,101 @@
+"""The log of a run: rates and memory, continued by a run that goes on, and never a reason to stop."""
+
+import re
+import threading
+
+import pytest
+
+from epipole.runs import Job, Progress, open_run, run_log
+from epipole.runs.run_log import RunLog
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Seconds that the test sets."""
+    now = [100.0]
+    monkeypatch.setattr(run_log, "perf_counter", lambda: now[0])
+    return now
+
+
+def lines_of(path):
+    return path.read_text(encoding="utf-8").splitlines()
+
+
+def test_a_line_has_time_stage_rate_rest_and_memory(tmp_path, clock, monkeypatch):
+    monkeypatch.setattr(run_log, "memory_mb", lambda: 1234.4)
+    log = RunLog(tmp_path / "log.txt")
+    for done, seconds in ((0, 0.0), (10, 4.0), (30, 12.0), (31, 13.0), (100, 40.0)):
+        clock[0] = 100.0 + seconds
+        log.add(Progress("match", done, 100))
+    first, later, last = lines_of(tmp_path / "log.txt")
+    assert re.match(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d  match +0 of 100 +1,234 MB$", first)
+    assert "30 of 100, 2.5/s, 28 s left" in later and "100 of 100, 2.5/s " in last
+
+
+def test_a_stage_that_starts_again_has_its_own_rate(tmp_path, clock):
+    log = RunLog(tmp_path / "log.txt")
+    for done, seconds in ((0, 0.0), (50, 1.0), (0, 2.0), (50, 12.0)):
+        clock[0] = 100.0 + seconds
+        log.add(Progress("map", done, 50))
+    assert "50/s" in lines_of(tmp_path / "log.txt")[1] and " 5/s" in lines_of(tmp_path / "log.txt")[3]
+
+
+def test_notes_are_always_written_and_the_disk_never_stops_the_run(tmp_path, clock):
+    log = RunLog(tmp_path / "log.txt")
+    for done in range(3):
+        log.add(Progress("map", done, 50, f"model {done}"))
+    assert [line.split("; ")[1].split("  ")[0] for line in lines_of(tmp_path / "log.txt")] == [
+        "model 0",
+        "model 1",
+        "model 2",
+    ]
+    RunLog(tmp_path / "missing" / "log.txt").add(Progress("map", 0, 50))
+    assert not (tmp_path / "missing").exists()
+
+
+def job(source, *, has_log=True):
+    return Job(kind="reconstruct", inputs=(source,), settings={}, has_log=has_log)
+
+
+def test_a_stopped_run_says_why_and_the_next_one_continues_the_log(tmp_path):
+    (tmp_path / "images").mkdir()
+    out = tmp_path / "out"
+    with pytest.raises(KeyError), open_run(job(tmp_path / "images"), out) as run:
+        run.report("match", 0, 9)
+        raise KeyError("lost")
+    with open_run(job(tmp_path / "images"), out) as run:
+        with run.stage("match"):
+            run.report("match", 9, 9)
+        run.finish({})
+    words = [line.split("  ", 1)[1].split()[0] for line in lines_of(out / "log.txt")]
+    assert words == ["started", "match", "stopped", "started", "match", "match", "finished"]
+    assert "KeyError: 'lost'" in lines_of(out / "log.txt")[2]
+    with open_run(job(tmp_path / "images"), out) as run:  # after a finished run, a new log
+        run.finish({})
+    assert len(lines_of(out / "log.txt")) == 2
+
+
+def test_a_file_of_that_name_that_is_not_ours_is_kept(tmp_path):
+    (tmp_path / "images").mkdir()
+    out = tmp_path / "out"
+    with open_run(job(tmp_path / "images", has_log=False), out) as run:
+        run.finish({})
+    (out / "log.txt").write_text("mine")
+    with open_run(job(tmp_path / "images"), out) as run:
+        run.report("match", 0, 9)
+        run.finish({})
+    assert (out / "log.txt").read_text() == "mine"
+
+
+def test_threads_write_whole_lines(tmp_path):
+    log = RunLog(tmp_path / "log.txt")
+    threads = [
+        threading.Thread(target=lambda: [log.add(Progress("match", n, 99, "note")) for n in range(50)])
+        for _ in range(4)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    lines = lines_of(tmp_path / "log.txt")
+    assert len(lines) == 200 and all(" of 99" in line for line in lines)
