@@ -29,17 +29,25 @@ def merged(row1: np.ndarray, row2: np.ndarray, image: np.ndarray) -> list[int]:
 
 
 @pytest.mark.parametrize(("num_rows", "num_matches"), [(40, 60), (40, 10), (1, 0), (0, 0), (2, 3)])
-@reference_of(kernels.connect_without_conflict)
+@reference_of(kernels.connect_without_conflict, kernels.find_roots)
 def test_components_are_merged(rng: np.random.Generator, num_rows: int, num_matches: int) -> None:
     num_images = 5
     image = np.sort(rng.integers(0, num_images, num_rows))
     row1, row2 = rng.integers(0, max(num_rows, 1), (2, num_matches))
+    starts = np.searchsorted(image, np.arange(num_images + 1))
+    pairs = [image[row].astype(np.int32) if num_rows else row.astype(np.int32) for row in (row1, row2)]
+    keypoints = [(row - starts[pair]).astype(np.int32) for row, pair in zip((row1, row2), pairs)]
+    order, offsets = rng.permutation(num_matches), np.arange(num_matches + 1)
     parent = np.arange(num_rows, dtype=np.int64)
-    stamp = np.zeros(num_images + 1, np.int64)
-    _, (*_, found, _, _) = assert_same_as_python(
-        kernels.connect_without_conflict, row1, row2, image, parent, parent.copy(), stamp
-    )
-    np.testing.assert_array_equal(found, merged(row1, row2, image))
+    found = kernels.Components(image, parent, parent.copy(), np.zeros(num_images + 1, np.int64))
+    half = num_matches // 2
+    number = 0
+    for part in (order[:half], order[half:]):  # the second call continues the first one
+        given = part, offsets, *pairs, *keypoints, starts, number, found
+        number, (*_, found) = assert_same_as_python(kernels.connect_without_conflict, *given)
+    _, (roots,) = assert_same_as_python(kernels.find_roots, found.parent)
+    assert number == num_matches
+    np.testing.assert_array_equal(roots, merged(row1[order], row2[order], image))
 
 
 def model(rng: np.random.Generator, num_points: int) -> ModelBuilder:

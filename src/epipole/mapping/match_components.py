@@ -52,45 +52,29 @@ def connect_matches(
     """Merge matches into components with at most one keypoint per image: those of the strongest pair first, further ones last."""
     check_offsets(keypoint_offsets, "keypoint_offsets")
     check_matches(view_graph, np.diff(keypoint_offsets))
-    row1, row2 = _rows_of_strongest_first(view_graph, keypoint_offsets)
-    if further is not None:
-        row1 = np.concatenate([row1, keypoint_offsets[further.image1] + further.keypoint1])
-        row2 = np.concatenate([row2, keypoint_offsets[further.image2] + further.keypoint2])
     parent = np.arange(keypoint_offsets[-1], dtype=np.int64)
-    kernels.connect_without_conflict(
-        row1,
-        row2,
-        np.repeat(np.arange(len(keypoint_offsets) - 1), np.diff(keypoint_offsets)),
-        parent,
-        parent.copy(),
-        np.zeros(len(keypoint_offsets), np.int64),
+    image = np.repeat(np.arange(len(keypoint_offsets) - 1), np.diff(keypoint_offsets))
+    found = kernels.Components(image, parent, parent.copy(), np.zeros(len(keypoint_offsets), np.int64))
+    strongest_first = np.argsort(-view_graph.num_inliers().astype(np.int64), kind="stable")
+    graph = view_graph.image1, view_graph.image2, view_graph.keypoint1, view_graph.keypoint2
+    number = kernels.connect_without_conflict(
+        strongest_first, view_graph.match_offsets, *graph, keypoint_offsets, 0, found
     )
+    if further is not None:
+        each = np.arange(len(further) + 1)
+        matches = further.image1, further.image2, further.keypoint1, further.keypoint2
+        kernels.connect_without_conflict(each[:-1], each, *matches, keypoint_offsets, number, found)
+    kernels.find_roots(parent)
     sizes = np.bincount(parent, minlength=len(parent))
     rows = np.flatnonzero(sizes[parent] >= 2)
     rows = rows[np.argsort(parent[rows], kind="stable")]
     _, counts = np.unique(parent[rows], return_counts=True)
-    image = np.searchsorted(keypoint_offsets, rows, side="right") - 1
+    image = image[rows]
     return MatchComponents(
         np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         image.astype(np.int32),
         (rows - keypoint_offsets[image]).astype(np.int32),
     )
-
-
-def _rows_of_strongest_first(
-    view_graph: ViewGraph, keypoint_offsets: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Both keypoints of each match, as rows of all keypoints; the matches of the pair with most matches first."""
-    counts = view_graph.num_inliers().astype(np.int64)
-    pairs = np.argsort(-counts, kind="stable")
-    counts = counts[pairs]
-    ends = np.cumsum(counts)
-    match = np.arange(counts.sum()) + np.repeat(view_graph.match_offsets[pairs] - (ends - counts), counts)
-    row1 = np.repeat(keypoint_offsets[view_graph.image1[pairs]], counts)
-    row1 += view_graph.keypoint1[match]
-    row2 = np.repeat(keypoint_offsets[view_graph.image2[pairs]], counts)
-    row2 += view_graph.keypoint2[match]
-    return row1, row2
 
 
 def num_keypoints_in(view_graph: ViewGraph, num_images: int) -> Int64[np.ndarray, " n"]:
