@@ -181,6 +181,23 @@ def test_kernels_that_are_cut_short_are_compiled_again(tmp_path: Path, mode: str
     assert float(run_python(COMPILE, **env)) == 0.0
 
 
+def test_kernels_of_a_type_that_was_moved_are_compiled_again(tmp_path: Path) -> None:
+    """The kernel takes a named tuple of a module that is no kernel source, so that the folder stays the same."""
+    call = (
+        "from epipole._jit import compile_seconds;import numpy as np;"
+        "from epipole.mapping import _track_kernels as kernels;"
+        "found = kernels.find_roots(np.arange(3));"
+        "class Moved: pass\n"
+        "from epipole._jit.linking import _SealedFile\n"
+        "from numba.core import caching\n"
+        "def unreadable(self): raise AttributeError('Rows')\n"
+        "if {broken}: caching.IndexDataCacheFile._load_index = unreadable\n"
+        "before = compile_seconds(); kernels.find_roots(np.arange(3, dtype=np.int32)); print(compile_seconds() - before)"
+    )
+    assert float(run_python(call.format(broken=False), EPIPOLE_CACHE_DIR=str(tmp_path))) > 0
+    assert float(run_python(call.format(broken=True), EPIPOLE_CACHE_DIR=str(tmp_path))) > 0
+
+
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="POSIX rights")
 def test_code_from_a_folder_that_others_may_write_to_is_not_run(tmp_path: Path) -> None:
     shared = tmp_path / "shared"

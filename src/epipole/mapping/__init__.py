@@ -15,7 +15,7 @@ from epipole.mapping.match_components import MatchComponents as MatchComponents
 from epipole.mapping.match_components import choose_tracks as choose_tracks
 from epipole.mapping.match_components import connect_matches as connect_matches
 from epipole.mapping.model_builder import ModelBuilder as ModelBuilder
-from epipole.mapping.model_builder import Snapshot as Snapshot
+from epipole.mapping.model_state import Snapshot as Snapshot
 from epipole.mapping.pair_consistency import PairConsistency as PairConsistency
 from epipole.mapping.pair_consistency import check_rotation_cycles as check_rotation_cycles
 from epipole.mapping.point_sample import sample_points as sample_points

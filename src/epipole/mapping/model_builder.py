@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64, UInt8
@@ -17,6 +16,7 @@ from epipole.errors import ShapeError
 from epipole.geometry import Rigid3, Similarity3
 from epipole.mapping import _track_kernels as kernels
 from epipole.mapping.match_components import MatchComponents, check_components
+from epipole.mapping.model_state import Cams, Rows, Snapshot
 from epipole.scene import (
     Cameras,
     Frames,
@@ -27,36 +27,6 @@ from epipole.scene import (
     Tracks,
     unregistered,
 )
-
-
-class _Rows(NamedTuple):
-    """Keypoints that have matches, grouped by component, in kernel layout."""
-
-    image: np.ndarray  # (r,) int32
-    pixel: np.ndarray  # (r, 2)
-    ray: np.ndarray  # (r, 3) unit, in camera coordinates
-    point: np.ndarray  # (r,) int32, -1 = none
-
-
-class _Cams(NamedTuple):
-    """Poses and cameras of the images, in kernel layout."""
-
-    motion: np.ndarray  # (n, 12) cam_from_world: R row by row, t
-    center: np.ndarray  # (n, 3)
-    registered: np.ndarray  # (n,) bool
-    camera: np.ndarray  # (n,) int32
-    model: np.ndarray  # (c,) int32
-    params: np.ndarray  # (c, 12)
-
-
-class Snapshot(NamedTuple):
-    """A saved state of a model."""
-
-    registered: np.ndarray
-    motion: np.ndarray
-    row_point: np.ndarray
-    points: np.ndarray
-    params: np.ndarray
 
 
 class ModelBuilder:
@@ -77,8 +47,13 @@ class ModelBuilder:
         self.cameras = cameras
         self.camera_of_image = camera_of_image.astype(np.int32)
         self.params = cameras.params.copy()
-        self.components = components
         self.keypoints = keypoints
+        self._use(components)
+        self.clear()
+
+    def _use(self, components: MatchComponents) -> None:
+        """Rows of the components, without points."""
+        keypoints, self.components = self.keypoints, components
         starts = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
         stacked = np.concatenate(list(keypoints)) if len(keypoints) else np.zeros((0, 2))
         self.row_image = components.image
@@ -91,9 +66,28 @@ class ModelBuilder:
         bounds = np.searchsorted(self.row_image[order], np.arange(len(keypoints) + 1))
         self.rows_of_image = [order[a:b] for a, b in pairwise(bounds)]
         self.row_ray = np.zeros((len(self.row_image), 3))
-        for camera in range(len(cameras)):
+        for camera in range(len(self.cameras)):
             self.update_rays(camera)
-        self.clear()
+        self.row_point = np.full(len(self.row_image), -1, np.int32)
+
+    def replace_components(self, components: MatchComponents) -> None:
+        """Replace the connected keypoints; poses and camera parameters stay, points are removed.
+
+        Raises:
+            ShapeError: a component refers to a missing keypoint.
+        """
+        check_components(components, [len(k) for k in self.keypoints])
+        # Released before the new ones are made: they have the size of all matches.
+        del (
+            self.row_image,
+            self.row_pixel,
+            self.row_component,
+            self.rows_of_image,
+            self.row_ray,
+            self.row_point,
+        )
+        self._use(components)
+        self._points, self.num_points = np.empty((1024, 3)), 0
 
     def clear(self) -> None:
         """Remove all poses and points."""
@@ -206,11 +200,11 @@ class ModelBuilder:
         self.set_poses(images, target_from_world.move_cam_from_source(self.registered_poses()))
         self._points[: self.num_points] = target_from_world.apply(self.points)
 
-    def _kernel_rows(self) -> _Rows:
-        return _Rows(self.row_image, self.row_pixel, self.row_ray, self.row_point)
+    def _kernel_rows(self) -> Rows:
+        return Rows(self.row_image, self.row_pixel, self.row_ray, self.row_point)
 
-    def _kernel_cams(self) -> _Cams:
-        return _Cams(
+    def _kernel_cams(self) -> Cams:
+        return Cams(
             self.motion, self.center, self.registered, self.camera_of_image, self.cameras.model, self.params
         )
 

@@ -102,8 +102,7 @@ def map_images(
             break
         if features is not None:
             rounds = GROWN_ROUNDS if method == "grown" else ROUNDS
-            mapper = complete_model(mapper, features, starts, rounds)
-            builder = mapper.model
+            complete_model(mapper, features, starts, rounds)
         before = earlier[0] if method == "grown" else None
         origin = _origin_of(images, builder.registered, config, before)
         positions = np.full((len(images), 3), np.nan) if origin is None else origin.enu_of(images.lat_lon_alt)

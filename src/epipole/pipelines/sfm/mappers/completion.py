@@ -8,7 +8,7 @@ import numpy as np
 
 from epipole.config import MatchConfig
 from epipole.features import Features
-from epipole.mapping import ModelBuilder, connect_matches, find_further_matches, median_error_px
+from epipole.mapping import connect_matches, find_further_matches, median_error_px
 from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper
 
 ROUNDS = 3
@@ -27,37 +27,29 @@ def complete_model(
     features: Sequence[Features],
     keypoint_offsets: np.ndarray,
     rounds: int = ROUNDS,
-) -> IncrementalMapper:
+) -> None:
     """Complete the tracks of a finished model, triangulate them again with its poses, and adjust it.
 
     A wrong match along the epipolar line makes a point in two images that no residual reveals, and a third image does.
     Therefore points in two images take no part in this adjustment, unless an image has few others.
 
     Args:
-        mapper: a mapper that has finished a model.
+        mapper: a mapper that has finished a model; unchanged if that has no points.
         features: SIFT features of each image, in the order of its keypoints.
         keypoint_offsets: first keypoint of each image, and the number of all.
         rounds: most rounds of adjustment.
-
-    Returns:
-        A mapper with the completed model; the same mapper if its model has no points.
     """
-    before, config = mapper.model, mapper.config
-    error_px = median_error_px(before)
+    model, config = mapper.model, mapper.config
+    error_px = median_error_px(model)
     if not np.isfinite(error_px):  # a model without points
-        return mapper
+        return
     # No ratio test: a repeated structure has no second instance within a few pixels.
     similar = MatchConfig(max_ratio=1.0)
     radius_px = min(max(RADIUS_FACTOR * error_px, MIN_RADIUS_PX), config.completion_px)
-    further = find_further_matches(before, features, radius_px, similar)
+    further = find_further_matches(model, features, radius_px, similar)
     components = connect_matches(mapper.view_graph, keypoint_offsets, further)
-    model = ModelBuilder(before.cameras, before.camera_of_image, before.keypoints, components)
-    model.set_params(before.params.copy())
-    model.registered = before.registered.copy()
-    model.set_poses(np.flatnonzero(model.registered), before.registered_poses())
+    mapper.replace_components(components)
     model.triangulate(np.arange(len(components)), config.max_error_px, np.deg2rad(config.min_angle_deg))
-    after = IncrementalMapper(model, mapper.view_graph, config, min_track_length=config.min_track_length)
-    after.rejections = mapper.rejections
-    after.adjust_globally(rounds)
-    after.finish()
-    return after
+    mapper.min_track_length, mapper.is_last = config.min_track_length, True
+    mapper.adjust_globally(rounds)
+    mapper.finish()

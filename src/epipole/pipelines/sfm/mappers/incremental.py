@@ -11,6 +11,7 @@ from epipole.config import RansacConfig
 from epipole.geometry import Rigid3
 from epipole.mapping import (
     Freedom,
+    MatchComponents,
     MatchConsistency,
     ModelBuilder,
     PositionPriors,
@@ -82,6 +83,12 @@ class IncrementalMapper:
             seed=config.seed,
         )
         self._angle = np.deg2rad(config.min_angle_deg)
+
+    def replace_components(self, components: MatchComponents) -> None:
+        """Replace the connected keypoints; poses stay, points are removed."""
+        del self.consistency  # memory of all matches
+        self.model.replace_components(components)
+        self.consistency = MatchConsistency(self.model, self.view_graph)
 
     def run(
         self, usable: np.ndarray, progress: Progress = ignore_progress, adjusting: Progress = ignore_progress
