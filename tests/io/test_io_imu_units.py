@@ -158,6 +158,18 @@ def test_units_that_are_not_certain_are_refused(accel, gyro, tmp_path):
             read_imu(written(tmp_path / "imu.txt", table))
 
 
+def test_swapped_columns_and_g_with_degrees_are_both_named(tmp_path):
+    """A rotation about the vertical: gravity shows nothing."""
+    times = np.arange(0.0, 10.0, RATE_S)
+    rows = np.column_stack([times, np.tile([0.0, 0.0, 12.0, 0.0, 0.0, 1.0], (len(times), 1))])
+    with pytest.raises(
+        FileFormatError, match="wx wy wz, ax ay az, or state the units with --imu-units g,deg/s"
+    ):
+        read_imu(written(tmp_path / "imu.txt", rows))
+    log, _ = read_imu(tmp_path / "imu.txt", "g,deg/s")
+    np.testing.assert_allclose(log.gyro_rad_s[:, 2], np.radians(12.0))
+
+
 def test_a_vehicle_without_gravity_is_not_in_g(tmp_path):
     """It accelerates by 1 m/s^2 for 15 s, then brakes as hard: the norm is that of gravity in g."""
     times = np.arange(0.0, 40.0, RATE_S)

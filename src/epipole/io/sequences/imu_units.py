@@ -183,9 +183,11 @@ def _check_units(
     said = f"the median norm of its accelerations is {acceleration:.3g}, but gravity alone is 9.81 m/s^2"
     if not low <= acceleration <= high:
         if low <= rotation <= high:
+            is_g = _ACCEL_UNITS[0][0] <= acceleration <= _ACCEL_UNITS[0][1]
+            units = ", or state the units with --imu-units g,deg/s if they are these" if is_g else ""
             raise FileFormatError(
                 path,
-                f"{said}, and that of its angular velocities is {rotation:.3g}: the columns must be time, wx wy wz, ax ay az",
+                f"{said}, and that of its angular velocities is {rotation:.3g}: the columns must be time, wx wy wz, ax ay az{units}",
             )
         raise FileFormatError(path, f"{said}: {_why(acceleration)}")
     fast = float(np.percentile(np.linalg.norm(gyro, axis=1), 95.0))
