@@ -328,6 +328,8 @@ class AnchorOptions:
     """IMU measurements: EuRoC's imu0 folder, `SECONDS wx wy wz ax ay az` per line, or a ROS recording."""
     imu_mounting: Path | None = None
     """Mounting of the IMU: EuRoC's sensor.yaml of the camera (T_BS), or Kalibr's file with T_cam_imu."""
+    imu_units: str = ""
+    """Units of the IMU: m/s^2, g or mg, and rad/s or deg/s, such as g,deg/s; empty: found by content."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -351,6 +353,8 @@ class AnchorOptions:
             raise ConfigError(
                 "an IMU determines the scale only if its mounting is known: give both imu and imu_mounting"
             )
+        if self.imu_units and self.imu is None:
+            raise ConfigError("imu_units belongs to imu: give imu, too")
         if self.odometry_mounting is not None and self.odometry is None:
             raise ConfigError("odometry_mounting belongs to odometry: give odometry, too")
         check_dictionary(self.dictionary_name)

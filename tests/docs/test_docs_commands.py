@@ -26,7 +26,7 @@ from epipole.cli import main as command_line
 from epipole.cli.main import main
 from epipole.lesson import command as lesson
 from epipole.pipelines.slam import command as slam
-from epipole.pipelines.slam.sources import streams as moving_sources
+from epipole.pipelines.slam.sources import live_cameras
 from epipole.pipelines.viewing import command as viewing
 from whole import IS_WHOLE
 
@@ -119,7 +119,7 @@ def test_command_lines_run(
     folder = reconstructed if is_there else tmp_path
     (AFTER_RECONSTRUCTING if is_there else WORLDS)[block](folder)
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(moving_sources, "_opened_camera", lambda index: Capture())
+    monkeypatch.setattr(live_cameras, "_opened_camera", lambda index: Capture())
     made: dict[str, list[str]] = {}
     for line in BLOCKS[block]:
         command, *words = shlex.split(line)[1:]

@@ -17,7 +17,7 @@ from epipole.report.plan import draw_plan
 from epipole.report.space import SpaceData, space_data
 from epipole.report.space_model import scene_of_model, stage_of
 from epipole.robust import point_covariances
-from epipole.scene import Reconstruction
+from epipole.scene import Georeference, Reconstruction
 from epipole.scene.point_accuracy import covariances_of_points, pixel_noise
 
 
@@ -130,6 +130,11 @@ def test_view_from_above_keeps_shape(model: Reconstruction) -> None:
     np.testing.assert_allclose(rendered - rendered[0], scale * (centers - centers[0]), atol=0.15)
     assert [g.find("title").text for g in groups] == list(model.images.name[:10])
     assert {e.text for e in root.iter("text")} >= {"x (m)", "y (m)", "0"}
+
+
+def test_view_from_above_names_east_and_north_of_a_georeferenced_model(model: Reconstruction) -> None:
+    root = ElementTree.fromstring(draw_plan(replace(model, georeference=Georeference(47.0, 8.0, 400.0)), "m"))
+    assert {e.text for e in root.iter("text")} >= {"x, east (m)", "y, north (m)"}
 
 
 def test_wedges_point_to_where_the_cameras_look(model: Reconstruction) -> None:

@@ -96,7 +96,7 @@ def test_templates_and_assets_are_files_of_the_package() -> None:
     assert {p.name for p in files.joinpath("assets").iterdir()} == {
         *("page.js", "match_matrix.js", "orbit.js", "space.js", "end.js", "page.css", "figures.css"),
         *("webgl.js", "gaussian_drawing.js", "space_drawing.js", "space_picking.js", "space_tools.js"),
-        *("space_layers.js", "space_mesh.js", "live.js"),
+        *("space_layers.js", "space_mesh.js", "space_scale.js", "live.js"),
         "whole_space.css",
     }
     names = {p.name for p in files.joinpath("templates").iterdir()}

@@ -25,7 +25,7 @@ from epipole.metrics import absolute_error
 from epipole.pipelines.slam.config import CameraOptions, JobOptions
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.run import slam as run_slam
-from epipole.pipelines.slam.sources import streams as moving_sources
+from epipole.pipelines.slam.sources import live_cameras
 from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame
 from epipole.pipelines.slam.sources.frame_stream import Clock, FrameStream
 from whole import IS_WHOLE
@@ -145,7 +145,7 @@ class FakeCapture:
 
 
 def opened_by(monkeypatch, capture):
-    monkeypatch.setattr(moving_sources, "_opened_camera", lambda index: capture)
+    monkeypatch.setattr(live_cameras, "_opened_camera", lambda index: capture)
 
 
 def test_a_camera_is_followed_until_it_ends(tmp_path, monkeypatch):
@@ -170,7 +170,9 @@ def test_a_camera_is_followed_until_it_ends(tmp_path, monkeypatch):
 def test_a_slow_tracker_gets_the_newest_picture_of_a_camera():
     images = [np.full((240, 320), n, np.uint8) for n in range(12)]
     capture, seconds = FakeCapture(images), iter(range(100))
-    source = moving_sources.open_camera(0, CameraOptions(**KNOWN), capture, lambda: float(next(seconds)))
+    source = live_cameras.open_cameras(
+        (0,), "mono", CameraOptions(**KNOWN), (capture,), lambda: float(next(seconds))
+    )
     stream, values = FrameStream(source, JobOptions()), []
     for queued in stream:
         values.append((queued.timestamp_s, int(queued.read().gray[0, 0])))
@@ -188,8 +190,10 @@ def test_where_there_is_no_camera(tmp_path, capfd):
     with pytest.raises(ConfigError, match="camera 97 cannot be opened"):
         run_slam("97", tmp_path / "out", **KNOWN)
     assert capfd.readouterr().err == ""
-    with pytest.raises(ConfigError, match="a video has one camera"):
-        run_slam("97", tmp_path / "out", **KNOWN, sensor="stereo")
+    with pytest.raises(ConfigError, match="a live camera has no depth"):
+        run_slam("97", tmp_path / "out", **KNOWN, sensor="rgbd")
+    with pytest.raises(ConfigError, match="two live cameras are a stereo pair"):
+        run_slam("97,98", tmp_path / "out", **KNOWN, sensor="mono")
 
 
 def test_a_camera_without_intrinsics_is_refused(tmp_path, monkeypatch):

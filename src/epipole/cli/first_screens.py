@@ -191,7 +191,7 @@ GROUPS = {
     "scale": (
         "--positions --positions-sigma-m --lengths --lengths-sigma-m --clicks-sigma-px --tag-size-m "
         "--tag-family --board --square-m --size-sigma --odometry --odometry-sigma --odometry-mounting "
-        "--imu --imu-mounting"
+        "--imu --imu-mounting --imu-units"
     ),
     "live view": "--view --port --host",
     "tracking and mapping": (

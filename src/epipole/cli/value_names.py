@@ -13,6 +13,7 @@ VALUE_NAMES = {
     "--export PATH": "FOLDER",
     "--host STR": "ADDRESS",
     "--imu-mounting PATH": "FILE",
+    "--imu-units STR": "ACCEL,GYRO",
     "--include STR": "PATTERN",
     "--lengths PATH": "FILE",
     "--masks PATH": "FOLDER",

@@ -62,6 +62,11 @@ def plural(value: int, singular: str, many: str | None = None) -> str:
     return f"{count(value)} {singular if value == 1 else many or singular + 's'}"
 
 
+def axis_words(*, is_enu: bool) -> tuple[str, str, str]:
+    """Names of the world's axes, with their directions if these are east, north and up."""
+    return ("x, east", "y, north", "z, up") if is_enu else ("x", "y", "z")
+
+
 def number(value: float, digits: int = 2) -> str:
     """A measured number, or a dash if it is not finite."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "\N{EN DASH}"

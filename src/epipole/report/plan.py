@@ -12,7 +12,7 @@ from PIL import Image
 
 from epipole.report.charts import nice_ticks, tick_text
 from epipole.report.frame import render_piece
-from epipole.report.markup import data_uri
+from epipole.report.markup import axis_words, data_uri
 from epipole.report.space_model import stage_of
 from epipole.scene import Reconstruction
 
@@ -60,7 +60,7 @@ class Density:
 
 
 def draw_plan(reconstruction: Reconstruction, unit: str) -> Markup:
-    """Draw a model with world x to the right and y up, seen against +z; empty for a model without cameras."""
+    """Draw a model with world x (east) to the right and y (north) up, seen against +z; empty for a model without cameras."""
     images = np.flatnonzero(reconstruction.is_registered())
     if not len(images):
         return Markup("")
@@ -79,6 +79,7 @@ def draw_plan(reconstruction: Reconstruction, unit: str) -> Markup:
         top=TOP,
         bottom=HEIGHT - BOTTOM,
         unit=unit,
+        axes=axis_words(is_enu=reconstruction.georeference is not None),
         x_ticks=[(f"{frame.x_of(t):.1f}", tick_text(t)) for t in x_ticks],
         y_ticks=[(f"{(y := frame.y_of(t)):.1f}", f"{y + 3.5:.1f}", tick_text(t)) for t in y_ticks],
         density=density_of(points[np.isfinite(points).all(axis=1)], frame),

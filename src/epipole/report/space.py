@@ -17,7 +17,7 @@ from PIL import Image
 from epipole.image import color_map, downscaled
 from epipole.report.gaussian_merging import merged
 from epipole.report.gaussians import packed
-from epipole.report.markup import count, data_uri
+from epipole.report.markup import axis_words, count, data_uri
 from epipole.report.space_scene import (
     CameraLayer,
     FirstView,
@@ -83,6 +83,8 @@ def space_data(
         "title": scene.title,
         "unit": scene.unit,
         "live": None,
+        "axes": list(axis_words(is_enu=scene.is_enu)),
+        "isEnu": scene.is_enu,
         "scaleWords": "" if scene.unit else ", up to scale",
         "origin": origin.tolist(),
         "position": rounded(view.position - origin),

@@ -15,11 +15,16 @@ from epipole.report.space_scene import (
     SpaceScene,
 )
 from epipole.scene import Curve, Extent, Reconstruction, extent_of
+from epipole.scene.curve import path_segments
 from epipole.scene.point_accuracy import covariances_of_points, pixel_noise
 
 MAX_POINTS = 40_000
 """Largest number of points in a report."""
 _RADIUS_PERCENT = 95.0
+RIGS, RIG_RGB = "Cameras of one rig", (214, 150, 255)
+"""Name and color of the lines between the cameras of a rig."""
+_LEAST_BASELINE = 1e-9
+"""Smallest distance between cameras of a rig, relative to the largest coordinate: views of one panorama have none."""
 
 
 def stage_of(reconstruction: Reconstruction) -> Extent:
@@ -38,7 +43,7 @@ def scene_of_model(
     load_image: LoadImage | None = None,
     num_given: int | None = None,
 ) -> SpaceScene:
-    """Scene with points and their errors, cameras and curves.
+    """Scene with points and their errors, cameras, curves, and lines between the cameras of each rig.
 
     Args:
         model: upright, +z is up.
@@ -62,7 +67,8 @@ def scene_of_model(
         unit=unit,
         points=(points_of_model(model),),
         cameras=cameras_of_model(model, cameras, load_image),
-        curves=tuple(curve for curve in curves if len(curve.segments_in_world)),
+        curves=tuple(curve for curve in (*curves, rig_curve(model)) if len(curve.segments_in_world)),
+        is_enu=model.georeference is not None,
     )
 
 
@@ -97,3 +103,14 @@ def cameras_of_model(model: Reconstruction, name: str, load_image: LoadImage | N
         np.array([[camera.width, camera.height] for camera in cameras], np.int64).reshape(-1, 2),
         load_image,
     )
+
+
+def rig_curve(model: Reconstruction, *, is_shown: bool = True) -> Curve:
+    """Lines between the registered cameras of each instant of a rig, in the order of its sensors."""
+    images = np.flatnonzero(model.is_registered())
+    images = images[np.lexsort((model.images.sensor[images], model.images.frame[images]))]
+    centers, frame = model.camera_centers_in_world()[images], model.images.frame[images]
+    segments = path_segments(centers, np.diff(frame, prepend=-1) == 0)
+    least = _LEAST_BASELINE * float(np.abs(centers).max(initial=0.0))
+    is_apart = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1) > least
+    return Curve(RIGS, segments[is_apart], RIG_RGB, is_shown)

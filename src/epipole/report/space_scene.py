@@ -127,6 +127,8 @@ class SpaceScene:
     """None: from a corner above."""
     upright_from_world: Float64[np.ndarray, "3 3"] | None = None
     """Rotation that makes +z up, with the default viewpoint behind what looks along +y; None: identity."""
+    is_enu: bool = False
+    """Whether x, y and z of the world point east, north and up."""
     background: float | None = None
     """A gray value from 0 to 1; None: dark, like the page."""
 

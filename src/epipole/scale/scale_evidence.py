@@ -71,7 +71,7 @@ def check_anchor_files(options: AnchorOptions) -> None:
         "lengths": read_lengths,
         "odometry": read_odometry,
         "odometry_mounting": read_camera_from_imu,
-        "imu": read_imu,
+        "imu": partial(read_imu, units=options.imu_units),
         "imu_mounting": read_camera_from_imu,
     }
     for name in ANCHOR_FILES:
@@ -124,7 +124,7 @@ def mounted_imu(options: AnchorOptions) -> MountedImu | None:
     """
     if options.imu is None or options.imu_mounting is None:
         return None
-    log, noise = read_imu(options.imu)
+    log, noise = read_imu(options.imu, options.imu_units)
     return MountedImu(log, read_camera_from_imu(options.imu_mounting), noise)
 
 

@@ -35,7 +35,7 @@ from epipole.io.bags._topics import (
 )
 from epipole.io.images.deep_pixels import GrayScale
 from epipole.io.images.pixels import MOST_SAMPLED
-from epipole.io.sequences.imu_units import check_imu_units
+from epipole.io.sequences.imu_units import in_si_units
 from epipole.scene import StereoRig
 
 __all__ = ["BagFrame", "BagSequence", "BagTopic", "bag_frames", "is_bag"]
@@ -190,16 +190,17 @@ def bag_frames(bag: BagSequence) -> Iterator[BagFrame]:
 
 
 @checked
-def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
+def read_bag_imu(path: str | Path, topic: str | None = None, units: str = "") -> ImuLog:
     """Read an IMU's measurements (sensor_msgs/Imu), with the stamps from their headers.
 
     Args:
         path: the recording.
         topic: the IMU's topic; None if there is only one.
+        units: as in `read_imu`.
 
     Raises:
         FileFormatError: the recording is unreadable, a number is not finite, or measurements are in another unit.
-        ConfigError: there is no such topic, or several and none is chosen.
+        ConfigError: unknown units, there is no such topic, or several and none is chosen.
         MissingDependencyError: the package rosbags is not installed.
     """
     path = Path(path)
@@ -220,8 +221,8 @@ def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
     if not np.isfinite(values).all():
         raise FileFormatError(path, f"{imus[0].name}: a measurement is not finite")
     values = values[np.unique(values[:, 0], return_index=True)[1]]  # by time, without duplicate stamps
-    check_imu_units(path, values[:, 0], values[:, 1:4], values[:, 4:])
-    return ImuLog(values[:, 0].copy(), values[:, 1:4].copy(), values[:, 4:].copy())
+    gyro, accel, notes = in_si_units(path, values[:, 0], values[:, 1:4], values[:, 4:], units)
+    return ImuLog(values[:, 0].copy(), gyro.copy(), accel.copy(), notes)
 
 
 def _topics(bag: OpenBag) -> tuple[BagTopic, ...]:

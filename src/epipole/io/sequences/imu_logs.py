@@ -15,7 +15,7 @@ from epipole.io.bags.recording import is_bag, read_bag_imu
 from epipole.io.calibration.camera_chains import camera_from_imu
 from epipole.io.calibration.files import parsed_file, read_body_from_camera
 from epipole.io.files import file_text
-from epipole.io.sequences.imu_units import check_imu_units, seconds_of_imu
+from epipole.io.sequences.imu_units import in_si_units, seconds_of_imu
 
 _COLUMNS = 7
 _MOST_BLOCKS, _OVERLAP_S = 4, 1.0
@@ -29,31 +29,34 @@ _DENSITIES = {
 
 
 @checked
-def read_imu(path: str | Path) -> tuple[ImuLog, ImuNoise]:
+def read_imu(path: str | Path, units: str = "") -> tuple[ImuLog, ImuNoise]:
     """Read an IMU log: angular velocities (rad/s) and specific forces (m/s^2).
 
-    Unordered rows are sorted, and repeated times dropped; the log's `notes` report both.
+    Unordered rows are sorted, repeated times dropped, and measurements that are certain to be in g or degrees per second
+    converted; the log's `notes` report it.
 
     Args:
         path: EuRoC's `imu0` folder or its `data.csv` (noise is read from the `sensor.yaml` beside it), a text file with
             `SECONDS wx wy wz ax ay az` per line (or nanoseconds), or a ROS recording with one IMU.
+        units: units of the measurements, such as "g,deg/s" (see `epipole.io.sequences.imu_units`); empty: found by content.
 
     Raises:
         FileFormatError: the file is missing, a line is malformed, times belong to several recordings, or measurements
-            are in another unit (g, degrees per second, milliseconds) or without gravity.
+            are in another unit that is neither stated nor certain, or without gravity.
+        ConfigError: unknown units.
         MissingDependencyError: the package rosbags is required and not installed.
     """
     path = Path(path)
     if is_bag(path):
-        return read_bag_imu(path), ImuNoise()
+        return read_bag_imu(path, units=units), ImuNoise()
     table = path / "data.csv" if path.is_dir() else path
     values = _table(table)
     values[:, 0], said = seconds_of_imu(table, values[:, 0])
     values, more = _sorted(table, values)
-    check_imu_units(table, values[:, 0], values[:, 1:4], values[:, 4:7])
+    gyro, accel, converted = in_si_units(table, values[:, 0], values[:, 1:4], values[:, 4:7], units)
     about = table.with_name("sensor.yaml")
     noise = _noise(about) if about.is_file() else ImuNoise()
-    log = ImuLog(values[:, 0].copy(), values[:, 1:4].copy(), values[:, 4:7].copy(), (*said, *more))
+    log = ImuLog(values[:, 0].copy(), gyro.copy(), accel.copy(), (*said, *more, *converted))
     return log, noise
 
 

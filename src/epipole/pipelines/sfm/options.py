@@ -101,3 +101,4 @@ class ReconstructKeywords(TypedDict, total=False):
     odometry_mounting: str | Path | None
     imu: str | Path | None
     imu_mounting: str | Path | None
+    imu_units: str

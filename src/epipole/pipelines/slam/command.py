@@ -32,7 +32,8 @@ def slam(
 
     Args:
         source: A 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of images, a video, a ROS bag
-            (.bag, .db3, .mcap, or the folder of a ROS 2 bag), or the number of a camera, such as 0.
+            (.bag, .db3, .mcap, or the folder of a ROS 2 bag), the number of a camera, such as 0,
+            or of two as a stereo pair, such as 0,1.
         out: Output folder.
         config: Options.
     """

@@ -77,3 +77,4 @@ class SlamKeywords(TypedDict, total=False):
     odometry_mounting: str | Path | None
     imu: str | Path | None
     imu_mounting: str | Path | None
+    imu_units: str

@@ -46,13 +46,9 @@ from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.sources.folder import FrameSource, open_sequence
 from epipole.pipelines.slam.sources.frame_stream import FrameStream
 from epipole.pipelines.slam.sources.intrinsics import FoundCamera, find_camera
+from epipole.pipelines.slam.sources.live_cameras import camera_indices, open_cameras
 from epipole.pipelines.slam.sources.rig_folder import open_rig_folder
-from epipole.pipelines.slam.sources.streams import (
-    camera_index,
-    open_bag_frames,
-    open_camera,
-    open_video_frames,
-)
+from epipole.pipelines.slam.sources.streams import open_bag_frames, open_video_frames
 from epipole.runs import (
     Job,
     Progress,
@@ -68,6 +64,15 @@ from epipole.runs.folder import check_output_path
 from epipole.scale import Anchoring, check_anchor_files, mounted_imu
 
 FILES = ("truth", "masks", "record", *ANCHOR_FILES)
+_SENSORS = (
+    (("auto", "mono"), "a video has one camera: sensor must be auto or mono"),
+    (
+        ("auto", "mono", "stereo"),
+        "a live camera has no depth: sensor must be auto, mono, or stereo for two images side by side",
+    ),
+    (("auto", "stereo"), "two live cameras are a stereo pair: sensor must be auto or stereo"),
+)
+"""Sensors of a video, of one live camera and of two, and the message for others."""
 """Options that name a file."""
 
 
@@ -262,11 +267,13 @@ def _check_source(source: Path, job: SlamConfig) -> None:
         raise ConfigError("topics is for ROS bags (.bag, .db3, .mcap or the folder of a ROS 2 bag)")
     if job.masks is not None and not source.is_dir():
         raise ConfigError("masks is for folders of images")
-    if not is_bag(source) and (camera_index(source) is not None or is_video(source)):
+    cameras = camera_indices(source)
+    if not is_bag(source) and (cameras or is_video(source)):
         if job.fps is not None:
             raise ConfigError("fps is for folders of images without timestamps: a video has its own")
-        if job.sensor not in ("auto", "mono"):
-            raise ConfigError("a video has one camera: sensor must be auto or mono")
+        sensors, refusal = _SENSORS[len(cameras)]
+        if job.sensor not in sensors:
+            raise ConfigError(refusal)
         if job.depth_scale is not None:
             raise ConfigError("depth_scale is for depth images, which videos and cameras do not have")
 
@@ -283,9 +290,10 @@ def _open_without_readout(
 ) -> FrameSource:
     if is_bag(source):
         return open_bag_frames(source, job, given)
-    index = camera_index(source)
-    if index is not None:
-        return open_camera(index, given)
+    cameras = camera_indices(source)
+    if cameras:
+        is_pair = len(cameras) == 2 or job.sensor == "stereo"
+        return open_cameras(cameras, "stereo" if is_pair else "mono", given)
     if is_video(source):
         frames = open_video_frames(source, given, None if found is None else found.camera)
     else:
@@ -308,8 +316,8 @@ def _open_folder(folder: Path, job: JobOptions, given: CameraOptions, found: Cam
 
 def _input(source: Path) -> Path:
     """Path of the source, for the output folder's record of its inputs."""
-    index = camera_index(source)
-    return source if index is None else Path(f"/dev/video{index}")
+    cameras = camera_indices(source)
+    return Path(",".join(f"/dev/video{index}" for index in cameras)) if cameras else source
 
 
 def _track(

@@ -97,14 +97,15 @@ def _space(inputs: SurfaceInputs, sample: DensePoints | None) -> SpaceData | Non
     """The sample in 3D, seen from the middle camera."""
     if sample is None or not len(sample):
         return None
-    unit = METERS if inputs.model.georeference is not None else NO_UNIT
+    is_enu = inputs.model.georeference is not None
+    unit = METERS if is_enu else NO_UNIT
     measure = PointMeasure("standard deviation", sample.sigma.astype(np.float64), unit)
     layer = PointLayer("Points", sample.points_in_world, sample.rgb, (measure,))
     view = inputs.views[inputs.usable[len(inputs.usable) // 2]]
     position, (_, down, ahead) = view.cam_from_world.centers(), view.cam_from_world.rotation
     distance = max(float(np.median((sample.points_in_world - position) @ ahead)), 1e-6)
     first = FirstView(position - 0.3 * distance * ahead, position + distance * ahead, -down)
-    scene = SpaceScene("Surface", f"{count(len(sample))} points", unit, (layer,), view=first)
+    scene = SpaceScene("Surface", f"{count(len(sample))} points", unit, (layer,), view=first, is_enu=is_enu)
     return space_data(scene, MAX_POINTS)
 
 

@@ -19,7 +19,7 @@ from epipole.pipelines.surfaces.inputs import MODEL
 from epipole.pipelines.surfaces.texture_stage import NAME
 from epipole.report.markup import plural
 from epipole.report.space import shuffled
-from epipole.report.space_model import cameras_of_model
+from epipole.report.space_model import cameras_of_model, rig_curve
 from epipole.report.space_scene import (
     METERS,
     NO_UNIT,
@@ -80,13 +80,16 @@ def scene(path: Path) -> SpaceScene:
     source = _model_source(path)
     cameras = None if source is None else _cameras(source, is_shown=mesh is None)
     words += [] if cameras is None else [plural(len(cameras.names), "image")]
+    rigs = None if source is None else rig_curve(source.model, is_shown=mesh is None)
     is_metric = source is not None and source.model.georeference is not None
     unit = METERS if is_metric else NO_UNIT
     return replace(
         SpaceScene(_title(path), ", ".join(words), unit, points, mesh=mesh),
         cameras=cameras,
         view=_first_view(path),
+        curves=() if rigs is None or not len(rigs.segments_in_world) else (rigs,),
         upright_from_world=_upright(source),
+        is_enu=is_metric,
     )
 
 

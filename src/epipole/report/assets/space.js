@@ -231,7 +231,7 @@ async function spaceView(canvas, data) {
     paintedAt = isMoving ? now : -Infinity;
     const isSorted = !sorter || sort(eye.basis);
     if (isMoving || painted.share < 1) paint(eye, ratio, total ? portion / total : 1);
-    tools.mark(eye);
+    tools.mark({ ...eye, dist: view.eye().dist });
     const isComplete = isSorted && painted.share === 1 && (!drawn.mesh || drawn.mesh.drawing.isComplete());
     canvas.dataset.settled = isComplete ? "yes" : "no";
     if (painted.share < 1) ask();
@@ -398,9 +398,10 @@ async function spaceView(canvas, data) {
     stepCamera,
     reset,
     above() {
-      const o = data.lookAt.map((v, k) => v + 3 * data.radius * frame[2][k]);
+      const o = data.lookAt.map((v, k) => v + 3 * data.radius * frame[2][k]),
+        r = data.isEnu ? [1, 0, 0] : frame[0]; // north is at the top, as in maps
       view.flyTo(
-        eyeAt(frame, { o, f: frame[2].map((v) => -v), r: frame[0], dist: 3 * data.radius, spread: SPREAD }),
+        eyeAt(frame, { o, f: frame[2].map((v) => -v), r, dist: 3 * data.radius, spread: SPREAD }),
       );
     },
     snapshot,

@@ -1,11 +1,11 @@
 /* The controls of the 3D view: layers, sizes, limits, section, distances, images. */
-/* global byId, fullScreen, distanceBetween */
+/* global byId, fullScreen, distanceBetween, showScaleBar */
 /* exported spaceTools */
 "use strict";
-const AXES = [
-  ["x", "#f0928a"],
-  ["y", "#93d193"],
-  ["z", "#9dbcf5"],
+const AXIS_COLORS = ["#f0928a", "#93d193", "#9dbcf5"];
+const [AXIS_NAMES, ENU_NAMES] = [
+  ["x", "y", "z"],
+  ["E", "N", "up"],
 ];
 
 /* A number rounded to significant digits. */
@@ -111,7 +111,10 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
     measured = byId("measured"),
     measureButton = byId("measure");
   let ends = [];
-  const own = ownScale(data, () => showLength());
+  const own = ownScale(data, () => {
+    showLength();
+    redraw();
+  });
   const legend = () => fillLegend(byId("legend"), data, look);
 
   const each = (selector, act) => document.querySelectorAll(selector).forEach(act);
@@ -252,11 +255,15 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
     return made;
   };
   /* The axes in a corner, and what is being measured. Two drawings: to draw the whole anew is slow in software. */
-  function mark({ basis, focal, near }) {
-    const axes = AXES.flatMap(([label, color], k) => {
-      const [x, y, dx, dy] = [38, 38, 22 * basis.r[k], 22 * basis.d[k]];
+  function mark({ basis, focal, near, dist }) {
+    const scale = (focal * canvas.clientWidth) / canvas.width;
+    showScaleBar(byId("scale-bar"), scale / dist, own.inMeters({ length: 1, sigma: null }), canvas.clientWidth);
+    const axes = (data.isEnu ? ENU_NAMES : AXIS_NAMES).flatMap((label, k) => {
+      const [x, y, dx, dy] = [38, 38, 22 * basis.r[k], 22 * basis.d[k]],
+        color = AXIS_COLORS[k];
       const text = element("text", { x: x + 1.4 * dx, y: y + 1.4 * dy + 4 });
       text.textContent = label;
+      if (label === "N") text.style.fontWeight = "bold";
       text.style.fill = color; // before the style of the page's other drawings
       return [
         element("line", { x1: x, y1: y, x2: x + dx, y2: y + dy, stroke: color, "stroke-width": 1.5 }),
@@ -265,8 +272,7 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
     });
     byId("space-axes").replaceChildren(...axes);
     if (!ends.length && !marks.childElementCount) return;
-    const scale = (focal * canvas.clientWidth) / canvas.width,
-      drawn = [];
+    const drawn = [];
     const seen = ends.map(({ place }) => {
       const ray = place.map((v, k) => v - basis.o[k]),
         [x, y, z] = [basis.r, basis.d, basis.f].map((a) => a[0] * ray[0] + a[1] * ray[1] + a[2] * ray[2]);

@@ -32,10 +32,11 @@ def scene(path: Path) -> SpaceScene:
     """
     summary, model = _summary(path), read_model(path)
     num_given = summary.get("num_images")
+    is_metric = summary.get("is_metric") is True or model.georeference is not None
     found = scene_of_model(
         model,
         title=_title(path),
-        unit=METERS if summary.get("is_metric") is True else NO_UNIT,
+        unit=METERS if is_metric else NO_UNIT,
         load_image=image_loader(path / "images", model, is_own=has_own_model(path)),
         num_given=num_given if isinstance(num_given, int) and num_given >= len(model.images) else None,
     )

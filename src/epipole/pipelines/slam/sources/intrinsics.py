@@ -31,7 +31,7 @@ from epipole.optim import BundleConfig, Loss, adjust_bundle, bundle_covariance, 
 from epipole.pipelines.sfm.run import ReconstructionResult, reconstruct
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, OdometryConfig
 from epipole.pipelines.slam.output.map_file import camera_of_map
-from epipole.pipelines.slam.sources.streams import camera_index
+from epipole.pipelines.slam.sources.live_cameras import camera_indices
 from epipole.pipelines.slam.tracking.corners import new_corners
 from epipole.runs import Progress, ProgressCallback
 
@@ -119,7 +119,7 @@ def find_camera(
         FileFormatError: the source cannot be read.
     """
     is_given = given.camera_params or given.calibration or job.sensor == "rig"
-    if is_given or is_bag(source) or camera_index(source) is not None:
+    if is_given or is_bag(source) or camera_indices(source):
         return None
     images = _images(source, job)
     if images is None:

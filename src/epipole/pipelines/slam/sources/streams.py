@@ -1,10 +1,8 @@
-"""Frames of videos, ROS bags and live cameras."""
+"""Frames of videos and ROS bags."""
 
 from __future__ import annotations
 
-import threading
-import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,13 +30,6 @@ _USUAL_HZ = 30.0
 _GIVEN = "given"
 _WHOLE = 0.98
 """Fraction of the announced frames from which on a video or bag counts as complete: containers round the number."""
-
-
-def camera_index(source: Path) -> int | None:
-    """Camera number, if the source is a number of at most three digits and not an existing file; else None."""
-    text = str(source)
-    is_number = len(text) <= 3 and text.isascii() and text.isdecimal()
-    return int(text) if is_number and not source.exists() else None
 
 
 def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = None) -> FrameSource:
@@ -119,41 +110,6 @@ def open_bag_frames(path: Path, job: JobOptions, given: CameraOptions) -> FrameS
     return FrameSource(made.camera, bag.num_frames, frames, made.body_from_camera, notes, about=about)
 
 
-def open_camera(
-    index: int, given: CameraOptions, capture: Any = None, clock: Callable[[], float] = time.time
-) -> FrameSource:
-    """Open the frames of a live camera; slow tracking gets the newest frame, and dropped frames are counted.
-
-    Args:
-        index: number of the camera, as in OpenCV.
-        given: intrinsics of the camera.
-        capture: source of the images (`read`, `release`); None opens the camera.
-        clock: returns the time in seconds.
-
-    Raises:
-        ConfigError: there is no such camera, or its intrinsics are unknown.
-    """
-    capture = _opened_camera(index) if capture is None else capture
-    is_read, first = capture.read()
-    if not is_read:
-        capture.release()
-        raise ConfigError(f"camera {index} delivers no image: another program may use it")
-    intrinsics = given.camera((first.shape[1], first.shape[0]))
-    if intrinsics is None:
-        capture.release()
-        raise ConfigError(
-            "unknown intrinsics of the live camera: pass camera_params (fx,fy,cx,cy) or a calibration"
-        )
-    made, newest = of_one_camera(intrinsics), _Newest(capture, clock)
-
-    def frames() -> Generator[QueuedFrame, None, None]:
-        for number, seconds, image in newest.images():
-            yield _queued(number, seconds, partial(_of_color, made, seconds, image))
-
-    about = {"layout": "camera", "sensor": "mono", "camera_source": _GIVEN}
-    return FrameSource(made.camera, 0, frames, made.body_from_camera, is_live=True, about=about)
-
-
 class _Counted:
     """Counts the frames and compares them with the announced number."""
 
@@ -165,59 +121,6 @@ class _Counted:
         if not self.is_over or self.num >= _WHOLE * self.announced - 1:
             return []
         return [self.words.format(self.num, self.announced)]
-
-
-class _Newest:
-    """Newest image of a camera, read in a thread because driver queues deliver old images."""
-
-    def __init__(self, capture: Any, clock: Callable[[], float]) -> None:
-        self._capture, self._clock = capture, clock
-        self._changed = threading.Condition()
-        self._newest: tuple[int, float, np.ndarray] | None = None
-        self._is_over = False
-
-    def images(self) -> Iterator[tuple[int, float, np.ndarray]]:
-        """Yield number, seconds and pixels of the newest image, until the camera or the caller stops."""
-        thread = threading.Thread(target=self._read, daemon=True)
-        thread.start()
-        try:
-            while True:
-                with self._changed:
-                    while self._newest is None and not self._is_over:
-                        self._changed.wait(0.2)  # short waits, so that Ctrl-C works on every system
-                    taken, self._newest = self._newest, None
-                if taken is None:
-                    return
-                yield taken
-        finally:
-            self._is_over = True
-            thread.join(timeout=5.0)
-            self._capture.release()
-
-    def _read(self) -> None:
-        number = 0
-        while not self._is_over:
-            is_read, image = self._capture.read()
-            seconds = self._clock()
-            with self._changed:
-                if is_read:
-                    self._newest = (number, seconds, image)
-                else:
-                    self._is_over = True
-                self._changed.notify()
-            number += 1
-
-
-def _opened_camera(index: int) -> Any:
-    before = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the error below is enough
-    try:
-        capture = cv2.VideoCapture(index)
-    finally:
-        cv2.utils.logging.setLogLevel(before)
-    if not capture.isOpened():
-        raise ConfigError(f"camera {index} cannot be opened: it does not exist, or another program uses it")
-    return capture
 
 
 def _preparation_of(bag: BagSequence, given: CameraOptions) -> Preparation:
