@@ -117,13 +117,16 @@ from epipole.pipelines.conversion.run import convert
 from epipole.pipelines.evaluation.trajectories import evaluate_trajectory
 from epipole.pipelines.fields.kinds import read_neural, read_voxels
 from epipole.pipelines.sfm.matching.pairing import read_pairs
+from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import SlamCamera, TrackedFrame, TrackingState
 from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.output.answer_log import ANSWERS, line_of, read_answers
+from epipole.pipelines.slam.output.known_maps import read_known_maps
 from epipole.pipelines.slam.output.map_file import load_slam_map, read_slam_map, write_slam_map
 from epipole.pipelines.slam.output.record import FrameRecord
 from epipole.pipelines.stereo.files import read_stereo, write_image
 from epipole.pipelines.stereo.pairs import read_summary
+from epipole.runs import ignore_progress
 from epipole.runs.folder import OutputFolder, read_mark
 from epipole.runs.source import Source
 from epipole.runs.units import load, store, stored_key
@@ -403,6 +406,8 @@ def _put_slam_map(folder: Path) -> None:
 def _slam_map(folder: Path) -> None:
     try:
         known = read_slam_map(folder / "map.npz", SLAM_CAMERA)
+        maps = read_known_maps([folder / "map.npz"], SLAM_CAMERA, SlamConfig(), ignore_progress)
+        assert maps is not None and maps.first.names == known.names
         assert len(load_slam_map(folder / "map.npz").keyframes) == len(known.names)
     except ConfigError:  # the map of another camera
         return
@@ -1090,7 +1095,9 @@ FORMATS: dict[str, Format] = {
         ),
         *("a.yaml", "text", _imu_mounting, ("read_camera_from_imu",)),
     ),
-    "slam-map": Format(_put_slam_map, "map.npz", "sealed", _slam_map, ("read_slam_map", "load_slam_map")),
+    "slam-map": Format(
+        _put_slam_map, "map.npz", "sealed", _slam_map, ("read_slam_map", "load_slam_map", "read_known_maps")
+    ),
     "slam-answers": Format(_put_answers, ANSWERS, "answers", _answers, ("read_answers",)),
     "pose-matrix": Format(
         _put("a.pose.txt", b"0 -1 0 5\n1 0 0 6\n0 0 1 7\n0 0 0 1\n"),

@@ -201,7 +201,10 @@ class _SealedFile(IndexDataCacheFile):
             return {}
         try:
             return super()._load_index()
-        except (AttributeError, ImportError):  # a named tuple of the arguments was moved or removed: compile again
+        except (
+            AttributeError,
+            ImportError,
+        ):  # a named tuple of the arguments was moved or removed: compile again
             return {}
 
     def _load_data(self, name: str) -> Any:

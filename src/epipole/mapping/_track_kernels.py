@@ -35,7 +35,7 @@ class Components(NamedTuple):
     """Union-find over keypoint rows."""
 
     image: np.ndarray  # (r,) int64, of each keypoint
-    parent: np.ndarray  # (r,) int64, towards the smallest row of each component
+    parent: np.ndarray  # (r,) int64, toward the smallest row of each component
     following: np.ndarray  # (r,) int64, the members of each component in a ring
     stamp: np.ndarray  # (n,) int64, the last match that has marked each image
 
