@@ -172,3 +172,22 @@ def test_a_model_without_points_has_an_empty_sample(rng, num_points):
     if num_points == 0:
         model.clear()
     assert len(sample_points(model)) == model.num_points
+
+
+def test_large_problems_need_half_the_memory_for_the_same_minimum(monkeypatch):
+    models, precise = [], []
+    adjust = adjustment.adjust_bundle
+
+    def recorded(problem, config):
+        precise.append(not config.single_precision)
+        return adjust(problem, config)
+
+    monkeypatch.setattr(adjustment, "adjust_bundle", recorded)
+    for largest in (adjustment.LARGE, 10_000):
+        monkeypatch.setattr(adjustment, "LARGE", largest)
+        models.append(model_of(np.random.default_rng(1))[1])
+        adjust_all(models[-1], BundleConfig(function_tolerance=1e-14, max_iterations=100), FIXED)
+    assert precise == [True, False]
+    usual, large = (model.registered_poses() for model in models)
+    np.testing.assert_allclose(large.centers(), usual.centers(), atol=1e-7)
+    np.testing.assert_allclose(models[1].points, models[0].points, atol=1e-6)
