@@ -42,6 +42,7 @@ def slam(
     words = {
         **STAGES,
         "choose": "Choosing images",
+        "merge": "Merging maps",
         "track": "Tracking the camera",
         "adjust": "Optimizing the map",
         "depth": "Reading depth",

@@ -68,6 +68,8 @@ def read_known_maps(
             continue
         first, reasons = _with(first, waiting.pop(path), merged.number_offset, merged.model), {}
         notes.append(f"the map {path} was merged with {paths[0]}: both show a common area")
+    if len(paths) > 1:
+        progress(Progress("merge", len(paths) - 1, len(paths) - 1))
     for path, reason in reasons.items():
         notes.append(f"the map {path} is separate from {paths[0]} until frames connect them: {reason}")
         offset = 1 + max(first.numbers) - min(waiting[path].numbers)
