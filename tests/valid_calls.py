@@ -500,6 +500,8 @@ def _images() -> Iterator[Row]:
     yield _row(image.undistort_points, pixels=np.ones((2, 2)), camera=PINHOLE, pinhole=None)
     yield _row(image.undistorted_camera, camera=LENS)
     yield _row(image.undistort_image, rgb=_image(3), camera=LENS, pinhole=PINHOLE)
+    yield _row(image.undistortion_stmap, camera=LENS, pinhole=PINHOLE)
+    yield _row(image.distortion_stmap, camera=LENS, pinhole=PINHOLE)
 
 
 def _columns() -> Iterator[Row]:

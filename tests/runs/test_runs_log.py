@@ -62,6 +62,7 @@ def test_a_stopped_run_says_why_and_the_next_one_continues_the_log(tmp_path):
     out = tmp_path / "out"
     with pytest.raises(KeyError), open_run(job(tmp_path / "images"), out) as run:
         run.report("match", 0, 9)
+        (out / "work").mkdir()  # what the next run continues from
         raise KeyError("lost")
     with open_run(job(tmp_path / "images"), out) as run:
         with run.stage("match"):
@@ -73,6 +74,14 @@ def test_a_stopped_run_says_why_and_the_next_one_continues_the_log(tmp_path):
     with open_run(job(tmp_path / "images"), out) as run:  # after a finished run, a new log
         run.finish({})
     assert len(lines_of(out / "log.txt")) == 2
+
+
+def test_a_run_without_results_leaves_no_log(tmp_path):
+    (tmp_path / "images").mkdir()
+    with pytest.raises(KeyError), open_run(job(tmp_path / "images"), tmp_path / "out") as run:
+        run.report("read", 0, 9)
+        raise KeyError("lost")
+    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
 
 
 def test_a_file_of_that_name_that_is_not_ours_is_kept(tmp_path):

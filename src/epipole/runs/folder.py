@@ -159,9 +159,10 @@ class OutputFolder:
         self.write_text(name, json_text(content))
 
     def give_up(self, *, has_failed: bool) -> None:
-        """Clean up after a run that ended early: remove the marker if nothing else is there, else record a failure."""
-        left = {path.name for path in self.root.iterdir()} - {MARK, LOCK}
-        if not self.files and not left:
+        """Clean up after a run that ended early: remove marker and log if nothing else is there, else record a failure."""
+        left = {path.name for path in self.root.iterdir()} - {MARK, LOCK, *self.files.get("log", ())}
+        if not left and set(self.files) <= {"log"}:
+            self._remove(self.files.pop("log", ()))
             (self.root / MARK).unlink()
         else:
             self.has_failed = has_failed and set(self.files) <= BY_PRODUCTS
@@ -239,7 +240,7 @@ class OutputFolder:
                 folder = folder.parent
 
 
-BY_PRODUCTS = frozenset({"database"})
+BY_PRODUCTS = frozenset({"database", "log"})
 """Groups written before it is known whether there will be a result."""
 
 
