@@ -1,6 +1,7 @@
 """Several known maps: merged where they show a common area, joined by frames, or left out with the reason."""
 
 import cv2
+import numpy as np
 import pytest
 from slam_rides import errors, rendered
 
@@ -107,3 +108,28 @@ def test_what_cannot_be_merged_is_refused(ride, saved, tmp_path):
             saved / "new", tmp_path / "out", map=(saved / "first", tmp_path / "metric.npz"), **given(ride)
         )
     assert not (tmp_path / "out").exists()
+
+
+def test_maps_that_are_still_separate_are_compared_at_the_end(ride):
+    """Both runs have seen frames 64 to 96; the only frame between them closes no loop, which needs three keyframes."""
+    maps = []
+    for numbers in (FIRST, SECOND):
+        system = Slam(ride.sensor("rgbd"))
+        for frame in ride.frames("rgbd", numbers):
+            system.track(frame)
+        system.finish()
+        maps.append(system.maps[0])
+    for keyframe in maps[1].keyframes:
+        keyframe.number += 100
+    first, second = (list(model.keyframes) for model in maps)
+    system = Slam(ride.sensor("rgbd"), known=maps)
+    (frame,) = ride.frames("rgbd", [160])
+    answer = system.track(frame)
+    assert answer.has_pose and answer.world_from_body is None and len(system.maps) == 2
+    system.finish()
+    assert len(system.maps) == 1 and system.map is system.maps[0]
+    assert all(a is b for a, b in zip(system.maps[0].keyframes, first + second, strict=True))
+    truth, there = ride.truth([0, 160])[1], system.trajectory().world_from_body[0]
+    assert np.linalg.norm(there.translation - truth.translation) < 0.02
+    points = [set(part[-1].point.tolist()) for part in (first, second)]
+    assert any(len(points[0] & set(keyframe.point.tolist())) > 20 for keyframe in second)

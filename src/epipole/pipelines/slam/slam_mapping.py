@@ -120,8 +120,8 @@ class SlamMapping(SlamState):
             if self.map is here:
                 self._enter(there)
                 self.state = TrackingState.LOST  # until the next frame is relocalized
-            # The larger map may have something in common with maps that were compared before.
-            pairs = list(combinations(self.maps, 2))
+            # The larger map may have something in common with maps that were compared with its parts.
+            pairs = [pair for pair in combinations(self.maps, 2) if there in pair or pair in pairs]
 
     def _continue_corrected(self, into: np.ndarray) -> None:
         """Go on from the newest keyframe of a corrected map, with the new row of each point."""
