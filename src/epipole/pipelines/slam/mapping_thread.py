@@ -24,8 +24,9 @@ LONGEST_WAIT_S = 0.05
 kitchen."""
 
 NICENESS = 3
-"""Priority of the threads below that of tracking: with two processors for three threads, 5 % of the frames of a kitchen take 31 ms or more,
-35 without it. A thread with 10 waits so long on a busy machine, while it has the interpreter's lock, that frames wait 2 s for it."""
+"""Priority of mapping below that of tracking and of the search for points, which tracking needs soon: with two processors for three threads,
+5 % of the frames of a kitchen took 31 ms or more, 35 without it. A thread with 10 waits so long on a busy machine, while it has the
+interpreter's lock, that frames wait 2 s for it."""
 
 
 class Mapped(NamedTuple):
@@ -56,7 +57,7 @@ class MappingThread:
     def __init__(self) -> None:
         self._pool = _single_thread("epipole-mapping")
         self._running: Future[Mapped] | None = None
-        self._searchers = _single_thread("epipole-points")
+        self._searchers = ThreadPoolExecutor(1, "epipole-points")
         self._search: Future[Observations] | None = None
         self.judges = _single_thread("epipole-start")
         self.num_merged = self.num_waiting = 0
@@ -150,6 +151,7 @@ class MappingThread:
 
 
 def _single_thread(name: str) -> ThreadPoolExecutor:
+    """A thread with a lower priority."""
     return ThreadPoolExecutor(1, name, lower_priority_here, (NICENESS,))
 
 
