@@ -15,6 +15,11 @@ from epipole._checks import check_options, did_you_mean
 from epipole.errors import ConfigError
 
 Options = TypeVar("Options")
+_Photogrammetry = Literal[
+    "txt", "bin", "ply", "transforms", "bundler", "opensfm", "metashape", "realityscan", "kapture"
+]
+ModelFormat = Literal[_Photogrammetry, "chan", "usd", "splat"]
+"""Formats of models and splats that `epipole convert` writes."""
 _LARGEST = 1e100
 _DICTIONARIES = ("APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h10", "APRILTAG_36h11", "ARUCO_ORIGINAL")
 

@@ -1,5 +1,6 @@
 """Readers and writers for common files (COLMAP, nerfstudio, OpenSfM, Metashape, RealityScan, kapture, Bundler, PLY), known cameras, and atomic writing."""
 
+from epipole.config import ModelFormat as ModelFormat
 from epipole.io.atomic import atomic_folder as atomic_folder
 from epipole.io.atomic import atomic_write as atomic_write
 from epipole.io.colmap.database import DatabaseContents as DatabaseContents
@@ -9,7 +10,6 @@ from epipole.io.colmap.model import params_from_colmap as params_from_colmap
 from epipole.io.colmap.model import params_to_colmap as params_to_colmap
 from epipole.io.colmap.model import read_colmap_model as read_colmap_model
 from epipole.io.colmap.model import write_colmap_model as write_colmap_model
-from epipole.io.convert import ModelFormat as ModelFormat
 from epipole.io.convert import read_model as read_model
 from epipole.io.g2o import G2oFile as G2oFile
 from epipole.io.g2o import read_g2o as read_g2o

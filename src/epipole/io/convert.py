@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -28,20 +27,6 @@ from epipole.io.models.realityscan import HEADER as CSV_HEADER
 from epipole.io.models.transforms import read_transforms_scene, write_transforms
 from epipole.scene import Reconstruction
 
-ModelFormat = Literal[
-    "txt",
-    "bin",
-    "ply",
-    "transforms",
-    "bundler",
-    "opensfm",
-    "metashape",
-    "realityscan",
-    "kapture",
-    "chan",
-    "usd",
-    "splat",
-]
 IMAGE_FOLDER = "images"
 """Folder of the images beside a transforms.json, a bundle.out, a reconstruction.json, a cameras.xml or a
 cameras.csv."""

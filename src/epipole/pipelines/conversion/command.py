@@ -3,30 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
-_Format = Literal[
-    "txt",
-    "bin",
-    "ply",
-    "transforms",
-    "bundler",
-    "opensfm",
-    "metashape",
-    "realityscan",
-    "kapture",
-    "chan",
-    "usd",
-    "splat",
-]
+from epipole.config import ModelFormat
 
 
 def convert(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
     target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")],
-    format: Annotated[_Format | None, tyro.conf.arg(metavar="FORMAT")] = None,
+    format: Annotated[ModelFormat | None, tyro.conf.arg(metavar="FORMAT")] = None,
 ) -> None:
     """Convert a model or a splat to another format.
 

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import get_args
 
 from epipole._checks import as_path, checked
+from epipole.config import ModelFormat
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io.convert import (
     FILE_WRITERS,
     FOLDER_WRITERS,
     IMAGE_FOLDER,
     IMAGE_FOLDERS,
-    ModelFormat,
     content_not_stored,
     model_contents,
 )
