@@ -1,6 +1,8 @@
 """The log of a run: rates and memory, continued by a run that goes on, and never a reason to stop."""
 
 import re
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -37,7 +39,54 @@ def test_a_stage_that_starts_again_has_its_own_rate(tmp_path, clock):
     for done, seconds in ((0, 0.0), (50, 1.0), (0, 2.0), (50, 12.0)):
         clock[0] = 100.0 + seconds
         log.add(Progress("map", done, 50))
-    assert "50/s" in lines_of(tmp_path / "log.txt")[1] and " 5/s" in lines_of(tmp_path / "log.txt")[3]
+    lines = lines_of(tmp_path / "log.txt")
+    assert len(lines) == 3 and "50/s" in lines[1] and " 5/s" in lines[2]
+
+
+def test_stages_that_alternate_write_few_lines(tmp_path, clock):
+    log = RunLog(tmp_path / "log.txt")
+    for n in range(100):
+        clock[0] += 0.1
+        log.add(Progress("map", n, 200))
+        log.add(Progress("adjust", 0, 9))
+    assert len(lines_of(tmp_path / "log.txt")) <= 4
+
+
+def test_names_that_are_no_text_are_escaped(tmp_path):
+    (tmp_path / "images").mkdir()
+    with (
+        pytest.raises(ValueError, match="cannot read"),
+        open_run(job(tmp_path / "images"), tmp_path / "out") as run,
+    ):
+        (tmp_path / "out" / "work").mkdir()
+        run.report("read", 0, 9, "bad\udcff.jpg")
+        raise ValueError("cannot read bad\udcff.jpg")
+    assert "bad\\udcff.jpg" in lines_of(tmp_path / "out" / "log.txt")[-1]
+
+
+def test_a_link_of_that_name_is_not_followed(tmp_path):
+    (tmp_path / "images").mkdir()
+    with open_run(job(tmp_path / "images", has_log=False), tmp_path / "out") as run:
+        run.finish({})
+    (tmp_path / "out" / "log.txt").symlink_to(tmp_path / "elsewhere.txt")
+    with open_run(job(tmp_path / "images"), tmp_path / "out") as run:
+        run.finish({})
+    assert not (tmp_path / "elsewhere.txt").exists()
+
+
+def test_a_killed_run_without_results_leaves_the_folder_free(tmp_path):
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / f"{name}.txt").write_text(name)
+    kill = (
+        "import os, sys; from pathlib import Path; from epipole.runs import Job, open_run\n"
+        "job = Job(kind='reconstruct', inputs=(Path(sys.argv[1]),), settings={}, has_log=True)\n"
+        "with open_run(job, Path(sys.argv[2])): os._exit(9)"
+    )
+    done = subprocess.run([sys.executable, "-c", kill, str(tmp_path / "first"), str(tmp_path / "out")])
+    assert done.returncode == 9 and (tmp_path / "out" / "log.txt").exists()
+    with open_run(job(tmp_path / "second"), tmp_path / "out") as run:
+        run.finish({})
 
 
 def test_notes_are_always_written_and_the_disk_never_stops_the_run(tmp_path, clock):

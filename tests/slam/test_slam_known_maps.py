@@ -6,6 +6,8 @@ import pytest
 from slam_rides import errors, rendered
 
 from epipole.errors import ConfigError, FileFormatError
+from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.loops.merging import join_maps
 from epipole.pipelines.slam.output.map_file import load_slam_map, write_slam_map
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.pipelines.slam.slam import Slam
@@ -69,7 +71,9 @@ def test_a_map_of_another_scene_is_left_out(ride, saved, tmp_path):
     )
     notes = [words for words in result.warnings if "corridor" in words]
     assert any("is separate from" in words and "recognized" in words for words in notes)
-    assert any("is not part of the new map: no frame of this run" in words for words in notes)
+    assert any(
+        words.startswith("no frame of this run") and "not part of the new map" in words for words in notes
+    )
     assert result.summary["submaps"] == [] and result.summary["num_localized"] >= len(NEW) - 6
     assert len(load_slam_map(tmp_path / "out").keyframes) >= len(load_slam_map(saved / "first").keyframes)
 
@@ -133,3 +137,42 @@ def test_maps_that_are_still_separate_are_compared_at_the_end(ride):
     assert np.linalg.norm(there.translation - truth.translation) < 0.02
     points = [set(part[-1].point.tolist()) for part in (first, second)]
     assert any(len(points[0] & set(keyframe.point.tolist())) > 20 for keyframe in second)
+
+
+def test_maps_with_the_same_frame_numbers_get_others(ride):
+    maps = []
+    for numbers in (FIRST, SECOND):
+        system = Slam(ride.sensor("rgbd"))
+        for frame in ride.frames("rgbd", numbers):
+            system.track(frame)
+        maps.append(system.maps[0])
+    system = Slam(ride.sensor("rgbd"), known=maps)
+    numbers = [keyframe.number for model in system.maps for keyframe in model.keyframes]
+    assert len(set(numbers)) == len(numbers) and system.first_number == 1 + max(numbers)
+
+
+def test_a_map_by_another_path_is_the_same(ride, saved, tmp_path):
+    same = (saved / "first", saved / "first" / "map.npz")
+    with pytest.raises(ConfigError, match="given twice"):
+        run_slam(saved / "new", tmp_path / "out", map=same, **given(ride))
+
+
+def test_joined_keyframes_of_a_rolling_shutter_move_in_the_common_unit(ride):
+    maps = []
+    for numbers, scale in ((FIRST, 1.0), (SECOND, 0.5)):
+        system = Slam(ride.sensor("mono"))
+        for frame in ride.frames("mono", numbers):
+            system.track(frame)
+        system.finish()
+        model = system.maps[0]
+        model.rescale(scale)
+        for keyframe in model.keyframes:
+            keyframe.motion = np.full(12, keyframe.unit)
+            keyframe.number += 100 * len(maps)
+        maps.append(model)
+    config = SlamConfig().odometry
+    ledger = []
+    assert not join_maps(*maps, ride.sensor("mono"), config, ledger)
+    assert [entry.verdict for entry in ledger] == ["accepted"]
+    for keyframe in maps[0].keyframes:
+        np.testing.assert_allclose(keyframe.motion[:3], keyframe.unit, rtol=1e-9)

@@ -12,9 +12,10 @@ from epipole.errors import ConfigError, EpipoleError
 from epipole.geometry import Rigid3
 from epipole.io.calibration.files import CalibrationFile, write_calibration
 from epipole.metrics import absolute_error
+from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.pipelines.slam.sources import live_cameras
-from epipole.pipelines.slam.sources.live_cameras import CameraPair, camera_indices
+from epipole.pipelines.slam.sources.live_cameras import CameraPair, camera_indices, open_cameras
 
 COUNT = 12
 
@@ -169,3 +170,25 @@ def test_sources_that_name_cameras(tmp_path, monkeypatch):
     for name in ("0", "0,1"):
         (tmp_path / name).mkdir()
         assert camera_indices(Path(name)) == ()
+
+
+@pytest.mark.parametrize("failure", [cv2.error("device lost"), OSError("device lost")])
+def test_a_driver_that_fails_ends_the_frames_with_its_reason(failure):
+    class Failing:
+        released, count = False, 0
+
+        def read(self):
+            self.count += 1
+            if self.count > 1:
+                raise failure
+            return True, np.zeros((240, 320), np.uint8)
+
+        def release(self):
+            self.released = True
+
+    camera = Failing()
+    given = CameraOptions(camera_params="260,260,160,120")
+    source = open_cameras((0,), "mono", given, captures=[camera])
+    with pytest.raises(ConfigError, match="device lost"):
+        list(source.frames())
+    assert camera.released

@@ -1,6 +1,7 @@
 """The begin of one camera's map: doubted until frames after it agree, and refused where images cannot tell."""
 
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
@@ -12,11 +13,13 @@ from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io import read_trajectory
 from epipole.metrics import absolute_error
+from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackingState
 from epipole.pipelines.slam.output.warnings import warnings
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.start import one_camera
 from epipole.pipelines.slam.start.candidate_motions import Judged, judge, motions_of_plane, rival_of
+from epipole.pipelines.slam.start.two_view import Confirmation
 from whole import IS_WHOLE
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")
@@ -93,6 +96,52 @@ def test_a_verdict_that_comes_after_the_last_frame_is_reported(monkeypatch):
     assert "contradicted by" in warning or "could not be confirmed" in warning
 
 
+@needs_hololens
+def test_a_camera_that_is_lost_before_the_verdict_keeps_no_refuted_map(monkeypatch):
+    monkeypatch.setattr(one_camera, "best_start", lambda started, *_: started)
+    monkeypatch.setattr(one_camera, "confirm_start", lambda *_: Confirmation.REFUTED)
+    monkeypatch.setattr(one_camera.OneCameraStart, "confirm", started_only)
+    slam = Slam(SlamCamera(LENS), mapping="thread")
+    frames = hololens(30)
+    for frame in frames:
+        slam.track(frame)
+        if (start := slam._unconfirmed) is not None and start._verdict is not None:
+            break
+    assert slam._unconfirmed is not None
+    number = slam.map.number
+    blank = np.full_like(frame.gray, 128)
+    slam.track(Frame(frame.timestamp_s + 0.1, blank))
+    assert "contradict it" in slam.start_warnings[0] and slam.maps[0].number != number
+
+
+def started_only(start, frame, number, cam_from_first):
+    """The comparison begins, and no frame asks for its result."""
+    start._track(frame)
+    if start._verdict is None:
+        start._verdict = start._beside(lambda: one_camera.confirm_start())
+    return Confirmation.OPEN
+
+
+def test_a_map_never_starts_with_an_image_with_a_problem():
+    frames = ride().frames("mono")
+    opened, choose = threading.Event(), one_camera.best_start
+
+    def later(*given):
+        assert opened.wait(60.0)
+        return choose(*given)
+
+    with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as judges:
+        patch.setattr(one_camera, "best_start", later)
+        patch.setattr(one_camera, "LONGEST_WAIT_S", 0.0)
+        start, answers = one_camera.OneCameraStart(CAMERA, SlamConfig().odometry, judges), []
+        for number, frame in enumerate(frames[:14]):
+            if number == 12:
+                opened.set()
+                judges.submit(bool).result()
+            answers.append(start.add(frame, number, "blurred" if number == 12 else ""))
+    assert answers[12] == "blurred" and isinstance(answers[13], one_camera.Initialization)
+
+
 def test_tracking_goes_on_while_motions_are_compared():
     opened, choose = threading.Event(), one_camera.best_start
 
@@ -109,7 +158,7 @@ def test_tracking_goes_on_while_motions_are_compared():
             if number == 12:
                 opened.set()
                 slam.mapping_thread.judges.submit(bool).result()
-    assert answers[12].state is TrackingState.STARTING and "are compared" in answers[12].reason
+    assert answers[12].state is TrackingState.STARTING and "being compared" in answers[12].reason
     assert all(answer.state is TrackingState.TRACKING for answer in answers[13:])
     slam.finish()
     path = slam.trajectory()

@@ -199,12 +199,10 @@ class _SealedFile(IndexDataCacheFile):
     def _load_index(self) -> Any:
         if not _is_whole(self._index_path):
             return {}
+        # A named tuple of the arguments was moved or removed: compile again.
         try:
             return super()._load_index()
-        except (
-            AttributeError,
-            ImportError,
-        ):  # a named tuple of the arguments was moved or removed: compile again
+        except (AttributeError, ImportError):
             return {}
 
     def _load_data(self, name: str) -> Any:

@@ -341,7 +341,8 @@ def _existing(root: Path, kind: str, source: Source) -> OutputFolder | None:
 
 
 def _is_bare(root: Path, found: OutputFolder) -> bool:
-    return not found.files and {path.name for path in root.iterdir()} <= {MARK, LOCK}
+    log = found.files.get("log", ())
+    return set(found.files) <= {"log"} and {path.name for path in root.iterdir()} <= {MARK, LOCK, *log}
 
 
 def _whose(found: OutputFolder) -> str:

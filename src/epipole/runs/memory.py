@@ -23,7 +23,7 @@ def peak_memory_mb() -> float | None:
 
 
 def memory_mb() -> float | None:
-    """Present resident memory of this process, without those it has started; None if the system does not say it."""
+    """Present resident memory of this process, without those it has started; None if the system does not report it."""
     return _status_mb("VmRSS")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -144,10 +145,11 @@ def _open_log(folder: OutputFolder) -> RunLog | None:
     """The log of a new run, or that of the stopped run that it continues; None if the folder has another file of that name."""
     path = folder.root / LOG
     is_own = LOG in folder.files.get("log", ())
-    if path.exists() and not is_own:
+    if os.path.lexists(path) and not is_own:
         return None
     if folder.finished:
-        path.unlink(missing_ok=True)
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
     folder.files["log"] = [LOG]
     log = RunLog(path)
     log.write("started", f"epipole {__version__} {folder.kind}")

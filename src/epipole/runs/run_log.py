@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from contextlib import suppress
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from time import perf_counter
@@ -16,44 +18,54 @@ EVERY_S = 10.0
 """A stage writes at most one line in this time (seconds) between its start and its end."""
 
 
+@dataclass(slots=True)
+class _Stage:
+    """The reports of a stage since it started, or started again."""
+
+    first: int
+    """Steps that were done at its first report."""
+    start_s: float
+    done: int
+    written_s: float
+    """Time of its last line."""
+
+
 class RunLog:
     """Appends lines to a file; if that is impossible, the run goes on without them."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._lock = path, threading.Lock()
-        self._stage, self._done = "", 0
-        self._start = (0, 0.0)
-        """Steps that were done when the stage was first reported, and when that was."""
-        self._written_s = 0.0
+        self._stages: dict[str, _Stage] = {}
 
     def write(self, stage: str, words: str) -> None:
         """Append a line with the time and the present memory."""
         memory = memory_mb()
         used = "" if memory is None else f"{memory:,.0f} MB"
         now = f"{datetime.now().astimezone():%Y-%m-%d %H:%M:%S}"
-        with suppress(OSError), self._path.open("a", encoding="utf-8") as stream:
+        # File names that are no text are escaped.
+        with suppress(OSError), self._path.open("a", encoding="utf-8", errors="backslashreplace") as stream:
             stream.write(f"{now}  {stage:<12} {words:<52} {used}".rstrip() + "\n")
 
     def add(self, report: Progress) -> None:
         """Append the progress of a stage, if it is its first or last report or none was written for a while."""
         with self._lock:
             now = perf_counter()
-            is_first = report.stage != self._stage or report.done < self._done
-            if is_first:
-                self._stage, self._start = report.stage, (report.done, now)
-            self._done = report.done
-            is_last = report.done >= report.total
-            if not (is_first or is_last or report.note or now - self._written_s >= EVERY_S):
-                return
-            self._written_s = now
-            self.write(report.stage, self._in_words(report, now))
+            stage = self._stages.get(report.stage)
+            is_first = stage is None or report.done < stage.done
+            if stage is None or is_first:
+                written_s = -math.inf if stage is None else stage.written_s
+                stage = self._stages[report.stage] = _Stage(report.done, now, report.done, written_s)
+            stage.done, is_last = report.done, report.done >= report.total
+            if report.note or is_last or now - stage.written_s >= EVERY_S:
+                stage.written_s = now
+                self.write(report.stage, _in_words(report, report.done - stage.first, now - stage.start_s))
 
-    def _in_words(self, report: Progress, now: float) -> str:
-        done, seconds = report.done - self._start[0], now - self._start[1]
-        parts = [f"{report.done:,} of {report.total:,}"]
-        if done > 0 and seconds > 0:
-            rate = done / seconds
-            parts.append(f"{rate:.3g}/s")
-            if report.done < report.total:
-                parts.append(f"{(report.total - report.done) / rate:,.0f} s left")
-        return ", ".join(parts) + (f"; {report.note}" if report.note else "")
+
+def _in_words(report: Progress, done: int, seconds: float) -> str:
+    parts = [f"{report.done:,} of {report.total:,}"]
+    if done > 0 and seconds > 0:
+        rate = done / seconds
+        parts.append(f"{rate:.3g}/s")
+        if report.done < report.total:
+            parts.append(f"{(report.total - report.done) / rate:,.0f} s left")
+    return ", ".join(parts) + (f"; {report.note}" if report.note else "")

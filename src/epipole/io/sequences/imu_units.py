@@ -202,7 +202,12 @@ def _check_units(
         raise FileFormatError(
             path,
             f"its angular velocities rotate gravity's direction {plain / reduced:.0f} times more than its accelerations show, but agree "
-            "better with them if read as degrees per second: check the unit and the axes, and state the unit with --imu-units",
+            "better with them if read as degrees per second: "
+            + (
+                "check the axes, and the unit that --imu-units states"
+                if is_gyro_known
+                else "check the unit and the axes, and state the unit with --imu-units"
+            ),
         )
 
 

@@ -64,6 +64,7 @@ from epipole.runs.folder import check_output_path
 from epipole.scale import Anchoring, check_anchor_files, mounted_imu
 
 FILES = ("truth", "masks", "record", *ANCHOR_FILES)
+"""Options that name a file."""
 _SENSORS = (
     (("auto", "mono"), "a video has one camera: sensor must be auto or mono"),
     (
@@ -73,7 +74,6 @@ _SENSORS = (
     (("auto", "stereo"), "two live cameras are a stereo pair: sensor must be auto or stereo"),
 )
 """Sensors of a video, of one live camera and of two, and the message for others."""
-"""Options that name a file."""
 
 
 @checked
@@ -90,7 +90,7 @@ def slam(
 
     Args:
         source: a 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of images, a video, a ROS bag
-            (.bag, .db3, .mcap or the folder of a ROS 2 bag), or the number of a local camera.
+            (.bag, .db3, .mcap or the folder of a ROS 2 bag), or the number of a local camera, or of two ("0,1").
         out: output folder, created if missing.
         config: options; None for the defaults.
         progress: called after each frame.
@@ -126,7 +126,7 @@ def slam(
             records = _track(stream, system, progress, (live, record), stands, known)
         with run.stage("adjust"):
             _finish(stream, system, run, is_stopped)
-            run.warnings += _left_out(system, maps)
+            run.warnings += _left_out(system, maps, wanted)
             record.finish(system)
             run.warnings += record.warnings
             anchoring = _anchored(system, wanted.anchors, records, known, run)
@@ -208,17 +208,22 @@ def _finish(stream: FrameStream, system: Slam, run: Run, is_stopped: Callable[[]
     run.report("adjust", total, total)
 
 
-def _left_out(system: Slam, known: KnownMaps | None) -> list[str]:
-    """Remove known maps without frames of this run that are still separate; what is missing in the new map."""
+def _left_out(system: Slam, known: KnownMaps | None, job: JobOptions) -> list[str]:
+    """Remove maps without frames of this run, and say which known maps are still separate from the first one."""
     notes = []
-    for path, model in {} if known is None else known.separate.items():
-        if model not in system.maps:
+    paths = [system.trajectory(n) for n in range(len(system.maps))]
+    parts = [frozenset(keyframe.number for keyframe in model.keyframes) for model in system.maps]
+    for path, numbers in {} if known is None else known.numbers.items():
+        if numbers & parts[0]:
             continue
-        has_frames = len(system.trajectory(system.maps.index(model))) > 0
-        seen = "frames of this run were localized in it, but none" if has_frames else "no frame of this run"
-        notes.append(f"the map {path} is not part of the new map: {seen} connected it to the first map")
-        if not has_frames:
-            system.maps.remove(model)
+        if any(numbers & part and len(found) for part, found in zip(parts[1:], paths[1:])):
+            notes.append(
+                f"the map {path} is separate from the first map: its frames are in trajectory_submap_N.txt"
+            )
+        else:
+            notes.append(f"no frame of this run connected the map {path} to the first map")
+        notes[-1] += "" if job.localize else ", so it is not part of the new map"
+    system.maps[1:] = [model for model, found in zip(system.maps[1:], paths[1:]) if len(found)]
     return notes
 
 

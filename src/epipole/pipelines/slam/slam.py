@@ -12,6 +12,7 @@ from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.frames import Frame, TrackedFrame, TrackingState
 from epipole.pipelines.slam.loops.recognition import describe_keyframe
 from epipole.pipelines.slam.map.covariance import own_covariance
+from epipole.pipelines.slam.map.local_mapping import LAST_STEPS
 from epipole.pipelines.slam.map.past_poses import refine_past_poses
 from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.slam_mapping import SlamMapping
@@ -163,6 +164,8 @@ class Slam(SlamMapping):
             moved = cam_from_world @ first.cam_from_world.inverse()
             with_quality = start.confirm(frame, self._num_frames, moved)
         if with_quality is Confirmation.OUT_OF_SIGHT:
+            if self._is_refuted_late():
+                return True
             self._leave_unconfirmed()
         elif with_quality is not Confirmation.OPEN:
             self._unconfirmed = None
@@ -217,6 +220,8 @@ class Slam(SlamMapping):
         if carried is not None:
             return carried
         if self.state in (TrackingState.TRACKING, TrackingState.SUBMAP, TrackingState.INERTIAL):
+            if self._is_refuted_late():
+                return self._start_again(frame)
             self._lose()
         if self._quality.is_usable and (found := self._recognized(frame)) is not None:
             return self._localized(frame, *found)
@@ -291,7 +296,8 @@ class Slam(SlamMapping):
 
     def _lose(self) -> None:
         self._closer.clear()
-        if self.map is not self.maps[0] and len(self.map.keyframes) < LEAST_KEYFRAMES:
+        is_of_this_run = self.map.keyframes[0].number >= self.first_number
+        if self.map is not self.maps[0] and is_of_this_run and len(self.map.keyframes) < LEAST_KEYFRAMES:
             self.maps.remove(self.map)
             self._path.clear(self.map.keyframes)
             self._enter(self.maps[0])
@@ -366,12 +372,12 @@ class Slam(SlamMapping):
         self.wait_for_mapping()
         if self._camera_imu is not None:
             self._camera_imu.is_clock_known(is_last=True)
-        self._leave_unconfirmed()
-        if not self.first_number:
-            self.maps.sort(key=lambda model: -len(self._path.trajectory(model.keyframes)))
+        self._end_unconfirmed()
+        self._largest_first()
         refine_past_poses(self._path, self.odometry.tracker, is_last=True)
         if not self.is_map_fixed:
-            self._join_separate_maps()
+            self._join_separate_maps(lambda: goes_on(0, LAST_STEPS * len(self.maps)))
+            self._largest_first()
         here = self.map, self.odometry
         for number, model in enumerate([] if self.is_map_fixed else self.maps):
             self._enter(model)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from itertools import combinations
 
@@ -108,16 +109,16 @@ class SlamMapping(SlamState):
         into = refine_closed(self.odometry.mapper)
         return Change(world_motion(before, newest), into, np.setdiff1d(into[before.point], newest.point))
 
-    def _join_separate_maps(self) -> None:
+    def _join_separate_maps(self, goes_on: Callable[[], bool]) -> None:
         """Join maps by any of their keyframes; while the camera is tracked, only the newest keyframe is compared with other maps."""
         pairs = list(combinations(self.maps, 2))
-        while pairs:
+        while pairs and goes_on():
             there, here = pairs.pop(0)
             are_full = all(any(len(k.point) for k in model.keyframes) for model in (there, here))
-            if not are_full or join_maps(there, here, self.camera, self.config):
+            if not are_full or join_maps(there, here, self.camera, self.config, self.loops):
                 continue
             self.maps.remove(here)
-            if self.map is here:
+            if self.map is here or self.map is there:
                 self._enter(there)
                 self.state = TrackingState.LOST  # until the next frame is relocalized
             # The larger map may have something in common with maps that were compared with its parts.

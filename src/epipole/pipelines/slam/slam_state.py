@@ -195,20 +195,42 @@ class SlamState:
         source = self.odometry.tracker if self.map.num_points else self._start
         return snapshot_of(self.map, self.state, source.tracks)
 
+    def _is_refuted_late(self) -> bool:
+        """Wait for the verdict on the initialization, if there is one to come; whether later frames contradict it."""
+        start = self._unconfirmed
+        verdict = Confirmation.OPEN if start is None else start.verdict(wait=True)
+        if verdict is not Confirmation.OPEN:
+            self._unconfirmed = None
+        return verdict is Confirmation.REFUTED
+
     def _leave_unconfirmed(self) -> None:
-        """Report an initialization that later frames contradict, or that none of them can confirm."""
-        start, self._unconfirmed = self._unconfirmed, None
-        verdict = Confirmation.CONFIRMED if start is None else start.verdict(wait=True)
-        if start is None or verdict is Confirmation.CONFIRMED:
-            return
-        self.start_warnings.append(
-            f"the map initialized at {start.first_time_s:.2f} s "
-            + (
-                "is contradicted by the last frames that show its first points"
-                if verdict is Confirmation.REFUTED
-                else "could not be confirmed: its first points left the view before the camera had moved far enough"
+        """Report that no later frame can confirm the initialization."""
+        if self._unconfirmed is not None:
+            self.start_warnings.append(
+                f"the map initialized at {self._unconfirmed.first_time_s:.2f} s could not be confirmed: its first points left the"
+                " view before the camera had moved far enough"
             )
-        )
+        self._unconfirmed = None
+
+    def _end_unconfirmed(self) -> None:
+        """After the last frame: discard a map whose initialization is contradicted, if there is another one, else report it."""
+        if not self._is_refuted_late():
+            self._leave_unconfirmed()
+            return
+        first_s = self.map.keyframes[0].timestamp_s
+        words = f"the map initialized at {first_s:.2f} s is contradicted by the last frames that show its first points"
+        if len(self.maps) > 1:
+            words += ": it was discarded"
+            self._path.clear(self.map.keyframes)
+            self.maps.remove(self.map)
+            self._enter(self.maps[0])
+            self.state = TrackingState.LOST
+        self.start_warnings.append(words)
+
+    def _largest_first(self) -> None:
+        """The map with the most frames becomes the first one, unless a known map was given."""
+        if not self.first_number:
+            self.maps.sort(key=lambda model: -len(self._path.trajectory(model.keyframes)))
 
     def _refine_past(self) -> None:
         """Estimate poses of earlier frames again, and cull the map, after its adjustment."""
@@ -252,6 +274,15 @@ class SlamState:
 
 
 def _numbered(maps: list[SlamMap]) -> list[SlamMap]:
+    """Number the maps, and increase the frame numbers of later ones that are not unique."""
+    used = set[int]()
     for number, model in enumerate(maps):
         model.number = number
+        own = {keyframe.number for keyframe in model.keyframes}
+        if own & used:
+            offset = 1 + max(used) - min(own)
+            for keyframe in model.keyframes:
+                keyframe.number += offset
+            own = {number + offset for number in own}
+        used |= own
     return maps

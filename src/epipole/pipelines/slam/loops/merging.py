@@ -12,7 +12,7 @@ from epipole.errors import ConfigError
 from epipole.geometry import Rigid3, Similarity3
 from epipole.pipelines.slam.config import OdometryConfig, SlamConfig
 from epipole.pipelines.slam.frames import SlamCamera
-from epipole.pipelines.slam.loops.closing import CONFIRMATIONS, LoopCloser
+from epipole.pipelines.slam.loops.closing import CONFIRMATIONS, LoopCandidate, LoopCloser
 from epipole.pipelines.slam.loops.correction import EDGE_POINTS, LOOP_ITERATIONS, fuse
 from epipole.pipelines.slam.loops.recognition import describe_keyframe
 from epipole.pipelines.slam.map.gauge import align_gauge
@@ -75,13 +75,16 @@ def merge_maps(
     offset = 1 + max(k.number for k in one.keyframes) - min(k.number for k in other.keyframes)
     for keyframe in other.keyframes:
         keyframe.number += offset
-    found = _merged(one, other, camera, options)
+    closer = LoopCloser(camera.camera_or_rig, options, is_metric=camera.is_metric)
+    found = _merged(one, other, camera, closer)
     if isinstance(found, str):
         return MergedMaps(False, found, first.copied(), Similarity3(np.array(1.0), np.eye(3), np.zeros(3)), 0)
     return MergedMaps(True, "", one, found, offset)
 
 
-def join_maps(first: SlamMap, second: SlamMap, camera: SlamCamera, config: OdometryConfig) -> str:
+def join_maps(
+    first: SlamMap, second: SlamMap, camera: SlamCamera, config: OdometryConfig, ledger: list[LoopCandidate]
+) -> str:
     """Move the keyframes and points of a separate map of the same run into the first one, if both show a common area.
 
     Args:
@@ -89,17 +92,20 @@ def join_maps(first: SlamMap, second: SlamMap, camera: SlamCamera, config: Odome
         second: empty afterwards.
         camera: of both maps.
         config: options.
+        ledger: receives the loop that joins the maps.
 
     Returns:
         why the maps cannot be merged; empty if they were.
     """
     one, other = first.copied(), second.copied()
-    found = _merged(one, other, camera, config)
+    closer = LoopCloser(camera.camera_or_rig, config, is_metric=camera.is_metric)
+    found = _merged(one, other, camera, closer)
     if isinstance(found, str):
         return found
+    ledger += [entry for entry in closer.ledger if entry.verdict == "accepted"]
     first.absorb(second)
     for own, changed in zip(first.keyframes, one.keyframes, strict=True):
-        for name in OF_MAPPING:
+        for name in (*OF_MAPPING, "motion"):
             setattr(own, name, getattr(changed, name))
     for name in ("xyz", "anchor", "anchor_px", "num_agreed"):
         getattr(first, name)[:] = getattr(one, name)
@@ -107,9 +113,9 @@ def join_maps(first: SlamMap, second: SlamMap, camera: SlamCamera, config: Odome
     return ""
 
 
-def _merged(one: SlamMap, other: SlamMap, camera: SlamCamera, config: OdometryConfig) -> Similarity3 | str:
+def _merged(one: SlamMap, other: SlamMap, camera: SlamCamera, closer: LoopCloser) -> Similarity3 | str:
     """Move a map into another one, in place: the motion from its world, or why the maps have nothing in common."""
-    closer = LoopCloser(camera.camera_or_rig, config, is_metric=camera.is_metric)
+    config = closer.config
     for keyframe in (k for model in (one, other) for k in model.keyframes if len(k.point)):
         describe_keyframe(keyframe)
     one_from_other = _recognized(closer, other, one)
@@ -129,9 +135,9 @@ def _merged(one: SlamMap, other: SlamMap, camera: SlamCamera, config: OdometryCo
     mapper.adjust_all(max_iterations=LOOP_ITERATIONS)
     fuse(one, added, camera.camera_or_rig)
     mapper.adjust_all()
-    # The adjustment of one camera's map moves its world.
-    if not camera.is_metric:
-        one.move(align_gauge(_poses(ours), our_poses))
+    # The adjustment fixes the earliest keyframe only, and nothing of one camera's map.
+    if not camera.is_metric or one.keyframes[0] is not ours[0]:
+        one.move(align_gauge(_poses(ours), our_poses, with_scale=not camera.is_metric))
     common = _points_of(one, [row[id(keyframe)] for keyframe in ours])
     shared = [int(np.isin(keyframe.point, common).sum()) for keyframe in theirs]
     if sum(number >= EDGE_POINTS for number in shared) < CONFIRMATIONS:

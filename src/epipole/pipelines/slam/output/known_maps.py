@@ -11,7 +11,7 @@ from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.loops.merging import merge_maps
 from epipole.pipelines.slam.map.slam_map import SlamMap
-from epipole.pipelines.slam.output.map_file import KnownMap, read_slam_map
+from epipole.pipelines.slam.output.map_file import KnownMap, map_file_of, read_slam_map
 from epipole.runs import Progress, ProgressCallback
 
 
@@ -23,6 +23,8 @@ class KnownMaps(NamedTuple):
     separate: dict[str, SlamMap]
     """The others, by file: a loop closure may join them to the first."""
     notes: tuple[str, ...]
+    numbers: dict[str, frozenset[int]]
+    """Frame numbers of the keyframes of each separate map."""
 
     @property
     def models(self) -> list[SlamMap]:
@@ -47,7 +49,7 @@ def read_known_maps(
     """
     if not paths:
         return None
-    if len({path.resolve() for path in paths}) < len(paths):
+    if len({map_file_of(path).resolve() for path in paths}) < len(paths):
         raise ConfigError(f"a map is given twice: {', '.join(map(str, paths))}")
     maps = [read_slam_map(path, sensor) for path in paths]
     first, waiting, notes = maps[0], dict(zip(map(str, paths[1:]), maps[1:])), list[str]()
@@ -67,7 +69,7 @@ def read_known_maps(
             reasons[path] = merged.reason
             continue
         first, reasons = _with(first, waiting.pop(path), merged.number_offset, merged.model), {}
-        notes.append(f"the map {path} was merged with {paths[0]}: both show a common area")
+        notes.append(f"the map {path} was merged with {paths[0]}: they show a common area")
     if len(paths) > 1:
         progress(Progress("merge", len(paths) - 1, len(paths) - 1))
     for path, reason in reasons.items():
@@ -76,7 +78,9 @@ def read_known_maps(
         for keyframe in waiting[path].model.keyframes:
             keyframe.number += offset
         first = _with(first, waiting[path], offset, first.model)
-    return KnownMaps(first, {path: known.model for path, known in waiting.items()}, tuple(notes))
+    separate = {path: known.model for path, known in waiting.items()}
+    numbers = {path: frozenset(k.number for k in model.keyframes) for path, model in separate.items()}
+    return KnownMaps(first, separate, tuple(notes), numbers)
 
 
 def _with(first: KnownMap, second: KnownMap, offset: int, model: SlamMap) -> KnownMap:

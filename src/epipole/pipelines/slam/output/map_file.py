@@ -137,7 +137,7 @@ def summary_of_map(path: str | Path) -> MapSummary:
     Raises:
         FileFormatError: the file is not a map, or damaged.
     """
-    arrays = _arrays(_file_of(as_path(path)))
+    arrays = _arrays(map_file_of(as_path(path)))
     localized = np.isfinite(arrays["xyz"]).all(axis=1) & (arrays["anchor"] >= 0)
     camera, poses = _camera_of(arrays), Rigid3(arrays["rotation"], arrays["translation"])
     rig = _rig_of(arrays)
@@ -161,7 +161,7 @@ def camera_of_map(path: str | Path) -> Camera:
     Raises:
         FileFormatError: the file is not a map, or damaged.
     """
-    return _camera_of(_arrays(_file_of(as_path(path))))
+    return _camera_of(_arrays(map_file_of(as_path(path))))
 
 
 def require_map(path: Path) -> None:
@@ -170,12 +170,13 @@ def require_map(path: Path) -> None:
     Raises:
         FileFormatError: there is no map, or it is damaged or of another version.
     """
-    file = _file_of(as_path(path))
+    file = map_file_of(as_path(path))
     if not is_done(file, VERSION):
         _arrays(file)
 
 
-def _file_of(path: Path) -> Path:
+def map_file_of(path: Path) -> Path:
+    """The map's file: the path, or the file in an output folder or in its folder `map`."""
     return next((p for p in (path / MAP_FILE, path / MAP_FILE.name) if p.exists()), path)
 
 
@@ -185,7 +186,7 @@ def load_slam_map(path: str | Path) -> SlamMap:
     Raises:
         FileFormatError: the file is not a map, or damaged.
     """
-    return _model_of(_arrays(_file_of(as_path(path))))
+    return _model_of(_arrays(map_file_of(as_path(path))))
 
 
 def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
@@ -199,7 +200,7 @@ def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
         FileFormatError: the file is not a map, or damaged.
         ConfigError: the map was made with another camera, or is up to scale although this camera measures depth.
     """
-    path = _file_of(as_path(path))
+    path = map_file_of(as_path(path))
     arrays = _arrays(path)
     camera, camera_or_rig = sensor.camera, sensor.camera_or_rig
     size, params = arrays["size"], arrays["camera_params"]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,7 +15,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from epipole.errors import ConfigError, EpipoleError
+from epipole.errors import ConfigError
 from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.sources.folder import (
@@ -26,6 +28,10 @@ from epipole.pipelines.slam.sources.folder import (
 
 SYNCHRONOUS_S = 0.002
 """Median time between the two images of a pair beyond which a note reports it."""
+FAILURES = (cv2.error, OSError, AttributeError, IndexError, TypeError, ValueError)
+"""Errors of a driver, and of images that it claims to have read."""
+MOST_PAIRS = 10_000
+"""Last pairs whose time difference counts."""
 _NUMBER, _DEVICE = re.compile(r"[0-9]{1,3}"), re.compile(r"/dev/video([0-9]{1,3})")
 
 
@@ -80,7 +86,7 @@ def open_cameras(
         if first is None:
             raise ConfigError(f"{name} delivers no image: another program may use it")
         made = _preparation([(image.shape[1], image.shape[0]) for image in first], given)
-    except EpipoleError:
+    except BaseException:
         camera.release()
         raise
     newest = _Newest(camera, clock)
@@ -154,7 +160,7 @@ class CameraPair:
 
     def __init__(self, left: Any, right: Any, clock: Callable[[], float] = time.monotonic) -> None:
         self._captures, self._clock = (left, right), clock
-        self._apart_s: list[float] = []
+        self._apart_s = deque[float](maxlen=MOST_PAIRS)
 
     def read(self) -> tuple[np.ndarray, ...] | None:
         """Wait for the next image of each; None if one of them ends."""
@@ -163,8 +169,9 @@ class CameraPair:
             if not capture.grab():
                 return None
             times.append((float(capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0, self._clock()))
-        # Drivers that know when an image was taken give its time; others give 0 or -1.
-        column = 0 if min(stamp for stamp, _ in times) > 0.0 else 1
+        # V4L2 gives the time of an image by the system's clock. Other drivers count from the start of each camera, or give 0 or -1.
+        has_stamps = sys.platform == "linux" and min(stamp for stamp, _ in times) > 0.0
+        column = 0 if has_stamps else 1
         self._apart_s.append(abs(times[1][column] - times[0][column]))
         found = [capture.retrieve() for capture in self._captures]
         return tuple(image for _, image in found) if all(is_read for is_read, _ in found) else None
@@ -194,6 +201,7 @@ class _Newest:
         self._changed = threading.Condition()
         self._newest: tuple[int, float, tuple[np.ndarray, ...]] | None = None
         self._is_over = False
+        self._error: Exception | None = None
 
     def images(self) -> Iterator[tuple[int, float, tuple[np.ndarray, ...]]]:
         """Yield number, seconds and pixels of the newest image or images, until the camera or the caller stops."""
@@ -205,6 +213,8 @@ class _Newest:
                     while self._newest is None and not self._is_over:
                         self._changed.wait(0.2)  # short waits, so that Ctrl-C works on every system
                     taken, self._newest = self._newest, None
+                if taken is None and self._error is not None:
+                    raise ConfigError(f"the live camera failed: {self._error}") from self._error
                 if taken is None:
                     return
                 yield taken
@@ -216,7 +226,10 @@ class _Newest:
     def _read(self) -> None:
         number = 0
         while not self._is_over:
-            images = self._camera.read()
+            try:
+                images = self._camera.read()
+            except FAILURES as error:
+                images, self._error = None, error
             seconds = self._clock()
             with self._changed:
                 if images is not None:
@@ -232,7 +245,7 @@ def _opened(indices: Sequence[int]) -> list[Any]:
     try:
         for index in indices:
             captures.append(_opened_camera(index))
-    except ConfigError:
+    except BaseException:
         for capture in captures:
             capture.release()
         raise

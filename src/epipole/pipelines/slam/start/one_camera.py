@@ -120,7 +120,7 @@ class OneCameraStart:
         self._track(frame)
         tracks = self.tracks
         reason = self._choose(problem) if self._choice is None else ""
-        initial = reason or self._chosen()
+        initial = reason or problem or self._chosen()
         self._waiting.append(WaitingFrame(frame, number, tracks.pixels, tracks.point))
         if isinstance(initial, Initialization):
             return initial
@@ -145,7 +145,7 @@ class OneCameraStart:
         future, then = self._choice
         wait_for([future], LONGEST_WAIT_S)
         if not future.done():
-            return "the motions that explain the images are compared"
+            return "the motions that could explain the images are still being compared"
         self._choice = None
         started = future.result()
         return started.reason or self._initialize(started, then)
@@ -183,7 +183,7 @@ class OneCameraStart:
         if self._verdict is None and (len(now) < MIN_CONFIRMING or number - self.first_number > MOST_WAITING):
             return Confirmation.OUT_OF_SIGHT
         self._waiting.append(WaitingFrame(frame, number, now.pixels, now.point))
-        while len(self._waiting) > MAX_CONFIRMING_FRAMES:  # they hold their images
+        while len(self._waiting) > MAX_CONFIRMING_FRAMES:  # each has its image
             self._waiting = [*self._waiting[:-1:2], self._waiting[-1]]
         seen = now.start_px, now.pixels, self.camera, self.config
         if self._verdict is None and is_wide_enough(cam_from_first, *seen):
@@ -195,8 +195,8 @@ class OneCameraStart:
         """The result of the last comparison; open while it is made (unless `wait`), and without one."""
         if self._verdict is None or not (wait or self._verdict.done()):
             return Confirmation.OPEN
-        verdict, self._verdict = self._verdict.result(), None
-        return verdict
+        verdict, self._verdict = self._verdict, None
+        return verdict.result()
 
     def _track(self, frame: Frame) -> None:
         tracks = self.tracks
@@ -207,6 +207,8 @@ class OneCameraStart:
         """Make this frame the first of a new attempt."""
         corners = new_corners(frame.gray, np.zeros((0, 2)), self.config, frame.ignored_mask)
         self.tracks = Tracks(corners, np.arange(len(corners)), corners)
+        if self._choice is not None:
+            self._choice[0].cancel()
         self._num_at_start, self._choice = len(corners), None
         self._waiting = [WaitingFrame(frame, number, corners, self.tracks.point)]
         return reason
