@@ -48,33 +48,41 @@ def main() -> None:
     arguments.cache.mkdir(parents=True, exist_ok=True)
     folder = prepare("loop_room", Path(), arguments.cache.resolve())
     report: dict[str, Any] = {"machine": describe_machine(0), "sensor": arguments.sensor, "rows": []}
+    report["mapping"] = arguments.mapping
     report["begin"] = datetime.now(UTC).isoformat(timespec="seconds")
     checkpoint = Path(tempfile.mkdtemp(prefix="epipole-endurance-"))
     try:
         with thread_scope():
-            for row in _track(folder, arguments.sensor, arguments.frames, checkpoint):
+            for row in _track(folder, arguments, checkpoint):
                 report["rows"].append(row)
                 report["end"] = datetime.now(UTC).isoformat(timespec="seconds")
                 report["bytes_per_frame"] = _growth(report["rows"])
                 Console(stderr=True).print(row)
                 arguments.results.mkdir(parents=True, exist_ok=True)
-                file = arguments.results / f"slam_endurance_{arguments.sensor}.json"
+                file = arguments.results / f"slam_endurance_{arguments.sensor}_{arguments.mapping}.json"
                 file.write_text(json.dumps(report, indent=1) + "\n")
     finally:
         shutil.rmtree(checkpoint, ignore_errors=True)
     Console(width=120).print(_table(report))
 
 
-def _track(folder: Path, sensor: str, count: int, checkpoint: Path) -> Iterator[dict[str, Any]]:
-    """Track the frames and yield the figures of every thousand."""
+def _track(folder: Path, arguments: argparse.Namespace, checkpoint: Path) -> Iterator[dict[str, Any]]:
+    """Track the frames, in thread mode at the camera's rate, and yield the figures of every thousand."""
+    sensor, mode, count = arguments.sensor, arguments.mapping, arguments.frames
     frames = load_frames(folder)
     truth = read_trajectory(folder / "truth_exact.txt").world_from_body
     truth = truth[0].inverse() @ truth
-    system, records, ms, errors = Slam(camera_of(frames, sensor)), list[FrameRecord](), [], []
+    system = Slam(camera_of(frames, sensor), mapping=mode)
+    records, ms, errors = list[FrameRecord](), [], []
     autosave, saved_s = Autosave(checkpoint, Rigid3.identity(), can_repeat=False), 0.0
     autosave.start(system, records)
     cpu_start, num_maps = time.process_time(), 0
+    late, begin = 0, time.perf_counter()
     for number, frame in enumerate(_laps(frames, sensor, count)):
+        if mode == "thread":
+            ahead = begin + frame.timestamp_s - time.perf_counter()
+            late += ahead < -frames.timestamp_s[1]
+            time.sleep(max(ahead, 0.0))
         start = time.perf_counter()
         answer = system.track(frame)
         seconds = time.perf_counter() - start
@@ -91,6 +99,8 @@ def _track(folder: Path, sensor: str, count: int, checkpoint: Path) -> Iterator[
                 "ms_mean": float(np.mean(ms)),
                 "ms_median": float(np.median(ms)),
                 "ms_p95": float(np.percentile(ms, 95)),
+                "ms_max": float(np.max(ms)),
+                "late": late,
                 "cpu_ms_mean": 1e3 * (cpu - cpu_start) / len(ms),
                 "checkpoint_ms_mean": 1e3 * (autosave.seconds - saved_s) / len(ms),
                 "num_maps_saved": autosave.num_maps_saved - num_maps,
@@ -102,6 +112,7 @@ def _track(folder: Path, sensor: str, count: int, checkpoint: Path) -> Iterator[
                 "placed": len(errors),
                 "largest_error_m": max(errors, default=None),
             }
+            late = 0
             ms, errors, saved_s, num_maps = [], [], autosave.seconds, autosave.num_maps_saved
             cpu_start = time.process_time()
     autosave.close()
@@ -140,7 +151,15 @@ def _table(report: dict[str, Any]) -> Table:
     words = "" if growth is None else f", {growth:.0f} bytes per frame in the second half"
     table = Table(title=f"laps around the room, {report['sensor']}{words}")
     columns = {
-        **{"frames": ",", "ms_mean": ".1f", "ms_median": ".1f", "ms_p95": ".0f", "cpu_ms_mean": ".1f"},
+        **{
+            "frames": ",",
+            "ms_mean": ".1f",
+            "ms_median": ".1f",
+            "ms_p95": ".0f",
+            "ms_max": ".0f",
+            "late": "d",
+            "cpu_ms_mean": ".1f",
+        },
         **{"checkpoint_ms_mean": ".2f", "memory_mb": ".0f", "checkpoint_mb": ".0f", "keyframes": "d"},
         **{"points": ",", "placed": "d", "largest_error_m": ".4f"},
     }
@@ -157,6 +176,7 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Time and memory of SLAM over many frames.")
     parser.add_argument("--frames", type=int, default=20_000)
     parser.add_argument("--sensor", choices=("stereo", "rgbd", "mono"), default="stereo")
+    parser.add_argument("--mapping", choices=("inline", "thread"), default="inline")
     parser.add_argument(
         "--cache",
         type=Path,

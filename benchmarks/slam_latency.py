@@ -88,8 +88,15 @@ def _room(_data: Path) -> Recorded:
     return Recorded(SlamCamera(ride.camera, ride.baseline), frames, 30.0, ride.world_from_camera)
 
 
+def _large_room(_data: Path) -> Recorded:
+    ride = rides.loop_room(200, (1280, 720))
+    frames = [Frame(n / 30.0, ride.left(n).gray) for n in range(200)]
+    return Recorded(SlamCamera(ride.camera), frames, 30.0, ride.world_from_camera)
+
+
 SEQUENCES = {
     "loop room, stereo 640 x 480": _room,
+    "loop room, one camera 1280 x 720": _large_room,
     "kitti06, stereo": lambda data: _folder(data, "kitti06_stereo", "stereo", 10.0, "poses.txt", 1.0),
     "kitchen, depth": lambda data: _folder(data, "7scenes", "rgbd", 30.0, "poses_sfm.txt", 30.0),
     "kitchen, one camera": lambda data: _folder(data, "7scenes", "mono", 30.0, "poses_sfm.txt", 30.0),

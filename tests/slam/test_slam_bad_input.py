@@ -188,7 +188,7 @@ def test_a_camera_that_stumbles(odd, words, tmp_path, monkeypatch):
     monkeypatch.setattr(run, "find_camera", lambda *_: None)
     monkeypatch.setattr(run, "_open", lambda *_: source)
     (tmp_path / "camera").mkdir()
-    result = run_slam(tmp_path / "camera", tmp_path / "out")
+    result = run_slam(tmp_path / "camera", tmp_path / "out", mapping="inline")
     assert result.summary["num_localized"] == COUNT - 1
     (warning,) = result.warnings
     assert warning.startswith("frame 4 is left out: ") and words in warning

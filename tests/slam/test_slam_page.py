@@ -15,8 +15,10 @@ from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam import run as slam_run
 from epipole.pipelines.slam.frames import TrackingState
+from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.output import page as slam_page
 from epipole.pipelines.slam.output import results as slam_results
+from epipole.pipelines.slam.output.export import reconstruction_of
 from epipole.pipelines.slam.output.live import LOCALIZED_RGB, WAITING_RGB, BrowserView, image_with_points
 from epipole.pipelines.slam.output.rendering import LOOPS, loop_curve, path_curve, upright_from_world
 from epipole.pipelines.slam.output.scene import is_mine
@@ -268,3 +270,13 @@ def test_followed_points_are_drawn_where_they_are():
         and tuple(rendered[150, 350]) == WAITING_RGB
         and not rendered[200, 20].any()
     )
+
+
+def test_a_run_that_localizes_one_frame_has_a_report(made):
+    """Without a keyframe, a point or a path there is no scene to show."""
+    one = made[2].final[np.arange(1)]
+    page = replace(
+        made[2], model=reconstruction_of(SlamMap(), STEREO.camera, ()), final=one, causal=one, truth=None
+    )
+    html = slam_page.render_page(page)
+    assert "the camera was not localized, or hardly moved" in table_after(html, "Trajectory and map")

@@ -86,7 +86,7 @@ def render_page(page: SlamPage) -> str:
         tiles=_tiles(page),
         warnings=page.summary["warnings"],
         has_truth=page.truth is not None,
-        model=space_data(_scene(page, model, curves), MAX_POINTS),
+        model=space_data(_scene(page, model, curves), MAX_POINTS) if _shows_anything(model, curves) else None,
         num_points=len(model.points),
         plan=draw_path_plan(curves, model.points.xyz_in_world, upright.apply(positions[[0, -1]]), page.unit),
         strip=state_strip(page.records),
@@ -105,6 +105,13 @@ def render_page(page: SlamPage) -> str:
         total_seconds=sum(page.timings.values()),
         settings=list(_flat(page.settings)),
         names=[str(name) for name in model.images.name],
+    )
+
+
+def _shows_anything(model: Reconstruction, curves: Sequence[Curve]) -> bool:
+    """Whether there is a keyframe, a point or a path; a camera that stands still may have none."""
+    return bool(
+        len(model.images) or len(model.points) or any(len(curve.segments_in_world) for curve in curves)
     )
 
 
