@@ -123,13 +123,14 @@ def test_pictures_that_show_nothing_have_a_reason(shade, words):
     assert warning.startswith("in 1 of 10 frames the image is")
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_with_one_lens_of_a_pair_covered_the_other_is_followed(side):
+@pytest.mark.parametrize(("side", "keyframe_motion"), [("left", 0.04), ("right", 0.04), ("left", 0.015)])
+def test_with_one_lens_of_a_pair_covered_the_other_is_followed(side, keyframe_motion):
+    """With frame 6 as a keyframe, 16 points match the noise of a dark image."""
     frames, noise = ride().frames("stereo")[:24], np.random.default_rng(6)
     for n in range(8, 16):
         dark = noise.normal(4.0, 2.0, frames[n].gray.shape).clip(0, 255).astype(np.uint8)
         frames[n] = changed(frames[n], **{"gray" if side == "left" else "right": dark})
-    slam, answers = tracked(frames, STEREO)
+    slam, answers = tracked(frames, STEREO, SlamConfig(keyframe_motion=keyframe_motion))
     assert all(a.state is TrackingState.TRACKING for a in answers)
     assert all(f"the {side} image is dark" in a.reason for a in answers[8:16])
     assert [n for n, a in enumerate(answers) if "tracked in the right image" in a.reason] == (

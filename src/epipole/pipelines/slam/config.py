@@ -35,10 +35,8 @@ class OdometryConfig(FlowConfig):
     """Number of inliers below which the camera is lost."""
     keyframe_fraction: float = 0.65
     """Insert a keyframe when fewer than this fraction of the last keyframe's points are inliers."""
-    keyframe_parallax: float = 0.04
-    """Insert a keyframe when the camera's translation has moved the points by this fraction of the image width."""
-    keyframe_motion: float = 0.06
-    """Insert a keyframe when translation and rotation have moved the points by this fraction of the image width."""
+    keyframe_motion: float = 0.04
+    """Insert a keyframe when the points have moved by this fraction of the image width."""
     keyframe_points: int = 150
     """Insert a keyframe when fewer than this many triangulated points are inliers."""
     keyframe_gap: int = 20

@@ -189,10 +189,5 @@ class Odometry:
     def _why_keyframe(self, num_agreeing: int, number: int, quality: FrameQuality) -> str:
         if not quality.is_usable or self.is_incomplete:
             return ""
-        newest = self.newest_keyframe()
-        return self.tracker.why_keyframe(
-            num_agreeing,
-            number - newest.number,
-            self.cam_from_world @ newest.cam_from_world.inverse(),
-            is_mapping_behind=self.is_mapping_behind,
-        )
+        age = number - self.newest_keyframe().number
+        return self.tracker.why_keyframe(num_agreeing, age, is_mapping_behind=self.is_mapping_behind)

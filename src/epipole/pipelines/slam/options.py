@@ -46,7 +46,6 @@ class SlamKeywords(TypedDict, total=False):
     max_error_px: float
     min_tracked: int
     keyframe_fraction: float
-    keyframe_parallax: float
     keyframe_motion: float
     keyframe_points: int
     keyframe_gap: int

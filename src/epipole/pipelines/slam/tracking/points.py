@@ -17,8 +17,6 @@ from epipole.scene import CameraRig
 COARSE_PX = 15.0
 """Scale of the loss in the first refinement: with the final one a poor prediction ends in a local minimum."""
 LEAST_PROVEN = 40
-FAR = 1e9
-"""Depth at which a camera's translation moves no pixel."""
 FEW = 2
 """Below this multiple of the minimum number of points, the orientation's uncertainty is checked."""
 LARGEST_ROTATION_DEG = 0.75
@@ -83,20 +81,9 @@ class Tracks:
 
     def shift_px(self) -> float:
         """Median motion since the last keyframe, in pixels."""
-        return _median_distance(self.pixels, self.start_px)
-
-    def parallax_px(self, camera: Camera | CameraRig, cam_from_keyframe: Rigid3) -> float:
-        """Median motion since the last keyframe that the rotation between them does not explain, in pixels."""
-        far = points_at_depth(camera, self.start_px, np.full(len(self), FAR), self.start_px)
-        rotated = project_as(camera, far @ cam_from_keyframe.rotation.T, self.start_px)
-        return _median_distance(self.pixels, rotated)
-
-
-def _median_distance(one: np.ndarray, other: np.ndarray) -> float:
-    """Median distance of (n, 2) pixels where both are known; 0 without any."""
-    distance = np.linalg.norm(one - other, axis=1)
-    distance = distance[np.isfinite(distance)]
-    return float(np.median(distance)) if len(distance) else 0.0
+        return (
+            float(np.median(np.linalg.norm(self.pixels - self.start_px, axis=1))) if len(self.pixels) else 0.0
+        )
 
 
 class SeenFrame:

@@ -38,8 +38,6 @@ STEP_PX = 0.7
 """A moving object moves at least this far from one frame to the next, in pixels."""
 WHILE_BEHIND = 0.5
 """Factor of the limits of lost points at which a frame becomes a keyframe, while mapping is behind."""
-FEW_AFTER = 3
-"""With few points, a frame so much later than the last keyframe becomes one, or earlier if the points have moved."""
 PROVEN_FRAMES = 3
 """Frames in which a point must have been an inlier before it determines the pose."""
 
@@ -128,7 +126,8 @@ class PointTracker:
             tracks.add(pixels[is_same], seen.point[is_same])
         tracks.add(*redetect(self.map, self.camera, frame.gray, near, tracks.point))
         found = self.estimate_pose(frame, near)
-        if found is not None or right is None:
+        # A few points of the map match the noise of a dark image, too.
+        if right is None or (found is not None and 2 * found[1] > len(right[1])):
             return found
         refined, self.tracks = right
         return refined, len(self.tracks)
@@ -374,34 +373,22 @@ class PointTracker:
         tracks.add(*redetect(self.map, self.camera, frame.gray, position, tracks.point))
         self.start_from(Tracks(tracks.pixels, tracks.point, tracks.pixels.copy()))
 
-    def why_keyframe(
-        self, num_agreeing: int, age: int, cam_from_keyframe: Rigid3, *, is_mapping_behind: bool = False
-    ) -> str:
-        """Why the present frame should become a keyframe; empty if it need not.
+    def why_keyframe(self, num_agreeing: int, age: int, *, is_mapping_behind: bool = False) -> str:
+        """Why the present frame, `age` frames after the last keyframe, should become one; empty if it need not.
 
         While mapping is behind, points of new keyframes are not adjusted yet, and tracking them loses points: only a loss of
         about twice as many makes a keyframe, so that keyframes do not cause each other.
-
-        Args:
-            num_agreeing: number of inliers.
-            age: number of frames since the last keyframe.
-            cam_from_keyframe: motion since then.
-            is_mapping_behind: mapping is behind.
         """
-        part, config, width = WHILE_BEHIND if is_mapping_behind else 1.0, self.config, self.camera.width
-        if num_agreeing < part * config.keyframe_fraction * self._num_at_start:
+        part = WHILE_BEHIND if is_mapping_behind else 1.0
+        if num_agreeing < part * self.config.keyframe_fraction * self._num_at_start:
             return "fewer points in sight"
-        shift = self.tracks.shift_px()
-        is_later = age >= FEW_AFTER or shift > config.keyframe_parallax * width
-        if num_agreeing < part * config.keyframe_points and is_later:
+        if num_agreeing < part * self.config.keyframe_points and age >= 3:
             return "few points in sight"
         if is_mapping_behind:
             return ""
-        if self.tracks.parallax_px(self.camera, cam_from_keyframe) > config.keyframe_parallax * width:
-            return "the camera has moved"
-        if shift > config.keyframe_motion * width:
+        if self.tracks.shift_px() > self.config.keyframe_motion * self.camera.width:
             return "the points have moved"
-        return "time has passed" if age >= config.keyframe_gap else ""
+        return "time has passed" if age >= self.config.keyframe_gap else ""
 
     def remove_outliers(self) -> None:
         """Stop tracking points whose observation in the newest keyframe was removed as an outlier."""
