@@ -57,6 +57,32 @@ def synthetic(count: int, *, constant_velocity: bool) -> Iterator[Trial]:
             yield motion.scale, found.scale, found.sigma
 
 
+def calibrated(count: int) -> dict[str, Any]:
+    """Errors of gravity and biases on the synthetic motions."""
+    degrees, over_sigma = [], []
+    for seed in range(count):
+        motion = inertial_path(seed)
+        found = align_path_to_imu(motion.timestamp_s, motion.world_from_camera, motion.imu())
+        degrees.append(_angle_deg(found.gravity_in_world, motion.gravity_in_world))
+        off = np.concatenate([found.gyro_bias - motion.gyro_bias, found.accel_bias - motion.accel_bias])
+        variances = [found.calibration.covariance[:3, :3], found.accel_bias_covariance]
+        over_sigma.append(np.abs(off) / np.sqrt(np.concatenate([np.diag(v) for v in variances])))
+    within = np.array(over_sigma) <= 2.0
+    return {
+        "seeds": count,
+        "gravity_deg_median": float(np.median(degrees)),
+        "gravity_deg_largest": float(np.max(degrees)),
+        "gravity_within_0.3_deg": float((np.array(degrees) <= 0.3).mean()),
+        "gyro_bias_within_2_sigma": float(within[:, :3].mean()),
+        "accel_bias_within_2_sigma": float(within[:, 3:].mean()),
+    }
+
+
+def _angle_deg(one: np.ndarray, other: np.ndarray) -> float:
+    across = float(np.linalg.norm(np.cross(one, other)))
+    return float(np.degrees(np.arctan2(across, one @ other)))
+
+
 def euroc(folder: Path, *, whole: bool) -> Iterator[Trial]:
     """Sections of the flight, starting every 5 s; or the whole flight."""
     log, noise = read_imu(folder / "mav0" / "imu0")
@@ -80,8 +106,8 @@ def euroc(folder: Path, *, whole: bool) -> Iterator[Trial]:
             yield UNIT, found.scale, found.sigma
 
 
-def tracked(count: int) -> tuple[list[Trial], list[float]]:
-    """Monocular SLAM of the room without an IMU, then with IMUs of seeds 0 to count - 1; position errors in mm."""
+def tracked(count: int) -> tuple[list[Trial], list[float], list[float]]:
+    """Monocular SLAM of the room without an IMU, then with IMUs of seeds 0 to count - 1; position errors in mm, and of gravity in degrees."""
     ride = loop_room(200, (320, 240))
     numbers = range(0, 200, 2)
     frames = [Frame(n / 10.0, ride.left(number).gray) for n, number in enumerate(numbers)]
@@ -89,7 +115,7 @@ def tracked(count: int) -> tuple[list[Trial], list[float]]:
     truth = truth[0].inverse() @ truth
     times = np.array([frame.timestamp_s for frame in frames])
     trials: list[Trial] = []
-    errors = []
+    errors, gravity_deg = [], []
     for seed in range(-1, count):
         mounting = Rigid3.exp(np.random.default_rng([3, max(seed, 0)]).normal(size=6) * MOUNTING_SIGMA)
         imu = MountedImu(imu_along(times, truth, mounting, seed), mounting) if seed >= 0 else None
@@ -103,10 +129,14 @@ def tracked(count: int) -> tuple[list[Trial], list[float]]:
         errors.append(1e3 * error.position.rmse)
         if imu is not None:
             found = scale_by_imu(system)
+            down = system.gravity_in_world
+            if down is not None:  # in the axes of the true world
+                turn = error.truth_from_estimate.rotation
+                gravity_deg.append(_angle_deg(turn @ down, np.array([0.0, 0.0, -1.0])))
             trials.append(
                 found and (float(error.truth_from_estimate.scale), found.scale, found.fraction * found.scale)
             )
-    return trials, errors
+    return trials, errors, gravity_deg
 
 
 def summary_of(name: str, trials: Iterable[Trial]) -> dict[str, Any]:
@@ -130,6 +160,7 @@ def main() -> None:
     """Run all trials, print the table and write the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=50)
+    parser.add_argument("--rides", type=int, default=RIDES, help="SLAM runs with an IMU")
     parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     arguments = parser.parse_args()
     data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
@@ -141,7 +172,7 @@ def main() -> None:
     if folder.is_dir():
         rows.append(summary_of("EuRoC V1_01, sections of 15 s", euroc(folder, whole=False)))
         rows.append(summary_of("EuRoC V1_01, the whole flight", euroc(folder, whole=True)))
-    trials, errors = tracked(RIDES)
+    trials, errors, gravity_deg = tracked(arguments.rides)
     rows.append(summary_of("SLAM of the room with an IMU", trials))
     table = Table(
         *("data", "trials", "refused", "within 2 sigma", "within 2 %"),
@@ -160,7 +191,14 @@ def main() -> None:
     Console().print(
         f"position error in the room: {errors[0]:.2f} mm without an IMU, {with_imu:.2f} mm with one (median)"
     )
+    calibration = calibrated(arguments.seeds)
+    Console().print(f"gravity and biases on synthetic motions: {calibration}")
+    Console().print(
+        f"gravity in the room: {np.median(gravity_deg):.2f} (median), {max(gravity_deg):.2f} degrees (largest)"
+    )
     found = {
+        "calibration": calibration,
+        "slam_gravity_deg": gravity_deg,
         "machine": describe_machine(1),
         "rows": rows,
         "slam_error_mm": {"alone": errors[0], "with": errors[1:]},

@@ -100,7 +100,7 @@ def _track(folder: Path, arguments: argparse.Namespace, checkpoint: Path) -> Ite
                 "ms_median": float(np.median(ms)),
                 "ms_p95": float(np.percentile(ms, 95)),
                 "ms_max": float(np.max(ms)),
-                "late": late,
+                "late": int(late),
                 "cpu_ms_mean": 1e3 * (cpu - cpu_start) / len(ms),
                 "checkpoint_ms_mean": 1e3 * (autosave.seconds - saved_s) / len(ms),
                 "num_maps_saved": autosave.num_maps_saved - num_maps,

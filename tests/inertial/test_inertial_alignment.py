@@ -38,6 +38,19 @@ def test_constant_velocity_names_no_meter(seed):
 
 
 @in_whole_run
+def test_biases_are_within_their_deviations_although_the_gain_is_unknown():
+    """A gain error of 1 % adds 0.1 m / s^2 along gravity to the accelerometer's bias, ten times its deviation without it."""
+    over_sigma = []
+    for seed in range(12):
+        motion = inertial_path(seed, 8.0)
+        found = align_path_to_imu(motion.timestamp_s, motion.world_from_camera, motion.imu())
+        off = found.accel_bias - motion.accel_bias
+        over_sigma.append(np.abs(off) / np.sqrt(np.diag(found.accel_bias_covariance)))
+    assert (np.array(over_sigma) <= 2.0).mean() > 0.85
+    alone = np.sqrt(np.diag(found.calibration.covariance)[3:6])
+    assert np.sqrt(np.diag(found.accel_bias_covariance)).max() > 3 * alone.max()
+
+
 def test_without_noise_the_scale_is_exact():
     quiet = ImuNoise(
         *(), gyro_density=1e-7, accel_density=1e-6, gyro_walk=1e-8, accel_walk=1e-7, accel_gain_sigma=1e-9

@@ -49,7 +49,9 @@ class InertialAlignment(Declared):
     gyro_bias: Float64[np.ndarray, " 3"]
     """rad / s, mean over the trajectory."""
     accel_bias: Float64[np.ndarray, " 3"]
-    """m / s^2, mean over the trajectory."""
+    """m / s^2, mean over the trajectory. A gain error of the accelerometer adds to it along gravity."""
+    accel_bias_covariance: Float64[np.ndarray, "3 3"]
+    """Including that gain error, which `calibration` leaves out: it uses bias and gain together."""
     velocity_in_world: Float64[np.ndarray, "n 3"]
     """m / s, in the trajectory's axes, at each pose."""
     calibration: ImuCalibration
@@ -286,17 +288,27 @@ def _judged(problem: InertialProblem, states: States, extent: float, stated: flo
         raise DegenerateGeometryError(
             "the IMU and the trajectory contradict each other: check clock, mounting and camera"
         )
+    calibration = _calibration(problem, states, max(misfit, 1.0))
     return InertialAlignment(
         scale=scale,
         sigma=scale * float(np.hypot(sigma, problem.noise.accel_gain_sigma)),
         gravity_in_world=states.gravity,
         gyro_bias=states.bias[:, :3].mean(axis=0),
         accel_bias=states.bias[:, 3:].mean(axis=0),
+        accel_bias_covariance=calibration.covariance[3:6, 3:6] + _by_gain_error(problem, states),
         velocity_in_world=states.velocity,
-        calibration=_calibration(problem, states, max(misfit, 1.0)),
+        calibration=calibration,
         path_sigma=problem.path_sigma,
         misfit=stated,
     )
+
+
+def _by_gain_error(problem: InertialProblem, states: States) -> np.ndarray:
+    """(3, 3) covariance of the accelerometer's bias by its unknown gain, which adds the mean force times the gain error."""
+    if problem.is_metric:  # the gain is estimated
+        return np.zeros((3, 3))
+    force = -(np.swapaxes(states.rotation, -1, -2) @ states.gravity).mean(axis=0)
+    return problem.noise.accel_gain_sigma**2 * np.outer(force, force)
 
 
 def _calibration(problem: InertialProblem, states: States, factor: float) -> ImuCalibration:

@@ -126,8 +126,7 @@ class PointTracker:
             tracks.add(pixels[is_same], seen.point[is_same])
         tracks.add(*redetect(self.map, self.camera, frame.gray, near, tracks.point))
         found = self.estimate_pose(frame, near)
-        # A few points of the map match the noise of a dark image, too.
-        if right is None or (found is not None and 2 * found[1] > len(right[1])):
+        if right is None or (found is not None and 2 * found[1] > len(right[1])):  # a few match noise, too
             return found
         refined, self.tracks = right
         return refined, len(self.tracks)
