@@ -126,7 +126,8 @@ def test_what_is_known_makes_a_map_metric_that_is_gone_on_in(runs, tmp_path, nam
     off = abs(np.log(scale_of(result, NEW)))
     assert off < 2 * result.summary["anchor"]["relative_sigma"] < 0.03
     keyframes = [k for k in known.model.keyframes if k.number < OLD.stop]
-    assert len(keyframes) == len(old.names)
+    assert len(keyframes) == len(old.names) and len(set(known.names)) == len(known.names)
+    assert set(known.names) >= {f"earlier/{name}" for name in set(old.names) & set(known.names)}
     there = np.stack([k.cam_from_world.centers() for k in keyframes])
     of_old = align_points(there, truth(np.array([k.number for k in keyframes])))
     assert abs(np.log(float(of_old.scale))) < 0.03  # the old part of the map is in the same unit

@@ -81,9 +81,8 @@ def training_of(
     if not source.exists():
         raise FileFormatError(source, missing_in_words(source))
     settings = {name: value for name, value in asdict(found).items() if name not in WATCHING}
-    return Training(
-        source, out, found, settings, Job(kind=kind, inputs=(source,), settings=settings, progress=progress)
-    )
+    job = Job(kind=kind, inputs=(source,), settings=settings, progress=progress, has_log=True)
+    return Training(source, out, found, settings, job)
 
 
 class Trained(NamedTuple):

@@ -114,7 +114,8 @@ def slam(
     system = _system(frames, wanted, maps)
     _check_camera(frames, wanted, known)
     settings = {name: value for name, value in asdict(wanted).items() if name != "resume"}
-    task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
+    of = (_input(source),)
+    task = Job(kind="slam", inputs=of, settings=settings, progress=progress, has_log=True)
     shown = open_live(system, FrameStream(frames, wanted).num_expected, wanted, out.name)
     recorded = open_recording(wanted.record, frames.camera, frames.body_from_camera)
     with recorded as record, open_run(task, out) as run, shown as live, graceful_interrupt() as is_stopped:
@@ -123,7 +124,7 @@ def slam(
         run.warnings += [*_notes(found, system, wanted.anchors), *(maps.notes if maps else ()), *stands.notes]
         stream = FrameStream(stands.source, stands.job, is_stopped, num_dropped=stands.num_dropped)
         with run.stage("track"), closing(stands.autosave):
-            records = _track(stream, system, progress, (live, record), stands, known)
+            records = _track(stream, system, run.job.progress, (live, record), stands, known)
         with run.stage("adjust"):
             _finish(stream, system, run, is_stopped)
             run.warnings += _left_out(system, maps, wanted)

@@ -11,7 +11,7 @@ from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.loops.merging import merge_maps
 from epipole.pipelines.slam.map.slam_map import SlamMap
-from epipole.pipelines.slam.output.map_file import KnownMap, map_file_of, read_slam_map
+from epipole.pipelines.slam.output.map_file import KnownMap, distinct_names, map_file_of, read_slam_map
 from epipole.runs import Progress, ProgressCallback
 
 
@@ -68,7 +68,7 @@ def read_known_maps(
         if not merged.success:
             reasons[path] = merged.reason
             continue
-        first, reasons = _with(first, waiting.pop(path), merged.number_offset, merged.model), {}
+        first, reasons = _with(first, path, waiting.pop(path), merged.number_offset, merged.model), {}
         notes.append(f"the map {path} was merged with {paths[0]}: they show a common area")
     if len(paths) > 1:
         progress(Progress("merge", len(paths) - 1, len(paths) - 1))
@@ -77,16 +77,16 @@ def read_known_maps(
         offset = 1 + max(first.numbers) - min(waiting[path].numbers)
         for keyframe in waiting[path].model.keyframes:
             keyframe.number += offset
-        first = _with(first, waiting[path], offset, first.model)
+        first = _with(first, path, waiting[path], offset, first.model)
     separate = {path: known.model for path, known in waiting.items()}
     numbers = {path: frozenset(k.number for k in model.keyframes) for path, model in separate.items()}
     return KnownMaps(first, separate, tuple(notes), numbers)
 
 
-def _with(first: KnownMap, second: KnownMap, offset: int, model: SlamMap) -> KnownMap:
-    """The first map with this model, and with the second one's keyframes, whose numbers increase by an offset."""
+def _with(first: KnownMap, path: str, second: KnownMap, offset: int, model: SlamMap) -> KnownMap:
+    """The first map with this model, and with the keyframes of the second one, from a path; their numbers increase by an offset."""
     return first._replace(
         model=model,
-        names=first.names + second.names,
+        names=first.names + distinct_names(second.names, set(first.names), Path(path).name or "map"),
         numbers=first.numbers + tuple(number + offset for number in second.numbers),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from pathlib import Path
 from typing import NamedTuple
 
@@ -65,6 +65,17 @@ class KnownMap(NamedTuple):
     is_metric: bool
     scale: str = ""
     """Source of the metric scale, as described by the run that made the map; empty if unknown."""
+
+
+def distinct_names(names: Sequence[str], taken: Set[str], folder: str) -> tuple[str, ...]:
+    """The names, with a folder before each one that is taken: two runs have often named their images alike."""
+    out = []
+    for name in names:
+        distinct = name
+        while distinct in taken:
+            distinct = f"{folder}/{distinct}"
+        out.append(distinct)
+    return tuple(out)
 
 
 def write_slam_map(

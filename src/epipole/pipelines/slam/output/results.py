@@ -25,7 +25,7 @@ from epipole.pipelines.slam.map.mounting_check import check_mounting
 from epipole.pipelines.slam.output.camera_check import camera_warnings, check_camera
 from epipole.pipelines.slam.output.export import reconstruction_of
 from epipole.pipelines.slam.output.formats import missing_rows, write_in_format
-from epipole.pipelines.slam.output.map_file import MAP_FILE, KnownMap, write_slam_map
+from epipole.pipelines.slam.output.map_file import MAP_FILE, KnownMap, distinct_names, write_slam_map
 from epipole.pipelines.slam.output.page import SlamPage, render_page
 from epipole.pipelines.slam.output.record import FrameRecord, without_numbers, write_records
 from epipole.pipelines.slam.output.scale import moved_path
@@ -223,9 +223,10 @@ def _median_sigma(path: Trajectory) -> float | None:
 
 
 def keyframe_names(system: Slam, records: Sequence[FrameRecord], known: KnownMap | None) -> list[str]:
-    """Image names of the first map's keyframes."""
+    """Image names of the first map's keyframes; those of a known map that this run has used again are prefixed with "earlier/"."""
     names = [record.name for record in records if record.answer]
-    named = {} if known is None else dict(zip(known.numbers, known.names))
+    earlier = () if known is None else distinct_names(known.names, set(names), "earlier")
+    named = {} if known is None else dict(zip(known.numbers, earlier))
     named |= {system.first_number + n: name for n, name in enumerate(names)}
     return [named[keyframe.number] for keyframe in system.maps[0].keyframes]
 
