@@ -12,7 +12,7 @@ from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.frames import DepthCamera, SlamCamera, TrackingState
-from epipole.pipelines.slam.output.map_file import MAP_FILE, read_slam_map, write_slam_map
+from epipole.pipelines.slam.output.map_file import MAP_FILE, distinct_names, read_slam_map, write_slam_map
 from epipole.pipelines.slam.run import slam as run_slam
 from whole import IS_WHOLE
 
@@ -148,3 +148,13 @@ def test_the_job_writes_goes_on_and_localizes(tmp_path):
     assert len(read_slam_map(tmp_path / "grown", SlamCamera(CAMERA)).names) == grown.summary["num_keyframes"]
     with pytest.raises(ConfigError, match="localize"):
         run_slam(tmp_path / "second", tmp_path / "none", **camera, localize=True)
+
+
+def test_names_that_two_runs_have_used_are_made_distinct():
+    names = ("0.png", "1.png", "earlier/1.png")
+    assert distinct_names(names, {"1.png", "2.png"}, "earlier") == (
+        "0.png",
+        "earlier/earlier/1.png",
+        "earlier/1.png",
+    )
+    assert distinct_names(names, set(), "earlier") == names

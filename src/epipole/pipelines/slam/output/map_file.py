@@ -69,11 +69,12 @@ class KnownMap(NamedTuple):
 
 def distinct_names(names: Sequence[str], taken: Set[str], folder: str) -> tuple[str, ...]:
     """The names, with a folder before each one that is taken: two runs have often named their images alike."""
-    out = []
+    out, used = [], taken | set(names)
     for name in names:
         distinct = name
-        while distinct in taken:
+        while name in taken and distinct in used:
             distinct = f"{folder}/{distinct}"
+        used.add(distinct)
         out.append(distinct)
     return tuple(out)
 
