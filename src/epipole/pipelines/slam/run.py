@@ -113,9 +113,7 @@ def slam(
     known = None if maps is None else maps.first
     system = _system(frames, wanted, maps)
     _check_camera(frames, wanted, known)
-    settings = {name: value for name, value in asdict(wanted).items() if name != "resume"}
-    of = (_input(source),)
-    task = Job(kind="slam", inputs=of, settings=settings, progress=progress, has_log=True)
+    task = _job(source, wanted, progress)
     shown = open_live(system, FrameStream(frames, wanted).num_expected, wanted, out.name)
     recorded = open_recording(wanted.record, frames.camera, frames.body_from_camera)
     with recorded as record, open_run(task, out) as run, shown as live, graceful_interrupt() as is_stopped:
@@ -138,6 +136,11 @@ def slam(
             facts = publish_mesh(frames, system, run, is_wanted=wanted.mesh)
             given = RunInputs(truth, known, anchoring, found, leveled, facts)
             return write_results(stream, system, records, given, wanted, run)
+
+
+def _job(source: Path, wanted: SlamConfig, progress: ProgressCallback) -> Job:
+    settings = {name: value for name, value in asdict(wanted).items() if name != "resume"}
+    return Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress, has_log=True)
 
 
 def _system(frames: FrameSource, job: SlamConfig, known: KnownMaps | None) -> Slam:

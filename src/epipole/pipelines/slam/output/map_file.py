@@ -69,7 +69,7 @@ class KnownMap(NamedTuple):
 
 def distinct_names(names: Sequence[str], taken: Set[str], folder: str) -> tuple[str, ...]:
     """The names, with a folder before each one that is taken: two runs have often named their images alike."""
-    out, used = [], taken | set(names)
+    out, used = [], {*taken, *names}
     for name in names:
         distinct = name
         while name in taken and distinct in used:
