@@ -52,6 +52,16 @@ def test_stages_that_alternate_write_few_lines(tmp_path, clock):
     assert len(lines_of(tmp_path / "log.txt")) <= 4
 
 
+def test_a_stream_of_unknown_length_writes_few_lines(tmp_path, clock):
+    """Its total is the number of frames so far."""
+    log = RunLog(tmp_path / "log.txt")
+    for n in range(1, 601):
+        clock[0] += 1 / 30
+        log.add(Progress("track", n, n))
+    lines = lines_of(tmp_path / "log.txt")
+    assert len(lines) == 2 and "1 of 1" in lines[0] and "30/s" in lines[1]
+
+
 def test_names_that_are_no_text_are_escaped(tmp_path):
     (tmp_path / "images").mkdir()
     with (

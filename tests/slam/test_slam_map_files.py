@@ -158,3 +158,4 @@ def test_names_that_two_runs_have_used_are_made_distinct():
         "earlier/1.png",
     )
     assert distinct_names(names, set(), "earlier") == names
+    assert distinct_names(("1.png", "1.png"), set(), "earlier") == ("1.png", "earlier/1.png")

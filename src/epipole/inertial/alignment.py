@@ -51,7 +51,8 @@ class InertialAlignment(Declared):
     accel_bias: Float64[np.ndarray, " 3"]
     """m / s^2, mean over the trajectory. A gain error of the accelerometer adds to it along gravity."""
     accel_bias_covariance: Float64[np.ndarray, "3 3"]
-    """Including that gain error, which `calibration` leaves out: it uses bias and gain together."""
+    """Of a component at any time, including the effect of that gain error. The covariance in `calibration` excludes it, because dead
+    reckoning uses bias and gain together, and their errors cancel."""
     velocity_in_world: Float64[np.ndarray, "n 3"]
     """m / s, in the trajectory's axes, at each pose."""
     calibration: ImuCalibration

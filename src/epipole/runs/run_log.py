@@ -26,6 +26,7 @@ class _Stage:
     """Steps that were done at its first report."""
     start_s: float
     done: int
+    total: int
     written_s: float
     """Time of its last line."""
 
@@ -54,8 +55,11 @@ class RunLog:
             is_first = stage is None or report.done < stage.done
             if stage is None or is_first:
                 written_s = -math.inf if stage is None else stage.written_s
-                stage = self._stages[report.stage] = _Stage(report.done, now, report.done, written_s)
-            stage.done, is_last = report.done, report.done >= report.total
+                stage = _Stage(report.done, now, report.done, report.total, written_s)
+                self._stages[report.stage] = stage
+            # The total of a stream whose length is unknown grows with it.
+            is_last = report.done >= report.total == stage.total
+            stage.done, stage.total = report.done, report.total
             if report.note or is_last or now - stage.written_s >= EVERY_S:
                 stage.written_s = now
                 self.write(report.stage, _in_words(report, report.done - stage.first, now - stage.start_s))

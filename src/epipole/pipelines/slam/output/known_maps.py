@@ -85,8 +85,10 @@ def read_known_maps(
 
 def _with(first: KnownMap, path: str, second: KnownMap, offset: int, model: SlamMap) -> KnownMap:
     """The first map with this model, and with the keyframes of the second one, from a path; their numbers increase by an offset."""
+    file = Path(path).resolve()  # "." and ".." have no name
+    folder = (file.stem if file.is_file() else file.name) or "map"
     return first._replace(
         model=model,
-        names=first.names + distinct_names(second.names, set(first.names), Path(path).name or "map"),
+        names=first.names + distinct_names(second.names, set(first.names), folder),
         numbers=first.numbers + tuple(number + offset for number in second.numbers),
     )

@@ -68,11 +68,11 @@ class KnownMap(NamedTuple):
 
 
 def distinct_names(names: Sequence[str], taken: Set[str], folder: str) -> tuple[str, ...]:
-    """The names, with a folder before each one that is taken: two runs have often named their images alike."""
-    out, used = [], {*taken, *names}
+    """The names, made unique by a folder before each one that is taken or repeated: two runs often give their images the same names."""
+    out, given, used = [], set(names), set(taken)
     for name in names:
         distinct = name
-        while name in taken and distinct in used:
+        while distinct in used or (distinct != name and distinct in given):
             distinct = f"{folder}/{distinct}"
         used.add(distinct)
         out.append(distinct)

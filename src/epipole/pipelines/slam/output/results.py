@@ -223,7 +223,7 @@ def _median_sigma(path: Trajectory) -> float | None:
 
 
 def keyframe_names(system: Slam, records: Sequence[FrameRecord], known: KnownMap | None) -> list[str]:
-    """Image names of the first map's keyframes; those of a known map that this run has used again are prefixed with "earlier/"."""
+    """Image names of the first map's keyframes: `earlier/NAME` for those of a known map whose name this run uses, too."""
     names = [record.name for record in records if record.answer]
     earlier = () if known is None else distinct_names(known.names, set(names), "earlier")
     named = {} if known is None else dict(zip(known.numbers, earlier))

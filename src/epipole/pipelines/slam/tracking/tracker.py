@@ -104,7 +104,7 @@ class PointTracker:
     def redetect_points(
         self, previous: Frame, frame: Frame, predicted: Rigid3, tracked: np.ndarray
     ) -> tuple[RefinedPose, int] | None:
-        """The pose from all points of the map that should be in sight; if the left image shows none, from the right one.
+        """The pose from all points of the map that should be in sight; from the right image if the left one shows fewer than half of them.
 
         Args:
             previous: the frame before.
@@ -125,8 +125,8 @@ class PointTracker:
             tracks.keep(np.zeros(len(tracks), bool))
             tracks.add(pixels[is_same], seen.point[is_same])
         tracks.add(*redetect(self.map, self.camera, frame.gray, near, tracks.point))
-        found = self.estimate_pose(frame, near)
-        if right is None or (found is not None and 2 * found[1] > len(right[1])):  # a few match noise, too
+        found = self.estimate_pose(frame, near, at_least=0 if right is None else len(right[1]) // 2)
+        if found is not None or right is None:
             return found
         refined, self.tracks = right
         return refined, len(self.tracks)
@@ -150,7 +150,7 @@ class PointTracker:
         return self.estimate_pose(frame, recognized.cam_from_world)
 
     def estimate_pose(
-        self, frame: Frame, predicted: Rigid3, last: Tracks | None = None
+        self, frame: Frame, predicted: Rigid3, last: Tracks | None = None, *, at_least: int = 0
     ) -> tuple[RefinedPose, int] | None:
         """Estimate the frame's pose and drop outliers.
 
@@ -158,8 +158,9 @@ class PointTracker:
             frame: the images.
             predicted: initial pose.
             last: the same points in the previous frame, if they were tracked from there; needed to detect motion of objects.
+            at_least: number of inliers below which there is no pose; some patches match the noise of a dark image.
         """
-        tracks, self.moving, self.static_part = self.tracks, None, None
+        tracks, self.moving, self.static_part, self._seen = self.tracks, None, None, None
         tracks.keep(frame.is_used(tracks.pixels))
         localized = np.flatnonzero(self.map.is_triangulated(tracks.point))
         rows, pixels = tracks.point[localized], tracks.pixels[localized]
@@ -169,7 +170,7 @@ class PointTracker:
             deep = Disparities(measured, self.focal_baseline, self.config.depth_sigma_px)
         proven = self.map.num_agreed[rows] >= PROVEN_FRAMES
         found = locate(self.map.xyz[rows], pixels, self.camera, predicted, deep, self.config, proven)
-        if found is None or not is_certain(*found, self.config):
+        if found is None or not is_certain(*found, self.config) or found[1].sum() < at_least:
             return None
         if last is not None:
             found, self.static_part = self._unless_at_rest(found, rows, localized, predicted, deep)
@@ -178,8 +179,7 @@ class PointTracker:
             refined, agrees = self._while_moving(frame, found, rows, pixels)
         measured = None if measured is None else measured[agrees]
         self._seen = SeenFrame(frame.timestamp_s, pixels[agrees], rows[agrees], measured)
-        kept = np.ones(len(tracks.point), bool)
-        kept[localized] = agrees
+        kept = ~np.isin(np.arange(len(tracks)), localized[~agrees])
         position = refined.cam_from_world
         self.moving = None if last is None else self._what_moves(last, rows, pixels, agrees, position)
         self.map.num_agreed[rows[agrees]] += 1
