@@ -57,18 +57,22 @@ def synthetic(count: int, *, constant_velocity: bool) -> Iterator[Trial]:
             yield motion.scale, found.scale, found.sigma
 
 
-def calibrated(count: int) -> dict[str, Any]:
-    """Errors of gravity and biases on the synthetic motions."""
+def calibrated(count: int, *, is_metric: bool) -> dict[str, Any]:
+    """Errors of gravity and biases on the synthetic motions, up to scale or, as with a stereo pair, in meters."""
     degrees, over_sigma = [], []
     for seed in range(count):
         motion = inertial_path(seed)
-        found = align_path_to_imu(motion.timestamp_s, motion.world_from_camera, motion.imu())
+        path = motion.world_from_camera
+        if is_metric:
+            path = Rigid3(path.rotation, path.translation * motion.scale)
+        found = align_path_to_imu(motion.timestamp_s, path, motion.imu(), is_metric=is_metric)
         degrees.append(_angle_deg(found.gravity_in_world, motion.gravity_in_world))
         off = np.concatenate([found.gyro_bias - motion.gyro_bias, found.accel_bias - motion.accel_bias])
         variances = [found.calibration.covariance[:3, :3], found.accel_bias_covariance]
         over_sigma.append(np.abs(off) / np.sqrt(np.concatenate([np.diag(v) for v in variances])))
     within = np.array(over_sigma) <= 2.0
     return {
+        "name": "in meters" if is_metric else "up to scale",
         "seeds": count,
         "gravity_deg_median": float(np.median(degrees)),
         "gravity_deg_largest": float(np.max(degrees)),
@@ -76,6 +80,18 @@ def calibrated(count: int) -> dict[str, Any]:
         "gyro_bias_within_2_sigma": float(within[:, :3].mean()),
         "accel_bias_within_2_sigma": float(within[:, 3:].mean()),
     }
+
+
+def _calibration_table(rows: list[dict[str, Any]]) -> Table:
+    table = Table(
+        *("synthetic motions", "seeds", "gravity (median)", "largest", "within 0.3 deg"),
+        *("gyroscope's bias within 2 sigma", "accelerometer's"),
+    )
+    for row in rows:
+        degrees = [f"{row[key]:.2f} deg" for key in ("gravity_deg_median", "gravity_deg_largest")]
+        keys = "gravity_within_0.3_deg", "gyro_bias_within_2_sigma", "accel_bias_within_2_sigma"
+        table.add_row(row["name"], str(row["seeds"]), *degrees, *(f"{100 * row[key]:.0f} %" for key in keys))
+    return table
 
 
 def _angle_deg(one: np.ndarray, other: np.ndarray) -> float:
@@ -107,7 +123,7 @@ def euroc(folder: Path, *, whole: bool) -> Iterator[Trial]:
 
 
 def tracked(count: int) -> tuple[list[Trial], list[float], list[float]]:
-    """Monocular SLAM of the room without an IMU, then with IMUs of seeds 0 to count - 1; position errors in mm, and of gravity in degrees."""
+    """Monocular SLAM of the room without an IMU, then with IMUs of seeds 0 to count - 1: scales, errors of position in mm and of gravity in degrees."""
     ride = loop_room(200, (320, 240))
     numbers = range(0, 200, 2)
     frames = [Frame(n / 10.0, ride.left(number).gray) for n, number in enumerate(numbers)]
@@ -191,11 +207,13 @@ def main() -> None:
     Console().print(
         f"position error in the room: {errors[0]:.2f} mm without an IMU, {with_imu:.2f} mm with one (median)"
     )
-    calibration = calibrated(arguments.seeds)
-    Console().print(f"gravity and biases on synthetic motions: {calibration}")
-    Console().print(
-        f"gravity in the room: {np.median(gravity_deg):.2f} (median), {max(gravity_deg):.2f} degrees (largest)"
-    )
+    calibration = [calibrated(arguments.seeds, is_metric=is_metric) for is_metric in (False, True)]
+    Console().print(_calibration_table(calibration))
+    if gravity_deg:
+        middle, largest = np.median(gravity_deg), max(gravity_deg)
+        Console().print(
+            f"direction of gravity in the room: {middle:.2f} degrees off (median), at most {largest:.2f}"
+        )
     found = {
         "calibration": calibration,
         "slam_gravity_deg": gravity_deg,
