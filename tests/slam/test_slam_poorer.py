@@ -10,21 +10,24 @@ from epipole.runs import overwriting
 
 
 def contents(out):
-    return {path.name: path.read_bytes() for path in out.glob("*.*")}
+    """Files of the result; the log, too, tells of the refused runs."""
+    runs = {"epipole.json", "log.txt"}
+    return {path.name: path.read_bytes() for path in out.glob("*.*") if path.name not in runs}
 
 
 @pytest.mark.usefixtures("unchecked")
 def test_fewer_frames_keep_the_earlier_result(tmp_path, monkeypatch):
     folder, out = write_pairs(tmp_path / "ride", 12), tmp_path / "out"
     assert run_slam(folder, out).summary["num_localized"] == 12
-    before = {n: c for n, c in contents(out).items() if n != "epipole.json"}
+    before, log = contents(out), (out / "log.txt").read_text()
     with monkeypatch.context() as patched:
         patched.setattr(run, "find_camera", lambda *_: pytest.fail("no work is done"))
         with pytest.raises(WorkspaceError, match=r"12 localized frames, more than the 5 .*--overwrite"):
             run_slam(folder, out, max_frames=5)
     with pytest.raises(WorkspaceError, match="12 localized frames, more than the 6 of this run"):
         run_slam(folder, out, stride=2)
-    assert {n: c for n, c in contents(out).items() if n != "epipole.json"} == before
+    assert contents(out) == before
+    assert (out / "log.txt").read_text().startswith(log)
     assert run_slam(folder, out).summary["num_localized"] == 12  # as many are fine
     with overwriting():
         assert run_slam(folder, out, stride=2).summary["num_localized"] == 6

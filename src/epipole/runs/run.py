@@ -142,14 +142,11 @@ class Run:
 
 
 def _open_log(folder: OutputFolder) -> RunLog | None:
-    """The log of a new run, or that of the stopped run that it continues; None if the folder has another file of that name."""
+    """The log of all runs in this folder; None if it has another file of that name."""
     path = folder.root / LOG
     is_own = LOG in folder.files.get("log", ())
     if os.path.lexists(path) and not is_own:
         return None
-    if folder.finished:
-        with suppress(OSError):
-            path.unlink(missing_ok=True)
     folder.files["log"] = [LOG]
     log = RunLog(path)
     log.write("started", f"epipole {__version__} {folder.kind}")
