@@ -1,6 +1,7 @@
 """Structure from motion compared with COLMAP on the same images: `python -m benchmarks.sfm --set fountain-P11 lund_gps`.
 
-Each program runs in its own process, in turn. Runs and medians go to benchmarks/results/sfm_SET.json.
+Each program runs in its own process, in turn. Runs and medians go to benchmarks/results/sfm_SET.json. Downloaded scenes of ETH3D, the
+Image Matching Challenge and 1DSfM: `python -m benchmarks.sfm --scenes FOLDER`.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import math
 import shutil
 import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,7 @@ from benchmarks.peers.base import Limits, SfmPeer
 from benchmarks.peers.epipole_sfm import EpipoleSfm
 from benchmarks.peers.pycolmap_sfm import PycolmapSfm
 from benchmarks.score import score_models
+from benchmarks.tasks.public_sets import tasks_in
 from benchmarks.tasks.sfm import SETS, SfmTask, data_root, prepare
 
 NUM_WARM_UP_IMAGES = 4
@@ -60,29 +63,38 @@ def main() -> None:
         PycolmapSfm("global", "pycolmap-incremental", shared_camera=arguments.shared_camera),
     ]
     installed = [peer for peer in peers if peer.version() is not None]
+    with tempfile.TemporaryDirectory(prefix="epipole-bench-") as scratch:
+        work = Path(scratch)
+        try:
+            for task in _tasks(arguments, work / "data"):
+                if not arguments.cold:
+                    _warm_up(task, installed, limits, work / "warm-up" / task.name)
+                runs = _interleaved(task, installed, limits, work / task.name, arguments.runs, console)
+                report = _report(task, runs, peers, limits, arguments)
+                arguments.results.mkdir(parents=True, exist_ok=True)
+                file = arguments.results / f"sfm_{task.name}.json"
+                file.write_text(_without_paths(json.dumps(report, indent=1), task, work) + "\n")
+                console.print(_table(task, report, peers))
+                console.print(f"written to {file}\n")
+        except FileNotFoundError as error:
+            console.print(str(error), style="red")
+            sys.exit(1)
+
+
+def _tasks(arguments: argparse.Namespace, work: Path) -> Iterator[SfmTask]:
+    """The chosen sets, or all scenes in the given folder."""
+    if arguments.scenes is not None:
+        yield from tasks_in(arguments.scenes, work)
+        return
     for name in arguments.set:
-        with tempfile.TemporaryDirectory(prefix="epipole-bench-") as scratch:
-            work = Path(scratch)
-            try:
-                task = prepare(name, data_root(arguments.data).resolve(), work / "data")
-            except FileNotFoundError as error:
-                console.print(f"{name}: {error}", style="red")
-                sys.exit(1)
-            if not arguments.cold:
-                _warm_up(task, installed, limits, work)
-            runs = _interleaved(task, installed, limits, work, arguments.runs, console)
-        report = _report(task, runs, peers, limits, arguments)
-        arguments.results.mkdir(parents=True, exist_ok=True)
-        file = arguments.results / f"sfm_{task.name}.json"
-        file.write_text(_without_paths(json.dumps(report, indent=1), task, work) + "\n")
-        console.print(_table(task, report, peers))
-        console.print(f"written to {file}\n")
+        yield prepare(name, data_root(arguments.data).resolve(), work)
 
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Structure from motion: epipole and pycolmap.")
     default = Limits()
     parser.add_argument("--set", nargs="+", choices=list(SETS), default=list(SETS), metavar="SET")
+    parser.add_argument("--scenes", type=Path, help="folder of downloaded scenes, instead of the sets")
     parser.add_argument("--runs", type=int, default=3, help="runs of each program")
     parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
@@ -103,14 +115,14 @@ def _warm_up(task: SfmTask, peers: list[SfmPeer], limits: Limits, work: Path) ->
 
     The run may fail, because a few images do not always give a model. Programs that start from another one's files are skipped.
     """
-    images = work / "warm-up" / "images"
-    images.mkdir(parents=True)
+    images = work / "images"
     names = task.image_names[:NUM_WARM_UP_IMAGES]
     for name in names:
+        (images / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(task.images / name, images / name)
     for peer in peers:
         if peer.needs is None:
-            out = work / "warm-up" / peer.name
+            out = work / peer.name
             command = peer.command(replace(task, images=images, image_names=names), out, limits)
             run_measured(command, out.with_suffix(".log"), limits.num_threads)
 

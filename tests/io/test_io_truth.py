@@ -1,15 +1,26 @@
 """Known cameras: COLMAP, Strecha, Middlebury, transforms.json."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from epipole.errors import FileFormatError
-from epipole.io import read_truth, write_colmap_model, write_transforms
+from epipole.io import (
+    read_truth,
+    write_colmap_model,
+    write_metashape,
+    write_opensfm,
+    write_realityscan,
+    write_transforms,
+)
 from epipole.io.truth import is_truth_of_images
-from io_models import small_model
+from epipole.pipelines.evaluation.run import evaluate
+from epipole.scene import Reconstruction
+from io_models import mappable_model, small_model
 
 DATA = Path(os.environ.get("EPIPOLE_DATA", Path(__file__).parents[2].parent / "shared" / "data")) / "sfm"
 
@@ -109,6 +120,24 @@ def test_nothing_there(tmp_path: Path) -> None:
         match="not cameras in a supported format; it is empty; supported are an output folder of `reconstruct`, a folder with",
     ):
         read_truth(tmp_path)
+
+
+@pytest.mark.parametrize("write", [write_metashape, write_realityscan, write_opensfm])
+def test_cameras_of_another_program(tmp_path: Path, write: Callable[[Reconstruction, Path], None]) -> None:
+    model = mappable_model()
+    path = tmp_path / {"write_metashape": "a.xml", "write_realityscan": "a.csv"}.get(write.__name__, "a.json")
+    for row, name in enumerate(model.images.name):
+        camera = model.cameras[int(model.camera_of_image[row])]
+        (tmp_path / "images" / name).parent.mkdir(parents=True, exist_ok=True)
+        Image.new("L", (camera.width, camera.height)).save(tmp_path / "images" / name)
+    write(model, path)
+    truth = read_truth(path)
+    ours = dict(zip(model.images.name, model.cams_from_world().translation))
+    for name, translation in zip(truth.names, truth.cams_from_world.translation, strict=True):
+        np.testing.assert_allclose(ours[name], translation, atol=1e-6)
+    write_colmap_model(model, tmp_path / "sparse" / "0")
+    found = evaluate(path, tmp_path)
+    assert found.num_registered == len(truth) and found.position_max < 1e-6
 
 
 def test_an_output_folder(tmp_path: Path) -> None:

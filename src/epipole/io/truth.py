@@ -12,14 +12,14 @@ from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.colmap.model import read_colmap_model
 from epipole.io.contents_in_words import what_it_is
+from epipole.io.convert import is_model_file, read_model
 from epipole.io.files import file_text
-from epipole.io.models.transforms import read_transforms
 from epipole.scene import Reconstruction
 
 _ROTATION_TOLERANCE = 1e-2
 _FORMS = (
     "an output folder of `reconstruct`, a folder with a COLMAP model, with Strecha's .camera files or with a Middlebury *_par.txt file, "
-    "a *_par.txt file or a transforms.json"
+    "a *_par.txt file, or a transforms.json or another program's cameras (OpenSfM, Metashape, RealityScan, Bundler, Nuke)"
 )
 
 
@@ -47,10 +47,10 @@ def read_truth(path: str | Path) -> TruthCameras:
     """
     path = Path(path)
     if path.is_file():
-        if path.suffix.lower() == ".json":
-            return _registered(read_transforms(path), path)
         if path.name.endswith("_par.txt"):
             return _middlebury(path)
+        if is_model_file(path):
+            return _registered(read_model(path), path)
     if path.is_dir():
         if model := _model_in(path):
             return _registered(read_colmap_model(model), model)

@@ -24,9 +24,9 @@ def evaluate(
     """Compare camera poses or a trajectory with the truth.
 
     Args:
-        out: Output folder, a COLMAP model, or a trajectory (TUM, KITTI or EuRoC).
-        truth: Output folder, COLMAP model, transforms.json, folder of Strecha .camera files, Middlebury _par.txt file,
-            trajectory, or dataset folder (7-Scenes, ScanNet, TUM RGB-D, KITTI, EuRoC).
+        out: Output folder, a COLMAP model or cameras of another program, or a trajectory (TUM, KITTI or EuRoC).
+        truth: Output folder, COLMAP model, transforms.json or cameras of another program, folder of Strecha .camera files,
+            Middlebury _par.txt file, trajectory, or dataset folder (7-Scenes, ScanNet, TUM RGB-D, KITTI, EuRoC).
         max_difference_s: Trajectories: largest time difference between compared poses.
         json: Print JSON.
     """

@@ -10,7 +10,7 @@ import numpy as np
 from epipole._checks import as_path, checked
 from epipole.errors import DegenerateGeometryError, FileFormatError
 from epipole.geometry import Rigid3
-from epipole.io.colmap.model import find_model, read_colmap_model
+from epipole.io.convert import is_model_file, read_model
 from epipole.io.truth import read_truth
 from epipole.metrics import camera_errors, relative_pose_auc
 
@@ -51,9 +51,8 @@ def evaluate(out: str | Path, truth: str | Path) -> Evaluation:
     """Compare a model's cameras with ground truth; for trajectories use `evaluate_trajectory`.
 
     Args:
-        out: an output folder or a COLMAP model.
-        truth: an output folder of `reconstruct`, a COLMAP model, a transforms.json, a folder of Strecha `.camera` files or a
-            Middlebury `_par.txt` file.
+        out: an output folder, a COLMAP model, a transforms.json, or the cameras of another program (see `read_model`).
+        truth: any of these, a folder of Strecha `.camera` files, or a Middlebury `_par.txt` file.
 
     Raises:
         FileFormatError: a path is unreadable or a trajectory, or the two have no images in common.
@@ -64,11 +63,12 @@ def evaluate(out: str | Path, truth: str | Path) -> Evaluation:
             path.suffix.lower() in TRAJECTORY_SUFFIXES
             and path.is_file()
             and not path.name.endswith("_par.txt")
+            and not is_model_file(path)
         ):
             raise FileFormatError(
                 path, "not a model: compare trajectories with evaluate_trajectory(path, truth)"
             )
-    model, known = read_colmap_model(find_model(as_path(out))), read_truth(as_path(truth))
+    model, known = read_model(as_path(out)), read_truth(as_path(truth))
     row = {name: i for i, name in enumerate(model.images.name)}
     cams_from_world, is_registered = model.cams_from_world(), model.is_registered()
     rotation, translation = np.full((len(known.names), 3, 3), np.nan), np.full((len(known.names), 3), np.nan)
