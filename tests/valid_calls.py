@@ -729,6 +729,7 @@ def _mapping() -> Iterator[Row]:
     more = {"sigma_px": np.ones(6), "disparities": mapping.Disparities(**deep), "loss_scale": 2.0}
     yield _row(mapping.refine_pose, **seen, **more)
     yield _row(mapping.PositionPriors, positions_in_world=_some(4, 3), sigma=np.ones((4, 3)))
+    yield _row(mapping.PosePriors, cams_from_world=Rigid3.identity(4), sigma=0.1, sigma_rad=0.01)
     yield _row(mapping.Freedom, focal=True, principal_point=False, distortion=True)
     priors = mapping.PositionPriors(_some(4, 3), np.ones((4, 3)))
     yield _row(free_params_of, cameras=model.cameras, freedom=freedom)

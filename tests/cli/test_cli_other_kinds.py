@@ -136,7 +136,7 @@ def test_gps_that_is_not_used_does_not_make_a_known_scale_unknown():
     images = SimpleNamespace(lat_lon_alt=np.array([[50.0, 10.0, 0.0]] * 2 + [[np.nan] * 3] * 2))
     config = epipole.MapperConfig()
     for scale, said in ((None, "the scale is unknown: "), ("by tags", "GPS is not used: ")):
-        mapped = SimpleNamespace(models=(model,), gps=(None,), scale=scale)
+        mapped = SimpleNamespace(models=(model,), gps=(None,), pose_fits=(None,), scale=scale)
         (note,) = gps_notes(images, mapped, config)
         assert note.startswith(said)
 

@@ -132,7 +132,9 @@ def test_a_stopped_run_says_why_and_the_next_one_continues_the_log(tmp_path):
     assert "KeyError: 'lost'" in lines_of(out / "log.txt")[2]
     with open_run(job(tmp_path / "images"), out) as run:
         run.finish({})
-    assert len(lines_of(out / "log.txt")) == 9  # also after a finished run, whose result stays if this one fails
+    assert (
+        len(lines_of(out / "log.txt")) == 9
+    )  # also after a finished run, whose result stays if this one fails
 
 
 def test_a_run_without_results_leaves_no_log(tmp_path):

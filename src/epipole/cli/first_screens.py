@@ -189,6 +189,7 @@ GROUPS = {
         "--baseline-sigma --principal-offset-sigma-px"
     ),
     "scale": (
+        "--known-poses --known-poses-sigma-m --known-poses-sigma-deg "
         "--positions --positions-sigma-m --lengths --lengths-sigma-m --clicks-sigma-px --tag-size-m "
         "--tag-family --board --square-m --size-sigma --odometry --odometry-sigma --odometry-mounting "
         "--imu --imu-mounting --imu-units"

@@ -143,7 +143,7 @@ def parsed(printed: str) -> Help:
     arguments: list[Entry] = []
     groups: dict[str, list[Entry]] = {}
     entries: list[Entry] | None = None
-    lines = [line.rstrip() for line in printed.splitlines()[1:]]
+    lines = _one_below_the_other([line.rstrip() for line in printed.splitlines()[1:]])
     for line, following in zip(lines, [*lines[1:], ""]):
         if _is_rule(following) and re.match(r" \S", line):
             title = line.strip()
@@ -156,6 +156,20 @@ def parsed(printed: str) -> Help:
     return Help(
         "".join(paragraphs[:1]), "\n".join(paragraphs[1:]), arguments, {t: e for t, e in groups.items() if e}
     )
+
+
+def _one_below_the_other(lines: list[str]) -> list[str]:
+    """The parser prints many groups of options side by side: the right ones below the left ones."""
+    second = {rules[1].start() - 1 for line in lines if len(rules := list(re.finditer("-{9,}", line))) == 2}
+    if len(second) != 1:
+        return lines
+    at = second.pop()
+    first = next(k for k, line in enumerate(lines) if _is_rule(line)) - 1  # the title above
+    return [
+        *lines[:first],
+        *(line[:at].rstrip() for line in lines[first:]),
+        *(line[at:].rstrip() for line in lines[first:]),
+    ]
 
 
 def _is_rule(line: str) -> bool:

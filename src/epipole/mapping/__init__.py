@@ -1,6 +1,7 @@
 """Building blocks of the mappers: components, the growing model, resection, pose refinement, adjustment."""
 
 from epipole.mapping.adjustment import Freedom as Freedom
+from epipole.mapping.adjustment import PosePriors as PosePriors
 from epipole.mapping.adjustment import PositionPriors as PositionPriors
 from epipole.mapping.adjustment import adjust_all as adjust_all
 from epipole.mapping.adjustment import adjust_around as adjust_around

@@ -45,6 +45,30 @@ class PositionPriors(Declared):
     sigma: Float64[np.ndarray, "n 3"]
     """Standard deviation of each coordinate."""
 
+    def of_bundle(self) -> BundlePriors:
+        """The term of an adjustment: Cauchy's loss of the distances."""
+        return BundlePriors(position_in_world=self.positions_in_world, position_sigma=self.sigma)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosePriors(Declared):
+    """Prior poses of images, in the model's world coordinates; NaN rows if unknown."""
+
+    cams_from_world: Rigid3
+    sigma: float
+    """Standard deviation of each coordinate of a position, in the model's unit."""
+    sigma_rad: float
+    """Standard deviation of a rotation about each axis."""
+
+    def of_bundle(self) -> BundlePriors:
+        """The term of an adjustment: the squared error of log(pose prior^-1), whose translation is the camera's own shift."""
+        is_known = np.isfinite(self.cams_from_world.translation).all(axis=1)
+        each = np.repeat([self.sigma**-2, self.sigma_rad**-2], 3)
+        return BundlePriors(
+            rig_from_world=self.cams_from_world.or_identity(),
+            rig_information=is_known[:, None, None] * np.diag(each),
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Freedom(Declared):
@@ -70,7 +94,10 @@ def free_params_of(cameras: Cameras, freedom: Freedom) -> Float64[np.ndarray, "c
 
 @checked
 def adjust_all(
-    model: ModelBuilder, config: BundleConfig, freedom: Freedom, priors: PositionPriors | None = None
+    model: ModelBuilder,
+    config: BundleConfig,
+    freedom: Freedom,
+    priors: PositionPriors | PosePriors | None = None,
 ) -> BundleResult:
     """Adjust every registered image, all points, and the intrinsics that are not constant."""
     order, _ = model.rows_by_point()
@@ -80,7 +107,10 @@ def adjust_all(
 
 @checked
 def adjust_sample(
-    model: ModelBuilder, config: BundleConfig, freedom: Freedom, priors: PositionPriors | None = None
+    model: ModelBuilder,
+    config: BundleConfig,
+    freedom: Freedom,
+    priors: PositionPriors | PosePriors | None = None,
 ) -> None:
     """Adjust as `adjust_all`, with a sample of the points if it is much smaller; then the other points with fixed images.
 
@@ -133,7 +163,7 @@ def _adjust(
     free_points: np.ndarray,
     config: BundleConfig,
     freedom: Freedom,
-    priors: PositionPriors | None,
+    priors: PositionPriors | PosePriors | None,
 ) -> BundleResult:
     point = model.row_point[rows]
     used, local = np.unique(point, return_inverse=True)
@@ -161,9 +191,8 @@ def _adjust(
         frame_free,
         params_free,
         np.isin(used, free_points).astype(np.float64),
-        priors=BundlePriors(
-            position_in_world=None if priors is None else priors.positions_in_world,
-            position_sigma=1.0 if priors is None else priors.sigma,
+        priors=replace(
+            BundlePriors() if priors is None else priors.of_bundle(),
             params_expected=expected,
             params_sigma=sigma,
         ),

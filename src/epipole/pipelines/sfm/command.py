@@ -90,6 +90,12 @@ def show_reconstruction(result: ReconstructionResult) -> None:
     table.add_row("scale", summary["scale"])
     for prefix, entry in summary.get("rigs", {}).items():
         table.add_row(f"rig, {prefix}", rig_in_words(entry))
+    if (poses := summary["poses"]) is not None:
+        table.add_row(
+            "poses",
+            f"{poses['num_used']} of {poses['num_used'] + len(poses['not_used'])} given poses agree; deviations"
+            f" {100 * poses['median_position_m']:.3g} cm, {poses['median_rotation_deg']:.2g} degrees (median)",
+        )
     if summary["median_gps_residual_m"] is not None:
         table.add_row("GPS", f"{summary['median_gps_residual_m']:.1f} m from the GPS positions (median)")
     times = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result.timings_s.items())

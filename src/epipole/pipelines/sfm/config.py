@@ -161,6 +161,12 @@ class ReconstructConfig:
     """Folder of learned features (tools/convert_learned_features.py) for images that SIFT connects to few others."""
     learned_network: Literal["xfeat", "aliked"] = "xfeat"
     """aliked: more right matches, several times slower."""
+    known_poses: Path | None = None
+    """Poses of images that are known approximately, in meters: a COLMAP model, transforms.json or another program's cameras."""
+    known_poses_sigma_m: float = 0.05
+    """Standard deviation of each coordinate of a known position."""
+    known_poses_sigma_deg: float = 1.0
+    """Standard deviation of a known rotation about each axis."""
     grow: bool = False
     """Start from the model in OUT, keep its coordinates, and register further images."""
     max_frames: int = 200
@@ -203,6 +209,13 @@ class ReconstructConfig:
             raise ConfigError("learned cannot be combined with database: its features are already extracted")
         if self.rigs is not None and self.database is not None:
             raise ConfigError("rigs cannot be combined with database, whose cameras are given")
+        if self.known_poses is not None and self.grow:
+            raise ConfigError(
+                "known_poses cannot be combined with grow, which keeps the coordinates of the earlier model"
+            )
+        for name in ("known_poses_sigma_m", "known_poses_sigma_deg"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ConfigError(f"{name} must be positive and finite, got {getattr(self, name)}")
         if self.cluster is not None:
             from epipole.runs import Cluster  # not needed for --help
 

@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from epipole.features import Features
+from epipole.geometry import Rigid3
 from epipole.mapping import ModelBuilder, PositionPriors, connect_matches
 from epipole.pipelines.sfm.config import MapperConfig
+from epipole.pipelines.sfm.given_poses import PoseFit, fit_given_poses
 from epipole.pipelines.sfm.gps.alignment import (
     MIN_POSITIONS,
     GpsAlignment,
@@ -65,6 +67,8 @@ class Mapped:
     """Fraction of each model's matches that are points of the model (`MatchConsistency.overall`)."""
     methods: tuple[Method, ...]
     """Mapper that each model comes from."""
+    pose_fits: tuple[PoseFit | None, ...] = ()
+    """How the given poses fit each model; None if there are none, or if they do not."""
     scale: MetricScale | None = None
     """Scale of the largest model if it is metric; None if it is up to scale."""
 
@@ -87,7 +91,7 @@ def map_images(
     starts = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
     components = connect_matches(view_graph, starts)
     remaining = np.ones(len(images), bool)
-    found: list[tuple[Reconstruction, GpsAlignment | None, float, Method]] = []
+    found: list[tuple[Reconstruction, _Located, float, Method]] = []
     rejections: dict[int, Rejection] = {}
     while remaining.sum() >= 2 and len(found) < config.max_models:
         builder = ModelBuilder(cameras, images.camera_of_image, keypoints, components)
@@ -104,26 +108,71 @@ def map_images(
             rounds = GROWN_ROUNDS if method == "grown" else ROUNDS
             complete_model(mapper, features, starts, rounds)
         before = earlier[0] if method == "grown" else None
-        origin = _origin_of(images, builder.registered, config, before)
-        positions = np.full((len(images), 3), np.nan) if origin is None else origin.enu_of(images.lat_lon_alt)
-        gps = _publish(mapper, positions, images.up_in_cams, config, _adjusting(progress))
-        georeference = origin if gps is not None else None
-        if before is not None and (gps is None or before.georeference is not None):
-            keep_coordinates(builder, before, images.names)
-            georeference = before.georeference
-            if gps is not None:
-                gps = replace(gps, residuals_m=gps_distances(builder.center, positions))
+        located = _locate_by_poses(mapper, images, config, _adjusting(progress)) or _locate(
+            mapper, images, config, before, _adjusting(progress)
+        )
         rejections.update({i: r for i, r in mapper.rejections.items() if not found})
         if builder.registered.sum() < 2 or len(np.unique(builder.row_point[builder.row_point >= 0])) < 3:
             break
         agreement = mapper.consistency.overall(builder)
         model = builder.freeze(images.names, detections.colors, images.timestamps_s)
-        found.append((replace(model, georeference=georeference), gps, agreement, method))
+        found.append((replace(model, georeference=located.georeference), located, agreement, method))
         remaining &= ~builder.registered
     progress(Progress("map", int((~remaining).sum()), len(images)))
     found.sort(key=lambda m: (-int(m[0].is_registered().sum()), -len(m[0].points)))
-    models, alignments, agreements, methods = zip(*found) if found else ((), (), (), ())
-    return Mapped(tuple(models), rejections, tuple(alignments), tuple(agreements), tuple(methods))
+    models, locations, agreements, methods = zip(*found) if found else ((), (), (), ())
+    gps, poses = tuple(one.gps for one in locations), tuple(one.fit for one in locations)
+    return Mapped(tuple(models), rejections, gps, tuple(agreements), tuple(methods), poses)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Located:
+    """What determines the coordinates of a model, if anything does."""
+
+    gps: GpsAlignment | None = None
+    georeference: Georeference | None = None
+    fit: PoseFit | None = None
+
+
+def _locate_by_poses(
+    mapper: IncrementalMapper, images: ImageSet, config: MapperConfig, adjusting: Callable[[int, int], None]
+) -> _Located | None:
+    """Move the model to the coordinates of the given poses, and adjust it with them; None if they do not fit."""
+    if images.given is None:
+        return None
+    fit = fit_given_poses(_poses_of(mapper.model), images.given, config.seed)
+    if fit is None:
+        return None
+    mapper.model.move(fit.given_from_model)
+    mapper.priors = fit.priors(images.given)
+    _adjust_again(mapper, adjusting)
+    return _Located(fit=fit.after(_poses_of(mapper.model), images.given))
+
+
+def _poses_of(model: ModelBuilder) -> Rigid3:
+    """cam_from_world of all images; NaN for those that are not registered."""
+    motion = np.where(model.registered[:, None], model.motion, np.nan)
+    return Rigid3(motion[:, :9].reshape(-1, 3, 3), motion[:, 9:])
+
+
+def _locate(
+    mapper: IncrementalMapper,
+    images: ImageSet,
+    config: MapperConfig,
+    before: Reconstruction | None,
+    adjusting: Callable[[int, int], None],
+) -> _Located:
+    """Coordinates by GPS, by the model that this one grew from, or upright ones."""
+    model = mapper.model
+    origin = _origin_of(images, model.registered, config, before)
+    positions = np.full((len(images), 3), np.nan) if origin is None else origin.enu_of(images.lat_lon_alt)
+    gps = _publish(mapper, positions, images.up_in_cams, config, adjusting)
+    if before is None or (gps is not None and before.georeference is None):
+        return _Located(gps, origin if gps is not None else None)
+    keep_coordinates(model, before, images.names)
+    if gps is not None:
+        gps = replace(gps, residuals_m=gps_distances(model.center, positions))
+    return _Located(gps, before.georeference)
 
 
 def _origin_of(
@@ -178,18 +227,24 @@ def _publish(
     expected[has_no_altitude, 2] = model.center[has_no_altitude, 2]
     sigma[has_no_altitude, 2] = UNKNOWN_ALTITUDE_SIGMA_M
     mapper.priors = PositionPriors(expected, sigma)
+    _adjust_again(mapper, adjusting)
+    return replace(aligned, residuals_m=gps_distances(model.center, positions_enu))
+
+
+def _adjust_again(mapper: IncrementalMapper, adjusting: Callable[[int, int], None]) -> None:
+    """Adjust the model with its priors."""
     adjusting(0, 3)
     mapper.adjust_globally(2, lambda done: adjusting(done, 3))
     adjusting(2, 3)
     mapper.finish()
     adjusting(3, 3)
-    return replace(aligned, residuals_m=gps_distances(model.center, positions_enu))
 
 
 def gps_notes(images: ImageSet, mapped: Mapped, config: MapperConfig) -> list[str]:
     """Notes on GPS: why it did not make the largest model metric, or which positions contradict it."""
     has_gps = np.isfinite(images.lat_lon_alt[:, :2]).all(axis=1)
-    if not (config.use_gps and mapped.models and has_gps.any()):
+    is_posed = bool(mapped.pose_fits) and mapped.pose_fits[0] is not None
+    if is_posed or not (config.use_gps and mapped.models and has_gps.any()):
         return []
     model, gps = mapped.models[0], mapped.gps[0]
     registered = model.is_registered()

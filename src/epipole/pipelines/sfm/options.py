@@ -25,6 +25,9 @@ class ReconstructKeywords(TypedDict, total=False):
     database: str | Path | None
     learned: str | Path | None
     learned_network: Literal["xfeat", "aliked"]
+    known_poses: str | Path | None
+    known_poses_sigma_m: float
+    known_poses_sigma_deg: float
     grow: bool
     max_frames: int
     cluster: str | None

@@ -23,6 +23,7 @@ from epipole.io.images.photographs import (
 )
 from epipole.pipelines.sfm.cameras import GroupedCameras, group_cameras
 from epipole.pipelines.sfm.config import ReconstructConfig
+from epipole.pipelines.sfm.given_poses import GivenPoses
 from epipole.pipelines.sfm.rigs.assignment import with_rig_cameras
 from epipole.runs import Progress, ProgressCallback, content_digests
 from epipole.scene import Cameras
@@ -55,6 +56,8 @@ class ImageSet:
     is_video: bool = False
     notes: tuple[str, ...] = ()
     """Notes on the choice of images and masks."""
+    given: GivenPoses | None = None
+    """Poses that are known approximately."""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -78,6 +81,7 @@ class ImageSet:
             timestamps_s=self.timestamps_s[keep],
             fingerprints=tuple(f for f, k in zip(self.fingerprints, keep) if k),
             mask_fingerprints=tuple(f for f, k in zip(self.mask_fingerprints, keep) if k),
+            given=None if self.given is None else self.given.of(keep),
             left_out={**self.left_out, **{self.names[i]: why for i, why in failures.items()}},
         )
 

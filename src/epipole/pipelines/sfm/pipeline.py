@@ -19,6 +19,7 @@ from epipole.mapping import ConflictingPoints
 from epipole.mapping.focal_accuracy import FocalAccuracy, focal_accuracies
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.focal import estimate_focals
+from epipole.pipelines.sfm.given_poses import contradiction_with_poses, read_given_poses
 from epipole.pipelines.sfm.inputs import (
     UNITS,
     detect,
@@ -129,6 +130,9 @@ def solve(source: Path, run: Run, config: ReconstructConfig, earlier: Earlier | 
         images = image_set_of(source, run, config)
         if earlier is not None and len(earlier.models) > 1:
             images = with_cameras_of(images, earlier.models)
+        if config.known_poses is not None:
+            sigmas = config.known_poses_sigma_m, config.known_poses_sigma_deg
+            images = replace(images, given=read_given_poses(config.known_poses, images.names, *sigmas))
         database, images = open_database(images, run, config)
     with run.stage("features"):
         images, features = detect(images, run, config, database)
@@ -224,12 +228,17 @@ def _map(
     detections = Detections(detected.keypoints, detected.colors, sift_features(detected.features))
     earlier = [() if detected.earlier is None else detected.earlier.models]
 
+    with_poses_rad = contradiction_with_poses(
+        view_graph, images.given, np.deg2rad(config.mapper.max_contradiction_deg)
+    )
+
     def map_pairs(used: Bool[np.ndarray, " n"]) -> Attempt:
+        fits_poses = used & np.isnan(with_poses_rad)
         chosen, found_rad = consistent_pairs(
-            view_graph.select(used), detected.keypoints, cameras, images.camera_of_image, config.mapper
+            view_graph.select(fits_poses), detected.keypoints, cameras, images.camera_of_image, config.mapper
         )
-        contradiction_rad = np.full(len(used), np.nan)
-        contradiction_rad[used] = found_rad
+        contradiction_rad = np.where(used, with_poses_rad, np.nan)
+        contradiction_rad[fits_poses] = found_rad
         start = earlier.pop() if earlier else ()  # an attempt to separate look-alikes starts anew
         mapped = map_images(images, cameras, chosen, detections, config.mapper, run.job.progress, start)
         return Attempt(mapped, chosen, contradiction_rad)

@@ -139,7 +139,9 @@ def finish_reconstruction(
     rigs: dict[str, Any] = {}
     if solution.mapped.models:
         is_grown = solution.mapped.methods[0] == "grown"
-        before = scale_of_workspace(earlier) if earlier is not None and is_grown else None
+        before = (
+            scale_of_workspace(earlier) if earlier is not None and is_grown else _scale_of_poses(solution)
+        )
         if config.rigs is not None:
             with run.stage("rigs"):
                 solution, scale, rigs = _with_rigs(solution, run, config)
@@ -162,6 +164,16 @@ def finish_reconstruction(
     run.finish(summary)
     return ReconstructionResult(
         run.root, solution.mapped.models, reasons, tuple(run.warnings), run.timings_s, summary
+    )
+
+
+def _scale_of_poses(solution: Solution) -> ScaleEstimate | None:
+    """The scale that the given poses give the largest model, if they fit it."""
+    given, fit = solution.images.given, solution.mapped.pose_fits[0]
+    return (
+        None
+        if given is None or fit is None
+        else fit.scale(solution.mapped.models[0].cams_from_world(), given)
     )
 
 
@@ -207,7 +219,7 @@ def check_inputs(source: Path, config: ReconstructConfig) -> None:
     if config.masks is not None and not config.masks.is_dir():
         what = "is a file" if config.masks.exists() else "does not exist"
         raise ConfigError(f"masks must be a folder of masks: {config.masks} {what}")
-    named = {name: getattr(config, name) for name in ("calibration", "pairs", "database")}
+    named = {name: getattr(config, name) for name in ("calibration", "pairs", "database", "known_poses")}
     for name, path in named.items():
         if path is not None and not path.exists():
             raise FileFormatError(path, f"it does not exist ({name})")
@@ -295,6 +307,7 @@ def _summary(
         "is_metric": scale is not None,
         "scale": UP_TO_SCALE if scale is None else scale.in_words(),
         "anchor": None if scale is None else scale.summary(),
+        "poses": None if (fit := solution.mapped.pose_fits[0]) is None else fit.summary(images.names),
         "median_gps_residual_m": None if gps is None else gps.median_m,
         "cameras": [repr(model.cameras[c]) for c in range(len(model.cameras))],
         "focal_sources": [focal_source(solution, c) for c in range(len(images.focal_sources))],

@@ -14,6 +14,7 @@ from epipole.mapping import (
     MatchComponents,
     MatchConsistency,
     ModelBuilder,
+    PosePriors,
     PositionPriors,
     Snapshot,
     adjust_all,
@@ -73,7 +74,7 @@ class IncrementalMapper:
         self.consistency = MatchConsistency(model, view_graph)
         self.rejections: dict[int, Rejection] = {}
         self._started: set[int] = set()
-        self.priors: PositionPriors | None = None
+        self.priors: PositionPriors | PosePriors | None = None
         self._ransac = RansacConfig(
             max_error_px=config.resection_max_error_px,
             min_inliers=config.resection_min_inliers,
