@@ -120,6 +120,7 @@ def slam(
         key = key_of(run.folder.source.fingerprint, frames, system, wanted)
         stands = start_or_continue(run.root / autosave.FOLDER, key, system, frames, wanted)
         run.warnings += [*_notes(found, system, wanted.anchors), *(maps.notes if maps else ()), *stands.notes]
+        _warm_up(system, frames, wanted, run)
         stream = FrameStream(stands.source, stands.job, is_stopped, num_dropped=stands.num_dropped)
         with run.stage("track"), closing(stands.autosave):
             records = _track(stream, system, run.job.progress, (live, record), stands, known)
@@ -151,6 +152,15 @@ def _system(frames: FrameSource, job: SlamConfig, known: KnownMaps | None) -> Sl
         mapping = "thread" if is_timed and not frames.camera.shutter.is_rolling else "inline"
     models, imu = None if known is None else known.models, mounted_imu(job.anchors)
     return Slam(frames.camera, job, models, is_map_fixed=job.localize, imu=imu, mapping=mapping)
+
+
+def _warm_up(system: Slam, frames: FrameSource, job: SlamConfig, run: Run) -> None:
+    """Compile before the first frame if frames do not wait."""
+    if frames.is_live or job.realtime:
+        with run.stage("compile"):
+            run.report("compile", 0, 1)
+            system.warm_up()
+            run.report("compile", 1, 1)
 
 
 def _check_camera(frames: FrameSource, job: SlamConfig, known: KnownMap | None) -> None:

@@ -23,6 +23,7 @@ from epipole.pipelines.slam.start.rig_start import RigStart
 from epipole.pipelines.slam.start.rotation import RotationEstimate, RotationTracker
 from epipole.pipelines.slam.start.two_view import Confirmation
 from epipole.pipelines.slam.tracking.points import Tracks
+from epipole.pipelines.slam.warm_up import warm_up
 from epipole.scene import CameraRig
 
 LEAST_KEYFRAMES = 3
@@ -57,6 +58,13 @@ class Slam(SlamMapping):
         self._before, self._time_s = frame, frame.timestamp_s
         self._num_frames += 1
         return self._quality.with_quality(self._with_warnings(answer))
+
+    def warm_up(self) -> None:
+        """Compile every kernel, or load it from disk, before the first frame, so that no frame waits for that.
+
+        It takes seconds once per process, and a minute or two on a new machine. This object does not change.
+        """
+        warm_up(self.camera, lambda camera: Slam(camera, self._given_config))
 
     # Initialization.
 

@@ -18,6 +18,8 @@ EPIPOLAR_PX = 2.0
 """Largest distance of a match from its epipolar plane."""
 LEAST_DEPTH = 1.0
 """Smallest depth of a match, in distances between the two cameras: nearer, patches look too different."""
+SIGMA_PX = 5.0
+"""Scale of the descriptors in the camera with the widest view."""
 LARGEST_RATIO = 0.8
 """Largest ratio of the descriptor distances of the best and the second best match (Lowe 2004)."""
 LARGEST_DISTANCE = 250.0
@@ -73,7 +75,8 @@ def match_between_cameras(rig: CameraRig, gray: np.ndarray, pixels: np.ndarray) 
 
     A match is near its epipolar plane and in front of both cameras. Each pixel is in at most one pair.
     """
-    which, descriptors = rig.camera_of(pixels), describe_upright(gray, pixels).astype(np.float32)
+    which = rig.camera_of(pixels)
+    descriptors = _described(rig, gray, pixels, which)
     described, common = descriptors.any(axis=1), rig.common_views()
     pairs, taken = [np.zeros((0, 2), np.int64)], np.zeros(len(pixels), bool)
     for k, other in zip(*np.nonzero(np.triu(common + common.T, 1))):
@@ -87,6 +90,19 @@ def match_between_cameras(rig: CameraRig, gray: np.ndarray, pixels: np.ndarray) 
         pairs.append(np.sort(np.column_stack([one[first], two[second]]), axis=1))
         taken[pairs[-1].ravel()] = True
     return np.concatenate(pairs)
+
+
+def _described(rig: CameraRig, gray: np.ndarray, pixels: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """(n, 128) descriptors of windows that show the same angle in all cameras."""
+    descriptors, focal_px = (
+        np.zeros((len(pixels), 128), np.float32),
+        np.array([c.focal_px for c in rig.cameras]),
+    )
+    sigma_px = SIGMA_PX * focal_px / focal_px.min()
+    for one in np.unique(sigma_px):
+        own = sigma_px[which] == one
+        descriptors[own] = describe_upright(gray, pixels[own], float(one))
+    return descriptors
 
 
 def _may_match(rays: tuple[np.ndarray, ...], second_from_first: Rigid3, focal_px: float) -> np.ndarray:
