@@ -1,5 +1,7 @@
 """Photographs of a plane by cameras of unknown focal lengths: the summary says that the model's shape may be wrong."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -7,7 +9,9 @@ from PIL import Image
 from epipole import reconstruct
 from epipole.cameras import Camera, CameraModel
 from epipole.io.colmap.database import DatabaseContents, write_database
+from epipole.pipelines.sfm import notes
 from epipole.pipelines.sfm.config import ReconstructConfig
+from epipole.scale import MetricScale, ScaleEstimate
 from epipole.scene import Cameras, Frames, Images, Rigs, unregistered
 from epipole.synthetic import look_at
 from whole import IS_WHOLE
@@ -91,3 +95,14 @@ def test_depth_determines_them(tmp_path):
     summary = summary_of(tmp_path, 0, 0.5, 1.0, 0.2)
     assert summary["num_registered"] == NUM_CAMERAS and summary["is_shape_determined"]
     assert not any("shape" in warning for warning in summary["warnings"])
+
+
+@pytest.mark.parametrize("is_determined", [True, False])
+def test_a_known_scale_is_not_that_of_an_undetermined_shape(monkeypatch, is_determined):
+    """Distances between cameras from GPS are right while depths are wrong with the focal length."""
+    monkeypatch.setattr(notes, "undetermined_focals", lambda _: [] if is_determined else [0])
+    gps = ScaleEstimate("GPS", "GPS", 1.0, 0.01, 0.0, "GPS of 9 images")
+    scale = MetricScale(1.0, 0.01, (gps,), np.ones(1, bool))
+    words = notes.scale_in_words(SimpleNamespace(mapped=SimpleNamespace(scale=scale)))
+    assert words.startswith("meters, from GPS")
+    assert ("for distances between cameras" in words) != is_determined

@@ -83,6 +83,7 @@ def merge(
         executor=config.executor,
         progress=progress,
         opencv_alone=True,
+        has_log=True,
     )
     with open_run(job, target) as run:
         with run.stage("open"):
@@ -103,7 +104,7 @@ def merge(
 def _check(folders: Sequence[Path], target: Path, config: ReconstructConfig) -> None:
     if len(folders) < 2:
         raise ConfigError(f"merging needs two models or more, got {len(folders)}")
-    for name in ("database", "pairs", "grow", "masks", "include", "exclude"):
+    for name in ("database", "pairs", "grow", "known_poses", "masks", "include", "exclude"):
         if getattr(config, name):
             raise ConfigError(
                 f"{name} cannot be used to merge models: images and matches are those of the models"

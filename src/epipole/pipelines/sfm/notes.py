@@ -11,6 +11,7 @@ import numpy as np
 from epipole.image.pixels_without_ray import no_ray_warning
 from epipole.io.images.video import is_video
 from epipole.mapping.focal_accuracy import FocalAccuracy
+from epipole.pipelines.sfm.anchored import UP_TO_SCALE
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.pipelines.sfm.given_poses import notes_on_poses
 from epipole.pipelines.sfm.mapping_stage import gps_notes
@@ -181,6 +182,17 @@ def _shape_warnings(solution: Solution) -> list[str]:
         f"the images do not determine {of_all} (standard deviation: {_first_of(sigmas)}), so the shape of the model may be wrong"
         " by as much: give known values with --calibration or --camera-params, or add images of things at different depths"
     ]
+
+
+def scale_in_words(solution: Solution) -> str:
+    """The source of the scale and its uncertainty, and of what it is the scale."""
+    scale = solution.mapped.scale
+    if scale is None:
+        return UP_TO_SCALE
+    words = scale.in_words()
+    if undetermined_focals(solution):
+        words += ", for distances between cameras; shapes and depths also depend on the focal length, which is not determined"
+    return words
 
 
 def rig_in_words(entry: Mapping[str, Any]) -> str:

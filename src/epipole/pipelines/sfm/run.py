@@ -14,7 +14,7 @@ from epipole._jit import compile_seconds
 from epipole.config import options_of
 from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.io.colmap.rig_config import read_rig_config
-from epipole.pipelines.sfm.anchored import UP_TO_SCALE, scale_of_workspace, with_scale
+from epipole.pipelines.sfm.anchored import scale_of_workspace, with_scale
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.mappers.growth import Earlier
 from epipole.pipelines.sfm.mapping_stage import reasons_in_words
@@ -22,6 +22,7 @@ from epipole.pipelines.sfm.notes import (
     absences_of,
     focal_source,
     notes_on_choice_and_cameras,
+    scale_in_words,
     undetermined_focals,
     warnings_of,
 )
@@ -305,7 +306,7 @@ def _summary(
         "num_observations": len(model.tracks.image),
         "mean_reprojection_error_px": _finite(model.mean_reprojection_error_px()),
         "is_metric": scale is not None,
-        "scale": UP_TO_SCALE if scale is None else scale.in_words(),
+        "scale": scale_in_words(solution),
         "anchor": None if scale is None else scale.summary(),
         "poses": None if (fit := solution.mapped.pose_fits[0]) is None else fit.summary(images.names),
         "median_gps_residual_m": None if gps is None else gps.median_m,

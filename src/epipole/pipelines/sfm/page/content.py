@@ -17,6 +17,7 @@ from epipole.pipelines.sfm.notes import (
     focal_verdict,
     images_of_camera,
     rig_in_words,
+    scale_in_words,
     title_of,
 )
 from epipole.pipelines.sfm.pipeline import Solution
@@ -109,8 +110,7 @@ def page_content(
     """
     models, images = solution.mapped.models, solution.images
     rows, thumbnails, inliers = _of_images(solution, reasons)
-    gps, scale = solution.mapped.gps[0], solution.mapped.scale
-    scale_note = UP_TO_SCALE if scale is None else scale.in_words()
+    gps, scale_note = solution.mapped.gps[0], scale_in_words(solution)
     if gps is not None:
         scale_note += f"; median distance of the cameras from their GPS positions {gps.median_m:.2f} m"
     return ReportContent(
@@ -131,7 +131,7 @@ def page_content(
         thumbnails=thumbnails,
         inliers=inliers,
         scale_note=scale_note,
-        is_metric=scale is not None,
+        is_metric=solution.mapped.scale is not None,
     )
 
 
