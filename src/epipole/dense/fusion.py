@@ -64,7 +64,7 @@ class DensePoints(Declared):
         )
 
     def every(self, step: int) -> DensePoints:
-        """Every step-th point.
+        """Every step-th point, as copies: views would keep the memory of all points.
 
         Raises:
             ConfigError: step is less than 1.
@@ -72,7 +72,7 @@ class DensePoints(Declared):
         if step < 1:
             raise ConfigError(f"step must be at least 1, got {step}")
         return DensePoints(
-            self.points_in_world[::step], self.normals[::step], self.rgb[::step], self.sigma[::step]
+            *(getattr(self, name)[::step].copy() for name in ("points_in_world", "normals", "rgb", "sigma"))
         )
 
     def __len__(self) -> int:
