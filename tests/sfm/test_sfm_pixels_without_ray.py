@@ -24,8 +24,10 @@ def test_cameras_that_images_were_registered_with_are_looked_at(monkeypatch):
             camera_of_image=np.array([0, 0, 1]),
             is_registered=lambda registered=registered: np.array(registered),
         )
-        mapped = SimpleNamespace(agreements=[], models=[model])
-        images = SimpleNamespace(cameras=SimpleNamespace(is_constant=np.array([True, True])))
+        mapped = SimpleNamespace(agreements=[], models=[model], pose_fits=(None,))
+        images = SimpleNamespace(
+            names=(), given=None, cameras=SimpleNamespace(is_constant=np.array([True, True]))
+        )
         without_conflicts = {
             "contradicting": SimpleNamespace(is_conflicting=np.zeros(0, bool)),
             "conflicts": (),

@@ -49,13 +49,7 @@ class DensePoints(Declared):
     @staticmethod
     def joined(parts: Sequence[DensePoints]) -> DensePoints:
         """All points of several sets."""
-        none = DensePoints(
-            np.empty((0, 3)),
-            np.empty((0, 3), np.float32),
-            np.empty((0, 3), np.uint8),
-            np.empty(0, np.float32),
-        )
-        every = [none, *parts]
+        every = [DensePoints.zeros(0), *parts]
         return DensePoints(
             *(
                 np.concatenate([getattr(part, name) for part in every])
@@ -63,8 +57,23 @@ class DensePoints(Declared):
             )
         )
 
+    @staticmethod
+    def zeros(count: int) -> DensePoints:
+        """Points at the origin, to be written over."""
+        return DensePoints(
+            np.zeros((count, 3)),
+            np.zeros((count, 3), np.float32),
+            np.zeros((count, 3), np.uint8),
+            np.zeros(count, np.float32),
+        )
+
+    def write(self, first: int, points: DensePoints) -> None:
+        """Write over the points from a row on."""
+        for name in ("points_in_world", "normals", "rgb", "sigma"):
+            getattr(self, name)[first : first + len(points)] = getattr(points, name)
+
     def every(self, step: int) -> DensePoints:
-        """Every step-th point, as copies: views would keep the memory of all points.
+        """Every step-th point, as a view of these.
 
         Raises:
             ConfigError: step is less than 1.
@@ -72,7 +81,7 @@ class DensePoints(Declared):
         if step < 1:
             raise ConfigError(f"step must be at least 1, got {step}")
         return DensePoints(
-            *(getattr(self, name)[::step].copy() for name in ("points_in_world", "normals", "rgb", "sigma"))
+            self.points_in_world[::step], self.normals[::step], self.rgb[::step], self.sigma[::step]
         )
 
     def __len__(self) -> int:

@@ -105,7 +105,7 @@ class PoseFit(Declared):
         return replace(self, position_m=position_m, rotation_rad=rotation_rad)
 
 
-def read_given_poses(path: Path, names: Sequence[str], sigma_m: float, sigma_deg: float) -> GivenPoses:
+def given_poses_of(path: Path, names: Sequence[str], sigma_m: float, sigma_deg: float) -> GivenPoses:
     """Read poses from a model of any format, and assign them to images by name, or by file name if that is unique.
 
     Raises:

@@ -19,7 +19,7 @@ from epipole.mapping import ConflictingPoints
 from epipole.mapping.focal_accuracy import FocalAccuracy, focal_accuracies
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.focal import estimate_focals
-from epipole.pipelines.sfm.given_poses import contradiction_with_poses, read_given_poses
+from epipole.pipelines.sfm.given_poses import contradiction_with_poses, given_poses_of
 from epipole.pipelines.sfm.inputs import (
     UNITS,
     detect,
@@ -132,7 +132,7 @@ def solve(source: Path, run: Run, config: ReconstructConfig, earlier: Earlier | 
             images = with_cameras_of(images, earlier.models)
         if config.known_poses is not None:
             sigmas = config.known_poses_sigma_m, config.known_poses_sigma_deg
-            images = replace(images, given=read_given_poses(config.known_poses, images.names, *sigmas))
+            images = replace(images, given=given_poses_of(config.known_poses, images.names, *sigmas))
         database, images = open_database(images, run, config)
     with run.stage("features"):
         images, features = detect(images, run, config, database)
