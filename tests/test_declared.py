@@ -1,6 +1,6 @@
 """What annotations declare: arguments and fields are refused, or converted without loss."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -142,3 +142,24 @@ def test_fields_are_checked_and_converted():
 
 def test_every_refusal_is_ours():
     assert issubclass(ShapeError, EpipoleError) and issubclass(ConfigError, EpipoleError)
+
+
+def test_items_of_an_iterator_are_checked_when_they_are_taken():
+    """Large items that are given one after the other need not be in memory together."""
+    taken = []
+
+    @checked
+    def first_of(rows: Iterable[Float64[np.ndarray, " n"]]) -> Any:
+        taken.append("called")
+        return [float(row[0]) for row in rows]
+
+    def given(second: Any):
+        taken.append("first")
+        yield np.ones(3)
+        taken.append("second")
+        yield second
+
+    assert first_of(given(np.zeros(3))) == [1.0, 0.0]
+    assert taken == ["called", "first", "second"]
+    with pytest.raises(ShapeError, match=r"rows\[1\]"):
+        first_of(given(np.zeros((2, 2))))

@@ -111,8 +111,14 @@ def test_kernels_do_what_their_python_does(monkeypatch):
         assert_same_as_python(kernel, *arguments, rtol=2e-4, atol=1e-5)
 
 
-def test_points_are_written_over_others():
-    sample, points = DensePoints.zeros(5), DensePoints.zeros(2)
-    points.rgb[:], points.sigma[:] = 7, 0.5
-    sample.write(3, points)
-    assert sample.rgb[:, 0].tolist() == [0, 0, 0, 7, 7] and sample.sigma.tolist() == [0, 0, 0, 0.5, 0.5]
+def test_a_sample_does_not_keep_the_memory_of_all_points():
+    points = DensePoints(
+        np.zeros((100, 3)),
+        np.zeros((100, 3), np.float32),
+        np.zeros((100, 3), np.uint8),
+        np.ones(100, np.float32),
+    )
+    few = points.every(10)
+    assert len(few) == 10
+    for name in ("points_in_world", "normals", "rgb", "sigma"):
+        assert not np.shares_memory(getattr(few, name), getattr(points, name))

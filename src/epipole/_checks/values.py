@@ -8,7 +8,7 @@ import os
 import re
 import sys
 import types
-from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
 from enum import Enum
 from inspect import get_annotations
 from pathlib import Path
@@ -275,6 +275,9 @@ def _items(kind: type, part: Any) -> Convert:
     one = converter_of(part)
 
     def convert(value: Any, name: str, sizes: Sizes) -> Any:
+        if kind in (Iterable, Iterator) and isinstance(value, Iterator):
+            # Each item is checked when it is taken: what is given one after the other need not fit in memory.
+            return (row if one is None else one(row, f"{name}[{k}]", sizes) for k, row in enumerate(value))
         rows = _listed(value, name)
         if one is None:
             return value if isinstance(value, kind) and issubclass(kind, Sequence) else rows

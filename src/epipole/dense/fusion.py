@@ -49,7 +49,13 @@ class DensePoints(Declared):
     @staticmethod
     def joined(parts: Sequence[DensePoints]) -> DensePoints:
         """All points of several sets."""
-        every = [DensePoints.zeros(0), *parts]
+        none = DensePoints(
+            np.empty((0, 3)),
+            np.empty((0, 3), np.float32),
+            np.empty((0, 3), np.uint8),
+            np.empty(0, np.float32),
+        )
+        every = [none, *parts]
         return DensePoints(
             *(
                 np.concatenate([getattr(part, name) for part in every])
@@ -57,23 +63,8 @@ class DensePoints(Declared):
             )
         )
 
-    @staticmethod
-    def zeros(count: int) -> DensePoints:
-        """Points at the origin, to be written over."""
-        return DensePoints(
-            np.zeros((count, 3)),
-            np.zeros((count, 3), np.float32),
-            np.zeros((count, 3), np.uint8),
-            np.zeros(count, np.float32),
-        )
-
-    def write(self, first: int, points: DensePoints) -> None:
-        """Write over the points from a row on."""
-        for name in ("points_in_world", "normals", "rgb", "sigma"):
-            getattr(self, name)[first : first + len(points)] = getattr(points, name)
-
     def every(self, step: int) -> DensePoints:
-        """Every step-th point, as a view of these.
+        """Every step-th point, as copies: views would keep the memory of all points.
 
         Raises:
             ConfigError: step is less than 1.
@@ -81,7 +72,7 @@ class DensePoints(Declared):
         if step < 1:
             raise ConfigError(f"step must be at least 1, got {step}")
         return DensePoints(
-            self.points_in_world[::step], self.normals[::step], self.rgb[::step], self.sigma[::step]
+            *(getattr(self, name)[::step].copy() for name in ("points_in_world", "normals", "rgb", "sigma"))
         )
 
     def __len__(self) -> int:

@@ -205,20 +205,14 @@ def _texture_facts(textured: TexturedMesh, pixel: float, config: SurfaceConfig, 
 def _write_cloud(clouds: dict[int, Unit], run: Run) -> tuple[int, DensePoints]:
     """Write `cloud.ply`; returns the number of points, and a sample of them."""
     row = list(clouds.values())
-    lengths = [len(points) for points in points_in(row)]
-    count = sum(lengths)
-    step = max(1, count // SAMPLE)
-    # In one piece: small arrays between the large ones of each view would keep the allocator from giving memory back.
-    sample = DensePoints.zeros(sum(-(-length // step) for length in lengths))
+    count = sum(len(points) for points in points_in(row))
+    step, parts = max(1, count // SAMPLE), list[DensePoints]()
 
     def columns() -> Iterator[Columns]:
-        first = 0
         for points in points_in(row):
-            few = points.every(step)
-            sample.write(first, few)
-            first += len(few)
+            parts.append(points.every(step))
             yield points.points_in_world, points.normals, points.rgb, points.sigma
 
     with run.folder.publish("cloud") as aside:
         write_cloud_ply(aside / "cloud.ply", columns(), count)
-    return count, sample
+    return count, DensePoints.joined(parts)
