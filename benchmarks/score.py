@@ -70,12 +70,16 @@ def _score_truth(task: SfmTask, model: Reconstruction | None) -> Score:
     if model is None or task.truth is None:
         return dict.fromkeys(auc_names, 0.0)
     truth = read_truth(task.truth)
-    estimated = cams_in_order(model, truth.names)
+    names = {*task.image_names}
+    # Published models may have more images than the set.
+    given = [row for row, name in enumerate(truth.names) if name in names]
+    true = truth.cams_from_world[given]
+    estimated = cams_in_order(model, tuple(truth.names[row] for row in given))
     registered = np.isfinite(estimated.translation).all(axis=1)
-    auc = relative_pose_auc(estimated, truth.cams_from_world, registered, AUC_THRESHOLDS_DEG)
+    auc = relative_pose_auc(estimated, true, registered, AUC_THRESHOLDS_DEG)
     score = dict(zip(auc_names, auc.tolist()))
     try:
-        errors = camera_errors(estimated, truth.cams_from_world)
+        errors = camera_errors(estimated, true)
     except DegenerateGeometryError:
         return score
     score["position_mean"], score["position_median"] = errors.mean_position, errors.median_position

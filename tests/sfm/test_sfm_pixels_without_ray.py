@@ -26,7 +26,7 @@ def test_cameras_that_images_were_registered_with_are_looked_at(monkeypatch):
         )
         mapped = SimpleNamespace(agreements=[], models=[model], pose_fits=(None,))
         images = SimpleNamespace(
-            names=(), given=None, cameras=SimpleNamespace(is_constant=np.array([True, True]))
+            names=(), known_poses=None, cameras=SimpleNamespace(is_constant=np.array([True, True]))
         )
         without_conflicts = {
             "contradicting": SimpleNamespace(is_conflicting=np.zeros(0, bool)),

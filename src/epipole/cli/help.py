@@ -159,17 +159,14 @@ def parsed(printed: str) -> Help:
 
 
 def _one_below_the_other(lines: list[str]) -> list[str]:
-    """The parser prints many groups of options side by side: the right ones below the left ones."""
-    second = {rules[1].start() - 1 for line in lines if len(rules := list(re.finditer("-{9,}", line))) == 2}
-    if len(second) != 1:
+    """The parser prints many groups of options side by side: the columns below each other, from the left."""
+    rules = [[match.start() - 1 for match in re.finditer("-{9,}", line)] for line in lines]
+    starts = max(rules, key=len, default=[])
+    if len(starts) < 2:
         return lines
-    at = second.pop()
     first = next(k for k, line in enumerate(lines) if _is_rule(line)) - 1  # the title above
-    return [
-        *lines[:first],
-        *(line[:at].rstrip() for line in lines[first:]),
-        *(line[at:].rstrip() for line in lines[first:]),
-    ]
+    columns = list(zip(starts, [*starts[1:], None]))
+    return [*lines[:first], *(line[a:b].rstrip() for a, b in columns for line in lines[first:])]
 
 
 def _is_rule(line: str) -> bool:

@@ -93,8 +93,9 @@ def show_reconstruction(result: ReconstructionResult) -> None:
     if (poses := summary["poses"]) is not None:
         table.add_row(
             "poses",
-            f"{poses['num_used']} of {poses['num_used'] + len(poses['not_used'])} given poses agree; deviations"
-            f" {100 * poses['median_position_m']:.3g} cm, {poses['median_rotation_deg']:.2g} degrees (median)",
+            f"{poses['num_used']} of {poses['num_used'] + len(poses['not_used'])} known poses agree, deviations"
+            f" {poses['median_position']:.3g}{' m' if summary['is_metric'] else ''} and"
+            f" {poses['median_rotation_deg']:.2g} degrees (median)",
         )
     if summary["median_gps_residual_m"] is not None:
         table.add_row("GPS", f"{summary['median_gps_residual_m']:.1f} m from the GPS positions (median)")

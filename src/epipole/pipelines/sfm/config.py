@@ -209,10 +209,12 @@ class ReconstructConfig:
             raise ConfigError("learned cannot be combined with database: its features are already extracted")
         if self.rigs is not None and self.database is not None:
             raise ConfigError("rigs cannot be combined with database, whose cameras are given")
-        if self.known_poses is not None and self.grow:
-            raise ConfigError(
-                "known_poses cannot be combined with grow, which keeps the coordinates of the earlier model"
-            )
+        if self.known_poses is not None:
+            others = {"grow": self.grow, "rigs": self.rigs, "positions": self.anchors.positions}
+            if second := next((name for name, value in others.items() if value), None):
+                raise ConfigError(
+                    f"known_poses cannot be combined with {second}: both determine coordinates or scale"
+                )
         for name in ("known_poses_sigma_m", "known_poses_sigma_deg"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ConfigError(f"{name} must be positive and finite, got {getattr(self, name)}")
@@ -235,7 +237,7 @@ class ReconstructConfig:
 
     def named_files(self) -> list[Path]:
         """Files given as options."""
-        mine = (self.calibration, self.pairs, self.database, self.rigs)
+        mine = (self.calibration, self.pairs, self.database, self.rigs, self.known_poses)
         anchors = (getattr(self.anchors, name) for name in ANCHOR_FILES)
         return [path for path in (*mine, *anchors) if path is not None]
 

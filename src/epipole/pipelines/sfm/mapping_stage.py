@@ -11,7 +11,6 @@ from epipole.features import Features
 from epipole.geometry import Rigid3
 from epipole.mapping import ModelBuilder, PositionPriors, connect_matches
 from epipole.pipelines.sfm.config import MapperConfig
-from epipole.pipelines.sfm.given_poses import PoseFit, fit_given_poses
 from epipole.pipelines.sfm.gps.alignment import (
     MIN_POSITIONS,
     GpsAlignment,
@@ -21,6 +20,7 @@ from epipole.pipelines.sfm.gps.alignment import (
     is_wide_enough,
 )
 from epipole.pipelines.sfm.gps.evidence import meters_in_words
+from epipole.pipelines.sfm.known_poses import PoseFit, fit_known_poses
 from epipole.pipelines.sfm.mappers.choice import Method, map_with
 from epipole.pipelines.sfm.mappers.completion import GROWN_ROUNDS, ROUNDS, complete_model
 from epipole.pipelines.sfm.mappers.growth import grow_model, keep_coordinates
@@ -68,7 +68,7 @@ class Mapped:
     methods: tuple[Method, ...]
     """Mapper that each model comes from."""
     pose_fits: tuple[PoseFit | None, ...] = ()
-    """How the given poses fit each model; None if there are none, or if they do not."""
+    """How the known poses fit each model; None if there are none, or if they do not."""
     scale: MetricScale | None = None
     """Scale of the largest model if it is metric; None if it is up to scale."""
 
@@ -137,16 +137,16 @@ class _Located:
 def _locate_by_poses(
     mapper: IncrementalMapper, images: ImageSet, config: MapperConfig, adjusting: Callable[[int, int], None]
 ) -> _Located | None:
-    """Move the model to the coordinates of the given poses, and adjust it with them; None if they do not fit."""
-    if images.given is None:
+    """Move the model to the coordinates of the known poses, and adjust it with them; None if they do not fit."""
+    if images.known_poses is None:
         return None
-    fit = fit_given_poses(_poses_of(mapper.model), images.given, config.seed)
+    fit = fit_known_poses(_poses_of(mapper.model), images.known_poses, config.seed)
     if fit is None:
         return None
-    mapper.model.move(fit.given_from_model)
-    mapper.priors = fit.priors(images.given)
+    mapper.model.move(fit.known_from_model)
+    mapper.priors = fit.priors(images.known_poses)
     _adjust_again(mapper, adjusting)
-    return _Located(fit=fit.after(_poses_of(mapper.model), images.given))
+    return _Located(fit=fit.after(_poses_of(mapper.model), images.known_poses))
 
 
 def _poses_of(model: ModelBuilder) -> Rigid3:
@@ -244,8 +244,10 @@ def gps_notes(images: ImageSet, mapped: Mapped, config: MapperConfig) -> list[st
     """Notes on GPS: why it did not make the largest model metric, or which positions contradict it."""
     has_gps = np.isfinite(images.lat_lon_alt[:, :2]).all(axis=1)
     is_posed = bool(mapped.pose_fits) and mapped.pose_fits[0] is not None
-    if is_posed or not (config.use_gps and mapped.models and has_gps.any()):
+    if not (config.use_gps and mapped.models and has_gps.any()):
         return []
+    if is_posed:
+        return ["GPS is not used: the known poses determine the coordinates"]
     model, gps = mapped.models[0], mapped.gps[0]
     registered = model.is_registered()
     if gps is not None:

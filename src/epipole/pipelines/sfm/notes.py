@@ -13,7 +13,7 @@ from epipole.io.images.video import is_video
 from epipole.mapping.focal_accuracy import FocalAccuracy
 from epipole.pipelines.sfm.anchored import UP_TO_SCALE
 from epipole.pipelines.sfm.config import MapperConfig
-from epipole.pipelines.sfm.given_poses import notes_on_poses
+from epipole.pipelines.sfm.known_poses import notes_on_poses
 from epipole.pipelines.sfm.mapping_stage import gps_notes
 from epipole.pipelines.sfm.pipeline import FOCAL_CORRECTION, Solution
 
@@ -66,8 +66,10 @@ def warnings_of(solution: Solution, config: MapperConfig) -> list[str]:
         used = np.unique(model.camera_of_image[model.is_registered()])
         cameras = [(int(c), model.cameras[int(c)]) for c in used]
         out += [f"model {number}, camera {c}: {words}" for c, one in cameras for words in no_ray_warning(one)]
-    images, given = solution.images, solution.images.given
-    out += notes_on_poses(images.names, given, mapped.pose_fits[0], mapped.models[0].is_registered())
+    images = solution.images
+    out += notes_on_poses(
+        images.names, images.known_poses, mapped.pose_fits[0], mapped.models[0].is_registered()
+    )
     out += gps_notes(images, mapped, config)
     return [*out, *_shape_warnings(solution), *_wrong_focals(solution)]
 

@@ -23,7 +23,7 @@ from epipole.io.images.photographs import (
 )
 from epipole.pipelines.sfm.cameras import GroupedCameras, group_cameras
 from epipole.pipelines.sfm.config import ReconstructConfig
-from epipole.pipelines.sfm.given_poses import GivenPoses
+from epipole.pipelines.sfm.known_poses import KnownPoses
 from epipole.pipelines.sfm.rigs.assignment import with_rig_cameras
 from epipole.runs import Progress, ProgressCallback, content_digests
 from epipole.scene import Cameras
@@ -56,7 +56,7 @@ class ImageSet:
     is_video: bool = False
     notes: tuple[str, ...] = ()
     """Notes on the choice of images and masks."""
-    given: GivenPoses | None = None
+    known_poses: KnownPoses | None = None
     """Poses that are known approximately."""
 
     def __len__(self) -> int:
@@ -81,7 +81,7 @@ class ImageSet:
             timestamps_s=self.timestamps_s[keep],
             fingerprints=tuple(f for f, k in zip(self.fingerprints, keep) if k),
             mask_fingerprints=tuple(f for f, k in zip(self.mask_fingerprints, keep) if k),
-            given=None if self.given is None else self.given.of(keep),
+            known_poses=None if self.known_poses is None else self.known_poses.of(keep),
             left_out={**self.left_out, **{self.names[i]: why for i, why in failures.items()}},
         )
 

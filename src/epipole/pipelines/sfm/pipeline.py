@@ -19,7 +19,6 @@ from epipole.mapping import ConflictingPoints
 from epipole.mapping.focal_accuracy import FocalAccuracy, focal_accuracies
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.focal import estimate_focals
-from epipole.pipelines.sfm.given_poses import contradiction_with_poses, given_poses_of
 from epipole.pipelines.sfm.inputs import (
     UNITS,
     detect,
@@ -30,6 +29,7 @@ from epipole.pipelines.sfm.inputs import (
     open_database,
     pairs_to_match,
 )
+from epipole.pipelines.sfm.known_poses import contradiction_with_poses, known_poses_of
 from epipole.pipelines.sfm.look_alikes import Attempt, Separation, map_apart, map_once
 from epipole.pipelines.sfm.mappers.growth import Earlier
 from epipole.pipelines.sfm.mapping_stage import Detections, Mapped, map_images
@@ -132,7 +132,7 @@ def solve(source: Path, run: Run, config: ReconstructConfig, earlier: Earlier | 
             images = with_cameras_of(images, earlier.models)
         if config.known_poses is not None:
             sigmas = config.known_poses_sigma_m, config.known_poses_sigma_deg
-            images = replace(images, given=given_poses_of(config.known_poses, images.names, *sigmas))
+            images = replace(images, known_poses=known_poses_of(config.known_poses, images.names, *sigmas))
         database, images = open_database(images, run, config)
     with run.stage("features"):
         images, features = detect(images, run, config, database)
@@ -229,7 +229,7 @@ def _map(
     earlier = [() if detected.earlier is None else detected.earlier.models]
 
     with_poses_rad = contradiction_with_poses(
-        view_graph, images.given, np.deg2rad(config.mapper.max_contradiction_deg)
+        view_graph, images.known_poses, np.deg2rad(config.mapper.max_contradiction_deg)
     )
 
     def map_pairs(used: Bool[np.ndarray, " n"]) -> Attempt:

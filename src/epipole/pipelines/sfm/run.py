@@ -169,13 +169,11 @@ def finish_reconstruction(
 
 
 def _scale_of_poses(solution: Solution) -> ScaleEstimate | None:
-    """The scale that the given poses give the largest model, if they fit it."""
-    given, fit = solution.images.given, solution.mapped.pose_fits[0]
-    return (
-        None
-        if given is None or fit is None
-        else fit.scale(solution.mapped.models[0].cams_from_world(), given)
-    )
+    """The scale that the known poses give the largest model, if they fit it."""
+    known, fit = solution.images.known_poses, solution.mapped.pose_fits[0]
+    if known is None or fit is None or not known.is_metric:
+        return None
+    return fit.scale(solution.mapped.models[0].cams_from_world(), known)
 
 
 def _with_rigs(

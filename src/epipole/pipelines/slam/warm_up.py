@@ -26,7 +26,7 @@ DISPARITY_PX, DEPTH_UNIT_M, RIG_UNITS = 20.0, 0.5, 3.0
 """The unit of the room: such that the wall ahead has this disparity, or in meters, or relative to the size of a rig."""
 
 
-_warm: set[tuple[bool, bool, bool]] = set()
+_warm: set[tuple[bool, ...]] = set()
 """Kinds of cameras whose kernels this process has loaded."""
 
 
@@ -47,7 +47,8 @@ def warm_up(camera: SlamCamera, make: Callable[[SlamCamera], Tracker]) -> None:
         camera: camera, stereo pair, depth camera or rig.
         make: makes a `Slam` for a camera.
     """
-    kind = camera.rig is not None, camera.baseline is not None, camera.depth is not None
+    parts = camera.rig, camera.baseline, camera.depth
+    kind = (*(part is not None for part in parts), camera.shutter.is_rolling)
     if kind in _warm:
         return
     small = small_camera(camera)

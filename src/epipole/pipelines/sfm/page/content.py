@@ -113,6 +113,12 @@ def page_content(
     gps, scale_note = solution.mapped.gps[0], scale_in_words(solution)
     if gps is not None:
         scale_note += f"; median distance of the cameras from their GPS positions {gps.median_m:.2f} m"
+    if (fit := solution.mapped.pose_fits[0]) is not None:
+        found = fit.summary(images.names)
+        scale_note += (
+            f"; median deviations from {found['num_used']} known poses {found['median_position']:.3g}"
+            f" and {found['median_rotation_deg']:.2g} degrees"
+        )
     return ReportContent(
         title=title_of(run.job.inputs[0]),
         reconstruction=models[0],

@@ -94,10 +94,8 @@ def match_between_cameras(rig: CameraRig, gray: np.ndarray, pixels: np.ndarray) 
 
 def _described(rig: CameraRig, gray: np.ndarray, pixels: np.ndarray, which: np.ndarray) -> np.ndarray:
     """(n, 128) descriptors of windows that show the same angle in all cameras."""
-    descriptors, focal_px = (
-        np.zeros((len(pixels), 128), np.float32),
-        np.array([c.focal_px for c in rig.cameras]),
-    )
+    focal_px = np.array([camera.focal_px for camera in rig.cameras])
+    descriptors = np.zeros((len(pixels), 128), np.float32)
     sigma_px = SIGMA_PX * focal_px / focal_px.min()
     for one in np.unique(sigma_px):
         own = sigma_px[which] == one

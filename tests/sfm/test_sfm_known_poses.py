@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from photographs import neighboring_views
 
-from epipole import reconstruct
+from epipole import AnchorOptions, reconstruct
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3, Similarity3, align_points
 from epipole.io import write_transforms
 from epipole.pipelines.sfm.config import ReconstructConfig
-from epipole.pipelines.sfm.given_poses import GivenPoses, contradiction_with_poses, fit_given_poses
+from epipole.pipelines.sfm.known_poses import KnownPoses, contradiction_with_poses, fit_known_poses
 from mapping_graphs import graph_of_rotations
 
 SIGMA, SIGMA_DEG = 0.02, 0.5
-GIVEN_FROM_MODEL = Similarity3(
+KNOWN_FROM_MODEL = Similarity3(
     np.array(3.7), Rotation3.exp([0.3, -1.1, 0.6]).matrix, np.array([10.0, -4.0, 2.0])
 )
 
@@ -31,62 +31,72 @@ def path_of(kind: str, count: int = 20) -> Rigid3:
     return Rigid3(rotation, -(rotation @ centers[..., None])[..., 0])
 
 
-def given_of(model: Rigid3, rng: np.random.Generator | None = None) -> GivenPoses:
-    poses = GIVEN_FROM_MODEL.move_cam_from_source(model)
+def known_of(model: Rigid3, rng: np.random.Generator | None = None) -> KnownPoses:
+    poses = KNOWN_FROM_MODEL.move_cam_from_source(model)
     if rng is not None:
         noise = rng.normal(0.0, 1.0, (len(model.translation), 6)) * np.repeat(
             [SIGMA, np.deg2rad(SIGMA_DEG)], 3
         )
         poses = Rigid3.exp(noise) @ poses
-    return GivenPoses(poses, SIGMA, np.deg2rad(SIGMA_DEG))
+    return KnownPoses(poses, SIGMA, np.deg2rad(SIGMA_DEG))
 
 
 @pytest.mark.parametrize("kind", ["line", "winding"])
 def test_exact_poses_give_the_similarity_that_made_them(kind):
     model = path_of(kind)
-    found = fit_given_poses(model, given_of(model), 0)
+    found = fit_known_poses(model, known_of(model), 0)
     assert found is not None and found.kept.all()
-    np.testing.assert_allclose(found.given_from_model.scale, 3.7, rtol=1e-9)
-    np.testing.assert_allclose(found.given_from_model.rotation, GIVEN_FROM_MODEL.rotation, atol=1e-9)
-    np.testing.assert_allclose(found.given_from_model.translation, GIVEN_FROM_MODEL.translation, atol=1e-8)
+    np.testing.assert_allclose(found.known_from_model.scale, 3.7, rtol=1e-9)
+    np.testing.assert_allclose(found.known_from_model.rotation, KNOWN_FROM_MODEL.rotation, atol=1e-9)
+    np.testing.assert_allclose(found.known_from_model.translation, KNOWN_FROM_MODEL.translation, atol=1e-8)
 
 
 @pytest.mark.parametrize("kind", ["line", "winding"])
 def test_wrong_poses_have_no_say(kind, rng):
     """Six of twenty are meters or tens of degrees off."""
     model = path_of(kind)
-    given = given_of(model, rng)
+    known = known_of(model, rng)
     off = np.zeros((20, 6))
     off[:3, 0], off[3:6, 4] = 5.0, 0.6
-    wrong = GivenPoses(Rigid3.exp(off) @ given.cams_from_world, given.sigma_m, given.sigma_rad)
-    found = fit_given_poses(model, wrong, 0)
+    wrong = KnownPoses(Rigid3.exp(off) @ known.cams_from_world, known.sigma_m, known.sigma_rad)
+    found = fit_known_poses(model, wrong, 0)
     assert found is not None
     np.testing.assert_array_equal(found.kept, np.arange(20) >= 6)
-    np.testing.assert_allclose(found.given_from_model.scale, 3.7, rtol=0.01)
+    np.testing.assert_allclose(found.known_from_model.scale, 3.7, rtol=0.01)
+
+
+def test_rotations_of_a_degree_serve_over_hundreds_of_meters(rng):
+    """A rotation that is off by its standard deviation moves the far end by more than the positions may be off."""
+    model, sigma_rad = path_of("winding", 40), np.deg2rad(1.0)
+    large = Similarity3(np.array(100.0), np.eye(3), np.zeros(3)).move_cam_from_source(model)
+    noise = rng.normal(0.0, 1.0, (40, 6)) * np.repeat([0.05, sigma_rad], 3)
+    found = fit_known_poses(model, KnownPoses(Rigid3.exp(noise) @ large, 0.05, sigma_rad), 0)
+    assert found is not None and found.num_kept >= 38
+    assert abs(float(found.known_from_model.scale) / 100.0 - 1.0) < 1e-3
 
 
 def test_the_scale_is_within_its_standard_deviation():
     """The stated deviation is that of positions with this noise; 200 trials."""
     model, rng, scores = path_of("winding"), np.random.default_rng(8), []
     for _ in range(200):
-        given = given_of(model, rng)
-        found = fit_given_poses(model, given, 0)
-        moved = found.given_from_model.move_cam_from_source(model)
-        sigma = found.after(moved, given).scale(moved, given).sigma
-        scores.append((float(found.given_from_model.scale) / 3.7 - 1.0) / sigma)
+        known = known_of(model, rng)
+        found = fit_known_poses(model, known, 0)
+        moved = found.known_from_model.move_cam_from_source(model)
+        sigma = found.after(moved, known).scale(moved, known).sigma
+        scores.append((float(found.known_from_model.scale) / 3.7 - 1.0) / sigma)
     assert 0.75 < np.std(scores) < 1.15 and abs(np.mean(scores)) < 0.25
 
 
 def test_poses_of_another_scene_or_too_near_each_other_are_not_used(rng):
     model = path_of("winding")
     other = Rigid3(Rotation3.exp(rng.normal(0, 1, (20, 3))).matrix, rng.normal(0, 5, (20, 3)))
-    assert fit_given_poses(model, GivenPoses(other, SIGMA, 0.01), 0) is None
-    near = given_of(model)
-    assert fit_given_poses(model, GivenPoses(near.cams_from_world, 10.0, 0.01), 0) is None
+    assert fit_known_poses(model, KnownPoses(other, SIGMA, 0.01), 0) is None
+    near = known_of(model)
+    assert fit_known_poses(model, KnownPoses(near.cams_from_world, 10.0, 0.01), 0) is None
     few = near.cams_from_world.translation.copy()
     few[2:] = np.nan
     assert (
-        fit_given_poses(model, GivenPoses(Rigid3(near.cams_from_world.rotation, few), SIGMA, 0.01), 0) is None
+        fit_known_poses(model, KnownPoses(Rigid3(near.cams_from_world.rotation, few), SIGMA, 0.01), 0) is None
     )
 
 
@@ -99,8 +109,8 @@ def test_pairs_that_contradict_the_poses():
     graph = graph_of_rotations(pairs, rotation, [60] * len(pairs))
     wrong = poses.rotation.copy()
     wrong[5] = Rotation3.exp([0.0, 1.0, 0.0]).matrix @ wrong[5]
-    given = GivenPoses(Rigid3(wrong, poses.translation), SIGMA, np.deg2rad(SIGMA_DEG))
-    angle = contradiction_with_poses(graph, given, np.deg2rad(10.0))
+    known = KnownPoses(Rigid3(wrong, poses.translation), SIGMA, np.deg2rad(SIGMA_DEG))
+    angle = contradiction_with_poses(graph, known, np.deg2rad(10.0))
     assert [pairs[k] for k in np.flatnonzero(np.isfinite(angle))] == [(0, 3)]
     assert np.nanmax(angle) == pytest.approx(1.5)
 
@@ -147,7 +157,7 @@ def test_poses_of_another_convention_are_refused_in_words(rendered, reconstructe
     upside = Rigid3(np.swapaxes(turned.rotation, 1, 2), turned.translation)
     found = reconstruct(rendered, out_of_six, known_poses=write_poses(reconstructed.model, upside, tmp_path))
     assert found.model.is_registered().all() and not found.summary["is_metric"]
-    assert any("the given poses are not used" in words for words in found.warnings)
+    assert any("the known poses are not used" in words for words in found.warnings)
 
 
 def test_poses_of_other_images_are_an_error(rendered, reconstructed, tmp_path):
@@ -163,3 +173,15 @@ def test_options_that_exclude_each_other():
         ReconstructConfig(known_poses=Path("a"), grow=True)
     with pytest.raises(ConfigError, match="known_poses_sigma_m must be positive"):
         ReconstructConfig(known_poses_sigma_m=0.0)
+    for other in ({"rigs": Path("b")}, {"anchors": AnchorOptions(positions=Path("c"))}):
+        with pytest.raises(ConfigError, match="known_poses cannot be combined with"):
+            ReconstructConfig(known_poses=Path("a"), **other)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_poses_up_to_scale_give_no_meters(rendered, out_of_six, reconstructed):
+    found = reconstruct(rendered, out_of_six, known_poses=reconstructed.out, known_poses_sigma_m=0.01)
+    assert found.summary["poses"]["num_used"] == 6 and not found.summary["is_metric"]
+    assert any("up to scale, and so is this one" in words for words in found.warnings)
+    off = found.model.camera_centers_in_world() - reconstructed.model.camera_centers_in_world()
+    assert np.linalg.norm(off, axis=1).max() < 0.01
