@@ -59,6 +59,17 @@ def test_a_model_that_is_the_ground_truth_has_no_error(tmp_path, write):
     assert score["auc_1"] > 0.99 and score["position_max"] < 1e-6
 
 
+def test_images_that_only_the_published_model_has_are_not_missing(tmp_path):
+    model = mappable_model()
+    image_matching_challenge(model, tmp_path / "church")
+    gone = model.images.name[0]
+    (tmp_path / "church" / "images" / gone).unlink()
+    (task,) = tasks_in(tmp_path, tmp_path / "work")
+    rest = replace(model, images=replace(model.images, name=("elsewhere.jpg", *model.images.name[1:])))
+    write_colmap_model(rest, tmp_path / "out" / "0")
+    assert gone not in task.image_names and score_models(task, tmp_path / "out")["auc_1"] > 0.99
+
+
 def test_a_folder_without_scenes_is_named(tmp_path):
     (tmp_path / "images").mkdir()
     with pytest.raises(FileNotFoundError, match=r"ETH3D.*Image Matching Challenge.*1DSfM"):
