@@ -294,9 +294,10 @@ def notes_on_poses(
     far = np.flatnonzero(np.isfinite(fit.position_m) & ~fit.kept)
     if not len(far):
         return out
+    unit = " m" if known.is_metric else ""
     far = far[np.argsort(-fit.position_m[far], kind="stable")]
     named = ", ".join(
-        f"{names[i]} by {fit.position_m[i]:.3g} and {np.degrees(fit.rotation_rad[i]):.3g} degrees"
+        f"{names[i]} by {fit.position_m[i]:.3g}{unit} and {np.degrees(fit.rotation_rad[i]):.3g} degrees"
         for i in far[:NUM_NAMED]
     )
     more = f" and {len(far) - NUM_NAMED} more" if len(far) > NUM_NAMED else ""

@@ -114,9 +114,9 @@ def page_content(
     if gps is not None:
         scale_note += f"; median distance of the cameras from their GPS positions {gps.median_m:.2f} m"
     if (fit := solution.mapped.pose_fits[0]) is not None:
-        found = fit.summary(images.names)
+        found, unit = fit.summary(images.names), "" if solution.mapped.scale is None else " m"
         scale_note += (
-            f"; median deviations from {found['num_used']} known poses {found['median_position']:.3g}"
+            f"; median deviations from {found['num_used']} known poses {found['median_position']:.3g}{unit}"
             f" and {found['median_rotation_deg']:.2g} degrees"
         )
     return ReportContent(
