@@ -91,6 +91,7 @@ from epipole.io.calibration.files import (
     write_opencv_yaml,
     write_ros_yaml,
 )
+from epipole.io.colmap.database import read_matched_pairs
 from epipole.io.colmap.rig_config import read_rig_config
 from epipole.io.gaussians.files import read_gaussians, write_gaussians
 from epipole.io.gaussians.ply import read_gaussian_ply, write_gaussian_ply
@@ -195,6 +196,8 @@ def _converted(folder: Path) -> None:
 
 def _database(folder: Path) -> None:
     found = read_database(folder / "database.db")
+    pairs = read_matched_pairs(folder / "database.db").tolist()
+    assert pairs == sorted([i, j] for (i, j), matches in found.matches.items() if len(matches))
     counts = np.diff(found.images.keypoint_offsets)
     assert (counts >= 0).all() and all(name.encode() for name in found.images.name)
     for (i, j), rows in found.matches.items():
@@ -955,7 +958,7 @@ FORMATS: dict[str, Format] = {
     },
     "database": Format(
         lambda folder: write_database(folder / "database.db", make_contents(small_model(), PAIRS)),
-        *("database.db", "sqlite", _database, ("read_database",)),
+        *("database.db", "sqlite", _database, ("read_database", "read_matched_pairs")),
         weight=2.0,
     ),
     **{

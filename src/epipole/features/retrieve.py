@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float32, Int32, UInt8
+from scipy.sparse import csr_array
 
 from epipole import _parallel
 from epipole._checks import checked
@@ -36,7 +37,8 @@ def train_vocabulary(
     for _ in range(rounds):
         word = _nearest_word(sample, words)
         counts = np.bincount(word, minlength=num_words)
-        sums = np.stack([np.bincount(word, sample[:, c], num_words) for c in range(sample.shape[1])], axis=1)
+        is_of_word = csr_array((np.ones(len(word)), (word, np.arange(len(word)))), (num_words, len(word)))
+        sums = is_of_word @ sample  # integers in double precision: exact in any order
         before = words
         words = np.where(counts[:, None] > 0, sums / np.maximum(counts, 1)[:, None], words).astype(np.float32)
         if np.array_equal(words, before):  # further rounds would change nothing

@@ -132,6 +132,8 @@ def is_done(path: Path, key: str) -> bool:
 
 def stored_key(path: Path) -> str:
     """The key inside a unit's file; empty if the file is missing or damaged."""
+    if not path.is_file():  # the usual case, without an error's search for similar names
+        return ""
     try:
         with open_file(path) as stream:
             found = read_archive(path, stream, None, require_file(path), ["key"])

@@ -43,20 +43,30 @@ class ViewGraph(Declared):
     @checked
     def select(self, keep: Bool[np.ndarray, " n"]) -> ViewGraph:
         """The pairs of a mask, with their matches."""
-        of_match = np.repeat(keep, self.num_inliers())
+        return self._rows(np.flatnonzero(keep))
+
+    def in_order(self) -> ViewGraph:
+        """The pairs, sorted by their images."""
+        order = np.lexsort((self.image2, self.image1))
+        return self if np.array_equal(order, np.arange(len(self))) else self._rows(order)
+
+    def _rows(self, rows: np.ndarray) -> ViewGraph:
+        counts = self.num_inliers()[rows]
+        offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        of_match = np.arange(offsets[-1]) + np.repeat(self.match_offsets[rows] - offsets[:-1], counts)
         return ViewGraph(
-            self.image1[keep],
-            self.image2[keep],
-            self.kind[keep],
-            self.num_putative[keep],
-            np.concatenate([[0], np.cumsum(self.num_inliers()[keep])]).astype(np.int64),
+            self.image1[rows],
+            self.image2[rows],
+            self.kind[rows],
+            self.num_putative[rows],
+            offsets,
             self.keypoint1[of_match],
             self.keypoint2[of_match],
-            self.cam2_from_cam1[keep],
-            self.essential[keep],
-            self.fundamental[keep],
-            self.homography[keep],
-            self.median_angle_rad[keep],
+            self.cam2_from_cam1[rows],
+            self.essential[rows],
+            self.fundamental[rows],
+            self.homography[rows],
+            self.median_angle_rad[rows],
         )
 
     def joined(self, other: ViewGraph) -> ViewGraph:

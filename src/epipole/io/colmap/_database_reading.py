@@ -47,9 +47,7 @@ def read_contents(database: DatabaseReader, *, with_pairs: bool) -> DatabaseCont
     Raises:
         FileFormatError: a cell is truncated, or an id is missing.
     """
-    for table in ("cameras", "images", "keypoints"):
-        if not database.columns(table):
-            raise database.fail(f"table {table}", "missing: not a COLMAP database")
+    _require_tables(database)
     cameras, camera_rows = _cameras(database)
     image_rows = database.rows("images", "image_id, name, camera_id", "image_id")
     image_ids, camera_ids = [row[0] for row in image_rows], [row[2] for row in image_rows]
@@ -71,6 +69,25 @@ def read_contents(database: DatabaseReader, *, with_pairs: bool) -> DatabaseCont
         _view_graph(database, image_ids, images, matches) if with_pairs else None,
         _gps(database, image_ids),
     )
+
+
+def matched_pairs(database: DatabaseReader) -> np.ndarray:
+    """Rows (i, j) of the images of each pair with matches, sorted.
+
+    Raises:
+        FileFormatError: an id is missing.
+    """
+    _require_tables(database)
+    row_of = {row[0]: k for k, row in enumerate(database.rows("images", "image_id", "image_id"))}
+    found = database.rows("matches", "pair_id, rows", "pair_id")
+    pairs = sorted(_pair(database, pair_id, row_of) for pair_id, count in found if count)
+    return np.array(pairs, np.int32).reshape(-1, 2)
+
+
+def _require_tables(database: DatabaseReader) -> None:
+    for table in ("cameras", "images", "keypoints"):
+        if not database.columns(table):
+            raise database.fail(f"table {table}", "missing: not a COLMAP database")
 
 
 def _cameras(database: DatabaseReader) -> tuple[Cameras, dict[int, int]]:

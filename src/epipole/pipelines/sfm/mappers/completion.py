@@ -11,10 +11,8 @@ from epipole.features import Features
 from epipole.mapping import connect_matches, find_further_matches, median_error_px
 from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper
 
-ROUNDS = 3
-"""Most rounds of adjustment of a completed model."""
-GROWN_ROUNDS = 1
-"""The same for a model that grew from an earlier one: most of it is adjusted already."""
+ROUNDS, FINAL_ROUNDS = 3, 2
+"""Most rounds of adjustment of a completed model, and of those with the final loss."""
 RADIUS_FACTOR = 4.0
 """Multiple of the median reprojection error within which features are looked for: 99.9 % of the right ones, if both errors
 are normal. A larger radius adds other features nearby, which double the error of a rendered scene."""
@@ -26,7 +24,8 @@ def complete_model(
     mapper: IncrementalMapper,
     features: Sequence[Features],
     keypoint_offsets: np.ndarray,
-    rounds: int = ROUNDS,
+    *,
+    is_adjusted: bool = False,
 ) -> None:
     """Complete the tracks of a finished model, triangulate them again with its poses, and adjust it.
 
@@ -37,7 +36,7 @@ def complete_model(
         mapper: a mapper that has finished a model; unchanged if that has no points.
         features: SIFT features of each image, in the order of its keypoints.
         keypoint_offsets: first keypoint of each image, and the number of all.
-        rounds: most rounds of adjustment.
+        is_adjusted: most of the model was completed and adjusted before, so that one round of each is enough.
     """
     model, config = mapper.model, mapper.config
     error_px = median_error_px(model)
@@ -51,5 +50,5 @@ def complete_model(
     mapper.replace_components(components)
     model.triangulate(np.arange(len(components)), config.max_error_px, np.deg2rad(config.min_angle_deg))
     mapper.min_track_length, mapper.is_last = config.min_track_length, True
-    mapper.adjust_globally(rounds)
-    mapper.finish()
+    mapper.adjust_globally(1 if is_adjusted else ROUNDS)
+    mapper.finish(1 if is_adjusted else FINAL_ROUNDS)

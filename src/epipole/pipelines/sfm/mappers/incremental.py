@@ -126,12 +126,12 @@ class IncrementalMapper:
         self.model.restore(best[1])
         return True
 
-    def finish(self) -> None:
+    def finish(self, rounds: int = 2) -> None:
         """Adjust with a loss that suppresses wrong matches, and again without the observations that it rejects.
 
         Only at the end, because a redescending loss cannot close the gap of a drifted loop.
         """
-        for _ in range(2):
+        for _ in range(rounds):
             self._drop_short_tracks()
             bundle = final_bundle(self.config, median_error_px(self.model))
             (adjust_all if self.is_last else adjust_sample)(self.model, bundle, self.freedom(), self.priors)

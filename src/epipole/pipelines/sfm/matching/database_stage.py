@@ -143,7 +143,7 @@ def match_units(matches: Matches, folder: Path) -> list[Unit]:
     pairs = sorted(matches)
     keys = [digest("database matches", FORMAT, matches[pair]) for pair in pairs]
     return block_units(
-        pairs, keys, folder, given_matches, MATCHES, lambda block: [matches[pair] for pair in pairs[block]]
+        pairs, keys, folder, given_matches, MATCHES, lambda block: [matches[pairs[n]] for n in block]
     )
 
 

@@ -81,26 +81,30 @@ def _units(
     pairs = [(int(i), int(j)) for i, j in todo.pairs]
     camera_of_image, trusted = todo.camera_of_image, todo.cameras.is_focal_trusted | todo.cameras.is_constant
     cameras = [todo.cameras[c] for c in range(len(todo.cameras))]
-    matched = (
-        [key for unit in matches for key in unit.payload.keys] if matches is not None else [""] * len(pairs)
-    )
+    key_of = {pair: key for unit in matches or () for pair, key in zip(unit.payload.pairs, unit.payload.keys)}
+    matched = [key_of.get(pair, "") for pair in pairs]
     seeds = [_seed(todo.features[i].key, todo.features[j].key) for i, j in pairs]
 
-    def task_of(block: slice) -> MatchTask:
-        members = sorted({i for pair in pairs[block] for i in pair})
+    def task_of(block: Sequence[int]) -> MatchTask:
+        members = sorted({i for n in block for i in pairs[n]})
         return MatchTask(
             {i: todo.features[i].path for i in members},
             {i: cameras[camera_of_image[i]] for i in members},
             {i: bool(trusted[camera_of_image[i]]) for i in members},
-            tuple(seeds[block]),
+            tuple(seeds[n] for n in block),
             todo.matching,
             todo.verification,
-            file_of[pairs[block][0]] if matches is not None else None,
+            file_of[pairs[block[0]]] if matches is not None else None,
         )
 
     file_of = {pair: unit.path for unit in matches or () for pair in unit.payload.pairs}
     keys = [digest(*key) for key in zip(_pair_keys(todo, pairs, work.__name__), matched)]
-    return block_units(pairs, keys, folder, work, MATCHES if matches is None else GEOMETRIES, task_of)
+    if matches is None:
+        return block_units(pairs, keys, folder, work, MATCHES, task_of)
+    row = {pair: n for n, pair in enumerate(pairs)}
+    # A block needs one file of matches.
+    blocks = [[row[pair] for pair in unit.payload.pairs] for unit in matches]
+    return block_units(pairs, keys, folder, work, GEOMETRIES, task_of, blocks)
 
 
 def _pair_keys(todo: PairWork, pairs: Sequence[tuple[int, int]], what: str) -> Iterator[str]:
@@ -207,7 +211,7 @@ def within_noise(geometry: PairGeometry, max_error_px: float) -> np.ndarray:
 
 
 def load_putative(units: Sequence[Unit], num_features: Sequence[int]) -> dict[tuple[int, int], np.ndarray]:
-    """Putative matches of every pair that has any; `num_features` of each image.
+    """Putative matches of every pair that has any, sorted; `num_features` of each image.
 
     Raises:
         WorkspaceError: a file is damaged, or a match refers to a missing feature.
@@ -220,11 +224,11 @@ def load_putative(units: Sequence[Unit], num_features: Sequence[int]) -> dict[tu
             check_matches(unit.path, matches, [num_features[i] for i in pair])
             if len(matches):
                 out[pair] = matches
-    return out
+    return dict(sorted(out.items()))
 
 
 def load_view_graph(units: Sequence[Unit], num_features: Sequence[int]) -> ViewGraph:
-    """All verified pairs except degenerate ones; `num_features` of each image.
+    """All verified pairs except degenerate ones, sorted; `num_features` of each image.
 
     Raises:
         WorkspaceError: a file is damaged, or a match refers to a missing feature.
@@ -241,17 +245,21 @@ def load_view_graph(units: Sequence[Unit], num_features: Sequence[int]) -> ViewG
     kind = column("kind", (), np.int32)
     counts = np.concatenate([np.diff(b["offsets"]) for b in blocks]) if blocks else np.zeros(0, np.int64)
     matches = column("matches", (2,), np.int32)
-    return ViewGraph(
-        pairs[:, 0].copy(),
-        pairs[:, 1].copy(),
-        kind,
-        column("num_putative", (), np.int32),
-        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-        matches[:, 0].copy(),
-        matches[:, 1].copy(),
-        Rigid3(column("rotation", (3, 3)), column("translation", (3,))),
-        column("essential", (3, 3)),
-        column("fundamental", (3, 3)),
-        column("homography", (3, 3)),
-        column("median_angle_rad", ()),
-    ).select(kind != PairKind.DEGENERATE)
+    return (
+        ViewGraph(
+            pairs[:, 0].copy(),
+            pairs[:, 1].copy(),
+            kind,
+            column("num_putative", (), np.int32),
+            np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+            matches[:, 0].copy(),
+            matches[:, 1].copy(),
+            Rigid3(column("rotation", (3, 3)), column("translation", (3,))),
+            column("essential", (3, 3)),
+            column("fundamental", (3, 3)),
+            column("homography", (3, 3)),
+            column("median_angle_rad", ()),
+        )
+        .select(kind != PairKind.DEGENERATE)
+        .in_order()
+    )  # blocks depend on earlier runs, results do not

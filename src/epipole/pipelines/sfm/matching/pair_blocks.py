@@ -1,7 +1,7 @@
 """Pairs of images in blocks, one file each, with a key for every pair.
 
-Adding or removing an image shifts the blocks. Therefore a block reuses results of pairs from files of earlier lists,
-and computes only the others.
+Adding or removing an image shifts the blocks. Therefore files of earlier lists stay where all their pairs are still
+wanted, and a new block reuses results of pairs from the other files, and computes only the rest.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ PairResult = Arrays
 
 MOST_BLOCKS, MOST_BLOCK_PAIRS = 64, 64
 """Approximate number of blocks, and pairs per block at most: enough for many workers, but not too many files."""
+LEAST_BLOCKS = 8
+"""Approximate number of blocks of the pairs that are added to earlier ones, at least."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,19 +41,14 @@ class PairBlock:
     """Input for computing the other pairs."""
 
 
-def block_slices(num_pairs: int) -> list[slice]:
-    """Consecutive pairs, divided into blocks."""
-    size = max(1, min(MOST_BLOCK_PAIRS, -(-num_pairs // MOST_BLOCKS)))
-    return [slice(start, start + size) for start in range(0, num_pairs, size)]
-
-
 def block_units(
     pairs: Sequence[tuple[int, int]],
     keys: Sequence[str],
     folder: Path,
     work: Callable[[PairBlock], Arrays],
     table: Table,
-    task_of: Callable[[slice], Any],
+    task_of: Callable[[Sequence[int]], Any],
+    blocks: Sequence[Sequence[int]] | None = None,
 ) -> list[Unit]:
     """Units for blocks of pairs.
 
@@ -61,33 +58,64 @@ def block_units(
         folder: folder of the files, including those with earlier results.
         work: function that makes the file of a block.
         table: arrays of this file.
-        task_of: gives the input for the pairs of a slice.
+        task_of: gives the input for the pairs with the given indices.
+        blocks: indices of the pairs of each block; as the files of earlier results suggest if None.
     """
-    slices = block_slices(len(pairs))
-    names = [f"{digest(list(keys[block]))}.npz" for block in slices]
-    blocks = (
-        _blocks_in(folder, {*names}, table) if not all((folder / name).exists() for name in names) else {}
-    )
+    if blocks is None:
+        blocks = _divided(keys, folder, table)
+    names = [digest([keys[n] for n in block]) for block in blocks]
+    is_complete = all((folder / f"{name}.npz").exists() for name in names)
+    earlier = {} if is_complete else _earlier_results(folder, {*names}, table)
     units = []
-    for block, name in zip(slices, names):
-        positions = {n: blocks[key] for n, key in enumerate(keys[block]) if key in blocks}
-        payload = PairBlock(tuple(pairs[block]), tuple(keys[block]), positions, table, task_of(block))
-        units.append(Unit(folder / name, Path(name).stem, work, payload, len(payload.pairs)))
+    for block, name in zip(blocks, names):
+        of_block = tuple(keys[n] for n in block)
+        found = {n: earlier[key] for n, key in enumerate(of_block) if key in earlier}
+        payload = PairBlock(tuple(pairs[n] for n in block), of_block, found, table, task_of(block))
+        units.append(Unit(folder / f"{name}.npz", name, work, payload, len(block)))
     return units
 
 
-def _blocks_in(folder: Path, planned: set[str], table: Table) -> dict[str, tuple[Path, int]]:
-    """File and row of existing results, by the key of the pair."""
-    blocks: dict[str, tuple[Path, int]] = {}
+def _divided(keys: Sequence[str], folder: Path, table: Table) -> list[Sequence[int]]:
+    """Indices of the pairs of each block: those of an earlier file whose pairs are all wanted stay together.
+
+    Small files are divided again, so that repeated additions of few images do not leave many of them.
+    """
+    size = max(1, min(MOST_BLOCK_PAIRS, -(-len(keys) // MOST_BLOCKS)))
+    even = _consecutive(range(len(keys)), size)
+    row = {key: n for n, key in enumerate(keys)}
+    if len(row) < len(keys):  # the same image twice
+        return even
+    if all((folder / f"{digest([keys[n] for n in block])}.npz").exists() for block in even):
+        return even
+    kept: list[Sequence[int]] = []
     for path in sorted(folder.glob("*.npz")):
-        if path.name in planned or not is_done(path, stored_key(path)):
-            continue
-        try:
-            keys = load(path, table)["pair_keys"]
-        except WorkspaceError:  # another kind of file, or a damaged one
-            continue
-        blocks.update({str(key): (path, n) for n, key in enumerate(keys)})
-    return blocks
+        stored = _stored_keys(path, table)
+        if 2 * len(stored) >= size and digest(stored) == path.stem and row.keys() >= {*stored}:
+            kept.append([row.pop(key) for key in stored])
+    rest = sorted(row.values())
+    few = max(1, min(size, -(-len(rest) // LEAST_BLOCKS)))
+    return sorted([*kept, *_consecutive(rest, few)], key=min)
+
+
+def _consecutive(indices: Sequence[int], size: int) -> list[Sequence[int]]:
+    return [indices[start : start + size] for start in range(0, len(indices), size)]
+
+
+def _stored_keys(path: Path, table: Table) -> list[str]:
+    """Keys of the pairs in a file; none if it is of another kind, or damaged."""
+    try:
+        return [str(key) for key in load(path, table, "pair_keys")["pair_keys"]]
+    except WorkspaceError:
+        return []
+
+
+def _earlier_results(folder: Path, planned: set[str], table: Table) -> dict[str, tuple[Path, int]]:
+    """File and row of existing results in other files than the planned ones, by the key of the pair."""
+    found: dict[str, tuple[Path, int]] = {}
+    for path in sorted(folder.glob("*.npz")):
+        if path.stem not in planned and is_done(path, stored_key(path)):
+            found.update({key: (path, n) for n, key in enumerate(_stored_keys(path, table))})
+    return found
 
 
 def filled(block: PairBlock, make: Callable[[list[int]], Sequence[PairResult]]) -> Arrays:

@@ -12,7 +12,7 @@ from jaxtyping import Float64, Int32
 
 from epipole.errors import ConfigError, FileFormatError
 from epipole.features import describe_images, most_similar, train_vocabulary
-from epipole.io.colmap.database import read_database
+from epipole.io.colmap.database import read_database, read_matched_pairs
 from epipole.io.files import file_text
 from epipole.pipelines.sfm.config import PairingConfig
 from epipole.scene.georeference import gps_to_enu
@@ -99,7 +99,7 @@ def _stored_pairs(
     database: EarlierDatabase, keypoints: Sequence[np.ndarray], names: Sequence[str]
 ) -> tuple[list[int], list[tuple[int, int]]]:
     """Rows of the images that a database has, and pairs of them that match there."""
-    stored = read_database(database.path)
+    stored = read_database(database.path, with_pairs=False)
     row = {name: i for i, name in enumerate(names)}
     rows = [row.get(database.names.get(name, name), -1) for name in stored.images.name]
     for k, i in enumerate(rows):
@@ -107,8 +107,8 @@ def _stored_pairs(
             rows[k] = -1
     pairs = [
         (rows[a], rows[b])
-        for (a, b), matches in stored.matches.items()
-        if len(matches) and min(rows[a], rows[b]) >= 0
+        for a, b in read_matched_pairs(database.path).tolist()
+        if min(rows[a], rows[b]) >= 0
     ]
     return [i for i in rows if i >= 0], pairs
 

@@ -209,13 +209,14 @@ def learned_match_units(
         for i, j in pairs
     ]
 
-    def task_of(block: slice) -> _Matching:
-        members = sorted({i for pair in pairs[block] for i in pair})
+    def task_of(block: Sequence[int]) -> _Matching:
+        in_block = [pairs[n] for n in block]
+        members = sorted({i for pair in in_block for i in pair})
         return _Matching(
             {i: learned[i].path for i in members},
             {i: sift[i].path for i in members},
             {i: sizes[i] for i in members},
-            {pair: matches[pair] for pair in pairs[block]},
+            {pair: matches[pair] for pair in in_block},
             learned[members[0]].payload.choice,
         )
 
