@@ -135,3 +135,26 @@ def test_single_cameras_are_no_columns() -> None:
             Cameras(wrong, 64, 48, camera.params, True, False)
     with pytest.raises(ConfigError, match=r"cameras\[0\] must be a Camera, got 'PINHOLE'"):
         Cameras.from_list(["PINHOLE"])
+
+
+def test_view_graph_in_order_of_its_images(rng: np.random.Generator) -> None:
+    pairs, counts = [(0, 1), (0, 2), (1, 2), (1, 3)], [2, 0, 3, 1]
+
+    def graph_of(order: list[int]) -> ViewGraph:
+        models = np.arange(4.0)[order][:, None, None] * np.ones((4, 3, 3))
+        offsets = np.concatenate([[0], np.cumsum(np.array(counts)[order])]).astype(np.int64)
+        keypoints = np.concatenate([10 * e + np.arange(counts[e]) for e in order]).astype(np.int32)
+        image1, image2 = np.array(pairs, np.int32)[order].T.copy()
+        return ViewGraph(
+            *(image1, image2, np.array(order, np.int32), np.array(order, np.int32), offsets),
+            *(keypoints, keypoints + 1, Rigid3(models, models[:, 0]), models, models, models),
+            np.arange(4.0)[order],
+        )
+
+    wanted, found = graph_of([0, 1, 2, 3]), graph_of(rng.permutation(4).tolist()).in_order()
+    for name in (*ViewGraph.__dataclass_fields__,):
+        one, two = getattr(wanted, name), getattr(found, name)
+        if isinstance(one, Rigid3):
+            one, two = one.as_matrix(), two.as_matrix()
+        np.testing.assert_array_equal(one, two)
+    assert wanted.in_order() is wanted

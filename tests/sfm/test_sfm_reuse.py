@@ -61,7 +61,7 @@ def images(stored: Path) -> Path:
 
 
 def assert_as_fresh(result: ReconstructionResult, images: Path, tmp_path: Path) -> None:
-    """The same model, points, images, and files of work as a run that began with these images."""
+    """The same model, points, images, and features as a run that began with these images."""
     assert_same_files(result.out, reconstruct(images, tmp_path / "fresh").out)
 
 
@@ -69,11 +69,15 @@ def assert_same_files(one: Path, two: Path) -> None:
     for root, other in ((one, two), (two, one)):
         for path in [
             *(root / "sparse").rglob("*.bin"),
-            *(root / "work").rglob("*/*.npz"),
+            *(root / "work" / "features").glob("*.npz"),
             root / "points.ply",
         ]:
             name = path.relative_to(root)
             assert (other / name).read_bytes() == path.read_bytes(), name
+
+
+def pair_files(out: Path) -> list[Path]:
+    return [*(out / "work" / "matches").iterdir(), *(out / "work" / "geometry").iterdir()]
 
 
 def test_one_picture_more_before_all_others(
@@ -81,7 +85,10 @@ def test_one_picture_more_before_all_others(
 ) -> None:
     first = sorted(rendered.iterdir())[0]
     shutil.copy(first, images / first.name)
+    before = {path: path.read_bytes() for path in pair_files(images.parent / "out")}
     result = reconstruct(images, images.parent / "out")
+    after = {path: path.read_bytes() for path in pair_files(result.out)}
+    assert len(before) == 6 and after.items() >= before.items() and len(after) == 6 + 8
     assert work == {"images": 1, "matched": 4, "verified": 4}
     assert result.summary["num_registered"] == 5
     work.clear()

@@ -92,6 +92,8 @@ def _divided(keys: Sequence[str], folder: Path, table: Table) -> list[Sequence[i
         stored = _stored_keys(path, table)
         if 2 * len(stored) >= size and digest(stored) == path.stem and row.keys() >= {*stored}:
             kept.append([row.pop(key) for key in stored])
+    if not kept:
+        return even
     rest = sorted(row.values())
     few = max(1, min(size, -(-len(rest) // LEAST_BLOCKS)))
     return sorted([*kept, *_consecutive(rest, few)], key=min)
