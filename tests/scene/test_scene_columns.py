@@ -147,12 +147,19 @@ def test_view_graph_in_order_of_its_images(rng: np.random.Generator) -> None:
         image1, image2 = np.array(pairs, np.int32)[order].T.copy()
         return ViewGraph(
             *(image1, image2, np.array(order, np.int32), np.array(order, np.int32), offsets),
-            *(keypoints, keypoints + 1, Rigid3(models, models[:, 0]), models, models, models),
+            *(
+                keypoints,
+                keypoints + 1,
+                Rigid3(np.tile(np.eye(3), (4, 1, 1)), models[:, 0]),
+                models,
+                models,
+                models,
+            ),
             np.arange(4.0)[order],
         )
 
     wanted, found = graph_of([0, 1, 2, 3]), graph_of(rng.permutation(4).tolist()).in_order()
-    for name in (*ViewGraph.__dataclass_fields__,):
+    for name in ViewGraph.__dataclass_fields__:
         one, two = getattr(wanted, name), getattr(found, name)
         if isinstance(one, Rigid3):
             one, two = one.as_matrix(), two.as_matrix()
