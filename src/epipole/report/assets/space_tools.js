@@ -258,7 +258,7 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
   function mark({ basis, focal, near, dist }) {
     const scale = (focal * canvas.clientWidth) / canvas.width;
     showScaleBar(byId("scale-bar"), scale / dist, own.inMeters({ length: 1, sigma: null }), canvas.clientWidth);
-    const axes = (data.isEnu ? ENU_NAMES : AXIS_NAMES).flatMap((label, k) => {
+    const axes = (data.isEnu ? ENU_NAMES : AXIS_NAMES).map((label, k) => {
       const [x, y, dx, dy] = [38, 38, 22 * basis.r[k], 22 * basis.d[k]],
         color = AXIS_COLORS[k];
       const text = element("text", { x: x + 1.4 * dx, y: y + 1.4 * dy + 4 });
@@ -270,7 +270,7 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
         text,
       ];
     });
-    byId("space-axes").replaceChildren(...axes);
+    byId("space-axes").replaceChildren(...axes.map(([line]) => line), ...axes.map(([, text]) => text));
     if (!ends.length && !marks.childElementCount) return;
     const drawn = [];
     const seen = ends.map(({ place }) => {
