@@ -40,6 +40,8 @@ VAGUE_UP_RAD = np.deg2rad(8.0)
 """Standard deviation of the up direction above which a warning is given."""
 NUM_NAMED = 3
 FEW_FEATURES = 30
+MOSTLY = 0.9
+"""Fraction of a grown model's images that the earlier one had, from which it is adjusted in fewer rounds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +107,8 @@ def map_images(
         if method is None or builder.registered.sum() < 2:  # adjustment may leave nothing of a weak start
             break
         if features is not None:
-            complete_model(mapper, features, starts, is_adjusted=method == "grown")
+            is_adjusted = method == "grown" and _is_mostly(earlier, builder)
+            complete_model(mapper, features, starts, is_adjusted=is_adjusted)
         before = earlier[0] if method == "grown" else None
         located = _locate_by_poses(mapper, images, config, _adjusting(progress)) or _locate(
             mapper, images, config, before, _adjusting(progress)
@@ -122,6 +125,11 @@ def map_images(
     models, locations, agreements, methods = zip(*found) if found else ((), (), (), ())
     gps, poses = tuple(one.gps for one in locations), tuple(one.fit for one in locations)
     return Mapped(tuple(models), rejections, gps, tuple(agreements), tuple(methods), poses)
+
+
+def _is_mostly(earlier: Sequence[Reconstruction], builder: ModelBuilder) -> bool:
+    """Whether nearly all registered images come from one earlier model, which was adjusted as a whole."""
+    return len(earlier) == 1 and earlier[0].is_registered().sum() >= MOSTLY * builder.registered.sum()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
