@@ -4,7 +4,7 @@
 - kitti06: 51 stereo pairs (KITTI odometry 06), with the published calibration.
 
 Known geometry: the distance between the first and the last instant in meters, and its error in stated standard deviations; for KITTI
-the RMS of the positions after a rigid alignment. Unknown geometry: rotation and position of each camera relative to the reference, where the first
+the RMS of the positions after a rigid alignment, and after a similarity. Unknown geometry: rotation and position of each camera relative to the reference, where the first
 baseline gives the unit, and their errors in stated standard deviations.
 """
 
@@ -125,10 +125,12 @@ def kitti(work: Path, data: Path) -> dict[str, float]:
     true = np.loadtxt(source / "poses.txt").reshape(-1, 3, 4)[: len(centers), :, 3]
     off = align_points(centers, true, with_scale=False).apply(centers) - true
     scaled = align_points(centers, true)
+    off_scaled = scaled.apply(centers) - true
     return {
         "scale error, %": 100.0 * (1.0 / float(scaled.scale) - 1.0),
         "scale error / sigma": (1.0 / float(scaled.scale) - 1.0) / found.summary["anchor"]["relative_sigma"],
         "position RMS, cm": 100.0 * float(np.sqrt((off**2).sum(axis=1).mean())),
+        "position RMS with the true scale, cm": 100.0 * float(np.sqrt((off_scaled**2).sum(axis=1).mean())),
     }
 
 
