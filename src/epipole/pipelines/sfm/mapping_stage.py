@@ -22,7 +22,7 @@ from epipole.pipelines.sfm.gps.alignment import (
 from epipole.pipelines.sfm.gps.evidence import meters_in_words
 from epipole.pipelines.sfm.known_poses import PoseFit, fit_known_poses
 from epipole.pipelines.sfm.mappers.choice import Method, map_with
-from epipole.pipelines.sfm.mappers.completion import complete_model
+from epipole.pipelines.sfm.mappers.completion import FINAL_ROUNDS, GROWN_ROUNDS, ROUNDS, complete_model
 from epipole.pipelines.sfm.mappers.growth import grow_model, keep_coordinates
 from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper, Rejection
 from epipole.pipelines.sfm.orientation import upright_from_world
@@ -107,8 +107,9 @@ def map_images(
         if method is None or builder.registered.sum() < 2:  # adjustment may leave nothing of a weak start
             break
         if features is not None:
+            rounds = GROWN_ROUNDS if method == "grown" else ROUNDS
             is_adjusted = method == "grown" and _is_mostly(earlier, builder)
-            complete_model(mapper, features, starts, is_adjusted=is_adjusted)
+            complete_model(mapper, features, starts, rounds, GROWN_ROUNDS if is_adjusted else FINAL_ROUNDS)
         before = earlier[0] if method == "grown" else None
         located = _locate_by_poses(mapper, images, config, _adjusting(progress)) or _locate(
             mapper, images, config, before, _adjusting(progress)

@@ -12,7 +12,10 @@ from epipole.mapping import connect_matches, find_further_matches, median_error_
 from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper
 
 ROUNDS, FINAL_ROUNDS = 3, 2
-"""Most rounds of adjustment of a completed model, and of those with the final loss."""
+"""Most rounds of adjustment of a completed model, and rounds with the final loss."""
+GROWN_ROUNDS = 1
+"""The same for a model that grew from earlier ones, and with the final loss if nearly all of it is one earlier model:
+most of it is adjusted already."""
 RADIUS_FACTOR = 4.0
 """Multiple of the median reprojection error within which features are looked for: 99.9 % of the right ones, if both errors
 are normal. A larger radius adds other features nearby, which double the error of a rendered scene."""
@@ -24,8 +27,8 @@ def complete_model(
     mapper: IncrementalMapper,
     features: Sequence[Features],
     keypoint_offsets: np.ndarray,
-    *,
-    is_adjusted: bool = False,
+    rounds: int = ROUNDS,
+    final_rounds: int = FINAL_ROUNDS,
 ) -> None:
     """Complete the tracks of a finished model, triangulate them again with its poses, and adjust it.
 
@@ -36,7 +39,8 @@ def complete_model(
         mapper: a mapper that has finished a model; unchanged if that has no points.
         features: SIFT features of each image, in the order of its keypoints.
         keypoint_offsets: first keypoint of each image, and the number of all.
-        is_adjusted: most of the model was completed and adjusted before, so that one round of each is enough.
+        rounds: most rounds of adjustment.
+        final_rounds: rounds with the loss that suppresses wrong matches.
     """
     model, config = mapper.model, mapper.config
     error_px = median_error_px(model)
@@ -50,5 +54,5 @@ def complete_model(
     mapper.replace_components(components)
     model.triangulate(np.arange(len(components)), config.max_error_px, np.deg2rad(config.min_angle_deg))
     mapper.min_track_length, mapper.is_last = config.min_track_length, True
-    mapper.adjust_globally(1 if is_adjusted else ROUNDS)
-    mapper.finish(1 if is_adjusted else FINAL_ROUNDS)
+    mapper.adjust_globally(rounds)
+    mapper.finish(final_rounds)
