@@ -95,8 +95,10 @@ def grow_model(
         model.clear()
         return False
     mapper.grow(usable, int(usable.sum()), progress)
-    mapper.adjust_globally(ROUNDS if mapper.is_last else 1)
-    if mapper.is_last:  # else the model is completed, and adjusted again
+    # A model of one earlier model is adjusted again when it is completed; gaps between joined ones must be closed before.
+    is_thorough = mapper.is_last or len(earlier) > 1
+    mapper.adjust_globally(ROUNDS if is_thorough else 1)
+    if is_thorough:
         mapper.finish()
     for image in np.flatnonzero(
         model.registered & (mapper.consistency.of_images(model) < config.image_fraction)
