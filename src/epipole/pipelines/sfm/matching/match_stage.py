@@ -245,21 +245,19 @@ def load_view_graph(units: Sequence[Unit], num_features: Sequence[int]) -> ViewG
     kind = column("kind", (), np.int32)
     counts = np.concatenate([np.diff(b["offsets"]) for b in blocks]) if blocks else np.zeros(0, np.int64)
     matches = column("matches", (2,), np.int32)
-    return (
-        ViewGraph(
-            pairs[:, 0].copy(),
-            pairs[:, 1].copy(),
-            kind,
-            column("num_putative", (), np.int32),
-            np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-            matches[:, 0].copy(),
-            matches[:, 1].copy(),
-            Rigid3(column("rotation", (3, 3)), column("translation", (3,))),
-            column("essential", (3, 3)),
-            column("fundamental", (3, 3)),
-            column("homography", (3, 3)),
-            column("median_angle_rad", ()),
-        )
-        .select(kind != PairKind.DEGENERATE)
-        .in_order()
-    )  # blocks depend on earlier runs, results do not
+    graph = ViewGraph(
+        pairs[:, 0].copy(),
+        pairs[:, 1].copy(),
+        kind,
+        column("num_putative", (), np.int32),
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        matches[:, 0].copy(),
+        matches[:, 1].copy(),
+        Rigid3(column("rotation", (3, 3)), column("translation", (3,))),
+        column("essential", (3, 3)),
+        column("fundamental", (3, 3)),
+        column("homography", (3, 3)),
+        column("median_angle_rad", ()),
+    )
+    # Blocks depend on earlier runs; the order of the pairs must not.
+    return graph.select(kind != PairKind.DEGENERATE).in_order()
