@@ -130,7 +130,7 @@ def map_images(
 
 def _is_mostly(earlier: Sequence[Reconstruction], builder: ModelBuilder) -> bool:
     """Whether nearly all registered images come from one earlier model, which was adjusted as a whole."""
-    return len(earlier) == 1 and earlier[0].is_registered().sum() >= MOSTLY * builder.registered.sum()
+    return len(earlier) == 1 and bool(earlier[0].is_registered().sum() >= MOSTLY * builder.registered.sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
