@@ -110,6 +110,15 @@ def test_one_picture_less_and_one_renamed(work: Counts, images: Path, tmp_path: 
     assert work["images"] <= 3 and work["matched"] == 2 + 3  # with those of the fresh run
 
 
+def test_one_of_two_equal_pictures_is_removed(work: Counts, images: Path, tmp_path: Path) -> None:
+    """Pairs with equal pictures have one key: a file may hold it twice."""
+    first = sorted(images.iterdir())[0]
+    shutil.copy(first, images / "a.jpg")
+    reconstruct(images, images.parent / "out")
+    (images / "a.jpg").unlink()
+    assert_as_fresh(reconstruct(images, images.parent / "out"), images, tmp_path)
+
+
 @in_whole_run
 def test_the_same_pictures_copied_again(work: Counts, images: Path, tmp_path: Path) -> None:
     """A new folder at the old place, with new times."""

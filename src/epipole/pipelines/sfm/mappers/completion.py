@@ -14,8 +14,8 @@ from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper
 ROUNDS, FINAL_ROUNDS = 3, 2
 """Most rounds of adjustment of a completed model, and rounds with the final loss."""
 GROWN_ROUNDS = 1
-"""The same for a model that grew from earlier ones, and with the final loss if nearly all of it is one earlier model:
-most of it is adjusted already."""
+"""Most rounds of adjustment of a model that grew from earlier ones, which are adjusted already. It is also the number of
+rounds with the final loss if nearly all images come from one earlier model."""
 RADIUS_FACTOR = 4.0
 """Multiple of the median reprojection error within which features are looked for: 99.9 % of the right ones, if both errors
 are normal. A larger radius adds other features nearby, which double the error of a rendered scene."""

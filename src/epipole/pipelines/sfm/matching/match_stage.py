@@ -82,7 +82,7 @@ def _units(
     camera_of_image, trusted = todo.camera_of_image, todo.cameras.is_focal_trusted | todo.cameras.is_constant
     cameras = [todo.cameras[c] for c in range(len(todo.cameras))]
     key_of = {pair: key for unit in matches or () for pair, key in zip(unit.payload.pairs, unit.payload.keys)}
-    matched = [key_of.get(pair, "") for pair in pairs]
+    matched = [key_of[pair] for pair in pairs] if matches is not None else [""] * len(pairs)
     seeds = [_seed(todo.features[i].key, todo.features[j].key) for i, j in pairs]
 
     def task_of(block: Sequence[int]) -> MatchTask:

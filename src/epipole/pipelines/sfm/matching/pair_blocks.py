@@ -90,7 +90,8 @@ def _divided(keys: Sequence[str], folder: Path, table: Table) -> list[Sequence[i
     kept: list[Sequence[int]] = []
     for path in sorted(folder.glob("*.npz")):
         stored = _stored_keys(path, table)
-        if 2 * len(stored) >= size and digest(stored) == path.stem and row.keys() >= {*stored}:
+        is_wanted = row.keys() >= {*stored} and len({*stored}) == len(stored)
+        if 2 * len(stored) >= size and digest(stored) == path.stem and is_wanted:
             kept.append([row.pop(key) for key in stored])
     if not kept:
         return even
