@@ -6,10 +6,12 @@ import shutil
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from epipole import ReconstructionResult, reconstruct
 from epipole.pipelines.sfm.matching import feature_stage, match_stage, pair_blocks
+from epipole.runs.units import Unit, do_unit
 from whole import in_whole_run
 
 Counts = Counter
@@ -110,13 +112,23 @@ def test_one_picture_less_and_one_renamed(work: Counts, images: Path, tmp_path: 
     assert work["images"] <= 3 and work["matched"] == 2 + 3  # with those of the fresh run
 
 
-def test_one_of_two_equal_pictures_is_removed(work: Counts, images: Path, tmp_path: Path) -> None:
-    """Pairs with equal pictures have one key: a file may hold it twice."""
-    first = sorted(images.iterdir())[0]
-    shutil.copy(first, images / "a.jpg")
-    reconstruct(images, images.parent / "out")
-    (images / "a.jpg").unlink()
-    assert_as_fresh(reconstruct(images, images.parent / "out"), images, tmp_path)
+def test_a_file_that_holds_a_key_twice_is_divided_again(tmp_path: Path) -> None:
+    """Pairs with two equal pictures have one key; later, one of the two is removed."""
+
+    def match(block: pair_blocks.PairBlock) -> dict[str, np.ndarray]:
+        none = np.zeros((0, 2), np.int32)
+        return pair_blocks.filled(block, lambda positions: [{"matches": none} for _ in positions])
+
+    def units_of(keys: list[str], blocks: list[range] | None) -> list[Unit]:
+        pairs = [(0, n + 1) for n in range(len(keys))]
+        return pair_blocks.block_units(
+            pairs, keys, tmp_path, match, match_stage.MATCHES, lambda _: None, blocks
+        )
+
+    (earlier,) = units_of(["key", "key"], [range(2)])
+    do_unit(earlier)
+    (later,) = units_of(["key"], None)
+    assert later.path != earlier.path and later.payload.blocks == {0: (earlier.path, 1)}
 
 
 @in_whole_run
