@@ -62,7 +62,7 @@ def map_task(task: StreetTask, config: MapperConfig) -> Separation:
         )
         contradiction_rad = np.full(len(used), np.nan)
         contradiction_rad[used] = found_rad
-        mapped = map_images(images, task.cameras, graph, detections, config, ignore_progress)
+        mapped = map_images(images, graph, detections, config, ignore_progress)
         return Attempt(mapped, graph, contradiction_rad)
 
     matched = np.stack([task.view_graph.image1, task.view_graph.image2], axis=1)

@@ -1202,7 +1202,14 @@ FORMATS: dict[str, Format] = {
 }
 FORMATS |= {
     name: Format(
-        *(write, file, "sealed", read, ("load_features", "load_putative", "load_view_graph"), weight),
+        *(
+            write,
+            file,
+            "sealed",
+            read,
+            ("load_features", "load_putative", "load_view_graph", "load_part"),
+            weight,
+        ),
         most_mib=160,  # trainings go on in some
     )
     for name, (write, file, read, weight) in SEALED.items()

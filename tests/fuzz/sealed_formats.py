@@ -14,11 +14,16 @@ from slam_rides import STEREO, ride
 from epipole.cameras import Camera
 from epipole.features import Features
 from epipole.pipelines.fields.checkpoints import CHECKPOINT, Checkpoint
+from epipole.pipelines.sfm.config import MapperConfig
+from epipole.pipelines.sfm.mappers.divided import Part, map_part
 from epipole.pipelines.sfm.matching.feature_stage import load_features
+from epipole.pipelines.sfm.part_stage import arrays_of_part, load_part
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.output.map_file import read_slam_map, summary_of_map, write_slam_map
 from epipole.pipelines.slam.slam import Slam
 from epipole.runs.contents import content_digests
+from epipole.runs.units import store
+from epipole.scene import Cameras
 
 SMALL = Camera("PINHOLE", 160, 120, [130.0, 130.0, 79.5, 59.5])
 SENSOR = SlamCamera(SMALL, STEREO.baseline)
@@ -101,6 +106,20 @@ def use_geometries(folder: Path) -> None:
     assert (found.keypoint1 >= 0).all() and (found.keypoint1 < 6).all() and (found.keypoint2 < 5).all()
 
 
+def put_part(folder: Path) -> None:
+    """Three images, two pairs of which have matches."""
+    graph = use_graph(put(folder / "pairs.npz", geometries()))
+    keypoints = tuple(np.arange(2.0 * count).reshape(count, 2) for count in COUNTS)
+    part = Part(np.arange(3), graph, keypoints, Cameras.from_list([SMALL]), np.zeros(3, np.int32))
+    store(folder / "part.npz", "key", arrays_of_part(part))
+
+
+def use_part(folder: Path) -> None:
+    """Read and map it."""
+    part = load_part(folder / "part.npz")
+    assert len(map_part(part, MapperConfig()).images) <= len(part.images)
+
+
 def put_contents(folder: Path) -> None:
     """Digests that are remembered."""
     (folder / "a.txt").write_text("a")
@@ -122,6 +141,7 @@ SEALED: dict[str, tuple[Callable[[Path], None], str, Callable[[Path], None], flo
     "unit-features": (lambda folder: put(folder / "a.npz", features()), "a.npz", use_features, 1.0),
     "unit-matches": (lambda folder: put(folder / "a.npz", matches()), "a.npz", use_matches, 1.0),
     "unit-geometries": (lambda folder: put(folder / "a.npz", geometries()), "a.npz", use_geometries, 1.0),
+    "unit-part": (put_part, "part.npz", use_part, 1.0),
     "contents": (put_contents, "contents.npz", use_contents, 0.5),
 }
 """What writes the file, its name, what reads it and goes on, and its share of the cases."""

@@ -22,6 +22,7 @@ STAGES = {
     "pair": "Choosing pairs",
     "match": "Matching pairs",
     "verify": "Verifying pairs",
+    "parts": "Mapping parts",
     "map": "Registering images",
     "adjust": "Adjusting the model",
     "rigs": "Adjusting rigs",

@@ -105,6 +105,10 @@ class MapperConfig:
     """Refine distortion that is not given."""
     max_models: int = 10
     """Maximum number of models if the images do not connect."""
+    divide_above: int = 20_000
+    """More images than this are mapped in parts, which are then joined and adjusted together."""
+    part_images: int = 1000
+    """Largest number of images of a part, to which a tenth of neighboring ones are added."""
     gps_sigma_m: float = 3.0
     """Standard deviation of GPS positions, which are adjusted with Cauchy's loss."""
     use_gps: bool = True
@@ -125,6 +129,7 @@ class MapperConfig:
         for name in ("max_error_px", "resection_max_error_px", "gps_sigma_m"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} must be positive, got {getattr(self, name)}")
+        check_least(self, divide_above=1, part_images=3)
         if not self.global_growth > 1:
             raise ConfigError(f"global_growth must be greater than 1, got {self.global_growth}")
         if not 0 <= self.seed <= MAX_SEED:

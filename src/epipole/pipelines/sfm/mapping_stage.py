@@ -23,7 +23,8 @@ from epipole.pipelines.sfm.gps.evidence import meters_in_words
 from epipole.pipelines.sfm.known_poses import PoseFit, fit_known_poses
 from epipole.pipelines.sfm.mappers.choice import Method, map_with
 from epipole.pipelines.sfm.mappers.completion import FINAL_ROUNDS, GROWN_ROUNDS, ROUNDS, complete_model
-from epipole.pipelines.sfm.mappers.growth import grow_model, keep_coordinates
+from epipole.pipelines.sfm.mappers.divided import MapParts, map_divided
+from epipole.pipelines.sfm.mappers.growth import grow_from, keep_coordinates
 from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper, Rejection
 from epipole.pipelines.sfm.orientation import upright_from_world
 from epipole.pipelines.sfm.photographs import ImageSet
@@ -31,7 +32,7 @@ from epipole.pipelines.sfm.up_direction import up_directions
 from epipole.robust import PairKind
 from epipole.runs import Progress, ProgressCallback
 from epipole.scale import MetricScale
-from epipole.scene import Cameras, Georeference, Reconstruction, ViewGraph
+from epipole.scene import Georeference, Reconstruction, ViewGraph
 from epipole.scene.georeference import gps_to_enu
 
 GPS_OUTLIER_SIGMAS = 5.0
@@ -81,14 +82,17 @@ class Mapped:
 
 def map_images(
     images: ImageSet,
-    cameras: Cameras,
     view_graph: ViewGraph,
     detections: Detections,
     config: MapperConfig,
     progress: ProgressCallback,
     earlier: Sequence[Reconstruction] = (),
+    map_parts: MapParts | None = None,
 ) -> Mapped:
-    """Map each connected component of the images to a model; the first grows from the earlier ones, if there are any and they fit."""
+    """Map each connected component of the images to a model; the first grows from the earlier ones, if there are any and they fit.
+
+    More than `divide_above` images are mapped in parts, by `map_parts`.
+    """
     keypoints, features = detections.keypoints, detections.features
     starts = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
     components = connect_matches(view_graph, starts)
@@ -96,13 +100,14 @@ def map_images(
     found: list[tuple[Reconstruction, _Located, float, Method]] = []
     rejections: dict[int, Rejection] = {}
     while remaining.sum() >= 2 and len(found) < config.max_models:
-        builder = ModelBuilder(cameras, images.camera_of_image, keypoints, components)
+        builder = ModelBuilder(images.cameras, images.camera_of_image, keypoints, components)
         mapper = IncrementalMapper(builder, view_graph, config, is_last=features is None)
         counting = _counting(progress, remaining)
-        method: Method | None = None
-        if earlier and not found and grow_model(mapper, earlier, images.names, remaining, counting):
-            method = "grown"
-        else:
+        is_grown = not found and grow_from(mapper, earlier, images.names, remaining, counting)
+        method: Method | None = "grown" if is_grown else None
+        if method is None and remaining.sum() > config.divide_above:
+            method = "divided" if map_divided(mapper, remaining, map_parts, counting) else None
+        if method is None:
             method = map_with(mapper, remaining, counting, _adjusting(progress))
         if method is None or builder.registered.sum() < 2:  # adjustment may leave nothing of a weak start
             break

@@ -87,6 +87,8 @@ class ReconstructKeywords(TypedDict, total=False):
     refine_focal: bool
     refine_distortion: bool
     max_models: int
+    divide_above: int
+    part_images: int
     gps_sigma_m: float
     use_gps: bool
     positions: str | Path | None

@@ -42,6 +42,7 @@ from epipole.pipelines.sfm.matching.match_stage import (
     match_units,
 )
 from epipole.pipelines.sfm.matching.pair_selection import ContradictingPairs, consistent_pairs
+from epipole.pipelines.sfm.part_stage import in_units
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.pipelines.sfm.rescue import Rescue, choice_of, rescue_weak_images
 from epipole.pipelines.sfm.shared_focals import contradicted_cameras, with_cameras_of, with_own_cameras
@@ -227,7 +228,8 @@ def _map(
     """Map the pairs that contradict neither the others nor the model."""
     detections = Detections(detected.keypoints, detected.colors, sift_features(detected.features))
     earlier = [() if detected.earlier is None else detected.earlier.models]
-
+    calibrated = replace(images, cameras=cameras)
+    map_parts = in_units(run, run.root / UNITS / "parts", config.mapper)
     with_poses_rad = contradiction_with_poses(
         view_graph, images.known_poses, np.deg2rad(config.mapper.max_contradiction_deg)
     )
@@ -240,7 +242,7 @@ def _map(
         contradiction_rad = np.where(used, with_poses_rad, np.nan)
         contradiction_rad[fits_poses] = found_rad
         start = earlier.pop() if earlier else ()  # an attempt to separate look-alikes starts anew
-        mapped = map_images(images, cameras, chosen, detections, config.mapper, run.job.progress, start)
+        mapped = map_images(calibrated, chosen, detections, config.mapper, run.job.progress, start, map_parts)
         return Attempt(mapped, chosen, contradiction_rad)
 
     return (map_apart if config.mapper.separate_look_alikes else map_once)(

@@ -13,8 +13,8 @@ from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper, Progres
 LEAST_COVERAGE = 0.8
 """Fraction of the images connected to a global model that it must have; below it, the incremental mapper tries too."""
 
-Method = Literal["global", "incremental", "grown"]
-"""How a model was made; grown: from the poses of an earlier one."""
+Method = Literal["global", "incremental", "divided", "grown"]
+"""How a model was made; divided: from models of its parts; grown: from the poses of an earlier one."""
 
 
 def map_with(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io.colmap.model import find_model, read_colmap_model
@@ -58,35 +59,69 @@ class Earlier:
         return Earlier((earlier_model_in(out),), (EarlierDatabase(out / DATABASE),))
 
 
-def grow_model(
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """What mapping starts from: poses in the coordinates of one model, and its intrinsics."""
+
+    cams_from_world: Mapping[int, Rigid3]
+    """By row of the image."""
+    cameras: Mapping[int, Camera]
+    """Refined intrinsics by row of the camera."""
+
+
+def grow_from(
     mapper: IncrementalMapper,
     earlier: Sequence[Reconstruction],
     names: tuple[str, ...],
     usable: np.ndarray,
     progress: Progress = ignore_progress,
 ) -> bool:
-    """Start from the poses of earlier models, triangulate anew, and register the other images; False if that is impossible.
+    """Grow earlier models by the other usable images; False if there are none, or if they do not fit.
 
-    It is impossible if fewer than three usable images have a pose in the first model, or if the models disagree with the matches.
+    Args:
+        mapper: as of `grow_model`.
+        earlier: finished models; the images that they have registered keep their poses if their keypoints are the same.
+        names: names of the images.
+        usable: mask of images.
+        progress: called with the number of registered and of usable images.
+    """
+    model, starts = mapper.model, []
+    for one in earlier:
+        poses, rows = one.cams_from_world(), _rows_of(one, names, model.keypoints, usable)
+        cameras = {
+            int(model.camera_of_image[row]): one.cameras[int(one.camera_of_image[before])]
+            for row, before in rows.items()
+        }
+        starts.append(Start({row: poses[before] for row, before in rows.items()}, cameras))
+    return bool(starts) and grow_model(mapper, starts, usable, progress)
+
+
+def grow_model(
+    mapper: IncrementalMapper,
+    starts: Sequence[Start],
+    usable: np.ndarray,
+    progress: Progress = ignore_progress,
+) -> bool:
+    """Start from known poses, triangulate anew, and register the other images; False if that is impossible.
+
+    It is impossible if the first start has fewer than three images, or if the models disagree with the matches.
 
     Args:
         mapper: an incremental mapper, which has the model.
-        earlier: the earlier models, which are joined by their common points; one that has too few starts no images.
-        names: names of the images.
+        starts: models that are joined by their common points; one that has too few starts no images.
         usable: mask of images.
         progress: called with the number of registered and of usable images.
     """
     model, config = mapper.model, mapper.config
     model.clear()
-    known = [_rows_of(one, names, model.keypoints, usable) for one in earlier]
-    if len(known[0]) < LEAST_IMAGES:
+    if len(starts[0].cams_from_world) < LEAST_IMAGES:
         return False
-    for one, rows in reversed(list(zip(earlier, known))):  # the first model decides on cameras in common
-        _take_cameras(model, one, rows)
-    for row, pose in join_models(model, earlier, known, config).items():
+    for start in reversed(starts):  # the first model decides on cameras in common
+        _take_cameras(model, start.cameras)
+    for row, pose in join_models(model, [start.cams_from_world for start in starts], config).items():
         model.register(row, pose)
     everything, angle_rad = np.arange(len(model.components)), np.deg2rad(config.min_angle_deg)
-    if len(earlier) > 1:
+    if len(starts) > 1:
         model.triangulate(everything, LOOSE * config.max_error_px, angle_rad)
         mapper.adjust_globally(1)
         model.replace_points(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros((0, 3)))
@@ -96,7 +131,7 @@ def grow_model(
         return False
     mapper.grow(usable, int(usable.sum()), progress)
     # A model of one earlier model is adjusted again when it is completed; gaps between joined ones must be closed before.
-    is_thorough = mapper.is_last or len(earlier) > 1
+    is_thorough = mapper.is_last or len(starts) > 1
     mapper.adjust_globally(ROUNDS if is_thorough else 1)
     if is_thorough:
         mapper.finish()
@@ -137,13 +172,12 @@ def _rows_of(
     }
 
 
-def _take_cameras(model: ModelBuilder, earlier: Reconstruction, known: dict[int, int]) -> None:
+def _take_cameras(model: ModelBuilder, cameras: Mapping[int, Camera]) -> None:
     """Start from the earlier intrinsics of each camera that is not constant, if it has the same model and size."""
     params = model.params.copy()
-    for row, before in known.items():
-        own, there = int(model.camera_of_image[row]), earlier.cameras[int(earlier.camera_of_image[before])]
-        camera = model.camera(own)
+    for row, there in cameras.items():
+        camera = model.camera(row)
         is_same = (camera.model, camera.width, camera.height) == (there.model, there.width, there.height)
-        if is_same and not model.cameras.is_constant[own]:
-            params[own] = there.padded_params()
+        if is_same and not model.cameras.is_constant[row]:
+            params[row] = there.padded_params()
     model.set_params(params)

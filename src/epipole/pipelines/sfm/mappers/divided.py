@@ -1,0 +1,123 @@
+"""Mapping of many images in parts: overlapping parts of the view graph are mapped separately, joined, and adjusted together.
+
+A part needs memory for its own images, and parts can be mapped at the same time, on other machines too. They are joined by the points
+that they have in common (`joining.py`), like finished models; the images of a part that does not fit are registered one by one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Int32, Int64
+
+from epipole.geometry import Rigid3
+from epipole.mapping import ModelBuilder, connect_matches, divide_images, nearest_outside
+from epipole.pipelines.sfm.config import MapperConfig
+from epipole.pipelines.sfm.mappers.choice import map_with
+from epipole.pipelines.sfm.mappers.growth import LEAST_IMAGES, Start, grow_model
+from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper, Progress, ignore_progress
+from epipole.scene import Cameras, ViewGraph
+
+OVERLAP = 0.1
+"""Images of the neighboring parts that a part also has, relative to its own."""
+LEAST_OVERLAP = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Images that are mapped together."""
+
+    images: Int64[np.ndarray, " n"]
+    """Their rows among all images."""
+    view_graph: ViewGraph
+    """The pairs between them, numbered within the part."""
+    keypoints: tuple[np.ndarray, ...]
+    cameras: Cameras
+    """Those of all images."""
+    camera_of_image: Int32[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MappedPart:
+    """The poses of a part's largest model."""
+
+    images: Int64[np.ndarray, " n"]
+    """Registered images, numbered within the part."""
+    cams_from_world: Rigid3
+    params: np.ndarray
+    """Refined intrinsics of all cameras, padded."""
+
+
+MapParts = Callable[[Sequence[Part]], Sequence[MappedPart]]
+"""Maps parts in any order, here or elsewhere."""
+
+
+def map_divided(
+    mapper: IncrementalMapper,
+    usable: np.ndarray,
+    map_parts: MapParts | None = None,
+    progress: Progress = ignore_progress,
+) -> bool:
+    """Map the usable images in parts of at most `part_images`, without the overlap; False if no part has a model.
+
+    Args:
+        mapper: an incremental mapper, which has the model, the pairs and the options.
+        usable: mask of images.
+        map_parts: maps the parts; None: one after the other, in this thread.
+        progress: called with the number of registered and of usable images.
+    """
+    parts = divided(mapper, usable)
+    found = map_parts(parts) if map_parts is not None else [map_part(part, mapper.config) for part in parts]
+    starts = [_start_of(part, one) for part, one in zip(parts, found) if len(one.images) >= LEAST_IMAGES]
+    starts.sort(key=lambda start: -len(start.cams_from_world))
+    return bool(starts) and grow_model(mapper, starts, usable, progress)
+
+
+def divided(mapper: IncrementalMapper, usable: np.ndarray) -> list[Part]:
+    """Overlapping parts of the usable images."""
+    graph, model = mapper.view_graph, mapper.model
+    graph = graph.select(usable[graph.image1] & usable[graph.image2] & (graph.num_inliers() > 0))
+    num_images, weight = len(usable), graph.num_inliers().astype(np.float64)
+    pairs = graph.image1, graph.image2, weight
+    out = []
+    for own in divide_images(num_images, *pairs, mapper.config.part_images):
+        most = max(LEAST_OVERLAP, int(OVERLAP * len(own)))
+        images = np.sort(np.concatenate([own, nearest_outside(own, num_images, *pairs, most)]))
+        out.append(_part_of(images, graph, model))
+    return out
+
+
+def _part_of(images: np.ndarray, graph: ViewGraph, model: ModelBuilder) -> Part:
+    number = np.full(len(model.keypoints), -1, np.int32)
+    number[images] = np.arange(len(images))
+    inside = graph.select((number[graph.image1] >= 0) & (number[graph.image2] >= 0))
+    return Part(
+        images,
+        replace(inside, image1=number[inside.image1], image2=number[inside.image2]),
+        tuple(model.keypoints[k] for k in images),
+        model.cameras,
+        model.camera_of_image[images],
+    )
+
+
+def map_part(part: Part, config: MapperConfig) -> MappedPart:
+    """Map the images of a part."""
+    starts = np.concatenate([[0], np.cumsum([len(k) for k in part.keypoints])]).astype(np.int64)
+    components = connect_matches(part.view_graph, starts)
+    model = ModelBuilder(part.cameras, part.camera_of_image, part.keypoints, components)
+    mapper = IncrementalMapper(model, part.view_graph, config, is_last=False)
+    is_mapped = map_with(mapper, np.ones(len(part.images), bool)) is not None
+    registered = np.flatnonzero(model.registered) if is_mapped else np.zeros(0, np.int64)
+    motion = model.motion[registered]
+    poses = Rigid3(motion[:, :9].reshape(-1, 3, 3), motion[:, 9:])
+    return MappedPart(registered.astype(np.int64), poses, model.params.copy())
+
+
+def _start_of(part: Part, found: MappedPart) -> Start:
+    rows = part.images[found.images].tolist()
+    used = np.unique(part.camera_of_image[found.images]).tolist()
+    cameras = replace(part.cameras, params=found.params)
+    poses = {row: found.cams_from_world[k] for k, row in enumerate(rows)}
+    return Start(poses, {camera: cameras[camera] for camera in used})
