@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from epipole import reconstruct
+from epipole.io.colmap.database import read_matched_pairs
 from epipole.pipelines.sfm.config import PairingConfig
-from epipole.pipelines.sfm.matching.expansion import STRONG, neighbors_of_neighbors
+from epipole.pipelines.sfm.matching.expansion import CONNECTED, STRONG, neighbors_of_neighbors, unconnected
 from epipole.pipelines.sfm.matching.pairing import method_of
 from mapping_graphs import graph_of_rotations
 
@@ -35,6 +36,29 @@ def test_well_connected_images_need_no_further_pairs() -> None:
     found = neighbors_of_neighbors(view_graph, tried, 12, 1)
     assert all((0 not in pair and 1 not in pair) or 11 in pair for pair in found.tolist())
     assert 11 in found  # it has one neighbor
+
+
+def test_images_with_many_common_tracks_are_connected() -> None:
+    """Tracks through image 1 connect 0 and 2; one track less does not."""
+    candidates = np.array([(0, 2), (0, 3), (2, 3)], np.int32)
+    enough = graph({(0, 1): CONNECTED, (1, 2): CONNECTED, (2, 3): CONNECTED - 1})
+    assert unconnected(enough, candidates, [CONNECTED] * 4).tolist() == [[0, 3], [2, 3]]
+    assert unconnected(enough, candidates[:0], [CONNECTED] * 4).shape == (0, 2)
+    few = graph({(0, 1): CONNECTED, (1, 2): CONNECTED - 1})
+    assert unconnected(few, candidates[:1], [CONNECTED] * 4).tolist() == [[0, 2]]
+
+
+def test_distant_neighbors_are_matched_only_where_points_are_missing(rendered: Path, tmp_path: Path) -> None:
+    """Neighbors of six photographs of one wall: the first ones connect all of them."""
+    pairing = PairingConfig(method="retrieval", neighbors=5, first_neighbors=3, expansion=0)
+    found = reconstruct(rendered, tmp_path / "out", pairing=pairing)
+    every = reconstruct(
+        rendered, tmp_path / "all", pairing=PairingConfig(method="retrieval", neighbors=5, expansion=0)
+    )
+    assert found.summary["num_registered"] == every.summary["num_registered"] == 6
+    pairs = [len(read_matched_pairs(result.out / "database.db")) for result in (found, every)]
+    assert pairs[0] < pairs[1] == 15
+    assert len(found.model.points) > 0.9 * len(every.model.points)
 
 
 def test_the_method_of_pairing_fits_the_images() -> None:

@@ -27,10 +27,15 @@ def positions(meters_north: list[float | None]) -> np.ndarray:
 
 
 def chosen(descriptors, lat_lon_alt, *, is_video=False, **options) -> set[tuple[int, int]]:
-    pairs = choose_pairs(descriptors, lat_lon_alt, PairingConfig(**options), is_video=is_video)
-    assert pairs.dtype == np.int32 and (pairs[:, 0] < pairs[:, 1]).all()
-    assert sorted(map(tuple, pairs.tolist())) == list(map(tuple, pairs.tolist()))
-    return set(map(tuple, pairs.tolist()))
+    """Pairs of both rounds."""
+    found = choose_pairs(descriptors, lat_lon_alt, PairingConfig(**options), is_video=is_video)
+    out: set[tuple[int, int]] = set()
+    for pairs in (found.first, found.later):
+        assert pairs.dtype == np.int32 and (pairs[:, 0] < pairs[:, 1]).all()
+        rows = list(map(tuple, pairs.tolist()))
+        assert sorted(rows) == rows and not out & set(rows)
+        out |= set(rows)
+    return out
 
 
 def test_few_pictures_are_compared_each_with_each() -> None:
@@ -65,6 +70,19 @@ def test_look_alikes_are_compared() -> None:
     two = chosen(images, nowhere, method="retrieval", neighbors=2)
     assert expected <= two
     assert chosen(images, nowhere, exhaustive_limit=6, neighbors=2) == two
+
+
+def test_the_nearest_neighbors_are_compared_first() -> None:
+    """Along a road, each image's nearest neighbor is the next or the last one; the second nearest come later."""
+    images, road = images_of(list(range(6))), positions([10.0 * k + 0.1 * k * k for k in range(6)])
+    options = PairingConfig(method="spatial", neighbors=2, first_neighbors=1)
+    near = choose_pairs(images, road, options, is_video=False)
+    similar = choose_pairs(images, road, PairingConfig(method="retrieval", neighbors=5), is_video=False)
+    assert {*map(tuple, similar.first.tolist())} == set(combinations(range(6), 2)) and not len(similar.later)
+    assert {(k, k + 1) for k in range(5)} <= {*map(tuple, near.first.tolist())}
+    retrieved = PairingConfig(method="retrieval", neighbors=2, first_neighbors=1)
+    found = choose_pairs(images_of([0, 0, 0, 0, 1, 1]), road, retrieved, is_video=False)
+    assert [4, 5] in found.first.tolist() and len(found.later) and [4, 5] not in found.later.tolist()
 
 
 def test_pictures_taken_near_each_other_are_compared() -> None:

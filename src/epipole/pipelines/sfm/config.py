@@ -26,6 +26,8 @@ class PairingConfig:
     """auto: match all pairs for up to this many images."""
     neighbors: int = 30
     """retrieval and spatial: pairs per image."""
+    first_neighbors: int = 10
+    """The nearest of them, which are matched first; of the others, pairs with many points in common by then are not matched."""
     expansion: int = 10
     """retrieval and spatial: further pairs of each weakly connected image, in up to three rounds, with neighbors of its neighbors."""
     overlap: int = 10
@@ -38,7 +40,7 @@ class PairingConfig:
             ConfigError: a value is out of range.
         """
         check_options(self)
-        check_least(self, neighbors=1, expansion=0, overlap=1, exhaustive_limit=1)
+        check_least(self, neighbors=1, first_neighbors=1, expansion=0, overlap=1, exhaustive_limit=1)
 
 
 @dataclass(frozen=True, kw_only=True)

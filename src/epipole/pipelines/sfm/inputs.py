@@ -17,6 +17,7 @@ from epipole.pipelines.sfm.matching.database_stage import DatabaseSource, open_s
 from epipole.pipelines.sfm.matching.database_stage import feature_units as given_feature_units
 from epipole.pipelines.sfm.matching.feature_stage import feature_units
 from epipole.pipelines.sfm.matching.pairing import (
+    ChosenPairs,
     EarlierDatabase,
     choose_pairs,
     further_pairs,
@@ -114,18 +115,19 @@ def pairs_to_match(
     config: ReconstructConfig,
     given: dict[tuple[int, int], np.ndarray],
     earlier: Sequence[EarlierDatabase] = (),
-) -> np.ndarray:
+) -> ChosenPairs:
     """Pairs to match: the requested ones, restricted to pairs with given matches, if there are any."""
     requested = read_pairs(config.pairs, images.names) if config.pairs is not None else None
     if given:
         kept = sorted(given) if requested is None else [p for p in in_order(requested) if p in given]
-        return np.array(kept, np.int32).reshape(-1, 2)
+        return ChosenPairs(np.array(kept, np.int32).reshape(-1, 2))
     if requested is not None:
-        return requested
+        return ChosenPairs(requested)
     descriptors = _Descriptors([u.path for u in features])
     if earlier:
-        return further_pairs(
-            descriptors, keypoints_of(features)[0], images.names, earlier, config.pairing.neighbors
+        keypoints, _ = keypoints_of(features)
+        return ChosenPairs(
+            further_pairs(descriptors, keypoints, images.names, earlier, config.pairing.neighbors)
         )
     return choose_pairs(descriptors, images.lat_lon_alt, config.pairing, is_video=images.is_video)
 

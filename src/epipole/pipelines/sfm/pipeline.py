@@ -102,6 +102,8 @@ class _Detected:
     """Matches of the database; empty if they are to be computed."""
     pairs: np.ndarray
     """(p, 2) pairs of images to match."""
+    later: np.ndarray
+    """(q, 2) pairs to match unless their images have many points in common by then."""
     expansion: int
     """Further pairs of each image that verified ones may add."""
     earlier: Earlier | None
@@ -146,7 +148,9 @@ def solve(source: Path, run: Run, config: ReconstructConfig, earlier: Earlier | 
         pairs = pairs_to_match(images, features, config, given, () if earlier is None else earlier.databases)
         run.report("pair", 1, 1)
     expansion = expansion_of(images, config, is_given=bool(given))
-    detected = _Detected(features, keypoints, colors, database, given, pairs, expansion, earlier)
+    detected = _Detected(
+        features, keypoints, colors, database, given, pairs.first, pairs.later, expansion, earlier
+    )
     solution = _match_and_map(images, detected, run, config)
     if (corrected := _corrected_cameras(solution)) is not None:
         images = replace(solution.images, cameras=corrected)
@@ -176,9 +180,11 @@ def _match_and_map(
     with run.stage("verify"):
         folder = run.root / UNITS / f"geometry{suffix}"
         view_graph = rounds.verify(folder, run, num_features)
-    with run.stage("expand" if detected.expansion else "verify"):
+    with run.stage("expand" if detected.expansion or len(detected.later) else "verify"):
         folders = (run.root / UNITS / f"matches{suffix}", folder)
-        rounds, view_graph = expand(rounds, view_graph, folders, run, num_features, detected.expansion)
+        rounds, view_graph = expand(
+            rounds, view_graph, folders, run, num_features, detected.later, detected.expansion
+        )
     with run.stage("verify"):
         images = _without_contradictions(images, view_graph, config)
         rounds = rounds.with_cameras(images.cameras, images.camera_of_image)

@@ -1,6 +1,6 @@
-"""Further pairs from verified ones: images that both overlap a third probably overlap each other.
+"""Further pairs from verified ones: distant neighbors without common points, and images that both overlap a third one.
 
-Retrieval compares summaries of images, which miss pairs that show the same scene differently. Query expansion (Chum et al., ICCV 2007)
+Images that the first pairs connect to many common points need no pair of their own: it would observe the same points once more. Retrieval compares summaries of images, which miss pairs that show the same scene differently. Query expansion (Chum et al., ICCV 2007)
 finds some of these pairs from the neighbors of neighbors.
 """
 
@@ -15,6 +15,7 @@ import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Int32
 
+from epipole.mapping import connect_matches
 from epipole.pipelines.sfm.matching.match_stage import (
     PairWork,
     load_view_graph,
@@ -28,8 +29,12 @@ STRONG = 30
 """Verified matches of a pair that lets its images share their neighbors."""
 WELL_CONNECTED = 10
 """Strong pairs with which an image needs no further ones: 30 pairs of each image by retrieval usually have more."""
+CONNECTED = 100
+"""Tracks in common with which two images need no pair of their own."""
 MAX_ROUNDS, LEAST_SUCCESS = 3, 0.2
-"""Most rounds, and the fraction of new pairs that must be verified for another one."""
+"""Most rounds of neighbors of neighbors, and the fraction of new pairs that must be verified for another one."""
+PAIRS_AT_ONCE = 512
+"""Pairs whose tracks are compared at once, which limits the memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,9 +75,12 @@ def expand(
     folders: tuple[Path, Path],
     run: Run,
     num_features: Sequence[int],
+    later: Int32[np.ndarray, "q 2"],
     per_image: int,
 ) -> tuple[PairRounds, ViewGraph]:
-    """Match and verify neighbors of neighbors, round after round, while enough of them are verified.
+    """Match and verify later pairs, unless their images have enough tracks in common, and then neighbors of neighbors.
+
+    These are matched round after round, while enough of them are verified.
 
     Args:
         rounds: the pairs that were matched.
@@ -80,26 +88,61 @@ def expand(
         folders: folder of matches and folder of geometries of the first round.
         run: executes the units.
         num_features: of each image.
-        per_image: new pairs of each image in a round.
+        later: pairs that were chosen, but not matched yet.
+        per_image: new pairs of each image in a round of neighbors of neighbors.
     """
-    first = rounds.works[0]
-    for number in range(1, MAX_ROUNDS + 1):
-        pairs = neighbors_of_neighbors(view_graph, rounds.work.pairs, len(num_features), per_image)
+    if len(pairs := unconnected(view_graph, later, num_features)):
+        rounds, new = _matched(rounds, pairs, folders, run, num_features)
+        view_graph = view_graph.joined(new)
+    known = np.concatenate([rounds.works[0].pairs, later])
+    for _ in range(MAX_ROUNDS):
+        pairs = neighbors_of_neighbors(view_graph, known, len(num_features), per_image)
         if len(pairs) == 0:
             break
-        work = replace(first, pairs=pairs)
-        matches = match_units(work, _numbered(folders[0], number))
-        run.do(matches, "match")
-        units = verification_units(work, _numbered(folders[1], number), matches)
-        run.do(units, "verify")
-        new = load_view_graph(units, num_features)
-        rounds = PairRounds((*rounds.works, work), (*rounds.matches, tuple(matches)))
+        known = np.concatenate([known, pairs])
+        rounds, new = _matched(rounds, pairs, folders, run, num_features)
         view_graph = view_graph.joined(new)
         if (new.num_inliers() >= STRONG).sum() < LEAST_SUCCESS * len(pairs):
             break
     calibrated = folders[1].with_name(f"{folders[1].name}-calibrated")
     _remove_rounds((*folders, calibrated), len(rounds.works))
     return rounds, view_graph
+
+
+def _matched(
+    rounds: PairRounds,
+    pairs: Int32[np.ndarray, "q 2"],
+    folders: tuple[Path, Path],
+    run: Run,
+    num_features: Sequence[int],
+) -> tuple[PairRounds, ViewGraph]:
+    """Match and verify pairs as another round; returns all rounds, and the verified ones of these pairs."""
+    number, work = len(rounds.works), replace(rounds.works[0], pairs=pairs)
+    matches = match_units(work, _numbered(folders[0], number))
+    run.do(matches, "match")
+    units = verification_units(work, _numbered(folders[1], number), matches)
+    run.do(units, "verify")
+    rounds = PairRounds((*rounds.works, work), (*rounds.matches, tuple(matches)))
+    return rounds, load_view_graph(units, num_features)
+
+
+def unconnected(
+    view_graph: ViewGraph, pairs: Int32[np.ndarray, "q 2"], num_features: Sequence[int]
+) -> Int32[np.ndarray, "u 2"]:
+    """The pairs of images with few tracks of verified matches in common."""
+    if len(pairs) == 0:
+        return pairs
+    tracks = connect_matches(view_graph, np.concatenate([[0], np.cumsum(num_features)]).astype(np.int64))
+    track_of_row = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
+    shape = len(num_features), len(tracks)
+    observed = sparse.csr_array(
+        (np.ones(len(track_of_row), np.int32), (tracks.image, track_of_row)), shape=shape
+    )
+    counts = [
+        (observed[some[:, 0]] * observed[some[:, 1]]).sum(axis=1)
+        for some in np.split(pairs, range(PAIRS_AT_ONCE, len(pairs), PAIRS_AT_ONCE))
+    ]
+    return pairs[np.concatenate(counts) < CONNECTED]
 
 
 def neighbors_of_neighbors(
@@ -143,5 +186,5 @@ def _numbered(folder: Path, number: int) -> Path:
 def _remove_rounds(folders: Sequence[Path], number: int) -> None:
     """Remove results of further rounds, from other options."""
     for folder in folders:
-        for later in range(number, MAX_ROUNDS + 1):
-            shutil.rmtree(_numbered(folder, later), ignore_errors=True)
+        for other in range(number, MAX_ROUNDS + 2):
+            shutil.rmtree(_numbered(folder, other), ignore_errors=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -32,14 +32,23 @@ class EarlierDatabase:
     """Present name by the name in the database, where they differ."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ChosenPairs:
+    """Pairs (i, j), i < j, sorted."""
+
+    first: Int32[np.ndarray, "p 2"]
+    later: Int32[np.ndarray, "q 2"] = field(default_factory=lambda: np.zeros((0, 2), np.int32))
+    """Those of the more distant neighbors, which are matched only if the first ones leave their images unconnected."""
+
+
 def choose_pairs(
     descriptors: Sequence[np.ndarray],
     lat_lon_alt: Float64[np.ndarray, "n 3"],
     config: PairingConfig,
     *,
     is_video: bool,
-) -> Int32[np.ndarray, "p 2"]:
-    """Pairs (i, j), i < j, sorted.
+) -> ChosenPairs:
+    """Pairs by the method of the options, or by the one that fits the images.
 
     Raises:
         ConfigError: spatial pairs are requested, but fewer than two images have GPS.
@@ -47,19 +56,32 @@ def choose_pairs(
     n, method = len(descriptors), method_of(lat_lon_alt, config, is_video=is_video)
     has_gps = np.isfinite(lat_lon_alt[:, :2]).all(axis=1)
     if method == "exhaustive":
-        return np.stack(np.triu_indices(n, 1), axis=1).astype(np.int32)
-    if method == "spatial":
-        if has_gps.sum() < 2:
-            raise ConfigError("spatial pairs need GPS in the images' EXIF")
-        return sorted_pairs(
-            [*_spatial(lat_lon_alt, has_gps, config.neighbors), *_similar_images(descriptors, 5)]
-        )
-    pairs = []
+        return ChosenPairs(np.stack(np.triu_indices(n, 1), axis=1).astype(np.int32))
     if method == "sequential":
         reach = min(config.overlap, n - 1)
-        pairs += [(i, i + step) for i in range(n) for step in range(1, reach + 1) if i + step < n]
-    neighbors = min(config.neighbors, 10) if method == "sequential" else config.neighbors
-    return sorted_pairs([*pairs, *_similar_images(descriptors, neighbors)])
+        pairs = [(i, i + step) for i in range(n) for step in range(1, reach + 1) if i + step < n]
+        return ChosenPairs(
+            sorted_pairs([*pairs, *_pairs_of(_similar_images(descriptors, min(config.neighbors, 10)))])
+        )
+    if method == "retrieval":
+        return _in_two_rounds(_similar_images(descriptors, config.neighbors), config.first_neighbors)
+    if has_gps.sum() < 2:
+        raise ConfigError("spatial pairs need GPS in the images' EXIF")
+    near = _in_two_rounds(_spatial(lat_lon_alt, has_gps, config.neighbors), config.first_neighbors)
+    similar = _pairs_of(_similar_images(descriptors, 5))
+    return replace(near, first=sorted_pairs([*map(tuple, near.first.tolist()), *similar]))
+
+
+def _pairs_of(neighbors: Mapping[int, Sequence[int]]) -> list[tuple[int, int]]:
+    return [(i, j) for i, nearest in neighbors.items() for j in nearest]
+
+
+def _in_two_rounds(neighbors: Mapping[int, Sequence[int]], num_first: int) -> ChosenPairs:
+    """Pairs of each image with its nearest neighbors, and with those after them."""
+    first = sorted_pairs([(i, j) for i, nearest in neighbors.items() for j in nearest[:num_first]])
+    taken = {*map(tuple, first.tolist())}
+    every = sorted_pairs(_pairs_of(neighbors)).tolist()
+    return ChosenPairs(first, sorted_pairs([(i, j) for i, j in every if (i, j) not in taken]))
 
 
 def further_pairs(
@@ -147,19 +169,21 @@ def method_of(
     return "spatial" if np.isfinite(lat_lon_alt[:, :2]).all(axis=1).mean() > 0.9 else "retrieval"
 
 
-def _similar_images(descriptors: Sequence[np.ndarray], count: int) -> list[tuple[int, int]]:
+def _similar_images(descriptors: Sequence[np.ndarray], count: int) -> dict[int, list[int]]:
+    """The most similar images of each one."""
     words = train_vocabulary(descriptors)
     nearest = most_similar(describe_images(descriptors, words), count)
-    return [(i, int(j)) for i in range(len(nearest)) for j in nearest[i]]
+    return {i: [int(j) for j in row] for i, row in enumerate(nearest)}
 
 
-def _spatial(lat_lon_alt: np.ndarray, has_gps: np.ndarray, count: int) -> list[tuple[int, int]]:
+def _spatial(lat_lon_alt: np.ndarray, has_gps: np.ndarray, count: int) -> dict[int, list[int]]:
+    """The nearest images of each one that has GPS."""
     rows = np.flatnonzero(has_gps)
     east_north = gps_to_enu(lat_lon_alt[rows])[:, :2]
     from scipy.spatial import cKDTree  # slow to import, and needed for GPS only
 
     _, near = cKDTree(east_north).query(east_north, k=min(count + 1, len(rows)))
-    return [(int(rows[a]), int(rows[b])) for a in range(len(rows)) for b in np.atleast_1d(near[a]) if a != b]
+    return {int(rows[a]): [int(rows[b]) for b in np.atleast_1d(near[a]) if a != b] for a in range(len(rows))}
 
 
 def sorted_pairs(pairs: Sequence[tuple[int, int]]) -> Int32[np.ndarray, "p 2"]:
